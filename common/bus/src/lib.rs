@@ -1,0 +1,26 @@
+//! The bus as nodes see it: typed publish, subscribe, ask and serve, presence, the clock, and node start-up.
+//!
+//! Only this crate names zenoh. Publishers drop rather than block, receivers overwrite in bounded queues, and
+//! no slow work runs in a callback (spec/technology.md 1.3 has the measurements behind each rule). One
+//! [`Bus`] per node.
+
+mod alerts;
+mod ask;
+mod clock;
+mod diary;
+mod machine;
+pub mod node;
+mod publish;
+mod session;
+mod stop;
+mod subscribe;
+
+pub use alerts::AlertBoard;
+pub use ask::{AskError, Service};
+pub use clock::{Clock, ClockError};
+pub use machine::{MachineTime, SkyTime};
+pub use node::{Node, NodeOptions};
+pub use publish::{Publisher, Quality};
+pub use session::{Alive, Bus, BusError};
+pub use stop::Stop;
+pub use subscribe::{Catch, Heard, Latest, Subscriber};

@@ -1,0 +1,69 @@
+//! The two monotonic times, as two types that cannot be mixed.
+
+use std::time::Duration;
+
+/// Machine time: time since the machine booted, suspend included, never accelerated.
+///
+/// Permits, leases, ages, poll periods and deadlines are judged by it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct MachineTime(Duration);
+
+impl MachineTime {
+    /// From the time since boot; for pure code under test.
+    pub const fn from_boot(since_boot: Duration) -> Self {
+        Self(since_boot)
+    }
+
+    /// Time from `earlier` to this; zero when `earlier` is later.
+    pub fn since(self, earlier: Self) -> Duration {
+        self.0.saturating_sub(earlier.0)
+    }
+
+    /// This moved forward.
+    pub fn plus(self, duration: Duration) -> Self {
+        Self(self.0.saturating_add(duration))
+    }
+
+    /// Reads the machine's boot-time clock.
+    pub(crate) fn now() -> Self {
+        Self(boot_time())
+    }
+}
+
+/// The monotonic side of sky time: machine time x speed. Dwell, exposure and slew durations are judged by it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct SkyTime(Duration);
+
+impl SkyTime {
+    /// From a duration since an arbitrary start; for pure code under test.
+    pub const fn from_start(since_start: Duration) -> Self {
+        Self(since_start)
+    }
+
+    /// Time from `earlier` to this; zero when `earlier` is later.
+    pub fn since(self, earlier: Self) -> Duration {
+        self.0.saturating_sub(earlier.0)
+    }
+
+    /// This moved forward.
+    pub fn plus(self, duration: Duration) -> Self {
+        Self(self.0.saturating_add(duration))
+    }
+}
+
+#[cfg(target_os = "linux")]
+fn boot_time() -> Duration {
+    // CLOCK_BOOTTIME counts suspend, unlike the clock behind std::time::Instant
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
+    let nanos = u32::try_from(time.tv_nsec).unwrap_or(0);
+    Duration::new(u64::try_from(time.tv_sec).unwrap_or(0), nanos)
+}
+
+#[cfg(not(target_os = "linux"))]
+fn boot_time() -> Duration {
+    // On Windows std's Instant (QueryPerformanceCounter) counts suspend; its zero is this process's first reading.
+    use std::sync::OnceLock;
+    use std::time::Instant;
+    static START: OnceLock<Instant> = OnceLock::new();
+    START.get_or_init(Instant::now).elapsed()
+}

@@ -1,0 +1,143 @@
+//! Saying typed payloads, stamped and counted.
+
+use std::marker::PhantomData;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use contract::{Key, Payload, Stamped};
+use zenoh::bytes::Encoding;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
+
+use crate::{Bus, BusError};
+
+/// How a key is carried; every quality drops rather than blocks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Quality {
+    /// Said again regularly; kept for so many samples, so that a subscriber catches up after a cut, and the
+    /// newest is answered to a plain `get`.
+    State {
+        /// Samples kept for those who were away.
+        cache: usize,
+    },
+    /// Happens once; kept for so many samples.
+    Event {
+        /// Samples kept for those who were away.
+        cache: usize,
+    },
+    /// Permits and guard numbers: first on the wire, never queued, never repeated.
+    Urgent,
+}
+
+/// Says payloads of one type on one key.
+pub struct Publisher<T> {
+    key: String,
+    line: Line,
+    seq: AtomicU64,
+    bus: Bus,
+    newest: Arc<Mutex<Option<Vec<u8>>>>,
+    _answers: Option<zenoh::query::Queryable<()>>,
+    _payload: PhantomData<fn(T)>,
+}
+
+enum Line {
+    Plain(zenoh::pubsub::Publisher<'static>),
+    Advanced(AdvancedPublisher<'static>),
+}
+
+impl Bus {
+    /// Declares a publisher.
+    pub async fn publisher<T: Payload>(&self, key: &Key, quality: Quality) -> Result<Publisher<T>, BusError> {
+        let text = key.to_string();
+        let failed = |source| BusError::Declare { what: "a publisher", key: key.to_string(), source };
+        let builder = self
+            .session
+            .declare_publisher(text.clone())
+            .encoding(Encoding::APPLICATION_JSON)
+            .congestion_control(CongestionControl::Drop);
+        let line = match quality {
+            Quality::Urgent => {
+                let urgent = builder.priority(Priority::RealTime).express(true);
+                Line::Plain(urgent.await.map_err(failed)?)
+            }
+            Quality::State { cache } | Quality::Event { cache } => {
+                // no heartbeat: states repeat, and events are followed by states, so the next sample shows a gap
+                let advanced = builder
+                    .cache(CacheConfig::default().max_samples(cache))
+                    .sample_miss_detection(MissDetectionConfig::default())
+                    .publisher_detection();
+                Line::Advanced(advanced.await.map_err(failed)?)
+            }
+        };
+        let newest = Arc::new(Mutex::new(None::<Vec<u8>>));
+        let answers = match quality {
+            Quality::State { .. } => Some(self.answer_newest(&text, newest.clone()).await.map_err(failed)?),
+            Quality::Event { .. } | Quality::Urgent => None,
+        };
+        Ok(Publisher {
+            key: text,
+            line,
+            seq: AtomicU64::new(0),
+            bus: self.clone(),
+            newest,
+            _answers: answers,
+            _payload: PhantomData,
+        })
+    }
+
+    async fn answer_newest(
+        &self,
+        key: &str,
+        newest: Arc<Mutex<Option<Vec<u8>>>>,
+    ) -> Result<zenoh::query::Queryable<()>, zenoh::Error> {
+        let runtime = tokio::runtime::Handle::current();
+        let own_key = key.to_owned();
+        self.session
+            .declare_queryable(key.to_owned())
+            .callback(move |query| {
+                let Some(bytes) = newest.lock().unwrap_or_else(PoisonError::into_inner).clone() else { return };
+                let key = own_key.clone();
+                runtime.spawn(async move {
+                    if let Err(error) = query.reply(key, bytes).encoding(Encoding::APPLICATION_JSON).await {
+                        tracing::debug!(%error, "a question left before its answer");
+                    }
+                });
+            })
+            .await
+    }
+}
+
+impl<T: Payload> Publisher<T> {
+    /// Says a payload now, stamped with this node's boot id, the next number and sky time.
+    pub async fn put(&self, body: T) -> Result<(), BusError> {
+        let stamped = Stamped {
+            boot_id: self.bus.boot_id().clone(),
+            seq: self.seq.fetch_add(1, Ordering::Relaxed),
+            at_utc: self.bus.clock().utc(),
+            body,
+        };
+        let failed = |detail: String| BusError::Publish { key: self.key.clone(), detail };
+        let bytes = serde_json::to_vec(&stamped).map_err(|error| failed(error.to_string()))?;
+        if self._answers.is_some() {
+            *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(bytes.clone());
+        }
+        let sent = match &self.line {
+            Line::Plain(publisher) => publisher.put(bytes).await,
+            Line::Advanced(publisher) => publisher.put(bytes).await,
+        };
+        sent.map_err(|error| failed(error.to_string()))
+    }
+
+    /// Says the newest value of a watch at each change and at least every `period`, until the sender is gone.
+    pub async fn follow(&self, mut values: tokio::sync::watch::Receiver<T>, period: Duration) -> Result<(), BusError> {
+        loop {
+            let value = values.borrow_and_update().clone();
+            self.put(value).await?;
+            match tokio::time::timeout(period, values.changed()).await {
+                Ok(Err(_)) => return Ok(()),
+                Ok(Ok(())) | Err(_) => {}
+            }
+        }
+    }
+}

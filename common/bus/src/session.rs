@@ -1,0 +1,129 @@
+//! One zenoh session per node, with the settings that spec/technology.md measured.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use contract::{BootId, Key};
+use serde_json::json;
+
+use crate::Clock;
+
+/// Why the bus could not be joined or used.
+#[derive(Debug, thiserror::Error)]
+pub enum BusError {
+    /// The session did not open.
+    #[error("cannot join the bus (listen {listen:?}, connect {connect:?}): {source}")]
+    Open {
+        /// Where it should listen.
+        listen: Vec<String>,
+        /// Whom it should meet.
+        connect: Vec<String>,
+        /// What zenoh said.
+        source: zenoh::Error,
+    },
+    /// A declaration failed.
+    #[error("cannot declare {what} on {key}: {source}")]
+    Declare {
+        /// What was declared.
+        what: &'static str,
+        /// On which key.
+        key: String,
+        /// What zenoh said.
+        source: zenoh::Error,
+    },
+    /// A payload could not be sent.
+    #[error("cannot publish on {key}: {detail}")]
+    Publish {
+        /// On which key.
+        key: String,
+        /// Why.
+        detail: String,
+    },
+}
+
+/// A node's place on the bus. Cheap to clone.
+#[derive(Clone)]
+pub struct Bus {
+    pub(crate) session: zenoh::Session,
+    boot_id: Arc<BootId>,
+    clock: Clock,
+}
+
+/// A liveliness token; others see it go when this is dropped or the process dies.
+pub struct Alive {
+    _token: zenoh::liveliness::LivelinessToken,
+}
+
+impl Bus {
+    /// Joins the bus.
+    pub async fn open(config: &config::Bus, clock: Clock) -> Result<Self, BusError> {
+        let failed = |source| BusError::Open { listen: config.listen.clone(), connect: config.connect.clone(), source };
+        let settings = zenoh::Config::from_json5(&settings(config).to_string()).map_err(failed)?;
+        let session = zenoh::open(settings).await.map_err(failed)?;
+        Ok(Self { session, boot_id: Arc::new(BootId::fresh()), clock })
+    }
+
+    /// The clock of this node.
+    pub fn clock(&self) -> &Clock {
+        &self.clock
+    }
+
+    /// This life of this node.
+    pub fn boot_id(&self) -> &BootId {
+        &self.boot_id
+    }
+
+    /// Shows that this node lives, under the given key.
+    pub async fn show_alive(&self, key: &Key) -> Result<Alive, BusError> {
+        let token = self.session.liveliness().declare_token(key.to_string()).await;
+        let declare = |source| BusError::Declare { what: "a liveliness token", key: key.to_string(), source };
+        Ok(Alive { _token: token.map_err(declare)? })
+    }
+
+    /// Number of peers that this node is connected to.
+    pub async fn peers(&self) -> usize {
+        self.session.info().peers_zid().await.count()
+    }
+
+    /// Where others can reach this node, such as `tcp/127.0.0.1:41234`.
+    pub async fn locators(&self) -> Vec<String> {
+        self.session.info().locators().await.iter().map(ToString::to_string).collect()
+    }
+
+    /// Leaves the bus; at most 2 s, since closing can hang under packet loss.
+    pub async fn close(self) {
+        if tokio::time::timeout(Duration::from_secs(2), self.session.close()).await.is_err() {
+            tracing::warn!("the bus took longer than 2 s to close");
+        }
+    }
+}
+
+fn settings(config: &config::Bus) -> serde_json::Value {
+    let listen = match (config.listen.is_empty(), config.multicast) {
+        (false, _) => config.listen.clone(),
+        (true, true) => vec!["tcp/0.0.0.0:0".to_owned()],
+        (true, false) => vec!["tcp/127.0.0.1:0".to_owned()],
+    };
+    json!({
+        "mode": "peer",
+        "listen": { "endpoints": listen },
+        "connect": {
+            "endpoints": config.connect,
+            // never wait for a peer and never give one up
+            "timeout_ms": 0, "exit_on_failure": false,
+            "retry": { "period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5 },
+        },
+        // peers do not relay: gossip is what connects those that met through a third
+        "scouting": { "delay": 200, "multicast": { "enabled": config.multicast }, "gossip": { "enabled": true } },
+        "timestamping": { "enabled": true },
+        "queries_default_timeout": 3000,
+        "transport": {
+            "unicast": { "open_timeout": 3000, "accept_timeout": 3000 },
+            "link": { "tx": {
+                "lease": 2000, "keep_alive": 4,
+                // what blocks (queries, declarations) may stall the others for 0.3 s, not for zenoh's 5 s
+                "queue": { "congestion_control": { "block": { "wait_before_close": 300_000 } } },
+            } },
+        },
+    })
+}

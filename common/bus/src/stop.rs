@@ -1,0 +1,45 @@
+//! The word that ends a node.
+
+use std::sync::Arc;
+
+use tokio::sync::watch;
+
+/// Says once, to all who hold a clone, that it is time to end.
+#[derive(Debug, Clone)]
+pub struct Stop {
+    said: Arc<watch::Sender<bool>>,
+}
+
+impl Default for Stop {
+    fn default() -> Self {
+        Self { said: Arc::new(watch::channel(false).0) }
+    }
+}
+
+impl Stop {
+    /// Says it.
+    pub fn stop(&self) {
+        self.said.send_replace(true);
+    }
+
+    /// Was it said?
+    pub fn is_stopped(&self) -> bool {
+        *self.said.borrow()
+    }
+
+    /// Waits until it is said.
+    pub async fn wait(&self) {
+        let mut heard = self.said.subscribe();
+        // the sender lives in self, so waiting cannot fail
+        let _ = heard.wait_for(|stopped| *stopped).await;
+    }
+
+    /// Runs a future until it ends or the stop is said; `None` for the latter.
+    pub async fn or<T>(&self, work: impl Future<Output = T>) -> Option<T> {
+        tokio::select! {
+            biased;
+            () = self.wait() => None,
+            done = work => Some(done),
+        }
+    }
+}

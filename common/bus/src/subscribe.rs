@@ -1,0 +1,224 @@
+//! Hearing typed payloads: bounded queues that overwrite, and the newest value with its age.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use contract::{Key, Payload, Stamped};
+use tokio::sync::{Notify, watch};
+use zenoh::sample::{Sample, SampleKind};
+use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig, RecoveryConfig};
+
+use crate::{Bus, BusError, MachineTime};
+
+/// What a subscriber wants to hear.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Catch {
+    /// The newest values: those of now at once, then each new one; older ones may be lost.
+    Newest,
+    /// Everything of the last ten minutes and all that follows, in order, with recovery after a cut.
+    All,
+}
+
+/// One payload as it was heard.
+#[derive(Debug, Clone)]
+pub struct Heard<T> {
+    /// On which key.
+    pub key: Key,
+    /// What was said.
+    pub said: Stamped<T>,
+    /// When it arrived, on this machine's own clock; ages are judged by it.
+    pub arrived: MachineTime,
+}
+
+/// Hears payloads of one type on the keys of an expression.
+pub struct Subscriber<T> {
+    queue: Arc<Queue<T>>,
+    _line: Line,
+}
+
+enum Line {
+    Plain { _subscriber: zenoh::pubsub::Subscriber<()> },
+    Advanced { _subscriber: AdvancedSubscriber<()> },
+}
+
+struct Queue<T> {
+    waiting: Mutex<VecDeque<Heard<T>>>,
+    capacity: usize,
+    arrived: Notify,
+    lost: AtomicU64,
+    malformed: AtomicU64,
+}
+
+impl<T: Payload> Queue<T> {
+    fn push(&self, sample: &Sample) {
+        if sample.kind() != SampleKind::Put {
+            return;
+        }
+        // keys of other programs and of zenoh itself (`@adv`) are none of ours
+        let Some(key) = Key::parse(sample.key_expr().as_str()) else { return };
+        match serde_json::from_slice(&sample.payload().to_bytes()) {
+            Ok(said) => self.push_heard(Heard { key, said, arrived: MachineTime::now() }),
+            Err(error) => {
+                if self.malformed.fetch_add(1, Ordering::Relaxed) == 0 {
+                    tracing::warn!(%key, %error, "a malformed payload was dropped; later ones are only counted");
+                }
+            }
+        }
+    }
+
+    fn push_heard(&self, heard: Heard<T>) {
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        if waiting.len() >= self.capacity {
+            waiting.pop_front();
+            self.lost.fetch_add(1, Ordering::Relaxed);
+        }
+        waiting.push_back(heard);
+        drop(waiting);
+        self.arrived.notify_one();
+    }
+}
+
+impl Bus {
+    /// Subscribes to a key expression; at most `capacity` payloads wait, the oldest give way.
+    pub async fn subscribe<T: Payload>(
+        &self,
+        expression: &str,
+        catch: Catch,
+        capacity: usize,
+    ) -> Result<Subscriber<T>, BusError> {
+        let queue = Arc::new(Queue {
+            waiting: Mutex::new(VecDeque::new()),
+            capacity,
+            arrived: Notify::new(),
+            lost: AtomicU64::new(0),
+            malformed: AtomicU64::new(0),
+        });
+        let failed = |source| BusError::Declare { what: "a subscriber", key: expression.to_owned(), source };
+        let builder = self.session.declare_subscriber(expression.to_owned());
+        let into = queue.clone();
+        let line = match catch {
+            Catch::Newest => {
+                let subscriber = builder.callback(move |sample| into.push(&sample)).await.map_err(failed)?;
+                Line::Plain { _subscriber: subscriber }
+            }
+            Catch::All => {
+                let subscriber = builder
+                    .history(HistoryConfig::default().detect_late_publishers().max_age(600.0))
+                    .recovery(RecoveryConfig::default())
+                    .callback(move |sample| into.push(&sample));
+                Line::Advanced { _subscriber: subscriber.await.map_err(failed)? }
+            }
+        };
+        if catch == Catch::Newest {
+            self.ask_newest(expression, queue.clone());
+        }
+        Ok(Subscriber { queue, _line: line })
+    }
+
+    /// Asks in the background for what is true now, so that a late joiner need not wait for the next repeat.
+    fn ask_newest<T: Payload>(&self, expression: &str, queue: Arc<Queue<T>>) {
+        let (session, expression) = (self.session.clone(), expression.to_owned());
+        tokio::spawn(async move {
+            let into = queue;
+            let asked = session.get(expression).timeout(Duration::from_secs(2)).callback(move |reply| {
+                if let Ok(sample) = reply.result() {
+                    into.push(sample);
+                }
+            });
+            if let Err(error) = asked.await {
+                tracing::debug!(%error, "nobody could be asked for the newest values");
+            }
+        });
+    }
+
+    /// Follows one key: the newest payload with its time of arrival.
+    pub async fn latest<T: Payload>(&self, key: &Key) -> Result<Latest<T>, BusError> {
+        let subscriber = self.subscribe::<T>(&key.to_string(), Catch::Newest, 16).await?;
+        let (sender, receiver) = watch::channel(None);
+        let task = tokio::spawn(async move {
+            loop {
+                let heard: Heard<T> = subscriber.hear().await;
+                sender.send_if_modified(|newest: &mut Option<Heard<T>>| {
+                    let stale = newest.as_ref().is_some_and(|have| is_older(&heard, have));
+                    if !stale {
+                        *newest = Some(heard);
+                    }
+                    !stale
+                });
+            }
+        });
+        Ok(Latest { receiver, _task: Arc::new(AbortOnDrop(task)) })
+    }
+}
+
+/// Is `new` from before `have`? A `get` at start may cross the first published sample.
+fn is_older<T>(new: &Heard<T>, have: &Heard<T>) -> bool {
+    if new.said.boot_id == have.said.boot_id {
+        new.said.seq <= have.said.seq
+    } else {
+        // boot ids of later starts sort later
+        new.said.boot_id < have.said.boot_id
+    }
+}
+
+impl<T> Subscriber<T> {
+    /// Waits for the next payload.
+    pub async fn hear(&self) -> Heard<T> {
+        loop {
+            // registered before looking, so that an arrival in between is not missed
+            let arrived = self.queue.arrived.notified();
+            let next = self.queue.waiting.lock().unwrap_or_else(PoisonError::into_inner).pop_front();
+            match next {
+                Some(heard) => return heard,
+                None => arrived.await,
+            }
+        }
+    }
+
+    /// Payloads that gave way to newer ones.
+    pub fn lost(&self) -> u64 {
+        self.queue.lost.load(Ordering::Relaxed)
+    }
+
+    /// Payloads that could not be read.
+    pub fn malformed(&self) -> u64 {
+        self.queue.malformed.load(Ordering::Relaxed)
+    }
+}
+
+/// The newest payload of one key. Cheap to clone.
+#[derive(Clone)]
+pub struct Latest<T> {
+    receiver: watch::Receiver<Option<Heard<T>>>,
+    _task: Arc<AbortOnDrop>,
+}
+
+struct AbortOnDrop(tokio::task::JoinHandle<()>);
+
+impl Drop for AbortOnDrop {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
+impl<T: Clone> Latest<T> {
+    /// The newest payload, if any came yet.
+    pub fn get(&self) -> Option<Heard<T>> {
+        self.receiver.borrow().clone()
+    }
+
+    /// The newest payload unless it arrived longer ago than `age`.
+    pub fn fresh(&self, age: Duration) -> Option<Heard<T>> {
+        self.get().filter(|heard| MachineTime::now().since(heard.arrived) <= age)
+    }
+
+    /// Waits for the next change after the newest payload that this clone has seen.
+    pub async fn changed(&mut self) {
+        if self.receiver.changed().await.is_err() {
+            // the follower ended with the runtime; nothing will ever change again
+            std::future::pending::<()>().await;
+        }
+    }
+}

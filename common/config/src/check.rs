@@ -1,0 +1,260 @@
+//! Reads `observatory.toml` and proves what holds between its parts.
+
+use std::collections::HashSet;
+use std::path::Path;
+
+use contract::{Address, Kind, Name};
+
+use crate::device::Limit;
+use crate::observatory::Observatory;
+
+/// Why a configuration is not taken; each message says where, what was expected and what to do.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ConfigError {
+    /// The text is no TOML of the expected shape; the message carries line and column.
+    #[error("{0}")]
+    Toml(String),
+    /// The text reads, but its parts do not fit together; one line per fault.
+    #[error("{}", .0.join("\n"))]
+    Faults(Vec<String>),
+}
+
+/// Parameters that a limit may name beside ASCOM's own ObservingConditions properties.
+const DERIVED: [&str; 2] = ["RelativeSkyTemp", "DewPointMargin"];
+
+/// Reads and checks a configuration; relative paths in it start at `folder`.
+pub fn parse(text: &str, folder: &Path) -> Result<Observatory, ConfigError> {
+    let mut observatory: Observatory = toml::from_str(text).map_err(|error| ConfigError::Toml(error.to_string()))?;
+    let folders = [&mut observatory.folders.data, &mut observatory.folders.images];
+    for path in folders.into_iter().chain([&mut observatory.schedule.file, &mut observatory.archive.database]) {
+        *path = folder.join(&path);
+    }
+    observatory.archive.fits_header = observatory.archive.fits_header.map(|path| folder.join(path));
+
+    let mut faults = Faults { text, found: Vec::new() };
+    place(&observatory, &mut faults);
+    names(&observatory, &mut faults);
+    numbers(&observatory, &mut faults);
+    pairings(&mut observatory, &mut faults);
+    if faults.found.is_empty() { Ok(observatory) } else { Err(ConfigError::Faults(faults.found)) }
+}
+
+struct Faults<'a> {
+    text: &'a str,
+    found: Vec<String>,
+}
+
+impl Faults<'_> {
+    /// Adds a fault, with the line on which `quoted` first stands.
+    fn add(&mut self, quoted: &str, message: String) {
+        let line = self.text.lines().position(|line| line.contains(&format!("\"{quoted}\"")));
+        self.found.push(match line {
+            Some(index) => format!("line {}: {message}", index + 1),
+            None => message,
+        });
+    }
+}
+
+fn place(observatory: &Observatory, faults: &mut Faults<'_>) {
+    let place = &observatory.place;
+    for (key, value, limit) in [
+        ("latitude_deg", place.latitude_deg, 90.0),
+        ("longitude_deg", place.longitude_deg, 360.0),
+        ("dut1_s", place.dut1_s, 1.0),
+    ] {
+        if value.is_nan() || value.abs() > limit {
+            faults.add("", format!("observatory.{key} = {value}: expected a number from -{limit} to {limit}"));
+        }
+    }
+    let shared = place.telescope.as_str() == Address::SHARED;
+    for dome in observatory.dome.iter().filter(|dome| shared && dome.telescopes.is_empty()) {
+        let name = &dome.common.name;
+        faults.add(name.as_str(), format!("shared dome \"{name}\" lists no telescopes; add telescopes = [\"...\"]"));
+    }
+}
+
+fn names(observatory: &Observatory, faults: &mut Faults<'_>) {
+    let mut seen = HashSet::new();
+    for (kind, common) in observatory.devices() {
+        if !seen.insert((kind, common.name.clone())) {
+            faults.add(
+                common.name.as_str(),
+                format!("two {kind} blocks are named \"{}\"; names must be unique", common.name),
+            );
+        }
+        if !common.server.contains(':') || common.server.contains('/') {
+            let (name, server) = (&common.name, &common.server);
+            faults
+                .add(server, format!("{kind} \"{name}\": server \"{server}\" is no host:port, such as 10.0.0.5:11111"));
+        }
+    }
+}
+
+fn numbers(observatory: &Observatory, faults: &mut Faults<'_>) {
+    for (kind, common) in observatory.devices() {
+        if !(0.1..=3600.0).contains(&common.period_s) {
+            faults.add(
+                common.name.as_str(),
+                format!("{kind} \"{}\": period_s = {}: expected 0.1 to 3600 s", common.name, common.period_s),
+            );
+        }
+    }
+    for dome in &observatory.dome {
+        if !(3.0..=30.0).contains(&dome.permit_valid_s) {
+            let name = &dome.common.name;
+            faults.add(
+                name.as_str(),
+                format!("dome \"{name}\": permit_valid_s = {}: expected 3 to 30 s", dome.permit_valid_s),
+            );
+        }
+    }
+    for monitor in &observatory.safetymonitor {
+        if monitor.dwell_min.is_nan() || monitor.dwell_min < 0.0 {
+            let name = &monitor.common.name;
+            faults.add(
+                name.as_str(),
+                format!("safetymonitor \"{name}\": dwell_min = {}: expected 0 or more", monitor.dwell_min),
+            );
+        }
+    }
+    let own = observatory.observingconditions.iter().flat_map(|station| &station.limit);
+    for limit in own.chain(&observatory.shared.limit) {
+        limit_holds(limit, faults);
+    }
+}
+
+fn limit_holds(limit: &Limit, faults: &mut Faults<'_>) {
+    let name = limit.parameter.as_str();
+    let known = contract::device::observing_conditions::Fields::default();
+    if known.by_ascom_name(name).is_none() && !DERIVED.contains(&name) {
+        faults.add(
+            name,
+            format!("limit on \"{name}\": no such parameter; expected an ASCOM ObservingConditions property (Humidity, WindSpeed ...), RelativeSkyTemp or DewPointMargin"),
+        );
+    }
+    let numbers = [limit.upper, limit.lower, Some(limit.dwell_min), limit.max_age_s];
+    if limit.upper.is_none() && limit.lower.is_none() {
+        faults.add(name, format!("limit on \"{name}\" has neither upper nor lower; give one"));
+    } else if numbers.iter().flatten().any(|n| !n.is_finite()) || limit.dwell_min < 0.0 {
+        faults.add(
+            name,
+            format!("limit on \"{name}\": upper, lower, dwell_min and max_age_s must be finite, dwell_min 0 or more"),
+        );
+    }
+}
+
+/// Fills each camera's absent pairings with the only device of that kind, and refuses those that name nothing.
+fn pairings(observatory: &mut Observatory, faults: &mut Faults<'_>) {
+    let mut devices: Vec<(Kind, Name)> =
+        observatory.devices().into_iter().map(|(kind, common)| (kind, common.name.clone())).collect();
+    for (kind, shared) in [
+        (Kind::SafetyMonitor, &observatory.shared.safetymonitor),
+        (Kind::ObservingConditions, &observatory.shared.observingconditions),
+        (Kind::Dome, &observatory.shared.dome),
+    ] {
+        devices.extend(shared.iter().map(|name| (kind, name.clone())));
+    }
+    for camera in &mut observatory.camera {
+        let pairs = [
+            (Kind::Telescope, &mut camera.telescope),
+            (Kind::FilterWheel, &mut camera.filterwheel),
+            (Kind::Focuser, &mut camera.focuser),
+            (Kind::Dome, &mut camera.dome),
+            (Kind::Rotator, &mut camera.rotator),
+            (Kind::CoverCalibrator, &mut camera.covercalibrator),
+            (Kind::SafetyMonitor, &mut camera.safetymonitor),
+            (Kind::ObservingConditions, &mut camera.observingconditions),
+            (Kind::Switch, &mut camera.switch),
+        ];
+        for (kind, pair) in pairs {
+            let mut of_kind = devices.iter().filter(|(k, _)| *k == kind).map(|(_, name)| name);
+            match pair {
+                Some(name) if !of_kind.any(|other| other == name) => {
+                    let message =
+                        format!("camera \"{}\": {kind} = \"{name}\" names no {kind} of this file", camera.common.name);
+                    faults.add(name.as_str(), message);
+                }
+                Some(_) => {}
+                None => {
+                    let first = of_kind.next().cloned();
+                    *pair = if of_kind.next().is_none() { first } else { None };
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MINIMAL: &str = r#"
+[observatory]
+site = "paranal"
+telescope = "callisto"
+latitude_deg = -24.6
+longitude_deg = -70.4
+elevation_m = 2500
+
+[[telescope]]
+name = "mount"
+server = "10.0.0.5:11111"
+
+[[camera]]
+name = "cam"
+server = "10.0.0.5:11111"
+temperature_c = -30
+
+[[dome]]
+name = "dome"
+server = "10.0.0.5:11111"
+"#;
+
+    fn faults(extra: &str) -> String {
+        parse(&format!("{MINIMAL}{extra}"), Path::new("/site")).map(|_| ()).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_minimal_file_gets_its_defaults() {
+        let observatory = parse(MINIMAL, Path::new("/site")).unwrap();
+        assert_eq!(observatory.folders.images, Path::new("/site").join("images"));
+        assert_eq!(observatory.dome[0].common.period_s, 1.0);
+        assert_eq!(observatory.camera[0].common.period_s, 5.0);
+        assert_eq!(observatory.camera[0].telescope.as_ref().unwrap().as_str(), "mount");
+        assert_eq!(observatory.camera[0].focuser, None);
+        assert_eq!(observatory.enclosures()[0].to_string(), "paranal/callisto/dome/dome");
+    }
+
+    #[test]
+    fn an_unknown_key_is_refused_with_its_line() {
+        let message = faults("[[focuser]]\nname = \"f\"\nserver = \"a:1\"\nperiod = 3\n");
+        assert!(message.contains("line 24") && message.contains("`period`"), "{message}");
+    }
+
+    #[test]
+    fn parts_that_do_not_fit_are_all_named_with_their_lines() {
+        let message = faults(
+            "[[observingconditions]]\nname = \"wx\"\nserver = \"10.0.0.6\"\nlimit = [{ parameter = \"Humidty\", upper = 80 }, { parameter = \"WindSpeed\" }]\n",
+        );
+        assert!(
+            message.contains("line 23: observingconditions \"wx\": server \"10.0.0.6\" is no host:port"),
+            "{message}"
+        );
+        assert!(message.contains("line 24: limit on \"Humidty\": no such parameter"), "{message}");
+        assert!(message.contains("neither upper nor lower"), "{message}");
+    }
+
+    #[test]
+    fn a_pairing_with_nothing_is_refused() {
+        let message = faults("[[camera]]\nname = \"guide\"\nserver = \"a:1\"\nfocuser = \"f9\"\n");
+        assert!(message.contains("camera \"guide\": focuser = \"f9\" names no focuser"), "{message}");
+    }
+
+    #[test]
+    fn not_a_number_is_no_limit() {
+        let message = faults(
+            "[[observingconditions]]\nname = \"wx\"\nserver = \"a:1\"\nlimit = [{ parameter = \"Humidity\", upper = nan }]\n",
+        );
+        assert!(message.contains("must be finite"), "{message}");
+    }
+}

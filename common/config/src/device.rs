@@ -1,0 +1,229 @@
+//! The device blocks of `observatory.toml`, one type per ASCOM kind.
+//!
+//! A macro spells out the common keys in each block, because serde cannot refuse unknown keys through `flatten`.
+
+use contract::{Chunk, Kind, Name};
+use serde::{Deserialize, Deserializer};
+
+/// What every device block has.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Common {
+    /// Unique name; schedules and pairings refer to it.
+    pub name: Name,
+    /// Alpaca server, `host:port`.
+    pub server: String,
+    /// Device number on that server.
+    pub number: u32,
+    /// Poll period, s of machine time.
+    pub period_s: f64,
+    /// The device node that serves it; the only one where absent.
+    pub node: Option<Name>,
+    /// False: never send Connected = true, the site does that itself.
+    pub connect: bool,
+}
+
+/// A device block of any kind.
+pub trait Device {
+    /// Its kind.
+    const KIND: Kind;
+    /// What it has in common with all others.
+    fn common(&self) -> &Common;
+}
+
+/// Frame that a mount wants its coordinates in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EquatorialChoice {
+    /// What the mount says (ASCOM EquatorialSystem); `other` counts as ICRS.
+    #[default]
+    Auto,
+    /// J2000, taken as ICRS.
+    J2000,
+    /// True equator and equinox of date.
+    Topocentric,
+}
+
+/// How a dome's closing waits for its mounts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CloseWithMount {
+    /// Stop the mount and close together.
+    #[default]
+    Beside,
+    /// Wait for the park, at most `parked_within_s`, then close anyway.
+    ParkedWithinS,
+    /// Close only on a parked mount; alert when it takes longer than `parked_within_s`.
+    ParkedOnly,
+}
+
+/// One tier of a weather limit.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Limit {
+    /// ASCOM property (`Humidity`, `WindSpeed` ...), or `RelativeSkyTemp` (SkyTemperature - Temperature) or
+    /// `DewPointMargin` (Temperature - DewPoint).
+    pub parameter: String,
+    /// Unsafe above this, in the property's ASCOM unit.
+    #[serde(default)]
+    pub upper: Option<f64>,
+    /// Unsafe below this, in the property's ASCOM unit.
+    #[serde(default)]
+    pub lower: Option<f64>,
+    /// Safe again only after so long without a violation, sky minutes.
+    #[serde(default = "default_dwell_min")]
+    pub dwell_min: f64,
+    /// A value older than this is missing, machine s; 15 for rain and wind, else 60, where absent.
+    #[serde(default)]
+    pub max_age_s: Option<f64>,
+    /// A missing value is unsafe; `false` only where a site can do without this sensor.
+    #[serde(default = "yes")]
+    pub required: bool,
+}
+
+fn yes() -> bool {
+    true
+}
+
+pub(crate) fn default_dwell_min() -> f64 {
+    15.0
+}
+
+macro_rules! devices {
+    ($($(#[$doc:meta])* $kind:ident every $period:literal {
+        $($(#[$field_doc:meta])* $field:ident: $type:ty = $default:expr,)*
+    })*) => {$(
+        $(#[$doc])*
+        #[derive(Debug, Clone)]
+        pub struct $kind {
+            /// What every device has.
+            pub common: Common,
+            $($(#[$field_doc])* pub $field: $type,)*
+        }
+
+        impl<'de> Deserialize<'de> for $kind {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                #[derive(Deserialize)]
+                #[serde(deny_unknown_fields)]
+                struct Block {
+                    name: Name,
+                    server: String,
+                    #[serde(default)]
+                    number: u32,
+                    period_s: Option<f64>,
+                    node: Option<Name>,
+                    connect: Option<bool>,
+                    $($field: Option<$type>,)*
+                }
+                let block = Block::deserialize(deserializer)?;
+                Ok(Self {
+                    common: Common {
+                        name: block.name,
+                        server: block.server,
+                        number: block.number,
+                        period_s: block.period_s.unwrap_or($period),
+                        node: block.node,
+                        connect: block.connect.unwrap_or(true),
+                    },
+                    $($field: block.$field.unwrap_or($default),)*
+                })
+            }
+        }
+
+        impl Device for $kind {
+            const KIND: Kind = Kind::$kind;
+            fn common(&self) -> &Common {
+                &self.common
+            }
+        }
+    )*};
+}
+
+devices! {
+    /// A mount.
+    Telescope every 1.0 {
+        /// Frame that the mount wants its coordinates in.
+        equatorial_system: EquatorialChoice = EquatorialChoice::Auto,
+        /// A slew that takes longer has failed, sky s.
+        slew_timeout_s: f64 = 300.0,
+        /// Wait after a slew before exposing, sky s.
+        settle_s: f64 = 1.0,
+    }
+
+    /// A camera, with the devices that belong to it.
+    Camera every 5.0 {
+        /// Cooler set point, degrees Celsius; absent for a camera without cooler.
+        temperature_c: Option<f64> = None,
+        /// Cold enough within this distance, K.
+        temperature_tolerance_c: f64 = 1.0,
+        /// Cooling that takes longer has failed, sky minutes.
+        cooling_timeout_min: f64 = 30.0,
+        /// Paired mount; like each pairing below, the only one of its kind where absent.
+        telescope: Option<Name> = None,
+        /// Paired filter wheel.
+        filterwheel: Option<Name> = None,
+        /// Paired focuser.
+        focuser: Option<Name> = None,
+        /// Paired dome.
+        dome: Option<Name> = None,
+        /// Paired rotator.
+        rotator: Option<Name> = None,
+        /// Paired cover.
+        covercalibrator: Option<Name> = None,
+        /// Safety monitor named in this camera's headers.
+        safetymonitor: Option<Name> = None,
+        /// Weather station named in this camera's headers.
+        observingconditions: Option<Name> = None,
+        /// Switches named in this camera's headers.
+        switch: Option<Name> = None,
+    }
+
+    /// A filter wheel.
+    FilterWheel every 5.0 {}
+
+    /// A focuser.
+    Focuser every 5.0 {
+        /// Best focus, steps, until one is learnt; the position found at start where absent.
+        best_position: Option<i64> = None,
+        /// No move when already this close, steps.
+        tolerance_steps: i64 = 0,
+        /// Wait after a move, sky s.
+        settle_s: f64 = 3.0,
+    }
+
+    /// A dome or roof, with its guard.
+    Dome every 1.0 {
+        /// May the shutter close beside the mount's own stop, or must it wait for the park?
+        close_with_mount: CloseWithMount = CloseWithMount::Beside,
+        /// For `parked_within_s`: close anyway after so long; for `parked_only`: alert then. Machine s.
+        parked_within_s: f64 = 120.0,
+        /// How long a permit lasts, machine s, 3 to 30.
+        permit_valid_s: f64 = 10.0,
+        /// A shutter that moves longer is stuck, sky s.
+        travel_timeout_s: f64 = 90.0,
+        /// Telescopes under it; for a dome of the file `shared` at least one, else this one alone.
+        telescopes: Vec<Chunk> = Vec::new(),
+    }
+
+    /// A safety monitor.
+    SafetyMonitor every 1.0 {
+        /// Safe again only after so long without any unsafe reading, sky minutes.
+        dwell_min: f64 = default_dwell_min(),
+        /// A reading older than this is unsafe, machine s; 5 x the period, at least 5 s, where absent.
+        max_age_s: Option<f64> = None,
+    }
+
+    /// A weather station, with its limits.
+    ObservingConditions every 5.0 {
+        /// What is too much.
+        limit: Vec<Limit> = Vec::new(),
+    }
+
+    /// A mirror cover or flat panel.
+    CoverCalibrator every 5.0 {}
+
+    /// Switches.
+    Switch every 5.0 {}
+
+    /// A field rotator.
+    Rotator every 5.0 {}
+}

@@ -1,0 +1,17 @@
+//! What a site writes about itself: `observatory.toml` and the FITS-header table, read into checked types.
+//!
+//! Every node takes the same file and reads its own parts. Unknown keys are refused, relations between
+//! devices are proven here once, and the rest of the code sees only [`Observatory`]. Pure: text in, values
+//! out; relative paths are resolved against a folder that the caller names.
+
+mod check;
+mod device;
+pub mod header;
+mod observatory;
+
+pub use check::{ConfigError, parse};
+pub use device::{
+    Camera, CloseWithMount, Common, CoverCalibrator, Device, Dome, EquatorialChoice, FilterWheel, Focuser, Limit,
+    ObservingConditions, Rotator, SafetyMonitor, Switch, Telescope,
+};
+pub use observatory::{Archive, Bus, ClockSource, Folders, Observatory, Place, Schedule, Shared, Spool, Web};

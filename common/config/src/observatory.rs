@@ -1,0 +1,283 @@
+//! The checked configuration of one telescope, or of a site's shared devices.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use contract::{Address, Chunk, Kind, Name};
+use serde::Deserialize;
+
+use crate::device::{
+    Camera, Common, CoverCalibrator, Device, Dome, FilterWheel, Focuser, ObservingConditions, Rotator, SafetyMonitor,
+    Switch, Telescope,
+};
+
+/// One `observatory.toml`.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Observatory {
+    /// Who and where.
+    #[serde(rename = "observatory")]
+    pub place: Place,
+    /// Where files go.
+    #[serde(default)]
+    pub folders: Folders,
+    /// How the nodes meet.
+    #[serde(default)]
+    pub bus: Bus,
+    /// Where sky time comes from.
+    #[serde(default)]
+    pub clock: ClockSource,
+    /// What is observed.
+    #[serde(default)]
+    pub schedule: Schedule,
+    /// How device nodes serve their frames.
+    #[serde(default)]
+    pub spool: Spool,
+    /// How frames are named and kept.
+    #[serde(default)]
+    pub archive: Archive,
+    /// Where the page is served.
+    #[serde(default)]
+    pub web: Web,
+    /// Shared devices of the site that this telescope relies on.
+    #[serde(default)]
+    pub shared: Shared,
+    /// Mounts.
+    #[serde(default)]
+    pub telescope: Vec<Telescope>,
+    /// Cameras.
+    #[serde(default)]
+    pub camera: Vec<Camera>,
+    /// Filter wheels.
+    #[serde(default)]
+    pub filterwheel: Vec<FilterWheel>,
+    /// Focusers.
+    #[serde(default)]
+    pub focuser: Vec<Focuser>,
+    /// Domes and roofs.
+    #[serde(default)]
+    pub dome: Vec<Dome>,
+    /// Safety monitors.
+    #[serde(default)]
+    pub safetymonitor: Vec<SafetyMonitor>,
+    /// Weather stations.
+    #[serde(default)]
+    pub observingconditions: Vec<ObservingConditions>,
+    /// Covers and flat panels.
+    #[serde(default)]
+    pub covercalibrator: Vec<CoverCalibrator>,
+    /// Switches.
+    #[serde(default)]
+    pub switch: Vec<Switch>,
+    /// Rotators.
+    #[serde(default)]
+    pub rotator: Vec<Rotator>,
+}
+
+impl Observatory {
+    /// Where this telescope stands in the key tree.
+    pub fn address(&self) -> Address {
+        Address { site: self.place.site.clone(), telescope: self.place.telescope.clone() }
+    }
+
+    /// What all devices have in common, with their kinds.
+    pub fn devices(&self) -> Vec<(Kind, &Common)> {
+        fn of<D: Device>(list: &[D]) -> impl Iterator<Item = (Kind, &Common)> {
+            list.iter().map(|device| (D::KIND, device.common()))
+        }
+        of(&self.telescope)
+            .chain(of(&self.camera))
+            .chain(of(&self.filterwheel))
+            .chain(of(&self.focuser))
+            .chain(of(&self.dome))
+            .chain(of(&self.safetymonitor))
+            .chain(of(&self.observingconditions))
+            .chain(of(&self.covercalibrator))
+            .chain(of(&self.switch))
+            .chain(of(&self.rotator))
+            .collect()
+    }
+
+    /// The bus key part of a device of this file or, for a name listed under `[shared]`, of the site.
+    pub fn device(&self, kind: Kind, name: &Name) -> contract::Device {
+        let own = self.devices().iter().any(|(k, common)| *k == kind && common.name == *name);
+        let address = if own { self.address() } else { self.address().shared() };
+        address.device(kind, name)
+    }
+
+    /// Safety monitors that this telescope heeds: its own and the shared ones.
+    pub fn heeded_safety_monitors(&self) -> Vec<contract::Device> {
+        self.heeded(Kind::SafetyMonitor, self.safetymonitor.iter().map(|d| &d.common.name), &self.shared.safetymonitor)
+    }
+
+    /// Weather stations that this telescope heeds: its own and the shared ones.
+    pub fn heeded_weather(&self) -> Vec<contract::Device> {
+        self.heeded(
+            Kind::ObservingConditions,
+            self.observingconditions.iter().map(|d| &d.common.name),
+            &self.shared.observingconditions,
+        )
+    }
+
+    /// Enclosures of this telescope: its own and the shared ones.
+    pub fn enclosures(&self) -> Vec<contract::Device> {
+        self.heeded(Kind::Dome, self.dome.iter().map(|d| &d.common.name), &self.shared.dome)
+    }
+
+    fn heeded<'a>(&self, kind: Kind, own: impl Iterator<Item = &'a Name>, shared: &[Name]) -> Vec<contract::Device> {
+        let own = own.map(|name| self.address().device(kind, name));
+        own.chain(shared.iter().map(|name| self.address().shared().device(kind, name))).collect()
+    }
+}
+
+/// `[observatory]`: who and where.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Place {
+    /// The site's id, first chunk of every key.
+    pub site: Chunk,
+    /// The telescope's id, second chunk; `shared` for the file of a site's shared devices.
+    pub telescope: Chunk,
+    /// Geodetic latitude, degrees, north positive.
+    pub latitude_deg: f64,
+    /// Longitude, degrees, east positive.
+    pub longitude_deg: f64,
+    /// Height above sea level, metres.
+    pub elevation_m: f64,
+    /// UT1 - UTC, s; without it directions are off by up to 15 arcsec per second of it.
+    #[serde(default)]
+    pub dut1_s: f64,
+    /// Polar motion x, arcsec.
+    #[serde(default)]
+    pub polar_x_arcsec: f64,
+    /// Polar motion y, arcsec.
+    #[serde(default)]
+    pub polar_y_arcsec: f64,
+}
+
+/// `[folders]`: where files go; relative paths start at the configuration's own folder.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Folders {
+    /// Spool, journal, tokens, learnt values.
+    pub data: PathBuf,
+    /// FITS files.
+    pub images: PathBuf,
+}
+
+impl Default for Folders {
+    fn default() -> Self {
+        Self { data: "data".into(), images: "images".into() }
+    }
+}
+
+/// `[bus]`: how the nodes meet.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Bus {
+    /// Zenoh endpoints to listen on, such as `tcp/0.0.0.0:7447`; a free port of every interface where empty
+    /// and multicast is on, a free loopback port where it is off.
+    pub listen: Vec<String>,
+    /// Zenoh endpoints of peers to connect to; needed where multicast does not reach.
+    pub connect: Vec<String>,
+    /// Find peers on the local network by multicast.
+    pub multicast: bool,
+}
+
+impl Default for Bus {
+    fn default() -> Self {
+        Self { listen: Vec::new(), connect: Vec::new(), multicast: true }
+    }
+}
+
+/// `[clock]`: where sky time comes from.
+#[derive(Debug, Clone, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ClockSource {
+    /// `http://host:port` of a Starmesh simulator whose clock all nodes follow; every device must then be
+    /// served by a simulator. Absent: the machine's own clock, at speed 1.
+    pub simulator: Option<String>,
+}
+
+/// `[schedule]`: what is observed.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Schedule {
+    /// JSONL file.
+    pub file: PathBuf,
+    /// Robotic switch at start.
+    pub robotic: bool,
+}
+
+impl Default for Schedule {
+    fn default() -> Self {
+        Self { file: "schedule.jsonl".into(), robotic: false }
+    }
+}
+
+/// `[spool]`: how device nodes serve the frames that wait for the archive.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Spool {
+    /// Address and port (0: a free one); loopback serves an archive on the same host only.
+    pub listen: SocketAddr,
+    /// Host name or address that others reach this host by; the listening address where absent.
+    pub advertise: Option<String>,
+}
+
+impl Default for Spool {
+    fn default() -> Self {
+        Self { listen: SocketAddr::from(([127, 0, 0, 1], 0)), advertise: None }
+    }
+}
+
+/// `[archive]`: how frames are named and kept.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Archive {
+    /// SQLite file.
+    pub database: PathBuf,
+    /// FITS-header table (CSV); the built-in rows where absent.
+    pub fits_header: Option<PathBuf>,
+    /// File name templates by action type: `object`, `calibration`, `flats`, `autofocus`, `calibrate_guiding`,
+    /// `pointing_model`, `default`.
+    pub filename: BTreeMap<String, String>,
+}
+
+impl Default for Archive {
+    fn default() -> Self {
+        Self { database: "data/archive.db".into(), fits_header: None, filename: BTreeMap::new() }
+    }
+}
+
+/// `[web]`: where the page is served.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Web {
+    /// Address and port; loopback unless told otherwise.
+    pub listen: SocketAddr,
+}
+
+impl Default for Web {
+    fn default() -> Self {
+        Self { listen: SocketAddr::from(([127, 0, 0, 1], 8080)) }
+    }
+}
+
+/// `[shared]`: names of the site's shared devices that this telescope relies on.
+#[derive(Debug, Clone, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Shared {
+    /// Safety monitors.
+    pub safetymonitor: Vec<Name>,
+    /// Weather stations.
+    pub observingconditions: Vec<Name>,
+    /// Enclosures over several telescopes.
+    pub dome: Vec<Name>,
+    /// Limits that this telescope puts on the shared weather stations.
+    pub limit: Vec<crate::Limit>,
+    /// Dwell time of the shared safety monitors, minutes.
+    #[serde(default = "crate::device::default_dwell_min")]
+    pub dwell_min: f64,
+}

@@ -1,0 +1,162 @@
+//! Commands, orders and their immediate answers; *done* is visible in state.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::Payload;
+
+/// Names one command; a repeat of the same id is answered again and not done again.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct CommandId(pub String);
+
+impl CommandId {
+    /// A fresh id that sorts by time; the id of an `expose` command is the id of its frame.
+    pub fn fresh() -> Self {
+        Self(uuid::Uuid::now_v7().to_string())
+    }
+}
+
+impl fmt::Display for CommandId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// A command to a device, `C` being its kind's commands.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Command<C> {
+    /// Names the command, for repeats and for `last_command`.
+    pub id: CommandId,
+    /// Who asks, such as `observatory/alpha` or `web/ops`.
+    pub from: String,
+    /// Fencing token of the sender's lease; close, stop, abort, tracking off and park need none while no
+    /// valid safe permit exists.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub token: Option<u64>,
+    /// What to do.
+    #[serde(rename = "do")]
+    pub action: C,
+}
+
+impl<C: Payload> Payload for Command<C> {
+    const NAME: &'static str = C::NAME;
+}
+
+/// The answer to a command or an order, given at once.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "answer", rename_all = "snake_case")]
+pub enum Reply {
+    /// It will be done, or was done already.
+    Accepted(Accepted),
+    /// It will not be done.
+    Refusal(Refusal),
+}
+
+impl Payload for Reply {
+    const NAME: &'static str = "reply";
+}
+
+/// A command was taken.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Accepted {
+    /// Id of the command.
+    pub id: CommandId,
+    /// The fencing token that a `claim` was granted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub token: Option<u64>,
+}
+
+/// A command was not taken.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Refusal {
+    /// Id of the command; empty where the command could not be read.
+    pub id: CommandId,
+    /// Why, for programs.
+    pub reason: Reason,
+    /// Why, for people.
+    pub detail: String,
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "refused ({}): {}", self.reason, self.detail)
+    }
+}
+
+impl std::error::Error for Refusal {}
+
+/// Why a command was refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reason {
+    /// The command could not be read, or a value is out of range.
+    Malformed,
+    /// The device cannot do this.
+    NotImplemented,
+    /// There is no link to the device.
+    NotConnected,
+    /// The device is doing something that must end first.
+    Busy,
+    /// Opening needs a valid safe permit.
+    NoPermit,
+    /// The fencing token is missing or older than one already seen.
+    StaleToken,
+    /// Somebody else holds the lease and is alive.
+    LeaseHeld,
+    /// The state of the device forbids it (a parked mount does not slew).
+    WrongState,
+    /// The device answered with an error.
+    DeviceError,
+    /// The order cannot be followed now.
+    NotNow,
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Malformed => "malformed",
+            Self::NotImplemented => "not implemented",
+            Self::NotConnected => "not connected",
+            Self::Busy => "busy",
+            Self::NoPermit => "no permit",
+            Self::StaleToken => "stale token",
+            Self::LeaseHeld => "lease held",
+            Self::WrongState => "wrong state",
+            Self::DeviceError => "device error",
+            Self::NotNow => "not now",
+        })
+    }
+}
+
+/// A person's order to an observatory node.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Order {
+    /// Names the order.
+    pub id: CommandId,
+    /// Who orders, such as `web/ana` or `starmesh cli`.
+    pub from: String,
+    /// Why, for the diary.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub reason: String,
+    /// What to do.
+    #[serde(rename = "do")]
+    pub kind: OrderKind,
+}
+
+impl Payload for Order {
+    const NAME: &'static str = "order";
+}
+
+/// What a person may order.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OrderKind {
+    /// Work through the schedule (`true`) or stop after closing safely (`false`); a set, never a toggle.
+    Robotic(bool),
+    /// Stop everything and close now; the robotic switch goes off.
+    Close,
+    /// Read the schedule file again.
+    ReloadSchedule,
+}

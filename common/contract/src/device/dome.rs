@@ -1,0 +1,148 @@
+//! A dome or roof: its shutter, and the guard that closes it when permission is not renewed.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Datum, DeviceKind, Kind, Payload};
+
+/// The dome, ASCOM Dome.
+#[derive(Debug)]
+pub struct Dome;
+
+impl DeviceKind for Dome {
+    const KIND: Kind = Kind::Dome;
+    type Capabilities = Capabilities;
+    type Fields = Fields;
+    type Command = Command;
+}
+
+/// What a dome can do.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Capabilities {
+    /// The shutter can be commanded.
+    pub set_shutter: bool,
+    /// Parks on command.
+    pub park: bool,
+    /// Turns to an azimuth.
+    pub set_azimuth: bool,
+    /// Follows the mount by itself.
+    pub slave: bool,
+}
+
+impl Payload for Capabilities {
+    const NAME: &'static str = "dome.capabilities";
+}
+
+/// What nodes decide with.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Fields {
+    /// The shutter, as the dome itself says.
+    pub shutter: Datum<Shutter>,
+    /// Azimuth of the slit from north through east, degrees.
+    pub azimuth_deg: Datum<f64>,
+    /// Anything of the dome moves.
+    pub slewing: Datum<bool>,
+    /// Stands at its park position.
+    pub at_park: Datum<bool>,
+    /// Follows the mount by itself.
+    pub slaved: Datum<bool>,
+}
+
+impl Payload for Fields {
+    const NAME: &'static str = "dome.state";
+}
+
+/// ASCOM ShutterStatus.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Shutter {
+    /// Open.
+    Open,
+    /// Closed.
+    Closed,
+    /// On its way to open.
+    Opening,
+    /// On its way to closed.
+    Closing,
+    /// Stuck or unknown.
+    Error,
+}
+
+/// What a dome may be asked.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Command {
+    /// Open the shutter; refused without a valid safe permit and the newest token.
+    OpenShutter,
+    /// Close the shutter; always taken.
+    CloseShutter,
+    /// Stop all movement.
+    Abort,
+    /// Turn to the park position.
+    Park,
+    /// Turn the slit.
+    SlewToAzimuth {
+        /// From north through east, degrees.
+        azimuth_deg: f64,
+    },
+    /// Follow the mount, or stop following.
+    Slave {
+        /// On or off.
+        on: bool,
+    },
+    /// Grants the lease of the telescopes under this dome; the answer carries the token.
+    Claim,
+    /// Ends a hold of the guard: the commander has taken over again after a closing by the guard.
+    Resume,
+}
+
+impl Payload for Command {
+    const NAME: &'static str = "dome.command";
+}
+
+/// What a dome's guard says, once a second.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Guard {
+    /// Counts the guard's own seconds; a permit must carry a recent one to be valid.
+    pub number: u64,
+    /// Highest fencing token that this guard has granted or heard.
+    pub token: u64,
+    /// A permit is only as old as the guard number in it, s; default 10.
+    pub permit_valid_s: f64,
+    /// The permits that count, one per telescope under this dome.
+    pub permits: Vec<HeardPermit>,
+    /// True while every telescope's permit is valid and safe.
+    pub may_be_open: bool,
+    /// What the guard itself is doing.
+    pub action: GuardAction,
+    /// True after the guard closed: it opens for nobody until the commander sends `resume`.
+    pub hold: bool,
+    /// Permits dropped since the start: malformed, replayed, or with an older token.
+    pub dropped: u64,
+}
+
+impl Payload for Guard {
+    const NAME: &'static str = "dome.guard";
+}
+
+/// The newest valid permit of one telescope.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct HeardPermit {
+    /// Which telescope.
+    pub telescope: String,
+    /// Its commander.
+    pub commander: String,
+    /// The verdict in it.
+    pub safe: bool,
+    /// Seconds until it runs out, machine time; negative when it has.
+    pub left_s: f64,
+}
+
+/// What the guard is doing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GuardAction {
+    /// Watches.
+    Watching,
+    /// Closes, and will try until the dome is verified closed.
+    Closing,
+}

@@ -1,0 +1,63 @@
+//! A focuser.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Datum, DeviceKind, Kind, Payload};
+
+/// The focuser, ASCOM Focuser.
+#[derive(Debug)]
+pub struct Focuser;
+
+impl DeviceKind for Focuser {
+    const KIND: Kind = Kind::Focuser;
+    type Capabilities = Capabilities;
+    type Fields = Fields;
+    type Command = Command;
+}
+
+/// What a focuser can do.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Capabilities {
+    /// Knows its position.
+    pub absolute: bool,
+    /// Largest position, steps.
+    pub max_step: i64,
+    /// Size of a step, micrometres.
+    pub step_um: Datum<f64>,
+}
+
+impl Payload for Capabilities {
+    const NAME: &'static str = "focuser.capabilities";
+}
+
+/// What nodes decide with.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Fields {
+    /// Position, steps.
+    pub position: Datum<i64>,
+    /// Moves.
+    pub moving: Datum<bool>,
+    /// Temperature of the tube, degrees Celsius.
+    pub temperature_c: Datum<f64>,
+}
+
+impl Payload for Fields {
+    const NAME: &'static str = "focuser.state";
+}
+
+/// What a focuser may be asked.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Command {
+    /// Go to a position.
+    Move {
+        /// Steps.
+        position: i64,
+    },
+    /// Stop.
+    Abort,
+}
+
+impl Payload for Command {
+    const NAME: &'static str = "focuser.command";
+}

@@ -1,0 +1,244 @@
+//! The ten ASCOM kinds: what each can do, what is true of it, and what it may be asked.
+
+pub mod camera;
+pub mod cover_calibrator;
+pub mod dome;
+pub mod filter_wheel;
+pub mod focuser;
+pub mod observing_conditions;
+pub mod rotator;
+pub mod safety_monitor;
+pub mod switch;
+pub mod telescope;
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+use units::Utc;
+
+use crate::{CommandId, NoData, Payload, Reading};
+
+/// An ASCOM device type.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Kind {
+    /// A mount.
+    Telescope,
+    /// A camera.
+    Camera,
+    /// A filter wheel.
+    FilterWheel,
+    /// A focuser.
+    Focuser,
+    /// A dome or roof.
+    Dome,
+    /// Something that says safe or not.
+    SafetyMonitor,
+    /// A weather station.
+    ObservingConditions,
+    /// A mirror cover or flat panel.
+    CoverCalibrator,
+    /// A set of switches.
+    Switch,
+    /// A field rotator.
+    Rotator,
+}
+
+impl Kind {
+    /// All kinds.
+    pub const ALL: [Self; 10] = [
+        Self::Telescope,
+        Self::Camera,
+        Self::FilterWheel,
+        Self::Focuser,
+        Self::Dome,
+        Self::SafetyMonitor,
+        Self::ObservingConditions,
+        Self::CoverCalibrator,
+        Self::Switch,
+        Self::Rotator,
+    ];
+
+    /// As it stands in keys and in Alpaca paths: lower case.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Telescope => "telescope",
+            Self::Camera => "camera",
+            Self::FilterWheel => "filterwheel",
+            Self::Focuser => "focuser",
+            Self::Dome => "dome",
+            Self::SafetyMonitor => "safetymonitor",
+            Self::ObservingConditions => "observingconditions",
+            Self::CoverCalibrator => "covercalibrator",
+            Self::Switch => "switch",
+            Self::Rotator => "rotator",
+        }
+    }
+
+    /// As ASCOM and the FITS-header table write it: `FilterWheel`.
+    pub const fn ascom(self) -> &'static str {
+        match self {
+            Self::Telescope => "Telescope",
+            Self::Camera => "Camera",
+            Self::FilterWheel => "FilterWheel",
+            Self::Focuser => "Focuser",
+            Self::Dome => "Dome",
+            Self::SafetyMonitor => "SafetyMonitor",
+            Self::ObservingConditions => "ObservingConditions",
+            Self::CoverCalibrator => "CoverCalibrator",
+            Self::Switch => "Switch",
+            Self::Rotator => "Rotator",
+        }
+    }
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.word())
+    }
+}
+
+/// A word that names no ASCOM device type.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{0:?} is no ASCOM device type; expected one of telescope, camera, filterwheel, focuser, dome, safetymonitor, observingconditions, covercalibrator, switch, rotator"
+)]
+pub struct UnknownKind(String);
+
+impl FromStr for Kind {
+    type Err = UnknownKind;
+    fn from_str(text: &str) -> Result<Self, UnknownKind> {
+        Self::ALL
+            .into_iter()
+            .find(|kind| kind.word().eq_ignore_ascii_case(text))
+            .ok_or_else(|| UnknownKind(text.to_owned()))
+    }
+}
+
+/// Ties a kind to its three payloads.
+pub trait DeviceKind: Send + Sync + 'static {
+    /// Which kind.
+    const KIND: Kind;
+    /// What such a device can do.
+    type Capabilities: Payload;
+    /// What nodes decide with.
+    type Fields: Payload + Default;
+    /// What it may be asked.
+    type Command: Payload;
+}
+
+/// The link between a device node and its device.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(tag = "is", rename_all = "snake_case")]
+pub enum Link {
+    /// Not yet connected since the node started.
+    #[default]
+    Connecting,
+    /// The device answers.
+    Connected,
+    /// The device does not answer; the node keeps trying.
+    Lost {
+        /// Why.
+        reason: NoData,
+    },
+}
+
+/// How a command ended, or that it has not.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "is", rename_all = "snake_case")]
+pub enum Outcome {
+    /// Still being done.
+    Running,
+    /// Done, as seen in the device's own state.
+    Done,
+    /// Not done.
+    Failed {
+        /// Why.
+        reason: String,
+    },
+}
+
+/// The newest command that a device was given.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LastCommand {
+    /// Its id.
+    pub id: CommandId,
+    /// Who asked.
+    pub from: String,
+    /// What was asked, such as `open_shutter`.
+    pub verb: String,
+    /// Sky time when it was taken.
+    pub taken_utc: Utc,
+    /// How it went.
+    pub outcome: Outcome,
+}
+
+/// What is true of a device now, `F` being the typed fields of its kind (or plain JSON for a reader of all kinds).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DeviceState<F> {
+    /// Does the device answer?
+    pub link: Link,
+    /// True while something moves, exposes or is read out, and while that is unknown.
+    pub busy: bool,
+    /// How often this state is said, s of machine time, at least; silence of five times that is a loss.
+    pub period_s: f64,
+    /// The newest command.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last_command: Option<LastCommand>,
+    /// What nodes decide with.
+    pub fields: F,
+    /// Everything that was polled, under its ASCOM name.
+    pub readings: BTreeMap<String, Reading>,
+}
+
+impl<F> DeviceState<F> {
+    /// Is command `id` the newest one, ended well, and nothing moves any more?
+    pub fn has_done(&self, id: &CommandId) -> bool {
+        !self.busy && self.last_command.as_ref().is_some_and(|last| last.id == *id && last.outcome == Outcome::Done)
+    }
+
+    /// The same state with other fields.
+    pub fn map<G>(self, change: impl FnOnce(F) -> G) -> DeviceState<G> {
+        DeviceState {
+            link: self.link,
+            busy: self.busy,
+            period_s: self.period_s,
+            last_command: self.last_command,
+            fields: change(self.fields),
+            readings: self.readings,
+        }
+    }
+}
+
+impl<F: Payload> Payload for DeviceState<F> {
+    const NAME: &'static str = F::NAME;
+}
+
+impl Payload for serde_json::Value {
+    const NAME: &'static str = "any";
+}
+
+/// What a device can do, with what it says of itself.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Description<C> {
+    /// The Alpaca server, `host:port`, and the device's number there.
+    pub server: String,
+    /// Number on that server.
+    pub number: u32,
+    /// ASCOM `Name`.
+    pub device_name: String,
+    /// ASCOM `DriverInfo` and `DriverVersion`.
+    pub driver: String,
+    /// ASCOM `InterfaceVersion`.
+    pub interface_version: i64,
+    /// True where the server says that it is a simulator of ours, which alone may run at another speed than 1.
+    pub simulated: bool,
+    /// What the kind can do.
+    pub can: C,
+}
+
+impl<C: Payload> Payload for Description<C> {
+    const NAME: &'static str = C::NAME;
+}

@@ -1,0 +1,98 @@
+//! A weather station.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Datum, DeviceKind, Kind, Payload};
+
+/// The weather station, ASCOM ObservingConditions.
+#[derive(Debug)]
+pub struct ObservingConditions;
+
+impl DeviceKind for ObservingConditions {
+    const KIND: Kind = Kind::ObservingConditions;
+    type Capabilities = Capabilities;
+    type Fields = Fields;
+    type Command = Command;
+}
+
+/// What a weather station measures.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Capabilities {
+    /// ASCOM names of the properties that it answered when it was connected.
+    pub measures: Vec<String>,
+}
+
+impl Payload for Capabilities {
+    const NAME: &'static str = "observingconditions.capabilities";
+}
+
+/// What nodes decide with.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Fields {
+    /// Clouds, percent of the sky.
+    pub cloud_percent: Datum<f64>,
+    /// Dew point, degrees Celsius.
+    pub dew_point_c: Datum<f64>,
+    /// Relative humidity, percent.
+    pub humidity_percent: Datum<f64>,
+    /// Pressure at the site, hPa.
+    pub pressure_hpa: Datum<f64>,
+    /// Rain, mm/h.
+    pub rain_mm_per_h: Datum<f64>,
+    /// Sky brightness, lux.
+    pub sky_lux: Datum<f64>,
+    /// Sky quality, mag/arcsec2.
+    pub sky_mag_per_arcsec2: Datum<f64>,
+    /// Sky temperature, degrees Celsius.
+    pub sky_c: Datum<f64>,
+    /// Seeing, arcsec.
+    pub star_fwhm_arcsec: Datum<f64>,
+    /// Air temperature, degrees Celsius.
+    pub air_c: Datum<f64>,
+    /// Wind direction, degrees, from which it blows; 0 when calm.
+    pub wind_from_deg: Datum<f64>,
+    /// Gusts, m/s.
+    pub gust_mps: Datum<f64>,
+    /// Wind, m/s.
+    pub wind_mps: Datum<f64>,
+    /// Age of the station's own newest measurement, s of sky time.
+    pub sensor_age_s: Datum<f64>,
+}
+
+impl Payload for Fields {
+    const NAME: &'static str = "observingconditions.state";
+}
+
+impl Fields {
+    /// A measured value by its ASCOM name; `None` for a name that ASCOM does not know.
+    pub fn by_ascom_name(&self, name: &str) -> Option<&Datum<f64>> {
+        Some(match name {
+            "CloudCover" => &self.cloud_percent,
+            "DewPoint" => &self.dew_point_c,
+            "Humidity" => &self.humidity_percent,
+            "Pressure" => &self.pressure_hpa,
+            "RainRate" => &self.rain_mm_per_h,
+            "SkyBrightness" => &self.sky_lux,
+            "SkyQuality" => &self.sky_mag_per_arcsec2,
+            "SkyTemperature" => &self.sky_c,
+            "StarFWHM" => &self.star_fwhm_arcsec,
+            "Temperature" => &self.air_c,
+            "WindDirection" => &self.wind_from_deg,
+            "WindGust" => &self.gust_mps,
+            "WindSpeed" => &self.wind_mps,
+            _ => return None,
+        })
+    }
+}
+
+/// What a weather station may be asked.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Command {
+    /// Measure now.
+    Refresh,
+}
+
+impl Payload for Command {
+    const NAME: &'static str = "observingconditions.command";
+}

@@ -1,0 +1,47 @@
+//! A safety monitor.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Datum, DeviceKind, Kind, Payload};
+
+/// The safety monitor, ASCOM SafetyMonitor.
+#[derive(Debug)]
+pub struct SafetyMonitor;
+
+impl DeviceKind for SafetyMonitor {
+    const KIND: Kind = Kind::SafetyMonitor;
+    type Capabilities = Capabilities;
+    type Fields = Fields;
+    type Command = Command;
+}
+
+/// A safety monitor only speaks.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Capabilities {}
+
+impl Payload for Capabilities {
+    const NAME: &'static str = "safetymonitor.capabilities";
+}
+
+/// What nodes decide with.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Fields {
+    /// JSON `true` from the device is the only way to be safe.
+    pub is_safe: Datum<bool>,
+    /// Length of the gapless record of safe readings that ends now, s of sky time; it outlives the observatory
+    /// node, so that a restarted one need not wait again. 0 after any unsafe or missing reading.
+    pub gapless_safe_s: f64,
+}
+
+impl Payload for Fields {
+    const NAME: &'static str = "safetymonitor.state";
+}
+
+/// Nothing can be asked of a safety monitor.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Command {}
+
+impl Payload for Command {
+    const NAME: &'static str = "safetymonitor.command";
+}

@@ -1,0 +1,68 @@
+//! A set of switches and gauges, such as power and UPS.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Datum, DeviceKind, Kind, Payload};
+
+/// The switches, ASCOM Switch.
+#[derive(Debug)]
+pub struct Switch;
+
+impl DeviceKind for Switch {
+    const KIND: Kind = Kind::Switch;
+    type Capabilities = Capabilities;
+    type Fields = Fields;
+    type Command = Command;
+}
+
+/// What it has.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Capabilities {
+    /// The switches by number.
+    pub switches: Vec<Description>,
+}
+
+impl Payload for Capabilities {
+    const NAME: &'static str = "switch.capabilities";
+}
+
+/// One switch.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Description {
+    /// Its name.
+    pub name: String,
+    /// Can be set.
+    pub can_write: bool,
+    /// Smallest value.
+    pub minimum: f64,
+    /// Largest value.
+    pub maximum: f64,
+}
+
+/// What nodes decide with.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Fields {
+    /// Values by number, in the switch's own unit.
+    pub values: Vec<Datum<f64>>,
+}
+
+impl Payload for Fields {
+    const NAME: &'static str = "switch.state";
+}
+
+/// What it may be asked.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Command {
+    /// Set a switch.
+    Set {
+        /// Number of the switch, from 0.
+        number: u32,
+        /// Value in the switch's own unit.
+        value: f64,
+    },
+}
+
+impl Payload for Command {
+    const NAME: &'static str = "switch.command";
+}

@@ -1,0 +1,159 @@
+//! A mount: where it points, whether it tracks, and how it is moved.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Datum, DeviceKind, Kind, Payload};
+
+/// The mount, ASCOM Telescope.
+#[derive(Debug)]
+pub struct Telescope;
+
+impl DeviceKind for Telescope {
+    const KIND: Kind = Kind::Telescope;
+    type Capabilities = Capabilities;
+    type Fields = Fields;
+    type Command = Command;
+}
+
+/// What a mount can do.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Capabilities {
+    /// Parks on command.
+    pub park: bool,
+    /// Slews without blocking.
+    pub slew_async: bool,
+    /// Tracking can be switched.
+    pub set_tracking: bool,
+    /// Takes guide pulses.
+    pub pulse_guide: bool,
+    /// Takes a sync.
+    pub sync: bool,
+    /// Takes rates for moving targets on both axes.
+    pub set_rates: bool,
+    /// Frame of its coordinates.
+    pub equatorial_system: EquatorialSystem,
+    /// Where its driver believes to stand, degrees, east positive.
+    pub site_latitude_deg: Datum<f64>,
+    /// Degrees, east positive.
+    pub site_longitude_deg: Datum<f64>,
+    /// Metres above sea level.
+    pub site_elevation_m: Datum<f64>,
+}
+
+impl Payload for Capabilities {
+    const NAME: &'static str = "telescope.capabilities";
+}
+
+/// Frame of a mount's own coordinates, ASCOM EquatorialSystem.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EquatorialSystem {
+    /// Not told; taken as ICRS unless the configuration says otherwise.
+    #[default]
+    Other,
+    /// True equator and equinox of date, seen from the site.
+    Topocentric,
+    /// J2000, taken as ICRS.
+    J2000,
+    /// J2050.
+    J2050,
+    /// B1950.
+    B1950,
+}
+
+/// What nodes decide with; coordinates are in the mount's own frame (`equatorial_system`).
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Fields {
+    /// Right ascension in the mount's frame, degrees.
+    pub ra_deg: Datum<f64>,
+    /// Declination in the mount's frame, degrees.
+    pub dec_deg: Datum<f64>,
+    /// Altitude, degrees.
+    pub altitude_deg: Datum<f64>,
+    /// Azimuth from north through east, degrees.
+    pub azimuth_deg: Datum<f64>,
+    /// Follows the sky.
+    pub tracking: Datum<bool>,
+    /// Moves to a target.
+    pub slewing: Datum<bool>,
+    /// Stands at its park position.
+    pub at_park: Datum<bool>,
+    /// Side of the pier.
+    pub pier_side: Datum<PierSide>,
+    /// A guide pulse is under way.
+    pub pulse_guiding: Datum<bool>,
+}
+
+impl Payload for Fields {
+    const NAME: &'static str = "telescope.state";
+}
+
+/// Side of the pier that the mount is on (ASCOM: east means looking west).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PierSide {
+    /// On the east side of the pier, looking west.
+    East,
+    /// On the west side of the pier, looking east.
+    West,
+    /// The mount does not know.
+    Unknown,
+}
+
+/// A direction of a guide pulse.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Direction {
+    /// Towards +dec.
+    North,
+    /// Towards -dec.
+    South,
+    /// Towards +ra.
+    East,
+    /// Towards -ra.
+    West,
+}
+
+/// What a mount may be asked.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Command {
+    /// Slew to a place in the mount's own frame; done when it stands there and has settled.
+    Slew {
+        /// Degrees, mount frame.
+        ra_deg: f64,
+        /// Degrees, mount frame.
+        dec_deg: f64,
+    },
+    /// Switch tracking.
+    Track {
+        /// On or off.
+        on: bool,
+    },
+    /// Stop moving at once.
+    Abort,
+    /// Go to the park position and stay; aborts a slew first.
+    Park,
+    /// Leave the park position.
+    Unpark,
+    /// Push the mount.
+    PulseGuide {
+        /// Which way.
+        direction: Direction,
+        /// How long, ms.
+        duration_ms: u32,
+    },
+    /// Tell the mount where it points, in its own frame.
+    Sync {
+        /// Degrees, mount frame.
+        ra_deg: f64,
+        /// Degrees, mount frame.
+        dec_deg: f64,
+    },
+    /// Grants the lease where there is no enclosure; the answer carries the token.
+    Claim,
+}
+
+impl Payload for Command {
+    const NAME: &'static str = "telescope.command";
+}

@@ -1,0 +1,137 @@
+//! Posture, what is being done, and who commands.
+
+use serde::{Deserialize, Serialize};
+use units::Utc;
+
+use crate::{CommandId, Payload};
+
+/// How the observatory stands to the sky.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Posture {
+    /// Every enclosure is verified closed.
+    Closed,
+    /// On the way to open.
+    Opening,
+    /// At least one enclosure is open.
+    Open,
+    /// On the way to closed.
+    Closing,
+    /// Not known; treated as open.
+    Unknown,
+}
+
+/// What the observatory is doing, every second and at each change.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NightState {
+    /// Works through the schedule by itself.
+    pub robotic: bool,
+    /// How it stands.
+    pub posture: Posture,
+    /// The action under way; one per camera that works.
+    pub actions: Vec<ActionNow>,
+    /// Frames announced since this node started.
+    pub frames: u64,
+    /// Sky seconds with an open enclosure since this node started.
+    pub open_s: f64,
+    /// Speed of sky time; 1 except in a simulation.
+    pub speed: f64,
+    /// True when the devices are simulated.
+    pub simulated: bool,
+    /// The last row of the schedule has ended and everything is closed.
+    pub ended: bool,
+    /// The newest frame.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last_frame: Option<CommandId>,
+}
+
+impl Payload for NightState {
+    const NAME: &'static str = "observatory.night";
+}
+
+/// An action under way.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ActionNow {
+    /// Row of the schedule.
+    pub row: u32,
+    /// Type, such as `object`.
+    pub action: String,
+    /// Camera it works with.
+    pub camera: String,
+    /// Object, where there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub object: Option<String>,
+    /// What it does now, in words: `slewing`, `exposing 3 of 10, 30 s, V`.
+    pub step: String,
+    /// Sky time of its start.
+    pub started_utc: Utc,
+}
+
+/// Who commands this telescope.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Lease {
+    /// The commander, empty while there is none.
+    pub holder: String,
+    /// Its fencing token.
+    pub token: u64,
+    /// Sky time since when.
+    pub since_utc: Utc,
+    /// The device node that granted it, such as `dome/dome_1`.
+    pub arbiter: String,
+}
+
+impl Payload for Lease {
+    const NAME: &'static str = "observatory.lease";
+}
+
+/// The guide loop.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GuidingState {
+    /// A loop runs.
+    pub active: bool,
+    /// In words.
+    pub detail: String,
+}
+
+impl Payload for GuidingState {
+    const NAME: &'static str = "observatory.guiding";
+}
+
+/// The focus.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FocusState {
+    /// A run is under way.
+    pub active: bool,
+    /// Best known position, steps.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub best_position: Option<i64>,
+    /// In words.
+    pub detail: String,
+}
+
+impl Payload for FocusState {
+    const NAME: &'static str = "observatory.focus";
+}
+
+/// What was measured on a frame; each value is absent until it is measured.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FrameFacts {
+    /// Which frame.
+    pub frame: CommandId,
+    /// Stars found.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stars: Option<u32>,
+    /// Full width at half maximum of the stars, pixels.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fwhm_px: Option<f64>,
+    /// Median of the sky, ADU.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sky_adu: Option<f64>,
+    /// Noise of the sky, ADU.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise_adu: Option<f64>,
+}
+
+impl Payload for FrameFacts {
+    const NAME: &'static str = "observatory.facts";
+}

@@ -1,0 +1,81 @@
+//! The verdict with its reasons, and the permit that carries it to a dome.
+
+use serde::{Deserialize, Serialize};
+use units::Utc;
+
+use crate::{BootId, Payload};
+
+/// May the sky be let in?
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// Yes, on evidence over the whole dwell time.
+    Safe,
+    /// No, or not known.
+    Unsafe,
+}
+
+/// The verdict and what it rests on, every second and at each change.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SafetyState {
+    /// The verdict.
+    pub verdict: Verdict,
+    /// Sky time since when it stands.
+    pub since_utc: Utc,
+    /// Why it is unsafe; empty when safe.
+    pub reasons: Vec<Unsafe>,
+    /// Sky seconds until all known dwell times have run out; absent where nobody can know.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_to_safe_s: Option<f64>,
+    /// Every input with its newest value and age.
+    pub inputs: Vec<InputState>,
+}
+
+impl Payload for SafetyState {
+    const NAME: &'static str = "observatory.safety";
+}
+
+/// One reason to be unsafe.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Unsafe {
+    /// The input, such as `safetymonitor/monitor` or `wx/Humidity`.
+    pub input: String,
+    /// What is wrong with it, in words with the value and the limit.
+    pub why: String,
+    /// Sky seconds until this reason can end by itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clears_in_s: Option<f64>,
+}
+
+/// One input of the verdict.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct InputState {
+    /// The input.
+    pub input: String,
+    /// Newest value in words.
+    pub value: String,
+    /// Machine seconds since it arrived; absent where none did.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub age_s: Option<f64>,
+    /// True while it speaks for safety.
+    pub good: bool,
+}
+
+/// May this dome be open? Renewed every second; silence is a no.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Permit {
+    /// The verdict.
+    pub verdict: Verdict,
+    /// Who commands, such as `observatory/alpha`.
+    pub commander: String,
+    /// Fencing token of the commander's lease.
+    pub token: u64,
+    /// The newest number heard from this dome's guard; the permit is as old as that number.
+    pub guard_number: u64,
+    /// Life of the guard that said the number.
+    pub guard_boot_id: BootId,
+}
+
+impl Payload for Permit {
+    const NAME: &'static str = "observatory.permit";
+}

@@ -1,0 +1,70 @@
+//! The rows of the schedule and how far they are.
+
+use serde::{Deserialize, Serialize};
+use units::Utc;
+
+use crate::Payload;
+
+/// The schedule as the observatory runs it, at each change and every 10 s.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ScheduleState {
+    /// File it was read from.
+    pub file: String,
+    /// Counts the versions taken since the node started.
+    pub revision: u64,
+    /// Why the newest file was not taken; absent when it was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refused: Option<String>,
+    /// The rows in order of their start.
+    pub rows: Vec<RowState>,
+}
+
+impl Payload for ScheduleState {
+    const NAME: &'static str = "observatory.schedule";
+}
+
+/// One row.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RowState {
+    /// Position in the order, from 0.
+    pub row: u32,
+    /// Type of the action.
+    pub action: String,
+    /// Camera.
+    pub camera: String,
+    /// Object, where there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub object: Option<String>,
+    /// Earliest start.
+    pub start_utc: Utc,
+    /// Latest end.
+    pub end_utc: Utc,
+    /// How far it is.
+    pub status: RowStatus,
+    /// Frames taken.
+    pub frames: u32,
+    /// Frames wanted; absent for "until the end".
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frames_wanted: Option<u32>,
+    /// Why it failed, was skipped or waits, in words.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub detail: String,
+}
+
+/// How far a row is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RowStatus {
+    /// Its time has not come.
+    Pending,
+    /// Being done.
+    Running,
+    /// Stopped by an unsafe sky; goes on when it is safe and its window is open.
+    Interrupted,
+    /// Done.
+    Finished,
+    /// Tried and failed.
+    Failed,
+    /// Its window passed before it could start.
+    Skipped,
+}

@@ -1,0 +1,43 @@
+//! The envelope that every payload travels in: who sent it, in which order, and when.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+use units::Utc;
+
+/// Names one life of one node process; a restarted node has a new one.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct BootId(String);
+
+impl BootId {
+    /// A fresh id, never seen before; ids of later starts sort after those of earlier ones.
+    pub fn fresh() -> Self {
+        Self(uuid::Uuid::now_v7().to_string())
+    }
+
+    /// As text.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for BootId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// A payload with its sender's boot id, sequence number and stamp; flat in JSON.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Stamped<T> {
+    /// The sender's life.
+    pub boot_id: BootId,
+    /// Counts from 0 per key within one life, so that a gap is seen and a repeat is harmless.
+    pub seq: u64,
+    /// Sky time of the sender when it sent this; for the record, never for judging an age.
+    pub at_utc: Utc,
+    /// What is said.
+    #[serde(flatten)]
+    pub body: T,
+}

@@ -1,0 +1,22 @@
+//! A temperature on the Celsius scale.
+
+/// A temperature in degrees Celsius.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct Celsius(f64);
+
+impl Celsius {
+    /// From degrees Celsius.
+    pub const fn new(celsius: f64) -> Self {
+        Self(celsius)
+    }
+
+    /// In degrees Celsius.
+    pub const fn celsius(self) -> f64 {
+        self.0
+    }
+
+    /// Distance to another temperature, in kelvin, without sign.
+    pub fn distance_k(self, other: Self) -> f64 {
+        (self.0 - other.0).abs()
+    }
+}
