@@ -42,6 +42,9 @@ pub struct NodeOptions {
     /// Do not look for peers by multicast, whatever the configuration says.
     #[arg(long)]
     pub no_multicast: bool,
+    /// Stop when standard input closes, that is when the parent process ends.
+    #[arg(long)]
+    pub with_parent: bool,
 }
 
 /// A node that has joined the bus.
@@ -222,7 +225,10 @@ where
 
     let stop = node.stop.clone();
     tokio::spawn(async move {
-        termination().await;
+        tokio::select! {
+            () = termination() => {}
+            () = parent_end(), if options.with_parent => {}
+        }
         stop.stop();
     });
     let result = node.clone().live(diary, run(node)).await;
@@ -239,6 +245,17 @@ fn init_tracing() -> Option<mpsc::Receiver<DiaryLine>> {
     let console = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_filter(filter);
     let set = tracing_subscriber::registry().with(console).with(diary.with_filter(diary_filter)).try_init();
     set.is_ok().then_some(lines)
+}
+
+/// Waits until standard input closes; a thread of its own, so that a read without end cannot hold the runtime up.
+async fn parent_end() {
+    let (ended, end) = tokio::sync::oneshot::channel();
+    std::thread::spawn(move || {
+        // whatever comes is not for us; an error ends the reading as the end of the file does
+        let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
+        let _ = ended.send(());
+    });
+    let _ = end.await;
 }
 
 #[cfg(unix)]

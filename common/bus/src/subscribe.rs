@@ -118,17 +118,22 @@ impl Bus {
     }
 
     /// Asks in the background for what is true now, so that a late joiner need not wait for the next repeat.
+    ///
+    /// Asked more than once: a session that has just opened does not know all its peers yet.
     fn ask_newest<T: Payload>(&self, expression: &str, queue: Arc<Queue<T>>) {
         let (session, expression) = (self.session.clone(), expression.to_owned());
         tokio::spawn(async move {
-            let into = queue;
-            let asked = session.get(expression).timeout(Duration::from_secs(2)).callback(move |reply| {
-                if let Ok(sample) = reply.result() {
-                    into.push(sample);
+            for pause_ms in [0, 300, 1500] {
+                tokio::time::sleep(Duration::from_millis(pause_ms)).await;
+                let into = Arc::downgrade(&queue);
+                let asked = session.get(&expression).timeout(Duration::from_secs(2)).callback(move |reply| {
+                    if let (Ok(sample), Some(into)) = (reply.result(), into.upgrade()) {
+                        into.push(sample);
+                    }
+                });
+                if let Err(error) = asked.await {
+                    tracing::debug!(%error, "nobody could be asked for the newest values");
                 }
-            });
-            if let Err(error) = asked.await {
-                tracing::debug!(%error, "nobody could be asked for the newest values");
             }
         });
     }

@@ -1,0 +1,141 @@
+//! Two real sessions on a private loopback bus: what the rest of the house relies on.
+
+use std::time::Duration;
+
+use bus::{AskError, Bus, Catch, Clock, Quality};
+use contract::observatory::{Permit, Verdict};
+use contract::{
+    Accepted, Address, BootId, Command, CommandId, Key, Kind, Order, OrderKind, Reason, Refusal, Reply, device::dome,
+};
+
+async fn open(connect: Vec<String>) -> Bus {
+    let config = config::Bus { listen: Vec::new(), connect, multicast: false };
+    Bus::open(&config, Clock::machine_clock()).await.unwrap()
+}
+
+/// Two sessions that know each other.
+async fn pair() -> (Bus, Bus) {
+    let first = open(Vec::new()).await;
+    let second = open(first.locators().await).await;
+    for _ in 0..200 {
+        if first.peers().await > 0 && second.peers().await > 0 {
+            return (first, second);
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    panic!("two sessions on one loopback did not meet within 4 s");
+}
+
+fn address() -> Address {
+    Address::new("test", "alpha").unwrap()
+}
+
+fn permit(number: u64) -> Permit {
+    let guard_boot_id = BootId::fresh();
+    Permit { verdict: Verdict::Safe, commander: "o".to_owned(), token: 1, guard_number: number, guard_boot_id }
+}
+
+fn order(id: &str) -> Order {
+    Order { id: CommandId(id.to_owned()), from: "test".to_owned(), reason: String::new(), kind: OrderKind::Close }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_late_joiner_hears_the_newest_state_at_once() {
+    let (first, second) = pair().await;
+    let key = Key::Permit(address(), "dome".parse().unwrap());
+    let publisher = first.publisher::<Permit>(&key, Quality::State { cache: 1 }).await.unwrap();
+    publisher.put(permit(1)).await.unwrap();
+    publisher.put(permit(2)).await.unwrap();
+    let mut latest = second.latest::<Permit>(&key).await.unwrap();
+    tokio::time::timeout(Duration::from_secs(5), latest.changed()).await.unwrap();
+    let heard = latest.get().unwrap();
+    assert_eq!((heard.said.body.guard_number, heard.said.seq), (2, 1));
+    assert!(latest.fresh(Duration::from_secs(60)).is_some());
+    let got = second.get_all::<Permit>(&key.to_string(), Duration::from_secs(2)).await;
+    assert_eq!(got.len(), 1, "a plain get is answered too");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_subscriber_that_wants_all_hears_what_was_said_before() {
+    let (first, second) = pair().await;
+    let key = Key::Permit(address(), "dome".parse().unwrap());
+    let publisher = first.publisher::<Permit>(&key, Quality::Event { cache: 100 }).await.unwrap();
+    for number in 0..10 {
+        publisher.put(permit(number)).await.unwrap();
+    }
+    let all = second.subscribe::<Permit>(&key.to_string(), Catch::All, 100).await.unwrap();
+    for number in 0..10 {
+        let heard = tokio::time::timeout(Duration::from_secs(5), all.hear()).await.unwrap();
+        assert_eq!(heard.said.body.guard_number, number);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_slow_subscriber_loses_the_oldest_and_stalls_nobody() {
+    let (first, second) = pair().await;
+    let key = Key::Permit(address(), "dome".parse().unwrap());
+    let slow = second.subscribe::<Permit>(&key.to_string(), Catch::Newest, 4).await.unwrap();
+    let quick = second.subscribe::<Permit>(&key.to_string(), Catch::Newest, 1000).await.unwrap();
+    let publisher = first.publisher::<Permit>(&key, Quality::Urgent).await.unwrap();
+    for number in 0..50 {
+        publisher.put(permit(number)).await.unwrap();
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
+    let mut last = 0;
+    while last < 49 {
+        last = tokio::time::timeout(Duration::from_secs(5), quick.hear()).await.unwrap().said.body.guard_number;
+    }
+    assert_eq!(slow.hear().await.said.body.guard_number, 46, "only the newest four are left");
+    assert_eq!(slow.lost(), 46);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_command_is_accepted_or_refused_at_once() {
+    let (first, second) = pair().await;
+    let device = address().device(Kind::Dome, &"dome".parse().unwrap());
+    let answer = |command: Result<Command<dome::Command>, String>| async move {
+        match command {
+            Ok(command) if command.action == dome::Command::CloseShutter => {
+                Reply::Accepted(Accepted { id: command.id, token: None })
+            }
+            Ok(command) => {
+                Reply::Refusal(Refusal { id: command.id, reason: Reason::NoPermit, detail: "no permit".to_owned() })
+            }
+            Err(detail) => Reply::Refusal(Refusal { id: CommandId(String::new()), reason: Reason::Malformed, detail }),
+        }
+    };
+    let _service = first.serve(&Key::Command(device.clone()), answer).await.unwrap();
+    let ask = |action| Command { id: CommandId::fresh(), from: "test".to_owned(), token: None, action };
+    let timeout = Duration::from_secs(3);
+    let close = ask(dome::Command::CloseShutter);
+    assert_eq!(second.command(&device, &close, timeout).await.unwrap().id, close.id);
+    let refused = second.command(&device, &ask(dome::Command::OpenShutter), timeout).await.unwrap_err();
+    assert!(
+        matches!(refused, AskError::Refused { refusal: Refusal { reason: Reason::NoPermit, .. }, .. }),
+        "{refused}"
+    );
+    let malformed: Reply = second.ask(&Key::Command(device), &serde_json::json!({"id": 1}), timeout).await.unwrap();
+    assert!(matches!(malformed, Reply::Refusal(Refusal { reason: Reason::Malformed, .. })), "{malformed:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_question_that_nobody_hears_is_unknown_not_refused() {
+    let (_first, second) = pair().await;
+    let error = second.ask::<_, Reply>(&Key::Order(address()), &order("1"), Duration::from_secs(2)).await.unwrap_err();
+    assert!(matches!(error, AskError::Unknown { .. }), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_handler_that_is_too_slow_is_unknown_in_time() {
+    let (first, second) = pair().await;
+    let key = Key::Order(address());
+    let answer = |_: Result<Order, String>| async {
+        tokio::time::sleep(Duration::from_secs(30)).await;
+        Reply::Accepted(Accepted { id: CommandId(String::new()), token: None })
+    };
+    let _service = first.serve(&key, answer).await.unwrap();
+    let asked = std::time::Instant::now();
+    let error = second.ask::<_, Reply>(&key, &order("1"), Duration::from_millis(500)).await.unwrap_err();
+    assert!(matches!(error, AskError::Unknown { .. }), "{error}");
+    assert!(asked.elapsed() < Duration::from_secs(10));
+}

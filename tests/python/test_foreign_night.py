@@ -1,0 +1,280 @@
+"""A short night on hardware that we did not write, heard and judged by programs that we did not write.
+
+Hardware: PyPI alpaca-simulators. Listener: PyPI eclipse-zenoh and zenoh-cli. Judges: fitsverify and astropy.
+"""
+
+import json
+import pathlib
+import shutil
+import sqlite3
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import shapes
+from astropy import units as u
+from astropy.coordinates import AltAz, EarthLocation, SkyCoord
+from astropy.io import fits
+from astropy.time import Time
+from ear import Ear
+from site_under_test import ELEVATION, LATITUDE, LONGITUDE, PREFIX, Site
+
+HERE = EarthLocation.from_geodetic(LONGITUDE, LATITUDE, ELEVATION)
+DOME = f"{PREFIX}/device/dome/dome_1/state"
+NIGHT = f"{PREFIX}/observatory/night/state"
+
+
+def shutter(newest: dict) -> str:
+    return newest.get(DOME, {}).get("fields", {}).get("shutter")
+
+
+def frames_of(ear: Ear, name: str) -> int:
+    return len({p["id"] for k, p in ear.heard if k.endswith("/frame") and p["purpose"].get("object") == name})
+
+
+class NightRecord:
+    """What is left of the night for the tests below."""
+
+    site: Site
+    ear: Ear
+    history: list[dict]
+    cli: str
+    heartbeat: dict
+    exit_codes: dict[str, int]
+    frames_while_closed: int
+    seconds_to_close: float
+
+
+@pytest.fixture(scope="module")
+def catalogue(tmp_path_factory) -> pathlib.Path:
+    file = tmp_path_factory.mktemp("catalogue") / "stars.db"
+    script = pathlib.Path(__file__).with_name("make_catalogue.py")
+    subprocess.run([sys.executable, str(script), str(file)], check=True, stdout=subprocess.DEVNULL)
+    return file
+
+
+@pytest.fixture(scope="module")
+def night(starmesh, catalogue, tmp_path_factory):
+    site = Site(starmesh, tmp_path_factory.mktemp("night"), catalogue)
+    record = NightRecord()
+    record.site = site
+    try:
+        observe(site, record)
+    except BaseException:
+        print(site.logs())
+        raise
+    finally:
+        record.exit_codes = site.stop()
+    yield record
+
+
+def observe(site: Site, record: NightRecord):
+    site.put("safetymonitor/0/issafe", IsSafe="true")
+    now = Time.now()
+    now.delta_ut1_utc = 0.0
+    zenith = now.sidereal_time("mean", HERE.lon).deg
+    first = {"object": "Field A", "ra": (zenith - 15) % 360, "dec": 50.0, "exptime": 2.0, "n": 3, "filter": "Clear"}
+    second = {"object": "O'Second/B", "ra": (zenith + 20) % 360, "dec": 20.0, "exptime": 2.0, "n": 8}
+    names = site.get("filterwheel/0/names")
+    first["filter"] = names[1]
+    site.schedule([
+        ("open", {}), ("cool_camera", {}), ("object", first), ("object", second),
+        ("calibration", {"exptime": [0, 1.0], "n": [2, 2]}), ("complete_headers", {}), ("close", {}),
+    ], seconds=600)
+    site.start_nodes()
+    ear = record.ear = Ear(site.endpoint)
+
+    ear.wait_for("the dome opens", lambda n: shutter(n) == "open", 60)
+    ear.wait_for("two frames of the second object", lambda _: frames_of(ear, "O'Second/B") >= 2, 90)
+
+    site.put("safetymonitor/0/issafe", IsSafe="false")
+    began = time.monotonic()
+    ear.wait_for("the dome closes when it is unsafe", lambda n: shutter(n) == "closed", 20)
+    record.seconds_to_close = time.monotonic() - began
+    ear.wait_for("the mount is parked when it is unsafe",
+                 lambda n: n.get(f"{PREFIX}/device/telescope/telescope_1/state", {}).get("fields", {}).get("at_park") is True, 30)
+    closed = frames_of(ear, "O'Second/B")
+    time.sleep(4)
+    record.frames_while_closed = frames_of(ear, "O'Second/B") - closed
+    assert site.get("dome/0/shutterstatus") == 1
+
+    site.put("safetymonitor/0/issafe", IsSafe="true")
+    ear.wait_for("the dome opens again after the dwell", lambda n: shutter(n) == "open", 60)
+    began_again = time.monotonic()
+    record.cli = zenoh_cli(site)
+    with_url(site, record)
+    ear.wait_for("the night ends", lambda n: n.get(NIGHT, {}).get("ended"), 180)
+    assert time.monotonic() > began_again
+    record.history = ear.ask(f"{PREFIX}/archive/history", {"ask": {"readings": {
+        "kind": "telescope", "device": "telescope_1", "property": "Altitude"}}, "limit": 5000})
+    ear.wait_for("the dome ends closed", lambda n: shutter(n) == "closed", 30)
+
+
+def with_url(site: Site, record: NightRecord):
+    import urllib.request
+    with urllib.request.urlopen(f"http://127.0.0.1:{site.web}/api/heartbeat", timeout=5) as answer:
+        record.heartbeat = json.load(answer)
+
+
+def zenoh_cli(site: Site) -> str:
+    """The command of the README, with this bus's port; it listens for six seconds."""
+    program = pathlib.Path(sys.executable).with_name("zenoh")
+    command = [str(program), "--mode", "client", "--connect", site.endpoint, "subscribe", "-k", "starmesh/**", "--decoder", "json"]
+    listening = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    time.sleep(8)
+    listening.terminate()
+    return listening.communicate(timeout=20)[0]
+
+
+def test_all_frames_are_taken_and_stored(night):
+    """2 objects, darks and biases: each frame is on disk, none twice."""
+    kinds = {}
+    for path in night.site.fits():
+        header = fits.getheader(path)
+        kinds.setdefault((header["IMAGETYP"], header.get("OBJECT")), []).append(header["FRAMEID"])
+    assert len(kinds["Light Frame", "Field A"]) == 3
+    assert len(kinds["Light Frame", "O'Second/B"]) == 8
+    assert sum(len(v) for (kind, _), v in kinds.items() if kind == "Bias Frame") == 2
+    assert sum(len(v) for (kind, _), v in kinds.items() if kind == "Dark Frame") == 2
+    every = [frame for v in kinds.values() for frame in v]
+    assert len(every) == len(set(every)) == 15
+
+
+def test_unsafe_closes_and_safe_reopens(night):
+    """The fixture saw the dome close and open again; nothing was exposed in between."""
+    assert night.frames_while_closed <= 1, "at most the frame whose light was in already"
+    assert night.seconds_to_close < 10
+    verdicts = [p["verdict"] for k, p in night.ear.heard if k == f"{PREFIX}/observatory/safety/state"]
+    assert {"safe", "unsafe"} <= set(verdicts)
+
+
+def test_the_night_ends_closed_parked_and_quiet(night):
+    newest = night.ear.newest
+    assert shutter(newest) == "closed"
+    assert newest[f"{PREFIX}/device/telescope/telescope_1/state"]["fields"]["at_park"] is True
+    rows = newest[f"{PREFIX}/observatory/schedule/state"]["rows"]
+    assert [row["status"] for row in rows] == ["finished"] * 7, rows
+    nodes = {name: code for name, code in night.exit_codes.items() if name != "simulators"}
+    assert nodes == {"observatory": 0, "device": 0, "archive": 0, "web": 0}
+
+
+def test_every_payload_has_its_golden_shape(night):
+    assert night.ear.unreadable == []
+    assert len(night.ear.heard) > 500
+    faults = {}
+    for key, payload in night.ear.heard:
+        for fault in shapes.check(key, payload):
+            faults.setdefault(f"{key}: {fault}", payload)
+    assert not faults, "\n".join(list(faults)[:20])
+
+
+def test_state_of_all_four_nodes_is_heard(night):
+    for role in ["device", "observatory", "archive", "web"]:
+        assert f"{PREFIX}/node/{role}/main/state" in night.ear.newest, role
+
+
+def test_zenoh_cli_shows_state_from_all_four_nodes(night):
+    for role in ["device", "observatory", "archive", "web"]:
+        assert f"{PREFIX}/node/{role}/main/state" in night.cli, night.cli[:2000]
+
+
+def test_the_commander_holds_a_lease_and_permits_carry_its_token(night):
+    permits = [p for k, p in night.ear.heard if k == f"{PREFIX}/observatory/permit/dome_1"]
+    assert permits and all(p["token"] >= 1 for p in permits)
+    guards = [p for k, p in night.ear.heard if k == f"{PREFIX}/device/dome/dome_1/guard"]
+    numbers = [g["number"] for g in guards]
+    assert numbers == sorted(numbers) and len(set(numbers)) == len(numbers)
+
+
+def test_history_answers_a_foreign_peer(night):
+    assert len(night.history) == 1
+    assert shapes.check_payload("archive.answer", night.history[0]) == []
+    rows = night.history[0]["rows"]
+    assert len(rows) > 10 and all("reading" in row for row in rows)
+
+
+def test_the_heartbeat_has_the_shape_that_monitoring_scripts_know(night):
+    assert night.heartbeat["status"] == "success"
+    data = night.heartbeat["data"]
+    for key in ["datetime", "error_free", "error_source", "weather_safe", "schedule_running", "cpu_percent",
+                "memory_percent", "disk_percent", "threads", "polling", "monitor-action-queue"]:
+        assert key in data, key
+    assert data["weather_safe"] is True and data["error_free"] is True, data["error_source"]
+    assert data["polling"]["Dome"]["dome_1"]["ShutterStatus"]["value"] in (0, 2)
+
+
+def test_fitsverify_finds_no_error(night):
+    assert shutil.which("fitsverify"), "fitsverify is missing: apt-get install fitsverify (scripts/test does)"
+    files = [str(path) for path in night.site.fits()]
+    verdict = subprocess.run(["fitsverify", "-q", *files], capture_output=True, text=True)
+    lines = [line for line in verdict.stdout.splitlines() if line.strip()]
+    assert verdict.returncode == 0, verdict.stdout
+    assert len([line for line in lines if "OK" in line]) == len(files), verdict.stdout
+
+
+def lights(night):
+    for path in night.site.fits():
+        with fits.open(path, checksum=True) as hdus:
+            if hdus[0].header["IMAGETYP"] == "Light Frame":
+                yield path, hdus[0].header, hdus[0].data
+
+
+def test_astropy_reads_the_pixels_and_the_checksums(night, recwarn):
+    for path in night.site.fits():
+        with fits.open(path, checksum=True) as hdus:
+            assert hdus[0].data.dtype == np.uint16 and hdus[0].data.shape == (1024, 1024), path
+            assert "CHECKSUM" in hdus[0].header and "DATASUM" in hdus[0].header
+    assert not [w for w in recwarn if "checksum" in str(w.message).lower() or "datasum" in str(w.message).lower()]
+
+
+def test_computed_keywords_agree_with_astropy(night):
+    """Airmass 1e-3, altitude and azimuth 5 arcsec, sidereal time 0.05 s, BJD 50 ms."""
+    seen = 0
+    for path, header, _ in lights(night):
+        start = Time(header["DATE-OBS"], scale="utc", location=HERE)
+        start.delta_ut1_utc = 0.0
+        target = SkyCoord(header["RA"] * u.deg, header["DEC"] * u.deg, frame="icrs")
+        horizontal = target.transform_to(AltAz(obstime=start, location=HERE, pressure=0 * u.hPa))
+        apart = horizontal.separation(SkyCoord(alt=header["OBJALT"] * u.deg, az=header["OBJAZ"] * u.deg, frame=horizontal.frame))
+        assert apart.arcsec < 5, (path, apart.arcsec)
+        c = np.sin(horizontal.alt.rad)
+        young = (1.002432 * c**2 + 0.148386 * c + 0.0096467) / (c**3 + 0.149864 * c**2 + 0.0102963 * c + 0.000303978)
+        assert abs(header["AIRMASS"] - young) < 1e-3, path
+        sidereal_s = start.sidereal_time("mean").hour * 3600
+        assert abs((header["LST"] - sidereal_s + 43200) % 86400 - 43200) < 0.05, path
+        light_time = start.light_travel_time(target, ephemeris="builtin")
+        bjd = start.tdb + light_time
+        off_s = ((header["BJD-OBS"] - bjd.jd1) - bjd.jd2) * 86400
+        assert abs(off_s) < 0.05, (path, off_s)
+        assert abs(header["MJD-OBS"] - start.mjd) < 1e-8
+        seen += 1
+    assert seen == 11
+
+
+def test_polled_keywords_are_the_interpolated_telemetry(night):
+    """ALTITUDE and AZIMUTH equal the linear interpolation of the archive's own rows at DATE-OBS."""
+    database = sqlite3.connect(night.site.folder / "data" / "archive.db")
+    series = {}
+    for command in ["Altitude", "Azimuth"]:
+        rows = database.execute(
+            "SELECT datetime, device_value FROM polling WHERE device_type = 'Telescope' AND device_command = ? ORDER BY datetime",
+            (command,)).fetchall()
+        rows = [(t, v) for t, v in rows if v not in (None, "None", "null", "")]
+        series[command] = (Time([t.replace(" ", "T").rstrip("Z") for t, _ in rows]).unix, np.array([float(v) for _, v in rows]))
+    for path, header, _ in lights(night):
+        start = Time(header["DATE-OBS"]).unix
+        for keyword, command in [("ALTITUDE", "Altitude"), ("AZIMUTH", "Azimuth")]:
+            times, values = series[command]
+            unwrapped = np.unwrap(values, period=360) if command == "Azimuth" else values
+            expected = np.interp(start, times, unwrapped)
+            apart = (header[keyword] - expected + 180) % 360 - 180
+            assert abs(apart) < 1e-4, (path, keyword, header[keyword], expected)
+
+
+def test_stars_are_in_the_frames(night):
+    """The simulators' sky came through the whole chain: stars stand far above the noise."""
+    for path, _, data in lights(night):
+        noise = 1.4826 * np.median(np.abs(data - np.median(data)))
+        assert np.sum(data > np.median(data) + 20 * max(noise, 1)) > 10, path

@@ -1,0 +1,106 @@
+// The page in Debian's Chromium while a demo runs: telescopes, ages that move, an image, and no console error.
+import { test, before, after } from "node:test";
+import assert from "node:assert/strict";
+import { spawn } from "node:child_process";
+import { mkdtempSync, rmSync } from "node:fs";
+import { createServer } from "node:net";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { chromium } from "playwright-core";
+
+const binary = process.env.STARMESH_BIN ?? join(import.meta.dirname, "../../target/debug/starmesh");
+let demo, browser, page, port, folder;
+let output = "";
+const problems = [];
+
+const freePort = () =>
+  new Promise((resolve) => {
+    const server = createServer().listen(0, "127.0.0.1", () => {
+      const { port } = server.address();
+      server.close(() => resolve(port));
+    });
+  });
+
+before(async () => {
+  port = await freePort();
+  folder = mkdtempSync(join(tmpdir(), "starmesh-ui-"));
+  demo = spawn(binary, ["demo", "--speed", "120", "--port", String(port), "--keep", join(folder, "demo")]);
+  demo.stdout.on("data", (data) => (output += data));
+  demo.stderr.on("data", (data) => (output += data));
+  const until = Date.now() + 60_000;
+  for (;;) {
+    const answers = await fetch(`http://127.0.0.1:${port}/healthz`).then((r) => r.ok, () => false);
+    if (answers) break;
+    assert.ok(Date.now() < until && demo.exitCode === null, `the demo's page did not come up:\n${output}`);
+    await new Promise((resolve) => setTimeout(resolve, 200));
+  }
+  browser = await chromium.launch({
+    executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
+    args: ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+      "--disable-component-update", "--disable-sync"],
+  });
+  page = await browser.newPage({ viewport: { width: 1280, height: 900 } });
+  page.on("console", (message) => message.type() === "error" && problems.push(message.text()));
+  page.on("pageerror", (error) => problems.push(String(error)));
+  page.on("requestfailed", (request) => problems.push(`${request.url()} ${request.failure()?.errorText}`));
+}, { timeout: 120_000 });
+
+after(async () => {
+  await browser?.close();
+  if (demo && demo.exitCode === null) {
+    demo.kill("SIGINT");
+    await new Promise((resolve) => demo.once("exit", resolve));
+  }
+  if (process.env.KEEP_UI) console.log(output);
+  rmSync(folder, { recursive: true, force: true });
+}, { timeout: 60_000 });
+
+test("the overview shows the telescope with a safety word and a posture", { timeout: 60_000 }, async () => {
+  await page.goto(`http://127.0.0.1:${port}/`);
+  const tile = page.locator("[data-telescope]").first();
+  await tile.waitFor({ timeout: 30_000 });
+  await page.waitForFunction(() => /safe/i.test(document.querySelector("[data-telescope] [data-safety]")?.textContent ?? ""));
+  assert.match(await tile.locator("[data-posture]").first().textContent(), /closed|open|opening|closing|unknown/i);
+  assert.match(await tile.textContent(), /simul/i, "a simulated telescope says so");
+});
+
+test("the telescope page shows each device with an age that moves", { timeout: 60_000 }, async () => {
+  await page.locator("[data-telescope] a, a[data-telescope]").first().click();
+  await page.locator("[data-device]").nth(9).waitFor({ timeout: 30_000 });
+  assert.equal(await page.locator("[data-device]").count(), 10, "all ten devices");
+  const ages = () => page.locator("[data-device] [data-age]").allTextContents();
+  const first = await ages();
+  assert.ok(first.length >= 10);
+  await page.waitForFunction((before) => {
+    const now = [...document.querySelectorAll("[data-device] [data-age]")].map((e) => e.textContent);
+    return now.join() !== before;
+  }, first.join(), { timeout: 15_000 });
+});
+
+test("the newest frame is shown as an image", { timeout: 150_000 }, async () => {
+  const image = page.locator("img[data-frame]").first();
+  await image.waitFor({ timeout: 120_000 });
+  await page.waitForFunction(() => document.querySelector("img[data-frame]")?.naturalWidth > 100, null, { timeout: 30_000 });
+  const frame = await image.getAttribute("data-frame");
+  assert.ok(frame.length > 10, frame);
+});
+
+test("the log tells the night", { timeout: 60_000 }, async () => {
+  await page.waitForFunction(() => (document.querySelector("[data-log]")?.textContent ?? "").length > 50, null, { timeout: 30_000 });
+});
+
+test("a phone needs no sideways scrolling", { timeout: 60_000 }, async () => {
+  await page.setViewportSize({ width: 390, height: 844 });
+  await page.waitForTimeout(500);
+  const overflow = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
+  assert.ok(overflow <= 0, `${overflow} px too wide`);
+  if (process.env.SHOT) await page.screenshot({ path: `${process.env.SHOT}-phone.png`, fullPage: true });
+  await page.setViewportSize({ width: 1280, height: 900 });
+  if (process.env.SHOT) await page.screenshot({ path: `${process.env.SHOT}.png` });
+});
+
+test("when the node dies the page says so", { timeout: 60_000 }, async () => {
+  assert.deepEqual(problems, [], "no console error until here");
+  demo.kill("SIGINT");
+  await page.getByText(/link lost/i).first().waitFor({ timeout: 30_000 });
+});
