@@ -1,0 +1,34 @@
+//! `starmesh check`: proves a configuration and its schedule.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use clap::Args;
+
+/// Options of `starmesh check`.
+#[derive(Debug, Args)]
+pub struct Options {
+    /// The observatory.toml.
+    file: PathBuf,
+}
+
+/// Proves the file, the FITS-header table and the schedule that it names.
+pub fn run(options: &Options) -> anyhow::Result<()> {
+    let (config, header) = bus::node::read_config(&options.file)?;
+    println!("{}: valid", options.file.display());
+    println!("  telescope {}", config.address());
+    for (kind, common) in config.devices() {
+        println!("  {kind:20} {:16} http://{} number {}", common.name, common.server, common.number);
+    }
+    println!("  {} rows in the FITS-header table", header.rows.len());
+    let schedule = &config.schedule.file;
+    if !schedule.exists() {
+        println!("  no schedule yet at {}", schedule.display());
+        return Ok(());
+    }
+    let text = std::fs::read_to_string(schedule).with_context(|| format!("cannot read {}", schedule.display()))?;
+    let rows = node_observatory::check_schedule(&text, &config)
+        .map_err(|fault| anyhow::anyhow!("{} is not a valid schedule:\n{fault}", schedule.display()))?;
+    println!("{}: valid ({rows} rows)", schedule.display());
+    Ok(())
+}

@@ -1,0 +1,75 @@
+//! Schedules for tests: rows that start one after another from a given sky time on.
+
+use contract::Address;
+use serde_json::{Value, json};
+use sky::{EarthOrientation, Horizontal, Observer, Place};
+use units::{Angle, Utc};
+
+/// Rows of one schedule.
+pub type Rows = Vec<(&'static str, Value)>;
+
+/// One row.
+pub fn row(action: &'static str, value: Value) -> (&'static str, Value) {
+    (action, value)
+}
+
+/// An `object` row for a field that stands high now: 20 deg from the zenith, towards the east.
+pub fn object(options: &simulator::Options, name: &str, exposure_s: f64, frames: u32) -> (&'static str, Value) {
+    let place = Place::new(options.latitude, options.longitude, options.elevation_m);
+    let observer = place.and_then(|place| Observer::new(&place, &EarthOrientation::default(), options.start));
+    let high = Horizontal { altitude: Angle::from_degrees(70.0), azimuth: Angle::from_degrees(90.0) };
+    // the simulator's own options always name a place and a time that exist
+    let target = observer.map(|observer| observer.to_icrs(&high));
+    let (ra_deg, dec_deg) = target.map_or((0.0, 0.0), |t| (t.ra.wrapped_positive().degrees(), t.dec.degrees()));
+    let value = json!({
+        "object": name, "ra": ra_deg, "dec": dec_deg, "exptime": exposure_s, "n": frames, "filter": "V",
+    });
+    row("object", value)
+}
+
+/// The schedule's text.
+pub(crate) fn jsonl(rows: &[(&'static str, Value)], start: Utc, length_s: f64) -> String {
+    let lines = rows.iter().enumerate().map(|(index, (action, value))| {
+        let row = json!({
+            "device_name": "camera", "action_type": action, "action_value": value,
+            "start_time": start.plus_seconds(index as f64).to_string(),
+            "end_time": start.plus_seconds(length_s).to_string(),
+        });
+        row.to_string() + "\n"
+    });
+    lines.collect()
+}
+
+/// The configuration of all ten simulated devices.
+pub(crate) fn configuration(
+    address: &Address,
+    simulator: std::net::SocketAddr,
+    options: &simulator::Options,
+) -> String {
+    let mut text = format!(
+        "[observatory]\nsite = \"{}\"\ntelescope = \"{}\"\nlatitude_deg = {}\nlongitude_deg = {}\nelevation_m = {}\n\
+         [bus]\nmulticast = false\n[clock]\nsimulator = \"http://{simulator}\"\n[schedule]\nrobotic = true\n\
+         [web]\nlisten = \"127.0.0.1:0\"\n",
+        address.site,
+        address.telescope,
+        options.latitude.degrees(),
+        options.longitude.degrees(),
+        options.elevation_m,
+    );
+    let blocks = [
+        ("telescope", "mount", ""),
+        ("camera", "camera", "temperature_c = -10.0\ntemperature_tolerance_c = 2.0\n"),
+        ("filterwheel", "wheel", ""),
+        ("focuser", "focuser", ""),
+        ("dome", "dome", "permit_valid_s = 5.0\n"),
+        ("safetymonitor", "monitor", "dwell_min = 0.5\n"),
+        ("observingconditions", "weather", "limit = [{ parameter = \"Humidity\", upper = 99.5, dwell_min = 0.5 }]\n"),
+        ("covercalibrator", "cover", ""),
+        ("switch", "power", ""),
+        ("rotator", "rotator", ""),
+    ];
+    for (kind, name, extra) in blocks {
+        text.push_str(&format!("[[{kind}]]\nname = \"{name}\"\nserver = \"{simulator}\"\n{extra}"));
+    }
+    text
+}

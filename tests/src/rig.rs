@@ -1,0 +1,235 @@
+//! The rig: world, bus, folder and node processes of one test.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use bus::{Bus, Catch, Clock, Latest};
+use contract::archive::Stored;
+use contract::device::dome::{Fields as DomeFields, Guard, Shutter};
+use contract::device::telescope::Fields as MountFields;
+use contract::observatory::{NightState, SafetyState, ScheduleState};
+use contract::{Address, DeviceState, Key, Kind, Part, Payload, Role};
+use simulator::Simulator;
+use tempfile::TempDir;
+
+use crate::night::{Rows, configuration, jsonl};
+
+/// Site of every test.
+pub const SITE: &str = "test";
+/// Telescope of every test.
+pub const TELESCOPE: &str = "alpha";
+
+/// What a test may choose.
+pub struct RigOptions {
+    /// The simulated observatory; it starts in the night, with a small camera.
+    pub world: simulator::Options,
+    /// Length of every row's window, sky seconds.
+    pub window_s: f64,
+}
+
+impl Default for RigOptions {
+    fn default() -> Self {
+        let mut world = simulator::Options {
+            // an hour after nautical dusk on Paranal
+            start: units::Utc::from_seconds(1_795_228_200.0),
+            speed: 10.0,
+            ..Default::default()
+        };
+        world.camera.pixel_um *= 8.0;
+        (world.camera.width, world.camera.height) = (256, 256);
+        Self { world, window_s: 3600.0 }
+    }
+}
+
+/// One test's telescope. Dropping it kills its own processes and nothing else.
+pub struct Rig {
+    /// The simulated observatory.
+    pub simulator: Simulator,
+    /// Its options.
+    pub world: simulator::Options,
+    /// The test's own place on the bus.
+    pub bus: Bus,
+    folder: TempDir,
+    endpoint: String,
+    nodes: HashMap<Role, Child>,
+    /// The dome's state.
+    pub dome: Latest<DeviceState<DomeFields>>,
+    /// The dome's guard.
+    pub guard: Latest<Guard>,
+    /// The mount's state.
+    pub mount: Latest<DeviceState<MountFields>>,
+    /// The verdict.
+    pub safety: Latest<SafetyState>,
+    /// What is being done.
+    pub night: Latest<NightState>,
+    /// The rows.
+    pub schedule: Latest<ScheduleState>,
+}
+
+impl Rig {
+    /// Starts the world and the bus, writes configuration and schedule; no node runs yet.
+    pub async fn new(options: RigOptions, rows: impl FnOnce(&simulator::Options) -> Rows) -> anyhow::Result<Self> {
+        let world = options.world;
+        let simulator = Simulator::start(world.clone()).await?;
+        let address = Address::new(SITE, TELESCOPE)?;
+        let folder = tempfile::tempdir()?;
+        std::fs::write(folder.path().join("observatory.toml"), configuration(&address, simulator.address(), &world))?;
+        let start = simulator.world().now();
+        std::fs::write(folder.path().join("schedule.jsonl"), jsonl(&rows(&world), start, options.window_s))?;
+        let clock = Clock::of_simulator(&format!("http://{}", simulator.address())).await?;
+        let private = config::Bus { listen: vec![], connect: vec![], multicast: false };
+        let bus = Bus::open(&private, clock).await?;
+        let endpoint = bus.locators().await.into_iter().find(|locator| locator.contains("127.0.0.1"));
+        let endpoint = endpoint.context("the private bus listens nowhere")?;
+        let device =
+            |kind, name: &str| -> anyhow::Result<contract::Device> { Ok(address.device(kind, &name.parse()?)) };
+        let part = |part| Key::Observatory(address.clone(), part);
+        Ok(Self {
+            dome: bus.latest(&Key::State(device(Kind::Dome, "dome")?)).await?,
+            guard: bus.latest(&Key::Guard(device(Kind::Dome, "dome")?)).await?,
+            mount: bus.latest(&Key::State(device(Kind::Telescope, "mount")?)).await?,
+            safety: bus.latest(&part(Part::Safety)).await?,
+            night: bus.latest(&part(Part::Night)).await?,
+            schedule: bus.latest(&part(Part::Schedule)).await?,
+            simulator,
+            world,
+            bus,
+            folder,
+            endpoint,
+            nodes: HashMap::new(),
+        })
+    }
+
+    /// Starts all four nodes.
+    pub fn start_all(&mut self) -> anyhow::Result<()> {
+        Role::ALL.into_iter().try_for_each(|role| self.start(role))
+    }
+
+    /// Starts one node as a process that ends with this one.
+    pub fn start(&mut self, role: Role) -> anyhow::Result<()> {
+        let log = std::fs::OpenOptions::new().create(true).append(true).open(self.path(&format!("{role}.log")))?;
+        let child = Command::new(binary()?)
+            .args(["node", role.word(), "--with-parent", "--connect", &self.endpoint, "--config"])
+            .arg(self.path("observatory.toml"))
+            .stdin(Stdio::piped())
+            .stdout(log.try_clone()?)
+            .stderr(log)
+            .spawn()?;
+        self.nodes.insert(role, child);
+        Ok(())
+    }
+
+    /// Kills one node as a power cut would: at once, without a word.
+    pub fn kill(&mut self, role: Role) -> anyhow::Result<()> {
+        let mut child = self.nodes.remove(&role).context("this node does not run")?;
+        child.kill()?;
+        child.wait()?;
+        Ok(())
+    }
+
+    /// A file of this test.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// All FITS files that the archive wrote.
+    pub fn fits(&self) -> Vec<PathBuf> {
+        let mut found = Vec::new();
+        let mut folders = vec![self.path("images")];
+        while let Some(folder) = folders.pop() {
+            for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+                let path = entry.path();
+                if path.is_dir() {
+                    folders.push(path);
+                } else if path.extension().is_some_and(|extension| extension == "fits") {
+                    found.push(path);
+                }
+            }
+        }
+        found
+    }
+
+    /// Hears every frame that the archive stores from now on, and those of before.
+    pub async fn stored(&self) -> anyhow::Result<bus::Subscriber<Stored>> {
+        let key = Key::Stored(Address::new(SITE, TELESCOPE)?);
+        Ok(self.bus.subscribe(&key.to_string(), Catch::All, 4096).await?)
+    }
+
+    /// Waits until something holds, at most so long; the error shows the nodes' last words.
+    pub async fn until(&self, what: &str, limit_s: f64, holds: impl Fn(&Self) -> bool) -> anyhow::Result<Duration> {
+        let began = Instant::now();
+        while began.elapsed().as_secs_f64() < limit_s {
+            if holds(self) {
+                return Ok(began.elapsed());
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        anyhow::bail!("{what}: not within {limit_s} s\n{}", self.last_words());
+    }
+
+    /// The shutter, if it was told within the last 5 s.
+    pub fn shutter(&self) -> Option<Shutter> {
+        self.dome.fresh(Duration::from_secs(5))?.said.body.fields.shutter.known().copied()
+    }
+
+    /// Is the dome said to be open?
+    pub fn is_open(&self) -> bool {
+        self.shutter() == Some(Shutter::Open)
+    }
+
+    /// Is the dome said to be closed, and closed in truth?
+    pub fn is_shut(&self) -> bool {
+        self.shutter() == Some(Shutter::Closed) && self.simulator.world().dome_open() == 0.0
+    }
+
+    /// Is the mount said to be parked?
+    pub fn is_parked(&self) -> bool {
+        said(&self.mount).is_some_and(|mount| mount.fields.at_park.known() == Some(&true))
+    }
+
+    fn last_words(&self) -> String {
+        let mut words = String::new();
+        for state in
+            [debug(&self.dome), debug(&self.guard), debug(&self.safety), debug(&self.night), debug(&self.schedule)]
+        {
+            words.push_str(&state.chars().take(1500).collect::<String>());
+            words.push('\n');
+        }
+        for role in Role::ALL {
+            let log = std::fs::read_to_string(self.path(&format!("{role}.log"))).unwrap_or_default();
+            let tail: Vec<&str> = log.lines().rev().take(12).collect();
+            words.push_str(&format!("--- {role}\n{}\n", tail.into_iter().rev().collect::<Vec<_>>().join("\n")));
+        }
+        words
+    }
+}
+
+fn said<T: Payload>(latest: &Latest<T>) -> Option<T> {
+    latest.get().map(|heard| heard.said.body)
+}
+
+fn debug<T: Payload + std::fmt::Debug>(latest: &Latest<T>) -> String {
+    format!("{}: {:?}", T::NAME, said(latest))
+}
+
+impl Drop for Rig {
+    fn drop(&mut self) {
+        for child in self.nodes.values_mut() {
+            // it may have ended by itself; the wait reaps it either way
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+/// The `starmesh` binary beside the test binary.
+fn binary() -> anyhow::Result<PathBuf> {
+    let test = std::env::current_exe()?;
+    let folder = test.parent().and_then(Path::parent).context("a test binary lies in target/PROFILE/deps")?;
+    let binary = folder.join(if cfg!(windows) { "starmesh.exe" } else { "starmesh" });
+    anyhow::ensure!(binary.exists(), "{} is missing: run `cargo build --workspace` first", binary.display());
+    Ok(binary)
+}

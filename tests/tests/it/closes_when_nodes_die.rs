@@ -1,0 +1,50 @@
+//! Whoever dies, the dome closes.
+
+use contract::Role;
+use serde_json::json;
+use tests::{Rig, RigOptions, row};
+
+async fn open_rig() -> anyhow::Result<Rig> {
+    let mut rig = Rig::new(RigOptions::default(), |_| vec![row("open", json!({}))]).await?;
+    for role in [Role::Device, Role::Observatory] {
+        rig.start(role)?;
+    }
+    rig.until("the dome opens on a safe sky", 60.0, Rig::is_open).await?;
+    Ok(rig)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_guard_closes_when_the_observatory_is_killed() -> anyhow::Result<()> {
+    let mut rig = open_rig().await?;
+    rig.kill(Role::Observatory)?;
+    // the permit lasts 5 s here; shutter travel and a noisy machine take the rest
+    rig.until("the guard closes by itself", 30.0, Rig::is_shut).await?;
+    let guard = rig.guard.get().map(|guard| guard.said.body);
+    assert!(guard.as_ref().is_some_and(|guard| !guard.may_be_open && guard.hold), "{guard:?}");
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_device_node_that_starts_at_an_open_dome_closes_it_without_a_permit() -> anyhow::Result<()> {
+    let mut rig = open_rig().await?;
+    rig.kill(Role::Observatory)?;
+    rig.kill(Role::Device)?;
+    assert!(rig.simulator.world().dome_open() > 0.0, "nobody was left to close");
+    rig.start(Role::Device)?;
+    rig.until("the new device node closes", 40.0, Rig::is_shut).await?;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_new_observatory_takes_over_and_opens_again() -> anyhow::Result<()> {
+    let mut rig = open_rig().await?;
+    rig.kill(Role::Observatory)?;
+    rig.until("the guard closes by itself", 30.0, Rig::is_shut).await?;
+    rig.start(Role::Observatory)?;
+    let token = |rig: &Rig| rig.guard.get().map_or(0, |guard| guard.said.body.token);
+    rig.until("the new commander has the next token", 40.0, |rig| token(rig) >= 2).await?;
+    rig.until("the guard lets the newest commander open", 60.0, Rig::is_open).await?;
+    rig.simulator.world().set_unsafe(true);
+    rig.until("the dome ends shut", 30.0, Rig::is_shut).await?;
+    Ok(())
+}

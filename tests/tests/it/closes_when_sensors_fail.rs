@@ -1,0 +1,34 @@
+//! A sensor that is silent, lies or answers nonsense is unsafe.
+
+use serde_json::json;
+use simulator::{Fault, Kind};
+use tests::{Rig, RigOptions, row};
+
+async fn closes_on(fault: Fault, kind: Kind) -> anyhow::Result<()> {
+    let mut rig = Rig::new(RigOptions::default(), |_| vec![row("open", json!({}))]).await?;
+    for role in [contract::Role::Device, contract::Role::Observatory] {
+        rig.start(role)?;
+    }
+    rig.until("the dome opens on a safe sky", 60.0, Rig::is_open).await?;
+    rig.simulator.world().fault(kind, fault.clone());
+    let limit_s = if kind == Kind::ObservingConditions { 100.0 } else { 40.0 };
+    rig.until(&format!("the dome is shut after {fault:?}"), limit_s, Rig::is_shut).await?;
+    let reasons = rig.safety.get().map(|safety| safety.said.body.reasons).unwrap_or_default();
+    assert!(!reasons.is_empty(), "the verdict says why");
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_safety_monitor_that_hangs_is_unsafe() -> anyhow::Result<()> {
+    closes_on(Fault::hang(), Kind::SafetyMonitor).await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_safety_monitor_that_answers_html_is_unsafe() -> anyhow::Result<()> {
+    closes_on(Fault::html(), Kind::SafetyMonitor).await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_weather_station_that_says_nan_is_unsafe() -> anyhow::Result<()> {
+    closes_on(Fault::nan(), Kind::ObservingConditions).await
+}

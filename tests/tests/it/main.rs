@@ -1,0 +1,7 @@
+//! End to end: real nodes as processes, the simulated observatory, a private bus; every test ends with a shut roof.
+
+mod archive_away;
+mod closes_when_it_rains;
+mod closes_when_nodes_die;
+mod closes_when_sensors_fail;
+mod goes_on_after_a_restart;
