@@ -1,0 +1,114 @@
+//! The simulator's own HTTP: its clock, the truth, the faults, and the log.
+//!
+//! | request | does |
+//! |---|---|
+//! | `GET /simulator/v1/clock` | sky time and speed |
+//! | `GET /simulator/v1/world` | the truth about everything |
+//! | `PUT /simulator/v1/world/rain` `{"on": true}` | rain with clouds and damp |
+//! | `PUT /simulator/v1/world/weather` `{"WindSpeed": 22, "Humidity": null}` | orders values; null: as nature has it |
+//! | `PUT /simulator/v1/world/safety` `{"unsafe": true}` | the safety monitor says unsafe |
+//! | `PUT /simulator/v1/world/shutter` `{"sticks_half_open": true}` | |
+//! | `PUT /simulator/v1/world/park` `{"lies": true}` | `AtPark` is true whatever is the case |
+//! | `PUT /simulator/v1/world/ups` `{"on_mains": false}` | |
+//! | `PUT /simulator/v1/world/watchdog` `{"limit_s": 120}` | the dome's own watchdog; null: none |
+//! | `PUT /simulator/v1/world/connection` `{"lose": "camera"}` | device is not connected any more |
+//! | `GET`, `DELETE /simulator/v1/faults` | lists; clears these and all of the above |
+//! | `PUT /simulator/v1/faults/{kind}` | a [`Fault`] such as `{"stale": true}`; `{}` heals |
+//! | `GET /simulator/v1/log?since=17` | PUTs to devices with a number above 17, and request counts |
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::{Path, Query, State};
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::alpaca::text;
+use crate::faults::Fault;
+use crate::kind::Kind;
+use crate::weather::Quantity;
+use crate::world::World;
+
+/// `GET /simulator/v1/clock`: what a node's clock is set by.
+pub async fn clock(State(world): State<Arc<World>>) -> Json<Value> {
+    Json(json!({ "utc": world.now(), "speed": world.clock().speed(), "simulated": true }))
+}
+
+/// `GET /simulator/v1/world`.
+pub async fn world(State(world): State<Arc<World>>) -> Json<Value> {
+    Json(world.told())
+}
+
+/// `PUT /simulator/v1/world/{thing}`.
+pub async fn change(State(world): State<Arc<World>>, Path(thing): Path<String>, body: axum::body::Bytes) -> Response {
+    match serde_json::from_slice(&body).map_err(|error| error.to_string()).and_then(|v| obey(&world, &thing, &v)) {
+        Ok(()) => Json(world.told()).into_response(),
+        Err(message) => text(StatusCode::BAD_REQUEST, message),
+    }
+}
+
+fn obey(world: &World, thing: &str, order: &Value) -> Result<(), String> {
+    let truth = |name: &str| order[name].as_bool().ok_or(format!("expected {{\"{name}\": true or false}}"));
+    match thing {
+        "rain" => world.rain(truth("on")?),
+        "safety" => world.set_unsafe(truth("unsafe")?),
+        "shutter" => world.stick_shutter_half_open(truth("sticks_half_open")?),
+        "park" => world.lie_about_park(truth("lies")?),
+        "ups" => world.set_on_mains(truth("on_mains")?),
+        "watchdog" => world.set_watchdog(order["limit_s"].as_f64()),
+        "connection" => {
+            let kind = order["lose"].as_str().and_then(Kind::from_path).ok_or("expected {\"lose\": \"camera\"}")?;
+            world.lose_connection(kind);
+        }
+        "weather" => {
+            for (name, value) in order.as_object().ok_or("expected {\"WindSpeed\": 22}")? {
+                let quantity = Quantity::named(name).ok_or(format!("there is no weather quantity {name}"))?;
+                if !(value.is_number() || value.is_null()) {
+                    return Err(format!("{name} must be a number or null"));
+                }
+                world.set_weather(quantity, value.as_f64());
+            }
+        }
+        _ => return Err(format!("there is nothing called {thing} to change")),
+    }
+    Ok(())
+}
+
+/// `GET /simulator/v1/faults`.
+pub async fn faults(State(world): State<Arc<World>>) -> Json<Value> {
+    Json(json!(world.faults()))
+}
+
+/// `PUT /simulator/v1/faults/{kind}`.
+pub async fn set_fault(State(world): State<Arc<World>>, Path(kind): Path<String>, body: axum::body::Bytes) -> Response {
+    let Some(kind) = Kind::from_path(&kind) else {
+        return text(StatusCode::BAD_REQUEST, format!("there is no device {kind}"));
+    };
+    match serde_json::from_slice::<Fault>(&body) {
+        Ok(fault) => {
+            world.fault(kind, fault);
+            Json(json!(world.faults())).into_response()
+        }
+        Err(error) => text(StatusCode::BAD_REQUEST, error.to_string()),
+    }
+}
+
+/// `DELETE /simulator/v1/faults`.
+pub async fn clear(State(world): State<Arc<World>>) -> Json<Value> {
+    world.clear_faults();
+    Json(json!({}))
+}
+
+/// The part of the log that is wanted.
+#[derive(Debug, Deserialize)]
+pub struct Since {
+    #[serde(default)]
+    since: u64,
+}
+
+/// `GET /simulator/v1/log`.
+pub async fn log(State(world): State<Arc<World>>, Query(Since { since }): Query<Since>) -> Json<Value> {
+    Json(json!({ "requests": world.request_counts(), "puts": world.puts_since(since) }))
+}

@@ -1,0 +1,204 @@
+//! The dome: a turning roof with a shutter, and a watchdog of its own.
+
+use std::time::Instant;
+
+use serde_json::{Value, json};
+
+use crate::answer::{Answer, DONE, Refusal, within};
+use crate::options::DomeOptions;
+use crate::request::Request;
+use crate::travel::Travel;
+
+/// Properties that are read without parameters, in ASCOM's case.
+pub const PROPERTIES: &[&str] = &[
+    "AtHome",
+    "AtPark",
+    "Azimuth",
+    "CanFindHome",
+    "CanPark",
+    "CanSetAltitude",
+    "CanSetAzimuth",
+    "CanSetPark",
+    "CanSetShutter",
+    "CanSlave",
+    "CanSyncAzimuth",
+    "ShutterStatus",
+    "Slaved",
+    "Slewing",
+];
+
+/// What `DeviceState` tells.
+pub const STATE: &[&str] = &["AtHome", "AtPark", "Azimuth", "ShutterStatus", "Slewing"];
+
+/// Actions beyond ASCOM's own members.
+pub const ACTIONS: &[&str] = &["feedwatchdog", "watchdog"];
+
+const HOME_DEG: f64 = 90.0;
+
+/// A dome.
+#[derive(Debug)]
+pub struct Dome {
+    azimuth: Travel,
+    /// 0 closed, 1 open.
+    shutter: Travel,
+    slaved: bool,
+    park_deg: f64,
+    parking: bool,
+    parked: bool,
+    /// The shutter sticks half-way, whichever way it is sent.
+    pub sticks_half_open: bool,
+    /// Closes when no PUT came for this long, machine seconds; None: never.
+    pub watchdog_s: Option<f64>,
+    /// How often the watchdog has closed the dome.
+    pub watchdog_closings: u32,
+    heard: Instant,
+}
+
+impl Dome {
+    /// Closed and parked.
+    pub fn new(options: &DomeOptions) -> Self {
+        Self {
+            azimuth: Travel::resting(0.0, options.turn_deg_per_s),
+            shutter: Travel::resting(0.0, 1.0 / options.shutter_s.max(1e-3)),
+            slaved: false,
+            park_deg: 0.0,
+            parking: false,
+            parked: true,
+            sticks_half_open: false,
+            watchdog_s: options.watchdog_s,
+            watchdog_closings: 0,
+            heard: Instant::now(),
+        }
+    }
+
+    /// Fraction of the slit that is open.
+    pub fn open(&self) -> f64 {
+        self.shutter.at()
+    }
+
+    /// Lets sky time pass, with the telescope looking at `telescope_azimuth_deg`.
+    pub fn advance(&mut self, dt: f64, telescope_azimuth_deg: f64) {
+        if self.slaved {
+            self.azimuth.send_round(telescope_azimuth_deg);
+        }
+        self.azimuth.advance(dt);
+        if self.parking && !self.azimuth.is_moving() {
+            (self.parking, self.parked) = (false, true);
+        }
+        self.bark();
+        let before = self.shutter.at();
+        self.shutter.advance(dt);
+        let reaches_half = (before - 0.5) * (self.shutter.at() - 0.5) <= 0.0;
+        if self.sticks_half_open && self.shutter.target() != 0.5 && reaches_half {
+            self.shutter = self.shutter.moved_to(0.5);
+        }
+    }
+
+    /// The hardware watchdog: an open dome that nobody commands closes itself.
+    fn bark(&mut self) {
+        let due = self.watchdog_s.is_some_and(|limit_s| self.heard.elapsed().as_secs_f64() > limit_s);
+        if due && self.shutter.target() > 0.0 {
+            self.shutter.send(0.0);
+            self.watchdog_closings += 1;
+        }
+    }
+
+    fn shutter_status(&self) -> i32 {
+        match (self.shutter.at(), self.shutter.target()) {
+            (at, target) if target > at => 2,
+            (at, target) if target < at => 3,
+            (at, _) if at >= 1.0 => 0,
+            (at, _) if at <= 0.0 => 1,
+            // neither open nor closed and at rest: error, as ASCOM has no word for ajar
+            _ => 4,
+        }
+    }
+
+    /// Tells the watchdog that somebody is there.
+    pub fn feed(&mut self) {
+        self.heard = Instant::now();
+    }
+
+    /// Answers a GET.
+    pub fn get(&self, request: &Request) -> Answer {
+        let azimuth = self.azimuth.at().rem_euclid(360.0);
+        Ok(match request.member.as_str() {
+            "altitude" => return Err(Refusal::not_implemented("Altitude")),
+            "athome" => json!(!self.azimuth.is_moving() && (azimuth - HOME_DEG).abs() < 0.1),
+            "atpark" => json!(self.parked),
+            "azimuth" => json!(azimuth),
+            "canfindhome" | "canpark" | "cansetazimuth" | "cansetpark" | "cansetshutter" | "canslave"
+            | "cansyncazimuth" => json!(true),
+            "cansetaltitude" => json!(false),
+            "shutterstatus" => json!(self.shutter_status()),
+            "slaved" => json!(self.slaved),
+            "slewing" => json!(self.azimuth.is_moving() || self.shutter.is_moving()),
+            _ => return Err(Refusal::UnknownMember),
+        })
+    }
+
+    /// Obeys a PUT; any PUT feeds the watchdog.
+    pub fn put(&mut self, request: &Request) -> Answer {
+        self.heard = Instant::now();
+        match request.member.as_str() {
+            "abortslew" => {
+                self.slaved = false;
+                self.parking = false;
+                self.azimuth.stop();
+                self.shutter.stop();
+            }
+            "closeshutter" => self.shutter.send(0.0),
+            "openshutter" => self.shutter.send(1.0),
+            "findhome" => self.turn(HOME_DEG)?,
+            "park" => {
+                if !self.parked {
+                    self.slaved = false;
+                    self.turn(self.park_deg)?;
+                    self.parking = true;
+                }
+            }
+            "setpark" => self.park_deg = self.azimuth.at().rem_euclid(360.0),
+            "slaved" => {
+                self.slaved = request.truth("Slaved")?;
+                self.parked &= !self.slaved;
+            }
+            "slewtoazimuth" => self.turn(azimuth(request)?)?,
+            "synctoazimuth" => {
+                let here = azimuth(request)?;
+                self.refuse_slaved()?;
+                self.azimuth = self.azimuth.moved_to(here);
+            }
+            "slewtoaltitude" => return Err(Refusal::not_implemented("SlewToAltitude")),
+            _ => return Err(Refusal::UnknownMember),
+        }
+        DONE
+    }
+
+    /// `Action`: feeds the watchdog (any PUT has done so already), or sets its limit (`off` or seconds).
+    pub fn action(&mut self, action: &str, parameters: &str) -> Answer {
+        self.heard = Instant::now();
+        match action {
+            "feedwatchdog" => Ok(Value::from("fed")),
+            "watchdog" => {
+                self.watchdog_s = parameters.trim().parse().ok().filter(|limit_s: &f64| *limit_s > 0.0);
+                Ok(Value::from(self.watchdog_s.map_or("off".to_owned(), |limit_s| format!("{limit_s} s"))))
+            }
+            _ => Err(Refusal::action_not_implemented(action)),
+        }
+    }
+
+    fn turn(&mut self, azimuth_deg: f64) -> Result<(), Refusal> {
+        self.refuse_slaved()?;
+        self.azimuth.send_round(azimuth_deg);
+        (self.parking, self.parked) = (false, false);
+        Ok(())
+    }
+
+    fn refuse_slaved(&self) -> Result<(), Refusal> {
+        if self.slaved { Err(Refusal::slaved()) } else { Ok(()) }
+    }
+}
+
+fn azimuth(request: &Request) -> Result<f64, Refusal> {
+    within("Azimuth", request.number("Azimuth")?, 0.0, 360.0 - 1e-9)
+}

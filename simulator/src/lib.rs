@@ -1,0 +1,72 @@
+//! A whole observatory that is not there: an Alpaca server with a sky, a world and faults.
+//!
+//! One [`World`] has one clock, and everything physical in it happens in that clock's sky time: the Sun sinks, the
+//! weather wanders, the mount slews and drifts, the shutter travels, the cooler cools. At speed 60 a minute of night
+//! takes a second of machine time. Ten devices, one of each ASCOM kind, look at that world through the Alpaca
+//! protocol ([`alpaca`]); each has a file of its name. A device is a plain struct: `get` and `put` speak ASCOM,
+//! `advance` lets sky time pass, and a [`scene::Scene`] shows it the rest of the observatory.
+//!
+//! The stars are real. The camera looks where the mount truly points (which is not quite where it says), through
+//! filter, focus, seeing and clouds, at the catalogue that Starmesh ships; so the same right ascension and declination
+//! always show the same stars, and solving, guiding and focusing can close their loops on it. Faint stars for narrow
+//! fields come from a seeded sky ([`faint`]) that can be written out as a catalogue.
+//!
+//! Things go wrong by order: through methods of [`World`] in tests, through HTTP ([`control`]) from anywhere.
+//!
+//! ```no_run
+//! # async fn night() -> Result<(), simulator::SimulatorError> {
+//! let simulator = simulator::Simulator::start(simulator::Options { speed: 60.0, ..Default::default() }).await?;
+//! println!("Alpaca at http://{}/", simulator.address());
+//! simulator.world().rain(true);
+//! simulator.stop().await;
+//! # Ok(())
+//! # }
+//! ```
+
+pub mod alpaca;
+mod answer;
+mod camera;
+pub mod catalogue;
+mod chance;
+mod clock;
+mod common;
+mod connection;
+pub mod control;
+mod cover_calibrator;
+mod discovery;
+mod dome;
+pub mod exposure;
+pub mod faint;
+mod faults;
+mod filter_wheel;
+mod focuser;
+mod frame;
+mod kind;
+mod log;
+mod management;
+mod mount;
+mod observatory;
+mod observing_conditions;
+mod options;
+pub mod render;
+mod request;
+mod rotator;
+mod safety_monitor;
+pub mod scene;
+mod server;
+
+mod switch;
+mod telescope;
+mod travel;
+mod weather;
+mod world;
+
+pub use clock::SkyClock;
+pub use faults::Fault;
+pub use frame::Frame;
+pub use kind::Kind;
+pub use log::Entry;
+pub use options::{CameraOptions, DomeOptions, Filter, FocusOptions, MountOptions, Options};
+pub use server::{Simulator, SimulatorError, run};
+pub use weather::{Conditions, Quantity};
+pub use world::World;

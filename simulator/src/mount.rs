@@ -1,0 +1,207 @@
+//! The machine under the telescope: axes that take time, and the errors between where they say they point and
+//! where the telescope looks.
+
+use std::f64::consts::TAU;
+
+use sky::{Icrs, Observer};
+use units::Angle;
+
+use crate::chance::Chance;
+use crate::options::MountOptions;
+
+/// Sidereal rate, arcsec per second.
+pub const SIDEREAL_ARCSEC_PER_S: f64 = 15.041_067;
+
+/// What happens when a slew arrives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Arrival {
+    /// Goes on as before.
+    Target,
+    /// Is parked.
+    Park,
+    /// Is at home.
+    Home,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Slew {
+    from: [f64; 2],
+    by: [f64; 2],
+    elapsed_s: f64,
+    duration_s: f64,
+    arrival: Arrival,
+}
+
+/// The mount: where its axes are, and how wrong they are.
+#[derive(Debug)]
+pub struct Mount {
+    options: MountOptions,
+    /// Right ascension and declination that the encoders say, ICRS degrees.
+    axes: [f64; 2],
+    slew: Option<Slew>,
+    /// Rest after a slew before it counts as over, sky seconds.
+    pub settle_s: f64,
+    settle_left_s: f64,
+    /// Whether the right ascension axis follows the sky.
+    pub tracking: bool,
+    /// Parked.
+    pub parked: bool,
+    /// At home.
+    pub home: bool,
+    /// Tube west of the pier, looking east.
+    pub pier_west: bool,
+    /// Extra rates while tracking, arcsec per second, in right ascension (coordinate) and declination.
+    pub rates: [f64; 2],
+    /// `MoveAxis` rates, deg per second.
+    pub axis_rates: [f64; 2],
+    /// Pulses still to run: seconds left and arcsec per second, per axis.
+    pulses: [(f64, f64); 2],
+    /// Telescope less encoders, arcsec on the sky (east, north): syncs and drift.
+    offset: [f64; 2],
+    scatter: [f64; 2],
+    tracked_s: f64,
+    chance: Chance,
+}
+
+impl Mount {
+    /// A parked mount whose axes stand at `axes`.
+    pub fn parked_at(axes: Icrs, options: MountOptions, seed: u64) -> Self {
+        Self {
+            options,
+            axes: [axes.ra.degrees(), axes.dec.degrees()],
+            slew: None,
+            settle_s: options.settle_s,
+            settle_left_s: 0.0,
+            tracking: false,
+            parked: true,
+            home: false,
+            pier_west: false,
+            rates: [0.0; 2],
+            axis_rates: [0.0; 2],
+            pulses: [(0.0, 0.0); 2],
+            offset: [0.0; 2],
+            scatter: [0.0; 2],
+            tracked_s: 0.0,
+            chance: Chance::new(seed, 0x3007),
+        }
+    }
+
+    /// Where the encoders say the telescope points.
+    pub fn encoders(&self) -> Icrs {
+        Icrs::from_degrees(self.axes[0].rem_euclid(360.0), self.axes[1])
+    }
+
+    /// Where the telescope looks.
+    pub fn looks_at(&self, observer: &Observer) -> Icrs {
+        let [east, north] = self.error_arcsec(observer);
+        let dec = (self.axes[1] + north / 3600.0).clamp(-90.0, 90.0);
+        let ra = self.axes[0] + east / 3600.0 / self.axes[1].to_radians().cos().max(0.01);
+        Icrs::from_degrees(ra.rem_euclid(360.0), dec)
+    }
+
+    /// Moving under a slew, an axis rate, or settling.
+    pub fn is_slewing(&self) -> bool {
+        self.slew.is_some() || self.settle_left_s > 0.0 || self.axis_rates != [0.0; 2]
+    }
+
+    /// A guide pulse runs.
+    pub fn is_pulse_guiding(&self) -> bool {
+        self.pulses.iter().any(|(left_s, _)| *left_s > 0.0)
+    }
+
+    /// Where a slew to `target` would put the tube: west of the pier for stars in the east.
+    pub fn destination_is_west(&self, observer: &Observer, target: Icrs) -> bool {
+        self.options.german && observer.hour_angle(&target).wrapped_signed().degrees() < 0.0
+    }
+
+    /// Starts a slew.
+    pub fn slew_to(&mut self, observer: &Observer, target: Icrs, arrival: Arrival) {
+        let west = self.destination_is_west(observer, target);
+        let by = [
+            Angle::from_degrees(target.ra.degrees() - self.axes[0]).wrapped_signed().degrees(),
+            target.dec.degrees() - self.axes[1],
+        ];
+        // through the pole both axes of a German mount turn: half a turn less what the target asks anyway
+        let flip_deg = if west == self.pier_west { 0.0 } else { 180.0 - by[0].abs() };
+        let way_deg = flip_deg.max(by[0].abs()).max(by[1].abs());
+        let duration_s = way_deg / self.options.slew_deg_per_s;
+        self.slew = Some(Slew { from: self.axes, by, elapsed_s: 0.0, duration_s, arrival });
+        self.pier_west = west;
+        (self.parked, self.home) = (false, false);
+        self.axis_rates = [0.0; 2];
+        self.pulses = [(0.0, 0.0); 2];
+        self.scatter = std::array::from_fn(|_| self.chance.normal() * self.options.scatter_arcsec);
+    }
+
+    /// Stops all motion but tracking.
+    pub fn abort(&mut self) {
+        self.slew = None;
+        self.settle_left_s = 0.0;
+        self.axis_rates = [0.0; 2];
+        self.pulses = [(0.0, 0.0); 2];
+    }
+
+    /// Tells the encoders that the telescope looks at `here`; the telescope stays where it is.
+    pub fn sync(&mut self, here: Icrs) {
+        let ra = Angle::from_degrees(self.axes[0] - here.ra.degrees()).wrapped_signed().arcseconds();
+        self.offset[0] += ra * here.dec.cos();
+        self.offset[1] += (self.axes[1] - here.dec.degrees()) * 3600.0;
+        self.axes = [here.ra.degrees(), here.dec.degrees()];
+    }
+
+    /// Moves the telescope at `arcsec_per_s` (coordinate rate) along an axis (0 right ascension, 1 declination).
+    pub fn pulse(&mut self, axis: usize, arcsec_per_s: f64, duration_s: f64) {
+        self.pulses[axis] = (duration_s, arcsec_per_s);
+    }
+
+    /// Lets sky time pass.
+    pub fn advance(&mut self, dt: f64) {
+        if let Some(mut slew) = self.slew.take() {
+            slew.elapsed_s += dt;
+            let part = if slew.duration_s > 0.0 { (slew.elapsed_s / slew.duration_s).min(1.0) } else { 1.0 };
+            self.axes = [slew.from[0] + part * slew.by[0], slew.from[1] + part * slew.by[1]];
+            if part < 1.0 {
+                self.slew = Some(slew);
+                return;
+            }
+            self.settle_left_s = self.settle_s;
+            (self.parked, self.home) = (slew.arrival == Arrival::Park, slew.arrival == Arrival::Home);
+            if self.parked {
+                self.tracking = false;
+            }
+            return;
+        }
+        self.settle_left_s = (self.settle_left_s - dt).max(0.0);
+        self.axes[0] += self.axis_rates[0] * dt;
+        self.axes[1] = (self.axes[1] + self.axis_rates[1] * dt).clamp(-90.0, 90.0);
+        for axis in 0..2 {
+            let (left_s, rate) = self.pulses[axis];
+            self.axes[axis] += rate * left_s.min(dt) / 3600.0;
+            self.pulses[axis].0 = (left_s - dt).max(0.0);
+        }
+        if self.tracking {
+            self.tracked_s += dt;
+            self.axes[0] += self.rates[0] * dt / 3600.0;
+            self.axes[1] += self.rates[1] * dt / 3600.0;
+            let (east, north) = self.options.drift_arcsec_per_min;
+            self.offset[0] += east * dt / 60.0;
+            self.offset[1] += north * dt / 60.0;
+        } else {
+            self.axes[0] += SIDEREAL_ARCSEC_PER_S * dt / 3600.0;
+        }
+    }
+
+    /// Telescope less encoders on the sky, arcsec to the east and to the north.
+    ///
+    /// Index errors, a polar axis that misses the pole, a tube that bends, worm, drift, syncs and chance.
+    fn error_arcsec(&self, observer: &Observer) -> [f64; 2] {
+        let size = self.options.pointing_error_arcmin * 60.0;
+        let (sin_h, cos_h) = observer.hour_angle(&self.encoders()).radians().sin_cos();
+        let (sin_dec, cos_dec) = self.axes[1].to_radians().sin_cos();
+        let worm = self.options.periodic_error_arcsec * (TAU * self.tracked_s / self.options.worm_period_s).sin();
+        [
+            size * (0.6 * cos_dec + 0.25 * sin_h * sin_dec) + worm * cos_dec + self.offset[0] + self.scatter[0],
+            size * (-0.5 + 0.25 * cos_h + 0.2 * sin_dec) + self.offset[1] + self.scatter[1],
+        ]
+    }
+}
