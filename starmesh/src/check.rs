@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use clap::Args;
+use contract::Name;
 
 /// Options of `starmesh check`.
 #[derive(Debug, Args)]
@@ -27,8 +28,9 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
         return Ok(());
     }
     let text = std::fs::read_to_string(schedule).with_context(|| format!("cannot read {}", schedule.display()))?;
-    let rows = node_observatory::check_schedule(&text, &config)
-        .map_err(|fault| anyhow::anyhow!("{} is not a valid schedule:\n{fault}", schedule.display()))?;
-    println!("{}: valid ({rows} rows)", schedule.display());
+    let cameras: Vec<Name> = config.camera.iter().map(|camera| camera.common.name.clone()).collect();
+    let rows = node_observatory::schedule::parse(&text, &cameras)
+        .with_context(|| format!("{} is not a valid schedule", schedule.display()))?;
+    println!("{}: valid ({} rows)", schedule.display(), rows.len());
     Ok(())
 }

@@ -10,22 +10,22 @@ pub struct Options {
     /// How long to wait for answers, s.
     #[arg(long, default_value_t = 2.0)]
     seconds: f64,
-    /// UDP port that Alpaca servers answer on.
-    #[arg(long, default_value_t = node_device::alpaca::discovery::PORT)]
-    port: u16,
 }
 
 /// Asks the network and prints what answered.
 pub async fn run(options: Options) -> anyhow::Result<()> {
     anyhow::ensure!((0.1..=60.0).contains(&options.seconds), "--seconds {}: expected 0.1 to 60", options.seconds);
-    let found =
-        node_device::alpaca::discovery::discover(options.port, Duration::from_secs_f64(options.seconds)).await?;
+    let found = node_device::alpaca::discovery::discover(Duration::from_secs_f64(options.seconds)).await?;
     if found.is_empty() {
-        println!("# no Alpaca server answered on UDP port {} within {} s", options.port, options.seconds);
+        println!(
+            "# no Alpaca server answered on UDP port {} within {} s",
+            node_device::alpaca::discovery::PORT,
+            options.seconds
+        );
         println!("# servers in another subnet, or without discovery, are written by hand: server = \"host:port\"");
     }
     for device in &found {
-        println!("{}", device.as_toml());
+        println!("{}", node_device::alpaca::discovery::as_toml(device));
     }
     Ok(())
 }

@@ -66,6 +66,8 @@ def night(starmesh, catalogue, tmp_path_factory):
         print(site.logs())
         raise
     finally:
+        if hasattr(record, "ear"):
+            record.ear.close()
         record.exit_codes = site.stop()
     yield record
 

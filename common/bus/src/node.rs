@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::future::Future;
+use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -242,7 +243,8 @@ fn init_tracing() -> Option<mpsc::Receiver<DiaryLine>> {
     let filter = tracing_subscriber::EnvFilter::new(words);
     let (diary, lines) = DiaryLayer::new();
     let diary_filter = tracing_subscriber::EnvFilter::new("info,zenoh=error,zenoh_ext=error");
-    let console = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_filter(filter);
+    let colour = std::io::stderr().is_terminal();
+    let console = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_ansi(colour).with_filter(filter);
     let set = tracing_subscriber::registry().with(console).with(diary.with_filter(diary_filter)).try_init();
     set.is_ok().then_some(lines)
 }

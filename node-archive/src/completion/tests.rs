@@ -1,0 +1,173 @@
+//! A header is the old one or the new one, wherever the kill comes.
+
+use contract::device::camera::Pixel;
+
+use super::*;
+use crate::card::{Card, CardValue};
+use crate::fits::Shape;
+
+const SHAPE: Shape = Shape { pixel: Pixel::U16, width_px: 50, height_px: 40, planes: 1 };
+
+fn pixels() -> Vec<u8> {
+    (0..2000u16).flat_map(|i| (i.wrapping_mul(2741)).to_le_bytes()).collect()
+}
+
+fn new_file(folder: &Path, room: usize) -> PathBuf {
+    let path = folder.join("a [1] frame.fits"); // brackets are cfitsio's filter syntax, and must mean nothing
+    let mut fits = FitsFile::create(&path, &SHAPE).unwrap();
+    assert!(fits.set(&Card::new("OBJECT", "Rigel".into(), "object")).unwrap());
+    assert!(!fits.set(&Card::new("BAD", CardValue::Float(f64::NAN), "")).unwrap());
+    fits.reserve(room).unwrap();
+    fits.write_pixels(&SHAPE, &pixels()).unwrap();
+    fits.write_checksums().unwrap();
+    fits.close().unwrap();
+    path
+}
+
+fn plan() -> Plan {
+    let mut cards: Vec<Card> =
+        (0..60).map(|i| Card::new(&format!("KEY{i}"), CardValue::Float(f64::from(i) / 7.0), "a number")).collect();
+    cards.push(Card::new("OBJECT", "O'Brien".into(), "renamed"));
+    Plan { cards, history: vec!["not known at DATE-OBS: HUMIDITY".to_owned()] }
+}
+
+/// Ones' complement sum over the file's 32-bit words, which CHECKSUM makes all ones.
+fn is_checksum_right(bytes: &[u8]) -> bool {
+    let mut sum: u64 = bytes.chunks(4).map(|word| u64::from(u32::from_be_bytes(word.try_into().unwrap()))).sum();
+    while sum >> 32 != 0 {
+        sum = (sum & 0xffff_ffff) + (sum >> 32);
+    }
+    sum == 0xffff_ffff
+}
+
+fn data_of(path: &Path) -> Vec<u8> {
+    let start = Header::read(path).unwrap().blocks.len();
+    std::fs::read(path).unwrap()[start..].to_vec()
+}
+
+fn assert_complete(path: &Path, data: &[u8]) {
+    let header = Header::read(path).unwrap();
+    assert_eq!(header.value("KEY59").unwrap().parse::<f64>().unwrap(), 59.0 / 7.0);
+    assert_eq!(header.value("OBJECT").unwrap(), "O'Brien");
+    assert_eq!(header.cards().filter(|card| card.starts_with("HISTORY not known")).count(), 1);
+    assert_eq!(header.cards().filter(|card| card.starts_with("OBJECT")).count(), 1);
+    assert_eq!(data_of(path), data);
+    assert!(is_checksum_right(&std::fs::read(path).unwrap()));
+    assert!(!journal_of(path).exists());
+}
+
+#[test]
+fn a_new_file_reads_back_as_it_was_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = new_file(folder.path(), 100);
+    let header = Header::read(&path).unwrap();
+    assert_eq!(header.value("OBJECT").unwrap(), "Rigel");
+    assert_eq!((header.value("BITPIX").unwrap(), header.value("BZERO").unwrap()), ("16".to_owned(), "32768".to_owned()));
+    assert!(header.keywords().contains("DATASUM") && !header.keywords().contains("BAD"));
+    assert!(is_checksum_right(&std::fs::read(&path).unwrap()));
+    // an independent reader; brackets in the name are for cfitsio's own syntax, so it gets a plain one
+    let plain = folder.path().join("plain.fits");
+    std::fs::copy(&path, &plain).unwrap();
+    let mut file = fitsio::FitsFile::open(&plain).unwrap();
+    let image: Vec<u16> = file.primary_hdu().unwrap().read_image(&mut file).unwrap();
+    assert_eq!(image.iter().flat_map(|pixel| pixel.to_le_bytes()).collect::<Vec<u8>>(), pixels());
+}
+
+#[test]
+fn all_pixel_types_and_planes_are_written() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, pixel, planes, bitpix) in [("i", Pixel::I32, 1, "32"), ("f", Pixel::F64, 1, "-64"), ("c", Pixel::U16, 3, "16")] {
+        let shape = Shape { pixel, width_px: 3, height_px: 2, planes };
+        let path = folder.path().join(name);
+        let mut fits = FitsFile::create(&path, &shape).unwrap();
+        assert!(fits.write_pixels(&shape, &[0; 5]).is_err(), "too few pixels");
+        let bytes: Vec<u8> = (0..shape.bytes().unwrap()).map(|i| (i % 63) as u8).collect();
+        fits.write_pixels(&shape, &bytes).unwrap();
+        fits.close().unwrap();
+        let header = Header::read(&path).unwrap();
+        assert_eq!(header.value("BITPIX").unwrap(), bitpix);
+        assert_eq!(header.value("NAXIS").unwrap(), if planes == 1 { "2" } else { "3" });
+        assert_eq!(header.value("NAXIS3"), (planes > 1).then(|| planes.to_string()));
+        // big endian on disk
+        if pixel == Pixel::I32 {
+            assert_eq!(data_of(&path)[..4], [bytes[3], bytes[2], bytes[1], bytes[0]]);
+        }
+    }
+    assert!(FitsFile::create(&folder.path().join("i"), &SHAPE).is_err(), "an existing file is not replaced");
+    assert!(FitsFile::create(&folder.path().join("z"), &Shape { width_px: 0, ..SHAPE }).is_err());
+    assert!(FitsFile::create(&folder.path().join("no/such/folder"), &SHAPE).is_err());
+}
+
+#[test]
+fn completing_in_place_moves_no_pixel_and_twice_is_as_good_as_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = new_file(folder.path(), 100);
+    let (data, length) = (data_of(&path), std::fs::metadata(&path).unwrap().len());
+    complete_file(&path, &plan()).unwrap();
+    assert_complete(&path, &data);
+    assert_eq!(std::fs::metadata(&path).unwrap().len(), length);
+    let once = std::fs::read(&path).unwrap();
+    complete_file(&path, &plan()).unwrap();
+    assert_eq!(std::fs::read(&path).unwrap(), once);
+}
+
+#[test]
+fn a_header_without_room_is_completed_in_a_new_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = new_file(folder.path(), 0);
+    let (data, length) = (data_of(&path), std::fs::metadata(&path).unwrap().len());
+    complete_file(&path, &plan()).unwrap();
+    assert_complete(&path, &data);
+    assert!(std::fs::metadata(&path).unwrap().len() > length);
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left beside it");
+}
+
+#[test]
+fn a_kill_at_any_step_leaves_the_old_header_or_the_new_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = new_file(folder.path(), 100);
+    let (data, old) = (data_of(&path), std::fs::read(&path).unwrap());
+    let Prepared::InPlace(header) = prepare(&path, &plan()).unwrap() else { panic!("the header has room") };
+
+    // killed while the copy was worked on: the file is untouched, and completing starts again
+    assert_eq!(std::fs::read(&path).unwrap(), old);
+    recover(&path).unwrap();
+    assert!(!journal_of(&path).exists());
+    assert_eq!(std::fs::read(&path).unwrap(), old);
+
+    // killed while the journal was written, after any number of bytes
+    write_journal(&path, &header).unwrap();
+    let journal = std::fs::read(journal_of(&path)).unwrap();
+    for length in (0..journal.len()).step_by(97) {
+        std::fs::write(journal_of(&path), &journal[..length]).unwrap();
+        recover(&path).unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), old, "{length} bytes of journal");
+    }
+
+    // killed while the new header was written over the old one, after any number of bytes
+    for length in (0..=header.len()).step_by(131) {
+        std::fs::write(journal_of(&path), &journal).unwrap();
+        let mut torn = old.clone();
+        torn[..length].copy_from_slice(&header[..length]);
+        std::fs::write(&path, &torn).unwrap();
+        recover(&path).unwrap();
+        assert_complete(&path, &data);
+    }
+
+    // killed before the journal was removed, and completed again
+    std::fs::write(journal_of(&path), &journal).unwrap();
+    complete_file(&path, &plan()).unwrap();
+    assert_complete(&path, &data);
+}
+
+#[test]
+fn what_is_no_fits_file_is_refused_and_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("x.fits");
+    assert!(complete_file(&path, &plan()).is_err(), "no file");
+    for bytes in [&b""[..], b"hello", &[b' '; 5760]] {
+        std::fs::write(&path, bytes).unwrap();
+        assert!(matches!(complete_file(&path, &plan()), Err(CompletionError::NoHeader(_))));
+        assert_eq!(std::fs::read(&path).unwrap(), bytes);
+    }
+}

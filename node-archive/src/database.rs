@@ -1,0 +1,406 @@
+//! The archive's SQLite file: one thread writes, in batches, and never loses a row without saying so.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use bus::AlertBoard;
+use contract::device::camera::Frame;
+use contract::node::Level;
+use contract::observatory::Priority;
+use contract::{BootId, CommandId, Device, Scalar};
+use rusqlite::{Connection, Transaction, params};
+use tokio::sync::{mpsc, oneshot};
+use units::Utc;
+
+/// Rows of one commit, at most.
+const BATCH: usize = 200;
+/// The longest that a row waits for others to be committed with it.
+const PATIENCE: Duration = Duration::from_millis(200);
+/// Rows that wait for the writer; beyond that, those who bring them wait too.
+const WAITING: usize = 10_000;
+/// A writer that cannot commit tries again after so long, and when the node ends for so many times.
+const RETRY: Duration = Duration::from_secs(1);
+const LAST_TRIES: u32 = 5;
+/// Version of the tables; older files are brought up to it, newer ones are refused.
+const VERSION: i64 = 1;
+const ALERT: &str = "archive/database";
+
+/// The predecessor's tables with its columns first. Uniqueness makes a repeated message harmless.
+const SCHEMA: &str = "
+CREATE TABLE polling (
+    device_type TEXT NOT NULL, device_name TEXT NOT NULL, device_command TEXT NOT NULL,
+    device_value TEXT, datetime TEXT NOT NULL,
+    value_type TEXT NOT NULL, no_data TEXT, telescope TEXT NOT NULL, boot_id TEXT NOT NULL, seq INTEGER NOT NULL,
+    UNIQUE (device_type, device_name, device_command, datetime, telescope)
+);
+CREATE TABLE images (
+    filename TEXT NOT NULL, camera_name TEXT NOT NULL, complete_hdr INTEGER NOT NULL, date_obs TEXT NOT NULL,
+    frame_id TEXT NOT NULL UNIQUE, file TEXT NOT NULL, sha256 TEXT NOT NULL, bytes INTEGER NOT NULL,
+    stored TEXT NOT NULL, frame TEXT NOT NULL
+);
+CREATE INDEX images_incomplete ON images (date_obs) WHERE complete_hdr = 0;
+CREATE INDEX images_date ON images (date_obs);
+CREATE TABLE writing (frame_id TEXT PRIMARY KEY, file TEXT NOT NULL);
+CREATE TABLE log (
+    datetime TEXT NOT NULL, level TEXT NOT NULL, message TEXT NOT NULL,
+    node TEXT NOT NULL, target TEXT NOT NULL, telescope TEXT NOT NULL, boot_id TEXT NOT NULL, seq INTEGER NOT NULL,
+    UNIQUE (boot_id, seq, node)
+);
+CREATE INDEX log_date ON log (datetime);
+";
+
+/// The database could not be opened or asked.
+#[derive(Debug, thiserror::Error)]
+pub enum DatabaseError {
+    /// SQLite.
+    #[error("cannot {what} the database {}: {source}", file.display())]
+    Sqlite {
+        /// What was being done.
+        what: &'static str,
+        /// With which file.
+        file: PathBuf,
+        /// Why.
+        #[source]
+        source: rusqlite::Error,
+    },
+    /// The folder or the thread could not be made.
+    #[error("cannot prepare the database {}: {source}", file.display())]
+    Io {
+        /// Which file.
+        file: PathBuf,
+        /// Why.
+        #[source]
+        source: std::io::Error,
+    },
+    /// A newer Starmesh wrote it.
+    #[error("the database {} has version {found}; this Starmesh knows up to {VERSION}", file.display())]
+    Newer {
+        /// Which file.
+        file: PathBuf,
+        /// Its version.
+        found: i64,
+    },
+    /// The writer ended and takes nothing more.
+    #[error("the database's writer has ended")]
+    Ended,
+}
+
+/// One thing to be written.
+#[derive(Debug, Clone)]
+pub enum Write {
+    /// A polled value, or why there was none.
+    Reading {
+        /// Whose.
+        device: Device,
+        /// ASCOM name of the property.
+        property: String,
+        /// The value.
+        value: Result<Scalar, String>,
+        /// Sky time of the poll.
+        at: Utc,
+        /// The message that brought it.
+        said: (BootId, u64),
+    },
+    /// A line of a node's diary.
+    Log {
+        /// Of which telescope.
+        telescope: String,
+        /// Role and id of the node.
+        node: String,
+        /// Module that wrote it.
+        target: String,
+        /// How much it matters.
+        level: Level,
+        /// What it says.
+        message: String,
+        /// Sky time.
+        at: Utc,
+        /// The message that brought it.
+        said: (BootId, u64),
+    },
+    /// A frame's file is about to get this name.
+    Writing {
+        /// Which frame.
+        frame: CommandId,
+        /// Path relative to the folder of images.
+        file: String,
+    },
+    /// A frame's file is safe under its name.
+    Stored(Box<StoredImage>),
+    /// A header is complete.
+    Complete(CommandId),
+}
+
+/// A row of the table of images.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StoredImage {
+    /// What the device node said of the frame.
+    pub frame: Frame,
+    /// Absolute path of the file.
+    pub path: PathBuf,
+    /// Path relative to the folder of images, with `/` on every system.
+    pub file: String,
+    /// Size of the file.
+    pub bytes: u64,
+    /// Sky time when it was stored.
+    pub stored: Utc,
+}
+
+struct Job {
+    write: Write,
+    done: Option<oneshot::Sender<()>>,
+}
+
+/// Where rows go. Cheap to clone; the writer ends when all clones are gone.
+#[derive(Clone)]
+pub struct Database {
+    jobs: mpsc::Sender<Job>,
+    path: Arc<PathBuf>,
+    rows: Arc<AtomicU64>,
+}
+
+/// The writer's thread.
+pub struct Writer(std::thread::JoinHandle<()>);
+
+impl Writer {
+    /// Waits until all is written, once every [`Database`] is gone.
+    pub async fn end(self) {
+        let waited = tokio::task::spawn_blocking(move || self.0.join()).await;
+        if !matches!(waited, Ok(Ok(()))) {
+            tracing::error!("the database's writer ended badly");
+        }
+    }
+}
+
+impl Database {
+    /// Opens the file, makes its tables where they are missing, and starts the writer.
+    pub fn open(path: &Path, alerts: AlertBoard) -> Result<(Self, Writer), DatabaseError> {
+        let io = |source| DatabaseError::Io { file: path.to_owned(), source };
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder).map_err(io)?;
+        }
+        let connection = prepare(path)?;
+        let (jobs, taken) = mpsc::channel(WAITING);
+        let rows = Arc::new(AtomicU64::new(0));
+        let (counted, runtime) = (rows.clone(), tokio::runtime::Handle::current());
+        let thread = std::thread::Builder::new()
+            .name("database".to_owned())
+            .spawn(move || write_all(connection, taken, &runtime, &alerts, &counted))
+            .map_err(io)?;
+        Ok((Self { jobs, path: Arc::new(path.to_owned()), rows }, Writer(thread)))
+    }
+
+    /// Hands something over to be written soon; waits while the writer is far behind.
+    pub async fn put(&self, write: Write) -> Result<(), DatabaseError> {
+        self.jobs.send(Job { write, done: None }).await.map_err(|_| DatabaseError::Ended)
+    }
+
+    /// Writes these and waits until they are committed.
+    pub async fn commit(&self, writes: Vec<Write>) -> Result<(), DatabaseError> {
+        let mut waiting = Vec::new();
+        for write in writes {
+            let (done, committed) = oneshot::channel();
+            self.jobs.send(Job { write, done: Some(done) }).await.map_err(|_| DatabaseError::Ended)?;
+            waiting.push(committed);
+        }
+        for committed in waiting {
+            committed.await.map_err(|_| DatabaseError::Ended)?;
+        }
+        Ok(())
+    }
+
+    /// Rows that were new, since the start.
+    pub fn rows(&self) -> u64 {
+        self.rows.load(Ordering::Relaxed)
+    }
+
+    /// Where it lies.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+fn prepare(path: &Path) -> Result<Connection, DatabaseError> {
+    let failed = |what| move |source| DatabaseError::Sqlite { what, file: path.to_owned(), source };
+    let mut connection = Connection::open(path).map_err(failed("open"))?;
+    let settings = "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA busy_timeout = 5000;
+        PRAGMA wal_autocheckpoint = 4000;";
+    connection.execute_batch(settings).map_err(failed("set up"))?;
+    let found: i64 =
+        connection.query_row("PRAGMA user_version", [], |row| row.get(0)).map_err(failed("read the version of"))?;
+    if found > VERSION {
+        return Err(DatabaseError::Newer { file: path.to_owned(), found });
+    }
+    if found < VERSION {
+        let make = |connection: &mut Connection| {
+            let transaction = connection.transaction()?;
+            transaction.execute_batch(SCHEMA)?;
+            transaction.pragma_update(None, "user_version", VERSION)?;
+            transaction.commit()
+        };
+        make(&mut connection).map_err(failed("make the tables of"))?;
+    }
+    Ok(connection)
+}
+
+/// The writer's life: gathers a batch, commits it, tells those who wait; a batch that fails stays until it succeeds.
+fn write_all(
+    mut connection: Connection,
+    mut taken: mpsc::Receiver<Job>,
+    runtime: &tokio::runtime::Handle,
+    alerts: &AlertBoard,
+    rows: &AtomicU64,
+) {
+    while let Some(batch) = gather(&mut taken, runtime) {
+        let mut last_tries = LAST_TRIES;
+        loop {
+            match write_batch(&mut connection, &batch) {
+                Ok(count) => {
+                    rows.fetch_add(count, Ordering::Relaxed);
+                    alerts.clear(ALERT);
+                    break;
+                }
+                Err(error) => {
+                    let cause = format!("the archive's database does not take rows: {error}");
+                    let consequence = "telemetry waits in memory; when that is full, it is lost";
+                    alerts.raise(ALERT, Priority::High, &cause, consequence, "free disk space, or find who locks it");
+                    if taken.is_closed() {
+                        last_tries -= 1;
+                    }
+                    if last_tries == 0 {
+                        tracing::error!(rows = batch.len(), %error, "rows are lost");
+                        return;
+                    }
+                    std::thread::sleep(RETRY);
+                }
+            }
+        }
+        for done in batch.into_iter().filter_map(|job| job.done) {
+            // nobody waits any more when the one who asked was stopped
+            let _ = done.send(());
+        }
+    }
+}
+
+/// The next batch: at once when somebody waits for it, else as much as comes in [`PATIENCE`]. `None` at the end.
+fn gather(taken: &mut mpsc::Receiver<Job>, runtime: &tokio::runtime::Handle) -> Option<Vec<Job>> {
+    let first = taken.blocking_recv()?;
+    let mut is_awaited = first.done.is_some();
+    let mut batch = vec![first];
+    runtime.block_on(async {
+        let deadline = tokio::time::Instant::now() + PATIENCE;
+        while batch.len() < BATCH {
+            let next = match taken.try_recv() {
+                Ok(job) => Some(job),
+                Err(_) if is_awaited => None,
+                Err(_) => tokio::time::timeout_at(deadline, taken.recv()).await.ok().flatten(),
+            };
+            let Some(job) = next else { break };
+            is_awaited |= job.done.is_some();
+            batch.push(job);
+        }
+    });
+    Some(batch)
+}
+
+fn write_batch(connection: &mut Connection, batch: &[Job]) -> rusqlite::Result<u64> {
+    let transaction = connection.transaction()?;
+    let mut count = 0;
+    for job in batch {
+        count += write(&transaction, &job.write)? as u64;
+    }
+    transaction.commit()?;
+    Ok(count)
+}
+
+fn write(transaction: &Transaction<'_>, write: &Write) -> rusqlite::Result<usize> {
+    match write {
+        Write::Reading { device, property, value, at, said: (boot_id, seq) } => {
+            let (value_type, text, no_data) = match value {
+                Ok(value) => (type_of(value), Some(to_text(value)), None),
+                Err(reason) => ("none", None, Some(reason)),
+            };
+            transaction
+                .prepare_cached("INSERT INTO polling VALUES (?,?,?,?,?,?,?,?,?,?) ON CONFLICT DO NOTHING")?
+                .execute(params![
+                    device.kind.ascom(),
+                    device.name.as_str(),
+                    property,
+                    text,
+                    stamp(*at),
+                    value_type,
+                    no_data,
+                    device.address.telescope.as_str(),
+                    boot_id.as_str(),
+                    *seq as i64,
+                ])
+        }
+        Write::Log { telescope, node, target, level, message, at, said: (boot_id, seq) } => {
+            let level = match level {
+                Level::Error => "error",
+                Level::Warn => "warning",
+                Level::Info => "info",
+            };
+            transaction
+                .prepare_cached("INSERT INTO log VALUES (?,?,?,?,?,?,?,?) ON CONFLICT DO NOTHING")?
+                .execute(params![stamp(*at), level, message, node, target, telescope, boot_id.as_str(), *seq as i64])
+        }
+        Write::Writing { frame, file } => transaction
+            .prepare_cached("INSERT OR REPLACE INTO writing VALUES (?,?)")?
+            .execute(params![frame.0, file])
+            .map(|_| 0),
+        Write::Stored(image) => {
+            // the token in the URL opens the frame in the spool and is nobody else's business
+            let frame = Frame { url: String::new(), ..image.frame.clone() };
+            let json = serde_json::to_string(&frame).map_err(|e| rusqlite::Error::ToSqlConversionFailure(Box::new(e)))?;
+            transaction.prepare_cached("DELETE FROM writing WHERE frame_id = ?")?.execute([&frame.id.0])?;
+            transaction
+                .prepare_cached("INSERT INTO images VALUES (?,?,0,?,?,?,?,?,?,?) ON CONFLICT DO NOTHING")?
+                .execute(params![
+                    image.path.to_string_lossy(),
+                    frame.camera,
+                    stamp(frame.started_utc),
+                    frame.id.0,
+                    image.file,
+                    frame.sha256,
+                    image.bytes as i64,
+                    stamp(image.stored),
+                    json,
+                ])
+        }
+        Write::Complete(frame) => transaction
+            .prepare_cached("UPDATE images SET complete_hdr = 1 WHERE frame_id = ?")?
+            .execute([&frame.0])
+            .map(|_| 0),
+    }
+}
+
+/// A time as the predecessor's tables have it, which sorts as text.
+pub fn stamp(at: Utc) -> String {
+    at.strftime("%Y-%m-%d %H:%M:%S.%6f")
+}
+
+fn type_of(value: &Scalar) -> &'static str {
+    match value {
+        Scalar::Bool(_) => "bool",
+        Scalar::Int(_) => "int",
+        Scalar::Float(_) => "float",
+        Scalar::Text(_) => "text",
+        Scalar::List(_) => "list",
+    }
+}
+
+fn to_text(value: &Scalar) -> String {
+    match value {
+        Scalar::Bool(true) => "True".to_owned(),
+        Scalar::Bool(false) => "False".to_owned(),
+        Scalar::Float(number) => format!("{number:?}"),
+        Scalar::Int(_) | Scalar::Text(_) => value.to_string(),
+        Scalar::List(_) => serde_json::to_string(value).unwrap_or_default(),
+    }
+}
+
+#[cfg(test)]
+mod tests;

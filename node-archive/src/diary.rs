@@ -1,0 +1,39 @@
+//! The log lines of all nodes of this telescope, into the database.
+
+use bus::{Catch, Node};
+use contract::Key;
+use contract::node::DiaryLine;
+
+use crate::database::{Database, Write};
+use crate::telemetry::first;
+use crate::watch_keys;
+
+/// Lines that wait here when the database is slow.
+const WAITING: usize = 16_384;
+
+/// Keeps what nodes write in their diaries.
+pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
+    let mut diaries = Vec::new();
+    for keys in watch_keys(&node.config, "node/*/*/diary") {
+        diaries.push(node.bus.subscribe::<DiaryLine>(&keys, Catch::All, WAITING).await?);
+    }
+    loop {
+        let heard = first(&diaries).await;
+        let Key::Node(address, role, id, _) = heard.key else { continue };
+        let line = heard.said.body;
+        let mut message = line.message;
+        for (name, value) in &line.fields {
+            message.push_str(&format!(" {name}={value}"));
+        }
+        let write = Write::Log {
+            telescope: address.telescope.to_string(),
+            node: format!("{role}/{id}"),
+            target: line.target,
+            level: line.level,
+            message,
+            at: heard.said.at_utc,
+            said: (heard.said.boot_id, heard.said.seq),
+        };
+        database.put(write).await?;
+    }
+}

@@ -1,0 +1,255 @@
+//! FITS files through cfitsio; the only place that calls C.
+//!
+//! `fitsio`'s safe layer appends keywords instead of updating them, has no checksums, and ignores what closing
+//! returns, which on a full disk is where the loss shows. So this wraps the few functions of `fitsio_sys` that are needed.
+#![allow(unsafe_code, reason = "cfitsio is a C library; every call is in this file, under one lock, with checked arguments")]
+
+use std::ffi::{CStr, CString, c_char, c_int, c_long, c_void};
+use std::path::{Path, PathBuf};
+use std::ptr::{self, NonNull};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use contract::device::camera::Pixel;
+
+use crate::card::{Card, printable};
+
+/// cfitsio's `FLEN_FILENAME`, with its closing zero.
+const LONGEST_PATH: usize = 1024;
+const READ_WRITE: c_int = 1;
+
+/// cfitsio did not do what was asked.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("cannot {what} {}: {detail}", file.display())]
+pub struct FitsError {
+    /// What was being done.
+    pub what: &'static str,
+    /// With which file.
+    pub file: PathBuf,
+    /// What cfitsio said.
+    pub detail: String,
+}
+
+/// Size and type of an image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shape {
+    /// Type of a pixel.
+    pub pixel: Pixel,
+    /// Columns.
+    pub width_px: u32,
+    /// Rows.
+    pub height_px: u32,
+    /// Colour planes; 1 makes a flat image.
+    pub planes: u32,
+}
+
+impl Shape {
+    /// Number of pixels; `None` when it does not fit.
+    pub fn pixels(&self) -> Option<usize> {
+        let rows = (self.width_px as usize).checked_mul(self.height_px as usize)?;
+        rows.checked_mul(self.planes as usize)
+    }
+
+    /// Bytes in the spool; `None` when they do not fit.
+    pub fn bytes(&self) -> Option<usize> {
+        self.pixels()?.checked_mul(self.pixel.bytes())
+    }
+}
+
+/// An open FITS file; cfitsio works on one at a time.
+pub struct FitsFile {
+    /// Absent once closed.
+    raw: Option<NonNull<fitsio_sys::fitsfile>>,
+    path: PathBuf,
+    _turn: MutexGuard<'static, ()>,
+}
+
+/// The error stack of cfitsio is one for all threads, so its calls take turns.
+static TURN: Mutex<()> = Mutex::new(());
+
+impl FitsFile {
+    /// Creates a file that must not exist, with the mandatory keywords of an image (BZERO for 16 bits without sign).
+    pub fn create(path: &Path, shape: &Shape) -> Result<Self, FitsError> {
+        let bitpix = match shape.pixel {
+            Pixel::U16 => 20,  // USHORT_IMG: BITPIX 16 with BZERO 32768
+            Pixel::I32 => 32,  // LONG_IMG
+            Pixel::F64 => -64, // DOUBLE_IMG
+        };
+        let mut axes: Vec<c_long> = Vec::new();
+        for length in [shape.width_px, shape.height_px, shape.planes] {
+            let length = c_long::try_from(length).ok().filter(|length| *length > 0);
+            axes.push(length.ok_or_else(|| error("create", path, format!("{shape:?} is no image")))?);
+        }
+        if shape.planes == 1 {
+            axes.pop();
+        }
+        let mut file = Self::open_with("create", path, |raw, name, status| {
+            // SAFETY: `raw` and `status` point to locals that outlive the call, `name` is a closed C string.
+            unsafe { fitsio_sys::ffdkinit(raw, name, status) }
+        })?;
+        let count = axes.len() as c_int;
+        // SAFETY: `raw` is open; `axes` holds `count` numbers and is only read.
+        file.call("create the image in", |raw, status| unsafe {
+            fitsio_sys::ffcrim(raw, bitpix, count, axes.as_mut_ptr(), status)
+        })?;
+        Ok(file)
+    }
+
+    /// Opens a file for changing its header.
+    pub fn edit(path: &Path) -> Result<Self, FitsError> {
+        Self::open_with("open", path, |raw, name, status| {
+            // SAFETY: `raw` and `status` point to locals that outlive the call, `name` is a closed C string.
+            unsafe { fitsio_sys::ffdkopn(raw, name, READ_WRITE, status) }
+        })
+    }
+
+    fn open_with(
+        what: &'static str,
+        path: &Path,
+        open: impl FnOnce(*mut *mut fitsio_sys::fitsfile, *const c_char, *mut c_int) -> c_int,
+    ) -> Result<Self, FitsError> {
+        let name = path.to_str().filter(|name| name.len() < LONGEST_PATH).and_then(|name| CString::new(name).ok());
+        let name = name.ok_or_else(|| error(what, path, "the path is too long or no UTF-8".to_owned()))?;
+        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        let (mut raw, mut status) = (ptr::null_mut(), 0);
+        open(&mut raw, name.as_ptr(), &mut status);
+        match NonNull::new(raw) {
+            Some(raw) if status == 0 => Ok(Self { raw: Some(raw), path: path.to_owned(), _turn: turn }),
+            _ => Err(error(what, path, explain(status))),
+        }
+    }
+
+    /// Sets a keyword in place, or adds it at the end. A number that is not finite is left out; `false` says so.
+    pub fn set(&mut self, card: &Card) -> Result<bool, FitsError> {
+        let Some(record) = card.record() else { return Ok(false) };
+        let (keyword, record) = (c_text(&card.keyword), c_text(&record));
+        // SAFETY: the file is open; both texts are closed C strings, the record of 80 characters.
+        self.call("set a keyword in", |raw, status| unsafe {
+            fitsio_sys::ffucrd(raw, keyword.as_ptr(), record.as_ptr(), status)
+        })?;
+        Ok(true)
+    }
+
+    /// Adds a line to the file's history.
+    pub fn history(&mut self, text: &str) -> Result<(), FitsError> {
+        let text = c_text(&printable(text));
+        // SAFETY: the file is open; the text is a closed C string, which cfitsio splits over as many cards as it needs.
+        self.call("add history to", |raw, status| unsafe { fitsio_sys::ffphis(raw, text.as_ptr(), status) })
+    }
+
+    /// Keeps room for so many more cards, so that setting them later does not move the pixels. Before the pixels.
+    pub fn reserve(&mut self, cards: usize) -> Result<(), FitsError> {
+        let cards = c_int::try_from(cards).unwrap_or(c_int::MAX);
+        // SAFETY: the file is open.
+        self.call("reserve room in", |raw, status| unsafe { fitsio_sys::ffhdef(raw, cards, status) })
+    }
+
+    /// Writes all pixels, given as they stand in the spool: little endian, first row first.
+    pub fn write_pixels(&mut self, shape: &Shape, spooled: &[u8]) -> Result<(), FitsError> {
+        if shape.bytes() != Some(spooled.len()) {
+            let detail = format!("{} bytes are no image of {shape:?}", spooled.len());
+            return Err(error("write the pixels of", &self.path, detail));
+        }
+        match shape.pixel {
+            Pixel::U16 => {
+                self.write_values(20, spooled.as_chunks().0.iter().map(|bytes| u16::from_le_bytes(*bytes)))
+            }
+            Pixel::I32 => {
+                self.write_values(31, spooled.as_chunks().0.iter().map(|bytes| i32::from_le_bytes(*bytes)))
+            }
+            Pixel::F64 => {
+                self.write_values(82, spooled.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)))
+            }
+        }
+    }
+
+    /// `datatype` must be cfitsio's number for `T`: TUSHORT 20, TINT 31, TDOUBLE 82.
+    fn write_values<T>(&mut self, datatype: c_int, values: impl Iterator<Item = T>) -> Result<(), FitsError> {
+        let mut values: Vec<T> = values.collect();
+        let count = values.len() as i64;
+        // SAFETY: the file is open and its image has `count` pixels; `values` holds as many of the type that
+        // `datatype` names, and is not kept.
+        self.call("write the pixels of", |raw, status| unsafe {
+            fitsio_sys::ffppr(raw, datatype, 1, count, values.as_mut_ptr().cast::<c_void>(), status)
+        })
+    }
+
+    /// Writes DATASUM and CHECKSUM over all that is in the file.
+    pub fn write_checksums(&mut self) -> Result<(), FitsError> {
+        // SAFETY: the file is open.
+        self.call("write the checksums of", |raw, status| unsafe { fitsio_sys::ffpcks(raw, status) })
+    }
+
+    /// Brings CHECKSUM up to date from the header and the DATASUM that stands in it; reads no pixel.
+    pub fn update_checksum(&mut self) -> Result<(), FitsError> {
+        // SAFETY: the file is open.
+        self.call("update the checksum of", |raw, status| unsafe { fitsio_sys::ffupck(raw, status) })
+    }
+
+    /// Where the pixels begin, bytes from the file's start.
+    pub fn data_start(&mut self) -> Result<u64, FitsError> {
+        let (mut head, mut data, mut end) = (0, 0, 0);
+        // SAFETY: the file is open; the three numbers are locals.
+        self.call("measure", |raw, status| unsafe {
+            fitsio_sys::ffghad(raw, &mut head, &mut data, &mut end, status)
+        })?;
+        u64::try_from(data).map_err(|_| error("measure", &self.path, format!("the data start at {data}")))
+    }
+
+    /// Closes the file and says whether everything arrived.
+    pub fn close(mut self) -> Result<(), FitsError> {
+        let Some(raw) = self.raw.take() else { return Ok(()) };
+        let mut status = 0;
+        // SAFETY: `raw` was open and is given up here, whatever cfitsio answers.
+        unsafe { fitsio_sys::ffclos(raw.as_ptr(), &mut status) };
+        if status == 0 { Ok(()) } else { Err(error("close", &self.path, explain(status))) }
+    }
+
+    fn call(
+        &mut self,
+        what: &'static str,
+        work: impl FnOnce(*mut fitsio_sys::fitsfile, *mut c_int) -> c_int,
+    ) -> Result<(), FitsError> {
+        let Some(raw) = self.raw else { return Err(error(what, &self.path, "it is closed".to_owned())) };
+        let mut status = 0;
+        work(raw.as_ptr(), &mut status);
+        if status == 0 { Ok(()) } else { Err(error(what, &self.path, explain(status))) }
+    }
+}
+
+impl Drop for FitsFile {
+    fn drop(&mut self) {
+        if let Some(raw) = self.raw.take() {
+            let mut status = 0;
+            // SAFETY: `raw` is open and is given up here; an error was reported by whoever dropped it unclosed.
+            unsafe { fitsio_sys::ffclos(raw.as_ptr(), &mut status) };
+            explain(status);
+        }
+    }
+}
+
+fn error(what: &'static str, file: &Path, detail: String) -> FitsError {
+    FitsError { what, file: file.to_owned(), detail }
+}
+
+/// A C string of text that [`printable`] has cleaned; a zero would end it early.
+fn c_text(text: &str) -> CString {
+    CString::new(text.replace('\0', "?")).unwrap_or_default()
+}
+
+/// What cfitsio says of a status, with its stack of messages, which is emptied.
+fn explain(status: c_int) -> String {
+    let mut text = [0 as c_char; 81]; // FLEN_ERRMSG
+    // SAFETY: cfitsio writes at most 30 characters of its own and the closing zero.
+    unsafe { fitsio_sys::ffgerr(status, text.as_mut_ptr()) };
+    let mut words = vec![format!("{} (cfitsio {status})", from_c(&text))];
+    // SAFETY: cfitsio writes at most 80 characters and the closing zero.
+    while unsafe { fitsio_sys::ffgmsg(text.as_mut_ptr()) } != 0 {
+        words.push(from_c(&text));
+    }
+    words.join("; ")
+}
+
+fn from_c(text: &[c_char; 81]) -> String {
+    // SAFETY: the array is zero-filled at its end and cfitsio closes what it writes.
+    unsafe { CStr::from_ptr(text.as_ptr()) }.to_string_lossy().into_owned()
+}

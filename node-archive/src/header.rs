@@ -1,0 +1,337 @@
+//! What stands in a header: the cards of a new file, and those that telemetry adds afterwards.
+//!
+//! The site's table decides which keywords there are, in its order. To add one that Starmesh computes, add a row to
+//! [`COMPUTED`] (known when the file is made) or to [`crate::astronomy`] (worked out afterwards).
+//!
+//! RA and DEC are always ICRS: the target's, as it was asked for, or else what the mount said, turned from its own frame.
+
+use std::collections::BTreeSet;
+
+use config::header::{Dtype, HeaderRow, HeaderTable, Source};
+use contract::device::camera::Frame;
+use contract::device::telescope::EquatorialSystem;
+use contract::{Kind, Scalar};
+use sky::{Icrs, SkyError};
+use units::{Angle, Utc};
+
+use crate::astronomy::{self, Exposure, fits_date};
+use crate::card::{Card, CardValue};
+use crate::interpolate::{Rule, Sample, value_at};
+
+/// What the ASTRA keyword says.
+pub const PROGRAM: &str = concat!("Starmesh ", env!("CARGO_PKG_VERSION"));
+/// The file structure's own keywords, and BLANK: with BZERO 32768 it would turn pixels of 0 ADU into undefined ones.
+const LEFT_TO_FITS: [&str; 14] = [
+    "SIMPLE", "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "NAXIS3", "EXTEND", "BZERO", "BSCALE", "BLANK", "CHECKSUM",
+    "DATASUM", "END", "PCOUNT",
+];
+/// Room that a new file keeps beyond the rows of the table: a plate solution, the history, the odd keyword.
+const SPARE_CARDS: usize = 48;
+
+/// All that is known when a file is made.
+pub struct Known<'a> {
+    /// The frame.
+    pub frame: &'a Frame,
+    /// The site.
+    pub place: &'a config::Place,
+    /// Sky time of writing.
+    pub written: Utc,
+    /// Newest value of a property of the camera or of a device paired with it.
+    pub newest: &'a dyn Fn(Kind, &str) -> Option<Scalar>,
+}
+
+type Compute = fn(&Known<'_>) -> Option<CardValue>;
+
+/// Keywords that Starmesh knows when a file is made, with the comment for a table that does not list them.
+const COMPUTED: [(&str, Compute, &str); 18] = [
+    ("DATE-OBS", |k| Some(CardValue::Text(fits_date(k.frame.started_utc))), "UTC at start of exposure"),
+    ("DATE", |k| Some(CardValue::Text(fits_date(k.written))), "UTC when the file was written"),
+    ("EXPTIME", |k| Some(CardValue::Float(k.frame.exposure_s)), "[s] exposure time"),
+    ("IMAGETYP", |k| Some(k.frame.purpose.image_type.as_str().into()), "type of the frame"),
+    ("OBJECT", |k| k.frame.purpose.object.as_deref().map(CardValue::from), "object"),
+    ("FILTER", |k| k.frame.purpose.filter.as_deref().map(CardValue::from), "filter in the beam"),
+    ("ASTRA", |_| Some(PROGRAM.into()), "program and version"),
+    ("ASTRATYP", |k| Some(k.frame.purpose.action.as_str().into()), "type of the action"),
+    ("FRAMEID", |k| Some(k.frame.id.0.as_str().into()), "id of the frame"),
+    ("RA", |k| Some(CardValue::Float(target(k.frame)?.ra.degrees())), "[deg] right ascension of the target, ICRS"),
+    ("DEC", |k| Some(CardValue::Float(target(k.frame)?.dec.degrees())), "[deg] declination of the target, ICRS"),
+    ("RADESYS", |_| Some("ICRS".into()), "frame of RA and DEC"),
+    ("XPIXSZ", |k| Some(CardValue::Float(k.number(Kind::Camera, "PixelSizeX")? * f64::from(k.frame.bin))), ""),
+    ("YPIXSZ", |k| Some(CardValue::Float(k.number(Kind::Camera, "PixelSizeY")? * f64::from(k.frame.bin))), ""),
+    ("APTAREA", |k| Some(CardValue::Float(k.number(Kind::Telescope, "ApertureArea")?)), ""),
+    ("APTDIA", |k| Some(CardValue::Float(k.number(Kind::Telescope, "ApertureDiameter")?)), ""),
+    ("FOCALLEN", |k| Some(CardValue::Float(k.number(Kind::Telescope, "FocalLength")?)), ""),
+    ("INSTRUME", |k| Some(k.frame.camera.as_str().into()), ""),
+];
+
+/// Those of [`COMPUTED`] that stand in every file, whatever the table lists.
+const ALWAYS: [&str; 11] = [
+    "DATE-OBS", "DATE", "EXPTIME", "IMAGETYP", "ASTRA", "ASTRATYP", "FRAMEID", "RA", "DEC", "RADESYS", "OBJECT",
+];
+
+impl Known<'_> {
+    fn number(&self, kind: Kind, property: &str) -> Option<f64> {
+        (self.newest)(kind, property)?.number().filter(|number| number.is_finite())
+    }
+}
+
+/// The target that the frame was taken for.
+fn target(frame: &Frame) -> Option<Icrs> {
+    let (ra, dec) = (frame.purpose.ra_deg?, frame.purpose.dec_deg?);
+    Icrs::from_degrees(ra, dec).checked().ok()
+}
+
+/// Rows of a table that will leave no trace in a header, and why.
+pub fn check(table: &HeaderTable) -> Vec<String> {
+    let mut notes = Vec::new();
+    for row in table.rows.iter().filter(|row| !LEFT_TO_FITS.contains(&row.keyword.as_str())) {
+        let known = COMPUTED.iter().any(|(keyword, ..)| *keyword == row.keyword)
+            || astronomy::KEYWORDS.contains(&row.keyword.as_str());
+        match &row.source {
+            Source::Computed if !known => notes.push(format!("{}: no keyword that Starmesh computes", row.keyword)),
+            Source::Static(text) if !text.is_empty() && literal(row.dtype, text).is_none() => {
+                notes.push(format!("{}: {text:?} is no {:?}", row.keyword, row.dtype));
+            }
+            _ => {}
+        }
+    }
+    notes
+}
+
+/// Cards that a new file of this table should keep room for.
+pub fn room(table: &HeaderTable) -> usize {
+    table.rows.len() + SPARE_CARDS
+}
+
+/// The header of a new file, in the table's order, then what every file has.
+pub fn base(table: &HeaderTable, known: &Known<'_>) -> Vec<Card> {
+    let mut cards: Vec<Card> = Vec::new();
+    for row in table.rows.iter().filter(|row| !LEFT_TO_FITS.contains(&row.keyword.as_str())) {
+        if let Some(value) = base_value(row, known)
+            && !cards.iter().any(|card| card.keyword == row.keyword)
+        {
+            cards.push(Card::new(&row.keyword, value, &row.comment));
+        }
+    }
+    for (keyword, compute, comment) in COMPUTED.iter().filter(|(keyword, ..)| ALWAYS.contains(keyword)) {
+        if let Some(value) = compute(known) {
+            match cards.iter_mut().find(|card| card.keyword == *keyword) {
+                Some(card) => {
+                    // a table speaks of the telescope's RA; with a target these are the target's
+                    card.comment = if matches!(*keyword, "RA" | "DEC") { (*comment).to_owned() } else { card.comment.clone() };
+                    card.value = value;
+                }
+                None => cards.push(Card::new(keyword, value, comment)),
+            }
+        }
+    }
+    cards
+}
+
+fn base_value(row: &HeaderRow, known: &Known<'_>) -> Option<CardValue> {
+    let keyword = row.keyword.as_str();
+    let compute = || COMPUTED.iter().find(|(name, ..)| *name == keyword).and_then(|(_, compute, _)| compute(known));
+    match &row.source {
+        // known even where the table has it filled in later: dates, and a target's place
+        Source::Computed => compute(),
+        Source::Property(Kind::Telescope, _) if matches!(keyword, "RA" | "DEC") => compute(),
+        // computed keywords are worked out for the configured site, so that is what the header tells
+        Source::Property(Kind::Telescope, property) if row.fixed && site(known.place, property).is_some() => {
+            site(known.place, property).map(CardValue::Float)
+        }
+        Source::Property(kind, property) if row.fixed => {
+            (known.newest)(*kind, property).map(|value| typed(row.dtype, &value))
+        }
+        Source::Static(text) if text.is_empty() => match keyword {
+            "TELESCOP" => Some(known.place.telescope.as_str().into()),
+            "INSTRUME" => compute(),
+            _ => None,
+        },
+        Source::Static(text) => literal(row.dtype, text),
+        Source::Metadata(key) => {
+            let text = known.frame.purpose.metadata.get(key)?;
+            let value = literal(row.dtype, text);
+            if value.is_none() {
+                tracing::warn!(keyword, text, expected = ?row.dtype, "the action's metadata do not fit the header table");
+            }
+            value
+        }
+        Source::Library | Source::Property(..) => None,
+    }
+}
+
+fn site(place: &config::Place, property: &str) -> Option<f64> {
+    match property {
+        "SiteLatitude" => Some(place.latitude_deg),
+        "SiteLongitude" => Some(place.longitude_deg),
+        "SiteElevation" => Some(place.elevation_m),
+        _ => None,
+    }
+}
+
+/// Text of the table or of a schedule as the type that the table asks for.
+fn literal(dtype: Dtype, text: &str) -> Option<CardValue> {
+    match dtype {
+        Dtype::Str => Some(text.into()),
+        Dtype::Int => text.parse().ok().map(CardValue::Int),
+        Dtype::Float => text.parse().ok().filter(|number: &f64| number.is_finite()).map(CardValue::Float),
+        Dtype::Bool => match text.to_ascii_lowercase().as_str() {
+            "true" | "1" => Some(CardValue::Logical(true)),
+            "false" | "0" => Some(CardValue::Logical(false)),
+            _ => None,
+        },
+    }
+}
+
+/// A device's value as the type that the table asks for, where it can be that; else as it is.
+fn typed(dtype: Dtype, value: &Scalar) -> CardValue {
+    match (dtype, value.number()) {
+        (Dtype::Float, Some(number)) => CardValue::Float(number),
+        (Dtype::Int, Some(number)) => CardValue::Int(number.round() as i64),
+        (Dtype::Bool, Some(number)) => CardValue::Logical(number != 0.0),
+        (Dtype::Str, _) => CardValue::Text(value.to_string()),
+        (_, None) => CardValue::of(value),
+    }
+}
+
+/// What is added to a header once the telemetry is there.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Plan {
+    /// Keywords to set.
+    pub cards: Vec<Card>,
+    /// Lines for the history: what is missing.
+    pub history: Vec<String>,
+}
+
+/// The polls around an instant.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Around {
+    /// The last value before it.
+    pub before: Option<Sample>,
+    /// The first value at it or after it.
+    pub after: Option<Sample>,
+    /// The device was heard again after the instant, with a value or without.
+    pub heard_since: bool,
+}
+
+/// All that is known when a header is completed.
+pub struct Later<'a> {
+    /// The frame.
+    pub frame: &'a Frame,
+    /// The site.
+    pub place: &'a config::Place,
+    /// Frame that the mount's coordinates are in.
+    pub mount: EquatorialSystem,
+    /// A poll further from the start of the exposure says nothing about it, sky s.
+    pub reach_s: f64,
+    /// Keywords that the file has already.
+    pub present: &'a BTreeSet<String>,
+    /// The polls of a property around the start; `None` where no such device is paired with the camera.
+    pub around: &'a dyn Fn(Kind, &str) -> Option<Around>,
+}
+
+/// Properties that completing a header of this table needs.
+pub fn needed(table: &HeaderTable) -> impl Iterator<Item = (Kind, &str)> {
+    table.rows.iter().filter(|row| !row.fixed).filter_map(|row| match &row.source {
+        Source::Property(kind, property) => Some((*kind, property.as_str())),
+        _ => None,
+    })
+}
+
+/// Works out what a header lacks.
+pub fn completion(table: &HeaderTable, later: &Later<'_>) -> Result<Plan, SkyError> {
+    let frame = later.frame;
+    let mut exposure = Exposure::new(later.place, frame.started_utc, frame.exposure_s, target(frame))?;
+    let has_target = exposure.target().is_some();
+    if !has_target && let Some(pointing) = later.pointing(&exposure) {
+        exposure.point_to(pointing);
+    }
+    let mut plan = Plan::default();
+    let mut missing = Vec::new();
+    let rows = table.rows.iter().filter(|row| !LEFT_TO_FITS.contains(&row.keyword.as_str()));
+    for row in rows {
+        let keyword = row.keyword.as_str();
+        let value = match &row.source {
+            Source::Property(Kind::Telescope, _) if matches!(keyword, "RA" | "DEC") => {
+                if has_target {
+                    continue;
+                }
+                let place = exposure.target();
+                place.map(|place| CardValue::Float(if keyword == "RA" { place.ra } else { place.dec }.degrees()))
+            }
+            Source::Property(..) if row.fixed && later.present.contains(keyword) => continue,
+            Source::Property(kind, property) => {
+                let Some(around) = (later.around)(*kind, property) else { continue };
+                later.polled(row, *kind, property, &around)
+            }
+            Source::Computed if astronomy::KEYWORDS.contains(&keyword) => {
+                if keyword == "AIRMASS" && !has_target { later.polled_airmass() } else { exposure.keyword(keyword) }
+            }
+            _ => continue,
+        };
+        match value {
+            Some(value) if !matches!(value, CardValue::Float(number) if !number.is_finite()) => {
+                plan.cards.push(Card::new(keyword, value, &row.comment));
+            }
+            _ => missing.push(keyword),
+        }
+    }
+    if has_target && let Some((altitude, azimuth)) = exposure.direction() {
+        let what = "of target at start, unrefracted";
+        plan.cards.push(Card::new("OBJALT", CardValue::Float(altitude), &format!("[deg] altitude {what}")));
+        plan.cards.push(Card::new("OBJAZ", CardValue::Float(azimuth), &format!("[deg] azimuth {what}")));
+    }
+    plan.history = missing_lines(&missing);
+    Ok(plan)
+}
+
+impl Later<'_> {
+    fn interpolated(&self, kind: Kind, property: &str, dtype: Dtype, around: &Around) -> Option<Scalar> {
+        let rule = Rule::of(kind, property, dtype);
+        let (before, after) = (around.before.as_ref(), around.after.as_ref());
+        value_at(rule, before, after, self.frame.started_utc, self.reach_s)
+    }
+
+    fn polled(&self, row: &HeaderRow, kind: Kind, property: &str, around: &Around) -> Option<CardValue> {
+        if row.fixed {
+            // it does not change, so any poll will do
+            let sample = around.before.as_ref().or(around.after.as_ref())?;
+            return Some(typed(row.dtype, &sample.value));
+        }
+        let value = self.interpolated(kind, property, row.dtype, around)?;
+        let is_hours = (kind, property) == (Kind::Telescope, "RightAscension");
+        Some(match (typed(row.dtype, &value), is_hours) {
+            (CardValue::Float(hours), true) => CardValue::Float(Angle::from_hours(hours).degrees()),
+            (value, _) => value,
+        })
+    }
+
+    /// Where the mount said it pointed, among the stars.
+    fn pointing(&self, exposure: &Exposure) -> Option<Icrs> {
+        let number = |property| {
+            let around = (self.around)(Kind::Telescope, property)?;
+            self.interpolated(Kind::Telescope, property, Dtype::Float, &around)?.number()
+        };
+        let ra_deg = Angle::from_hours(number("RightAscension")?).degrees();
+        let dec_deg = number("Declination")?;
+        match self.mount {
+            EquatorialSystem::Topocentric => Some(exposure.of_date_to_icrs(ra_deg, dec_deg)),
+            EquatorialSystem::J2000 | EquatorialSystem::Other => Some(Icrs::from_degrees(ra_deg, dec_deg)),
+            EquatorialSystem::J2050 | EquatorialSystem::B1950 => None,
+        }
+    }
+
+    /// Airmass of where the mount said it pointed, for frames without a target.
+    fn polled_airmass(&self) -> Option<CardValue> {
+        let around = (self.around)(Kind::Telescope, "Altitude")?;
+        let altitude = self.interpolated(Kind::Telescope, "Altitude", Dtype::Float, &around)?.number()?;
+        sky::airmass(Angle::from_degrees(altitude)).map(CardValue::Float)
+    }
+}
+
+fn missing_lines(missing: &[&str]) -> Vec<String> {
+    missing.chunks(5).map(|keywords| format!("not known at DATE-OBS: {}", keywords.join(", "))).collect()
+}
+
+#[cfg(test)]
+mod tests;

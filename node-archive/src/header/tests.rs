@@ -1,0 +1,328 @@
+//! Stories of headers, and the predecessor's own night (tests/data/headers) completed again.
+
+use std::collections::BTreeMap;
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+
+use contract::CommandId;
+use contract::device::camera::{Pixel, Purpose};
+use serde_json::Value;
+
+use super::*;
+
+fn place() -> config::Place {
+    config::Place {
+        site: "paranal".parse().unwrap(),
+        telescope: "callisto".parse().unwrap(),
+        latitude_deg: 48.0,
+        longitude_deg: 8.0,
+        elevation_m: 1000.0,
+        dut1_s: 0.0,
+        polar_x_arcsec: 0.0,
+        polar_y_arcsec: 0.0,
+    }
+}
+
+fn frame() -> Frame {
+    Frame {
+        id: CommandId("frame-1".to_owned()),
+        camera: "andor".to_owned(),
+        purpose: Purpose {
+            action: "object".to_owned(),
+            object: Some("FieldA".to_owned()),
+            image_type: "Light Frame".to_owned(),
+            ra_deg: Some(90.0),
+            dec_deg: Some(50.0),
+            ..Purpose::default()
+        },
+        width_px: 4,
+        height_px: 2,
+        planes: 1,
+        pixel: Pixel::U16,
+        bin: 2,
+        origin_px: [0, 0],
+        started_utc: "2026-11-21T01:38:03.821036Z".parse().unwrap(),
+        exposure_s: 5.0,
+        url: String::new(),
+        bytes: 16,
+        sha256: String::new(),
+        readings: BTreeMap::new(),
+    }
+}
+
+fn table(rows: &str) -> HeaderTable {
+    format!("header,dtype,fixed,device_type,device_command,comment\n{rows}").parse().unwrap()
+}
+
+fn base_of(table: &HeaderTable, frame: &Frame, newest: &dyn Fn(Kind, &str) -> Option<Scalar>) -> BTreeMap<String, CardValue> {
+    let written = frame.started_utc.plus_seconds(10.0);
+    let cards = base(table, &Known { frame, place: &place(), written, newest });
+    let count = cards.len();
+    let cards: BTreeMap<_, _> = cards.into_iter().map(|card| (card.keyword, card.value)).collect();
+    assert_eq!(cards.len(), count, "a keyword stands twice");
+    cards
+}
+
+fn complete(table: &HeaderTable, frame: &Frame, mount: EquatorialSystem, around: &dyn Fn(Kind, &str) -> Option<Around>) -> (BTreeMap<String, CardValue>, Vec<String>) {
+    let present = BTreeSet::new();
+    let later = Later { frame, place: &place(), mount, reach_s: 60.0, present: &present, around };
+    let plan = completion(table, &later).unwrap();
+    (plan.cards.into_iter().map(|card| (card.keyword, card.value)).collect(), plan.history)
+}
+
+fn float(value: &CardValue) -> f64 {
+    match value {
+        CardValue::Float(number) => *number,
+        CardValue::Int(number) => *number as f64,
+        CardValue::Logical(value) => f64::from(u8::from(*value)),
+        CardValue::Text(text) => text.parse().unwrap(),
+    }
+}
+
+/// A poll 1 s before and one 3 s after the start of the exposure.
+fn polls(before: Scalar, after: Scalar) -> Option<Around> {
+    let start = frame().started_utc;
+    let sample = |seconds: f64, value| Some(Sample { at: start.plus_seconds(seconds), value });
+    Some(Around { before: sample(-1.0, before), after: sample(3.0, after), heard_since: true })
+}
+
+#[test]
+fn a_new_header_has_what_is_known_and_nothing_else() {
+    let newest = |kind: Kind, property: &str| match (kind, property) {
+        (Kind::Camera, "PixelSizeX") => Some(Scalar::Float(13.5)),
+        (Kind::Camera, "BinX") => Some(Scalar::Int(2)),
+        (Kind::Telescope, "FocalLength") => Some(Scalar::Int(8)),
+        (Kind::Telescope, "SiteLatitude") => Some(Scalar::Float(-89.0)),
+        _ => None,
+    };
+    let cards = base_of(&HeaderTable::default(), &frame(), &newest);
+    for (keyword, value) in [
+        ("DATE-OBS", CardValue::from("2026-11-21T01:38:03.821036")),
+        ("DATE", "2026-11-21T01:38:13.821036".into()),
+        ("EXPTIME", CardValue::Float(5.0)),
+        ("OBJECT", "FieldA".into()),
+        ("FRAMEID", "frame-1".into()),
+        ("RA", CardValue::Float(90.0)),
+        ("DEC", CardValue::Float(50.0)),
+        ("RADESYS", "ICRS".into()),
+        ("XPIXSZ", CardValue::Float(27.0)),
+        ("XBINNING", CardValue::Int(2)),
+        ("FOCALLEN", CardValue::Float(8.0)),
+        ("TELESCOP", "callisto".into()),
+        ("INSTRUME", "andor".into()),
+        // the site that everything is computed for, not what the mount believes
+        ("LAT-OBS", CardValue::Float(48.0)),
+        ("ASTRA", PROGRAM.into()),
+    ] {
+        assert_eq!(cards.get(keyword), Some(&value), "{keyword}");
+    }
+    for keyword in ["BZERO", "SIMPLE", "BLANK", "YPIXSZ", "FILTER", "ALTITUDE", "ID", "AIRMASS", "PI-COI"] {
+        assert_eq!(cards.get(keyword), None, "{keyword}");
+    }
+}
+
+#[test]
+fn a_table_that_calls_the_target_fk5_is_put_right() {
+    let table = table("RADESYS,str,true,static,FK5,\nEQUINOX,float,true,static,2000,\nBLANK,int,true,static,-32768,\n");
+    let cards = base_of(&table, &frame(), &|_, _| None);
+    assert_eq!(cards["RADESYS"], "ICRS".into());
+    assert_eq!(cards["EQUINOX"], CardValue::Float(2000.0));
+    assert_eq!(cards.get("BLANK"), None);
+}
+
+#[test]
+fn the_schedules_own_values_are_typed_or_left_out() {
+    let table = table("ID,int,true,action_metadata,ID,\nPROG,str,true,action_metadata,PROG,\nNIGHT,float,true,action_metadata,N,\n");
+    let mut frame = frame();
+    frame.purpose.metadata = [("ID", "17"), ("PROG", "SPC"), ("N", "first")].map(|(k, v)| (k.to_owned(), v.to_owned())).into();
+    let cards = base_of(&table, &frame, &|_, _| None);
+    assert_eq!((&cards["ID"], &cards["PROG"], cards.get("NIGHT")), (&CardValue::Int(17), &"SPC".into(), None));
+}
+
+#[test]
+fn rows_that_leave_no_trace_are_told_at_the_start() {
+    assert_eq!(check(&HeaderTable::default()), Vec::<String>::new());
+    let notes = check(&table("MOONALT,float,false,astra,,\nEPOCH,float,true,static,soon,\nGOOD,bool,true,static,1,\n"));
+    assert_eq!(notes, ["MOONALT: no keyword that Starmesh computes", "EPOCH: \"soon\" is no Float"]);
+}
+
+#[test]
+fn the_targets_place_is_never_converted_again() {
+    let around = |_: Kind, property: &str| match property {
+        "RightAscension" => polls(Scalar::Float(12.0), Scalar::Float(12.0)),
+        _ => polls(Scalar::Float(10.0), Scalar::Float(14.0)),
+    };
+    let (cards, history) = complete(&HeaderTable::default(), &frame(), EquatorialSystem::Topocentric, &around);
+    assert!(!cards.contains_key("RA") && !cards.contains_key("DEC"));
+    assert_eq!(cards["ALTITUDE"], CardValue::Float(11.0));
+    assert_eq!(cards["PIERSIDE"], CardValue::Int(10));
+    assert!(cards.contains_key("OBJALT") && history.is_empty(), "{history:?}");
+}
+
+#[test]
+fn a_mount_of_date_is_turned_to_icrs_and_one_of_j2000_is_taken_as_it_is() {
+    let mut frame = frame();
+    (frame.purpose.ra_deg, frame.purpose.dec_deg) = (None, None);
+    let around = |_: Kind, property: &str| match property {
+        "RightAscension" => polls(Scalar::Float(6.0), Scalar::Float(6.0)),
+        "Declination" => polls(Scalar::Float(50.0), Scalar::Float(50.0)),
+        "Altitude" => polls(Scalar::Float(44.0), Scalar::Float(48.0)),
+        _ => None,
+    };
+    let table = HeaderTable::default();
+    let (as_it_is, _) = complete(&table, &frame, EquatorialSystem::J2000, &around);
+    assert_eq!((float(&as_it_is["RA"]), float(&as_it_is["DEC"])), (90.0, 50.0));
+    let (turned, _) = complete(&table, &frame, EquatorialSystem::Topocentric, &around);
+    // 26.9 years of precession at RA 6 h: 26.9 x (46.1 + 20.0 tan 50 deg) arcsec in RA, next to nothing in Dec
+    assert!((90.0 - float(&turned["RA"]) - 0.523).abs() < 0.02, "{:?}", turned["RA"]);
+    assert!((float(&turned["DEC"]) - 50.0).abs() < 0.01, "{:?}", turned["DEC"]);
+    // no target: the airmass is that of where the mount says it points, 45 deg
+    assert!((float(&turned["AIRMASS"]) - 1.4121).abs() < 1e-4);
+    assert!(!turned.contains_key("OBJALT"));
+    let (unknown, history) = complete(&table, &frame, EquatorialSystem::B1950, &around);
+    assert!(!unknown.contains_key("RA") && history.iter().any(|line| line.contains("RA")), "{history:?}");
+}
+
+#[test]
+fn what_was_not_polled_is_left_out_and_named() {
+    let around = |kind: Kind, property: &str| match (kind, property) {
+        (Kind::Camera, _) => Some(Around::default()),
+        (Kind::Focuser, "Temperature") => polls(Scalar::Float(10.0), Scalar::Float(f64::INFINITY)),
+        _ => None,
+    };
+    let (cards, history) = complete(&HeaderTable::default(), &frame(), EquatorialSystem::Other, &around);
+    assert!(!cards.contains_key("CCD-TEMP") && !cards.contains_key("ALTITUDE") && !cards.contains_key("FOCUSTEM"));
+    assert!(history.concat().contains("CCD-TEMP") && history.concat().contains("FOCUSTEM"), "{history:?}");
+    assert!(!history.concat().contains("ALTITUDE"), "no mount is paired, so none is missed");
+    assert!(history.iter().all(|line| line.len() <= 72));
+}
+
+#[test]
+fn a_frame_without_target_and_mount_has_no_sky() {
+    let mut frame = frame();
+    (frame.purpose.ra_deg, frame.purpose.dec_deg) = (None, None);
+    let (cards, _) = complete(&HeaderTable::default(), &frame, EquatorialSystem::Other, &|_, _| None);
+    assert!(["JD-OBS", "LST", "DATE-END"].iter().all(|keyword| cards.contains_key(*keyword)));
+    assert!(["AIRMASS", "BJD-OBS", "HA", "OBJAZ", "RA"].iter().all(|keyword| !cards.contains_key(*keyword)));
+}
+
+// The predecessor's night.
+
+fn data(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/headers").join(name)
+}
+
+fn unzipped(path: &Path) -> String {
+    let mut text = String::new();
+    flate2::read::GzDecoder::new(std::fs::File::open(path).unwrap()).read_to_string(&mut text).unwrap();
+    text
+}
+
+/// All polls of a property, by kind and property (each kind has one device).
+fn telemetry() -> BTreeMap<(String, String), Vec<Sample>> {
+    let mut polls: BTreeMap<(String, String), Vec<Sample>> = BTreeMap::new();
+    for line in unzipped(&data("polling.csv.gz")).lines().skip(1) {
+        let cells: Vec<&str> = line.split(',').collect();
+        let value = match cells[3] {
+            "True" => Scalar::Bool(true),
+            "False" => Scalar::Bool(false),
+            text => match (text.parse(), text.parse()) {
+                (Ok(number), _) => Scalar::Int(number),
+                (_, Ok(number)) => Scalar::Float(number),
+                _ => Scalar::Text(text.to_owned()),
+            },
+        };
+        let sample = Sample { at: cells[4].parse().unwrap(), value };
+        polls.entry((cells[0].to_owned(), cells[2].to_owned())).or_default().push(sample);
+    }
+    polls.values_mut().for_each(|samples| samples.sort_by_key(|sample| sample.at));
+    polls
+}
+
+#[test]
+fn the_predecessors_night_completes_to_the_same_numbers_and_better_states() {
+    let table: HeaderTable = std::fs::read_to_string(data("fits_header_config.csv")).unwrap().parse().unwrap();
+    let telemetry = telemetry();
+    let (mut linear, mut states, mut fractions, mut skies) = (0, 0, 0, 0);
+    let mut files: Vec<PathBuf> = std::fs::read_dir(data("")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.retain(|path| path.to_string_lossy().ends_with(".json.gz"));
+    assert!(files.len() > 40, "{}", files.len());
+    for path in files {
+        let image: Value = serde_json::from_str(&unzipped(&path)).unwrap();
+        let cards = |key: &str| -> BTreeMap<String, Value> {
+            let cards = image[key].as_array().unwrap().iter();
+            cards.map(|card| (card["k"].as_str().unwrap().to_owned(), card["v"].clone())).collect()
+        };
+        let (before, after) = (cards("before"), cards("after"));
+        let mut frame = frame();
+        frame.started_utc = before["DATE-OBS"].as_str().unwrap().parse().unwrap();
+        frame.exposure_s = before["EXPTIME"].as_f64().unwrap();
+        frame.purpose.ra_deg = before.get("RA").and_then(Value::as_f64);
+        frame.purpose.dec_deg = before.get("DEC").and_then(Value::as_f64);
+        let around = |kind: Kind, property: &str| {
+            let samples = telemetry.get(&(kind.ascom().to_owned(), property.to_owned()))?;
+            let split = samples.partition_point(|sample| sample.at < frame.started_utc);
+            let (earlier, later) = samples.split_at(split);
+            Some(Around { before: earlier.last().cloned(), after: later.first().cloned(), heard_since: true })
+        };
+        let (ours, history) = complete(&table, &frame, EquatorialSystem::J2000, &around);
+        assert_eq!(history, Vec::<String>::new(), "{}", path.display());
+
+        for row in table.rows.iter().filter(|row| !row.fixed && after.contains_key(&row.keyword)) {
+            let Source::Property(kind, property) = &row.source else { continue };
+            let Some(expected) = after[&row.keyword].as_f64() else { continue };
+            let Some(value) = ours.get(&row.keyword) else {
+                // the target's own place, which completion leaves alone
+                assert!(matches!(row.keyword.as_str(), "RA" | "DEC") && frame.purpose.ra_deg.is_some(), "{}", row.keyword);
+                continue;
+            };
+            let samples = around(*kind, property).unwrap();
+            let ends = samples.before.as_ref().zip(samples.after.as_ref());
+            // the predecessor interpolates in Julian days, which are good to 50 us
+            let step = ends.and_then(|(a, b)| Some((b.value.number()? - a.value.number()?, b.at.seconds_since(a.at))));
+            let tolerance = 1e-6 + step.map_or(0.0, |(step, span_s)| step.abs() / span_s * 1e-4);
+            match Rule::of(*kind, property, row.dtype) {
+                Rule::Linear => {
+                    assert!((float(value) - expected).abs() < tolerance, "{} {value:?} {expected}", row.keyword);
+                    linear += 1;
+                }
+                Rule::Circular { turn } => {
+                    assert!((0.0..if row.keyword == "RA" { 360.0 } else { turn }).contains(&float(value)));
+                    // over north the predecessor goes the long way round
+                    if step.is_none_or(|(step, _)| step.abs() < turn / 2.0) {
+                        assert!((float(value) - expected).abs() < tolerance * 15.0, "{} {value:?} {expected}", row.keyword);
+                        linear += 1;
+                    }
+                }
+                Rule::Nearest => {
+                    // one of the two states that were polled, with the predecessor's number between them
+                    let polled = [&samples.before, &samples.after].map(|s| s.as_ref().and_then(|s| s.value.number()));
+                    let [first, second] = polled.map(|number| number.unwrap_or(float(value)));
+                    assert!([first, second].contains(&float(value)), "{} {value:?}", row.keyword);
+                    assert!((first.min(second)..=first.max(second)).contains(&expected), "{} {expected}", row.keyword);
+                    states += 1;
+                    fractions += usize::from(expected.fract() != 0.0);
+                }
+            }
+        }
+        for (keyword, tolerance) in [
+            ("JD-OBS", 1e-9),
+            ("JD-END", 1e-9),
+            ("MJD-OBS", 1e-9),
+            ("MJD-END", 1e-9),
+            ("LST", 1.0),       // its own UT1-UTC
+            ("HJD-OBS", 6e-7),  // 50 ms
+            ("BJD-OBS", 6e-7),
+            ("AIRMASS", 1e-3),
+        ] {
+            // a bias has no target here; the predecessor takes the parked mount's direction, so do we
+            let Some(expected) = after.get(keyword).and_then(Value::as_f64) else { continue };
+            assert!((float(&ours[keyword]) - expected).abs() < tolerance, "{keyword} {:?} {expected}", ours[keyword]);
+            skies += 1;
+        }
+        assert_eq!(ours["DATE-END"], after["DATE-END"].as_str().unwrap().into());
+    }
+    assert!(linear > 400 && states > 200 && skies > 300, "{linear} {states} {skies}");
+    // the predecessor wrote states between two states; that is what Nearest mends
+    assert!(fractions > 0);
+}

@@ -1,0 +1,129 @@
+//! The archive node: it keeps what a telescope sees and says.
+//!
+//! Frames come from the device nodes' spools ([`store`]): fetched and proven ([`frame`]), named ([`name`]), written as FITS
+//! ([`fits`], [`header`]) under a temporary name, synced, named, recorded, and only then released. Everything devices poll
+//! and nodes write in their diaries goes into one SQLite file ([`telemetry`], [`diary`], [`database`]), from which questions
+//! are answered ([`history`]) and headers completed ([`pass`], [`completion`]) with what was true when the exposure began
+//! ([`interpolate`], [`astronomy`]).
+//!
+//! Nothing here is in the safety path, and every step may be killed: a frame that was announced is stored once, a header
+//! is the old one or the new one, a row counts once.
+
+pub mod astronomy;
+pub mod card;
+pub mod completion;
+pub mod database;
+mod diary;
+pub mod fits;
+mod frame;
+pub mod header;
+mod history;
+pub mod interpolate;
+pub mod name;
+pub mod pass;
+pub mod reader;
+mod store;
+pub mod telemetry;
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::AtomicI64;
+
+use anyhow::Context as _;
+use bus::{Node, Quality};
+use config::Observatory;
+use contract::device::camera::Frame;
+use contract::{Address, Device, Key, Kind, Scalar};
+use tokio::sync::Notify;
+use tokio::task::JoinSet;
+
+use crate::database::Database;
+use crate::name::Namer;
+use crate::reader::Reader;
+use crate::telemetry::Newest;
+
+/// Runs the archive of one telescope until the node is stopped.
+pub async fn run(node: Node) -> anyhow::Result<()> {
+    let config = node.config.clone();
+    let namer = Namer::new(&config.archive.filename, config.place.longitude_deg)?;
+    for note in header::check(&node.header) {
+        tracing::warn!(note, "a row of the FITS-header table is left out");
+    }
+    let (database, writer) = Database::open(&config.archive.database, node.alerts.clone())?;
+    let (stored_before, complete_before) = Reader::open(database.path())?.image_counts()?;
+    for (figure, count) in [("frames_stored", stored_before), ("headers_complete", complete_before), ("rows_written", 0)] {
+        node.figure(figure, Scalar::Int(count));
+    }
+    let stored = Key::Stored(config.address());
+    let stored = Arc::new(node.bus.publisher(&stored, Quality::Event { cache: 1000 }).await?);
+    let (newest, incomplete) = (Newest::default(), Arc::new(Notify::new()));
+    let _history = history::serve(&node).await?;
+
+    let mut tasks = JoinSet::new();
+    tasks.spawn(telemetry::keep(node.clone(), database.clone(), newest.clone()));
+    tasks.spawn(diary::keep(node.clone(), database.clone()));
+    tasks.spawn(store::keep(store::Store {
+        node: node.clone(),
+        database: database.clone(),
+        newest: newest.clone(),
+        namer,
+        stored: stored.clone(),
+        incomplete: incomplete.clone(),
+        count: AtomicI64::new(stored_before),
+    }));
+    tasks.spawn(pass::keep(pass::Pass {
+        node: node.clone(),
+        database,
+        newest,
+        stored,
+        incomplete,
+        count: AtomicI64::new(complete_before),
+    }));
+    let result = match node.stop.or(tasks.join_next()).await {
+        None => Ok(()),
+        Some(Some(Ok(ended))) => ended.context("a part of the archive ended"),
+        Some(Some(Err(error))) => Err(error).context("a part of the archive ended badly"),
+        Some(None) => Ok(()),
+    };
+    // the last clones of the database go with the tasks, and then the writer ends with everything written
+    tasks.shutdown().await;
+    writer.end().await;
+    result
+}
+
+/// Keys of this telescope, and of what it shares with its neighbours, below which something is heard.
+fn watch_keys(config: &Observatory, below: &str) -> Vec<String> {
+    let own = config.address();
+    let mut addresses = vec![own.clone(), own.shared()];
+    addresses.dedup();
+    addresses.iter().map(|address: &Address| format!("{}/{address}/{below}", contract::key::ROOT)).collect()
+}
+
+/// The camera and the devices that belong to a frame: as the frame says, else as the configuration pairs them.
+fn pairing(config: &Observatory, camera: &Device, frame: &Frame) -> HashMap<Kind, Device> {
+    let mut devices = HashMap::from([(Kind::Camera, camera.clone())]);
+    for (kind, name) in &frame.purpose.paired {
+        match (kind.parse::<Kind>(), name.parse()) {
+            (Ok(kind), Ok(name)) if kind != Kind::Camera => drop(devices.insert(kind, config.device(kind, &name))),
+            (Ok(_), Ok(_)) => {}
+            _ => tracing::warn!(kind, name, frame = %frame.id, "a pairing that names nothing"),
+        }
+    }
+    let block = config.camera.iter().find(|block| block.common.name == camera.name);
+    if let (true, Some(block)) = (frame.purpose.paired.is_empty(), block) {
+        let pairs = [
+            (Kind::Telescope, &block.telescope),
+            (Kind::FilterWheel, &block.filterwheel),
+            (Kind::Focuser, &block.focuser),
+            (Kind::Dome, &block.dome),
+            (Kind::Rotator, &block.rotator),
+            (Kind::CoverCalibrator, &block.covercalibrator),
+            (Kind::SafetyMonitor, &block.safetymonitor),
+            (Kind::ObservingConditions, &block.observingconditions),
+            (Kind::Switch, &block.switch),
+        ];
+        let named = pairs.into_iter().filter_map(|(kind, name)| Some((kind, name.as_ref()?)));
+        devices.extend(named.map(|(kind, name)| (kind, config.device(kind, name))));
+    }
+    devices
+}

@@ -1,0 +1,278 @@
+//! File names, written by a site's templates: Python format fields or Jinja2.
+//!
+//! Values come from schedules, which anybody may write, so each is cleaned before it is written into a name, and the
+//! finished name is checked again: it never leaves the folder. Every template is tried once at the start.
+
+mod format;
+mod jinja;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use contract::device::camera::Frame;
+use sky::NightDate;
+use units::{Angle, Utc};
+
+/// Action types that may have a template of their own, and the templates of those who have none.
+const DEFAULTS: [(&str, &str); 7] = [
+    ("object", "{action_date}/{device}_{filter_name}_{object_name}_{exptime:.3f}_{timestamp}.fits"),
+    ("calibration", "{action_date}/{device}_{imagetype}_{exptime:.3f}_{timestamp}.fits"),
+    ("flats", "{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits"),
+    ("autofocus", "autofocus/{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits"),
+    (
+        "calibrate_guiding",
+        "calibrate_guiding/{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits",
+    ),
+    ("pointing_model", "pointing_model/{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits"),
+    ("default", "{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits"),
+];
+
+/// Longest part of a path, bytes; file systems take 255, and a collision adds a stamp.
+const LONGEST_PART: usize = 180;
+
+/// A template that cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("archive.filename.{action}: {fault} in {template:?}")]
+pub struct NameError {
+    action: String,
+    template: String,
+    fault: String,
+}
+
+/// A value that a template may use.
+#[derive(Debug, Clone, PartialEq)]
+enum Value {
+    Text(String),
+    Int(i64),
+    Float(f64),
+    Date(Utc),
+}
+
+type Values = BTreeMap<&'static str, Value>;
+
+/// Names files.
+pub struct Namer {
+    /// Template and whether it is Jinja, by action type.
+    templates: BTreeMap<String, (String, bool)>,
+    longitude_east: Angle,
+}
+
+impl Namer {
+    /// A namer with a site's own templates in place of the defaults; each is tried once.
+    pub fn new(own: &BTreeMap<String, String>, longitude_deg: f64) -> Result<Self, NameError> {
+        // one Jinja template makes all of a site's own Jinja, as the predecessor reads them
+        let is_jinja = own.values().any(|template| template.contains("{{") && template.contains("}}"));
+        let mut templates: BTreeMap<String, (String, bool)> =
+            DEFAULTS.iter().map(|(action, template)| ((*action).to_owned(), ((*template).to_owned(), false))).collect();
+        for (action, template) in own {
+            match templates.get_mut(action) {
+                Some(place) => *place = (template.clone(), is_jinja),
+                None => tracing::warn!(action, "archive.filename has a template for an unknown action; it is not used"),
+            }
+        }
+        let namer = Self { templates, longitude_east: Angle::from_degrees(longitude_deg) };
+        for (action, (template, _)) in &namer.templates {
+            namer.render(action, &trial()).map_err(|fault| NameError {
+                action: action.clone(),
+                template: template.clone(),
+                fault,
+            })?;
+        }
+        Ok(namer)
+    }
+
+    /// Where a frame's file goes, relative to the folder of images: folders and name, none of them leading out.
+    pub fn path(&self, frame: &Frame, written: Utc) -> PathBuf {
+        let action = frame.purpose.action.as_str();
+        let values = self.values(frame, written);
+        let rendered = self.render(action, &values).unwrap_or_else(|fault| {
+            tracing::warn!(%fault, action, "the file name template failed; the default is used");
+            let (_, template) = DEFAULTS[DEFAULTS.len() - 1];
+            plain(template, &values).unwrap_or_else(|_| format!("{}.fits", frame.id))
+        });
+        let mut path = folder(frame.purpose.folder.as_deref());
+        path.extend(rendered.split('/').filter(|part| !part.is_empty()).map(part));
+        path
+    }
+
+    /// Renders the template of an action; names of devices and objects are cleaned already, the result is not.
+    fn render(&self, action: &str, values: &Values) -> Result<String, String> {
+        let (template, is_jinja) = self
+            .templates
+            .get(action)
+            .or_else(|| self.templates.get("default"))
+            .ok_or_else(|| "no default template".to_owned())?;
+        let rendered = if *is_jinja { jinja::render(template, values)? } else { plain(template, values)? };
+        if rendered.starts_with('/') || rendered.contains('\\') || rendered.contains(':') {
+            return Err(format!("{rendered:?} is no relative path"));
+        }
+        if rendered.split('/').any(|part| part == "..") {
+            return Err(format!("{rendered:?} leads out of the folder"));
+        }
+        if rendered.is_empty() || rendered.ends_with('/') {
+            return Err(format!("{rendered:?} ends without a file name"));
+        }
+        Ok(rendered)
+    }
+
+    fn values(&self, frame: &Frame, written: Utc) -> Values {
+        let purpose = &frame.purpose;
+        let night = purpose.night.parse().unwrap_or_else(|_| sky::night_date(self.longitude_east, frame.started_utc));
+        let named = |name: Option<&String>| {
+            let name = name.map(|name| clean(&name.replace('\'', ""))).filter(|name| !name.trim_matches('.').is_empty());
+            Value::Text(name.unwrap_or_else(|| "NA".to_owned()))
+        };
+        values(Fields {
+            action: clean(&purpose.action),
+            device: clean(&frame.camera),
+            filter: named(purpose.filter.as_ref()),
+            object: named(purpose.object.as_ref()),
+            image_type: image_type(&purpose.image_type),
+            exposure_s: frame.exposure_s,
+            sequence: purpose.sequence,
+            night,
+            written,
+        })
+    }
+}
+
+struct Fields {
+    action: String,
+    device: String,
+    filter: Value,
+    object: Value,
+    image_type: &'static str,
+    exposure_s: f64,
+    sequence: u32,
+    night: NightDate,
+    written: Utc,
+}
+
+fn values(fields: Fields) -> Values {
+    let date = fields.night.to_string();
+    let (year, month, day) = fields.night.ymd();
+    let midnight = format!("{year:04}-{month:02}-{day:02}T00:00:00Z").parse().unwrap_or(Utc::EPOCH);
+    BTreeMap::from([
+        ("action_type", Value::Text(fields.action)),
+        ("device", Value::Text(fields.device)),
+        ("filter_name", fields.filter),
+        ("object_name", fields.object),
+        ("imagetype", Value::Text(fields.image_type.to_owned())),
+        ("exptime", Value::Float(fields.exposure_s)),
+        ("timestamp", Value::Text(fields.written.strftime("%Y%m%d_%H%M%S.%3f"))),
+        ("datetime_timestamp", Value::Date(fields.written)),
+        ("action_date", Value::Text(date)),
+        ("action_datetime", Value::Date(midnight)),
+        ("sequence_counter", Value::Int(fields.sequence.into())),
+    ])
+}
+
+fn trial() -> Values {
+    let written = Utc::from_micros(1_795_230_000_500_000);
+    values(Fields {
+        action: "object".to_owned(),
+        device: "camera".to_owned(),
+        filter: Value::Text("Clear".to_owned()),
+        object: Value::Text("Object".to_owned()),
+        image_type: "light",
+        exposure_s: 1.5,
+        sequence: 0,
+        night: sky::night_date(Angle::from_degrees(0.0), written),
+        written,
+    })
+}
+
+/// `Light Frame` becomes `light`.
+fn image_type(text: &str) -> &'static str {
+    let text = text.to_lowercase();
+    ["light", "bias", "dark", "flat"].into_iter().find(|word| text.contains(word)).unwrap_or("default")
+}
+
+/// Renders `{name:format}` fields; `{{` and `}}` are braces.
+fn plain(template: &str, values: &Values) -> Result<String, String> {
+    let mut out = String::new();
+    let mut rest = template;
+    while let Some(brace) = rest.find(['{', '}']) {
+        out.push_str(&rest[..brace]);
+        let from = &rest[brace..];
+        if from.starts_with("{{") || from.starts_with("}}") {
+            out.push_str(&from[..1]);
+            rest = &from[2..];
+            continue;
+        }
+        let field = from.strip_prefix('{').and_then(|inside| inside.split_once('}'));
+        let (field, after) = field.ok_or_else(|| "a brace stands alone".to_owned())?;
+        let (name, spec) = field.split_once(':').unwrap_or((field, ""));
+        let name = name.trim_end_matches("!s");
+        let value = values.get(name).ok_or_else(|| unknown(name, values))?;
+        out.push_str(&format::format(value, spec)?);
+        rest = after;
+    }
+    out.push_str(rest);
+    Ok(out)
+}
+
+fn unknown(name: &str, values: &Values) -> String {
+    let known: Vec<&str> = values.keys().copied().collect();
+    format!("{name:?} is no variable; expected one of {}", known.join(", "))
+}
+
+/// An action's own folder, relative to the folder of images; one that would lead out of it is not used.
+fn folder(own: Option<&str>) -> PathBuf {
+    let Some(own) = own.filter(|own| !own.trim().is_empty()) else { return PathBuf::new() };
+    let leads_out = own.starts_with(['/', '\\']) || own.contains(':') || own.split(['/', '\\']).any(|part| part == "..");
+    if leads_out {
+        tracing::warn!(folder = own, "the action's folder is not inside the folder of images; the default is used");
+        return PathBuf::new();
+    }
+    own.split(['/', '\\']).filter(|part| !matches!(*part, "" | ".")).map(part).collect()
+}
+
+/// Text from a schedule as it may stand inside a name: no separators, no control characters, nothing that Windows refuses.
+fn clean(text: &str) -> String {
+    let harmless = |c: char| c.is_alphanumeric() || " -_.+()[],=@#~".contains(c);
+    text.chars().map(|c| if harmless(c) { c } else { '_' }).collect::<String>().trim().to_owned()
+}
+
+/// One folder or file name that every file system takes.
+fn part(text: &str) -> String {
+    let cleaned = clean(text);
+    // Windows drops trailing dots and spaces; leading dots hide a file
+    let cleaned = cleaned.trim_end_matches(['.', ' ']);
+    let bare = cleaned.trim_start_matches('.');
+    let mut name = if bare.len() < cleaned.len() { format!("_{bare}") } else { cleaned.to_owned() };
+    if name.is_empty() {
+        name.push('_');
+    }
+    if name.len() > LONGEST_PART {
+        let ending = Path::new(&name).extension().and_then(|ending| ending.to_str()).filter(|e| e.len() <= 8);
+        let ending = ending.map(|ending| format!(".{ending}")).unwrap_or_default();
+        let mut length = LONGEST_PART - ending.len();
+        while !name.is_char_boundary(length) {
+            length -= 1;
+        }
+        name.truncate(length);
+        name.push_str(&ending);
+    }
+    let stem = name.split('.').next().unwrap_or_default().to_ascii_uppercase();
+    let reserved = matches!(stem.as_str(), "CON" | "PRN" | "AUX" | "NUL")
+        || (stem.len() == 4 && (stem.starts_with("COM") || stem.starts_with("LPT")) && stem.ends_with(char::is_numeric));
+    if reserved { format!("_{name}") } else { name }
+}
+
+/// The path for a file whose own is taken: the time of writing is added to its name, and a number if need be.
+pub fn other_than(taken: &Path, written: Utc) -> PathBuf {
+    let stem = taken.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let ending = taken.extension().map(|ending| format!(".{}", ending.to_string_lossy())).unwrap_or_default();
+    let stamp = written.strftime("%Y%m%d_%H%M%S-%6f");
+    let mut other = taken.with_file_name(format!("{stem}-v{stamp}{ending}"));
+    let mut count = 1;
+    while other.exists() {
+        count += 1;
+        other = taken.with_file_name(format!("{stem}-v{stamp}-{count}{ending}"));
+    }
+    other
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,271 @@
+//! Completes headers as soon as the telemetry around their exposures is there, without being asked.
+
+use std::collections::{BTreeSet, HashMap};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::time::Duration;
+
+use bus::{MachineTime, Node, Publisher};
+use config::header::{HeaderTable, Source};
+use config::{EquatorialChoice, Observatory};
+use contract::archive::Stored;
+use contract::device::telescope::EquatorialSystem;
+use contract::observatory::Priority;
+use contract::{CommandId, Device, Kind, Scalar};
+use tokio::sync::Notify;
+
+use crate::completion::{Header, complete_file, recover};
+use crate::database::{Database, StoredImage, Write};
+use crate::header::{Around, Later, Plan, completion, needed};
+use crate::pairing;
+use crate::reader::Reader;
+use crate::telemetry::Newest;
+
+/// How often frames that wait for telemetry are looked at again, machine time.
+const PERIOD: Duration = Duration::from_millis(500);
+/// Frames looked at in one go.
+const AT_ONCE: u32 = 64;
+/// A header waits so long for telemetry, machine time; then what is missing is said to be missing.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// A poll further away than this says nothing, sky s at speed 1; or three periods of a slow device.
+const REACH_S: f64 = 60.0;
+const REACH_PERIODS: f64 = 3.0;
+/// First and longest wait before a file that failed is tried again.
+const FIRST_WAIT: Duration = Duration::from_secs(5);
+const LONGEST_WAIT: Duration = Duration::from_secs(600);
+const FAILURES_BEFORE_ALERT: u32 = 3;
+const ALERT: &str = "archive/headers";
+/// What tells where a frame without a target points, whether the table lists it or not.
+const POINTING: [(Kind, &str); 3] =
+    [(Kind::Telescope, "RightAscension"), (Kind::Telescope, "Declination"), (Kind::Telescope, "Altitude")];
+
+/// Everything that completing headers takes.
+pub struct Pass {
+    /// The node.
+    pub node: Node,
+    /// Where rows go.
+    pub database: Database,
+    /// What the devices said last.
+    pub newest: Newest,
+    /// Says what is complete.
+    pub stored: Arc<Publisher<Stored>>,
+    /// Heard when there is a header to complete.
+    pub incomplete: Arc<Notify>,
+    /// Headers complete, since the database began.
+    pub count: AtomicI64,
+}
+
+/// What is remembered of a frame that is not complete.
+#[derive(Debug, Clone, Copy)]
+struct Waiting {
+    since: MachineTime,
+    failures: u32,
+    not_before: MachineTime,
+}
+
+/// What became of a frame in one look.
+enum Outcome {
+    Complete,
+    NotYet,
+    Failed(String),
+}
+
+/// What completing a header of a site needs to know.
+pub struct Site<'a> {
+    /// The site's configuration.
+    pub config: &'a Observatory,
+    /// Its header table.
+    pub table: &'a HeaderTable,
+    /// What its devices said last.
+    pub newest: &'a Newest,
+    /// Speed of sky time.
+    pub speed: f64,
+}
+
+/// Completes the header of one stored image from the polls around its exposure, and returns what was added.
+///
+/// `None` when polls after the exposure are still to come, unless told to be impatient. Reads files: not for async threads.
+pub fn complete_image(
+    site: &Site<'_>,
+    reader: &Reader,
+    image: &StoredImage,
+    impatient: bool,
+) -> anyhow::Result<Option<Plan>> {
+    let (frame, config) = (&image.frame, site.config);
+    let camera = config.address().device(Kind::Camera, &frame.camera.parse()?);
+    let devices = pairing(config, &camera, frame);
+    let mut polls: HashMap<(Kind, &str), Around> = HashMap::new();
+    for (kind, property) in needed(site.table) {
+        let Some(device) = devices.get(&kind) else { continue };
+        let around = reader.around(device, property, frame.started_utc)?;
+        // a property that never had a value is not waited for once its device was heard
+        let is_void = around.before.is_none() && site.newest.heard_since(device, frame.started_utc);
+        if !around.heard_since && !is_void && !impatient {
+            return Ok(None);
+        }
+        polls.insert((kind, property), around);
+    }
+    recover(&image.path)?;
+    let present = Header::read(&image.path)?.keywords();
+    for (kind, property) in missing_fixed(site.table, &present).chain(POINTING) {
+        if let (Some(device), false) = (devices.get(&kind), polls.contains_key(&(kind, property))) {
+            polls.insert((kind, property), reader.around(device, property, frame.started_utc)?);
+        }
+    }
+    let around = |kind: Kind, property: &str| {
+        devices.get(&kind)?;
+        Some(polls.get(&(kind, property)).cloned().unwrap_or_default())
+    };
+    let mount = devices.get(&Kind::Telescope).map_or(EquatorialSystem::Other, |mount| site.mount_frame(mount));
+    let later =
+        Later { frame, place: &config.place, mount, reach_s: site.reach_s(), present: &present, around: &around };
+    let plan = completion(site.table, &later)?;
+    complete_file(&image.path, &plan)?;
+    Ok(Some(plan))
+}
+
+/// Fixed properties that the devices had not told yet when the file was made.
+fn missing_fixed<'a>(table: &'a HeaderTable, present: &BTreeSet<String>) -> impl Iterator<Item = (Kind, &'a str)> {
+    let rows = table.rows.iter().filter(|row| row.fixed && !present.contains(&row.keyword));
+    rows.filter_map(|row| match &row.source {
+        Source::Property(kind, property) => Some((*kind, property.as_str())),
+        _ => None,
+    })
+}
+
+impl Site<'_> {
+    /// The frame of a mount's coordinates: as configured, else as it says itself.
+    fn mount_frame(&self, mount: &Device) -> EquatorialSystem {
+        let configured = self.config.telescope.iter().find(|telescope| telescope.common.name == mount.name);
+        match configured.map(|telescope| telescope.equatorial_system) {
+            Some(EquatorialChoice::J2000) => EquatorialSystem::J2000,
+            Some(EquatorialChoice::Topocentric) => EquatorialSystem::Topocentric,
+            Some(EquatorialChoice::Auto) | None => self.newest.equatorial_system(mount),
+        }
+    }
+
+    /// Polls keep machine time, so in a fast simulation they lie further apart on the sky's.
+    fn reach_s(&self) -> f64 {
+        let slowest = self.config.devices().iter().map(|(_, common)| common.period_s).fold(0.0, f64::max);
+        REACH_S.max(slowest * REACH_PERIODS) * self.speed.max(1.0)
+    }
+}
+
+/// Completes headers until the node ends.
+pub async fn keep(pass: Pass) -> anyhow::Result<()> {
+    let pass = Arc::new(pass);
+    let mut waiting: HashMap<CommandId, Waiting> = HashMap::new();
+    loop {
+        let images = pass.look().await?;
+        if images.is_empty() {
+            waiting.clear();
+            pass.node.alerts.clear(ALERT);
+            pass.incomplete.notified().await;
+            continue;
+        }
+        let now = pass.node.bus.clock().machine();
+        let fresh = Waiting { since: now, failures: 0, not_before: now };
+        let due: Vec<(StoredImage, bool)> = images
+            .into_iter()
+            .filter_map(|image| {
+                let waiting = waiting.entry(image.frame.id.clone()).or_insert(fresh);
+                (waiting.not_before <= now).then(|| (image, now.since(waiting.since) >= PATIENCE))
+            })
+            .collect();
+        let worker = pass.clone();
+        let done = tokio::task::spawn_blocking(move || worker.complete_all(due)).await??;
+        let completed: Vec<&StoredImage> =
+            done.iter().filter(|(_, outcome)| matches!(outcome, Outcome::Complete)).map(|(image, _)| image).collect();
+        pass.tell(&completed).await?;
+        let progress = !completed.is_empty();
+        for (image, outcome) in &done {
+            match outcome {
+                Outcome::Complete => drop(waiting.remove(&image.frame.id)),
+                Outcome::NotYet => {}
+                Outcome::Failed(error) => {
+                    if let Some(waiting) = waiting.get_mut(&image.frame.id) {
+                        pass.failed(image, error, waiting);
+                    }
+                }
+            }
+        }
+        if !progress {
+            // new frames need a poll after their exposure first, so there is no hurry
+            tokio::time::sleep(PERIOD).await;
+        }
+    }
+}
+
+impl Pass {
+    async fn look(&self) -> anyhow::Result<Vec<StoredImage>> {
+        let database = self.database.path().to_owned();
+        let look = move || Reader::open(&database).and_then(|reader| reader.incomplete(AT_ONCE * 16));
+        Ok(tokio::task::spawn_blocking(look).await??)
+    }
+
+    /// Completes those that are ready, at most [`AT_ONCE`]; the flag says that a frame has waited long enough.
+    fn complete_all(&self, due: Vec<(StoredImage, bool)>) -> anyhow::Result<Vec<(StoredImage, Outcome)>> {
+        let reader = Reader::open(self.database.path())?;
+        let mut done = Vec::new();
+        let mut completed = 0;
+        for (image, impatient) in due {
+            let outcome = match self.complete(&reader, &image, impatient) {
+                Ok(true) => Outcome::Complete,
+                Ok(false) => Outcome::NotYet,
+                Err(error) => Outcome::Failed(format!("{error:#}")),
+            };
+            completed += u32::from(matches!(outcome, Outcome::Complete));
+            done.push((image, outcome));
+            if completed >= AT_ONCE || self.node.stop.is_stopped() {
+                break;
+            }
+        }
+        Ok(done)
+    }
+
+    fn complete(&self, reader: &Reader, image: &StoredImage, impatient: bool) -> anyhow::Result<bool> {
+        let site = Site {
+            config: &self.node.config,
+            table: &self.node.header,
+            newest: &self.newest,
+            speed: self.node.bus.clock().speed(),
+        };
+        let Some(plan) = complete_image(&site, reader, image, impatient)? else { return Ok(false) };
+        for line in &plan.history {
+            tracing::info!(file = image.file, "{line}");
+        }
+        Ok(true)
+    }
+
+    async fn tell(&self, completed: &[&StoredImage]) -> anyhow::Result<()> {
+        if completed.is_empty() {
+            return Ok(());
+        }
+        self.database.commit(completed.iter().map(|image| Write::Complete(image.frame.id.clone())).collect()).await?;
+        let count = self.count.fetch_add(completed.len() as i64, Ordering::Relaxed) + completed.len() as i64;
+        self.node.figure("headers_complete", Scalar::Int(count));
+        for image in completed {
+            let stored = Stored {
+                frame: image.frame.id.clone(),
+                camera: image.frame.camera.clone(),
+                file: image.file.clone(),
+                bytes: image.bytes,
+                header_complete: true,
+            };
+            self.stored.put(stored).await?;
+        }
+        Ok(())
+    }
+
+    fn failed(&self, image: &StoredImage, error: &str, waiting: &mut Waiting) {
+        waiting.failures += 1;
+        let pause = FIRST_WAIT.saturating_mul(1 << waiting.failures.min(10)).min(LONGEST_WAIT);
+        waiting.not_before = self.node.bus.clock().machine().plus(pause);
+        tracing::warn!(file = image.file, error, "a header could not be completed; it will be tried again");
+        if waiting.failures >= FAILURES_BEFORE_ALERT {
+            let cause = format!("the header of {} cannot be completed: {error}", image.file);
+            let action = "put the file back where it was, or look at the disk";
+            self.node.alerts.raise(ALERT, Priority::Advisory, &cause, "its keywords stay incomplete", action);
+        }
+    }
+}

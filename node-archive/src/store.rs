@@ -1,0 +1,271 @@
+//! A frame's way from its announcement to a file, a row, and the spool's release.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use bus::{AskError, Catch, Node, Publisher};
+use contract::archive::Stored;
+use contract::device::camera::{self, Frame};
+use contract::observatory::Priority;
+use contract::{Command, CommandId, Device, Key, Kind, Reason, Scalar};
+use tokio::sync::{Notify, Semaphore, watch};
+use tokio::task::JoinSet;
+use units::Utc;
+
+use crate::completion::{Header, sync_folder};
+use crate::database::{Database, StoredImage, Write};
+use crate::fits::FitsFile;
+use crate::frame::{fetch, shape};
+use crate::header::{self, Known};
+use crate::name::{Namer, other_than};
+use crate::pairing;
+use crate::reader::Reader;
+use crate::telemetry::Newest;
+
+/// Frames that are fetched and written at the same time: one on the wire while another is on its way to the disk.
+const AT_ONCE: usize = 2;
+/// Announcements that wait; the spool keeps the frames, so none is lost with them.
+const WAITING: usize = 4096;
+/// First and longest wait before a failed step is tried again, machine time.
+const FIRST_WAIT: Duration = Duration::from_millis(500);
+const LONGEST_WAIT: Duration = Duration::from_secs(30);
+/// So many failures in a row, and a person is told.
+const FAILURES_BEFORE_ALERT: u32 = 5;
+/// A spool that refuses is asked so often; it announces the frame again after its next start.
+const RELEASE_TRIES: u32 = 50;
+/// Folder of files that are being written, inside the folder of images.
+pub const PART_FOLDER: &str = ".part";
+
+/// Everything that storing a frame takes.
+pub struct Store {
+    /// The node.
+    pub node: Node,
+    /// Where rows go.
+    pub database: Database,
+    /// What the devices said last.
+    pub newest: Newest,
+    /// How files are named.
+    pub namer: Namer,
+    /// Says what is safe.
+    pub stored: Arc<Publisher<Stored>>,
+    /// Told when there is a header to complete.
+    pub incomplete: Arc<Notify>,
+    /// Frames stored, since the database began.
+    pub count: AtomicI64,
+}
+
+/// Stores every frame that the telescope's cameras announce.
+pub async fn keep(store: Store) -> anyhow::Result<()> {
+    let images = &store.node.config.folders.images;
+    prepare_folders(images).with_context(|| format!("cannot use the folder of images {}", images.display()))?;
+    let cameras = format!("{}/{}/device/camera/*/frame", contract::key::ROOT, store.node.config.address());
+    let frames = store.node.bus.subscribe::<Frame>(&cameras, Catch::All, WAITING).await?;
+    let client = reqwest::Client::builder().connect_timeout(Duration::from_secs(5)).build()?;
+    let (store, turns) = (Arc::new(store), Arc::new(Semaphore::new(AT_ONCE)));
+    let mut under_way: HashMap<CommandId, watch::Sender<Frame>> = HashMap::new();
+    let mut tasks = JoinSet::new();
+    loop {
+        tokio::select! {
+            heard = frames.hear() => {
+                let Key::Frame(camera) = heard.key else { continue };
+                let frame = heard.said.body;
+                match under_way.get(&frame.id) {
+                    // announced again, perhaps with a new address
+                    Some(known) => { known.send_replace(frame); }
+                    None => {
+                        let (sender, newest) = watch::channel(frame.clone());
+                        under_way.insert(frame.id, sender);
+                        tasks.spawn(store.clone().see_through(client.clone(), turns.clone(), camera, newest));
+                    }
+                }
+            }
+            Some(done) = tasks.join_next() => { under_way.remove(&done?); }
+        }
+    }
+}
+
+/// Makes the folders and removes what a kill left half written.
+fn prepare_folders(images: &Path) -> std::io::Result<()> {
+    let parts = images.join(PART_FOLDER);
+    std::fs::create_dir_all(&parts)?;
+    for entry in std::fs::read_dir(&parts)? {
+        std::fs::remove_file(entry?.path())?;
+    }
+    Ok(())
+}
+
+impl Store {
+    /// Stores one frame, however long it takes, and has the spool release it.
+    async fn see_through(
+        self: Arc<Self>,
+        client: reqwest::Client,
+        turns: Arc<Semaphore>,
+        camera: Device,
+        newest: watch::Receiver<Frame>,
+    ) -> CommandId {
+        let id = newest.borrow().id.clone();
+        let alert = format!("archive/frame/{id}");
+        let mut failures = 0;
+        loop {
+            let frame = newest.borrow().clone();
+            let turn = turns.acquire().await;
+            let Err(error) = self.store(&client, &camera, frame).await else { break };
+            drop(turn);
+            failures += 1;
+            tracing::debug!(frame = %id, error = format!("{error:#}"), failures, "a frame is not stored yet");
+            if failures == FAILURES_BEFORE_ALERT {
+                let cause = format!("frame {id} of camera {} cannot be stored: {error:#}", camera.name);
+                let consequence = "it stays in the camera's spool; when that is full, exposing ends";
+                let action = "look at the archive's disk and its way to the device node";
+                self.node.alerts.raise(&alert, Priority::High, &cause, consequence, action);
+            }
+            tokio::time::sleep(wait(failures)).await;
+        }
+        self.node.alerts.clear(&alert);
+        let frame = newest.borrow().clone();
+        self.release(&camera, &frame).await;
+        id
+    }
+
+    async fn store(&self, client: &reqwest::Client, camera: &Device, frame: Frame) -> anyhow::Result<()> {
+        if let Some(known) = self.known(&frame).await? {
+            let same = known.frame.sha256.eq_ignore_ascii_case(&frame.sha256);
+            anyhow::ensure!(same, "frame {} is stored with other pixels than those announced now", frame.id);
+            return Ok(());
+        }
+        let pixels = fetch(client, &frame).await?;
+        let written = self.node.bus.clock().utc();
+        let devices = pairing(&self.node.config, camera, &frame);
+        let newest = |kind: Kind, property: &str| {
+            let own = (kind == Kind::Camera).then(|| frame.readings.get(property)?.value().cloned()).flatten();
+            own.or_else(|| self.newest.value(devices.get(&kind)?, property))
+        };
+        let place = &self.node.config.place;
+        let cards = header::base(&self.node.header, &Known { frame: &frame, place, written, newest: &newest });
+        let room = header::room(&self.node.header);
+        let images = self.node.config.folders.images.clone();
+        let part = images.join(PART_FOLDER).join(format!("{}.fits", part_name(&frame.id)));
+
+        let (shape, part_path) = (shape(&frame)?, part.clone());
+        let write = move || -> anyhow::Result<u64> {
+            if part_path.exists() {
+                std::fs::remove_file(&part_path)?;
+            }
+            let mut fits = FitsFile::create(&part_path, &shape)?;
+            for card in &cards {
+                fits.set(card)?;
+            }
+            fits.reserve(room)?;
+            fits.write_pixels(&shape, &pixels)?;
+            fits.write_checksums()?;
+            fits.close()?;
+            let file = std::fs::OpenOptions::new().write(true).open(&part_path)?;
+            file.sync_all()?;
+            Ok(file.metadata()?.len())
+        };
+        let bytes = tokio::task::spawn_blocking(write).await?.context("cannot write the file")?;
+
+        let relative = self.namer.path(&frame, written);
+        let path = free_path(&images, &relative, written)?;
+        let file = relative_text(&images, &path);
+        self.database.commit(vec![Write::Writing { frame: frame.id.clone(), file: file.clone() }]).await?;
+        let target = path.clone();
+        let rename = move || std::fs::rename(&part, &target).and_then(|()| sync_folder(&target));
+        tokio::task::spawn_blocking(rename).await?.with_context(|| format!("cannot name {}", path.display()))?;
+        self.record(StoredImage { frame, path, file, bytes, stored: written }).await
+    }
+
+    /// The row of a frame that is stored already, also of one that was named just before a kill.
+    async fn known(&self, frame: &Frame) -> anyhow::Result<Option<StoredImage>> {
+        let (database, images) = (self.database.path().to_owned(), self.node.config.folders.images.clone());
+        let id = frame.id.clone();
+        let look = move || -> anyhow::Result<(Option<StoredImage>, Option<(String, u64)>)> {
+            let reader = Reader::open(&database)?;
+            let image = reader.image(&id)?;
+            let named = match image {
+                Some(_) => None,
+                None => reader.writing(&id)?.and_then(|file| Some((file.clone(), length_if_whole(&images.join(file), &id)?))),
+            };
+            Ok((image, named))
+        };
+        let (image, named) = tokio::task::spawn_blocking(look).await??;
+        if let (None, Some((file, bytes))) = (&image, named) {
+            let path = self.node.config.folders.images.join(&file);
+            let image = StoredImage { frame: frame.clone(), path, file, bytes, stored: self.node.bus.clock().utc() };
+            self.record(image.clone()).await?;
+            return Ok(Some(image));
+        }
+        Ok(image)
+    }
+
+    async fn record(&self, image: StoredImage) -> anyhow::Result<()> {
+        let (frame, camera) = (image.frame.id.clone(), image.frame.camera.clone());
+        let (file, bytes) = (image.file.clone(), image.bytes);
+        self.database.commit(vec![Write::Stored(Box::new(image))]).await?;
+        let count = self.count.fetch_add(1, Ordering::Relaxed) + 1;
+        self.node.figure("frames_stored", Scalar::Int(count));
+        tracing::info!(file, camera, "stored");
+        self.incomplete.notify_one();
+        self.stored.put(Stored { frame, camera, file, bytes, header_complete: false }).await?;
+        Ok(())
+    }
+
+    /// Tells the spool that it may forget the frame, until it says that it heard.
+    async fn release(&self, camera: &Device, frame: &Frame) {
+        let release = camera::Command::Release { frame: frame.id.clone(), sha256: frame.sha256.clone() };
+        let command =
+            Command { id: CommandId::fresh(), from: self.node.signature(), token: None, action: release };
+        for tries in 1..=RELEASE_TRIES {
+            match self.node.bus.command(camera, &command, Duration::from_secs(3)).await {
+                Ok(_) => return,
+                Err(AskError::Refused { refusal, .. })
+                    if matches!(refusal.reason, Reason::Malformed | Reason::NotImplemented | Reason::WrongState) =>
+                {
+                    tracing::warn!(frame = %frame.id, %refusal, "the spool does not release a frame that is stored");
+                    return;
+                }
+                Err(error) => tracing::debug!(frame = %frame.id, %error, tries, "the spool is asked again"),
+            }
+            tokio::time::sleep(wait(tries)).await;
+        }
+        tracing::warn!(frame = %frame.id, "the spool never answered; it will announce the frame again");
+    }
+}
+
+fn wait(failures: u32) -> Duration {
+    FIRST_WAIT.saturating_mul(1 << failures.min(10).saturating_sub(1)).min(LONGEST_WAIT)
+}
+
+/// The id of a frame as a file name; ids come from the bus.
+fn part_name(id: &CommandId) -> String {
+    id.0.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' }).take(100).collect()
+}
+
+/// Length of a file, if it is the whole file of this frame.
+fn length_if_whole(path: &Path, id: &CommandId) -> Option<u64> {
+    let header = Header::read(path).ok()?;
+    (header.value("FRAMEID").as_deref() == Some(id.0.as_str())).then(|| std::fs::metadata(path).ok())?.map(|m| m.len())
+}
+
+/// Where the file goes: its folders are made, and a name that is taken is changed.
+fn free_path(images: &Path, relative: &Path, written: Utc) -> anyhow::Result<PathBuf> {
+    let path = images.join(relative);
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    }
+    if !path.exists() {
+        return Ok(path);
+    }
+    let other = other_than(&path, written);
+    tracing::warn!(taken = %path.display(), instead = %other.display(), "a file of this name exists");
+    Ok(other)
+}
+
+fn relative_text(images: &Path, path: &Path) -> String {
+    let relative = path.strip_prefix(images).unwrap_or(path);
+    relative.iter().map(|part| part.to_string_lossy()).collect::<Vec<_>>().join("/")
+}

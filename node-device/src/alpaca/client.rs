@@ -1,0 +1,218 @@
+//! One Alpaca device: `get`, `put` and `image`, each with a total deadline, one at a time.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
+
+use contract::Kind;
+use reqwest::header::{ACCEPT, CONTENT_TYPE};
+use reqwest::{Client, Response, Url};
+use serde_json::Value;
+use tokio::sync::{Mutex, MutexGuard};
+use tokio::time::timeout;
+
+use super::image::RawImage;
+use super::response::{self, Answer};
+use super::{AlpacaError, Fault};
+
+/// Total time for reading a property.
+pub const STATUS_DEADLINE: Duration = Duration::from_secs(2);
+/// Total time for a command to be taken.
+pub const COMMAND_DEADLINE: Duration = Duration::from_secs(5);
+/// Largest JSON answer that is no image.
+const JSON_CAP: usize = 1 << 20;
+
+/// Talks to one device of an Alpaca server. Cheap to clone; clones take turns.
+#[derive(Clone)]
+pub struct Alpaca {
+    wire: Arc<Wire>,
+    /// A device hears one request at a time, except where waiting could be dangerous.
+    waits: bool,
+}
+
+struct Wire {
+    ordinary: Client,
+    /// Connections of their own for what must not wait behind a hung request.
+    urgent: Client,
+    server: String,
+    kind: Kind,
+    number: u32,
+    transactions: AtomicU32,
+    turn: Mutex<()>,
+}
+
+impl Alpaca {
+    /// A device by its server (`host:port`), kind and number.
+    pub fn new(server: &str, kind: Kind, number: u32) -> Result<Self, AlpacaError> {
+        let wire = Wire {
+            ordinary: http_client()?,
+            urgent: http_client()?,
+            server: server.to_owned(),
+            kind,
+            number,
+            transactions: AtomicU32::new(1),
+            turn: Mutex::new(()),
+        };
+        Ok(Self { wire: Arc::new(wire), waits: true })
+    }
+
+    /// The same device by a connection of its own, which waits for no other request.
+    pub fn at_once(&self) -> Self {
+        Self { wire: self.wire.clone(), waits: false }
+    }
+
+    /// Reads a property, within 2 s from the moment it is this call's turn.
+    pub async fn get(&self, member: &str) -> Result<Value, AlpacaError> {
+        self.get_with(member, &[]).await
+    }
+
+    /// Reads a property that takes parameters.
+    pub async fn get_with(&self, member: &str, parameters: &[(&str, &str)]) -> Result<Value, AlpacaError> {
+        let _turn = self.my_turn().await;
+        let asking = async {
+            match self.ask(member, parameters).await {
+                // nothing was done yet, so one more try is harmless
+                Err(AlpacaError::Transport { fault: Fault::Connect | Fault::Reset, .. }) => {
+                    self.ask(member, parameters).await
+                }
+                other => other,
+            }
+        };
+        let answer = timeout(STATUS_DEADLINE, asking)
+            .await
+            .unwrap_or_else(|_| Err(AlpacaError::timeout(STATUS_DEADLINE.as_secs_f64())))?;
+        answer.value.ok_or(AlpacaError::NoValue)
+    }
+
+    /// Sets a property or calls a method, within 5 s; never sent twice.
+    pub async fn put(&self, member: &str, parameters: &[(&str, &str)]) -> Result<(), AlpacaError> {
+        self.put_within(member, parameters, COMMAND_DEADLINE).await
+    }
+
+    /// As [`Self::put`], for a method that blocks longer.
+    pub async fn put_within(
+        &self,
+        member: &str,
+        parameters: &[(&str, &str)],
+        deadline: Duration,
+    ) -> Result<(), AlpacaError> {
+        let _turn = self.my_turn().await;
+        let asking = async {
+            let (client_id, transaction) = self.ids();
+            let ids = [("ClientID", client_id.as_str()), ("ClientTransactionID", transaction.as_str())];
+            let form = encoded(parameters.iter().chain(&ids));
+            let request = self
+                .client()
+                .put(self.url(member, None))
+                .header(CONTENT_TYPE, "application/x-www-form-urlencoded")
+                .body(form);
+            let response = request.send().await.map_err(|error| AlpacaError::from_http(&error))?;
+            read_answer(response).await.map(|_| ())
+        };
+        let late = || AlpacaError::timeout(deadline.as_secs_f64());
+        timeout(deadline, asking).await.unwrap_or_else(|_| Err(late()))
+    }
+
+    /// Fetches the image of a camera as it comes; `pixels` is what is expected, for the deadline.
+    pub async fn image(&self, pixels: u64) -> Result<RawImage, AlpacaError> {
+        let _turn = self.my_turn().await;
+        // 1 MB/s for 4 bytes a pixel and 10 s to begin with (spec/reliability.md D1)
+        let deadline = Duration::from_secs(10) + Duration::from_micros(pixels.saturating_mul(4));
+        let fetching = async {
+            let (client_id, transaction) = self.ids();
+            let ids = [("ClientID", client_id.as_str()), ("ClientTransactionID", transaction.as_str())];
+            let request = self
+                .client()
+                .get(self.url("imagearray", Some(&encoded(&ids))))
+                .header(ACCEPT, "application/imagebytes, application/json;q=0.5");
+            let response = request.send().await.map_err(|error| AlpacaError::from_http(&error))?;
+            RawImage::receive(response, pixels).await
+        };
+        let late = || AlpacaError::timeout(deadline.as_secs_f64());
+        timeout(deadline, fetching).await.unwrap_or_else(|_| Err(late()))
+    }
+
+    async fn my_turn(&self) -> Option<MutexGuard<'_, ()>> {
+        if self.waits { Some(self.wire.turn.lock().await) } else { None }
+    }
+
+    fn client(&self) -> &Client {
+        if self.waits { &self.wire.ordinary } else { &self.wire.urgent }
+    }
+
+    fn ids(&self) -> (String, String) {
+        let transaction = self.wire.transactions.fetch_add(1, Ordering::Relaxed).max(1);
+        ((std::process::id() & 0xFFFF).max(1).to_string(), transaction.to_string())
+    }
+
+    fn url(&self, member: &str, query: Option<&str>) -> String {
+        let Wire { server, kind, number, .. } = &*self.wire;
+        let question = if query.is_some() { "?" } else { "" };
+        format!("http://{server}/api/v1/{kind}/{number}/{member}{question}{}", query.unwrap_or_default())
+    }
+
+    async fn ask(&self, member: &str, parameters: &[(&str, &str)]) -> Result<Answer, AlpacaError> {
+        let (client_id, transaction) = self.ids();
+        let ids = [("ClientID", client_id.as_str()), ("ClientTransactionID", transaction.as_str())];
+        let query = encoded(parameters.iter().chain(&ids));
+        let request = self.client().get(self.url(member, Some(&query)));
+        let response = request.send().await.map_err(|error| AlpacaError::from_http(&error))?;
+        let answer = read_answer(response).await?;
+        self.is_mine(&answer, &transaction)?;
+        Ok(answer)
+    }
+
+    /// A replayed or cached answer of a safety monitor is none; 0 is what careless servers send in every answer.
+    fn is_mine(&self, answer: &Answer, transaction: &str) -> Result<(), AlpacaError> {
+        let foreign = answer.client_transaction.filter(|id| *id > 0 && id.to_string() != transaction);
+        match (self.wire.kind, foreign, &answer.stray_message) {
+            (Kind::SafetyMonitor, Some(id), _) => {
+                Err(AlpacaError::Protocol(format!("answer to transaction {id}, asked {transaction}")))
+            }
+            (Kind::SafetyMonitor, None, Some(message)) => {
+                Err(AlpacaError::Protocol(format!("an error message without an error: {message}")))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// An HTTP client for one device: no proxy, no redirects, no connection older than servers keep theirs.
+pub(super) fn http_client() -> Result<Client, AlpacaError> {
+    Client::builder()
+        .no_proxy()
+        .redirect(reqwest::redirect::Policy::none())
+        .connect_timeout(Duration::from_secs(2))
+        // servers close idle connections after 5 s
+        .pool_idle_timeout(Duration::from_secs(4))
+        .tcp_nodelay(true)
+        .build()
+        .map_err(|error| AlpacaError::from_http(&error))
+}
+
+/// Reads the answer to a GET or PUT, at most 1 MiB.
+pub(super) async fn read_answer(response: Response) -> Result<Answer, AlpacaError> {
+    let status = response.status().as_u16();
+    let body = read_capped(response, JSON_CAP).await?;
+    response::parse(status, &body)
+}
+
+/// Reads a body of at most `cap` bytes.
+pub(super) async fn read_capped(mut response: Response, cap: usize) -> Result<Vec<u8>, AlpacaError> {
+    let mut body = Vec::new();
+    while let Some(chunk) = response.chunk().await.map_err(|error| AlpacaError::from_http(&error))? {
+        if body.len() + chunk.len() > cap {
+            return Err(AlpacaError::Protocol(format!("the answer is longer than {cap} bytes")));
+        }
+        body.extend_from_slice(&chunk);
+    }
+    Ok(body)
+}
+
+/// Name-value pairs as a query or a form writes them.
+fn encoded<'a>(pairs: impl IntoIterator<Item = &'a (&'a str, &'a str)>) -> String {
+    // the url crate behind reqwest knows the rules; the address is of no interest
+    let Ok(mut url) = Url::parse("http://a/") else { return String::new() };
+    url.query_pairs_mut().extend_pairs(pairs.into_iter().copied());
+    url.query().unwrap_or_default().to_owned()
+}

@@ -1,0 +1,13 @@
+//! ASCOM Alpaca: a thin client that forgives sloppy servers and keeps every error's class.
+
+mod client;
+pub mod discovery;
+mod error;
+pub mod image;
+mod image_bytes;
+mod image_json;
+mod response;
+pub mod value;
+
+pub use client::Alpaca;
+pub use error::{AlpacaError, Fault};

@@ -1,0 +1,83 @@
+//! Says which frames wait in the spool: each when it is safe, and again until the archive releases it.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bus::{Node, Publisher, Quality};
+use contract::device::camera::Frame;
+use contract::observatory::Priority;
+use contract::{CommandId, Key, Kind, Name};
+use tokio::sync::mpsc;
+use tokio::time::{MissedTickBehavior, interval};
+
+use crate::spool::{Spool, SpoolError};
+
+/// Frames that nobody released are announced again so often.
+const AGAIN: Duration = Duration::from_secs(30);
+/// Released frames are removed, and free space is measured, so often.
+const SWEEP: Duration = Duration::from_secs(10);
+
+/// Announces the frames of these cameras until the node is stopped.
+pub async fn run(
+    node: Node,
+    spool: Arc<Spool>,
+    cameras: Vec<Name>,
+    mut stored: mpsc::UnboundedReceiver<Result<CommandId, (CommandId, SpoolError)>>,
+) -> anyhow::Result<()> {
+    let mut voices = Vec::new();
+    for camera in cameras {
+        let key = Key::Frame(node.config.address().device(Kind::Camera, &camera));
+        voices.push((camera, node.bus.publisher::<Frame>(&key, Quality::Event { cache: 1000 }).await?));
+    }
+    let clock = node.bus.clock().clone();
+    let say = async |voice: &Publisher<Frame>, frame: Frame| {
+        let id = frame.id.clone();
+        match voice.put(frame).await {
+            Ok(()) => spool.announced(&id, clock.machine()),
+            Err(error) => tracing::warn!(frame = %id, %error, "a frame could not be announced; it will be again"),
+        }
+    };
+    let mut again = interval(AGAIN);
+    again.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut sweep = interval(SWEEP);
+    sweep.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        tokio::select! {
+            () = node.stop.wait() => return Ok(()),
+            Some(outcome) = stored.recv() => match outcome {
+                Ok(id) => {
+                    node.alerts.clear("spool-cannot-write");
+                    let Some(frame) = spool.frame(&id) else { continue };
+                    tracing::info!(camera = frame.camera, frame = %id, exposure_s = frame.exposure_s, "frame in the spool");
+                    if let Some((_, voice)) = voices.iter().find(|(name, _)| name.as_str() == frame.camera) {
+                        say(voice, frame).await;
+                    }
+                }
+                Err((id, error)) => {
+                    tracing::error!(frame = %id, %error, "a frame is lost");
+                    let cause = format!("frame {id} could not be kept: {error}");
+                    let action = "look at the disk of the device node";
+                    node.alerts.raise("spool-cannot-write", Priority::High, &cause, "frames are lost", action);
+                }
+            },
+            // the first tick is now: frames that waited for a restart
+            _ = again.tick() => {
+                for (camera, voice) in &voices {
+                    for frame in spool.unreleased(camera) {
+                        say(voice, frame).await;
+                    }
+                }
+            }
+            _ = sweep.tick() => {
+                let (spool, now) = (spool.clone(), clock.machine());
+                let swept = tokio::task::spawn_blocking(move || {
+                    spool.sweep(now);
+                    spool.measure_free();
+                });
+                if let Err(error) = swept.await {
+                    tracing::error!(%error, "the spool could not be swept");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,234 @@
+//! The camera; how a frame is taken stands in `exposure`.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use bus::Clock;
+use contract::device::camera::{self, Activity, Capabilities, Command, Exposure, Fields, Subframe};
+use contract::{Accepted, CommandId, Datum, Name, Reason, Refusal, Reply};
+
+use super::exposure::Setting;
+use super::{Driver, Need, Obeyed, Progress, can, optional, within};
+use crate::alpaca::{Alpaca, AlpacaError, value};
+use crate::readings::Readings;
+use crate::spool::Spool;
+
+const ACTIVITY: [(i64, Activity); 6] = [
+    (0, Activity::Idle),
+    (1, Activity::Waiting),
+    (2, Activity::Exposing),
+    (3, Activity::Reading),
+    (4, Activity::Download),
+    (5, Activity::Error),
+];
+
+/// Less free space than this and nothing is exposed any more: a frame that cannot be kept is a lie.
+const LEAST_FREE_BYTES: u64 = 500_000_000;
+
+/// Drives a camera.
+pub struct Camera {
+    pub(super) name: Name,
+    pub(super) clock: Clock,
+    pub(super) spool: Arc<Spool>,
+    /// Properties that are read for each exposure, by ASCOM name.
+    pub(super) fixed: Vec<String>,
+    pub(super) memory: Mutex<Memory>,
+}
+
+/// What the driver knows between commands.
+#[derive(Default)]
+pub(super) struct Memory {
+    /// What the camera was last set to; absent where that is not sure.
+    pub setting: Option<Setting>,
+    /// The exposure under way.
+    pub exposure: Option<Exposure>,
+    /// Largest pixel value.
+    pub max_adu: Option<f64>,
+    /// Sensor size, unbinned pixels.
+    pub sensor_px: (u32, u32),
+    /// The camera tells when its last exposure began.
+    pub tells_start: bool,
+}
+
+impl Camera {
+    /// A camera whose frames go to a spool; `fixed` properties are read for each exposure.
+    pub fn new(name: Name, clock: Clock, spool: Arc<Spool>, fixed: Vec<String>) -> Self {
+        Self { name, clock, spool, fixed, memory: Mutex::default() }
+    }
+
+    pub(super) fn memory<T>(&self, use_it: impl FnOnce(&mut Memory) -> T) -> T {
+        use_it(&mut self.memory.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl Driver for Camera {
+    type Kind = camera::Camera;
+
+    fn polled(&self) -> Vec<String> {
+        ["CameraState", "CCDTemperature", "SetCCDTemperature", "CoolerOn", "CoolerPower"].map(str::to_owned).to_vec()
+    }
+
+    fn moving(&self) -> &'static [&'static str] {
+        &["CameraState"]
+    }
+
+    async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
+        let whole = async |member: &str| -> Result<u32, AlpacaError> {
+            let answer = optional(alpaca, member, value::whole).await?;
+            Ok(answer.ok().and_then(|size| u32::try_from(size).ok()).unwrap_or(0))
+        };
+        let can = Capabilities {
+            width_px: whole("cameraxsize").await?,
+            height_px: whole("cameraysize").await?,
+            pixel_width_um: optional(alpaca, "pixelsizex", value::number).await?.into(),
+            pixel_height_um: optional(alpaca, "pixelsizey", value::number).await?.into(),
+            max_bin: whole("maxbinx").await?.max(1),
+            max_adu: optional(alpaca, "maxadu", value::number).await?.into(),
+            set_temperature: can(alpaca, "cansetccdtemperature").await?,
+            abort: can(alpaca, "canabortexposure").await?,
+            electrons_per_adu: optional(alpaca, "electronsperadu", value::number).await?.into(),
+        };
+        self.memory(|memory| {
+            *memory = Memory {
+                max_adu: can.max_adu.known().copied(),
+                sensor_px: (can.width_px, can.height_px),
+                tells_start: true,
+                ..Memory::default()
+            };
+        });
+        Ok(can)
+    }
+
+    async fn stirred(&self) {
+        self.spool.stirred().await;
+    }
+
+    fn fields(&self, readings: &Readings) -> Fields {
+        Fields {
+            activity: readings.choice("CameraState", &ACTIVITY),
+            ccd_c: readings.number("CCDTemperature"),
+            set_c: readings.number("SetCCDTemperature"),
+            cooler_on: readings.flag("CoolerOn"),
+            cooler_percent: readings.number("CoolerPower"),
+            exposure: self.memory(|memory| memory.exposure.clone()),
+            spooled: self.spool.waiting(&self.name),
+            spool_free_bytes: self.spool.free_bytes(),
+        }
+    }
+
+    fn is_busy(&self, fields: &Fields) -> bool {
+        !matches!(fields.activity, Datum::Known(Activity::Idle | Activity::Error)) || fields.exposure.is_some()
+    }
+
+    fn need(&self, command: &Command) -> Need {
+        match command {
+            Command::Expose { .. } | Command::Cool { .. } | Command::Warm => Need::Token,
+            Command::Abort | Command::Release { .. } => Need::Nothing,
+        }
+    }
+
+    fn interrupts(&self, command: &Command) -> bool {
+        *command == Command::Abort
+    }
+
+    fn answer(&self, id: &CommandId, command: &Command) -> Option<Reply> {
+        let accepted = || Some(Reply::Accepted(Accepted { id: id.clone(), token: None }));
+        match command {
+            Command::Release { frame, sha256 } => match self.spool.release(frame, sha256) {
+                Ok(()) => accepted(),
+                Err(detail) => Some(Reply::Refusal(Refusal { id: id.clone(), reason: Reason::Malformed, detail })),
+            },
+            // the frame of this id was taken before this node restarted
+            Command::Expose { .. } if self.spool.holds(id) => accepted(),
+            Command::Expose { .. } | Command::Abort | Command::Cool { .. } | Command::Warm => None,
+        }
+    }
+
+    fn refuse(&self, id: &CommandId, command: &Command, can: &Capabilities, _: &Fields) -> Option<(Reason, String)> {
+        match command {
+            Command::Expose { exposure_s, bin, subframe, .. } => {
+                if id.0.parse::<Name>().is_err() {
+                    return Some((Reason::Malformed, format!("{:?} cannot name a frame", id.0)));
+                }
+                if *bin < 1 || *bin > can.max_bin {
+                    return Some((Reason::Malformed, format!("bin {bin}: expected 1 to {}", can.max_bin)));
+                }
+                if let Some(free) = self.spool.free_bytes().known().filter(|free| **free < LEAST_FREE_BYTES) {
+                    let detail = format!("the spool's disk has {} MB left: expected 500", free / 1_000_000);
+                    return Some((Reason::NotNow, detail));
+                }
+                let too_large = subframe.filter(|part| !fits(part, can, *bin));
+                let bad_part = too_large.map(|part| (Reason::Malformed, format!("{part:?} leaves the sensor")));
+                within("exposure_s", *exposure_s, 0.0, 86_400.0).or(bad_part)
+            }
+            Command::Cool { .. } | Command::Warm if !can.set_temperature => {
+                Some((Reason::NotImplemented, "this camera has no cooler with a set point".to_owned()))
+            }
+            Command::Cool { set_c } => within("set_c", *set_c, -200.0, 60.0),
+            Command::Abort | Command::Warm | Command::Release { .. } => None,
+        }
+    }
+
+    async fn obey(
+        &self,
+        alpaca: &Alpaca,
+        id: &CommandId,
+        command: &Command,
+        _: &Fields,
+    ) -> Result<Obeyed, AlpacaError> {
+        match command {
+            Command::Expose { exposure_s, light, bin, subframe, purpose } => {
+                let setting = self.memory(|memory| Setting::new(memory.sensor_px, *bin, *subframe));
+                self.expose(alpaca, id, *exposure_s, *light, setting, purpose).await?;
+                Ok(Obeyed::Done)
+            }
+            Command::Abort => {
+                match alpaca.put("abortexposure", &[]).await {
+                    Err(error) if error.is_not_implemented() => alpaca.put("stopexposure", &[]).await?,
+                    other => other?,
+                }
+                Ok(Obeyed::Watch)
+            }
+            Command::Cool { set_c } => {
+                alpaca.put("setccdtemperature", &[("SetCCDTemperature", &set_c.to_string())]).await?;
+                alpaca.put("cooleron", &[("CoolerOn", "True")]).await?;
+                Ok(Obeyed::Watch)
+            }
+            Command::Warm => {
+                alpaca.put("cooleron", &[("CoolerOn", "False")]).await?;
+                Ok(Obeyed::Watch)
+            }
+            Command::Release { .. } => Ok(Obeyed::Done),
+        }
+    }
+
+    fn limit(&self, _: &Command) -> Duration {
+        Duration::from_secs(60)
+    }
+
+    fn progress(&self, command: &Command, fields: &Fields) -> Progress {
+        match command {
+            Command::Abort => Progress::done_if(matches!(fields.activity.known(), Some(Activity::Idle))),
+            Command::Cool { .. } => Progress::done_if(fields.cooler_on.known() == Some(&true)),
+            Command::Warm => Progress::done_if(fields.cooler_on.known() == Some(&false)),
+            Command::Expose { .. } | Command::Release { .. } => Progress::Done,
+        }
+    }
+}
+
+fn fits(part: &Subframe, can: &Capabilities, bin: u32) -> bool {
+    let along = |first: u32, count: u32, sensor: u32| {
+        count >= 1 && first.checked_add(count).is_some_and(|end| sensor == 0 || end <= sensor / bin)
+    };
+    along(part.x_px, part.width_px, can.width_px) && along(part.y_px, part.height_px, can.height_px)
+}
+
+/// ASCOM names of the readings that travel with a frame, without repeats.
+pub fn frame_properties(header_rows: Vec<String>) -> Vec<String> {
+    let mut names: BTreeMap<String, ()> = header_rows.into_iter().map(|name| (name, ())).collect();
+    for name in ["BinX", "BinY", "StartX", "StartY"] {
+        names.insert(name.to_owned(), ());
+    }
+    names.into_keys().collect()
+}

@@ -1,0 +1,121 @@
+//! The mirror cover, flat panel, or both.
+
+use contract::device::cover_calibrator::{self, Calibrator, Capabilities, Command, Cover, Fields};
+use contract::{CommandId, Reason};
+
+use super::{Driver, Need, Obeyed, Progress, optional};
+use crate::alpaca::{Alpaca, AlpacaError, value};
+use crate::readings::Readings;
+
+const COVER: [(i64, Cover); 6] = [
+    (0, Cover::NotPresent),
+    (1, Cover::Closed),
+    (2, Cover::Moving),
+    (3, Cover::Open),
+    (4, Cover::Unknown),
+    (5, Cover::Error),
+];
+
+const CALIBRATOR: [(i64, Calibrator); 6] = [
+    (0, Calibrator::NotPresent),
+    (1, Calibrator::Off),
+    (2, Calibrator::NotReady),
+    (3, Calibrator::Ready),
+    (4, Calibrator::Unknown),
+    (5, Calibrator::Error),
+];
+
+/// Drives a cover and a panel.
+pub struct CoverCalibrator;
+
+impl Driver for CoverCalibrator {
+    type Kind = cover_calibrator::CoverCalibrator;
+
+    fn polled(&self) -> Vec<String> {
+        ["CoverState", "CalibratorState", "Brightness"].map(str::to_owned).to_vec()
+    }
+
+    fn moving(&self) -> &'static [&'static str] {
+        &["CoverState", "CalibratorState", "Brightness"]
+    }
+
+    async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
+        let present = |state: Result<i64, _>| state.is_ok_and(|state| state != 0);
+        Ok(Capabilities {
+            cover: present(optional(alpaca, "coverstate", value::whole).await?),
+            calibrator: present(optional(alpaca, "calibratorstate", value::whole).await?),
+            max_brightness: optional(alpaca, "maxbrightness", value::whole).await?.unwrap_or(0),
+        })
+    }
+
+    fn fields(&self, readings: &Readings) -> Fields {
+        Fields {
+            cover: readings.choice("CoverState", &COVER),
+            calibrator: readings.choice("CalibratorState", &CALIBRATOR),
+            brightness: readings.whole("Brightness"),
+        }
+    }
+
+    fn is_busy(&self, fields: &Fields) -> bool {
+        let still = |answer: bool| !answer;
+        let cover = fields.cover.known().is_none_or(|cover| *cover == Cover::Moving);
+        let panel = fields.calibrator.known().is_none_or(|panel| *panel == Calibrator::NotReady);
+        !(still(cover) && still(panel))
+    }
+
+    fn need(&self, command: &Command) -> Need {
+        match command {
+            Command::OpenCover | Command::CalibratorOn { .. } => Need::Token,
+            Command::CloseCover | Command::HaltCover | Command::CalibratorOff => Need::Nothing,
+        }
+    }
+
+    fn interrupts(&self, command: &Command) -> bool {
+        matches!(command, Command::CloseCover | Command::HaltCover)
+    }
+
+    fn refuse(&self, _: &CommandId, command: &Command, can: &Capabilities, _: &Fields) -> Option<(Reason, String)> {
+        let lacks = |what: &str| Some((Reason::NotImplemented, format!("there is no {what}")));
+        match command {
+            Command::OpenCover | Command::CloseCover | Command::HaltCover if !can.cover => lacks("cover"),
+            Command::CalibratorOn { .. } | Command::CalibratorOff if !can.calibrator => lacks("panel"),
+            Command::CalibratorOn { brightness } if !(0..=can.max_brightness).contains(brightness) => {
+                Some((Reason::Malformed, format!("brightness {brightness}: expected 0 to {}", can.max_brightness)))
+            }
+            Command::OpenCover
+            | Command::CloseCover
+            | Command::HaltCover
+            | Command::CalibratorOn { .. }
+            | Command::CalibratorOff => None,
+        }
+    }
+
+    async fn obey(&self, alpaca: &Alpaca, _: &CommandId, command: &Command, _: &Fields) -> Result<Obeyed, AlpacaError> {
+        match command {
+            Command::OpenCover => alpaca.put("opencover", &[]).await?,
+            Command::CloseCover => alpaca.put("closecover", &[]).await?,
+            Command::HaltCover => alpaca.put("haltcover", &[]).await?,
+            Command::CalibratorOn { brightness } => {
+                alpaca.put("calibratoron", &[("Brightness", &brightness.to_string())]).await?;
+            }
+            Command::CalibratorOff => alpaca.put("calibratoroff", &[]).await?,
+        }
+        Ok(Obeyed::Watch)
+    }
+
+    fn progress(&self, command: &Command, fields: &Fields) -> Progress {
+        let (cover, panel) = (fields.cover.known(), fields.calibrator.known());
+        let cover_moved = matches!(command, Command::OpenCover | Command::CloseCover);
+        match command {
+            _ if cover_moved && cover == Some(&Cover::Error) => Progress::Failed("the cover is in error".to_owned()),
+            Command::OpenCover => Progress::done_if(cover == Some(&Cover::Open)),
+            Command::CloseCover => Progress::done_if(cover == Some(&Cover::Closed)),
+            Command::HaltCover => Progress::done_if(cover.is_some_and(|cover| *cover != Cover::Moving)),
+            Command::CalibratorOn { .. } if panel == Some(&Calibrator::Error) => {
+                Progress::Failed("the panel is in error".to_owned())
+            }
+            Command::CalibratorOn { .. } => Progress::done_if(panel == Some(&Calibrator::Ready)),
+            Command::CalibratorOff => Progress::done_if(panel == Some(&Calibrator::Off)),
+        }
+    }
+}

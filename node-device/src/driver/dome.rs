@@ -1,0 +1,180 @@
+//! The dome or roof; who may open it is the guard's business.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use bus::Clock;
+use contract::device::dome::{self, Capabilities, Command, Fields, Shutter};
+use contract::{CommandId, NoData, Reason};
+use tokio::sync::watch;
+
+use super::{Driver, Need, Now, Obeyed, Progress, apart_deg, can, within};
+use crate::alpaca::{Alpaca, AlpacaError};
+use crate::guard::Guard;
+use crate::guard_task::Seen;
+use crate::readings::Readings;
+
+/// ASCOM ShutterStatus by number.
+pub const SHUTTER: [(i64, Shutter); 5] =
+    [(0, Shutter::Open), (1, Shutter::Closed), (2, Shutter::Opening), (3, Shutter::Closing), (4, Shutter::Error)];
+
+/// Drives a dome.
+pub struct Dome {
+    /// A shutter that moves longer is stuck, sky s.
+    pub travel_timeout_s: f64,
+    /// Its guard.
+    pub guard: Arc<Mutex<Guard>>,
+    /// The clock that permits are judged by.
+    pub clock: Clock,
+    /// Where the guard sees what this driver reads.
+    pub eye: watch::Sender<Seen>,
+}
+
+impl Dome {
+    fn guard(&self) -> std::sync::MutexGuard<'_, Guard> {
+        self.guard.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Driver for Dome {
+    type Kind = dome::Dome;
+
+    fn polled(&self) -> Vec<String> {
+        ["ShutterStatus", "Azimuth", "Slewing", "AtPark", "Slaved"].map(str::to_owned).to_vec()
+    }
+
+    fn moving(&self) -> &'static [&'static str] {
+        &["ShutterStatus", "Azimuth", "Slewing", "AtPark"]
+    }
+
+    async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
+        Ok(Capabilities {
+            set_shutter: can(alpaca, "cansetshutter").await?,
+            park: can(alpaca, "canpark").await?,
+            set_azimuth: can(alpaca, "cansetazimuth").await?,
+            slave: can(alpaca, "canslave").await?,
+        })
+    }
+
+    fn observed(&self, readings: &Readings, now: Now) {
+        if let Some(shutter) = readings.choice("ShutterStatus", &SHUTTER).known() {
+            self.eye.send_replace(Some((*shutter, now.machine)));
+        }
+    }
+
+    fn fields(&self, readings: &Readings) -> Fields {
+        Fields {
+            shutter: readings.choice("ShutterStatus", &SHUTTER),
+            azimuth_deg: readings.number("Azimuth"),
+            slewing: readings.flag("Slewing"),
+            at_park: readings.flag("AtPark"),
+            slaved: readings.flag("Slaved"),
+        }
+    }
+
+    fn is_busy(&self, fields: &Fields) -> bool {
+        let shutter = match fields.shutter.known() {
+            Some(Shutter::Open | Shutter::Closed | Shutter::Error) => false,
+            Some(Shutter::Opening | Shutter::Closing) | None => true,
+        };
+        // a roof that does not turn does not know Slewing
+        shutter || fields.slewing.known() == Some(&true)
+    }
+
+    fn need(&self, command: &Command) -> Need {
+        match command {
+            Command::OpenShutter => Need::Open,
+            Command::CloseShutter => Need::Close,
+            Command::Abort => Need::Nothing,
+            Command::Park => Need::TokenWhileSafe,
+            Command::SlewToAzimuth { .. } | Command::Slave { .. } => Need::Token,
+            Command::Claim => Need::Claim,
+            Command::Resume => Need::Resume,
+        }
+    }
+
+    fn interrupts(&self, command: &Command) -> bool {
+        matches!(command, Command::CloseShutter | Command::Abort | Command::Park)
+    }
+
+    fn refuse(&self, _: &CommandId, command: &Command, can: &Capabilities, _: &Fields) -> Option<(Reason, String)> {
+        let not = |what: &str| Some((Reason::NotImplemented, format!("this dome cannot {what}")));
+        match command {
+            Command::OpenShutter if !can.set_shutter => not("open its shutter"),
+            Command::Park if !can.park => not("park"),
+            Command::SlewToAzimuth { .. } if !can.set_azimuth => not("turn"),
+            Command::SlewToAzimuth { azimuth_deg } => within("azimuth_deg", *azimuth_deg, 0.0, 360.0),
+            Command::Slave { .. } if !can.slave => not("follow the mount"),
+            // closing is tried whatever the dome says of itself
+            Command::OpenShutter
+            | Command::CloseShutter
+            | Command::Abort
+            | Command::Park
+            | Command::Slave { .. }
+            | Command::Claim
+            | Command::Resume => None,
+        }
+    }
+
+    async fn obey(
+        &self,
+        alpaca: &Alpaca,
+        _: &CommandId,
+        command: &Command,
+        fields: &Fields,
+    ) -> Result<Obeyed, AlpacaError> {
+        match command {
+            Command::OpenShutter => {
+                // the permit may have gone since the command was taken
+                if !self.guard().may_be_open(self.clock.machine()) {
+                    return Err(AlpacaError::Value(NoData::new("no permit", "it ran out before the shutter moved")));
+                }
+                alpaca.put("openshutter", &[]).await?;
+            }
+            Command::CloseShutter if fields.shutter.known() == Some(&Shutter::Closing) => {}
+            Command::CloseShutter => alpaca.put("closeshutter", &[]).await?,
+            Command::Abort => alpaca.put("abortslew", &[]).await?,
+            Command::Park => alpaca.put("park", &[]).await?,
+            Command::SlewToAzimuth { azimuth_deg } => {
+                alpaca.put("slewtoazimuth", &[("Azimuth", &(azimuth_deg % 360.0).to_string())]).await?;
+            }
+            Command::Slave { on } => alpaca.put("slaved", &[("Slaved", if *on { "True" } else { "False" })]).await?,
+            Command::Claim | Command::Resume => return Ok(Obeyed::Done),
+        }
+        Ok(Obeyed::Watch)
+    }
+
+    fn limit(&self, command: &Command) -> Duration {
+        match command {
+            Command::OpenShutter | Command::CloseShutter => {
+                Duration::from_secs_f64(self.travel_timeout_s.clamp(1.0, 86_400.0))
+            }
+            Command::Park | Command::SlewToAzimuth { .. } => Duration::from_secs(300),
+            Command::Abort | Command::Slave { .. } | Command::Claim | Command::Resume => Duration::from_secs(30),
+        }
+    }
+
+    fn progress(&self, command: &Command, fields: &Fields) -> Progress {
+        let shutter = fields.shutter.known();
+        let still = fields.slewing.known() != Some(&true);
+        match command {
+            Command::OpenShutter if self.guard().is_closing() => Progress::Failed("the guard closes".to_owned()),
+            Command::OpenShutter if shutter == Some(&Shutter::Error) => {
+                Progress::Failed("the shutter is in error".to_owned())
+            }
+            Command::OpenShutter => Progress::done_if(shutter == Some(&Shutter::Open)),
+            Command::CloseShutter => Progress::done_if(shutter == Some(&Shutter::Closed)),
+            Command::Abort => {
+                let moves = matches!(shutter, Some(Shutter::Opening | Shutter::Closing));
+                Progress::done_if(still && !moves)
+            }
+            Command::Park => Progress::done_if(fields.at_park.known() == Some(&true)),
+            Command::SlewToAzimuth { azimuth_deg } => match fields.azimuth_deg.known() {
+                Some(azimuth) => Progress::done_if(still && apart_deg(*azimuth, *azimuth_deg) < 2.0),
+                None => Progress::Running,
+            },
+            Command::Slave { on } => Progress::done_if(fields.slaved.known() == Some(on)),
+            Command::Claim | Command::Resume => Progress::Done,
+        }
+    }
+}

@@ -1,0 +1,216 @@
+//! How a frame is taken: set, start, read what is fixed, wait, download; storing it runs beside the next one.
+
+use std::time::Duration;
+
+use contract::device::camera::{Exposure, Purpose, Subframe};
+use contract::{CommandId, Kind, NoData};
+use tokio::time::{Instant, sleep, sleep_until};
+use units::Utc;
+
+use super::camera::Camera;
+use crate::alpaca::image::RawImage;
+use crate::alpaca::{Alpaca, AlpacaError, value};
+use crate::deadline::machine_limit;
+use crate::readings::{Readings, member};
+use crate::spool::About;
+
+/// Image readiness is asked so often near the end of an exposure.
+const READY_PERIOD: Duration = Duration::from_millis(10);
+/// The image must be ready so long after the end of the exposure, sky s (spec/reliability.md D10).
+const READOUT_LIMIT_S: f64 = 60.0;
+/// So many failed questions in a row and the exposure has failed.
+const MOST_FAILURES: u32 = 3;
+
+/// What a camera is set to before an exposure, binned pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Setting {
+    bin: u32,
+    part: Subframe,
+}
+
+impl Setting {
+    /// The asked part of the sensor, or all of it.
+    pub fn new(sensor_px: (u32, u32), bin: u32, part: Option<Subframe>) -> Self {
+        let (width_px, height_px) = (sensor_px.0 / bin, sensor_px.1 / bin);
+        Self { bin, part: part.unwrap_or(Subframe { x_px: 0, y_px: 0, width_px, height_px }) }
+    }
+
+    fn pixels(self) -> u64 {
+        u64::from(self.part.width_px) * u64::from(self.part.height_px)
+    }
+}
+
+/// Shows the exposure in the camera's state for as long as it lives, also when the command is interrupted.
+struct Shown<'a>(&'a Camera);
+
+impl Drop for Shown<'_> {
+    fn drop(&mut self) {
+        self.0.memory(|memory| memory.exposure = None);
+    }
+}
+
+impl Camera {
+    /// Takes a frame; returns when the camera is free for the next one.
+    pub(super) async fn expose(
+        &self,
+        alpaca: &Alpaca,
+        id: &CommandId,
+        exposure_s: f64,
+        light: bool,
+        setting: Setting,
+        purpose: &Purpose,
+    ) -> Result<(), AlpacaError> {
+        let taken = self.take(alpaca, id, exposure_s, light, setting, purpose).await;
+        if let Err(error) = &taken {
+            tracing::warn!(camera = %self.name, frame = %id, %error, "exposure failed");
+            self.memory(|memory| memory.setting = None);
+            // the camera may still be exposing; whether it is shows in its state
+            let _ = alpaca.at_once().put("abortexposure", &[]).await;
+        }
+        // the outcome of an exposure is known here; the camera's later state says nothing about it
+        taken.map_err(|error| AlpacaError::Value(error.no_data()))
+    }
+
+    async fn take(
+        &self,
+        alpaca: &Alpaca,
+        id: &CommandId,
+        exposure_s: f64,
+        light: bool,
+        setting: Setting,
+        purpose: &Purpose,
+    ) -> Result<(), AlpacaError> {
+        let place = self.spool.place().await;
+        self.set(alpaca, setting).await?;
+        let duration = exposure_s.to_string();
+        let parameters = [("Duration", duration.as_str()), ("Light", if light { "True" } else { "False" })];
+        let before = self.clock.utc();
+        alpaca.put("startexposure", &parameters).await?;
+        let began = Instant::now();
+        let after = self.clock.utc();
+        let started_utc = before.plus_seconds(after.seconds_since(before) / 2.0);
+        let shown = Shown(self);
+        self.memory(|memory| memory.exposure = Some(Exposure { id: id.clone(), started_utc, exposure_s }));
+
+        let readings = self.read_fixed(alpaca).await;
+        self.wait_until_ready(alpaca, began, exposure_s).await?;
+        let (started_utc, exposure_s) = self.as_the_camera_tells(alpaca, started_utc, exposure_s).await;
+        let raw = alpaca.image(setting.pixels()).await?;
+        let size = raw.size_px();
+        let part = setting.part;
+        if size.is_some_and(|size| part.width_px > 0 && size != (part.width_px, part.height_px)) {
+            return Err(AlpacaError::Protocol(format!("the image is {size:?}, asked for {part:?}")));
+        }
+        drop(shown);
+        self.store(
+            place,
+            raw,
+            About {
+                id: id.clone(),
+                camera: self.name.clone(),
+                purpose: purpose.clone(),
+                bin: setting.bin,
+                origin_px: [part.x_px, part.y_px],
+                started_utc,
+                exposure_s,
+                readings: readings.shown(Kind::Camera),
+            },
+        );
+        Ok(())
+    }
+
+    /// Sends only what is not set already: each call costs dead time.
+    async fn set(&self, alpaca: &Alpaca, setting: Setting) -> Result<(), AlpacaError> {
+        if self.memory(|memory| memory.setting) == Some(setting) {
+            return Ok(());
+        }
+        self.memory(|memory| memory.setting = None);
+        let Setting { bin, part } = setting;
+        let numbers = [
+            ("BinX", bin),
+            ("BinY", bin),
+            ("StartX", part.x_px),
+            ("StartY", part.y_px),
+            ("NumX", part.width_px),
+            ("NumY", part.height_px),
+        ];
+        for (property, number) in numbers {
+            if number > 0 || property.starts_with("Start") {
+                alpaca.put(&property.to_ascii_lowercase(), &[(property, &number.to_string())]).await?;
+            }
+        }
+        self.memory(|memory| memory.setting = Some(setting));
+        Ok(())
+    }
+
+    /// Reads the fixed rows of the FITS-header table, while the camera exposes.
+    async fn read_fixed(&self, alpaca: &Alpaca) -> Readings {
+        let mut readings = Readings::default();
+        let mut gone = None;
+        for property in &self.fixed {
+            let answer = match &gone {
+                None => alpaca.get(&member(property).0).await,
+                Some(reason) => Err(AlpacaError::Value(NoData::clone(reason))),
+            };
+            if let Err(error) = &answer
+                && error.is_transport()
+            {
+                // a header value is not worth one deadline after the other
+                gone = Some(error.no_data());
+            }
+            readings.keep(property, answer.map_err(|error| error.no_data()), self.clock.utc());
+        }
+        readings
+    }
+
+    async fn wait_until_ready(&self, alpaca: &Alpaca, began: Instant, exposure_s: f64) -> Result<(), AlpacaError> {
+        let light = self.clock.machine_duration(Duration::from_secs_f64(exposure_s));
+        let limit = light + machine_limit(&self.clock, Duration::from_secs_f64(READOUT_LIMIT_S));
+        sleep_until(began + light.saturating_sub(READY_PERIOD / 2)).await;
+        let mut failures = 0;
+        while began.elapsed() < limit {
+            match alpaca.get("imageready").await.map(|ready| value::flag(&ready)) {
+                Ok(Ok(true)) => return Ok(()),
+                Ok(Ok(false)) => failures = 0,
+                Ok(Err(reason)) => return Err(AlpacaError::Value(reason)),
+                Err(error) => {
+                    failures += 1;
+                    if failures >= MOST_FAILURES {
+                        return Err(error);
+                    }
+                }
+            }
+            // a long readout is not shortened by asking often
+            let late = began.elapsed().saturating_sub(light) > Duration::from_secs(2);
+            sleep(if late { READY_PERIOD * 5 } else { READY_PERIOD }).await;
+        }
+        let waited = limit.as_secs_f64();
+        Err(AlpacaError::Value(NoData::new("timeout", format!("no image {waited:.0} s after the exposure began"))))
+    }
+
+    /// The camera knows best when its shutter opened, if it says so to a fraction of a second and believably.
+    async fn as_the_camera_tells(&self, alpaca: &Alpaca, started_utc: Utc, exposure_s: f64) -> (Utc, f64) {
+        if !self.memory(|memory| memory.tells_start) {
+            return (started_utc, exposure_s);
+        }
+        let start = alpaca.get("lastexposurestarttime").await;
+        let light = alpaca.get("lastexposureduration").await;
+        if start.is_err() && light.is_err() {
+            self.memory(|memory| memory.tells_start = false);
+        }
+        let told = start.ok().and_then(|start| value::text(&start).ok()).filter(|text| text.contains('.'));
+        let told = told.and_then(|text| text.parse::<Utc>().ok());
+        // a camera computer's own clock may be off
+        let started = told.filter(|told| told.seconds_since(started_utc).abs() <= 0.5 * self.clock.speed());
+        let light = light.ok().and_then(|light| value::number(&light).ok());
+        let light = light.filter(|light| (light - exposure_s).abs() <= 0.1 * exposure_s + 0.1);
+        (started.unwrap_or(started_utc), light.unwrap_or(exposure_s))
+    }
+
+    /// Decodes, writes, hashes and announces beside the next exposure.
+    fn store(&self, place: crate::spool::Place, raw: RawImage, about: About) {
+        let max_adu = self.memory(|memory| memory.max_adu);
+        let spool = self.spool.clone();
+        tokio::spawn(async move { spool.keep(place, raw, max_adu, about).await });
+    }
+}

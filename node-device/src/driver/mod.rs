@@ -1,0 +1,192 @@
+//! One driver per ASCOM kind: what it can do, what is true of it, how it obeys. Pure mapping; `serve` does the rest.
+
+pub mod camera;
+pub mod cover_calibrator;
+pub mod dome;
+mod exposure;
+pub mod filter_wheel;
+pub mod focuser;
+pub mod observing_conditions;
+pub mod rotator;
+pub mod safety_monitor;
+pub mod switch;
+pub mod telescope;
+
+use std::future::Future;
+use std::time::Duration;
+
+use bus::{MachineTime, SkyTime};
+use contract::{CommandId, DeviceKind, NoData, Reason, Reply};
+
+use crate::alpaca::{Alpaca, AlpacaError, value};
+use crate::readings::Readings;
+
+/// What the devices of a driver can do.
+pub type Capabilities<D> = <<D as Driver>::Kind as DeviceKind>::Capabilities;
+/// What is true of them.
+pub type Fields<D> = <<D as Driver>::Kind as DeviceKind>::Fields;
+/// What they may be asked.
+pub type Command<D> = <<D as Driver>::Kind as DeviceKind>::Command;
+
+/// Both monotonic times of one moment.
+#[derive(Debug, Clone, Copy)]
+pub struct Now {
+    /// Machine time.
+    pub machine: MachineTime,
+    /// Sky time.
+    pub sky: SkyTime,
+}
+
+/// What a command needs before it is taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Need {
+    /// Nothing: anyone who may speak at all may stop and close.
+    Nothing,
+    /// The newest token, but only while a valid safe permit exists: park and tracking off.
+    TokenWhileSafe,
+    /// The newest token: everything that moves.
+    Token,
+    /// The newest token, every permit, and no hold: opening an enclosure.
+    Open,
+    /// Nothing, and the guard must know: closing an enclosure.
+    Close,
+    /// To be granted a lease.
+    Claim,
+    /// To end a hold of the guard.
+    Resume,
+}
+
+/// How far a command is, judged by the device's own state.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Progress {
+    /// Not there yet.
+    Running,
+    /// There.
+    Done,
+    /// There, and done when it stays so for so long, s of sky time.
+    Settling(f64),
+    /// It will not get there.
+    Failed(String),
+}
+
+impl Progress {
+    /// Done or still running.
+    pub fn done_if(done: bool) -> Self {
+        if done { Self::Done } else { Self::Running }
+    }
+}
+
+/// What sending a command came to.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Obeyed {
+    /// The device took it; its state will show when it is done.
+    Watch,
+    /// Done already.
+    Done,
+}
+
+/// One ASCOM kind.
+pub trait Driver: Send + Sync + 'static {
+    /// Which.
+    type Kind: DeviceKind;
+
+    /// ASCOM properties that the typed fields are made of.
+    fn polled(&self) -> Vec<String>;
+
+    /// Those of them that change while something moves or exposes.
+    fn moving(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// Asks the device what it can do; a single property that fails takes its default.
+    fn capabilities(&self, alpaca: &Alpaca) -> impl Future<Output = Result<Capabilities<Self>, AlpacaError>> + Send;
+
+    /// New readings came, or the link was lost.
+    fn observed(&self, _readings: &Readings, _now: Now) {}
+
+    /// Ends when something changed that no poll would show, such as the spool.
+    fn stirred(&self) -> impl Future<Output = ()> + Send {
+        std::future::pending()
+    }
+
+    /// What nodes decide with.
+    fn fields(&self, readings: &Readings) -> Fields<Self>;
+
+    /// Does something move, or is that unknown?
+    fn is_busy(&self, _fields: &Fields<Self>) -> bool {
+        false
+    }
+
+    /// What the command needs.
+    fn need(&self, command: &Command<Self>) -> Need;
+
+    /// Makes safe, so it interrupts whatever runs and waits for nothing.
+    fn interrupts(&self, _command: &Command<Self>) -> bool {
+        false
+    }
+
+    /// Answers commands that are no deeds of the device, such as a frame's release.
+    fn answer(&self, _id: &CommandId, _command: &Command<Self>) -> Option<Reply> {
+        None
+    }
+
+    /// Why the command makes no sense now.
+    fn refuse(
+        &self,
+        _id: &CommandId,
+        _command: &Command<Self>,
+        _can: &Capabilities<Self>,
+        _fields: &Fields<Self>,
+    ) -> Option<(Reason, String)> {
+        None
+    }
+
+    /// Sends the command. Dropping the future in the middle must be harmless.
+    fn obey(
+        &self,
+        alpaca: &Alpaca,
+        id: &CommandId,
+        command: &Command<Self>,
+        fields: &Fields<Self>,
+    ) -> impl Future<Output = Result<Obeyed, AlpacaError>> + Send;
+
+    /// A command that takes longer has failed, sky time from the moment it was sent.
+    fn limit(&self, _command: &Command<Self>) -> Duration {
+        Duration::from_secs(120)
+    }
+
+    /// How far a command is that was sent.
+    fn progress(&self, _command: &Command<Self>, _fields: &Fields<Self>) -> Progress {
+        Progress::Done
+    }
+}
+
+/// A property whose absence is no fault: `None` unless the server itself is gone.
+pub(crate) async fn optional<T>(
+    alpaca: &Alpaca,
+    member: &str,
+    read: impl Fn(&serde_json::Value) -> Result<T, NoData>,
+) -> Result<Result<T, NoData>, AlpacaError> {
+    match alpaca.get(member).await {
+        Ok(answer) => Ok(read(&answer)),
+        Err(error) if error.is_transport() || error.is_not_connected() => Err(error),
+        Err(error) => Ok(Err(error.no_data())),
+    }
+}
+
+/// A capability flag; false where the device does not tell.
+pub(crate) async fn can(alpaca: &Alpaca, member: &str) -> Result<bool, AlpacaError> {
+    Ok(optional(alpaca, member, value::flag).await?.unwrap_or(false))
+}
+
+/// Is a number one that a device may be sent?
+pub(crate) fn within(name: &str, number: f64, low: f64, high: f64) -> Option<(Reason, String)> {
+    // false for NaN too
+    let fits = number >= low && number <= high;
+    (!fits).then(|| (Reason::Malformed, format!("{name} = {number}: expected {low} to {high}")))
+}
+
+/// A difference of two directions, without sign, degrees.
+pub(crate) fn apart_deg(a: f64, b: f64) -> f64 {
+    units::Angle::from_degrees(a - b).wrapped_signed().abs().degrees()
+}

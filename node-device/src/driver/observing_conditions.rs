@@ -1,0 +1,77 @@
+//! The weather station.
+
+use contract::CommandId;
+use contract::device::observing_conditions::{self, Capabilities, Command, Fields};
+
+use super::{Driver, Need, Obeyed, optional};
+use crate::alpaca::{Alpaca, AlpacaError, value};
+use crate::readings::Readings;
+
+const SENSORS: [&str; 13] = [
+    "CloudCover",
+    "DewPoint",
+    "Humidity",
+    "Pressure",
+    "RainRate",
+    "SkyBrightness",
+    "SkyQuality",
+    "SkyTemperature",
+    "StarFWHM",
+    "Temperature",
+    "WindDirection",
+    "WindGust",
+    "WindSpeed",
+];
+
+/// Reads a weather station.
+pub struct ObservingConditions;
+
+impl Driver for ObservingConditions {
+    type Kind = observing_conditions::ObservingConditions;
+
+    fn polled(&self) -> Vec<String> {
+        SENSORS.into_iter().chain(["TimeSinceLastUpdate"]).map(str::to_owned).collect()
+    }
+
+    async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
+        let mut measures = Vec::new();
+        for sensor in SENSORS {
+            if optional(alpaca, &sensor.to_ascii_lowercase(), value::number).await?.is_ok() {
+                measures.push(sensor.to_owned());
+            }
+        }
+        Ok(Capabilities { measures })
+    }
+
+    fn fields(&self, readings: &Readings) -> Fields {
+        Fields {
+            cloud_percent: readings.number("CloudCover"),
+            dew_point_c: readings.number("DewPoint"),
+            humidity_percent: readings.number("Humidity"),
+            pressure_hpa: readings.number("Pressure"),
+            rain_mm_per_h: readings.number("RainRate"),
+            sky_lux: readings.number("SkyBrightness"),
+            sky_mag_per_arcsec2: readings.number("SkyQuality"),
+            sky_c: readings.number("SkyTemperature"),
+            star_fwhm_arcsec: readings.number("StarFWHM"),
+            air_c: readings.number("Temperature"),
+            wind_from_deg: readings.number("WindDirection"),
+            gust_mps: readings.number("WindGust"),
+            wind_mps: readings.number("WindSpeed"),
+            sensor_age_s: readings.number("TimeSinceLastUpdate"),
+        }
+    }
+
+    fn need(&self, command: &Command) -> Need {
+        match command {
+            Command::Refresh => Need::Nothing,
+        }
+    }
+
+    async fn obey(&self, alpaca: &Alpaca, _: &CommandId, command: &Command, _: &Fields) -> Result<Obeyed, AlpacaError> {
+        match command {
+            Command::Refresh => alpaca.put("refresh", &[]).await?,
+        }
+        Ok(Obeyed::Done)
+    }
+}

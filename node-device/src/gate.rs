@@ -1,0 +1,118 @@
+//! Who may command a device: tokens, permits and leases, looked at before a command is taken.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use bus::Clock;
+use contract::Reason;
+
+use crate::driver::Need;
+use crate::guard::Guard;
+use crate::permits::Permits;
+use crate::token::Tokens;
+
+/// Why a command is not taken: for programs, and for people.
+pub type Turned = (Reason, String);
+
+/// The gate before one device.
+pub struct Gate {
+    /// The telescope that the device belongs to, `shared` for a site's own.
+    pub telescope: String,
+    /// Highest tokens known.
+    pub tokens: Arc<Tokens>,
+    /// Who commands.
+    pub permits: Arc<Permits>,
+    /// The clock.
+    pub clock: Clock,
+    /// The guard, for a dome.
+    pub guard: Option<Arc<Mutex<Guard>>>,
+    /// This device grants the lease.
+    pub is_arbiter: bool,
+}
+
+impl Gate {
+    /// May this command pass? A claim comes back with its token.
+    pub async fn admit(&self, need: Need, from: &str, token: Option<u64>) -> Result<Option<u64>, Turned> {
+        match need {
+            Need::Nothing => {}
+            Need::Close => {
+                self.with_guard(|guard| guard.close_commanded());
+            }
+            Need::Token => self.fence(from, token)?,
+            Need::TokenWhileSafe => {
+                if self.permits.is_safe(&self.commanded(from)?, self.clock.machine()) {
+                    self.fence(from, token)?;
+                }
+            }
+            Need::Open => {
+                self.fence(from, token)?;
+                let now = self.clock.machine();
+                self.with_guard(|guard| guard.open_commanded(now)).unwrap_or(Ok(()))?;
+            }
+            Need::Resume => {
+                self.fence(from, token)?;
+                let now = self.clock.machine();
+                self.with_guard(|guard| guard.resume(now)).unwrap_or(Ok(()))?;
+            }
+            Need::Claim => return self.claim(from).await.map(Some),
+        }
+        Ok(None)
+    }
+
+    /// A token older than the newest is refused; so is none, once there is one.
+    fn fence(&self, from: &str, token: Option<u64>) -> Result<(), Turned> {
+        let highest = self.tokens.highest(&self.commanded(from)?);
+        match token {
+            Some(token) if token == highest => Ok(()),
+            Some(token) if token > highest && !self.is_arbiter => Ok(()),
+            Some(token) if token > highest => {
+                Err((Reason::StaleToken, format!("token {token} was never granted; the newest is {highest}")))
+            }
+            None if highest == 0 && !self.is_arbiter => Ok(()),
+            Some(token) => Err((Reason::StaleToken, format!("token {token} is older than {highest}"))),
+            None => Err((Reason::StaleToken, format!("no token; the newest is {highest}"))),
+        }
+    }
+
+    async fn claim(&self, from: &str) -> Result<u64, Turned> {
+        if !self.is_arbiter {
+            let detail = "the enclosure grants the lease, or the mount where there is none";
+            return Err((Reason::NotImplemented, detail.to_owned()));
+        }
+        let telescope = self.commanded(from)?;
+        let now = self.clock.machine();
+        if let Some(holder) = self.permits.holder(&telescope, now).filter(|holder| holder != from) {
+            return Err((Reason::LeaseHeld, format!("{holder} holds the lease and was heard within 5 s")));
+        }
+        let (tokens, name) = (self.tokens.clone(), telescope.clone());
+        let granted = tokio::task::spawn_blocking(move || tokens.grant(&name)).await;
+        let granted = granted.map_err(std::io::Error::other).and_then(|granted| granted);
+        let token = granted.map_err(|error| (Reason::DeviceError, format!("the token cannot be written: {error}")))?;
+        self.permits.held_by(&telescope, from, self.clock.machine());
+        self.with_guard(|guard| guard.learn_token(&telescope, token));
+        tracing::info!(telescope, from, token, "lease granted");
+        Ok(token)
+    }
+
+    /// Which telescope's lease counts for a command from `from` (`observatory/alpha/main`): its own where this
+    /// device serves several.
+    fn commanded(&self, from: &str) -> Result<String, Turned> {
+        let served = self.with_guard(|guard| guard.telescopes().to_vec()).unwrap_or_default();
+        match served.as_slice() {
+            [] => Ok(self.telescope.clone()),
+            [only] => Ok(only.to_string()),
+            several => {
+                let named = from.split('/').nth(1).unwrap_or_default();
+                let found = several.iter().find(|telescope| telescope.as_str() == named).map(ToString::to_string);
+                found.ok_or_else(|| {
+                    let detail = format!("{from:?} names none of this dome's telescopes; expected role/telescope/id");
+                    (Reason::Malformed, detail)
+                })
+            }
+        }
+    }
+
+    fn with_guard<T>(&self, use_it: impl FnOnce(&mut Guard) -> T) -> Option<T> {
+        let guard = self.guard.as_ref()?;
+        Some(use_it(&mut guard.lock().unwrap_or_else(PoisonError::into_inner)))
+    }
+}

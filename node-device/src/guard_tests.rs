@@ -1,0 +1,331 @@
+use proptest::prelude::*;
+use units::Utc;
+
+use super::*;
+
+const VALID: u64 = 10;
+
+fn boot(name: &str) -> BootId {
+    serde_json::from_value(serde_json::json!(name)).unwrap()
+}
+
+fn at(seconds: f64) -> MachineTime {
+    MachineTime::from_boot(Duration::from_secs_f64(1000.0 + seconds))
+}
+
+fn telescope(name: &str) -> Chunk {
+    name.parse().unwrap()
+}
+
+fn guard_with(policy: CloseWithMount, telescopes: &[&str]) -> Guard {
+    let settings = Settings {
+        boot_id: boot("guard"),
+        telescopes: telescopes.iter().map(|name| telescope(name)).collect(),
+        permit_valid: Duration::from_secs(VALID),
+        policy,
+        parked_within: Duration::from_secs(120),
+        travel: Duration::from_secs(90),
+    };
+    Guard::new(settings, BTreeMap::new(), at(0.0))
+}
+
+fn guard() -> Guard {
+    guard_with(CloseWithMount::Beside, &["alpha"])
+}
+
+fn permit(seq: u64, number: u64, verdict: Verdict) -> Stamped<Permit> {
+    Stamped {
+        boot_id: boot("observatory-1"),
+        seq,
+        at_utc: Utc::EPOCH,
+        body: Permit {
+            verdict,
+            commander: "observatory/alpha/main".to_owned(),
+            token: 1,
+            guard_number: number,
+            guard_boot_id: boot("guard"),
+        },
+    }
+}
+
+fn safe(seq: u64, number: u64) -> Stamped<Permit> {
+    permit(seq, number, Verdict::Safe)
+}
+
+/// A guard whose dome was opened under a valid safe permit at second 1.
+fn open_guard() -> Guard {
+    let mut guard = guard();
+    guard.look(at(0.0), Some(Shutter::Closed), true);
+    let number = guard.beat(at(0.0));
+    guard.hear(&telescope("alpha"), &safe(0, number)).unwrap();
+    guard.open_commanded(at(1.0)).unwrap();
+    assert_eq!(guard.look(at(2.0), Some(Shutter::Open), true), []);
+    guard
+}
+
+fn closes(deeds: &[Deed]) -> bool {
+    deeds.iter().any(|deed| matches!(deed, Deed::Close | Deed::AbortThenClose))
+}
+
+#[test]
+fn a_permit_is_as_old_as_the_number_in_it_and_not_as_its_arrival() {
+    let mut guard = guard();
+    let number = guard.beat(at(0.0));
+    guard.hear(&telescope("alpha"), &safe(0, number)).unwrap();
+    assert!(guard.may_be_open(at(9.9)));
+    assert!(!guard.may_be_open(at(10.0)));
+}
+
+#[test]
+fn permits_that_waited_in_a_socket_do_not_come_back_to_life() {
+    let mut guard = open_guard();
+    let numbers: Vec<u64> = (1..=9).map(|second| guard.beat(at(f64::from(second)))).collect();
+    // the observatory was frozen at second 9; its permits arrive all at once at second 30
+    assert!(closes(&guard.look(at(12.0), Some(Shutter::Open), true)));
+    for (seq, number) in numbers.into_iter().enumerate() {
+        let _ = guard.hear(&telescope("alpha"), &safe(1 + seq as u64, number));
+    }
+    assert!(!guard.may_be_open(at(30.0)));
+    assert!(guard.open_commanded(at(30.0)).is_err());
+}
+
+#[test]
+fn without_a_permit_an_open_dome_closes_when_the_last_one_runs_out() {
+    let mut guard = open_guard();
+    assert_eq!(guard.look(at(9.9), Some(Shutter::Open), true), []);
+    assert_eq!(guard.look(at(10.0), Some(Shutter::Open), true), [Deed::Close]);
+    assert_eq!(guard.says(0, at(10.0), 0).action, GuardAction::Closing);
+}
+
+#[test]
+fn an_unsafe_permit_closes_at_once() {
+    let mut guard = open_guard();
+    let number = guard.beat(at(3.0));
+    guard.hear(&telescope("alpha"), &permit(1, number, Verdict::Unsafe)).unwrap();
+    assert_eq!(guard.look(at(3.0), Some(Shutter::Open), true), [Deed::Close]);
+}
+
+#[test]
+fn closing_is_tried_for_ever_and_never_believed_without_the_shutter() {
+    let mut guard = open_guard();
+    let mut tries = Vec::new();
+    for tenth in 100..=1500 {
+        let second = f64::from(tenth) / 10.0;
+        let deeds = guard.look(at(second), Some(Shutter::Open), true);
+        tries.extend(deeds.into_iter().map(|deed| (second, deed)));
+    }
+    let commands: Vec<_> = tries.iter().filter(|(_, deed)| closes(std::slice::from_ref(deed))).collect();
+    assert_eq!(commands.len(), 15);
+    assert_eq!(*commands[0], (10.0, Deed::Close));
+    assert_eq!(*commands[1], (20.0, Deed::Close));
+    assert_eq!(*commands[2], (30.0, Deed::AbortThenClose));
+    assert!(tries.contains(&(30.0, Deed::Raise(Alarm::NotClosed))));
+    // a shutter of which nothing is known is not closed either
+    assert!(closes(&guard.look(at(160.0), None, true)));
+    let deeds = guard.look(at(161.0), Some(Shutter::Closed), true);
+    assert!(deeds.contains(&Deed::Clear(Alarm::NotClosed)) && !guard.is_closing());
+}
+
+#[test]
+fn a_shutter_on_its_way_is_not_disturbed_until_it_is_stuck() {
+    let mut guard = open_guard();
+    assert_eq!(guard.look(at(10.0), Some(Shutter::Open), true), [Deed::Close]);
+    for second in 11..100 {
+        let deeds = guard.look(at(f64::from(second)), Some(Shutter::Closing), true);
+        assert!(!closes(&deeds), "second {second}: {deeds:?}");
+    }
+    let deeds: Vec<Deed> =
+        (100..125).flat_map(|s| guard.look(at(f64::from(s)), Some(Shutter::Closing), true)).collect();
+    assert!(closes(&deeds), "{deeds:?}");
+    assert!(deeds.contains(&Deed::Raise(Alarm::NotClosed)));
+}
+
+#[test]
+fn after_the_guard_closed_by_itself_only_the_commander_opens_again() {
+    let mut guard = open_guard();
+    guard.look(at(10.0), Some(Shutter::Open), true);
+    let deeds = guard.look(at(40.0), Some(Shutter::Closed), true);
+    assert_eq!(deeds, [Deed::Raise(Alarm::Hold)]);
+    assert!(guard.says(0, at(40.0), 0).hold);
+    assert!(guard.resume(at(40.0)).is_err(), "resume needs a valid safe permit");
+    let number = guard.beat(at(41.0));
+    guard.hear(&telescope("alpha"), &safe(1, number)).unwrap();
+    assert_eq!(guard.open_commanded(at(41.0)).unwrap_err().0, Reason::NoPermit);
+    guard.resume(at(41.0)).unwrap();
+    assert_eq!(guard.look(at(41.0), Some(Shutter::Closed), true), [Deed::Clear(Alarm::Hold)]);
+    guard.open_commanded(at(41.0)).unwrap();
+}
+
+#[test]
+fn a_closing_that_the_commander_wanted_too_is_no_hold() {
+    let mut guard = open_guard();
+    let number = guard.beat(at(3.0));
+    guard.hear(&telescope("alpha"), &permit(1, number, Verdict::Unsafe)).unwrap();
+    guard.look(at(3.0), Some(Shutter::Open), true);
+    guard.close_commanded();
+    guard.look(at(4.0), Some(Shutter::Closing), true);
+    assert_eq!(guard.look(at(40.0), Some(Shutter::Closed), true), []);
+    assert!(!guard.says(0, at(40.0), 0).hold);
+}
+
+#[test]
+fn a_replayed_permit_is_dropped_and_counted() {
+    let mut guard = open_guard();
+    let number = guard.beat(at(3.0));
+    guard.hear(&telescope("alpha"), &permit(5, number, Verdict::Unsafe)).unwrap();
+    assert_eq!(guard.hear(&telescope("alpha"), &safe(5, number)), Err(Dropped::Replayed));
+    assert_eq!(guard.hear(&telescope("alpha"), &safe(4, number)), Err(Dropped::Replayed));
+    // another life of the sender does not help an older number
+    let mut other = safe(0, 0);
+    other.boot_id = boot("observatory-2");
+    assert_eq!(guard.hear(&telescope("alpha"), &other), Err(Dropped::Replayed));
+    assert!(!guard.may_be_open(at(3.0)));
+    assert_eq!(guard.says(0, at(3.0), 2).dropped, 5);
+}
+
+#[test]
+fn a_permit_of_an_older_lease_has_no_effect_on_a_newer_one() {
+    let mut guard = guard();
+    let number = guard.beat(at(0.0));
+    let mut newer = safe(0, number);
+    newer.body.token = 7;
+    guard.hear(&telescope("alpha"), &newer).unwrap();
+    let mut older = permit(99, number, Verdict::Unsafe);
+    older.body.token = 6;
+    assert_eq!(guard.hear(&telescope("alpha"), &older), Err(Dropped::OldToken));
+    assert!(guard.may_be_open(at(1.0)));
+    assert_eq!(guard.says(0, at(1.0), 0).token, 7);
+}
+
+#[test]
+fn a_permit_for_another_life_of_the_guard_or_another_dome_is_none() {
+    let mut guard = guard();
+    let number = guard.beat(at(0.0));
+    let mut foreign = safe(0, number);
+    foreign.body.guard_boot_id = boot("the guard before the restart");
+    assert_eq!(guard.hear(&telescope("alpha"), &foreign), Err(Dropped::OtherBoot));
+    assert_eq!(guard.hear(&telescope("alpha"), &safe(0, number + 1)), Err(Dropped::UnknownNumber));
+    assert_eq!(guard.hear(&telescope("beta"), &safe(0, number)), Err(Dropped::Stranger));
+    assert!(!guard.may_be_open(at(1.0)));
+}
+
+#[test]
+fn a_dome_found_open_at_the_start_has_one_permit_time_to_be_permitted() {
+    let mut abandoned = guard();
+    assert_eq!(abandoned.look(at(9.9), Some(Shutter::Open), true), []);
+    assert_eq!(abandoned.look(at(10.0), Some(Shutter::Open), true), [Deed::Close]);
+    let mut resumed = guard();
+    assert_eq!(resumed.look(at(1.0), Some(Shutter::Open), true), []);
+    let number = resumed.beat(at(5.0));
+    resumed.hear(&telescope("alpha"), &safe(0, number)).unwrap();
+    assert_eq!(resumed.look(at(11.0), Some(Shutter::Open), true), []);
+}
+
+#[test]
+fn a_dome_that_was_never_seen_open_is_not_held() {
+    let mut guard = guard();
+    assert_eq!(guard.look(at(11.0), None, true), [Deed::Close]);
+    assert_eq!(guard.look(at(12.0), Some(Shutter::Closed), true), []);
+    assert!(!guard.says(0, at(12.0), 0).hold);
+}
+
+#[test]
+fn an_opening_that_nobody_commanded_is_closed_although_it_is_safe() {
+    let mut guard = guard();
+    let number = guard.beat(at(0.0));
+    guard.hear(&telescope("alpha"), &safe(0, number)).unwrap();
+    assert_eq!(guard.look(at(1.0), Some(Shutter::Closed), true), []);
+    let deeds = guard.look(at(2.0), Some(Shutter::Opening), true);
+    assert_eq!(deeds, [Deed::Close, Deed::Raise(Alarm::Uncommanded)]);
+    guard.look(at(3.0), Some(Shutter::Closing), true);
+    guard.look(at(9.0), Some(Shutter::Closed), true);
+    assert!(guard.open_commanded(at(9.5)).is_err(), "held until the commander resumes");
+    guard.resume(at(9.5)).unwrap();
+    assert!(guard.look(at(9.6), Some(Shutter::Closed), true).contains(&Deed::Clear(Alarm::Uncommanded)));
+}
+
+#[test]
+fn a_dome_over_two_telescopes_opens_for_both_or_not_at_all() {
+    let mut guard = guard_with(CloseWithMount::Beside, &["alpha", "beta"]);
+    guard.look(at(0.0), Some(Shutter::Closed), true);
+    let number = guard.beat(at(0.0));
+    guard.hear(&telescope("alpha"), &safe(0, number)).unwrap();
+    assert!(guard.open_commanded(at(0.5)).is_err());
+    let mut beta = safe(0, number);
+    beta.body.token = 40;
+    guard.hear(&telescope("beta"), &beta).unwrap();
+    guard.open_commanded(at(0.5)).unwrap();
+    let number = guard.beat(at(1.0));
+    guard.hear(&telescope("alpha"), &permit(1, number, Verdict::Unsafe)).unwrap();
+    assert_eq!(guard.look(at(1.0), Some(Shutter::Open), true), [Deed::Close]);
+    // tokens are kept per telescope
+    assert_eq!(guard.hear(&telescope("alpha"), &safe(2, number)), Ok(()));
+}
+
+#[test]
+fn a_roof_waits_for_the_park_as_its_policy_says() {
+    let run = |policy, until: u32| {
+        let mut guard = guard_with(policy, &["alpha"]);
+        (10..=until)
+            .flat_map(|second| guard.look(at(f64::from(second)), Some(Shutter::Open), false))
+            .collect::<Vec<_>>()
+    };
+    assert!(!closes(&run(CloseWithMount::ParkedWithinS, 129)));
+    assert!(closes(&run(CloseWithMount::ParkedWithinS, 130)));
+    let only = run(CloseWithMount::ParkedOnly, 1000);
+    assert_eq!(only, [Deed::Raise(Alarm::MountNotParked)]);
+    let mut parked = guard_with(CloseWithMount::ParkedOnly, &["alpha"]);
+    parked.look(at(10.0), Some(Shutter::Open), false);
+    assert_eq!(parked.look(at(11.0), Some(Shutter::Open), true), [Deed::Close]);
+}
+
+proptest! {
+    /// Whatever arrives, however often and in whatever order: what carries no number younger than its validity
+    /// keeps nothing open.
+    #[test]
+    fn no_sequence_of_permits_older_than_their_validity_keeps_a_dome_open(
+        permits in prop::collection::vec((0_u64..40, 0_u64..6, 0_u64..4, any::<bool>(), 0_u64..3), 0..60),
+    ) {
+        let mut guard = open_guard();
+        let numbers: Vec<u64> = (1..=20).map(|second| guard.beat(at(second as f64))).collect();
+        let last_sent = at(20.0);
+        let mut now = last_sent.plus(Duration::from_secs(VALID));
+        for (seq, index, life, is_safe, token) in permits {
+            let verdict = if is_safe { Verdict::Safe } else { Verdict::Unsafe };
+            let mut said = permit(seq, numbers[(index as usize * 4) % numbers.len()], verdict);
+            said.boot_id = boot(&format!("observatory-{life}"));
+            said.body.token = token;
+            let _ = guard.hear(&telescope("alpha"), &said);
+            prop_assert!(!guard.may_be_open(now));
+            prop_assert!(guard.open_commanded(now).is_err());
+            now = now.plus(Duration::from_millis(300));
+            guard.look(now, Some(Shutter::Open), true);
+            prop_assert!(guard.is_closing());
+        }
+    }
+
+    /// The guard never says that it may be open without a safe permit whose number it sent within the validity.
+    #[test]
+    fn what_may_be_open_rests_on_a_young_safe_permit(
+        steps in prop::collection::vec((0_u64..4000, 0_usize..30, any::<bool>()), 1..80),
+    ) {
+        let mut guard = guard();
+        let mut sent: Vec<(u64, f64)> = Vec::new();
+        let (mut clock, mut accepted): (f64, Option<(f64, bool)>) = (0.0, None);
+        for (seq, (pause_ms, back, is_safe)) in steps.into_iter().enumerate() {
+            clock += pause_ms as f64 / 1000.0;
+            sent.push((guard.beat(at(clock)), clock));
+            let (number, at_s) = sent[sent.len().saturating_sub(1 + back)];
+            let verdict = if is_safe { Verdict::Safe } else { Verdict::Unsafe };
+            if guard.hear(&telescope("alpha"), &permit(seq as u64, number, verdict)).is_ok() {
+                accepted = Some((at_s, is_safe));
+            }
+            let young_and_safe = accepted.is_some_and(|(at_s, safe)| safe && clock - at_s < VALID as f64 - 1e-6);
+            if guard.may_be_open(at(clock)) {
+                prop_assert!(accepted.is_some_and(|(at_s, safe)| safe && clock - at_s < VALID as f64 + 1e-6));
+            } else {
+                prop_assert!(!young_and_safe);
+            }
+        }
+    }
+}

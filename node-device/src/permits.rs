@@ -1,0 +1,131 @@
+//! Who commands each telescope of the site, as the permits and leases on the bus tell.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use bus::{Bus, BusError, Catch, Heard, MachineTime};
+use contract::observatory::{Lease, Permit, Verdict};
+use contract::{BootId, Chunk, Key, Part};
+
+use crate::token::Tokens;
+
+/// A holder that was silent for so long has lost its claim to the lease.
+pub const SILENT: Duration = Duration::from_secs(5);
+/// How long a permit counts for devices that have no guard of their own.
+const PERMIT_VALID: Duration = Duration::from_secs(10);
+
+/// What was heard last, by telescope.
+#[derive(Default)]
+pub struct Permits {
+    newest: Mutex<BTreeMap<String, Newest>>,
+}
+
+#[derive(Debug, Clone, Default)]
+struct Newest {
+    holder: Option<(String, MachineTime)>,
+    permit: Option<HeardPermit>,
+}
+
+#[derive(Debug, Clone)]
+struct HeardPermit {
+    boot_id: BootId,
+    seq: u64,
+    token: u64,
+    safe: bool,
+    arrived: MachineTime,
+}
+
+impl Permits {
+    /// Does a permit say safe, and is it young?
+    pub fn is_safe(&self, telescope: &str, now: MachineTime) -> bool {
+        let newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
+        let permit = newest.get(telescope).and_then(|newest| newest.permit.as_ref());
+        permit.is_some_and(|permit| permit.safe && now.since(permit.arrived) <= PERMIT_VALID)
+    }
+
+    /// Who was heard, or granted the lease, within the last 5 s.
+    pub fn holder(&self, telescope: &str, now: MachineTime) -> Option<String> {
+        let newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
+        let (holder, at) = newest.get(telescope)?.holder.as_ref()?;
+        (now.since(*at) < SILENT).then(|| holder.clone())
+    }
+
+    /// Somebody holds the lease now.
+    pub fn held_by(&self, telescope: &str, holder: &str, now: MachineTime) {
+        let mut newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
+        newest.entry(telescope.to_owned()).or_default().holder = Some((holder.to_owned(), now));
+    }
+
+    /// A lease was spoken of: an empty holder has released it. Where permits are spoken, they alone keep it alive.
+    fn lease(&self, telescope: &str, holder: &str, arrived: MachineTime) {
+        let mut newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
+        let entry = newest.entry(telescope.to_owned()).or_default();
+        if holder.is_empty() {
+            entry.holder = None;
+        } else if entry.permit.is_none() {
+            entry.holder = Some((holder.to_owned(), arrived));
+        }
+    }
+
+    /// Takes a permit unless it is old or of an old token.
+    pub fn hear(&self, telescope: &str, heard: &Heard<Permit>, highest_token: u64) {
+        let permit = &heard.said.body;
+        let mut newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
+        let entry = newest.entry(telescope.to_owned()).or_default();
+        let repeats = entry.permit.as_ref().is_some_and(|have| {
+            have.token == permit.token && have.boot_id == heard.said.boot_id && heard.said.seq <= have.seq
+        });
+        if permit.token < highest_token || repeats {
+            return;
+        }
+        entry.holder = Some((permit.commander.clone(), heard.arrived));
+        entry.permit = Some(HeardPermit {
+            boot_id: heard.said.boot_id.clone(),
+            seq: heard.said.seq,
+            token: permit.token,
+            safe: permit.verdict == Verdict::Safe,
+            arrived: heard.arrived,
+        });
+    }
+}
+
+/// Hears the permits and leases of all telescopes of a site, for as long as it is polled.
+pub async fn listen(bus: Bus, site: Chunk, tokens: Arc<Tokens>, permits: Arc<Permits>) -> Result<(), BusError> {
+    let root = contract::key::ROOT;
+    let word = Part::Lease.word();
+    let permit_keys = format!("{root}/{site}/*/observatory/permit/*");
+    let lease_keys = format!("{root}/{site}/*/observatory/{word}/state");
+    let heard_permits = bus.subscribe::<Permit>(&permit_keys, Catch::Newest, 64).await?;
+    let heard_leases = bus.subscribe::<Lease>(&lease_keys, Catch::Newest, 64).await?;
+    loop {
+        tokio::select! {
+            heard = heard_permits.hear() => {
+                let Key::Permit(address, _) = &heard.key else { continue };
+                let telescope = address.telescope.as_str();
+                learn(&tokens, telescope, heard.said.body.token).await;
+                permits.hear(telescope, &heard, tokens.highest(telescope));
+            }
+            heard = heard_leases.hear() => {
+                let Key::Observatory(address, _) = &heard.key else { continue };
+                let telescope = address.telescope.as_str();
+                let lease = &heard.said.body;
+                learn(&tokens, telescope, lease.token).await;
+                if lease.token == tokens.highest(telescope) {
+                    permits.lease(telescope, &lease.holder, heard.arrived);
+                }
+            }
+        }
+    }
+}
+
+async fn learn(tokens: &Arc<Tokens>, telescope: &str, token: u64) {
+    if token <= tokens.highest(telescope) {
+        return;
+    }
+    let (tokens, name) = (tokens.clone(), telescope.to_owned());
+    let written = tokio::task::spawn_blocking(move || tokens.heard(&name, token)).await;
+    if let Ok(Err(error)) = written {
+        tracing::error!(telescope, token, %error, "a fencing token could not be written; it holds until this node ends");
+    }
+}

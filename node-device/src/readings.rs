@@ -1,0 +1,168 @@
+//! What was polled: every property's newest answer under its ASCOM name, and what typed fields read from it.
+
+use std::collections::BTreeMap;
+
+use contract::datum::ReadingOutcome;
+use contract::{Datum, Kind, NoData, Reading};
+use serde_json::Value;
+use units::Utc;
+
+use crate::alpaca::value;
+
+/// The newest answers of one device.
+#[derive(Debug, Clone, Default)]
+pub struct Readings {
+    answers: BTreeMap<String, (Result<Value, NoData>, Utc)>,
+}
+
+impl Readings {
+    /// Keeps an answer.
+    pub fn keep(&mut self, property: &str, answer: Result<Value, NoData>, at_utc: Utc) {
+        self.answers.insert(property.to_owned(), (answer, at_utc));
+    }
+
+    /// Every property is missing now, for one reason.
+    pub fn lose(&mut self, reason: &NoData, at_utc: Utc) {
+        for answer in self.answers.values_mut() {
+            *answer = (Err(reason.clone()), at_utc);
+        }
+    }
+
+    fn read<T>(&self, property: &str, read: impl Fn(&Value) -> Result<T, NoData>) -> Datum<T> {
+        match self.answers.get(property) {
+            Some((Ok(value), _)) => read(value).into(),
+            Some((Err(reason), _)) => Datum::missing(reason.clone()),
+            None => Datum::default(),
+        }
+    }
+
+    /// A finite number.
+    pub fn number(&self, property: &str) -> Datum<f64> {
+        self.read(property, value::number)
+    }
+
+    /// A whole number.
+    pub fn whole(&self, property: &str) -> Datum<i64> {
+        self.read(property, value::whole)
+    }
+
+    /// True or false.
+    pub fn flag(&self, property: &str) -> Datum<bool> {
+        self.read(property, value::flag)
+    }
+
+    /// JSON `true` or `false` only.
+    pub fn strict_flag(&self, property: &str) -> Datum<bool> {
+        self.read(property, value::strict_flag)
+    }
+
+    /// Text.
+    pub fn text(&self, property: &str) -> Datum<String> {
+        self.read(property, value::text)
+    }
+
+    /// An ASCOM enumeration; numbers outside it are missing.
+    pub fn choice<T: Copy>(&self, property: &str, choices: &[(i64, T)]) -> Datum<T> {
+        self.read(property, |answer| {
+            let number = value::whole(answer)?;
+            let choice = choices.iter().find(|(n, _)| *n == number);
+            choice
+                .map(|(_, choice)| *choice)
+                .ok_or_else(|| NoData::new("wrong type", format!("{property} is {number}")))
+        })
+    }
+
+    /// All of it as the contract shows it, in ASCOM's units.
+    pub fn shown(&self, kind: Kind) -> BTreeMap<String, Reading> {
+        let shown = self.answers.iter().map(|(property, (answer, at_utc))| {
+            let unit = unit(kind, property).unwrap_or_default();
+            (property.clone(), Reading { outcome: outcome(answer, unit), at_utc: *at_utc })
+        });
+        shown.collect()
+    }
+}
+
+fn outcome(answer: &Result<Value, NoData>, unit: &str) -> ReadingOutcome {
+    let value = match answer {
+        // where a number has a unit, text in its place is a sloppy server's number
+        Ok(answer @ Value::String(_)) if !unit.is_empty() => value::number(answer).map(contract::Scalar::Float),
+        Ok(answer) => value::scalar(answer),
+        Err(reason) => Err(reason.clone()),
+    };
+    match value {
+        Ok(value) => ReadingOutcome::Value { value, unit: unit.to_owned() },
+        Err(no_data) => ReadingOutcome::Missing { no_data },
+    }
+}
+
+/// The Alpaca member and parameters that a property is read by; some properties are methods with a parameter.
+pub fn member(property: &str) -> (String, Vec<(&'static str, String)>) {
+    if property == "TimeSinceLastUpdate" {
+        // of the newest of all sensors
+        return ("timesincelastupdate".to_owned(), vec![("SensorName", String::new())]);
+    }
+    match property.strip_prefix("GetSwitchValue") {
+        Some(number) if number.parse::<u32>().is_ok() => ("getswitchvalue".to_owned(), vec![("Id", number.to_owned())]),
+        _ => (property.to_ascii_lowercase(), Vec::new()),
+    }
+}
+
+/// Unit that ASCOM gives a property; `None` where it has none.
+fn unit(kind: Kind, property: &str) -> Option<&'static str> {
+    Some(match (kind, property) {
+        (Kind::Telescope, "RightAscension" | "TargetRightAscension" | "SiderealTime") => "h",
+        (Kind::Telescope, "Declination" | "TargetDeclination" | "Altitude" | "Azimuth") => "deg",
+        (Kind::Telescope, "SiteLatitude" | "SiteLongitude") => "deg",
+        (Kind::Telescope, "SiteElevation" | "ApertureDiameter" | "FocalLength") => "m",
+        (Kind::Telescope, "ApertureArea") => "m2",
+        (Kind::Telescope, "RightAscensionRate") => "s/s",
+        (Kind::Telescope, "DeclinationRate") => "arcsec/s",
+        (Kind::Telescope, "GuideRateRightAscension" | "GuideRateDeclination") => "deg/s",
+        (Kind::Telescope, "SlewSettleTime") => "s",
+        (Kind::Camera, "CCDTemperature" | "SetCCDTemperature" | "HeatSinkTemperature") => "C",
+        (Kind::Camera, "CoolerPower" | "PercentCompleted") => "%",
+        (Kind::Camera, "PixelSizeX" | "PixelSizeY") => "um",
+        (Kind::Camera, "ElectronsPerADU") => "e/ADU",
+        (Kind::Camera, "FullWellCapacity") => "e",
+        (Kind::Camera, "MaxADU") => "ADU",
+        (Kind::Camera, "LastExposureDuration" | "ExposureMin" | "ExposureMax") => "s",
+        (Kind::Camera, "StartX" | "StartY" | "NumX" | "NumY" | "CameraXSize" | "CameraYSize") => "px",
+        (Kind::Focuser, "Position" | "MaxStep" | "MaxIncrement") => "step",
+        (Kind::Focuser, "StepSize") => "um",
+        (Kind::Focuser, "Temperature") => "C",
+        (Kind::Dome, "Azimuth" | "Altitude") => "deg",
+        (Kind::Rotator, "Position" | "MechanicalPosition" | "TargetPosition" | "StepSize") => "deg",
+        (Kind::ObservingConditions, "CloudCover" | "Humidity") => "%",
+        (Kind::ObservingConditions, "DewPoint" | "SkyTemperature" | "Temperature") => "C",
+        (Kind::ObservingConditions, "Pressure") => "hPa",
+        (Kind::ObservingConditions, "RainRate") => "mm/h",
+        (Kind::ObservingConditions, "SkyBrightness") => "lx",
+        (Kind::ObservingConditions, "SkyQuality") => "mag/arcsec2",
+        (Kind::ObservingConditions, "StarFWHM") => "arcsec",
+        (Kind::ObservingConditions, "WindDirection") => "deg",
+        (Kind::ObservingConditions, "WindGust" | "WindSpeed") => "m/s",
+        (Kind::ObservingConditions, "TimeSinceLastUpdate") => "s",
+        (Kind::ObservingConditions, "AveragePeriod") => "h",
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn numbers_keep_ascoms_unit_and_absence_its_reason() {
+        let mut readings = Readings::default();
+        readings.keep("RightAscension", Ok(json!("5.5")), Utc::EPOCH);
+        readings.keep("Declination", Ok(json!("NaN")), Utc::EPOCH);
+        readings.keep("Tracking", Err(NoData::not_implemented()), Utc::EPOCH);
+        let shown = serde_json::to_value(readings.shown(Kind::Telescope)).unwrap();
+        assert_eq!(shown["RightAscension"], json!({"value": 5.5, "unit": "h", "at_utc": Utc::EPOCH}));
+        assert_eq!(shown["Declination"]["no_data"], "not a number");
+        assert_eq!(shown["Tracking"]["no_data"], "not implemented");
+        assert_eq!(readings.number("RightAscension"), Datum::Known(5.5));
+        assert_eq!(readings.number("Altitude"), Datum::missing(NoData::never_read()));
+    }
+}

@@ -1,0 +1,37 @@
+//! Notices when another node serves the same device: one key has one writer.
+
+use std::time::Duration;
+
+use bus::{Catch, Node};
+use contract::device::Description;
+use contract::observatory::Priority;
+use contract::{Device, Key};
+use serde_json::Value;
+
+/// Capabilities are said every 10 s; a second writer that was silent for three of them is gone.
+const GONE: Duration = Duration::from_secs(30);
+
+/// Watches a device's capabilities until the node is stopped.
+pub async fn watch(node: Node, device: Device) -> anyhow::Result<()> {
+    let key = Key::Capabilities(device.clone()).to_string();
+    let heard = node.bus.subscribe::<Description<Value>>(&key, Catch::Newest, 8).await?;
+    let id = format!("second-writer/{}/{}", device.kind, device.name);
+    let clock = node.bus.clock().clone();
+    let mut foreign = None;
+    loop {
+        let Some(said) = node.stop.or(tokio::time::timeout(GONE, heard.hear())).await else { return Ok(()) };
+        let now = clock.machine();
+        if let Ok(said) = said
+            && said.said.boot_id != *node.bus.boot_id()
+        {
+            foreign = Some(now);
+            let cause = format!("{device} is also served by the node with boot id {}", said.said.boot_id);
+            let action = "stop one of the two device nodes, or give the device to one of them (node = ...)";
+            node.alerts.raise(&id, Priority::High, &cause, "its state and its commands are unsure", action);
+        }
+        if foreign.is_some_and(|at| now.since(at) > GONE) {
+            foreign = None;
+            node.alerts.clear(&id);
+        }
+    }
+}

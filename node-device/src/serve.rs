@@ -1,0 +1,450 @@
+//! The one loop for all kinds: connect, poll, publish, obey, reconnect.
+//!
+//! Each device has a task of its own, so a hung one delays no other. Within the task nothing is awaited but the
+//! `select!`: a command, the answer to a command, the answer to a poll and the timers are heard in any order, so
+//! that what makes safe is never behind what hangs.
+
+use std::collections::HashSet;
+use std::pin::Pin;
+use std::sync::{Arc, PoisonError};
+use std::time::Duration;
+
+use bus::{Node, Publisher, Quality};
+use config::Common;
+use contract::device::Description;
+use contract::{Device, DeviceKind as _, DeviceState, Key, LastCommand, Link, NoData, Outcome};
+use tokio::sync::mpsc;
+use tokio::time::{Instant, sleep_until};
+
+use crate::alpaca::{Alpaca, AlpacaError};
+use crate::contact::{Answer, Greeting, Poll, Questions, lost_reason};
+use crate::deadline::machine_limit;
+use crate::driver::{Capabilities, Command, Driver, Fields, Now, Obeyed, Progress};
+use crate::front::{Front, Order};
+use crate::readings::Readings;
+
+/// While something moves or exposes.
+const FAST: Duration = Duration::from_millis(100);
+/// A device that is busy for so long without a command is polled at leisure again.
+const BUSY_LIMIT: Duration = Duration::from_secs(600);
+/// A state is said at least so often.
+const SAY: Duration = Duration::from_secs(5);
+/// Capabilities are said so often.
+const CAPABILITIES: Duration = Duration::from_secs(10);
+/// States kept for those who were away: ten minutes and more.
+const CACHE: usize = 2000;
+/// Longest wait before the next try to connect.
+const LONGEST_BACK_OFF_S: f64 = 30.0;
+
+type Task<T> = Option<Pin<Box<dyn Future<Output = T> + Send>>>;
+
+enum Contact<D: Driver> {
+    Greeted(Result<Greeting<D>, AlpacaError>),
+    Polled(Poll),
+}
+
+/// One device and all that its loop needs.
+pub struct Serve<D: Driver> {
+    /// The node.
+    pub node: Node,
+    /// The device on the bus.
+    pub device: Device,
+    /// Its block of the configuration.
+    pub common: Common,
+    /// How many devices were started before; spreads the polls.
+    pub index: u32,
+    /// Its driver.
+    pub driver: Arc<D>,
+    /// Its server.
+    pub alpaca: Alpaca,
+    /// Where its commands are taken.
+    pub front: Arc<Front<D>>,
+    /// Polled rows of the FITS-header table.
+    pub polled: Vec<String>,
+    /// Fixed rows of it.
+    pub fixed: Vec<String>,
+}
+
+struct Running<D: Driver> {
+    order: Order<Command<D>>,
+    /// When the device had taken it; only later readings judge it.
+    sent: Option<Instant>,
+    deadline: Option<Instant>,
+    standing_since: Option<Instant>,
+}
+
+struct Loop<D: Driver> {
+    serve: Serve<D>,
+    states: Publisher<DeviceState<Fields<D>>>,
+    descriptions: Publisher<Description<Capabilities<D>>>,
+    readings: Readings,
+    link: Link,
+    device_state: bool,
+    absent: HashSet<String>,
+    description: Option<Description<Capabilities<D>>>,
+    last_command: Option<LastCommand>,
+    running: Option<Running<D>>,
+    job: Task<Result<Obeyed, AlpacaError>>,
+    contact: Task<Contact<D>>,
+    next_contact: Instant,
+    next_full: Instant,
+    next_description: Instant,
+    busy_since: Option<Instant>,
+    failures: i32,
+    said: Option<(DeviceState<Fields<D>>, Instant)>,
+}
+
+impl<D: Driver> Serve<D> {
+    /// Serves the device until the node is stopped.
+    pub async fn run(self, mut orders: mpsc::UnboundedReceiver<Order<Command<D>>>) -> anyhow::Result<()> {
+        let (bus, stop) = (self.node.bus.clone(), self.node.stop.clone());
+        let states = bus.publisher(&Key::State(self.device.clone()), Quality::State { cache: CACHE }).await?;
+        let key = Key::Capabilities(self.device.clone());
+        let descriptions = bus.publisher(&key, Quality::State { cache: 1 }).await?;
+        let front = self.front.clone();
+        let answer = move |command| {
+            let front = front.clone();
+            async move { front.answer(command).await }
+        };
+        let driver = self.driver.clone();
+        let _service = bus.serve(&Key::Command(self.device.clone()), answer).await?;
+        // the same phase at every start, a different one for each device
+        let phase = Duration::from_millis(37 * u64::from(self.index));
+        let now = Instant::now();
+        let mut lap = Loop {
+            serve: self,
+            states,
+            descriptions,
+            readings: Readings::default(),
+            link: Link::Connecting,
+            device_state: false,
+            absent: HashSet::new(),
+            description: None,
+            last_command: None,
+            running: None,
+            job: None,
+            contact: None,
+            next_contact: now + phase.min(Duration::from_millis(900)),
+            next_full: now,
+            next_description: now,
+            busy_since: None,
+            failures: 0,
+            said: None,
+        };
+        lap.say(true).await;
+        loop {
+            let wake = lap.wake();
+            tokio::select! {
+                biased;
+                () = stop.wait() => return Ok(()),
+                Some(order) = orders.recv() => lap.start(order),
+                result = finished(&mut lap.job) => lap.obeyed(result),
+                contact = finished(&mut lap.contact) => match contact {
+                    Contact::Greeted(greeting) => lap.greeted(greeting),
+                    Contact::Polled(poll) => {
+                        let full = poll.full;
+                        lap.polled(poll);
+                        lap.say(full).await;
+                    }
+                },
+                () = driver.stirred() => {}
+                () = sleep_until(wake) => lap.due(),
+            }
+            lap.say(false).await;
+        }
+    }
+}
+
+/// Waits for a task, if there is one, and forgets it.
+async fn finished<T>(task: &mut Task<T>) -> T {
+    let Some(running) = task else { return std::future::pending().await };
+    let result = running.as_mut().await;
+    *task = None;
+    result
+}
+
+impl<D: Driver> Loop<D> {
+    fn period(&self) -> Duration {
+        Duration::from_secs_f64(self.serve.common.period_s)
+    }
+
+    fn say_period(&self) -> Duration {
+        // a poll under way will speak itself; what hangs is said again later, but not never
+        let patience = if self.contact.is_some() { 3 } else { 1 };
+        self.period().min(SAY) * patience
+    }
+
+    fn wake(&self) -> Instant {
+        let mut wake = self.said.as_ref().map_or_else(Instant::now, |(_, at)| *at + self.say_period());
+        if self.contact.is_none() {
+            wake = wake.min(self.next_contact);
+        }
+        if self.description.is_some() {
+            wake = wake.min(self.next_description);
+        }
+        if let Some(deadline) = self.running.as_ref().and_then(|running| running.deadline) {
+            wake = wake.min(deadline);
+        }
+        wake
+    }
+
+    /// A timer ran out.
+    fn due(&mut self) {
+        let now = Instant::now();
+        if self.running.as_ref().and_then(|running| running.deadline).is_some_and(|deadline| now >= deadline) {
+            self.judge(None);
+        }
+        if self.contact.is_some() || now < self.next_contact {
+            return;
+        }
+        let Serve { driver, common, alpaca, fixed, node, .. } = &self.serve;
+        let questions = Questions { alpaca: alpaca.clone(), clock: node.bus.clock().clone() };
+        if self.link != Link::Connected {
+            let (driver, common, fixed) = (driver.clone(), common.clone(), fixed.clone());
+            let greet = async move { Contact::<D>::Greeted(questions.greet(driver, &common, &fixed).await) };
+            self.contact = Some(Box::pin(greet));
+            return;
+        }
+        let full = now >= self.next_full || driver.moving().is_empty();
+        if full {
+            self.next_full = now + self.period();
+        }
+        let wanted =
+            if full { self.wanted() } else { self.present(driver.moving().iter().map(|&name| name.to_owned())) };
+        let device_state = self.device_state;
+        self.contact =
+            Some(Box::pin(async move { Contact::<D>::Polled(questions.poll(wanted, full, device_state).await) }));
+    }
+
+    /// All polled properties that the device has.
+    fn wanted(&self) -> Vec<String> {
+        let own = self.serve.driver.polled();
+        let others = self.serve.polled.iter().filter(|name| !own.contains(name)).cloned().collect::<Vec<_>>();
+        self.present(own.into_iter().chain(others))
+    }
+
+    fn present(&self, names: impl Iterator<Item = String>) -> Vec<String> {
+        names.filter(|name| !self.absent.contains(name)).collect()
+    }
+
+    fn greeted(&mut self, greeting: Result<Greeting<D>, AlpacaError>) {
+        let greeting = match greeting {
+            Ok(greeting) => greeting,
+            Err(error) => return self.lose(&error),
+        };
+        if self.link != Link::Connected {
+            tracing::info!(device = %self.serve.device, name = greeting.description.device_name, "device connected");
+        }
+        self.absent.clear();
+        self.keep(greeting.answers);
+        self.device_state = greeting.device_state;
+        self.link = Link::Connected;
+        self.front().can = Some(greeting.description.can.clone());
+        self.description = Some(greeting.description);
+        self.failures = 0;
+        let now = Instant::now();
+        (self.next_contact, self.next_full, self.next_description) = (now, now, now);
+        self.observe_now();
+    }
+
+    fn keep(&mut self, answers: Vec<Answer>) {
+        for (property, answer, at_utc) in answers {
+            if answer.as_ref().is_err_and(AlpacaError::is_not_implemented) {
+                self.absent.insert(property.clone());
+            }
+            self.readings.keep(&property, answer.map_err(|error| error.no_data()), at_utc);
+        }
+    }
+
+    fn polled(&mut self, poll: Poll) {
+        self.device_state = poll.device_state;
+        self.keep(poll.answers);
+        if let Some(error) = &poll.lost {
+            return self.lose(error);
+        }
+        self.serve.driver.observed(&self.readings, poll.began);
+        self.judge(Some(poll.began_at));
+        let now = Instant::now();
+        let pause = if self.is_fast(now) { FAST } else { self.period() };
+        self.next_contact = (poll.began_at + pause).max(now);
+    }
+
+    fn is_fast(&mut self, now: Instant) -> bool {
+        if self.running.is_some() {
+            return true;
+        }
+        let busy = self.serve.driver.is_busy(&self.serve.driver.fields(&self.readings));
+        let since = if busy { Some(*self.busy_since.get_or_insert(now)) } else { None };
+        self.busy_since = since;
+        since.is_some_and(|since| now.duration_since(since) < BUSY_LIMIT)
+    }
+
+    /// The device is gone: everything is missing, for this reason, until it is back.
+    fn lose(&mut self, error: &AlpacaError) {
+        let reason: NoData = lost_reason(error);
+        if self.link == Link::Connected || self.failures == 0 {
+            tracing::warn!(device = %self.serve.device, %error, "device lost; trying again");
+        }
+        self.link = Link::Lost { reason: reason.clone() };
+        // also what was never read is missing for this reason
+        let clock = self.serve.node.bus.clock().clone();
+        for property in self.wanted() {
+            self.readings.keep(&property, Err(reason.clone()), clock.utc());
+        }
+        self.readings.lose(&reason, clock.utc());
+        self.device_state = false;
+        self.observe_now();
+        self.judge(None);
+        let back_off = (0.5 * 2_f64.powi(self.failures)).min(LONGEST_BACK_OFF_S);
+        self.failures = (self.failures + 1).min(10);
+        // several devices of one server come back one after another
+        let jitter = 1.0 + f64::from(self.serve.index % 8) * 0.03;
+        self.next_contact = Instant::now() + Duration::from_secs_f64(back_off * jitter);
+    }
+
+    fn observe_now(&self) {
+        let clock = self.serve.node.bus.clock();
+        self.serve.driver.observed(&self.readings, Now { machine: clock.machine(), sky: clock.sky() });
+    }
+
+    /// A command was accepted.
+    fn start(&mut self, order: Order<Command<D>>) {
+        let verb = verb(&order.deed);
+        if let Some(running) = &self.running {
+            let id = running.order.id.clone();
+            tracing::info!(device = %self.serve.device, command = %id, by = verb, "command interrupted");
+        }
+        tracing::info!(device = %self.serve.device, verb, from = order.from, "command");
+        self.last_command = Some(LastCommand {
+            id: order.id.clone(),
+            from: order.from.clone(),
+            verb,
+            taken_utc: order.taken_utc,
+            outcome: Outcome::Running,
+        });
+        let driver = self.serve.driver.clone();
+        let urgent = driver.interrupts(&order.deed);
+        let alpaca = if urgent { self.serve.alpaca.at_once() } else { self.serve.alpaca.clone() };
+        let fields = driver.fields(&self.readings);
+        let (id, deed) = (order.id.clone(), order.deed.clone());
+        // dropping the job before ends its requests
+        self.job = Some(Box::pin(async move { driver.obey(&alpaca, &id, &deed, &fields).await }));
+        self.running = Some(Running { order, sent: None, deadline: None, standing_since: None });
+    }
+
+    /// The device has answered a command.
+    fn obeyed(&mut self, result: Result<Obeyed, AlpacaError>) {
+        let Some(running) = &mut self.running else { return };
+        let now = Instant::now();
+        match result {
+            Ok(Obeyed::Done) => self.end(Outcome::Done),
+            Err(error) if !error.is_unknown_outcome() => self.end(Outcome::Failed { reason: error.to_string() }),
+            // no answer says nothing about whether it was done; the state will
+            Ok(Obeyed::Watch) | Err(_) => {
+                let limit = self.serve.driver.limit(&running.order.deed);
+                running.sent = Some(now);
+                running.deadline = Some(now + machine_limit(self.serve.node.bus.clock(), limit));
+            }
+        }
+        if self.link == Link::Connected {
+            self.next_contact = now;
+        }
+    }
+
+    /// How far is the command, by readings of a poll that began then?
+    fn judge(&mut self, began: Option<Instant>) {
+        let Some(running) = &mut self.running else { return };
+        let Some(sent) = running.sent else { return };
+        if let Some(began) = began.filter(|began| *began >= sent && self.link == Link::Connected) {
+            let driver = &self.serve.driver;
+            match driver.progress(&running.order.deed, &driver.fields(&self.readings)) {
+                Progress::Done => return self.end(Outcome::Done),
+                Progress::Failed(reason) => return self.end(Outcome::Failed { reason }),
+                Progress::Running => running.standing_since = None,
+                Progress::Settling(seconds) => {
+                    let since = *running.standing_since.get_or_insert(began);
+                    let settle = Duration::from_secs_f64(seconds.clamp(0.0, 3600.0));
+                    if began.duration_since(since) >= self.serve.node.bus.clock().machine_duration(settle) {
+                        return self.end(Outcome::Done);
+                    }
+                }
+            }
+        }
+        if running.deadline.is_some_and(|deadline| Instant::now() >= deadline) {
+            let limit = self.serve.driver.limit(&running.order.deed).as_secs_f64();
+            self.end(Outcome::Failed { reason: format!("not done within {limit} s") });
+        }
+    }
+
+    fn end(&mut self, outcome: Outcome) {
+        self.running = None;
+        self.front().running = None;
+        if let Some(last) = &mut self.last_command {
+            match &outcome {
+                Outcome::Failed { reason } => {
+                    tracing::warn!(device = %self.serve.device, verb = last.verb, reason, "command failed");
+                }
+                Outcome::Done | Outcome::Running => {}
+            }
+            last.outcome = outcome;
+        }
+    }
+
+    fn front(&self) -> std::sync::MutexGuard<'_, crate::front::Face<D>> {
+        self.serve.front.face.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn state(&self) -> DeviceState<Fields<D>> {
+        let fields = self.serve.driver.fields(&self.readings);
+        DeviceState {
+            link: self.link.clone(),
+            busy: self.running.is_some() || self.serve.driver.is_busy(&fields),
+            period_s: self.period().min(SAY).as_secs_f64(),
+            last_command: self.last_command.clone(),
+            fields,
+            readings: self.readings.shown(D::Kind::KIND),
+        }
+    }
+
+    /// Says the state if it has changed, if it is time, or in any case.
+    async fn say(&mut self, in_any_case: bool) {
+        let now = Instant::now();
+        let state = self.state();
+        {
+            let mut face = self.front();
+            face.link = state.link.clone();
+            face.fields = state.fields.clone();
+        }
+        let same = |said: &DeviceState<Fields<D>>| {
+            let words = |state: &DeviceState<Fields<D>>| serde_json::to_value(&state.fields).ok();
+            said.link == state.link
+                && said.busy == state.busy
+                && said.last_command == state.last_command
+                && words(said) == words(&state)
+        };
+        let due = self.said.as_ref().is_none_or(|(said, at)| now >= *at + self.say_period() || !same(said));
+        if in_any_case || due {
+            if let Err(error) = self.states.put(state.clone()).await {
+                tracing::warn!(device = %self.serve.device, %error, "the state could not be said");
+            }
+            self.said = Some((state, now));
+        }
+        if let Some(description) = &self.description
+            && now >= self.next_description
+        {
+            if let Err(error) = self.descriptions.put(description.clone()).await {
+                tracing::warn!(device = %self.serve.device, %error, "the capabilities could not be said");
+            }
+            self.next_description = now + CAPABILITIES;
+        }
+    }
+}
+
+/// What a command is called: the name that it has on the bus.
+fn verb<C: serde::Serialize>(deed: &C) -> String {
+    match serde_json::to_value(deed) {
+        Ok(serde_json::Value::String(word)) => word,
+        Ok(serde_json::Value::Object(object)) => object.keys().next().cloned().unwrap_or_default(),
+        _ => String::new(),
+    }
+}

@@ -1,0 +1,352 @@
+//! Frames on disk until the archive has them: written whole or not at all, announced until released.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use bus::MachineTime;
+use contract::device::camera::{Frame, Purpose};
+use contract::{CommandId, Datum, Name, NoData, Reading};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
+use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore, mpsc};
+use units::Utc;
+
+use crate::alpaca::image::{Image, RawImage};
+
+/// A frame is kept at least so long after it was first announced: guiding and measuring fetch it too.
+pub const KEEP: Duration = Duration::from_secs(60);
+/// Frames that may wait for the disk at once; a camera that is faster waits.
+const WAITING_FOR_DISK: usize = 3;
+
+/// Why a frame is not in the spool.
+#[derive(Debug, thiserror::Error)]
+pub enum SpoolError {
+    /// The image makes no sense.
+    #[error("the image cannot be decoded: {0}")]
+    Image(#[from] crate::alpaca::AlpacaError),
+    /// The disk refused.
+    #[error("cannot write {path}: {source}")]
+    Disk {
+        /// Which file or folder.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The entry's description cannot be written.
+    #[error("cannot describe the frame: {0}")]
+    Describe(#[from] serde_json::Error),
+}
+
+/// What is known of a frame beside its pixels.
+#[derive(Debug, Clone)]
+pub struct About {
+    /// Id of the frame and of its `expose` command.
+    pub id: CommandId,
+    /// Which camera.
+    pub camera: Name,
+    /// Why it was taken.
+    pub purpose: Purpose,
+    /// Binning factor.
+    pub bin: u32,
+    /// First column and row on the sensor, binned pixels.
+    pub origin_px: [u32; 2],
+    /// Sky time of the shutter's opening.
+    pub started_utc: Utc,
+    /// Seconds of light.
+    pub exposure_s: f64,
+    /// The camera's fixed properties.
+    pub readings: BTreeMap<String, Reading>,
+}
+
+/// The right to bring one frame to the disk.
+pub struct Place {
+    _permit: Option<OwnedSemaphorePermit>,
+}
+
+/// The spool of one device node.
+pub struct Spool {
+    folder: PathBuf,
+    /// `http://host:port`, where the frames are served.
+    base: String,
+    entries: Mutex<BTreeMap<String, Entry>>,
+    free: Mutex<Datum<u64>>,
+    places: Arc<Semaphore>,
+    change: Notify,
+    stored: mpsc::UnboundedSender<Result<CommandId, (CommandId, SpoolError)>>,
+}
+
+#[derive(Debug, Clone)]
+struct Entry {
+    kept: Kept,
+    announced: Option<MachineTime>,
+    released: bool,
+}
+
+/// What stands in a frame's JSON file.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct Kept {
+    token: String,
+    frame: Frame,
+}
+
+impl Spool {
+    /// Opens a spool folder, removes what a crash left half written, and takes up the frames that still wait.
+    ///
+    /// The receiver tells of each frame that is safe, or why it is not.
+    #[allow(clippy::type_complexity, reason = "said once")]
+    pub fn open(
+        folder: &Path,
+        base: String,
+    ) -> Result<(Self, mpsc::UnboundedReceiver<Result<CommandId, (CommandId, SpoolError)>>), SpoolError> {
+        let disk = |source| SpoolError::Disk { path: folder.to_owned(), source };
+        fs::create_dir_all(folder).map_err(disk)?;
+        let mut entries = BTreeMap::new();
+        for file in fs::read_dir(folder).map_err(disk)? {
+            let path = file.map_err(disk)?.path();
+            match path.extension().and_then(|extension| extension.to_str()) {
+                Some("json") => match read_entry(&path) {
+                    Ok(kept) => {
+                        entries.insert(kept.frame.id.0.clone(), Entry { kept, announced: None, released: false });
+                    }
+                    Err(reason) => {
+                        tracing::warn!(path = %path.display(), reason, "a spooled frame is not whole; set aside");
+                        let _ = fs::rename(&path, path.with_extension("bad"));
+                    }
+                },
+                Some("part") => {
+                    let _ = fs::remove_file(&path);
+                }
+                // pixels come before their description, so pixels alone were never announced
+                Some("pixels") if !path.with_extension("json").exists() => {
+                    let _ = fs::remove_file(&path);
+                }
+                _ => {}
+            }
+        }
+        let (stored, told) = mpsc::unbounded_channel();
+        let free = Mutex::new(Datum::default());
+        let places = Arc::new(Semaphore::new(WAITING_FOR_DISK));
+        Ok((
+            Self {
+                folder: folder.to_owned(),
+                base,
+                entries: Mutex::new(entries),
+                free,
+                places,
+                change: Notify::new(),
+                stored,
+            },
+            told,
+        ))
+    }
+
+    /// Waits until the disk is not behind by more than three frames.
+    pub async fn place(&self) -> Place {
+        Place { _permit: self.places.clone().acquire_owned().await.ok() }
+    }
+
+    /// Waits until every frame that was downloaded is on disk, at most `limit`.
+    pub async fn settle(&self, limit: Duration) {
+        let all = u32::try_from(WAITING_FOR_DISK).unwrap_or(u32::MAX);
+        if tokio::time::timeout(limit, self.places.acquire_many(all)).await.is_err() {
+            tracing::error!("a frame was not on disk when the node ended");
+        }
+    }
+
+    /// Decodes a frame and brings it to the disk, off the async threads, then tells.
+    pub async fn keep(self: Arc<Self>, place: Place, raw: RawImage, max_adu: Option<f64>, about: About) {
+        let (id, spool) = (about.id.clone(), self.clone());
+        let work = tokio::task::spawn_blocking(move || spool.store(&raw.into_image(max_adu)?, about));
+        let outcome = match work.await {
+            Ok(Ok(())) => Ok(id),
+            Ok(Err(error)) => Err((id, error)),
+            Err(died) => Err((id, SpoolError::Disk { path: self.folder.clone(), source: io::Error::other(died) })),
+        };
+        // nobody listens any more only while the node ends; the frame is announced at its next start
+        let _ = self.stored.send(outcome);
+        drop(place);
+    }
+
+    /// Writes a frame: pixels, then description, each whole or not at all. Blocks.
+    pub fn store(&self, image: &Image, about: About) -> Result<(), SpoolError> {
+        let sha256 = hex(&Sha256::digest(&image.bytes));
+        let name = about.id.0.clone();
+        let frame = Frame {
+            id: about.id,
+            camera: about.camera.to_string(),
+            purpose: about.purpose,
+            width_px: image.width_px,
+            height_px: image.height_px,
+            planes: image.planes,
+            pixel: image.pixel,
+            bin: about.bin,
+            origin_px: about.origin_px,
+            started_utc: about.started_utc,
+            exposure_s: about.exposure_s,
+            url: String::new(),
+            bytes: image.bytes.len() as u64,
+            sha256,
+            readings: about.readings,
+        };
+        let kept = Kept { token: uuid::Uuid::now_v7().simple().to_string(), frame };
+        self.write(&format!("{name}.pixels"), &image.bytes)?;
+        self.write(&format!("{name}.json"), &serde_json::to_vec(&kept)?)?;
+        sync_folder(&self.folder);
+        self.entries().insert(name, Entry { kept, announced: None, released: false });
+        self.change.notify_waiters();
+        Ok(())
+    }
+
+    /// Ends when a frame came or was released; one that falls between two waits shows in the next state.
+    pub async fn stirred(&self) {
+        self.change.notified().await;
+    }
+
+    fn write(&self, name: &str, bytes: &[u8]) -> Result<(), SpoolError> {
+        let path = self.folder.join(name);
+        let part = self.folder.join(format!("{name}.part"));
+        let written = write_synced(&part, bytes).and_then(|()| fs::rename(&part, &path));
+        written.map_err(|source| {
+            let _ = fs::remove_file(&part);
+            SpoolError::Disk { path, source }
+        })
+    }
+
+    /// A frame as it is announced, with the address of its pixels.
+    pub fn frame(&self, id: &CommandId) -> Option<Frame> {
+        self.entries().get(&id.0).map(|entry| self.with_url(&entry.kept))
+    }
+
+    /// Frames of a camera that the archive has not released, oldest id first.
+    pub fn unreleased(&self, camera: &Name) -> Vec<Frame> {
+        let entries = self.entries();
+        let mine = entries.values().filter(|entry| !entry.released && entry.kept.frame.camera == camera.as_str());
+        mine.map(|entry| self.with_url(&entry.kept)).collect()
+    }
+
+    /// How many those are.
+    pub fn waiting(&self, camera: &Name) -> u32 {
+        let entries = self.entries();
+        let mine = entries.values().filter(|entry| !entry.released && entry.kept.frame.camera == camera.as_str());
+        u32::try_from(mine.count()).unwrap_or(u32::MAX)
+    }
+
+    fn with_url(&self, kept: &Kept) -> Frame {
+        let mut frame = kept.frame.clone();
+        frame.url = format!("{}/frame/{}?token={}", self.base, frame.id, kept.token);
+        frame
+    }
+
+    /// Notes that a frame was announced.
+    pub fn announced(&self, id: &CommandId, now: MachineTime) {
+        if let Some(entry) = self.entries().get_mut(&id.0) {
+            entry.announced.get_or_insert(now);
+        }
+    }
+
+    /// Is a frame of this id here?
+    pub fn holds(&self, id: &CommandId) -> bool {
+        self.entries().contains_key(&id.0)
+    }
+
+    /// The archive has the frame; it is removed by a later [`Self::sweep`]. An unknown frame was released before.
+    pub fn release(&self, id: &CommandId, sha256: &str) -> Result<(), String> {
+        match self.entries().get_mut(&id.0) {
+            None => Ok(()),
+            Some(entry) if entry.kept.frame.sha256.eq_ignore_ascii_case(sha256) => {
+                entry.released = true;
+                self.change.notify_waiters();
+                Ok(())
+            }
+            Some(entry) => Err(format!("frame {id} has the hash {}, not {sha256}", entry.kept.frame.sha256)),
+        }
+    }
+
+    /// Removes released frames whose time has run out. Blocks.
+    pub fn sweep(&self, now: MachineTime) {
+        let over = |entry: &Entry| entry.released && entry.announced.is_some_and(|at| now.since(at) >= KEEP);
+        let gone: Vec<String> =
+            self.entries().iter().filter(|(_, entry)| over(entry)).map(|(name, _)| name.clone()).collect();
+        for name in gone {
+            // description first: pixels alone are swept at the next start
+            let removed = fs::remove_file(self.folder.join(format!("{name}.json")));
+            let _ = fs::remove_file(self.folder.join(format!("{name}.pixels")));
+            match removed {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                    tracing::warn!(frame = name, %error, "a released frame cannot be removed");
+                }
+                _ => {
+                    self.entries().remove(&name);
+                }
+            }
+        }
+    }
+
+    /// File and length of a frame's pixels, for those who know its token.
+    pub fn pixels(&self, id: &str, token: &str) -> Option<(PathBuf, u64)> {
+        let entries = self.entries();
+        let kept = &entries.get(id)?.kept;
+        (kept.token == token).then(|| (self.folder.join(format!("{id}.pixels")), kept.frame.bytes))
+    }
+
+    /// Free space where the spool lies, as it was measured last.
+    pub fn free_bytes(&self) -> Datum<u64> {
+        self.free.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Measures the free space. Blocks.
+    pub fn measure_free(&self) {
+        let folder = fs::canonicalize(&self.folder).unwrap_or_else(|_| self.folder.clone());
+        let free = sysinfo::Disks::new_with_refreshed_list().ok().and_then(|disks| {
+            let holding = disks.iter().filter(|disk| folder.starts_with(disk.mount_point()));
+            // the nearest mount point above the folder
+            let nearest = holding.max_by_key(|disk| disk.mount_point().as_os_str().len());
+            nearest.map(sysinfo::Disk::available_space)
+        });
+        let free = free.ok_or_else(|| NoData::new("missing", "this system does not tell"));
+        *self.free.lock().unwrap_or_else(PoisonError::into_inner) = free.into();
+    }
+
+    fn entries(&self) -> std::sync::MutexGuard<'_, BTreeMap<String, Entry>> {
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn read_entry(json: &Path) -> Result<Kept, String> {
+    let text = fs::read(json).map_err(|error| error.to_string())?;
+    let kept: Kept = serde_json::from_slice(&text).map_err(|error| error.to_string())?;
+    let length = fs::metadata(json.with_extension("pixels")).map_err(|error| error.to_string())?.len();
+    if json.file_stem().and_then(|stem| stem.to_str()) != Some(kept.frame.id.0.as_str()) {
+        return Err(format!("it describes frame {}", kept.frame.id));
+    }
+    if length != kept.frame.bytes {
+        return Err(format!("{length} of {} bytes", kept.frame.bytes));
+    }
+    Ok(kept)
+}
+
+/// Writes a file and waits until the disk has it.
+pub(crate) fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut file = File::create(path)?;
+    file.write_all(bytes)?;
+    file.sync_all()
+}
+
+/// Makes renames in a folder last; where folders cannot be opened (Windows) the rename itself must do.
+pub(crate) fn sync_folder(folder: &Path) {
+    if let Ok(folder) = File::open(folder) {
+        let _ = folder.sync_all();
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+#[path = "spool_tests.rs"]
+mod tests;

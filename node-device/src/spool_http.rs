@@ -1,0 +1,142 @@
+//! Serves the spool's pixels by HTTP, with range requests, to those who know a frame's token.
+
+use std::io::SeekFrom;
+use std::sync::Arc;
+
+use axum::Router;
+use axum::body::Body;
+use axum::extract::{Path, Query, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use bus::Stop;
+use serde::Deserialize;
+use tokio::io::{AsyncReadExt as _, AsyncSeekExt as _};
+use tokio::net::TcpListener;
+use tokio_util::io::ReaderStream;
+
+use crate::spool::Spool;
+
+#[derive(Deserialize)]
+struct Token {
+    #[serde(default)]
+    token: String,
+}
+
+/// Serves until the stop is said.
+pub async fn serve(listener: TcpListener, spool: Arc<Spool>, stop: Stop) -> std::io::Result<()> {
+    let stopped = async move { stop.wait().await };
+    tokio::select! {
+        served = async { axum::serve(listener, router(spool)).await } => served,
+        // a download that is cut is asked for again
+        () = stopped => Ok(()),
+    }
+}
+
+/// The routes.
+pub fn router(spool: Arc<Spool>) -> Router {
+    Router::new().route("/frame/{id}", get(frame)).with_state(spool)
+}
+
+async fn frame(
+    State(spool): State<Arc<Spool>>,
+    Path(id): Path<String>,
+    Query(Token { token }): Query<Token>,
+    headers: HeaderMap,
+) -> Response {
+    // an unknown frame and a wrong token look the same
+    let Some((path, length)) = spool.pixels(&id, &token) else { return StatusCode::NOT_FOUND.into_response() };
+    let asked = headers.get(header::RANGE).and_then(|value| value.to_str().ok());
+    let asked = asked.map_or(Asked::Whole, |range| parse(range, length));
+    let part = match asked {
+        Asked::Whole => Part { first: 0, length },
+        Asked::Part(part) => part,
+        Asked::Outside => {
+            let range = format!("bytes */{length}");
+            return (StatusCode::RANGE_NOT_SATISFIABLE, [(header::CONTENT_RANGE, range)]).into_response();
+        }
+    };
+    let opened = async {
+        let mut file = tokio::fs::File::open(&path).await?;
+        file.seek(SeekFrom::Start(part.first)).await?;
+        std::io::Result::Ok(file.take(part.length))
+    };
+    let Ok(file) = opened.await else { return StatusCode::NOT_FOUND.into_response() };
+    let body = Body::from_stream(ReaderStream::with_capacity(file, 256 << 10));
+    let mut response = Response::builder()
+        .header(header::CONTENT_TYPE, "application/octet-stream")
+        .header(header::ACCEPT_RANGES, "bytes")
+        .header(header::CONTENT_LENGTH, part.length);
+    if asked != Asked::Whole {
+        let last = part.first + part.length - 1;
+        response = response
+            .status(StatusCode::PARTIAL_CONTENT)
+            .header(header::CONTENT_RANGE, format!("bytes {}-{last}/{length}", part.first));
+    }
+    response.body(body).unwrap_or_else(|_| StatusCode::INTERNAL_SERVER_ERROR.into_response())
+}
+
+/// What a `Range` header asks for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Asked {
+    /// Everything, or something that this server does not do.
+    Whole,
+    /// One part.
+    Part(Part),
+    /// A part that the frame does not have.
+    Outside,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Part {
+    first: u64,
+    length: u64,
+}
+
+fn parse(range: &str, length: u64) -> Asked {
+    // several ranges, other units and nonsense are answered with the whole, as RFC 9110 allows
+    let Some((first, last)) = range.trim().strip_prefix("bytes=").and_then(|range| range.split_once('-')) else {
+        return Asked::Whole;
+    };
+    match (first.trim().parse::<u64>(), last.trim().parse::<u64>()) {
+        (Ok(first), Ok(last)) if first > last => Asked::Whole,
+        (Ok(first), _) if first >= length => Asked::Outside,
+        (Ok(first), Ok(last)) => Asked::Part(Part { first, length: last.min(length - 1) - first + 1 }),
+        (Ok(first), Err(_)) if last.trim().is_empty() => Asked::Part(Part { first, length: length - first }),
+        (Err(_), Ok(0)) if first.trim().is_empty() => Asked::Outside,
+        (Err(_), Ok(count)) if first.trim().is_empty() && length > 0 => {
+            let count = count.min(length);
+            Asked::Part(Part { first: length - count, length: count })
+        }
+        _ => Asked::Whole,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn part(first: u64, length: u64) -> Asked {
+        Asked::Part(Part { first, length })
+    }
+
+    #[test]
+    fn single_ranges_are_read_as_rfc_9110_says() {
+        for (range, expected) in [
+            ("bytes=0-9", part(0, 10)),
+            ("bytes=90-", part(90, 10)),
+            ("bytes=90-1000", part(90, 10)),
+            ("bytes=-10", part(90, 10)),
+            ("bytes=-1000", part(0, 100)),
+            ("bytes=100-", Asked::Outside),
+            ("bytes=-0", Asked::Outside),
+            ("bytes=9-0", Asked::Whole),
+            ("bytes=0-1,5-6", Asked::Whole),
+            ("bytes=x-", Asked::Whole),
+            ("lines=0-1", Asked::Whole),
+            ("", Asked::Whole),
+        ] {
+            assert_eq!(parse(range, 100), expected, "{range}");
+        }
+    }
+}

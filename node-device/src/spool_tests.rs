@@ -1,0 +1,98 @@
+use contract::device::camera::Pixel;
+
+use super::*;
+
+fn about(id: &str) -> About {
+    About {
+        id: CommandId(id.to_owned()),
+        camera: "cam".parse().unwrap(),
+        purpose: Purpose::default(),
+        bin: 1,
+        origin_px: [0, 0],
+        started_utc: Utc::EPOCH,
+        exposure_s: 1.0,
+        readings: BTreeMap::new(),
+    }
+}
+
+fn image() -> Image {
+    Image { width_px: 2, height_px: 1, planes: 1, pixel: Pixel::U16, bytes: vec![1, 2, 3, 4] }
+}
+
+fn open(folder: &Path) -> Spool {
+    Spool::open(folder, "http://127.0.0.1:1".to_owned()).unwrap().0
+}
+
+fn at(second: u64) -> MachineTime {
+    MachineTime::from_boot(Duration::from_secs(second))
+}
+
+#[test]
+fn a_frame_survives_a_restart_and_goes_only_when_it_is_released_and_old() {
+    let folder = tempfile::tempdir().unwrap();
+    let (id, camera) = (CommandId("f1".to_owned()), "cam".parse().unwrap());
+    open(folder.path()).store(&image(), about("f1")).unwrap();
+
+    let spool = open(folder.path());
+    let frames = spool.unreleased(&camera);
+    let frame = &frames[0];
+    assert_eq!((frame.bytes, frame.width_px, frames.len()), (4, 2, 1));
+    // echo -n -e '\x01\x02\x03\x04' | sha256sum
+    assert_eq!(frame.sha256, "9f64a747e1b97f131fabb6b447296c9b6f0201e79fb3c5356e6c77e89b6a806a");
+    spool.announced(&id, at(100));
+    assert!(spool.release(&id, "00").is_err());
+    assert_eq!(spool.waiting(&camera), 1);
+    spool.release(&id, &frame.sha256.to_uppercase()).unwrap();
+    assert_eq!(spool.waiting(&camera), 0);
+    spool.sweep(at(159));
+    assert!(spool.holds(&id) && folder.path().join("f1.pixels").exists());
+    spool.sweep(at(160));
+    assert!(!spool.holds(&id));
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+    assert!(spool.release(&id, "00").is_ok(), "a frame that is gone was released before");
+}
+
+#[test]
+fn what_a_crash_leaves_half_written_is_no_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let spool = open(folder.path());
+    for id in ["whole", "cut", "broken"] {
+        spool.store(&image(), about(id)).unwrap();
+    }
+    let write = |name: &str, bytes: &[u8]| fs::write(folder.path().join(name), bytes).unwrap();
+    write("new.pixels.part", b"12");
+    write("new2.pixels", b"1234");
+    write("new2.json.part", b"{");
+    write("cut.pixels", b"123");
+    write("broken.json", b"{\"token\"");
+
+    let spool = open(folder.path());
+    let ids: Vec<String> = spool.unreleased(&"cam".parse().unwrap()).into_iter().map(|frame| frame.id.0).collect();
+    assert_eq!(ids, ["whole"]);
+    for gone in ["new.pixels.part", "new2.pixels", "new2.json.part"] {
+        assert!(!folder.path().join(gone).exists(), "{gone}");
+    }
+    assert!(folder.path().join("cut.bad").exists(), "what was announced once is set aside, not removed");
+}
+
+#[test]
+fn pixels_are_for_those_who_know_the_token() {
+    let folder = tempfile::tempdir().unwrap();
+    let spool = open(folder.path());
+    spool.store(&image(), about("f1")).unwrap();
+    let url = spool.frame(&CommandId("f1".to_owned())).unwrap().url;
+    let token = url.split("token=").nth(1).unwrap();
+    assert!(spool.pixels("f1", token).is_some());
+    assert!(spool.pixels("f1", "").is_none());
+    assert!(spool.pixels("../f1", token).is_none());
+}
+
+#[test]
+fn a_disk_that_refuses_leaves_no_entry() {
+    let folder = tempfile::tempdir().unwrap();
+    let inner = folder.path().join("spool");
+    let spool = open(&inner);
+    fs::remove_dir_all(&inner).unwrap();
+    assert!(matches!(spool.store(&image(), about("f1")), Err(SpoolError::Disk { .. })));
+    assert!(!spool.holds(&CommandId("f1".to_owned())));
+}

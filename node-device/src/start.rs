@@ -1,0 +1,262 @@
+//! Builds what a node's devices need, and starts one task for each.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use bus::Node;
+use config::{CloseWithMount, Device as _};
+use contract::device::telescope::Command as MountCommand;
+use contract::{Chunk, Device, DeviceKind as _, Kind};
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+
+use crate::alpaca::Alpaca;
+use crate::deadline::machine_limit;
+use crate::driver::Driver;
+use crate::driver::camera::{Camera, frame_properties};
+use crate::driver::cover_calibrator::CoverCalibrator;
+use crate::driver::dome::Dome;
+use crate::driver::filter_wheel::FilterWheel;
+use crate::driver::focuser::Focuser;
+use crate::driver::observing_conditions::ObservingConditions;
+use crate::driver::rotator::Rotator;
+use crate::driver::safety_monitor::SafetyMonitor;
+use crate::driver::switch::Switch;
+use crate::driver::telescope::Telescope;
+use crate::front::Front;
+use crate::gate::Gate;
+use crate::guard::{Guard, Settings};
+use crate::guard_task::GuardTask;
+use crate::mount_watch::MountWatch;
+use crate::node_part::NodePart;
+use crate::permits::{self, Permits};
+use crate::serve::Serve;
+use crate::spool::Spool;
+use crate::token::Tokens;
+use crate::{announce, second_writer, spool_http};
+
+type Tasks = JoinSet<anyhow::Result<()>>;
+
+/// What all devices of a node share.
+struct Shared<'a> {
+    node: &'a Node,
+    tokens: Arc<Tokens>,
+    permits: Arc<Permits>,
+    tasks: &'a mut Tasks,
+    index: u32,
+}
+
+/// Starts every device of the node's part; returns the spool where there is a camera.
+pub async fn all(node: &Node, part: &NodePart<'_>, tasks: &mut Tasks) -> anyhow::Result<Option<Arc<Spool>>> {
+    let data = &node.config.folders.data;
+    std::fs::create_dir_all(data).with_context(|| format!("cannot make the folder {}", data.display()))?;
+    let tokens = Arc::new(Tokens::open(&data.join(format!("tokens-{}.json", node.id)))?);
+    let permits = Arc::new(Permits::default());
+    let (bus, site) = (node.bus.clone(), node.config.place.site.clone());
+    let (heard_tokens, heard_permits, stop) = (tokens.clone(), permits.clone(), node.stop.clone());
+    tasks.spawn(async move {
+        let listening = permits::listen(bus, site, heard_tokens, heard_permits);
+        stop.or(listening).await.transpose()?;
+        Ok(())
+    });
+    let mut shared = Shared { node, tokens, permits, tasks, index: 0 };
+    let config = &node.config;
+    // enclosures first: what closes must not wait for anything else to start
+    for dome in config.dome.iter().filter(|dome| part.serves(&dome.common)) {
+        shared.dome(dome)?;
+    }
+    for monitor in config.safetymonitor.iter().filter(|device| part.serves(&device.common)) {
+        shared.plain(&monitor.common, SafetyMonitor::new(monitor.common.period_s))?;
+    }
+    for mount in config.telescope.iter().filter(|device| part.serves(&device.common)) {
+        shared.telescope(mount)?;
+    }
+    for station in config.observingconditions.iter().filter(|device| part.serves(&device.common)) {
+        shared.plain(&station.common, ObservingConditions)?;
+    }
+    for wheel in config.filterwheel.iter().filter(|device| part.serves(&device.common)) {
+        shared.plain(&wheel.common, FilterWheel::default())?;
+    }
+    for focuser in config.focuser.iter().filter(|device| part.serves(&device.common)) {
+        shared.plain(&focuser.common, Focuser { settle_s: focuser.settle_s })?;
+    }
+    for cover in config.covercalibrator.iter().filter(|device| part.serves(&device.common)) {
+        shared.plain(&cover.common, CoverCalibrator)?;
+    }
+    for switch in config.switch.iter().filter(|device| part.serves(&device.common)) {
+        shared.plain(&switch.common, Switch::default())?;
+    }
+    for rotator in config.rotator.iter().filter(|device| part.serves(&device.common)) {
+        shared.plain(&rotator.common, Rotator)?;
+    }
+    shared.cameras(part).await
+}
+
+impl Shared<'_> {
+    fn device<D: Driver>(&self, common: &config::Common) -> Device {
+        self.node.config.address().device(D::Kind::KIND, &common.name)
+    }
+
+    fn gate(&self, guard: Option<Arc<Mutex<Guard>>>, is_arbiter: bool) -> Gate {
+        Gate {
+            telescope: self.node.config.place.telescope.to_string(),
+            tokens: self.tokens.clone(),
+            permits: self.permits.clone(),
+            clock: self.node.bus.clock().clone(),
+            guard,
+            is_arbiter,
+        }
+    }
+
+    fn plain<D: Driver>(&mut self, common: &config::Common, driver: D) -> anyhow::Result<()> {
+        let gate = self.gate(None, false);
+        self.serve(common, driver, gate)?;
+        Ok(())
+    }
+
+    fn serve<D: Driver>(
+        &mut self,
+        common: &config::Common,
+        driver: D,
+        gate: Gate,
+    ) -> anyhow::Result<(Arc<Front<D>>, Alpaca)> {
+        let (driver, kind) = (Arc::new(driver), D::Kind::KIND);
+        let alpaca = Alpaca::new(&common.server, kind, common.number)
+            .with_context(|| format!("{kind} \"{}\": no HTTP client", common.name))?;
+        let (front, orders) = Front::new(driver.clone(), gate);
+        let front = Arc::new(front);
+        let device = self.device::<D>(common);
+        let serve = Serve {
+            node: self.node.clone(),
+            device: device.clone(),
+            common: common.clone(),
+            index: self.index,
+            driver,
+            alpaca: alpaca.clone(),
+            front: front.clone(),
+            polled: self.node.header.properties(kind, false),
+            fixed: fixed_properties(self.node, kind),
+        };
+        self.index += 1;
+        self.tasks.spawn(serve.run(orders));
+        self.tasks.spawn(second_writer::watch(self.node.clone(), device));
+        Ok((front, alpaca))
+    }
+
+    fn dome(&mut self, dome: &config::Dome) -> anyhow::Result<()> {
+        let clock = self.node.bus.clock().clone();
+        let own = self.node.config.place.telescope.clone();
+        let telescopes = if dome.telescopes.is_empty() { vec![own] } else { dome.telescopes.clone() };
+        let known: BTreeMap<Chunk, u64> =
+            telescopes.iter().map(|one| (one.clone(), self.tokens.highest(one.as_str()))).collect();
+        let seconds = |s: f64| Duration::from_secs_f64(s.clamp(0.0, 86_400.0));
+        let settings = Settings {
+            boot_id: self.node.bus.boot_id().clone(),
+            telescopes,
+            permit_valid: seconds(dome.permit_valid_s),
+            policy: dome.close_with_mount,
+            parked_within: seconds(dome.parked_within_s),
+            travel: machine_limit(&clock, seconds(dome.travel_timeout_s)),
+        };
+        let guard = Arc::new(Mutex::new(Guard::new(settings, known, clock.machine())));
+        let (eye, seen) = watch::channel(None);
+        let driver = Dome { travel_timeout_s: dome.travel_timeout_s, guard: guard.clone(), clock, eye };
+        let gate = self.gate(Some(guard.clone()), true);
+        let (_, alpaca) = self.serve(&dome.common, driver, gate)?;
+        let task = GuardTask {
+            guard,
+            node: self.node.clone(),
+            device: self.device::<Dome>(&dome.common),
+            alpaca,
+            connect: dome.common.connect,
+            seen,
+            heeds_mounts: dome.close_with_mount != CloseWithMount::Beside,
+        };
+        self.tasks.spawn(task.run());
+        Ok(())
+    }
+
+    fn telescope(&mut self, mount: &config::Telescope) -> anyhow::Result<()> {
+        let driver = Telescope { slew_timeout_s: mount.slew_timeout_s, settle_s: mount.settle_s };
+        let enclosures = self.node.config.enclosures();
+        let gate = self.gate(None, enclosures.is_empty());
+        let (front, _) = self.serve(mount.common(), driver, gate)?;
+        if !enclosures.is_empty() {
+            let waits = self.node.config.dome.iter().any(|dome| dome.close_with_mount != CloseWithMount::Beside);
+            self.tasks.spawn(watch_mount(self.node.clone(), self.permits.clone(), front, waits));
+        }
+        Ok(())
+    }
+
+    async fn cameras(&mut self, part: &NodePart<'_>) -> anyhow::Result<Option<Arc<Spool>>> {
+        let node = self.node;
+        let cameras: Vec<_> = node.config.camera.iter().filter(|camera| part.serves(&camera.common)).collect();
+        if cameras.is_empty() {
+            return Ok(None);
+        }
+        let asked = node.config.spool.listen;
+        let listener = TcpListener::bind(asked).await.with_context(|| format!("the spool cannot listen on {asked}"))?;
+        let bound = listener.local_addr()?;
+        let base = match &node.config.spool.advertise {
+            Some(host) if host.contains(':') => format!("http://{host}"),
+            Some(host) => format!("http://{host}:{}", bound.port()),
+            None => format!("http://{bound}"),
+        };
+        let folder = node.config.folders.data.join(format!("spool-{}", node.id));
+        let (spool, stored) = Spool::open(&folder, base)?;
+        let spool = Arc::new(spool);
+        let names = cameras.iter().map(|camera| camera.common.name.clone()).collect();
+        self.tasks.spawn(announce::run(node.clone(), spool.clone(), names, stored));
+        let (served, stop) = (spool.clone(), node.stop.clone());
+        self.tasks.spawn(async move { Ok(spool_http::serve(listener, served, stop).await?) });
+        for camera in cameras {
+            let fixed = frame_properties(node.header.properties(Kind::Camera, true));
+            let clock = node.bus.clock().clone();
+            let driver = Camera::new(camera.common.name.clone(), clock, spool.clone(), fixed);
+            self.plain(&camera.common, driver)?;
+        }
+        Ok(Some(spool))
+    }
+}
+
+/// Fixed rows of the FITS-header table, and what its computed rows (APTAREA, APTDIA, FOCALLEN) are made of.
+fn fixed_properties(node: &Node, kind: Kind) -> Vec<String> {
+    let mut names = node.header.properties(kind, true);
+    if kind == Kind::Telescope {
+        let optics = ["ApertureArea", "ApertureDiameter", "FocalLength"].map(str::to_owned);
+        names.extend(optics.into_iter().filter(|name| !node.header.properties(kind, true).contains(name)));
+    }
+    names
+}
+
+/// Stops and parks a mount whose enclosure has no permit.
+async fn watch_mount(
+    node: Node,
+    permits: Arc<Permits>,
+    front: Arc<Front<Telescope>>,
+    dome_waits: bool,
+) -> anyhow::Result<()> {
+    let clock = node.bus.clock().clone();
+    let telescope = node.config.place.telescope.to_string();
+    let mut watch = MountWatch::new(dome_waits, clock.machine());
+    let mut second = tokio::time::interval(Duration::from_secs(1));
+    loop {
+        if node.stop.or(second.tick()).await.is_none() {
+            return Ok(());
+        }
+        let now = clock.machine();
+        let command = {
+            let face = front.face.lock().unwrap_or_else(PoisonError::into_inner);
+            let can_park = face.can.as_ref().is_some_and(|can| can.park);
+            watch.look(now, permits.is_safe(&telescope, now), &face.fields, can_park)
+        };
+        if let Some(command) = command {
+            let word = if command == MountCommand::Park { "parks" } else { "stops tracking" };
+            tracing::warn!(telescope, "no permit: the mount {word}");
+            front.insist(&node.signature(), command);
+        }
+    }
+}

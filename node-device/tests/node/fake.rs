@@ -1,0 +1,156 @@
+//! A small Alpaca server over real HTTP, whose every answer a test decides.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use axum::Router;
+use axum::body::Bytes;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, Method, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use axum::routing::any;
+use serde_json::{Value, json};
+
+/// What a member answers.
+#[derive(Debug, Clone)]
+pub enum Says {
+    Value(Value),
+    Error(u32, &'static str),
+    Hangs,
+}
+
+/// A method call that arrived.
+#[derive(Debug, Clone)]
+pub struct Put {
+    pub member: String,
+    pub at: Instant,
+}
+
+type Effect = Box<dyn Fn(&Fake, &str) + Send>;
+
+#[derive(Default)]
+struct World {
+    says: BTreeMap<String, Says>,
+    puts: Vec<Put>,
+    effects: BTreeMap<String, Effect>,
+    gets_hang: bool,
+    /// `None`: no exposure; else when it began and how long it takes.
+    exposure: Option<(Instant, Duration)>,
+    exposure_ends: Vec<Instant>,
+}
+
+/// The server; clones are the same one.
+#[derive(Clone)]
+pub struct Fake {
+    world: Arc<Mutex<World>>,
+    pub address: SocketAddr,
+}
+
+impl Fake {
+    pub async fn start(says: &[(&str, Value)]) -> Self {
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let fake = Self { world: Arc::default(), address: listener.local_addr().unwrap() };
+        for (member, value) in says {
+            fake.say(member, Says::Value(value.clone()));
+        }
+        let router = Router::new().route("/api/v1/{kind}/{number}/{member}", any(answer)).with_state(fake.clone());
+        tokio::spawn(async move { axum::serve(listener, router).await.unwrap() });
+        fake
+    }
+
+    /// A member answers this from now on.
+    pub fn say(&self, member: &str, says: Says) {
+        self.world.lock().unwrap().says.insert(member.to_owned(), says);
+    }
+
+    /// A method does this from now on; it gets the form of the call.
+    pub fn on(&self, method: &str, effect: impl Fn(&Self, &str) + Send + 'static) {
+        self.world.lock().unwrap().effects.insert(method.to_owned(), Box::new(effect));
+    }
+
+    /// Every property hangs, or none.
+    pub fn hang(&self, on: bool) {
+        self.world.lock().unwrap().gets_hang = on;
+    }
+
+    /// Calls of a method so far.
+    pub fn puts(&self, member: &str) -> Vec<Put> {
+        self.world.lock().unwrap().puts.iter().filter(|put| put.member == member).cloned().collect()
+    }
+
+    /// When each exposure was over.
+    pub fn exposure_ends(&self) -> Vec<Instant> {
+        self.world.lock().unwrap().exposure_ends.clone()
+    }
+
+    /// Makes it a camera of 3 x 2 pixels that exposes and hands images over.
+    pub fn be_a_camera(&self) {
+        self.on("startexposure", |fake, form| {
+            let duration = form.split('&').find_map(|pair| pair.strip_prefix("Duration=")).unwrap();
+            let duration = Duration::from_secs_f64(duration.parse().unwrap());
+            let mut world = fake.world.lock().unwrap();
+            world.exposure = Some((Instant::now(), duration));
+            world.exposure_ends.push(Instant::now() + duration);
+        });
+        self.on("abortexposure", |fake, _| fake.world.lock().unwrap().exposure = None);
+    }
+
+    fn camera(&self, member: &str) -> Option<Response> {
+        let world = self.world.lock().unwrap();
+        if !world.effects.contains_key("startexposure") {
+            return None;
+        }
+        let ready = world.exposure.is_some_and(|(began, takes)| began.elapsed() >= takes);
+        match member {
+            "imageready" => Some(value(json!(ready))),
+            "camerastate" => Some(value(json!(if world.exposure.is_some() && !ready { 2 } else { 0 }))),
+            "imagearray" => {
+                let mut body: Vec<u8> =
+                    [1_i32, 0, 1, 1, 44, 2, 8, 2, 3, 2, 0].into_iter().flat_map(i32::to_le_bytes).collect();
+                body.extend((1_u16..=6).flat_map(u16::to_le_bytes));
+                Some(([(header::CONTENT_TYPE, "application/imagebytes")], body).into_response())
+            }
+            _ => None,
+        }
+    }
+}
+
+fn value(value: Value) -> Response {
+    axum::Json(json!({"Value": value, "ErrorNumber": 0, "ErrorMessage": ""})).into_response()
+}
+
+async fn answer(
+    State(fake): State<Fake>,
+    Path((_, _, member)): Path<(String, String, String)>,
+    method: Method,
+    _: HeaderMap,
+    body: Bytes,
+) -> Response {
+    let says = if method == Method::PUT {
+        let form = String::from_utf8_lossy(&body).into_owned();
+        let put = Put { member: member.clone(), at: Instant::now() };
+        fake.world.lock().unwrap().puts.push(put);
+        let effect = fake.world.lock().unwrap().effects.remove(&member);
+        if let Some(effect) = effect {
+            effect(&fake, &form);
+            fake.world.lock().unwrap().effects.insert(member.clone(), effect);
+        }
+        fake.world.lock().unwrap().says.get(&format!("put {member}")).cloned().or(Some(Says::Value(Value::Null)))
+    } else if fake.world.lock().unwrap().gets_hang {
+        Some(Says::Hangs)
+    } else if let Some(image) = fake.camera(&member) {
+        return image;
+    } else {
+        fake.world.lock().unwrap().says.get(&member).cloned()
+    };
+    match says {
+        Some(Says::Value(answer)) => value(answer),
+        Some(Says::Error(number, message)) => {
+            axum::Json(json!({"ErrorNumber": number, "ErrorMessage": message})).into_response()
+        }
+        Some(Says::Hangs) => std::future::pending().await,
+        None => (StatusCode::BAD_REQUEST, "no such member").into_response(),
+    }
+}

@@ -1,0 +1,143 @@
+//! A device node on a private bus, and a second place on it from which a test listens and speaks.
+
+use std::time::{Duration, Instant};
+
+use bus::{Bus, Catch, Clock, Node, Stop, Subscriber};
+use contract::device::dome;
+use contract::observatory::{Permit, Verdict};
+use contract::{
+    Address, Command, CommandId, Device, DeviceKind, DeviceState, Key, Kind, Payload, Reason, Refusal, Reply, Role,
+};
+use tokio::task::JoinHandle;
+
+/// Nothing in these tests may take longer.
+pub const LIMIT: Duration = Duration::from_secs(20);
+
+pub struct Stage {
+    pub bus: Bus,
+    pub node: Node,
+    pub stop: Stop,
+    pub run: JoinHandle<anyhow::Result<()>>,
+    _folder: tempfile::TempDir,
+}
+
+fn private(connect: Vec<String>) -> config::Bus {
+    config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect, multicast: false }
+}
+
+impl Stage {
+    /// Starts a node with these device blocks.
+    pub async fn start(devices: &str) -> Self {
+        Self::start_with(devices, Clock::machine_clock()).await
+    }
+
+    pub async fn start_with(devices: &str, clock: Clock) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let place = "[observatory]\nsite = \"site\"\ntelescope = \"alpha\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\nelevation_m = 0.0\n";
+        let config = config::parse(&format!("{place}{devices}"), folder.path()).unwrap();
+        let bus = Bus::open(&private(Vec::new()), clock.clone()).await.unwrap();
+        let header = config::header::HeaderTable::default();
+        let node = Node::new(Role::Device, "main".parse().unwrap(), config, header, bus.clone());
+        let stop = node.stop.clone();
+        let run = tokio::spawn(node_device::run(node.clone()));
+        let second = Bus::open(&private(bus.locators().await), clock).await.unwrap();
+        Self { bus: second, node, stop, run, _folder: folder }
+    }
+
+    pub fn device(&self, kind: Kind, name: &str) -> Device {
+        Address::new("site", "alpha").unwrap().device(kind, &name.parse().unwrap())
+    }
+
+    pub async fn states<K: DeviceKind>(&self, name: &str) -> Subscriber<DeviceState<K::Fields>> {
+        let key = Key::State(self.device(K::KIND, name));
+        self.bus.subscribe(&key.to_string(), Catch::Newest, 1000).await.unwrap()
+    }
+
+    /// Waits for a state that is as wanted.
+    pub async fn until<K: DeviceKind>(
+        &self,
+        name: &str,
+        mut wanted: impl FnMut(&DeviceState<K::Fields>) -> bool,
+    ) -> DeviceState<K::Fields> {
+        let states = self.states::<K>(name).await;
+        let mut last = None;
+        let waiting = async {
+            loop {
+                let state = states.hear().await.said.body;
+                if wanted(&state) {
+                    return state;
+                }
+                last = Some(serde_json::to_string(&state).unwrap());
+            }
+        };
+        tokio::time::timeout(LIMIT, waiting).await.unwrap_or_else(|_| panic!("{name} stayed {last:?}"))
+    }
+
+    /// Sends a command; a node that is not up yet is asked again.
+    pub async fn command<C: Payload>(&self, kind: Kind, name: &str, command: &Command<C>) -> Reply {
+        let key = Key::Command(self.device(kind, name));
+        let began = Instant::now();
+        loop {
+            match self.bus.ask::<_, Reply>(&key, command, Duration::from_secs(2)).await {
+                Ok(reply) => return reply,
+                Err(error) => assert!(began.elapsed() < LIMIT, "{error}"),
+            }
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    }
+
+    pub async fn end(self) {
+        self.stop.stop();
+        tokio::time::timeout(LIMIT, self.run).await.unwrap().unwrap().unwrap();
+    }
+}
+
+pub fn command<C>(id: &str, token: Option<u64>, action: C) -> Command<C> {
+    Command { id: CommandId(id.to_owned()), from: "observatory/alpha/main".to_owned(), token, action }
+}
+
+pub fn accepted(reply: &Reply) -> Option<u64> {
+    match reply {
+        Reply::Accepted(accepted) => accepted.token,
+        Reply::Refusal(refusal) => panic!("{refusal}"),
+    }
+}
+
+pub fn refused(reply: &Reply) -> Reason {
+    match reply {
+        Reply::Accepted(accepted) => panic!("accepted {}", accepted.id),
+        Reply::Refusal(Refusal { reason, .. }) => *reason,
+    }
+}
+
+/// Renews a permit with every number of the guard, as a living observatory does, until it is dropped.
+pub struct Commander(JoinHandle<()>);
+
+impl Drop for Commander {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
+impl Commander {
+    pub async fn start(stage: &Stage, dome: &str, token: u64) -> Self {
+        let device = stage.device(Kind::Dome, dome);
+        let key = Key::Guard(device.clone()).to_string();
+        let guard = stage.bus.subscribe::<dome::Guard>(&key, Catch::Newest, 8).await.unwrap();
+        let key = Key::Permit(device.address, device.name);
+        let permits = stage.bus.publisher(&key, bus::Quality::Urgent).await.unwrap();
+        Self(tokio::spawn(async move {
+            loop {
+                let heard = guard.hear().await;
+                let permit = Permit {
+                    verdict: Verdict::Safe,
+                    commander: "observatory/alpha/main".to_owned(),
+                    token,
+                    guard_number: heard.said.body.number,
+                    guard_boot_id: heard.said.boot_id,
+                };
+                permits.put(permit).await.unwrap();
+            }
+        }))
+    }
+}

@@ -1,0 +1,303 @@
+//! What must be done to be closed: a pure function of what the devices say now.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use bus::MachineTime;
+use config::CloseWithMount;
+use contract::device::cover_calibrator::Cover;
+use contract::device::dome::Shutter;
+
+/// A dome as it is seen now; `None` where no fresh state over a standing link tells.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DomeSight {
+    /// The shutter.
+    pub shutter: Option<Shutter>,
+    /// Whether the shutter waits for the mounts.
+    pub policy: CloseWithMount,
+    /// How long it waits, machine time.
+    pub parked_within: Duration,
+    /// Left alone: a neighbour works under the same roof, and only a wish, not the sky, asks for closing.
+    pub spared: bool,
+}
+
+/// A mount as it is seen now.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MountSight {
+    /// Stands at its park position.
+    pub parked: Option<bool>,
+    /// Moves to a target.
+    pub slewing: Option<bool>,
+    /// Follows the sky.
+    pub tracking: Option<bool>,
+    /// It says that it cannot park.
+    pub cannot_park: bool,
+    /// Its newest command is a park that is being done.
+    pub parking: bool,
+}
+
+/// A cover as it is seen now.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CoverSight {
+    /// The cover.
+    pub cover: Option<Cover>,
+    /// It says that it has no cover.
+    pub has_none: bool,
+}
+
+/// All that must be closed or stopped.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Sight {
+    /// Domes.
+    pub domes: Vec<DomeSight>,
+    /// Mounts.
+    pub mounts: Vec<MountSight>,
+    /// Covers.
+    pub covers: Vec<CoverSight>,
+}
+
+/// One thing to do; the number is the device's place in the rig.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Step {
+    /// Close a dome's shutter.
+    CloseShutter(usize),
+    /// Stop a mount: abort its slew, stop tracking, park.
+    StopMount(usize),
+    /// Close a cover.
+    CloseCover(usize),
+}
+
+impl DomeSight {
+    /// Verified closed.
+    pub fn is_closed(&self) -> bool {
+        self.spared || self.shutter == Some(Shutter::Closed)
+    }
+}
+
+impl MountSight {
+    /// Verified stopped, as far as this mount can.
+    pub fn is_stopped(&self) -> bool {
+        let at_rest = self.tracking == Some(false) && self.slewing != Some(true);
+        self.parked == Some(true) || (self.cannot_park && at_rest)
+    }
+}
+
+impl CoverSight {
+    /// Verified closed, or not there.
+    pub fn is_closed(&self) -> bool {
+        self.has_none || matches!(self.cover, Some(Cover::Closed | Cover::NotPresent))
+    }
+}
+
+impl Sight {
+    /// Everything is verified closed and stopped.
+    pub fn is_closed(&self) -> bool {
+        self.domes.iter().all(DomeSight::is_closed)
+            && self.mounts.iter().all(MountSight::is_stopped)
+            && self.covers.iter().all(CoverSight::is_closed)
+    }
+
+    /// What is to be done now, `closing_for` after the closing began.
+    pub fn wanted(&self, closing_for: Duration) -> Vec<Step> {
+        // a roll-off roof hits a mount that is not parked, so only the park position itself counts here
+        let all_parked = self.mounts.iter().all(|mount| mount.parked == Some(true));
+        let mut steps = Vec::new();
+        for (index, dome) in self.domes.iter().enumerate() {
+            let may_move = match dome.policy {
+                CloseWithMount::Beside => true,
+                CloseWithMount::ParkedWithinS => all_parked || closing_for >= dome.parked_within,
+                CloseWithMount::ParkedOnly => all_parked,
+            };
+            if !dome.is_closed() && may_move {
+                steps.push(Step::CloseShutter(index));
+            }
+        }
+        let mounts = self.mounts.iter().enumerate().filter(|(_, mount)| !mount.is_stopped());
+        steps.extend(mounts.map(|(index, _)| Step::StopMount(index)));
+        let covers = self.covers.iter().enumerate().filter(|(_, cover)| !cover.is_closed());
+        steps.extend(covers.map(|(index, _)| Step::CloseCover(index)));
+        steps
+    }
+}
+
+/// When each step was last sent.
+#[derive(Debug, Clone)]
+pub struct Closing {
+    /// When it began.
+    pub began: MachineTime,
+    due: BTreeMap<Step, MachineTime>,
+}
+
+/// Every step is sent again after so long, for ever, until it is seen done.
+const AGAIN: Duration = Duration::from_secs(10);
+/// A step that was not taken is sent again sooner.
+const AGAIN_REFUSED: Duration = Duration::from_secs(2);
+/// A mount that says it parks is not disturbed for so long.
+const PARKING: Duration = Duration::from_secs(60);
+
+impl Closing {
+    /// Begins.
+    pub fn begin(now: MachineTime) -> Self {
+        Self { began: now, due: BTreeMap::new() }
+    }
+
+    /// The steps to be sent now; each is then due again after a while.
+    pub fn due(&mut self, sight: &Sight, now: MachineTime) -> Vec<Step> {
+        let wanted = sight.wanted(now.since(self.began));
+        // what is done may be undone, and must then be sent at once
+        self.due.retain(|step, _| wanted.contains(step));
+        let ripe: Vec<Step> =
+            wanted.into_iter().filter(|step| self.due.get(step).is_none_or(|due| *due <= now)).collect();
+        for step in &ripe {
+            let parks = matches!(step, Step::StopMount(index) if sight.mounts.get(*index).is_some_and(|m| m.parking));
+            self.due.insert(*step, now.plus(if parks { PARKING } else { AGAIN }));
+        }
+        ripe
+    }
+
+    /// A step was not taken.
+    pub fn refused(&mut self, step: Step, now: MachineTime) {
+        self.due.insert(step, now.plus(AGAIN_REFUSED));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(seconds: u64) -> MachineTime {
+        MachineTime::from_boot(Duration::from_secs(seconds))
+    }
+
+    fn dome(shutter: Option<Shutter>, policy: CloseWithMount) -> DomeSight {
+        DomeSight { shutter, policy, parked_within: Duration::from_secs(120), spared: false }
+    }
+
+    fn mount(parked: Option<bool>) -> MountSight {
+        MountSight { parked, slewing: Some(false), tracking: Some(true), cannot_park: false, parking: false }
+    }
+
+    fn cover(cover: Option<Cover>) -> CoverSight {
+        CoverSight { cover, has_none: false }
+    }
+
+    const SHUTTERS: [Option<Shutter>; 6] = [
+        None,
+        Some(Shutter::Open),
+        Some(Shutter::Closed),
+        Some(Shutter::Opening),
+        Some(Shutter::Closing),
+        Some(Shutter::Error),
+    ];
+
+    #[test]
+    fn only_a_fresh_closed_is_closed() {
+        for shutter in SHUTTERS {
+            assert_eq!(dome(shutter, CloseWithMount::Beside).is_closed(), shutter == Some(Shutter::Closed));
+        }
+        assert!(!mount(None).is_stopped() && !mount(Some(false)).is_stopped() && mount(Some(true)).is_stopped());
+        assert!(!cover(None).is_closed() && !cover(Some(Cover::Unknown)).is_closed());
+    }
+
+    #[test]
+    fn beside_sends_everything_at_once_whatever_is_there_and_whatever_hangs() {
+        // every subset of devices, each in every state that is not done
+        for domes in [vec![], vec![Some(Shutter::Open)], vec![None], vec![Some(Shutter::Error), Some(Shutter::Closing)]]
+        {
+            for mounts in [vec![], vec![None], vec![Some(false)], vec![Some(false), None]] {
+                for covers in [vec![], vec![None], vec![Some(Cover::Open)], vec![Some(Cover::Error)]] {
+                    let sight = Sight {
+                        domes: domes.iter().map(|s| dome(*s, CloseWithMount::Beside)).collect(),
+                        mounts: mounts.iter().map(|p| mount(*p)).collect(),
+                        covers: covers.iter().map(|c| cover(*c)).collect(),
+                    };
+                    let steps = Closing::begin(at(0)).due(&sight, at(0));
+                    assert_eq!(steps.len(), domes.len() + mounts.len() + covers.len(), "{sight:?}");
+                    assert_eq!(sight.is_closed(), steps.is_empty());
+                    assert!(domes.is_empty() || steps[0] == Step::CloseShutter(0), "the shutter comes first");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_roll_off_roof_waits_for_the_park_position_for_ever() {
+        let mut sight = Sight {
+            domes: vec![dome(Some(Shutter::Open), CloseWithMount::ParkedOnly)],
+            mounts: vec![mount(None)],
+            covers: vec![],
+        };
+        assert_eq!(sight.wanted(Duration::from_secs(100_000)), [Step::StopMount(0)]);
+        sight.mounts[0].cannot_park = true;
+        sight.mounts[0].tracking = Some(false);
+        assert_eq!(sight.wanted(Duration::from_secs(100_000)), [], "at rest is not parked");
+        sight.mounts[0].parked = Some(true);
+        assert_eq!(sight.wanted(Duration::ZERO), [Step::CloseShutter(0)]);
+    }
+
+    #[test]
+    fn parked_within_closes_on_the_park_or_at_the_deadline() {
+        let mut sight = Sight {
+            domes: vec![dome(Some(Shutter::Open), CloseWithMount::ParkedWithinS)],
+            mounts: vec![mount(Some(false))],
+            covers: vec![],
+        };
+        assert_eq!(sight.wanted(Duration::from_secs(119)), [Step::StopMount(0)]);
+        assert_eq!(sight.wanted(Duration::from_secs(120)), [Step::CloseShutter(0), Step::StopMount(0)]);
+        sight.mounts[0].parked = Some(true);
+        assert_eq!(sight.wanted(Duration::ZERO), [Step::CloseShutter(0)]);
+    }
+
+    #[test]
+    fn without_a_mount_no_policy_waits() {
+        for policy in [CloseWithMount::Beside, CloseWithMount::ParkedWithinS, CloseWithMount::ParkedOnly] {
+            let sight = Sight { domes: vec![dome(Some(Shutter::Open), policy)], ..Sight::default() };
+            assert_eq!(sight.wanted(Duration::ZERO), [Step::CloseShutter(0)]);
+        }
+    }
+
+    #[test]
+    fn a_stuck_shutter_is_told_again_every_10_s_for_ever() {
+        let sight = Sight { domes: vec![dome(Some(Shutter::Closing), CloseWithMount::Beside)], ..Sight::default() };
+        let mut closing = Closing::begin(at(0));
+        let told: Vec<u64> = (0..3600).filter(|second| !closing.due(&sight, at(*second)).is_empty()).collect();
+        assert_eq!(told, (0..3600).step_by(10).collect::<Vec<u64>>());
+    }
+
+    #[test]
+    fn a_refused_step_is_told_again_after_2_s() {
+        let sight = Sight { domes: vec![dome(None, CloseWithMount::Beside)], ..Sight::default() };
+        let mut closing = Closing::begin(at(0));
+        assert_eq!(closing.due(&sight, at(0)), [Step::CloseShutter(0)]);
+        closing.refused(Step::CloseShutter(0), at(1));
+        assert_eq!(closing.due(&sight, at(2)), []);
+        assert_eq!(closing.due(&sight, at(3)), [Step::CloseShutter(0)]);
+    }
+
+    #[test]
+    fn what_opens_again_is_closed_again_at_once() {
+        let sight = |shutter| Sight { domes: vec![dome(Some(shutter), CloseWithMount::Beside)], ..Sight::default() };
+        let mut closing = Closing::begin(at(0));
+        assert_eq!(closing.due(&sight(Shutter::Open), at(0)).len(), 1);
+        assert_eq!(closing.due(&sight(Shutter::Closed), at(1)), []);
+        assert_eq!(closing.due(&sight(Shutter::Open), at(2)).len(), 1);
+    }
+
+    #[test]
+    fn a_mount_that_says_it_parks_is_let_alone_for_a_minute() {
+        let mut sight = Sight { mounts: vec![mount(Some(false))], ..Sight::default() };
+        let mut closing = Closing::begin(at(0));
+        assert_eq!(closing.due(&sight, at(0)).len(), 1);
+        sight.mounts[0].parking = true;
+        let told: Vec<u64> = (1..150).filter(|second| !closing.due(&sight, at(*second)).is_empty()).collect();
+        assert_eq!(told, [10, 70, 130]);
+    }
+
+    #[test]
+    fn a_spared_roof_stays_while_the_mount_parks() {
+        let mut roof = dome(Some(Shutter::Open), CloseWithMount::Beside);
+        roof.spared = true;
+        let sight = Sight { domes: vec![roof], mounts: vec![mount(Some(false))], covers: vec![] };
+        assert_eq!(sight.wanted(Duration::ZERO), [Step::StopMount(0)]);
+    }
+}

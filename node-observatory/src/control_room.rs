@@ -1,0 +1,118 @@
+//! What all tasks of the node share: the devices, the verdict, the lease, and the switches that people turn.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bus::Node;
+use contract::{Key, Part};
+use tokio::sync::{Notify, watch};
+
+use crate::journal::Journal;
+use crate::lease::Hold;
+use crate::ledger::Ledger;
+use crate::night::Board;
+use crate::rig::Rig;
+use crate::safety::Ruling;
+
+/// The control room.
+pub struct ControlRoom {
+    /// Configuration, bus, alerts.
+    pub node: Node,
+    /// The devices.
+    pub rig: Rig,
+    /// The newest verdict.
+    pub ruling: watch::Receiver<Ruling>,
+    /// The lease.
+    pub hold: watch::Receiver<Hold>,
+    /// Said when a device knows a newer token than ours.
+    pub doubt: Arc<Notify>,
+    /// The robotic switch.
+    pub robotic: watch::Sender<bool>,
+    /// Why everything should be closed although the sky is safe; `None` once it is verified closed.
+    pub wish_closed: watch::Sender<Option<String>>,
+    /// Counts orders to read the schedule again.
+    pub reload: watch::Sender<u64>,
+    /// What was begun and finished, on disk.
+    pub journal: Journal,
+    /// Frames announced and stored.
+    pub ledger: Ledger,
+    /// What is shown of the night.
+    pub board: Board,
+}
+
+/// Why an action may not go on.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Objection {
+    /// The sky is not safe.
+    Unsafe(String),
+    /// The robotic switch is off.
+    NotRobotic,
+    /// This node does not command.
+    NoLease,
+}
+
+impl std::fmt::Display for Objection {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Unsafe(why) => write!(f, "not safe: {why}"),
+            Self::NotRobotic => f.write_str("the robotic switch is off"),
+            Self::NoLease => f.write_str("this node does not command"),
+        }
+    }
+}
+
+impl ControlRoom {
+    /// The key of a state of this observatory.
+    pub fn key(&self, part: Part) -> Key {
+        Key::Observatory(self.node.config.address(), part)
+    }
+
+    /// Is the sky safe, as judged within the last seconds?
+    pub fn is_safe(&self) -> bool {
+        self.ruling.borrow().is_safe(self.node.bus.clock().machine())
+    }
+
+    /// A standby says nothing, nor does a node that may find itself to be one: one writer per key.
+    pub fn may_speak(&self) -> bool {
+        match *self.hold.borrow() {
+            Hold::Claiming | Hold::Holding { .. } => true,
+            Hold::Asking | Hold::Standby => false,
+        }
+    }
+
+    /// What stands against an action, `weather` telling whether it needs a safe sky.
+    pub fn objection(&self, weather: bool) -> Option<Objection> {
+        if !*self.robotic.borrow() {
+            return Some(Objection::NotRobotic);
+        }
+        if self.hold.borrow().token().is_none() {
+            return Some(Objection::NoLease);
+        }
+        (weather && !self.is_safe()).then(|| Objection::Unsafe(self.ruling.borrow().why()))
+    }
+
+    /// Waits until something stands against an action.
+    pub async fn objected(&self, weather: bool) -> Objection {
+        let (mut ruling, mut hold, mut robotic) = (self.ruling.clone(), self.hold.clone(), self.robotic.subscribe());
+        loop {
+            if let Some(objection) = self.objection(weather) {
+                return objection;
+            }
+            // the second is for a ruling that grows old because nobody renews it
+            tokio::select! {
+                _ = ruling.changed() => {}
+                _ = hold.changed() => {}
+                _ = robotic.changed() => {}
+                () = tokio::time::sleep(Duration::from_secs(1)) => {}
+            }
+        }
+    }
+
+    /// Wishes everything closed, and waits until it is verified closed.
+    pub async fn close(&self, why: &str) {
+        self.wish_closed.send_replace(Some(why.to_owned()));
+        let mut wish = self.wish_closed.subscribe();
+        // the sender lives in self, so waiting cannot fail
+        let _ = wish.wait_for(Option::is_none).await;
+    }
+}

@@ -1,0 +1,142 @@
+//! The lease: asks the arbiter for the right to command, and stands by while somebody else has it.
+
+use std::time::Duration;
+
+use bus::{Clock, Quality};
+use contract::device::{dome, telescope};
+use contract::observatory::{Lease, Priority};
+use contract::{CommandId, Part, Reason};
+use tokio::sync::watch;
+use units::Utc;
+
+use crate::control_room::ControlRoom;
+use crate::trouble::Trouble;
+
+/// How this node stands to the lease.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Hold {
+    /// The arbiter was asked and may yet say that somebody else commands: nothing is said or done.
+    Asking,
+    /// The arbiter does not answer; nobody is known to command.
+    Claiming,
+    /// Somebody else commands and is alive; this node only watches.
+    Standby,
+    /// This node commands.
+    Holding {
+        /// The fencing token.
+        token: u64,
+        /// Since when.
+        since_utc: Utc,
+    },
+}
+
+impl Hold {
+    /// The token, while there is one.
+    pub fn token(&self) -> Option<u64> {
+        match self {
+            Self::Holding { token, .. } => Some(*token),
+            Self::Asking | Self::Claiming | Self::Standby => None,
+        }
+    }
+}
+
+/// An arbiter that is there answers within this time.
+const ASKING: Duration = Duration::from_secs(10);
+/// A commander says its lease every second.
+const RIVAL: Duration = Duration::from_secs(5);
+
+/// Claims for ever, once a second; a lease that is held is kept until the arbiter shows a higher token.
+pub async fn keep_holding(room: std::sync::Arc<ControlRoom>, hold: watch::Sender<Hold>) -> anyhow::Result<()> {
+    let lease = room.node.bus.publisher(&room.key(Part::Lease), Quality::State { cache: 1 }).await?;
+    let said = room.node.bus.latest::<Lease>(&room.key(Part::Lease)).await?;
+    let clock = room.node.bus.clock().clone();
+    let mut asked_since = clock.machine();
+    let mut id = CommandId::fresh();
+    loop {
+        match claim(&room, &id).await {
+            Ok(token) => {
+                tracing::info!(token, arbiter = %arbiter(&room), "this node commands");
+                room.node.alerts.clear("no-lease");
+                hold.send_replace(Hold::Holding { token, since_utc: clock.utc() });
+                until_lost(&room, token, &lease, &clock).await;
+                tracing::warn!(token, "the lease is in doubt; asking again");
+                hold.send_replace(Hold::Asking);
+                (asked_since, id) = (clock.machine(), CommandId::fresh());
+                continue;
+            }
+            Err(Trouble::Refused { reason: Reason::LeaseHeld, detail, .. }) => {
+                if *hold.borrow() != Hold::Standby {
+                    tracing::info!(detail, "standing by: somebody else commands");
+                    hold.send_replace(Hold::Standby);
+                }
+                room.node.alerts.clear("no-lease");
+                (asked_since, id) = (clock.machine(), CommandId::fresh());
+            }
+            Err(trouble) => {
+                let silent_for = clock.machine().since(asked_since);
+                // somebody may command although the arbiter cannot say so just now
+                let rival = said.fresh(RIVAL).is_some_and(|lease| lease.said.boot_id != *room.node.bus.boot_id());
+                hold.send_if_modified(|hold| {
+                    let waits = *hold != Hold::Claiming && (rival || silent_for < ASKING);
+                    !waits && std::mem::replace(hold, Hold::Claiming) != Hold::Claiming
+                });
+                // a refusal is an answer; after silence the same claim is asked again
+                if matches!(trouble, Trouble::Refused { .. }) {
+                    id = CommandId::fresh();
+                }
+                if silent_for > Duration::from_secs(30) {
+                    no_lease(&room, &trouble);
+                }
+            }
+        }
+        tokio::time::sleep(Duration::from_secs(1)).await;
+    }
+}
+
+fn no_lease(room: &ControlRoom, trouble: &Trouble) {
+    room.node.alerts.raise(
+        "no-lease",
+        Priority::High,
+        &format!("{} grants no lease: {trouble}", arbiter(room)),
+        "Nothing can be opened or moved.",
+        "Look at the device node that serves it.",
+    );
+}
+
+/// The device whose node grants the lease, as `Lease::arbiter` names it.
+fn arbiter(room: &ControlRoom) -> String {
+    let rig = &room.rig;
+    let dome = rig.domes.first().map(|dome| &dome.instrument.device);
+    let device = dome.or_else(|| rig.mounts.first().map(|mount| &mount.instrument.device));
+    device.map_or_else(|| "nobody".to_owned(), |device| format!("{}/{}", device.kind, device.name))
+}
+
+async fn claim(room: &ControlRoom, id: &CommandId) -> Result<u64, Trouble> {
+    let granted = match (room.rig.domes.first(), room.rig.mounts.first()) {
+        (Some(dome), _) => dome.instrument.claim_as(id.clone(), dome::Command::Claim).await?,
+        (None, Some(mount)) => mount.instrument.claim_as(id.clone(), telescope::Command::Claim).await?,
+        // nothing moves and nothing opens: there is nobody to contend with
+        (None, None) => Some(1),
+    };
+    granted.ok_or_else(|| Trouble::Impossible(format!("{} answered a claim without a token", arbiter(room))))
+}
+
+/// Says the lease every second until the arbiter's guard shows a higher token or a device refuses ours as old.
+async fn until_lost(room: &ControlRoom, token: u64, lease: &bus::Publisher<Lease>, clock: &Clock) {
+    let since_utc = clock.utc();
+    // a shared dome's guard counts the tokens of several telescopes
+    let guard = room.rig.domes.first().filter(|dome| dome.is_own).map(|dome| &dome.guard);
+    loop {
+        let body = Lease { holder: room.node.signature(), token, since_utc, arbiter: arbiter(room) };
+        if let Err(error) = lease.put(body).await {
+            tracing::warn!(%error, "the lease was not said");
+        }
+        tokio::select! {
+            () = tokio::time::sleep(Duration::from_secs(1)) => {}
+            () = room.doubt.notified() => return,
+        }
+        if guard.and_then(bus::Latest::get).is_some_and(|heard| heard.said.body.token > token) {
+            return;
+        }
+    }
+}

@@ -1,0 +1,263 @@
+//! What is shown of the night: posture, actions under way, the rows of the schedule.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use bus::{Publisher, Quality};
+use contract::device::dome::Shutter;
+use contract::observatory::{ActionNow, FocusState, GuidingState, NightState, Posture, RowState, ScheduleState};
+use contract::{CommandId, Part};
+use tokio::sync::watch;
+
+use crate::control_room::ControlRoom;
+
+/// What the runner and the actions write and the publishers read.
+#[derive(Debug)]
+pub struct Board {
+    tonight: watch::Sender<Tonight>,
+    schedule: watch::Sender<ScheduleState>,
+}
+
+#[derive(Debug, Clone, Default)]
+struct Tonight {
+    actions: BTreeMap<u32, ActionNow>,
+    frames: u64,
+    last_frame: Option<CommandId>,
+    ended: bool,
+}
+
+impl Board {
+    /// An empty board for a schedule file.
+    pub fn new(file: String) -> Self {
+        let schedule = ScheduleState { file, revision: 0, refused: None, rows: Vec::new() };
+        Self { tonight: watch::channel(Tonight::default()).0, schedule: watch::channel(schedule).0 }
+    }
+
+    /// An action begins.
+    pub fn begin(&self, action: ActionNow) {
+        self.tonight.send_modify(|tonight| {
+            tonight.actions.insert(action.row, action);
+        });
+    }
+
+    /// What an action does now, in words.
+    pub fn step(&self, row: u32, step: String) {
+        self.tonight.send_modify(|tonight| {
+            if let Some(action) = tonight.actions.get_mut(&row) {
+                action.step = step;
+            }
+        });
+    }
+
+    /// An action is over.
+    pub fn end(&self, row: u32) {
+        self.tonight.send_modify(|tonight| {
+            tonight.actions.remove(&row);
+        });
+    }
+
+    /// A frame was announced.
+    pub fn frame(&self, frame: &CommandId) {
+        self.tonight.send_modify(|tonight| {
+            tonight.frames += 1;
+            tonight.last_frame = Some(frame.clone());
+        });
+    }
+
+    /// The last row has ended and everything is closed, or that is over.
+    pub fn set_ended(&self, ended: bool) {
+        self.tonight.send_if_modified(|tonight| std::mem::replace(&mut tonight.ended, ended) != ended);
+    }
+
+    /// Changes what is shown of the schedule.
+    pub fn schedule(&self, change: impl FnOnce(&mut ScheduleState)) {
+        self.schedule.send_modify(change);
+    }
+
+    /// Shows why the newest schedule was not taken, or that it was.
+    pub fn schedule_refused(&self, refused: &Option<String>) {
+        self.schedule.send_if_modified(|schedule| {
+            let changed = schedule.refused != *refused;
+            schedule.refused.clone_from(refused);
+            changed
+        });
+    }
+
+    /// Changes what is shown of one row.
+    pub fn row(&self, row: u32, change: impl FnOnce(&mut RowState)) {
+        self.schedule.send_if_modified(|schedule| {
+            let index = usize::try_from(row).unwrap_or(usize::MAX);
+            let Some(state) = schedule.rows.get_mut(index) else { return false };
+            let before = state.clone();
+            change(state);
+            *state != before
+        });
+    }
+}
+
+/// No two samples of a state follow each other faster; a fast demo changes hundreds of times a second.
+const LEAST: Duration = Duration::from_millis(50);
+
+/// Publishes the night each second and at each change.
+pub async fn keep_telling_night(room: Arc<ControlRoom>) -> anyhow::Result<()> {
+    let night = room.node.bus.publisher::<NightState>(&room.key(Part::Night), Quality::State { cache: 1 }).await?;
+    let clock = room.node.bus.clock().clone();
+    let (mut tonight, mut stirred) = (room.board.tonight.subscribe(), room.rig.stirred());
+    let mut robotic = room.robotic.subscribe();
+    let (mut open_s, mut looked) = (0.0, clock.sky());
+    let mut was = Posture::Unknown;
+    let (mut said_at, mut touched) = (None, true);
+    loop {
+        let posture = posture(&room);
+        let now = clock.sky();
+        if was == Posture::Open {
+            open_s += now.since(looked).as_secs_f64();
+        }
+        if was != posture {
+            tracing::info!(from = ?was, to = ?posture, "posture");
+        }
+        looked = now;
+        touched |= was != posture;
+        was = posture;
+        let due = said_at.is_none_or(|at| clock.machine().since(at) >= Duration::from_secs(1));
+        if (touched || due) && room.may_speak() {
+            let shown = tonight.borrow_and_update().clone();
+            let robotic_now = *robotic.borrow();
+            night
+                .put(NightState {
+                    robotic: robotic_now,
+                    posture,
+                    actions: shown.actions.into_values().collect(),
+                    frames: shown.frames,
+                    open_s,
+                    speed: clock.speed(),
+                    simulated: clock.is_simulated(),
+                    ended: shown.ended,
+                    last_frame: shown.last_frame,
+                })
+                .await?;
+            said_at = Some(clock.machine());
+        }
+        tokio::time::sleep(LEAST).await;
+        touched = tokio::select! {
+            changed = tonight.changed() => changed.map(|()| true)?,
+            changed = robotic.changed() => changed.map(|()| true)?,
+            _ = stirred.changed() => false,
+            () = tokio::time::sleep(Duration::from_secs(1).saturating_sub(LEAST)) => false,
+        };
+    }
+}
+
+/// How the observatory stands to the sky, as its enclosures say; a telescope without one is closed when parked.
+pub fn posture(room: &ControlRoom) -> Posture {
+    if room.rig.domes.is_empty() {
+        let parked = room
+            .rig
+            .mounts
+            .iter()
+            .map(|mount| mount.instrument.fresh().and_then(|state| state.fields.at_park.known().copied()));
+        return of_parks(parked);
+    }
+    of_shutters(room.rig.domes.iter().map(crate::rig::dome::Dome::shutter))
+}
+
+fn of_shutters(shutters: impl Iterator<Item = Option<Shutter>>) -> Posture {
+    let each = shutters.map(|shutter| match shutter {
+        None | Some(Shutter::Error) => Posture::Unknown,
+        Some(Shutter::Open) => Posture::Open,
+        Some(Shutter::Opening) => Posture::Opening,
+        Some(Shutter::Closing) => Posture::Closing,
+        Some(Shutter::Closed) => Posture::Closed,
+    });
+    worst(each)
+}
+
+fn of_parks(parked: impl Iterator<Item = Option<bool>>) -> Posture {
+    worst(parked.map(|parked| match parked {
+        None => Posture::Unknown,
+        Some(true) => Posture::Closed,
+        Some(false) => Posture::Open,
+    }))
+}
+
+/// The least closed of several.
+fn worst(each: impl Iterator<Item = Posture>) -> Posture {
+    let rank = |posture: &Posture| match posture {
+        Posture::Closed => 0,
+        Posture::Closing => 1,
+        Posture::Opening => 2,
+        Posture::Open => 3,
+        Posture::Unknown => 4,
+    };
+    each.max_by_key(rank).unwrap_or(Posture::Closed)
+}
+
+/// Publishes the schedule at each change and every 10 s.
+pub async fn keep_telling_schedule(room: Arc<ControlRoom>) -> anyhow::Result<()> {
+    let line = room.node.bus.publisher::<ScheduleState>(&room.key(Part::Schedule), Quality::State { cache: 1 }).await?;
+    let mut schedule = room.board.schedule.subscribe();
+    loop {
+        let shown = schedule.borrow_and_update().clone();
+        say(&room, &line, shown).await?;
+        tokio::time::sleep(LEAST).await;
+        if let Ok(changed) = tokio::time::timeout(Duration::from_secs(10), schedule.changed()).await {
+            changed?;
+        }
+    }
+}
+
+/// Publishes the verdict whenever the safety loop renews it; a loop that is dead falls silent.
+pub async fn keep_telling_safety(room: Arc<ControlRoom>) -> anyhow::Result<()> {
+    let line = room.node.bus.publisher(&room.key(Part::Safety), Quality::Event { cache: 1000 }).await?;
+    let mut ruling = room.ruling.clone();
+    let mut said = None;
+    loop {
+        ruling.changed().await?;
+        let newest = ruling.borrow_and_update().clone();
+        let verdict = newest.state.verdict;
+        // each arrival is judged, but said only once a second while nothing changes
+        let due = said.is_none_or(|(at, was)| was != verdict || newest.judged.since(at) >= Duration::from_millis(900));
+        if due {
+            said = Some((newest.judged, verdict));
+            say(&room, &line, newest.state).await?;
+        }
+    }
+}
+
+/// Publishes, every 10 s, that there is no guide loop and no focus run yet, and the best focus that is known.
+pub async fn keep_telling_the_rest(room: Arc<ControlRoom>) -> anyhow::Result<()> {
+    let bus = &room.node.bus;
+    let guiding = bus.publisher(&room.key(Part::Guiding), Quality::State { cache: 1 }).await?;
+    let focus = bus.publisher(&room.key(Part::Focus), Quality::State { cache: 1 }).await?;
+    loop {
+        let no_loop = GuidingState { active: false, detail: "no guide loop: not built yet".to_owned() };
+        say(&room, &guiding, no_loop).await?;
+        let best_position = room.rig.focusers.first().and_then(crate::rig::focuser::Focuser::best);
+        let detail = "no focus run: not built yet".to_owned();
+        say(&room, &focus, FocusState { active: false, best_position, detail }).await?;
+        tokio::time::sleep(Duration::from_secs(10)).await;
+    }
+}
+
+async fn say<T: contract::Payload>(room: &ControlRoom, line: &Publisher<T>, body: T) -> anyhow::Result<()> {
+    if room.may_speak() {
+        line.put(body).await?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_posture_is_that_of_the_least_closed_dome() {
+        let of = |shutters: &[Option<Shutter>]| of_shutters(shutters.iter().copied());
+        assert_eq!(of(&[Some(Shutter::Closed), Some(Shutter::Closed)]), Posture::Closed);
+        assert_eq!(of(&[Some(Shutter::Closed), Some(Shutter::Open)]), Posture::Open);
+        assert_eq!(of(&[Some(Shutter::Closing), Some(Shutter::Closed)]), Posture::Closing);
+        assert_eq!(of(&[Some(Shutter::Open), None]), Posture::Unknown);
+        assert_eq!(of(&[Some(Shutter::Error)]), Posture::Unknown);
+    }
+}

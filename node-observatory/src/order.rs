@@ -1,0 +1,95 @@
+//! A person's orders: the robotic switch, closing, and the schedule.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use bus::Service;
+use contract::{Accepted, CommandId, Key, Order, OrderKind, Reason, Refusal, Reply};
+
+use crate::control_room::ControlRoom;
+
+/// Answers orders while this node commands or nobody does; a standby is silent, the commander answers.
+pub async fn keep_answering(room: Arc<ControlRoom>) -> anyhow::Result<()> {
+    let mut hold = room.hold.clone();
+    let mut service: Option<Service> = None;
+    loop {
+        if !room.may_speak() {
+            service = None;
+        } else if service.is_none() {
+            service = Some(serve(&room).await?);
+        }
+        if hold.changed().await.is_err() {
+            tokio::time::sleep(Duration::from_secs(1)).await;
+        }
+    }
+}
+
+async fn serve(room: &Arc<ControlRoom>) -> anyhow::Result<Service> {
+    let answered: Arc<Mutex<VecDeque<Reply>>> = Arc::default();
+    let at = room.clone();
+    let key = Key::Order(room.node.config.address());
+    let service = room.node.bus.serve(&key, move |asked: Result<Order, String>| {
+        let (room, answered) = (at.clone(), answered.clone());
+        async move {
+            match asked {
+                Ok(order) => answer_once(&room, &answered, &order),
+                Err(error) => refuse(&CommandId(String::new()), Reason::Malformed, &error),
+            }
+        }
+    });
+    Ok(service.await?)
+}
+
+/// A repeated order is answered again and not followed again.
+fn answer_once(room: &Arc<ControlRoom>, answered: &Mutex<VecDeque<Reply>>, order: &Order) -> Reply {
+    let mut answered = answered.lock().unwrap_or_else(PoisonError::into_inner);
+    let same = |reply: &&Reply| match reply {
+        Reply::Accepted(accepted) => accepted.id == order.id,
+        Reply::Refusal(refusal) => refusal.id == order.id,
+    };
+    if let Some(reply) = answered.iter().find(same) {
+        return reply.clone();
+    }
+    let reply = follow(room, order);
+    if answered.len() >= 64 {
+        answered.pop_front();
+    }
+    answered.push_back(reply.clone());
+    reply
+}
+
+fn follow(room: &Arc<ControlRoom>, order: &Order) -> Reply {
+    tracing::info!(from = order.from, kind = ?order.kind, reason = order.reason, "order");
+    match &order.kind {
+        OrderKind::Robotic(on) => switch_robotic(room, *on, "the robotic switch was turned off"),
+        OrderKind::Close => {
+            let why = format!("{} ordered it", order.from);
+            switch_robotic(room, false, &why);
+            // also when it was off already
+            room.wish_closed.send_replace(Some(why));
+        }
+        OrderKind::ReloadSchedule => room.reload.send_modify(|count| *count += 1),
+    }
+    Reply::Accepted(Accepted { id: order.id.clone(), token: None })
+}
+
+/// Sets the switch; turning it off closes what it had opened.
+fn switch_robotic(room: &Arc<ControlRoom>, on: bool, why: &str) {
+    let was = room.robotic.send_replace(on);
+    if was && !on {
+        room.wish_closed.send_replace(Some(why.to_owned()));
+    }
+    if was != on {
+        let room = room.clone();
+        tokio::task::spawn_blocking(move || {
+            if let Err(error) = room.journal.robotic(on, room.node.bus.clock().utc()) {
+                tracing::warn!(%error, "the robotic switch is not in the journal; a restart will not know it");
+            }
+        });
+    }
+}
+
+fn refuse(id: &CommandId, reason: Reason, detail: &str) -> Reply {
+    Reply::Refusal(Refusal { id: id.clone(), reason, detail: detail.to_owned() })
+}

@@ -1,0 +1,37 @@
+//! How long to wait for things that happen in sky time.
+
+use std::time::Duration;
+
+use bus::Clock;
+
+/// A duration from seconds of a configuration; nonsense (negative, NaN) is no time at all.
+pub fn seconds(seconds: f64) -> Duration {
+    Duration::try_from_secs_f64(seconds).unwrap_or(Duration::ZERO)
+}
+
+/// Machine time after which something that should take `sky` of sky time has failed.
+///
+/// At 1000 x speed a shutter needs 30 ms, but HTTP and polls still take as long as ever: hence the floor.
+pub fn patience(clock: &Clock, sky: Duration) -> Duration {
+    let machine = clock.machine_duration(sky);
+    if clock.is_simulated() { machine.max(Duration::from_secs(20)) } else { machine }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fast_sky_does_not_shorten_patience_below_20_s() {
+        let fast = Clock::simulated("2026-11-21T03:00:00Z".parse().unwrap(), 1000.0);
+        assert_eq!(patience(&fast, Duration::from_secs(90)), Duration::from_secs(20));
+        assert_eq!(patience(&fast, Duration::from_secs(90_000)), Duration::from_secs(90));
+        assert_eq!(patience(&Clock::machine_clock(), Duration::from_secs(9)), Duration::from_secs(9));
+    }
+
+    #[test]
+    fn a_nonsense_duration_is_none() {
+        assert_eq!(seconds(f64::NAN), Duration::ZERO);
+        assert_eq!(seconds(-1.0), Duration::ZERO);
+    }
+}

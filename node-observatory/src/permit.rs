@@ -1,0 +1,60 @@
+//! The permit of each enclosure: renewed every second, so that silence closes.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bus::{Publisher, Quality};
+use contract::Key;
+use contract::observatory::{Permit, Verdict};
+
+use crate::control_room::ControlRoom;
+use crate::rig::dome::Dome;
+
+/// Renews every permit once a second and at each change of the verdict, while this node commands.
+pub async fn keep_renewing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
+    let mut lines: Vec<(&Dome, Publisher<Permit>)> = Vec::new();
+    for dome in &room.rig.domes {
+        let key = Key::Permit(room.node.config.address(), dome.instrument.device.name.clone());
+        lines.push((dome, room.node.bus.publisher(&key, Quality::Urgent).await?));
+    }
+    let (mut ruling, mut hold) = (room.ruling.clone(), room.hold.clone());
+    loop {
+        let told = verdict(&room);
+        for (dome, line) in &lines {
+            if let Some(permit) = permit(&room, dome, told)
+                && let Err(error) = line.put(permit).await
+            {
+                tracing::warn!(%error, dome = %dome.instrument.device.name, "a permit was not sent");
+            }
+        }
+        let changed = async {
+            while verdict(&room) == told {
+                tokio::select! {
+                    _ = ruling.changed() => {}
+                    _ = hold.changed() => return,
+                }
+            }
+        };
+        let _ = tokio::time::timeout(Duration::from_secs(1), changed).await;
+    }
+}
+
+fn verdict(room: &ControlRoom) -> Verdict {
+    if room.is_safe() { Verdict::Safe } else { Verdict::Unsafe }
+}
+
+/// A permit needs a lease, a guard's number to answer to, and a verdict that was formed on heard inputs.
+fn permit(room: &ControlRoom, dome: &Dome, verdict: Verdict) -> Option<Permit> {
+    let token = room.hold.borrow().token()?;
+    if !room.ruling.borrow().settled {
+        return None;
+    }
+    let guard = dome.guard.get()?;
+    Some(Permit {
+        verdict,
+        commander: room.node.signature(),
+        token,
+        guard_number: guard.said.body.number,
+        guard_boot_id: guard.said.boot_id,
+    })
+}

@@ -1,0 +1,149 @@
+//! The devices of one telescope, as this node hears and commands them.
+
+pub mod camera;
+pub mod cover_calibrator;
+pub mod dome;
+pub mod filter_wheel;
+pub mod focuser;
+pub mod instrument;
+pub mod telescope;
+
+use std::time::Duration;
+
+use bus::Node;
+use contract::{Device, DeviceKind, Kind, Name};
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+
+use self::camera::Camera;
+use self::cover_calibrator::Cover;
+use self::dome::Dome;
+use self::filter_wheel::FilterWheel;
+use self::focuser::Focuser;
+use self::instrument::{Instrument, Voice};
+use self::telescope::Mount;
+use crate::trouble::Trouble;
+
+/// All devices that this telescope moves.
+pub struct Rig {
+    /// Domes and roofs, own and shared.
+    pub domes: Vec<Dome>,
+    /// Mounts.
+    pub mounts: Vec<Mount>,
+    /// Mirror covers.
+    pub covers: Vec<Cover>,
+    /// Cameras.
+    pub cameras: Vec<Camera>,
+    /// Filter wheels.
+    pub wheels: Vec<FilterWheel>,
+    /// Focusers.
+    pub focusers: Vec<Focuser>,
+    stirred: watch::Receiver<u64>,
+    _watchers: JoinSet<()>,
+}
+
+/// The devices that work with one camera.
+#[derive(Clone, Copy)]
+pub struct Chain<'a> {
+    /// The camera.
+    pub camera: &'a Camera,
+    /// Its mount.
+    pub mount: Option<&'a Mount>,
+    /// Its filter wheel.
+    pub wheel: Option<&'a FilterWheel>,
+    /// Its focuser.
+    pub focuser: Option<&'a Focuser>,
+}
+
+impl Rig {
+    /// Begins to hear all devices of the configuration.
+    pub async fn listen(node: &Node, voice: &Voice) -> anyhow::Result<Self> {
+        let config = &node.config;
+        let mut rig = Self {
+            domes: Vec::new(),
+            mounts: Vec::new(),
+            covers: Vec::new(),
+            cameras: Vec::new(),
+            wheels: Vec::new(),
+            focusers: Vec::new(),
+            stirred: watch::channel(0).1,
+            _watchers: JoinSet::new(),
+        };
+        for device in config.enclosures() {
+            let own =
+                config.dome.iter().find(|own| device.address == config.address() && own.common.name == device.name);
+            rig.domes.push(Dome::listen(voice, device, own).await?);
+        }
+        let own = |kind: Kind, name: &Name| config.address().device(kind, name);
+        for block in &config.telescope {
+            rig.mounts.push(Mount::listen(voice, own(Kind::Telescope, &block.common.name), block.clone()).await?);
+        }
+        for block in &config.covercalibrator {
+            let device = own(Kind::CoverCalibrator, &block.common.name);
+            rig.covers.push(Cover { instrument: Instrument::listen(voice, device).await? });
+        }
+        for block in &config.camera {
+            rig.cameras.push(Camera::listen(voice, own(Kind::Camera, &block.common.name), block.clone()).await?);
+        }
+        for block in &config.filterwheel {
+            let device = own(Kind::FilterWheel, &block.common.name);
+            rig.wheels.push(FilterWheel { instrument: Instrument::listen(voice, device).await? });
+        }
+        for block in &config.focuser {
+            rig.focusers.push(Focuser::listen(voice, own(Kind::Focuser, &block.common.name), block.clone()).await?);
+        }
+        rig.watch_what_must_close();
+        Ok(rig)
+    }
+
+    /// Changes whenever a dome, a mount or a cover says something new.
+    pub fn stirred(&self) -> watch::Receiver<u64> {
+        self.stirred.clone()
+    }
+
+    /// The devices that work with a camera, as the configuration pairs them.
+    pub fn chain(&self, camera: &Name) -> Result<Chain<'_>, Trouble> {
+        let camera = find(&self.cameras, |camera| &camera.instrument.device, Some(camera))
+            .ok_or_else(|| Trouble::Impossible(format!("there is no camera {camera}")))?;
+        let config = &camera.config;
+        Ok(Chain {
+            camera,
+            mount: find(&self.mounts, |mount| &mount.instrument.device, config.telescope.as_ref()),
+            wheel: find(&self.wheels, |wheel| &wheel.instrument.device, config.filterwheel.as_ref()),
+            focuser: find(&self.focusers, |focuser| &focuser.instrument.device, config.focuser.as_ref()),
+        })
+    }
+
+    fn watch_what_must_close(&mut self) {
+        let (stir, stirred) = watch::channel(0);
+        let stir = std::sync::Arc::new(stir);
+        self.stirred = stirred;
+        let watchers = &mut self._watchers;
+        self.domes.iter().for_each(|dome| watch(&dome.instrument, &stir, watchers));
+        self.mounts.iter().for_each(|mount| watch(&mount.instrument, &stir, watchers));
+        self.covers.iter().for_each(|cover| watch(&cover.instrument, &stir, watchers));
+    }
+}
+
+fn watch<K: DeviceKind>(
+    instrument: &Instrument<K>,
+    stir: &std::sync::Arc<watch::Sender<u64>>,
+    watchers: &mut JoinSet<()>,
+) {
+    let (mut states, stir) = (instrument.follow(), stir.clone());
+    watchers.spawn(async move {
+        loop {
+            states.changed().await;
+            stir.send_modify(|count| *count = count.wrapping_add(1));
+        }
+    });
+}
+
+fn find<'a, T>(list: &'a [T], device: impl Fn(&T) -> &Device, name: Option<&Name>) -> Option<&'a T> {
+    list.iter().find(|item| Some(&device(item).name) == name)
+}
+
+/// State older than this says nothing about what is true now: 5 s, or 2.5 of its periods where those are longer.
+pub fn freshness(period_s: f64) -> Duration {
+    crate::patience::seconds((2.5 * period_s).clamp(5.0, 60.0))
+}

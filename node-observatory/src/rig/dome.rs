@@ -1,0 +1,98 @@
+//! A dome or roof: opening it with the guard's consent, and knowing whether it is closed.
+
+use std::time::Duration;
+
+use bus::Latest;
+use config::CloseWithMount;
+use contract::device::dome::{self, Command, Guard, Shutter};
+use contract::{Device, Key, Reason};
+
+use super::instrument::{Instrument, Voice};
+use crate::patience::{patience, seconds};
+use crate::trouble::Trouble;
+
+/// A dome.
+pub struct Dome {
+    /// The device.
+    pub instrument: Instrument<dome::Dome>,
+    /// What its guard says.
+    pub guard: Latest<Guard>,
+    /// How closing waits for the mount.
+    pub policy: CloseWithMount,
+    /// For the two waiting policies, machine time.
+    pub parked_within: Duration,
+    /// A shutter that moves longer is stuck, sky time.
+    pub travel: Duration,
+    /// Stands over this telescope alone.
+    pub is_own: bool,
+}
+
+/// A guard that was not heard for so long is not there.
+const GUARD_AGE: Duration = Duration::from_secs(5);
+
+impl Dome {
+    /// Begins to hear a dome; `own` is its block, where it is of this telescope's own file.
+    pub async fn listen(voice: &Voice, device: Device, own: Option<&config::Dome>) -> anyhow::Result<Self> {
+        let guard = voice.bus.latest(&Key::Guard(device.clone())).await?;
+        let instrument = Instrument::listen(voice, device).await?;
+        Ok(Self {
+            instrument,
+            guard,
+            policy: own.map_or(CloseWithMount::Beside, |own| own.close_with_mount),
+            parked_within: seconds(own.map_or(120.0, |own| own.parked_within_s)),
+            travel: seconds(own.map_or(90.0, |own| own.travel_timeout_s)),
+            is_own: own.is_some(),
+        })
+    }
+
+    /// The shutter as the dome itself says now; `None` where that is not known.
+    pub fn shutter(&self) -> Option<Shutter> {
+        self.instrument.fresh().and_then(|state| state.fields.shutter.known().copied())
+    }
+
+    /// Opens the shutter and waits until it is open; ends a hold of the guard first.
+    pub async fn open(&self) -> Result<(), Trouble> {
+        if self.shutter() == Some(Shutter::Open) {
+            return Ok(());
+        }
+        self.end_hold().await?;
+        let id = self.ask_until_permitted().await?;
+        let open = |heard: &bus::Heard<contract::DeviceState<dome::Fields>>| {
+            let state = &heard.said.body;
+            if let Some(last) = state.last_command.as_ref().filter(|last| last.id == id)
+                && let contract::Outcome::Failed { reason } = &last.outcome
+            {
+                let device = self.instrument.device.to_string();
+                return Some(Err(Trouble::Failed { device, verb: "open_shutter".to_owned(), reason: reason.clone() }));
+            }
+            (state.fields.shutter.known() == Some(&Shutter::Open)).then_some(Ok(()))
+        };
+        self.instrument.until(patience(self.instrument.clock(), self.travel), "open", open).await?
+    }
+
+    async fn end_hold(&self) -> Result<(), Trouble> {
+        if self.guard.fresh(GUARD_AGE).is_some_and(|guard| guard.said.body.hold) {
+            tracing::info!(dome = %self.instrument.device.name, "the guard had closed; taking over again");
+            self.instrument.ask(Command::Resume).await?;
+        }
+        Ok(())
+    }
+
+    /// The permit that says "safe" may be a second behind the verdict, and a closing that has begun goes to its end
+    /// first: such refusals are asked again.
+    async fn ask_until_permitted(&self) -> Result<contract::CommandId, Trouble> {
+        let started = self.instrument.clock().machine();
+        let most = patience(self.instrument.clock(), self.travel) + Duration::from_secs(15);
+        loop {
+            match self.instrument.ask(Command::OpenShutter).await {
+                Err(Trouble::Refused { reason: Reason::NoPermit | Reason::WrongState | Reason::Busy, .. })
+                    if self.instrument.clock().machine().since(started) < most =>
+                {
+                    tokio::time::sleep(Duration::from_millis(300)).await;
+                    self.end_hold().await?;
+                }
+                asked => return asked,
+            }
+        }
+    }
+}

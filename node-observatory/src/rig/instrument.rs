@@ -1,0 +1,232 @@
+//! One device of any kind: its newest state, and `command and wait until done`.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bus::{AskError, Bus, Clock, Heard, Latest};
+use contract::device::Description;
+use contract::{Command, CommandId, Device, DeviceKind, DeviceState, Key, Link, Outcome, Payload, Reason};
+use tokio::sync::{Notify, watch};
+
+use crate::lease::Hold;
+use crate::patience::patience;
+use crate::rig::freshness;
+use crate::trouble::Trouble;
+
+/// A device node answers within milliseconds or is in trouble.
+const ANSWER: Duration = Duration::from_secs(2);
+/// An unanswered command is repeated under its own id, which does it at most once.
+const REPEATS: u32 = 3;
+/// A device that is still at an earlier command is given so long to end it.
+const TURN: Duration = Duration::from_secs(30);
+/// A state that arrives so long after a command was taken knows of it.
+const SETTLED: Duration = Duration::from_secs(1);
+
+/// In whose name, and with which token, commands are given. Cheap to clone.
+#[derive(Clone)]
+pub struct Voice {
+    /// The bus.
+    pub bus: Bus,
+    /// Such as `observatory/callisto/main`.
+    pub signature: String,
+    /// The lease, whose token goes with every command.
+    pub lease: watch::Receiver<Hold>,
+    /// Said when a device knows a newer token than ours.
+    pub doubt: Arc<Notify>,
+}
+
+/// A device of kind `K`.
+pub struct Instrument<K: DeviceKind> {
+    /// Which one.
+    pub device: Device,
+    state: Latest<DeviceState<K::Fields>>,
+    about: Latest<Description<K::Capabilities>>,
+    voice: Voice,
+}
+
+impl<K: DeviceKind> Instrument<K> {
+    /// Begins to hear a device.
+    pub async fn listen(voice: &Voice, device: Device) -> anyhow::Result<Self> {
+        let state = voice.bus.latest(&Key::State(device.clone())).await?;
+        let about = voice.bus.latest(&Key::Capabilities(device.clone())).await?;
+        Ok(Self { device, state, about, voice: voice.clone() })
+    }
+
+    /// The clock.
+    pub fn clock(&self) -> &Clock {
+        self.voice.bus.clock()
+    }
+
+    /// The bus.
+    pub fn bus(&self) -> &Bus {
+        &self.voice.bus
+    }
+
+    /// The newest state, however old.
+    pub fn newest(&self) -> Option<Heard<DeviceState<K::Fields>>> {
+        self.state.get()
+    }
+
+    /// A follower of the states.
+    pub fn follow(&self) -> Latest<DeviceState<K::Fields>> {
+        self.state.clone()
+    }
+
+    /// The state, if it arrived recently over a link that stands.
+    pub fn fresh(&self) -> Option<DeviceState<K::Fields>> {
+        let heard = self.state.get()?;
+        let age = self.clock().machine().since(heard.arrived);
+        let state = heard.said.body;
+        (age <= freshness(state.period_s) && state.link == Link::Connected).then_some(state)
+    }
+
+    /// What it can do, once that was heard.
+    pub fn can(&self) -> Option<K::Capabilities> {
+        self.about.get().map(|heard| heard.said.body.can)
+    }
+
+    /// What it can do, waiting a few seconds for the word.
+    pub async fn capabilities(&self) -> Result<K::Capabilities, Trouble> {
+        let mut about = self.about.clone();
+        let wait = async {
+            loop {
+                if let Some(heard) = about.get() {
+                    return heard.said.body.can;
+                }
+                about.changed().await;
+            }
+        };
+        // they are said every 10 s
+        let most = Duration::from_secs(15);
+        tokio::time::timeout(most, wait).await.map_err(|_| self.late("heard of", most))
+    }
+
+    /// Gives a command and returns its id as soon as it is taken.
+    pub async fn ask(&self, action: K::Command) -> Result<CommandId, Trouble> {
+        let id = CommandId::fresh();
+        self.ask_as(id.clone(), action).await?;
+        Ok(id)
+    }
+
+    /// As [`Self::ask`], under an id that was made before.
+    pub async fn ask_as(&self, id: CommandId, action: K::Command) -> Result<(), Trouble> {
+        self.claim_as(id, action).await.map(|_| ())
+    }
+
+    /// As [`Self::ask_as`]; returns the token that a claim was granted.
+    pub async fn claim_as(&self, id: CommandId, action: K::Command) -> Result<Option<u64>, Trouble> {
+        let verb = verb(&action);
+        let token = self.voice.lease.borrow().token();
+        let command = Command { id: id.clone(), from: self.voice.signature.clone(), token, action };
+        let mut asked = 0;
+        loop {
+            asked += 1;
+            match self.voice.bus.command(&self.device, &command, ANSWER).await {
+                Ok(accepted) => return Ok(accepted.token),
+                Err(AskError::Refused { refusal, .. }) => {
+                    if refusal.reason == Reason::StaleToken
+                        && token.is_some()
+                        && token == self.voice.lease.borrow().token()
+                    {
+                        self.voice.doubt.notify_one();
+                    }
+                    let (device, detail) = (self.device.to_string(), refusal.detail);
+                    return Err(Trouble::Refused { device, verb, reason: refusal.reason, detail });
+                }
+                Err(AskError::Unknown { .. } | AskError::Unreadable { .. }) => {
+                    // unknown is not undone: the state tells
+                    let taken = self.newest().and_then(|heard| heard.said.body.last_command);
+                    if taken.is_some_and(|last| last.id == id) {
+                        return Ok(None);
+                    }
+                    if asked >= REPEATS {
+                        return Err(Trouble::Unanswered { device: self.device.to_string(), verb });
+                    }
+                }
+            }
+        }
+    }
+
+    /// As [`Self::ask_as`], but waits a while for a command before it to be done.
+    pub async fn ask_in_turn(&self, id: &CommandId, action: K::Command) -> Result<(), Trouble> {
+        let started = self.clock().machine();
+        loop {
+            match self.ask_as(id.clone(), action.clone()).await {
+                Err(Trouble::Refused { reason: Reason::Busy, .. }) if self.clock().machine().since(started) < TURN => {
+                    tokio::time::sleep(Duration::from_millis(20)).await;
+                }
+                asked => return asked,
+            }
+        }
+    }
+
+    /// Gives a command and waits until it is done, at most as long as `sky` of sky time allows.
+    pub async fn obey(&self, action: K::Command, sky: Duration) -> Result<DeviceState<K::Fields>, Trouble> {
+        let (verb, id) = (verb(&action), CommandId::fresh());
+        self.ask_in_turn(&id, action).await?;
+        self.done(&id, &verb, patience(self.clock(), sky)).await
+    }
+
+    /// Waits until a command that was taken is done, as the state shows; `most` is machine time.
+    pub async fn done(&self, id: &CommandId, verb: &str, most: Duration) -> Result<DeviceState<K::Fields>, Trouble> {
+        let life = self.newest().map(|heard| heard.said.boot_id);
+        let taken = self.clock().machine();
+        let mut seen = false;
+        self.until(most, &format!("done with {verb}"), |heard| {
+            let state = &heard.said.body;
+            let mine = state.last_command.as_ref().filter(|last| last.id == *id);
+            seen |= mine.is_some();
+            match (mine.map(|last| &last.outcome), &state.last_command) {
+                (Some(Outcome::Done), _) if !state.busy => Some(Ok(state.clone())),
+                (Some(Outcome::Failed { reason }), _) => {
+                    let (device, verb) = (self.device.to_string(), verb.to_owned());
+                    Some(Err(Trouble::Failed { device, verb, reason: reason.clone() }))
+                }
+                (Some(Outcome::Done | Outcome::Running), _) => None,
+                // somebody's later command, such as the archive's release of a frame, stands in the place of ours:
+                // that nothing moves is then all that can be seen, once the state is surely newer than ours
+                (None, Some(_)) if !state.busy && (seen || heard.arrived >= taken.plus(SETTLED)) => {
+                    Some(Ok(state.clone()))
+                }
+                (None, None) if life.as_ref().is_some_and(|life| heard.said.boot_id > *life) && !state.busy => {
+                    Some(Err(Trouble::Restarted { device: self.device.to_string() }))
+                }
+                _ => None,
+            }
+        })
+        .await?
+    }
+
+    /// Waits until the state shows something; `what` completes "not ... within".
+    pub async fn until<T>(
+        &self,
+        most: Duration,
+        what: &str,
+        mut shows: impl FnMut(&Heard<DeviceState<K::Fields>>) -> Option<T>,
+    ) -> Result<T, Trouble> {
+        let mut states = self.state.clone();
+        let wait = async {
+            loop {
+                let connected = states.get().filter(|heard| heard.said.body.link == Link::Connected);
+                if let Some(shown) = connected.and_then(|heard| shows(&heard)) {
+                    return shown;
+                }
+                states.changed().await;
+            }
+        };
+        tokio::time::timeout(most, wait).await.map_err(|_| self.late(what, most))
+    }
+
+    fn late(&self, what: &str, most: Duration) -> Trouble {
+        Trouble::Deadline { device: self.device.to_string(), what: what.to_owned(), after_s: most.as_secs_f64() }
+    }
+}
+
+/// The word of a command, as it stands in JSON.
+fn verb<C: Payload>(command: &C) -> String {
+    match serde_json::to_value(command) {
+        Ok(serde_json::Value::String(word)) => word,
+        Ok(serde_json::Value::Object(map)) => map.keys().next().cloned().unwrap_or_default(),
+        _ => "follow a command".to_owned(),
+    }
+}

@@ -1,0 +1,319 @@
+use bus::{MachineTime, SkyTime};
+use contract::{Address, Device, Kind};
+use proptest::prelude::*;
+
+use super::*;
+use crate::safety::history::Entry;
+
+fn at(seconds: u64) -> Now {
+    let since = Duration::from_secs(seconds);
+    Now { sky: SkyTime::from_start(since), machine: MachineTime::from_boot(since) }
+}
+
+fn device(kind: Kind, name: &str) -> Device {
+    Address::new("site", "scope").unwrap().device(kind, &name.parse().unwrap())
+}
+
+fn monitor(name: &str, dwell_s: u64) -> MonitorRule {
+    MonitorRule {
+        input: format!("safetymonitor/{name}"),
+        device: device(Kind::SafetyMonitor, name),
+        dwell: Duration::from_secs(dwell_s),
+        max_age: Duration::from_secs(5),
+    }
+}
+
+fn limit(upper: f64, dwell_s: u64, required: bool) -> LimitRule {
+    LimitRule {
+        input: "wx/Humidity".to_owned(),
+        device: device(Kind::ObservingConditions, "wx"),
+        parameter: "Humidity".to_owned(),
+        upper: Some(upper),
+        lower: None,
+        dwell: Duration::from_secs(dwell_s),
+        max_age: Duration::from_secs(15),
+        required,
+    }
+}
+
+fn word(is_safe: bool, gapless_s: u64) -> MonitorReading {
+    MonitorReading { is_safe, gapless_safe: Duration::from_secs(gapless_s) }
+}
+
+/// What one monitor (safe every second from `from` to `to`) and one weather station said.
+struct Story {
+    rules: Rules,
+    history: History,
+}
+
+impl Story {
+    fn new(rules: Rules) -> Self {
+        let history = History::new(&rules, at(0).sky);
+        Self { rules, history }
+    }
+
+    fn monitor_says(mut self, index: usize, seconds: impl IntoIterator<Item = u64>, reading: MonitorReading) -> Self {
+        for second in seconds {
+            self.history.monitors[index].push(Entry { at: at(second), outcome: Ok(reading) });
+        }
+        self
+    }
+
+    fn monitor_is_silent(mut self, index: usize, second: u64) -> Self {
+        self.history.monitors[index].push(Entry { at: at(second), outcome: Err("timeout: 2 s".to_owned()) });
+        self
+    }
+
+    fn weather_says(
+        mut self,
+        index: usize,
+        seconds: impl IntoIterator<Item = u64>,
+        outcome: Result<f64, &str>,
+    ) -> Self {
+        for second in seconds {
+            let outcome = outcome.map_err(str::to_owned);
+            self.history.limits[index].push(Entry { at: at(second), outcome });
+        }
+        self
+    }
+
+    fn judged(&self, now: u64) -> Judgement {
+        judge(&self.rules, &self.history, at(now))
+    }
+}
+
+fn one_monitor(dwell_s: u64) -> Story {
+    Story::new(Rules { monitors: vec![monitor("m", dwell_s)], limits: vec![] })
+}
+
+fn one_limit(dwell_s: u64, required: bool) -> Story {
+    Story::new(Rules { monitors: vec![], limits: vec![limit(80.0, dwell_s, required)] })
+}
+
+fn why(judgement: &Judgement) -> &str {
+    &judgement.reasons[0].why
+}
+
+#[test]
+fn without_any_input_it_is_never_safe() {
+    let judged = Story::new(Rules::default()).judged(100_000);
+    assert_eq!(judged.verdict, Verdict::Unsafe);
+    assert!(why(&judged).contains("no safety monitor"), "{judged:?}");
+    assert_eq!(judged.time_to_safe_s, None);
+}
+
+#[test]
+fn nothing_heard_is_unsafe() {
+    assert_eq!(why(&one_monitor(0).judged(9)), "nothing heard yet");
+    assert_eq!(why(&one_limit(0, true).judged(9)), "nothing heard yet");
+}
+
+#[test]
+fn the_dwell_must_be_filled_before_the_first_safe() {
+    let story = one_monitor(60).monitor_says(0, 0..=60, word(true, 0));
+    assert_eq!(story.judged(59).verdict, Verdict::Unsafe);
+    let story = one_monitor(60).monitor_says(0, 0..=30, word(true, 0));
+    let judged = story.judged(30);
+    assert_eq!(judged.time_to_safe_s, Some(30.0));
+    assert_eq!(why(&judged), "good for 0.5 of 1.0 min");
+    let story = one_monitor(60).monitor_says(0, 0..=60, word(true, 0));
+    assert_eq!(story.judged(60).verdict, Verdict::Safe);
+}
+
+#[test]
+fn a_record_kept_by_the_device_node_fills_the_dwell_at_once() {
+    assert_eq!(one_monitor(900).monitor_says(0, [5], word(true, 900)).judged(6).verdict, Verdict::Safe);
+    assert_eq!(one_monitor(900).monitor_says(0, [5], word(true, 899)).judged(6).verdict, Verdict::Unsafe);
+}
+
+#[test]
+fn one_bad_word_is_unsafe_at_once_and_restarts_the_dwell() {
+    let story = one_monitor(60).monitor_says(0, 0..=100, word(true, 0)).monitor_says(0, [101], word(false, 0));
+    let judged = story.judged(101);
+    assert_eq!((judged.verdict, judged.speaks_against), (Verdict::Unsafe, true));
+    assert_eq!(judged.time_to_safe_s, None);
+    let story = story.monitor_says(0, 102..=160, word(true, 0));
+    assert_eq!(story.judged(160).verdict, Verdict::Unsafe);
+    let story = story.monitor_says(0, 161..=162, word(true, 0));
+    assert_eq!(story.judged(162).verdict, Verdict::Safe);
+}
+
+#[test]
+fn a_stale_reading_is_unsafe() {
+    let story = one_monitor(60).monitor_says(0, 0..=100, word(true, 1000));
+    assert_eq!(story.judged(105).verdict, Verdict::Safe);
+    let judged = story.judged(106);
+    assert_eq!(judged.verdict, Verdict::Unsafe);
+    assert!(why(&judged).starts_with("stale"), "{judged:?}");
+}
+
+#[test]
+fn a_missing_reading_is_unsafe_with_its_reason() {
+    let story = one_monitor(0).monitor_says(0, 0..=10, word(true, 1000)).monitor_is_silent(0, 11);
+    assert_eq!(why(&story.judged(11)), "timeout: 2 s");
+}
+
+#[test]
+fn any_monitor_that_says_unsafe_decides() {
+    // 1-out-of-n with required inputs: all 27 cases of three monitors
+    for case in 0..27_u32 {
+        let rules = Rules { monitors: vec![monitor("a", 0), monitor("b", 0), monitor("c", 0)], limits: vec![] };
+        let mut story = Story::new(rules);
+        let words: Vec<u32> = (0..3).map(|i| case / 3_u32.pow(i) % 3).collect();
+        for (index, said) in words.iter().enumerate() {
+            story = match said {
+                0 => story.monitor_says(index, [10], word(true, 0)),
+                1 => story.monitor_says(index, [10], word(false, 0)),
+                _ => story,
+            };
+        }
+        let expected = if words == [0, 0, 0] { Verdict::Safe } else { Verdict::Unsafe };
+        assert_eq!(story.judged(10).verdict, expected, "{words:?}");
+    }
+}
+
+#[test]
+fn a_weather_limit_closes_at_once_and_reopens_after_its_dwell() {
+    let story = one_limit(600, true).weather_says(0, (0..=700).step_by(5), Ok(50.0));
+    assert_eq!(story.judged(700).verdict, Verdict::Safe);
+    let story = story.weather_says(0, [705], Ok(80.5));
+    let judged = story.judged(705);
+    assert_eq!(why(&judged), "80.5 is above 80");
+    let story = story.weather_says(0, (710..=1305).step_by(5), Ok(50.0));
+    assert_eq!(story.judged(1305).verdict, Verdict::Unsafe);
+    let story = story.weather_says(0, [1310], Ok(50.0));
+    assert_eq!(story.judged(1310).verdict, Verdict::Safe);
+}
+
+#[test]
+fn a_gap_in_the_weather_restarts_its_dwell() {
+    let story = one_limit(100, true).weather_says(0, (0..=200).step_by(5), Ok(50.0)).weather_says(
+        0,
+        (216..=300).step_by(5),
+        Ok(50.0),
+    );
+    let judged = story.judged(300);
+    assert_eq!(judged.time_to_safe_s, Some(16.0));
+}
+
+#[test]
+fn several_tiers_of_one_parameter_hold_side_by_side() {
+    let rules = Rules { monitors: vec![], limits: vec![limit(80.0, 10, true), limit(90.0, 1000, true)] };
+    let mut story = Story::new(rules);
+    for index in 0..2 {
+        story = story
+            .weather_says(index, (0..=2000).step_by(5), Ok(50.0))
+            .weather_says(index, [2005], Ok(95.0))
+            .weather_says(index, (2010..=2030).step_by(5), Ok(50.0));
+    }
+    let judged = story.judged(2030);
+    assert_eq!(judged.verdict, Verdict::Unsafe);
+    assert_eq!(judged.reasons.len(), 1, "the mild tier is over, the harsh one is not: {judged:?}");
+    assert_eq!(judged.time_to_safe_s, Some(980.0));
+}
+
+#[test]
+fn an_optional_sensor_may_be_missing_but_not_bad() {
+    let story = one_limit(60, false);
+    assert_eq!(story.judged(59).verdict, Verdict::Unsafe);
+    let missing = one_limit(60, false).weather_says(0, (0..=60).step_by(5), Err("not implemented"));
+    let judged = missing.judged(60);
+    assert_eq!(judged.verdict, Verdict::Safe);
+    assert_eq!((judged.inputs[0].value.as_str(), judged.inputs[0].good), ("not implemented", false));
+    let bad_then_silent = one_limit(60, false).weather_says(0, (0..=60).step_by(5), Ok(90.0)).weather_says(
+        0,
+        (65..=900).step_by(5),
+        Err("timeout"),
+    );
+    assert_eq!(why(&bad_then_silent.judged(900)), "90 is above 80 when last heard");
+    let good_again = bad_then_silent.weather_says(0, [905], Ok(50.0));
+    assert_eq!(good_again.judged(905).verdict, Verdict::Safe);
+}
+
+#[test]
+fn reasons_that_nobody_can_time_leave_the_time_open() {
+    let rules = Rules { monitors: vec![monitor("a", 60), monitor("b", 60)], limits: vec![] };
+    let story = Story::new(rules).monitor_says(0, 0..=10, word(true, 0));
+    assert_eq!(story.judged(10).time_to_safe_s, None);
+}
+
+/// A random history of two monitors and three limits (the last optional), and a moment to judge it.
+fn histories() -> impl Strategy<Value = (Vec<(usize, u64, u8)>, f64, u64)> {
+    (proptest::collection::vec((0..5_usize, 0..120_u64, 0..10_u8), 0..120), 10.0..100.0_f64, 119..126_u64)
+}
+
+fn told(words: &[(usize, u64, u8)], upper: f64) -> Story {
+    let rules = Rules {
+        monitors: vec![monitor("a", 20), monitor("b", 0)],
+        limits: vec![limit(upper, 20, true), limit(upper + 10.0, 40, true), limit(upper, 30, false)],
+    };
+    let mut words = words.to_vec();
+    // in order of time, and dense enough that some histories are safe
+    for second in 0..120 {
+        words.extend((0..5).map(|input| (input, second, 0)));
+    }
+    words.sort_by_key(|(_, second, _)| *second);
+    words.into_iter().fold(Story::new(rules), |story, (input, second, kind)| match (input, kind) {
+        (0 | 1, 9) => story.monitor_says(input, [second], word(false, 0)),
+        (0 | 1, 8) => story.monitor_is_silent(input, second),
+        (0 | 1, _) => story.monitor_says(input, [second], word(true, 0)),
+        (_, 8) => story.weather_says(input - 2, [second], Err("timeout")),
+        (_, kind) => story.weather_says(input - 2, [second], Ok(f64::from(kind) * 10.0 + 5.0)),
+    })
+}
+
+proptest! {
+    #[test]
+    fn a_missing_input_never_makes_it_safe((words, upper, now) in histories(), input in 0..4_usize) {
+        let mut story = told(&words, upper);
+        match input {
+            0 | 1 => story.history.monitors[input] = Record::default(),
+            _ => story.history.limits[input - 2] = Record::default(),
+        }
+        prop_assert_eq!(story.judged(now).verdict, Verdict::Unsafe);
+    }
+
+    #[test]
+    fn a_spoilt_input_never_makes_it_safer((words, upper, now) in histories(), input in 0..5_usize) {
+        let story = told(&words, upper);
+        let before = story.judged(now).verdict;
+        let spoilt = match input {
+            0 | 1 => story.monitor_is_silent(input, now),
+            _ => story.weather_says(input - 2, [now], Err("not a number")),
+        };
+        let after = spoilt.judged(now).verdict;
+        prop_assert!(!(before == Verdict::Unsafe && after == Verdict::Safe));
+        if input < 4 {
+            prop_assert_eq!(after, Verdict::Unsafe);
+        }
+    }
+
+    #[test]
+    fn a_bad_reading_is_always_unsafe((words, upper, now) in histories(), input in 0..5_usize) {
+        let story = told(&words, upper);
+        let after = match input {
+            0 | 1 => story.monitor_says(input, [now], word(false, 0)),
+            _ => story.weather_says(input - 2, [now], Ok(1000.0)),
+        };
+        prop_assert_eq!(after.judged(now).verdict, Verdict::Unsafe);
+    }
+
+    #[test]
+    fn ageing_beyond_the_allowed_age_is_unsafe((words, upper, _) in histories(), later in 136..5000_u64) {
+        prop_assert_eq!(told(&words, upper).judged(later).verdict, Verdict::Unsafe);
+    }
+
+    #[test]
+    fn a_raised_limit_never_makes_a_safe_sky_unsafe((words, upper, now) in histories(), more in 0.0..100.0_f64) {
+        if told(&words, upper).judged(now).verdict == Verdict::Safe {
+            prop_assert_eq!(told(&words, upper + more).judged(now).verdict, Verdict::Safe);
+        }
+    }
+
+    #[test]
+    fn a_safe_verdict_has_no_reasons_and_an_unsafe_one_has((words, upper, now) in histories()) {
+        let judged = told(&words, upper).judged(now);
+        prop_assert_eq!(judged.reasons.is_empty(), judged.verdict == Verdict::Safe);
+        prop_assert_eq!(judged.inputs.len(), 5);
+    }
+}

@@ -1,0 +1,74 @@
+//! The verdict: what is heard, how it is judged, and the task that never stops doing both.
+
+pub mod history;
+pub mod judge;
+pub mod rules;
+pub mod task;
+
+use std::time::Duration;
+
+use bus::MachineTime;
+use contract::observatory::{SafetyState, Verdict};
+use units::Utc;
+
+/// The newest verdict as the other tasks of this node see it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ruling {
+    /// The verdict with its reasons, as published.
+    pub state: SafetyState,
+    /// When it was given.
+    pub judged: MachineTime,
+    /// False for the first seconds of a node that has not heard all of its inputs yet: nobody acts on the verdict
+    /// then, so that a restart in a safe night does not shut the roof. Bad news ends this at once.
+    pub settled: bool,
+}
+
+/// A loop that judges every second is dead or starved when its ruling is older than this.
+const MOST_AGE: Duration = Duration::from_secs(5);
+
+impl Ruling {
+    /// Before anything was judged: unsafe.
+    pub fn none(now: MachineTime, since_utc: Utc) -> Self {
+        let state = SafetyState {
+            verdict: Verdict::Unsafe,
+            since_utc,
+            reasons: Vec::new(),
+            time_to_safe_s: None,
+            inputs: Vec::new(),
+        };
+        Self { state, judged: now, settled: false }
+    }
+
+    /// Safe, and said so recently enough to count.
+    pub fn is_safe(&self, now: MachineTime) -> bool {
+        self.state.verdict == Verdict::Safe && now.since(self.judged) <= MOST_AGE
+    }
+
+    /// Unsafe beyond the doubt of the first seconds.
+    pub fn calls_for_closing(&self, now: MachineTime) -> bool {
+        self.settled && !self.is_safe(now)
+    }
+
+    /// The reasons in one line.
+    pub fn why(&self) -> String {
+        let reasons: Vec<String> =
+            self.state.reasons.iter().map(|reason| format!("{}: {}", reason.input, reason.why)).collect();
+        if reasons.is_empty() { "the verdict is missing".to_owned() } else { reasons.join("; ") }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_old_ruling_is_no_safe_one() {
+        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
+        let mut ruling = Ruling::none(at(100), Utc::EPOCH);
+        ruling.settled = true;
+        assert!(ruling.calls_for_closing(at(100)));
+        ruling.state.verdict = Verdict::Safe;
+        assert!(ruling.is_safe(at(104)) && !ruling.calls_for_closing(at(104)));
+        assert!(!ruling.is_safe(at(106)) && ruling.calls_for_closing(at(106)));
+    }
+}

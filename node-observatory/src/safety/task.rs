@@ -1,0 +1,134 @@
+//! The safety loop: hears the inputs, judges at each arrival and each second, and waits for nothing else.
+
+use std::time::Duration;
+
+use anyhow::Context as _;
+use bus::{Catch, Clock, Heard, Node, Subscriber};
+use contract::device::observing_conditions::Fields as Weather;
+use contract::device::safety_monitor::Fields as Monitor;
+use contract::observatory::{SafetyState, Verdict};
+use contract::{BootId, Device, DeviceState, Key, Payload};
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinSet;
+use tokio::time::MissedTickBehavior;
+
+use super::Ruling;
+use super::history::Now;
+use super::judge::{Judgement, judge};
+use super::rules::{History, Rules};
+
+/// So long after its start a node may be without a word from an input before that counts.
+const GRACE: Duration = Duration::from_secs(5);
+
+/// A state of a safety input.
+enum Word {
+    Monitor(Device, Box<DeviceState<Monitor>>, Now),
+    Weather(Device, Box<DeviceState<Weather>>, Now),
+}
+
+/// Judges until the node ends; the ruling is all that leaves this task.
+pub async fn keep_judging(node: Node, rules: Rules, ruling: watch::Sender<Ruling>) -> anyhow::Result<()> {
+    let clock = node.bus.clock().clone();
+    let (words, mut heard) = mpsc::channel(256);
+    let mut ears = JoinSet::new();
+    let mut devices: Vec<Device> = rules.monitors.iter().map(|rule| rule.device.clone()).collect();
+    devices.dedup();
+    for device in devices {
+        ears.spawn(listen(&node, device, &words, Word::Monitor).await?);
+    }
+    let mut devices: Vec<Device> = rules.limits.iter().map(|rule| rule.device.clone()).collect();
+    devices.dedup();
+    for device in devices {
+        ears.spawn(listen(&node, device, &words, Word::Weather).await?);
+    }
+
+    let started = now(&clock);
+    let mut history = History::new(&rules, started.sky);
+    let mut tick = tokio::time::interval(Duration::from_secs(1));
+    tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        let judgement = judge(&rules, &history, now(&clock));
+        let waited = now(&clock).machine.since(started.machine) >= GRACE;
+        let settled = waited || history.all_heard() || judgement.speaks_against;
+        publish(&ruling, judgement, settled, &clock);
+        tokio::select! {
+            word = heard.recv() => {
+                let Some(word) = word else { anyhow::bail!("the ears of the safety loop are gone") };
+                take_in(&mut history, &rules, word, clock.speed());
+                // all that waits, before judging once
+                while let Ok(word) = heard.try_recv() {
+                    take_in(&mut history, &rules, word, clock.speed());
+                }
+            }
+            _ = tick.tick() => {}
+        }
+    }
+}
+
+fn now(clock: &Clock) -> Now {
+    Now { sky: clock.sky(), machine: clock.machine() }
+}
+
+fn take_in(history: &mut History, rules: &Rules, word: Word, speed: f64) {
+    match word {
+        Word::Monitor(device, state, at) => history.hear_monitor(rules, &device, &state, at),
+        Word::Weather(device, state, at) => history.hear_weather(rules, &device, &state, speed, at),
+    }
+}
+
+fn publish(ruling: &watch::Sender<Ruling>, judgement: Judgement, settled: bool, clock: &Clock) {
+    ruling.send_modify(|ruling| {
+        if ruling.state.verdict != judgement.verdict {
+            match judgement.verdict {
+                Verdict::Safe => tracing::info!("the sky is safe"),
+                Verdict::Unsafe => {
+                    let first = judgement.reasons.first().map(|reason| format!("{}: {}", reason.input, reason.why));
+                    tracing::warn!(why = first.unwrap_or_default(), "the sky is not safe");
+                }
+            }
+            ruling.state.since_utc = clock.utc();
+        }
+        ruling.state = SafetyState {
+            verdict: judgement.verdict,
+            since_utc: ruling.state.since_utc,
+            reasons: judgement.reasons,
+            time_to_safe_s: judgement.time_to_safe_s,
+            inputs: judgement.inputs,
+        };
+        ruling.judged = clock.machine();
+        ruling.settled |= settled;
+    });
+}
+
+/// Subscribes to a device's state and forwards each new one, with both times of its arrival.
+async fn listen<F: Payload>(
+    node: &Node,
+    device: Device,
+    words: &mpsc::Sender<Word>,
+    word: fn(Device, Box<DeviceState<F>>, Now) -> Word,
+) -> anyhow::Result<impl Future<Output = ()> + use<F>> {
+    let key = Key::State(device.clone()).to_string();
+    let subscriber: Subscriber<DeviceState<F>> =
+        node.bus.subscribe(&key, Catch::Newest, 256).await.with_context(|| format!("cannot hear {device}"))?;
+    let (words, clock) = (words.clone(), node.bus.clock().clone());
+    Ok(async move {
+        let mut newest: Option<(BootId, u64)> = None;
+        loop {
+            let heard: Heard<DeviceState<F>> = subscriber.hear().await;
+            let said = (heard.said.boot_id.clone(), heard.said.seq);
+            // the answer to the first question may cross newer states; ids of later lives sort later
+            if newest.as_ref().is_some_and(|newest| said <= *newest) {
+                continue;
+            }
+            newest = Some(said);
+            // what waited in the queue is as old as it is
+            let queued = clock.machine().since(heard.arrived).mul_f64(clock.speed());
+            let start = bus::SkyTime::from_start(Duration::ZERO);
+            let sky = bus::SkyTime::from_start(clock.sky().since(start).saturating_sub(queued));
+            let at = Now { sky, machine: heard.arrived };
+            if words.send(word(device.clone(), Box::new(heard.said.body), at)).await.is_err() {
+                return;
+            }
+        }
+    })
+}

@@ -1,0 +1,35 @@
+//! The known word that a misspelt one was probably meant to be.
+
+/// The nearest of the known words, if it is near at all.
+pub fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let (distance, found) = known.into_iter().map(|other| (distance(word, other), other)).min_by_key(|(d, _)| *d)?;
+    (distance <= found.len().max(word.len()) / 2).then_some(found)
+}
+
+/// Letters to change, add or drop between two words, without regard to case.
+fn distance(a: &str, b: &str) -> usize {
+    let (a, b): (Vec<char>, Vec<char>) = (a.to_lowercase().chars().collect(), b.to_lowercase().chars().collect());
+    let mut before: Vec<usize> = (0..=b.len()).collect();
+    for (i, from) in a.iter().enumerate() {
+        let mut now = vec![i + 1];
+        for (j, to) in b.iter().enumerate() {
+            let change = before[j] + usize::from(from != to);
+            now.push(change.min(before[j + 1] + 1).min(now[j] + 1));
+        }
+        before = now;
+    }
+    before[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slip_finds_its_word_and_nonsense_finds_none() {
+        let known = ["object", "exptime", "guiding", "pointing"];
+        assert_eq!(nearest("guidng", known), Some("guiding"));
+        assert_eq!(nearest("ExpTime", known), Some("exptime"));
+        assert_eq!(nearest("zzzzzzzzzzzz", known), None);
+    }
+}

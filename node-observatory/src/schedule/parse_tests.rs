@@ -1,0 +1,182 @@
+use super::*;
+
+fn cameras() -> Vec<Name> {
+    vec!["main".parse().unwrap(), "guide-cam".parse().unwrap()]
+}
+
+fn read(text: &str) -> Result<Vec<Row>, Fault> {
+    parse(text, &cameras())
+}
+
+/// A row with its parts put in as text.
+fn row_text(camera: &str, action: &str, value: &str, start: &str, end: &str) -> String {
+    format!(
+        r#"{{"device_name": "{camera}", "action_type": "{action}", "action_value": {value}, "start_time": "{start}", "end_time": "{end}"}}"#
+    )
+}
+
+const START: &str = "2026-11-21 01:00:00";
+const END: &str = "2026-11-21 03:00:00";
+
+fn object(value: &str) -> String {
+    row_text("main", "object", value, START, END)
+}
+
+#[track_caller]
+fn refused(text: &str, line: usize, words: &[&str]) {
+    let fault = read(text).unwrap_err();
+    assert_eq!(fault.line, line, "{fault}");
+    for word in words {
+        assert!(fault.what.contains(word), "expected {word:?} in: {fault}");
+    }
+}
+
+#[test]
+fn comments_blank_lines_and_objects_over_several_lines_are_read() {
+    let text = "\u{feff}// a night\r\n\n{\"device_name\": \"main\",\n  // inside an object\n  \"action_type\": \"open\",\n  \"start_time\": \"2026-11-21T01:00:00.000Z\", \"end_time\": \"2026-11-21T05:00:00+02:00\"} {\"device_name\": \"main\", \"action_type\": \"close\", \"action_value\": null, \"start_time\": \"2026-11-21 00:00:00\", \"end_time\": \"2026-11-21 09:00:00.5\"}\n";
+    let rows = read(text).unwrap();
+    let names: Vec<_> = rows.iter().map(|row| (row.action.name(), row.line)).collect();
+    assert_eq!(names, [("close", 6), ("open", 3)], "sorted by start, lines of the file");
+    assert_eq!(rows[1].end, "2026-11-21T03:00:00Z".parse().unwrap());
+}
+
+#[test]
+fn rows_with_the_same_start_keep_their_order() {
+    let two = [row_text("main", "open", "{}", START, END), row_text("main", "close", "{}", START, END)].join("\n");
+    let names: Vec<_> = read(&two).unwrap().iter().map(|row| row.action.name()).collect();
+    assert_eq!(names, ["open", "close"]);
+}
+
+#[test]
+fn all_parameters_of_an_object_are_accepted_by_name() {
+    let value = r#"{"object": "x", "exptime": 10, "ra": 1.5, "dec": -2, "filter": "V", "focus_shift": 5, "focus_position": 3000,
+        "n": 10, "guiding": true, "pointing": true, "bin": 2, "dir": "here", "execute_parallel": true,
+        "disable_telescope_movement": true, "reset_guiding_reference": false, "subframe_width": 100,
+        "subframe_height": 50, "subframe_center_x": 0.2, "subframe_center_y": 1, "nonsidereal_recenter_interval": 0,
+        "nonsidereal_start_lead_time_seconds": 0, "nonsidereal_rate_update_interval": null,
+        "metadata": {"program": "p1", "visit": 3}}"#;
+    let rows = read(&object(value)).unwrap();
+    assert_eq!(rows[0].action.frames_wanted(), Some(10));
+    assert_eq!(rows[0].action.object(), Some("x"));
+    assert!(rows[0].action.needs().parallel);
+}
+
+#[test]
+fn what_astra_writes_into_its_own_output_is_passed_over() {
+    let text = row_text("main", "open", r#"{}, "completed": false, "status": "pending""#, START, END);
+    assert_eq!(read(&text).unwrap().len(), 1);
+}
+
+#[test]
+fn the_same_row_is_found_again_and_twins_are_told_apart() {
+    let first = read(&object(r#"{"object": "x", "exptime": 10}"#)).unwrap();
+    let again = read(&format!("// moved down\n\n{}", object(r#"{"exptime": 10, "object": "x"}"#))).unwrap();
+    assert_eq!(first[0].id, again[0].id);
+    let other = read(&object(r#"{"object": "x", "exptime": 11}"#)).unwrap();
+    assert_ne!(first[0].id, other[0].id);
+    let twins = read(&object(r#"{"object": "x", "exptime": 10}"#).repeat(2)).unwrap();
+    assert_eq!(first[0].id, twins[0].id);
+    assert_ne!(twins[0].id, twins[1].id);
+}
+
+#[test]
+fn an_empty_file_is_refused() {
+    refused("", 1, &["no rows"]);
+    refused("// nothing\n\n", 1, &["no rows"]);
+}
+
+#[test]
+fn half_a_file_is_refused_with_its_line() {
+    let text = format!("{}\n{}", object(r#"{"object": "x", "exptime": 10}"#), r#"{"device_name": "main","#);
+    refused(&text, 2, &["no JSON", "EOF"]);
+    refused("{}\n\nnonsense", 1, &["device_name is missing"]);
+    refused(&format!("{}\n\nnonsense", object(r#"{"object": "x", "exptime": 10}"#)), 3, &["no JSON"]);
+    refused("[1, 2]", 1, &["expected an object"]);
+}
+
+#[test]
+fn an_unknown_key_is_refused_with_the_one_that_was_meant() {
+    let text = "{\"device_name\": \"main\",\n\"action_typ\": \"open\"}";
+    refused(text, 2, &["unknown key \"action_typ\"", "did you mean \"action_type\"?"]);
+    refused(
+        &object(r#"{"object": "x", "exptime": 10, "guidng": true}"#),
+        1,
+        &["`guidng`", "did you mean \"guiding\"?"],
+    );
+    refused(
+        &object("{\"object\": \"x\",\n\"exptime\": 10,\n\"zzzzzzzzzz\": 1}"),
+        3,
+        &["expected one of", "object, exptime"],
+    );
+}
+
+#[test]
+fn an_unknown_camera_is_refused() {
+    refused(&row_text("mian", "open", "{}", START, END), 1, &["no camera is named \"mian\"", "did you mean \"main\"?"]);
+}
+
+#[test]
+fn an_unknown_action_is_refused_and_one_that_is_not_built_says_so() {
+    refused(&row_text("main", "objekt", "{}", START, END), 1, &["unknown action_type \"objekt\"", "\"object\"?"]);
+    refused(&row_text("main", "flats", "{}", START, END), 1, &["\"flats\" is not supported yet"]);
+}
+
+#[test]
+fn a_time_that_is_none_is_refused_with_what_was_expected() {
+    refused(
+        &row_text("main", "open", "{}", "tonight", END),
+        1,
+        &["start_time", "\"tonight\" is no time", "expected UTC"],
+    );
+    refused(&row_text("main", "open", "{}", END, START), 1, &["is not after start_time"]);
+    refused(&row_text("main", "open", "{}", START, START), 1, &["is not after start_time"]);
+    refused(
+        r#"{"device_name": "main", "action_type": "open", "start_time": 5, "end_time": "x"}"#,
+        1,
+        &["expected a text"],
+    );
+}
+
+#[test]
+fn wrong_parameters_are_refused() {
+    for (value, words) in [
+        (r#"{"exptime": 10}"#, ["missing field `object`", ""]),
+        (r#"{"object": "x"}"#, ["missing field `exptime`", ""]),
+        (r#"{"object": "x", "exptime": -1}"#, ["exptime", "0 or more"]),
+        (r#"{"object": "x", "exptime": "10"}"#, ["invalid type", "expected f64"]),
+        (r#"{"object": "x", "exptime": 1, "ra": 5}"#, ["ra and dec", ""]),
+        (r#"{"object": "x", "exptime": 1, "ra": 5, "dec": 91}"#, ["dec", "-90 to 90"]),
+        (r#"{"object": "x", "exptime": 1, "alt": 5}"#, ["alt and az", ""]),
+        (r#"{"object": "x", "exptime": 1, "alt": 5, "az": 1, "ra": 1, "dec": 1}"#, ["not both", ""]),
+        (r#"{"object": "x", "exptime": 1, "lookup_name": "Mars"}"#, ["lookup_name", "not looked up yet"]),
+        (r#"{"object": "x", "exptime": 1, "tle": "1 2"}"#, ["tle", "not supported yet"]),
+        (r#"{"object": "x", "exptime": 1, "bin": 0}"#, ["bin", "1 to 16"]),
+        (r#"{"object": "x", "exptime": 1, "subframe_width": 10}"#, ["subframe_width", "or neither"]),
+        (r#"{"object": "x", "exptime": 1, "subframe_center_x": 1.5}"#, ["subframe_center_x", "0 to 1"]),
+    ] {
+        refused(&object(value), 1, &words);
+    }
+    refused(&object("5"), 1, &["expected an object"]);
+}
+
+#[test]
+fn wrong_calibrations_are_refused() {
+    for value in [r#"{"exptime": [], "n": []}"#, r#"{"exptime": [0, 1], "n": [1]}"#] {
+        refused(&row_text("main", "calibration", value, START, END), 1, &["expected as many"]);
+    }
+    let negative = row_text("main", "calibration", r#"{"exptime": [1], "n": [-1]}"#, START, END);
+    refused(&negative, 1, &["expected u32"]);
+    refused(&row_text("main", "open", r#"{"object": "x"}"#, START, END), 1, &["unknown field `object`"]);
+}
+
+#[test]
+fn the_fault_names_the_line_of_the_row_that_is_wrong() {
+    let good = object(r#"{"object": "x", "exptime": 10}"#);
+    let bad = object("{\n  \"object\": \"x\",\n  \"exptime\": 10,\n  \"bin\": 99}");
+    refused(&format!("// one\n{good}\n// two\n{bad}"), 7, &["bin: expected 1 to 16, found 99"]);
+}
+
+#[test]
+fn a_file_too_large_is_refused_before_it_is_read() {
+    refused(&" ".repeat(5_000_001), 1, &["at most 5000000"]);
+}

@@ -1,0 +1,97 @@
+//! What must be there before the tasks run: the journal, the devices, and the channels between the tasks.
+
+use std::future::Future;
+use std::path::PathBuf;
+use std::pin::Pin;
+use std::sync::Arc;
+
+use anyhow::{Context as _, ensure};
+use bus::Node;
+use contract::Address;
+use tokio::sync::{Notify, watch};
+
+use crate::control_room::ControlRoom;
+use crate::journal::Journal;
+use crate::lease::Hold;
+use crate::ledger::Ledger;
+use crate::neighbours::Neighbours;
+use crate::night::Board;
+use crate::rig::Rig;
+use crate::rig::instrument::Voice;
+use crate::safety::Ruling;
+use crate::safety::rules::Rules;
+use crate::schedule::Loaded;
+
+/// A task of the node.
+pub type Task = Pin<Box<dyn Future<Output = anyhow::Result<()>> + Send>>;
+
+/// What `run` hands to its tasks.
+pub struct Start {
+    /// What all share.
+    pub room: Arc<ControlRoom>,
+    /// The safety inputs.
+    pub rules: Rules,
+    /// Where the safety loop puts its ruling.
+    pub ruling: watch::Sender<Ruling>,
+    /// Where the lease is kept.
+    pub hold: watch::Sender<Hold>,
+    /// Where the schedule is put.
+    pub loaded: watch::Sender<Loaded>,
+    /// The other telescopes of the site.
+    pub neighbours: Neighbours,
+}
+
+/// An order from last night is no order for this one, sky s.
+const ORDER_HOLDS_S: f64 = 18.0 * 3600.0;
+
+/// Prepares everything and says nothing yet.
+pub async fn start(node: &Node) -> anyhow::Result<Start> {
+    let (config, clock) = (&node.config, node.bus.clock());
+    ensure!(
+        config.place.telescope.as_str() != Address::SHARED,
+        "the file of a site's shared devices has no telescope to run; start an observatory node per telescope"
+    );
+    let journal = open_journal(node).await?;
+    let robotic = match journal.last_robotic() {
+        Some((at, on)) if clock.utc().seconds_since(at).abs() < ORDER_HOLDS_S => {
+            tracing::info!(on, %at, "the robotic switch stands as it was ordered");
+            on
+        }
+        _ => config.schedule.robotic,
+    };
+    let (ruling, heard_ruling) = watch::channel(Ruling::none(clock.machine(), clock.utc()));
+    let (hold, seen_hold) = watch::channel(Hold::Asking);
+    let doubt = Arc::new(Notify::new());
+    let voice =
+        Voice { bus: node.bus.clone(), signature: node.signature(), lease: seen_hold.clone(), doubt: doubt.clone() };
+    let room = ControlRoom {
+        node: node.clone(),
+        rig: Rig::listen(node, &voice).await?,
+        ruling: heard_ruling,
+        hold: seen_hold,
+        doubt,
+        robotic: watch::channel(robotic).0,
+        wish_closed: watch::channel(None).0,
+        reload: watch::channel(0).0,
+        journal,
+        ledger: Ledger::default(),
+        board: Board::new(config.schedule.file.display().to_string()),
+    };
+    Ok(Start {
+        room: Arc::new(room),
+        rules: Rules::of(config),
+        ruling,
+        hold,
+        loaded: watch::channel(Loaded::default()).0,
+        neighbours: Neighbours::default(),
+    })
+}
+
+async fn open_journal(node: &Node) -> anyhow::Result<Journal> {
+    let name = format!("journal-{}.jsonl", node.config.place.telescope);
+    let path: PathBuf = node.config.folders.data.join(name);
+    let shown = path.display().to_string();
+    tokio::task::spawn_blocking(move || Journal::open(&path))
+        .await?
+        .with_context(|| format!("cannot open the journal {shown}"))
+}

@@ -1,0 +1,92 @@
+//! What can go wrong while a row of the schedule is worked on.
+
+use contract::Reason;
+
+/// Why a step of an action did not succeed.
+#[derive(Debug, thiserror::Error)]
+pub enum Trouble {
+    /// A device node did not take a command.
+    #[error("{device} refused to {verb} ({reason}): {detail}")]
+    Refused {
+        /// Who.
+        device: String,
+        /// What.
+        verb: String,
+        /// For programs.
+        reason: Reason,
+        /// For people.
+        detail: String,
+    },
+    /// Nobody answered, and the state does not show that the command was taken.
+    #[error("{device} did not answer to {verb}, nor does its state show it")]
+    Unanswered {
+        /// Who.
+        device: String,
+        /// What.
+        verb: String,
+    },
+    /// The device took a command and could not do it.
+    #[error("{device} failed to {verb}: {reason}")]
+    Failed {
+        /// Who.
+        device: String,
+        /// What.
+        verb: String,
+        /// As the device says.
+        reason: String,
+    },
+    /// Something did not become true in time.
+    #[error("{device}: not {what} within {after_s:.0} s of machine time")]
+    Deadline {
+        /// Who.
+        device: String,
+        /// What was waited for.
+        what: String,
+        /// How long.
+        after_s: f64,
+    },
+    /// The device node was restarted and knows nothing of the command.
+    #[error("the node of {device} was restarted before the command was done")]
+    Restarted {
+        /// Whose node.
+        device: String,
+    },
+    /// The sensor did not reach its set point.
+    #[error("{device} is not within {tolerance_k} K of {set_c} C after {minutes} min (sensor at {sensor})")]
+    Cooling {
+        /// Which camera.
+        device: String,
+        /// Set point, degrees Celsius.
+        set_c: f64,
+        /// Accepted distance, K.
+        tolerance_k: f64,
+        /// How long was waited, sky minutes.
+        minutes: f64,
+        /// Where the sensor is, in words.
+        sensor: String,
+    },
+    /// The row asks for what this telescope or this sky does not offer.
+    #[error("{0}")]
+    Impossible(String),
+    /// The sky cannot be computed.
+    #[error("the sky cannot be computed: {0}")]
+    Sky(#[from] sky::SkyError),
+    /// The journal cannot be written, and without it no frame may be started.
+    #[error("the journal cannot be written, so no frame may be started: {0}")]
+    Journal(#[from] std::io::Error),
+}
+
+impl Trouble {
+    /// May the same step succeed a little later?
+    pub fn may_pass(&self) -> bool {
+        match self {
+            Self::Refused { reason, .. } => !matches!(reason, Reason::Malformed | Reason::NotImplemented),
+            Self::Unanswered { .. }
+            | Self::Failed { .. }
+            | Self::Deadline { .. }
+            | Self::Restarted { .. }
+            | Self::Journal(_) => true,
+            Self::Cooling { .. } | Self::Impossible(_) | Self::Sky(_) => false,
+        }
+    }
+}

@@ -1,0 +1,265 @@
+//! The observatory node on a real bus, with devices of make-believe: opens, observes, closes, goes on.
+
+mod site;
+
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use contract::OrderKind;
+use contract::device::camera::Command as Camera;
+use contract::device::dome::{Command as Dome, Shutter};
+use contract::device::telescope::Command as Mount;
+use contract::observatory::{Posture, RowStatus};
+use site::Site;
+
+const MOST: Duration = Duration::from_secs(20);
+/// Near the zenith of the site at the start of the stories.
+const TARGET: &str = r#""ra": 45.0, "dec": -24.6"#;
+
+fn statuses(site: &Site) -> Vec<RowStatus> {
+    let schedule = site.schedule.get().map(|heard| heard.said.body);
+    schedule.map(|schedule| schedule.rows.iter().map(|row| row.status).collect()).unwrap_or_default()
+}
+
+fn night_is(site: &Site, holds: impl Fn(&contract::observatory::NightState) -> bool) -> bool {
+    site.night.get().is_some_and(|heard| holds(&heard.said.body))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_night_opens_observes_and_ends_closed_and_parked() {
+    let site = Site::new(100.0).await;
+    let object =
+        format!(r#"{{"object": "x", "exptime": 10, {TARGET}, "n": 3, "guiding": true, "metadata": {{"visit": 3}}}}"#);
+    site.write_schedule(&[
+        ("open", "{}", "03:00:00", "04:00:00"),
+        ("object", &object, "03:00:00", "04:00:00"),
+        ("calibration", r#"{"exptime": [0, 5], "n": [2, 1]}"#, "03:00:01", "05:00:00"),
+    ]);
+    let node = site.start().await;
+    site.until("ended", MOST, |site| night_is(site, |night| night.ended)).await;
+
+    assert_eq!(statuses(&site), [RowStatus::Finished; 3]);
+    assert_eq!((site.shutter(), site.is_parked()), (Some(Shutter::Closed), true));
+    let purposes: Vec<_> = site.purposes.lock().unwrap().iter().map(|(_, purpose)| purpose.clone()).collect();
+    let types: Vec<_> = purposes.iter().map(|purpose| purpose.image_type.as_str()).collect();
+    let light = "Light Frame";
+    assert_eq!(types, [light, light, light, "Bias Frame", "Bias Frame", "Dark Frame"]);
+    let sequence: Vec<_> = purposes.iter().map(|purpose| purpose.sequence).collect();
+    assert_eq!(sequence, [0, 1, 2, 0, 1, 2]);
+    let first = &purposes[0];
+    assert_eq!((first.action.as_str(), first.object.as_deref(), first.row), ("object", Some("x"), Some(1)));
+    assert_eq!((first.night.as_str(), first.ra_deg, first.dec_deg), ("20261120", Some(45.0), Some(-24.6)));
+    assert_eq!(first.metadata["visit"], "3");
+    assert_eq!(first.paired["Telescope"], "mount");
+    site.until("told", MOST, |site| night_is(site, |night| night.frames == 6 && night.posture == Posture::Closed))
+        .await;
+    assert!(night_is(&site, |night| night.open_s > 0.0 && night.actions.is_empty()));
+    let object = site.schedule.get().unwrap().said.body.rows[1].clone();
+    assert!(object.detail.contains("guiding is not built yet"), "{}", object.detail);
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_unsafe_sky_closes_at_once_and_a_safe_one_goes_on_counting() {
+    let site = Site::new(20.0).await;
+    let object = format!(r#"{{"object": "x", "exptime": 10, {TARGET}, "n": 4}}"#);
+    site.write_schedule(&[("object", &object, "03:00:00", "05:00:00")]);
+    let node = site.start().await;
+    site.until("in the second frame", MOST, |site| {
+        site.exposures() == 1 && site.camera.state.borrow().fields.exposure.is_some()
+    })
+    .await;
+    assert_eq!(site.shutter(), Some(Shutter::Open));
+    site.dome.log.lock().unwrap().clear();
+
+    let rains = Instant::now();
+    site.set_safe(false);
+    site.until("closed and parked", MOST, |site| site.shutter() == Some(Shutter::Closed) && site.is_parked()).await;
+    let told = site.dome.log.lock().unwrap().first().map(|(at, command)| (at.duration_since(rains), command.clone()));
+    let (took, command) = told.unwrap();
+    assert_eq!(command, Dome::CloseShutter);
+    assert!(took < Duration::from_millis(250), "{took:?}");
+    println!("from the word of the monitor to the command at the dome: {took:?}");
+    let aborted = site.camera.log.lock().unwrap().iter().any(|(_, command)| *command == Camera::Abort);
+    assert!(aborted && site.camera.state.borrow().fields.exposure.is_none(), "the exposure is thrown away");
+    site.until("interrupted", MOST, |site| statuses(site) == [RowStatus::Interrupted]).await;
+
+    site.set_safe(true);
+    site.until("finished", MOST, |site| statuses(site) == [RowStatus::Finished]).await;
+    assert_eq!(site.exposures(), 4, "no frame lost, none twice");
+    site.until("ended", MOST, |site| night_is(site, |night| night.ended)).await;
+    assert_eq!(site.shutter(), Some(Shutter::Closed));
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_restart_resumes_in_the_middle_of_an_exposure() {
+    let site = Site::new(20.0).await;
+    let object = format!(r#"{{"object": "x", "exptime": 30, {TARGET}, "n": 3}}"#);
+    site.write_schedule(&[("object", &object, "03:00:00", "05:00:00")]);
+    let node = site.start().await;
+    site.until("in the second frame", MOST, |site| {
+        site.exposures() == 1 && site.camera.state.borrow().fields.exposure.is_some()
+    })
+    .await;
+    node.stop().await;
+    let node = site.start().await;
+    site.until("ended", MOST, |site| night_is(site, |night| night.ended)).await;
+    assert_eq!(site.exposures(), 3, "no frame lost, none twice");
+    let mut sequence: Vec<_> = site.purposes.lock().unwrap().iter().map(|(_, purpose)| purpose.sequence).collect();
+    sequence.dedup();
+    assert_eq!(sequence.len(), 3, "no sequence number twice: {sequence:?}");
+    let closed = site.dome.log.lock().unwrap().iter().filter(|(_, command)| *command == Dome::CloseShutter).count();
+    assert_eq!(closed, 1, "a restart in a safe night does not shut the roof");
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn frames_follow_each_other_without_a_pause() {
+    let site = Site::new(1.0).await;
+    site.write_schedule(&[("calibration", r#"{"exptime": [0.1], "n": [20]}"#, "02:00:00", "05:00:00")]);
+    let node = site.start().await;
+    site.until("done", MOST, |site| site.exposures() == 20).await;
+    let times: Vec<Instant> = site
+        .camera
+        .log
+        .lock()
+        .unwrap()
+        .iter()
+        .filter(|(_, command)| matches!(command, Camera::Expose { .. }))
+        .map(|(at, _)| *at)
+        .collect();
+    let mut gaps: Vec<Duration> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    gaps.sort();
+    // 100 ms of exposure and 20 ms of readout are the camera's own
+    let dead = gaps[gaps.len() / 2].saturating_sub(Duration::from_millis(120));
+    println!("dead time beyond exposure and readout, median: {dead:?}");
+    assert!(dead < Duration::from_millis(50), "{gaps:?}");
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn turning_the_robotic_switch_off_closes_and_on_goes_on() {
+    let site = Site::new(20.0).await;
+    let object = format!(r#"{{"object": "x", "exptime": 10, {TARGET}}}"#);
+    site.write_schedule(&[("object", &object, "03:00:00", "05:00:00")]);
+    let node = site.start().await;
+    site.until("exposing", MOST, |site| site.exposures() >= 1).await;
+    site.order(OrderKind::Robotic(false)).await;
+    site.until("closed", MOST, |site| site.shutter() == Some(Shutter::Closed) && site.is_parked()).await;
+    site.until("idle", MOST, |site| night_is(site, |night| !night.robotic && night.actions.is_empty())).await;
+    let before = site.exposures();
+    site.order(OrderKind::Robotic(true)).await;
+    site.until("exposing again", MOST, |site| site.exposures() > before).await;
+    site.order(OrderKind::Close).await;
+    site.until("closed", MOST, |site| site.shutter() == Some(Shutter::Closed) && site.is_parked()).await;
+    assert!(night_is(&site, |night| !night.robotic));
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_target_below_the_horizon_fails_clearly_and_the_night_goes_on() {
+    let site = Site::new(50.0).await;
+    site.write_schedule(&[
+        ("object", r#"{"object": "north", "exptime": 1, "ra": 0, "dec": 85, "n": 1}"#, "03:00:00", "05:00:00"),
+        ("calibration", r#"{"exptime": [0], "n": [1]}"#, "03:00:01", "05:00:00"),
+    ]);
+    let node = site.start().await;
+    site.until("through", MOST, |site| statuses(site) == [RowStatus::Failed, RowStatus::Finished]).await;
+    let detail = site.schedule.get().unwrap().said.body.rows[0].detail.clone();
+    assert!(detail.contains("below the horizon"), "{detail}");
+    let slewed = site.mount.log.lock().unwrap().iter().any(|(_, command)| matches!(command, Mount::Slew { .. }));
+    assert!(!slewed);
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_refused_schedule_leaves_the_old_one_and_is_told() {
+    let site = Site::new(1.0).await;
+    let calibration = r#"{"exptime": [0], "n": [1]}"#;
+    site.write_schedule(&[("calibration", calibration, "02:00:00", "05:00:00")]);
+    let node = site.start().await;
+    site.until("done", MOST, |site| statuses(site) == [RowStatus::Finished]).await;
+    site.write_schedule(&[("calibratio", calibration, "02:00:00", "05:00:00")]);
+    site.order(OrderKind::ReloadSchedule).await;
+    let refused = |site: &Site| site.schedule.get().and_then(|heard| heard.said.body.refused);
+    site.until("refused", MOST, |site| refused(site).is_some()).await;
+    assert!(refused(&site).unwrap().contains("did you mean \"calibration\"?"));
+    assert_eq!(statuses(&site), [RowStatus::Finished]);
+    site.write_schedule(&[
+        ("calibration", calibration, "02:00:00", "05:00:00"),
+        ("calibration", calibration, "02:00:00", "04:00:00"),
+    ]);
+    site.until("taken", MOST, |site| statuses(site) == [RowStatus::Finished; 2]).await;
+    assert!(refused(&site).is_none());
+    assert_eq!(site.exposures(), 2, "the row that was done is not done again");
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hold_of_the_guard_is_ended_before_opening() {
+    let site = Site::new(20.0).await;
+    site.hold.store(true, Ordering::Relaxed);
+    site.write_schedule(&[("open", "{}", "03:00:00", "05:00:00")]);
+    let node = site.start().await;
+    site.until("finished", MOST, |site| statuses(site) == [RowStatus::Finished]).await;
+    let log: Vec<Dome> = site.dome.log.lock().unwrap().iter().map(|(_, command)| command.clone()).collect();
+    assert_eq!(log[..2], [Dome::Resume, Dome::OpenShutter], "{log:?}");
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_standby_is_silent_until_the_lease_is_free() {
+    let site = Site::new(20.0).await;
+    site.lease_held.store(true, Ordering::Relaxed);
+    site.set_safe(false);
+    site.dome.state.send_modify(|state| state.fields.shutter = contract::Datum::Known(Shutter::Open));
+    let calibration = r#"{"exptime": [0], "n": [1]}"#;
+    site.write_schedule(&[("calibration", calibration, "02:00:00", "05:00:00")]);
+    let node = site.start().await;
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    assert_eq!(site.dome.log.lock().unwrap().len(), 0, "whoever commands closes");
+    assert!(site.night.get().is_none() && site.safety.get().is_none() && site.exposures() == 0);
+    site.lease_held.store(false, Ordering::Relaxed);
+    site.until("closed", MOST, |site| site.shutter() == Some(Shutter::Closed)).await;
+    site.until("done", MOST, |site| statuses(site) == [RowStatus::Finished]).await;
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_silent_monitor_closes_within_seconds() {
+    let site = Site::new(1.0).await;
+    site.write_schedule(&[
+        ("open", "{}", "02:00:00", "05:00:00"),
+        ("calibration", r#"{"exptime": [60], "n": [5]}"#, "02:30:00", "05:00:00"),
+    ]);
+    let node = site.start().await;
+    site.until("open", MOST, |site| site.shutter() == Some(Shutter::Open)).await;
+    let silent = Instant::now();
+    site.monitor.state.send_modify(|state| {
+        let reason = contract::NoData::new("timeout", "2 s");
+        state.link = contract::Link::Lost { reason };
+    });
+    site.until("closed", MOST, |site| site.shutter() == Some(Shutter::Closed)).await;
+    assert!(silent.elapsed() < Duration::from_secs(2), "{:?}", silent.elapsed());
+    let reasons = site.safety.get().unwrap().said.body.reasons;
+    assert!(reasons[0].why.contains("link lost: timeout: 2 s"), "{reasons:?}");
+    site.until("exposing all the same", MOST, |site| site.camera.state.borrow().fields.exposure.is_some()).await;
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_roof_that_its_guard_has_shut_is_opened_again() {
+    let site = Site::new(20.0).await;
+    let object = format!(r#"{{"object": "x", "exptime": 10, {TARGET}, "n": 4}}"#);
+    site.write_schedule(&[("object", &object, "03:00:00", "05:00:00")]);
+    let node = site.start().await;
+    site.until("exposing", MOST, |site| site.exposures() == 1).await;
+    site.hold.store(true, Ordering::Relaxed);
+    site.dome.state.send_modify(|state| state.fields.shutter = contract::Datum::Known(Shutter::Closed));
+    site.until("finished", MOST, |site| statuses(site) == [RowStatus::Finished]).await;
+    let opened = site.dome.log.lock().unwrap().iter().filter(|(_, command)| *command == Dome::OpenShutter).count();
+    assert!(opened >= 2, "{opened}");
+    assert_eq!(site.exposures(), 4);
+    node.stop().await;
+}

@@ -1,0 +1,449 @@
+//! A site of make-believe devices on a real bus: what a device node says and answers, without hardware behind it.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends by panicking")]
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use bus::{Bus, Clock, Latest, Node, Publisher, Quality, Service};
+use contract::device::camera::{self, Activity, Exposure, Frame, Pixel, Purpose};
+use contract::device::dome::{self, Guard, GuardAction, Shutter};
+use contract::device::{Description, safety_monitor, telescope};
+use contract::observatory::{NightState, Permit, SafetyState, ScheduleState, Verdict};
+use contract::{
+    Accepted, Address, Command, CommandId, Datum, DeviceKind, DeviceState, Key, Kind, LastCommand, Link, Name, Order,
+    OrderKind, Outcome, Part, Payload, Reason, Refusal, Reply, Role,
+};
+use tempfile::TempDir;
+use tokio::sync::watch;
+
+/// One make-believe device.
+pub struct Device<K: DeviceKind> {
+    pub key: contract::Device,
+    pub state: watch::Sender<DeviceState<K::Fields>>,
+    /// Every command with the moment it came.
+    pub log: Mutex<Vec<(Instant, K::Command)>>,
+}
+
+impl<K: DeviceKind> Device<K> {
+    fn new(address: &Address, name: &str, fields: K::Fields) -> Arc<Self> {
+        let state = DeviceState {
+            link: Link::Connected,
+            busy: false,
+            period_s: 0.2,
+            last_command: None,
+            fields,
+            readings: Default::default(),
+        };
+        let key = address.device(K::KIND, &name.parse().unwrap());
+        Arc::new(Self { key, state: watch::channel(state).0, log: Mutex::default() })
+    }
+
+    async fn appear(self: &Arc<Self>, bus: &Bus, can: K::Capabilities) {
+        let states: Publisher<DeviceState<K::Fields>> =
+            bus.publisher(&Key::State(self.key.clone()), Quality::State { cache: 10 }).await.unwrap();
+        let mut values = self.state.subscribe();
+        values.mark_changed();
+        tokio::spawn(async move { states.follow(values, Duration::from_millis(200)).await });
+        let about: Publisher<Description<K::Capabilities>> =
+            bus.publisher(&Key::Capabilities(self.key.clone()), Quality::State { cache: 1 }).await.unwrap();
+        let words = String::new();
+        let can = Description {
+            server: words.clone(),
+            number: 0,
+            device_name: words.clone(),
+            driver: words,
+            interface_version: 1,
+            simulated: true,
+            can,
+        };
+        tokio::spawn(async move { about.follow(watch::channel(can).1, Duration::from_secs(1)).await });
+    }
+
+    /// Takes a command, begins `start`, and is done after `takes` with `end`.
+    fn take(
+        self: &Arc<Self>,
+        command: Command<K::Command>,
+        takes: Duration,
+        start: impl FnOnce(&mut K::Fields),
+        end: impl FnOnce(&mut K::Fields) + Send + 'static,
+    ) -> Reply {
+        let id = command.id.clone();
+        self.log.lock().unwrap().push((Instant::now(), command.action));
+        self.state.send_modify(|state| {
+            state.busy = true;
+            start(&mut state.fields);
+            state.last_command = Some(LastCommand {
+                id: id.clone(),
+                from: command.from,
+                verb: "verb".to_owned(),
+                taken_utc: units::Utc::EPOCH,
+                outcome: Outcome::Running,
+            });
+        });
+        let (device, mine) = (self.clone(), id.clone());
+        tokio::spawn(async move {
+            tokio::time::sleep(takes).await;
+            device.state.send_if_modified(|state| {
+                let Some(last) = state.last_command.as_mut().filter(|last| last.id == mine) else { return false };
+                last.outcome = Outcome::Done;
+                state.busy = false;
+                end(&mut state.fields);
+                true
+            });
+        });
+        accept(id, None)
+    }
+}
+
+fn accept(id: CommandId, token: Option<u64>) -> Reply {
+    Reply::Accepted(Accepted { id, token })
+}
+
+/// The whole site and its observatory node.
+pub struct Site {
+    pub clock: Clock,
+    pub address: Address,
+    pub folder: TempDir,
+    pub dome: Arc<Device<dome::Dome>>,
+    pub mount: Arc<Device<telescope::Telescope>>,
+    pub camera: Arc<Device<camera::Camera>>,
+    pub monitor: Arc<Device<safety_monitor::SafetyMonitor>>,
+    pub purposes: Arc<Mutex<Vec<(CommandId, Purpose)>>>,
+    /// The guard holds the dome until somebody sends `resume`.
+    pub hold: Arc<AtomicBool>,
+    /// Somebody else has the lease.
+    pub lease_held: Arc<AtomicBool>,
+    pub bus: Bus,
+    pub night: Latest<NightState>,
+    pub schedule: Latest<ScheduleState>,
+    pub safety: Latest<SafetyState>,
+    _services: Vec<Service>,
+}
+
+/// A node that runs, and how it is stopped.
+pub struct Running {
+    node: Node,
+    task: tokio::task::JoinHandle<anyhow::Result<()>>,
+}
+
+impl Running {
+    pub async fn stop(self) {
+        self.node.stop.stop();
+        self.task.await.unwrap().unwrap();
+        self.node.bus.close().await;
+    }
+}
+
+impl Site {
+    /// A site whose sky is safe and whose sky time runs `speed` times as fast.
+    pub async fn new(speed: f64) -> Self {
+        let clock = Clock::simulated("2026-11-21T03:00:00Z".parse().unwrap(), speed);
+        let address = Address::new("paranal", "callisto").unwrap();
+        let config = bus_config(vec![]);
+        let bus = Bus::open(&config, clock.clone()).await.unwrap();
+        let dome_fields = dome::Fields { shutter: Datum::Known(Shutter::Closed), ..Default::default() };
+        let mount_fields = telescope::Fields {
+            tracking: Datum::Known(false),
+            slewing: Datum::Known(false),
+            at_park: Datum::Known(true),
+            ..Default::default()
+        };
+        let camera_fields = camera::Fields {
+            activity: Datum::Known(Activity::Idle),
+            ccd_c: Datum::Known(15.0),
+            cooler_on: Datum::Known(false),
+            ..Default::default()
+        };
+        let monitor_fields = safety_monitor::Fields { is_safe: Datum::Known(true), gapless_safe_s: 1e6 };
+        let dome = Device::new(&address, "dome", dome_fields);
+        let mount = Device::new(&address, "mount", mount_fields);
+        let camera = Device::new(&address, "cam", camera_fields);
+        let monitor = Device::new(&address, "monitor", monitor_fields);
+        dome.appear(&bus, dome::Capabilities { set_shutter: true, ..Default::default() }).await;
+        mount.appear(&bus, telescope::Capabilities { park: true, ..Default::default() }).await;
+        camera.appear(&bus, camera::Capabilities { width_px: 100, height_px: 100, ..Default::default() }).await;
+        monitor.appear(&bus, safety_monitor::Capabilities {}).await;
+        let purposes = Arc::default();
+        let (hold, lease_held) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
+        let services = vec![
+            serve_dome(&bus, &dome, &address, hold.clone(), lease_held.clone()).await,
+            serve_mount(&bus, &mount).await,
+            serve_camera(&bus, &camera, &clock, &purposes).await,
+        ];
+        let part = |part| Key::Observatory(address.clone(), part);
+        Self {
+            night: bus.latest(&part(Part::Night)).await.unwrap(),
+            schedule: bus.latest(&part(Part::Schedule)).await.unwrap(),
+            safety: bus.latest(&part(Part::Safety)).await.unwrap(),
+            folder: tempfile::tempdir().unwrap(),
+            clock,
+            address,
+            dome,
+            mount,
+            camera,
+            monitor,
+            purposes,
+            hold,
+            lease_held,
+            bus,
+            _services: services,
+        }
+    }
+
+    /// Writes the schedule.
+    pub fn write_schedule(&self, rows: &[(&str, &str, &str, &str)]) {
+        let text: String = rows
+            .iter()
+            .map(|(action, value, start, end)| {
+                format!(
+                    "{{\"device_name\": \"cam\", \"action_type\": \"{action}\", \"action_value\": {value}, \
+                     \"start_time\": \"2026-11-21 {start}\", \"end_time\": \"2026-11-21 {end}\"}}\n"
+                )
+            })
+            .collect();
+        std::fs::write(self.folder.path().join("schedule.jsonl"), text).unwrap();
+    }
+
+    /// Starts an observatory node.
+    pub async fn start(&self) -> Running {
+        let text = r#"
+            [observatory]
+            site = "paranal"
+            telescope = "callisto"
+            latitude_deg = -24.6
+            longitude_deg = -70.4
+            elevation_m = 2500
+            [schedule]
+            robotic = true
+            [[telescope]]
+            name = "mount"
+            server = "a:1"
+            [[camera]]
+            name = "cam"
+            server = "a:1"
+            temperature_c = -30
+            [[dome]]
+            name = "dome"
+            server = "a:1"
+            [[safetymonitor]]
+            name = "monitor"
+            server = "a:1"
+        "#;
+        let mut config = config::parse(text, self.folder.path()).unwrap();
+        config.bus = bus_config(self.bus.locators().await);
+        let bus = Bus::open(&config.bus, self.clock.clone()).await.unwrap();
+        let id: Name = "main".parse().unwrap();
+        let node = Node::new(Role::Observatory, id, config, Default::default(), bus);
+        let task = tokio::spawn(node.clone().live(None, node_observatory::run(node.clone())));
+        Running { node, task }
+    }
+
+    /// Waits until something is seen to be true.
+    pub async fn until(&self, what: &str, most: Duration, mut holds: impl FnMut(&Self) -> bool) {
+        let started = Instant::now();
+        while !holds(self) {
+            if started.elapsed() > most {
+                let night = self.night.get().map(|heard| heard.said.body);
+                let rows = self.schedule.get().map(|heard| heard.said.body);
+                let safety = self.safety.get().map(|heard| heard.said.body);
+                panic!("not {what} within {most:?}\nnight: {night:#?}\nschedule: {rows:#?}\nsafety: {safety:#?}");
+            }
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    }
+
+    pub fn shutter(&self) -> Option<Shutter> {
+        self.dome.state.borrow().fields.shutter.known().copied()
+    }
+
+    pub fn is_parked(&self) -> bool {
+        self.mount.state.borrow().fields.at_park.known() == Some(&true)
+    }
+
+    pub fn set_safe(&self, is_safe: bool) {
+        self.monitor.state.send_modify(|state| {
+            state.fields.is_safe = Datum::Known(is_safe);
+            state.fields.gapless_safe_s = if is_safe { 1e6 } else { 0.0 };
+        });
+    }
+
+    pub fn exposures(&self) -> usize {
+        self.purposes.lock().unwrap().len()
+    }
+
+    pub async fn order(&self, kind: OrderKind) -> Reply {
+        let order = Order { id: CommandId::fresh(), from: "test".to_owned(), reason: String::new(), kind };
+        self.bus.ask(&Key::Order(self.address.clone()), &order, Duration::from_secs(3)).await.unwrap()
+    }
+}
+
+fn bus_config(connect: Vec<String>) -> config::Bus {
+    config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect, multicast: false }
+}
+
+async fn serve<C: Payload>(
+    bus: &Bus,
+    device: &contract::Device,
+    answer: impl Fn(Command<C>) -> Reply + Send + Sync + 'static,
+) -> Service {
+    let key = Key::Command(device.clone());
+    let answer = Arc::new(answer);
+    let service = bus.serve(&key, move |asked: Result<Command<C>, String>| {
+        let answer = answer.clone();
+        async move { answer(asked.unwrap()) }
+    });
+    service.await.unwrap()
+}
+
+async fn serve_dome(
+    bus: &Bus,
+    dome: &Arc<Device<dome::Dome>>,
+    address: &Address,
+    hold: Arc<AtomicBool>,
+    lease_held: Arc<AtomicBool>,
+) -> Service {
+    let permit: Latest<Permit> = bus.latest(&Key::Permit(address.clone(), dome.key.name.clone())).await.unwrap();
+    let guard = bus.publisher::<Guard>(&Key::Guard(dome.key.clone()), Quality::Urgent).await.unwrap();
+    let numbers = Arc::new(AtomicU64::new(0));
+    let (say, held) = (numbers.clone(), hold.clone());
+    tokio::spawn(async move {
+        loop {
+            let number = say.fetch_add(1, Ordering::Relaxed);
+            let body = Guard {
+                number,
+                token: 7,
+                permit_valid_s: 10.0,
+                permits: vec![],
+                may_be_open: true,
+                action: GuardAction::Watching,
+                hold: held.load(Ordering::Relaxed),
+                dropped: 0,
+            };
+            guard.put(body).await.unwrap();
+            tokio::time::sleep(Duration::from_millis(300)).await;
+        }
+    });
+    let at = dome.clone();
+    serve(bus, &dome.key, move |command: Command<dome::Command>| match command.action {
+        dome::Command::Claim if lease_held.load(Ordering::Relaxed) => {
+            let detail = "observatory/other is alive".to_owned();
+            Reply::Refusal(Refusal { id: command.id, reason: Reason::LeaseHeld, detail })
+        }
+        dome::Command::Claim => accept(command.id, Some(7)),
+        dome::Command::Resume => {
+            hold.store(false, Ordering::Relaxed);
+            at.take(command, Duration::ZERO, |_| {}, |_| {})
+        }
+        dome::Command::OpenShutter => {
+            let newest = numbers.load(Ordering::Relaxed);
+            let valid = permit.fresh(Duration::from_secs(3)).is_some_and(|heard| {
+                let permit = heard.said.body;
+                permit.verdict == Verdict::Safe && permit.token == 7 && permit.guard_number + 10 > newest
+            });
+            if valid && command.token == Some(7) && !hold.load(Ordering::Relaxed) {
+                let end = |fields: &mut dome::Fields| fields.shutter = Datum::Known(Shutter::Open);
+                let start = |fields: &mut dome::Fields| fields.shutter = Datum::Known(Shutter::Opening);
+                at.take(command, Duration::from_millis(100), start, end)
+            } else {
+                let (id, detail) = (command.id, "no permit".to_owned());
+                Reply::Refusal(Refusal { id, reason: Reason::NoPermit, detail })
+            }
+        }
+        dome::Command::CloseShutter => {
+            let end = |fields: &mut dome::Fields| fields.shutter = Datum::Known(Shutter::Closed);
+            let start = |fields: &mut dome::Fields| fields.shutter = Datum::Known(Shutter::Closing);
+            at.take(command, Duration::from_millis(100), start, end)
+        }
+        _ => at.take(command, Duration::ZERO, |_| {}, |_| {}),
+    })
+    .await
+}
+
+async fn serve_mount(bus: &Bus, mount: &Arc<Device<telescope::Telescope>>) -> Service {
+    let at = mount.clone();
+    serve(bus, &mount.key, move |command: Command<telescope::Command>| {
+        let action = command.action.clone();
+        at.take(
+            command,
+            Duration::from_millis(50),
+            |_| {},
+            move |fields| match action {
+                telescope::Command::Park => {
+                    fields.at_park = Datum::Known(true);
+                    fields.tracking = Datum::Known(false);
+                }
+                telescope::Command::Unpark => fields.at_park = Datum::Known(false),
+                telescope::Command::Track { on } => fields.tracking = Datum::Known(on),
+                telescope::Command::Slew { ra_deg, dec_deg } => {
+                    (fields.ra_deg, fields.dec_deg) = (Datum::Known(ra_deg), Datum::Known(dec_deg));
+                }
+                _ => {}
+            },
+        )
+    })
+    .await
+}
+
+async fn serve_camera(
+    bus: &Bus,
+    camera: &Arc<Device<camera::Camera>>,
+    clock: &Clock,
+    purposes: &Arc<Mutex<Vec<(CommandId, Purpose)>>>,
+) -> Service {
+    let frames =
+        Arc::new(bus.publisher::<Frame>(&Key::Frame(camera.key.clone()), Quality::Event { cache: 100 }).await.unwrap());
+    let (at, clock, purposes) = (camera.clone(), clock.clone(), purposes.clone());
+    serve(bus, &camera.key, move |command: Command<camera::Command>| {
+        let id = command.id.clone();
+        match command.action.clone() {
+            camera::Command::Expose { exposure_s, purpose, .. } => {
+                let started_utc = clock.utc();
+                let takes = clock.machine_duration(Duration::from_secs_f64(exposure_s)) + Duration::from_millis(20);
+                let exposure = Exposure { id: id.clone(), started_utc, exposure_s };
+                let (purposes, frames) = (purposes.clone(), frames.clone());
+                let start = |fields: &mut camera::Fields| fields.exposure = Some(exposure);
+                at.take(command, takes, start, move |fields| {
+                    fields.exposure = None;
+                    purposes.lock().unwrap().push((id.clone(), (*purpose).clone()));
+                    let frame = frame(id, *purpose, started_utc, exposure_s);
+                    tokio::spawn(async move { frames.put(frame).await });
+                })
+            }
+            camera::Command::Abort => at.take(command, Duration::ZERO, |fields| fields.exposure = None, |_| {}),
+            camera::Command::Cool { set_c } => at.take(
+                command,
+                Duration::ZERO,
+                |_| {},
+                move |fields| {
+                    fields.set_c = Datum::Known(set_c);
+                    fields.ccd_c = Datum::Known(set_c + 0.3);
+                    fields.cooler_on = Datum::Known(true);
+                },
+            ),
+            _ => at.take(command, Duration::ZERO, |_| {}, |_| {}),
+        }
+    })
+    .await
+}
+
+fn frame(id: CommandId, purpose: Purpose, started_utc: units::Utc, exposure_s: f64) -> Frame {
+    Frame {
+        id,
+        camera: Kind::Camera.word().to_owned(),
+        purpose,
+        width_px: 1,
+        height_px: 1,
+        planes: 1,
+        pixel: Pixel::U16,
+        bin: 1,
+        origin_px: [0, 0],
+        started_utc,
+        exposure_s,
+        url: String::new(),
+        bytes: 2,
+        sha256: String::new(),
+        readings: Default::default(),
+    }
+}

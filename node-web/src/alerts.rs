@@ -1,0 +1,120 @@
+//! The alerts that stand for one telescope, whoever raised them.
+
+use std::collections::BTreeMap;
+
+use bus::MachineTime;
+use contract::observatory::{Alert, Alerts, Priority};
+use contract::{Key, NodeTopic, Part};
+use serde::{Deserialize as _, Serialize};
+
+use crate::freshness::Quality;
+use crate::network::Telescope;
+
+/// Alerts by priority.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[allow(missing_docs, reason = "P1 to P4")]
+pub struct Counts {
+    pub p1: usize,
+    pub p2: usize,
+    pub p3: usize,
+    pub p4: usize,
+}
+
+impl Counts {
+    /// Counts them.
+    pub fn of(alerts: &[Alert]) -> Self {
+        let of = |priority| alerts.iter().filter(|alert| alert.priority == priority).count();
+        Self {
+            p1: of(Priority::Critical),
+            p2: of(Priority::High),
+            p3: of(Priority::Medium),
+            p4: of(Priority::Advisory),
+        }
+    }
+}
+
+/// Alerts of the observatory node and of each node itself, and one for each node that fell silent.
+pub fn standing(telescope: &Telescope, now: MachineTime) -> Vec<Alert> {
+    let mut found: BTreeMap<String, Alert> = BTreeMap::new();
+    for entry in telescope.states.values() {
+        match &entry.key {
+            Key::Observatory(_, Part::Alerts) | Key::Node(_, _, _, NodeTopic::Alerts) => {
+                let said = Alerts::deserialize(entry.body.as_ref()).unwrap_or_default();
+                for alert in said.alerts {
+                    // the observatory node merges what the others say: the same alert may come twice
+                    let known = found.values().any(|a| a.cause == alert.cause && a.raised_utc == alert.raised_utc);
+                    if !known {
+                        found.entry(alert.id.clone()).or_insert(alert);
+                    }
+                }
+            }
+            Key::Node(_, role, id, NodeTopic::State) if entry.quality(now) == Quality::Lost => {
+                let name = format!("node-silent/{role}/{id}");
+                let alert = Alert {
+                    id: name.clone(),
+                    priority: Priority::High,
+                    raised_utc: entry.at_utc,
+                    cause: format!("the {role} node {id} has fallen silent"),
+                    consequence: "what it told is no longer true".to_owned(),
+                    action: "look at its host and restart it".to_owned(),
+                };
+                found.insert(name, alert);
+            }
+            _ => {}
+        }
+    }
+    let mut alerts: Vec<Alert> = found.into_values().collect();
+    alerts.sort_by(|a, b| (a.priority, a.raised_utc, &a.id).cmp(&(b.priority, b.raised_utc, &b.id)));
+    alerts
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use bus::Clock;
+    use contract::Address;
+    use serde_json::{Value, json};
+
+    use super::*;
+    use crate::network::Network;
+    use crate::network::tests::heard;
+
+    fn ids(said: &[(&str, Value)], now_s: u64) -> Vec<String> {
+        let address = Address::new("paranal", "callisto").unwrap();
+        let network = Network::new(Clock::machine_clock(), address.clone());
+        for (key, body) in said {
+            network.accept(heard(&format!("paranal/callisto/{key}"), "b", 0, 100, body.clone()));
+        }
+        let now = MachineTime::from_boot(Duration::from_secs(now_s));
+        standing(&network.read().telescopes[&address], now).into_iter().map(|alert| alert.id).collect()
+    }
+
+    fn alert(id: &str, priority: &str) -> Value {
+        let raised = "2026-11-21T03:12:45Z";
+        json!({"id": id, "priority": priority, "raised_utc": raised, "cause": "c", "consequence": "", "action": ""})
+    }
+
+    #[test]
+    fn an_alert_that_the_observatory_repeats_for_another_node_stands_once() {
+        let own = json!({ "alerts": [alert("spool-full/andor", "medium")] });
+        let merged = json!({ "alerts": [alert("device/main/spool-full/andor", "medium")] });
+        let said = [("node/device/main/alerts", own), ("observatory/alerts/state", merged)];
+        assert_eq!(ids(&said, 101).len(), 1);
+    }
+
+    #[test]
+    fn the_most_urgent_stands_first_and_silence_does_not_clear_it() {
+        let mut low = alert("low", "advisory");
+        low["cause"] = json!("another");
+        let said = [("observatory/alerts/state", json!({ "alerts": [low, alert("high", "critical")] }))];
+        assert_eq!(ids(&said, 100_000), ["high", "low"]);
+    }
+
+    #[test]
+    fn a_node_that_falls_silent_is_an_alert() {
+        let said = [("node/archive/main/state", json!({}))];
+        assert!(ids(&said, 110).is_empty());
+        assert_eq!(ids(&said, 130), ["node-silent/archive/main"]);
+    }
+}

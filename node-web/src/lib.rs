@@ -1,0 +1,106 @@
+//! The web node: the whole telescope network on one page, and the same as JSON.
+//!
+//! It hears every site and telescope on the bus (`hear`), keeps the newest payload of each key with its time of
+//! arrival (`network`), and shows that: a page with everything it needs built in (`routes::page`), kept live
+//! over one WebSocket (`ws`), the newest image of each telescope (`preview`), the heartbeat document that
+//! monitoring scripts know (`routes::heartbeat`), and native JSON (`routes::network`). Ages are judged by this
+//! machine's clock at arrival (`freshness`), so a silent node is seen to be silent.
+//!
+//! It is never in the safety path: it decides nothing, and nothing waits for it.
+
+mod alerts;
+mod diary;
+mod freshness;
+mod gate;
+mod hear;
+mod host;
+mod network;
+mod preview;
+mod problem;
+mod routes;
+mod server;
+mod shrink;
+mod stretch;
+mod summary;
+mod ws;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context as _;
+use axum::serve::ListenerExt as _;
+use contract::Scalar;
+use tokio::net::TcpListener;
+use tokio::task::JoinSet;
+
+use crate::gate::Gate;
+use crate::server::Server;
+
+/// Answers under way when the node is told to stop may take so long.
+const LAST_ANSWERS: Duration = Duration::from_secs(2);
+const FORGET_EVERY: Duration = Duration::from_secs(600);
+
+/// Serves the page until the node is told to stop.
+pub async fn run(node: bus::Node) -> anyhow::Result<()> {
+    let listen = node.config.web.listen;
+    let listener = TcpListener::bind(listen).await.with_context(|| format!("cannot serve the page on {listen}"))?;
+    let address = listener.local_addr()?;
+
+    let network = Arc::new(network::Network::new(node.bus.clock().clone(), node.config.address()));
+    let previews = Arc::new(preview::Previews::new(network.clone())?);
+    let host = Arc::new(host::Host::default());
+    let mut tasks = JoinSet::new();
+    hear::everything(&node.bus, &network, &previews, &mut tasks).await?;
+    tasks.spawn(previews.clone().make());
+    tasks.spawn(host.clone().measure(node.config.folders.data.clone()));
+    tasks.spawn(forget(network.clone()));
+
+    let server = Server {
+        network,
+        previews,
+        host,
+        bus: node.bus.clone(),
+        stop: node.stop.clone(),
+        heartbeats: Default::default(),
+        sockets: Default::default(),
+    };
+    let app = server::router(Arc::new(server), Gate::new(address, host_name()));
+    let url = format!("http://{}/", reachable(address));
+    node.figure("page_url", Scalar::Text(url.clone()));
+    tracing::info!("page: {url}");
+
+    // small answers must not wait for an acknowledgement of the one before
+    let listener = listener.tap_io(|stream| drop(stream.set_nodelay(true)));
+    let stop = node.stop.clone();
+    let serve = axum::serve(listener, app).with_graceful_shutdown(async move { stop.wait().await });
+    let ending = async {
+        node.stop.wait().await;
+        tokio::time::sleep(LAST_ANSWERS).await;
+    };
+    tokio::select! {
+        result = serve => result.context("the server ended"),
+        () = ending => Ok(()),
+        Some(ended) = tasks.join_next() => ended.context("a task of the web node failed")?,
+    }
+}
+
+async fn forget(network: Arc<network::Network>) -> anyhow::Result<()> {
+    loop {
+        tokio::time::sleep(FORGET_EVERY).await;
+        network.forget();
+    }
+}
+
+/// An address that a browser on this machine can open.
+fn reachable(address: SocketAddr) -> SocketAddr {
+    match (address.ip().is_unspecified(), address) {
+        (true, SocketAddr::V4(_)) => SocketAddr::from(([127, 0, 0, 1], address.port())),
+        (true, SocketAddr::V6(_)) => SocketAddr::from((std::net::Ipv6Addr::LOCALHOST, address.port())),
+        (false, _) => address,
+    }
+}
+
+fn host_name() -> String {
+    sysinfo::System::host_name().unwrap_or_default()
+}

@@ -1,0 +1,234 @@
+//! The newest image of each camera, made in memory: fetched from the spool, shrunk, stretched, JPEG.
+//!
+//! At most one a second while a page is open, one in ten seconds while nobody looks; frames in between are passed
+//! over. It still happens with nobody looking, because the spool forgets a frame once the archive has it.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use axum::body::Bytes;
+use bus::MachineTime;
+use contract::device::camera::Frame;
+use contract::{Address, CommandId, Device, Name};
+use futures_util::StreamExt as _;
+use tokio::sync::{Notify, mpsc};
+
+use crate::network::{Image, Network};
+use crate::shrink::{Shrink, Small};
+use crate::stretch::stretch;
+
+/// Longest side of the image, pixels: a phone's and a tile's worth.
+const LONGEST_SIDE_PX: usize = 1024;
+const QUALITY_PERCENT: u8 = 82;
+/// A frame of more pixels is a mistake or an attack.
+const MOST_PIXELS: u64 = 500_000_000;
+const WATCHED_EVERY: Duration = Duration::from_secs(1);
+const UNWATCHED_EVERY: Duration = Duration::from_secs(10);
+const FETCH_TIMEOUT: Duration = Duration::from_secs(60);
+
+/// Why a frame has no image.
+#[derive(Debug, thiserror::Error)]
+pub enum PreviewError {
+    /// The pixels could not be fetched.
+    #[error("its pixels cannot be fetched: {}", .0.to_string().split(" for url").next().unwrap_or("no answer"))]
+    Fetch(reqwest::Error),
+    /// Fewer pixels came than were announced.
+    #[error("its pixels ended early")]
+    CutShort,
+    /// The announced size is none that a sensor has.
+    #[error("it is announced with {width_px} x {height_px} pixels")]
+    Size {
+        /// Columns.
+        width_px: u32,
+        /// Rows.
+        height_px: u32,
+    },
+    /// The JPEG could not be written.
+    #[error("its image cannot be encoded: {0}")]
+    Encode(#[from] jpeg_encoder::EncodingError),
+}
+
+/// An image ready to be served.
+#[derive(Debug, Clone)]
+pub struct Jpeg {
+    /// Which frame it shows.
+    pub frame: CommandId,
+    /// The file.
+    pub bytes: Bytes,
+}
+
+/// Images made and frames that wait for theirs.
+pub struct Previews {
+    network: Arc<Network>,
+    client: reqwest::Client,
+    waiting: Mutex<BTreeMap<Device, (Frame, MachineTime)>>,
+    made: Mutex<BTreeMap<Address, BTreeMap<Name, Jpeg>>>,
+    wake: Notify,
+    watchers: AtomicUsize,
+}
+
+/// Counts as a watcher until it is dropped.
+pub struct Watching(Arc<Previews>);
+
+impl Drop for Watching {
+    fn drop(&mut self) {
+        self.0.watchers.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+impl Previews {
+    /// None yet.
+    pub fn new(network: Arc<Network>) -> Result<Self, reqwest::Error> {
+        // spools are hosts of the observatory's own network, never behind a proxy
+        let client = reqwest::Client::builder().no_proxy().connect_timeout(Duration::from_secs(5));
+        Ok(Self {
+            network,
+            client: client.timeout(FETCH_TIMEOUT).build()?,
+            waiting: Mutex::default(),
+            made: Mutex::default(),
+            wake: Notify::new(),
+            watchers: AtomicUsize::new(0),
+        })
+    }
+
+    /// Someone looks: images are made more often.
+    pub fn watch(self: &Arc<Self>) -> Watching {
+        self.watchers.fetch_add(1, Ordering::Relaxed);
+        self.wake.notify_one();
+        Watching(self.clone())
+    }
+
+    /// How many look.
+    pub fn watchers(&self) -> usize {
+        self.watchers.load(Ordering::Relaxed)
+    }
+
+    /// A frame was announced; it takes the place of an older one of its camera that still waits.
+    pub fn want(&self, camera: Device, frame: Frame, arrived: MachineTime) {
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner).insert(camera, (frame, arrived));
+        self.wake.notify_one();
+    }
+
+    /// The newest image of a telescope, or of one of its cameras.
+    pub fn newest(&self, address: &Address, camera: Option<&str>) -> Option<Jpeg> {
+        let shown = self.network.read().telescopes.get(address)?.image.as_ref().map(|image| image.id.clone());
+        let made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        let cameras = made.get(address)?;
+        match camera {
+            Some(camera) => cameras.iter().find(|(name, _)| name.as_str() == camera).map(|(_, jpeg)| jpeg.clone()),
+            None => cameras.values().find(|jpeg| Some(&jpeg.frame) == shown.as_ref()).cloned(),
+        }
+    }
+
+    /// Makes images for ever.
+    pub async fn make(self: Arc<Self>) -> anyhow::Result<()> {
+        let mut last: Option<MachineTime> = None;
+        loop {
+            let every = if self.watchers() > 0 { WATCHED_EVERY } else { UNWATCHED_EVERY };
+            let left =
+                last.map_or(Duration::ZERO, |last| every.saturating_sub(self.network.clock().machine().since(last)));
+            let anything = !self.waiting.lock().unwrap_or_else(PoisonError::into_inner).is_empty();
+            if !anything {
+                self.wake.notified().await;
+                continue;
+            }
+            if !left.is_zero() {
+                // a page that opens shortens the wait
+                let _ = tokio::time::timeout(left, self.wake.notified()).await;
+                continue;
+            }
+            last = Some(self.network.clock().machine());
+            let waiting = std::mem::take(&mut *self.waiting.lock().unwrap_or_else(PoisonError::into_inner));
+            for (camera, (frame, arrived)) in waiting {
+                self.make_one(camera, frame, arrived).await;
+            }
+        }
+    }
+
+    async fn make_one(&self, camera: Device, mut frame: Frame, arrived: MachineTime) {
+        let made = self.fetch(&frame).await;
+        match made {
+            Ok(bytes) => {
+                let id = frame.id.clone();
+                frame.url.clear();
+                let jpeg = Jpeg { frame: id.clone(), bytes: bytes.into() };
+                let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+                made.entry(camera.address.clone()).or_default().insert(camera.name.clone(), jpeg);
+                drop(made);
+                let body = serde_json::to_value(&frame).unwrap_or_default();
+                self.network.show_image(&camera.address, Image { frame: Arc::new(body), id, arrived, problem: None });
+            }
+            Err(error) => {
+                tracing::warn!(frame = %frame.id, camera = %camera.name, "no image of a frame: {error}");
+                self.network.miss_image(&camera.address, format!("frame {} is not shown: {error}", frame.id));
+            }
+        }
+    }
+
+    /// Fetches, shrinks on the way and encodes; all arithmetic on a thread of its own.
+    async fn fetch(&self, frame: &Frame) -> Result<Vec<u8>, PreviewError> {
+        let (width, height) = (frame.width_px, frame.height_px);
+        let pixels = u64::from(width) * u64::from(height);
+        // JPEG sides are 16 bit, and the longest side of the image is shorter than that
+        if pixels == 0 || pixels > MOST_PIXELS {
+            return Err(PreviewError::Size { width_px: width, height_px: height });
+        }
+        let response = self.client.get(&frame.url).send().await.map_err(PreviewError::Fetch)?;
+        let mut body = response.error_for_status().map_err(PreviewError::Fetch)?.bytes_stream();
+        let (portions, mut arrive) = mpsc::channel::<Bytes>(4);
+        let mut shrink = Shrink::new(width as usize, height as usize, frame.pixel, LONGEST_SIDE_PX);
+        let work = tokio::task::spawn_blocking(move || {
+            while let Some(portion) = arrive.blocking_recv() {
+                shrink.take(&portion);
+            }
+            encode(&shrink.finish().ok_or(PreviewError::CutShort)?)
+        });
+        let mut left = pixels * frame.pixel.bytes() as u64;
+        while left > 0
+            && let Some(portion) = body.next().await
+        {
+            let portion = portion.map_err(PreviewError::Fetch)?;
+            left = left.saturating_sub(portion.len() as u64);
+            if portions.send(portion).await.is_err() {
+                break;
+            }
+        }
+        drop(portions);
+        // the thread only ends early when the runtime does
+        work.await.unwrap_or(Err(PreviewError::CutShort))
+    }
+}
+
+fn encode(small: &Small) -> Result<Vec<u8>, PreviewError> {
+    let (width_px, height_px) = (small.width as u32, small.height as u32);
+    let (Ok(width), Ok(height)) = (u16::try_from(width_px), u16::try_from(height_px)) else {
+        return Err(PreviewError::Size { width_px, height_px });
+    };
+    let mut bytes = Vec::new();
+    let encoder = jpeg_encoder::Encoder::new(&mut bytes, QUALITY_PERCENT);
+    encoder.encode(&stretch(small), width, height, jpeg_encoder::ColorType::Luma)?;
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use contract::device::camera::Pixel;
+
+    use super::*;
+
+    #[test]
+    fn a_wide_frame_becomes_a_jpeg_within_the_longest_side() {
+        let mut shrink = Shrink::new(3000, 40, Pixel::U16, LONGEST_SIDE_PX);
+        for i in 0..3000 * 40u32 {
+            shrink.take(&((i % 4096) as u16).to_le_bytes());
+        }
+        let jpeg = encode(&shrink.finish().unwrap()).unwrap();
+        assert_eq!(jpeg[..3], [0xFF, 0xD8, 0xFF]);
+        // start-of-frame marker: height and width follow the precision
+        let sof = jpeg.windows(2).position(|pair| pair == [0xFF, 0xC0]).unwrap();
+        let side = |at: usize| u16::from_be_bytes([jpeg[sof + at], jpeg[sof + at + 1]]);
+        assert_eq!((side(5), side(7)), (14, 1000));
+    }
+}

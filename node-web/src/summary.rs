@@ -1,0 +1,365 @@
+//! One telescope in a few words: safety, posture, mode, activity, alerts, age.
+//!
+//! The verdict is the observatory node's own and is never recomputed here; a stale verdict or posture counts as
+//! unknown, because a permit would not outlive it either.
+
+use bus::MachineTime;
+use contract::device::camera::Frame;
+use contract::node::NodeState;
+use contract::observatory::{
+    ActionNow, Alert, NightState, Posture, RowStatus, SafetyState, ScheduleState, Unsafe, Verdict,
+};
+use contract::{Address, Chunk, Key, NodeTopic, Part};
+use serde::{Deserialize as _, Serialize};
+use units::Utc;
+
+use crate::alerts::{Counts, standing};
+use crate::freshness::Quality;
+use crate::network::{Entry, Telescope};
+
+/// A tile of the overview, and the head of the telescope page.
+#[derive(Debug, Clone, Serialize)]
+pub struct Summary {
+    /// What is said; sent again only when it differs.
+    #[serde(flatten)]
+    pub face: Face,
+    /// How old it is.
+    #[serde(flatten)]
+    pub ages: Ages,
+}
+
+/// What changes only when something happens.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Face {
+    /// `site/telescope`, unique on the network.
+    pub id: String,
+    /// The site.
+    pub site_id: Chunk,
+    /// The telescope, unique within its site.
+    pub telescope_id: Chunk,
+    /// Not a telescope but what a site's telescopes share.
+    pub shared: bool,
+    /// Worth of what the observatory node says.
+    pub quality: Quality,
+    /// The safety word.
+    pub safety: Safety,
+    /// The posture; `unknown` when stale.
+    pub posture: Posture,
+    /// How it is run.
+    pub mode: Mode,
+    /// The devices are simulated.
+    pub simulated: bool,
+    /// Speed of sky time.
+    pub speed: f64,
+    /// The night's schedule is done.
+    pub ended: bool,
+    /// What is under way; empty when stale.
+    pub activity: Vec<ActionNow>,
+    /// Frames announced since the observatory node started.
+    pub frames: u64,
+    /// How far the schedule is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub schedule: Option<ScheduleSummary>,
+    /// Standing alerts, the most urgent first.
+    pub alerts: Vec<Alert>,
+    /// Alerts by priority.
+    pub alert_counts: Counts,
+    /// What safety and posture together are worth to an operator: 1 critical to 3 medium; absent when all is well.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub concern: Option<u8>,
+    /// Devices heard, and those without link or silent.
+    pub device_count: Heads,
+    /// Nodes heard, and those that fell silent.
+    pub node_count: Heads,
+    /// The newest image.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub image: Option<ImageCaption>,
+}
+
+/// Ages on this machine's own clock, s; the reader adds the time since it read them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Ages {
+    /// Since the observatory node last spoke of safety or the night; absent when it never did.
+    pub age_s: Option<f64>,
+    /// Since the shown image's frame was announced.
+    pub image_age_s: Option<f64>,
+    /// The observatory node's own stamp of its newest word.
+    pub reported_utc: Option<Utc>,
+}
+
+/// The verdict as the page shows it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Safety {
+    /// The word.
+    pub state: SafetyWord,
+    /// Sky time since when the verdict stands.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub since_utc: Option<Utc>,
+    /// Why it is not safe.
+    pub reasons: Vec<Unsafe>,
+    /// Sky seconds until it can be safe.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time_to_safe_s: Option<f64>,
+}
+
+/// The three words of safety.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SafetyWord {
+    /// The observatory node says so, now.
+    Safe,
+    /// It says that it is not.
+    Unsafe,
+    /// Nobody says anything fresh.
+    Unknown,
+}
+
+/// How a telescope is run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Mode {
+    /// It works through its schedule by itself.
+    Robotic,
+    /// People decide.
+    Manual,
+    /// Nobody says anything fresh.
+    Unknown,
+}
+
+/// How far the schedule is.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ScheduleSummary {
+    /// Rows in all.
+    pub rows: usize,
+    /// Rows finished.
+    pub finished: usize,
+    /// Rows failed or skipped.
+    pub failed: usize,
+    /// Action of the next row that waits.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub next: Option<String>,
+    /// Its earliest start.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub next_utc: Option<Utc>,
+}
+
+/// How many there are, and how many are in trouble.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Heads {
+    /// Heard since start.
+    pub known: usize,
+    /// Silent, or without link.
+    pub lost: usize,
+}
+
+/// What stands under the image.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ImageCaption {
+    /// Which frame.
+    pub frame: String,
+    /// Which camera.
+    pub camera: String,
+    /// What it shows.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub object: Option<String>,
+    /// `Light Frame`, `Dark Frame` …
+    pub image_type: String,
+    /// Filter in the beam.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub filter: Option<String>,
+    /// Seconds of light.
+    pub exposure_s: f64,
+    /// Sky time of the shutter's opening.
+    pub started_utc: Utc,
+    /// Columns and rows of the frame.
+    pub size_px: [u32; 2],
+    /// Why a newer frame could not be shown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub problem: Option<String>,
+}
+
+/// One node, for `/api/v1/network`.
+#[derive(Debug, Clone, Serialize)]
+pub struct NodeSummary {
+    /// Its name.
+    pub id: String,
+    /// What it says of itself.
+    #[serde(flatten)]
+    pub state: NodeState,
+    /// Since it last spoke, s.
+    pub age_s: f64,
+    /// What that is worth.
+    pub quality: Quality,
+}
+
+/// An opening that the sky does not allow is given so long to end before it is critical, machine seconds.
+const GRACE_S: f64 = 30.0;
+
+impl Summary {
+    /// Sums up what is known now.
+    pub fn of(address: &Address, telescope: &Telescope, now: MachineTime) -> Self {
+        let shared = address.telescope.as_str() == Address::SHARED;
+        let part = |part| Key::Observatory(address.clone(), part);
+        let night = telescope.read::<NightState>(&part(Part::Night));
+        let safety = telescope.read::<SafetyState>(&part(Part::Safety));
+        let spoke: Vec<&Entry> =
+            night.as_ref().map(|(e, _)| *e).into_iter().chain(safety.as_ref().map(|(e, _)| *e)).collect();
+        let newest = spoke.iter().max_by_key(|entry| entry.arrived);
+        let quality = newest.map_or(Quality::Never, |entry| entry.quality(now));
+        let speed = night.as_ref().map_or(1.0, |(_, night)| night.speed);
+
+        let fresh_night = night.as_ref().filter(|(entry, _)| entry.quality(now) == Quality::Fresh).map(|(_, n)| n);
+        let posture = fresh_night.map_or(Posture::Unknown, |night| night.posture);
+        let words = safety_words(safety.as_ref(), now);
+        let held_s = safety.as_ref().map_or(f64::INFINITY, |(entry, said)| {
+            entry.at_utc.seconds_since(said.since_utc) / speed + entry.age(now).as_secs_f64()
+        });
+        let alerts = standing(telescope, now);
+        let image = telescope.image.as_ref();
+        let face = Face {
+            id: address.to_string(),
+            site_id: address.site.clone(),
+            telescope_id: address.telescope.clone(),
+            shared,
+            quality,
+            concern: if shared || quality == Quality::Never { None } else { concern(words.state, posture, held_s) },
+            safety: words,
+            posture,
+            mode: match fresh_night.map(|night| night.robotic) {
+                Some(true) => Mode::Robotic,
+                Some(false) => Mode::Manual,
+                None => Mode::Unknown,
+            },
+            simulated: night.as_ref().is_some_and(|(_, night)| night.simulated),
+            speed,
+            ended: fresh_night.is_some_and(|night| night.ended),
+            activity: fresh_night.map(|night| night.actions.clone()).unwrap_or_default(),
+            frames: night.as_ref().map_or(0, |(_, night)| night.frames),
+            schedule: telescope.read::<ScheduleState>(&part(Part::Schedule)).map(|(_, schedule)| summed(&schedule)),
+            alert_counts: Counts::of(&alerts),
+            alerts,
+            device_count: devices(telescope, now),
+            node_count: heads(nodes(telescope, now).iter().map(|node| node.quality >= Quality::Lost)),
+            image: image.and_then(|image| {
+                let frame = Frame::deserialize(image.frame.as_ref()).ok()?;
+                Some(ImageCaption {
+                    frame: frame.id.to_string(),
+                    camera: frame.camera,
+                    object: frame.purpose.object,
+                    image_type: frame.purpose.image_type,
+                    filter: frame.purpose.filter,
+                    exposure_s: frame.exposure_s,
+                    started_utc: frame.started_utc,
+                    size_px: [frame.width_px, frame.height_px],
+                    problem: image.problem.clone(),
+                })
+            }),
+        };
+        let ages = Ages {
+            age_s: newest.map(|entry| entry.age(now).as_secs_f64()),
+            image_age_s: image.map(|image| now.since(image.arrived).as_secs_f64()),
+            reported_utc: newest.map(|entry| entry.at_utc),
+        };
+        Self { face, ages }
+    }
+}
+
+/// The nodes of a telescope by role and id.
+pub fn nodes(telescope: &Telescope, now: MachineTime) -> Vec<NodeSummary> {
+    let of = |entry: &Entry| match &entry.key {
+        Key::Node(_, _, id, NodeTopic::State) => Some(NodeSummary {
+            id: id.to_string(),
+            state: NodeState::deserialize(entry.body.as_ref()).ok()?,
+            age_s: entry.age(now).as_secs_f64(),
+            quality: entry.quality(now),
+        }),
+        _ => None,
+    };
+    telescope.states.values().filter_map(of).collect()
+}
+
+fn safety_words(said: Option<&(&Entry, SafetyState)>, now: MachineTime) -> Safety {
+    match said {
+        Some((entry, said)) => {
+            let fresh = entry.quality(now) == Quality::Fresh;
+            let word = match said.verdict {
+                _ if !fresh => SafetyWord::Unknown,
+                Verdict::Safe => SafetyWord::Safe,
+                Verdict::Unsafe => SafetyWord::Unsafe,
+            };
+            let silent = Unsafe {
+                input: "observatory node".to_owned(),
+                why: format!("its verdict is {}, the last one was {:?}", entry.quality(now).word(), said.verdict)
+                    .to_lowercase(),
+                clears_in_s: None,
+            };
+            Safety {
+                state: word,
+                since_utc: fresh.then_some(said.since_utc),
+                reasons: if fresh { said.reasons.clone() } else { vec![silent] },
+                time_to_safe_s: said.time_to_safe_s.filter(|_| fresh),
+            }
+        }
+        None => Safety { state: SafetyWord::Unknown, since_utc: None, reasons: Vec::new(), time_to_safe_s: None },
+    }
+}
+
+/// What the two words together ask of an operator (spec/web.md 5.3.2).
+fn concern(safety: SafetyWord, posture: Posture, held_s: f64) -> Option<u8> {
+    let after_grace = |late, early| if held_s > GRACE_S { late } else { early };
+    match (safety, posture) {
+        (SafetyWord::Safe, Posture::Closed | Posture::Opening | Posture::Open | Posture::Closing) => None,
+        (SafetyWord::Safe, Posture::Unknown) => Some(2),
+        (SafetyWord::Unsafe, Posture::Closed) => None,
+        (SafetyWord::Unsafe, Posture::Closing) => Some(after_grace(1, 3)),
+        (SafetyWord::Unsafe, Posture::Open) => Some(after_grace(1, 2)),
+        (SafetyWord::Unsafe, Posture::Opening | Posture::Unknown) => Some(1),
+        (SafetyWord::Unknown, Posture::Closed) => Some(3),
+        (SafetyWord::Unknown, Posture::Opening | Posture::Closing) => Some(2),
+        (SafetyWord::Unknown, Posture::Open | Posture::Unknown) => Some(1),
+    }
+}
+
+fn devices(telescope: &Telescope, now: MachineTime) -> Heads {
+    let states = telescope.states.values().filter(|entry| matches!(entry.key, Key::State(_)));
+    heads(states.map(|entry| entry.quality(now) >= Quality::Lost || entry.body["link"]["is"] == "lost"))
+}
+
+fn heads(lost: impl Iterator<Item = bool>) -> Heads {
+    lost.fold(Heads::default(), |heads, lost| Heads { known: heads.known + 1, lost: heads.lost + usize::from(lost) })
+}
+
+fn summed(schedule: &ScheduleState) -> ScheduleSummary {
+    let of = |wanted: &[RowStatus]| schedule.rows.iter().filter(|row| wanted.contains(&row.status)).count();
+    let next = schedule.rows.iter().find(|row| row.status == RowStatus::Pending);
+    ScheduleSummary {
+        rows: schedule.rows.len(),
+        finished: of(&[RowStatus::Finished]),
+        failed: of(&[RowStatus::Failed, RowStatus::Skipped]),
+        next: next.map(|row| match &row.object {
+            Some(object) => format!("{} {object}", row.action),
+            None => row.action.clone(),
+        }),
+        next_utc: next.map(|row| row.start_utc),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unsafe_and_closed_is_quiet_but_open_and_blind_is_the_loudest() {
+        assert_eq!(concern(SafetyWord::Unsafe, Posture::Closed, 1e6), None);
+        assert_eq!(concern(SafetyWord::Safe, Posture::Open, 0.0), None);
+        assert_eq!(concern(SafetyWord::Unknown, Posture::Unknown, 0.0), Some(1));
+        assert_eq!(concern(SafetyWord::Unsafe, Posture::Opening, 0.0), Some(1));
+    }
+
+    #[test]
+    fn a_roof_that_is_still_open_becomes_critical_after_the_grace() {
+        assert_eq!(concern(SafetyWord::Unsafe, Posture::Open, 10.0), Some(2));
+        assert_eq!(concern(SafetyWord::Unsafe, Posture::Open, 31.0), Some(1));
+        assert_eq!(concern(SafetyWord::Unsafe, Posture::Closing, 10.0), Some(3));
+    }
+}
