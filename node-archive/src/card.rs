@@ -124,7 +124,9 @@ mod tests {
 
     #[test]
     fn a_float_keeps_all_its_digits_and_a_point() {
-        for (value, text) in [(1e-7, "1.0E-7"), (2461365.568099780, "2461365.56809978"), (3.0, "3.0"), (1e300, "1.0E300")] {
+        for (value, text) in
+            [(1e-7, "1.0E-7"), (2461365.56809978, "2461365.56809978"), (3.0, "3.0"), (1e300, "1.0E300")]
+        {
             assert_eq!(float(value).unwrap(), text);
             assert_eq!(text.parse::<f64>().unwrap(), value);
         }

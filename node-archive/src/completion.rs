@@ -72,7 +72,8 @@ impl Header {
     /// The cards before the end, without trailing blanks.
     pub fn cards(&self) -> impl Iterator<Item = String> {
         let cards = self.blocks.chunks(CARD).take_while(|card| !card.starts_with(b"END     "));
-        cards.map(|card| String::from_utf8_lossy(card).trim_end().to_owned()).filter(|card| !card.is_empty())
+        let written = cards.map(|card| card.trim_ascii_end()).filter(|card| !card.is_empty());
+        written.map(|card| String::from_utf8_lossy(card).into_owned())
     }
 
     /// The keywords that have a value.

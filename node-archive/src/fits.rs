@@ -2,7 +2,10 @@
 //!
 //! `fitsio`'s safe layer appends keywords instead of updating them, has no checksums, and ignores what closing
 //! returns, which on a full disk is where the loss shows. So this wraps the few functions of `fitsio_sys` that are needed.
-#![allow(unsafe_code, reason = "cfitsio is a C library; every call is in this file, under one lock, with checked arguments")]
+#![allow(
+    unsafe_code,
+    reason = "cfitsio is a C library; every call is in this file, under one lock, with checked arguments"
+)]
 
 use std::ffi::{CStr, CString, c_char, c_int, c_long, c_void};
 use std::path::{Path, PathBuf};
@@ -76,7 +79,7 @@ impl FitsFile {
         };
         let mut axes: Vec<c_long> = Vec::new();
         for length in [shape.width_px, shape.height_px, shape.planes] {
-            let length = c_long::try_from(length).ok().filter(|length| *length > 0);
+            let length = i32::try_from(length).ok().filter(|length| *length > 0).map(c_long::from);
             axes.push(length.ok_or_else(|| error("create", path, format!("{shape:?} is no image")))?);
         }
         if shape.planes == 1 {
@@ -150,15 +153,9 @@ impl FitsFile {
             return Err(error("write the pixels of", &self.path, detail));
         }
         match shape.pixel {
-            Pixel::U16 => {
-                self.write_values(20, spooled.as_chunks().0.iter().map(|bytes| u16::from_le_bytes(*bytes)))
-            }
-            Pixel::I32 => {
-                self.write_values(31, spooled.as_chunks().0.iter().map(|bytes| i32::from_le_bytes(*bytes)))
-            }
-            Pixel::F64 => {
-                self.write_values(82, spooled.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)))
-            }
+            Pixel::U16 => self.write_values(20, spooled.as_chunks().0.iter().map(|bytes| u16::from_le_bytes(*bytes))),
+            Pixel::I32 => self.write_values(31, spooled.as_chunks().0.iter().map(|bytes| i32::from_le_bytes(*bytes))),
+            Pixel::F64 => self.write_values(82, spooled.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes))),
         }
     }
 
@@ -189,9 +186,7 @@ impl FitsFile {
     pub fn data_start(&mut self) -> Result<u64, FitsError> {
         let (mut head, mut data, mut end) = (0, 0, 0);
         // SAFETY: the file is open; the three numbers are locals.
-        self.call("measure", |raw, status| unsafe {
-            fitsio_sys::ffghad(raw, &mut head, &mut data, &mut end, status)
-        })?;
+        self.call("measure", |raw, status| unsafe { fitsio_sys::ffghad(raw, &mut head, &mut data, &mut end, status) })?;
         u64::try_from(data).map_err(|_| error("measure", &self.path, format!("the data start at {data}")))
     }
 

@@ -68,12 +68,8 @@ pub enum FetchError {
 
 /// Shape of an announced frame, if its numbers agree with each other.
 pub fn shape(frame: &Frame) -> Result<Shape, FetchError> {
-    let shape = Shape {
-        pixel: frame.pixel,
-        width_px: frame.width_px,
-        height_px: frame.height_px,
-        planes: frame.planes.max(1),
-    };
+    let shape =
+        Shape { pixel: frame.pixel, width_px: frame.width_px, height_px: frame.height_px, planes: frame.planes.max(1) };
     let bytes = shape.bytes().and_then(|bytes| u64::try_from(bytes).ok());
     match bytes {
         Some(bytes) if bytes == frame.bytes && bytes > 0 && bytes <= LARGEST => Ok(shape),
@@ -210,7 +206,9 @@ mod tests {
         };
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let url = format!("http://{}/", listener.local_addr().unwrap());
-        tokio::spawn(async move { axum::serve(listener, axum::Router::new().route("/", axum::routing::get(serve))).await });
+        tokio::spawn(
+            async move { axum::serve(listener, axum::Router::new().route("/", axum::routing::get(serve))).await },
+        );
         (url, count)
     }
 

@@ -65,9 +65,8 @@ const COMPUTED: [(&str, Compute, &str); 18] = [
 ];
 
 /// Those of [`COMPUTED`] that stand in every file, whatever the table lists.
-const ALWAYS: [&str; 11] = [
-    "DATE-OBS", "DATE", "EXPTIME", "IMAGETYP", "ASTRA", "ASTRATYP", "FRAMEID", "RA", "DEC", "RADESYS", "OBJECT",
-];
+const ALWAYS: [&str; 11] =
+    ["DATE-OBS", "DATE", "EXPTIME", "IMAGETYP", "ASTRA", "ASTRATYP", "FRAMEID", "RA", "DEC", "RADESYS", "OBJECT"];
 
 impl Known<'_> {
     fn number(&self, kind: Kind, property: &str) -> Option<f64> {
@@ -118,7 +117,8 @@ pub fn base(table: &HeaderTable, known: &Known<'_>) -> Vec<Card> {
             match cards.iter_mut().find(|card| card.keyword == *keyword) {
                 Some(card) => {
                     // a table speaks of the telescope's RA; with a target these are the target's
-                    card.comment = if matches!(*keyword, "RA" | "DEC") { (*comment).to_owned() } else { card.comment.clone() };
+                    card.comment =
+                        if matches!(*keyword, "RA" | "DEC") { (*comment).to_owned() } else { card.comment.clone() };
                     card.value = value;
                 }
                 None => cards.push(Card::new(keyword, value, comment)),
@@ -265,7 +265,11 @@ pub fn completion(table: &HeaderTable, later: &Later<'_>) -> Result<Plan, SkyErr
                 later.polled(row, *kind, property, &around)
             }
             Source::Computed if astronomy::KEYWORDS.contains(&keyword) => {
-                if keyword == "AIRMASS" && !has_target { later.polled_airmass() } else { exposure.keyword(keyword) }
+                if keyword == "AIRMASS" && !has_target {
+                    later.polled_airmass()
+                } else {
+                    exposure.keyword(keyword)
+                }
             }
             _ => continue,
         };

@@ -51,7 +51,9 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     }
     let (database, writer) = Database::open(&config.archive.database, node.alerts.clone())?;
     let (stored_before, complete_before) = Reader::open(database.path())?.image_counts()?;
-    for (figure, count) in [("frames_stored", stored_before), ("headers_complete", complete_before), ("rows_written", 0)] {
+    for (figure, count) in
+        [("frames_stored", stored_before), ("headers_complete", complete_before), ("rows_written", 0)]
+    {
         node.figure(figure, Scalar::Int(count));
     }
     let stored = Key::Stored(config.address());

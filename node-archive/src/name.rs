@@ -23,7 +23,10 @@ const DEFAULTS: [(&str, &str); 7] = [
         "calibrate_guiding",
         "calibrate_guiding/{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits",
     ),
-    ("pointing_model", "pointing_model/{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits"),
+    (
+        "pointing_model",
+        "pointing_model/{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits",
+    ),
     ("default", "{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits"),
 ];
 
@@ -119,7 +122,8 @@ impl Namer {
         let purpose = &frame.purpose;
         let night = purpose.night.parse().unwrap_or_else(|_| sky::night_date(self.longitude_east, frame.started_utc));
         let named = |name: Option<&String>| {
-            let name = name.map(|name| clean(&name.replace('\'', ""))).filter(|name| !name.trim_matches('.').is_empty());
+            let name =
+                name.map(|name| clean(&name.replace('\'', ""))).filter(|name| !name.trim_matches('.').is_empty());
             Value::Text(name.unwrap_or_else(|| "NA".to_owned()))
         };
         values(Fields {
@@ -220,7 +224,8 @@ fn unknown(name: &str, values: &Values) -> String {
 /// An action's own folder, relative to the folder of images; one that would lead out of it is not used.
 fn folder(own: Option<&str>) -> PathBuf {
     let Some(own) = own.filter(|own| !own.trim().is_empty()) else { return PathBuf::new() };
-    let leads_out = own.starts_with(['/', '\\']) || own.contains(':') || own.split(['/', '\\']).any(|part| part == "..");
+    let leads_out =
+        own.starts_with(['/', '\\']) || own.contains(':') || own.split(['/', '\\']).any(|part| part == "..");
     if leads_out {
         tracing::warn!(folder = own, "the action's folder is not inside the folder of images; the default is used");
         return PathBuf::new();
@@ -228,9 +233,10 @@ fn folder(own: Option<&str>) -> PathBuf {
     own.split(['/', '\\']).filter(|part| !matches!(*part, "" | ".")).map(part).collect()
 }
 
-/// Text from a schedule as it may stand inside a name: no separators, no control characters, nothing that Windows refuses.
+/// Text from a schedule as it may stand inside a name: no separators, no control characters, nothing that Windows refuses,
+/// and plain ASCII, since cfitsio opens no other names there.
 fn clean(text: &str) -> String {
-    let harmless = |c: char| c.is_alphanumeric() || " -_.+()[],=@#~".contains(c);
+    let harmless = |c: char| c.is_ascii_alphanumeric() || " -_.+()[],=@#~".contains(c);
     text.chars().map(|c| if harmless(c) { c } else { '_' }).collect::<String>().trim().to_owned()
 }
 
@@ -256,7 +262,9 @@ fn part(text: &str) -> String {
     }
     let stem = name.split('.').next().unwrap_or_default().to_ascii_uppercase();
     let reserved = matches!(stem.as_str(), "CON" | "PRN" | "AUX" | "NUL")
-        || (stem.len() == 4 && (stem.starts_with("COM") || stem.starts_with("LPT")) && stem.ends_with(char::is_numeric));
+        || (stem.len() == 4
+            && (stem.starts_with("COM") || stem.starts_with("LPT"))
+            && stem.ends_with(char::is_numeric));
     if reserved { format!("_{name}") } else { name }
 }
 

@@ -89,7 +89,8 @@ impl Reader {
 
     /// The name that a frame's file was about to get, relative to the folder of images, when a kill came.
     pub fn writing(&self, frame: &CommandId) -> Result<Option<String>, DatabaseError> {
-        let found = self.connection.query_row("SELECT file FROM writing WHERE frame_id = ?", [&frame.0], |row| row.get(0));
+        let found =
+            self.connection.query_row("SELECT file FROM writing WHERE frame_id = ?", [&frame.0], |row| row.get(0));
         found.optional().map_err(|source| self.failed(source))
     }
 
@@ -165,8 +166,9 @@ impl Reader {
             let mut statement = self.connection.prepare_cached(&sql)?;
             let images = statement.query_map(params, |row| {
                 let json: String = row.get(0)?;
-                let frame = serde_json::from_str(&json)
-                    .map_err(|e| rusqlite::Error::FromSqlConversionFailure(0, rusqlite::types::Type::Text, Box::new(e)))?;
+                let frame = serde_json::from_str(&json).map_err(|e| {
+                    rusqlite::Error::FromSqlConversionFailure(0, rusqlite::types::Type::Text, Box::new(e))
+                })?;
                 let path: String = row.get(1)?;
                 let bytes: i64 = row.get(3)?;
                 Ok(StoredImage {

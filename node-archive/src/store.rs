@@ -20,7 +20,7 @@ use crate::completion::{Header, sync_folder};
 use crate::database::{Database, StoredImage, Write};
 use crate::fits::FitsFile;
 use crate::frame::{fetch, shape};
-use crate::header::{self, Known};
+use crate::header;
 use crate::name::{Namer, other_than};
 use crate::pairing;
 use crate::reader::Reader;
@@ -56,6 +56,17 @@ pub struct Store {
     pub incomplete: Arc<Notify>,
     /// Frames stored, since the database began.
     pub count: AtomicI64,
+}
+
+/// What is known of a frame that is announced.
+enum Known {
+    Stored(Box<StoredImage>),
+    /// Its file had its name when a kill came, and is not recorded.
+    Named {
+        file: String,
+        bytes: u64,
+    },
+    Not,
 }
 
 /// Stores every frame that the telescope's cameras announce.
@@ -145,7 +156,7 @@ impl Store {
             own.or_else(|| self.newest.value(devices.get(&kind)?, property))
         };
         let place = &self.node.config.place;
-        let cards = header::base(&self.node.header, &Known { frame: &frame, place, written, newest: &newest });
+        let cards = header::base(&self.node.header, &header::Known { frame: &frame, place, written, newest: &newest });
         let room = header::room(&self.node.header);
         let images = self.node.config.folders.images.clone();
         let part = images.join(PART_FOLDER).join(format!("{}.fits", part_name(&frame.id)));
@@ -183,23 +194,26 @@ impl Store {
     async fn known(&self, frame: &Frame) -> anyhow::Result<Option<StoredImage>> {
         let (database, images) = (self.database.path().to_owned(), self.node.config.folders.images.clone());
         let id = frame.id.clone();
-        let look = move || -> anyhow::Result<(Option<StoredImage>, Option<(String, u64)>)> {
+        let look = move || -> anyhow::Result<Known> {
             let reader = Reader::open(&database)?;
-            let image = reader.image(&id)?;
-            let named = match image {
-                Some(_) => None,
-                None => reader.writing(&id)?.and_then(|file| Some((file.clone(), length_if_whole(&images.join(file), &id)?))),
-            };
-            Ok((image, named))
+            if let Some(image) = reader.image(&id)? {
+                return Ok(Known::Stored(Box::new(image)));
+            }
+            let file = reader.writing(&id)?;
+            let whole = file.and_then(|file| Some((length_if_whole(&images.join(&file), &id)?, file)));
+            Ok(whole.map_or(Known::Not, |(bytes, file)| Known::Named { file, bytes }))
         };
-        let (image, named) = tokio::task::spawn_blocking(look).await??;
-        if let (None, Some((file, bytes))) = (&image, named) {
-            let path = self.node.config.folders.images.join(&file);
-            let image = StoredImage { frame: frame.clone(), path, file, bytes, stored: self.node.bus.clock().utc() };
-            self.record(image.clone()).await?;
-            return Ok(Some(image));
+        match tokio::task::spawn_blocking(look).await?? {
+            Known::Stored(image) => Ok(Some(*image)),
+            Known::Not => Ok(None),
+            Known::Named { file, bytes } => {
+                let path = self.node.config.folders.images.join(&file);
+                let stored = self.node.bus.clock().utc();
+                let image = StoredImage { frame: frame.clone(), path, file, bytes, stored };
+                self.record(image.clone()).await?;
+                Ok(Some(image))
+            }
         }
-        Ok(image)
     }
 
     async fn record(&self, image: StoredImage) -> anyhow::Result<()> {
@@ -217,8 +231,7 @@ impl Store {
     /// Tells the spool that it may forget the frame, until it says that it heard.
     async fn release(&self, camera: &Device, frame: &Frame) {
         let release = camera::Command::Release { frame: frame.id.clone(), sha256: frame.sha256.clone() };
-        let command =
-            Command { id: CommandId::fresh(), from: self.node.signature(), token: None, action: release };
+        let command = Command { id: CommandId::fresh(), from: self.node.signature(), token: None, action: release };
         for tries in 1..=RELEASE_TRIES {
             match self.node.bus.command(camera, &command, Duration::from_secs(3)).await {
                 Ok(_) => return,

@@ -207,7 +207,8 @@ mod tests {
     #[test]
     fn a_reading_counts_once_and_an_old_one_never_hides_a_new_one() {
         let newest = Newest::default();
-        let take = |second, value| newest.take(&device(), BTreeMap::from([("Altitude".to_owned(), reading(second, value))]));
+        let take =
+            |second, value| newest.take(&device(), BTreeMap::from([("Altitude".to_owned(), reading(second, value))]));
         assert_eq!(take(10, 1.0).len(), 1);
         assert_eq!(take(10, 1.0).len(), 0, "a repeat");
         assert_eq!(take(12, 2.0).len(), 1);

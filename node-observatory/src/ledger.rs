@@ -80,11 +80,12 @@ impl Ledger {
         self.expected.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn announced(&self, frame: &Frame) {
+    /// Notes an announced frame; true the first time, since a spool repeats what nobody has taken yet.
+    fn announced(&self, frame: &Frame) -> bool {
         self.expected().remove(&frame.id.0);
         self.frames.send_if_modified(|frames| {
             frames.announced.insert(frame.id.0.clone(), frame.purpose.night.clone()).is_none()
-        });
+        })
     }
 }
 
@@ -111,8 +112,8 @@ pub async fn keep_counting_frames(room: Arc<ControlRoom>) -> anyhow::Result<()> 
             room.node.alerts.clear(&format!("frame-lost/{}", device.name));
         }
         tracing::debug!(frame = %frame.id, camera = frame.camera, "announced");
-        room.ledger.announced(&frame);
-        if heard.said.at_utc >= started_utc {
+        let is_new = room.ledger.announced(&frame);
+        if is_new && heard.said.at_utc >= started_utc {
             room.board.frame(&frame.id);
         }
         let (at, id) = (room.clone(), frame.id);

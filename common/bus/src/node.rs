@@ -135,13 +135,20 @@ impl Node {
         NodeState {
             role: self.role,
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            host: std::env::var("HOSTNAME").or_else(|_| std::env::var("COMPUTERNAME")).unwrap_or_default(),
+            host: host_name(),
             pid: std::process::id(),
             uptime_s: now.since(started()).as_secs_f64(),
             speed: self.bus.clock().speed(),
             figures: self.figures.lock().unwrap_or_else(PoisonError::into_inner).clone(),
         }
     }
+}
+
+/// This host's name, as its shell, Windows or the Linux kernel tells it; empty where none does.
+fn host_name() -> String {
+    let told = std::env::var("HOSTNAME").or_else(|_| std::env::var("COMPUTERNAME"));
+    let name = told.or_else(|_| std::fs::read_to_string("/proc/sys/kernel/hostname")).unwrap_or_default();
+    name.trim().to_owned()
 }
 
 fn started() -> crate::MachineTime {

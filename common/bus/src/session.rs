@@ -109,8 +109,8 @@ fn settings(config: &config::Bus) -> serde_json::Value {
         "listen": { "endpoints": listen },
         "connect": {
             "endpoints": config.connect,
-            // never wait for a peer and never give one up
-            "timeout_ms": 0, "exit_on_failure": false,
+            // -1: never give a peer up; zenoh tries in the background, so opening does not wait (0 would try just once)
+            "timeout_ms": -1, "exit_on_failure": false,
             "retry": { "period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5 },
         },
         // peers do not relay: gossip is what connects those that met through a third

@@ -62,7 +62,10 @@ fn a_new_file_reads_back_as_it_was_given() {
     let path = new_file(folder.path(), 100);
     let header = Header::read(&path).unwrap();
     assert_eq!(header.value("OBJECT").unwrap(), "Rigel");
-    assert_eq!((header.value("BITPIX").unwrap(), header.value("BZERO").unwrap()), ("16".to_owned(), "32768".to_owned()));
+    assert_eq!(
+        (header.value("BITPIX").unwrap(), header.value("BZERO").unwrap()),
+        ("16".to_owned(), "32768".to_owned())
+    );
     assert!(header.keywords().contains("DATASUM") && !header.keywords().contains("BAD"));
     assert!(is_checksum_right(&std::fs::read(&path).unwrap()));
     // an independent reader; brackets in the name are for cfitsio's own syntax, so it gets a plain one
@@ -76,7 +79,9 @@ fn a_new_file_reads_back_as_it_was_given() {
 #[test]
 fn all_pixel_types_and_planes_are_written() {
     let folder = tempfile::tempdir().unwrap();
-    for (name, pixel, planes, bitpix) in [("i", Pixel::I32, 1, "32"), ("f", Pixel::F64, 1, "-64"), ("c", Pixel::U16, 3, "16")] {
+    for (name, pixel, planes, bitpix) in
+        [("i", Pixel::I32, 1, "32"), ("f", Pixel::F64, 1, "-64"), ("c", Pixel::U16, 3, "16")]
+    {
         let shape = Shape { pixel, width_px: 3, height_px: 2, planes };
         let path = folder.path().join(name);
         let mut fits = FitsFile::create(&path, &shape).unwrap();

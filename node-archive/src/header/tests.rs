@@ -54,7 +54,11 @@ fn table(rows: &str) -> HeaderTable {
     format!("header,dtype,fixed,device_type,device_command,comment\n{rows}").parse().unwrap()
 }
 
-fn base_of(table: &HeaderTable, frame: &Frame, newest: &dyn Fn(Kind, &str) -> Option<Scalar>) -> BTreeMap<String, CardValue> {
+fn base_of(
+    table: &HeaderTable,
+    frame: &Frame,
+    newest: &dyn Fn(Kind, &str) -> Option<Scalar>,
+) -> BTreeMap<String, CardValue> {
     let written = frame.started_utc.plus_seconds(10.0);
     let cards = base(table, &Known { frame, place: &place(), written, newest });
     let count = cards.len();
@@ -63,7 +67,12 @@ fn base_of(table: &HeaderTable, frame: &Frame, newest: &dyn Fn(Kind, &str) -> Op
     cards
 }
 
-fn complete(table: &HeaderTable, frame: &Frame, mount: EquatorialSystem, around: &dyn Fn(Kind, &str) -> Option<Around>) -> (BTreeMap<String, CardValue>, Vec<String>) {
+fn complete(
+    table: &HeaderTable,
+    frame: &Frame,
+    mount: EquatorialSystem,
+    around: &dyn Fn(Kind, &str) -> Option<Around>,
+) -> (BTreeMap<String, CardValue>, Vec<String>) {
     let present = BTreeSet::new();
     let later = Later { frame, place: &place(), mount, reach_s: 60.0, present: &present, around };
     let plan = completion(table, &later).unwrap();
@@ -132,9 +141,12 @@ fn a_table_that_calls_the_target_fk5_is_put_right() {
 
 #[test]
 fn the_schedules_own_values_are_typed_or_left_out() {
-    let table = table("ID,int,true,action_metadata,ID,\nPROG,str,true,action_metadata,PROG,\nNIGHT,float,true,action_metadata,N,\n");
+    let table = table(
+        "ID,int,true,action_metadata,ID,\nPROG,str,true,action_metadata,PROG,\nNIGHT,float,true,action_metadata,N,\n",
+    );
     let mut frame = frame();
-    frame.purpose.metadata = [("ID", "17"), ("PROG", "SPC"), ("N", "first")].map(|(k, v)| (k.to_owned(), v.to_owned())).into();
+    frame.purpose.metadata =
+        [("ID", "17"), ("PROG", "SPC"), ("N", "first")].map(|(k, v)| (k.to_owned(), v.to_owned())).into();
     let cards = base_of(&table, &frame, &|_, _| None);
     assert_eq!((&cards["ID"], &cards["PROG"], cards.get("NIGHT")), (&CardValue::Int(17), &"SPC".into(), None));
 }
@@ -273,7 +285,11 @@ fn the_predecessors_night_completes_to_the_same_numbers_and_better_states() {
             let Some(expected) = after[&row.keyword].as_f64() else { continue };
             let Some(value) = ours.get(&row.keyword) else {
                 // the target's own place, which completion leaves alone
-                assert!(matches!(row.keyword.as_str(), "RA" | "DEC") && frame.purpose.ra_deg.is_some(), "{}", row.keyword);
+                assert!(
+                    matches!(row.keyword.as_str(), "RA" | "DEC") && frame.purpose.ra_deg.is_some(),
+                    "{}",
+                    row.keyword
+                );
                 continue;
             };
             let samples = around(*kind, property).unwrap();
@@ -290,7 +306,11 @@ fn the_predecessors_night_completes_to_the_same_numbers_and_better_states() {
                     assert!((0.0..if row.keyword == "RA" { 360.0 } else { turn }).contains(&float(value)));
                     // over north the predecessor goes the long way round
                     if step.is_none_or(|(step, _)| step.abs() < turn / 2.0) {
-                        assert!((float(value) - expected).abs() < tolerance * 15.0, "{} {value:?} {expected}", row.keyword);
+                        assert!(
+                            (float(value) - expected).abs() < tolerance * 15.0,
+                            "{} {value:?} {expected}",
+                            row.keyword
+                        );
                         linear += 1;
                     }
                 }
@@ -310,8 +330,8 @@ fn the_predecessors_night_completes_to_the_same_numbers_and_better_states() {
             ("JD-END", 1e-9),
             ("MJD-OBS", 1e-9),
             ("MJD-END", 1e-9),
-            ("LST", 1.0),       // its own UT1-UTC
-            ("HJD-OBS", 6e-7),  // 50 ms
+            ("LST", 1.0),      // its own UT1-UTC
+            ("HJD-OBS", 6e-7), // 50 ms
             ("BJD-OBS", 6e-7),
             ("AIRMASS", 1e-3),
         ] {

@@ -98,7 +98,9 @@ impl Spec {
 
     fn int(&self, number: i64) -> Result<String, String> {
         match self.kind {
-            None | Some('d') if self.precision.is_none() => Ok(self.signed(number < 0, number.unsigned_abs().to_string())),
+            None | Some('d') if self.precision.is_none() => {
+                Ok(self.signed(number < 0, number.unsigned_abs().to_string()))
+            }
             Some('x') => Ok(self.signed(number < 0, format!("{:x}", number.unsigned_abs()))),
             Some('f' | 'F' | 'e' | 'E' | 'g' | 'G' | '%') => self.float(number as f64),
             _ => Err("a whole number takes d, x, f, e, g or %".to_owned()),

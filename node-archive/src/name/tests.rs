@@ -121,7 +121,25 @@ fn no_name_from_a_schedule_leaves_the_folder() {
     )
     .unwrap();
     let huge = "x".repeat(4096);
-    let hostile = ["..", "../../etc/passwd", "/etc/passwd", "a\0b", "..\\..\\x", "C:\\x", "", " ", ".", "\u{1F52D}", "CON", "NUL.fits", "a/../..", &huge, "~", "....", "'"];
+    let hostile = [
+        "..",
+        "../../etc/passwd",
+        "/etc/passwd",
+        "a\0b",
+        "..\\..\\x",
+        "C:\\x",
+        "",
+        " ",
+        ".",
+        "\u{1F52D}",
+        "CON",
+        "NUL.fits",
+        "a/../..",
+        &huge,
+        "~",
+        "....",
+        "'",
+    ];
     for text in hostile {
         for folder in [None, Some(text)] {
             let mut frame = frame();
@@ -133,7 +151,10 @@ fn no_name_from_a_schedule_leaves_the_folder() {
             for component in path.components() {
                 let Component::Normal(name) = component else { panic!("{text:?} made {path:?}") };
                 let name = name.to_str().unwrap();
-                assert!(name.len() <= LONGEST_PART + 1 && !name.starts_with('.') && !name.ends_with(['.', ' ']), "{name:?}");
+                assert!(
+                    name.len() <= LONGEST_PART + 1 && !name.starts_with('.') && !name.ends_with(['.', ' ']),
+                    "{name:?}"
+                );
                 assert!(!name.contains(['/', '\\', '\0', ':', '\n']), "{name:?}");
             }
             assert!(path.to_str().unwrap().ends_with("_object.fits"), "{path:?}");

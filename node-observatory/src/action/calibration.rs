@@ -82,7 +82,7 @@ impl Action for Calibration {
     }
 
     fn needs(&self) -> Needs {
-        Needs { safe: false, mount: false, parallel: self.execute_parallel }
+        Needs { safe: false, mount: false, parallel: self.execute_parallel, all_before: false }
     }
 
     fn frames_wanted(&self) -> Option<u32> {

@@ -23,7 +23,7 @@ impl Action for CompleteHeaders {
     const EXAMPLE: &'static str = "{}";
 
     fn needs(&self) -> Needs {
-        Needs { safe: false, mount: false, parallel: false }
+        Needs { safe: false, mount: false, parallel: false, all_before: true }
     }
 
     async fn run(&self, stage: &Stage) -> Result<String, Trouble> {

@@ -15,7 +15,7 @@ impl Action for CoolCamera {
     const EXAMPLE: &'static str = "{}";
 
     fn needs(&self) -> Needs {
-        Needs { safe: false, mount: false, parallel: false }
+        Needs { safe: false, mount: false, parallel: false, all_before: false }
     }
 
     async fn run(&self, stage: &Stage) -> Result<String, Trouble> {

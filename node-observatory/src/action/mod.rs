@@ -46,6 +46,8 @@ pub struct Needs {
     pub mount: bool,
     /// May run beside the next rows.
     pub parallel: bool,
+    /// Every row before it has ended; it sums up, and must not keep an interrupted row from going on.
+    pub all_before: bool,
 }
 
 /// A sort of action: its parameters, as they stand in `action_value`.

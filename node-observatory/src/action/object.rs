@@ -168,7 +168,7 @@ impl Action for Object {
     }
 
     fn needs(&self) -> Needs {
-        Needs { safe: true, mount: self.moves(), parallel: self.execute_parallel }
+        Needs { safe: true, mount: self.moves(), parallel: self.execute_parallel, all_before: false }
     }
 
     fn object(&self) -> Option<&str> {

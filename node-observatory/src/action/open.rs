@@ -16,7 +16,7 @@ impl Action for Open {
     const EXAMPLE: &'static str = "{}";
 
     fn needs(&self) -> Needs {
-        Needs { safe: true, mount: true, parallel: false }
+        Needs { safe: true, mount: true, parallel: false, all_before: false }
     }
 
     async fn run(&self, stage: &Stage) -> Result<String, Trouble> {

@@ -21,9 +21,10 @@ pub fn pick(rows: &[Row], statuses: &[RowStatus], now: Utc, safe: bool) -> Optio
     if running.iter().any(|row| !row.action.needs().parallel) {
         return None;
     }
-    let next = each().position(|(row, status)| {
+    let next = each().enumerate().position(|(index, (row, status))| {
         let waits = matches!(status, RowStatus::Pending | RowStatus::Interrupted);
-        waits && row.start <= now && now <= row.end && (safe || !row.action.needs().safe)
+        let in_turn = !row.action.needs().all_before || statuses.iter().take(index).all(|status| has_ended(*status));
+        waits && in_turn && row.start <= now && now <= row.end && (safe || !row.action.needs().safe)
     })?;
     let row = rows.get(next)?;
     let clashes =
@@ -75,6 +76,15 @@ mod tests {
         let rows = rows(&[("a", "object", OBJECT, 1, 3), ("a", "calibration", CALIBRATION, 1, 4)]);
         assert_eq!(pick(&rows, &[Interrupted, Pending], at(2), false), Some(1));
         assert_eq!(pick(&rows, &[Interrupted, Pending], at(2), true), Some(0), "resumed when it is safe again");
+    }
+
+    #[test]
+    fn headers_are_summed_up_only_when_no_interrupted_row_is_left() {
+        let rows =
+            rows(&[("a", "object", OBJECT, 1, 3), ("a", "complete_headers", "{}", 1, 4), ("a", "close", "{}", 1, 4)]);
+        assert_eq!(pick(&rows, &[Interrupted, Pending, Pending], at(2), false), Some(2));
+        assert_eq!(pick(&rows, &[Interrupted, Pending, Finished], at(2), true), Some(0));
+        assert_eq!(pick(&rows, &[Finished, Pending, Finished], at(2), true), Some(1));
     }
 
     #[test]

@@ -82,7 +82,7 @@ impl DemoNight {
         row("open", json!({}), self.dusk, self.dawn);
         for (index, (name, ra_deg, dec_deg, start, end)) in self.slots()?.into_iter().enumerate() {
             let value = json!({
-                "object": name, "ra": ra_deg, "dec": dec_deg, "exptime": 120.0, "n": 12, "filter": FILTERS[index % 5],
+                "object": name, "ra": ra_deg, "dec": dec_deg, "exptime": 120.0, "n": 24, "filter": FILTERS[index % 5],
             });
             row("object", value, start, end);
         }
