@@ -59,8 +59,10 @@ test("the overview shows the telescope with a safety word and a posture", { time
   await page.goto(`http://127.0.0.1:${port}/`);
   const tile = page.locator("[data-telescope]").first();
   await tile.waitFor({ timeout: 30_000 });
-  await page.waitForFunction(() => /safe/i.test(document.querySelector("[data-telescope] [data-safety]")?.textContent ?? ""));
-  assert.match(await tile.locator("[data-posture]").first().textContent(), /closed|open|opening|closing|unknown/i);
+  await page.waitForFunction(() => /^(un)?safe$/.test(document.querySelector("[data-telescope]")?.dataset.safety ?? ""), null,
+    { timeout: 30_000 });
+  assert.match(await tile.getAttribute("data-posture"), /closed|open|opening|closing|unknown/);
+  assert.match(await tile.textContent(), /safe/i, "the safety word is there to read");
   assert.match(await tile.textContent(), /simul/i, "a simulated telescope says so");
 });
 
