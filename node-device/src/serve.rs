@@ -31,8 +31,9 @@ const BUSY_LIMIT: Duration = Duration::from_secs(600);
 const SAY: Duration = Duration::from_secs(5);
 /// Capabilities are said so often.
 const CAPABILITIES: Duration = Duration::from_secs(10);
-/// States kept for those who were away: ten minutes and more.
-const CACHE: usize = 2000;
+/// States kept for those who were away: eleven minutes at the poll period, and as many more for changes.
+const CACHED: Duration = Duration::from_secs(660);
+const CACHED_CHANGES: usize = 600;
 /// Longest wait before the next try to connect.
 const LONGEST_BACK_OFF_S: f64 = 30.0;
 
@@ -98,7 +99,8 @@ impl<D: Driver> Serve<D> {
     /// Serves the device until the node is stopped.
     pub async fn run(self, mut orders: mpsc::UnboundedReceiver<Order<Command<D>>>) -> anyhow::Result<()> {
         let (bus, stop) = (self.node.bus.clone(), self.node.stop.clone());
-        let states = bus.publisher(&Key::State(self.device.clone()), Quality::State { cache: CACHE }).await?;
+        let cache = (CACHED.as_secs_f64() / self.common.period_s).ceil() as usize + CACHED_CHANGES;
+        let states = bus.publisher(&Key::State(self.device.clone()), Quality::State { cache }).await?;
         let key = Key::Capabilities(self.device.clone());
         let descriptions = bus.publisher(&key, Quality::State { cache: 1 }).await?;
         let front = self.front.clone();

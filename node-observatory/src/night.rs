@@ -209,7 +209,7 @@ pub async fn keep_telling_schedule(room: Arc<ControlRoom>) -> anyhow::Result<()>
 
 /// Publishes the verdict whenever the safety loop renews it; a loop that is dead falls silent.
 pub async fn keep_telling_safety(room: Arc<ControlRoom>) -> anyhow::Result<()> {
-    let line = room.node.bus.publisher(&room.key(Part::Safety), Quality::Event { cache: 1000 }).await?;
+    let line = room.node.bus.publisher(&room.key(Part::Safety), Quality::State { cache: 1000 }).await?;
     let mut ruling = room.ruling.clone();
     let mut said = None;
     loop {

@@ -134,9 +134,8 @@ impl<T: Payload> Publisher<T> {
         loop {
             let value = values.borrow_and_update().clone();
             self.put(value).await?;
-            match tokio::time::timeout(period, values.changed()).await {
-                Ok(Err(_)) => return Ok(()),
-                Ok(Ok(())) | Err(_) => {}
+            if let Ok(Err(_)) = tokio::time::timeout(period, values.changed()).await {
+                return Ok(());
             }
         }
     }

@@ -1,4 +1,5 @@
 //! Two real sessions on a private loopback bus: what the rest of the house relies on.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends at the first surprise")]
 
 use std::time::Duration;
 

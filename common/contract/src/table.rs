@@ -26,9 +26,10 @@ pub struct Row {
 }
 
 /// A level: each sample stands for itself, and the newest is enough.
-const STATE: &str = "drop, advanced publisher with cache 1";
+const STATE: &str = "drop, advanced publisher with cache 1; answers a plain `get`";
 /// Readings are recorded, so that ten minutes of them are kept for a reader that was cut off.
-const TELEMETRY: &str = "drop, advanced publisher with cache 1000, recovery; answers a plain `get`";
+const TELEMETRY: &str =
+    "drop, advanced publisher with a cache of ten minutes and more, recovery; answers a plain `get`";
 /// Must overtake everything else.
 const URGENT: &str = "drop, real-time priority, express";
 /// Must arrive, late if need be.
@@ -88,7 +89,7 @@ pub const TABLE: &[Row] = &[
         payloads: &["observatory.safety"],
         says: "the verdict, its reasons, and every input with its age",
         rate: "on change, and every 1 s",
-        qos: EVENT,
+        qos: TELEMETRY,
         writer: "observatory node",
         reader: "web, archive",
     },

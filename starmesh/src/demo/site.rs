@@ -94,7 +94,7 @@ impl DemoNight {
     }
 
     /// Cuts the night into slots and gives each the field that stays highest in it.
-    fn slots(&self) -> anyhow::Result<Vec<(&'static str, f64, f64, Utc, Utc)>> {
+    fn slots(&self) -> anyhow::Result<Vec<Slot>> {
         let length_s = (self.dawn.seconds_since(self.dusk) - 600.0) / f64::from(SLOTS);
         let mut left = FIELDS.to_vec();
         let mut slots = Vec::new();
@@ -117,6 +117,9 @@ impl DemoNight {
         Ok(slots)
     }
 }
+
+/// A field and when it is observed: name, right ascension and declination (ICRS degrees), start, end.
+type Slot = (&'static str, f64, f64, Utc, Utc);
 
 /// The configuration of the demo's nodes.
 pub fn configuration(simulator: std::net::SocketAddr, web_port: u16, options: &simulator::Options) -> String {

@@ -1,0 +1,122 @@
+//! 100 headers completed: real files, a real database, the same code as the pass (figures, not a test).
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a bench ends at the first surprise")]
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Instant;
+
+use bus::{AlertBoard, Clock};
+use config::header::HeaderTable;
+use contract::device::camera::{Frame, Pixel, Purpose};
+use contract::{BootId, CommandId, Kind, Scalar};
+use node_archive::database::{Database, StoredImage, Write};
+use node_archive::fits::{FitsFile, Shape};
+use node_archive::header::{Known, base, room};
+use node_archive::pass::{Site, complete_image};
+use node_archive::reader::Reader;
+use node_archive::telemetry::Newest;
+use units::Utc;
+
+const FRAMES: u32 = 100;
+const SHAPE: Shape = Shape { pixel: Pixel::U16, width_px: 1024, height_px: 1024, planes: 1 };
+const KINDS: [Kind; 7] = [
+    Kind::Telescope,
+    Kind::Camera,
+    Kind::FilterWheel,
+    Kind::Focuser,
+    Kind::Dome,
+    Kind::SafetyMonitor,
+    Kind::ObservingConditions,
+];
+
+fn observatory(folder: &Path) -> config::Observatory {
+    let mut text = "[observatory]\nsite = \"bench\"\ntelescope = \"alpha\"\nlatitude_deg = -24.6\n\
+                    longitude_deg = -70.4\nelevation_m = 2600\n"
+        .to_owned();
+    for kind in KINDS {
+        text.push_str(&format!("[[{kind}]]\nname = \"{kind}\"\nserver = \"127.0.0.1:1\"\n"));
+    }
+    config::parse(&text, folder).unwrap()
+}
+
+fn frame(index: u32, start: Utc) -> Frame {
+    let purpose = Purpose {
+        action: "object".to_owned(),
+        object: Some("Bench".to_owned()),
+        image_type: "Light Frame".to_owned(),
+        ra_deg: Some(80.0),
+        dec_deg: Some(-20.0),
+        night: "20261121".to_owned(),
+        sequence: index,
+        paired: KINDS.iter().map(|kind| (kind.ascom().to_owned(), kind.word().to_owned())).collect(),
+        ..Purpose::default()
+    };
+    Frame {
+        id: CommandId::fresh(),
+        camera: "camera".to_owned(),
+        purpose,
+        width_px: 1024,
+        height_px: 1024,
+        planes: 1,
+        pixel: Pixel::U16,
+        bin: 1,
+        origin_px: [0, 0],
+        started_utc: start.plus_seconds(2.5 + 10.0 * f64::from(index)),
+        exposure_s: 5.0,
+        url: String::new(),
+        bytes: 1024 * 1024 * 2,
+        sha256: String::new(),
+        readings: BTreeMap::new(),
+    }
+}
+
+#[tokio::main]
+async fn main() {
+    let folder = tempfile::tempdir().unwrap();
+    let (config, table) = (observatory(folder.path()), HeaderTable::default());
+    let start: Utc = "2026-11-21T02:00:00Z".parse().unwrap();
+    let path = folder.path().join("archive.db");
+    let (database, _writer) = Database::open(&path, AlertBoard::new(Clock::machine_clock())).unwrap();
+    let boot = BootId::fresh();
+    for kind in KINDS {
+        let device = config.address().device(kind, &kind.word().parse().unwrap());
+        for property in table.properties(kind, false) {
+            for poll in 0..=(10 * FRAMES / 5 + 2) {
+                let at = start.plus_seconds(5.0 * f64::from(poll));
+                let value = Ok(Scalar::Float(f64::from(poll) * 0.01));
+                let said = (boot.clone(), u64::from(poll));
+                let row = Write::Reading { device: device.clone(), property: property.clone(), value, at, said };
+                database.put(row).await.unwrap();
+            }
+        }
+    }
+    let pixels = vec![7u8; SHAPE.bytes().unwrap()];
+    let mut images = Vec::new();
+    for index in 0..FRAMES {
+        let frame = frame(index, start);
+        let path = folder.path().join(format!("{index}.fits"));
+        let known = Known { frame: &frame, place: &config.place, written: start, newest: &|_, _| None };
+        let mut file = FitsFile::create(&path, &SHAPE).unwrap();
+        for card in base(&table, &known) {
+            file.set(&card).unwrap();
+        }
+        file.reserve(room(&table)).unwrap();
+        file.write_pixels(&SHAPE, &pixels).unwrap();
+        file.write_checksums().unwrap();
+        file.close().unwrap();
+        let file = format!("{index}.fits");
+        images.push(StoredImage { frame, path, file, bytes: 2_097_152, stored: start });
+    }
+    let last = images.last().cloned().unwrap();
+    database.commit(vec![Write::Stored(Box::new(last))]).await.unwrap();
+
+    let (reader, newest) = (Reader::open(&path).unwrap(), Newest::default());
+    let site = Site { config: &config, table: &table, newest: &newest, speed: 1.0 };
+    let began = Instant::now();
+    let mut added = 0;
+    for image in &images {
+        added += complete_image(&site, &reader, image, true).unwrap().map_or(0, |plan| plan.cards.len());
+    }
+    let each_ms = began.elapsed().as_secs_f64() * 1000.0 / f64::from(FRAMES);
+    println!("headers: {each_ms:.2} ms each, {} keywords each", added / FRAMES as usize);
+}
