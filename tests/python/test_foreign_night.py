@@ -4,6 +4,7 @@ Hardware: PyPI alpaca-simulators. Listener: PyPI eclipse-zenoh and zenoh-cli. Ju
 """
 
 import json
+import os
 import pathlib
 import shutil
 import sqlite3
@@ -121,11 +122,13 @@ def with_url(site: Site, record: NightRecord):
 
 
 def zenoh_cli(site: Site) -> str:
-    """The command of the README, with this bus's port; it listens for six seconds."""
+    """The command of the README, with this bus's port; it listens for twelve seconds."""
     program = pathlib.Path(sys.executable).with_name("zenoh")
     command = [str(program), "--mode", "client", "--connect", site.endpoint, "subscribe", "-k", "starmesh/**", "--decoder", "json"]
-    listening = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    time.sleep(8)
+    # into a pipe Python would keep its last lines to itself
+    listening = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+                                 env={**os.environ, "PYTHONUNBUFFERED": "1"})
+    time.sleep(12)
     listening.terminate()
     return listening.communicate(timeout=20)[0]
 

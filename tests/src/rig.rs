@@ -17,6 +17,9 @@ use tempfile::TempDir;
 
 use crate::night::{Rows, configuration, jsonl};
 
+/// A rig is five busy processes: more than so many at once would measure the machine, not Starmesh.
+static SEATS: tokio::sync::Semaphore = tokio::sync::Semaphore::const_new(3);
+
 /// Site of every test.
 pub const SITE: &str = "test";
 /// Telescope of every test.
@@ -55,6 +58,7 @@ pub struct Rig {
     folder: TempDir,
     endpoint: String,
     nodes: HashMap<Role, Child>,
+    _seat: tokio::sync::SemaphorePermit<'static>,
     /// The dome's state.
     pub dome: Latest<DeviceState<DomeFields>>,
     /// The dome's guard.
@@ -72,6 +76,7 @@ pub struct Rig {
 impl Rig {
     /// Starts the world and the bus, writes configuration and schedule; no node runs yet.
     pub async fn new(options: RigOptions, rows: impl FnOnce(&simulator::Options) -> Rows) -> anyhow::Result<Self> {
+        let seat = SEATS.acquire().await?;
         let world = options.world;
         let simulator = Simulator::start(world.clone()).await?;
         let address = Address::new(SITE, TELESCOPE)?;
@@ -100,6 +105,7 @@ impl Rig {
             folder,
             endpoint,
             nodes: HashMap::new(),
+            _seat: seat,
         })
     }
 

@@ -12,9 +12,9 @@ async fn closes_on(fault: Fault, kind: Kind) -> anyhow::Result<()> {
     rig.until("the dome opens on a safe sky", 60.0, Rig::is_open).await?;
     rig.simulator.world().fault(kind, fault.clone());
     let limit_s = if kind == Kind::ObservingConditions { 100.0 } else { 40.0 };
-    rig.until(&format!("the dome is shut after {fault:?}"), limit_s, Rig::is_shut).await?;
-    let reasons = rig.safety.get().map(|safety| safety.said.body.reasons).unwrap_or_default();
-    assert!(!reasons.is_empty(), "the verdict says why");
+    let reasons = |rig: &Rig| rig.safety.get().is_some_and(|safety| !safety.said.body.reasons.is_empty());
+    rig.until(&format!("the verdict says why after {fault:?}"), limit_s, reasons).await?;
+    rig.until(&format!("the dome is shut after {fault:?}"), 30.0, Rig::is_shut).await?;
     Ok(())
 }
 
