@@ -120,7 +120,9 @@ fn settings(config: &config::Bus) -> serde_json::Value {
         "transport": {
             "unicast": { "open_timeout": 3000, "accept_timeout": 3000 },
             "link": { "tx": {
-                "lease": 2000, "keep_alive": 4,
+                // no safety decision rests on the lease; each keep-alive wakes both ends of a link, and an idle
+                // node does little else
+                "lease": 4000, "keep_alive": 3,
                 // what blocks (queries, declarations) may stall the others for 0.3 s, not for zenoh's 5 s
                 "queue": { "congestion_control": { "block": { "wait_before_close": 300_000 } } },
             } },
