@@ -54,7 +54,10 @@ impl NodeProcess {
         loop {
             let started = Instant::now();
             let mut child = self.spawn()?;
+            // waiting would close it, and the node would take that for our end
+            let lifeline = child.stdin.take();
             let Some(ended) = stop.or(child.wait()).await else {
+                drop(lifeline);
                 return end(child).await;
             };
             let status = ended.map_or_else(|error| error.to_string(), |status| status.to_string());

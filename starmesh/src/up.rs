@@ -24,11 +24,18 @@ pub struct Options {
 /// Runs until Ctrl-C; then the device nodes stay until their guards have closed the enclosures.
 pub async fn run(options: Options) -> anyhow::Result<()> {
     let (config, _) = bus::node::read_config(&options.file)?;
+    // the nodes of one host meet here even where multicast does not work, and are introduced to each other by gossip
+    let meeting = config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], ..config.bus.clone() };
+    let bus = Bus::open(&meeting, Clock::machine_clock()).await?;
+    let mut arguments = options.node_arguments.clone();
+    for locator in bus.locators().await {
+        arguments.extend(["--connect".to_owned(), locator]);
+    }
     let node = |role, id: &str| NodeProcess {
         role,
         id: id.to_owned(),
         config: options.file.clone(),
-        arguments: options.node_arguments.clone(),
+        arguments: arguments.clone(),
         log: None,
         with_parent: role != Role::Device,
     };
@@ -60,18 +67,15 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     println!("stopping; without an observatory node the guards close the enclosures");
     brains.stop();
     while others.join_next().await.is_some() {}
-    wait_closed(&config).await?;
+    wait_closed(&config, &bus).await?;
     hands.stop();
     while devices.join_next().await.is_some() {}
+    bus.close().await;
     Ok(())
 }
 
 /// Waits until every enclosure of this telescope is closed, at most five minutes.
-async fn wait_closed(config: &config::Observatory) -> anyhow::Result<()> {
-    if config.dome.is_empty() {
-        return Ok(());
-    }
-    let bus = Bus::open(&config.bus, Clock::machine_clock()).await?;
+async fn wait_closed(config: &config::Observatory, bus: &Bus) -> anyhow::Result<()> {
     let mut domes = Vec::new();
     for dome in &config.dome {
         let key = Key::State(config.address().device(Kind::Dome, &dome.common.name));

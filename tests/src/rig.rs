@@ -128,6 +128,14 @@ impl Rig {
         Ok(())
     }
 
+    /// Starts `starmesh up` on this rig's configuration, for tests of the supervisor; the caller ends it.
+    pub fn up(&self) -> anyhow::Result<Child> {
+        let log = std::fs::File::create(self.path("up.log"))?;
+        let mut command = Command::new(binary()?);
+        command.arg("up").arg(self.path("observatory.toml")).args(["--", "--connect", &self.endpoint]);
+        Ok(command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log).spawn()?)
+    }
+
     /// Kills one node as a power cut would: at once, without a word.
     pub fn kill(&mut self, role: Role) -> anyhow::Result<()> {
         let mut child = self.nodes.remove(&role).context("this node does not run")?;

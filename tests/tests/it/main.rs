@@ -5,3 +5,4 @@ mod closes_when_it_rains;
 mod closes_when_nodes_die;
 mod closes_when_sensors_fail;
 mod goes_on_after_a_restart;
+mod up_supervises;

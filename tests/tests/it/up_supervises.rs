@@ -1,0 +1,33 @@
+//! `starmesh up` runs all four nodes, and on Ctrl-C leaves a closed dome and no process behind.
+#![cfg(unix)]
+
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use serde_json::json;
+use tests::{Rig, RigOptions, row};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn up_runs_a_telescope_and_closes_it_when_it_is_stopped() -> anyhow::Result<()> {
+    let rig = Rig::new(RigOptions::default(), |_| vec![row("open", json!({}))]).await?;
+    let mut up = rig.up()?;
+    let opened = rig.until("the dome opens under `starmesh up`", 90.0, Rig::is_open).await;
+
+    let told = Command::new("kill").args(["-INT", &up.id().to_string()]).status()?;
+    let began = Instant::now();
+    let mut ended = None;
+    while ended.is_none() && began.elapsed() < Duration::from_secs(90) {
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        ended = up.try_wait()?;
+    }
+    let log = std::fs::read_to_string(rig.path("up.log"))?;
+    if ended.is_none() {
+        up.kill()?;
+    }
+    opened.map_err(|error| anyhow::anyhow!("{error}\n{log}"))?;
+    assert!(told.success());
+    assert!(ended.is_some_and(|status| status.success()), "{ended:?}\n{log}");
+    assert_eq!(rig.simulator.world().dome_open(), 0.0, "the guard closed before the device node ended\n{log}");
+    assert!(!log.contains("next start"), "no node ended by itself\n{log}");
+    Ok(())
+}
