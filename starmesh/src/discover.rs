@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use clap::Args;
 
+use crate::console::line;
+
 /// Options of `starmesh discover`.
 #[derive(Debug, Args)]
 pub struct Options {
@@ -17,15 +19,17 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     anyhow::ensure!((0.1..=60.0).contains(&options.seconds), "--seconds {}: expected 0.1 to 60", options.seconds);
     let found = node_device::alpaca::discovery::discover(Duration::from_secs_f64(options.seconds)).await?;
     if found.is_empty() {
-        println!(
+        line(format_args!(
             "# no Alpaca server answered on UDP port {} within {} s",
             node_device::alpaca::discovery::PORT,
             options.seconds
-        );
-        println!("# servers in another subnet, or without discovery, are written by hand: server = \"host:port\"");
+        ))?;
+        line(format_args!(
+            "# servers in another subnet, or without discovery, are written by hand: server = \"host:port\""
+        ))?;
     }
     for device in &found {
-        println!("{}", node_device::alpaca::discovery::as_toml(device));
+        line(format_args!("{}", node_device::alpaca::discovery::as_toml(device)))?;
     }
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! The command line: try it, run it, look at it.
 
 mod check;
+mod console;
 mod demo;
 mod discover;
 mod join;
@@ -69,6 +70,7 @@ fn main() -> ExitCode {
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
+        Err(error) if console::reader_has_gone(&error) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("starmesh: {error:#}");
             ExitCode::FAILURE

@@ -7,6 +7,7 @@ use clap::Args;
 use contract::observatory::{Alerts, NightState, Posture, SafetyState, Verdict};
 use contract::{Address, Key, Part};
 
+use crate::console::line;
 use crate::join::Join;
 
 /// Options of `starmesh status`.
@@ -49,10 +50,10 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
             options.seconds
         );
     }
-    println!("{:28} {:8} {:9} {:9} {:>6}  NOW", "TELESCOPE", "SAFETY", "POSTURE", "MODE", "ALERTS");
+    line(format_args!("{:28} {:8} {:9} {:9} {:>6}  NOW", "TELESCOPE", "SAFETY", "POSTURE", "MODE", "ALERTS"))?;
     for (address, row) in rows {
         let Row { safety, posture, mode, doing, alerts } = row;
-        println!("{:28} {safety:8} {posture:9} {mode:9} {alerts:>6}  {doing}", address.to_string());
+        line(format_args!("{:28} {safety:8} {posture:9} {mode:9} {alerts:>6}  {doing}", address.to_string()))?;
     }
     bus.close().await;
     Ok(())
