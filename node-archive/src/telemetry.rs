@@ -1,12 +1,12 @@
 //! Everything that devices say, into the database, and the newest of it at hand for new headers.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use bus::{Catch, Heard, Node};
 use contract::device::Description;
 use contract::device::telescope::EquatorialSystem;
-use contract::{BootId, Device, DeviceState, Key, NoData, Reading, Scalar};
+use contract::{Device, DeviceState, Key, NoData, Reading, Scalar};
 use serde_json::Value;
 use units::Utc;
 
@@ -15,8 +15,6 @@ use crate::watch_keys;
 
 /// States that wait here when the database is slow: at ten devices and 10 Hz, ten minutes.
 const WAITING_STATES: usize = 65_536;
-/// Missing numbers remembered per device, so that one that comes late is taken off the count.
-const MOST_MISSING: usize = 10_000;
 
 /// The newest word of every device. Cheap to clone.
 #[derive(Clone, Default)]
@@ -88,40 +86,6 @@ impl Newest {
     }
 }
 
-/// Counts the messages that never came, by the numbers of those that did.
-#[derive(Debug, Default)]
-struct Gaps {
-    senders: HashMap<(BootId, Key), Heading>,
-}
-
-#[derive(Debug, Default)]
-struct Heading {
-    newest: u64,
-    missing: BTreeSet<u64>,
-    forgotten: u64,
-}
-
-impl Gaps {
-    fn hear(&mut self, boot_id: &BootId, key: &Key, seq: u64) {
-        let heading = self
-            .senders
-            .entry((boot_id.clone(), key.clone()))
-            .or_insert_with(|| Heading { newest: seq, ..Heading::default() });
-        heading.missing.remove(&seq);
-        if seq > heading.newest {
-            let room = MOST_MISSING.saturating_sub(heading.missing.len()) as u64;
-            let gap = heading.newest + 1..seq;
-            heading.forgotten += (gap.end - gap.start).saturating_sub(room);
-            heading.missing.extend(gap.take(room as usize));
-            heading.newest = seq;
-        }
-    }
-
-    fn count(&self) -> u64 {
-        self.senders.values().map(|heading| heading.missing.len() as u64 + heading.forgotten).sum()
-    }
-}
-
 /// Keeps what the devices of this telescope, and those it shares with its neighbours, say.
 pub async fn keep(node: Node, database: Database, newest: Newest) -> anyhow::Result<()> {
     let mut states = Vec::new();
@@ -132,11 +96,10 @@ pub async fn keep(node: Node, database: Database, newest: Newest) -> anyhow::Res
     for keys in watch_keys(&node.config, "device/*/*/capabilities") {
         capabilities.push(node.bus.subscribe::<Description<Value>>(&keys, Catch::Newest, 256).await?);
     }
-    let mut gaps = Gaps::default();
     let mut told = (0, 0, 0);
     loop {
         tokio::select! {
-            heard = first(&states) => keep_state(heard, &database, &newest, &mut gaps).await?,
+            heard = first(&states) => keep_state(heard, &database, &newest).await?,
             heard = first(&capabilities) => {
                 if let Key::Capabilities(device) = &heard.key {
                     newest.take_capabilities(device, serde_json::to_value(&heard.said.body)?);
@@ -144,7 +107,8 @@ pub async fn keep(node: Node, database: Database, newest: Newest) -> anyhow::Res
             }
         }
         let lost = states.iter().map(bus::Subscriber::lost).sum::<u64>();
-        let now = (database.rows(), gaps.count(), lost);
+        let missing = states.iter().map(bus::Subscriber::missing).sum::<u64>();
+        let now = (database.rows(), missing, lost);
         if now != told {
             told = now;
             for (figure, value) in [("rows_written", now.0), ("gaps", now.1), ("states_lost", now.2)] {
@@ -154,14 +118,8 @@ pub async fn keep(node: Node, database: Database, newest: Newest) -> anyhow::Res
     }
 }
 
-async fn keep_state(
-    heard: Heard<DeviceState<Value>>,
-    database: &Database,
-    newest: &Newest,
-    gaps: &mut Gaps,
-) -> anyhow::Result<()> {
+async fn keep_state(heard: Heard<DeviceState<Value>>, database: &Database, newest: &Newest) -> anyhow::Result<()> {
     let said = (heard.said.boot_id, heard.said.seq);
-    gaps.hear(&said.0, &heard.key, said.1);
     let Key::State(device) = heard.key else { return Ok(()) };
     for (property, reading) in newest.take(&device, heard.said.body.readings) {
         let at: Utc = reading.at_utc;
@@ -215,20 +173,6 @@ mod tests {
         assert_eq!(take(11, 9.0).len(), 1, "recovered after a cut");
         assert_eq!(newest.value(&device(), "Altitude"), Some(Scalar::Float(2.0)));
         assert_eq!(newest.value(&device(), "Azimuth"), None);
-    }
-
-    #[test]
-    fn what_never_came_is_counted_and_what_comes_late_is_not() {
-        let mut gaps = Gaps::default();
-        let (boot_id, key) = (BootId::fresh(), Key::State(device()));
-        for seq in [5, 6, 9, 10, 7, 10] {
-            gaps.hear(&boot_id, &key, seq);
-        }
-        assert_eq!(gaps.count(), 1, "only 8 is missing");
-        gaps.hear(&BootId::fresh(), &key, 100);
-        assert_eq!(gaps.count(), 1, "another life begins anywhere");
-        gaps.hear(&boot_id, &key, 1_000_000);
-        assert_eq!(gaps.count(), 1_000_000 - 10);
     }
 
     #[test]

@@ -2,14 +2,16 @@
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use contract::{Key, Payload, Stamped};
 use tokio::sync::{Notify, watch};
 use zenoh::sample::{Sample, SampleKind};
-use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig, RecoveryConfig};
+use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, RecoveryConfig};
 
+use crate::history::{self, Watch};
+use crate::numbers::Numbers;
 use crate::{Bus, BusError, MachineTime};
 
 /// What a subscriber wants to hear.
@@ -17,7 +19,8 @@ use crate::{Bus, BusError, MachineTime};
 pub enum Catch {
     /// The newest values: those of now at once, then each new one; older ones may be lost.
     Newest,
-    /// Everything of the last ten minutes and all that follows, in order, with recovery after a cut.
+    /// Everything of the last ten minutes and all that follows, each once, with recovery after a cut. What is
+    /// recovered is in order, and may come after the first newer payloads.
     All,
 }
 
@@ -40,19 +43,27 @@ pub struct Subscriber<T> {
 
 enum Line {
     Plain { _subscriber: zenoh::pubsub::Subscriber<()> },
-    Advanced { _subscriber: AdvancedSubscriber<()> },
+    Advanced { _subscriber: AdvancedSubscriber<()>, _past: Watch },
 }
 
-struct Queue<T> {
+/// Payloads that wait to be heard.
+pub(crate) struct Queue<T> {
     waiting: Mutex<VecDeque<Heard<T>>>,
     capacity: usize,
+    /// Where each payload counts once: which were heard.
+    numbers: Option<Mutex<Numbers>>,
     arrived: Notify,
     lost: AtomicU64,
     malformed: AtomicU64,
 }
 
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 impl<T: Payload> Queue<T> {
-    fn push(&self, sample: &Sample) {
+    /// Takes a sample in; one that cannot be read is counted.
+    pub(crate) fn push(&self, sample: &Sample) {
         if sample.kind() != SampleKind::Put {
             return;
         }
@@ -69,7 +80,11 @@ impl<T: Payload> Queue<T> {
     }
 
     fn push_heard(&self, heard: Heard<T>) {
-        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_new = |numbers: &Mutex<Numbers>| lock(numbers).hear(&heard.said.boot_id, &heard.key, heard.said.seq);
+        if !self.numbers.as_ref().is_none_or(is_new) {
+            return;
+        }
+        let mut waiting = lock(&self.waiting);
         if waiting.len() >= self.capacity {
             waiting.pop_front();
             self.lost.fetch_add(1, Ordering::Relaxed);
@@ -91,6 +106,7 @@ impl Bus {
         let queue = Arc::new(Queue {
             waiting: Mutex::new(VecDeque::new()),
             capacity,
+            numbers: (catch == Catch::All).then(Mutex::default),
             arrived: Notify::new(),
             lost: AtomicU64::new(0),
             malformed: AtomicU64::new(0),
@@ -104,11 +120,10 @@ impl Bus {
                 Line::Plain { _subscriber: subscriber }
             }
             Catch::All => {
-                let subscriber = builder
-                    .history(HistoryConfig::default().detect_late_publishers().max_age(600.0))
-                    .recovery(RecoveryConfig::default())
-                    .callback(move |sample| into.push(&sample));
-                Line::Advanced { _subscriber: subscriber.await.map_err(failed)? }
+                let recovering = builder.recovery(RecoveryConfig::default());
+                let subscriber = recovering.callback(move |sample| into.push(&sample)).await.map_err(failed)?;
+                let past = history::recall(&self.session, expression, &queue).await.map_err(failed)?;
+                Line::Advanced { _subscriber: subscriber, _past: past }
             }
         };
         if catch == Catch::Newest {
@@ -174,7 +189,7 @@ impl<T> Subscriber<T> {
         loop {
             // registered before looking, so that an arrival in between is not missed
             let arrived = self.queue.arrived.notified();
-            let next = self.queue.waiting.lock().unwrap_or_else(PoisonError::into_inner).pop_front();
+            let next = lock(&self.queue.waiting).pop_front();
             match next {
                 Some(heard) => return heard,
                 None => arrived.await,
@@ -185,6 +200,11 @@ impl<T> Subscriber<T> {
     /// Payloads that gave way to newer ones.
     pub fn lost(&self) -> u64 {
         self.queue.lost.load(Ordering::Relaxed)
+    }
+
+    /// Payloads that were said between others that were heard, and never came; [`Catch::All`] only.
+    pub fn missing(&self) -> u64 {
+        self.queue.numbers.as_ref().map_or(0, |numbers| lock(numbers).missing())
     }
 
     /// Payloads that could not be read.

@@ -72,6 +72,36 @@ async fn a_subscriber_that_wants_all_hears_what_was_said_before() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn one_that_joins_while_much_is_said_hears_each_once() {
+    for round in 0..3 {
+        let first = open(Vec::new()).await;
+        let key = Key::Permit(address(), "dome".parse().unwrap());
+        let publisher = first.publisher::<Permit>(&key, Quality::State { cache: 5000 }).await.unwrap();
+        let saying = tokio::spawn(async move {
+            for number in 0..600 {
+                publisher.put(permit(number)).await.unwrap();
+                tokio::time::sleep(Duration::from_millis(2)).await;
+            }
+            publisher
+        });
+        tokio::time::sleep(Duration::from_millis(300)).await;
+        // the first new payloads come before the answer about those of before
+        let second = open(first.locators().await).await;
+        let all = second.subscribe::<Permit>(&key.to_string(), Catch::All, 5000).await.unwrap();
+        let mut heard = Vec::new();
+        while heard.len() < 600 {
+            let next = tokio::time::timeout(Duration::from_secs(10), all.hear()).await;
+            let missing = || (0..600).filter(|number| !heard.contains(number)).collect::<Vec<u64>>();
+            heard.push(next.unwrap_or_else(|_| panic!("round {round}: {:?}", missing())).said.body.guard_number);
+        }
+        let _publisher = saying.await.unwrap();
+        heard.sort_unstable();
+        assert!(heard.iter().copied().eq(0..600), "round {round}: some were heard twice");
+        assert_eq!(all.missing(), 0);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_slow_subscriber_loses_the_oldest_and_stalls_nobody() {
     let (first, second) = pair().await;
     let key = Key::Permit(address(), "dome".parse().unwrap());

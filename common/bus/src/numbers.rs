@@ -1,0 +1,142 @@
+//! Which numbered payloads of each sender were heard: each counts once, and what never came is known.
+
+use std::collections::{BTreeSet, HashMap};
+
+use contract::{BootId, Key};
+
+/// Missing numbers remembered per sender, so that late ones are taken off the count: more than any cache holds.
+const MOST_MISSING: usize = 20_000;
+/// Senders remembered; a key with an id in it (a frame's facts) makes one each.
+const MOST_SENDERS: usize = 4_096;
+
+/// The numbers heard, by sender: one life of a node on one key.
+#[derive(Debug, Default)]
+pub struct Numbers {
+    senders: HashMap<(BootId, Key), Span>,
+    heard: u64,
+    /// Missing numbers of senders that are no longer remembered.
+    given_up: u64,
+}
+
+/// From the oldest to the newest number heard, all but the missing ones.
+#[derive(Debug)]
+struct Span {
+    oldest: u64,
+    newest: u64,
+    missing: BTreeSet<u64>,
+    /// Missing too, and too many to remember which.
+    forgotten: u64,
+    /// When it was last heard, counted in payloads.
+    last: u64,
+}
+
+impl Numbers {
+    /// Takes a number in; false if it was heard before.
+    pub fn hear(&mut self, boot_id: &BootId, key: &Key, seq: u64) -> bool {
+        self.heard += 1;
+        if let Some(span) = self.senders.get_mut(&(boot_id.clone(), key.clone())) {
+            span.last = self.heard;
+            return span.hear(seq);
+        }
+        if self.senders.len() >= MOST_SENDERS {
+            self.forget_longest_silent();
+        }
+        let span = Span { oldest: seq, newest: seq, missing: BTreeSet::new(), forgotten: 0, last: self.heard };
+        self.senders.insert((boot_id.clone(), key.clone()), span);
+        true
+    }
+
+    /// How many were said between others that were heard, and never came.
+    pub fn missing(&self) -> u64 {
+        self.given_up + self.senders.values().map(Span::count).sum::<u64>()
+    }
+
+    fn forget_longest_silent(&mut self) {
+        let silent = self.senders.iter().min_by_key(|(_, span)| span.last).map(|(sender, _)| sender.clone());
+        if let Some(span) = silent.and_then(|sender| self.senders.remove(&sender)) {
+            self.given_up += span.count();
+        }
+    }
+}
+
+impl Span {
+    fn hear(&mut self, seq: u64) -> bool {
+        if seq > self.newest {
+            self.miss(self.newest + 1, seq);
+            self.newest = seq;
+            true
+        } else if seq < self.oldest {
+            self.miss(seq + 1, self.oldest);
+            self.oldest = seq;
+            true
+        } else {
+            self.missing.remove(&seq)
+        }
+    }
+
+    /// Notes the numbers from `first` to before `end`.
+    fn miss(&mut self, first: u64, end: u64) {
+        let room = MOST_MISSING.saturating_sub(self.missing.len());
+        self.missing.extend((first..end).take(room));
+        self.forgotten += (end - first).saturating_sub(room as u64);
+    }
+
+    fn count(&self) -> u64 {
+        self.missing.len() as u64 + self.forgotten
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use contract::{Address, Kind};
+
+    use super::*;
+
+    fn key() -> Key {
+        let address = Address::new("paranal", "callisto").unwrap();
+        Key::State(address.device(Kind::Telescope, &"mount".parse().unwrap()))
+    }
+
+    #[test]
+    fn what_never_came_is_counted_and_what_comes_late_is_not() {
+        let mut numbers = Numbers::default();
+        let (boot_id, key) = (BootId::fresh(), key());
+        let new: Vec<bool> = [5, 6, 9, 10, 7, 10].into_iter().map(|seq| numbers.hear(&boot_id, &key, seq)).collect();
+        assert_eq!(new, [true, true, true, true, true, false]);
+        assert_eq!(numbers.missing(), 1, "only 8 is missing");
+        assert!(numbers.hear(&BootId::fresh(), &key, 100));
+        assert_eq!(numbers.missing(), 1, "another life begins anywhere");
+        assert!(numbers.hear(&boot_id, &key, 1_000_000));
+        assert_eq!(numbers.missing(), 1_000_000 - 10);
+    }
+
+    #[test]
+    fn the_past_comes_after_the_present_and_counts_once() {
+        let mut numbers = Numbers::default();
+        let (boot_id, key) = (BootId::fresh(), key());
+        assert!(numbers.hear(&boot_id, &key, 3));
+        for seq in 0..3 {
+            assert!(numbers.hear(&boot_id, &key, seq), "{seq}");
+        }
+        assert!(!numbers.hear(&boot_id, &key, 0) && !numbers.hear(&boot_id, &key, 3));
+        assert_eq!(numbers.missing(), 0);
+    }
+
+    #[test]
+    fn the_longest_silent_sender_is_forgotten_first() {
+        let mut numbers = Numbers::default();
+        let boots: Vec<BootId> = (0..=MOST_SENDERS).map(|_| BootId::fresh()).collect();
+        for boot_id in &boots[..MOST_SENDERS] {
+            numbers.hear(boot_id, &key(), 0);
+        }
+        numbers.hear(&boots[0], &key(), 1);
+        numbers.hear(&boots[1], &key(), 2);
+        for boot_id in &boots[2..MOST_SENDERS] {
+            numbers.hear(boot_id, &key(), 1);
+        }
+        numbers.hear(&boots[MOST_SENDERS], &key(), 0);
+        assert_eq!((numbers.senders.len(), numbers.missing()), (MOST_SENDERS, 1));
+        assert!(!numbers.hear(&boots[1], &key(), 2), "heard just now");
+        assert!(numbers.hear(&boots[0], &key(), 1), "forgotten");
+    }
+}
