@@ -9,6 +9,7 @@ use bus::{AlertBoard, Clock};
 use config::header::HeaderTable;
 use contract::device::camera::{Frame, Pixel, Purpose};
 use contract::{BootId, CommandId, Kind, Scalar};
+use node_archive::completion::Completer;
 use node_archive::database::{Database, StoredImage, Write};
 use node_archive::fits::{FitsFile, Shape};
 use node_archive::header::{Known, base, room};
@@ -111,7 +112,9 @@ async fn main() {
     database.commit(vec![Write::Stored(Box::new(last))]).await.unwrap();
 
     let (reader, newest) = (Reader::open(&path).unwrap(), Newest::default());
-    let site = Site { config: &config, table: &table, newest: &newest, speed: 1.0 };
+    std::fs::create_dir(folder.path().join(".part")).unwrap();
+    let completer = Completer::new(folder.path());
+    let site = Site { config: &config, table: &table, newest: &newest, speed: 1.0, completer: &completer };
     let began = Instant::now();
     let mut added = 0;
     for image in &images {

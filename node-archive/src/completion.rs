@@ -1,29 +1,24 @@
 //! Completes the header of a file in place, so that a kill at any moment leaves the old header or the new one.
 //!
 //! A new file keeps room in its header, so the pixels stay where they are and are never copied, whatever their number.
-//! The new header is first worked out on a copy of the header alone, then written whole to a journal beside the file
-//! (`name.fits.header`, with its hash, synced), then over the old one, and the journal is removed. A kill before the
-//! journal is whole changes nothing; after that, [`recover`] writes the same bytes again. Where the room is used up, the
-//! file is written anew beside the old one and renamed over it.
+//! The new header is worked out in memory, written whole to a journal beside the file (`name.fits.header`, with its
+//! hash, synced), then over the old one, and the journal goes. A kill before the journal is whole changes nothing; after
+//! that, [`Completer::recover`] writes the same bytes again. Where the room is used up, the file is written anew beside
+//! the old one and renamed over it.
 
-use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::io::{self, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
-use crate::fits::{FitsError, FitsFile};
 use crate::header::Plan;
+use crate::store::PART_FOLDER;
+use crate::stored_header::Header;
 
-/// FITS files are made of blocks of so many bytes.
-const BLOCK: usize = 2880;
-const CARD: usize = 80;
-/// A header longer than this is none; ours have about 100 cards, and a block takes 36.
-const MOST_BLOCKS: usize = 1000;
 const MAGIC: &[u8; 16] = b"STARMESH-HEADER1";
 
-/// A header could not be completed; the file is as it was, or [`recover`] will finish it.
+/// A header could not be completed; the file is as it was, or [`Completer::recover`] will finish it.
 #[derive(Debug, thiserror::Error)]
 pub enum CompletionError {
     /// The file system.
@@ -37,93 +32,83 @@ pub enum CompletionError {
         #[source]
         source: io::Error,
     },
-    /// cfitsio.
-    #[error(transparent)]
-    Fits(#[from] FitsError),
     /// The file is no FITS file of ours.
     #[error("{} has no FITS header with an end", .0.display())]
     NoHeader(PathBuf),
 }
 
-/// The header of a file, as its cards stand there.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Header {
-    blocks: Vec<u8>,
+/// Reads the header of a file.
+pub fn read_header(path: &Path) -> Result<Header, CompletionError> {
+    let header = Header::read(path).map_err(|source| failed("read", path, source))?;
+    header.ok_or_else(|| CompletionError::NoHeader(path.to_owned()))
 }
 
-impl Header {
-    /// Reads the primary header of a file.
-    pub fn read(path: &Path) -> Result<Self, CompletionError> {
-        let mut file = File::open(path).map_err(|source| failed("open", path, source))?;
-        let mut blocks = Vec::new();
-        for _ in 0..MOST_BLOCKS {
-            let start = blocks.len();
-            blocks.resize(start + BLOCK, 0);
-            if file.read_exact(&mut blocks[start..]).is_err() {
-                break;
-            }
-            if blocks[start..].chunks(CARD).any(|card| card.starts_with(b"END     ")) {
-                return Ok(Self { blocks });
-            }
-        }
-        Err(CompletionError::NoHeader(path.to_owned()))
-    }
-
-    /// The cards before the end, without trailing blanks.
-    pub fn cards(&self) -> impl Iterator<Item = String> {
-        let cards = self.blocks.chunks(CARD).take_while(|card| !card.starts_with(b"END     "));
-        let written = cards.map(|card| card.trim_ascii_end()).filter(|card| !card.is_empty());
-        written.map(|card| String::from_utf8_lossy(card).into_owned())
-    }
-
-    /// The keywords that have a value.
-    pub fn keywords(&self) -> BTreeSet<String> {
-        self.cards().filter(|card| card.get(8..10) == Some("= ")).map(|card| card[..8].trim_end().to_owned()).collect()
-    }
-
-    /// The value of a keyword as it is written; the inside of the quotes for a text.
-    pub fn value(&self, keyword: &str) -> Option<String> {
-        let start = format!("{keyword:<8}= ");
-        let card = self.cards().find(|card| card.starts_with(&start))?;
-        let value = card[10..].trim_start();
-        match value.strip_prefix('\'') {
-            Some(text) => {
-                let marked = text.replace("''", "\u{1}");
-                let inside = marked.split('\'').next().unwrap_or_default();
-                Some(inside.trim_end().replace('\u{1}', "'"))
-            }
-            None => Some(value.split('/').next().unwrap_or_default().trim().to_owned()),
-        }
-    }
+/// Completes headers one after the other, with one journal file for all of them.
+///
+/// The journal moves to the file it is for and back: on some file systems removing a file costs more than all the rest.
+#[derive(Debug)]
+pub struct Completer {
+    spare: PathBuf,
 }
 
-/// Sets the plan's keywords in a file. Doing it twice changes nothing more.
-pub fn complete_file(path: &Path, plan: &Plan) -> Result<(), CompletionError> {
-    recover(path)?;
-    let result = match prepare(path, plan)? {
-        Prepared::InPlace(header) => {
-            write_journal(path, &header)?;
-            write_over(path, &header)
-        }
-        Prepared::Longer(header, old_length) => rewrite(path, &header, old_length),
-    };
-    result?;
-    let journal = journal_of(path);
-    fs::remove_file(&journal).map_err(|source| failed("remove", &journal, source))
-}
-
-/// Finishes what a kill interrupted; does nothing where there is nothing to finish.
-pub fn recover(path: &Path) -> Result<(), CompletionError> {
-    let journal = journal_of(path);
-    let bytes = match fs::read(&journal) {
-        Ok(bytes) => bytes,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
-        Err(source) => return Err(failed("read", &journal, source)),
-    };
-    if let Some(header) = whole(&bytes) {
-        write_over(path, header)?;
+impl Completer {
+    /// One for the files of a folder of images, on one file system.
+    pub fn new(images: &Path) -> Self {
+        Self { spare: images.join(PART_FOLDER).join("spare.header") }
     }
-    fs::remove_file(&journal).map_err(|source| failed("remove", &journal, source))
+
+    /// Sets the plan's keywords in a file whose header was read after [`Self::recover`]. Twice changes nothing more.
+    pub fn complete(&self, path: &Path, mut header: Header, plan: &Plan) -> Result<(), CompletionError> {
+        for card in &plan.cards {
+            header.set(card);
+        }
+        for line in &plan.history {
+            header.add_history(line);
+        }
+        header.update_checksum();
+        let bytes = header.to_bytes();
+        if bytes.len() != header.length() {
+            return rewrite(path, &bytes, header.length() as u64);
+        }
+        self.write_journal(path, &bytes)?;
+        write_over(path, &bytes)?;
+        self.give_back(path)
+    }
+
+    /// Finishes what a kill interrupted; does nothing where there is nothing to finish.
+    pub fn recover(&self, path: &Path) -> Result<(), CompletionError> {
+        let journal = journal_of(path);
+        let bytes = match fs::read(&journal) {
+            Ok(bytes) => bytes,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+            Err(source) => return Err(failed("read", &journal, source)),
+        };
+        if let Some(header) = whole(&bytes, path) {
+            write_over(path, header)?;
+        }
+        self.give_back(path)
+    }
+
+    fn write_journal(&self, path: &Path, header: &[u8]) -> Result<(), CompletionError> {
+        let journal = journal_of(path);
+        // there is none at first; one that was for another file names that file, and is not taken for this one's
+        let moved = match fs::rename(&self.spare, &journal) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+            moved => moved,
+        };
+        let written = moved.and_then(|()| {
+            let mut file = OpenOptions::new().write(true).create(true).truncate(false).open(&journal)?;
+            file.write_all(&entry(path, header))?;
+            file.sync_all()
+        });
+        written.and_then(|()| sync_folder(&journal)).map_err(|source| failed("write", &journal, source))
+    }
+
+    fn give_back(&self, path: &Path) -> Result<(), CompletionError> {
+        let journal = journal_of(path);
+        let given = fs::rename(&journal, &self.spare).or_else(|_| fs::remove_file(&journal));
+        given.map_err(|source| failed("remove", &journal, source))
+    }
 }
 
 /// The journal beside a file.
@@ -133,61 +118,37 @@ pub fn journal_of(path: &Path) -> PathBuf {
     name.into()
 }
 
-enum Prepared {
-    /// The new header, as long as the old one.
-    InPlace(Vec<u8>),
-    /// A longer one, and the old length.
-    Longer(Vec<u8>, u64),
-}
-
-/// Works out the new header on a copy of the old one; the pixels behind it are a hole in the file, and never read.
-fn prepare(path: &Path, plan: &Plan) -> Result<Prepared, CompletionError> {
-    let old = Header::read(path)?;
-    let length = fs::metadata(path).map_err(|source| failed("measure", path, source))?.len();
-    let copy = journal_of(path);
-    let copied = File::create(&copy).and_then(|mut file| {
-        file.write_all(&old.blocks)?;
-        file.set_len(length)
-    });
-    copied.map_err(|source| failed("write", &copy, source))?;
-    let told: BTreeSet<String> = old.cards().collect();
-    let mut fits = FitsFile::edit(&copy)?;
-    for card in &plan.cards {
-        fits.set(card)?;
-    }
-    for line in plan.history.iter().filter(|line| !told.contains(&format!("HISTORY {line}"))) {
-        fits.history(line)?;
-    }
-    fits.update_checksum()?;
-    let start = fits.data_start()?;
-    fits.close()?;
-    let mut header = vec![0; usize::try_from(start).unwrap_or(0)];
-    let read = File::open(&copy).and_then(|mut file| file.read_exact(&mut header));
-    read.map_err(|source| failed("read", &copy, source))?;
-    let old_length = old.blocks.len();
-    Ok(if header.len() == old_length { Prepared::InPlace(header) } else { Prepared::Longer(header, old_length as u64) })
-}
-
-fn write_journal(path: &Path, header: &[u8]) -> Result<(), CompletionError> {
-    let journal = journal_of(path);
-    let mut bytes = Vec::with_capacity(header.len() + 64);
+/// What stands in a journal: a mark, the lengths of name and header, both, and the hash of them.
+fn entry(path: &Path, header: &[u8]) -> Vec<u8> {
+    let name = name_of(path);
+    let mut bytes = Vec::with_capacity(header.len() + name.len() + 64);
     bytes.extend_from_slice(MAGIC);
-    bytes.extend_from_slice(&(header.len() as u64).to_le_bytes());
+    for length in [name.len(), header.len()] {
+        bytes.extend_from_slice(&(length as u64).to_le_bytes());
+    }
+    bytes.extend_from_slice(&name);
     bytes.extend_from_slice(header);
-    bytes.extend_from_slice(Sha256::digest(header).as_slice());
-    let written = File::create(&journal).and_then(|mut file| {
-        file.write_all(&bytes)?;
-        file.sync_all()
-    });
-    written.and_then(|()| sync_folder(&journal)).map_err(|source| failed("write", &journal, source))
+    let hash = Sha256::digest(&bytes);
+    bytes.extend_from_slice(&hash);
+    bytes
 }
 
-/// The header in a journal, if all of it is there.
-fn whole(journal: &[u8]) -> Option<&[u8]> {
-    let rest = journal.strip_prefix(MAGIC)?;
-    let (length, rest) = rest.split_first_chunk::<8>()?;
-    let (header, hash) = rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
-    (Sha256::digest(header).as_slice() == hash).then_some(header)
+/// The header in a journal, if all of it is there and it is for this file; what follows is of an older, longer one.
+fn whole<'a>(journal: &'a [u8], path: &Path) -> Option<&'a [u8]> {
+    let length = |at: usize| -> Option<usize> {
+        let bytes = journal.get(at..at + 8)?.try_into().ok()?;
+        usize::try_from(u64::from_le_bytes(bytes)).ok()
+    };
+    let name = MAGIC.len() + 16;
+    let header = name.checked_add(length(MAGIC.len())?)?;
+    let end = header.checked_add(length(MAGIC.len() + 8)?)?;
+    let hash = journal.get(end..end.checked_add(32)?)?;
+    let is_whole = journal.starts_with(MAGIC) && Sha256::digest(&journal[..end]).as_slice() == hash;
+    (is_whole && journal[name..header] == *name_of(path)).then(|| &journal[header..end])
+}
+
+fn name_of(path: &Path) -> Vec<u8> {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned().into_bytes()
 }
 
 fn write_over(path: &Path, header: &[u8]) -> Result<(), CompletionError> {

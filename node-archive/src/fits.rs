@@ -14,11 +14,10 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use contract::device::camera::Pixel;
 
-use crate::card::{Card, printable};
+use crate::card::Card;
 
 /// cfitsio's `FLEN_FILENAME`, with its closing zero.
 const LONGEST_PATH: usize = 1024;
-const READ_WRITE: c_int = 1;
 
 /// cfitsio did not do what was asked.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -97,14 +96,6 @@ impl FitsFile {
         Ok(file)
     }
 
-    /// Opens a file for changing its header.
-    pub fn edit(path: &Path) -> Result<Self, FitsError> {
-        Self::open_with("open", path, |raw, name, status| {
-            // SAFETY: `raw` and `status` point to locals that outlive the call, `name` is a closed C string.
-            unsafe { fitsio_sys::ffdkopn(raw, name, READ_WRITE, status) }
-        })
-    }
-
     fn open_with(
         what: &'static str,
         path: &Path,
@@ -130,13 +121,6 @@ impl FitsFile {
             fitsio_sys::ffucrd(raw, keyword.as_ptr(), record.as_ptr(), status)
         })?;
         Ok(true)
-    }
-
-    /// Adds a line to the file's history.
-    pub fn history(&mut self, text: &str) -> Result<(), FitsError> {
-        let text = c_text(&printable(text));
-        // SAFETY: the file is open; the text is a closed C string, which cfitsio splits over as many cards as it needs.
-        self.call("add history to", |raw, status| unsafe { fitsio_sys::ffphis(raw, text.as_ptr(), status) })
     }
 
     /// Keeps room for so many more cards, so that setting them later does not move the pixels. Before the pixels.
@@ -174,20 +158,6 @@ impl FitsFile {
     pub fn write_checksums(&mut self) -> Result<(), FitsError> {
         // SAFETY: the file is open.
         self.call("write the checksums of", |raw, status| unsafe { fitsio_sys::ffpcks(raw, status) })
-    }
-
-    /// Brings CHECKSUM up to date from the header and the DATASUM that stands in it; reads no pixel.
-    pub fn update_checksum(&mut self) -> Result<(), FitsError> {
-        // SAFETY: the file is open.
-        self.call("update the checksum of", |raw, status| unsafe { fitsio_sys::ffupck(raw, status) })
-    }
-
-    /// Where the pixels begin, bytes from the file's start.
-    pub fn data_start(&mut self) -> Result<u64, FitsError> {
-        let (mut head, mut data, mut end) = (0, 0, 0);
-        // SAFETY: the file is open; the three numbers are locals.
-        self.call("measure", |raw, status| unsafe { fitsio_sys::ffghad(raw, &mut head, &mut data, &mut end, status) })?;
-        u64::try_from(data).map_err(|_| error("measure", &self.path, format!("the data start at {data}")))
     }
 
     /// Closes the file and says whether everything arrived.

@@ -23,6 +23,7 @@ pub mod name;
 pub mod pass;
 pub mod reader;
 mod store;
+pub mod stored_header;
 pub mod telemetry;
 
 use std::collections::HashMap;

@@ -14,7 +14,7 @@ use contract::observatory::Priority;
 use contract::{CommandId, Device, Kind, Scalar};
 use tokio::sync::Notify;
 
-use crate::completion::{Header, complete_file, recover};
+use crate::completion::{Completer, read_header};
 use crate::database::{Database, StoredImage, Write};
 use crate::header::{Around, Later, Plan, completion, needed};
 use crate::pairing;
@@ -80,6 +80,8 @@ pub struct Site<'a> {
     pub newest: &'a Newest,
     /// Speed of sky time.
     pub speed: f64,
+    /// What writes the headers.
+    pub completer: &'a Completer,
 }
 
 /// Completes the header of one stored image from the polls around its exposure, and returns what was added.
@@ -94,6 +96,7 @@ pub fn complete_image(
     let (frame, config) = (&image.frame, site.config);
     let camera = config.address().device(Kind::Camera, &frame.camera.parse()?);
     let devices = pairing(config, &camera, frame);
+    let _snapshot = reader.snapshot()?;
     let mut polls: HashMap<(Kind, &str), Around> = HashMap::new();
     for (kind, property) in needed(site.table) {
         let Some(device) = devices.get(&kind) else { continue };
@@ -105,8 +108,9 @@ pub fn complete_image(
         }
         polls.insert((kind, property), around);
     }
-    recover(&image.path)?;
-    let present = Header::read(&image.path)?.keywords();
+    site.completer.recover(&image.path)?;
+    let stored = read_header(&image.path)?;
+    let present = stored.keywords();
     for (kind, property) in missing_fixed(site.table, &present).chain(POINTING) {
         if let (Some(device), false) = (devices.get(&kind), polls.contains_key(&(kind, property))) {
             polls.insert((kind, property), reader.around(device, property, frame.started_utc)?);
@@ -120,7 +124,7 @@ pub fn complete_image(
     let later =
         Later { frame, place: &config.place, mount, reach_s: site.reach_s(), present: &present, around: &around };
     let plan = completion(site.table, &later)?;
-    complete_file(&image.path, &plan)?;
+    site.completer.complete(&image.path, stored, &plan)?;
     Ok(Some(plan))
 }
 
@@ -224,11 +228,13 @@ impl Pass {
     }
 
     fn complete(&self, reader: &Reader, image: &StoredImage, impatient: bool) -> anyhow::Result<bool> {
+        let completer = Completer::new(&self.node.config.folders.images);
         let site = Site {
             config: &self.node.config,
             table: &self.node.header,
             newest: &self.newest,
             speed: self.node.bus.clock().speed(),
+            completer: &completer,
         };
         let Some(plan) = complete_image(&site, reader, image, impatient)? else { return Ok(false) };
         for line in &plan.history {

@@ -38,6 +38,11 @@ impl Reader {
         Ok(Self { connection, path: path.to_owned() })
     }
 
+    /// Holds the database as it is now until the snapshot is dropped; many questions cost less under one.
+    pub fn snapshot(&self) -> Result<rusqlite::Transaction<'_>, DatabaseError> {
+        self.connection.unchecked_transaction().map_err(|source| self.failed(source))
+    }
+
     /// The polls of a property around an instant.
     pub fn around(&self, device: &Device, property: &str, at: Utc) -> Result<Around, DatabaseError> {
         let find = |sql: &str| {

@@ -16,7 +16,7 @@ use tokio::sync::{Notify, Semaphore, watch};
 use tokio::task::JoinSet;
 use units::Utc;
 
-use crate::completion::{Header, sync_folder};
+use crate::completion::sync_folder;
 use crate::database::{Database, StoredImage, Write};
 use crate::fits::FitsFile;
 use crate::frame::{fetch, shape};
@@ -24,6 +24,7 @@ use crate::header;
 use crate::name::{Namer, other_than};
 use crate::pairing;
 use crate::reader::Reader;
+use crate::stored_header::Header;
 use crate::telemetry::Newest;
 
 /// Frames that are fetched and written at the same time: one on the wire while another is on its way to the disk.
@@ -104,7 +105,11 @@ fn prepare_folders(images: &Path) -> std::io::Result<()> {
     let parts = images.join(PART_FOLDER);
     std::fs::create_dir_all(&parts)?;
     for entry in std::fs::read_dir(&parts)? {
-        std::fs::remove_file(entry?.path())?;
+        match std::fs::remove_file(entry?.path()) {
+            // the journal of headers comes and goes
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+            removed => removed?,
+        }
     }
     Ok(())
 }
@@ -260,7 +265,7 @@ fn part_name(id: &CommandId) -> String {
 
 /// Length of a file, if it is the whole file of this frame.
 fn length_if_whole(path: &Path, id: &CommandId) -> Option<u64> {
-    let header = Header::read(path).ok()?;
+    let header = Header::read(path).ok()??;
     (header.value("FRAMEID").as_deref() == Some(id.0.as_str())).then(|| std::fs::metadata(path).ok())?.map(|m| m.len())
 }
 

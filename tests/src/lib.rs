@@ -7,5 +7,5 @@
 mod night;
 mod rig;
 
-pub use night::{Rows, object, row};
+pub use night::{Rows, long_row, object, row};
 pub use rig::{Rig, RigOptions, SITE, TELESCOPE};

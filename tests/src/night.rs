@@ -27,6 +27,11 @@ pub fn object(options: &simulator::Options, name: &str, exposure_s: f64, frames:
     row("object", value)
 }
 
+/// A night that keeps the dome open until something closes it.
+pub fn long_row(options: &simulator::Options) -> Rows {
+    vec![row("open", json!({})), object(options, "Long field", 20.0, 1000)]
+}
+
 /// The schedule's text.
 pub(crate) fn jsonl(rows: &[(&'static str, Value)], start: Utc, length_s: f64) -> String {
     let lines = rows.iter().enumerate().map(|(index, (action, value))| {

@@ -15,7 +15,7 @@ use contract::{Address, DeviceState, Key, Kind, Part, Payload, Role};
 use simulator::Simulator;
 use tempfile::TempDir;
 
-use crate::night::{Rows, configuration, jsonl};
+use crate::night::{Rows, configuration, jsonl, long_row};
 
 /// A rig is five busy processes: more than so many at once would measure the machine, not Starmesh.
 static SEATS: tokio::sync::Semaphore = tokio::sync::Semaphore::const_new(3);
@@ -107,6 +107,16 @@ impl Rig {
             nodes: HashMap::new(),
             _seat: seat,
         })
+    }
+
+    /// A night of one long row, which a device node and an observatory node have opened the dome for.
+    pub async fn at_open_dome() -> anyhow::Result<Self> {
+        let mut rig = Self::new(RigOptions::default(), long_row).await?;
+        for role in [Role::Device, Role::Observatory] {
+            rig.start(role)?;
+        }
+        rig.until("the dome opens on a safe sky", 60.0, Self::is_open).await?;
+        Ok(rig)
     }
 
     /// Starts all four nodes.

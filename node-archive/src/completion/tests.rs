@@ -4,7 +4,20 @@ use contract::device::camera::Pixel;
 
 use super::*;
 use crate::card::{Card, CardValue};
-use crate::fits::Shape;
+use crate::fits::{FitsFile, Shape};
+
+fn completer(path: &Path) -> Completer {
+    Completer::new(path.parent().unwrap())
+}
+
+fn recover(path: &Path) {
+    completer(path).recover(path).unwrap();
+}
+
+fn complete_file(path: &Path, plan: &Plan) -> Result<(), CompletionError> {
+    completer(path).recover(path)?;
+    completer(path).complete(path, read_header(path)?, plan)
+}
 
 const SHAPE: Shape = Shape { pixel: Pixel::U16, width_px: 50, height_px: 40, planes: 1 };
 
@@ -41,12 +54,12 @@ fn is_checksum_right(bytes: &[u8]) -> bool {
 }
 
 fn data_of(path: &Path) -> Vec<u8> {
-    let start = Header::read(path).unwrap().blocks.len();
+    let start = read_header(path).unwrap().length();
     std::fs::read(path).unwrap()[start..].to_vec()
 }
 
 fn assert_complete(path: &Path, data: &[u8]) {
-    let header = Header::read(path).unwrap();
+    let header = read_header(path).unwrap();
     assert_eq!(header.value("KEY59").unwrap().parse::<f64>().unwrap(), 59.0 / 7.0);
     assert_eq!(header.value("OBJECT").unwrap(), "O'Brien");
     assert_eq!(header.cards().filter(|card| card.starts_with("HISTORY not known")).count(), 1);
@@ -60,7 +73,7 @@ fn assert_complete(path: &Path, data: &[u8]) {
 fn a_new_file_reads_back_as_it_was_given() {
     let folder = tempfile::tempdir().unwrap();
     let path = new_file(folder.path(), 100);
-    let header = Header::read(&path).unwrap();
+    let header = read_header(&path).unwrap();
     assert_eq!(header.value("OBJECT").unwrap(), "Rigel");
     assert_eq!(
         (header.value("BITPIX").unwrap(), header.value("BZERO").unwrap()),
@@ -89,7 +102,7 @@ fn all_pixel_types_and_planes_are_written() {
         let bytes: Vec<u8> = (0..shape.bytes().unwrap()).map(|i| (i % 63) as u8).collect();
         fits.write_pixels(&shape, &bytes).unwrap();
         fits.close().unwrap();
-        let header = Header::read(&path).unwrap();
+        let header = read_header(&path).unwrap();
         assert_eq!(header.value("BITPIX").unwrap(), bitpix);
         assert_eq!(header.value("NAXIS").unwrap(), if planes == 1 { "2" } else { "3" });
         assert_eq!(header.value("NAXIS3"), (planes > 1).then(|| planes.to_string()));
@@ -132,21 +145,20 @@ fn a_kill_at_any_step_leaves_the_old_header_or_the_new_one() {
     let folder = tempfile::tempdir().unwrap();
     let path = new_file(folder.path(), 100);
     let (data, old) = (data_of(&path), std::fs::read(&path).unwrap());
-    let Prepared::InPlace(header) = prepare(&path, &plan()).unwrap() else { panic!("the header has room") };
+    complete_file(&path, &plan()).unwrap();
+    let new = std::fs::read(&path).unwrap();
+    let header = &new[..read_header(&path).unwrap().length()];
+    let journal = entry(&path, header);
 
-    // killed while the copy was worked on: the file is untouched, and completing starts again
-    assert_eq!(std::fs::read(&path).unwrap(), old);
-    recover(&path).unwrap();
-    assert!(!journal_of(&path).exists());
-    assert_eq!(std::fs::read(&path).unwrap(), old);
-
-    // killed while the journal was written, after any number of bytes
-    write_journal(&path, &header).unwrap();
-    let journal = std::fs::read(journal_of(&path)).unwrap();
+    // killed while the journal was written, after any number of bytes, over one of another file or over nothing
+    let before = entry(&folder.path().join("b.fits"), &old[..header.len()]);
+    std::fs::write(&path, &old).unwrap();
     for length in (0..journal.len()).step_by(97) {
-        std::fs::write(journal_of(&path), &journal[..length]).unwrap();
-        recover(&path).unwrap();
-        assert_eq!(std::fs::read(&path).unwrap(), old, "{length} bytes of journal");
+        for rest in [&before[length.min(before.len())..], &[]] {
+            std::fs::write(journal_of(&path), [&journal[..length], rest].concat()).unwrap();
+            recover(&path);
+            assert_eq!(std::fs::read(&path).unwrap(), old, "{length} bytes of journal");
+        }
     }
 
     // killed while the new header was written over the old one, after any number of bytes
@@ -155,14 +167,36 @@ fn a_kill_at_any_step_leaves_the_old_header_or_the_new_one() {
         let mut torn = old.clone();
         torn[..length].copy_from_slice(&header[..length]);
         std::fs::write(&path, &torn).unwrap();
-        recover(&path).unwrap();
+        recover(&path);
         assert_complete(&path, &data);
     }
 
-    // killed before the journal was removed, and completed again
+    // killed before the journal was given back, and completed again
     std::fs::write(journal_of(&path), &journal).unwrap();
     complete_file(&path, &plan()).unwrap();
     assert_complete(&path, &data);
+}
+
+#[test]
+fn one_journal_serves_file_after_file() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join(PART_FOLDER)).unwrap();
+    let first = new_file(folder.path(), 100);
+    let second = folder.path().join("b.fits");
+    std::fs::copy(&first, &second).unwrap();
+    let data = data_of(&first);
+    for path in [&first, &second] {
+        complete_file(path, &plan()).unwrap();
+        assert_complete(path, &data);
+    }
+    let spare = folder.path().join(PART_FOLDER).join("spare.header");
+    // it moved to the next file, and the kill came before it was written anew
+    let told = std::fs::read(&second).unwrap();
+    std::fs::rename(&spare, journal_of(&first)).unwrap();
+    recover(&first);
+    assert_eq!(std::fs::read(&second).unwrap(), told);
+    assert_complete(&first, &data);
+    assert!(spare.exists(), "given back");
 }
 
 #[test]

@@ -1,21 +1,11 @@
 //! Whoever dies, the dome closes.
 
 use contract::Role;
-use serde_json::json;
-use tests::{Rig, RigOptions, row};
-
-async fn open_rig() -> anyhow::Result<Rig> {
-    let mut rig = Rig::new(RigOptions::default(), |_| vec![row("open", json!({}))]).await?;
-    for role in [Role::Device, Role::Observatory] {
-        rig.start(role)?;
-    }
-    rig.until("the dome opens on a safe sky", 60.0, Rig::is_open).await?;
-    Ok(rig)
-}
+use tests::Rig;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_guard_closes_when_the_observatory_is_killed() -> anyhow::Result<()> {
-    let mut rig = open_rig().await?;
+    let mut rig = Rig::at_open_dome().await?;
     rig.kill(Role::Observatory)?;
     // the permit lasts 5 s here; shutter travel and a noisy machine take the rest
     rig.until("the guard closes by itself", 30.0, Rig::is_shut).await?;
@@ -29,7 +19,7 @@ async fn the_guard_closes_when_the_observatory_is_killed() -> anyhow::Result<()>
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_device_node_that_starts_at_an_open_dome_closes_it_without_a_permit() -> anyhow::Result<()> {
-    let mut rig = open_rig().await?;
+    let mut rig = Rig::at_open_dome().await?;
     rig.kill(Role::Observatory)?;
     rig.kill(Role::Device)?;
     assert!(rig.simulator.world().dome_open() > 0.0, "nobody was left to close");
@@ -40,7 +30,7 @@ async fn a_device_node_that_starts_at_an_open_dome_closes_it_without_a_permit() 
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_new_observatory_takes_over_and_opens_again() -> anyhow::Result<()> {
-    let mut rig = open_rig().await?;
+    let mut rig = Rig::at_open_dome().await?;
     rig.kill(Role::Observatory)?;
     rig.until("the guard closes by itself", 30.0, Rig::is_shut).await?;
     rig.start(Role::Observatory)?;

@@ -1,15 +1,10 @@
 //! A sensor that is silent, lies or answers nonsense is unsafe.
 
-use serde_json::json;
 use simulator::{Fault, Kind};
-use tests::{Rig, RigOptions, row};
+use tests::Rig;
 
 async fn closes_on(fault: Fault, kind: Kind) -> anyhow::Result<()> {
-    let mut rig = Rig::new(RigOptions::default(), |_| vec![row("open", json!({}))]).await?;
-    for role in [contract::Role::Device, contract::Role::Observatory] {
-        rig.start(role)?;
-    }
-    rig.until("the dome opens on a safe sky", 60.0, Rig::is_open).await?;
+    let rig = Rig::at_open_dome().await?;
     rig.simulator.world().fault(kind, fault.clone());
     let limit_s = if kind == Kind::ObservingConditions { 100.0 } else { 40.0 };
     let reasons = |rig: &Rig| rig.safety.get().is_some_and(|safety| !safety.said.body.reasons.is_empty());

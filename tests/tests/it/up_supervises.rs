@@ -4,12 +4,11 @@
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use serde_json::json;
-use tests::{Rig, RigOptions, row};
+use tests::{Rig, RigOptions, long_row};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn up_runs_a_telescope_and_closes_it_when_it_is_stopped() -> anyhow::Result<()> {
-    let rig = Rig::new(RigOptions::default(), |_| vec![row("open", json!({}))]).await?;
+    let rig = Rig::new(RigOptions::default(), long_row).await?;
     let mut up = rig.up()?;
     let opened = rig.until("the dome opens under `starmesh up`", 90.0, Rig::is_open).await;
 
