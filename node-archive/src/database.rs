@@ -20,8 +20,9 @@ pub use rows::stamp;
 
 /// Rows of one commit, at most.
 const BATCH: usize = 200;
-/// The longest that a row waits for others to be committed with it.
-const PATIENCE: Duration = Duration::from_millis(200);
+/// The longest that a row waits for others to be committed with it; a kill loses none of them, for a new life of the
+/// archive asks for the last ten minutes.
+const PATIENCE: Duration = Duration::from_secs(1);
 /// Rows that wait for the writer; beyond that, those who bring them wait too.
 const WAITING: usize = 10_000;
 /// A writer that cannot commit tries again after so long, and when the node ends for so many times.

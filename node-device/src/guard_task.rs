@@ -10,13 +10,14 @@ use contract::observatory::{Permit, Priority};
 use contract::{Address, Device, DeviceState, Key, Kind};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
-use tokio::time::{MissedTickBehavior, interval};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
 use crate::alpaca::{Alpaca, AlpacaError, value};
 use crate::driver::dome::SHUTTER;
 use crate::guard::{Alarm, Deed, Guard};
 
 /// The guard looks at least so often; it looks at once when a permit or a shutter reading comes.
+const BEAT: Duration = Duration::from_secs(1);
 const LOOK: Duration = Duration::from_millis(250);
 /// A shutter reading that is older proves nothing.
 const FRESH: Duration = Duration::from_secs(5);
@@ -69,8 +70,7 @@ impl GuardTask {
         let permits = bus.subscribe::<Permit>(&keys, Catch::Newest, 64).await?;
         let mut mounts = if self.heeds_mounts { Some(self.mounts().await?) } else { None };
 
-        let mut beat = interval(Duration::from_secs(1));
-        beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut next_beat = Instant::now();
         let mut look = interval(LOOK);
         look.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut hands = JoinSet::new();
@@ -80,7 +80,10 @@ impl GuardTask {
         loop {
             let beaten = tokio::select! {
                 () = self.node.stop.wait() => return Ok(()),
-                _ = beat.tick() => true,
+                () = sleep_until(next_beat) => {
+                    next_beat = Instant::now() + clock.machine().to_tick(BEAT);
+                    true
+                }
                 _ = look.tick() => false,
                 heard = permits.hear() => {
                     if let Key::Permit(Address { telescope, .. }, _) = &heard.key

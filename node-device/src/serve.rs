@@ -268,7 +268,9 @@ impl<D: Driver> Loop<D> {
         self.judge(Some(poll.began_at));
         let now = Instant::now();
         let pause = if self.is_fast(now) { FAST } else { self.period() };
-        self.next_contact = (poll.began_at + pause).max(now);
+        let tick = now + self.serve.node.bus.clock().machine().to_tick(pause);
+        // a poll that took longer than its period is followed by the next at once
+        self.next_contact = if now.duration_since(poll.began_at) < pause { tick } else { now };
     }
 
     fn is_fast(&mut self, now: Instant) -> bool {

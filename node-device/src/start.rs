@@ -14,6 +14,7 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 use crate::alpaca::Alpaca;
+use crate::alpaca::http_client;
 use crate::deadline::machine_limit;
 use crate::driver::Driver;
 use crate::driver::camera::{Camera, frame_properties};
@@ -46,6 +47,7 @@ struct Shared<'a> {
     tokens: Arc<Tokens>,
     permits: Arc<Permits>,
     tasks: &'a mut Tasks,
+    http: reqwest::Client,
     index: u32,
 }
 
@@ -62,7 +64,8 @@ pub async fn all(node: &Node, part: &NodePart<'_>, tasks: &mut Tasks) -> anyhow:
         stop.or(listening).await.transpose()?;
         Ok(())
     });
-    let mut shared = Shared { node, tokens, permits, tasks, index: 0 };
+    let http = http_client().context("no HTTP client")?;
+    let mut shared = Shared { node, tokens, permits, tasks, http, index: 0 };
     let config = &node.config;
     // enclosures first: what closes must not wait for anything else to start
     for dome in config.dome.iter().filter(|dome| part.serves(&dome.common)) {
@@ -124,7 +127,7 @@ impl Shared<'_> {
         gate: Gate,
     ) -> anyhow::Result<(Arc<Front<D>>, Alpaca)> {
         let (driver, kind) = (Arc::new(driver), D::Kind::KIND);
-        let alpaca = Alpaca::new(&common.server, kind, common.number)
+        let alpaca = Alpaca::new(self.http.clone(), &common.server, kind, common.number)
             .with_context(|| format!("{kind} \"{}\": no HTTP client", common.name))?;
         let (front, orders) = Front::new(driver.clone(), gate);
         let front = Arc::new(front);

@@ -132,7 +132,7 @@ async fn until_lost(room: &ControlRoom, token: u64, lease: &bus::Publisher<Lease
             tracing::warn!(%error, "the lease was not said");
         }
         tokio::select! {
-            () = tokio::time::sleep(Duration::from_secs(1)) => {}
+            () = clock.tick(Duration::from_secs(1)) => {}
             () = room.doubt.notified() => return,
         }
         if guard.and_then(bus::Latest::get).is_some_and(|heard| heard.said.body.token > token) {

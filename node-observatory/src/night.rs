@@ -98,6 +98,7 @@ impl Board {
 
 /// No two samples of a state follow each other faster; a fast demo changes hundreds of times a second.
 const LEAST: Duration = Duration::from_millis(50);
+const SECOND: Duration = Duration::from_secs(1);
 
 /// Publishes the night each second and at each change.
 pub async fn keep_telling_night(room: Arc<ControlRoom>) -> anyhow::Result<()> {
@@ -120,7 +121,7 @@ pub async fn keep_telling_night(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         looked = now;
         touched |= was != posture;
         was = posture;
-        let due = said_at.is_none_or(|at| clock.machine().since(at) >= Duration::from_secs(1));
+        let due = said_at.is_none_or(|at| clock.machine().since(at) >= SECOND - LEAST * 2);
         if (touched || due) && room.may_speak() {
             let shown = tonight.borrow_and_update().clone();
             let robotic_now = *robotic.borrow();
@@ -144,7 +145,7 @@ pub async fn keep_telling_night(room: Arc<ControlRoom>) -> anyhow::Result<()> {
             changed = tonight.changed() => changed.map(|()| true)?,
             changed = robotic.changed() => changed.map(|()| true)?,
             _ = stirred.changed() => false,
-            () = tokio::time::sleep(Duration::from_secs(1).saturating_sub(LEAST)) => false,
+            () = clock.tick(SECOND) => false,
         };
     }
 }

@@ -3,20 +3,26 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use bus::{Publisher, Quality};
+use bus::{Latest, Publisher, Quality};
 use contract::Key;
+use contract::device::dome::Guard;
 use contract::observatory::{Permit, Verdict};
 
 use crate::control_room::ControlRoom;
 use crate::rig::dome::Dome;
 
-/// Renews every permit once a second and at each change of the verdict, while this node commands.
+/// A guard says a number each second, and the permit that answers it is as young as it can be; when no guard is heard,
+/// permits go out all the same.
+const PERIOD: Duration = Duration::from_millis(1200);
+
+/// Renews every permit as its guard is heard and at each change of the verdict, while this node commands.
 pub async fn keep_renewing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let mut lines: Vec<(&Dome, Publisher<Permit>)> = Vec::new();
     for dome in &room.rig.domes {
         let key = Key::Permit(room.node.config.address(), dome.instrument.device.name.clone());
         lines.push((dome, room.node.bus.publisher(&key, Quality::Urgent).await?));
     }
+    let mut guards: Vec<_> = room.rig.domes.iter().map(|dome| dome.guard.clone()).collect();
     let (mut ruling, mut hold) = (room.ruling.clone(), room.hold.clone());
     loop {
         let told = verdict(&room);
@@ -32,11 +38,20 @@ pub async fn keep_renewing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
                 tokio::select! {
                     _ = ruling.changed() => {}
                     _ = hold.changed() => return,
+                    () = heard(&mut guards) => return,
                 }
             }
         };
-        let _ = tokio::time::timeout(Duration::from_secs(1), changed).await;
+        let _ = tokio::time::timeout(PERIOD, changed).await;
     }
+}
+
+/// Waits for the next number of any guard.
+async fn heard(guards: &mut [Latest<Guard>]) {
+    if guards.is_empty() {
+        std::future::pending::<()>().await;
+    }
+    futures_util::future::select_all(guards.iter_mut().map(|guard| Box::pin(guard.changed()))).await;
 }
 
 fn verdict(room: &ControlRoom) -> Verdict {

@@ -255,4 +255,5 @@ def main():
         shown = len(ROWS)
 
 
-main()
+if __name__ == "__main__":
+    main()

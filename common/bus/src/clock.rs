@@ -122,6 +122,11 @@ impl Clock {
         sky.div_f64(self.speed())
     }
 
+    /// Waits for the next tick of a period, machine time.
+    pub async fn tick(&self, period: Duration) {
+        tokio::time::sleep(self.machine().to_tick(period)).await;
+    }
+
     /// Waits for a duration of sky time.
     pub async fn sleep_sky(&self, sky: Duration) {
         tokio::time::sleep(self.machine_duration(sky)).await;

@@ -24,6 +24,14 @@ impl MachineTime {
         Self(self.0.saturating_add(duration))
     }
 
+    /// Time left to the next whole multiple of a period since boot; what recurs shares these ticks, so that an idle
+    /// machine wakes once for all of it.
+    pub fn to_tick(self, period: Duration) -> Duration {
+        let period = period.max(Duration::from_millis(1));
+        let passed = self.0.as_nanos() % period.as_nanos();
+        period.saturating_sub(Duration::from_nanos(u64::try_from(passed).unwrap_or(0)))
+    }
+
     /// Reads the machine's boot-time clock.
     pub(crate) fn now() -> Self {
         Self(boot_time())
@@ -66,4 +74,19 @@ fn boot_time() -> Duration {
     use std::time::Instant;
     static START: OnceLock<Instant> = OnceLock::new();
     START.get_or_init(Instant::now).elapsed()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_recurs_shares_its_ticks() {
+        let at = |ms| MachineTime::from_boot(Duration::from_millis(ms));
+        let second = Duration::from_secs(1);
+        assert_eq!(at(41_250).to_tick(second), Duration::from_millis(750));
+        assert_eq!(at(41_000).to_tick(second), second, "on the tick, the next one");
+        assert_eq!(at(41_250).to_tick(second * 5), Duration::from_millis(3_750));
+        assert_eq!(at(5).to_tick(Duration::ZERO), Duration::from_millis(1), "never zero");
+    }
 }

@@ -111,7 +111,7 @@ impl Node {
         let health = async {
             loop {
                 states.put(self.state()).await?;
-                tokio::time::sleep(Duration::from_secs(5)).await;
+                self.bus.clock().tick(Duration::from_secs(5)).await;
             }
         };
         let write = async {

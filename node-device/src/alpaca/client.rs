@@ -43,9 +43,12 @@ struct Wire {
 
 impl Alpaca {
     /// A device by its server (`host:port`), kind and number.
-    pub fn new(server: &str, kind: Kind, number: u32) -> Result<Self, AlpacaError> {
+    ///
+    /// A client that devices share spares those that are polled seldom a new connection for each poll; a request that
+    /// hangs holds its own connection and nobody else's.
+    pub fn new(ordinary: Client, server: &str, kind: Kind, number: u32) -> Result<Self, AlpacaError> {
         let wire = Wire {
-            ordinary: http_client()?,
+            ordinary,
             urgent: http_client()?,
             server: server.to_owned(),
             kind,
@@ -177,8 +180,8 @@ impl Alpaca {
     }
 }
 
-/// An HTTP client for one device: no proxy, no redirects, no connection older than servers keep theirs.
-pub(super) fn http_client() -> Result<Client, AlpacaError> {
+/// An HTTP client: no proxy, no redirects, no connection older than servers keep theirs.
+pub(crate) fn http_client() -> Result<Client, AlpacaError> {
     Client::builder()
         .no_proxy()
         .redirect(reqwest::redirect::Policy::none())

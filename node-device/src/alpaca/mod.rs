@@ -10,4 +10,5 @@ mod response;
 pub mod value;
 
 pub use client::Alpaca;
+pub(crate) use client::http_client;
 pub use error::{AlpacaError, Fault};

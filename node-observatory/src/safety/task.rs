@@ -10,7 +10,6 @@ use contract::observatory::{SafetyState, Verdict};
 use contract::{BootId, Device, DeviceState, Key, Payload};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
-use tokio::time::MissedTickBehavior;
 
 use super::Ruling;
 use super::history::Now;
@@ -44,8 +43,6 @@ pub async fn keep_judging(node: Node, rules: Rules, ruling: watch::Sender<Ruling
 
     let started = now(&clock);
     let mut history = History::new(&rules, started.sky);
-    let mut tick = tokio::time::interval(Duration::from_secs(1));
-    tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         let judgement = judge(&rules, &history, now(&clock));
         let waited = now(&clock).machine.since(started.machine) >= GRACE;
@@ -60,7 +57,7 @@ pub async fn keep_judging(node: Node, rules: Rules, ruling: watch::Sender<Ruling
                     take_in(&mut history, &rules, word, clock.speed());
                 }
             }
-            _ = tick.tick() => {}
+            () = clock.tick(Duration::from_secs(1)) => {}
         }
     }
 }
