@@ -13,6 +13,8 @@ use crate::ledger::Ledger;
 use crate::night::Board;
 use crate::rig::Rig;
 use crate::safety::Ruling;
+use crate::safety::rules::Rules;
+use crate::standing::Standing;
 
 /// The control room.
 pub struct ControlRoom {
@@ -34,6 +36,10 @@ pub struct ControlRoom {
     pub reload: watch::Sender<u64>,
     /// What was begun and finished, on disk.
     pub journal: Journal,
+    /// What the verdict rests on.
+    pub rules: Arc<Rules>,
+    /// What people have ordered of the verdict.
+    pub standing: watch::Sender<Standing>,
     /// Frames announced and stored.
     pub ledger: Ledger,
     /// What is shown of the night.
@@ -45,6 +51,8 @@ pub struct ControlRoom {
 pub enum Objection {
     /// The sky is not safe.
     Unsafe(String),
+    /// Nothing needs to close, but the sky is not to be exposed.
+    Suspended(String),
     /// The robotic switch is off.
     NotRobotic,
     /// This node does not command.
@@ -55,6 +63,7 @@ impl std::fmt::Display for Objection {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Unsafe(why) => write!(f, "not safe: {why}"),
+            Self::Suspended(why) => write!(f, "suspended: {why}"),
             Self::NotRobotic => f.write_str("the robotic switch is off"),
             Self::NoLease => f.write_str("this node does not command"),
         }
@@ -88,7 +97,18 @@ impl ControlRoom {
         if self.hold.borrow().token().is_none() {
             return Some(Objection::NoLease);
         }
-        (weather && !self.is_safe()).then(|| Objection::Unsafe(self.ruling.borrow().why()))
+        if !weather {
+            return None;
+        }
+        if !self.is_safe() {
+            return Some(Objection::Unsafe(self.ruling.borrow().why()));
+        }
+        self.ruling.borrow().suspension().map(Objection::Suspended)
+    }
+
+    /// May the sky be exposed?
+    pub fn sky_is_usable(&self) -> bool {
+        self.is_safe() && self.ruling.borrow().suspension().is_none()
     }
 
     /// Waits until something stands against an action.

@@ -22,6 +22,7 @@ pub mod rig;
 pub mod runner;
 pub mod safety;
 pub mod schedule;
+pub mod standing;
 mod start;
 mod trouble;
 
@@ -36,15 +37,17 @@ pub use trouble::Trouble;
 /// A task that ends early ends the node, which is then started afresh; meanwhile the guards of the domes, hearing
 /// no permit, close.
 pub async fn run(node: Node) -> anyhow::Result<()> {
-    let start::Start { room, rules, ruling, hold, loaded, neighbours } = start::start(&node).await?;
+    let start::Start { room, ruling, hold, loaded, neighbours } = start::start(&node).await?;
     let schedule = loaded.subscribe();
     let mut tasks: JoinSet<(&str, anyhow::Result<()>)> = JoinSet::new();
     let mut run = |name, task: start::Task| tasks.spawn(async move { (name, task.await) });
 
-    run("safety", Box::pin(safety::task::keep_judging(node.clone(), rules, ruling)));
+    let (rules, standing) = (room.rules.clone(), room.standing.subscribe());
+    run("safety", Box::pin(safety::task::keep_judging(node.clone(), rules, standing, ruling)));
     run("closing", Box::pin(closing::keep_closed(room.clone(), neighbours.clone())));
     run("lease", Box::pin(lease::keep_holding(room.clone(), hold)));
     run("permit", Box::pin(permit::keep_renewing(room.clone())));
+    run("standing orders", Box::pin(standing::keep_reminding(room.clone())));
     run("orders", Box::pin(order::keep_answering(room.clone())));
     run("schedule", Box::pin(schedule::keep_reading(node.clone(), loaded, room.reload.subscribe())));
     run("runner", Box::pin(runner::keep_observing(room.clone(), schedule)));

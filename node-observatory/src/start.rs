@@ -21,6 +21,7 @@ use crate::rig::instrument::Voice;
 use crate::safety::Ruling;
 use crate::safety::rules::Rules;
 use crate::schedule::Loaded;
+use crate::standing::{self, Standing};
 
 /// A task of the node.
 pub type Task = Pin<Box<dyn Future<Output = anyhow::Result<()>> + Send>>;
@@ -29,8 +30,6 @@ pub type Task = Pin<Box<dyn Future<Output = anyhow::Result<()>> + Send>>;
 pub struct Start {
     /// What all share.
     pub room: Arc<ControlRoom>,
-    /// The safety inputs.
-    pub rules: Rules,
     /// Where the safety loop puts its ruling.
     pub ruling: watch::Sender<Ruling>,
     /// Where the lease is kept.
@@ -59,6 +58,8 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
         }
         _ => config.schedule.robotic,
     };
+    let (orders, now) = (standing::path(config), clock.utc());
+    let standing = tokio::task::spawn_blocking(move || Standing::read(&orders, now)).await?;
     let (ruling, heard_ruling) = watch::channel(Ruling::none(clock.machine(), clock.utc()));
     let (hold, seen_hold) = watch::channel(Hold::Asking);
     let doubt = Arc::new(Notify::new());
@@ -74,12 +75,13 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
         wish_closed: watch::channel(None).0,
         reload: watch::channel(0).0,
         journal,
+        rules: Arc::new(Rules::of(config)),
+        standing: watch::channel(standing).0,
         ledger: Ledger::default(),
         board: Board::new(config.schedule.file.display().to_string()),
     };
     Ok(Start {
         room: Arc::new(room),
-        rules: Rules::of(config),
         ruling,
         hold,
         loaded: watch::channel(Loaded::default()).0,

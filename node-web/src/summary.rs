@@ -97,6 +97,10 @@ pub struct Safety {
     pub since_utc: Option<Utc>,
     /// Why it is not safe.
     pub reasons: Vec<Unsafe>,
+    /// Why the sky is not exposed although nothing has to close.
+    pub suspended: Vec<Unsafe>,
+    /// What is close to a limit.
+    pub advisories: Vec<Unsafe>,
     /// Sky seconds until it can be safe.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_to_safe_s: Option<f64>,
@@ -297,10 +301,19 @@ fn safety_words(said: Option<&(&Entry, SafetyState)>, now: MachineTime) -> Safet
                 state: word,
                 since_utc: fresh.then_some(said.since_utc),
                 reasons: if fresh { said.reasons.clone() } else { vec![silent] },
+                suspended: if fresh { said.suspended.clone() } else { Vec::new() },
+                advisories: if fresh { said.advisories.clone() } else { Vec::new() },
                 time_to_safe_s: said.time_to_safe_s.filter(|_| fresh),
             }
         }
-        None => Safety { state: SafetyWord::Unknown, since_utc: None, reasons: Vec::new(), time_to_safe_s: None },
+        None => Safety {
+            state: SafetyWord::Unknown,
+            since_utc: None,
+            reasons: Vec::new(),
+            suspended: Vec::new(),
+            advisories: Vec::new(),
+            time_to_safe_s: None,
+        },
     }
 }
 

@@ -42,6 +42,8 @@ fn safety(verdict: Verdict) -> SafetyState {
         verdict,
         since_utc: now(),
         reasons: Vec::new(),
+        suspended: Vec::new(),
+        advisories: Vec::new(),
         time_to_safe_s: (verdict == Verdict::Unsafe).then_some(900.0),
         inputs: Vec::new(),
     }

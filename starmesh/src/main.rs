@@ -5,6 +5,7 @@ mod console;
 mod demo;
 mod discover;
 mod join;
+mod order;
 mod simulate;
 mod status;
 mod supervise;
@@ -34,6 +35,8 @@ enum Command {
     Check(check::Options),
     /// One table of all telescopes on the bus.
     Status(status::Options),
+    /// Close, stay closed, start, stop, or do without a limit for a while.
+    Order(order::Options),
     /// Print what is said on the bus.
     Tail(tail::Options),
     /// Find Alpaca devices on the network and print them as blocks for observatory.toml.
@@ -64,6 +67,7 @@ fn main() -> ExitCode {
         Command::Up(options) => block_on(up::run(options)),
         Command::Check(options) => check::run(&options),
         Command::Status(options) => block_on(status::run(options)),
+        Command::Order(options) => block_on(order::run(options)),
         Command::Tail(options) => block_on(tail::run(options)),
         Command::Discover(options) => block_on(discover::run(options)),
         Command::Simulator(options) => block_on(simulate::run(options)),

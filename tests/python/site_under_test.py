@@ -49,6 +49,9 @@ elevation_m = {ELEVATION}
 [bus]
 multicast = false
 
+[safety]
+sun_altitude_max_deg = 90.0
+
 [schedule]
 robotic = true
 

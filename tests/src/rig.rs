@@ -146,6 +146,15 @@ impl Rig {
         Ok(command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log).spawn()?)
     }
 
+    /// Gives an order with the command line, as a person would; the error has its words.
+    pub async fn order(&self, words: &[&str]) -> anyhow::Result<()> {
+        let mut command = tokio::process::Command::new(binary()?);
+        command.args(["order", &format!("{SITE}/{TELESCOPE}"), "--no-multicast", "--connect", &self.endpoint]);
+        let told = command.args(words).stdin(Stdio::null()).output().await?;
+        anyhow::ensure!(told.status.success(), "{}", String::from_utf8_lossy(&told.stderr));
+        Ok(())
+    }
+
     /// Kills one node as a power cut would: at once, without a word.
     pub fn kill(&mut self, role: Role) -> anyhow::Result<()> {
         let mut child = self.nodes.remove(&role).context("this node does not run")?;

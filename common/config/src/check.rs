@@ -5,7 +5,7 @@ use std::path::Path;
 
 use contract::{Address, Kind, Name};
 
-use crate::device::Limit;
+use crate::device::{Limit, Measure};
 use crate::observatory::Observatory;
 
 /// Why a configuration is not taken; each message says where, what was expected and what to do.
@@ -66,6 +66,10 @@ fn place(observatory: &Observatory, faults: &mut Faults<'_>) {
             faults.add("", format!("observatory.{key} = {value}: expected a number from -{limit} to {limit}"));
         }
     }
+    let sun = observatory.safety.sun_altitude_max_deg;
+    if !(-90.0..=90.0).contains(&sun) {
+        faults.add("", format!("safety.sun_altitude_max_deg = {sun}: expected a number from -90 to 90"));
+    }
     let shared = place.telescope.as_str() == Address::SHARED;
     for dome in observatory.dome.iter().filter(|dome| shared && dome.telescopes.is_empty()) {
         let name = &dome.common.name;
@@ -116,6 +120,10 @@ fn numbers(observatory: &Observatory, faults: &mut Faults<'_>) {
                 format!("safetymonitor \"{name}\": dwell_min = {}: expected 0 or more", monitor.dwell_min),
             );
         }
+        if monitor.disabled.as_ref().is_some_and(|why| why.trim().is_empty()) {
+            let name = &monitor.common.name;
+            faults.add(name.as_str(), format!("safetymonitor \"{name}\": disabled needs words: say why"));
+        }
     }
     let own = observatory.observingconditions.iter().flat_map(|station| &station.limit);
     for limit in own.chain(&observatory.shared.limit) {
@@ -132,14 +140,21 @@ fn limit_holds(limit: &Limit, faults: &mut Faults<'_>) {
             format!("limit on \"{name}\": no such parameter; expected an ASCOM ObservingConditions property (Humidity, WindSpeed ...), RelativeSkyTemp or DewPointMargin"),
         );
     }
-    let numbers = [limit.upper, limit.lower, Some(limit.dwell_min), limit.max_age_s];
-    if limit.upper.is_none() && limit.lower.is_none() {
-        faults.add(name, format!("limit on \"{name}\" has neither upper nor lower; give one"));
-    } else if numbers.iter().flatten().any(|n| !n.is_finite()) || limit.dwell_min < 0.0 {
-        faults.add(
-            name,
-            format!("limit on \"{name}\": upper, lower, dwell_min and max_age_s must be finite, dwell_min 0 or more"),
-        );
+    let mut fault = |why: &str| faults.add(name, format!("limit on \"{name}\": {why}"));
+    let own = [limit.upper, limit.lower, limit.reopen_upper, limit.reopen_lower];
+    let others = [Some(limit.dwell_min), limit.max_age_s, limit.over_min];
+    if own.iter().chain(&others).flatten().any(|n| !n.is_finite()) || limit.dwell_min < 0.0 {
+        fault("all numbers must be finite, and dwell_min 0 or more");
+    } else if limit.upper.is_none() && limit.lower.is_none() {
+        fault("has neither upper nor lower; give one");
+    } else if limit.reopen_upper.is_some_and(|reopen| limit.upper.is_none_or(|upper| reopen > upper)) {
+        fault("reopen_upper needs an upper that is not smaller");
+    } else if limit.reopen_lower.is_some_and(|reopen| limit.lower.is_none_or(|lower| reopen < lower)) {
+        fault("reopen_lower needs a lower that is not larger");
+    } else if (limit.of == Measure::Value) != limit.over_min.is_none() || limit.over_min.is_some_and(|min| min <= 0.0) {
+        fault("over_min, more than 0, goes with of = \"max\" or \"rate\", and only with these");
+    } else if [&limit.vote, &limit.disabled].into_iter().flatten().any(|words| words.trim().is_empty()) {
+        fault("vote and disabled need words");
     }
 }
 

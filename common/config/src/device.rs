@@ -56,6 +56,32 @@ pub enum CloseWithMount {
     ParkedOnly,
 }
 
+/// What of a parameter a limit is put on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Measure {
+    /// The newest value.
+    #[default]
+    Value,
+    /// The largest value of the window.
+    Max,
+    /// The change per minute over the window.
+    Rate,
+}
+
+/// What a violated limit leads to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Response {
+    /// The verdict is unsafe: everything closes.
+    #[default]
+    Close,
+    /// No exposures of the sky; the dome stays open.
+    Suspend,
+    /// It is told, and nothing else.
+    Advise,
+}
+
 /// One tier of a weather limit.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -63,12 +89,33 @@ pub struct Limit {
     /// ASCOM property (`Humidity`, `WindSpeed` ...), or `RelativeSkyTemp` (SkyTemperature - Temperature) or
     /// `DewPointMargin` (Temperature - DewPoint).
     pub parameter: String,
-    /// Unsafe above this, in the property's ASCOM unit.
+    /// Bad above this, in the property's ASCOM unit (`rate`: that per minute).
     #[serde(default)]
     pub upper: Option<f64>,
-    /// Unsafe below this, in the property's ASCOM unit.
+    /// Bad below this, in the same unit.
     #[serde(default)]
     pub lower: Option<f64>,
+    /// What was bad above `upper` is good again only at this or below; as `upper` where absent.
+    #[serde(default)]
+    pub reopen_upper: Option<f64>,
+    /// What was bad below `lower` is good again only at this or above; as `lower` where absent.
+    #[serde(default)]
+    pub reopen_lower: Option<f64>,
+    /// What of the parameter is limited.
+    #[serde(default)]
+    pub of: Measure,
+    /// The window of `max` and `rate`, sky minutes.
+    #[serde(default)]
+    pub over_min: Option<f64>,
+    /// What a violation leads to.
+    #[serde(default)]
+    pub response: Response,
+    /// Limits of the same name vote: each may be without a value while another one has a good one, and any bad one decides.
+    #[serde(default)]
+    pub vote: Option<String>,
+    /// Why this limit is not heeded for now; a standing alert says so.
+    #[serde(default)]
+    pub disabled: Option<String>,
     /// Safe again only after so long without a violation, sky minutes.
     #[serde(default = "default_dwell_min")]
     pub dwell_min: f64,
@@ -210,6 +257,8 @@ devices! {
         dwell_min: f64 = default_dwell_min(),
         /// A reading older than this is unsafe, machine s; 5 x the period, at least 5 s, where absent.
         max_age_s: Option<f64> = None,
+        /// Why this monitor is not heeded for now; a standing alert says so.
+        disabled: Option<String> = None,
     }
 
     /// A weather station, with its limits.

@@ -12,6 +12,6 @@ mod observatory;
 pub use check::{ConfigError, parse};
 pub use device::{
     Camera, CloseWithMount, Common, CoverCalibrator, Device, Dome, EquatorialChoice, FilterWheel, Focuser, Limit,
-    ObservingConditions, Rotator, SafetyMonitor, Switch, Telescope,
+    Measure, ObservingConditions, Response, Rotator, SafetyMonitor, Switch, Telescope,
 };
-pub use observatory::{Archive, Bus, ClockSource, Folders, Observatory, Place, Schedule, Shared, Spool, Web};
+pub use observatory::{Archive, Bus, ClockSource, Folders, Observatory, Place, Safety, Schedule, Shared, Spool, Web};

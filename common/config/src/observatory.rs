@@ -28,6 +28,9 @@ pub struct Observatory {
     /// Where sky time comes from.
     #[serde(default)]
     pub clock: ClockSource,
+    /// What the verdict rests on beside monitors and weather.
+    #[serde(default)]
+    pub safety: Safety,
     /// What is observed.
     #[serde(default)]
     pub schedule: Schedule,
@@ -213,6 +216,20 @@ pub struct Schedule {
 impl Default for Schedule {
     fn default() -> Self {
         Self { file: "schedule.jsonl".into(), robotic: false }
+    }
+}
+
+/// `[safety]`: what the verdict rests on beside monitors and weather.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Safety {
+    /// Unsafe while the Sun is higher than this, degrees; 90 for a dome that may be open by day.
+    pub sun_altitude_max_deg: f64,
+}
+
+impl Default for Safety {
+    fn default() -> Self {
+        Self { sun_altitude_max_deg: 0.0 }
     }
 }
 

@@ -150,7 +150,7 @@ impl Payload for Order {
 }
 
 /// What a person may order.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OrderKind {
     /// Work through the schedule (`true`) or stop after closing safely (`false`); a set, never a toggle.
@@ -159,4 +159,13 @@ pub enum OrderKind {
     Close,
     /// Read the schedule file again.
     ReloadSchedule,
+    /// Nothing opens until it is taken back, whatever the sky and the schedule say.
+    StayClosed(bool),
+    /// Does without one limit for a while; needs a reason.
+    Override {
+        /// The input as the verdict names it, such as `wx/Humidity` or `sun`.
+        input: String,
+        /// Sky seconds, at most 28800; 0 heeds it again.
+        for_s: f64,
+    },
 }

@@ -119,7 +119,7 @@ impl Runner {
     /// Starts the next row whose time has come; false when there is none.
     fn start_next(&mut self) -> bool {
         let now = self.room.node.bus.clock().utc();
-        let Some(index) = pick(&self.rows, &self.statuses, now, self.room.is_safe()) else { return false };
+        let Some(index) = pick(&self.rows, &self.statuses, now, self.room.sky_is_usable()) else { return false };
         let row = self.rows[index].clone();
         let number = u32::try_from(index).unwrap_or(u32::MAX);
         tracing::info!(row = index, action = row.action.name(), object = row.action.object(), "row begins");

@@ -6,10 +6,12 @@
 
 use std::time::Duration;
 
+use config::Response;
 use contract::observatory::{InputState, Unsafe, Verdict};
 
+use super::heard::{History, Measured, MonitorReading};
 use super::history::{Evidence, Now, Record};
-use super::rules::{History, LimitRule, MonitorReading, MonitorRule, Rules};
+use super::rules::{LimitRule, MonitorRule, Rules};
 
 /// The verdict and what it rests on.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,6 +20,10 @@ pub struct Judgement {
     pub verdict: Verdict,
     /// Why it is unsafe; empty when safe.
     pub reasons: Vec<Unsafe>,
+    /// Why the sky is not to be exposed, beside the reasons.
+    pub suspended: Vec<Unsafe>,
+    /// What is only told.
+    pub advisories: Vec<Unsafe>,
     /// Sky seconds until all known dwell times have run out; `None` where nobody can know.
     pub time_to_safe_s: Option<f64>,
     /// Every input with its newest value and age.
@@ -29,36 +35,79 @@ pub struct Judgement {
 /// Judges.
 pub fn judge(rules: &Rules, history: &History, now: Now) -> Judgement {
     let mut hearing = Hearing::default();
-    if rules.monitors.is_empty() && rules.limits.is_empty() {
-        hearing.against("configuration", "no safety monitor and no weather limit is configured".to_owned(), None);
+    if let Some(why) = &rules.stay_closed {
+        hearing.speaks_against = true;
+        hearing.closing("stay closed", why.clone(), None);
+    }
+    if rules.monitors.is_empty() && !rules.limits.iter().any(|rule| rule.response == Response::Close) {
+        hearing.closing("configuration", "no safety monitor and no weather limit is configured".to_owned(), None);
     }
     for (index, rule) in rules.monitors.iter().enumerate() {
         match history.monitors.get(index) {
             Some(record) => hear_monitor(rule, record, now, &mut hearing),
-            None => hearing.against(&rule.input, "nothing heard yet".to_owned(), None),
+            None => hearing.closing(&rule.input, "nothing heard yet".to_owned(), None),
         }
     }
-    for (index, rule) in rules.limits.iter().enumerate() {
-        match history.limits.get(index) {
-            Some(record) if rule.required => hear_required(rule, record, now, &mut hearing),
-            Some(record) => hear_optional(rule, record, history, now, &mut hearing),
-            None => hearing.against(&rule.input, "nothing heard yet".to_owned(), None),
+    for (rule, record) in limits(rules, history) {
+        if rule.needs_each() {
+            hear_required(rule, record, now, &mut hearing);
+        } else {
+            hear_optional(rule, record, history, now, &mut hearing);
         }
+    }
+    hear_votes(rules, history, now, &mut hearing);
+    if let Some(most_deg) = rules.sun_altitude_max_deg {
+        hear_sun(most_deg, &history.sun_altitude_deg, &mut hearing);
     }
     hearing.close()
+}
+
+/// The limits with what was heard of them; both were made from the same rules.
+fn limits<'a>(
+    rules: &'a Rules,
+    history: &'a History,
+) -> impl Iterator<Item = (&'a LimitRule, &'a Record<Measured>)> + Clone {
+    rules.limits.iter().zip(&history.limits)
 }
 
 #[derive(Default)]
 struct Hearing {
     reasons: Vec<Unsafe>,
+    suspended: Vec<Unsafe>,
+    advisories: Vec<Unsafe>,
     inputs: Vec<InputState>,
     speaks_against: bool,
 }
 
 impl Hearing {
-    fn against(&mut self, input: &str, why: String, clears_in: Option<Duration>) {
+    fn against(&mut self, response: Response, input: &str, why: String, clears_in: Option<Duration>) {
         let clears_in_s = clears_in.map(|left| left.as_secs_f64());
-        self.reasons.push(Unsafe { input: input.to_owned(), why, clears_in_s });
+        let reasons = match response {
+            Response::Close => &mut self.reasons,
+            Response::Suspend => &mut self.suspended,
+            Response::Advise => &mut self.advisories,
+        };
+        reasons.push(Unsafe { input: input.to_owned(), why, clears_in_s });
+    }
+
+    fn closing(&mut self, input: &str, why: String, clears_in: Option<Duration>) {
+        self.against(Response::Close, input, why, clears_in);
+    }
+
+    /// A limit that is violated now.
+    fn violated(&mut self, rule: &LimitRule, why: String) {
+        self.speaks_against |= rule.response == Response::Close;
+        self.against(rule.response, &rule.input, why, None);
+    }
+
+    /// A dwell that is not filled yet.
+    fn unproven(&mut self, response: Response, input: &str, proven: Duration, dwell: Duration) {
+        if proven < dwell {
+            let why = format!("good for {:.1} of {:.1} min", minutes(proven), minutes(dwell));
+            // a dwell that never ends has no end to tell
+            let left = (dwell != Duration::MAX).then_some(dwell.saturating_sub(proven));
+            self.against(response, input, why, left);
+        }
     }
 
     fn input<T: Clone>(&mut self, input: &str, record: &Record<T>, now: Now, good: bool, words: impl Fn(&T) -> String) {
@@ -86,18 +135,12 @@ impl Hearing {
             verdict,
             time_to_safe_s: longest,
             reasons: self.reasons,
+            suspended: self.suspended,
+            advisories: self.advisories,
             inputs: self.inputs,
             speaks_against: self.speaks_against,
         }
     }
-}
-
-/// Words for a window that is not filled yet.
-fn not_filled(proven: Duration, dwell: Duration) -> (String, Option<Duration>) {
-    let left = dwell.saturating_sub(proven);
-    let why = format!("good for {:.1} of {:.1} min", minutes(proven), minutes(dwell));
-    // a dwell that never ends has no end to tell
-    (why, (dwell != Duration::MAX).then_some(left))
 }
 
 fn minutes(duration: Duration) -> f64 {
@@ -111,59 +154,81 @@ fn hear_monitor(rule: &MonitorRule, record: &Record<MonitorReading>, now: Now, h
         if reading.is_safe { "safe".to_owned() } else { "not safe".to_owned() }
     });
     match evidence {
-        Evidence::Missing(reason) => hearing.against(&rule.input, reason, None),
+        Evidence::Missing(reason) => hearing.closing(&rule.input, reason, None),
         Evidence::Bad(_) => {
             hearing.speaks_against = true;
-            hearing.against(&rule.input, "says that it is not safe".to_owned(), None);
+            hearing.closing(&rule.input, "says that it is not safe".to_owned(), None);
         }
         Evidence::Good { since, newest } => {
             let proven = now.sky.since(since).max(newest.gapless_safe);
-            if proven < rule.dwell {
-                let (why, left) = not_filled(proven, rule.dwell);
-                hearing.against(&rule.input, why, left);
-            }
+            hearing.unproven(Response::Close, &rule.input, proven, rule.dwell);
         }
     }
 }
 
-fn hear_required(rule: &LimitRule, record: &Record<f64>, now: Now, hearing: &mut Hearing) {
-    let evidence = record.evidence(now, rule.max_age, |value| rule.allows(*value));
+/// What a limit's record speaks for, noted among the inputs.
+fn weigh(rule: &LimitRule, record: &Record<Measured>, now: Now, hearing: &mut Hearing) -> Evidence<Measured> {
+    let evidence = record.evidence(now, rule.max_age, |measured| !measured.tripped);
     let good = matches!(evidence, Evidence::Good { .. });
-    hearing.input(&rule.input, record, now, good, |value| number(*value));
-    match evidence {
-        Evidence::Missing(reason) => hearing.against(&rule.input, reason, None),
-        Evidence::Bad(value) => {
-            hearing.speaks_against = true;
-            hearing.against(&rule.input, violation(rule, value), None);
-        }
+    hearing.input(&rule.input, record, now, good, |measured| number(measured.value));
+    evidence
+}
+
+fn hear_required(rule: &LimitRule, record: &Record<Measured>, now: Now, hearing: &mut Hearing) {
+    match weigh(rule, record, now, hearing) {
+        Evidence::Missing(reason) => hearing.against(rule.response, &rule.input, reason, None),
+        Evidence::Bad(measured) => hearing.violated(rule, violation(rule, measured.value)),
         Evidence::Good { since, .. } => {
-            let proven = now.sky.since(since);
-            if proven < rule.dwell {
-                let (why, left) = not_filled(proven, rule.dwell);
-                hearing.against(&rule.input, why, left);
-            }
+            hearing.unproven(rule.response, &rule.input, now.sky.since(since), rule.dwell);
         }
     }
 }
 
-/// A limit that the site can do without: a missing value is no violation, but a bad one stays one until a good one
-/// has come, and the dwell counts from the last bad one or the start of the listening.
-fn hear_optional(rule: &LimitRule, record: &Record<f64>, history: &History, now: Now, hearing: &mut Hearing) {
-    let evidence = record.evidence(now, rule.max_age, |value| rule.allows(*value));
-    hearing.input(&rule.input, record, now, matches!(evidence, Evidence::Good { .. }), |value| number(*value));
-    if let Some(Ok(value)) = record.last_known().map(|entry| &entry.outcome)
-        && !rule.allows(*value)
+/// A limit that the site can do without, or that others vote with: a missing value is no violation, but a bad one stays
+/// one until a good one has come, and the dwell counts from the last bad one or the start of the listening.
+fn hear_optional(rule: &LimitRule, record: &Record<Measured>, history: &History, now: Now, hearing: &mut Hearing) {
+    weigh(rule, record, now, hearing);
+    if let Some(Ok(measured)) = record.last_known().map(|entry| &entry.outcome)
+        && measured.tripped
     {
-        hearing.speaks_against = true;
-        return hearing.against(&rule.input, format!("{} when last heard", violation(rule, *value)), None);
+        return hearing.violated(rule, format!("{} when last heard", violation(rule, measured.value)));
     }
-    let violations = record.entries().filter(|entry| entry.outcome.as_ref().is_ok_and(|value| !rule.allows(*value)));
+    let violations = record.entries().filter(|entry| entry.outcome.as_ref().is_ok_and(|measured| measured.tripped));
     let last_bad = violations.map(|entry| entry.at.sky).max();
     let proven = now.sky.since(last_bad.map_or(history.since, |bad| bad.max(history.since)));
-    if proven < rule.dwell {
-        let (why, left) = not_filled(proven, rule.dwell);
-        hearing.against(&rule.input, why, left);
+    hearing.unproven(rule.response, &rule.input, proven, rule.dwell);
+}
+
+/// Of those that vote, one must have a gapless good record over its dwell: when all are silent, nobody knows.
+fn hear_votes(rules: &Rules, history: &History, now: Now, hearing: &mut Hearing) {
+    let mut heard: Vec<(&str, Response)> = Vec::new();
+    for rule in &rules.limits {
+        let Some(vote) = rule.vote.as_deref().filter(|vote| !heard.contains(&(*vote, rule.response))) else { continue };
+        heard.push((vote, rule.response));
+        let voters = limits(rules, history)
+            .filter(|(other, _)| other.vote.as_deref() == Some(vote) && other.response == rule.response);
+        let proven = voters.filter_map(|(other, record)| {
+            match record.evidence(now, other.max_age, |measured| !measured.tripped) {
+                Evidence::Good { since, .. } => Some((now.sky.since(since), other.dwell)),
+                Evidence::Missing(_) | Evidence::Bad(_) => None,
+            }
+        });
+        let input = format!("vote/{vote}");
+        match proven.min_by_key(|(proven, dwell)| dwell.saturating_sub(*proven)) {
+            Some((proven, dwell)) => hearing.unproven(rule.response, &input, proven, dwell),
+            None => hearing.against(rule.response, &input, "no station has a good value".to_owned(), None),
+        }
     }
+}
+
+fn hear_sun(most_deg: f64, altitude_deg: &Result<f64, String>, hearing: &mut Hearing) {
+    let (input, is_low) = ("sun", altitude_deg.as_ref().is_ok_and(|altitude_deg| *altitude_deg <= most_deg));
+    let value = altitude_deg.as_ref().map_or_else(Clone::clone, |altitude_deg| format!("{altitude_deg:.1} deg"));
+    if !is_low {
+        hearing.speaks_against |= altitude_deg.is_ok();
+        hearing.closing(input, format!("altitude {value}, allowed are {} deg", number(most_deg)), None);
+    }
+    hearing.inputs.push(InputState { input: input.to_owned(), value, age_s: Some(0.0), good: is_low });
 }
 
 fn number(value: f64) -> String {
@@ -171,11 +236,13 @@ fn number(value: f64) -> String {
 }
 
 fn violation(rule: &LimitRule, value: f64) -> String {
-    let value_words = number(value);
-    match (rule.upper, rule.lower) {
-        (Some(upper), _) if value > upper => format!("{value_words} is above {}", number(upper)),
-        (_, Some(lower)) if value < lower => format!("{value_words} is below {}", number(lower)),
-        _ => format!("{value_words} is not allowed"),
+    let words = number(value);
+    match (rule.bad.upper, rule.bad.lower, rule.reopen.upper, rule.reopen.lower) {
+        (Some(upper), ..) if value > upper => format!("{words} is above {}", number(upper)),
+        (_, Some(lower), ..) if value < lower => format!("{words} is below {}", number(lower)),
+        (_, _, Some(upper), _) if value > upper => format!("{words} is not down to {} yet", number(upper)),
+        (_, _, _, Some(lower)) if value < lower => format!("{words} is not up to {} yet", number(lower)),
+        _ => format!("{words} is not allowed"),
     }
 }
 

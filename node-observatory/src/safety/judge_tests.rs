@@ -4,6 +4,8 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::safety::history::Entry;
+use crate::safety::measure::Measure;
+use crate::safety::rules::Bounds;
 
 fn at(seconds: u64) -> Now {
     let since = Duration::from_secs(seconds);
@@ -28,12 +30,19 @@ fn limit(upper: f64, dwell_s: u64, required: bool) -> LimitRule {
         input: "wx/Humidity".to_owned(),
         device: device(Kind::ObservingConditions, "wx"),
         parameter: "Humidity".to_owned(),
-        upper: Some(upper),
-        lower: None,
+        measure: Measure::Value,
+        bad: Bounds { upper: Some(upper), lower: None },
+        reopen: Bounds { upper: Some(upper), lower: None },
         dwell: Duration::from_secs(dwell_s),
         max_age: Duration::from_secs(15),
         required,
+        response: Response::Close,
+        vote: None,
     }
+}
+
+fn weather(limits: Vec<LimitRule>) -> Rules {
+    Rules { limits, ..Rules::default() }
 }
 
 fn word(is_safe: bool, gapless_s: u64) -> MonitorReading {
@@ -71,8 +80,8 @@ impl Story {
         outcome: Result<f64, &str>,
     ) -> Self {
         for second in seconds {
-            let outcome = outcome.map_err(str::to_owned);
-            self.history.limits[index].push(Entry { at: at(second), outcome });
+            let value = outcome.map_err(str::to_owned);
+            self.history.hear_value(&self.rules.limits[index], index, value, at(second));
         }
         self
     }
@@ -83,11 +92,11 @@ impl Story {
 }
 
 fn one_monitor(dwell_s: u64) -> Story {
-    Story::new(Rules { monitors: vec![monitor("m", dwell_s)], limits: vec![] })
+    Story::new(Rules { monitors: vec![monitor("m", dwell_s)], ..Rules::default() })
 }
 
 fn one_limit(dwell_s: u64, required: bool) -> Story {
-    Story::new(Rules { monitors: vec![], limits: vec![limit(80.0, dwell_s, required)] })
+    Story::new(weather(vec![limit(80.0, dwell_s, required)]))
 }
 
 fn why(judgement: &Judgement) -> &str {
@@ -157,7 +166,7 @@ fn a_missing_reading_is_unsafe_with_its_reason() {
 fn any_monitor_that_says_unsafe_decides() {
     // 1-out-of-n with required inputs: all 27 cases of three monitors
     for case in 0..27_u32 {
-        let rules = Rules { monitors: vec![monitor("a", 0), monitor("b", 0), monitor("c", 0)], limits: vec![] };
+        let rules = Rules { monitors: vec![monitor("a", 0), monitor("b", 0), monitor("c", 0)], ..Rules::default() };
         let mut story = Story::new(rules);
         let words: Vec<u32> = (0..3).map(|i| case / 3_u32.pow(i) % 3).collect();
         for (index, said) in words.iter().enumerate() {
@@ -198,7 +207,7 @@ fn a_gap_in_the_weather_restarts_its_dwell() {
 
 #[test]
 fn several_tiers_of_one_parameter_hold_side_by_side() {
-    let rules = Rules { monitors: vec![], limits: vec![limit(80.0, 10, true), limit(90.0, 1000, true)] };
+    let rules = weather(vec![limit(80.0, 10, true), limit(90.0, 1000, true)]);
     let mut story = Story::new(rules);
     for index in 0..2 {
         story = story
@@ -232,9 +241,92 @@ fn an_optional_sensor_may_be_missing_but_not_bad() {
 
 #[test]
 fn reasons_that_nobody_can_time_leave_the_time_open() {
-    let rules = Rules { monitors: vec![monitor("a", 60), monitor("b", 60)], limits: vec![] };
+    let rules = Rules { monitors: vec![monitor("a", 60), monitor("b", 60)], ..Rules::default() };
     let story = Story::new(rules).monitor_says(0, 0..=10, word(true, 0));
     assert_eq!(story.judged(10).time_to_safe_s, None);
+}
+
+#[test]
+fn a_closed_dome_reopens_at_a_stricter_value_than_it_closed_at() {
+    let mut rule = limit(80.0, 60, true);
+    rule.reopen.upper = Some(75.0);
+    let story = Story::new(weather(vec![rule]));
+    let story = story.weather_says(0, (0..=100).step_by(5), Ok(70.0)).weather_says(0, (105..=300).step_by(5), Ok(78.0));
+    assert_eq!(story.judged(300).verdict, Verdict::Safe, "78 closes nothing");
+    let story = story.weather_says(0, [305], Ok(81.0)).weather_says(0, (310..=1000).step_by(5), Ok(78.0));
+    assert_eq!(why(&story.judged(1000)), "78 is not down to 75 yet");
+    let story = story.weather_says(0, [1005], Ok(75.0)).weather_says(0, (1010..=1065).step_by(5), Ok(79.0));
+    assert_eq!(story.judged(1060).verdict, Verdict::Unsafe, "the dwell");
+    assert_eq!(story.judged(1065).verdict, Verdict::Safe);
+}
+
+#[test]
+fn what_was_never_good_enough_does_not_open() {
+    let mut rule = limit(80.0, 0, true);
+    rule.reopen.upper = Some(75.0);
+    let story = Story::new(weather(vec![rule])).weather_says(0, (0..=100).step_by(5), Ok(78.0));
+    assert_eq!(story.judged(100).verdict, Verdict::Unsafe);
+}
+
+#[test]
+fn tiers_suspend_before_they_close() {
+    let mut mild = limit(60.0, 30, true);
+    mild.response = Response::Suspend;
+    let mut hint = limit(50.0, 0, true);
+    hint.response = Response::Advise;
+    let mut story = Story::new(weather(vec![limit(80.0, 60, true), mild, hint]));
+    for index in 0..3 {
+        story = story.weather_says(index, (0..=100).step_by(5), Ok(40.0)).weather_says(index, [105], Ok(65.0));
+    }
+    let judged = story.judged(105);
+    assert_eq!((judged.verdict, judged.speaks_against), (Verdict::Safe, false));
+    assert_eq!(judged.suspended[0].why, "65 is above 60");
+    assert_eq!(judged.advisories[0].why, "65 is above 50");
+    for index in 0..3 {
+        story = story.weather_says(index, [110], Ok(40.0));
+    }
+    assert_eq!(story.judged(110).suspended[0].clears_in_s, Some(30.0));
+    assert_eq!(story.judged(130).verdict, Verdict::Unsafe, "silence closes");
+}
+
+#[test]
+fn limits_that_only_advise_are_no_limits() {
+    let mut hint = limit(50.0, 0, true);
+    hint.response = Response::Advise;
+    let story = Story::new(weather(vec![hint])).weather_says(0, (0..=100).step_by(5), Ok(40.0));
+    assert!(why(&story.judged(100)).contains("no safety monitor"));
+}
+
+#[test]
+fn of_three_stations_that_vote_any_bad_one_decides_and_one_good_one_suffices() {
+    for case in 0..27_u32 {
+        let voter = || LimitRule { vote: Some("humidity".to_owned()), ..limit(80.0, 20, true) };
+        let mut story = Story::new(weather(vec![voter(), voter(), voter()]));
+        let words: Vec<u32> = (0..3).map(|i| case / 3_u32.pow(i) % 3).collect();
+        for (index, said) in words.iter().enumerate() {
+            let value = [Ok(50.0), Ok(90.0), Err("timeout")][*said as usize];
+            story = story.weather_says(index, (0..=60).step_by(5), value);
+        }
+        let is_safe = !words.contains(&1) && words.contains(&0);
+        let expected = if is_safe { Verdict::Safe } else { Verdict::Unsafe };
+        assert_eq!(story.judged(60).verdict, expected, "{words:?}");
+        assert_eq!(story.judged(80).verdict, Verdict::Unsafe, "all silent: {words:?}");
+    }
+}
+
+#[test]
+fn the_sun_closes() {
+    let mut story = one_monitor(0).monitor_says(0, [10], word(true, 0));
+    story.rules.sun_altitude_max_deg = Some(-1.0);
+    assert_eq!(story.judged(10).reasons[0].input, "sun", "not computed is unsafe");
+    for (altitude_deg, expected) in
+        [(-1.0, Verdict::Safe), (-0.9, Verdict::Unsafe), (f64::NAN, Verdict::Unsafe), (-40.0, Verdict::Safe)]
+    {
+        story.history.sun_altitude_deg = Ok(altitude_deg);
+        assert_eq!(story.judged(10).verdict, expected, "{altitude_deg}");
+    }
+    story.history.sun_altitude_deg = Ok(3.21);
+    assert_eq!(why(&story.judged(10)), "altitude 3.2 deg, allowed are -1 deg");
 }
 
 /// A random history of two monitors and three limits (the last optional), and a moment to judge it.
@@ -246,6 +338,7 @@ fn told(words: &[(usize, u64, u8)], upper: f64) -> Story {
     let rules = Rules {
         monitors: vec![monitor("a", 20), monitor("b", 0)],
         limits: vec![limit(upper, 20, true), limit(upper + 10.0, 40, true), limit(upper, 30, false)],
+        ..Rules::default()
     };
     let mut words = words.to_vec();
     // in order of time, and dense enough that some histories are safe

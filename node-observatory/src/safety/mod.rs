@@ -1,14 +1,16 @@
 //! The verdict: what is heard, how it is judged, and the task that never stops doing both.
 
+pub mod heard;
 pub mod history;
 pub mod judge;
+pub mod measure;
 pub mod rules;
 pub mod task;
 
 use std::time::Duration;
 
 use bus::MachineTime;
-use contract::observatory::{SafetyState, Verdict};
+use contract::observatory::{SafetyState, Unsafe, Verdict};
 use units::Utc;
 
 /// The newest verdict as the other tasks of this node see it.
@@ -33,6 +35,8 @@ impl Ruling {
             verdict: Verdict::Unsafe,
             since_utc,
             reasons: Vec::new(),
+            suspended: Vec::new(),
+            advisories: Vec::new(),
             time_to_safe_s: None,
             inputs: Vec::new(),
         };
@@ -49,12 +53,20 @@ impl Ruling {
         self.settled && !self.is_safe(now)
     }
 
+    /// Why the sky is not to be exposed although nothing needs to close, if so.
+    pub fn suspension(&self) -> Option<String> {
+        let reasons = &self.state.suspended;
+        (!reasons.is_empty()).then(|| in_words(reasons))
+    }
+
     /// The reasons in one line.
     pub fn why(&self) -> String {
-        let reasons: Vec<String> =
-            self.state.reasons.iter().map(|reason| format!("{}: {}", reason.input, reason.why)).collect();
-        if reasons.is_empty() { "the verdict is missing".to_owned() } else { reasons.join("; ") }
+        if self.state.reasons.is_empty() { "the verdict is missing".to_owned() } else { in_words(&self.state.reasons) }
     }
+}
+
+fn in_words(reasons: &[Unsafe]) -> String {
+    reasons.iter().map(|reason| format!("{}: {}", reason.input, reason.why)).collect::<Vec<_>>().join("; ")
 }
 
 #[cfg(test)]

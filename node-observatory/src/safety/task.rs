@@ -1,20 +1,25 @@
 //! The safety loop: hears the inputs, judges at each arrival and each second, and waits for nothing else.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context as _;
 use bus::{Catch, Clock, Heard, Node, Subscriber};
 use contract::device::observing_conditions::Fields as Weather;
 use contract::device::safety_monitor::Fields as Monitor;
-use contract::observatory::{SafetyState, Verdict};
+use contract::observatory::{Priority, SafetyState, Verdict};
 use contract::{BootId, Device, DeviceState, Key, Payload};
+use sky::{EarthOrientation, Observer, Place};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
+use units::Angle;
 
 use super::Ruling;
+use super::heard::History;
 use super::history::Now;
 use super::judge::{Judgement, judge};
-use super::rules::{History, Rules};
+use super::rules::Rules;
+use crate::standing::Standing;
 
 /// So long after its start a node may be without a word from an input before that counts.
 const GRACE: Duration = Duration::from_secs(5);
@@ -26,7 +31,12 @@ enum Word {
 }
 
 /// Judges until the node ends; the ruling is all that leaves this task.
-pub async fn keep_judging(node: Node, rules: Rules, ruling: watch::Sender<Ruling>) -> anyhow::Result<()> {
+pub async fn keep_judging(
+    node: Node,
+    rules: Arc<Rules>,
+    mut standing: watch::Receiver<Standing>,
+    ruling: watch::Sender<Ruling>,
+) -> anyhow::Result<()> {
     let clock = node.bus.clock().clone();
     let (words, mut heard) = mpsc::channel(256);
     let mut ears = JoinSet::new();
@@ -41,10 +51,21 @@ pub async fn keep_judging(node: Node, rules: Rules, ruling: watch::Sender<Ruling
         ears.spawn(listen(&node, device, &words, Word::Weather).await?);
     }
 
+    for (input, why) in &rules.disabled {
+        node.alerts.raise(
+            &format!("disabled/{input}"),
+            Priority::Medium,
+            &format!("{input} is disabled: {why}"),
+            "The verdict does without it.",
+            "Take `disabled` out of the configuration once it can be relied on again.",
+        );
+    }
     let started = now(&clock);
     let mut history = History::new(&rules, started.sky);
     loop {
-        let judgement = judge(&rules, &history, now(&clock));
+        history.sun_altitude_deg = sun_altitude_deg(&node.config, &clock);
+        let effective = standing.borrow_and_update().applied_to(&rules, clock.utc());
+        let judgement = judge(&effective, &history, now(&clock));
         let waited = now(&clock).machine.since(started.machine) >= GRACE;
         let settled = waited || history.all_heard() || judgement.speaks_against;
         publish(&ruling, judgement, settled, &clock);
@@ -57,9 +78,18 @@ pub async fn keep_judging(node: Node, rules: Rules, ruling: watch::Sender<Ruling
                     take_in(&mut history, &rules, word, clock.speed());
                 }
             }
+            changed = standing.changed() => changed?,
             () = clock.tick(Duration::from_secs(1)) => {}
         }
     }
+}
+
+fn sun_altitude_deg(config: &config::Observatory, clock: &Clock) -> Result<f64, String> {
+    let place = &config.place;
+    let (latitude, longitude) = (Angle::from_degrees(place.latitude_deg), Angle::from_degrees(place.longitude_deg));
+    let place = Place::new(latitude, longitude, place.elevation_m);
+    let observer = place.and_then(|place| Observer::new(&place, &EarthOrientation::default(), clock.utc()));
+    observer.map(|observer| observer.sun().altitude.degrees()).map_err(|error| error.to_string())
 }
 
 fn now(clock: &Clock) -> Now {
@@ -89,6 +119,8 @@ fn publish(ruling: &watch::Sender<Ruling>, judgement: Judgement, settled: bool, 
             verdict: judgement.verdict,
             since_utc: ruling.state.since_utc,
             reasons: judgement.reasons,
+            suspended: judgement.suspended,
+            advisories: judgement.advisories,
             time_to_safe_s: judgement.time_to_safe_s,
             inputs: judgement.inputs,
         };

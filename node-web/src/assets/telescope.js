@@ -23,8 +23,9 @@ function banner(summary, now) {
       words(now), now.mode !== "unknown" && h("span", { class: "word" }, now.mode.toUpperCase()), summary.simulated && h("span", { class: "word sim" }, "SIMULATION")),
     h("p", { class: "since" }, toSafe && h("strong", { "data-time-to-safe": safety.time_to_safe_s }, `${toSafe}. `),
       now.fresh && safety.since_utc && `${safety.state} since ${clock(safety.since_utc)}, `, now.fresh ? "heard " : store.link !== "live" && `last heard: ${safety.state.toUpperCase()}, ${summary.posture.toUpperCase()}, `, ageMark(now.age, now.worth, " ago")),
-    store.link === "live" && safety.reasons.length > 0 && h("ul", { class: "reasons" }, safety.reasons.map((reason) => h("li", { key: reason.input },
-      h("strong", {}, reason.input), ` ${reason.why}`, reason.clears_in_s != null && h("span", { class: "muted" }, ` (can clear in ${duration(reason.clears_in_s)})`)))));
+    store.link === "live" && [["", safety.reasons], ["No exposures of the sky: ", safety.suspended], ["Near a limit: ", safety.advisories]].map(([lead, list]) =>
+      list.length > 0 && h("ul", { key: lead, class: "reasons" }, list.map((reason) => h("li", { key: reason.input }, lead,
+        h("strong", {}, reason.input), ` ${reason.why}`, reason.clears_in_s != null && h("span", { class: "muted" }, ` (can clear in ${duration(reason.clears_in_s)})`))))));
 }
 
 function alerts(summary) {

@@ -4,5 +4,6 @@ mod archive_away;
 mod closes_when_it_rains;
 mod closes_when_nodes_die;
 mod closes_when_sensors_fail;
+mod follows_orders;
 mod goes_on_after_a_restart;
 mod up_supervises;

@@ -24,6 +24,12 @@ pub struct SafetyState {
     pub since_utc: Utc,
     /// Why it is unsafe; empty when safe.
     pub reasons: Vec<Unsafe>,
+    /// Why the sky is not exposed although it may be safe; the dome stays open.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub suspended: Vec<Unsafe>,
+    /// What is close to a limit, and changes nothing.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub advisories: Vec<Unsafe>,
     /// Sky seconds until all known dwell times have run out; absent where nobody can know.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_to_safe_s: Option<f64>,

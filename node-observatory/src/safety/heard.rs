@@ -1,0 +1,207 @@
+//! What the safety inputs said, as the rules see it.
+
+use std::time::Duration;
+
+use bus::SkyTime;
+use contract::device::observing_conditions::Fields as Weather;
+use contract::device::safety_monitor::Fields as Monitor;
+use contract::{Device, DeviceState, Link};
+
+use super::history::{Entry, Now, Record};
+use super::measure::Window;
+use super::rules::{LimitRule, Rules};
+use crate::patience::seconds;
+
+/// What a safety monitor said.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MonitorReading {
+    /// Its word.
+    pub is_safe: bool,
+    /// Length of the gapless safe record that its device node vouches for, sky time.
+    pub gapless_safe: Duration,
+}
+
+/// What a limit was put on, at one moment.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measured {
+    /// The value of the measure.
+    pub value: f64,
+    /// It is bad, or it was and is not good enough yet.
+    pub tripped: bool,
+}
+
+/// What all inputs said.
+#[derive(Debug, Clone)]
+pub struct History {
+    /// When the listening began.
+    pub since: SkyTime,
+    /// One record per safety monitor of the rules.
+    pub monitors: Vec<Record<MonitorReading>>,
+    /// One record per limit of the rules.
+    pub limits: Vec<Record<Measured>>,
+    /// What the limits' measures are made of.
+    windows: Vec<Window>,
+    /// Altitude of the Sun now, degrees, or why it is not known.
+    pub sun_altitude_deg: Result<f64, String>,
+}
+
+impl History {
+    /// Nothing heard yet.
+    pub fn new(rules: &Rules, since: SkyTime) -> Self {
+        Self {
+            since,
+            monitors: rules.monitors.iter().map(|_| Record::default()).collect(),
+            limits: rules.limits.iter().map(|_| Record::default()).collect(),
+            windows: rules.limits.iter().map(|_| Window::default()).collect(),
+            sun_altitude_deg: Err("not computed yet".to_owned()),
+        }
+    }
+
+    /// Takes in a state of a safety monitor.
+    pub fn hear_monitor(&mut self, rules: &Rules, device: &Device, state: &DeviceState<Monitor>, at: Now) {
+        for (rule, record) in rules.monitors.iter().zip(&mut self.monitors) {
+            if rule.device == *device {
+                record.push(Entry { at, outcome: monitor_reading(state) });
+                record.forget(at, rule.dwell);
+            }
+        }
+    }
+
+    /// Takes in a state of a weather station; `speed` turns the station's own age into machine time.
+    pub fn hear_weather(&mut self, rules: &Rules, device: &Device, state: &DeviceState<Weather>, speed: f64, at: Now) {
+        for (index, rule) in rules.limits.iter().enumerate() {
+            if rule.device == *device {
+                self.hear_value(rule, index, parameter(state, &rule.parameter, rule.max_age, speed), at);
+            }
+        }
+    }
+
+    /// Takes in a value for the limit of this index, or why there is none.
+    pub fn hear_value(&mut self, rule: &LimitRule, index: usize, value: Result<f64, String>, at: Now) {
+        let (Some(record), Some(window)) = (self.limits.get_mut(index), self.windows.get_mut(index)) else { return };
+        let is_gap = record.newest().is_some_and(|newest| at.machine.since(newest.at.machine) > rule.max_age);
+        if value.is_err() || is_gap {
+            window.clear();
+        }
+        let outcome = value.and_then(|value| window.measure(rule.measure, at.sky, value)).map(|value| {
+            // where every value is needed a missing one is as bad as a bad one; else the last one stands
+            let before = if rule.needs_each() { record.newest().filter(|_| !is_gap) } else { record.last_known() };
+            let was_good = before.is_some_and(|entry| entry.outcome.as_ref().is_ok_and(|before| !before.tripped));
+            Measured { value, tripped: !rule.bad.contain(value) || !(was_good || rule.reopen.contain(value)) }
+        });
+        record.push(Entry { at, outcome });
+        record.forget(at, rule.dwell);
+    }
+
+    /// Has every input been heard at least once?
+    pub fn all_heard(&self) -> bool {
+        !self.monitors.iter().any(Record::is_empty) && !self.limits.iter().any(Record::is_empty)
+    }
+}
+
+fn connected<F>(state: &DeviceState<F>) -> Result<(), String> {
+    match &state.link {
+        Link::Connected => Ok(()),
+        Link::Connecting => Err("not connected yet".to_owned()),
+        Link::Lost { reason } => Err(format!("link lost: {reason}")),
+    }
+}
+
+fn monitor_reading(state: &DeviceState<Monitor>) -> Result<MonitorReading, String> {
+    connected(state)?;
+    let is_safe = *state.fields.is_safe.as_result().map_err(ToString::to_string)?;
+    Ok(MonitorReading { is_safe, gapless_safe: seconds(state.fields.gapless_safe_s) })
+}
+
+/// The value of a parameter in a station's state, or why there is none.
+fn parameter(state: &DeviceState<Weather>, name: &str, max_age: Duration, speed: f64) -> Result<f64, String> {
+    connected(state)?;
+    if let Some(age_s) = state.fields.sensor_age_s.known() {
+        let age_s = age_s / speed;
+        if age_s.is_nan() || age_s > max_age.as_secs_f64() {
+            return Err(format!("stale: the station's own measurement is {age_s:.0} s old"));
+        }
+    }
+    let measured = |name: &str| -> Result<f64, String> {
+        let datum = state.fields.by_ascom_name(name).ok_or_else(|| format!("{name} is no parameter"))?;
+        let value = *datum.as_result().map_err(|reason| format!("{name}: {reason}"))?;
+        plausible(name, value)
+    };
+    match name {
+        "RelativeSkyTemp" => Ok(measured("SkyTemperature")? - measured("Temperature")?),
+        "DewPointMargin" => Ok(measured("Temperature")? - measured("DewPoint")?),
+        name => measured(name),
+    }
+}
+
+/// Refuses what no weather on Earth does: a broken sensor is a missing sensor.
+fn plausible(name: &str, value: f64) -> Result<f64, String> {
+    let (low, high) = match name {
+        // fog reads 100 and some sensors a little more
+        "Humidity" => (0.0, 105.0),
+        "CloudCover" => (0.0, 100.0),
+        "Temperature" | "DewPoint" => (-90.0, 65.0),
+        "SkyTemperature" => (-273.15, 65.0),
+        "Pressure" => (300.0, 1100.0),
+        "RainRate" => (0.0, 2000.0),
+        "WindSpeed" | "WindGust" => (0.0, 120.0),
+        "WindDirection" => (0.0, 360.0),
+        _ => (f64::MIN, f64::MAX),
+    };
+    if (low..=high).contains(&value) { Ok(value) } else { Err(format!("{name}: {value} is not possible")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use contract::{Datum, NoData};
+
+    use super::*;
+
+    fn weather(fields: Weather) -> DeviceState<Weather> {
+        DeviceState {
+            link: Link::Connected,
+            busy: false,
+            period_s: 5.0,
+            last_command: None,
+            fields,
+            readings: BTreeMap::new(),
+        }
+    }
+
+    const MAX_AGE: Duration = Duration::from_secs(60);
+
+    #[test]
+    fn derived_parameters_need_both_of_their_values() {
+        let both = weather(Weather { sky_c: Datum::Known(-20.0), air_c: Datum::Known(5.0), ..Default::default() });
+        assert_eq!(parameter(&both, "RelativeSkyTemp", MAX_AGE, 1.0), Ok(-25.0));
+        assert_eq!(parameter(&both, "DewPointMargin", MAX_AGE, 1.0).unwrap_err(), "DewPoint: never read");
+    }
+
+    #[test]
+    fn a_station_whose_own_measurement_is_old_has_no_value() {
+        let fields = |age_s| Weather {
+            humidity_percent: Datum::Known(50.0),
+            sensor_age_s: Datum::Known(age_s),
+            ..Default::default()
+        };
+        assert_eq!(parameter(&weather(fields(59.0)), "Humidity", MAX_AGE, 1.0), Ok(50.0));
+        assert!(parameter(&weather(fields(61.0)), "Humidity", MAX_AGE, 1.0).is_err());
+        assert!(parameter(&weather(fields(f64::NAN)), "Humidity", MAX_AGE, 1.0).is_err());
+        // at 100 x speed a sky minute is 0.6 s of the machine
+        assert_eq!(parameter(&weather(fields(5000.0)), "Humidity", MAX_AGE, 100.0), Ok(50.0));
+    }
+
+    #[test]
+    fn an_impossible_value_or_a_lost_link_is_no_value() {
+        let fields =
+            Weather { humidity_percent: Datum::Known(-3.0), wind_mps: Datum::Known(f64::NAN), ..Default::default() };
+        let mut state = weather(fields);
+        assert!(parameter(&state, "Humidity", MAX_AGE, 1.0).is_err());
+        assert!(parameter(&state, "WindSpeed", MAX_AGE, 1.0).is_err());
+        state.fields.humidity_percent = Datum::Known(30.0);
+        state.link = Link::Lost { reason: NoData::new("timeout", "2 s") };
+        assert_eq!(parameter(&state, "Humidity", MAX_AGE, 1.0).unwrap_err(), "link lost: timeout: 2 s");
+    }
+}
