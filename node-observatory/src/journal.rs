@@ -75,41 +75,39 @@ struct Book {
     robotic: Option<(Utc, bool)>,
 }
 
-/// The journal of one telescope.
+/// The journal of one telescope. Nodes that stand by for one another may share its file: only the one that commands
+/// writes it anew, and from then on what its predecessor still writes goes nowhere.
 #[derive(Debug)]
 pub struct Journal {
-    file: Mutex<File>,
+    path: PathBuf,
+    /// Open for the one that commands.
+    file: Mutex<Option<File>>,
     book: Mutex<Book>,
 }
 
-/// Lines older than this, against the newest, are dropped when a node starts, sky s.
+/// Lines older than this, against the newest, are dropped when a node takes over, sky s.
 const KEPT_S: f64 = 3.0 * 86_400.0;
 
 impl Journal {
-    /// Reads a journal, drops what is old, and goes on writing it; half a line at its end is the mark of a crash.
+    /// Reads a journal; half a line at its end is the mark of a crash.
     pub fn open(path: &Path) -> io::Result<Self> {
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder)?;
         }
-        let text = match std::fs::read(path) {
-            Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => String::new(),
-            Err(error) => return Err(error),
-        };
-        let mut lines: Vec<Line> = Vec::new();
-        for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
-            match serde_json::from_str(line) {
-                Ok(line) => lines.push(line),
-                Err(error) => tracing::warn!(line = number + 1, %error, "the journal has a line that cannot be read"),
-            }
-        }
+        let book = Book::of(&read(path)?);
+        Ok(Self { path: path.to_owned(), file: Mutex::new(None), book: Mutex::new(book) })
+    }
+
+    /// Learns what another node wrote meanwhile, drops what is old, and makes the file this node's own.
+    pub fn take_over(&self) -> io::Result<()> {
+        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut lines = read(&self.path)?;
         let newest = lines.iter().map(Line::at).max().unwrap_or(Utc::EPOCH);
         lines.retain(|line| newest.seconds_since(line.at()) <= KEPT_S);
-        rewrite(path, &lines)?;
-        let mut book = Book::default();
-        lines.iter().for_each(|line| book.learn(line));
-        let file = OpenOptions::new().append(true).open(path)?;
-        Ok(Self { file: Mutex::new(file), book: Mutex::new(book) })
+        rewrite(&self.path, &lines)?;
+        *file = Some(OpenOptions::new().append(true).open(&self.path)?);
+        *self.book() = Book::of(&lines);
+        Ok(())
     }
 
     /// How far a row got.
@@ -185,13 +183,43 @@ impl Journal {
         self.book().learn(&line);
         let mut text = serde_json::to_string(&line)?;
         text.push('\n');
-        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
-        file.write_all(text.as_bytes())?;
-        file.sync_data()
+        match &mut *self.file.lock().unwrap_or_else(PoisonError::into_inner) {
+            Some(file) => append(file, &text),
+            // after a new line: the last one may be half of what a crash left
+            None => append(&mut OpenOptions::new().append(true).create(true).open(&self.path)?, &format!("\n{text}")),
+        }
     }
 }
 
+fn append(file: &mut File, text: &str) -> io::Result<()> {
+    file.write_all(text.as_bytes())?;
+    file.sync_data()
+}
+
+/// All lines that can be read.
+fn read(path: &Path) -> io::Result<Vec<Line>> {
+    let text = match std::fs::read(path) {
+        Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => String::new(),
+        Err(error) => return Err(error),
+    };
+    let mut lines: Vec<Line> = Vec::new();
+    for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+        match serde_json::from_str(line) {
+            Ok(line) => lines.push(line),
+            Err(error) => tracing::warn!(line = number + 1, %error, "the journal has a line that cannot be read"),
+        }
+    }
+    Ok(lines)
+}
+
 impl Book {
+    fn of(lines: &[Line]) -> Self {
+        let mut book = Self::default();
+        lines.iter().for_each(|line| book.learn(line));
+        book
+    }
+
     fn learn(&mut self, line: &Line) {
         match line {
             Line::Intended { row, frame, sequence, .. } => {
@@ -235,6 +263,13 @@ mod tests {
         text.parse().unwrap()
     }
 
+    /// The journal of a node that commands.
+    fn own(path: &Path) -> Journal {
+        let journal = Journal::open(path).unwrap();
+        journal.take_over().unwrap();
+        journal
+    }
+
     const NOW: &str = "2026-11-21T03:00:00Z";
 
     #[test]
@@ -243,7 +278,7 @@ mod tests {
         let path = folder.path().join("data").join("journal-callisto.jsonl");
         let row = RowId("a".to_owned());
         let (first, second) = {
-            let journal = Journal::open(&path).unwrap();
+            let journal = own(&path);
             let first = journal.intend(&row, at(NOW)).unwrap();
             journal.sent(&row);
             assert!(journal.taken(&first.frame, at(NOW)).unwrap());
@@ -256,7 +291,7 @@ mod tests {
         // the crash left half a line
         OpenOptions::new().append(true).open(&path).unwrap().write_all(b"{\"is\":\"tak").unwrap();
 
-        let journal = Journal::open(&path).unwrap();
+        let journal = own(&path);
         assert_eq!(journal.progress(&row), Progress { taken: 1, open: vec![second.frame.clone()], ended: None });
         // the announcement of the frame that was under way arrives after the restart
         assert!(journal.taken(&second.frame, at(NOW)).unwrap());
@@ -265,14 +300,14 @@ mod tests {
         journal.ended(&row, RowStatus::Finished, "", at(NOW)).unwrap();
         drop(journal);
 
-        let journal = Journal::open(&path).unwrap();
+        let journal = own(&path);
         assert_eq!(journal.progress(&row).ended, Some((RowStatus::Finished, String::new())));
     }
 
     #[test]
     fn an_intent_that_was_not_sent_is_used_again() {
         let folder = tempfile::tempdir().unwrap();
-        let journal = Journal::open(&folder.path().join("j.jsonl")).unwrap();
+        let journal = own(&folder.path().join("j.jsonl"));
         let row = RowId("a".to_owned());
         let first = journal.intend(&row, at(NOW)).unwrap();
         assert_eq!(journal.intend(&row, at(NOW)).unwrap(), first);
@@ -284,7 +319,7 @@ mod tests {
     fn the_id_is_on_disk_before_it_is_used() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("j.jsonl");
-        let journal = Journal::open(&path).unwrap();
+        let journal = own(&path);
         let intent = journal.intend(&RowId("a".to_owned()), at(NOW)).unwrap();
         assert!(std::fs::read_to_string(&path).unwrap().contains(&intent.frame.0));
     }
@@ -294,15 +329,36 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("j.jsonl");
         let (old, new) = (RowId("old".to_owned()), RowId("new".to_owned()));
-        let journal = Journal::open(&path).unwrap();
+        let journal = own(&path);
         journal.ended(&old, RowStatus::Finished, "", at("2026-11-01T03:00:00Z")).unwrap();
         journal.ended(&new, RowStatus::Failed, "why", at(NOW)).unwrap();
         journal.robotic(true, at(NOW)).unwrap();
         assert!(!journal.taken(&CommandId("of another program".to_owned()), at(NOW)).unwrap());
         drop(journal);
-        let journal = Journal::open(&path).unwrap();
+        let journal = own(&path);
         assert_eq!(journal.progress(&old).ended, None);
         assert_eq!(journal.progress(&new).ended, Some((RowStatus::Failed, "why".to_owned())));
         assert_eq!(journal.last_robotic(), Some((at(NOW), true)));
+    }
+
+    #[test]
+    fn who_takes_over_knows_what_was_done_and_the_one_before_disturbs_it_no_more() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("j.jsonl");
+        let row = RowId("a".to_owned());
+        let (first, standby) = (own(&path), Journal::open(&path).unwrap());
+        let frame = first.intend(&row, at(NOW)).unwrap().frame;
+        first.sent(&row);
+        first.taken(&frame, at(NOW)).unwrap();
+        // an order that a standby heard while nobody commanded
+        standby.robotic(false, at(NOW)).unwrap();
+        standby.take_over().unwrap();
+        assert_eq!((standby.progress(&row).taken, standby.last_robotic()), (1, Some((at(NOW), false))));
+        // it was only stopped, and goes on
+        first.ended(&row, RowStatus::Finished, "", at(NOW)).unwrap();
+        assert_eq!(standby.intend(&row, at(NOW)).unwrap().sequence, 1);
+        drop((first, standby));
+        let next = own(&path);
+        assert_eq!((next.progress(&row).taken, next.progress(&row).ended), (1, None));
     }
 }

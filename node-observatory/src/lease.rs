@@ -10,6 +10,7 @@ use tokio::sync::watch;
 use units::Utc;
 
 use crate::control_room::ControlRoom;
+use crate::takeover;
 use crate::trouble::Trouble;
 
 /// How this node stands to the lease.
@@ -49,6 +50,7 @@ const RIVAL: Duration = Duration::from_secs(5);
 pub async fn keep_holding(room: std::sync::Arc<ControlRoom>, hold: watch::Sender<Hold>) -> anyhow::Result<()> {
     let lease = room.node.bus.publisher(&room.key(Part::Lease), Quality::State { cache: 1 }).await?;
     let said = room.node.bus.latest::<Lease>(&room.key(Part::Lease)).await?;
+    let last_word = takeover::listen(&room).await?;
     let clock = room.node.bus.clock().clone();
     let mut asked_since = clock.machine();
     let mut id = CommandId::fresh();
@@ -56,6 +58,7 @@ pub async fn keep_holding(room: std::sync::Arc<ControlRoom>, hold: watch::Sender
         match claim(&room, &id).await {
             Ok(token) => {
                 tracing::info!(token, arbiter = %arbiter(&room), "this node commands");
+                takeover::learn(&room, &last_word).await;
                 room.node.alerts.clear("no-lease");
                 hold.send_replace(Hold::Holding { token, since_utc: clock.utc() });
                 until_lost(&room, token, &lease, &clock).await;

@@ -24,6 +24,7 @@ pub mod safety;
 pub mod schedule;
 pub mod standing;
 mod start;
+mod takeover;
 mod trouble;
 
 use anyhow::{Context as _, bail};

@@ -22,6 +22,7 @@ use crate::safety::Ruling;
 use crate::safety::rules::Rules;
 use crate::schedule::Loaded;
 use crate::standing::{self, Standing};
+use crate::takeover;
 
 /// A task of the node.
 pub type Task = Pin<Box<dyn Future<Output = anyhow::Result<()>> + Send>>;
@@ -40,9 +41,6 @@ pub struct Start {
     pub neighbours: Neighbours,
 }
 
-/// An order from last night is no order for this one, sky s.
-const ORDER_HOLDS_S: f64 = 18.0 * 3600.0;
-
 /// Prepares everything and says nothing yet.
 pub async fn start(node: &Node) -> anyhow::Result<Start> {
     let (config, clock) = (&node.config, node.bus.clock());
@@ -51,13 +49,7 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
         "the file of a site's shared devices has no telescope to run; start an observatory node per telescope"
     );
     let journal = open_journal(node).await?;
-    let robotic = match journal.last_robotic() {
-        Some((at, on)) if clock.utc().seconds_since(at).abs() < ORDER_HOLDS_S => {
-            tracing::info!(on, %at, "the robotic switch stands as it was ordered");
-            on
-        }
-        _ => config.schedule.robotic,
-    };
+    let robotic = takeover::robotic(&journal, config.schedule.robotic, clock.utc());
     let (orders, now) = (standing::path(config), clock.utc());
     let standing = tokio::task::spawn_blocking(move || Standing::read(&orders, now)).await?;
     let (ruling, heard_ruling) = watch::channel(Ruling::none(clock.machine(), clock.utc()));

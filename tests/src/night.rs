@@ -50,7 +50,9 @@ pub(crate) fn configuration(
     address: &Address,
     simulator: std::net::SocketAddr,
     options: &simulator::Options,
+    permit_valid_s: f64,
 ) -> String {
+    let permit = format!("permit_valid_s = {permit_valid_s:?}\n");
     let mut text = format!(
         "[observatory]\nsite = \"{}\"\ntelescope = \"{}\"\nlatitude_deg = {}\nlongitude_deg = {}\nelevation_m = {}\n\
          [bus]\nmulticast = false\n[clock]\nsimulator = \"http://{simulator}\"\n[schedule]\nrobotic = true\n\
@@ -66,7 +68,7 @@ pub(crate) fn configuration(
         ("camera", "camera", "temperature_c = -10.0\ntemperature_tolerance_c = 2.0\n"),
         ("filterwheel", "wheel", ""),
         ("focuser", "focuser", ""),
-        ("dome", "dome", "permit_valid_s = 5.0\n"),
+        ("dome", "dome", permit.as_str()),
         ("safetymonitor", "monitor", "dwell_min = 0.5\n"),
         ("observingconditions", "weather", "limit = [{ parameter = \"Humidity\", upper = 99.5, dwell_min = 0.5 }]\n"),
         ("covercalibrator", "cover", ""),

@@ -31,6 +31,8 @@ pub struct RigOptions {
     pub world: simulator::Options,
     /// Length of every row's window, sky seconds.
     pub window_s: f64,
+    /// How long a permit of the dome is valid, machine seconds.
+    pub permit_valid_s: f64,
 }
 
 impl Default for RigOptions {
@@ -43,7 +45,7 @@ impl Default for RigOptions {
         };
         world.camera.pixel_um *= 8.0;
         (world.camera.width, world.camera.height) = (256, 256);
-        Self { world, window_s: 3600.0 }
+        Self { world, window_s: 3600.0, permit_valid_s: 5.0 }
     }
 }
 
@@ -58,6 +60,7 @@ pub struct Rig {
     folder: TempDir,
     endpoint: String,
     nodes: HashMap<Role, Child>,
+    standby: Option<Child>,
     _seat: tokio::sync::SemaphorePermit<'static>,
     /// The dome's state.
     pub dome: Latest<DeviceState<DomeFields>>,
@@ -81,7 +84,8 @@ impl Rig {
         let simulator = Simulator::start(world.clone()).await?;
         let address = Address::new(SITE, TELESCOPE)?;
         let folder = tempfile::tempdir()?;
-        std::fs::write(folder.path().join("observatory.toml"), configuration(&address, simulator.address(), &world))?;
+        let text = configuration(&address, simulator.address(), &world, options.permit_valid_s);
+        std::fs::write(folder.path().join("observatory.toml"), text)?;
         let start = simulator.world().now();
         std::fs::write(folder.path().join("schedule.jsonl"), jsonl(&rows(&world), start, options.window_s))?;
         let clock = Clock::of_simulator(&format!("http://{}", simulator.address())).await?;
@@ -105,13 +109,19 @@ impl Rig {
             folder,
             endpoint,
             nodes: HashMap::new(),
+            standby: None,
             _seat: seat,
         })
     }
 
     /// A night of one long row, which a device node and an observatory node have opened the dome for.
     pub async fn at_open_dome() -> anyhow::Result<Self> {
-        let mut rig = Self::new(RigOptions::default(), long_row).await?;
+        Self::at_open_dome_with(RigOptions::default()).await
+    }
+
+    /// As [`Self::at_open_dome`], with other options.
+    pub async fn at_open_dome_with(options: RigOptions) -> anyhow::Result<Self> {
+        let mut rig = Self::new(options, long_row).await?;
         for role in [Role::Device, Role::Observatory] {
             rig.start(role)?;
         }
@@ -126,16 +136,27 @@ impl Rig {
 
     /// Starts one node as a process that ends with this one.
     pub fn start(&mut self, role: Role) -> anyhow::Result<()> {
+        let child = self.spawn(role, "main")?;
+        self.nodes.insert(role, child);
+        Ok(())
+    }
+
+    /// Starts a second observatory node for the same telescope.
+    pub fn start_standby(&mut self) -> anyhow::Result<()> {
+        self.standby = Some(self.spawn(Role::Observatory, "second")?);
+        Ok(())
+    }
+
+    fn spawn(&self, role: Role, id: &str) -> anyhow::Result<Child> {
         let log = std::fs::OpenOptions::new().create(true).append(true).open(self.path(&format!("{role}.log")))?;
         let child = Command::new(binary()?)
-            .args(["node", role.word(), "--with-parent", "--connect", &self.endpoint, "--config"])
+            .args(["node", role.word(), "--id", id, "--with-parent", "--connect", &self.endpoint, "--config"])
             .arg(self.path("observatory.toml"))
             .stdin(Stdio::piped())
             .stdout(log.try_clone()?)
             .stderr(log)
             .spawn()?;
-        self.nodes.insert(role, child);
-        Ok(())
+        Ok(child)
     }
 
     /// Starts `starmesh up` on this rig's configuration, for tests of the supervisor; the caller ends it.
@@ -144,6 +165,25 @@ impl Rig {
         let mut command = Command::new(binary()?);
         command.arg("up").arg(self.path("observatory.toml")).args(["--", "--connect", &self.endpoint]);
         Ok(command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log).spawn()?)
+    }
+
+    /// Runs one more node until it ends by itself with an error, and returns what it said last.
+    pub async fn run_to_end(&self, role: Role, id: &str, limit: Duration) -> anyhow::Result<String> {
+        let mut child = self.spawn(role, id)?;
+        let began = Instant::now();
+        let ended = loop {
+            match child.try_wait()? {
+                None if began.elapsed() < limit => tokio::time::sleep(Duration::from_millis(50)).await,
+                ended => break ended,
+            }
+        };
+        if ended.is_none() {
+            child.kill()?;
+            child.wait()?;
+        }
+        let log = std::fs::read_to_string(self.path(&format!("{role}.log")))?;
+        anyhow::ensure!(ended.is_some_and(|status| !status.success()), "{role} {id} ended with {ended:?}\n{log}");
+        Ok(log)
     }
 
     /// Gives an order with the command line, as a person would; the error has its words.
@@ -223,7 +263,8 @@ impl Rig {
         said(&self.mount).is_some_and(|mount| mount.fields.at_park.known() == Some(&true))
     }
 
-    fn last_words(&self) -> String {
+    /// What the nodes said last.
+    pub fn last_words(&self) -> String {
         let mut words = String::new();
         for state in
             [debug(&self.dome), debug(&self.guard), debug(&self.safety), debug(&self.night), debug(&self.schedule)]
@@ -250,7 +291,7 @@ fn debug<T: Payload + std::fmt::Debug>(latest: &Latest<T>) -> String {
 
 impl Drop for Rig {
     fn drop(&mut self) {
-        for child in self.nodes.values_mut() {
+        for child in self.nodes.values_mut().chain(&mut self.standby) {
             // it may have ended by itself; the wait reaps it either way
             let _ = child.kill();
             let _ = child.wait();

@@ -16,6 +16,7 @@ mod publish;
 mod session;
 mod stop;
 mod subscribe;
+mod twin;
 
 pub use alerts::AlertBoard;
 pub use ask::{AskError, Service};

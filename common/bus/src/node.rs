@@ -19,7 +19,7 @@ use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::diary::DiaryLayer;
-use crate::{AlertBoard, Bus, Clock, Quality, Stop};
+use crate::{AlertBoard, Bus, Clock, Quality, Stop, twin};
 
 /// What a node's command line takes.
 #[derive(Debug, Clone, Parser)]
@@ -125,6 +125,7 @@ impl Node {
         tokio::select! {
             result = work => result,
             result = health => result,
+            result = twin::leave_to_older(&self) => result,
             result = write => result,
             result = alerts.follow(self.alerts.watch(), Duration::from_secs(10)) => Ok(result?),
         }

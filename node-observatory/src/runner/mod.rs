@@ -31,6 +31,8 @@ enum Farewell {
 struct Runner {
     room: Arc<ControlRoom>,
     revision: u64,
+    /// The lease under which the statuses were read from the journal.
+    token: Option<u64>,
     rows: Arc<Vec<Row>>,
     statuses: Vec<RowStatus>,
     at_work: JoinSet<(usize, RowEnd)>,
@@ -48,6 +50,7 @@ pub async fn keep_observing(room: Arc<ControlRoom>, mut loaded: watch::Receiver<
     let mut runner = Runner {
         room,
         revision: 0,
+        token: None,
         rows: Arc::default(),
         statuses: Vec::new(),
         at_work: JoinSet::new(),
@@ -83,10 +86,12 @@ impl Runner {
     /// Takes a newer schedule, once nothing runs; rows that were done stay done.
     fn take_schedule(&mut self, loaded: &Loaded) {
         self.room.board.schedule_refused(&loaded.refused);
-        if loaded.revision == self.revision || !self.at_work.is_empty() {
+        // a new lease may come with a journal that another node went on writing
+        let token = self.room.hold.borrow().token().or(self.token);
+        if (loaded.revision, token) == (self.revision, self.token) || !self.at_work.is_empty() {
             return;
         }
-        self.revision = loaded.revision;
+        (self.revision, self.token) = (loaded.revision, token);
         self.rows = loaded.rows.clone();
         self.farewell = Farewell::NotYet;
         let states: Vec<RowState> =

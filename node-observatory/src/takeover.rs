@@ -1,0 +1,61 @@
+//! What a node learns when it becomes the commander: what the one before it did, and what people ordered meanwhile.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bus::{BusError, Latest};
+use contract::observatory::{NightState, Priority};
+use contract::{BootId, Part};
+use units::Utc;
+
+use crate::control_room::ControlRoom;
+use crate::journal::Journal;
+use crate::standing::{self, Standing};
+
+/// An order from last night is no order for this one, sky s.
+const ORDER_HOLDS_S: f64 = 18.0 * 3600.0;
+/// A commander says each second how it stands; what is older than this is no last word.
+const LAST_WORD: Duration = Duration::from_secs(60);
+const ALERT: &str = "journal";
+
+/// The robotic switch as it was last ordered, else as configured.
+pub fn robotic(journal: &Journal, configured: bool, now: Utc) -> bool {
+    match journal.last_robotic() {
+        Some((at, on)) if now.seconds_since(at).abs() < ORDER_HOLDS_S => on,
+        _ => configured,
+    }
+}
+
+/// Listens to the commander before, so that its last word is known.
+pub async fn listen(room: &ControlRoom) -> Result<Latest<NightState>, BusError> {
+    room.node.bus.latest(&room.key(Part::Night)).await
+}
+
+/// Learns it all. A disk that fails is told, and keeps nobody from commanding: who commands can close.
+pub async fn learn(room: &Arc<ControlRoom>, last_word: &Latest<NightState>) {
+    let (at, path, now) = (room.clone(), standing::path(&room.node.config), room.node.bus.clock().utc());
+    let learnt = tokio::task::spawn_blocking(move || (at.journal.take_over(), Standing::read(&path, now))).await;
+    let Ok((taken, standing)) = learnt else { return };
+    match taken {
+        Ok(()) => room.node.alerts.clear(ALERT),
+        Err(error) => room.node.alerts.raise(
+            ALERT,
+            Priority::High,
+            &format!("the journal cannot be taken over: {error}"),
+            "After a restart rows may begin again.",
+            "Look at the disk that holds the data folder.",
+        ),
+    }
+    room.standing
+        .send_if_modified(|known| *known != standing && std::mem::replace(known, standing.clone()) != standing);
+    let own: &BootId = room.node.bus.boot_id();
+    let heard = last_word.fresh(LAST_WORD).filter(|heard| heard.said.boot_id != *own);
+    // the journal of a commander on another host is out of reach, its last word is not
+    let on = match heard {
+        Some(heard) => heard.said.body.robotic,
+        None => robotic(&room.journal, *room.robotic.borrow(), now),
+    };
+    if room.robotic.send_replace(on) != on {
+        tracing::info!(on, "the robotic switch stands as it was ordered");
+    }
+}
