@@ -73,6 +73,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
         stored: stored.clone(),
         incomplete: incomplete.clone(),
         count: AtomicI64::new(stored_before),
+        naming: tokio::sync::Mutex::default(),
     }));
     tasks.spawn(pass::keep(pass::Pass {
         node: node.clone(),

@@ -57,6 +57,8 @@ pub struct Store {
     pub incomplete: Arc<Notify>,
     /// Frames stored, since the database began.
     pub count: AtomicI64,
+    /// Held from the choice of a file's name until the file has it: two frames of one moment have names alike.
+    pub naming: tokio::sync::Mutex<()>,
 }
 
 /// What is known of a frame that is announced.
@@ -185,6 +187,7 @@ impl Store {
         };
         let bytes = tokio::task::spawn_blocking(write).await?.context("cannot write the file")?;
 
+        let naming = self.naming.lock().await;
         let relative = self.namer.path(&frame, written);
         let path = free_path(&images, &relative, written)?;
         let file = relative_text(&images, &path);
@@ -192,6 +195,7 @@ impl Store {
         let target = path.clone();
         let rename = move || std::fs::rename(&part, &target).and_then(|()| sync_folder(&target));
         tokio::task::spawn_blocking(rename).await?.with_context(|| format!("cannot name {}", path.display()))?;
+        drop(naming);
         self.record(StoredImage { frame, path, file, bytes, stored: written }).await
     }
 

@@ -387,6 +387,35 @@ async fn a_frame_is_stored_once_released_completed_and_found_again_after_a_resta
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn frames_of_one_moment_have_files_of_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let images = folder.path().join("images");
+    let (device_bus, archive_bus) = two_buses().await;
+    let spool = Spool::start(device_bus.clone()).await;
+    let mut node = archive(folder.path(), archive_bus);
+    // a name that two frames share, and which are stored at the same time
+    let mut config = (*node.config).clone();
+    config.archive.filename.insert("object".to_owned(), "{sequence_counter}".to_owned());
+    node.config = config.into();
+    let stop = node.stop.clone();
+    let running = tokio::spawn(node_archive::run(node));
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    let ids: Vec<String> = (10..70).map(|index| format!("frame-{index}")).collect();
+    for (id, index) in ids.iter().zip(0..) {
+        let mut frame = spool.frame(id, device_bus.clock().utc());
+        frame.purpose.sequence = index / 2;
+        spool.frames.put(frame).await.unwrap();
+    }
+    until("all are released", || ids.iter().all(|id| spool.releases(id) >= 1)).await;
+    let mut found: Vec<String> =
+        files(&images).iter().map(|file| Header::read(file).unwrap().unwrap().value("FRAMEID").unwrap()).collect();
+    found.sort();
+    assert_eq!(found, ids);
+    stop.stop();
+    running.await.unwrap().unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_file_that_was_named_just_before_a_kill_is_adopted() {
     let folder = tempfile::tempdir().unwrap();
     let images = folder.path().join("images");

@@ -46,11 +46,16 @@ const ASKING: Duration = Duration::from_secs(10);
 /// A commander says its lease every second.
 const RIVAL: Duration = Duration::from_secs(5);
 
+/// An older node of this very name is heard within this time, and this one leaves before it claims in that name. Short
+/// enough for a restarted observatory to renew the permit that it left.
+const TWIN: Duration = Duration::from_secs(3);
+
 /// Claims for ever, once a second; a lease that is held is kept until the arbiter shows a higher token.
 pub async fn keep_holding(room: std::sync::Arc<ControlRoom>, hold: watch::Sender<Hold>) -> anyhow::Result<()> {
     let lease = room.node.bus.publisher(&room.key(Part::Lease), Quality::State { cache: 1 }).await?;
     let said = room.node.bus.latest::<Lease>(&room.key(Part::Lease)).await?;
     let last_word = takeover::listen(&room).await?;
+    tokio::time::sleep(TWIN).await;
     let clock = room.node.bus.clock().clone();
     let mut asked_since = clock.machine();
     let mut id = CommandId::fresh();
