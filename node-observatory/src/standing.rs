@@ -182,20 +182,13 @@ mod tests {
     fn an_override_softens_one_limit_until_it_ends() {
         let mut standing = Standing::default();
         standing.do_without(&rules(), "wx/Humidity", 600.0, said("the sensor is wet")).unwrap();
-        let response = |at_s| standing.applied_to(&rules(), Utc::from_seconds(at_s)).limits.map_response();
+        let response = |at_s| -> Vec<Response> {
+            let rules = standing.applied_to(&rules(), Utc::from_seconds(at_s));
+            rules.limits.iter().map(|rule| rule.response).collect()
+        };
         assert_eq!(response(1599.0), [Response::Advise, Response::Close]);
         assert_eq!(response(1600.0), [Response::Close, Response::Close]);
         assert_eq!(response(-100_000.0), [Response::Close, Response::Close], "a clock that was put back");
-    }
-
-    trait Responses {
-        fn map_response(&self) -> Vec<Response>;
-    }
-
-    impl Responses for Vec<crate::safety::rules::LimitRule> {
-        fn map_response(&self) -> Vec<Response> {
-            self.iter().map(|rule| rule.response).collect()
-        }
     }
 
     #[test]

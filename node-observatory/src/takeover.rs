@@ -46,8 +46,11 @@ pub async fn learn(room: &Arc<ControlRoom>, last_word: &Latest<NightState>) {
             "Look at the disk that holds the data folder.",
         ),
     }
-    room.standing
-        .send_if_modified(|known| *known != standing && std::mem::replace(known, standing.clone()) != standing);
+    room.standing.send_if_modified(|known| {
+        let is_new = *known != standing;
+        *known = standing;
+        is_new
+    });
     let own: &BootId = room.node.bus.boot_id();
     let heard = last_word.fresh(LAST_WORD).filter(|heard| heard.said.boot_id != *own);
     // the journal of a commander on another host is out of reach, its last word is not

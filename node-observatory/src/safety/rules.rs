@@ -119,12 +119,6 @@ impl Rules {
         let sun_altitude_max_deg = Some(config.safety.sun_altitude_max_deg);
         Self { monitors, limits, sun_altitude_max_deg, disabled, stay_closed: None }
     }
-
-    /// The longest dwell.
-    pub fn longest_dwell(&self) -> Duration {
-        let monitors = self.monitors.iter().map(|rule| rule.dwell);
-        monitors.chain(self.limits.iter().map(|rule| rule.dwell)).max().unwrap_or_default()
-    }
 }
 
 /// A dwell that is no number never ends.
