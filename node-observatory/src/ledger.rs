@@ -1,7 +1,7 @@
-//! The frames that were announced, and those that an archive has stored with a complete header.
+//! The frames that were exposed and announced, and those that an archive has stored with a complete header.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use bus::{Catch, MachineTime};
@@ -16,27 +16,36 @@ use crate::control_room::ControlRoom;
 /// What is known of the frames.
 #[derive(Debug, Clone, Default)]
 pub struct Frames {
+    /// Frames that were exposed and not announced yet.
+    expected: BTreeMap<String, Expected>,
     /// Announced frames with the night they belong to.
-    pub announced: BTreeMap<String, String>,
+    announced: BTreeMap<String, String>,
     /// Frames whose file has all keywords.
-    pub complete: BTreeSet<String>,
+    complete: BTreeSet<String>,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Expected {
+    night: String,
+    camera: Name,
+    since: MachineTime,
 }
 
 impl Frames {
-    /// Announced frames of a night that are not yet stored with a complete header, and the number of all.
-    pub fn missing(&self, night: &str) -> (Vec<String>, usize) {
-        let of_night: Vec<&String> =
-            self.announced.iter().filter(|(_, of)| *of == night).map(|(frame, _)| frame).collect();
-        let missing = of_night.iter().filter(|frame| !self.complete.contains(**frame)).map(|frame| (*frame).clone());
-        (missing.collect(), of_night.len())
+    /// How many frames of a night have complete headers, and how many frames it has.
+    pub fn complete(&self, night: &str) -> (usize, usize) {
+        let announced = self.announced.iter().filter(|(_, of)| *of == night).map(|(frame, _)| frame);
+        let announced: Vec<&String> = announced.collect();
+        let expected = self.expected.values().filter(|expected| expected.night == night).count();
+        let complete = announced.iter().filter(|frame| self.complete.contains(**frame)).count();
+        (complete, announced.len() + expected)
     }
 }
 
-/// Announced and stored frames, as a value that can be followed.
+/// Exposed, announced and stored frames, as a value that can be followed.
 #[derive(Debug)]
 pub struct Ledger {
     frames: watch::Sender<Frames>,
-    expected: Mutex<BTreeMap<String, (Name, MachineTime)>>,
 }
 
 /// A frame that was exposed is announced within this time, or something has swallowed it.
@@ -44,7 +53,7 @@ const ANNOUNCED_WITHIN: Duration = Duration::from_secs(120);
 
 impl Default for Ledger {
     fn default() -> Self {
-        Self { frames: watch::channel(Frames::default()).0, expected: Mutex::default() }
+        Self { frames: watch::channel(Frames::default()).0 }
     }
 }
 
@@ -59,32 +68,34 @@ impl Ledger {
         self.frames.send_if_modified(|frames| frames.complete.insert(frame.0.clone()));
     }
 
-    /// A frame was exposed and will be announced.
-    pub fn expect(&self, frame: &CommandId, camera: &Name, now: MachineTime) {
-        if !self.frames.borrow().announced.contains_key(&frame.0) {
-            self.expected().insert(frame.0.clone(), (camera.clone(), now));
-        }
+    /// A frame of this night was exposed and will be announced.
+    pub fn expect(&self, frame: &CommandId, night: &str, camera: &Name, now: MachineTime) {
+        self.frames.send_if_modified(|frames| {
+            let is_awaited = !frames.announced.contains_key(&frame.0);
+            if is_awaited {
+                let expected = Expected { night: night.to_owned(), camera: camera.clone(), since: now };
+                frames.expected.insert(frame.0.clone(), expected);
+            }
+            is_awaited
+        });
     }
 
-    /// Frames that were not announced in time, each told once.
+    /// Frames that were not announced in time, each told once; nobody waits for them any more.
     fn lost(&self, now: MachineTime) -> Vec<(String, Name)> {
-        let mut expected = self.expected();
-        let late = |(_, since): &(Name, MachineTime)| now.since(*since) > ANNOUNCED_WITHIN;
-        let lost: Vec<_> =
-            expected.iter().filter(|(_, of)| late(of)).map(|(id, (camera, _))| (id.clone(), camera.clone())).collect();
-        expected.retain(|_, of| !late(of));
+        let mut lost = Vec::new();
+        self.frames.send_if_modified(|frames| {
+            let late = frames.expected.extract_if(.., |_, expected| now.since(expected.since) > ANNOUNCED_WITHIN);
+            lost.extend(late.map(|(id, expected)| (id, expected.camera)));
+            !lost.is_empty()
+        });
         lost
     }
 
-    fn expected(&self) -> MutexGuard<'_, BTreeMap<String, (Name, MachineTime)>> {
-        self.expected.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Notes an announced frame; true the first time, since a spool repeats what nobody has taken yet.
-    fn announced(&self, frame: &Frame) -> bool {
-        self.expected().remove(&frame.id.0);
+    fn announced(&self, frame: &CommandId, night: &str) -> bool {
         self.frames.send_if_modified(|frames| {
-            frames.announced.insert(frame.id.0.clone(), frame.purpose.night.clone()).is_none()
+            frames.expected.remove(&frame.0);
+            frames.announced.insert(frame.0.clone(), night.to_owned()).is_none()
         })
     }
 }
@@ -112,7 +123,7 @@ pub async fn keep_counting_frames(room: Arc<ControlRoom>) -> anyhow::Result<()> 
             room.node.alerts.clear(&format!("frame-lost/{}", device.name));
         }
         tracing::debug!(frame = %frame.id, camera = frame.camera, "announced");
-        let is_new = room.ledger.announced(&frame);
+        let is_new = room.ledger.announced(&frame.id, &frame.purpose.night);
         if is_new && heard.said.at_utc >= started_utc {
             room.board.frame(&frame.id);
         }
@@ -140,24 +151,39 @@ pub async fn keep_counting_files(room: Arc<ControlRoom>) -> anyhow::Result<()> {
 mod tests {
     use super::*;
 
+    fn id(name: &str) -> CommandId {
+        CommandId(name.to_owned())
+    }
+
     #[test]
     fn only_frames_of_the_night_are_waited_for() {
-        let mut frames = Frames::default();
+        let ledger = Ledger::default();
         for (frame, night) in [("a", "20261120"), ("b", "20261121"), ("c", "20261121")] {
-            frames.announced.insert(frame.to_owned(), night.to_owned());
+            assert!(ledger.announced(&id(frame), night));
         }
-        frames.complete.insert("c".to_owned());
-        assert_eq!(frames.missing("20261121"), (vec!["b".to_owned()], 2));
-        assert_eq!(frames.missing("20261122"), (vec![], 0));
+        ledger.complete(&id("c"));
+        assert_eq!(ledger.watch().borrow().complete("20261121"), (1, 2));
+        assert_eq!(ledger.watch().borrow().complete("20261122"), (0, 0));
+    }
+
+    #[test]
+    fn a_frame_whose_light_is_in_is_waited_for_before_it_is_announced() {
+        let (ledger, camera) = (Ledger::default(), "cam".parse().unwrap());
+        ledger.expect(&id("a"), "20261121", &camera, MachineTime::from_boot(Duration::ZERO));
+        assert_eq!(ledger.watch().borrow().complete("20261121"), (0, 1));
+        assert!(ledger.announced(&id("a"), "20261121") && !ledger.announced(&id("a"), "20261121"));
+        ledger.complete(&id("a"));
+        assert_eq!(ledger.watch().borrow().complete("20261121"), (1, 1));
     }
 
     #[test]
     fn a_frame_that_is_exposed_and_never_announced_is_told_once() {
         let at = |s| MachineTime::from_boot(Duration::from_secs(s));
         let (ledger, camera) = (Ledger::default(), "cam".parse().unwrap());
-        ledger.expect(&CommandId("a".to_owned()), &camera, at(0));
+        ledger.expect(&id("a"), "20261121", &camera, at(0));
         assert_eq!(ledger.lost(at(120)), []);
         assert_eq!(ledger.lost(at(121)), [("a".to_owned(), camera)]);
         assert_eq!(ledger.lost(at(200)), []);
+        assert_eq!(ledger.watch().borrow().complete("20261121"), (0, 0));
     }
 }

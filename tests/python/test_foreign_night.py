@@ -242,6 +242,7 @@ def lights(night):
     for path in night.site.fits():
         with fits.open(path, checksum=True) as hdus:
             if hdus[0].header["IMAGETYP"] == "Light Frame":
+                assert "OBJALT" in hdus[0].header, f"the header of {path} is not complete at the end of the night"
                 yield path, hdus[0].header, hdus[0].data
 
 

@@ -31,13 +31,13 @@ impl Action for CompleteHeaders {
         let mut frames = stage.room.ledger.watch();
         let mut asked = None;
         loop {
-            let (missing, all) = frames.borrow_and_update().missing(&night);
-            stage.small_step(format!("{} of {all} headers complete", all - missing.len()));
-            if missing.is_empty() {
+            let (complete, all) = frames.borrow_and_update().complete(&night);
+            stage.small_step(format!("{complete} of {all} headers complete"));
+            if complete == all {
                 return Ok(format!("{all} headers complete"));
             }
             if stage.clock().utc() >= stage.row.end {
-                return Ok(format!("{} of {all} headers complete at end_time", all - missing.len()));
+                return Ok(format!("{complete} of {all} headers complete at end_time"));
             }
             let now = stage.clock().machine();
             if asked.is_none_or(|at| now.since(at) >= ASK) {

@@ -74,7 +74,8 @@ pub async fn expose(
         stage.set_exposing(None);
         taken += 1;
         note_taken(stage, &intent);
-        stage.room.ledger.expect(&intent.frame, &stage.row.camera, stage.clock().machine());
+        let night = stage.night().to_string();
+        stage.room.ledger.expect(&intent.frame, &night, &stage.row.camera, stage.clock().machine());
         stage.room.board.row(stage.index, |row| row.frames = taken);
         match next(taken, stage.clock().utc()) {
             Some(following) => shot = following,
