@@ -40,6 +40,8 @@ pub struct ControlRoom {
     pub rules: Arc<Rules>,
     /// What people have ordered of the verdict.
     pub standing: watch::Sender<Standing>,
+    /// Those of them that are on disk, as this life knows.
+    pub standing_on_disk: watch::Sender<Standing>,
     /// Frames announced and stored.
     pub ledger: Ledger,
     /// What is shown of the night.

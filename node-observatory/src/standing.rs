@@ -19,6 +19,7 @@ use crate::safety::rules::Rules;
 
 /// The longest that one order can do without a limit, sky s.
 pub const LONGEST_OVERRIDE_S: f64 = 8.0 * 3600.0;
+const UNWRITTEN: &str = "standing-orders";
 /// What the Sun is called among the inputs.
 pub const SUN: &str = "sun";
 
@@ -69,6 +70,13 @@ impl Standing {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Self::default(),
             Err(error) => unreadable(error.to_string()),
         }
+    }
+
+    /// What holds where these orders could not be written and others stand on disk: whatever keeps it closed, and no
+    /// override that only one of them knows.
+    pub fn stricter(self, other: Self) -> Self {
+        let overrides = self.overrides.into_iter().filter(|(input, order)| other.overrides.get(input) == Some(order));
+        Self { stay_closed: self.stay_closed.or(other.stay_closed), overrides: overrides.collect() }
     }
 
     /// Keeps it for the next life of this node: the old file or the new one, whatever happens.
@@ -129,6 +137,37 @@ impl Standing {
 /// Where the standing orders of a telescope are kept.
 pub fn path(config: &config::Observatory) -> PathBuf {
     config.folders.data.join(format!("standing-{}.json", config.place.telescope))
+}
+
+/// Writes the standing orders at each change, again and again until the disk takes them.
+pub async fn keep_on_disk(room: Arc<ControlRoom>) -> anyhow::Result<()> {
+    let (mut standing, path) = (room.standing.subscribe(), path(&room.node.config));
+    // those of the start came from the disk
+    standing.mark_unchanged();
+    loop {
+        standing.changed().await?;
+        loop {
+            let (orders, path) = (standing.borrow_and_update().clone(), path.clone());
+            let written = tokio::task::spawn_blocking(move || orders.write(&path).map(|()| orders)).await?;
+            match written {
+                Ok(orders) => {
+                    room.standing_on_disk.send_replace(orders);
+                    room.node.alerts.clear(UNWRITTEN);
+                    break;
+                }
+                Err(error) => {
+                    room.node.alerts.raise(
+                        UNWRITTEN,
+                        Priority::High,
+                        &format!("the standing orders are not on disk: {error}"),
+                        "They hold, but a restart of the observatory node would forget them.",
+                        "Look at the disk that holds the data folder.",
+                    );
+                    tokio::time::sleep(Duration::from_secs(2)).await;
+                }
+            }
+        }
+    }
 }
 
 /// Keeps an alert for every standing order, so that none is forgotten.
@@ -211,6 +250,16 @@ mod tests {
         for for_s in [-1.0, f64::NAN, LONGEST_OVERRIDE_S + 1.0] {
             assert!(refused("wx/Humidity", for_s, "x").contains("expected 0"));
         }
+    }
+
+    #[test]
+    fn of_two_records_the_stricter_holds() {
+        let closed = Standing { stay_closed: Some(said("people on the roof")), ..Standing::default() };
+        let mut open = Standing::default();
+        open.do_without(&rules(), SUN, 60.0, said("washing")).unwrap();
+        assert_eq!(closed.clone().stricter(open.clone()), closed);
+        assert_eq!(open.clone().stricter(closed.clone()), closed);
+        assert_eq!(open.clone().stricter(open.clone()), open);
     }
 
     #[test]

@@ -46,9 +46,12 @@ pub async fn learn(room: &Arc<ControlRoom>, last_word: &Latest<NightState>) {
             "Look at the disk that holds the data folder.",
         ),
     }
+    // an order that this life accepted and could not write is not forgotten with the lease
+    let is_written = *room.standing.borrow() == *room.standing_on_disk.borrow();
     room.standing.send_if_modified(|known| {
-        let is_new = *known != standing;
-        *known = standing;
+        let holds = if is_written { standing } else { known.clone().stricter(standing) };
+        let is_new = *known != holds;
+        *known = holds;
         is_new
     });
     let own: &BootId = room.node.bus.boot_id();
