@@ -87,7 +87,7 @@ pub enum Response {
 #[serde(deny_unknown_fields)]
 pub struct Limit {
     /// ASCOM property (`Humidity`, `WindSpeed` ...), or `RelativeSkyTemp` (SkyTemperature - Temperature) or
-    /// `DewPointMargin` (Temperature - DewPoint).
+    /// `DewPointMargin` (Temperature - DewPoint); of a switch `GetSwitchValue0` and so on.
     pub parameter: String,
     /// Bad above this, in the property's ASCOM unit (`rate`: that per minute).
     #[serde(default)]
@@ -270,8 +270,11 @@ devices! {
     /// A mirror cover or flat panel.
     CoverCalibrator every 5.0 {}
 
-    /// Switches.
-    Switch every 5.0 {}
+    /// Switches and gauges, such as a UPS.
+    Switch every 5.0 {
+        /// What is too much or too little, by `GetSwitchValueN`, N counting from 0.
+        limit: Vec<Limit> = Vec::new(),
+    }
 
     /// A field rotator.
     Rotator every 5.0 {}

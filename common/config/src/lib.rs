@@ -14,4 +14,6 @@ pub use device::{
     Camera, CloseWithMount, Common, CoverCalibrator, Device, Dome, EquatorialChoice, FilterWheel, Focuser, Limit,
     Measure, ObservingConditions, Response, Rotator, SafetyMonitor, Switch, Telescope,
 };
-pub use observatory::{Archive, Bus, ClockSource, Folders, Observatory, Place, Safety, Schedule, Shared, Spool, Web};
+pub use observatory::{
+    Archive, Bus, ClockSource, Folders, Observatory, Place, Safety, Schedule, Shared, Spool, Web, WindSector,
+};

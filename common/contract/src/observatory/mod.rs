@@ -7,5 +7,5 @@ mod schedule;
 
 pub use alert::{Alert, Alerts, Priority};
 pub use night::{ActionNow, FocusState, FrameFacts, GuidingState, Lease, NightState, Posture};
-pub use safety::{InputState, Permit, SafetyState, Unsafe, Verdict};
+pub use safety::{InputState, Interval, Permit, SafetyState, Sector, Unsafe, Verdict};
 pub use schedule::{RowState, RowStatus, ScheduleState};
