@@ -15,6 +15,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 use crate::alpaca::{Alpaca, AlpacaError, value};
 use crate::driver::dome::SHUTTER;
 use crate::guard::{Alarm, Deed, Guard};
+use crate::watchdog::Watchdog;
 
 /// The guard looks at least so often; it looks at once when a permit or a shutter reading comes.
 const BEAT: Duration = Duration::from_secs(1);
@@ -45,12 +46,15 @@ pub struct GuardTask {
     pub seen: watch::Receiver<Seen>,
     /// The mounts under the dome must be heard, because the shutter waits for their park.
     pub heeds_mounts: bool,
+    /// The dome's own watchdog.
+    pub watchdog: Watchdog,
 }
 
 /// What the guard's own calls came to.
 enum Hand {
     Looked(Result<Shutter, AlpacaError>),
     Acted(Result<(), AlpacaError>),
+    Fed(Result<(), AlpacaError>),
 }
 
 /// What was heard of the mounts under the dome.
@@ -77,6 +81,7 @@ impl GuardTask {
         let mut own: Seen = None;
         let (mut looking, mut acting) = (false, false);
         let mut waiting: Option<Deed> = None;
+        self.watchdog.tell(&self.node, &self.device);
         loop {
             let beaten = tokio::select! {
                 () = self.node.stop.wait() => return Ok(()),
@@ -114,6 +119,7 @@ impl GuardTask {
                                 tracing::warn!(dome = %self.device.name, %error, "the guard's command failed");
                             }
                         }
+                        Ok(Hand::Fed(result)) => self.watchdog.fed(&self.node, &self.device, result),
                         // a hand that panicked must not stay raised
                         Err(_) => (looking, acting) = (false, false),
                     }
@@ -141,6 +147,11 @@ impl GuardTask {
             if beaten && !looking && silent {
                 looking = true;
                 hands.spawn(read(self.alpaca.at_once()));
+            }
+            // only a beat of this loop with a living permit feeds it: a thread of its own would feed it for the dead
+            let lives = beaten && self.guard().may_be_open(now) && !self.guard().is_closing();
+            if let Some(feed) = self.watchdog.due(lives, now, &self.alpaca) {
+                hands.spawn(async move { Hand::Fed(feed.await) });
             }
             if beaten {
                 let number = self.guard().beat(clock.machine());

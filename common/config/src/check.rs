@@ -124,6 +124,27 @@ fn numbers(observatory: &Observatory, faults: &mut Faults<'_>) {
             );
         }
     }
+    for dome in observatory.dome.iter().filter(|dome| dome.watchdog_s.is_some_and(|s| !(4.0..=3600.0).contains(&s))) {
+        let (name, watchdog_s) = (&dome.common.name, dome.watchdog_s.unwrap_or_default());
+        faults.add(name.as_str(), format!("dome \"{name}\": watchdog_s = {watchdog_s}: expected 4 to 3600 s"));
+    }
+    for dome in observatory.dome.iter().filter(|dome| dome.watchdog_action.is_some() && dome.watchdog_s.is_none()) {
+        let name = &dome.common.name;
+        faults.add(name.as_str(), format!("dome \"{name}\": watchdog_action needs watchdog_s, its time limit"));
+    }
+    for mount in &observatory.telescope {
+        let (name, limits) = (&mount.common.name, &mount.limits);
+        for (key, value, low, high) in [
+            ("altitude_min_deg", Some(limits.altitude_min_deg), -90.0, 90.0),
+            ("hour_angle_max_h", limits.hour_angle_max_h, -12.0, 12.0),
+            ("meridian_past_min", limits.meridian_past_min, -360.0, 360.0),
+        ] {
+            if let Some(value) = value.filter(|value| !(low..=high).contains(value)) {
+                let message = format!("telescope \"{name}\": limits.{key} = {value}: expected {low} to {high}");
+                faults.add(name.as_str(), message);
+            }
+        }
+    }
     for monitor in &observatory.safetymonitor {
         if monitor.dwell_min.is_nan() || monitor.dwell_min < 0.0 {
             let name = &monitor.common.name;
