@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use config::Response;
-use contract::observatory::Priority;
+use contract::observatory::AlertKind;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
@@ -134,26 +134,26 @@ pub fn path(config: &config::Observatory) -> PathBuf {
 /// Keeps an alert for every standing order, so that none is forgotten.
 pub async fn keep_reminding(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let mut standing = room.standing.subscribe();
-    let mut shown: BTreeSet<String> = BTreeSet::new();
+    let mut shown: BTreeSet<(AlertKind, String)> = BTreeSet::new();
     loop {
         let now = room.node.bus.clock().utc();
         let orders = standing.borrow_and_update().clone();
         let mut wanted = BTreeSet::new();
-        let mut remind = |id: String, cause: String, consequence: &str, action: &str| {
-            room.node.alerts.raise(&id, Priority::Advisory, &cause, consequence, action);
-            wanted.insert(id);
+        let mut remind = |kind: AlertKind, instance: &str, cause: String| {
+            room.node.alerts.raise(kind, instance, &cause);
+            wanted.insert((kind, instance.to_owned()));
         };
         if let Some(said) = &orders.stay_closed {
             let cause = format!("{} ordered to stay closed: {}", said.from, said.reason);
-            remind("stay-closed".to_owned(), cause, "Nothing opens.", "Take it back: starmesh order open-again.");
+            remind(AlertKind::StayClosed, "", cause);
         }
         for (input, order) in orders.holding(now) {
             let (from, reason) = (&order.said.from, &order.said.reason);
             let cause = format!("{input} is overridden until {} by {from}: {reason}", order.until_utc);
-            remind(format!("override/{input}"), cause, "It closes nothing.", "Heed it again: starmesh order heed.");
+            remind(AlertKind::Override, input, cause);
         }
-        for id in shown.difference(&wanted) {
-            room.node.alerts.clear(id);
+        for (kind, instance) in shown.difference(&wanted) {
+            room.node.alerts.clear(*kind, instance);
         }
         shown = wanted;
         tokio::select! {

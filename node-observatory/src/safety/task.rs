@@ -7,7 +7,7 @@ use anyhow::Context as _;
 use bus::{Catch, Clock, Heard, Node, Subscriber};
 use contract::device::observing_conditions::Fields as Weather;
 use contract::device::safety_monitor::Fields as Monitor;
-use contract::observatory::{Priority, SafetyState, Verdict};
+use contract::observatory::{AlertKind, SafetyState, Verdict};
 use contract::{BootId, Device, DeviceState, Key, Payload};
 use sky::{EarthOrientation, Observer, Place};
 use tokio::sync::{mpsc, watch};
@@ -52,13 +52,7 @@ pub async fn keep_judging(
     }
 
     for (input, why) in &rules.disabled {
-        node.alerts.raise(
-            &format!("disabled/{input}"),
-            Priority::Medium,
-            &format!("{input} is disabled: {why}"),
-            "The verdict does without it.",
-            "Take `disabled` out of the configuration once it can be relied on again.",
-        );
+        node.alerts.raise(AlertKind::Disabled, input, &format!("{input} is disabled: {why}"));
     }
     let started = now(&clock);
     let mut history = History::new(&rules, started.sky);
