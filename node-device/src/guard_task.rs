@@ -6,7 +6,7 @@ use std::time::Duration;
 use bus::{Catch, MachineTime, Node, Quality, Subscriber};
 use contract::device::dome::{Guard as Said, Shutter};
 use contract::device::telescope;
-use contract::observatory::{Permit, Priority};
+use contract::observatory::{AlertKind, Permit};
 use contract::{Address, Device, DeviceState, Key, Kind};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -134,7 +134,7 @@ impl GuardTask {
             for deed in deeds {
                 match deed {
                     Deed::Raise(alarm) => self.raise(alarm),
-                    Deed::Clear(alarm) => self.node.alerts.clear(&self.alert_id(alarm)),
+                    Deed::Clear(alarm) => self.node.alerts.clear(kind(alarm), &self.device.name),
                     Deed::Close | Deed::AbortThenClose => waiting = Some(deed),
                 }
             }
@@ -178,45 +178,24 @@ impl GuardTask {
         Ok(Mounts { heard, parked: parked.collect() })
     }
 
-    fn alert_id(&self, alarm: Alarm) -> String {
-        let word = match alarm {
-            Alarm::NotClosed => "dome-not-closed",
-            Alarm::Uncommanded => "dome-uncommanded-open",
-            Alarm::MountNotParked => "dome-waits-for-mount",
-            Alarm::Hold => "dome-held",
-        };
-        format!("{word}/{}", self.device.name)
-    }
-
     fn raise(&self, alarm: Alarm) {
         let name = &self.device.name;
-        let (priority, cause, consequence, action) = match alarm {
-            Alarm::NotClosed => (
-                Priority::Critical,
-                format!("dome {name} should be closed and is not verified closed"),
-                "the telescope may stand in the weather; the guard keeps trying",
-                "close it by hand or at its own controls",
-            ),
-            Alarm::Uncommanded => (
-                Priority::Critical,
-                format!("dome {name} opened and nobody had commanded it"),
-                "the guard closes it and holds it closed",
-                "find out who opened it: another program, a handset, a person",
-            ),
-            Alarm::MountNotParked => (
-                Priority::Critical,
-                format!("dome {name} must close and waits for its mount to park"),
-                "it stays open as long as its policy is parked_only",
-                "park the mount, or make sure that the roof can pass it and close by hand",
-            ),
-            Alarm::Hold => (
-                Priority::High,
-                format!("the guard closed dome {name} because its permission was not renewed"),
-                "it opens for nobody until the commander resumes",
-                "look why the observatory node was silent or unsafe",
-            ),
+        let cause = match alarm {
+            Alarm::NotClosed => format!("dome {name} should be closed and is not verified closed"),
+            Alarm::Uncommanded => format!("dome {name} opened and nobody had commanded it"),
+            Alarm::MountNotParked => format!("dome {name} must close and waits for its mount to park"),
+            Alarm::Hold => format!("the guard closed dome {name} because its permission was not renewed"),
         };
-        self.node.alerts.raise(&self.alert_id(alarm), priority, &cause, consequence, action);
+        self.node.alerts.raise(kind(alarm), name, &cause);
+    }
+}
+
+fn kind(alarm: Alarm) -> AlertKind {
+    match alarm {
+        Alarm::NotClosed => AlertKind::DomeNotClosed,
+        Alarm::Uncommanded => AlertKind::DomeUncommandedOpen,
+        Alarm::MountNotParked => AlertKind::DomeWaitsForMount,
+        Alarm::Hold => AlertKind::DomeHeld,
     }
 }
 

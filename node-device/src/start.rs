@@ -8,7 +8,7 @@ use anyhow::Context as _;
 use bus::Node;
 use config::{CloseWithMount, Device as _, MountLimits};
 use contract::device::telescope::Command as MountCommand;
-use contract::observatory::Priority;
+use contract::observatory::AlertKind;
 use contract::{Chunk, Device, DeviceKind as _, Kind, Name};
 use sky::{EarthOrientation, Observer, Place};
 use tokio::net::TcpListener;
@@ -252,7 +252,7 @@ async fn watch_limits(
     let (clock, site) = (node.bus.clock().clone(), &node.config.place);
     let (latitude, longitude) = (Angle::from_degrees(site.latitude_deg), Angle::from_degrees(site.longitude_deg));
     let place = Place::new(latitude, longitude, site.elevation_m)?;
-    let (mut watch, alert) = (LimitWatch::default(), format!("mount-limit/{name}"));
+    let mut watch = LimitWatch::default();
     loop {
         if node.stop.or(clock.tick(Duration::from_secs(1))).await.is_none() {
             return Ok(());
@@ -271,13 +271,9 @@ async fn watch_limits(
             front.insist(&node.signature(), command);
         }
         match reached {
-            Some(why) => {
-                let action = "Look why it was left tracking; a person may have to stop it at the mount.";
-                let consequence = "Its device node stops the tracking, and again every 5 s until it obeys.";
-                node.alerts.raise(&alert, Priority::High, &format!("mount {name}: {why}"), consequence, action);
-            }
+            Some(why) => node.alerts.raise(AlertKind::MountLimit, &name, &format!("mount {name}: {why}")),
             // it stands until a person could see it, which a mount that obeys at once would prevent
-            None if fields.tracking.known() == Some(&true) => node.alerts.clear(&alert),
+            None if fields.tracking.known() == Some(&true) => node.alerts.clear(AlertKind::MountLimit, &name),
             None => {}
         }
     }

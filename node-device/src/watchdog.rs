@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use bus::{MachineTime, Node};
 use contract::Device;
-use contract::observatory::Priority;
+use contract::observatory::AlertKind;
 
 use crate::alpaca::{Alpaca, AlpacaError};
 
@@ -32,13 +32,8 @@ impl Watchdog {
     /// Raises the standing alert of a dome that has none.
     pub fn tell(&self, node: &Node, dome: &Device) {
         if self.limit_s.is_none() {
-            node.alerts.raise(
-                &format!("no-watchdog/{}", dome.name),
-                Priority::Advisory,
-                &format!("dome {} has no watchdog of its own, or none is configured", dome.name),
-                "Nothing closes it when the host of its device node dies.",
-                "Configure watchdog_s and watchdog_action, or give the dome a controller that has one.",
-            );
+            let cause = format!("dome {} has no watchdog of its own, or none is configured", dome.name);
+            node.alerts.raise(AlertKind::NoWatchdog, &dome.name, &cause);
         }
     }
 
@@ -69,16 +64,12 @@ impl Watchdog {
 
     /// What a feeding came to.
     pub fn fed(&self, node: &Node, dome: &Device, result: Result<(), AlpacaError>) {
-        let id = format!("watchdog/{}", dome.name);
         match result {
-            Ok(()) => node.alerts.clear(&id),
-            Err(error) => node.alerts.raise(
-                &id,
-                Priority::High,
-                &format!("the watchdog of dome {} was not fed: {error}", dome.name),
-                "The dome will close by itself.",
-                "Look at the dome's controller; compare watchdog_action with its manual.",
-            ),
+            Ok(()) => node.alerts.clear(AlertKind::Watchdog, &dome.name),
+            Err(error) => {
+                let cause = format!("the watchdog of dome {} was not fed: {error}", dome.name);
+                node.alerts.raise(AlertKind::Watchdog, &dome.name, &cause);
+            }
         }
     }
 }

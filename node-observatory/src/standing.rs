@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use config::Response;
-use contract::observatory::Priority;
+use contract::observatory::AlertKind;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
@@ -19,7 +19,6 @@ use crate::safety::rules::Rules;
 
 /// The longest that one order can do without a limit, sky s.
 pub const LONGEST_OVERRIDE_S: f64 = 8.0 * 3600.0;
-const UNWRITTEN: &str = "standing-orders";
 /// What the Sun is called among the inputs.
 pub const SUN: &str = "sun";
 
@@ -152,17 +151,12 @@ pub async fn keep_on_disk(room: Arc<ControlRoom>) -> anyhow::Result<()> {
             match written {
                 Ok(orders) => {
                     room.standing_on_disk.send_replace(orders);
-                    room.node.alerts.clear(UNWRITTEN);
+                    room.node.alerts.clear(AlertKind::StandingOrders, "");
                     break;
                 }
                 Err(error) => {
-                    room.node.alerts.raise(
-                        UNWRITTEN,
-                        Priority::High,
-                        &format!("the standing orders are not on disk: {error}"),
-                        "They hold, but a restart of the observatory node would forget them.",
-                        "Look at the disk that holds the data folder.",
-                    );
+                    let cause = format!("the standing orders are not on disk: {error}");
+                    room.node.alerts.raise(AlertKind::StandingOrders, "", &cause);
                     tokio::time::sleep(Duration::from_secs(2)).await;
                 }
             }
@@ -173,26 +167,26 @@ pub async fn keep_on_disk(room: Arc<ControlRoom>) -> anyhow::Result<()> {
 /// Keeps an alert for every standing order, so that none is forgotten.
 pub async fn keep_reminding(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let mut standing = room.standing.subscribe();
-    let mut shown: BTreeSet<String> = BTreeSet::new();
+    let mut shown: BTreeSet<(AlertKind, String)> = BTreeSet::new();
     loop {
         let now = room.node.bus.clock().utc();
         let orders = standing.borrow_and_update().clone();
         let mut wanted = BTreeSet::new();
-        let mut remind = |id: String, cause: String, consequence: &str, action: &str| {
-            room.node.alerts.raise(&id, Priority::Advisory, &cause, consequence, action);
-            wanted.insert(id);
+        let mut remind = |kind: AlertKind, instance: &str, cause: String| {
+            room.node.alerts.raise(kind, instance, &cause);
+            wanted.insert((kind, instance.to_owned()));
         };
         if let Some(said) = &orders.stay_closed {
             let cause = format!("{} ordered to stay closed: {}", said.from, said.reason);
-            remind("stay-closed".to_owned(), cause, "Nothing opens.", "Take it back: starmesh order open-again.");
+            remind(AlertKind::StayClosed, "", cause);
         }
         for (input, order) in orders.holding(now) {
             let (from, reason) = (&order.said.from, &order.said.reason);
             let cause = format!("{input} is overridden until {} by {from}: {reason}", order.until_utc);
-            remind(format!("override/{input}"), cause, "It closes nothing.", "Heed it again: starmesh order heed.");
+            remind(AlertKind::Override, input, cause);
         }
-        for id in shown.difference(&wanted) {
-            room.node.alerts.clear(id);
+        for (kind, instance) in shown.difference(&wanted) {
+            room.node.alerts.clear(*kind, instance);
         }
         shown = wanted;
         tokio::select! {

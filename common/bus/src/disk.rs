@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use contract::observatory::Priority;
+use contract::observatory::AlertKind;
 use contract::{Role, Scalar};
 
 use crate::Node;
@@ -30,17 +30,12 @@ pub(crate) async fn keep_telling(node: &Node) -> anyhow::Result<()> {
 }
 
 fn tell(node: &Node, name: &str, folder: &Path, free_gb: f64) {
-    let (id, least_gb) = (format!("disk/{name}"), node.config.safety.disk_free_min_gb);
+    let least_gb = node.config.safety.disk_free_min_gb;
     if free_gb >= least_gb {
-        return node.alerts.clear(&id);
+        return node.alerts.clear(AlertKind::Disk, name);
     }
-    node.alerts.raise(
-        &id,
-        Priority::High,
-        &format!("{} has {free_gb:.2} GB left, needed are {least_gb} GB", folder.display()),
-        "No new exposures of the sky; when it is full, nothing more can be kept.",
-        "Move old files away, or give it a larger disk.",
-    );
+    let cause = format!("{} has {free_gb:.2} GB left, needed are {least_gb} GB", folder.display());
+    node.alerts.raise(AlertKind::Disk, name, &cause);
 }
 
 /// Room for this process in a folder, or in the nearest one above it that exists, GB (1e9 bytes); `None` where the

@@ -10,7 +10,7 @@ use contract::device::observing_conditions::Fields as Weather;
 use contract::device::safety_monitor::Fields as Monitor;
 use contract::device::switch::Fields as Switches;
 use contract::node::NodeState;
-use contract::observatory::{Interval, Priority, SafetyState, Verdict};
+use contract::observatory::{AlertKind, Interval, SafetyState, Verdict};
 use contract::{BootId, Device, DeviceState, Key, Kind, NodeTopic, Payload, Role};
 use sky::{EarthOrientation, Observer, Place};
 use tokio::sync::{mpsc, watch};
@@ -61,13 +61,7 @@ pub async fn keep_judging(
     let nodes = listen_to_nodes(&node).await?;
 
     for (input, why) in &rules.disabled {
-        node.alerts.raise(
-            &format!("disabled/{input}"),
-            Priority::Medium,
-            &format!("{input} is disabled: {why}"),
-            "The verdict does without it.",
-            "Take `disabled` out of the configuration once it can be relied on again.",
-        );
+        node.alerts.raise(AlertKind::Disabled, input, &format!("{input} is disabled: {why}"));
     }
     let started = now(&clock);
     let mut history = History::new(&rules, started.sky);
