@@ -3,8 +3,10 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use audit::{Audit, Entry};
 use bus::Node;
-use contract::{Key, Part};
+use contract::audit::Outcome;
+use contract::{CommandId, Key, Part};
 use tokio::sync::{Notify, watch};
 
 use crate::journal::Journal;
@@ -44,6 +46,8 @@ pub struct ControlRoom {
     pub ledger: Ledger,
     /// What is shown of the night.
     pub board: Board,
+    /// What people ordered, and what became of it.
+    pub audit: Audit,
 }
 
 /// Why an action may not go on.
@@ -71,6 +75,20 @@ impl std::fmt::Display for Objection {
 }
 
 impl ControlRoom {
+    /// Tells the audit why everything is closed; the commands that follow from it are recorded by the device nodes.
+    pub fn note_closing(&self, why: &str) {
+        self.audit.note(Entry {
+            from: self.node.signature(),
+            id: CommandId::default(),
+            device: String::new(),
+            verb: "closing".to_owned(),
+            parameters: String::new(),
+            token: self.hold.borrow().token(),
+            reason: why.to_owned(),
+            outcome: Outcome::Accepted,
+        });
+    }
+
     /// The key of a state of this observatory.
     pub fn key(&self, part: Part) -> Key {
         Key::Observatory(self.node.config.address(), part)

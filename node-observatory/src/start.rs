@@ -6,6 +6,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 
 use anyhow::{Context as _, ensure};
+use audit::Audit;
 use bus::Node;
 use contract::Address;
 use tokio::sync::{Notify, watch};
@@ -70,6 +71,7 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
         rules: Arc::new(Rules::of(config)),
         standing: watch::channel(standing).0,
         ledger: Ledger::default(),
+        audit: Audit::start(node).await?,
         board: Board::new(config.schedule.file.display().to_string()),
     };
     Ok(Start {
