@@ -27,6 +27,8 @@ const WAITING: usize = 4096;
 const ASK_AGAIN: Duration = Duration::from_secs(60);
 /// A node that did not answer is asked again after so long.
 const RETRY: Duration = Duration::from_secs(10);
+/// After so many fetches in vain it is an alert.
+const PATIENCE: u32 = 3;
 const ANSWER: Duration = Duration::from_secs(5);
 
 /// Which node: its telescope, role and id.
@@ -40,6 +42,8 @@ struct Follow {
     asked: Option<MachineTime>,
     /// It is known to have more than was fetched.
     lacks: bool,
+    /// Fetches in a row that did not bring all.
+    failures: u32,
 }
 
 struct Keeper {
@@ -182,8 +186,10 @@ impl Keeper {
     async fn lack(&mut self, who: &Who, lacks: bool) -> anyhow::Result<()> {
         let id = format!("audit-lacking/{}", signature(who));
         let follow = self.follow(who).await?;
-        let (before, last) = (std::mem::replace(&mut follow.lacks, lacks), follow.last.clone());
-        if lacks && before {
+        follow.lacks = lacks;
+        follow.failures = if lacks { follow.failures.saturating_add(1) } else { 0 };
+        let (failures, last) = (follow.failures, follow.last.clone());
+        if failures >= PATIENCE {
             let cause = format!("{} does not tell its audit", signature(who));
             let from = last.map_or("all of it".to_owned(), |last| format!("what follows number {}", last.number));
             let consequence = format!("the archive lacks {from}; the node keeps it");
@@ -194,7 +200,7 @@ impl Keeper {
                 &consequence,
                 "look whether the node and its disk are well",
             );
-        } else if !lacks {
+        } else if failures == 0 {
             self.node.alerts.clear(&id);
         }
         Ok(())

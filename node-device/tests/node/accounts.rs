@@ -42,8 +42,8 @@ async fn until_recorded(stage: &Stage, what: &str, is_there: impl Fn(&Record) ->
 async fn a_domes_night_stands_in_the_audit_from_the_claim_to_the_guards_closing() {
     let hardware = a_dome().await;
     let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5\npermit_valid_s = 3.0")).await;
-    let heard = stage.bus.subscribe::<Said<Value>>(&stage.node.key(NodeTopic::Audit).to_string(), Catch::All, 1000);
-    let heard = heard.await.unwrap();
+    let key = stage.node.key(NodeTopic::Audit).to_string();
+    let heard = stage.bus.subscribe::<Said<Value>>(&key, Catch::All, 1000).await.unwrap();
     let (token, commander) = open(&stage).await;
     let rival =
         contract::Command { from: "observatory/alpha/second".to_owned(), ..command("c2", None, dome::Command::Claim) };
