@@ -289,8 +289,11 @@ impl Book {
                 }
             })
             .unwrap_or_else(|| Err(io::Error::from(io::ErrorKind::AlreadyExists)))?;
-        aside.write_all(&found.half)?;
-        aside.sync_data()?;
+        if let Err(error) = aside.write_all(&found.half).and_then(|()| aside.sync_data()) {
+            // it is tried again each second: leave no heap of empty files
+            let _ = fs::remove_file(&path);
+            return Err(error);
+        }
         page.cut(found.good_bytes as u64)?;
         page.sync()?;
         notes.push((
