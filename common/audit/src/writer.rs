@@ -43,15 +43,15 @@ pub(crate) struct Writer {
 
 impl Writer {
     pub fn new(signs: Arc<Signs>, book: Book, lines: mpsc::Sender<Proven>) -> Self {
-        Self { signs, book, lines, waiting: VecDeque::new(), missing: 0 }
+        // what a kill left is repaired and told at once, not when the first command comes
+        let starts = signs.about_itself("node_starts", note(env!("CARGO_PKG_VERSION")));
+        Self { signs, book, lines, waiting: VecDeque::from([starts]), missing: 0 }
     }
 
     /// Writes until the node ends.
     pub fn run(mut self, taken: &Receiver<Item>) {
         let mut last_tries = LAST_TRIES;
         let mut at_end = false;
-        // what a kill left is repaired and told at once, not when the first command comes
-        self.waiting.push_back(self.signs.about_itself("node_starts", note(env!("CARGO_PKG_VERSION"))));
         while !at_end || !self.waiting.is_empty() {
             if self.waiting.is_empty() {
                 at_end |= self.gather(taken);
