@@ -29,7 +29,7 @@ const WAITING: usize = 10_000;
 const RETRY: Duration = Duration::from_secs(1);
 const LAST_TRIES: u32 = 5;
 /// Version of the tables; older files are brought up to it, newer ones are refused.
-const VERSION: i64 = 1;
+const VERSION: i64 = 2;
 
 /// The database could not be opened or asked.
 #[derive(Debug, thiserror::Error)]
@@ -111,6 +111,37 @@ pub enum Write {
     Stored(Box<StoredImage>),
     /// A header is complete.
     Complete(CommandId),
+    /// A record of a node's audit.
+    Audit(Box<StoredRecord>),
+}
+
+/// A row of the table of the audit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StoredRecord {
+    /// Which node wrote it, such as `device/callisto/main`.
+    pub node: String,
+    /// Its chain.
+    pub chain: String,
+    /// Its number there; -1 where it cannot be read.
+    pub number: i64,
+    /// Sky time, where it can be read.
+    pub at: Option<Utc>,
+    /// Who asked.
+    pub from: String,
+    /// The device, empty for an order.
+    pub device: String,
+    /// What was asked.
+    pub verb: String,
+    /// Fencing token.
+    pub token: Option<i64>,
+    /// What became of it, one word.
+    pub outcome: String,
+    /// The whole record, as its node wrote it.
+    pub line: String,
+    /// Its hash.
+    pub sha256: String,
+    /// What is wrong with it or with its place in the chain.
+    pub fault: Option<String>,
 }
 
 /// A row of the table of images.
@@ -216,7 +247,10 @@ fn prepare(path: &Path) -> Result<Connection, DatabaseError> {
     if found < VERSION {
         let make = |connection: &mut Connection| {
             let transaction = connection.transaction()?;
-            transaction.execute_batch(rows::SCHEMA)?;
+            if found < 1 {
+                transaction.execute_batch(rows::SCHEMA)?;
+            }
+            transaction.execute_batch(rows::AUDIT)?;
             transaction.pragma_update(None, "user_version", VERSION)?;
             transaction.commit()
         };

@@ -2,7 +2,7 @@
 //!
 //! Frames come from the device nodes' spools ([`store`]): fetched and proven ([`frame`]), named ([`name`]), written as FITS
 //! ([`fits`], [`header`]) under a temporary name, synced, named, recorded, and only then released. Everything devices poll
-//! and nodes write in their diaries goes into one SQLite file ([`telemetry`], [`diary`], [`database`]), from which questions
+//! and nodes write in their diaries goes into one SQLite file ([`telemetry`], [`diary`], [`database`]), beside a copy of all nodes' audit ([`audit`]), from which questions
 //! are answered ([`history`]) and headers completed ([`pass`], [`completion`]) with what was true when the exposure began
 //! ([`interpolate`], [`astronomy`]).
 //!
@@ -10,6 +10,7 @@
 //! is the old one or the new one, a row counts once.
 
 pub mod astronomy;
+mod audit;
 pub mod card;
 pub mod completion;
 pub mod database;
@@ -65,6 +66,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     let mut tasks = JoinSet::new();
     tasks.spawn(telemetry::keep(node.clone(), database.clone(), newest.clone()));
     tasks.spawn(diary::keep(node.clone(), database.clone()));
+    tasks.spawn(audit::keep(node.clone(), database.clone()));
     tasks.spawn(store::keep(store::Store {
         node: node.clone(),
         database: database.clone(),

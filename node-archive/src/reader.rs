@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use audit::Link;
 use contract::archive::{Answer, Ask, Question, Row};
 use contract::node::Level;
 use contract::{CommandId, Device, Scalar};
@@ -99,6 +100,25 @@ impl Reader {
         found.optional().map_err(|source| self.failed(source))
     }
 
+    /// The end of a node's audit as it was stored last.
+    pub fn audit_end(&self, node: &str) -> Result<Option<Link>, DatabaseError> {
+        let sql = "SELECT chain, number, sha256 FROM audit WHERE node = ? ORDER BY rowid DESC LIMIT 1";
+        let found = self.connection.query_row(sql, [node], |row| {
+            let number: i64 = row.get(1)?;
+            Ok(Link { chain: row.get(0)?, number: number.unsigned_abs(), sha256: row.get(2)? })
+        });
+        found.optional().map_err(|source| self.failed(source))
+    }
+
+    /// Every record of the audit as its node wrote it, with the node, by node in the order of storing.
+    pub fn audit_lines(&self) -> Result<Vec<(String, String)>, DatabaseError> {
+        let look = || -> rusqlite::Result<Vec<(String, String)>> {
+            let mut statement = self.connection.prepare("SELECT node, line FROM audit ORDER BY node, rowid")?;
+            statement.query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?.collect()
+        };
+        look().map_err(|source| self.failed(source))
+    }
+
     /// Answers a question about the past with the newest rows that fit, oldest first.
     pub fn answer(&self, question: &Question) -> Result<Answer, DatabaseError> {
         let limit = question.limit.unwrap_or(USUAL_LIMIT).min(HIGHEST_LIMIT);
@@ -143,6 +163,18 @@ impl Reader {
                         _ => Level::Info,
                     };
                     Ok(Row::Log { at_utc: time(row, 0)?, level, node: row.get(2)?, message: row.get(3)? })
+                },
+            ),
+            Ask::Audit => self.rows(
+                "SELECT line FROM audit WHERE fault IS NULL AND datetime >= ? AND datetime < ?
+                 ORDER BY datetime DESC, rowid DESC LIMIT ?",
+                params![from, to, more],
+                |row| {
+                    let line: String = row.get(0)?;
+                    let record = serde_json::from_str(&line).map_err(|error| {
+                        rusqlite::Error::FromSqlConversionFailure(0, rusqlite::types::Type::Text, Box::new(error))
+                    })?;
+                    Ok(Row::Audit(Box::new(record)))
                 },
             ),
         };

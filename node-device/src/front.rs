@@ -3,10 +3,12 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use contract::audit::Outcome;
 use contract::{Accepted, Command, CommandId, Link, Reason, Refusal, Reply};
 use tokio::sync::mpsc;
 use units::Utc;
 
+use crate::accounts::{Accounts, Asked};
 use crate::driver::{Capabilities, Command as Deed, Driver, Fields, Need};
 use crate::gate::{Gate, Turned};
 
@@ -22,8 +24,17 @@ pub struct Order<C> {
     pub from: String,
     /// What to do.
     pub deed: C,
+    /// With which token.
+    pub token: Option<u64>,
     /// Sky time when it was taken.
     pub taken_utc: Utc,
+}
+
+impl<C> Order<C> {
+    /// Who asked, for the audit.
+    pub fn asked(&self) -> Asked {
+        Asked { from: self.from.clone(), id: self.id.clone(), token: self.token }
+    }
 }
 
 /// What the loop shows to those who take commands.
@@ -44,6 +55,8 @@ pub struct Front<D: Driver> {
     pub driver: Arc<D>,
     /// Who may command.
     pub gate: Gate,
+    /// What is kept of it.
+    pub accounts: Accounts,
     /// What is true of the device.
     pub face: Mutex<Face<D>>,
     answered: Mutex<VecDeque<Reply>>,
@@ -53,12 +66,13 @@ pub struct Front<D: Driver> {
 
 impl<D: Driver> Front<D> {
     /// A counter, and the end where accepted commands come out.
-    pub fn new(driver: Arc<D>, gate: Gate) -> (Self, mpsc::UnboundedReceiver<Order<Deed<D>>>) {
+    pub fn new(driver: Arc<D>, gate: Gate, accounts: Accounts) -> (Self, mpsc::UnboundedReceiver<Order<Deed<D>>>) {
         let (orders, taken) = mpsc::unbounded_channel();
         let face = Face { link: Link::Connecting, can: None, fields: Fields::<D>::default(), running: None };
         let front = Self {
             driver,
             gate,
+            accounts,
             face: Mutex::new(face),
             answered: Mutex::default(),
             claiming: tokio::sync::Mutex::default(),
@@ -72,6 +86,7 @@ impl<D: Driver> Front<D> {
         let command = match command {
             Ok(command) => command,
             Err(detail) => {
+                self.accounts.unreadable(&detail);
                 let id = CommandId(String::new());
                 return Reply::Refusal(Refusal { id, reason: Reason::Malformed, detail });
             }
@@ -83,6 +98,7 @@ impl<D: Driver> Front<D> {
         if let Some(reply) = self.driver.answer(&id, &command.action) {
             return reply;
         }
+        let (asked, deed) = (Asked::from(&command), command.action.clone());
         match self.take(command).await {
             Ok(token) => {
                 let reply = Reply::Accepted(Accepted { id, token });
@@ -95,6 +111,12 @@ impl<D: Driver> Front<D> {
                     Reason::Busy => tracing::debug!(command = %id, detail, "command refused: busy"),
                     _ => tracing::info!(command = %id, %reason, detail, "command refused"),
                 }
+                let turned = (reason, detail);
+                if self.driver.moves(&deed) {
+                    let is_claim = self.driver.need(&deed) == Need::Claim;
+                    self.accounts.refused(asked, &deed, is_claim, &turned);
+                }
+                let (reason, detail) = turned;
                 Reply::Refusal(Refusal { id, reason, detail })
             }
         }
@@ -104,8 +126,12 @@ impl<D: Driver> Front<D> {
     pub fn insist(&self, from: &str, deed: Deed<D>) {
         let id = CommandId::fresh();
         self.face().running = Some(id.clone());
+        let order = Order { id, from: from.to_owned(), deed, token: None, taken_utc: self.gate.clock.utc() };
+        let (asked, deed) = (order.asked(), order.deed.clone());
         // the loop is gone only while the node ends
-        let _ = self.orders.send(Order { id, from: from.to_owned(), deed, taken_utc: self.gate.clock.utc() });
+        let _ = self.orders.send(order);
+        // after the sending, so that whatever noting takes, moving does not wait for it
+        self.accounts.note(asked, &deed, Outcome::Accepted);
     }
 
     async fn take(&self, command: Command<Deed<D>>) -> Result<Option<u64>, Turned> {
@@ -116,14 +142,25 @@ impl<D: Driver> Front<D> {
             if let Some(Reply::Accepted(repeated)) = self.repeat(&id) {
                 return Ok(repeated.token);
             }
-            return self.gate.admit(need, &from, token).await;
+            let granted = self.gate.admit(need, &from, token).await?;
+            let asked = Asked { from, id, token };
+            match granted {
+                Some(granted) => self.accounts.granted(asked, &action, granted),
+                None => self.accounts.note(asked, &action, Outcome::Accepted),
+            }
+            return Ok(granted);
         }
         let before = self.reserve(&id, &action)?;
         match self.gate.admit(need, &from, token).await {
             Ok(granted) => {
                 let taken_utc = self.gate.clock.utc();
-                let sent = self.orders.send(Order { id, from, deed: action, taken_utc });
+                let order = Order { id, from, deed: action, token, taken_utc };
+                let (asked, deed) = (order.asked(), order.deed.clone());
+                let sent = self.orders.send(order);
                 sent.map_err(|_| (Reason::NotNow, "the node is ending".to_owned()))?;
+                if self.driver.moves(&deed) {
+                    self.accounts.note(asked, &deed, Outcome::Accepted);
+                }
                 Ok(granted)
             }
             Err(turned) => {

@@ -3,15 +3,18 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use audit::GUARD;
 use bus::{Catch, MachineTime, Node, Quality, Subscriber};
+use contract::audit::Outcome;
 use contract::device::dome::{Guard as Said, Shutter};
 use contract::device::telescope;
 use contract::observatory::{AlertKind, Permit};
-use contract::{Address, Device, DeviceState, Key, Kind};
+use contract::{Address, CommandId, Device, DeviceState, Key, Kind};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
+use crate::accounts::{Accounts, Asked};
 use crate::alpaca::{Alpaca, AlpacaError, value};
 use crate::driver::dome::SHUTTER;
 use crate::guard::{Alarm, Deed, Guard};
@@ -42,6 +45,8 @@ pub struct GuardTask {
     pub alpaca: Alpaca,
     /// False: never send Connected = true.
     pub connect: bool,
+    /// What is kept of the guard's deeds.
+    pub accounts: Accounts,
     /// What the dome's own loop reads.
     pub seen: watch::Receiver<Seen>,
     /// The mounts under the dome must be heard, because the shutter waits for their park.
@@ -82,6 +87,9 @@ impl GuardTask {
         let (mut looking, mut acting) = (false, false);
         let mut waiting: Option<Deed> = None;
         self.watchdog.tell(&self.node, &self.device);
+        // the deed that was done last
+        let mut asked = Asked { from: GUARD.to_owned(), id: CommandId::default(), token: None };
+        let mut done = "";
         loop {
             let beaten = tokio::select! {
                 () = self.node.stop.wait() => return Ok(()),
@@ -107,17 +115,22 @@ impl GuardTask {
                     false
                 }
                 () = hear_mounts(&mut mounts) => false,
-                Some(done) = hands.join_next() => {
-                    match done {
+                Some(hand) = hands.join_next() => {
+                    match hand {
                         Ok(Hand::Looked(read)) => {
                             looking = false;
                             own = read.ok().map(|shutter| (shutter, clock.machine())).or(own);
                         }
                         Ok(Hand::Acted(result)) => {
                             acting = false;
-                            if let Err(error) = result {
-                                tracing::warn!(dome = %self.device.name, %error, "the guard's command failed");
-                            }
+                            let outcome = match result {
+                                Ok(()) => Outcome::Done,
+                                Err(error) => {
+                                    tracing::warn!(dome = %self.device.name, %error, "the guard's command failed");
+                                    Outcome::Failed { detail: error.to_string() }
+                                }
+                            };
+                            self.accounts.note(asked.clone(), &done, outcome);
                         }
                         Ok(Hand::Fed(result)) => self.watchdog.fed(&self.node, &self.device, result),
                         // a hand that panicked must not stay raised
@@ -141,7 +154,11 @@ impl GuardTask {
             if !acting && let Some(deed) = waiting.take() {
                 acting = true;
                 tracing::warn!(dome = %self.device.name, ?deed, "the guard acts");
+                done = word(&deed);
                 hands.spawn(act(self.alpaca.at_once(), deed, self.connect));
+                // after the hand was sent, so that whatever noting takes, closing does not wait for it
+                asked = Asked { from: GUARD.to_owned(), id: CommandId::fresh(), token: None };
+                self.accounts.note(asked.clone(), &done, Outcome::Accepted);
             }
             let silent = seen.is_none_or(|(_, at)| now.since(at) > SILENT);
             if beaten && !looking && silent {
@@ -215,6 +232,14 @@ async fn hear_mounts(mounts: &mut Option<Mounts>) {
 impl Mounts {
     fn all_parked(&self, now: MachineTime) -> bool {
         self.parked.iter().all(|(_, parked, at)| *parked && now.since(*at) <= MOUNT_FRESH)
+    }
+}
+
+/// What a deed is called in the audit.
+fn word(deed: &Deed) -> &'static str {
+    match deed {
+        Deed::AbortThenClose => "abort_then_close_shutter",
+        Deed::Close | Deed::Raise(_) | Deed::Clear(_) => "close_shutter",
     }
 }
 

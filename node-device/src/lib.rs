@@ -8,6 +8,7 @@
 //! Frames go to the `spool` on disk, are announced, served by HTTP, and removed when the archive releases them.
 //! The dome's `guard` stands beside all this: a pure state machine with a task and a connection of its own.
 
+mod accounts;
 pub mod alpaca;
 mod announce;
 mod contact;
@@ -34,6 +35,7 @@ mod watchdog;
 pub use alpaca::discovery::{Found, as_toml, discover};
 
 use anyhow::Context as _;
+use audit::Audit;
 use bus::Node;
 use tokio::task::JoinSet;
 
@@ -42,7 +44,8 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     let part = node_part::NodePart::of(&node)?;
     simulated::check_speed(node.bus.clock(), &part.devices).await?;
     let mut tasks = JoinSet::new();
-    let spool = start::all(&node, &part, &mut tasks).await?;
+    let audit = Audit::start(&node).await?;
+    let spool = start::all(&node, &part, &audit, &mut tasks).await?;
     tracing::info!(devices = part.devices.len(), "serving");
     let result = loop {
         match tasks.join_next().await {
@@ -57,5 +60,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     if let Some(spool) = spool {
         spool.settle(std::time::Duration::from_secs(10)).await;
     }
+    tasks.shutdown().await;
+    audit.end().await;
     result
 }

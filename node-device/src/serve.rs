@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use bus::{Node, Publisher, Quality};
 use config::Common;
+use contract::audit::Outcome as Ended;
 use contract::device::Description;
 use contract::{Device, DeviceKind as _, DeviceState, Key, LastCommand, Link, NoData, Outcome};
 use tokio::sync::mpsc;
@@ -146,7 +147,13 @@ impl<D: Driver> Serve<D> {
             let wake = lap.wake();
             tokio::select! {
                 biased;
-                () = stop.wait() => return Ok(()),
+                () = stop.wait() => {
+                    if let Some(running) = &lap.running {
+                        let detail = "the node ended; how the command ends is not known".to_owned();
+                        lap.account(&running.order, Ended::Failed { detail });
+                    }
+                    return Ok(());
+                }
                 Some(order) = orders.recv() => lap.start(order),
                 result = finished(&mut lap.job) => lap.obeyed(result),
                 contact = finished(&mut lap.contact) => match contact {
@@ -329,6 +336,7 @@ impl<D: Driver> Loop<D> {
     fn start(&mut self, order: Order<Command<D>>) {
         let verb = verb(&order.deed);
         if let Some(running) = &self.running {
+            self.account(&running.order, Ended::Superseded { by: order.id.clone() });
             let id = running.order.id.clone();
             tracing::info!(device = %self.serve.device, command = %id, by = verb, "command interrupted");
         }
@@ -412,7 +420,9 @@ impl<D: Driver> Loop<D> {
     }
 
     fn end(&mut self, outcome: Outcome) {
-        self.running = None;
+        if let Some(running) = self.running.take() {
+            self.account(&running.order, ended(&outcome));
+        }
         self.front().running = None;
         if let Some(last) = &mut self.last_command {
             match &outcome {
@@ -422,6 +432,13 @@ impl<D: Driver> Loop<D> {
                 Outcome::Done | Outcome::Running => {}
             }
             last.outcome = outcome;
+        }
+    }
+
+    /// Tells the audit how a command ended.
+    fn account(&self, order: &Order<Command<D>>, how: Ended) {
+        if self.serve.driver.moves(&order.deed) {
+            self.serve.front.accounts.note(order.asked(), &order.deed, how);
         }
     }
 
@@ -472,6 +489,14 @@ impl<D: Driver> Loop<D> {
             }
             self.next_description = now + CAPABILITIES;
         }
+    }
+}
+
+fn ended(outcome: &Outcome) -> Ended {
+    match outcome {
+        // a command ends only once
+        Outcome::Done | Outcome::Running => Ended::Done,
+        Outcome::Failed { reason } => Ended::Failed { detail: reason.clone() },
     }
 }
 

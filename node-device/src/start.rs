@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::Context as _;
+use audit::Audit;
 use bus::Node;
 use config::{CloseWithMount, Device as _, MountLimits};
 use contract::device::telescope::Command as MountCommand;
@@ -16,6 +17,7 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use units::Angle;
 
+use crate::accounts::Accounts;
 use crate::alpaca::Alpaca;
 use crate::alpaca::http_client;
 use crate::deadline::machine_limit;
@@ -53,11 +55,17 @@ struct Shared<'a> {
     permits: Arc<Permits>,
     tasks: &'a mut Tasks,
     http: reqwest::Client,
+    audit: &'a Audit,
     index: u32,
 }
 
 /// Starts every device of the node's part; returns the spool where there is a camera.
-pub async fn all(node: &Node, part: &NodePart<'_>, tasks: &mut Tasks) -> anyhow::Result<Option<Arc<Spool>>> {
+pub async fn all(
+    node: &Node,
+    part: &NodePart<'_>,
+    audit: &Audit,
+    tasks: &mut Tasks,
+) -> anyhow::Result<Option<Arc<Spool>>> {
     let data = &node.config.folders.data;
     std::fs::create_dir_all(data).with_context(|| format!("cannot make the folder {}", data.display()))?;
     let tokens = Arc::new(Tokens::open(&data.join(format!("tokens-{}.json", node.id)))?);
@@ -70,7 +78,7 @@ pub async fn all(node: &Node, part: &NodePart<'_>, tasks: &mut Tasks) -> anyhow:
         Ok(())
     });
     let http = http_client().context("no HTTP client")?;
-    let mut shared = Shared { node, tokens, permits, tasks, http, index: 0 };
+    let mut shared = Shared { node, tokens, permits, tasks, http, audit, index: 0 };
     let config = &node.config;
     // enclosures first: what closes must not wait for anything else to start
     for dome in config.dome.iter().filter(|dome| part.serves(&dome.common)) {
@@ -134,9 +142,9 @@ impl Shared<'_> {
         let (driver, kind) = (Arc::new(driver), D::Kind::KIND);
         let alpaca = Alpaca::new(self.http.clone(), &common.server, kind, common.number)
             .with_context(|| format!("{kind} \"{}\": no HTTP client", common.name))?;
-        let (front, orders) = Front::new(driver.clone(), gate);
-        let front = Arc::new(front);
         let device = self.device::<D>(common);
+        let (front, orders) = Front::new(driver.clone(), gate, Accounts::of(&device, self.audit.clone()));
+        let front = Arc::new(front);
         let serve = Serve {
             node: self.node.clone(),
             device: device.clone(),
@@ -174,10 +182,12 @@ impl Shared<'_> {
         let driver = Dome { travel_timeout_s: dome.travel_timeout_s, guard: guard.clone(), clock, eye };
         let gate = self.gate(Some(guard.clone()), true);
         let (_, alpaca) = self.serve(&dome.common, driver, gate)?;
+        let device = self.device::<Dome>(&dome.common);
         let task = GuardTask {
             guard,
             node: self.node.clone(),
-            device: self.device::<Dome>(&dome.common),
+            accounts: Accounts::of(&device, self.audit.clone()),
+            device,
             alpaca,
             connect: dome.common.connect,
             seen,
@@ -303,7 +313,7 @@ async fn watch_mount(
         if let Some(command) = command {
             let word = if command == MountCommand::Park { "parks" } else { "stops tracking" };
             tracing::warn!(telescope, "no permit: the mount {word}");
-            front.insist(&node.signature(), command);
+            front.insist(audit::GUARD, command);
         }
     }
 }

@@ -3,9 +3,11 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use audit::{Audit, Entry};
 use bus::Node;
+use contract::audit::Outcome;
 use contract::observatory::Sector;
-use contract::{Key, Part};
+use contract::{CommandId, Key, Part};
 use sky::{EarthOrientation, Observer, Place};
 use tokio::sync::{Notify, watch};
 use units::Angle;
@@ -51,6 +53,8 @@ pub struct ControlRoom {
     pub ledger: Ledger,
     /// What is shown of the night.
     pub board: Board,
+    /// What people ordered, and what became of it.
+    pub audit: Audit,
 }
 
 /// Why an action may not go on.
@@ -78,6 +82,20 @@ impl std::fmt::Display for Objection {
 }
 
 impl ControlRoom {
+    /// Tells the audit why everything is closed; the commands that follow from it are recorded by the device nodes.
+    pub fn note_closing(&self, why: &str) {
+        self.audit.note(Entry {
+            from: self.node.signature(),
+            id: CommandId::default(),
+            device: String::new(),
+            verb: "closing".to_owned(),
+            parameters: String::new(),
+            token: self.hold.borrow().token(),
+            reason: why.to_owned(),
+            outcome: Outcome::Accepted,
+        });
+    }
+
     /// The key of a state of this observatory.
     pub fn key(&self, part: Part) -> Key {
         Key::Observatory(self.node.config.address(), part)

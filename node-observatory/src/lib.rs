@@ -39,7 +39,7 @@ pub use trouble::Trouble;
 /// no permit, close.
 pub async fn run(node: Node) -> anyhow::Result<()> {
     let start::Start { room, ruling, hold, loaded, neighbours } = start::start(&node).await?;
-    let schedule = loaded.subscribe();
+    let (schedule, audit) = (loaded.subscribe(), room.audit.clone());
     let mut tasks: JoinSet<(&str, anyhow::Result<()>)> = JoinSet::new();
     let mut run = |name, task: start::Task| tasks.spawn(async move { (name, task.await) });
 
@@ -62,10 +62,10 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     run("tell the rest", Box::pin(night::keep_telling_the_rest(room.clone())));
     run("alerts", Box::pin(alerting::keep_merging(room)));
 
-    let Some(ended) = node.stop.or(tasks.join_next()).await else {
-        tasks.shutdown().await;
-        return Ok(());
-    };
+    let ended = node.stop.or(tasks.join_next()).await;
+    tasks.shutdown().await;
+    audit.end().await;
+    let Some(ended) = ended else { return Ok(()) };
     match ended {
         Some(Ok((name, result))) => {
             result.with_context(|| format!("the task {name:?} failed"))?;

@@ -4,7 +4,9 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use audit::{Entry, verb_and_parameters};
 use bus::Service;
+use contract::audit::Outcome;
 use contract::{Accepted, CommandId, Key, Order, OrderKind, Reason, Refusal, Reply};
 
 use crate::control_room::ControlRoom;
@@ -35,7 +37,11 @@ async fn serve(room: &Arc<ControlRoom>) -> anyhow::Result<Service> {
         async move {
             match asked {
                 Ok(order) => answer_once(&room, &answered, &order),
-                Err(error) => refuse(&CommandId(String::new()), Reason::Malformed, &error),
+                Err(error) => {
+                    let reply = refuse(&CommandId(String::new()), Reason::Malformed, &error);
+                    account(&room, None, &reply);
+                    reply
+                }
             }
         }
     });
@@ -53,11 +59,26 @@ fn answer_once(room: &Arc<ControlRoom>, answered: &Mutex<VecDeque<Reply>>, order
         return reply.clone();
     }
     let reply = follow(room, order);
+    account(room, Some(order), &reply);
     if answered.len() >= 64 {
         answered.pop_front();
     }
     answered.push_back(reply.clone());
     reply
+}
+
+/// Tells the audit what became of an order; what it moves has records of its own.
+fn account(room: &ControlRoom, order: Option<&Order>, reply: &Reply) {
+    let outcome = match reply {
+        Reply::Accepted(_) => Outcome::Accepted,
+        Reply::Refusal(refusal) => Outcome::Refused { reason: refusal.reason, detail: refusal.detail.clone() },
+    };
+    let (verb, parameters) =
+        order.map_or_else(|| ("unreadable".to_owned(), String::new()), |order| verb_and_parameters(&order.kind));
+    let (from, id, reason) =
+        order.map(|order| (order.from.clone(), order.id.clone(), order.reason.clone())).unwrap_or_default();
+    let token = room.hold.borrow().token();
+    room.audit.note(Entry { from, id, device: String::new(), verb, parameters, token, reason, outcome });
 }
 
 fn follow(room: &Arc<ControlRoom>, order: &Order) -> Reply {

@@ -6,6 +6,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 
 use anyhow::{Context as _, ensure};
+use audit::Audit;
 use bus::Node;
 use contract::Address;
 use tokio::sync::{Notify, watch};
@@ -71,6 +72,7 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
         standing: watch::channel(standing.clone()).0,
         standing_on_disk: watch::channel(standing).0,
         ledger: Ledger::default(),
+        audit: Audit::start(node).await?,
         board: Board::new(config.schedule.file.display().to_string()),
     };
     Ok(Start {

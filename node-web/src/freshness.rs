@@ -54,7 +54,9 @@ pub fn period(key: &Key, body: &Value) -> Option<Duration> {
         Key::Observatory(_, Part::Schedule | Part::Alerts | Part::Guiding | Part::Focus) => 10.0,
         Key::Capabilities(_) | Key::Node(_, _, _, NodeTopic::Alerts) => 10.0,
         Key::Node(_, _, _, NodeTopic::State) => 5.0,
-        Key::Node(_, _, _, NodeTopic::Diary | NodeTopic::Alive) => return None,
+        Key::Node(_, _, _, NodeTopic::Diary | NodeTopic::Audit | NodeTopic::AuditSince | NodeTopic::Alive) => {
+            return None;
+        }
         Key::Frame(_) | Key::Facts(..) | Key::Stored(_) => return None,
         Key::Command(_) | Key::Order(_) | Key::History(_) => return None,
     };

@@ -1,5 +1,6 @@
 //! The command line: try it, run it, look at it.
 
+mod audit;
 mod check;
 mod console;
 mod demo;
@@ -37,6 +38,8 @@ enum Command {
     Status(status::Options),
     /// Close, stay closed, start, stop, or do without a limit for a while.
     Order(order::Options),
+    /// Prove and print the records of what was ordered and moved.
+    Audit(audit::Options),
     /// Print what is said on the bus.
     Tail(tail::Options),
     /// Find Alpaca devices on the network and print them as blocks for observatory.toml.
@@ -68,6 +71,7 @@ fn main() -> ExitCode {
         Command::Check(options) => check::run(&options),
         Command::Status(options) => block_on(status::run(options)),
         Command::Order(options) => block_on(order::run(options)),
+        Command::Audit(options) => audit::run(options),
         Command::Tail(options) => block_on(tail::run(options)),
         Command::Discover(options) => block_on(discover::run(options)),
         Command::Simulator(options) => block_on(simulate::run(options)),

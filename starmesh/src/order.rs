@@ -78,7 +78,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     let user = std::env::var("USER").or_else(|_| std::env::var("USERNAME")).unwrap_or_default();
     let order = Order {
         id: CommandId::fresh(),
-        from: format!("starmesh cli {user}").trim_end().to_owned(),
+        from: format!("starmesh cli {user}@{}", bus::node::host_name()).trim_end_matches('@').to_owned(),
         reason: options.reason,
         kind: options.what.kind(),
     };

@@ -197,6 +197,14 @@ impl Rig {
         Ok(())
     }
 
+    /// Runs a subcommand of `starmesh` that needs no bus, and returns what it printed; the error has all its words.
+    pub async fn starmesh(&self, words: &[&str]) -> anyhow::Result<String> {
+        let told = tokio::process::Command::new(binary()?).args(words).stdin(Stdio::null()).output().await?;
+        let printed = String::from_utf8_lossy(&told.stdout).into_owned();
+        anyhow::ensure!(told.status.success(), "{printed}{}", String::from_utf8_lossy(&told.stderr));
+        Ok(printed)
+    }
+
     /// Kills one node as a power cut would: at once, without a word.
     pub fn kill(&mut self, role: Role) -> anyhow::Result<()> {
         let mut child = self.nodes.remove(&role).context("this node does not run")?;

@@ -61,6 +61,8 @@ pub enum Ask {
     Frames,
     /// Log lines.
     Log,
+    /// Records of the audit, of all nodes of the telescope.
+    Audit,
 }
 
 /// The answer, oldest row first.
@@ -112,4 +114,6 @@ pub enum Row {
         /// What it says.
         message: String,
     },
+    /// A record of the audit.
+    Audit(Box<crate::audit::Record>),
 }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::Payload;
 
 /// Names one command; a repeat of the same id is answered again and not done again.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct CommandId(pub String);
 
@@ -15,6 +15,11 @@ impl CommandId {
     /// A fresh id that sorts by time; the id of an `expose` command is the id of its frame.
     pub fn fresh() -> Self {
         Self(uuid::Uuid::now_v7().to_string())
+    }
+
+    /// Names nothing: the command could not be read.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
     }
 }
 

@@ -216,13 +216,17 @@ pub enum NodeTopic {
     Alerts,
     /// Log lines.
     Diary,
+    /// Who ordered and moved what.
+    Audit,
+    /// Question and answer about its audit (queryable).
+    AuditSince,
     /// Liveliness token.
     Alive,
 }
 
 impl NodeTopic {
     /// All topics.
-    pub const ALL: [Self; 4] = [Self::State, Self::Alerts, Self::Diary, Self::Alive];
+    pub const ALL: [Self; 6] = [Self::State, Self::Alerts, Self::Diary, Self::Audit, Self::AuditSince, Self::Alive];
 
     /// As it stands in a key.
     pub const fn word(self) -> &'static str {
@@ -230,6 +234,8 @@ impl NodeTopic {
             Self::State => "state",
             Self::Alerts => "alerts",
             Self::Diary => "diary",
+            Self::Audit => "audit",
+            Self::AuditSince => "audit-since",
             Self::Alive => "alive",
         }
     }

@@ -9,6 +9,7 @@
 //! payload; when its test speaks up, change the code. `docs/bus.md` is made from the table in `table.rs`.
 
 pub mod archive;
+pub mod audit;
 pub mod command;
 pub mod datum;
 pub mod device;

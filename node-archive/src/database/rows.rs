@@ -32,6 +32,17 @@ CREATE TABLE log (
 CREATE INDEX log_date ON log (datetime);
 ";
 
+/// What version 2 adds. A record counts once; two that claim one place in a chain are both kept, as evidence.
+pub(super) const AUDIT: &str = "
+CREATE TABLE audit (
+    node TEXT NOT NULL, chain TEXT NOT NULL, number INTEGER NOT NULL, datetime TEXT,
+    who TEXT NOT NULL, device TEXT NOT NULL, verb TEXT NOT NULL, token INTEGER, outcome TEXT NOT NULL,
+    line TEXT NOT NULL, sha256 TEXT NOT NULL, fault TEXT,
+    UNIQUE (node, chain, number, sha256)
+);
+CREATE INDEX audit_date ON audit (datetime);
+";
+
 /// Writes one thing; returns how many rows were new.
 pub(super) fn write(transaction: &Transaction<'_>, write: &Write) -> rusqlite::Result<usize> {
     match write {
@@ -89,6 +100,22 @@ pub(super) fn write(transaction: &Transaction<'_>, write: &Write) -> rusqlite::R
                     json,
                 ])
         }
+        Write::Audit(record) => transaction
+            .prepare_cached("INSERT INTO audit VALUES (?,?,?,?,?,?,?,?,?,?,?,?) ON CONFLICT DO NOTHING")?
+            .execute(params![
+                record.node,
+                record.chain,
+                record.number,
+                record.at.map(stamp),
+                record.from,
+                record.device,
+                record.verb,
+                record.token,
+                record.outcome,
+                record.line,
+                record.sha256,
+                record.fault,
+            ]),
         Write::Complete(frame) => transaction
             .prepare_cached("UPDATE images SET complete_hdr = 1 WHERE frame_id = ?")?
             .execute([&frame.0])

@@ -205,3 +205,41 @@ async fn a_database_of_a_newer_starmesh_is_refused() {
     Connection::open(&path).unwrap().pragma_update(None, "user_version", VERSION + 1).unwrap();
     assert!(matches!(prepare(&path), Err(DatabaseError::Newer { found, .. }) if found == VERSION + 1));
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_database_of_version_1_gets_the_table_of_the_audit_and_keeps_its_rows() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("archive.db");
+    let old = Connection::open(&path).unwrap();
+    old.execute_batch(rows::SCHEMA).unwrap();
+    old.execute("INSERT INTO writing VALUES ('frame-1', 'n/a.fits')", []).unwrap();
+    old.pragma_update(None, "user_version", 1).unwrap();
+    drop(old);
+    let record = StoredRecord {
+        node: "device/alpha/main".to_owned(),
+        chain: "c".to_owned(),
+        number: 0,
+        at: Some(at(1)),
+        from: "guard".to_owned(),
+        device: "dome/roof".to_owned(),
+        verb: "close_shutter".to_owned(),
+        token: None,
+        outcome: "done".to_owned(),
+        line: "{}".to_owned(),
+        sha256: "aa".to_owned(),
+        fault: None,
+    };
+    for _ in 0..2 {
+        let (database, writer) = Database::open(&path, AlertBoard::new(Clock::machine_clock())).unwrap();
+        let rival = StoredRecord { sha256: "bb".to_owned(), ..record.clone() };
+        let writes = [record.clone(), record.clone(), rival].map(|one| Write::Audit(Box::new(one)));
+        database.commit(writes.to_vec()).await.unwrap();
+        drop(database);
+        writer.end().await;
+    }
+    let reader = Reader::open(&path).unwrap();
+    assert_eq!(reader.audit_lines().unwrap().len(), 2, "each once, and two that claim one place both");
+    assert_eq!(reader.audit_end("device/alpha/main").unwrap().unwrap().sha256, "bb");
+    assert_eq!(reader.audit_end("device/beta/main").unwrap(), None);
+    assert_eq!(reader.writing(&CommandId("frame-1".to_owned())).unwrap().as_deref(), Some("n/a.fits"));
+}

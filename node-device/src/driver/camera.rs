@@ -121,6 +121,14 @@ impl Driver for Camera {
         !matches!(fields.activity, Datum::Known(Activity::Idle | Activity::Error)) || fields.exposure.is_some()
     }
 
+    fn moves(&self, command: &Command) -> bool {
+        match command {
+            Command::Expose { .. } | Command::Abort | Command::Cool { .. } | Command::Warm => true,
+            // the spool forgets a frame
+            Command::Release { .. } => false,
+        }
+    }
+
     fn need(&self, command: &Command) -> Need {
         match command {
             Command::Expose { .. } | Command::Cool { .. } | Command::Warm => Need::Token,

@@ -120,6 +120,11 @@ pub trait Driver: Send + Sync + 'static {
     /// What the command needs.
     fn need(&self, command: &Command<Self>) -> Need;
 
+    /// Does it move, switch or expose anything, or change who may? Such commands leave a record in the audit.
+    fn moves(&self, _command: &Command<Self>) -> bool {
+        true
+    }
+
     /// Makes safe, so it interrupts whatever runs and waits for nothing.
     fn interrupts(&self, _command: &Command<Self>) -> bool {
         false

@@ -62,6 +62,13 @@ impl Driver for ObservingConditions {
         }
     }
 
+    fn moves(&self, command: &Command) -> bool {
+        match command {
+            // a measurement
+            Command::Refresh => false,
+        }
+    }
+
     fn need(&self, command: &Command) -> Need {
         match command {
             Command::Refresh => Need::Nothing,

@@ -31,8 +31,18 @@ impl Stage {
         Self::start_with(devices, Clock::machine_clock()).await
     }
 
-    pub async fn start_with(devices: &str, clock: Clock) -> Self {
+    /// Starts a node in a folder that was prepared.
+    pub async fn start_in(devices: &str, prepare: impl FnOnce(&std::path::Path)) -> Self {
         let folder = tempfile::tempdir().unwrap();
+        prepare(folder.path());
+        Self::start_at(folder, devices, Clock::machine_clock()).await
+    }
+
+    pub async fn start_with(devices: &str, clock: Clock) -> Self {
+        Self::start_at(tempfile::tempdir().unwrap(), devices, clock).await
+    }
+
+    async fn start_at(folder: tempfile::TempDir, devices: &str, clock: Clock) -> Self {
         let place = "[observatory]\nsite = \"site\"\ntelescope = \"alpha\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\nelevation_m = 0.0\n";
         let config = config::parse(&format!("{place}{devices}"), folder.path()).unwrap();
         let bus = Bus::open(&private(Vec::new()), clock.clone()).await.unwrap();

@@ -34,6 +34,7 @@ pub async fn keep_closed(room: Arc<ControlRoom>, neighbours: Neighbours) -> anyh
             let closing = closing.get_or_insert_with(|| {
                 if !sight.is_closed() {
                     tracing::info!(why, "closing");
+                    room.note_closing(&why);
                 }
                 Closing::begin(now)
             });

@@ -104,6 +104,49 @@ catalogue! {
         on_delay_s: 0,
         hold_s: 0,
     },
+    /// The disk that holds a node's data folder does not take its records of what was ordered and moved. Nothing waits
+    /// for it: closing and all else go on.
+    Audit: Entry {
+        word: "audit",
+        instance: "",
+        priority: Priority::High,
+        consequence: "What is ordered and moved goes on and may leave no record.",
+        action: "Free or repair the disk that holds this node's data folder.",
+        on_delay_s: 0,
+        hold_s: 0,
+    },
+    /// Records of what was ordered and moved found no room while a disk was slow or full. The chain says where, and how
+    /// many.
+    AuditLost: Entry {
+        word: "audit-lost",
+        instance: "",
+        priority: Priority::Medium,
+        consequence: "Nothing can bring them back.",
+        action: "Find out why the disk was slow or full.",
+        on_delay_s: 0,
+        hold_s: 0,
+    },
+    /// Records of what was ordered and moved do not follow from each other: somebody or something has changed or removed
+    /// some. A node tells it of its own file, the archive of a node's. Stands until the node that tells it ends.
+    AuditBroken: Entry {
+        word: "audit-broken",
+        instance: "NODE",
+        priority: Priority::High,
+        consequence: "What was done before the break cannot be proven by this file; a new chain has begun.",
+        action: "Compare the node's own files with the archive: starmesh audit verify FILE archive.db.",
+        on_delay_s: 0,
+        hold_s: 0,
+    },
+    /// A node does not tell the archive what was ordered and moved there. The node itself keeps it.
+    AuditLacking: Entry {
+        word: "audit-lacking",
+        instance: "NODE",
+        priority: Priority::Medium,
+        consequence: "The archive's copy is not whole.",
+        action: "Look whether the node and its disk are well.",
+        on_delay_s: 0,
+        hold_s: 0,
+    },
     /// A person's order to stay closed, or to do without a limit, was accepted and could not be written.
     StandingOrders: Entry {
         word: "standing-orders",

@@ -5,7 +5,7 @@ use contract::device::{
     switch, telescope,
 };
 use contract::{Command, DeviceKind, DeviceState, Kind, Order, Payload, Reply, Stamped};
-use contract::{archive, node, observatory};
+use contract::{archive, audit, node, observatory};
 use serde_json::Value;
 
 /// A payload type: its name, and its decoder followed by its encoder.
@@ -47,6 +47,9 @@ pub fn claims() -> Vec<Claim> {
         stamped::<archive::Stored>(),
         stamped::<node::NodeState>(),
         stamped::<node::DiaryLine>(),
+        stamped::<audit::Said<audit::Record>>(),
+        plain::<audit::Question>(),
+        plain::<audit::Answer<audit::Record>>(),
         plain::<Reply>(),
         plain::<Order>(),
         plain::<archive::Question>(),

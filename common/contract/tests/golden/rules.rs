@@ -7,7 +7,7 @@ use std::path::Path;
 
 use contract::device::{camera, cover_calibrator, dome, telescope};
 use contract::table::TABLE;
-use contract::{Kind, Link, OrderKind, Outcome, Reason, Reply, Role, archive, node, observatory};
+use contract::{Kind, Link, OrderKind, Outcome, Reason, Reply, Role, archive, audit, node, observatory};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
@@ -116,6 +116,10 @@ fn words() -> BTreeMap<String, BTreeMap<String, Vec<String>>> {
     put("observatory.night", "posture", words_of::<observatory::Posture>(json!("?")));
     put("observatory.schedule", "rows.*.status", words_of::<observatory::RowStatus>(json!("?")));
     put("alerts", "alerts.*.priority", words_of::<observatory::Priority>(json!("?")));
+    for (name, place) in [("node.audit", "record"), ("audit.answer", "records.*"), ("archive.answer", "rows.*.audit")] {
+        put(name, &format!("{place}.outcome.is"), words_of::<audit::Outcome>(json!({"is": "?"})));
+        put(name, &format!("{place}.outcome.reason"), words_of::<Reason>(json!("?")));
+    }
     put("archive.question", "ask", words_of::<archive::Ask>(json!("?")));
     put("archive.question", "ask.readings.kind", words_of::<Kind>(json!("?")));
     put("archive.answer", "rows.*", words_of::<archive::Row>(json!("?")));

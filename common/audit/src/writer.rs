@@ -1,0 +1,160 @@
+//! The thread that writes: gathers a batch, ties it to the chain, appends and syncs it, and hands it to the bus.
+
+use std::collections::VecDeque;
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant};
+
+use contract::audit::{Outcome, Record};
+use contract::observatory::AlertKind;
+use tokio::sync::mpsc;
+
+use crate::Proven;
+use crate::book::{BROKEN, Book};
+use crate::chain;
+use crate::entry::Signs;
+
+/// A record waits so long for others to be synced with it.
+const PATIENCE: Duration = Duration::from_millis(200);
+/// Records of one sync, at most.
+const BATCH: usize = 500;
+/// A disk that failed is tried again after so long, and when the node ends for so many times.
+const RETRY: Duration = Duration::from_secs(1);
+const LAST_TRIES: u32 = 2;
+
+/// What goes through the queue.
+pub(crate) enum Item {
+    /// A record without its place, after so many that found no room.
+    Note { record: Box<Record>, lost_before: u64 },
+    /// Look whether it is time to end.
+    Wake,
+}
+
+pub(crate) struct Writer {
+    signs: Arc<Signs>,
+    book: Book,
+    lines: mpsc::Sender<Proven>,
+    /// Taken from the queue and not surely on disk.
+    waiting: VecDeque<Record>,
+    /// Entries that found no room, in this life.
+    missing: u64,
+}
+
+impl Writer {
+    pub fn new(signs: Arc<Signs>, book: Book, lines: mpsc::Sender<Proven>) -> Self {
+        // what a kill left is repaired and told at once, not when the first command comes
+        let starts = signs.about_itself("node_starts", note(env!("CARGO_PKG_VERSION")));
+        Self { signs, book, lines, waiting: VecDeque::from([starts]), missing: 0 }
+    }
+
+    /// Writes until the node ends.
+    pub fn run(mut self, taken: &Receiver<Item>) {
+        let mut last_tries = LAST_TRIES;
+        let mut at_end = false;
+        while !at_end || !self.waiting.is_empty() {
+            if self.waiting.is_empty() {
+                at_end |= self.gather(taken);
+                if self.waiting.is_empty() {
+                    continue;
+                }
+            }
+            match self.write() {
+                Ok(()) => self.signs.alerts.clear(AlertKind::Audit, ""),
+                Err(error) => {
+                    self.signs.complain(&format!("the audit cannot be written: {error}"));
+                    if at_end || self.signs.ending.load(Ordering::Acquire) {
+                        at_end = true;
+                        last_tries -= 1;
+                    }
+                    if last_tries == 0 {
+                        tracing::error!(records = self.waiting.len(), %error, "records of the audit are lost");
+                        return;
+                    }
+                    std::thread::sleep(RETRY);
+                }
+            }
+        }
+    }
+
+    /// The next batch; true when nothing more will come.
+    fn gather(&mut self, taken: &Receiver<Item>) -> bool {
+        let ending = self.signs.ending.load(Ordering::Acquire);
+        let mut deadline = Instant::now() + PATIENCE;
+        if !ending {
+            match taken.recv() {
+                Ok(item) => self.take(item),
+                Err(_) => return true,
+            }
+            deadline = Instant::now() + PATIENCE;
+        }
+        while self.waiting.len() < BATCH {
+            let left = if self.signs.ending.load(Ordering::Acquire) {
+                Duration::ZERO
+            } else {
+                deadline.saturating_duration_since(Instant::now())
+            };
+            match taken.recv_timeout(left) {
+                Ok(item) => self.take(item),
+                Err(RecvTimeoutError::Disconnected) => return true,
+                Err(RecvTimeoutError::Timeout) => {
+                    // the queue is empty, so whatever found no room came before this
+                    self.lose(self.signs.lost.swap(0, Ordering::AcqRel));
+                    return self.signs.ending.load(Ordering::Acquire);
+                }
+            }
+        }
+        false
+    }
+
+    fn take(&mut self, item: Item) {
+        if let Item::Note { record, lost_before } = item {
+            self.lose(lost_before);
+            self.waiting.push_back(*record);
+        }
+    }
+
+    fn lose(&mut self, missing: u64) {
+        if missing > 0 {
+            self.missing += missing;
+            self.signs.tell_lost(self.missing);
+            self.waiting.push_back(self.signs.about_itself("records_lost", Outcome::Lost { missing }));
+        }
+    }
+
+    fn write(&mut self) -> io::Result<()> {
+        if !self.book.is_open() {
+            let notes = self.book.open()?;
+            for (verb, detail) in notes.into_iter().rev() {
+                tracing::warn!(verb, detail, "audit");
+                if verb == BROKEN {
+                    self.signs.tell_broken(&detail);
+                }
+                self.waiting.push_front(self.signs.about_itself(verb, note(&detail)));
+            }
+        }
+        let Some(mut last) = self.book.last().cloned() else { return Err(io::Error::other("the book is not open")) };
+        let mut lines = Vec::new();
+        for record in &self.waiting {
+            let sealed = chain::seal(record.clone(), &last)?;
+            last = sealed.link();
+            lines.push(sealed);
+        }
+        self.book.append(&lines)?;
+        self.waiting.clear();
+        for line in lines {
+            // one that finds no room, or nobody, is asked for later
+            let _ = self.lines.try_send(line);
+        }
+        Ok(())
+    }
+}
+
+fn note(detail: &str) -> Outcome {
+    Outcome::Noted { detail: detail.to_owned() }
+}
+
+#[cfg(test)]
+#[path = "writer_tests.rs"]
+mod tests;

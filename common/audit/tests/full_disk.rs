@@ -1,0 +1,118 @@
+//! A disk that is really full: a small tmpfs in a mount namespace of this test's own.
+#![cfg(target_os = "linux")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test ends by panicking")]
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use audit::book::examine;
+use audit::{Audit, Entry};
+use bus::{Bus, Clock, Node};
+use contract::audit::{Outcome, Record};
+use contract::{CommandId, Role};
+
+const INSIDE: &str = "STARMESH_TEST_SMALL_DISK";
+
+#[test]
+fn a_full_disk_delays_nothing_and_the_chain_goes_on_when_there_is_room() {
+    let folder = tempfile::tempdir().unwrap();
+    if let Some(inside) = std::env::var_os(INSIDE) {
+        let runtime = tokio::runtime::Runtime::new().unwrap();
+        return runtime.block_on(on_a_small_disk(Path::new(&inside)));
+    }
+    let test = std::env::current_exe().unwrap();
+    let script = "mount -t tmpfs -o size=256k none \"$1\" && exec \"$2\" --exact \"$3\" --nocapture";
+    let name = "a_full_disk_delays_nothing_and_the_chain_goes_on_when_there_is_room";
+    let told = Command::new("unshare")
+        .args(["-Urm", "sh", "-c", script, "sh"])
+        .args([folder.path(), &test])
+        .arg(name)
+        .env(INSIDE, folder.path())
+        .output()
+        .expect("unshare is part of util-linux");
+    let (out, err) = (String::from_utf8_lossy(&told.stdout), String::from_utf8_lossy(&told.stderr));
+    assert!(told.status.success() && out.contains("1 passed"), "{out}{err}");
+}
+
+fn entry(verb: String) -> Entry {
+    Entry {
+        from: "observatory/alpha/main".to_owned(),
+        id: CommandId::fresh(),
+        device: "dome/roof".to_owned(),
+        verb,
+        parameters: String::new(),
+        token: Some(1),
+        reason: String::new(),
+        outcome: Outcome::Accepted,
+    }
+}
+
+fn records(folder: &Path) -> Vec<Record> {
+    let found = examine(&fs::read(folder.join("data/audit-device-alpha-main.jsonl")).unwrap(), None);
+    assert!(found.broken.is_none(), "{:?}", found.broken);
+    found.good.into_iter().map(|proven| proven.record).collect()
+}
+
+async fn on_a_small_disk(folder: &Path) {
+    let text = "[observatory]\nsite = \"site\"\ntelescope = \"alpha\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\n\
+        elevation_m = 0.0\n[[camera]]\nname = \"cam\"\nserver = \"localhost:1\"\n";
+    let config = config::parse(text, folder).unwrap();
+    let private = config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect: Vec::new(), multicast: false };
+    let bus = Bus::open(&private, Clock::machine_clock()).await.unwrap();
+    let node = Node::new(Role::Device, "main".parse().unwrap(), config, config::header::HeaderTable::default(), bus);
+    let audit = Audit::start(&node).await.unwrap();
+    let stands = |id: &str| node.alerts.watch().borrow().alerts.iter().any(|alert| alert.id == id);
+    let until = async |what: &str, is_so: &dyn Fn() -> bool| {
+        let began = Instant::now();
+        while !is_so() {
+            assert!(began.elapsed() < Duration::from_secs(20), "{what}");
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    audit.note(entry("before".to_owned()));
+    until("a first record is written", &|| {
+        fs::read_to_string(folder.join("data/audit-device-alpha-main.jsonl")).is_ok_and(|text| text.contains("before"))
+    })
+    .await;
+    // somebody fills the disk to its last page
+    let filler = folder.join("filler");
+    for size in [65_536, 4096, 1] {
+        let mut bytes = fs::read(&filler).unwrap_or_default();
+        loop {
+            bytes.resize(bytes.len() + size, 1);
+            if fs::write(&filler, &bytes).is_err() || bytes.len() > 1 << 20 {
+                break;
+            }
+        }
+        bytes.truncate(bytes.len() - size);
+        // what did not fit is given back
+        fs::write(&filler, &bytes).unwrap();
+        if size == 4096 {
+            break;
+        }
+    }
+    let began = Instant::now();
+    for n in 0..6000 {
+        audit.note(entry(format!("v{n}")));
+    }
+    assert!(began.elapsed() < Duration::from_secs(2), "{:?}", began.elapsed());
+    until("the full disk is told", &|| stands("audit")).await;
+    assert!(records(folder).iter().any(|record| record.verb == "before"), "what was written stays proven");
+
+    // 6000 records would not fit even now; the disk grows, as when a person adds room
+    fs::remove_file(&filler).unwrap();
+    let grown = Command::new("mount").args(["-o", "remount,size=16m"]).arg(folder).status().unwrap();
+    assert!(grown.success());
+    until("the alert is cleared", &|| !stands("audit")).await;
+    audit.note(entry("after".to_owned()));
+    audit.end().await;
+    let all = records(folder);
+    let written = all.iter().filter(|record| record.verb.starts_with('v')).count() as u64;
+    let missing: u64 =
+        all.iter().map(|record| if let Outcome::Lost { missing } = record.outcome { missing } else { 0 }).sum();
+    assert_eq!(written + missing, 6000, "{written} written, {missing} told as missing");
+    assert!(missing > 0 && stands("audit-lost"));
+    assert_eq!(all.last().unwrap().verb, "after");
+}

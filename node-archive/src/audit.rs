@@ -1,0 +1,259 @@
+//! The audit of all nodes of this telescope, proven as it comes and fetched where it is lacking.
+//!
+//! A record that follows the last one of its node is stored. Anything else (a gap, a new chain, a new life, a first
+//! meeting) makes the archive ask that node for all it has after the last record stored here, however long ago that was.
+
+use std::collections::HashMap;
+use std::time::Duration;
+
+use anyhow::Context as _;
+use audit::chain::prove_value;
+use audit::{Broken, Link, Proven};
+use bus::{Bus, Catch, MachineTime, Node, Subscriber};
+use contract::audit::{Answer, Question, Said};
+use contract::node::NodeState;
+use contract::observatory::AlertKind;
+use contract::{Address, BootId, Key, Name, NodeTopic, Role};
+use serde_json::Value;
+
+use crate::database::{Database, StoredRecord, Write};
+use crate::reader::Reader;
+use crate::telemetry::first;
+use crate::watch_keys;
+
+/// Records that wait here; those that give way are asked for.
+const WAITING: usize = 4096;
+/// A node that is heard is asked so often whether there is more, in case a record was lost on the way.
+const ASK_AGAIN: Duration = Duration::from_secs(60);
+/// A node that did not answer is asked again after so long.
+const RETRY: Duration = Duration::from_secs(10);
+/// After so many fetches in vain it is an alert.
+const PATIENCE: u32 = 3;
+const ANSWER: Duration = Duration::from_secs(5);
+
+/// Which node: its telescope, role and id.
+type Who = (Address, Role, Name);
+
+/// How far a node's records are stored.
+#[derive(Default)]
+struct Follow {
+    last: Option<Link>,
+    life: Option<BootId>,
+    asked: Option<MachineTime>,
+    /// It is known to have more than was fetched.
+    lacks: bool,
+    /// Fetches in a row that did not bring all.
+    failures: u32,
+}
+
+struct Keeper {
+    node: Node,
+    bus: Bus,
+    database: Database,
+    nodes: HashMap<Who, Follow>,
+}
+
+/// Keeps the audit of all nodes.
+pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
+    let (mut records, mut states): (Vec<Subscriber<Said<Value>>>, Vec<Subscriber<NodeState>>) =
+        (Vec::new(), Vec::new());
+    for keys in watch_keys(&node.config, "node/*/*/audit") {
+        records.push(node.bus.subscribe(&keys, Catch::Newest, WAITING).await?);
+    }
+    for keys in watch_keys(&node.config, "node/*/*/state") {
+        states.push(node.bus.subscribe(&keys, Catch::Newest, 256).await?);
+    }
+    let mut keeper = Keeper { bus: node.bus.clone(), node, database, nodes: HashMap::new() };
+    loop {
+        tokio::select! {
+            heard = first(&records) => {
+                if let Key::Node(address, role, id, NodeTopic::Audit) = heard.key {
+                    keeper.hear((address, role, id), &heard.said.body.record).await?;
+                }
+            }
+            heard = first(&states) => {
+                if let Key::Node(address, role @ (Role::Device | Role::Observatory), id, NodeTopic::State) = heard.key {
+                    keeper.look((address, role, id), heard.said.boot_id).await?;
+                }
+            }
+        }
+    }
+}
+
+impl Keeper {
+    /// What is known of a node, from the database at the first time.
+    async fn follow(&mut self, who: &Who) -> anyhow::Result<&mut Follow> {
+        if !self.nodes.contains_key(who) {
+            let (path, name) = (self.database.path().to_owned(), signature(who));
+            let look = move || Reader::open(&path).and_then(|reader| reader.audit_end(&name));
+            let last = tokio::task::spawn_blocking(look).await??;
+            self.nodes.insert(who.clone(), Follow { last, ..Follow::default() });
+        }
+        self.nodes.get_mut(who).context("a node was forgotten")
+    }
+
+    /// A record was said.
+    async fn hear(&mut self, who: Who, record: &Value) -> anyhow::Result<()> {
+        let follow = self.follow(&who).await?;
+        let last = follow.last.clone();
+        match prove_value(record) {
+            Ok(proven) if last.as_ref() == Some(&proven.link()) => Ok(()),
+            Ok(proven) if last.is_some() && proven.follows(last.as_ref()).is_ok() => {
+                follow.last = Some(proven.link());
+                let write = Write::Audit(Box::new(StoredRecord::of(signature(&who), &proven)));
+                Ok(self.database.put(write).await?)
+            }
+            // the node's own file tells what is true
+            Ok(_) | Err(_) => {
+                follow.lacks = true;
+                self.fetch(&who).await
+            }
+        }
+    }
+
+    /// A node was heard.
+    async fn look(&mut self, who: Who, life: BootId) -> anyhow::Result<()> {
+        let now = self.bus.clock().machine();
+        let follow = self.follow(&who).await?;
+        let pause = if follow.lacks { RETRY } else { ASK_AGAIN };
+        let due = follow.asked.is_none_or(|asked| now.since(asked) >= pause);
+        if !due && follow.life.as_ref() == Some(&life) {
+            return Ok(());
+        }
+        follow.life = Some(life);
+        self.fetch(&who).await
+    }
+
+    /// Asks a node for all that it has after the last record stored here.
+    async fn fetch(&mut self, who: &Who) -> anyhow::Result<()> {
+        let now = self.bus.clock().machine();
+        let follow = self.follow(who).await?;
+        if follow.lacks && follow.asked.is_some_and(|asked| now.since(asked) < Duration::from_secs(1)) {
+            // it does not answer now: `look` tries again
+            return Ok(());
+        }
+        follow.asked = Some(now);
+        let mut last = follow.last.clone();
+        let key = Key::Node(who.0.clone(), who.1, who.2.clone(), NodeTopic::AuditSince);
+        loop {
+            let question = Question { after_sha256: last.as_ref().map(|last| last.sha256.clone()), limit: None };
+            let answer: Answer<Value> = match self.bus.ask(&key, &question, ANSWER).await {
+                Ok(answer) => answer,
+                Err(error) => {
+                    tracing::debug!(%error, "a node does not tell its audit; it is asked again");
+                    self.lack(who, true).await?;
+                    return Ok(());
+                }
+            };
+            if let (false, Some(end)) = (answer.known, &last) {
+                let gone =
+                    format!("number {} of chain {} is stored here and not in its own file", end.number, end.chain);
+                self.tell(who, &gone);
+                // from the beginning: what is here already counts once
+                last = None;
+                continue;
+            }
+            let stored = !answer.records.is_empty();
+            last = self.store(who, &answer.records, last).await?;
+            self.follow(who).await?.last.clone_from(&last);
+            if !answer.more || !stored {
+                return self.lack(who, answer.more).await;
+            }
+        }
+    }
+
+    /// Stores records of a node after the one that is `last`; returns which is the last now.
+    async fn store(&self, who: &Who, records: &[Value], mut last: Option<Link>) -> anyhow::Result<Option<Link>> {
+        let name = signature(who);
+        let mut writes = Vec::new();
+        for record in records {
+            let proven = prove_value(record);
+            let fault = match &proven {
+                Ok(proven) => proven.follows(last.as_ref()).err(),
+                Err(broken) => Some(broken.clone()),
+            };
+            let stored = StoredRecord::told(name.clone(), record, proven.as_ref().ok(), fault.as_ref());
+            if let Some(fault) = &fault {
+                self.tell(who, &format!("number {} of chain {}: {fault}", stored.number, stored.chain));
+            }
+            last = Some(stored.link());
+            writes.push(Write::Audit(Box::new(stored)));
+        }
+        self.database.commit(writes).await?;
+        Ok(last)
+    }
+
+    async fn lack(&mut self, who: &Who, lacks: bool) -> anyhow::Result<()> {
+        let follow = self.follow(who).await?;
+        follow.lacks = lacks;
+        follow.failures = if lacks { follow.failures.saturating_add(1) } else { 0 };
+        let (failures, last) = (follow.failures, follow.last.clone());
+        if failures >= PATIENCE {
+            let from = last.map_or("all of it".to_owned(), |last| format!("what follows number {}", last.number));
+            let cause = format!("{} does not tell its audit; the archive lacks {from}", signature(who));
+            self.node.alerts.raise(AlertKind::AuditLacking, signature(who), &cause);
+        } else if failures == 0 {
+            self.node.alerts.clear(AlertKind::AuditLacking, signature(who));
+        }
+        Ok(())
+    }
+
+    /// A chain is broken: somebody should look. Stands until this node ends.
+    fn tell(&self, who: &Who, what: &str) {
+        let cause = format!("the audit of {} is broken: {what}", signature(who));
+        self.node.alerts.raise(AlertKind::AuditBroken, signature(who), &cause);
+    }
+}
+
+/// How a node signs its records.
+fn signature((address, role, id): &Who) -> String {
+    format!("{role}/{}/{id}", address.telescope)
+}
+
+impl StoredRecord {
+    /// A good record.
+    fn of(node: String, proven: &Proven) -> Self {
+        let record = &proven.record;
+        Self {
+            node,
+            chain: record.chain.clone(),
+            number: i64::try_from(record.number).unwrap_or(i64::MAX),
+            at: Some(record.at_utc),
+            from: record.from.clone(),
+            device: record.device.clone(),
+            verb: record.verb.clone(),
+            token: record.token.and_then(|token| i64::try_from(token).ok()),
+            outcome: record.outcome.word().to_owned(),
+            line: proven.line.clone(),
+            sha256: record.sha256.clone(),
+            fault: None,
+        }
+    }
+
+    /// A record as it was told, with what is wrong with it.
+    fn told(node: String, record: &Value, proven: Option<&Proven>, fault: Option<&Broken>) -> Self {
+        let fault = fault.map(ToString::to_string);
+        if let Some(proven) = proven {
+            return Self { fault, ..Self::of(node, proven) };
+        }
+        let text = |name: &str| record.get(name).and_then(Value::as_str).unwrap_or_default().to_owned();
+        Self {
+            node,
+            chain: text("chain"),
+            number: record.get("number").and_then(Value::as_i64).unwrap_or(-1),
+            at: text("at_utc").parse().ok(),
+            from: text("from"),
+            device: text("device"),
+            verb: text("verb"),
+            token: record.get("token").and_then(Value::as_i64),
+            outcome: record.pointer("/outcome/is").and_then(Value::as_str).unwrap_or_default().to_owned(),
+            line: record.to_string(),
+            sha256: text("sha256"),
+            fault,
+        }
+    }
+
+    fn link(&self) -> Link {
+        Link { chain: self.chain.clone(), number: self.number.unsigned_abs(), sha256: self.sha256.clone() }
+    }
+}

@@ -1,0 +1,210 @@
+//! The archive's copy of a node's audit, with a real node's audit and real sessions: nothing is missing after an absence,
+//! and nothing that was changed passes.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test ends by panicking")]
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use audit::{Audit, Entry};
+use bus::{Bus, Clock, Node, Quality};
+use contract::archive::{Answer, Ask, Question, Row};
+use contract::audit::{Outcome, Record, Said};
+use contract::{CommandId, Key, NodeTopic, Role};
+use node_archive::reader::Reader;
+use tokio::task::JoinHandle;
+
+fn private(connect: Vec<String>) -> config::Bus {
+    config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect, multicast: false }
+}
+
+async fn node(role: Role, folder: &Path, connect: Vec<String>) -> Node {
+    let text = "[observatory]\nsite = \"site\"\ntelescope = \"alpha\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\n\
+        elevation_m = 0.0\n[[camera]]\nname = \"cam\"\nserver = \"localhost:1\"\n";
+    let config = config::parse(text, folder).unwrap();
+    let bus = Bus::open(&private(connect), Clock::machine_clock()).await.unwrap();
+    Node::new(role, "main".parse().unwrap(), config, config::header::HeaderTable::default(), bus)
+}
+
+/// A device node that does nothing but say that it lives, and notes what it is told.
+struct Noter {
+    node: Node,
+    audit: Audit,
+    life: JoinHandle<anyhow::Result<()>>,
+}
+
+impl Noter {
+    async fn start(folder: &Path, connect: Vec<String>) -> Self {
+        let node = node(Role::Device, folder, connect).await;
+        let audit = Audit::start(&node).await.unwrap();
+        let life = tokio::spawn(node.clone().live(None, std::future::pending()));
+        Self { node, audit, life }
+    }
+
+    fn note(&self, count: usize) {
+        for _ in 0..count {
+            self.audit.note(Entry {
+                from: "observatory/alpha/main".to_owned(),
+                id: CommandId::fresh(),
+                device: "dome/roof".to_owned(),
+                verb: "close_shutter".to_owned(),
+                parameters: "{\"x\":1.5}".to_owned(),
+                token: Some(7),
+                reason: String::new(),
+                outcome: Outcome::Accepted,
+            });
+        }
+    }
+
+    async fn end(self) {
+        self.audit.end().await;
+        self.life.abort();
+        self.node.bus.close().await;
+    }
+}
+
+struct Archive {
+    node: Node,
+    running: JoinHandle<anyhow::Result<()>>,
+}
+
+impl Archive {
+    async fn start(folder: &Path, connect: Vec<String>) -> Self {
+        let node = node(Role::Archive, folder, connect).await;
+        let running = tokio::spawn(node_archive::run(node.clone()));
+        Self { node, running }
+    }
+
+    async fn end(self) {
+        self.node.stop.stop();
+        self.running.await.unwrap().unwrap();
+        self.node.bus.close().await;
+    }
+
+    fn alerts(&self) -> Vec<String> {
+        self.node.alerts.watch().borrow().alerts.iter().map(|alert| format!("{}: {}", alert.id, alert.cause)).collect()
+    }
+}
+
+fn file(folder: &Path) -> PathBuf {
+    folder.join("data/audit-device-alpha-main.jsonl")
+}
+
+fn lines(folder: &Path) -> Vec<String> {
+    std::fs::read_to_string(file(folder)).unwrap_or_default().lines().map(str::to_owned).collect()
+}
+
+fn stored(folder: &Path) -> Vec<String> {
+    let reader = Reader::open(&folder.join("data/archive.db"));
+    let rows = reader.and_then(|reader| reader.audit_lines()).unwrap_or_default();
+    rows.into_iter().map(|(_, line)| line).collect()
+}
+
+async fn until_the_same(node: &Path, archive: &Path, count: usize) {
+    let began = Instant::now();
+    loop {
+        let (told, kept) = (lines(node), stored(archive));
+        if told.len() >= count && told == kept {
+            return;
+        }
+        assert!(began.elapsed() < Duration::from_secs(30), "{} lines, {} of them stored", told.len(), kept.len());
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_archive_that_was_away_has_every_record_in_its_order_afterwards() {
+    let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let noter = Noter::start(here.path(), Vec::new()).await;
+    // more than two portions, before any archive was there
+    noter.note(1200);
+    let meet = noter.node.bus.locators().await;
+    let archive = Archive::start(there.path(), meet.clone()).await;
+    until_the_same(here.path(), there.path(), 1202).await;
+    noter.note(3);
+    until_the_same(here.path(), there.path(), 1205).await;
+    archive.end().await;
+
+    // more than any publisher's cache holds
+    noter.note(1500);
+    let archive = Archive::start(there.path(), meet.clone()).await;
+    until_the_same(here.path(), there.path(), 2705).await;
+    assert!(archive.alerts().is_empty(), "{:?}", archive.alerts());
+
+    // a new life of the node goes on with the chain
+    noter.end().await;
+    let noter = Noter::start(here.path(), archive.node.bus.locators().await).await;
+    noter.note(5);
+    until_the_same(here.path(), there.path(), 2711).await;
+    assert!(archive.alerts().is_empty(), "{:?}", archive.alerts());
+
+    let question = Question { ask: Ask::Audit, from_utc: None, to_utc: None, limit: Some(4) };
+    let key = Key::History(noter.node.config.address());
+    let answer: Answer = noter.node.bus.ask(&key, &question, Duration::from_secs(5)).await.unwrap();
+    assert!(answer.truncated && answer.rows.len() == 4);
+    assert!(answer.rows.iter().all(|row| matches!(row, Row::Audit(record) if record.verb == "close_shutter")));
+    archive.end().await;
+    noter.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_record_that_was_cut_off_changed_or_forged_is_told() {
+    let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let noter = Noter::start(here.path(), Vec::new()).await;
+    noter.note(10);
+    let archive = Archive::start(there.path(), noter.node.bus.locators().await).await;
+    until_the_same(here.path(), there.path(), 12).await;
+
+    // somebody says a record in the node's name: the node's own file does not have it
+    let liar = Bus::open(&private(noter.node.bus.locators().await), Clock::machine_clock()).await.unwrap();
+    let voice = liar.publisher(&noter.node.key(NodeTopic::Audit), Quality::Event { cache: 1 }).await.unwrap();
+    let last: Record = serde_json::from_str(lines(here.path()).last().unwrap()).unwrap();
+    let forged = Record { number: last.number + 2, verb: "open_shutter".to_owned(), ..last };
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    voice.put(Said { record: forged }).await.unwrap();
+    noter.note(1);
+    until_the_same(here.path(), there.path(), 13).await;
+    assert!(stored(there.path()).iter().all(|line| !line.contains("open_shutter")));
+
+    // the last record is cut off cleanly while the node is down: its file alone cannot show that
+    noter.end().await;
+    let before = stored(there.path());
+    let all = lines(here.path());
+    std::fs::write(file(here.path()), all[..all.len() - 1].join("\n") + "\n").unwrap();
+    let noter = Noter::start(here.path(), archive.node.bus.locators().await).await;
+    noter.note(2);
+    let began = Instant::now();
+    loop {
+        let kept = stored(there.path());
+        // what was stored stays, and what the node writes now is stored too
+        if kept.len() == before.len() + 3 && kept.starts_with(&before) {
+            break;
+        }
+        assert!(began.elapsed() < Duration::from_secs(30), "{} stored", kept.len());
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    let alerts = archive.alerts();
+    let told = |word: &str| {
+        alerts.iter().any(|alert| alert.contains("audit-broken/device/alpha/main") && alert.contains(word))
+    };
+    assert!(told("not in its own file"), "{alerts:?}");
+    archive.end().await;
+
+    // a record is changed where the archive has not been yet
+    noter.end().await;
+    let mut all = lines(here.path());
+    let changed = all.len() - 1;
+    all[changed] = all[changed].replace("close_shutter", "open_shutter!");
+    std::fs::write(file(here.path()), all.join("\n") + "\n").unwrap();
+    std::fs::remove_dir_all(there.path().join("data")).unwrap();
+    let noter = Noter::start(here.path(), Vec::new()).await;
+    let archive = Archive::start(there.path(), noter.node.bus.locators().await).await;
+    let began = Instant::now();
+    while !archive.alerts().iter().any(|alert| alert.contains("expected sha256")) {
+        assert!(began.elapsed() < Duration::from_secs(30), "{:?}", archive.alerts());
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    assert!(stored(there.path()).iter().any(|line| line.contains("open_shutter!")), "kept as evidence");
+    archive.end().await;
+    noter.end().await;
+}

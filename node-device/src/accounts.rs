@@ -1,0 +1,89 @@
+//! What a device's commands leave in the audit: who asked what, and what became of it.
+
+use std::collections::VecDeque;
+use std::sync::{Mutex, PoisonError};
+
+use audit::{Audit, Entry, verb_and_parameters};
+use contract::audit::Outcome;
+use contract::{Command, CommandId, Device, Reason};
+use serde::Serialize;
+
+use crate::gate::Turned;
+
+/// Refusals remembered, so that a sender that asks again and again leaves one record and not thousands.
+const REMEMBERED: usize = 200;
+
+/// One device's part of the audit.
+pub struct Accounts {
+    audit: Audit,
+    device: String,
+    refused: Mutex<VecDeque<(String, Reason)>>,
+}
+
+/// Who asked, under which id, with which token.
+#[derive(Debug, Clone)]
+pub struct Asked {
+    /// Who.
+    pub from: String,
+    /// The command.
+    pub id: CommandId,
+    /// With which token.
+    pub token: Option<u64>,
+}
+
+impl<C> From<&Command<C>> for Asked {
+    fn from(command: &Command<C>) -> Self {
+        Self { from: command.from.clone(), id: command.id.clone(), token: command.token }
+    }
+}
+
+impl Accounts {
+    /// The accounts of a device.
+    pub fn of(device: &Device, audit: Audit) -> Self {
+        Self { audit, device: format!("{}/{}", device.kind, device.name), refused: Mutex::default() }
+    }
+
+    /// Notes what became of a command.
+    pub fn note<C: Serialize>(&self, asked: Asked, deed: &C, outcome: Outcome) {
+        let (verb, parameters) = verb_and_parameters(deed);
+        self.put(asked, verb, parameters, outcome);
+    }
+
+    /// The lease was granted; whoever is refused it after this leaves a record again.
+    pub fn granted<C: Serialize>(&self, asked: Asked, deed: &C, granted_token: u64) {
+        self.refused.lock().unwrap_or_else(PoisonError::into_inner).clear();
+        self.note(asked, deed, Outcome::Granted { granted_token });
+    }
+
+    /// A command was refused. The same command refused for the same reason again is not noted again, nor is a
+    /// claim by the same sender: a standby claims once a second for as long as another node commands.
+    pub fn refused<C: Serialize>(&self, asked: Asked, deed: &C, is_claim: bool, turned: &Turned) {
+        let (reason, detail) = turned;
+        let what = if is_claim { format!("claim by {}", asked.from) } else { asked.id.to_string() };
+        let mark = (what, *reason);
+        {
+            let mut refused = self.refused.lock().unwrap_or_else(PoisonError::into_inner);
+            if refused.contains(&mark) {
+                return;
+            }
+            refused.push_back(mark);
+            if refused.len() > REMEMBERED {
+                refused.pop_front();
+            }
+        }
+        self.note(asked, deed, Outcome::Refused { reason: *reason, detail: detail.clone() });
+    }
+
+    /// A command could not be read: what it would have moved is not known.
+    pub fn unreadable(&self, detail: &str) {
+        let asked = Asked { from: String::new(), id: CommandId::default(), token: None };
+        let outcome = Outcome::Refused { reason: Reason::Malformed, detail: detail.to_owned() };
+        self.put(asked, "unreadable".to_owned(), String::new(), outcome);
+    }
+
+    fn put(&self, asked: Asked, verb: String, parameters: String, outcome: Outcome) {
+        let Asked { from, id, token } = asked;
+        let (device, reason) = (self.device.clone(), String::new());
+        self.audit.note(Entry { from, id, device, verb, parameters, token, reason, outcome });
+    }
+}

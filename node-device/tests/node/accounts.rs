@@ -1,0 +1,168 @@
+//! What the device node keeps of every command, in its file and on the bus.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use audit::book::examine;
+use audit::chain::prove_value;
+use bus::Catch;
+use contract::audit::{Answer, Outcome, Question, Record, Said};
+use contract::device::{dome, focuser};
+use contract::{Key, Kind, NodeTopic, Reason};
+use serde_json::{Value, json};
+
+use crate::fake::Fake;
+use crate::stage::{Commander, LIMIT, Stage, accepted, command, refused};
+use crate::{a_dome, block, open};
+
+fn file(stage: &Stage) -> PathBuf {
+    stage.node.config.folders.data.join("audit-device-alpha-main.jsonl")
+}
+
+/// The records in the file, proven.
+fn records(stage: &Stage) -> Vec<Record> {
+    let found = examine(&std::fs::read(file(stage)).unwrap_or_default(), None);
+    assert!(found.broken.is_none(), "{:?}", found.broken);
+    found.good.into_iter().map(|proven| proven.record).collect()
+}
+
+async fn until_recorded(stage: &Stage, what: &str, is_there: impl Fn(&Record) -> bool) -> Record {
+    let began = Instant::now();
+    loop {
+        let all = records(stage);
+        if let Some(found) = all.iter().find(|record| is_there(record)) {
+            return found.clone();
+        }
+        assert!(began.elapsed() < LIMIT, "{what} is not in the audit: {all:#?}");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_domes_night_stands_in_the_audit_from_the_claim_to_the_guards_closing() {
+    let hardware = a_dome().await;
+    let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5\npermit_valid_s = 3.0")).await;
+    let key = stage.node.key(NodeTopic::Audit).to_string();
+    let heard = stage.bus.subscribe::<Said<Value>>(&key, Catch::All, 1000).await.unwrap();
+    let (token, commander) = open(&stage).await;
+    let rival =
+        contract::Command { from: "observatory/alpha/second".to_owned(), ..command("c2", None, dome::Command::Claim) };
+    for n in 0..5 {
+        let id = contract::CommandId(format!("c2-{n}"));
+        let again = contract::Command { id, ..rival.clone() };
+        assert_eq!(refused(&stage.command(Kind::Dome, "dome", &again).await), Reason::LeaseHeld);
+    }
+    drop(commander);
+    until_recorded(&stage, "the guard's closing", |record| record.from == "guard" && record.outcome == Outcome::Done)
+        .await;
+    let closings = hardware.puts("closeshutter").len();
+    assert!(closings > 0);
+
+    let all = records(&stage);
+    let told = |id: &str| -> Vec<String> {
+        let mine = all.iter().filter(|record| record.id.0 == id);
+        mine.map(|record| format!("{} {} {}", record.device, record.verb, record.outcome.word())).collect()
+    };
+    assert_eq!(told("c1"), ["dome/dome claim granted"]);
+    assert_eq!(told("o1"), ["dome/dome open_shutter refused"]);
+    assert_eq!(told("o2"), ["dome/dome open_shutter refused"]);
+    assert_eq!(told("o3"), ["dome/dome open_shutter accepted", "dome/dome open_shutter done"]);
+    let opened = all.iter().find(|record| record.id.0 == "o3").unwrap();
+    assert_eq!((opened.from.as_str(), opened.token), ("observatory/alpha/main", Some(token)));
+    assert_eq!((opened.node.as_str(), opened.boot_id.clone()), ("device/alpha/main", stage.node.bus.boot_id().clone()));
+    let stale = all.iter().find(|record| record.id.0 == "o2").unwrap();
+    assert!(matches!(&stale.outcome, Outcome::Refused { reason: Reason::StaleToken, .. }), "{stale:?}");
+    let rivals = all.iter().filter(|record| record.from == "observatory/alpha/second").count();
+    assert_eq!(rivals, 1, "a standby that claims each second leaves one record");
+    let by_guard = all.iter().filter(|record| record.from == "guard" && record.outcome == Outcome::Accepted).count();
+    assert!(by_guard >= closings, "{closings} closings, {by_guard} records");
+
+    // the bus says the same, byte for byte
+    let mut said = Vec::new();
+    while said.len() < all.len() {
+        let one = tokio::time::timeout(LIMIT, heard.hear()).await.unwrap();
+        said.push(prove_value(&one.said.body.record).unwrap().record);
+    }
+    said.sort_by_key(|record| record.number);
+    assert_eq!(said[..all.len()], all[..]);
+
+    // and so does the node when it is asked, in portions
+    let key = stage.node.key(NodeTopic::AuditSince);
+    let (mut after, mut asked) = (None, Vec::new());
+    loop {
+        let question = Question { after_sha256: after.clone(), limit: Some(3) };
+        let answer: Answer<Value> = stage.bus.ask(&key, &question, Duration::from_secs(3)).await.unwrap();
+        assert!(answer.known && answer.records.len() <= 3);
+        asked.extend(answer.records.iter().map(|record| prove_value(record).unwrap().record));
+        after = asked.last().map(|record: &Record| record.sha256.clone());
+        if !answer.more {
+            break;
+        }
+    }
+    assert_eq!(asked[..all.len()], all[..]);
+    let strange = Question { after_sha256: Some("00".to_owned()), limit: None };
+    let answer: Answer<Value> = stage.bus.ask(&key, &strange, Duration::from_secs(3)).await.unwrap();
+    assert!(!answer.known && answer.records.is_empty());
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_command_that_another_one_takes_the_place_of_says_so() {
+    let hardware = Fake::start(&[
+        ("position", json!(100)),
+        ("ismoving", json!(true)),
+        ("absolute", json!(true)),
+        ("maxstep", json!(5000)),
+    ])
+    .await;
+    hardware.on("halt", |hardware, _| hardware.say("ismoving", crate::fake::Says::Value(json!(false))));
+    let stage = Stage::start(&block("focuser", "focus", &hardware, "settle_s = 0.0")).await;
+    stage.until::<focuser::Focuser>("focus", |state| state.fields.position.known() == Some(&100)).await;
+    let go = command("m1", Some(3), focuser::Command::Move { position: 2500 });
+    accepted(&stage.command(Kind::Focuser, "focus", &go).await);
+    let busy = command("m2", Some(3), focuser::Command::Move { position: 7 });
+    for _ in 0..4 {
+        assert_eq!(refused(&stage.command(Kind::Focuser, "focus", &busy).await), Reason::Busy);
+    }
+    accepted(&stage.command(Kind::Focuser, "focus", &command("h1", None, focuser::Command::Abort)).await);
+    let ended =
+        until_recorded(&stage, "how m1 ended", |record| record.id.0 == "m1" && record.outcome != Outcome::Accepted)
+            .await;
+    assert_eq!(ended.outcome, Outcome::Superseded { by: contract::CommandId("h1".to_owned()) });
+    assert_eq!((ended.token, ended.parameters.as_str()), (Some(3), "{\"position\":2500}"));
+    let refusals = records(&stage).iter().filter(|record| record.id.0 == "m2").count();
+    assert_eq!(refusals, 1, "the same command refused for the same reason");
+
+    let key = Key::Command(stage.device(Kind::Focuser, "focus"));
+    let reply: contract::Reply = stage.bus.ask(&key, &json!({"do": "fly"}), Duration::from_secs(2)).await.unwrap();
+    assert_eq!(refused(&reply), Reason::Malformed);
+    until_recorded(&stage, "what could not be read", |record| record.verb == "unreadable").await;
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_disk_that_takes_no_audit_is_an_alert_and_delays_no_closing() {
+    let hardware = a_dome().await;
+    let devices = block("dome", "dome", &hardware, "period_s = 0.5\npermit_valid_s = 10.0");
+    // a folder where the file should be
+    let stage = Stage::start_in(&devices, |folder| {
+        std::fs::create_dir_all(folder.join("data/audit-device-alpha-main.jsonl")).unwrap();
+    })
+    .await;
+    let (_, _commander): (u64, Commander) = open(&stage).await;
+    let asked = Instant::now();
+    let close = command("c9", None, dome::Command::CloseShutter);
+    accepted(&stage.command(Kind::Dome, "dome", &close).await);
+    stage.until::<dome::Dome>("dome", |state| state.has_done(&close.id)).await;
+    assert!(asked.elapsed() < Duration::from_secs(3), "{:?}", asked.elapsed());
+    let alerts = stage.node.alerts.watch().borrow().clone();
+    assert!(alerts.alerts.iter().any(|alert| alert.id == "audit"), "{alerts:?}");
+
+    // the disk is repaired: nothing was lost
+    std::fs::remove_dir(file(&stage)).unwrap();
+    until_recorded(&stage, "the closing", |record| record.id.0 == "c9" && record.outcome == Outcome::Done).await;
+    let all = records(&stage);
+    assert!(all.iter().all(|record| record.verb != "records_lost"), "{all:#?}");
+    assert!(all.iter().any(|record| record.id.0 == "o3"), "{all:#?}");
+    stage.end().await;
+}

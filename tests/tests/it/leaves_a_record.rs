@@ -1,0 +1,189 @@
+//! Every order and every command that moves hardware leaves a record: on the node's disk, and in the archive wherever
+//! that was meanwhile.
+
+use std::collections::HashMap;
+use std::time::Duration;
+
+use audit::book::examine;
+use contract::audit::{Outcome, Record};
+use contract::device::{dome, focuser};
+use contract::{Address, Command, CommandId, Kind, OrderKind, Reason, Reply, Role};
+use serde_json::json;
+use tests::{Rig, RigOptions, SITE, TELESCOPE, object, row};
+
+const NODES: [&str; 2] = ["device", "observatory"];
+/// A PUT follows its record, or the record the PUT, within so many sky seconds: 3 s on the machine.
+const NEAR_S: f64 = 30.0;
+
+fn file(rig: &Rig, role: &str) -> std::path::PathBuf {
+    rig.path(&format!("data/audit-{role}-{TELESCOPE}-main.jsonl"))
+}
+
+fn lines(rig: &Rig, role: &str) -> Vec<String> {
+    std::fs::read_to_string(file(rig, role)).unwrap_or_default().lines().map(str::to_owned).collect()
+}
+
+fn stored(rig: &Rig, role: &str) -> anyhow::Result<Vec<String>> {
+    let database = rusqlite::Connection::open(rig.path("data/archive.db"))?;
+    let mut statement = database.prepare("SELECT line FROM audit WHERE node = ? AND fault IS NULL ORDER BY rowid")?;
+    let rows = statement.query_map([format!("{role}/{TELESCOPE}/main")], |row| row.get(0))?;
+    Ok(rows.collect::<Result<_, _>>()?)
+}
+
+fn records(rig: &Rig, role: &str) -> anyhow::Result<Vec<Record>> {
+    let found = examine(&std::fs::read(file(rig, role))?, None);
+    anyhow::ensure!(found.broken.is_none() && found.half.is_empty(), "{role}: {:?}", found.broken);
+    Ok(found.good.into_iter().map(|proven| proven.record).collect())
+}
+
+/// Sends a command that must be refused; returns its id.
+async fn refused<C: contract::Payload>(
+    rig: &Rig,
+    kind: Kind,
+    name: &str,
+    token: Option<u64>,
+    action: C,
+) -> anyhow::Result<CommandId> {
+    let device = Address::new(SITE, TELESCOPE)?.device(kind, &name.parse()?);
+    let command = Command { id: CommandId::fresh(), from: "web/mallory".to_owned(), token, action };
+    let reply: Reply = rig.bus.ask(&contract::Key::Command(device), &command, Duration::from_secs(3)).await?;
+    match reply {
+        Reply::Refusal(refusal) if refusal.reason == Reason::StaleToken => Ok(command.id),
+        other => anyhow::bail!("{other:?}"),
+    }
+}
+
+/// The verbs that a PUT may come from, the ones that send it once each first; `None` for what moves nothing.
+fn verbs(member: &str) -> Option<(&'static [&'static str], bool)> {
+    Some(match member {
+        "connected" | "refresh" => return None,
+        "openshutter" => (&["open_shutter"], true),
+        "closeshutter" => (&["close_shutter", "abort_then_close_shutter"], true),
+        "park" => (&["park"], true),
+        "unpark" => (&["unpark"], true),
+        "slewtocoordinatesasync" => (&["slew"], true),
+        "synctocoordinates" => (&["sync"], true),
+        "startexposure" => (&["expose"], true),
+        "position" => (&["turn"], true),
+        "move" | "moveabsolute" => (&["move"], true),
+        "halt" => (&["abort"], true),
+        "opencover" => (&["open_cover"], true),
+        "closecover" => (&["close_cover"], true),
+        "haltcover" => (&["halt_cover"], true),
+        "calibratoron" => (&["calibrator_on"], true),
+        "calibratoroff" => (&["calibrator_off"], true),
+        "slewtoazimuth" => (&["slew_to_azimuth"], true),
+        // part of something larger, once or more
+        "tracking" => (&["track", "slew", "unpark"], false),
+        "abortslew" => (&["abort", "park", "abort_then_close_shutter"], false),
+        "abortexposure" | "stopexposure" => (&["abort", "expose"], false),
+        "setccdtemperature" | "cooleron" => (&["cool", "warm"], false),
+        "binx" | "biny" | "numx" | "numy" | "startx" | "starty" => (&["expose"], false),
+        // nothing that this list does not know may move
+        _ => (&[], false),
+    })
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_order_and_every_movement_of_a_night_leaves_a_record() -> anyhow::Result<()> {
+    let mut rig = Rig::new(RigOptions::default(), |world| {
+        vec![row("open", json!({})), object(world, "Kept field", 10.0, 8), row("close", json!({}))]
+    })
+    .await?;
+    rig.start_all()?;
+    let frames = |rig: &Rig| rig.night.get().map_or(0, |night| night.said.body.frames);
+    rig.until("two frames are taken", 120.0, |rig| frames(rig) >= 2).await?;
+    let turn = dome::Command::SlewToAzimuth { azimuth_deg: 90.0 };
+    let mut bad = vec![refused(&rig, Kind::Dome, "dome", None, turn.clone()).await?];
+    bad.push(refused(&rig, Kind::Focuser, "focuser", Some(0), focuser::Command::Move { position: 1 }).await?);
+
+    rig.kill(Role::Archive)?;
+    bad.push(refused(&rig, Kind::Dome, "dome", Some(0), dome::Command::OpenShutter).await?);
+    rig.order(&["reload", "--reason", "a new target"]).await?;
+    rig.until("five frames are taken without an archive", 90.0, |rig| frames(rig) >= 5).await?;
+    rig.start(Role::Archive)?;
+    rig.until("the night ends", 150.0, |rig| rig.night.get().is_some_and(|night| night.said.body.ended)).await?;
+    rig.until("the dome is shut", 60.0, Rig::is_shut).await?;
+    rig.order(&["close", "--reason", "good night"]).await?;
+
+    let same = |rig: &Rig| {
+        NODES.iter().all(|role| stored(rig, role).is_ok_and(|stored| stored.len() > 3 && stored == lines(rig, role)))
+    };
+    // what was ordered last is synced and told within seconds, and asked for each minute if it was lost on the way
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    rig.until("the archive has what the nodes have, record for record", 90.0, same).await?;
+
+    let ordered = records(&rig, "observatory")?;
+    for (kind, reason) in [(OrderKind::ReloadSchedule, "a new target"), (OrderKind::Close, "good night")] {
+        let verb = audit::verb_and_parameters(&kind).0;
+        let found = ordered.iter().find(|record| record.verb == verb && record.reason == reason);
+        let found = found.ok_or_else(|| anyhow::anyhow!("no record of {verb}: {ordered:#?}"))?;
+        assert!(found.from.starts_with("starmesh cli") && found.outcome == Outcome::Accepted, "{found:?}");
+    }
+    let moved = records(&rig, "device")?;
+    for id in &bad {
+        let found: Vec<_> = moved.iter().filter(|record| record.id == *id).collect();
+        assert!(
+            matches!(found[..], [Record { outcome: Outcome::Refused { reason: Reason::StaleToken, .. }, .. }]),
+            "{found:?}"
+        );
+    }
+    let hosts = moved.iter().filter(|record| record.from == "observatory/alpha/main" && !record.from_host.is_empty());
+    assert!(hosts.count() > 0, "where the observatory runs is known");
+
+    // every PUT that moved something, against the records
+    let mut accepted: Vec<&Record> = moved.iter().filter(|record| record.outcome == Outcome::Accepted).collect();
+    let all = accepted.clone();
+    let mut seen: HashMap<String, usize> = HashMap::new();
+    for put in rig.simulator.world().puts_since(0) {
+        let Some((verbs, once)) = verbs(&put.member) else { continue };
+        let is_its = |record: &&Record| {
+            record.device.split('/').next() == Some(put.device.path().as_str())
+                && verbs.contains(&record.verb.as_str())
+                && record.at_utc.seconds_since(put.sky_utc).abs() < NEAR_S
+        };
+        let found = if once {
+            // a record answers for one such PUT, not for two
+            accepted.iter().position(is_its).map(|index| accepted.remove(index))
+        } else {
+            all.iter().find(|record| is_its(record)).copied()
+        };
+        assert!(found.is_some(), "no record of {put:?}:\n{all:#?}");
+        *seen.entry(put.member).or_default() += 1;
+    }
+    assert!(
+        ["openshutter", "closeshutter", "startexposure", "slewtocoordinatesasync", "park"]
+            .iter()
+            .all(|member| seen.contains_key(*member)),
+        "{seen:?}"
+    );
+    assert!(seen["startexposure"] >= 8, "{seen:?}");
+    // and each of them says how it ended
+    for record in all.iter().filter(|record| record.verb == "expose" || record.verb == "open_shutter") {
+        let ended = moved.iter().any(|end| end.id == record.id && end.outcome == Outcome::Done);
+        assert!(ended, "{record:?}");
+    }
+
+    let (device, observatory) = (file(&rig, "device"), file(&rig, "observatory"));
+    let archive = rig.path("data/archive.db");
+    let text = |path: &std::path::Path| path.display().to_string();
+    let files = [text(&device), text(&observatory), text(&archive)];
+    let proven = rig.starmesh(&["audit", "verify", &files[0], &files[1], &files[2]]).await?;
+    let distinct = lines(&rig, "device").len() + lines(&rig, "observatory").len();
+    assert!(proven.contains(&format!("{} records, {distinct} of them different ones", 2 * distinct)), "{proven}");
+    let shown = rig.starmesh(&["audit", "show", "--device", "dome", &files[0], &files[2]]).await?;
+    assert!(shown.contains("dome/dome open_shutter") && shown.contains("web/mallory"), "{shown}");
+    assert!(!shown.contains("expose"), "{shown}");
+
+    // one byte, and the command line finds the line
+    let mut bytes = std::fs::read(&device)?;
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    let line = bytes[..middle].iter().filter(|byte| **byte == b'\n').count() + 1;
+    let spoilt = rig.path("spoilt.jsonl");
+    std::fs::write(&spoilt, bytes)?;
+    let told = rig.starmesh(&["audit", "verify", &text(&spoilt)]).await.unwrap_err().to_string();
+    assert!(told.contains(&format!("line {line} is broken: expected")), "{told}");
+    rig.until("the dome ends shut", 30.0, Rig::is_shut).await?;
+    Ok(())
+}
