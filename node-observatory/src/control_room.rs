@@ -4,9 +4,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bus::Node;
+use contract::observatory::Alerts;
 use contract::{Key, Part};
 use tokio::sync::{Notify, watch};
 
+use crate::annunciator::Annunciator;
 use crate::journal::Journal;
 use crate::lease::Hold;
 use crate::ledger::Ledger;
@@ -40,6 +42,10 @@ pub struct ControlRoom {
     pub rules: Arc<Rules>,
     /// What people have ordered of the verdict.
     pub standing: watch::Sender<Standing>,
+    /// What people have done about alerts.
+    pub annunciator: watch::Sender<Annunciator>,
+    /// The alerts as people are to hear of them; `None` while another node speaks for this telescope.
+    pub alerts: watch::Sender<Option<Alerts>>,
     /// Frames announced and stored.
     pub ledger: Ledger,
     /// What is shown of the night.

@@ -127,6 +127,7 @@ impl Node {
             result = health => result,
             result = twin::leave_to_older(&self) => result,
             result = write => result,
+            () = self.alerts.keep_time() => Ok(()),
             result = alerts.follow(self.alerts.watch(), Duration::from_secs(10)) => Ok(result?),
         }
     }
