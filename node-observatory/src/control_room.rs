@@ -87,6 +87,11 @@ impl ControlRoom {
         self.ruling.borrow().is_safe(self.node.bus.clock().machine())
     }
 
+    /// Does the safety loop judge? Whatever it says: a loop that hangs says nothing new.
+    pub fn is_judging(&self) -> bool {
+        self.ruling.borrow().is_fresh(self.node.bus.clock().machine())
+    }
+
     /// A standby says nothing, nor does a node that may find itself to be one: one writer per key.
     pub fn may_speak(&self) -> bool {
         match *self.hold.borrow() {
