@@ -8,7 +8,7 @@
 //! The shelf lies beside it: whom it holds, nobody is told of, until it expires or somebody takes it off. Nothing here
 //! is heard by the verdict or a guard. It outlives a restart (`alerts-TELESCOPE.json` in the data folder).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -30,6 +30,9 @@ pub struct Annunciator {
     /// By id of the alert; what is shelved may come and go meanwhile.
     #[serde(default)]
     shelved: BTreeMap<String, Shelved>,
+    /// Ids of the life before that this one has not heard of: their nodes may not have spoken yet.
+    #[serde(skip)]
+    awaited: BTreeSet<String>,
 }
 
 /// One alert on the shelf.
@@ -41,10 +44,15 @@ struct Shelved {
 }
 
 impl Annunciator {
-    /// Takes what all nodes say now. `settled`: every node had time to speak, so what is missing is gone.
+    /// Takes what all nodes say now. `settled`: every node had time to speak, so that what the life before knew and
+    /// nobody says is gone.
     pub fn hear(&mut self, standing: &Alerts, settled: bool, now: Utc) {
         self.shelved.retain(|_, shelved| holds(shelved, now));
+        if settled {
+            self.awaited.clear();
+        }
         for alert in &standing.alerts {
+            self.awaited.remove(&alert.id);
             let known = self.alerts.get(&alert.id);
             let mut alert = alert.clone();
             if let Some(known) = known {
@@ -57,20 +65,18 @@ impl Annunciator {
             }
             self.alerts.insert(alert.id.clone(), alert);
         }
-        if settled {
-            let shelved = &self.shelved;
-            self.alerts.retain(|id, alert| {
-                if standing.alerts.iter().any(|standing| standing.id == *id) {
-                    return true;
-                }
-                let urgent = alert.priority <= Priority::High;
-                let waits = urgent && alert.acknowledged_by.is_none() && !shelved.contains_key(id);
-                if waits && alert.returned_utc.is_none() {
-                    alert.returned_utc = Some(now);
-                }
-                waits
-            });
-        }
+        let (shelved, awaited) = (&self.shelved, &self.awaited);
+        self.alerts.retain(|id, alert| {
+            if awaited.contains(id) || standing.alerts.iter().any(|standing| standing.id == *id) {
+                return true;
+            }
+            let urgent = alert.priority <= Priority::High;
+            let waits = urgent && alert.acknowledged_by.is_none() && !shelved.contains_key(id);
+            if waits && alert.returned_utc.is_none() {
+                alert.returned_utc = Some(now);
+            }
+            waits
+        });
     }
 
     /// Somebody knows of it. A returned one is thereby done with.
@@ -130,7 +136,9 @@ impl Annunciator {
     /// What the life before knew. A file that cannot be read is as none: everything then stands as new.
     pub fn read(path: &Path) -> Self {
         let read = match std::fs::read(path) {
-            Ok(bytes) => serde_json::from_slice(&bytes).map_err(|error| error.to_string()),
+            Ok(bytes) => {
+                serde_json::from_slice(&bytes).map(Self::of_the_life_before).map_err(|error| error.to_string())
+            }
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Self::default()),
             Err(error) => Err(error.to_string()),
         };
@@ -138,6 +146,10 @@ impl Annunciator {
             tracing::warn!(path = %path.display(), error, "what people did about alerts is not known; all stand as new");
             Self::default()
         })
+    }
+
+    fn of_the_life_before(self) -> Self {
+        Self { awaited: self.alerts.keys().cloned().collect(), ..self }
     }
 
     /// Keeps it for the next life of this node: the old file or the new one, whatever happens.
@@ -200,22 +212,20 @@ mod tests {
         let (mut desk, mut now, mut standing) = (Annunciator::default(), 0.0, Alerts::default());
         for step in story {
             now += 1.0;
-            let mut settled = true;
             match step {
                 Up(kind) => standing.alerts = vec![kind.alert("x", at(now), "c")],
                 Down => standing.alerts.clear(),
                 Restart => {
                     let text = serde_json::to_vec(&desk).unwrap();
-                    desk = serde_json::from_slice(&text).unwrap();
-                    settled = false;
-                    desk.hear(&Alerts::default(), settled, at(now));
+                    desk = serde_json::from_slice::<Annunciator>(&text).unwrap().of_the_life_before();
+                    desk.hear(&Alerts::default(), false, at(now));
                 }
                 Ack(kind) => desk.acknowledge(&kind.id("x"), &said(now)).unwrap(),
                 Shelve(kind, for_s) => desk.shelve(&kind.id("x"), for_s, said(now)).unwrap(),
                 Unshelve(kind) => desk.unshelve(&kind.id("x")).unwrap(),
                 Wait(seconds) => now += seconds,
             }
-            desk.hear(&standing, settled, at(now));
+            desk.hear(&standing, false, at(now));
         }
         let shown = desk.shown(at(now)).alerts;
         let Some(alert) = shown.first() else { return "-".to_owned() };
@@ -253,6 +263,17 @@ mod tests {
     }
 
     #[test]
+    fn what_the_life_before_knew_is_gone_once_every_node_had_time_to_speak() {
+        let mut desk = Annunciator::default();
+        desk.hear(&Alerts { alerts: vec![MILD.alert("x", at(0.0), "c")] }, true, at(0.0));
+        let mut desk = desk.of_the_life_before();
+        desk.hear(&Alerts::default(), false, at(1.0));
+        assert_eq!(desk.shown(at(1.0)).alerts.len(), 1);
+        desk.hear(&Alerts::default(), true, at(60.0));
+        assert_eq!(desk.shown(at(60.0)).alerts.len(), 0);
+    }
+
+    #[test]
     fn orders_about_what_does_not_stand_are_refused_with_what_does() {
         let mut desk = Annunciator::default();
         desk.hear(&Alerts { alerts: vec![MILD.alert("cam", at(0.0), "c")] }, true, at(0.0));
@@ -279,7 +300,9 @@ mod tests {
         desk.acknowledge("dome-not-closed/d", &said(1.0)).unwrap();
         desk.shelve("dome-not-closed/d", 60.0, said(1.0)).unwrap();
         desk.write(&path).unwrap();
-        assert_eq!(Annunciator::read(&path), desk);
+        let again = Annunciator::read(&path);
+        assert_eq!(again, Annunciator { awaited: ["dome-not-closed/d".to_owned()].into(), ..desk.clone() });
+        assert_eq!(again.shown(at(2.0)), desk.shown(at(2.0)));
         std::fs::write(&path, "{").unwrap();
         assert_eq!(Annunciator::read(&path), Annunciator::default());
     }

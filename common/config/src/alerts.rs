@@ -227,6 +227,15 @@ mod tests {
     }
 
     #[test]
+    fn the_example_for_operators_is_taken() {
+        let page = include_str!("../../../docs/operator/alerts.md").replace("\r\n", "\n");
+        let (_, rest) = page.split_once("```toml\n").unwrap();
+        let (example, _) = rest.split_once("```").unwrap();
+        let alerts = crate::parse(&format!("{PLACE}{example}"), Path::new("/")).unwrap().alerts;
+        assert_eq!((alerts.webhook.len(), alerts.email.len(), alerts.flood_messages), (1, 2, 10));
+    }
+
+    #[test]
     fn what_cannot_be_is_refused_with_its_line() {
         let hook = |rest: &str| faults(&format!("[[alerts.webhook]]\nname = \"chat\"\n{rest}\n"));
         let cases = [

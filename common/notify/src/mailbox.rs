@@ -88,7 +88,12 @@ impl Mailbox {
         let since = if is_open(alert) { Some(*self.unseen.entry(alert.id.clone()).or_insert(now)) } else { None };
         let told = self.told.get(&alert.id).map(|told| (told.event, told.raised_utc));
         let event = match (alert, told) {
-            (Alert { shelved_until_utc: Some(_), .. }, _) => return,
+            (Alert { shelved_until_utc: Some(_), .. }, _) => {
+                // when it comes from the shelf it is told anew
+                self.told.remove(&alert.id);
+                self.waiting.retain(|news| news.alert.id != alert.id);
+                return;
+            }
             (Alert { acknowledged_by: Some(_), .. }, Some((Event::Acknowledged, _)) | None) => return,
             (Alert { acknowledged_by: Some(_), .. }, Some(_)) => Event::Acknowledged,
             (Alert { returned_utc: Some(_), .. }, Some((Event::Returned, _))) => return,
@@ -246,10 +251,10 @@ mod tests {
             ("but of others", 0, vec![vec![other]], vec!["0: raised alert-not-sent/you"]),
             ("nothing that is shelved", 0, vec![vec![shelved(d.clone())]; 2], vec![]),
             (
-                "but when it comes from the shelf",
+                "but when it comes from the shelf, again",
                 0,
-                vec![vec![shelved(d.clone())], vec![d.clone()]],
-                vec!["1: raised dome-not-closed/d"],
+                vec![vec![d.clone()], vec![shelved(d.clone())], vec![d.clone()]],
+                vec!["0: raised dome-not-closed/d", "2: raised dome-not-closed/d"],
             ),
             ("escalated after its time", 2, vec![vec![d.clone()]; 4], vec!["2: raised dome-not-closed/d"]),
             (
