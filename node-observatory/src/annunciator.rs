@@ -58,10 +58,8 @@ impl Annunciator {
             if let Some(known) = known {
                 alert.acknowledged_by.clone_from(&known.acknowledged_by);
                 alert.acknowledged_utc = known.acknowledged_utc;
-                if known.returned_utc.is_some() {
-                    // it has been waiting for somebody since then
-                    alert.raised_utc = known.raised_utc;
-                }
+                // one alert of several nodes stands since the first of them told it
+                alert.raised_utc = known.raised_utc;
             }
             self.alerts.insert(alert.id.clone(), alert);
         }

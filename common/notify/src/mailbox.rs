@@ -5,7 +5,6 @@ use std::time::Duration;
 
 use bus::MachineTime;
 use contract::observatory::{Alert, Alerts, Priority};
-use units::Utc;
 
 pub use crate::letter::{Event, Letter, News};
 
@@ -46,7 +45,6 @@ pub struct Mailbox {
 struct Told {
     alert: Alert,
     event: Event,
-    raised_utc: Utc,
 }
 
 impl Mailbox {
@@ -86,7 +84,7 @@ impl Mailbox {
 
     fn consider(&mut self, alert: &Alert, now: MachineTime) {
         let since = if is_open(alert) { Some(*self.unseen.entry(alert.id.clone()).or_insert(now)) } else { None };
-        let told = self.told.get(&alert.id).map(|told| (told.event, told.raised_utc));
+        let told = self.told.get(&alert.id).map(|told| told.event);
         let event = match (alert, told) {
             (Alert { shelved_until_utc: Some(_), .. }, _) => {
                 // when it comes from the shelf it is told anew
@@ -94,17 +92,17 @@ impl Mailbox {
                 self.waiting.retain(|news| news.alert.id != alert.id);
                 return;
             }
-            (Alert { acknowledged_by: Some(_), .. }, Some((Event::Acknowledged, _)) | None) => return,
+            (Alert { acknowledged_by: Some(_), .. }, Some(Event::Acknowledged) | None) => return,
             (Alert { acknowledged_by: Some(_), .. }, Some(_)) => Event::Acknowledged,
-            (Alert { returned_utc: Some(_), .. }, Some((Event::Returned, _))) => return,
+            (Alert { returned_utc: Some(_), .. }, Some(Event::Returned)) => return,
             (Alert { returned_utc: Some(_), .. }, Some(_)) => Event::Returned,
-            (_, Some((Event::Raised, raised_utc))) if raised_utc == alert.raised_utc => return,
+            (_, Some(Event::Raised)) => return,
             // also one that has returned: somebody must know that it was there
             (_, _) if since.is_none_or(|since| now.since(since) < self.wish.after) => return,
             (Alert { returned_utc: Some(_), .. }, None) => Event::Returned,
             (_, _) => Event::Raised,
         };
-        let told = Told { alert: alert.clone(), event, raised_utc: alert.raised_utc };
+        let told = Told { alert: alert.clone(), event };
         self.told.insert(alert.id.clone(), told);
         self.add(event, alert.clone());
     }
@@ -167,6 +165,7 @@ fn is_open(alert: &Alert) -> bool {
 #[cfg(test)]
 mod tests {
     use contract::observatory::AlertKind;
+    use units::Utc;
 
     use super::*;
 
