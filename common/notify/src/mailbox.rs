@@ -177,7 +177,7 @@ mod tests {
         Wish {
             min_priority: Priority::High,
             after: Duration::from_secs(after_s),
-            most: 2,
+            most: 10,
             window: Duration::from_secs(60),
             own_alert: AlertKind::AlertNotSent.id("me"),
         }
@@ -286,7 +286,7 @@ mod tests {
             "3: raised dome-not-closed/x",
             "60: raised dome-held/c, raised dome-held/d, raised dome-held/e",
         ];
-        assert_eq!(letters(wish(0), lists), wanted);
+        assert_eq!(letters(Wish { most: 2, ..wish(0) }, lists), wanted);
     }
 
     #[test]
