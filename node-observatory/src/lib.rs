@@ -62,9 +62,9 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     run("tell the rest", Box::pin(night::keep_telling_the_rest(room.clone())));
     let pinging = room.clone();
     let is_well = move || pinging.is_judging() && pinging.may_speak();
-    let (ping, alerts, at) = (node.clone(), room.alerts.subscribe(), node.clone());
-    run("ping", Box::pin(async move { Ok(notify::keep_pinging(ping, is_well).await) }));
-    run("alerts out", Box::pin(async move { Ok(notify::keep_sending(at, alerts).await) }));
+    let alerts = room.alerts.subscribe();
+    run("ping", Box::pin(notify::keep_pinging(node.clone(), is_well)));
+    run("alerts out", Box::pin(notify::keep_sending(node.clone(), alerts)));
     run("silent nodes", Box::pin(alerting::keep_noticing_silence(room.clone())));
     run("alerts", Box::pin(alerting::keep_merging(room)));
 

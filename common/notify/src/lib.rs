@@ -21,7 +21,7 @@ use tokio::task::JoinSet;
 pub use stand_in::keep_standing_in;
 
 /// Sends what `alerts` shows to all configured receivers, for ever; `None` while somebody else does.
-pub async fn keep_sending(node: bus::Node, alerts: watch::Receiver<Option<Alerts>>) {
+pub async fn keep_sending(node: bus::Node, alerts: watch::Receiver<Option<Alerts>>) -> anyhow::Result<()> {
     let deliver = |receiver: post::Receiver| {
         let (node, alerts) = (node.clone(), alerts.clone());
         let name = receiver.name.clone();
@@ -33,7 +33,7 @@ pub async fn keep_sending(node: bus::Node, alerts: watch::Receiver<Option<Alerts
 }
 
 /// Asks the configured URL in every period in which `is_well`, for ever.
-pub async fn keep_pinging(node: bus::Node, is_well: impl Fn() -> bool + Clone + Send + 'static) {
+pub async fn keep_pinging(node: bus::Node, is_well: impl Fn() -> bool + Clone + Send + 'static) -> anyhow::Result<()> {
     if let Some(ping) = node.config.alerts.ping.clone() {
         let task = move |node| post::keep_pinging(node, ping.clone(), is_well.clone());
         again_and_again(&node, post::PING, task).await;

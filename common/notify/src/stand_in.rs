@@ -25,7 +25,7 @@ pub async fn keep_standing_in(node: Node) -> anyhow::Result<()> {
     };
     let (shown, alerts) = watch::channel(None);
     tokio::select! {
-        () = crate::keep_sending(node.clone(), alerts) => Ok(()),
+        result = crate::keep_sending(node.clone(), alerts) => result,
         result = keep_watching(&node, Duration::from_secs_f64(patience_s), &shown) => result,
     }
 }
