@@ -220,12 +220,15 @@ mod tests {
         Alert { returned_utc: Some(Utc::EPOCH), ..alert }
     }
 
+    /// Name, seconds before it is escalated to this receiver, the lists one a second, the letters.
+    type Story = (&'static str, u64, Vec<Vec<Alert>>, Vec<&'static str>);
+
     #[test]
     fn each_event_is_told_once_and_to_whom_it_concerns() {
         let (d, mild) = (critical("d"), AlertKind::CoolingFailed.alert("c", Utc::EPOCH, "c"));
         let own = AlertKind::AlertNotSent.alert("me", Utc::EPOCH, "c");
         let other = AlertKind::AlertNotSent.alert("you", Utc::EPOCH, "c");
-        let stories: Vec<(&str, u64, Vec<Vec<Alert>>, Vec<&str>)> = vec![
+        let stories: Vec<Story> = vec![
             ("at once, and once", 0, vec![vec![d.clone()]; 3], vec!["0: raised dome-not-closed/d"]),
             (
                 "its end too",
