@@ -96,11 +96,14 @@ mod tests {
         !life.shown(at(at_s)).alerts.is_empty()
     }
 
+    /// Name, kind, what happens at which second, when it is looked at, whether it stands then.
+    type Story<'a> = (&'a str, AlertKind, &'a [(u64, char)], u64, bool);
+
     #[test]
     fn an_alert_lives_as_its_row_says() {
         let (delay, hold) = (u64::from(DELAYED.entry().on_delay_s), u64::from(HELD.entry().hold_s));
         assert!(delay > 1 && hold > 1);
-        let stories: &[(&str, AlertKind, &[(u64, char)], u64, bool)] = &[
+        let stories: &[Story] = &[
             ("it waits for its on-delay", DELAYED, &[(0, '+')], delay - 1, false),
             ("it is shown after it", DELAYED, &[(0, '+')], delay, true),
             ("raising it again does not put it off", DELAYED, &[(0, '+'), (delay - 1, '+')], delay, true),
