@@ -65,6 +65,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
 
     let mut tasks = JoinSet::new();
     tasks.spawn(telemetry::keep(node.clone(), database.clone(), newest.clone()));
+    tasks.spawn(notify::keep_standing_in(node.clone()));
     tasks.spawn(diary::keep(node.clone(), database.clone()));
     tasks.spawn(audit::keep(node.clone(), database.clone()));
     tasks.spawn(store::keep(store::Store {

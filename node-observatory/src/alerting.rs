@@ -1,17 +1,22 @@
-//! The alerts of all nodes of this telescope, merged into one list.
+//! The alerts of all nodes of this telescope, merged into one list, with what people did about them.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
 use bus::{Catch, MachineTime, Quality};
-use contract::observatory::{Alert, Alerts};
+use contract::node::NodeState;
+use contract::observatory::{AlertKind, Alerts};
 use contract::{Key, Name, NodeTopic, Part, Role};
 
+use crate::annunciator::{self, Annunciator};
 use crate::control_room::ControlRoom;
 
-/// Alerts are said every 10 s; a node that is silent for longer than this has no say any more.
+/// Alerts are said every 10 s; a node that is silent for longer than this has no say any more. It is also how long
+/// nothing is taken for gone after this node began to speak: by then every node that is there was heard.
 const SILENCE: Duration = Duration::from_secs(60);
+/// A node says how it is every 5 s; the on-delay of the alert comes on top.
+const LOST: Duration = Duration::from_secs(15);
 
 /// Publishes the merged alerts at each change and every 10 s.
 pub async fn keep_merging(room: Arc<ControlRoom>) -> anyhow::Result<()> {
@@ -21,16 +26,28 @@ pub async fn keep_merging(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let line = room.node.bus.publisher::<Alerts>(&room.key(Part::Alerts), Quality::State { cache: 1 }).await?;
     let clock = room.node.bus.clock().clone();
     let mut own = room.node.alerts.watch();
+    let mut orders = room.annunciator.subscribe();
     let mut heard: BTreeMap<(Role, Name), (Alerts, MachineTime)> = BTreeMap::new();
     let mut said: Option<(Alerts, MachineTime)> = None;
+    let mut speaks_since: Option<MachineTime> = None;
+    let mut kept: Option<Annunciator> = None;
     loop {
         let now = clock.machine();
         heard.retain(|_, (_, arrived)| now.since(*arrived) <= SILENCE);
-        let all = merge(std::iter::once(own.borrow_and_update().clone()).chain(heard.values().map(|(a, _)| a.clone())));
-        let due = said.as_ref().is_none_or(|(was, at)| *was != all || now.since(*at) >= Duration::from_secs(10));
-        if due && room.may_speak() {
-            line.put(all.clone()).await?;
-            said = Some((all, now));
+        let nodes = std::iter::once(own.borrow_and_update().clone());
+        let standing = contract::observatory::merge(nodes.chain(heard.values().map(|(alerts, _)| alerts.clone())));
+        if room.may_speak() {
+            let began = *speaks_since.get_or_insert(now);
+            let _ = orders.borrow_and_update();
+            let all = hear(&room, &standing, now.since(began) > SILENCE);
+            if said.as_ref().is_none_or(|(was, at)| *was != all || now.since(*at) >= Duration::from_secs(10)) {
+                line.put(all.clone()).await?;
+                said = Some((all, now));
+            }
+            keep(&room, &mut kept).await;
+        } else {
+            (speaks_since, kept) = (None, None);
+            room.alerts.send_if_modified(|shown| shown.take().is_some());
         }
         tokio::select! {
             alerts = others.hear() => {
@@ -41,44 +58,68 @@ pub async fn keep_merging(room: Arc<ControlRoom>) -> anyhow::Result<()> {
                 }
             }
             changed = own.changed() => changed?,
+            changed = orders.changed() => changed?,
             () = tokio::time::sleep(Duration::from_secs(5)) => {}
         }
     }
 }
 
-/// One list, the most urgent first; of two with one id the more urgent, then the older.
-fn merge(lists: impl Iterator<Item = Alerts>) -> Alerts {
-    let mut all: Vec<Alert> = lists.flat_map(|list| list.alerts).collect();
-    all.sort_by(|a, b| (a.priority, a.raised_utc, &a.id).cmp(&(b.priority, b.raised_utc, &b.id)));
-    let mut seen = std::collections::BTreeSet::new();
-    all.retain(|alert| seen.insert(alert.id.clone()));
-    Alerts { alerts: all }
+/// Takes what stands, and returns what is shown.
+fn hear(room: &ControlRoom, standing: &Alerts, settled: bool) -> Alerts {
+    let utc = room.node.bus.clock().utc();
+    room.annunciator.send_if_modified(|known| {
+        let was = known.clone();
+        known.hear(standing, settled, utc);
+        *known != was
+    });
+    let all = room.annunciator.borrow().shown(utc);
+    room.alerts.send_if_modified(|shown| {
+        let is_new = shown.as_ref() != Some(&all);
+        *shown = Some(all.clone());
+        is_new
+    });
+    all
 }
 
-#[cfg(test)]
-mod tests {
-    use contract::observatory::Priority;
-
-    use super::*;
-
-    fn alert(id: &str, priority: Priority) -> Alert {
-        let words = String::new();
-        Alert {
-            id: id.to_owned(),
-            priority,
-            raised_utc: units::Utc::EPOCH,
-            cause: words.clone(),
-            consequence: words.clone(),
-            action: words,
-        }
+/// Writes down what is not on disk yet; a disk that fails is told, and tried again at the next round.
+async fn keep(room: &Arc<ControlRoom>, kept: &mut Option<Annunciator>) {
+    let now = room.annunciator.borrow().clone();
+    if kept.as_ref() == Some(&now) {
+        return;
     }
+    let (path, text) = (annunciator::path(&room.node.config), now.clone());
+    match tokio::task::spawn_blocking(move || text.write(&path)).await {
+        Ok(Ok(())) => {
+            *kept = Some(now);
+            room.node.alerts.clear(AlertKind::AlertsNotKept, "");
+        }
+        Ok(Err(error)) => {
+            let cause = format!("what people did about alerts cannot be written down: {error}");
+            room.node.alerts.raise(AlertKind::AlertsNotKept, "", &cause);
+        }
+        Err(error) => tracing::warn!(%error, "writing down the alerts was cut short"),
+    }
+}
 
-    #[test]
-    fn one_cause_is_one_alert_and_the_most_urgent_comes_first() {
-        let ours = Alerts { alerts: vec![alert("a", Priority::Medium), alert("b", Priority::Critical)] };
-        let theirs = Alerts { alerts: vec![alert("a", Priority::High)] };
-        let merged = merge([ours, theirs].into_iter());
-        let found: Vec<_> = merged.alerts.iter().map(|alert| (alert.id.as_str(), alert.priority)).collect();
-        assert_eq!(found, [("b", Priority::Critical), ("a", Priority::High)]);
+/// Raises an alert for each node of this telescope that was heard and is heard no more.
+pub async fn keep_noticing_silence(room: Arc<ControlRoom>) -> anyhow::Result<()> {
+    let address = room.node.config.address();
+    let expression = format!("{}/{address}/node/*/*/{}", contract::key::ROOT, NodeTopic::State.word());
+    let states = room.node.bus.subscribe::<NodeState>(&expression, Catch::Newest, 256).await?;
+    let clock = room.node.bus.clock().clone();
+    let mut heard: BTreeMap<(Role, Name), (String, MachineTime)> = BTreeMap::new();
+    loop {
+        if let Ok(state) = tokio::time::timeout(Duration::from_secs(1), states.hear()).await
+            && let Key::Node(_, role, id, NodeTopic::State) = state.key
+            && (role, &id) != (room.node.role, &room.node.id)
+        {
+            room.node.alerts.clear(AlertKind::NodeSilent, format_args!("{role}/{id}"));
+            heard.insert((role, id), (state.said.body.host, state.arrived));
+        }
+        let now = clock.machine();
+        for ((role, id), (host, _)) in heard.iter().filter(|(_, (_, arrived))| now.since(*arrived) > LOST) {
+            let cause = format!("the {role} node {id} on host \"{host}\" has fallen silent");
+            room.node.alerts.raise(AlertKind::NodeSilent, format_args!("{role}/{id}"), &cause);
+        }
     }
 }

@@ -6,13 +6,14 @@ use std::time::Duration;
 use audit::{Audit, Entry};
 use bus::Node;
 use contract::audit::Outcome;
-use contract::observatory::Sector;
+use contract::observatory::{Alerts, Sector};
 use contract::{CommandId, Key, Part};
 use sky::{EarthOrientation, Observer, Place};
 use tokio::sync::{Notify, watch};
 use units::Angle;
 
 use crate::action::AnyAction;
+use crate::annunciator::Annunciator;
 use crate::journal::Journal;
 use crate::lease::Hold;
 use crate::ledger::Ledger;
@@ -49,6 +50,10 @@ pub struct ControlRoom {
     pub standing: watch::Sender<Standing>,
     /// Those of them that are on disk, as this life knows.
     pub standing_on_disk: watch::Sender<Standing>,
+    /// What people have done about alerts.
+    pub annunciator: watch::Sender<Annunciator>,
+    /// The alerts as people are to hear of them; `None` while another node speaks for this telescope.
+    pub alerts: watch::Sender<Option<Alerts>>,
     /// Frames announced and stored.
     pub ledger: Ledger,
     /// What is shown of the night.
@@ -104,6 +109,11 @@ impl ControlRoom {
     /// Is the sky safe, as judged within the last seconds?
     pub fn is_safe(&self) -> bool {
         self.ruling.borrow().is_safe(self.node.bus.clock().machine())
+    }
+
+    /// Does the safety loop judge? Whatever it says: a loop that hangs says nothing new.
+    pub fn is_judging(&self) -> bool {
+        self.ruling.borrow().is_fresh(self.node.bus.clock().machine())
     }
 
     /// A standby says nothing, nor does a node that may find itself to be one: one writer per key.

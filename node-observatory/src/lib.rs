@@ -7,6 +7,7 @@
 
 pub mod action;
 mod alerting;
+pub mod annunciator;
 pub mod closing;
 pub mod control_room;
 pub mod journal;
@@ -60,6 +61,12 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     run("tell night", Box::pin(night::keep_telling_night(room.clone())));
     run("tell schedule", Box::pin(night::keep_telling_schedule(room.clone())));
     run("tell the rest", Box::pin(night::keep_telling_the_rest(room.clone())));
+    let pinging = room.clone();
+    let is_well = move || pinging.is_judging() && pinging.may_speak();
+    let alerts = room.alerts.subscribe();
+    run("ping", Box::pin(notify::keep_pinging(node.clone(), is_well)));
+    run("alerts out", Box::pin(notify::keep_sending(node.clone(), alerts)));
+    run("silent nodes", Box::pin(alerting::keep_noticing_silence(room.clone())));
     run("alerts", Box::pin(alerting::keep_merging(room)));
 
     let ended = node.stop.or(tasks.join_next()).await;

@@ -9,6 +9,7 @@ use bus::Service;
 use contract::audit::Outcome;
 use contract::{Accepted, CommandId, Key, Order, OrderKind, Reason, Refusal, Reply};
 
+use crate::annunciator::Annunciator;
 use crate::control_room::ControlRoom;
 use crate::standing::Said;
 
@@ -103,8 +104,32 @@ fn follow(room: &Arc<ControlRoom>, order: &Order) -> Reply {
             }
             room.standing.send_replace(standing);
         }
+        OrderKind::Acknowledge(id) => {
+            return about_alerts(room, order, |alerts, said| alerts.acknowledge(id, &said));
+        }
+        OrderKind::Shelve { alert, for_s } => {
+            return about_alerts(room, order, |alerts, said| alerts.shelve(alert, *for_s, said));
+        }
+        OrderKind::Unshelve(id) => return about_alerts(room, order, |alerts, _| alerts.unshelve(id)),
     }
     Reply::Accepted(Accepted { id: order.id.clone(), token: None })
+}
+
+/// Does something about an alert; the task that merges alerts writes it down.
+fn about_alerts(
+    room: &Arc<ControlRoom>,
+    order: &Order,
+    does: impl FnOnce(&mut Annunciator, Said) -> Result<(), String>,
+) -> Reply {
+    let mut done = Ok(());
+    room.annunciator.send_if_modified(|alerts| {
+        done = does(alerts, said(room, order));
+        done.is_ok()
+    });
+    match done {
+        Ok(()) => Reply::Accepted(Accepted { id: order.id.clone(), token: None }),
+        Err(why) => refuse(&order.id, Reason::Malformed, &why),
+    }
 }
 
 /// Sets the switch; turning it off closes what it had opened.

@@ -11,6 +11,7 @@ use bus::Node;
 use contract::Address;
 use tokio::sync::{Notify, watch};
 
+use crate::annunciator::{self, Annunciator};
 use crate::control_room::ControlRoom;
 use crate::journal::Journal;
 use crate::lease::Hold;
@@ -53,6 +54,8 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
     let robotic = takeover::robotic(&journal, config.schedule.robotic, clock.utc());
     let (orders, now) = (standing::path(config), clock.utc());
     let standing = tokio::task::spawn_blocking(move || Standing::read(&orders, now)).await?;
+    let alerts = annunciator::path(config);
+    let annunciator = tokio::task::spawn_blocking(move || Annunciator::read(&alerts)).await?;
     let (ruling, heard_ruling) = watch::channel(Ruling::none(clock.machine(), clock.utc()));
     let (hold, seen_hold) = watch::channel(Hold::Asking);
     let doubt = Arc::new(Notify::new());
@@ -71,6 +74,8 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
         rules: Arc::new(Rules::of(config)),
         standing: watch::channel(standing.clone()).0,
         standing_on_disk: watch::channel(standing).0,
+        annunciator: watch::channel(annunciator).0,
+        alerts: watch::channel(None).0,
         ledger: Ledger::default(),
         audit: Audit::start(node).await?,
         board: Board::new(config.schedule.file.display().to_string()),

@@ -8,6 +8,7 @@ use contract::observatory::{AlertKind, NightState};
 use contract::{BootId, Part};
 use units::Utc;
 
+use crate::annunciator::{self, Annunciator};
 use crate::control_room::ControlRoom;
 use crate::journal::Journal;
 use crate::standing::{self, Standing};
@@ -32,9 +33,14 @@ pub async fn listen(room: &ControlRoom) -> Result<Latest<NightState>, BusError> 
 
 /// Learns it all. A disk that fails is told, and keeps nobody from commanding: who commands can close.
 pub async fn learn(room: &Arc<ControlRoom>, last_word: &Latest<NightState>) {
-    let (at, path, now) = (room.clone(), standing::path(&room.node.config), room.node.bus.clock().utc());
-    let learnt = tokio::task::spawn_blocking(move || (at.journal.take_over(), Standing::read(&path, now))).await;
-    let Ok((taken, standing)) = learnt else { return };
+    let (at, now) = (room.clone(), room.node.bus.clock().utc());
+    let learnt = tokio::task::spawn_blocking(move || {
+        let config = &at.node.config;
+        let standing = Standing::read(&standing::path(config), now);
+        (at.journal.take_over(), standing, Annunciator::read(&annunciator::path(config)))
+    });
+    let Ok((taken, standing, annunciator)) = learnt.await else { return };
+    room.annunciator.send_replace(annunciator);
     match taken {
         Ok(()) => room.node.alerts.clear(AlertKind::Journal, ""),
         Err(error) => {

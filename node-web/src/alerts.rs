@@ -36,7 +36,10 @@ impl Counts {
 /// Alerts of the observatory node and of each node itself, and one for each node that fell silent.
 pub fn standing(telescope: &Telescope, now: MachineTime) -> Vec<Alert> {
     let mut found: BTreeMap<String, Alert> = BTreeMap::new();
-    for entry in telescope.states.values() {
+    // the observatory node's own list knows what people did about each
+    let (first, then): (Vec<_>, Vec<_>) =
+        telescope.states.values().partition(|entry| matches!(entry.key, Key::Observatory(..)));
+    for entry in first.into_iter().chain(then) {
         match &entry.key {
             Key::Observatory(_, Part::Alerts) | Key::Node(_, _, _, NodeTopic::Alerts) => {
                 let said = Alerts::deserialize(entry.body.as_ref()).unwrap_or_default();

@@ -55,6 +55,7 @@ pub async fn run(node: bus::Node) -> anyhow::Result<()> {
     tasks.spawn(previews.clone().make());
     tasks.spawn(host.clone().measure(node.config.folders.data.clone()));
     tasks.spawn(forget(network.clone()));
+    tasks.spawn(notify::keep_standing_in(node.clone()));
 
     let server = Server {
         network,

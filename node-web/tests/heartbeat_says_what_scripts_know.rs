@@ -6,7 +6,7 @@ mod stage;
 
 use bus::Quality::State;
 use contract::device::{DeviceState, Link, safety_monitor};
-use contract::observatory::{ActionNow, Alert, Alerts, NightState, Posture, Priority, SafetyState, Verdict};
+use contract::observatory::{ActionNow, Alert, AlertKind, Alerts, NightState, Posture, Priority, SafetyState, Verdict};
 use contract::{Datum, Key, Kind, Part, Reading, Scalar, datum::ReadingOutcome};
 use serde_json::{Value, json};
 use stage::{Stage, address};
@@ -125,14 +125,7 @@ async fn several_telescopes_roll_up_and_each_can_be_asked_alone() {
     observatory(&stage, "callisto", Verdict::Safe, Posture::Open).await;
     observatory(&stage, "io", Verdict::Unsafe, Posture::Closed).await;
     let alerts = |priority| Alerts {
-        alerts: vec![Alert {
-            id: "dome-not-closed/dome_1".into(),
-            priority,
-            raised_utc: now(),
-            cause: "the dome does not close".into(),
-            consequence: String::new(),
-            action: String::new(),
-        }],
+        alerts: vec![Alert { priority, ..AlertKind::DomeNotClosed.alert("dome_1", now(), "the dome does not close") }],
     };
     let key = Key::Observatory(address("io"), Part::Alerts);
     let publisher = stage.say(key, State { cache: 1 }, alerts(Priority::Critical)).await;

@@ -17,7 +17,7 @@ pub struct Options {
     telescope: String,
     #[command(subcommand)]
     what: What,
-    /// Why, for the log; an override needs it.
+    /// Why, for the log; an override and a shelved alert need it.
     #[arg(long, default_value = "", global = true)]
     reason: String,
     #[command(flatten)]
@@ -51,6 +51,24 @@ enum What {
         /// The input.
         input: String,
     },
+    /// Somebody knows of an alert and sees to it: it is not escalated, and clears when its cause is gone.
+    Ack {
+        /// Id of the alert, such as dome-not-closed/dome_1.
+        alert: String,
+    },
+    /// Tell nobody of one alert for a while; needs a reason.
+    Shelve {
+        /// Id of the alert.
+        alert: String,
+        /// For so many minutes of sky time, at most 1440.
+        #[arg(long, default_value_t = 60.0)]
+        for_min: f64,
+    },
+    /// Tell of a shelved alert again.
+    Unshelve {
+        /// Id of the alert.
+        alert: String,
+    },
 }
 
 impl What {
@@ -64,6 +82,9 @@ impl What {
             Self::OpenAgain => OrderKind::StayClosed(false),
             Self::Override { input, minutes } => OrderKind::Override { input, for_s: minutes * 60.0 },
             Self::Heed { input } => OrderKind::Override { input, for_s: 0.0 },
+            Self::Ack { alert } => OrderKind::Acknowledge(alert),
+            Self::Shelve { alert, for_min } => OrderKind::Shelve { alert, for_s: for_min * 60.0 },
+            Self::Unshelve { alert } => OrderKind::Unshelve(alert),
         }
     }
 }

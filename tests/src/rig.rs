@@ -33,6 +33,8 @@ pub struct RigOptions {
     pub window_s: f64,
     /// How long a permit of the dome is valid, machine seconds.
     pub permit_valid_s: f64,
+    /// More of the configuration, after the devices.
+    pub more: String,
 }
 
 impl Default for RigOptions {
@@ -47,7 +49,7 @@ impl Default for RigOptions {
         world.dome.watchdog_s = Some(60.0);
         world.camera.pixel_um *= 8.0;
         (world.camera.width, world.camera.height) = (256, 256);
-        Self { world, window_s: 3600.0, permit_valid_s: 5.0 }
+        Self { world, window_s: 3600.0, permit_valid_s: 5.0, more: String::new() }
     }
 }
 
@@ -87,7 +89,7 @@ impl Rig {
         let address = Address::new(SITE, TELESCOPE)?;
         let folder = tempfile::tempdir()?;
         let text = configuration(&address, simulator.address(), &world, options.permit_valid_s);
-        std::fs::write(folder.path().join("observatory.toml"), text)?;
+        std::fs::write(folder.path().join("observatory.toml"), text + &options.more)?;
         let start = simulator.world().now();
         std::fs::write(folder.path().join("schedule.jsonl"), jsonl(&rows(&world), start, options.window_s))?;
         let clock = Clock::of_simulator(&format!("http://{}", simulator.address())).await?;
@@ -210,6 +212,15 @@ impl Rig {
         let mut child = self.nodes.remove(&role).context("this node does not run")?;
         child.kill()?;
         child.wait()?;
+        Ok(())
+    }
+
+    /// Stops one node without ending it: its sessions live, its loops do not.
+    #[cfg(unix)]
+    pub fn stop_in_its_tracks(&self, role: Role) -> anyhow::Result<()> {
+        let child = self.nodes.get(&role).context("this node does not run")?;
+        let told = Command::new("kill").args(["-STOP", &child.id().to_string()]).status()?;
+        anyhow::ensure!(told.success(), "kill -STOP: {told}");
         Ok(())
     }
 

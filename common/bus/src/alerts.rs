@@ -1,50 +1,51 @@
 //! A node's own alerts: raised and cleared by cause, published as state.
 
-use std::collections::BTreeMap;
 use std::fmt::Display;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use contract::observatory::{Alert, AlertKind, Alerts};
-use tokio::sync::watch;
+use contract::observatory::{AlertKind, Alerts};
+use tokio::sync::{Notify, watch};
 
 use crate::Clock;
+use crate::alert_life::AlertLife;
 
 /// Where a node raises what needs a person. Cheap to clone.
 #[derive(Clone)]
 pub struct AlertBoard {
-    standing: Arc<Mutex<BTreeMap<String, Alert>>>,
+    life: Arc<Mutex<AlertLife>>,
     shown: Arc<watch::Sender<Alerts>>,
+    changed: Arc<Notify>,
     clock: Clock,
 }
 
 impl AlertBoard {
     /// An empty board.
     pub fn new(clock: Clock) -> Self {
-        Self { standing: Arc::default(), shown: Arc::new(watch::channel(Alerts::default()).0), clock }
+        let shown = Arc::new(watch::channel(Alerts::default()).0);
+        Self { life: Arc::default(), shown, changed: Arc::default(), clock }
     }
 
     /// Raises an alert; one that stands already keeps its time and takes the new cause. `instance` tells alerts of one
     /// kind apart; it is empty where there is only one.
     pub fn raise(&self, kind: AlertKind, instance: impl Display, cause: &str) {
-        let mut alert = kind.alert(instance, self.clock.utc(), cause);
-        let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
-        match standing.get(&alert.id) {
-            Some(known) => alert.raised_utc = known.raised_utc,
-            None => tracing::warn!(id = alert.id, priority = ?alert.priority, cause, "alert raised"),
+        let alert = kind.alert(instance, self.clock.utc(), cause);
+        let mut life = self.life();
+        let (id, priority) = (alert.id.clone(), alert.priority);
+        if life.raise(kind, alert, self.clock.machine()) {
+            tracing::warn!(id, ?priority, cause, "alert raised");
         }
-        if standing.get(&alert.id) != Some(&alert) {
-            standing.insert(alert.id.clone(), alert);
-            self.show(&standing);
-        }
+        self.show(&mut life);
+        self.changed.notify_one();
     }
 
-    /// Clears an alert, if it stands.
+    /// The cause of an alert is gone; it clears after the hold of its kind.
     pub fn clear(&self, kind: AlertKind, instance: impl Display) {
         let id = kind.id(instance);
-        let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
-        if standing.remove(&id).is_some() {
-            tracing::info!(id, "alert cleared");
-            self.show(&standing);
+        let mut life = self.life();
+        if life.clear(kind, &id, self.clock.machine()) {
+            tracing::info!(id, "the cause of an alert is gone");
+            self.show(&mut life);
+            self.changed.notify_one();
         }
     }
 
@@ -53,9 +54,38 @@ impl AlertBoard {
         self.shown.subscribe()
     }
 
-    fn show(&self, standing: &BTreeMap<String, Alert>) {
-        let mut alerts: Vec<Alert> = standing.values().cloned().collect();
-        alerts.sort_by_key(|alert| (alert.priority, alert.raised_utc));
-        self.shown.send_replace(Alerts { alerts });
+    /// Lets on-delays and holds end in time, for ever.
+    pub async fn keep_time(&self) {
+        loop {
+            let next = {
+                let mut life = self.life();
+                self.show(&mut life);
+                life.next_change(self.clock.machine())
+            };
+            let due = async {
+                match next {
+                    Some(wait) => tokio::time::sleep(wait).await,
+                    None => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                () = due => {}
+                () = self.changed.notified() => {}
+            }
+        }
+    }
+
+    fn life(&self) -> MutexGuard<'_, AlertLife> {
+        self.life.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Shows what stands now.
+    fn show(&self, life: &mut AlertLife) {
+        let now = life.shown(self.clock.machine());
+        self.shown.send_if_modified(|shown| {
+            let is_new = *shown != now;
+            *shown = now;
+            is_new
+        });
     }
 }

@@ -4,6 +4,7 @@
 //! no slow work runs in a callback (spec/technology.md 1.3 has the measurements behind each rule). One
 //! [`Bus`] per node.
 
+mod alert_life;
 mod alerts;
 mod ask;
 mod clock;

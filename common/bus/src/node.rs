@@ -128,6 +128,7 @@ impl Node {
             result = twin::leave_to_older(&self) => result,
             result = disk::keep_telling(&self) => result,
             result = write => result,
+            () = self.alerts.keep_time() => Ok(()),
             result = alerts.follow(self.alerts.watch(), Duration::from_secs(10)) => Ok(result?),
         }
     }

@@ -31,11 +31,20 @@ pub fn parse(text: &str, folder: &Path) -> Result<Observatory, ConfigError> {
     }
     observatory.archive.fits_header = observatory.archive.fits_header.map(|path| folder.join(path));
 
+    let alerts = &mut observatory.alerts;
+    let secrets = alerts.webhook.iter_mut().map(|hook| &mut hook.token_file);
+    for file in secrets.chain(alerts.smtp.iter_mut().map(|smtp| &mut smtp.password_file)).flatten() {
+        *file = folder.join(&file);
+    }
+
     let mut faults = Faults { text, found: Vec::new() };
     place(&observatory, &mut faults);
     names(&observatory, &mut faults);
     numbers(&observatory, &mut faults);
     pairings(&mut observatory, &mut faults);
+    for (quoted, message) in observatory.alerts.faults() {
+        faults.add(&quoted, message);
+    }
     if faults.found.is_empty() { Ok(observatory) } else { Err(ConfigError::Faults(faults.found)) }
 }
 

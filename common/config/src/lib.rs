@@ -4,11 +4,13 @@
 //! devices are proven here once, and the rest of the code sees only [`Observatory`]. Pure: text in, values
 //! out; relative paths are resolved against a folder that the caller names.
 
+mod alerts;
 mod check;
 mod device;
 pub mod header;
 mod observatory;
 
+pub use alerts::{Alerting, Email, Ping, Security, Smtp, Webhook};
 pub use check::{ConfigError, parse};
 pub use device::{
     Camera, CloseWithMount, Common, CoverCalibrator, Device, Dome, EquatorialChoice, FilterWheel, Focuser, Limit,

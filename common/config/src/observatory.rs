@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use contract::{Address, Chunk, Kind, Name};
 use serde::Deserialize;
 
+use crate::alerts::Alerting;
 use crate::device::{
     Camera, Common, CoverCalibrator, Device, Dome, FilterWheel, Focuser, ObservingConditions, Rotator, SafetyMonitor,
     Switch, Telescope,
@@ -40,6 +41,9 @@ pub struct Observatory {
     /// How frames are named and kept.
     #[serde(default)]
     pub archive: Archive,
+    /// Who is told of alerts.
+    #[serde(default)]
+    pub alerts: Alerting,
     /// Where the page is served.
     #[serde(default)]
     pub web: Web,

@@ -173,4 +173,15 @@ pub enum OrderKind {
         /// Sky seconds, at most 28800; 0 heeds it again.
         for_s: f64,
     },
+    /// Somebody knows of the alert of this id and sees to it.
+    Acknowledge(String),
+    /// Tells nobody of one alert for a while; needs a reason. It stays on the list, and safety does not change.
+    Shelve {
+        /// Id of the alert.
+        alert: String,
+        /// Sky seconds, at most 86400.
+        for_s: f64,
+    },
+    /// Takes the alert of this id from the shelf.
+    Unshelve(String),
 }

@@ -51,7 +51,12 @@ impl Ruling {
 
     /// Safe, and said so recently enough to count.
     pub fn is_safe(&self, now: MachineTime) -> bool {
-        self.state.verdict == Verdict::Safe && now.since(self.judged) <= MOST_AGE
+        self.state.verdict == Verdict::Safe && self.is_fresh(now)
+    }
+
+    /// Said recently enough to count.
+    pub fn is_fresh(&self, now: MachineTime) -> bool {
+        now.since(self.judged) <= MOST_AGE
     }
 
     /// Unsafe beyond the doubt of the first seconds.

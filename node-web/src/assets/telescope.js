@@ -28,12 +28,22 @@ function banner(summary, now) {
         h("strong", {}, reason.input), ` ${reason.why}`, reason.clears_in_s != null && h("span", { class: "muted" }, ` (can clear in ${duration(reason.clears_in_s)})`))))));
 }
 
+/** What became of an alert, in words. */
+function fate(alert) {
+  const words = [
+    alert.returned_utc && `returned ${clock(alert.returned_utc)}, nobody has acknowledged it`,
+    alert.acknowledged_by && `acknowledged by ${alert.acknowledged_by}`,
+    alert.shelved_until_utc && `shelved until ${clock(alert.shelved_until_utc)}: ${alert.shelved_reason}`,
+  ];
+  return words.filter(Boolean).map((word) => ` · ${word}`).join("");
+}
+
 function alerts(summary) {
   if (!summary.alerts.length) return null;
   return section("alerts", `Alerts (${summary.alerts.length})`, h("ul", {}, summary.alerts.map((alert) => {
     const [shape, label] = PRIORITY[alert.priority] ?? ["?", "?"];
     return h("li", { key: alert.id, "data-alert": alert.id }, h("span", { class: `tag ${label.toLowerCase()}` }, `${shape} ${label}`),
-      h("div", {}, h("strong", {}, alert.cause), h("p", {}, `${alert.consequence}. `, h("em", {}, alert.action)), h("p", { class: "muted" }, `${alert.id} · since ${clock(alert.raised_utc)}`)));
+      h("div", {}, h("strong", {}, alert.cause), h("p", {}, `${alert.consequence} `, h("em", {}, alert.action)), h("p", { class: "muted" }, `${alert.id} · since ${clock(alert.raised_utc)}${fate(alert)}`)));
   })));
 }
 

@@ -99,7 +99,7 @@ fn one(
     let mut errors: Vec<Value> = face
         .alerts
         .iter()
-        .filter(|alert| alert.priority != Priority::Advisory)
+        .filter(|alert| alert.priority != Priority::Advisory && alert.returned_utc.is_none())
         .map(|alert| {
             let (kind, name) = source(&alert.id, telescope);
             json!({ "device_type": kind, "device_name": name, "error": format!("{}: {}", alert.id, alert.cause) })

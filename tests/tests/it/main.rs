@@ -1,5 +1,6 @@
 //! End to end: real nodes as processes, the simulated observatory, a private bus; every test ends with a shut roof.
 
+mod alerts_reach_people;
 mod archive_away;
 mod closes_when_it_rains;
 mod closes_when_nodes_die;

@@ -45,4 +45,48 @@ pub struct Alert {
     pub consequence: String,
     /// What a person should do.
     pub action: String,
+    /// Sky time when its cause went, of one that nobody has acknowledged yet; absent while the cause is there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub returned_utc: Option<Utc>,
+    /// Who knows of it and sees to it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acknowledged_by: Option<String>,
+    /// Sky time since when somebody does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acknowledged_utc: Option<Utc>,
+    /// Who put it on the shelf, so that nobody is told of it for a while.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shelved_by: Option<String>,
+    /// Sky time until which it lies there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shelved_until_utc: Option<Utc>,
+    /// Why.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shelved_reason: Option<String>,
+}
+
+/// One list of several, the most urgent first; of two with one id the more urgent, then the older.
+pub fn merge(lists: impl Iterator<Item = Alerts>) -> Alerts {
+    let mut all: Vec<Alert> = lists.flat_map(|list| list.alerts).collect();
+    all.sort_by(|a, b| (a.priority, a.raised_utc, &a.id).cmp(&(b.priority, b.raised_utc, &b.id)));
+    let mut seen = std::collections::BTreeSet::new();
+    all.retain(|alert| seen.insert(alert.id.clone()));
+    Alerts { alerts: all }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::observatory::AlertKind;
+
+    #[test]
+    fn one_cause_is_one_alert_and_the_most_urgent_comes_first() {
+        let alert = |kind: AlertKind, at_s| kind.alert("a", Utc::from_seconds(at_s), "c");
+        let ours = Alerts { alerts: vec![alert(AlertKind::CoolingFailed, 1.0), alert(AlertKind::DomeHeld, 3.0)] };
+        let theirs = Alerts { alerts: vec![alert(AlertKind::DomeHeld, 2.0), alert(AlertKind::DomeNotClosed, 9.0)] };
+        let merged = merge([ours, theirs].into_iter());
+        let found: Vec<_> =
+            merged.alerts.iter().map(|a| (a.id.as_str(), a.raised_utc.seconds_since(Utc::EPOCH))).collect();
+        assert_eq!(found, [("dome-not-closed/a", 9.0), ("dome-held/a", 2.0), ("cooling-failed/a", 1.0)]);
+    }
 }

@@ -230,7 +230,7 @@ catalogue! {
         priority: Priority::High,
         consequence: "What it told is no longer true.",
         action: "Look at its host and restart it.",
-        on_delay_s: 0,
+        on_delay_s: 10,
         hold_s: 0,
     },
     /// Two nodes serve one device. Their states and their commands mix.
@@ -301,6 +301,27 @@ catalogue! {
         priority: Priority::High,
         consequence: "It stays in the camera's spool; when that is full, exposing ends.",
         action: "Look at the archive's disk and its way to the device node.",
+        on_delay_s: 0,
+        hold_s: 0,
+    },
+    /// Nobody can be told of alerts at this address: it does not answer, refuses, or its password is wrong. The cause has
+    /// its words. Everybody else is told, this alert too.
+    AlertNotSent: Entry {
+        word: "alert-not-sent",
+        instance: "RECEIVER",
+        priority: Priority::High,
+        consequence: "Whoever reads there does not hear of alerts.",
+        action: "Look at `[alerts]` in observatory.toml, at the network and at the receiver. It is tried again by itself.",
+        on_delay_s: 0,
+        hold_s: 0,
+    },
+    /// What people acknowledged and shelved cannot be written down.
+    AlertsNotKept: Entry {
+        word: "alerts-not-kept",
+        instance: "",
+        priority: Priority::Medium,
+        consequence: "After a restart they stand as new again.",
+        action: "Look at the disk that holds the data folder.",
         on_delay_s: 0,
         hold_s: 0,
     },
@@ -390,7 +411,20 @@ impl AlertKind {
     pub fn alert(self, instance: impl Display, raised_utc: Utc, cause: &str) -> Alert {
         let entry = self.entry();
         let [cause, consequence, action] = [cause, entry.consequence, entry.action].map(str::to_owned);
-        Alert { id: self.id(instance), priority: entry.priority, raised_utc, cause, consequence, action }
+        Alert {
+            id: self.id(instance),
+            priority: entry.priority,
+            raised_utc,
+            cause,
+            consequence,
+            action,
+            returned_utc: None,
+            acknowledged_by: None,
+            acknowledged_utc: None,
+            shelved_by: None,
+            shelved_until_utc: None,
+            shelved_reason: None,
+        }
     }
 
     /// The kind that an id names; `None` for one of a newer version.

@@ -6,7 +6,7 @@ mod night;
 mod safety;
 mod schedule;
 
-pub use alert::{Alert, Alerts, Priority};
+pub use alert::{Alert, Alerts, Priority, merge};
 pub use catalogue::AlertKind;
 pub use night::{ActionNow, FocusState, FrameFacts, GuidingState, Lease, NightState, Posture};
 pub use safety::{InputState, Interval, Permit, SafetyState, Sector, Unsafe, Verdict};

@@ -1,0 +1,196 @@
+//! A critical alert reaches people by webhook and e-mail, is escalated until somebody acknowledges it, and the ping
+//! falls silent with the observatory node.
+#![cfg(unix)]
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use axum::Router;
+use axum::http::HeaderMap;
+use axum::routing::{get, post};
+use contract::observatory::Alerts;
+use contract::{Address, Key, Part, Role};
+use serde_json::Value;
+use tests::{Rig, RigOptions, SITE, TELESCOPE, long_row};
+use tokio::io::{AsyncBufReadExt as _, AsyncWriteExt as _, BufReader};
+use tokio::net::{TcpListener, TcpStream};
+
+/// The world outside: an HTTP server and a mail server that remember what they got.
+#[derive(Clone, Default)]
+struct Outside {
+    hooks: Arc<Mutex<Vec<(String, Value)>>>,
+    mails: Arc<Mutex<Vec<String>>>,
+    pings: Arc<Mutex<Vec<Instant>>>,
+}
+
+impl Outside {
+    /// Starts both; returns their ports.
+    async fn open(&self) -> anyhow::Result<(u16, u16)> {
+        let (hooks, pings, escalated) = (self.hooks.clone(), self.pings.clone(), self.hooks.clone());
+        let remember = |list: Arc<Mutex<Vec<(String, Value)>>>, who: &'static str| {
+            move |headers: HeaderMap, body: String| {
+                let token = headers.get("authorization").and_then(|value| value.to_str().ok()).unwrap_or("").to_owned();
+                list.lock()
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .push((format!("{who} {token}"), serde_json::from_str(&body).unwrap_or_default()));
+                std::future::ready("thanks")
+            }
+        };
+        let app = Router::new()
+            .route("/chat", post(remember(hooks, "chat")))
+            .route("/chief", post(remember(escalated, "chief")))
+            .route(
+                "/ping",
+                get(move || {
+                    pings.lock().unwrap_or_else(PoisonError::into_inner).push(Instant::now());
+                    std::future::ready("ok")
+                }),
+            );
+        let http = TcpListener::bind("127.0.0.1:0").await?;
+        let smtp = TcpListener::bind("127.0.0.1:0").await?;
+        let ports = (http.local_addr()?.port(), smtp.local_addr()?.port());
+        tokio::spawn(async move { axum::serve(http, app).await });
+        let mails = self.mails.clone();
+        tokio::spawn(async move {
+            while let Ok((stream, _)) = smtp.accept().await {
+                tokio::spawn(take_mail(stream, mails.clone()));
+            }
+        });
+        Ok(ports)
+    }
+
+    /// How many webhook letters `who` got with this event about this alert.
+    fn letters(&self, who: &str, event: &str, id: &str) -> usize {
+        let hooks = self.hooks.lock().unwrap_or_else(PoisonError::into_inner);
+        let mine = hooks.iter().filter(|(to, _)| to.starts_with(who));
+        let news = mine.flat_map(|(_, body)| body["news"].as_array().cloned().unwrap_or_default());
+        news.filter(|news| news["event"] == event && news["alert"]["id"] == id).count()
+    }
+}
+
+/// RFC 5321 as far as one mail goes.
+async fn take_mail(stream: TcpStream, mails: Arc<Mutex<Vec<String>>>) -> anyhow::Result<()> {
+    let (read, mut write) = stream.into_split();
+    let mut lines = BufReader::new(read).lines();
+    let mut mail: Option<String> = None;
+    write.write_all(b"220 mail.test ESMTP\r\n").await?;
+    while let Some(line) = lines.next_line().await? {
+        let answer = match (&mut mail, line.as_str()) {
+            (Some(text), ".") => {
+                mails.lock().unwrap_or_else(PoisonError::into_inner).push(std::mem::take(text));
+                mail = None;
+                "250 taken"
+            }
+            (Some(text), line) => {
+                text.push_str(line);
+                text.push('\n');
+                continue;
+            }
+            (None, "DATA") => {
+                mail = Some(String::new());
+                "354 go on"
+            }
+            (None, "QUIT") => "221 bye",
+            (None, _) => "250 ok",
+        };
+        write.write_all(format!("{answer}\r\n").as_bytes()).await?;
+    }
+    Ok(())
+}
+
+/// The rig with all its receivers; the chief hears what nobody acknowledged for 6 s.
+async fn rig(outside: &Outside) -> anyhow::Result<Rig> {
+    let (http, smtp) = outside.open().await?;
+    let more = format!(
+        "[[alerts.webhook]]\nname = \"chat\"\nurl = \"http://127.0.0.1:{http}/chat\"\ntoken_file = \"token\"\n\
+         [[alerts.webhook]]\nname = \"chief\"\nurl = \"http://127.0.0.1:{http}/chief\"\nafter_min = 0.1\n\
+         min_priority = \"critical\"\n\
+         [[alerts.webhook]]\nname = \"dead\"\nurl = \"http://127.0.0.1:1/\"\n\
+         [alerts.smtp]\nserver = \"127.0.0.1\"\nport = {smtp}\nsecurity = \"none\"\nfrom = \"t@example.org\"\n\
+         [[alerts.email]]\nname = \"night\"\nto = [\"ana@example.org\"]\n\
+         [alerts.ping]\nurl = \"http://127.0.0.1:{http}/ping\"\nperiod_s = 1\n"
+    );
+    let mut rig = Rig::new(RigOptions { more, ..RigOptions::default() }, long_row).await?;
+    std::fs::write(rig.path("token"), "s3cret\n")?;
+    for role in [Role::Device, Role::Observatory] {
+        rig.start(role)?;
+    }
+    rig.until("the dome opens on a safe sky", 60.0, Rig::is_open).await?;
+    Ok(rig)
+}
+
+const ID: &str = "dome-not-closed/dome";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_critical_alert_is_told_escalated_acknowledged_and_cleared() -> anyhow::Result<()> {
+    let outside = Outside::default();
+    let mut rig = rig(&outside).await?;
+    let key = Key::Observatory(Address::new(SITE, TELESCOPE)?, Part::Alerts);
+    let alerts = rig.bus.latest::<Alerts>(&key).await?;
+    let find = |id: &str| alerts.get().and_then(|said| said.said.body.alerts.into_iter().find(|alert| alert.id == id));
+
+    rig.simulator.world().stick_shutter_half_open(true);
+    rig.simulator.world().set_unsafe(true);
+    rig.until("the alert stands on the bus", 60.0, |_| find(ID).is_some()).await?;
+    let told = |_: &Rig| {
+        let mailed = outside
+            .mails
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .iter()
+            .any(|mail| mail.contains(ID) && mail.contains("What to do"));
+        mailed && outside.letters("chat Bearer s3cret", "raised", ID) == 1
+    };
+    rig.until("people are told within seconds", 5.0, told).await?;
+    assert_eq!(outside.letters("chief", "raised", ID), 0, "too early to escalate");
+    rig.until("it is escalated", 15.0, |_| outside.letters("chief", "raised", ID) == 1).await?;
+
+    let refused = rig.order(&["ack", "dome-not-closed/other"]).await.unwrap_err().to_string();
+    assert!(refused.contains(ID), "the refusal names what stands: {refused}");
+    let refused = rig.order(&["shelve", ID]).await.unwrap_err().to_string();
+    assert!(refused.contains("reason"), "{refused}");
+    rig.order(&["ack", ID]).await?;
+    rig.until("the list says who", 5.0, |_| find(ID).is_some_and(|alert| alert.acknowledged_by.is_some())).await?;
+    rig.until("people are told who", 5.0, |_| outside.letters("chat", "acknowledged", ID) == 1).await?;
+
+    let life = alerts.get().map(|said| said.said.boot_id);
+    rig.kill(Role::Observatory)?;
+    rig.start(Role::Observatory)?;
+    let known = |_: &Rig| {
+        let is_new = alerts.get().is_some_and(|said| Some(said.said.boot_id) != life);
+        is_new && find(ID).is_some_and(|alert| alert.acknowledged_by.is_some())
+    };
+    rig.until("the acknowledgement outlives a restart", 60.0, known).await?;
+    tokio::time::sleep(Duration::from_secs(8)).await;
+    assert_eq!(outside.letters("chief", "raised", ID), 1, "it is not escalated again");
+    assert_eq!(outside.letters("chat", "raised", ID), 1, "nor told again");
+
+    let dead = |_: &Rig| outside.letters("chat", "raised", "alert-not-sent/dead") >= 1;
+    rig.until("a receiver that fails is an alert for the others", 40.0, dead).await?;
+
+    rig.order(&["shelve", "alert-not-sent/dead", "--for-min", "10", "--reason", "known"]).await?;
+    let shelved = |_: &Rig| find("alert-not-sent/dead").is_some_and(|alert| alert.shelved_until_utc.is_some());
+    rig.until("the shelf shows", 5.0, shelved).await?;
+    rig.order(&["unshelve", "alert-not-sent/dead"]).await?;
+    rig.until("and can be emptied", 5.0, |rig| !shelved(rig)).await?;
+
+    rig.simulator.world().stick_shutter_half_open(false);
+    rig.until("the dome ends shut", 90.0, Rig::is_shut).await?;
+    rig.until("the acknowledged alert clears", 90.0, |_| find(ID).is_none()).await?;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_ping_stops_with_the_observatory_node() -> anyhow::Result<()> {
+    let outside = Outside::default();
+    let rig = rig(&outside).await?;
+    let pings = || outside.pings.lock().unwrap_or_else(PoisonError::into_inner).len();
+    rig.until("pings come", 15.0, |_| pings() >= 3).await?;
+    rig.stop_in_its_tracks(Role::Observatory)?;
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    let before = pings();
+    tokio::time::sleep(Duration::from_secs(6)).await;
+    assert_eq!(pings(), before, "a stuck node does not ping");
+    rig.until("the guard closes", 60.0, Rig::is_shut).await?;
+    Ok(())
+}
