@@ -19,6 +19,7 @@ mod session;
 mod stop;
 mod subscribe;
 mod succession;
+mod threads;
 mod twin;
 
 pub use alerts::AlertBoard;

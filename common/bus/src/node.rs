@@ -19,7 +19,7 @@ use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::diary::DiaryLayer;
-use crate::{AlertBoard, Bus, Clock, Quality, Stop, disk, twin};
+use crate::{AlertBoard, Bus, Clock, Quality, Stop, disk, threads, twin};
 
 /// What a node's command line takes.
 #[derive(Debug, Clone, Parser)]
@@ -193,6 +193,7 @@ where
     F: FnOnce(Node) -> W,
     W: Future<Output = anyhow::Result<()>>,
 {
+    threads::ensure();
     let started = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .enable_all()
