@@ -10,7 +10,7 @@ use std::time::Duration;
 use bus::AlertBoard;
 use contract::device::camera::Frame;
 use contract::node::Level;
-use contract::observatory::Priority;
+use contract::observatory::AlertKind;
 use contract::{BootId, CommandId, Device, Scalar};
 use rusqlite::Connection;
 use tokio::sync::{mpsc, oneshot};
@@ -30,7 +30,6 @@ const RETRY: Duration = Duration::from_secs(1);
 const LAST_TRIES: u32 = 5;
 /// Version of the tables; older files are brought up to it, newer ones are refused.
 const VERSION: i64 = 1;
-const ALERT: &str = "archive/database";
 
 /// The database could not be opened or asked.
 #[derive(Debug, thiserror::Error)]
@@ -240,13 +239,12 @@ fn write_all(
             match write_batch(&mut connection, &batch) {
                 Ok(count) => {
                     rows.fetch_add(count, Ordering::Relaxed);
-                    alerts.clear(ALERT);
+                    alerts.clear(AlertKind::ArchiveDatabase, "");
                     break;
                 }
                 Err(error) => {
                     let cause = format!("the archive's database does not take rows: {error}");
-                    let consequence = "telemetry waits in memory; when that is full, it is lost";
-                    alerts.raise(ALERT, Priority::High, &cause, consequence, "free disk space, or find who locks it");
+                    alerts.raise(AlertKind::ArchiveDatabase, "", &cause);
                     if taken.is_closed() {
                         last_tries -= 1;
                     }

@@ -10,7 +10,7 @@ use config::header::{HeaderTable, Source};
 use config::{EquatorialChoice, Observatory};
 use contract::archive::Stored;
 use contract::device::telescope::EquatorialSystem;
-use contract::observatory::Priority;
+use contract::observatory::AlertKind;
 use contract::{CommandId, Device, Kind, Scalar};
 use tokio::sync::Notify;
 
@@ -34,7 +34,6 @@ const REACH_PERIODS: f64 = 3.0;
 const FIRST_WAIT: Duration = Duration::from_secs(5);
 const LONGEST_WAIT: Duration = Duration::from_secs(600);
 const FAILURES_BEFORE_ALERT: u32 = 3;
-const ALERT: &str = "archive/headers";
 /// What tells where a frame without a target points, whether the table lists it or not.
 const POINTING: [(Kind, &str); 3] =
     [(Kind::Telescope, "RightAscension"), (Kind::Telescope, "Declination"), (Kind::Telescope, "Altitude")];
@@ -163,7 +162,7 @@ pub async fn keep(pass: Pass) -> anyhow::Result<()> {
         let images = pass.look().await?;
         if images.is_empty() {
             waiting.clear();
-            pass.node.alerts.clear(ALERT);
+            pass.node.alerts.clear(AlertKind::ArchiveHeaders, "");
             pass.incomplete.notified().await;
             continue;
         }
@@ -270,8 +269,7 @@ impl Pass {
         tracing::warn!(file = image.file, error, "a header could not be completed; it will be tried again");
         if waiting.failures >= FAILURES_BEFORE_ALERT {
             let cause = format!("the header of {} cannot be completed: {error}", image.file);
-            let action = "put the file back where it was, or look at the disk";
-            self.node.alerts.raise(ALERT, Priority::Advisory, &cause, "its keywords stay incomplete", action);
+            self.node.alerts.raise(AlertKind::ArchiveHeaders, "", &cause);
         }
     }
 }

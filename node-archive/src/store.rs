@@ -10,7 +10,7 @@ use anyhow::Context as _;
 use bus::{AskError, Catch, Node, Publisher};
 use contract::archive::Stored;
 use contract::device::camera::{self, Frame};
-use contract::observatory::Priority;
+use contract::observatory::AlertKind;
 use contract::{Command, CommandId, Device, Key, Kind, Reason, Scalar};
 use tokio::sync::{Notify, Semaphore, watch};
 use tokio::task::JoinSet;
@@ -126,7 +126,6 @@ impl Store {
         newest: watch::Receiver<Frame>,
     ) -> CommandId {
         let id = newest.borrow().id.clone();
-        let alert = format!("archive/frame/{id}");
         let mut failures = 0;
         loop {
             let frame = newest.borrow().clone();
@@ -137,13 +136,11 @@ impl Store {
             tracing::debug!(frame = %id, error = format!("{error:#}"), failures, "a frame is not stored yet");
             if failures == FAILURES_BEFORE_ALERT {
                 let cause = format!("frame {id} of camera {} cannot be stored: {error:#}", camera.name);
-                let consequence = "it stays in the camera's spool; when that is full, exposing ends";
-                let action = "look at the archive's disk and its way to the device node";
-                self.node.alerts.raise(&alert, Priority::High, &cause, consequence, action);
+                self.node.alerts.raise(AlertKind::ArchiveFrame, &id, &cause);
             }
             tokio::time::sleep(wait(failures)).await;
         }
-        self.node.alerts.clear(&alert);
+        self.node.alerts.clear(AlertKind::ArchiveFrame, &id);
         let frame = newest.borrow().clone();
         self.release(&camera, &frame).await;
         id

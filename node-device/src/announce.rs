@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use bus::{Node, Publisher, Quality};
 use contract::device::camera::Frame;
-use contract::observatory::Priority;
+use contract::observatory::AlertKind;
 use contract::{CommandId, Key, Kind, Name};
 use tokio::sync::mpsc;
 use tokio::time::{MissedTickBehavior, interval};
@@ -46,7 +46,7 @@ pub async fn run(
             () = node.stop.wait() => return Ok(()),
             Some(outcome) = stored.recv() => match outcome {
                 Ok(id) => {
-                    node.alerts.clear("spool-cannot-write");
+                    node.alerts.clear(AlertKind::SpoolCannotWrite, "");
                     let Some(frame) = spool.frame(&id) else { continue };
                     tracing::info!(camera = frame.camera, frame = %id, exposure_s = frame.exposure_s, "frame in the spool");
                     if let Some((_, voice)) = voices.iter().find(|(name, _)| name.as_str() == frame.camera) {
@@ -56,8 +56,7 @@ pub async fn run(
                 Err((id, error)) => {
                     tracing::error!(frame = %id, %error, "a frame is lost");
                     let cause = format!("frame {id} could not be kept: {error}");
-                    let action = "look at the disk of the device node";
-                    node.alerts.raise("spool-cannot-write", Priority::High, &cause, "frames are lost", action);
+                    node.alerts.raise(AlertKind::SpoolCannotWrite, "", &cause);
                 }
             },
             // the first tick is now: frames that waited for a restart

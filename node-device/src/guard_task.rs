@@ -6,7 +6,7 @@ use std::time::Duration;
 use bus::{Catch, MachineTime, Node, Quality, Subscriber};
 use contract::device::dome::{Guard as Said, Shutter};
 use contract::device::telescope;
-use contract::observatory::{Permit, Priority};
+use contract::observatory::{AlertKind, Permit};
 use contract::{Address, Device, DeviceState, Key, Kind};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -15,6 +15,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 use crate::alpaca::{Alpaca, AlpacaError, value};
 use crate::driver::dome::SHUTTER;
 use crate::guard::{Alarm, Deed, Guard};
+use crate::watchdog::Watchdog;
 
 /// The guard looks at least so often; it looks at once when a permit or a shutter reading comes.
 const BEAT: Duration = Duration::from_secs(1);
@@ -45,12 +46,15 @@ pub struct GuardTask {
     pub seen: watch::Receiver<Seen>,
     /// The mounts under the dome must be heard, because the shutter waits for their park.
     pub heeds_mounts: bool,
+    /// The dome's own watchdog.
+    pub watchdog: Watchdog,
 }
 
 /// What the guard's own calls came to.
 enum Hand {
     Looked(Result<Shutter, AlpacaError>),
     Acted(Result<(), AlpacaError>),
+    Fed(Result<(), AlpacaError>),
 }
 
 /// What was heard of the mounts under the dome.
@@ -77,6 +81,7 @@ impl GuardTask {
         let mut own: Seen = None;
         let (mut looking, mut acting) = (false, false);
         let mut waiting: Option<Deed> = None;
+        self.watchdog.tell(&self.node, &self.device);
         loop {
             let beaten = tokio::select! {
                 () = self.node.stop.wait() => return Ok(()),
@@ -114,6 +119,7 @@ impl GuardTask {
                                 tracing::warn!(dome = %self.device.name, %error, "the guard's command failed");
                             }
                         }
+                        Ok(Hand::Fed(result)) => self.watchdog.fed(&self.node, &self.device, result),
                         // a hand that panicked must not stay raised
                         Err(_) => (looking, acting) = (false, false),
                     }
@@ -128,7 +134,7 @@ impl GuardTask {
             for deed in deeds {
                 match deed {
                     Deed::Raise(alarm) => self.raise(alarm),
-                    Deed::Clear(alarm) => self.node.alerts.clear(&self.alert_id(alarm)),
+                    Deed::Clear(alarm) => self.node.alerts.clear(kind(alarm), &self.device.name),
                     Deed::Close | Deed::AbortThenClose => waiting = Some(deed),
                 }
             }
@@ -141,6 +147,11 @@ impl GuardTask {
             if beaten && !looking && silent {
                 looking = true;
                 hands.spawn(read(self.alpaca.at_once()));
+            }
+            // only a beat of this loop with a living permit feeds it: a thread of its own would feed it for the dead
+            let lives = beaten && self.guard().may_be_open(now) && !self.guard().is_closing();
+            if let Some(feed) = self.watchdog.due(lives, now, &self.alpaca) {
+                hands.spawn(async move { Hand::Fed(feed.await) });
             }
             if beaten {
                 let number = self.guard().beat(clock.machine());
@@ -167,45 +178,24 @@ impl GuardTask {
         Ok(Mounts { heard, parked: parked.collect() })
     }
 
-    fn alert_id(&self, alarm: Alarm) -> String {
-        let word = match alarm {
-            Alarm::NotClosed => "dome-not-closed",
-            Alarm::Uncommanded => "dome-uncommanded-open",
-            Alarm::MountNotParked => "dome-waits-for-mount",
-            Alarm::Hold => "dome-held",
-        };
-        format!("{word}/{}", self.device.name)
-    }
-
     fn raise(&self, alarm: Alarm) {
         let name = &self.device.name;
-        let (priority, cause, consequence, action) = match alarm {
-            Alarm::NotClosed => (
-                Priority::Critical,
-                format!("dome {name} should be closed and is not verified closed"),
-                "the telescope may stand in the weather; the guard keeps trying",
-                "close it by hand or at its own controls",
-            ),
-            Alarm::Uncommanded => (
-                Priority::Critical,
-                format!("dome {name} opened and nobody had commanded it"),
-                "the guard closes it and holds it closed",
-                "find out who opened it: another program, a handset, a person",
-            ),
-            Alarm::MountNotParked => (
-                Priority::Critical,
-                format!("dome {name} must close and waits for its mount to park"),
-                "it stays open as long as its policy is parked_only",
-                "park the mount, or make sure that the roof can pass it and close by hand",
-            ),
-            Alarm::Hold => (
-                Priority::High,
-                format!("the guard closed dome {name} because its permission was not renewed"),
-                "it opens for nobody until the commander resumes",
-                "look why the observatory node was silent or unsafe",
-            ),
+        let cause = match alarm {
+            Alarm::NotClosed => format!("dome {name} should be closed and is not verified closed"),
+            Alarm::Uncommanded => format!("dome {name} opened and nobody had commanded it"),
+            Alarm::MountNotParked => format!("dome {name} must close and waits for its mount to park"),
+            Alarm::Hold => format!("the guard closed dome {name} because its permission was not renewed"),
         };
-        self.node.alerts.raise(&self.alert_id(alarm), priority, &cause, consequence, action);
+        self.node.alerts.raise(kind(alarm), name, &cause);
+    }
+}
+
+fn kind(alarm: Alarm) -> AlertKind {
+    match alarm {
+        Alarm::NotClosed => AlertKind::DomeNotClosed,
+        Alarm::Uncommanded => AlertKind::DomeUncommandedOpen,
+        Alarm::MountNotParked => AlertKind::DomeWaitsForMount,
+        Alarm::Hold => AlertKind::DomeHeld,
     }
 }
 

@@ -17,6 +17,7 @@ mod front;
 mod gate;
 pub mod guard;
 mod guard_task;
+mod mount_limits;
 mod mount_watch;
 mod node_part;
 mod permits;
@@ -28,6 +29,7 @@ pub mod spool;
 pub mod spool_http;
 mod start;
 mod token;
+mod watchdog;
 
 pub use alpaca::discovery::{Found, as_toml, discover};
 

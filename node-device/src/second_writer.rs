@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use bus::{Catch, Node};
 use contract::device::Description;
-use contract::observatory::Priority;
+use contract::observatory::AlertKind;
 use contract::{Device, Key};
 use serde_json::Value;
 
@@ -15,7 +15,7 @@ const GONE: Duration = Duration::from_secs(30);
 pub async fn watch(node: Node, device: Device) -> anyhow::Result<()> {
     let key = Key::Capabilities(device.clone()).to_string();
     let heard = node.bus.subscribe::<Description<Value>>(&key, Catch::Newest, 8).await?;
-    let id = format!("second-writer/{}/{}", device.kind, device.name);
+    let instance = format!("{}/{}", device.kind, device.name);
     let clock = node.bus.clock().clone();
     let mut foreign = None;
     loop {
@@ -26,12 +26,11 @@ pub async fn watch(node: Node, device: Device) -> anyhow::Result<()> {
         {
             foreign = Some(now);
             let cause = format!("{device} is also served by the node with boot id {}", said.said.boot_id);
-            let action = "stop one of the two device nodes, or give the device to one of them (node = ...)";
-            node.alerts.raise(&id, Priority::High, &cause, "its state and its commands are unsure", action);
+            node.alerts.raise(AlertKind::SecondWriter, &instance, &cause);
         }
         if foreign.is_some_and(|at| now.since(at) > GONE) {
             foreign = None;
-            node.alerts.clear(&id);
+            node.alerts.clear(AlertKind::SecondWriter, &instance);
         }
     }
 }

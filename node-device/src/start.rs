@@ -6,12 +6,15 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use bus::Node;
-use config::{CloseWithMount, Device as _};
+use config::{CloseWithMount, Device as _, MountLimits};
 use contract::device::telescope::Command as MountCommand;
-use contract::{Chunk, Device, DeviceKind as _, Kind};
+use contract::observatory::AlertKind;
+use contract::{Chunk, Device, DeviceKind as _, Kind, Name};
+use sky::{EarthOrientation, Observer, Place};
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
+use units::Angle;
 
 use crate::alpaca::Alpaca;
 use crate::alpaca::http_client;
@@ -31,12 +34,14 @@ use crate::front::Front;
 use crate::gate::Gate;
 use crate::guard::{Guard, Settings};
 use crate::guard_task::GuardTask;
+use crate::mount_limits::{self, LimitWatch};
 use crate::mount_watch::MountWatch;
 use crate::node_part::NodePart;
 use crate::permits::{self, Permits};
 use crate::serve::Serve;
 use crate::spool::Spool;
 use crate::token::Tokens;
+use crate::watchdog::Watchdog;
 use crate::{announce, second_writer, spool_http};
 
 type Tasks = JoinSet<anyhow::Result<()>>;
@@ -177,6 +182,7 @@ impl Shared<'_> {
             connect: dome.common.connect,
             seen,
             heeds_mounts: dome.close_with_mount != CloseWithMount::Beside,
+            watchdog: Watchdog::of(dome),
         };
         self.tasks.spawn(task.run());
         Ok(())
@@ -187,6 +193,8 @@ impl Shared<'_> {
         let enclosures = self.node.config.enclosures();
         let gate = self.gate(None, enclosures.is_empty());
         let (front, _) = self.serve(mount.common(), driver, gate)?;
+        let limits = (mount.common().name.clone(), mount.limits.clone());
+        self.tasks.spawn(watch_limits(self.node.clone(), front.clone(), limits));
         if !enclosures.is_empty() {
             let waits = self.node.config.dome.iter().any(|dome| dome.close_with_mount != CloseWithMount::Beside);
             self.tasks.spawn(watch_mount(self.node.clone(), self.permits.clone(), front, waits));
@@ -233,6 +241,42 @@ fn fixed_properties(node: &Node, kind: Kind) -> Vec<String> {
         names.extend(optics.into_iter().filter(|name| !node.header.properties(kind, true).contains(name)));
     }
     names
+}
+
+/// Stops a mount that reaches its limits.
+async fn watch_limits(
+    node: Node,
+    front: Arc<Front<Telescope>>,
+    (name, limits): (Name, MountLimits),
+) -> anyhow::Result<()> {
+    let (clock, site) = (node.bus.clock().clone(), &node.config.place);
+    let (latitude, longitude) = (Angle::from_degrees(site.latitude_deg), Angle::from_degrees(site.longitude_deg));
+    let place = Place::new(latitude, longitude, site.elevation_m)?;
+    let mut watch = LimitWatch::default();
+    loop {
+        if node.stop.or(clock.tick(Duration::from_secs(1))).await.is_none() {
+            return Ok(());
+        }
+        let sky = match Observer::new(&place, &EarthOrientation::default(), clock.utc()) {
+            Ok(sky) => sky,
+            Err(error) => {
+                tracing::warn!(%error, "the mount's limits cannot be reckoned");
+                continue;
+            }
+        };
+        let fields = front.face.lock().unwrap_or_else(PoisonError::into_inner).fields.clone();
+        let reached = mount_limits::reached(&limits, &fields, &sky);
+        for command in watch.look(clock.machine(), reached.is_some()) {
+            tracing::warn!(mount = %name, ?command, why = reached, "a limit of the mount is reached");
+            front.insist(&node.signature(), command);
+        }
+        match reached {
+            Some(why) => node.alerts.raise(AlertKind::MountLimit, &name, &format!("mount {name}: {why}")),
+            // it stands until a person could see it, which a mount that obeys at once would prevent
+            None if fields.tracking.known() == Some(&true) => node.alerts.clear(AlertKind::MountLimit, &name),
+            None => {}
+        }
+    }
 }
 
 /// Stops and parks a mount whose enclosure has no permit.

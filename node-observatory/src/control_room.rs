@@ -4,9 +4,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bus::Node;
+use contract::observatory::Sector;
 use contract::{Key, Part};
+use sky::{EarthOrientation, Observer, Place};
 use tokio::sync::{Notify, watch};
+use units::Angle;
 
+use crate::action::AnyAction;
 use crate::journal::Journal;
 use crate::lease::Hold;
 use crate::ledger::Ledger;
@@ -14,6 +18,7 @@ use crate::night::Board;
 use crate::rig::Rig;
 use crate::safety::Ruling;
 use crate::safety::rules::Rules;
+use crate::schedule::Row;
 use crate::standing::Standing;
 
 /// The control room.
@@ -40,6 +45,8 @@ pub struct ControlRoom {
     pub rules: Arc<Rules>,
     /// What people have ordered of the verdict.
     pub standing: watch::Sender<Standing>,
+    /// Those of them that are on disk, as this life knows.
+    pub standing_on_disk: watch::Sender<Standing>,
     /// Frames announced and stored.
     pub ledger: Ledger,
     /// What is shown of the night.
@@ -89,33 +96,42 @@ impl ControlRoom {
         }
     }
 
-    /// What stands against an action, `weather` telling whether it needs a safe sky.
-    pub fn objection(&self, weather: bool) -> Option<Objection> {
+    /// What stands against a row's action, or against any where there is none.
+    pub fn objection(&self, row: Option<&Row>) -> Option<Objection> {
         if !*self.robotic.borrow() {
             return Some(Objection::NotRobotic);
         }
         if self.hold.borrow().token().is_none() {
             return Some(Objection::NoLease);
         }
-        if !weather {
-            return None;
-        }
+        let action = &row.filter(|row| row.action.needs().safe)?.action;
         if !self.is_safe() {
             return Some(Objection::Unsafe(self.ruling.borrow().why()));
         }
-        self.ruling.borrow().suspension().map(Objection::Suspended)
+        let ruling = self.ruling.borrow();
+        ruling.suspension().or_else(|| self.avoided(&ruling.state.avoid, &**action)).map(Objection::Suspended)
     }
 
-    /// May the sky be exposed?
-    pub fn sky_is_usable(&self) -> bool {
-        self.is_safe() && self.ruling.borrow().suspension().is_none()
+    /// Why an action's direction is to be avoided now, if it is.
+    fn avoided(&self, sectors: &[Sector], action: &dyn AnyAction) -> Option<String> {
+        if sectors.is_empty() {
+            return None;
+        }
+        let place = &self.node.config.place;
+        let (latitude, longitude) = (Angle::from_degrees(place.latitude_deg), Angle::from_degrees(place.longitude_deg));
+        let place = Place::new(latitude, longitude, place.elevation_m).ok()?;
+        let sky = Observer::new(&place, &EarthOrientation::default(), self.node.bus.clock().utc()).ok()?;
+        let azimuth_deg = action.azimuth_deg(&sky)?;
+        let sector = sectors.iter().find(|sector| sector.contains(azimuth_deg))?;
+        let (why, half_width_deg) = (&sector.why, sector.half_width_deg);
+        Some(format!("{why}; azimuth {azimuth_deg:.0} deg is within {half_width_deg:.0} deg of it"))
     }
 
-    /// Waits until something stands against an action.
-    pub async fn objected(&self, weather: bool) -> Objection {
+    /// Waits until something stands against a row's action.
+    pub async fn objected(&self, row: &Row) -> Objection {
         let (mut ruling, mut hold, mut robotic) = (self.ruling.clone(), self.hold.clone(), self.robotic.subscribe());
         loop {
-            if let Some(objection) = self.objection(weather) {
+            if let Some(objection) = self.objection(Some(row)) {
                 return objection;
             }
             // the second is for a ruling that grows old because nobody renews it

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use bus::{Clock, Quality};
 use contract::device::{dome, telescope};
-use contract::observatory::{Lease, Priority};
+use contract::observatory::{AlertKind, Lease};
 use contract::{CommandId, Part, Reason};
 use tokio::sync::watch;
 use units::Utc;
@@ -64,7 +64,7 @@ pub async fn keep_holding(room: std::sync::Arc<ControlRoom>, hold: watch::Sender
             Ok(token) => {
                 tracing::info!(token, arbiter = %arbiter(&room), "this node commands");
                 takeover::learn(&room, &last_word).await;
-                room.node.alerts.clear("no-lease");
+                room.node.alerts.clear(AlertKind::NoLease, "");
                 hold.send_replace(Hold::Holding { token, since_utc: clock.utc() });
                 until_lost(&room, token, &lease, &clock).await;
                 tracing::warn!(token, "the lease is in doubt; asking again");
@@ -77,7 +77,7 @@ pub async fn keep_holding(room: std::sync::Arc<ControlRoom>, hold: watch::Sender
                     tracing::info!(detail, "standing by: somebody else commands");
                     hold.send_replace(Hold::Standby);
                 }
-                room.node.alerts.clear("no-lease");
+                room.node.alerts.clear(AlertKind::NoLease, "");
                 (asked_since, id) = (clock.machine(), CommandId::fresh());
             }
             Err(trouble) => {
@@ -102,13 +102,8 @@ pub async fn keep_holding(room: std::sync::Arc<ControlRoom>, hold: watch::Sender
 }
 
 fn no_lease(room: &ControlRoom, trouble: &Trouble) {
-    room.node.alerts.raise(
-        "no-lease",
-        Priority::High,
-        &format!("{} grants no lease: {trouble}", arbiter(room)),
-        "Nothing can be opened or moved.",
-        "Look at the device node that serves it.",
-    );
+    let cause = format!("{} grants no lease: {trouble}", arbiter(room));
+    room.node.alerts.raise(AlertKind::NoLease, "", &cause);
 }
 
 /// The device whose node grants the lease, as `Lease::arbiter` names it.

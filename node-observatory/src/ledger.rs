@@ -7,7 +7,7 @@ use std::time::Duration;
 use bus::{Catch, MachineTime};
 use contract::archive::Stored;
 use contract::device::camera::Frame;
-use contract::observatory::Priority;
+use contract::observatory::AlertKind;
 use contract::{CommandId, Key, Kind, Name};
 use tokio::sync::watch;
 
@@ -109,18 +109,13 @@ pub async fn keep_counting_frames(room: Arc<ControlRoom>) -> anyhow::Result<()> 
     loop {
         let heard = tokio::time::timeout(Duration::from_secs(10), frames.hear()).await;
         for (frame, camera) in room.ledger.lost(clock.machine()) {
-            room.node.alerts.raise(
-                &format!("frame-lost/{camera}"),
-                Priority::Medium,
-                &format!("frame {frame} of {camera} was exposed and never announced"),
-                "It may not be on disk.",
-                "Look at the device node of the camera and its spool.",
-            );
+            let cause = format!("frame {frame} of {camera} was exposed and never announced");
+            room.node.alerts.raise(AlertKind::FrameLost, camera, &cause);
         }
         let Ok(heard) = heard else { continue };
         let frame = heard.said.body;
         if let Key::Frame(device) = &heard.key {
-            room.node.alerts.clear(&format!("frame-lost/{}", device.name));
+            room.node.alerts.clear(AlertKind::FrameLost, &device.name);
         }
         tracing::debug!(frame = %frame.id, camera = frame.camera, "announced");
         let is_new = room.ledger.announced(&frame.id, &frame.purpose.night);

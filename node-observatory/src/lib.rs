@@ -49,6 +49,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     run("lease", Box::pin(lease::keep_holding(room.clone(), hold)));
     run("permit", Box::pin(permit::keep_renewing(room.clone())));
     run("standing orders", Box::pin(standing::keep_reminding(room.clone())));
+    run("standing orders on disk", Box::pin(standing::keep_on_disk(room.clone())));
     run("orders", Box::pin(order::keep_answering(room.clone())));
     run("schedule", Box::pin(schedule::keep_reading(node.clone(), loaded, room.reload.subscribe())));
     run("runner", Box::pin(runner::keep_observing(room.clone(), schedule)));

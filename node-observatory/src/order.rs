@@ -8,7 +8,7 @@ use bus::Service;
 use contract::{Accepted, CommandId, Key, Order, OrderKind, Reason, Refusal, Reply};
 
 use crate::control_room::ControlRoom;
-use crate::standing::{self, Said};
+use crate::standing::Said;
 
 /// Answers orders while this node commands or nobody does; a standby is silent, the commander answers.
 pub async fn keep_answering(room: Arc<ControlRoom>) -> anyhow::Result<()> {
@@ -74,7 +74,6 @@ fn follow(room: &Arc<ControlRoom>, order: &Order) -> Reply {
         OrderKind::StayClosed(on) => {
             let said = on.then(|| said(room, order));
             room.standing.send_modify(|standing| standing.stay_closed = said);
-            keep_standing(room);
         }
         OrderKind::Override { input, for_s } => {
             let mut standing = room.standing.borrow().clone();
@@ -82,7 +81,6 @@ fn follow(room: &Arc<ControlRoom>, order: &Order) -> Reply {
                 return refuse(&order.id, Reason::Malformed, &why);
             }
             room.standing.send_replace(standing);
-            keep_standing(room);
         }
     }
     Reply::Accepted(Accepted { id: order.id.clone(), token: None })
@@ -106,19 +104,6 @@ fn switch_robotic(room: &Arc<ControlRoom>, on: bool, why: &str) {
 
 fn said(room: &ControlRoom, order: &Order) -> Said {
     Said { from: order.from.clone(), reason: order.reason.clone(), at_utc: room.node.bus.clock().utc() }
-}
-
-/// Writes the standing orders, as they are when it is this one's turn.
-fn keep_standing(room: &Arc<ControlRoom>) {
-    static TURN: Mutex<()> = Mutex::new(());
-    let room = room.clone();
-    tokio::task::spawn_blocking(move || {
-        let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
-        let standing = room.standing.borrow().clone();
-        if let Err(error) = standing.write(&standing::path(&room.node.config)) {
-            tracing::warn!(%error, "the standing orders are not on disk; a restart will not know them");
-        }
-    });
 }
 
 fn refuse(id: &CommandId, reason: Reason, detail: &str) -> Reply {

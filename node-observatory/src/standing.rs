@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use config::Response;
-use contract::observatory::Priority;
+use contract::observatory::AlertKind;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
@@ -69,6 +69,13 @@ impl Standing {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Self::default(),
             Err(error) => unreadable(error.to_string()),
         }
+    }
+
+    /// What holds where these orders could not be written and others stand on disk: whatever keeps it closed, and no
+    /// override that only one of them knows.
+    pub fn stricter(self, other: Self) -> Self {
+        let overrides = self.overrides.into_iter().filter(|(input, order)| other.overrides.get(input) == Some(order));
+        Self { stay_closed: self.stay_closed.or(other.stay_closed), overrides: overrides.collect() }
     }
 
     /// Keeps it for the next life of this node: the old file or the new one, whatever happens.
@@ -131,29 +138,55 @@ pub fn path(config: &config::Observatory) -> PathBuf {
     config.folders.data.join(format!("standing-{}.json", config.place.telescope))
 }
 
+/// Writes the standing orders at each change, again and again until the disk takes them.
+pub async fn keep_on_disk(room: Arc<ControlRoom>) -> anyhow::Result<()> {
+    let (mut standing, path) = (room.standing.subscribe(), path(&room.node.config));
+    // those of the start came from the disk
+    standing.mark_unchanged();
+    loop {
+        standing.changed().await?;
+        loop {
+            let (orders, path) = (standing.borrow_and_update().clone(), path.clone());
+            let written = tokio::task::spawn_blocking(move || orders.write(&path).map(|()| orders)).await?;
+            match written {
+                Ok(orders) => {
+                    room.standing_on_disk.send_replace(orders);
+                    room.node.alerts.clear(AlertKind::StandingOrders, "");
+                    break;
+                }
+                Err(error) => {
+                    let cause = format!("the standing orders are not on disk: {error}");
+                    room.node.alerts.raise(AlertKind::StandingOrders, "", &cause);
+                    tokio::time::sleep(Duration::from_secs(2)).await;
+                }
+            }
+        }
+    }
+}
+
 /// Keeps an alert for every standing order, so that none is forgotten.
 pub async fn keep_reminding(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let mut standing = room.standing.subscribe();
-    let mut shown: BTreeSet<String> = BTreeSet::new();
+    let mut shown: BTreeSet<(AlertKind, String)> = BTreeSet::new();
     loop {
         let now = room.node.bus.clock().utc();
         let orders = standing.borrow_and_update().clone();
         let mut wanted = BTreeSet::new();
-        let mut remind = |id: String, cause: String, consequence: &str, action: &str| {
-            room.node.alerts.raise(&id, Priority::Advisory, &cause, consequence, action);
-            wanted.insert(id);
+        let mut remind = |kind: AlertKind, instance: &str, cause: String| {
+            room.node.alerts.raise(kind, instance, &cause);
+            wanted.insert((kind, instance.to_owned()));
         };
         if let Some(said) = &orders.stay_closed {
             let cause = format!("{} ordered to stay closed: {}", said.from, said.reason);
-            remind("stay-closed".to_owned(), cause, "Nothing opens.", "Take it back: starmesh order open-again.");
+            remind(AlertKind::StayClosed, "", cause);
         }
         for (input, order) in orders.holding(now) {
             let (from, reason) = (&order.said.from, &order.said.reason);
             let cause = format!("{input} is overridden until {} by {from}: {reason}", order.until_utc);
-            remind(format!("override/{input}"), cause, "It closes nothing.", "Heed it again: starmesh order heed.");
+            remind(AlertKind::Override, input, cause);
         }
-        for id in shown.difference(&wanted) {
-            room.node.alerts.clear(id);
+        for (kind, instance) in shown.difference(&wanted) {
+            room.node.alerts.clear(*kind, instance);
         }
         shown = wanted;
         tokio::select! {
@@ -211,6 +244,16 @@ mod tests {
         for for_s in [-1.0, f64::NAN, LONGEST_OVERRIDE_S + 1.0] {
             assert!(refused("wx/Humidity", for_s, "x").contains("expected 0"));
         }
+    }
+
+    #[test]
+    fn of_two_records_the_stricter_holds() {
+        let closed = Standing { stay_closed: Some(said("people on the roof")), ..Standing::default() };
+        let mut open = Standing::default();
+        open.do_without(&rules(), SUN, 60.0, said("washing")).unwrap();
+        assert_eq!(closed.clone().stricter(open.clone()), closed);
+        assert_eq!(open.clone().stricter(closed.clone()), closed);
+        assert_eq!(open.clone().stricter(open.clone()), open);
     }
 
     #[test]

@@ -68,7 +68,8 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
         reload: watch::channel(0).0,
         journal,
         rules: Arc::new(Rules::of(config)),
-        standing: watch::channel(standing).0,
+        standing: watch::channel(standing.clone()).0,
+        standing_on_disk: watch::channel(standing).0,
         ledger: Ledger::default(),
         board: Board::new(config.schedule.file.display().to_string()),
     };

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bus::{BusError, Latest};
-use contract::observatory::{NightState, Priority};
+use contract::observatory::{AlertKind, NightState};
 use contract::{BootId, Part};
 use units::Utc;
 
@@ -16,7 +16,6 @@ use crate::standing::{self, Standing};
 const ORDER_HOLDS_S: f64 = 18.0 * 3600.0;
 /// A commander says each second how it stands; what is older than this is no last word.
 const LAST_WORD: Duration = Duration::from_secs(60);
-const ALERT: &str = "journal";
 
 /// The robotic switch as it was last ordered, else as configured.
 pub fn robotic(journal: &Journal, configured: bool, now: Utc) -> bool {
@@ -37,18 +36,18 @@ pub async fn learn(room: &Arc<ControlRoom>, last_word: &Latest<NightState>) {
     let learnt = tokio::task::spawn_blocking(move || (at.journal.take_over(), Standing::read(&path, now))).await;
     let Ok((taken, standing)) = learnt else { return };
     match taken {
-        Ok(()) => room.node.alerts.clear(ALERT),
-        Err(error) => room.node.alerts.raise(
-            ALERT,
-            Priority::High,
-            &format!("the journal cannot be taken over: {error}"),
-            "After a restart rows may begin again.",
-            "Look at the disk that holds the data folder.",
-        ),
+        Ok(()) => room.node.alerts.clear(AlertKind::Journal, ""),
+        Err(error) => {
+            let cause = format!("the journal cannot be taken over: {error}");
+            room.node.alerts.raise(AlertKind::Journal, "", &cause);
+        }
     }
+    // an order that this life accepted and could not write is not forgotten with the lease
+    let is_written = *room.standing.borrow() == *room.standing_on_disk.borrow();
     room.standing.send_if_modified(|known| {
-        let is_new = *known != standing;
-        *known = standing;
+        let holds = if is_written { standing } else { known.clone().stricter(standing) };
+        let is_new = *known != holds;
+        *known = holds;
         is_new
     });
     let own: &BootId = room.node.bus.boot_id();

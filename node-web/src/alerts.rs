@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use bus::MachineTime;
-use contract::observatory::{Alert, Alerts, Priority};
+use contract::observatory::{Alert, AlertKind, Alerts, Priority};
 use contract::{Key, NodeTopic, Part};
 use serde::{Deserialize as _, Serialize};
 
@@ -49,16 +49,9 @@ pub fn standing(telescope: &Telescope, now: MachineTime) -> Vec<Alert> {
                 }
             }
             Key::Node(_, role, id, NodeTopic::State) if entry.quality(now) == Quality::Lost => {
-                let name = format!("node-silent/{role}/{id}");
-                let alert = Alert {
-                    id: name.clone(),
-                    priority: Priority::High,
-                    raised_utc: entry.at_utc,
-                    cause: format!("the {role} node {id} has fallen silent"),
-                    consequence: "what it told is no longer true".to_owned(),
-                    action: "look at its host and restart it".to_owned(),
-                };
-                found.insert(name, alert);
+                let cause = format!("the {role} node {id} has fallen silent");
+                let alert = AlertKind::NodeSilent.alert(format_args!("{role}/{id}"), entry.at_utc, &cause);
+                found.insert(alert.id.clone(), alert);
             }
             _ => {}
         }

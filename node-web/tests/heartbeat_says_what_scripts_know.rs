@@ -39,6 +39,8 @@ fn night(robotic: bool, posture: Posture) -> NightState {
 
 fn safety(verdict: Verdict) -> SafetyState {
     SafetyState {
+        avoid: Vec::new(),
+        intervals: Vec::new(),
         verdict,
         since_utc: now(),
         reasons: Vec::new(),

@@ -52,7 +52,8 @@ pub(crate) fn configuration(
     options: &simulator::Options,
     permit_valid_s: f64,
 ) -> String {
-    let permit = format!("permit_valid_s = {permit_valid_s:?}\n");
+    let permit =
+        format!("permit_valid_s = {permit_valid_s:?}\nwatchdog_s = 60.0\nwatchdog_action = \"feedwatchdog\"\n");
     let mut text = format!(
         "[observatory]\nsite = \"{}\"\ntelescope = \"{}\"\nlatitude_deg = {}\nlongitude_deg = {}\nelevation_m = {}\n\
          [bus]\nmulticast = false\n[clock]\nsimulator = \"http://{simulator}\"\n[schedule]\nrobotic = true\n\

@@ -43,6 +43,8 @@ impl Default for RigOptions {
             speed: 10.0,
             ..Default::default()
         };
+        // a healthy night feeds it; short, so that one that is not fed is noticed in a test
+        world.dome.watchdog_s = Some(60.0);
         world.camera.pixel_um *= 8.0;
         (world.camera.width, world.camera.height) = (256, 256);
         Self { world, window_s: 3600.0, permit_valid_s: 5.0 }

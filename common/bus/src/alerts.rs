@@ -1,9 +1,10 @@
 //! A node's own alerts: raised and cleared by cause, published as state.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use contract::observatory::{Alert, Alerts, Priority};
+use contract::observatory::{Alert, AlertKind, Alerts};
 use tokio::sync::watch;
 
 use crate::Clock;
@@ -22,28 +23,26 @@ impl AlertBoard {
         Self { standing: Arc::default(), shown: Arc::new(watch::channel(Alerts::default()).0), clock }
     }
 
-    /// Raises an alert; one that stands already under this id keeps its time and takes the new words.
-    pub fn raise(&self, id: &str, priority: Priority, cause: &str, consequence: &str, action: &str) {
+    /// Raises an alert; one that stands already keeps its time and takes the new cause. `instance` tells alerts of one
+    /// kind apart; it is empty where there is only one.
+    pub fn raise(&self, kind: AlertKind, instance: impl Display, cause: &str) {
+        let mut alert = kind.alert(instance, self.clock.utc(), cause);
         let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
-        let raised_utc = match standing.get(id) {
-            Some(alert) => alert.raised_utc,
-            None => {
-                tracing::warn!(id, ?priority, cause, "alert raised");
-                self.clock.utc()
-            }
-        };
-        let [cause, consequence, action] = [cause, consequence, action].map(str::to_owned);
-        let alert = Alert { id: id.to_owned(), priority, raised_utc, cause, consequence, action };
-        if standing.get(id) != Some(&alert) {
-            standing.insert(id.to_owned(), alert);
+        match standing.get(&alert.id) {
+            Some(known) => alert.raised_utc = known.raised_utc,
+            None => tracing::warn!(id = alert.id, priority = ?alert.priority, cause, "alert raised"),
+        }
+        if standing.get(&alert.id) != Some(&alert) {
+            standing.insert(alert.id.clone(), alert);
             self.show(&standing);
         }
     }
 
     /// Clears an alert, if it stands.
-    pub fn clear(&self, id: &str) {
+    pub fn clear(&self, kind: AlertKind, instance: impl Display) {
+        let id = kind.id(instance);
         let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
-        if standing.remove(id).is_some() {
+        if standing.remove(&id).is_some() {
             tracing::info!(id, "alert cleared");
             self.show(&standing);
         }

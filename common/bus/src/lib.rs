@@ -8,6 +8,7 @@ mod alerts;
 mod ask;
 mod clock;
 mod diary;
+mod disk;
 mod history;
 mod machine;
 pub mod node;

@@ -19,7 +19,7 @@ use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::diary::DiaryLayer;
-use crate::{AlertBoard, Bus, Clock, Quality, Stop, twin};
+use crate::{AlertBoard, Bus, Clock, Quality, Stop, disk, twin};
 
 /// What a node's command line takes.
 #[derive(Debug, Clone, Parser)]
@@ -126,6 +126,7 @@ impl Node {
             result = work => result,
             result = health => result,
             result = twin::leave_to_older(&self) => result,
+            result = disk::keep_telling(&self) => result,
             result = write => result,
             result = alerts.follow(self.alerts.watch(), Duration::from_secs(10)) => Ok(result?),
         }

@@ -5,13 +5,12 @@ use std::time::Duration;
 use anyhow::bail;
 use contract::NodeTopic;
 use contract::node::NodeState;
-use contract::observatory::Priority;
+use contract::observatory::AlertKind;
 
 use crate::{Catch, Node};
 
 /// A node says how it is every 5 s; a twin that was silent for three of them is gone.
 const GONE: Duration = Duration::from_secs(15);
-const ALERT: &str = "twin";
 
 /// Listens for a twin for ever; ends with an error when there is an older one.
 pub async fn leave_to_older(node: &Node) -> anyhow::Result<()> {
@@ -30,11 +29,11 @@ pub async fn leave_to_older(node: &Node) -> anyhow::Result<()> {
                 bail!("{cause}; end it, or give this one another name with --id");
             }
             foreign = Some(clock.machine());
-            node.alerts.raise(ALERT, Priority::High, &cause, "It should leave by itself.", "End it if it does not.");
+            node.alerts.raise(AlertKind::Twin, "", &cause);
         }
         if foreign.is_some_and(|at| clock.machine().since(at) > GONE) {
             foreign = None;
-            node.alerts.clear(ALERT);
+            node.alerts.clear(AlertKind::Twin, "");
         }
     }
 }

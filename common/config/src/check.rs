@@ -70,6 +70,18 @@ fn place(observatory: &Observatory, faults: &mut Faults<'_>) {
     if !(-90.0..=90.0).contains(&sun) {
         faults.add("", format!("safety.sun_altitude_max_deg = {sun}: expected a number from -90 to 90"));
     }
+    let safety = &observatory.safety;
+    for (key, value) in [
+        ("frozen_after_min", safety.frozen_after_min),
+        ("clock_offset_max_s", safety.clock_offset_max_s),
+        ("disk_free_min_gb", safety.disk_free_min_gb),
+        ("wind_sector.above_mps", safety.wind_sector.map_or(0.0, |sector| sector.above_mps)),
+        ("wind_sector.half_width_deg", safety.wind_sector.map_or(0.0, |sector| sector.half_width_deg)),
+    ] {
+        if !value.is_finite() || value < 0.0 {
+            faults.add("", format!("safety.{key} = {value}: expected 0 or more"));
+        }
+    }
     let shared = place.telescope.as_str() == Address::SHARED;
     for dome in observatory.dome.iter().filter(|dome| shared && dome.telescopes.is_empty()) {
         let name = &dome.common.name;
@@ -112,6 +124,27 @@ fn numbers(observatory: &Observatory, faults: &mut Faults<'_>) {
             );
         }
     }
+    for dome in observatory.dome.iter().filter(|dome| dome.watchdog_s.is_some_and(|s| !(4.0..=3600.0).contains(&s))) {
+        let (name, watchdog_s) = (&dome.common.name, dome.watchdog_s.unwrap_or_default());
+        faults.add(name.as_str(), format!("dome \"{name}\": watchdog_s = {watchdog_s}: expected 4 to 3600 s"));
+    }
+    for dome in observatory.dome.iter().filter(|dome| dome.watchdog_action.is_some() && dome.watchdog_s.is_none()) {
+        let name = &dome.common.name;
+        faults.add(name.as_str(), format!("dome \"{name}\": watchdog_action needs watchdog_s, its time limit"));
+    }
+    for mount in &observatory.telescope {
+        let (name, limits) = (&mount.common.name, &mount.limits);
+        for (key, value, low, high) in [
+            ("altitude_min_deg", Some(limits.altitude_min_deg), -90.0, 90.0),
+            ("hour_angle_max_h", limits.hour_angle_max_h, -12.0, 12.0),
+            ("meridian_past_min", limits.meridian_past_min, -360.0, 360.0),
+        ] {
+            if let Some(value) = value.filter(|value| !(low..=high).contains(value)) {
+                let message = format!("telescope \"{name}\": limits.{key} = {value}: expected {low} to {high}");
+                faults.add(name.as_str(), message);
+            }
+        }
+    }
     for monitor in &observatory.safetymonitor {
         if monitor.dwell_min.is_nan() || monitor.dwell_min < 0.0 {
             let name = &monitor.common.name;
@@ -127,19 +160,29 @@ fn numbers(observatory: &Observatory, faults: &mut Faults<'_>) {
     }
     let own = observatory.observingconditions.iter().flat_map(|station| &station.limit);
     for limit in own.chain(&observatory.shared.limit) {
+        let known = contract::device::observing_conditions::Fields::default();
+        if known.by_ascom_name(&limit.parameter).is_none() && !DERIVED.contains(&limit.parameter.as_str()) {
+            let expected =
+                "an ASCOM ObservingConditions property (Humidity, WindSpeed ...), RelativeSkyTemp or DewPointMargin";
+            no_such_parameter(limit, expected, faults);
+        }
+        limit_holds(limit, faults);
+    }
+    for limit in observatory.switch.iter().flat_map(|switch| &switch.limit) {
+        if contract::device::switch::number_of(&limit.parameter).is_none() {
+            no_such_parameter(limit, "GetSwitchValue0, GetSwitchValue1 and so on", faults);
+        }
         limit_holds(limit, faults);
     }
 }
 
+fn no_such_parameter(limit: &Limit, expected: &str, faults: &mut Faults<'_>) {
+    let name = limit.parameter.as_str();
+    faults.add(name, format!("limit on \"{name}\": no such parameter; expected {expected}"));
+}
+
 fn limit_holds(limit: &Limit, faults: &mut Faults<'_>) {
     let name = limit.parameter.as_str();
-    let known = contract::device::observing_conditions::Fields::default();
-    if known.by_ascom_name(name).is_none() && !DERIVED.contains(&name) {
-        faults.add(
-            name,
-            format!("limit on \"{name}\": no such parameter; expected an ASCOM ObservingConditions property (Humidity, WindSpeed ...), RelativeSkyTemp or DewPointMargin"),
-        );
-    }
     let mut fault = |why: &str| faults.add(name, format!("limit on \"{name}\": {why}"));
     let own = [limit.upper, limit.lower, limit.reopen_upper, limit.reopen_lower];
     let others = [Some(limit.dwell_min), limit.max_age_s, limit.over_min];

@@ -56,6 +56,24 @@ pub enum CloseWithMount {
     ParkedOnly,
 }
 
+/// `[[telescope]] limits`: where a mount stops tracking, whatever the schedule says.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MountLimits {
+    /// Not lower, degrees above the horizon; targets below it are not pointed to.
+    pub altitude_min_deg: f64,
+    /// Not further west of the meridian, h; any where absent.
+    pub hour_angle_max_h: Option<f64>,
+    /// Not longer past the meridian on the pier side that looks east, min; any where absent.
+    pub meridian_past_min: Option<f64>,
+}
+
+impl Default for MountLimits {
+    fn default() -> Self {
+        Self { altitude_min_deg: 0.0, hour_angle_max_h: None, meridian_past_min: None }
+    }
+}
+
 /// What of a parameter a limit is put on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -87,7 +105,7 @@ pub enum Response {
 #[serde(deny_unknown_fields)]
 pub struct Limit {
     /// ASCOM property (`Humidity`, `WindSpeed` ...), or `RelativeSkyTemp` (SkyTemperature - Temperature) or
-    /// `DewPointMargin` (Temperature - DewPoint).
+    /// `DewPointMargin` (Temperature - DewPoint); of a switch `GetSwitchValue0` and so on.
     pub parameter: String,
     /// Bad above this, in the property's ASCOM unit (`rate`: that per minute).
     #[serde(default)]
@@ -194,6 +212,8 @@ devices! {
         slew_timeout_s: f64 = 300.0,
         /// Wait after a slew before exposing, sky s.
         settle_s: f64 = 1.0,
+        /// Where tracking is stopped.
+        limits: MountLimits = MountLimits::default(),
     }
 
     /// A camera, with the devices that belong to it.
@@ -247,6 +267,14 @@ devices! {
         permit_valid_s: f64 = 10.0,
         /// A shutter that moves longer is stuck, sky s.
         travel_timeout_s: f64 = 90.0,
+        /// The dome's own watchdog closes it when it was not fed for so long, machine s; without one a standing alert
+        /// says that nothing closes this dome when its device node's host dies.
+        watchdog_s: Option<f64> = None,
+        /// ASCOM `Action` that feeds it, sent four times in that time while the permit lives, and never else; absent
+        /// where the site feeds it by itself.
+        watchdog_action: Option<String> = None,
+        /// Parameters of that action.
+        watchdog_parameters: String = String::new(),
         /// Telescopes under it; for a dome of the file `shared` at least one, else this one alone.
         telescopes: Vec<Chunk> = Vec::new(),
     }
@@ -270,8 +298,11 @@ devices! {
     /// A mirror cover or flat panel.
     CoverCalibrator every 5.0 {}
 
-    /// Switches.
-    Switch every 5.0 {}
+    /// Switches and gauges, such as a UPS.
+    Switch every 5.0 {
+        /// What is too much or too little, by `GetSwitchValueN`, N counting from 0.
+        limit: Vec<Limit> = Vec::new(),
+    }
 
     /// A field rotator.
     Rotator every 5.0 {}

@@ -12,6 +12,8 @@ mod observatory;
 pub use check::{ConfigError, parse};
 pub use device::{
     Camera, CloseWithMount, Common, CoverCalibrator, Device, Dome, EquatorialChoice, FilterWheel, Focuser, Limit,
-    Measure, ObservingConditions, Response, Rotator, SafetyMonitor, Switch, Telescope,
+    Measure, MountLimits, ObservingConditions, Response, Rotator, SafetyMonitor, Switch, Telescope,
 };
-pub use observatory::{Archive, Bus, ClockSource, Folders, Observatory, Place, Safety, Schedule, Shared, Spool, Web};
+pub use observatory::{
+    Archive, Bus, ClockSource, Folders, Observatory, Place, Safety, Schedule, Shared, Spool, Web, WindSector,
+};

@@ -225,11 +225,36 @@ impl Default for Schedule {
 pub struct Safety {
     /// Unsafe while the Sun is higher than this, degrees; 90 for a dome that may be open by day.
     pub sun_altitude_max_deg: f64,
+    /// Unsafe while all values of a weather station have been the same for so long, machine minutes, and told after
+    /// half of it; 0: never.
+    pub frozen_after_min: f64,
+    /// Nothing is exposed while the clock of an observatory or device node is off by more, s.
+    pub clock_offset_max_s: f64,
+    /// Nothing is exposed while the data folder of an observatory or device node has less room, GB.
+    pub disk_free_min_gb: f64,
+    /// Where not to point in a wind; anywhere where absent.
+    pub wind_sector: Option<WindSector>,
+}
+
+/// `[safety] wind_sector`: no pointing near the direction that a strong wind comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WindSector {
+    /// From this wind or gust on, m/s.
+    pub above_mps: f64,
+    /// So far to both sides of where it comes from, degrees.
+    pub half_width_deg: f64,
 }
 
 impl Default for Safety {
     fn default() -> Self {
-        Self { sun_altitude_max_deg: 0.0 }
+        Self {
+            sun_altitude_max_deg: 0.0,
+            frozen_after_min: 60.0,
+            clock_offset_max_s: 2.0,
+            disk_free_min_gb: 1.0,
+            wind_sector: None,
+        }
     }
 }
 

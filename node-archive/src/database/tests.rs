@@ -185,7 +185,8 @@ async fn a_locked_database_is_alerted_and_loses_no_row() {
         database.put(reading(&boot_id, second, Ok(Scalar::Int(second)))).await.unwrap();
     }
     let mut shown = alerts.watch();
-    let raised = shown.wait_for(|alerts| alerts.alerts.iter().any(|alert| alert.id == ALERT));
+    let raised =
+        shown.wait_for(|alerts| alerts.alerts.iter().any(|alert| alert.id == AlertKind::ArchiveDatabase.id("")));
     tokio::time::timeout(Duration::from_secs(20), raised).await.unwrap().unwrap();
     other.execute_batch("ROLLBACK").unwrap();
     database.commit(vec![reading(&boot_id, 500, Ok(Scalar::Int(500)))]).await.unwrap();

@@ -19,6 +19,7 @@ use std::sync::Arc;
 
 use serde::de::DeserializeOwned;
 use serde_json::Value;
+use sky::Observer;
 
 pub use stage::Stage;
 
@@ -75,6 +76,11 @@ pub trait Action: DeserializeOwned + Send + Sync + 'static {
         None
     }
 
+    /// Where the telescope is to look, degrees from north through east; `None` where it is not moved.
+    fn azimuth_deg(&self, _sky: &Observer) -> Option<f64> {
+        None
+    }
+
     /// Does it; returns what is worth telling about how it went.
     fn run(&self, stage: &Stage) -> impl Future<Output = Result<String, Trouble>> + Send;
 }
@@ -89,6 +95,8 @@ pub trait AnyAction: Send + Sync {
     fn object(&self) -> Option<&str>;
     /// Frames wanted, where that is a number.
     fn frames_wanted(&self) -> Option<u32>;
+    /// Where the telescope is to look, degrees from north through east; `None` where it is not moved.
+    fn azimuth_deg(&self, sky: &Observer) -> Option<f64>;
     /// Does it.
     fn run<'a>(&'a self, stage: &'a Stage) -> Pin<Box<dyn Future<Output = Result<String, Trouble>> + Send + 'a>>;
 }
@@ -108,6 +116,10 @@ impl<A: Action> AnyAction for A {
 
     fn frames_wanted(&self) -> Option<u32> {
         Action::frames_wanted(self)
+    }
+
+    fn azimuth_deg(&self, sky: &Observer) -> Option<f64> {
+        Action::azimuth_deg(self, sky)
     }
 
     fn run<'a>(&'a self, stage: &'a Stage) -> Pin<Box<dyn Future<Output = Result<String, Trouble>> + Send + 'a>> {

@@ -1,7 +1,7 @@
 //! `object`: points at a target and takes frames until the window ends or there are enough.
 
 use serde::Deserialize;
-use sky::{Horizontal, Icrs};
+use sky::{Horizontal, Icrs, Observer};
 use units::Utc;
 
 use super::expose::{Series, Shot, expose, fits};
@@ -179,6 +179,14 @@ impl Action for Object {
         self.n.and_then(|n| u32::try_from(n).ok())
     }
 
+    fn azimuth_deg(&self, sky: &Observer) -> Option<f64> {
+        match (self.ra, self.dec) {
+            _ if !self.moves() => None,
+            (Some(ra), Some(dec)) => Some(sky.to_horizontal(&Icrs::from_degrees(ra, dec)).azimuth.degrees()),
+            _ => self.az,
+        }
+    }
+
     async fn run(&self, stage: &Stage) -> Result<String, Trouble> {
         let chain = stage.chain()?;
         let mut told: Vec<String> = self.not_done().into_iter().map(str::to_owned).collect();
@@ -224,7 +232,7 @@ impl Action for Object {
 }
 
 /// The sky now, if the target stands in it.
-fn visible(stage: &Stage, target: &Icrs) -> Result<sky::Observer, Trouble> {
+fn visible(stage: &Stage, target: &Icrs) -> Result<Observer, Trouble> {
     let observer = stage.observer(stage.clock().utc())?;
     let altitude_deg = observer.to_horizontal(target).altitude.degrees();
     if altitude_deg > 0.0 {

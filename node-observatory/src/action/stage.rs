@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use bus::Clock;
+use contract::observatory::AlertKind;
 use contract::{CommandId, Name};
 use sky::{EarthOrientation, NightDate, Observer, Place};
 use units::{Angle, Utc};
@@ -110,18 +111,12 @@ impl Stage {
     /// Runs the cooler and waits until the sensor is cold; an alert stands while a sensor does not get there.
     pub async fn cool(&self) -> Result<(), Trouble> {
         let camera = self.chain()?.camera;
-        let id = format!("cooling-failed/{}", self.row.camera);
+        let (alerts, name) = (&self.room.node.alerts, &self.row.camera);
         camera.start_cooling().await?;
         let cold = camera.wait_until_cold().await;
         match &cold {
-            Ok(()) => self.room.node.alerts.clear(&id),
-            Err(trouble) => self.room.node.alerts.raise(
-                &id,
-                contract::observatory::Priority::Medium,
-                &trouble.to_string(),
-                "Rows of this camera fail.",
-                "Look at the cooler, or raise temperature_c.",
-            ),
+            Ok(()) => alerts.clear(AlertKind::CoolingFailed, name),
+            Err(trouble) => alerts.raise(AlertKind::CoolingFailed, name, &trouble.to_string()),
         }
         cold
     }

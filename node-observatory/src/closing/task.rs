@@ -8,7 +8,7 @@ use bus::MachineTime;
 use config::CloseWithMount;
 use contract::Outcome;
 use contract::device::{cover_calibrator, dome, telescope};
-use contract::observatory::Priority;
+use contract::observatory::AlertKind;
 use tokio::task::JoinSet;
 
 use super::decide::{Closing, CoverSight, DomeSight, MountSight, Sight, Step};
@@ -156,53 +156,33 @@ fn escalate(room: &ControlRoom, sight: &Sight, closing_for: Duration) {
     let (alerts, clock) = (&room.node.alerts, room.node.bus.clock());
     for (dome, seen) in room.rig.domes.iter().zip(&sight.domes) {
         let name = &dome.instrument.device.name;
-        let id = format!("dome-not-closed/{name}");
         let most = match dome.policy {
             CloseWithMount::Beside => patience(clock, dome.travel),
             CloseWithMount::ParkedWithinS => patience(clock, dome.travel) + dome.parked_within,
             CloseWithMount::ParkedOnly => dome.parked_within,
         };
         if seen.is_closed() {
-            alerts.clear(&id);
+            alerts.clear(AlertKind::DomeNotClosed, name);
         } else if closing_for >= most {
             let shutter = seen.shutter.map_or("not known".to_owned(), |shutter| format!("{shutter:?}").to_lowercase());
-            alerts.raise(
-                &id,
-                Priority::Critical,
-                &format!("{name} must be closed and is not: its shutter is {shutter}"),
-                "The telescope stands in the open.",
-                "Close it by hand. The closing goes on by itself every 10 s.",
-            );
+            let cause = format!("{name} must be closed and is not: its shutter is {shutter}");
+            alerts.raise(AlertKind::DomeNotClosed, name, &cause);
         }
     }
     for (mount, seen) in room.rig.mounts.iter().zip(&sight.mounts) {
         let name = &mount.instrument.device.name;
-        let id = format!("mount-not-parked/{name}");
         if seen.is_stopped() {
-            alerts.clear(&id);
+            alerts.clear(AlertKind::MountNotParked, name);
         } else if closing_for >= patience(clock, seconds(mount.config.slew_timeout_s)) {
-            alerts.raise(
-                &id,
-                Priority::High,
-                &format!("{name} must be parked and is not seen to be"),
-                "It may move under a closed roof, or hold up a roof that waits for it.",
-                "Look at the mount. The parking goes on by itself.",
-            );
+            alerts.raise(AlertKind::MountNotParked, name, &format!("{name} must be parked and is not seen to be"));
         }
     }
     for (cover, seen) in room.rig.covers.iter().zip(&sight.covers) {
         let name = &cover.instrument.device.name;
-        let id = format!("cover-not-closed/{name}");
         if seen.is_closed() {
-            alerts.clear(&id);
+            alerts.clear(AlertKind::CoverNotClosed, name);
         } else if closing_for >= patience(clock, TRAVEL) {
-            alerts.raise(
-                &id,
-                Priority::Medium,
-                &format!("{name} must be closed and is not seen to be"),
-                "Dust and dew reach the mirror.",
-                "Look at the cover. The closing goes on by itself.",
-            );
+            alerts.raise(AlertKind::CoverNotClosed, name, &format!("{name} must be closed and is not seen to be"));
         }
     }
 }
@@ -210,10 +190,10 @@ fn escalate(room: &ControlRoom, sight: &Sight, closing_for: Duration) {
 /// Nothing calls for closing any more.
 fn calm(room: &ControlRoom) {
     let rig = &room.rig;
-    let domes = rig.domes.iter().map(|dome| ("dome-not-closed", &dome.instrument.device.name));
-    let mounts = rig.mounts.iter().map(|mount| ("mount-not-parked", &mount.instrument.device.name));
-    let covers = rig.covers.iter().map(|cover| ("cover-not-closed", &cover.instrument.device.name));
-    for (what, name) in domes.chain(mounts).chain(covers) {
-        room.node.alerts.clear(&format!("{what}/{name}"));
+    let domes = rig.domes.iter().map(|dome| (AlertKind::DomeNotClosed, &dome.instrument.device.name));
+    let mounts = rig.mounts.iter().map(|mount| (AlertKind::MountNotParked, &mount.instrument.device.name));
+    let covers = rig.covers.iter().map(|cover| (AlertKind::CoverNotClosed, &cover.instrument.device.name));
+    for (kind, name) in domes.chain(mounts).chain(covers) {
+        room.node.alerts.clear(kind, name);
     }
 }

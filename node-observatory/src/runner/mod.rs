@@ -58,7 +58,7 @@ pub async fn keep_observing(room: Arc<ControlRoom>, mut loaded: watch::Receiver<
     };
     loop {
         runner.take_schedule(&loaded.borrow_and_update());
-        if runner.room.objection(false).is_none() {
+        if runner.room.objection(None).is_none() {
             runner.skip_passed();
             while runner.start_next() {}
             runner.say_farewell();
@@ -124,7 +124,9 @@ impl Runner {
     /// Starts the next row whose time has come; false when there is none.
     fn start_next(&mut self) -> bool {
         let now = self.room.node.bus.clock().utc();
-        let Some(index) = pick(&self.rows, &self.statuses, now, self.room.sky_is_usable()) else { return false };
+        let Some(index) = pick(&self.rows, &self.statuses, now, |row| self.room.objection(Some(row)).is_none()) else {
+            return false;
+        };
         let row = self.rows[index].clone();
         let number = u32::try_from(index).unwrap_or(u32::MAX);
         tracing::info!(row = index, action = row.action.name(), object = row.action.object(), "row begins");

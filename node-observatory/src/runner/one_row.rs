@@ -24,13 +24,12 @@ const PAUSE: Duration = Duration::from_secs(5);
 
 /// Runs a row; never ends the night, whatever happens in it.
 pub async fn run_row(stage: &Stage) -> RowEnd {
-    let needs = stage.row.action.needs();
     let taken = || stage.room.journal.progress(&stage.row.id).taken;
     let (mut retried, mut had) = (0, taken());
     loop {
         let tried = tokio::select! {
             biased;
-            objection = stage.room.objected(needs.safe) => Err(objection),
+            objection = stage.room.objected(&stage.row) => Err(objection),
             result = stage.row.action.run(stage) => Ok(result),
         };
         let trouble = match tried {
@@ -55,7 +54,7 @@ pub async fn run_row(stage: &Stage) -> RowEnd {
         tracing::warn!(row = stage.index, %trouble, retried, "trying again");
         stage.small_step(format!("trying again after: {trouble}"));
         tokio::select! {
-            objection = stage.room.objected(needs.safe) => return RowEnd::Interrupted(objection),
+            objection = stage.room.objected(&stage.row) => return RowEnd::Interrupted(objection),
             () = tokio::time::sleep(PAUSE) => {}
         }
     }

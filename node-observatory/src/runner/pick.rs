@@ -13,9 +13,9 @@ pub fn has_ended(status: RowStatus) -> bool {
     }
 }
 
-/// The first row in order whose window is open and that the sky allows; none while a row runs that the next ones
+/// The first row in order whose window is open and that nothing stands against; none while a row runs that the next ones
 /// must wait for, or that needs the same camera or mount.
-pub fn pick(rows: &[Row], statuses: &[RowStatus], now: Utc, safe: bool) -> Option<usize> {
+pub fn pick(rows: &[Row], statuses: &[RowStatus], now: Utc, may: impl Fn(&Row) -> bool) -> Option<usize> {
     let each = || rows.iter().zip(statuses);
     let running: Vec<&Row> = each().filter(|(_, status)| **status == RowStatus::Running).map(|(row, _)| row).collect();
     if running.iter().any(|row| !row.action.needs().parallel) {
@@ -24,7 +24,7 @@ pub fn pick(rows: &[Row], statuses: &[RowStatus], now: Utc, safe: bool) -> Optio
     let next = each().enumerate().position(|(index, (row, status))| {
         let waits = matches!(status, RowStatus::Pending | RowStatus::Interrupted);
         let in_turn = !row.action.needs().all_before || statuses.iter().take(index).all(|status| has_ended(*status));
-        waits && in_turn && row.start <= now && now <= row.end && (safe || !row.action.needs().safe)
+        waits && in_turn && row.start <= now && now <= row.end && may(row)
     })?;
     let row = rows.get(next)?;
     let clashes =
@@ -57,6 +57,14 @@ mod tests {
         parse(&text, &["a".parse().unwrap(), "b".parse().unwrap()]).unwrap()
     }
 
+    fn any(_: &Row) -> bool {
+        true
+    }
+
+    fn no_sky(row: &Row) -> bool {
+        !row.action.needs().safe
+    }
+
     fn at(hour: u32) -> Utc {
         format!("2026-11-21T{hour:02}:30:00Z").parse().unwrap()
     }
@@ -64,27 +72,27 @@ mod tests {
     #[test]
     fn rows_go_one_after_another_within_their_windows() {
         let rows = rows(&[("a", "object", OBJECT, 1, 3), ("a", "calibration", CALIBRATION, 2, 4)]);
-        assert_eq!(pick(&rows, &[Pending, Pending], at(0), true), None);
-        assert_eq!(pick(&rows, &[Pending, Pending], at(2), true), Some(0));
-        assert_eq!(pick(&rows, &[Running, Pending], at(2), true), None);
-        assert_eq!(pick(&rows, &[Finished, Pending], at(2), true), Some(1));
-        assert_eq!(pick(&rows, &[Skipped, Pending], at(5), true), None);
+        assert_eq!(pick(&rows, &[Pending, Pending], at(0), any), None);
+        assert_eq!(pick(&rows, &[Pending, Pending], at(2), any), Some(0));
+        assert_eq!(pick(&rows, &[Running, Pending], at(2), any), None);
+        assert_eq!(pick(&rows, &[Finished, Pending], at(2), any), Some(1));
+        assert_eq!(pick(&rows, &[Skipped, Pending], at(5), any), None);
     }
 
     #[test]
     fn an_unsafe_sky_lets_only_those_go_that_need_none() {
         let rows = rows(&[("a", "object", OBJECT, 1, 3), ("a", "calibration", CALIBRATION, 1, 4)]);
-        assert_eq!(pick(&rows, &[Interrupted, Pending], at(2), false), Some(1));
-        assert_eq!(pick(&rows, &[Interrupted, Pending], at(2), true), Some(0), "resumed when it is safe again");
+        assert_eq!(pick(&rows, &[Interrupted, Pending], at(2), no_sky), Some(1));
+        assert_eq!(pick(&rows, &[Interrupted, Pending], at(2), any), Some(0), "resumed when it is safe again");
     }
 
     #[test]
     fn headers_are_summed_up_only_when_no_interrupted_row_is_left() {
         let rows =
             rows(&[("a", "object", OBJECT, 1, 3), ("a", "complete_headers", "{}", 1, 4), ("a", "close", "{}", 1, 4)]);
-        assert_eq!(pick(&rows, &[Interrupted, Pending, Pending], at(2), false), Some(2));
-        assert_eq!(pick(&rows, &[Interrupted, Pending, Finished], at(2), true), Some(0));
-        assert_eq!(pick(&rows, &[Finished, Pending, Finished], at(2), true), Some(1));
+        assert_eq!(pick(&rows, &[Interrupted, Pending, Pending], at(2), no_sky), Some(2));
+        assert_eq!(pick(&rows, &[Interrupted, Pending, Finished], at(2), any), Some(0));
+        assert_eq!(pick(&rows, &[Finished, Pending, Finished], at(2), any), Some(1));
     }
 
     #[test]
@@ -94,8 +102,8 @@ mod tests {
             ("b", "object", OBJECT, 2, 4),
             ("a", "calibration", CALIBRATION, 3, 4),
         ]);
-        assert_eq!(pick(&rows, &[Running, Pending, Pending], at(2), true), Some(1));
-        assert_eq!(pick(&rows, &[Running, Finished, Pending], at(3), true), None);
-        assert_eq!(pick(&rows, &[Finished, Finished, Pending], at(3), true), Some(2));
+        assert_eq!(pick(&rows, &[Running, Pending, Pending], at(2), any), Some(1));
+        assert_eq!(pick(&rows, &[Running, Finished, Pending], at(3), any), None);
+        assert_eq!(pick(&rows, &[Finished, Finished, Pending], at(3), any), Some(2));
     }
 }

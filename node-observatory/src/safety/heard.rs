@@ -5,11 +5,15 @@ use std::time::Duration;
 use bus::SkyTime;
 use contract::device::observing_conditions::Fields as Weather;
 use contract::device::safety_monitor::Fields as Monitor;
+use contract::device::switch::{Fields as Switches, number_of};
 use contract::{Device, DeviceState, Link};
 
+use super::frozen::Freeze;
 use super::history::{Entry, Now, Record};
 use super::measure::Window;
+use super::nodes::Nodes;
 use super::rules::{LimitRule, Rules};
+use super::wind::Winds;
 use crate::patience::seconds;
 
 /// What a safety monitor said.
@@ -41,6 +45,12 @@ pub struct History {
     pub limits: Vec<Record<Measured>>,
     /// What the limits' measures are made of.
     windows: Vec<Window>,
+    /// Since when the stations' values stand still.
+    pub freeze: Freeze,
+    /// What wind blows.
+    pub winds: Winds,
+    /// How the machines stand.
+    pub nodes: Nodes,
     /// Altitude of the Sun now, degrees, or why it is not known.
     pub sun_altitude_deg: Result<f64, String>,
 }
@@ -53,6 +63,9 @@ impl History {
             monitors: rules.monitors.iter().map(|_| Record::default()).collect(),
             limits: rules.limits.iter().map(|_| Record::default()).collect(),
             windows: rules.limits.iter().map(|_| Window::default()).collect(),
+            freeze: Freeze::default(),
+            winds: Winds::default(),
+            nodes: Nodes::default(),
             sun_altitude_deg: Err("not computed yet".to_owned()),
         }
     }
@@ -69,10 +82,32 @@ impl History {
 
     /// Takes in a state of a weather station; `speed` turns the station's own age into machine time.
     pub fn hear_weather(&mut self, rules: &Rules, device: &Device, state: &DeviceState<Weather>, speed: f64, at: Now) {
-        for (index, rule) in rules.limits.iter().enumerate() {
-            if rule.device == *device {
-                self.hear_value(rule, index, parameter(state, &rule.parameter, rule.max_age, speed), at);
-            }
+        if connected(state).is_ok() {
+            self.freeze.hear(device, &state.fields, at.machine);
+            self.winds.hear(device, &state.fields, at.machine);
+        }
+        self.hear_limits(rules, device, at, |rule| parameter(state, &rule.parameter, rule.max_age, speed));
+    }
+
+    /// Takes in a state of a set of switches.
+    pub fn hear_switch(&mut self, rules: &Rules, device: &Device, state: &DeviceState<Switches>, at: Now) {
+        self.hear_limits(rules, device, at, |rule| {
+            connected(state)?;
+            let value = number_of(&rule.parameter).and_then(|number| state.fields.values.get(number));
+            let value = value.ok_or_else(|| format!("there is no {}", rule.parameter))?;
+            value.as_result().copied().map_err(ToString::to_string)
+        });
+    }
+
+    fn hear_limits(
+        &mut self,
+        rules: &Rules,
+        device: &Device,
+        at: Now,
+        value: impl Fn(&LimitRule) -> Result<f64, String>,
+    ) {
+        for (index, rule) in rules.limits.iter().enumerate().filter(|(_, rule)| rule.device == *device) {
+            self.hear_value(rule, index, value(rule), at);
         }
     }
 

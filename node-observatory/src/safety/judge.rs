@@ -7,7 +7,7 @@
 use std::time::Duration;
 
 use config::Response;
-use contract::observatory::{InputState, Unsafe, Verdict};
+use contract::observatory::{InputState, Sector, Unsafe, Verdict};
 
 use super::heard::{History, Measured, MonitorReading};
 use super::history::{Evidence, Now, Record};
@@ -28,6 +28,8 @@ pub struct Judgement {
     pub time_to_safe_s: Option<f64>,
     /// Every input with its newest value and age.
     pub inputs: Vec<InputState>,
+    /// Directions that no telescope is to point to.
+    pub avoid: Vec<Sector>,
     /// Some input says something bad now, as opposed to saying nothing.
     pub speaks_against: bool,
 }
@@ -59,7 +61,14 @@ pub fn judge(rules: &Rules, history: &History, now: Now) -> Judgement {
     if let Some(most_deg) = rules.sun_altitude_max_deg {
         hear_sun(most_deg, &history.sun_altitude_deg, &mut hearing);
     }
-    hearing.close()
+    if !rules.frozen_after.is_zero() {
+        hear_frozen(rules, history, now, &mut hearing);
+    }
+    for complaint in history.nodes.complaints(rules.clock_offset_max_s, rules.disk_free_min_gb, now.machine) {
+        hearing.against(Response::Suspend, &complaint.input, complaint.why, None);
+    }
+    let avoid = rules.wind_sector.map(|sector| history.winds.sectors(&sector, now.machine)).unwrap_or_default();
+    Judgement { avoid, ..hearing.close() }
 }
 
 /// The limits with what was heard of them; both were made from the same rules.
@@ -138,6 +147,7 @@ impl Hearing {
             suspended: self.suspended,
             advisories: self.advisories,
             inputs: self.inputs,
+            avoid: Vec::new(),
             speaks_against: self.speaks_against,
         }
     }
@@ -171,6 +181,12 @@ fn weigh(rule: &LimitRule, record: &Record<Measured>, now: Now, hearing: &mut He
     let evidence = record.evidence(now, rule.max_age, |measured| !measured.tripped);
     let good = matches!(evidence, Evidence::Good { .. });
     hearing.input(&rule.input, record, now, good, |measured| number(measured.value));
+    if let Evidence::Good { newest, .. } = &evidence
+        && !rule.reopen.contain(newest.value)
+    {
+        let why = format!("{} is near its limit", number(newest.value));
+        hearing.against(Response::Advise, &rule.input, why, None);
+    }
     evidence
 }
 
@@ -229,6 +245,19 @@ fn hear_sun(most_deg: f64, altitude_deg: &Result<f64, String>, hearing: &mut Hea
         hearing.closing(input, format!("altitude {value}, allowed are {} deg", number(most_deg)), None);
     }
     hearing.inputs.push(InputState { input: input.to_owned(), value, age_s: Some(0.0), good: is_low });
+}
+
+/// A station of these limits whose values do not move any more.
+fn hear_frozen(rules: &Rules, history: &History, now: Now, hearing: &mut Hearing) {
+    for (station, still) in history.freeze.stand_still(now.machine) {
+        if still < rules.frozen_after / 2 || !rules.limits.iter().any(|rule| rule.device == *station) {
+            continue;
+        }
+        let frozen = still >= rules.frozen_after;
+        let why = format!("all its values have been the same for {:.0} min", minutes(still));
+        let response = if frozen { Response::Close } else { Response::Advise };
+        hearing.against(response, &format!("{}/frozen", station.name), why, None);
+    }
 }
 
 fn number(value: f64) -> String {

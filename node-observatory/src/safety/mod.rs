@@ -1,11 +1,15 @@
 //! The verdict: what is heard, how it is judged, and the task that never stops doing both.
 
+pub mod frozen;
 pub mod heard;
 pub mod history;
+mod intervals;
 pub mod judge;
 pub mod measure;
+pub mod nodes;
 pub mod rules;
 pub mod task;
+pub mod wind;
 
 use std::time::Duration;
 
@@ -39,6 +43,8 @@ impl Ruling {
             advisories: Vec::new(),
             time_to_safe_s: None,
             inputs: Vec::new(),
+            avoid: Vec::new(),
+            intervals: Vec::new(),
         };
         Self { state, judged: now, settled: false }
     }

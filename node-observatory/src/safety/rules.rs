@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use config::{Limit, Observatory, Response};
-use contract::Device;
+use config::{Limit, Observatory, Response, WindSector};
+use contract::{Device, Kind};
 
 use super::measure::Measure;
 use crate::patience::seconds;
@@ -75,6 +75,14 @@ pub struct Rules {
     pub limits: Vec<LimitRule>,
     /// Unsafe while the Sun is higher, degrees.
     pub sun_altitude_max_deg: Option<f64>,
+    /// A station whose values have been the same for so long is frozen, machine time; zero: never.
+    pub frozen_after: Duration,
+    /// Nothing is exposed while a node's clock is off by more, s.
+    pub clock_offset_max_s: f64,
+    /// Nothing is exposed while a node's data folder has less room, GB.
+    pub disk_free_min_gb: f64,
+    /// Where not to point in a wind.
+    pub wind_sector: Option<WindSector>,
     /// Limits that are not heeded, with the reason.
     pub disabled: Vec<(String, String)>,
     /// A person wants it closed, in words.
@@ -103,21 +111,38 @@ impl Rules {
                 Some(why) => disabled.push((input, why)),
             }
         }
+        let mut limited: Vec<(Device, &Limit)> = Vec::new();
         for device in config.heeded_weather() {
             let own = config
                 .observingconditions
                 .iter()
                 .find(|own| device.address == config.address() && own.common.name == device.name);
-            for limit in own.map_or(&config.shared.limit, |own| &own.limit) {
-                let rule = LimitRule::of(limit, &device);
-                match &limit.disabled {
-                    None => limits.push(rule),
-                    Some(why) => disabled.push((rule.input, why.clone())),
-                }
+            let of_station = own.map_or(&config.shared.limit, |own| &own.limit);
+            limited.extend(of_station.iter().map(|limit| (device.clone(), limit)));
+        }
+        for switch in &config.switch {
+            let device = config.device(Kind::Switch, &switch.common.name);
+            limited.extend(switch.limit.iter().map(|limit| (device.clone(), limit)));
+        }
+        for (device, limit) in limited {
+            let rule = LimitRule::of(limit, &device);
+            match &limit.disabled {
+                None => limits.push(rule),
+                Some(why) => disabled.push((rule.input, why.clone())),
             }
         }
-        let sun_altitude_max_deg = Some(config.safety.sun_altitude_max_deg);
-        Self { monitors, limits, sun_altitude_max_deg, disabled, stay_closed: None }
+        let safety = &config.safety;
+        Self {
+            monitors,
+            limits,
+            sun_altitude_max_deg: Some(safety.sun_altitude_max_deg),
+            frozen_after: seconds(safety.frozen_after_min * 60.0),
+            clock_offset_max_s: safety.clock_offset_max_s,
+            disk_free_min_gb: safety.disk_free_min_gb,
+            wind_sector: safety.wind_sector,
+            disabled,
+            stay_closed: None,
+        }
     }
 }
 

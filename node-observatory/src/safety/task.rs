@@ -1,5 +1,6 @@
 //! The safety loop: hears the inputs, judges at each arrival and each second, and waits for nothing else.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -7,8 +8,10 @@ use anyhow::Context as _;
 use bus::{Catch, Clock, Heard, Node, Subscriber};
 use contract::device::observing_conditions::Fields as Weather;
 use contract::device::safety_monitor::Fields as Monitor;
-use contract::observatory::{Priority, SafetyState, Verdict};
-use contract::{BootId, Device, DeviceState, Key, Payload};
+use contract::device::switch::Fields as Switches;
+use contract::node::NodeState;
+use contract::observatory::{AlertKind, Interval, SafetyState, Verdict};
+use contract::{BootId, Device, DeviceState, Key, Kind, NodeTopic, Payload, Role};
 use sky::{EarthOrientation, Observer, Place};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
@@ -17,6 +20,7 @@ use units::Angle;
 use super::Ruling;
 use super::heard::History;
 use super::history::Now;
+use super::intervals::{self, Intervals};
 use super::judge::{Judgement, judge};
 use super::rules::Rules;
 use crate::standing::Standing;
@@ -28,6 +32,7 @@ const GRACE: Duration = Duration::from_secs(5);
 enum Word {
     Monitor(Device, Box<DeviceState<Monitor>>, Now),
     Weather(Device, Box<DeviceState<Weather>>, Now),
+    Switch(Device, Box<DeviceState<Switches>>, Now),
 }
 
 /// Judges until the node ends; the ruling is all that leaves this task.
@@ -48,28 +53,36 @@ pub async fn keep_judging(
     let mut devices: Vec<Device> = rules.limits.iter().map(|rule| rule.device.clone()).collect();
     devices.dedup();
     for device in devices {
-        ears.spawn(listen(&node, device, &words, Word::Weather).await?);
+        match device.kind {
+            Kind::Switch => ears.spawn(listen(&node, device, &words, Word::Switch).await?),
+            _ => ears.spawn(listen(&node, device, &words, Word::Weather).await?),
+        };
     }
+    let nodes = listen_to_nodes(&node).await?;
 
     for (input, why) in &rules.disabled {
-        node.alerts.raise(
-            &format!("disabled/{input}"),
-            Priority::Medium,
-            &format!("{input} is disabled: {why}"),
-            "The verdict does without it.",
-            "Take `disabled` out of the configuration once it can be relied on again.",
-        );
+        node.alerts.raise(AlertKind::Disabled, input, &format!("{input} is disabled: {why}"));
     }
     let started = now(&clock);
     let mut history = History::new(&rules, started.sky);
+    let past = intervals::path(&node.config);
+    let read = past.clone();
+    let mut past_verdicts = tokio::task::spawn_blocking(move || Intervals::read(&read)).await?;
     loop {
         history.sun_altitude_deg = sun_altitude_deg(&node.config, &clock);
         let effective = standing.borrow_and_update().applied_to(&rules, clock.utc());
         let judgement = judge(&effective, &history, now(&clock));
         let waited = now(&clock).machine.since(started.machine) >= GRACE;
         let settled = waited || history.all_heard() || judgement.speaks_against;
-        publish(&ruling, judgement, settled, &clock);
+        if settled && let Some(ended) = past_verdicts.judge(judgement.verdict, &judgement.reasons, clock.utc()) {
+            keep(past.clone(), ended);
+        }
+        publish(&ruling, judgement, past_verdicts.shown(), settled, &clock);
         tokio::select! {
+            (name, state) = hear_node(&nodes) => {
+                let own = clock.utc();
+                history.nodes.hear(name, &state.said.body, state.said.at_utc, own, state.arrived);
+            }
             word = heard.recv() => {
                 let Some(word) = word else { anyhow::bail!("the ears of the safety loop are gone") };
                 take_in(&mut history, &rules, word, clock.speed());
@@ -100,10 +113,48 @@ fn take_in(history: &mut History, rules: &Rules, word: Word, speed: f64) {
     match word {
         Word::Monitor(device, state, at) => history.hear_monitor(rules, &device, &state, at),
         Word::Weather(device, state, at) => history.hear_weather(rules, &device, &state, speed, at),
+        Word::Switch(device, state, at) => history.hear_switch(rules, &device, &state, at),
     }
 }
 
-fn publish(ruling: &watch::Sender<Ruling>, judgement: Judgement, settled: bool, clock: &Clock) {
+/// Keeps a verdict that ended, beside the loop: no disk delays the next one.
+fn keep(path: PathBuf, ended: Interval) {
+    tokio::task::spawn_blocking(move || {
+        if let Err(error) = intervals::append(&path, &ended) {
+            tracing::warn!(file = %path.display(), %error, "a verdict that ended is not on disk");
+        }
+    });
+}
+
+/// The device and observatory nodes of this telescope and of the site's shared devices.
+async fn listen_to_nodes(node: &Node) -> anyhow::Result<Vec<Subscriber<NodeState>>> {
+    let own = node.config.address();
+    let mut ears = Vec::new();
+    for address in [own.shared(), own] {
+        for role in [Role::Device, Role::Observatory] {
+            let keys = format!("{}/{address}/node/{role}/*/{}", contract::key::ROOT, NodeTopic::State.word());
+            ears.push(node.bus.subscribe(&keys, Catch::Newest, 64).await?);
+        }
+    }
+    Ok(ears)
+}
+
+async fn hear_node(nodes: &[Subscriber<NodeState>]) -> (String, Heard<NodeState>) {
+    loop {
+        let heard = futures_util::future::select_all(nodes.iter().map(|ear| Box::pin(ear.hear()))).await.0;
+        if let Key::Node(address, role, id, NodeTopic::State) = &heard.key {
+            return (format!("{}/{role}/{id}", address.telescope), heard);
+        }
+    }
+}
+
+fn publish(
+    ruling: &watch::Sender<Ruling>,
+    judgement: Judgement,
+    intervals: Vec<Interval>,
+    settled: bool,
+    clock: &Clock,
+) {
     ruling.send_modify(|ruling| {
         if ruling.state.verdict != judgement.verdict {
             match judgement.verdict {
@@ -123,6 +174,8 @@ fn publish(ruling: &watch::Sender<Ruling>, judgement: Judgement, settled: bool, 
             advisories: judgement.advisories,
             time_to_safe_s: judgement.time_to_safe_s,
             inputs: judgement.inputs,
+            avoid: judgement.avoid,
+            intervals,
         };
         ruling.judged = clock.machine();
         ruling.settled |= settled;

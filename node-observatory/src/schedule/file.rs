@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime};
 
 use bus::Node;
 use contract::Name;
-use contract::observatory::Priority;
+use contract::observatory::AlertKind;
 use tokio::sync::watch;
 
 use super::parse::parse;
@@ -25,7 +25,6 @@ pub struct Loaded {
 
 /// How often the file is looked at, machine time.
 const LOOK: Duration = Duration::from_secs(2);
-const ALERT: &str = "schedule-refused";
 
 /// What tells that a file has changed.
 type Mark = Option<(SystemTime, u64)>;
@@ -75,7 +74,7 @@ async fn read_rows(path: PathBuf, cameras: Arc<Vec<Name>>) -> Result<Vec<Row>, S
 fn take(node: &Node, loaded: &watch::Sender<Loaded>, read: Result<Vec<Row>, String>) {
     match read {
         Ok(rows) => {
-            node.alerts.clear(ALERT);
+            node.alerts.clear(AlertKind::ScheduleRefused, "");
             loaded.send_modify(|loaded| {
                 loaded.revision += 1;
                 tracing::info!(rows = rows.len(), revision = loaded.revision, "schedule read");
@@ -84,12 +83,7 @@ fn take(node: &Node, loaded: &watch::Sender<Loaded>, read: Result<Vec<Row>, Stri
             });
         }
         Err(why) => {
-            let keeps = if loaded.borrow().rows.is_empty() {
-                "There is nothing to observe."
-            } else {
-                "The schedule before it stays in force."
-            };
-            node.alerts.raise(ALERT, Priority::High, &why, keeps, "Correct the file; it is read again by itself.");
+            node.alerts.raise(AlertKind::ScheduleRefused, "", &why);
             loaded.send_modify(|loaded| loaded.refused = Some(why));
         }
     }

@@ -153,7 +153,7 @@ listen = "127.0.0.1:{web_port}"
         ("camera", "camera", "temperature_c = -20.0\n"),
         ("filterwheel", "wheel", ""),
         ("focuser", "focuser", ""),
-        ("dome", "dome", ""),
+        ("dome", "dome", "watchdog_s = 120.0\nwatchdog_action = \"feedwatchdog\"\n"),
         ("safetymonitor", "monitor", "dwell_min = 15.0\n"),
         (
             "observingconditions",

@@ -50,6 +50,11 @@ impl Payload for Fields {
     const NAME: &'static str = "switch.state";
 }
 
+/// The number of the switch that a property is the value of: 3 for `GetSwitchValue3`.
+pub fn number_of(property: &str) -> Option<usize> {
+    property.strip_prefix("GetSwitchValue")?.parse().ok()
+}
+
 /// What it may be asked.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

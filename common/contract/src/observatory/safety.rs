@@ -35,10 +35,50 @@ pub struct SafetyState {
     pub time_to_safe_s: Option<f64>,
     /// Every input with its newest value and age.
     pub inputs: Vec<InputState>,
+    /// Directions that no telescope is to point to now; the rest of the sky may be observed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub avoid: Vec<Sector>,
+    /// The verdicts of late, the newest last, which lasts.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub intervals: Vec<Interval>,
 }
 
 impl Payload for SafetyState {
     const NAME: &'static str = "observatory.safety";
+}
+
+/// A sector of the sky, from the horizon to the zenith.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Sector {
+    /// Its middle, degrees from north through east.
+    pub azimuth_deg: f64,
+    /// It reaches so far to both sides, degrees.
+    pub half_width_deg: f64,
+    /// Why, in words.
+    pub why: String,
+}
+
+impl Sector {
+    /// Does it contain this azimuth, degrees?
+    pub fn contains(&self, azimuth_deg: f64) -> bool {
+        let apart = (azimuth_deg - self.azimuth_deg + 180.0).rem_euclid(360.0) - 180.0;
+        apart.abs() <= self.half_width_deg
+    }
+}
+
+/// A verdict from its beginning to its end.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Interval {
+    /// The verdict.
+    pub verdict: Verdict,
+    /// Sky time when it began.
+    pub from_utc: Utc,
+    /// Sky time when it ended; absent for the one that lasts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub until_utc: Option<Utc>,
+    /// Why it was unsafe, each input in the words of its first time.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub reasons: Vec<String>,
 }
 
 /// One reason to be unsafe.

@@ -111,6 +111,7 @@ fn words() -> BTreeMap<String, BTreeMap<String, Vec<String>>> {
     put("reply", "reason", words_of::<Reason>(json!("?")));
     put("order", "do", words_of::<OrderKind>(json!("?")));
     put("observatory.safety", "verdict", words_of::<observatory::Verdict>(json!("?")));
+    put("observatory.safety", "intervals.*.verdict", words_of::<observatory::Verdict>(json!("?")));
     put("observatory.permit", "verdict", words_of::<observatory::Verdict>(json!("?")));
     put("observatory.night", "posture", words_of::<observatory::Posture>(json!("?")));
     put("observatory.schedule", "rows.*.status", words_of::<observatory::RowStatus>(json!("?")));

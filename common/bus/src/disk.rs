@@ -1,0 +1,68 @@
+//! Free room of the folders that a node writes to: a figure of its state, and an alert while there is too little.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use contract::observatory::AlertKind;
+use contract::{Role, Scalar};
+
+use crate::Node;
+
+const PERIOD: Duration = Duration::from_secs(15);
+
+/// Tells it until the node ends.
+pub(crate) async fn keep_telling(node: &Node) -> anyhow::Result<()> {
+    let folders = &node.config.folders;
+    let mut watched = vec![("data", folders.data.clone())];
+    if node.role == Role::Archive {
+        watched.push(("images", folders.images.clone()));
+    }
+    loop {
+        for (name, folder) in &watched {
+            let asked = folder.clone();
+            let Some(free_gb) = tokio::task::spawn_blocking(move || free_gb(asked)).await? else { continue };
+            // hundredths: a state that changes with every byte would say nothing more
+            node.figure(&format!("{name}_free_gb"), Scalar::Float((free_gb * 100.0).floor() / 100.0));
+            tell(node, name, folder, free_gb);
+        }
+        node.bus.clock().tick(PERIOD).await;
+    }
+}
+
+fn tell(node: &Node, name: &str, folder: &Path, free_gb: f64) {
+    let least_gb = node.config.safety.disk_free_min_gb;
+    if free_gb >= least_gb {
+        return node.alerts.clear(AlertKind::Disk, name);
+    }
+    let cause = format!("{} has {free_gb:.2} GB left, needed are {least_gb} GB", folder.display());
+    node.alerts.raise(AlertKind::Disk, name, &cause);
+}
+
+/// Room for this process in a folder, or in the nearest one above it that exists, GB (1e9 bytes); `None` where the
+/// system does not tell.
+#[cfg(target_os = "linux")]
+fn free_gb(mut folder: PathBuf) -> Option<f64> {
+    while !folder.exists() && folder.pop() {}
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { &folder };
+    let told = rustix::fs::statvfs(folder).ok()?;
+    Some(told.f_bavail as f64 * told.f_frsize as f64 / 1e9)
+}
+
+#[cfg(not(target_os = "linux"))]
+fn free_gb(_: PathBuf) -> Option<f64> {
+    None
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_that_is_not_made_yet_has_the_room_of_the_one_above() {
+        let here = tempfile::tempdir().unwrap();
+        let free = free_gb(here.path().to_owned()).unwrap();
+        assert!(free > 0.0);
+        assert!((free_gb(here.path().join("no/such")).unwrap() - free).abs() < 1.0);
+        assert!(free_gb(PathBuf::from("data-not-made")).unwrap() > 0.0);
+    }
+}

@@ -1,0 +1,87 @@
+//! A weather station whose values no longer move: its sensors are dead and it does not know.
+//!
+//! Hazard S3 of the analysis: a frozen station looks like a calm night. Real air never repeats every digit.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use bus::MachineTime;
+use contract::Device;
+use contract::device::observing_conditions::Fields;
+
+/// What moves with the air; the rest (rain, clouds, brightness) may stand still by nature.
+const ANALOGUE: [&str; 7] =
+    ["Temperature", "Humidity", "DewPoint", "Pressure", "SkyTemperature", "WindSpeed", "WindGust"];
+/// Fewer channels than this may stand still together by chance.
+const LEAST_CHANNELS: usize = 2;
+
+/// Since when the values of each station stand still.
+#[derive(Debug, Clone, Default)]
+pub struct Freeze {
+    stations: BTreeMap<Device, Still>,
+}
+
+/// The last value of each channel of a station, bit by bit, and when one of them moved.
+#[derive(Debug, Clone)]
+struct Still {
+    values: BTreeMap<&'static str, u64>,
+    since: MachineTime,
+}
+
+impl Freeze {
+    /// Takes in what a station said; machine time, because a fast simulation polls seldom.
+    pub fn hear(&mut self, station: &Device, fields: &Fields, now: MachineTime) {
+        let fresh = Still { values: BTreeMap::new(), since: now };
+        let still = self.stations.entry(station.clone()).or_insert(fresh);
+        for name in ANALOGUE {
+            // a calm is exactly zero for hours; a channel that falls silent does not move the others
+            let value = fields.by_ascom_name(name).and_then(|datum| datum.known()).filter(|value| **value != 0.0);
+            if let Some(bits) = value.map(|value| value.to_bits())
+                && still.values.insert(name, bits) != Some(bits)
+            {
+                still.since = now;
+            }
+        }
+    }
+
+    /// How long all values of each station have been the same.
+    pub fn stand_still(&self, now: MachineTime) -> impl Iterator<Item = (&Device, Duration)> {
+        let enough = self.stations.iter().filter(|(_, still)| still.values.len() >= LEAST_CHANNELS);
+        enough.map(move |(station, still)| (station, now.since(still.since)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use contract::{Address, Datum, Kind};
+
+    use super::*;
+
+    fn at(minute: u64) -> MachineTime {
+        MachineTime::from_boot(Duration::from_secs(60 * minute))
+    }
+
+    fn stands(said: &[(u64, f64, f64)], now: u64) -> Option<u64> {
+        let station =
+            Address::new("paranal", "shared").unwrap().device(Kind::ObservingConditions, &"wx".parse().unwrap());
+        let mut freeze = Freeze::default();
+        for (minute, air_c, humidity_percent) in said {
+            let fields = Fields {
+                air_c: Datum::Known(*air_c),
+                humidity_percent: Datum::Known(*humidity_percent),
+                wind_mps: Datum::Known(0.0),
+                ..Fields::default()
+            };
+            freeze.hear(&station, &fields, at(*minute));
+        }
+        freeze.stand_still(at(now)).next().map(|(_, still)| still.as_secs() / 60)
+    }
+
+    #[test]
+    fn a_station_is_frozen_while_no_channel_moves() {
+        assert_eq!(stands(&[(0, 5.1, 40.0), (30, 5.1, 40.0)], 31), Some(31));
+        assert_eq!(stands(&[(0, 5.1, 40.0), (30, 5.1, 40.1)], 31), Some(1));
+        assert_eq!(stands(&[(0, 5.1, 40.0), (30, 5.1, 0.0)], 31), Some(31), "a lost channel is no life");
+        assert_eq!(stands(&[(0, 5.1, 0.0), (30, 5.1, 0.0)], 31), None, "one channel alone may stand still");
+    }
+}

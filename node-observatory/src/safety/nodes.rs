@@ -1,0 +1,124 @@
+//! The machines that the night rests on: whether their clocks agree with this one's, and whether their disks have room.
+//!
+//! Neither opens nor closes anything: a wrong clock or a full disk spoils frames, so none are taken meanwhile.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+use bus::MachineTime;
+use contract::node::NodeState;
+use units::Utc;
+
+/// A node that was silent for so long has no say, machine time.
+const SILENT: Duration = Duration::from_secs(30);
+/// An offset is judged from this many messages: what comes from a cache, or late, looks like a slow clock.
+const MESSAGES: usize = 3;
+/// Figure of a node's state: free room of its data folder, GB.
+pub const DATA_FREE: &str = "data_free_gb";
+
+/// What is known of each node.
+#[derive(Debug, Clone, Default)]
+pub struct Nodes {
+    heard: BTreeMap<String, Heard>,
+}
+
+#[derive(Debug, Clone, Default)]
+struct Heard {
+    offsets_s: VecDeque<f64>,
+    data_free_gb: Option<f64>,
+    at: Option<MachineTime>,
+}
+
+/// What speaks against exposing.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Complaint {
+    /// Which node: `node/callisto/device/main`.
+    pub input: String,
+    /// Why.
+    pub why: String,
+}
+
+impl Nodes {
+    /// Takes in the state of a node (`callisto/device/main`): `said` is its own stamp, `own` this clock when it arrived.
+    pub fn hear(&mut self, node: String, state: &NodeState, said: Utc, own: Utc, now: MachineTime) {
+        let heard = self.heard.entry(node).or_default();
+        // sky time runs at its speed, and two clocks of one simulation part at that speed too
+        heard.offsets_s.push_back(said.seconds_since(own) / state.speed.max(1.0));
+        if heard.offsets_s.len() > MESSAGES {
+            heard.offsets_s.pop_front();
+        }
+        heard.data_free_gb = state.figures.get(DATA_FREE).and_then(contract::Scalar::number);
+        heard.at = Some(now);
+    }
+
+    /// What speaks against exposing, for nodes that were heard lately.
+    pub fn complaints(&self, offset_max_s: f64, free_min_gb: f64, now: MachineTime) -> Vec<Complaint> {
+        let mut complaints = Vec::new();
+        for (node, heard) in &self.heard {
+            if heard.at.is_none_or(|at| now.since(at) > SILENT) {
+                continue;
+            }
+            let mut complain = |why: String| complaints.push(Complaint { input: format!("node/{node}"), why });
+            if let Some(offset_s) = heard.offset_s().filter(|offset_s| offset_s.abs() > offset_max_s) {
+                complain(format!("its clock is {offset_s:+.1} s off this one's, allowed are {offset_max_s} s"));
+            }
+            if let Some(free_gb) = heard.data_free_gb.filter(|free_gb| *free_gb < free_min_gb) {
+                complain(format!("its data folder has {free_gb:.2} GB left, needed are {free_min_gb} GB"));
+            }
+        }
+        complaints
+    }
+}
+
+impl Heard {
+    /// By how much the node's clock is ahead, s; messages only come late, so the largest difference is the truest.
+    fn offset_s(&self) -> Option<f64> {
+        (self.offsets_s.len() == MESSAGES).then(|| self.offsets_s.iter().copied().fold(f64::MIN, f64::max))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use contract::{Role, Scalar};
+
+    use super::*;
+
+    fn state(free_gb: Option<f64>) -> NodeState {
+        NodeState {
+            role: Role::Device,
+            version: String::new(),
+            host: String::new(),
+            pid: 1,
+            uptime_s: 1.0,
+            speed: 1.0,
+            figures: free_gb.map(|free| (DATA_FREE.to_owned(), Scalar::Float(free))).into_iter().collect(),
+        }
+    }
+
+    /// What is complained of after messages with these differences between their stamp and the arrival.
+    fn complaints(differences_s: &[f64], free_gb: Option<f64>, later_s: u64) -> Vec<String> {
+        let mut nodes = Nodes::default();
+        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
+        for difference_s in differences_s {
+            let own = Utc::from_seconds(1e9);
+            nodes.hear("callisto/device/main".to_owned(), &state(free_gb), own.plus_seconds(*difference_s), own, at(0));
+        }
+        nodes.complaints(2.0, 1.0, at(later_s)).into_iter().map(|complaint| complaint.why).collect()
+    }
+
+    #[test]
+    fn a_clock_that_is_off_is_told_and_a_late_message_is_no_slow_clock() {
+        assert_eq!(complaints(&[-0.01, -4.0, -0.02], None, 1), Vec::<String>::new());
+        assert_eq!(complaints(&[-4.0, -4.1], None, 1), Vec::<String>::new(), "too few to judge");
+        assert!(complaints(&[-3600.0, -3600.1, -3604.0], None, 1)[0].contains("-3600.0 s off"));
+        assert!(complaints(&[2.5, 2.5, 2.4], None, 1)[0].contains("+2.5 s off"));
+        assert_eq!(complaints(&[2.5, 2.5, 2.4], None, 31), Vec::<String>::new(), "silent");
+    }
+
+    #[test]
+    fn a_disk_that_is_almost_full_is_told() {
+        assert!(complaints(&[0.0], Some(0.4), 1)[0].contains("0.40 GB left"));
+        assert_eq!(complaints(&[0.0], Some(1.4), 1), Vec::<String>::new());
+        assert_eq!(complaints(&[0.0], Some(f64::NAN), 1), Vec::<String>::new());
+    }
+}
