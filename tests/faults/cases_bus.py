@@ -110,13 +110,17 @@ def commands(rig):
     yield
 
 
-@case("bad permits that say unsafe: the valid one counts, nothing closes", "B3 N2", group=GROUP, watch_s=3.0)
+@case("bad permits that say unsafe: the valid one counts, nothing closes, no fence falls", "B3 N2", group=GROUP, watch_s=3.0,
+      known="the mount's device node takes permits that the guard drops")
 def unsafe_permits(rig):
     ear = rig.fresh_ear()
     second_token(rig, ear)
     rig.exposes(60)
     rig.mark()
     say_permits(rig, ear, "unsafe")
+    replies = ear.ask(f"{MOUNT}/command", {"id": str(uuid.uuid4()), "from": "web/ops", "do": {"track": {"on": False}}})
+    if [reply["answer"] for reply in replies] != ["refusal"]:
+        raise Late(f"a bad permit took the fence from the mount: tracking off without a token was answered {replies}")
     yield
 
 

@@ -25,6 +25,8 @@ ROLE = {"dome": "device", "hands": "device"}
 EXPOSURE_S, READOUT_S, SHUTTER_S = 3.0, 1.0, 2.0
 DWELL_MIN = 0.05
 PERMIT_VALID_S = 10.0
+# the simulated hardware's own, where a case arms it; it is fed in any case
+WATCHDOG_S = 8.0
 # allowed ages, s: the monitor's is the default, five periods; the weather's is chosen so that a run is short
 MONITOR_AGE_S, WEATHER_AGE_S = 5.0, 6.0
 
@@ -80,7 +82,8 @@ listen = "127.0.0.1:{self.web_port}"
 """
         weather = self.relays["observingconditions"].address
         blocks = [
-            ("dome", "dome", self.wire.address, f"permit_valid_s = {PERMIT_VALID_S}\n{self.dome}", "dome"),
+            ("dome", "dome", self.wire.address, f"permit_valid_s = {PERMIT_VALID_S}\nwatchdog_s = {WATCHDOG_S}\n"
+             f'watchdog_action = "feedwatchdog"\n{self.dome}', "dome"),
             ("telescope", "mount", self.wire.address, "settle_s = 0.2", "hands"),
             ("camera", "camera", self.wire.address, "", "hands"),
             ("filterwheel", "wheel", self.wire.address, "", "hands"),
