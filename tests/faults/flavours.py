@@ -56,6 +56,11 @@ def make(flavour: str, binary: str, name: str) -> Rig:
         return Rig(binary, name)
     if flavour == "wall":
         return WallRig(binary, name)
+    if flavour == "roof":
+        return Rig(binary, name, dome='close_with_mount = "parked_within_s"\nparked_within_s = 6.0\n')
+    if flavour == "up":
+        from upright import UpRig
+        return UpRig(binary, name)
     if flavour == "network":
         from network import NetworkRig
         return NetworkRig(binary, name)

@@ -270,7 +270,7 @@ listen = "127.0.0.1:{self.web_port}"
 
     def last_words(self, lines: int = 30) -> str:
         words = []
-        for name in ["simulator", *NODES]:
+        for name in ["simulator", "up", *NODES]:
             path = self.folder / f"{name}.log"
             if path.exists():
                 words.append(f"--- {path}\n" + "\n".join(path.read_text(errors="replace").splitlines()[-lines:]))
