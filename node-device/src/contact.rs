@@ -47,6 +47,16 @@ pub struct Poll {
     pub device_state: bool,
 }
 
+impl Poll {
+    /// The server denies, in HTTP's words, every property of the device: there is no such device any more.
+    pub fn denied(&self) -> Option<&AlpacaError> {
+        let mut errors = self.answers.iter().map(|(_, answer, _)| answer.as_ref().err());
+        let denied = |error: Option<&AlpacaError>| matches!(error, Some(AlpacaError::Http { .. }));
+        let all = self.full && errors.clone().all(denied);
+        errors.next_back().flatten().filter(|_| all)
+    }
+}
+
 /// What must be known to ask.
 #[derive(Clone)]
 pub struct Questions {

@@ -90,7 +90,11 @@ impl<D: Driver> Front<D> {
                 reply
             }
             Err((reason, detail)) => {
-                tracing::info!(command = %id, %reason, detail, "command refused");
+                // who finds the device busy asks again soon, and again
+                match reason {
+                    Reason::Busy => tracing::debug!(command = %id, detail, "command refused: busy"),
+                    _ => tracing::info!(command = %id, %reason, detail, "command refused"),
+                }
                 Reply::Refusal(Refusal { id, reason, detail })
             }
         }

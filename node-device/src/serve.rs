@@ -27,6 +27,8 @@ use crate::readings::Readings;
 const FAST: Duration = Duration::from_millis(100);
 /// A device that is busy for so long without a command is polled at leisure again.
 const BUSY_LIMIT: Duration = Duration::from_secs(600);
+/// A device that rests for so long after a command without an answer has not heard it.
+const DOUBT: Duration = Duration::from_secs(3);
 /// A state is said at least so often.
 const SAY: Duration = Duration::from_secs(5);
 /// Capabilities are said so often.
@@ -72,6 +74,9 @@ struct Running<D: Driver> {
     sent: Option<Instant>,
     deadline: Option<Instant>,
     standing_since: Option<Instant>,
+    /// No answer came: perhaps it was never heard.
+    in_doubt: bool,
+    resting_since: Option<Instant>,
 }
 
 struct Loop<D: Driver> {
@@ -81,7 +86,9 @@ struct Loop<D: Driver> {
     readings: Readings,
     link: Link,
     device_state: bool,
+    /// Properties that it says not to have; never those that it had once.
     absent: HashSet<String>,
+    answered: HashSet<String>,
     description: Option<Description<Capabilities<D>>>,
     last_command: Option<LastCommand>,
     running: Option<Running<D>>,
@@ -121,6 +128,7 @@ impl<D: Driver> Serve<D> {
             link: Link::Connecting,
             device_state: false,
             absent: HashSet::new(),
+            answered: HashSet::new(),
             description: None,
             last_command: None,
             running: None,
@@ -251,8 +259,13 @@ impl<D: Driver> Loop<D> {
 
     fn keep(&mut self, answers: Vec<Answer>) {
         for (property, answer, at_utc) in answers {
-            if answer.as_ref().is_err_and(AlpacaError::is_not_implemented) {
-                self.absent.insert(property.clone());
+            match &answer {
+                Ok(_) => drop(self.answered.insert(property.clone())),
+                // what it had once it has: a server that is restarted denies everything for a while
+                Err(error) if error.is_not_implemented() && !self.answered.contains(&property) => {
+                    self.absent.insert(property.clone());
+                }
+                Err(_) => {}
             }
             self.readings.keep(&property, answer.map_err(|error| error.no_data()), at_utc);
         }
@@ -260,9 +273,10 @@ impl<D: Driver> Loop<D> {
 
     fn polled(&mut self, poll: Poll) {
         self.device_state = poll.device_state;
+        let denied = poll.denied().filter(|_| !self.answered.is_empty()).cloned();
         self.keep(poll.answers);
-        if let Some(error) = &poll.lost {
-            return self.lose(error);
+        if let Some(error) = poll.lost.or(denied) {
+            return self.lose(&error);
         }
         self.serve.driver.observed(&self.readings, poll.began);
         self.judge(Some(poll.began_at));
@@ -333,7 +347,14 @@ impl<D: Driver> Loop<D> {
         let (id, deed) = (order.id.clone(), order.deed.clone());
         // dropping the job before ends its requests
         self.job = Some(Box::pin(async move { driver.obey(&alpaca, &id, &deed, &fields).await }));
-        self.running = Some(Running { order, sent: None, deadline: None, standing_since: None });
+        self.running = Some(Running {
+            order,
+            sent: None,
+            deadline: None,
+            standing_since: None,
+            in_doubt: false,
+            resting_since: None,
+        });
     }
 
     /// The device has answered a command.
@@ -344,7 +365,8 @@ impl<D: Driver> Loop<D> {
             Ok(Obeyed::Done) => self.end(Outcome::Done),
             Err(error) if !error.is_unknown_outcome() => self.end(Outcome::Failed { reason: error.to_string() }),
             // no answer says nothing about whether it was done; the state will
-            Ok(Obeyed::Watch) | Err(_) => {
+            answer @ (Ok(Obeyed::Watch) | Err(_)) => {
+                running.in_doubt = answer.is_err();
                 let limit = self.serve.driver.limit(&running.order.deed);
                 running.sent = Some(now);
                 running.deadline = Some(now + machine_limit(self.serve.node.bus.clock(), limit));
@@ -364,7 +386,16 @@ impl<D: Driver> Loop<D> {
             match driver.progress(&running.order.deed, &driver.fields(&self.readings)) {
                 Progress::Done => return self.end(Outcome::Done),
                 Progress::Failed(reason) => return self.end(Outcome::Failed { reason }),
-                Progress::Running => running.standing_since = None,
+                Progress::Running => {
+                    running.standing_since = None;
+                    let rests = running.in_doubt && !driver.is_busy(&driver.fields(&self.readings));
+                    let since = if rests { *running.resting_since.get_or_insert(began) } else { began };
+                    running.resting_since = rests.then_some(since);
+                    if began.duration_since(since) >= DOUBT {
+                        let reason = "no answer came, and the device rests without having done it".to_owned();
+                        return self.end(Outcome::Failed { reason });
+                    }
+                }
                 Progress::Settling(seconds) => {
                     let since = *running.standing_since.get_or_insert(began);
                     let settle = Duration::from_secs_f64(seconds.clamp(0.0, 3600.0));

@@ -65,6 +65,11 @@ impl Fake {
         self.world.lock().unwrap().says.insert(member.to_owned(), says);
     }
 
+    /// A member is unknown from now on: HTTP 400.
+    pub fn deny(&self, member: &str) {
+        self.world.lock().unwrap().says.remove(member);
+    }
+
     /// A method does this from now on; it gets the form of the call.
     pub fn on(&self, method: &str, effect: impl Fn(&Self, &str) + Send + 'static) {
         self.world.lock().unwrap().effects.insert(method.to_owned(), Box::new(effect));

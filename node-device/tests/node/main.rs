@@ -114,6 +114,45 @@ async fn a_sloppy_device_keeps_what_it_has_and_the_reason_for_what_it_lacks() {
     stage.end().await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_device_that_vanishes_from_its_server_is_lost_and_comes_back() {
+    let monitor = Fake::start(&[("issafe", json!(true))]).await;
+    let stage = Stage::start(&block("safetymonitor", "monitor", &monitor, "period_s = 0.2")).await;
+    let is_safe = |state: &contract::DeviceState<contract::device::safety_monitor::Fields>| {
+        state.fields.is_safe.known() == Some(&true)
+    };
+    stage.until::<SafetyMonitor>("monitor", is_safe).await;
+    // the server was restarted and knows no such number for a while
+    monitor.deny("issafe");
+    stage.until::<SafetyMonitor>("monitor", |state| matches!(state.link, Link::Lost { .. })).await;
+    monitor.say("issafe", Says::Value(json!(true)));
+    stage.until::<SafetyMonitor>("monitor", is_safe).await;
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_command_that_was_never_heard_ends_as_soon_as_the_device_is_seen_to_rest() {
+    let hardware = Fake::start(&[
+        ("position", json!(100)),
+        ("ismoving", json!(false)),
+        ("absolute", json!(true)),
+        ("maxstep", json!(5000)),
+    ])
+    .await;
+    hardware.say("put move", Says::Hangs);
+    let stage = Stage::start(&block("focuser", "focus", &hardware, "settle_s = 0.0")).await;
+    stage.until::<focuser::Focuser>("focus", |state| state.fields.position.known() == Some(&100)).await;
+    let go = command("m1", None, focuser::Command::Move { position: 2500 });
+    accepted(&stage.command(Kind::Focuser, "focus", &go).await);
+    let failed = stage
+        .until::<focuser::Focuser>("focus", |state| {
+            state.last_command.as_ref().is_some_and(|last| matches!(last.outcome, contract::Outcome::Failed { .. }))
+        })
+        .await;
+    assert!(!failed.busy, "free for the next command");
+    stage.end().await;
+}
+
 async fn a_dome() -> Fake {
     let hardware = Fake::start(&[
         ("shutterstatus", json!(1)),

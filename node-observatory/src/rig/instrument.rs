@@ -153,7 +153,9 @@ impl<K: DeviceKind> Instrument<K> {
         loop {
             match self.ask_as(id.clone(), action.clone()).await {
                 Err(Trouble::Refused { reason: Reason::Busy, .. }) if self.clock().machine().since(started) < TURN => {
-                    tokio::time::sleep(Duration::from_millis(20)).await;
+                    // the end of a readout is caught at once, that of a slew need not be
+                    let long = self.clock().machine().since(started) > Duration::from_secs(5);
+                    tokio::time::sleep(Duration::from_millis(if long { 250 } else { 20 })).await;
                 }
                 asked => return asked,
             }
