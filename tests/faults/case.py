@@ -57,7 +57,7 @@ class Case:
     watch_s: float = 9.0
     known: str = ""
     short: bool = True
-    count: int = 1
+    leave: bool = False
 
 
 CASES: list[Case] = []

@@ -102,7 +102,7 @@ class Runner:
                 began = time.monotonic()
                 result = self.inject(case, rig, self.allowance_s)
                 # what has failed may still be under way in it: the next case gets a new one
-                healthy = result.passed and result.went_on is not False
+                healthy = result.passed and result.went_on is not False and not case.leave
                 self.note(result, time.monotonic() - began)
         finally:
             if rig:
