@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use bus::{Bus, BusError, Catch, Heard, MachineTime};
+use bus::{Bus, BusError, Catch, Heard, MachineTime, Succession};
+use contract::device::dome::Guard;
 use contract::observatory::{Lease, Permit, Verdict};
-use contract::{BootId, Chunk, Key, Part};
+use contract::{BootId, Chunk, Key, Kind, Part};
 
 use crate::token::Tokens;
 
@@ -19,6 +20,8 @@ const PERMIT_VALID: Duration = Duration::from_secs(10);
 #[derive(Default)]
 pub struct Permits {
     newest: Mutex<BTreeMap<String, Newest>>,
+    /// By dome: life of its guard, and the newest number that it has said.
+    guards: Mutex<BTreeMap<String, (BootId, u64, MachineTime)>>,
 }
 
 #[derive(Debug, Clone, Default)]
@@ -68,8 +71,25 @@ impl Permits {
         }
     }
 
+    /// A dome's guard has said its number.
+    fn guard(&self, dome: &str, boot_id: &BootId, number: u64, arrived: MachineTime) {
+        let mut guards = self.guards.lock().unwrap_or_else(PoisonError::into_inner);
+        guards.insert(dome.to_owned(), (boot_id.clone(), number, arrived));
+    }
+
+    /// Does a permit answer a number that its dome's guard has said lately? The guard itself would drop it otherwise.
+    fn is_answer(&self, dome: &str, permit: &Permit, now: MachineTime) -> bool {
+        let guards = self.guards.lock().unwrap_or_else(PoisonError::into_inner);
+        guards.get(dome).is_some_and(|(boot_id, newest, arrived)| {
+            let age_s = newest.saturating_sub(permit.guard_number);
+            let is_young = age_s <= PERMIT_VALID.as_secs() && now.since(*arrived) <= PERMIT_VALID;
+            // on its way here the permit may have overtaken the number that it answers
+            permit.guard_boot_id == *boot_id && permit.guard_number <= newest + 1 && is_young
+        })
+    }
+
     /// Takes a permit unless it is old or of an old token.
-    pub fn hear(&self, telescope: &str, heard: &Heard<Permit>, highest_token: u64) {
+    fn hear(&self, telescope: &str, heard: &Heard<Permit>, highest_token: u64) {
         let permit = &heard.said.body;
         let mut newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
         let entry = newest.entry(telescope.to_owned()).or_default();
@@ -96,12 +116,25 @@ pub async fn listen(bus: Bus, site: Chunk, tokens: Arc<Tokens>, permits: Arc<Per
     let word = Part::Lease.word();
     let permit_keys = format!("{root}/{site}/*/observatory/permit/*");
     let lease_keys = format!("{root}/{site}/*/observatory/{word}/state");
+    let guard_keys = format!("{root}/{site}/*/device/{}/*/guard", Kind::Dome);
+    let heard_guards = bus.subscribe::<Guard>(&guard_keys, Catch::Newest, 64).await?;
+    let mut successions: BTreeMap<String, Succession> = BTreeMap::new();
     let heard_permits = bus.subscribe::<Permit>(&permit_keys, Catch::Newest, 64).await?;
     let heard_leases = bus.subscribe::<Lease>(&lease_keys, Catch::Newest, 64).await?;
     loop {
         tokio::select! {
+            heard = heard_guards.hear() => {
+                let Key::Guard(dome) = &heard.key else { continue };
+                let (name, said) = (dome.name.as_str(), &heard.said);
+                if successions.entry(name.to_owned()).or_default().is_newer(&said.boot_id, said.seq, heard.arrived) {
+                    permits.guard(name, &said.boot_id, said.body.number, heard.arrived);
+                }
+            }
             heard = heard_permits.hear() => {
-                let Key::Permit(address, _) = &heard.key else { continue };
+                let Key::Permit(address, dome) = &heard.key else { continue };
+                if !permits.is_answer(dome.as_str(), &heard.said.body, heard.arrived) {
+                    continue;
+                }
                 let telescope = address.telescope.as_str();
                 learn(&tokens, telescope, heard.said.body.token).await;
                 permits.hear(telescope, &heard, tokens.highest(telescope));

@@ -17,6 +17,7 @@ mod publish;
 mod session;
 mod stop;
 mod subscribe;
+mod succession;
 mod twin;
 
 pub use alerts::AlertBoard;
@@ -28,3 +29,4 @@ pub use publish::{Publisher, Quality};
 pub use session::{Alive, Bus, BusError};
 pub use stop::Stop;
 pub use subscribe::{Catch, Heard, Latest, Subscriber};
+pub use succession::Succession;

@@ -12,7 +12,7 @@ use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, RecoveryConfig
 
 use crate::history::{self, Watch};
 use crate::numbers::Numbers;
-use crate::{Bus, BusError, MachineTime};
+use crate::{Bus, BusError, MachineTime, Succession};
 
 /// What a subscriber wants to hear.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -158,28 +158,15 @@ impl Bus {
         let subscriber = self.subscribe::<T>(&key.to_string(), Catch::Newest, 16).await?;
         let (sender, receiver) = watch::channel(None);
         let task = tokio::spawn(async move {
+            let mut succession = Succession::default();
             loop {
                 let heard: Heard<T> = subscriber.hear().await;
-                sender.send_if_modified(|newest: &mut Option<Heard<T>>| {
-                    let stale = newest.as_ref().is_some_and(|have| is_older(&heard, have));
-                    if !stale {
-                        *newest = Some(heard);
-                    }
-                    !stale
-                });
+                if succession.is_newer(&heard.said.boot_id, heard.said.seq, heard.arrived) {
+                    sender.send_replace(Some(heard));
+                }
             }
         });
         Ok(Latest { receiver, _task: Arc::new(AbortOnDrop(task)) })
-    }
-}
-
-/// Is `new` from before `have`? A `get` at start may cross the first published sample.
-fn is_older<T>(new: &Heard<T>, have: &Heard<T>) -> bool {
-    if new.said.boot_id == have.said.boot_id {
-        new.said.seq <= have.said.seq
-    } else {
-        // boot ids of later starts sort later
-        new.said.boot_id < have.said.boot_id
     }
 }
 

@@ -104,13 +104,21 @@ impl Alpaca {
             let (client_id, transaction) = self.ids();
             let ids = [("ClientID", client_id.as_str()), ("ClientTransactionID", transaction.as_str())];
             let form = encoded(parameters.iter().chain(&ids));
-            let request = self
-                .client()
-                .put(self.url(member, None))
-                .header(CONTENT_TYPE, "application/x-www-form-urlencoded")
-                .body(form);
-            let response = request.send().await.map_err(|error| AlpacaError::from_http(&error))?;
-            read_answer(response).await.map(|_| ())
+            let send = async |client: &Client| {
+                let request = client
+                    .put(self.url(member, None))
+                    .header(CONTENT_TYPE, "application/x-www-form-urlencoded")
+                    .body(form.clone());
+                let response = request.send().await.map_err(|error| AlpacaError::from_http(&error))?;
+                read_answer(response).await.map(|_| ())
+            };
+            match send(self.client()).await {
+                // no new connection could be made, so nothing was done: the polls' own may still stand
+                Err(AlpacaError::Transport { fault: Fault::Connect, .. }) if !self.waits => {
+                    send(&self.wire.ordinary).await
+                }
+                sent => sent,
+            }
         };
         let late = || AlpacaError::timeout(deadline.as_secs_f64());
         timeout(deadline, asking).await.unwrap_or_else(|_| Err(late()))

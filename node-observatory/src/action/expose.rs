@@ -63,6 +63,7 @@ pub async fn expose(
     loop {
         if series.open_sky {
             roof_is_open(stage)?;
+            sky_is_followed(stage)?;
         }
         stage.small_step(shot.words.clone());
         stage.set_exposing(Some(intent.frame.clone()));
@@ -119,6 +120,17 @@ fn roof_is_open(stage: &Stage) -> Result<(), Trouble> {
         }
     }
     Ok(())
+}
+
+/// A mount that says that it does not track smears the sky: its device node may have stopped it.
+fn sky_is_followed(stage: &Stage) -> Result<(), Trouble> {
+    let Some(mount) = stage.chain()?.mount else { return Ok(()) };
+    let stands = mount.instrument.fresh().is_some_and(|state| state.fields.tracking.known() == Some(&false));
+    if !stands {
+        return Ok(());
+    }
+    let (device, reason) = (mount.instrument.device.to_string(), "tracking was switched off".to_owned());
+    Err(Trouble::Failed { device, verb: "follow the sky".to_owned(), reason })
 }
 
 /// A frame of this row that was under way when this node was restarted is waited for, not taken twice.

@@ -5,13 +5,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context as _;
-use bus::{Catch, Clock, Heard, Node, Subscriber};
+use bus::{Catch, Clock, Heard, Node, Subscriber, Succession};
 use contract::device::observing_conditions::Fields as Weather;
 use contract::device::safety_monitor::Fields as Monitor;
 use contract::device::switch::Fields as Switches;
 use contract::node::NodeState;
 use contract::observatory::{AlertKind, Interval, SafetyState, Verdict};
-use contract::{BootId, Device, DeviceState, Key, Kind, NodeTopic, Payload, Role};
+use contract::{Device, DeviceState, Key, Kind, NodeTopic, Payload, Role};
 use sky::{EarthOrientation, Observer, Place};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
@@ -194,15 +194,12 @@ async fn listen<F: Payload>(
         node.bus.subscribe(&key, Catch::Newest, 256).await.with_context(|| format!("cannot hear {device}"))?;
     let (words, clock) = (words.clone(), node.bus.clock().clone());
     Ok(async move {
-        let mut newest: Option<(BootId, u64)> = None;
+        let mut succession = Succession::default();
         loop {
             let heard: Heard<DeviceState<F>> = subscriber.hear().await;
-            let said = (heard.said.boot_id.clone(), heard.said.seq);
-            // the answer to the first question may cross newer states; ids of later lives sort later
-            if newest.as_ref().is_some_and(|newest| said <= *newest) {
+            if !succession.is_newer(&heard.said.boot_id, heard.said.seq, heard.arrived) {
                 continue;
             }
-            newest = Some(said);
             // what waited in the queue is as old as it is
             let queued = clock.machine().since(heard.arrived).mul_f64(clock.speed());
             let start = bus::SkyTime::from_start(Duration::ZERO);
