@@ -58,6 +58,7 @@ class Case:
     known: str = ""
     short: bool = True
     leave: bool = False
+    exposes: bool = True
 
 
 CASES: list[Case] = []
@@ -165,5 +166,6 @@ def judge_staying(case: Case, rig: Rig, since: int, result: Result):
         if rig.wire.open_fraction() != 1.0 and case.phase not in ("opening", "closing"):
             raise Late("the dome is not open after a fault that need not close")
         # and the night went on while the fault stood
-        wait("an exposure begins while the fault stands", lambda: [
-            put for put in rig.puts("startexposure", since) if arrived_s(put) > rig.t0], 15.0)
+        if case.exposes:
+            wait("an exposure begins while the fault stands", lambda: [
+                put for put in rig.puts("startexposure", since) if arrived_s(put) > rig.t0], 15.0)

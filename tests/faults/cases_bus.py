@@ -110,8 +110,7 @@ def commands(rig):
     yield
 
 
-@case("bad permits that say unsafe: the valid one counts, nothing closes, no fence falls", "B3 N2", group=GROUP, watch_s=3.0, leave=True,
-      known="the mount's device node takes permits that the guard drops")
+@case("bad permits that say unsafe: the valid one counts, nothing closes, no fence falls", "B3 N2", group=GROUP, watch_s=3.0)
 def unsafe_permits(rig):
     ear = rig.fresh_ear()
     second_token(rig, ear)
@@ -124,7 +123,7 @@ def unsafe_permits(rig):
     yield
 
 
-@case("bad permits that say safe while it is unsafe: nothing opens", "B3 N2", ISSAFE, leave=True)
+@case("bad permits that say safe while it is unsafe: nothing opens", "B3 N2", ISSAFE)
 def safe_permits(rig):
     ear = rig.fresh_ear()
     second_token(rig, ear)

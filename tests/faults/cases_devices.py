@@ -26,8 +26,7 @@ FAULTS = {"refuses": {"refuse": True}, "hangs": {"hang": True}, "answers after 3
           "is frozen": {"stale": True}}
 for word, fault in FAULTS.items():
     case(f"mount {word}, and it is unsafe", "D1 D2 D5 D7", MOUNT,
-         short=word in ("refuses", "hangs", "answers after 30 s", "says NaN"),
-         known="a park of unknown outcome blocks the mount for 300 s" if word in ("refuses", "hangs") else "")(with_unsafe("telescope", **fault))
+         short=word in ("refuses", "hangs", "answers after 30 s", "says NaN"))(with_unsafe("telescope", **fault))
 case("park never ends, and it is unsafe", "D7", MOUNT)(
     with_unsafe("telescope", stale=True, only=["atpark", "slewing", "devicestate"]))
 case("mount refuses to park, and it is unsafe", "D7", MOUNT, short=False)(

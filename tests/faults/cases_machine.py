@@ -24,8 +24,6 @@ def jump(node: str, seconds: int):
         rig.mark()
         rig.wire.change("safety", unsafe=True)
         yield
-        rig.wire.change("safety", unsafe=False)
-        rig.exposes(60)
         rig.jump(node, 0)
         time.sleep(2.0)
     return run
@@ -45,20 +43,19 @@ for node, word in [("observatory", "observatory"), ("hands", "other device node"
         short = (node, seconds) in [("observatory", HOUR_S), ("dome", -HOUR_S)]
         case(f"clock of the {word} jumps by {seconds // HOUR_S:+d} h, then it is unsafe", "N17", MACHINE, short=short,
              **WALL)(jump(node, seconds))
-        case(f"clock of the {word} jumps by {seconds // HOUR_S:+d} h", "N17", group=NOTHING, watch_s=6.0, **WALL,
+        case(f"clock of the {word} jumps by {seconds // HOUR_S:+d} h", "N17", group=NOTHING, watch_s=6.0, exposes=False, **WALL,
              short=(node, seconds) in [("observatory", -HOUR_S), ("hands", HOUR_S)])(only_jump(node, seconds))
 
 
 @case("clock of the other device node goes back 1 h, and it is restarted: the night goes on", "N17 N4",
-      group="clock, disk or files: the night goes on", may_close=True, watch_s=0.0, **WALL,
-      known="the states of a device node whose clock went back are ignored")
+      group="clock, disk or files: the night goes on", may_close=True, watch_s=0.0, **WALL)
 def restarted_in_the_past(rig):
     rig.jump("hands", -HOUR_S)
     rig.restart("hands")
-    rig.exposes(60)  # in the past's own words: its newer life must be heard
+    time.sleep(3.0)
+    rig.jump("hands", 0)  # the clock is right again; the name of its life stays an hour older than that of the one before
+    rig.exposes(60)
     yield
-    rig.jump("hands", 0)
-    time.sleep(2.0)
 
 
 @case("clock of the observatory goes back 1 h, and it is restarted: the night goes on", "N17 N1",
@@ -66,10 +63,10 @@ def restarted_in_the_past(rig):
 def observatory_in_the_past(rig):
     rig.jump("observatory", -HOUR_S)
     rig.restart("observatory")
+    time.sleep(3.0)
+    rig.jump("observatory", 0)
     rig.exposes(60)
     yield
-    rig.jump("observatory", 0)
-    time.sleep(2.0)
 
 
 def fill(rig) -> pathlib.Path:

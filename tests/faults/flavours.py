@@ -27,7 +27,7 @@ class WallRig(Rig):
         for node in NODES:
             (self.shifts / node).write_text("+0\n")
         (disk / "data").mkdir()
-        super().__init__(binary, name, real_clock=True, data=disk / "data")
+        super().__init__(binary, name, real_clock=True, data=disk / "data", disk_min_gb=0.002)
 
     def start(self, node: str, env: dict | None = None, limits: list[str] | None = None):
         faked = {"LD_PRELOAD": str(self.library), "FAKETIME_TIMESTAMP_FILE": str(self.shifts / node),

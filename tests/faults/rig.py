@@ -36,12 +36,12 @@ class Rig:
 
     def __init__(self, binary: str, name: str, real_clock: bool = False, dome: str = "", data: pathlib.Path | None = None,
                  hosts: dict[str, str] | None = None, enter: dict[str, list[str]] | None = None,
-                 connect: dict[str, list[str]] | None = None):
+                 connect: dict[str, list[str]] | None = None, disk_min_gb: float = 1.0):
         self.binary, self.name, self.real_clock = binary, name, real_clock
         self.folder = pathlib.Path(tempfile.mkdtemp(prefix=f"starmesh-faults-{name}-"))
         self.data = data or self.folder / "data"
         self.hosts, self.enter, self.connect = hosts or {}, enter or {}, connect
-        self.dome, self.sun_max_deg = dome, 90.0
+        self.dome, self.sun_max_deg, self.disk_min_gb = dome, 90.0, disk_min_gb
         self.processes: dict[str, subprocess.Popen] = {}
         self.stopped: set[str] = set()
         self._ear = None
@@ -73,6 +73,7 @@ data = "{self.data}"
 multicast = false
 {clock}[safety]
 sun_altitude_max_deg = {self.sun_max_deg}
+disk_free_min_gb = {self.disk_min_gb}
 [schedule]
 robotic = true
 [spool]
