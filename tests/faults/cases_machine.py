@@ -183,7 +183,6 @@ def exhausted(node: str):
     return run
 
 
-case("dome's device node out of files, then it is unsafe", "N23", MACHINE,
-     known="closing needs a new socket, and there is none")(exhausted("dome"))
+case("dome's device node out of files, then it is unsafe", "N23", MACHINE)(exhausted("dome"))
 case("observatory out of files, then it is unsafe", "N23", MACHINE)(exhausted("observatory"))
 case("other device node out of files, then it is unsafe", "N23 S2", MONITOR_SILENT)(exhausted("hands"))

@@ -5,6 +5,7 @@ import time
 from case import HANDS, SILENCE, Bound, case
 
 NET = {"flavour": "network"}
+LINGER = "zenoh's SO_LINGER of 10 s on the dead link holds up the living ones; TCP_LINGER_TIMEOUT=0 mends it"
 LATE = Bound("2 s of delay each way, and IsSafe says false", 12.0)
 LOSS = Bound("30 % of the packets lost, and IsSafe says false", 12.0)
 
@@ -36,9 +37,11 @@ def unplugged(node: str):
 
 case("observatory's cable pulled", "N6 N8", SILENCE, **NET)(unplugged("observatory"))
 case("other device node's cable pulled", "N6 S2", HANDS, **NET,
-     known="zenoh's SO_LINGER of 10 s on the dead link holds up the living ones; TCP_LINGER_TIMEOUT=0 mends it")(unplugged("hands"))
-case("archive's cable pulled", "N9 S10", group="archive or web dead: nothing closes", **NET)(unplugged("archive"))
-case("web's cable pulled", "N10 S10", group="archive or web dead: nothing closes", **NET)(unplugged("web"))
+     known=LINGER)(unplugged("hands"))
+case("archive's cable pulled", "N9 S10", group="archive or web dead: nothing closes", watch_s=18.0,
+     known=LINGER, **NET)(unplugged("archive"))
+case("web's cable pulled", "N10 S10", group="archive or web dead: nothing closes", watch_s=18.0,
+     known=LINGER, **NET)(unplugged("web"))
 
 
 @case("30 % of the packets lost both ways, then it is unsafe", "N7", LOSS, **NET)

@@ -142,7 +142,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=0, help="so many injections, at random; 0: the short form")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--rigs", type=int, default=5, help="telescopes beside each other")
+    parser.add_argument("--rigs", type=int, default=6, help="telescopes beside each other")
     parser.add_argument("--only", action="append", help="cases that contain this word")
     parser.add_argument("--allowance", type=float, default=None, metavar="S",
                         help="added to each bound for a busy machine; 1 in the short form, else 0")
