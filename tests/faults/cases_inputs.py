@@ -15,7 +15,7 @@ def unsafe(rig):
 
 
 for phase in ["opening", "slewing", "exposing", "downloading"]:
-    case(f"IsSafe says false while {phase}", "S1 N11", ISSAFE, phase=phase)(unsafe)
+    case(f"IsSafe says false while {phase}", "S1", ISSAFE, phase=phase)(unsafe)
 
 
 @case("rain", "S1 S7", ISSAFE)

@@ -82,7 +82,7 @@ def fill(rig) -> pathlib.Path:
     return ballast
 
 
-@case("disk full, then it is unsafe", "N20 S10 F1", MACHINE, **WALL)
+@case("disk full, then it is unsafe", "N20 S10", MACHINE, **WALL)
 def full_unsafe(rig):
     ballast = fill(rig)
     time.sleep(3.0)

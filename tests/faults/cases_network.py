@@ -35,7 +35,7 @@ def unplugged(node: str):
     return run
 
 
-case("observatory's cable pulled", "N6 N8", SILENCE, **NET)(unplugged("observatory"))
+case("observatory's cable pulled", "N6", SILENCE, **NET)(unplugged("observatory"))
 case("other device node's cable pulled", "N6 S2", HANDS, **NET,
      known=LINGER)(unplugged("hands"))
 case("archive's cable pulled", "N9 S10", group="archive or web dead: nothing closes", watch_s=18.0,

@@ -47,7 +47,7 @@ def restarted(how, *nodes):
 
 
 for phase in PHASES:
-    case(f"observatory killed while {phase}", "N1 N3 N12", SILENCE, phase=phase)(killed("observatory"))
+    case(f"observatory killed while {phase}", "N1", SILENCE, phase=phase)(killed("observatory"))
 for phase in ["exposing", "slewing"]:
     case(f"observatory stopped while {phase}", "N2", SILENCE, phase=phase)(stopped("observatory"))
 case("observatory ended by SIGTERM", "N1", SILENCE)(ended("observatory"))
@@ -72,10 +72,18 @@ for phase in ["exposing", "slewing"]:
 for phase in ["exposing", "opening", "closing", "slewing"]:
     case(f"dome's device node killed and restarted at once while {phase}", "N4 N19", group=BRIEF, phase=phase,
          may_close=True, watch_s=14.0, short=phase in ("exposing", "opening"))(restarted(killed, "dome"))
-case("dome's device node ended by SIGTERM and restarted", "N4 N15", group=BRIEF, may_close=True,
+case("dome's device node ended by SIGTERM and restarted", "N4", group=BRIEF, may_close=True,
      watch_s=14.0)(restarted(ended, "dome"))
 case("other device node killed and restarted at once", "N4", group=BRIEF, may_close=True,
      watch_s=10.0)(restarted(killed, "hands"))
+
+
+@case("observatory killed for good: the mount stops by itself after 60 s", "N12 N1", SILENCE)
+def mount_stops(rig):
+    rig.kill("observatory")
+    yield
+    wait("the mount stops tracking without a commander", lambda: not rig.wire.world()["telescope"]["tracking"],
+         max(0.0, rig.t0 + 60.0 + 10.0 + 5.0 - time.time()), 0.2)  # 60 s from the end of the last permit
 
 
 @case("observatory and dome's device node killed; the latter restarted after 5 s", "N4 N19", DOME_NODE)
@@ -86,7 +94,7 @@ def both_dead(rig):
     yield
 
 
-@case("all nodes killed; the dome's restarted after 5 s", "N19 N15", DOME_NODE)
+@case("all nodes killed; the dome's restarted after 5 s", "N19", DOME_NODE)
 def all_dead(rig):
     rig.kill("observatory", "dome", "hands", "archive", "web")
     time.sleep(5.0)
