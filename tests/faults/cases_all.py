@@ -1,4 +1,4 @@
-"""All cases, in the order in which a short run takes them: what waits longest first."""
+"""All cases, in the order in which a short run takes them."""
 
 import cases_bus
 import cases_devices  # noqa: F401

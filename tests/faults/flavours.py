@@ -2,6 +2,7 @@
 
 import os
 import pathlib
+import shutil
 import subprocess
 import tempfile
 
@@ -48,6 +49,8 @@ class WallRig(Rig):
     def stop(self):
         super().stop()
         subprocess.run(["umount", "--lazy", self.disk], check=False)
+        for folder in (self.disk, self.shifts):
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def make(flavour: str, binary: str, name: str) -> Rig:

@@ -6,6 +6,7 @@ import datetime
 import json
 import os
 import pathlib
+import shutil
 import signal
 import socket
 import subprocess
@@ -45,6 +46,8 @@ class Rig:
         self.processes: dict[str, subprocess.Popen] = {}
         self.stopped: set[str] = set()
         self._ear = None
+        # logs of a rig in which something failed are kept
+        self.keep = False
         self.t0 = 0.0
         self.ports = {node: free_port() for node in NODES}
         self.web_port, self.alpaca_port = free_port(), free_port()
@@ -217,6 +220,8 @@ listen = "127.0.0.1:{self.web_port}"
             self.end(name)
         for relay in self.relays.values():
             relay.stop()
+        if not self.keep:
+            shutil.rmtree(self.folder, ignore_errors=True)
 
     # -- what is seen
 

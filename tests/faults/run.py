@@ -86,7 +86,7 @@ class Runner:
 
     def lane(self, flavour: str, number: int, todo: queue.SimpleQueue):
         import flavours
-        rig, healthy = None, False
+        rig, healthy, kept = None, False, False
         try:
             while not self.stop.is_set():
                 try:
@@ -96,13 +96,16 @@ class Runner:
                 if not healthy:
                     if rig:
                         rig.stop()
+                    kept = False
                     rig = flavours.make(flavour, self.binary, f"{flavour}{number}")
+                    rig.keep = True
                     rig.start_all()
                     rig.exposes(90.0)
                 began = time.monotonic()
                 result = self.inject(case, rig, self.allowance_s)
                 # what has failed may still be under way in it: the next case gets a new one
                 healthy = result.passed and result.went_on is not False and not case.leave
+                rig.keep = kept = kept or not result.passed
                 self.note(result, time.monotonic() - began)
         finally:
             if rig:
