@@ -5,7 +5,7 @@ import time
 from case import HANDS, SILENCE, Bound, case
 
 NET = {"flavour": "network"}
-LINGER = "zenoh's SO_LINGER of 10 s on the dead link holds up the living ones; TCP_LINGER_TIMEOUT=0 mends it"
+LINGER = "a host that vanishes holds up the living links for 10 s; suspect: SO_LINGER in zenoh-link-tcp"
 LATE = Bound("2 s of delay each way, and IsSafe says false", 12.0)
 LOSS = Bound("30 % of the packets lost, and IsSafe says false", 12.0)
 
