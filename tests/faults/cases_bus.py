@@ -157,6 +157,7 @@ def old_token_opens_nothing(rig):
     ear = rig.fresh_ear()
     token = second_token(rig, ear)
     rig.exposes(60)
+    rig.mark()
     replies = ear.ask(f"{DOME}/command", {"id": str(uuid.uuid4()), "from": "observatory/alpha/main", "token": token - 1,
                                           "do": "open_shutter"})
     if [r["answer"] for r in replies] != ["refusal"] or replies[0]["reason"] != "stale_token":
