@@ -27,6 +27,12 @@ pub struct Options {
     /// Camera size, pixels along each side.
     #[arg(long)]
     size_px: Option<u32>,
+    /// Time the dome's shutter takes from end to end, sky seconds.
+    #[arg(long)]
+    shutter_s: Option<f64>,
+    /// Speed of each axis of the mount, degrees per sky second.
+    #[arg(long)]
+    slew_deg_per_s: Option<f64>,
     /// Answer Alpaca discovery on this UDP port (32227 is Alpaca's).
     #[arg(long)]
     discovery_port: Option<u16>,
@@ -35,11 +41,16 @@ pub struct Options {
 /// Serves until Ctrl-C.
 pub async fn run(options: Options) -> anyhow::Result<()> {
     anyhow::ensure!(options.speed > 0.0 && options.speed <= 5000.0, "--speed {}: expected 0 to 5000", options.speed);
+    for (name, value) in [("--shutter-s", options.shutter_s), ("--slew-deg-per-s", options.slew_deg_per_s)] {
+        anyhow::ensure!(value.is_none_or(|v| v > 0.0 && v.is_finite()), "{name}: expected a number greater than 0");
+    }
     let mut chosen = simulator::Options { bind: options.bind, speed: options.speed, ..Default::default() };
     chosen.discovery_port = options.discovery_port;
     chosen.start = options.start.unwrap_or(chosen.start);
     chosen.latitude = options.latitude_deg.map_or(chosen.latitude, Angle::from_degrees);
     chosen.longitude = options.longitude_deg.map_or(chosen.longitude, Angle::from_degrees);
+    chosen.dome.shutter_s = options.shutter_s.unwrap_or(chosen.dome.shutter_s);
+    chosen.mount.slew_deg_per_s = options.slew_deg_per_s.unwrap_or(chosen.mount.slew_deg_per_s);
     if let Some(size) = options.size_px {
         (chosen.camera.width, chosen.camera.height) = (size, size);
     }

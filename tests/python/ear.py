@@ -27,7 +27,7 @@ class Ear:
         key = str(sample.key_expr)
         try:
             payload = json.loads(bytes(sample.payload))
-        except ValueError:
+        except (ValueError, RecursionError):
             self.unreadable.append(key)
             return
         with self._news:

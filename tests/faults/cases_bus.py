@@ -1,0 +1,165 @@
+"""The bus: a peer that says what it must not. Nothing it says moves anything, and a valid permit is not disturbed."""
+
+import json
+import random
+import time
+import uuid
+
+from case import ISSAFE, case
+from rig import PREFIX, Late
+
+GROUP = "bad motion commands and permits on the bus"
+# the soak asks for more
+ATTACKS = 200
+GUARD, PERMIT = f"{PREFIX}/device/dome/dome/guard", f"{PREFIX}/observatory/permit/dome"
+DOME, MOUNT = f"{PREFIX}/device/dome/dome", f"{PREFIX}/device/telescope/mount"
+MOTIONS = [
+    (DOME, "open_shutter"), (DOME, {"slew_to_azimuth": {"azimuth_deg": 123.0}}), (DOME, {"slave": {"on": True}}),
+    (DOME, "resume"), (MOUNT, {"slew": {"ra_deg": 10.0, "dec_deg": -30.0}}), (MOUNT, "unpark"),
+    (MOUNT, {"sync": {"ra_deg": 10.0, "dec_deg": -30.0}}),
+    (MOUNT, {"pulse_guide": {"direction": "north", "duration_ms": 250}}), (MOUNT, "park"), (MOUNT, {"track": {"on": False}}),
+    (f"{PREFIX}/device/focuser/focuser", {"move": {"position": 12345}}),
+]
+MOVED = {"openshutter", "slewtoazimuth", "slaved", "slewtocoordinatesasync", "slewtocoordinates", "unpark", "synctocoordinates",
+         "pulseguide", "park", "move", "abortslew", "tracking", "closeshutter"}
+MALFORMED = [b"", b"{", b"null", b"[]", b"\xff\xfe", b'{"id": 7}', b'{"id": "x", "from": "y", "do": "fly"}',
+             b'{"id": "x", "from": "y", "token": -1, "do": "open_shutter"}', b'{"id": "x", "from": "y", "token": "9", "do": "open_shutter"}',
+             b'{"id": "x", "from": "y", "token": 1e999, "do": "open_shutter"}', b"[" * 2000, b'{"do": "open_shutter"}' * 50]
+
+
+def bad_command(chance: random.Random, token: int, last_id: str) -> tuple[str, bytes, str]:
+    """Key, payload and sort of one command that must be refused while a safe permit is valid."""
+    device, deed = chance.choice(MOTIONS)
+    sort = chance.choice(["malformed", "tokenless", "lower token", "zero token", "replayed", "never granted"])
+    if sort == "malformed":
+        return device, chance.choice(MALFORMED), sort
+    command = {"id": str(uuid.uuid4()), "from": "observatory/alpha/main", "do": deed}
+    if sort == "lower token":
+        command["token"] = chance.randrange(1, token)
+    elif sort == "zero token":
+        command["token"] = 0
+    elif sort == "replayed":
+        # the mount has done a command of this id already
+        device, deed = MOUNT, chance.choice([deed for where, deed in MOTIONS if where == MOUNT])
+        command.update(id=last_id, token=token, do=deed)
+    elif sort == "never granted":
+        # only the arbiter knows what was granted; other devices learn a higher token from it
+        device, deed = DOME, chance.choice([deed for where, deed in MOTIONS if where == DOME])
+        command.update(do=deed, token=token + chance.randrange(1, 1000))
+    return device, json.dumps(command).encode(), sort
+
+
+def bad_permit(chance: random.Random, guard: dict, heard: list[dict], verdict: str) -> bytes:
+    """A permit that is none: of an older lease, of another guard, for a number never sent, heard before, or unreadable."""
+    permit = {"boot_id": heard[-1]["boot_id"], "seq": heard[-1]["seq"] + 1000, "at_utc": heard[-1]["at_utc"],
+              "verdict": verdict, "commander": "observatory/alpha/main", "token": guard["token"],
+              "guard_number": guard["number"], "guard_boot_id": guard["boot_id"]}
+    sort = chance.choice(["older token", "other guard", "number never sent", "replayed", "older life", "malformed"])
+    if sort == "older token":
+        permit["token"] = chance.randrange(0, guard["token"])
+    elif sort == "other guard":
+        permit["guard_boot_id"] = str(uuid.uuid4())
+    elif sort == "number never sent":
+        permit["guard_number"] += chance.randrange(5, 10 ** 6)
+    elif sort == "replayed":
+        permit = chance.choice(heard[:-3] or heard)
+    elif sort == "older life":
+        permit["boot_id"] = "00000000-0000-7000-8000-000000000000"
+    else:
+        return chance.choice(MALFORMED + [json.dumps({**permit, "verdict": "perhaps"}).encode(),
+                                          json.dumps({**permit, "token": None}).encode()])
+    return json.dumps(permit).encode()
+
+
+def second_token(rig, ear) -> int:
+    """The lease's token, at least 3, so that there are older ones."""
+    for _ in range(3):
+        token = ear.newest[GUARD]["token"]
+        if token >= 3:
+            return token
+        rig.restart("observatory")
+        ear.wait_for("the next lease", lambda newest: newest[GUARD]["token"] > token, 40)
+    rig.exposes(60)
+    return ear.newest[GUARD]["token"]
+
+
+@case("bad motion commands under a safe sky: none is obeyed", "B3 N13", group=GROUP, watch_s=2.0)
+def commands(rig):
+    ear, chance = rig.fresh_ear(), random.Random(ATTACKS)
+    token = second_token(rig, ear)
+    rig.exposes(60)
+    last = ear.wait_for("the mount's last command",
+                        lambda newest: (newest.get(f"{MOUNT}/state") or {}).get("last_command"), 10)
+    rig.mark()
+    since, accepted, answered = rig.wire.last(), [], 0
+    for _ in range(ATTACKS):
+        device, payload, sort = bad_command(chance, token, last["id"])
+        for reply in ear.session.get(f"{device}/command", payload=payload, timeout=3.0):
+            if reply.ok is not None:
+                answered += 1
+                said = json.loads(bytes(reply.ok.payload))
+                # a repeat of an accepted command is answered as then, and must not be done again
+                if said.get("answer") == "accepted" and sort != "replayed":
+                    accepted.append((sort, payload[:200], said))
+    time.sleep(0.5)
+    moved = [put for put in rig.wire.puts(since) if put["member"] in MOVED]
+    if accepted or moved:
+        raise Late(f"{len(accepted)} of {ATTACKS} bad commands accepted, {len(moved)} arrived: {accepted[:2]} {moved[:2]}")
+    if answered < ATTACKS * 0.95:
+        raise Late(f"only {answered} of {ATTACKS} commands were answered at all")
+    yield
+
+
+@case("bad permits that say unsafe: the valid one counts, nothing closes, no fence falls", "B3 N2", group=GROUP, watch_s=3.0)
+def unsafe_permits(rig):
+    ear = rig.fresh_ear()
+    second_token(rig, ear)
+    rig.exposes(60)
+    rig.mark()
+    say_permits(rig, ear, "unsafe")
+    replies = ear.ask(f"{MOUNT}/command", {"id": str(uuid.uuid4()), "from": "web/ops", "do": {"track": {"on": False}}})
+    if [reply["answer"] for reply in replies] != ["refusal"]:
+        raise Late(f"a bad permit took the fence from the mount: tracking off without a token was answered {replies}")
+    yield
+
+
+@case("bad permits that say safe while it is unsafe: nothing opens", "B3 N2", ISSAFE)
+def safe_permits(rig):
+    ear = rig.fresh_ear()
+    second_token(rig, ear)
+    rig.exposes(60)
+    since = rig.wire.last()
+    rig.mark()
+    rig.wire.change("safety", unsafe=True)
+    say_permits(rig, ear, "safe")
+    if rig.puts("openshutter", since):
+        raise Late("a bad permit opened the dome")
+    yield
+
+
+def say_permits(rig, ear, verdict: str):
+    chance = random.Random(ATTACKS)
+    permits = ear.wait_for("some permits", lambda _: [p for key, p in list(ear.heard) if key == PERMIT][-30:] or None, 10)
+    before = ear.newest[GUARD]["dropped"]
+    voice = ear.session.declare_publisher(PERMIT)
+    for n in range(ATTACKS):
+        voice.put(bad_permit(chance, ear.newest[GUARD], permits, verdict))
+        time.sleep(0.01)
+    time.sleep(1.5)
+    dropped = ear.newest[GUARD]["dropped"] - before
+    voice.undeclare()
+    if dropped < ATTACKS * 0.5:
+        raise Late(f"the guard dropped only {dropped} of {ATTACKS} bad permits")
+
+
+@case("a token that is not the newest cannot open even when it is safe", "N13 B3", group=GROUP, watch_s=2.0, short=False)
+def old_token_opens_nothing(rig):
+    ear = rig.fresh_ear()
+    token = second_token(rig, ear)
+    rig.exposes(60)
+    rig.mark()
+    replies = ear.ask(f"{DOME}/command", {"id": str(uuid.uuid4()), "from": "observatory/alpha/main", "token": token - 1,
+                                          "do": "open_shutter"})
+    if [r["answer"] for r in replies] != ["refusal"] or replies[0]["reason"] != "stale_token":
+        raise Late(f"an old token was answered {replies}")
+    yield

@@ -1,0 +1,237 @@
+"""Inputs of the verdict: unsafe, beyond a limit, silent, frozen, nonsense; and the five that read safe elsewhere."""
+
+import json
+import time
+
+from case import ISSAFE, MONITOR_SILENT, SUN, WEATHER, WEATHER_SILENT, case
+from relay import RESET
+from rig import DWELL_MIN, PREFIX, Late, wait
+
+
+def unsafe(rig):
+    rig.mark()
+    rig.wire.change("safety", unsafe=True)
+    yield
+
+
+for phase in ["opening", "slewing", "exposing", "downloading"]:
+    case(f"IsSafe says false while {phase}", "S1", ISSAFE, phase=phase)(unsafe)
+
+
+@case("rain", "S1 S7", ISSAFE)
+def rain(rig):
+    rig.mark()
+    rig.wire.change("rain", on=True)
+    yield
+
+
+@case("IsSafe flaps: one false is enough, and it stays closed for its dwell", "S9 D6", ISSAFE)
+def flaps(rig):
+    rig.mark()
+    rig.wire.change("safety", unsafe=True)
+    time.sleep(2.2)
+    rig.wire.change("safety", unsafe=False)
+    yield
+
+
+def weather(**values):
+    def run(rig):
+        rig.mark()
+        rig.wire.change("weather", **values)
+        yield
+    return run
+
+
+# below what the simulated monitor itself calls unsafe, so that the limit alone speaks
+case("humidity beyond its limit", "S1 S7", WEATHER)(weather(Humidity=85.0))
+case("wind beyond its limit", "S1 S7", WEATHER, short=False)(weather(WindSpeed=15.0, WindGust=15.1, Humidity=81.0))
+
+
+def monitor_fault(**fault):
+    def run(rig):
+        rig.mark()
+        rig.wire.fault("safetymonitor", **fault)
+        yield
+    return run
+
+
+def weather_fault(**fault):
+    def run(rig):
+        rig.mark()
+        rig.wire.fault("observingconditions", **fault)
+        yield
+    return run
+
+
+FAULTS = {"refuses": {"refuse": True}, "hangs": {"hang": True}, "answers after 30 s": {"slow_ms": 30_000},
+          "answers HTML": {"html": True}, "answers error 0x4FF": {"error": 0x4FF}, "answers error 0x407": {"error": 0x407}}
+for word, fault in FAULTS.items():
+    hazards = {"refuses": "S2 D2", "hangs": "S2 D1", "answers after 30 s": "S2 D1"}.get(word, "S5")
+    case(f"safety monitor {word}", hazards, MONITOR_SILENT)(monitor_fault(**fault))
+    case(f"weather station {word}", hazards + " S3", WEATHER_SILENT,
+         short=word in ("hangs", "answers HTML"))(weather_fault(**fault))
+
+
+@case("predecessor A: no weather at all", "S3 S4", WEATHER_SILENT)
+def no_weather(rig):
+    rig.mark()
+    rig.relays["observingconditions"].gone = True
+    yield
+
+
+@case("predecessor B: the rain sensor is missing while humidity reports", "S4 S7", WEATHER_SILENT)
+def no_rain_sensor(rig):
+    def spoil(member, raw):
+        if member not in ("devicestate", "rainrate"):
+            return None
+        envelope = json.loads(raw)
+        if member == "rainrate":
+            envelope.pop("Value", None)
+            envelope.update(ErrorNumber=0x402, ErrorMessage="no rain sensor")
+        else:
+            envelope["Value"] = [entry for entry in envelope["Value"] if entry["Name"] != "RainRate"]
+        return json.dumps(envelope).encode()
+    rig.mark()
+    rig.relays["observingconditions"].spoil = spoil
+    yield
+
+
+@case("predecessor C: the newest measurement is 25 minutes old", "S3", WEATHER_SILENT)
+def old_weather(rig):
+    rig.mark()
+    rig.relays["observingconditions"].say_value("timesincelastupdate", "1500.0")
+    yield
+
+
+case("predecessor D: every value is NaN", "S4", WEATHER_SILENT)(weather_fault(nan=True))
+
+
+@case("predecessor E: one IsSafe poll is missing; the next false closes", "S4 S6", ISSAFE)
+def one_poll_missing(rig):
+    left = [2]  # a reading is asked for twice when the connection breaks
+    since = rig.wire.last()
+    rig.mark()
+
+    def spoil(member, raw):
+        if member == "issafe" and left[0] > 0:
+            left[0] -= 1
+            return RESET
+        return None
+    rig.relays["safetymonitor"].spoil = spoil
+    wait("the poll is missed", lambda: left[0] == 0, 5)
+    time.sleep(1.5)
+    if not rig.puts("closeshutter", since):  # a single miss need not close, but what follows must
+        rig.mark()
+    rig.wire.change("safety", unsafe=True)
+    yield
+
+
+def said(value: str):
+    def run(rig):
+        rig.mark()
+        rig.relays["safetymonitor"].say_value("issafe", value)
+        yield
+    return run
+
+
+for value in ['"True"', "1", "null"]:
+    case(f"IsSafe is {value}", "S4", MONITOR_SILENT, short=value != "1")(said(value))
+
+
+def changed(change):
+    def run(rig):
+        rig.mark()
+        rig.relays["safetymonitor"].change_answer("issafe", change)
+        yield
+    return run
+
+
+case("IsSafe without a Value", "S4", MONITOR_SILENT)(changed(lambda e: e.pop("Value") and None))
+case("IsSafe answers another transaction", "S6", MONITOR_SILENT)(
+    changed(lambda e: e.update(ClientTransactionID=e["ClientTransactionID"] + 7)))
+case("IsSafe true beside an error number", "S5", MONITOR_SILENT)(
+    changed(lambda e: e.update(ErrorNumber=0x500, ErrorMessage="sensor lost")))
+
+
+@case("safety monitor vanishes and returns as another number", "D9", MONITOR_SILENT)
+def another_number(rig):
+    """The server answers, and device 0 is not there any more."""
+    rig.mark()
+    rig.relays["safetymonitor"].renumber = {"0": "9"}
+    yield
+
+
+def bad_values() -> list[str]:
+    """At least 400 JSON texts that are not `true`."""
+    plain = ["false", "null", "0", "1", "-1", "NaN", "Infinity", "-Infinity", "1e999", "[]", "{}", "[true]", '""', '" "']
+    words = ["true", "True", "TRUE", "yes", "on", "safe", "ok", "1", "0", "false", "False", "null", "None", "nan", "T", "Y"]
+    quoted = [json.dumps(pad[0] + word + pad[1]) for word in words for pad in [("", ""), (" ", ""), ("", "\n"), ("\ufeff", "")]]
+    numbers = [repr(n * 0.5) for n in range(-60, 61)] + [str(2 ** n) for n in range(1, 64)] + [f"1e{n}" for n in range(-50, 51, 3)]
+    nested = [json.dumps({"Value": True, "n": n}) for n in range(40)] + [json.dumps([True] * n) for n in range(2, 42)]
+    texts = [json.dumps("true" * n) for n in range(2, 42)]
+    return list(dict.fromkeys(plain + quoted + numbers + nested + texts))
+
+
+BAD = bad_values()
+
+
+@case(f"{len(BAD)} bad values of IsSafe: none reads as safe", "S4 S6", group="bad IsSafe values",
+      may_close=True, watch_s=0.0)
+def none_reads_safe(rig):
+    relay, served = rig.relays["safetymonitor"], [0]
+    key = f"{PREFIX}/device/safetymonitor/monitor/state"
+    config = rig.folder / "observatory.toml"
+    text = config.read_text()
+    # ten polls a second, so that each value is asked for
+    config.write_text(text.replace(f"dwell_min = {DWELL_MIN}\n", f"dwell_min = {DWELL_MIN}\nperiod_s = 0.1\n", 1))
+    current = ["false"]
+
+    def spoil(member, raw):
+        if member != "issafe":
+            return None
+        envelope = json.loads(raw)
+        envelope["Value"] = "\0"
+        served[0] += 1
+        return json.dumps(envelope).replace('"\\u0000"', current[0]).encode()
+    relay.spoil = spoil
+    rig.restart("hands")
+    # three in a row, so that what was safe before the first has been said
+    before = served[0]
+    wait("the monitor is asked again", lambda: served[0] > before + 3, 20)
+    ear = rig.fresh_ear()
+    heard = len(ear.heard)
+    since = rig.wire.last()
+    for value in BAD:
+        before, current[0] = served[0], value
+        wait(f"IsSafe {value} is asked for", lambda: served[0] >= before + 1, 10, 0.01)
+    time.sleep(0.5)
+    states = [payload["fields"]["is_safe"] for where, payload in ear.heard[heard:] if where == key]
+    read_safe = [said for said in states if said is True or (isinstance(said, dict) and said.get("value") is True)]
+    if len(states) < 20:
+        raise Late(f"only {len(states)} states of the monitor were heard")
+    config.write_text(text)
+    if read_safe or rig.puts("openshutter", since):
+        raise Late(f"{len(read_safe)} of {len(BAD)} bad values read as safe, or something opened")
+    yield
+    rig.restart("hands")
+
+
+@case("the Sun rises above its limit while the schedule runs", "S11", SUN)
+def sun(rig):
+    before, began = rig.wire.world()["sun_altitude_deg"], time.monotonic()
+    time.sleep(3.0)
+    altitude_deg = rig.wire.world()["sun_altitude_deg"]
+    rises_deg_per_s = (altitude_deg - before) / (time.monotonic() - began)
+    if rises_deg_per_s <= 0.0:
+        raise Late("the Sun does not rise in this rig's night")
+    limit_deg = rises_deg_per_s * 16.0
+    rig.sun_max_deg = altitude_deg + limit_deg
+    rig.write_config()
+    rig.restart("observatory")
+    rig.exposes(30)
+    wait("the Sun crosses the limit", lambda: rig.wire.world()["sun_altitude_deg"] > rig.sun_max_deg, 60, 0.05)
+    rig.mark()
+    yield
+    rig.sun_max_deg = 90.0
+    rig.write_config()
+    rig.restart("observatory")

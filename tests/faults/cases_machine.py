@@ -1,0 +1,188 @@
+"""The machine under the nodes: clocks that jump, disks that are full or read-only, locks, no more files."""
+
+import pathlib
+import resource
+import shutil
+import sqlite3
+import subprocess
+import threading
+import time
+
+from case import MACHINE, MONITOR_SILENT, SILENCE, case
+from rig import Late
+
+WALL = {"flavour": "wall"}
+NOTHING = "clock, disk or files, sky safe: nothing closes"
+HOUR_S = 3600
+
+
+def jump(node: str, seconds: int):
+    """The wall clock of one node jumps under its feet (libfaketime; its monotonic clocks stay exact)."""
+    def run(rig):
+        rig.jump(node, seconds)
+        time.sleep(4.0)
+        rig.mark()
+        rig.wire.change("safety", unsafe=True)
+        yield
+        rig.jump(node, 0)
+        time.sleep(2.0)
+    return run
+
+
+def only_jump(node: str, seconds: int):
+    def run(rig):
+        rig.jump(node, seconds)
+        yield
+        rig.jump(node, 0)
+        time.sleep(2.0)
+    return run
+
+
+for node, word in [("observatory", "observatory"), ("hands", "other device node"), ("dome", "dome's device node")]:
+    for seconds in (HOUR_S, -HOUR_S):
+        short = (node, seconds) in [("observatory", HOUR_S), ("dome", -HOUR_S)]
+        case(f"clock of the {word} jumps by {seconds // HOUR_S:+d} h, then it is unsafe", "N17", MACHINE, short=short,
+             **WALL)(jump(node, seconds))
+        case(f"clock of the {word} jumps by {seconds // HOUR_S:+d} h", "N17", group=NOTHING, watch_s=6.0, exposes=False, **WALL,
+             short=(node, seconds) in [("observatory", -HOUR_S), ("hands", HOUR_S)])(only_jump(node, seconds))
+
+
+@case("clock of the other device node goes back 1 h, and it is restarted: the night goes on", "N17 N4",
+      group="clock, disk or files: the night goes on", may_close=True, watch_s=0.0, **WALL)
+def restarted_in_the_past(rig):
+    rig.jump("hands", -HOUR_S)
+    rig.restart("hands")
+    time.sleep(3.0)
+    rig.jump("hands", 0)  # the clock is right again; the name of its life stays an hour older than that of the one before
+    rig.exposes(60)
+    yield
+
+
+@case("clock of the observatory goes back 1 h, and it is restarted: the night goes on", "N17 N1",
+      group="clock, disk or files: the night goes on", may_close=True, watch_s=0.0, **WALL)
+def observatory_in_the_past(rig):
+    rig.jump("observatory", -HOUR_S)
+    rig.restart("observatory")
+    time.sleep(3.0)
+    rig.jump("observatory", 0)
+    rig.exposes(60)
+    yield
+
+
+def fill(rig) -> pathlib.Path:
+    ballast = rig.data / "ballast"
+    with open(ballast, "wb", buffering=0) as file:
+        try:
+            while True:
+                file.write(b"\0" * 65536)
+        except OSError:
+            pass
+    if shutil.disk_usage(rig.data).free > 65536:
+        raise Late("the disk is not full")
+    return ballast
+
+
+@case("disk full, then it is unsafe", "N20 S10", MACHINE, **WALL)
+def full_unsafe(rig):
+    ballast = fill(rig)
+    time.sleep(3.0)
+    rig.mark()
+    rig.wire.change("safety", unsafe=True)
+    yield
+    ballast.unlink()
+
+
+@case("disk full, then the observatory dies", "N20 N1", SILENCE, short=False, **WALL)
+def full_dead(rig):
+    ballast = fill(rig)
+    rig.kill("observatory")
+    yield
+    ballast.unlink()
+
+
+def read_only(rig, on: bool):
+    if on:
+        subprocess.run(["mount", "--bind", rig.data, rig.data], check=True)
+        subprocess.run(["mount", "-o", "remount,bind,ro", rig.data], check=True)
+        try:
+            (rig.data / "probe").write_text("x")
+        except OSError:
+            return
+        raise Late("the data folder is not read-only")
+    subprocess.run(["umount", "--lazy", rig.data], check=True)
+
+
+@case("data folder read-only, then it is unsafe", "N21 S10", MACHINE, **WALL)
+def read_only_unsafe(rig):
+    read_only(rig, True)
+    try:
+        time.sleep(3.0)
+        rig.mark()
+        rig.wire.change("safety", unsafe=True)
+        yield
+    finally:
+        read_only(rig, False)
+
+
+@case("data folder read-only, and the dome's device node restarts without a commander", "N21 N4 N19",
+      SILENCE, short=False, **WALL)
+def read_only_restart(rig):
+    read_only(rig, True)
+    try:
+        rig.kill("observatory", "dome")
+        rig.restart("dome")
+        yield
+    finally:
+        read_only(rig, False)
+
+
+class Lock:
+    """Holds the archive's database as another program would."""
+
+    def __init__(self, path: pathlib.Path):
+        self.ready, self.end = threading.Event(), threading.Event()
+
+        def hold():
+            database = sqlite3.connect(path, timeout=10)
+            database.execute("BEGIN EXCLUSIVE")
+            self.ready.set()
+            self.end.wait(60)
+            database.rollback()
+            database.close()
+        self.thread = threading.Thread(target=hold, daemon=True)
+        self.thread.start()
+        if not self.ready.wait(15):
+            raise Late("the database could not be locked")
+
+    def release(self):
+        self.end.set()
+        self.thread.join()
+
+
+@case("database locked by another process", "N22 S10 N9", group=NOTHING, watch_s=8.0)
+def locked(rig):
+    lock = Lock(rig.data / "archive.db")
+    yield
+    lock.release()
+
+
+def exhausted(node: str):
+    """No more files for this node than it has open now."""
+    def run(rig):
+        pid = rig.processes[node].pid
+        had = resource.prlimit(pid, resource.RLIMIT_NOFILE)
+        numbers = [int(fd.name) for fd in pathlib.Path(f"/proc/{pid}/fd").iterdir()]
+        resource.prlimit(pid, resource.RLIMIT_NOFILE, (3, had[1]))
+        if len(numbers) < 4:
+            raise Late("the node has no files open")
+        time.sleep(1.0)
+        rig.mark()
+        rig.wire.change("safety", unsafe=True)
+        yield
+        resource.prlimit(pid, resource.RLIMIT_NOFILE, had)
+    return run
+
+
+case("dome's device node out of files, then it is unsafe", "N23", MACHINE)(exhausted("dome"))
+case("observatory out of files, then it is unsafe", "N23", MACHINE)(exhausted("observatory"))
+case("other device node out of files, then it is unsafe", "N23 S2", MONITOR_SILENT)(exhausted("hands"))

@@ -1,0 +1,73 @@
+"""The network: cut, one way only, lossy, late, healed; nodes in namespaces, explicit endpoints, no multicast."""
+
+import time
+
+from case import HANDS, SILENCE, Bound, case
+
+NET = {"flavour": "network"}
+LINGER = "a host that vanishes holds up the living links for 10 s; suspect: SO_LINGER in zenoh-link-tcp"
+LATE = Bound("2 s of delay each way, and IsSafe says false", 12.0)
+LOSS = Bound("30 % of the packets lost, and IsSafe says false", 12.0)
+
+
+def ruled(inward: str, outward: str):
+    def run(rig):
+        rig.rules(inward, outward)
+        rig.mark()
+        yield
+        rig.rules()
+    return run
+
+
+case("observatory cut off", "N6", SILENCE, **NET)(ruled("drop", "drop"))
+case("observatory hears and is not heard", "N6", SILENCE, **NET)(ruled("accept", "drop"))
+case("observatory is heard and does not hear", "N6 S2", SILENCE, **NET)(ruled("drop", "accept"))
+case("observatory's connections are reset", "N6", SILENCE, short=False, **NET)(
+    ruled("meta l4proto tcp reject with tcp reset", "meta l4proto tcp reject with tcp reset"))
+
+
+def unplugged(node: str):
+    def run(rig):
+        rig.cable(node, "down")
+        rig.mark()
+        yield
+        rig.cable(node, "up")
+    return run
+
+
+case("observatory's cable pulled", "N6", SILENCE, **NET)(unplugged("observatory"))
+case("other device node's cable pulled", "N6 S2", HANDS, **NET,
+     known=LINGER)(unplugged("hands"))
+case("archive's cable pulled", "N9 S10", group="archive or web dead: nothing closes", watch_s=18.0,
+     known=LINGER, **NET)(unplugged("archive"))
+case("web's cable pulled", "N10 S10", group="archive or web dead: nothing closes", watch_s=18.0,
+     known=LINGER, **NET)(unplugged("web"))
+
+
+@case("30 % of the packets lost both ways, then it is unsafe", "N7", LOSS, **NET)
+def loss(rig):
+    drop = "numgen random mod 100 < 30 drop"
+    rig.rules(drop, drop)
+    time.sleep(2.0)
+    rig.mark()
+    rig.wire.change("safety", unsafe=True)
+    yield
+    rig.rules()
+
+
+@case("2 s of delay each way, then it is unsafe", "N7", LATE, **NET)
+def late(rig):
+    rig.delay(2.0)
+    time.sleep(4.0)
+    rig.mark()
+    rig.wire.change("safety", unsafe=True)
+    yield
+    rig.delay(0.0)
+
+
+@case("2 s of delay each way under a safe sky", "N7", group="slow network under a safe sky", may_close=True,
+      watch_s=10.0, short=False, **NET)
+def late_and_safe(rig):
+    rig.delay(2.0)
+    yield
+    rig.delay(0.0)

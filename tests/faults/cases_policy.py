@@ -1,0 +1,50 @@
+"""Roofs that wait for the mount, and the real supervisor."""
+
+from case import SILENCE, WAITING_ROOF, case
+
+UP, ROOF = {"flavour": "up"}, {"flavour": "roof"}
+STOPS = ("park", "abortslew", "tracking")
+
+
+@case("roof that waits for the park: it is unsafe", "S1 D7", WAITING_ROOF, members=STOPS, **ROOF)
+def waiting(rig):
+    rig.mark()
+    rig.wire.change("safety", unsafe=True)
+    yield
+
+
+# 6 s of waiting, then it closes whatever the mount says
+@case("roof that waits 6 s for the park: it is unsafe and the mount hangs", "D7 D1", WAITING_ROOF, members=STOPS,
+      close_within_s=14.0, **ROOF)
+def waiting_hang(rig):
+    rig.wire.fault("telescope", hang=True)
+    rig.mark()
+    rig.wire.change("safety", unsafe=True)
+    yield
+
+
+@case("roof that waits 6 s for the park: the observatory dies", "D7 N1", SILENCE, members=STOPS + ("closeshutter",),
+      close_within_s=14.0, **ROOF)
+def waiting_dead(rig):
+    rig.kill("observatory")
+    yield
+
+
+@case("under `starmesh up`: observatory and dome's device node killed", "N1 N4",
+      group="a node is restarted at once: nothing need close", may_close=True, watch_s=16.0, **UP)
+def up_restarts(rig):
+    rig.kill_nodes("node observatory", "node device --id dome")
+    yield
+
+
+@case("`starmesh up` itself killed: the device nodes outlive it and close", "N1 N4", SILENCE, **UP)
+def up_killed(rig):
+    rig.kill_up()
+    yield
+
+
+@case("under `starmesh up`: archive and web killed", "N9 N10 S10", group="archive or web dead: nothing closes",
+      short=False, **UP)
+def up_others(rig):
+    rig.kill_nodes("node archive", "node web")
+    yield
