@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use audit::{Audit, Entry};
 use bus::Node;
+use config::FaultPolicy;
 use contract::audit::Outcome;
 use contract::observatory::{Alerts, Sector};
 use contract::{CommandId, Key, Part};
@@ -23,6 +24,7 @@ use crate::safety::Ruling;
 use crate::safety::rules::Rules;
 use crate::schedule::Row;
 use crate::standing::Standing;
+use crate::trouble::Trouble;
 
 /// The control room.
 pub struct ControlRoom {
@@ -169,6 +171,18 @@ impl ControlRoom {
                 _ = robotic.changed() => {}
                 () = tokio::time::sleep(Duration::from_secs(1)) => {}
             }
+        }
+    }
+
+    /// Goes on without a device that failed, where the policy for its kind says so.
+    pub fn or_without(&self, done: Result<(), Trouble>) -> Result<(), Trouble> {
+        let policy = |kind| self.node.config.faults.policy(kind);
+        match done {
+            Err(trouble) if trouble.kind().map(policy) == Some(FaultPolicy::Without) => {
+                tracing::warn!(%trouble, "going on without it");
+                Ok(())
+            }
+            done => done,
         }
     }
 

@@ -133,7 +133,7 @@ fn about_alerts(
 }
 
 /// Sets the switch; turning it off closes what it had opened.
-fn switch_robotic(room: &Arc<ControlRoom>, on: bool, why: &str) {
+pub(crate) fn switch_robotic(room: &Arc<ControlRoom>, on: bool, why: &str) {
     let was = room.robotic.send_replace(on);
     if was && !on {
         room.wish_closed.send_replace(Some(why.to_owned()));

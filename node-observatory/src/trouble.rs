@@ -1,6 +1,6 @@
 //! What can go wrong while a row of the schedule is worked on.
 
-use contract::Reason;
+use contract::{Kind, Reason};
 
 /// Why a step of an action did not succeed.
 #[derive(Debug, thiserror::Error)]
@@ -77,6 +77,22 @@ pub enum Trouble {
 }
 
 impl Trouble {
+    /// The kind of device that is at fault, where one is (`site/telescope/kind/name`).
+    pub fn kind(&self) -> Option<Kind> {
+        match self {
+            Self::Refused { device, .. }
+            | Self::Unanswered { device, .. }
+            | Self::Failed { device, .. }
+            | Self::Deadline { device, .. }
+            | Self::Restarted { device }
+            | Self::Cooling { device, .. } => {
+                let named = device.split('/').nth(2)?;
+                Kind::ALL.iter().copied().find(|kind| kind.to_string() == named)
+            }
+            Self::Impossible(_) | Self::Sky(_) | Self::Journal(_) => None,
+        }
+    }
+
     /// May the same step succeed a little later?
     pub fn may_pass(&self) -> bool {
         match self {

@@ -91,6 +91,9 @@ fn place(observatory: &Observatory, faults: &mut Faults<'_>) {
             faults.add("", format!("safety.{key} = {value}: expected 0 or more"));
         }
     }
+    for fault in observatory.faults.faults() {
+        faults.add("", fault);
+    }
     let shared = place.telescope.as_str() == Address::SHARED;
     for dome in observatory.dome.iter().filter(|dome| shared && dome.telescopes.is_empty()) {
         let name = &dome.common.name;
@@ -315,6 +318,16 @@ server = "10.0.0.5:11111"
     fn a_pairing_with_nothing_is_refused() {
         let message = faults("[[camera]]\nname = \"guide\"\nserver = \"a:1\"\nfocuser = \"f9\"\n");
         assert!(message.contains("camera \"guide\": focuser = \"f9\" names no focuser"), "{message}");
+    }
+
+    #[test]
+    fn a_fault_policy_that_makes_no_sense_is_refused() {
+        let message = faults("[faults.policy]\ncamera = \"without\"\nfocusser = \"skip\"\n");
+        assert!(message.contains("faults.policy.camera = \"without\": no frame"), "{message}");
+        assert!(message.contains("faults.policy.focusser: no such kind; expected one of telescope"), "{message}");
+        let fine = parse(&format!("{MINIMAL}[faults.policy]\nfocuser = \"without\"\n"), Path::new("/site")).unwrap();
+        assert_eq!(fine.faults.policy(Kind::Focuser), crate::FaultPolicy::Without);
+        assert_eq!(fine.faults.policy(Kind::Camera), crate::FaultPolicy::Postpone);
     }
 
     #[test]

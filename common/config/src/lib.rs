@@ -7,6 +7,7 @@
 mod alerts;
 mod check;
 mod device;
+mod faults;
 pub mod header;
 mod observatory;
 
@@ -16,6 +17,7 @@ pub use device::{
     Camera, CloseWithMount, Common, CoverCalibrator, Device, Dome, EquatorialChoice, FilterWheel, Focuser, Limit,
     Measure, MountLimits, ObservingConditions, Response, Rotator, SafetyMonitor, Switch, Telescope,
 };
+pub use faults::{FaultPolicy, Faults};
 pub use observatory::{
     Archive, Bus, ClockSource, Folders, Observatory, Place, Safety, Schedule, Shared, Spool, Web, WindSector,
 };

@@ -12,6 +12,7 @@ use crate::device::{
     Camera, Common, CoverCalibrator, Device, Dome, FilterWheel, Focuser, ObservingConditions, Rotator, SafetyMonitor,
     Switch, Telescope,
 };
+use crate::faults::Faults;
 
 /// One `observatory.toml`.
 #[derive(Debug, Clone, Deserialize)]
@@ -32,6 +33,9 @@ pub struct Observatory {
     /// What the verdict rests on beside monitors and weather.
     #[serde(default)]
     pub safety: Safety,
+    /// What becomes of the night when a device fails.
+    #[serde(default)]
+    pub faults: Faults,
     /// What is observed.
     #[serde(default)]
     pub schedule: Schedule,

@@ -100,7 +100,7 @@ impl Stage {
             }
         };
         match chain.focuser {
-            Some(focuser) => focuser.focus(Wanted { filter_offset, ..focus }).await,
+            Some(focuser) => self.room.or_without(focuser.focus(Wanted { filter_offset, ..focus }).await),
             None if focus.position.is_some() || focus.shift.is_some() => {
                 Err(Trouble::Impossible(format!("{} has no focuser", self.row.camera)))
             }

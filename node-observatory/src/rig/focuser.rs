@@ -64,7 +64,13 @@ impl Focuser {
                 _ => Err(Trouble::Impossible(format!("{} does not know its position", self.instrument.device))),
             };
         }
-        let target = target(wanted, self.best(), can.max_step)?;
+        let best = self.best();
+        if best.is_none() && wanted.position.is_none() {
+            // it may only be away for a while
+            let (device, verb) = (self.instrument.device.to_string(), "focus".to_owned());
+            return Err(Trouble::Failed { device, verb, reason: "its position is not known".to_owned() });
+        }
+        let target = target(wanted, best, can.max_step)?;
         let near =
             self.position().is_some_and(|now| now.abs_diff(target) <= self.config.tolerance_steps.unsigned_abs());
         if near {

@@ -2,19 +2,24 @@
 
 mod one_row;
 mod pick;
+mod rests;
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use contract::observatory::{ActionNow, RowState, RowStatus};
+use config::FaultPolicy;
+use contract::Kind;
+use contract::observatory::{ActionNow, AlertKind, RowState, RowStatus};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use units::Utc;
 
 use self::one_row::{RowEnd, run_row};
 use self::pick::{has_ended, pick};
+use self::rests::Rests;
 use crate::action::Stage;
 use crate::control_room::{ControlRoom, Objection};
+use crate::patience::seconds;
 use crate::schedule::{Loaded, Row};
 
 /// How the night's end stands.
@@ -35,6 +40,8 @@ struct Runner {
     token: Option<u64>,
     rows: Arc<Vec<Row>>,
     statuses: Vec<RowStatus>,
+    /// Rows that wait for a device to recover.
+    rests: Rests,
     at_work: JoinSet<(usize, RowEnd)>,
     farewell: Farewell,
 }
@@ -53,6 +60,7 @@ pub async fn keep_observing(room: Arc<ControlRoom>, mut loaded: watch::Receiver<
         token: None,
         rows: Arc::default(),
         statuses: Vec::new(),
+        rests: Rests::default(),
         at_work: JoinSet::new(),
         farewell: Farewell::NotYet,
     };
@@ -94,6 +102,7 @@ impl Runner {
         (self.revision, self.token) = (loaded.revision, token);
         self.rows = loaded.rows.clone();
         self.farewell = Farewell::NotYet;
+        self.rests = Rests::default();
         let states: Vec<RowState> =
             self.rows.iter().zip(0..).map(|(row, index)| state_of(&self.room, row, index)).collect();
         self.statuses = states.iter().map(|state| state.status).collect();
@@ -124,9 +133,9 @@ impl Runner {
     /// Starts the next row whose time has come; false when there is none.
     fn start_next(&mut self) -> bool {
         let now = self.room.node.bus.clock().utc();
-        let Some(index) = pick(&self.rows, &self.statuses, now, |row| self.room.objection(Some(row)).is_none()) else {
-            return false;
-        };
+        let machine = self.room.node.bus.clock().machine();
+        let may = |index, row: &Row| !self.rests.rests(index, machine) && self.room.objection(Some(row)).is_none();
+        let Some(index) = pick(&self.rows, &self.statuses, now, may) else { return false };
         let row = self.rows[index].clone();
         let number = u32::try_from(index).unwrap_or(u32::MAX);
         tracing::info!(row = index, action = row.action.name(), object = row.action.object(), "row begins");
@@ -151,9 +160,13 @@ impl Runner {
             let why = || Some("the robotic switch is off".to_owned());
             self.room.wish_closed.send_if_modified(|wish| wish.is_none() && std::mem::replace(wish, why()).is_none());
         }
+        if !matches!(end, RowEnd::Postponed(..)) {
+            self.room.node.alerts.clear(AlertKind::RowPostponed, index);
+        }
         let (status, detail) = match end {
             RowEnd::Finished(detail) => (RowStatus::Finished, detail),
             RowEnd::Failed(detail) => (RowStatus::Failed, detail),
+            RowEnd::Postponed(detail, kind) => (RowStatus::Interrupted, self.postpone(index, detail, kind)),
             RowEnd::Interrupted(objection) => (RowStatus::Interrupted, objection.to_string()),
         };
         let row = self.rows[index].clone();
@@ -172,6 +185,19 @@ impl Runner {
                 tracing::warn!(%error, "the end of a row is not in the journal; a restart may begin it again");
             }
         });
+    }
+
+    /// Lets a row rest for a device's sake, as the policy for that kind has it; returns what is shown.
+    fn postpone(&mut self, index: usize, detail: String, kind: Option<Kind>) -> String {
+        let (faults, clock) = (&self.room.node.config.faults, self.room.node.bus.clock());
+        let rest = self.rests.begin(index, seconds(faults.rest_s), clock.machine());
+        match kind.map_or(FaultPolicy::Postpone, |kind| faults.policy(kind)) {
+            FaultPolicy::Close => drop(self.room.wish_closed.send_replace(Some(detail.clone()))),
+            FaultPolicy::Stop => crate::order::switch_robotic(&self.room, false, &detail),
+            FaultPolicy::Postpone | FaultPolicy::Skip | FaultPolicy::Without => {}
+        }
+        self.room.node.alerts.raise(AlertKind::RowPostponed, index, &detail);
+        format!("{detail}; tried again in {:.0} s", rest.as_secs_f64())
     }
 
     /// After the last row: closes everything, and says that the night has ended once that is verified.

@@ -1,9 +1,11 @@
 //! One row from start to end: raced against the verdict, retried after a fault, settled when it is over.
 
-use std::time::Duration;
+use config::FaultPolicy;
+use contract::Kind;
 
 use crate::action::Stage;
 use crate::control_room::Objection;
+use crate::patience::seconds;
 use crate::trouble::Trouble;
 
 /// How a row ended.
@@ -13,18 +15,17 @@ pub enum RowEnd {
     Finished(String),
     /// Not done, and not to be tried again.
     Failed(String),
+    /// Not done because of a device: to be tried again later.
+    Postponed(String, Option<Kind>),
     /// Stopped; goes on when nothing stands against it any more.
     Interrupted(Objection),
 }
 
-/// A device fault is tried again so often without a frame in between ...
-const RETRIES: u32 = 2;
-/// ... after so long of machine time.
-const PAUSE: Duration = Duration::from_secs(5);
-
 /// Runs a row; never ends the night, whatever happens in it.
 pub async fn run_row(stage: &Stage) -> RowEnd {
     let taken = || stage.room.journal.progress(&stage.row.id).taken;
+    let faults = &stage.room.node.config.faults;
+    let pause = seconds(faults.pause_s);
     let (mut retried, mut had) = (0, taken());
     loop {
         let tried = tokio::select! {
@@ -46,16 +47,22 @@ pub async fn run_row(stage: &Stage) -> RowEnd {
             (retried, had) = (0, taken());
         }
         let in_time = stage.clock().utc() < stage.row.end;
-        if !trouble.may_pass() || retried >= RETRIES || !in_time {
+        if !trouble.may_pass() || retried >= faults.retries || !in_time {
             rest(stage).await;
-            return RowEnd::Failed(trouble.to_string());
+            let kind = trouble.kind();
+            let policy = kind.map_or(FaultPolicy::Postpone, |kind| faults.policy(kind));
+            return if trouble.may_pass() && in_time && policy != FaultPolicy::Skip {
+                RowEnd::Postponed(trouble.to_string(), kind)
+            } else {
+                RowEnd::Failed(trouble.to_string())
+            };
         }
         retried += 1;
         tracing::warn!(row = stage.index, %trouble, retried, "trying again");
         stage.small_step(format!("trying again after: {trouble}"));
         tokio::select! {
             objection = stage.room.objected(&stage.row) => return RowEnd::Interrupted(objection),
-            () = tokio::time::sleep(PAUSE) => {}
+            () = tokio::time::sleep(pause) => {}
         }
     }
 }

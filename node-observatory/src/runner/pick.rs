@@ -15,7 +15,7 @@ pub fn has_ended(status: RowStatus) -> bool {
 
 /// The first row in order whose window is open and that nothing stands against; none while a row runs that the next ones
 /// must wait for, or that needs the same camera or mount.
-pub fn pick(rows: &[Row], statuses: &[RowStatus], now: Utc, may: impl Fn(&Row) -> bool) -> Option<usize> {
+pub fn pick(rows: &[Row], statuses: &[RowStatus], now: Utc, may: impl Fn(usize, &Row) -> bool) -> Option<usize> {
     let each = || rows.iter().zip(statuses);
     let running: Vec<&Row> = each().filter(|(_, status)| **status == RowStatus::Running).map(|(row, _)| row).collect();
     if running.iter().any(|row| !row.action.needs().parallel) {
@@ -24,7 +24,7 @@ pub fn pick(rows: &[Row], statuses: &[RowStatus], now: Utc, may: impl Fn(&Row) -
     let next = each().enumerate().position(|(index, (row, status))| {
         let waits = matches!(status, RowStatus::Pending | RowStatus::Interrupted);
         let in_turn = !row.action.needs().all_before || statuses.iter().take(index).all(|status| has_ended(*status));
-        waits && in_turn && row.start <= now && now <= row.end && may(row)
+        waits && in_turn && row.start <= now && now <= row.end && may(index, row)
     })?;
     let row = rows.get(next)?;
     let clashes =
@@ -57,11 +57,11 @@ mod tests {
         parse(&text, &["a".parse().unwrap(), "b".parse().unwrap()]).unwrap()
     }
 
-    fn any(_: &Row) -> bool {
+    fn any(_: usize, _: &Row) -> bool {
         true
     }
 
-    fn no_sky(row: &Row) -> bool {
+    fn no_sky(_: usize, row: &Row) -> bool {
         !row.action.needs().safe
     }
 

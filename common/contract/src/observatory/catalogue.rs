@@ -61,6 +61,17 @@ macro_rules! catalogue {
 }
 
 catalogue! {
+    /// A device failed again and again, so a row of the schedule rests and is tried again later, each time after twice
+    /// as long; the other rows go on. What `[faults] policy` says of the kind of device is done.
+    RowPostponed: Entry {
+        word: "row-postponed",
+        instance: "ROW",
+        priority: Priority::Medium,
+        consequence: "Its frames are not taken meanwhile.",
+        action: "Look at the device that is named. The row goes on by itself while its window is open.",
+        on_delay_s: 0,
+        hold_s: 0,
+    },
     /// The disk of a node's folder is almost full (`safety.disk_free_min_gb`). While it is the data folder of a device
     /// or observatory node, nothing is exposed: the last room is for the journal and for frames that are under way.
     Disk: Entry {
