@@ -5,7 +5,6 @@ import time
 from case import HANDS, SILENCE, Bound, case
 
 NET = {"flavour": "network"}
-LINGER = "a host that vanishes holds up the living links for 10 s; suspect: SO_LINGER in zenoh-link-tcp"
 LATE = Bound("2 s of delay each way, and IsSafe says false", 12.0)
 LOSS = Bound("30 % of the packets lost, and IsSafe says false", 12.0)
 
@@ -36,12 +35,11 @@ def unplugged(node: str):
 
 
 case("observatory's cable pulled", "N6", SILENCE, **NET)(unplugged("observatory"))
-case("other device node's cable pulled", "N6 S2", HANDS, **NET,
-     known=LINGER)(unplugged("hands"))
+case("other device node's cable pulled", "N6 S2", HANDS, **NET)(unplugged("hands"))
 case("archive's cable pulled", "N9 S10", group="archive or web dead: nothing closes", watch_s=18.0,
-     known=LINGER, **NET)(unplugged("archive"))
+     **NET)(unplugged("archive"))
 case("web's cable pulled", "N10 S10", group="archive or web dead: nothing closes", watch_s=18.0,
-     known=LINGER, **NET)(unplugged("web"))
+     **NET)(unplugged("web"))
 
 
 @case("30 % of the packets lost both ways, then it is unsafe", "N7", LOSS, **NET)
