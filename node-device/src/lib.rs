@@ -18,6 +18,7 @@ mod front;
 mod gate;
 pub mod guard;
 mod guard_task;
+mod has;
 mod mount_limits;
 mod mount_watch;
 mod node_part;

@@ -4,7 +4,6 @@
 //! `select!`: a command, the answer to a command, the answer to a poll and the timers are heard in any order, so
 //! that what makes safe is never behind what hangs.
 
-use std::collections::HashSet;
 use std::pin::Pin;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
@@ -22,6 +21,7 @@ use crate::contact::{Answer, Greeting, Poll, Questions, lost_reason};
 use crate::deadline::machine_limit;
 use crate::driver::{Capabilities, Command, Driver, Fields, Now, Obeyed, Progress};
 use crate::front::{Front, Order};
+use crate::has::Has;
 use crate::readings::Readings;
 
 /// While something moves or exposes.
@@ -87,9 +87,7 @@ struct Loop<D: Driver> {
     readings: Readings,
     link: Link,
     device_state: bool,
-    /// Properties that it says not to have; never those that it had once.
-    absent: HashSet<String>,
-    answered: HashSet<String>,
+    has: Has,
     description: Option<Description<Capabilities<D>>>,
     last_command: Option<LastCommand>,
     running: Option<Running<D>>,
@@ -128,8 +126,7 @@ impl<D: Driver> Serve<D> {
             readings: Readings::default(),
             link: Link::Connecting,
             device_state: false,
-            absent: HashSet::new(),
-            answered: HashSet::new(),
+            has: Has::default(),
             description: None,
             last_command: None,
             running: None,
@@ -227,7 +224,7 @@ impl<D: Driver> Loop<D> {
             self.next_full = now + self.period();
         }
         let wanted =
-            if full { self.wanted() } else { self.present(driver.moving().iter().map(|&name| name.to_owned())) };
+            if full { self.wanted() } else { self.has.present(driver.moving().iter().map(|&name| name.to_owned())) };
         let device_state = self.device_state;
         self.contact =
             Some(Box::pin(async move { Contact::<D>::Polled(questions.poll(wanted, full, device_state).await) }));
@@ -237,11 +234,7 @@ impl<D: Driver> Loop<D> {
     fn wanted(&self) -> Vec<String> {
         let own = self.serve.driver.polled();
         let others = self.serve.polled.iter().filter(|name| !own.contains(name)).cloned().collect::<Vec<_>>();
-        self.present(own.into_iter().chain(others))
-    }
-
-    fn present(&self, names: impl Iterator<Item = String>) -> Vec<String> {
-        names.filter(|name| !self.absent.contains(name)).collect()
+        self.has.present(own.into_iter().chain(others))
     }
 
     fn greeted(&mut self, greeting: Result<Greeting<D>, AlpacaError>) {
@@ -252,7 +245,7 @@ impl<D: Driver> Loop<D> {
         if self.link != Link::Connected {
             tracing::info!(device = %self.serve.device, name = greeting.description.device_name, "device connected");
         }
-        self.absent.clear();
+        self.has.ask_again();
         self.keep(greeting.answers);
         self.device_state = greeting.device_state;
         self.link = Link::Connected;
@@ -266,21 +259,14 @@ impl<D: Driver> Loop<D> {
 
     fn keep(&mut self, answers: Vec<Answer>) {
         for (property, answer, at_utc) in answers {
-            match &answer {
-                Ok(_) => drop(self.answered.insert(property.clone())),
-                // what it had once it has: a server that is restarted denies everything for a while
-                Err(error) if error.is_not_implemented() && !self.answered.contains(&property) => {
-                    self.absent.insert(property.clone());
-                }
-                Err(_) => {}
-            }
+            self.has.learn(&property, &answer);
             self.readings.keep(&property, answer.map_err(|error| error.no_data()), at_utc);
         }
     }
 
     fn polled(&mut self, poll: Poll) {
         self.device_state = poll.device_state;
-        let denied = poll.denied().filter(|_| !self.answered.is_empty()).cloned();
+        let denied = poll.denied().filter(|_| self.has.has_spoken()).cloned();
         self.keep(poll.answers);
         if let Some(error) = poll.lost.or(denied) {
             return self.lose(&error);

@@ -11,7 +11,7 @@ const END: &str = "<!-- generated: end -->";
 
 #[test]
 fn the_page_about_alerts_is_what_the_code_says() {
-    let generated = contract::observatory::catalogue::markdown();
+    let generated = contract::observatory::markdown();
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/operator/alerts.md");
     let page = fs::read_to_string(&path).unwrap().replace("\r\n", "\n");
     let (before, rest) = page.split_once(BEGIN).expect("alerts.md has no begin mark");

@@ -278,3 +278,7 @@ fn violation(rule: &LimitRule, value: f64) -> String {
 #[cfg(test)]
 #[path = "judge_tests.rs"]
 mod tests;
+
+#[cfg(test)]
+#[path = "judge_site_tests.rs"]
+mod site_tests;

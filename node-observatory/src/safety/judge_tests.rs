@@ -7,12 +7,12 @@ use crate::safety::history::Entry;
 use crate::safety::measure::Measure;
 use crate::safety::rules::Bounds;
 
-fn at(seconds: u64) -> Now {
+pub(super) fn at(seconds: u64) -> Now {
     let since = Duration::from_secs(seconds);
     Now { sky: SkyTime::from_start(since), machine: MachineTime::from_boot(since) }
 }
 
-fn device(kind: Kind, name: &str) -> Device {
+pub(super) fn device(kind: Kind, name: &str) -> Device {
     Address::new("site", "scope").unwrap().device(kind, &name.parse().unwrap())
 }
 
@@ -25,7 +25,7 @@ fn monitor(name: &str, dwell_s: u64) -> MonitorRule {
     }
 }
 
-fn limit(upper: f64, dwell_s: u64, required: bool) -> LimitRule {
+pub(super) fn limit(upper: f64, dwell_s: u64, required: bool) -> LimitRule {
     LimitRule {
         input: "wx/Humidity".to_owned(),
         device: device(Kind::ObservingConditions, "wx"),
@@ -41,7 +41,7 @@ fn limit(upper: f64, dwell_s: u64, required: bool) -> LimitRule {
     }
 }
 
-fn weather(limits: Vec<LimitRule>) -> Rules {
+pub(super) fn weather(limits: Vec<LimitRule>) -> Rules {
     Rules { limits, ..Rules::default() }
 }
 
@@ -50,13 +50,13 @@ fn word(is_safe: bool, gapless_s: u64) -> MonitorReading {
 }
 
 /// What one monitor (safe every second from `from` to `to`) and one weather station said.
-struct Story {
+pub(super) struct Story {
     rules: Rules,
     history: History,
 }
 
 impl Story {
-    fn new(rules: Rules) -> Self {
+    pub(super) fn new(rules: Rules) -> Self {
         let history = History::new(&rules, at(0).sky);
         Self { rules, history }
     }
@@ -73,7 +73,7 @@ impl Story {
         self
     }
 
-    fn weather_says(
+    pub(super) fn weather_says(
         mut self,
         index: usize,
         seconds: impl IntoIterator<Item = u64>,
@@ -86,7 +86,7 @@ impl Story {
         self
     }
 
-    fn judged(&self, now: u64) -> Judgement {
+    pub(super) fn judged(&self, now: u64) -> Judgement {
         judge(&self.rules, &self.history, at(now))
     }
 }
@@ -409,95 +409,4 @@ proptest! {
         prop_assert_eq!(judged.reasons.is_empty(), judged.verdict == Verdict::Safe);
         prop_assert_eq!(judged.inputs.len(), 5);
     }
-}
-
-/// A good monitor beside one weather station that says this at these seconds; all of its limits are advice.
-fn station_says(
-    rules: Rules,
-    said: impl Fn(u64) -> (f64, f64),
-    seconds: impl Iterator<Item = u64>,
-) -> (Rules, History) {
-    use contract::device::observing_conditions::Fields;
-    use contract::{Datum, DeviceState, Link};
-    let mut history = History::new(&rules, at(0).sky);
-    let wx = device(Kind::ObservingConditions, "wx");
-    for second in seconds {
-        let (wind_mps, humidity_percent) = said(second);
-        let fields = Fields {
-            wind_mps: Datum::Known(wind_mps),
-            wind_from_deg: Datum::Known(200.0),
-            humidity_percent: Datum::Known(humidity_percent),
-            ..Fields::default()
-        };
-        let state = DeviceState {
-            link: Link::Connected,
-            busy: false,
-            period_s: 5.0,
-            last_command: None,
-            fields,
-            readings: std::collections::BTreeMap::new(),
-        };
-        history.hear_weather(&rules, &wx, &state, 1.0, at(second));
-    }
-    (rules, history)
-}
-
-#[test]
-fn a_frozen_station_is_told_and_then_closes() {
-    let rules = || Rules { frozen_after: Duration::from_secs(3600), ..weather(vec![limit(80.0, 0, true)]) };
-    let minutes = |end: u64| (0..=end * 12).map(|step| step * 5);
-    let (still, heard) = station_says(rules(), |_| (3.0, 40.0), minutes(61));
-    let told = judge(&still, &heard, at(1810));
-    assert!(told.advisories.iter().any(|advice| advice.input == "wx/frozen"), "{told:?}");
-    let frozen = judge(&still, &heard, at(3660));
-    assert_eq!((frozen.verdict, frozen.reasons[0].input.as_str()), (Verdict::Unsafe, "wx/frozen"));
-    let (alive, heard) = station_says(rules(), |second| (3.0 + second as f64 * 1e-6, 40.0), minutes(61));
-    assert_eq!(judge(&alive, &heard, at(3660)).verdict, Verdict::Safe);
-}
-
-#[test]
-fn between_reopening_and_the_limit_it_is_near_the_limit() {
-    let mut rule = limit(80.0, 0, true);
-    rule.reopen = Bounds { upper: Some(70.0), lower: None };
-    let story = Story::new(weather(vec![rule])).weather_says(0, [0], Ok(60.0)).weather_says(0, [5], Ok(75.0));
-    let judged = story.judged(5);
-    assert_eq!((judged.verdict, judged.advisories[0].why.as_str()), (Verdict::Safe, "75 is near its limit"));
-}
-
-#[test]
-fn a_wind_sector_closes_nothing_and_names_where_not_to_point() {
-    let sector = config::WindSector { above_mps: 8.0, half_width_deg: 60.0 };
-    let rules = Rules { wind_sector: Some(sector), ..weather(vec![limit(80.0, 0, true)]) };
-    let (rules, heard) = station_says(rules, |second| (second as f64, 40.0), [5, 10].into_iter());
-    let judged = judge(&rules, &heard, at(10));
-    assert_eq!(judged.verdict, Verdict::Safe);
-    assert!(judged.suspended.is_empty() && judged.avoid[0].contains(150.0) && !judged.avoid[0].contains(10.0));
-}
-
-#[test]
-fn a_switch_is_an_input_like_any_other() {
-    use contract::device::switch::Fields;
-    use contract::{Datum, DeviceState, Link, NoData};
-    let mut rule = limit(0.0, 0, true);
-    rule.device = device(Kind::Switch, "ups");
-    (rule.input, rule.parameter) = ("ups/GetSwitchValue1".to_owned(), "GetSwitchValue1".to_owned());
-    (rule.bad, rule.reopen) = (Bounds { upper: None, lower: Some(0.5) }, Bounds { upper: None, lower: Some(0.5) });
-    let rules = weather(vec![rule]);
-    let verdict = |values: Vec<Datum<f64>>| {
-        let mut history = History::new(&rules, at(0).sky);
-        let state = DeviceState {
-            link: Link::Connected,
-            busy: false,
-            period_s: 5.0,
-            last_command: None,
-            fields: Fields { values },
-            readings: std::collections::BTreeMap::new(),
-        };
-        history.hear_switch(&rules, &device(Kind::Switch, "ups"), &state, at(1));
-        judge(&rules, &history, at(1)).verdict
-    };
-    assert_eq!(verdict(vec![Datum::Known(0.0), Datum::Known(1.0)]), Verdict::Safe);
-    assert_eq!(verdict(vec![Datum::Known(1.0), Datum::Known(0.0)]), Verdict::Unsafe, "on battery");
-    assert_eq!(verdict(vec![Datum::Known(1.0)]), Verdict::Unsafe, "there is no such switch");
-    assert_eq!(verdict(vec![Datum::Known(1.0), Datum::missing(NoData::new("timeout", "2 s"))]), Verdict::Unsafe);
 }

@@ -1,9 +1,9 @@
 //! The catalogue: every sort of alert there is, in one table, with its urgency and what a person should do.
 //!
-//! Only what stands here can be raised. `docs/operator/alerts.md` is made from it by [`markdown`]; a test holds both
+//! Only what stands here can be raised. `docs/operator/alerts.md` is made from it by [`super::markdown`]; a test holds both
 //! together. The comment above a row is its text in that page.
 
-use std::fmt::{Display, Write as _};
+use std::fmt::Display;
 
 use units::Utc;
 
@@ -446,32 +446,6 @@ impl AlertKind {
         };
         Self::ALL.iter().find(begins).copied()
     }
-}
-
-/// The generated part of `docs/operator/alerts.md`: each kind, the most urgent first.
-pub fn markdown() -> String {
-    let mut page = String::new();
-    for priority in [Priority::Critical, Priority::High, Priority::Medium, Priority::Advisory] {
-        let (name, means) = match priority {
-            Priority::Critical => ("Critical", "Act now: people or hardware are in danger."),
-            Priority::High => ("High", "Act within minutes: the night is being lost."),
-            Priority::Medium => ("Medium", "Act tonight."),
-            Priority::Advisory => ("Advisory", "Know it."),
-        };
-        let _ = write!(page, "\n## {name}\n\n{means}\n");
-        for kind in AlertKind::ALL.iter().filter(|kind| kind.entry().priority == priority) {
-            let Entry { consequence, action, on_delay_s, hold_s, .. } = kind.entry();
-            let _ = write!(page, "\n### `{}`\n\n{}\n\n", kind.id(kind.entry().instance), kind.means());
-            let _ = write!(page, "- Consequence: {consequence}\n- What to do: {action}\n");
-            if *on_delay_s > 0 {
-                let _ = writeln!(page, "- Shown after {on_delay_s} s.");
-            }
-            if *hold_s > 0 {
-                let _ = writeln!(page, "- Stands for {hold_s} s after its cause is gone.");
-            }
-        }
-    }
-    page
 }
 
 #[cfg(test)]

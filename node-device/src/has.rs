@@ -1,0 +1,44 @@
+//! Which properties a device has, as its answers show.
+
+use std::collections::HashSet;
+
+use serde_json::Value;
+
+use crate::alpaca::AlpacaError;
+
+/// What a device was found to have and not to have.
+#[derive(Debug, Default)]
+pub struct Has {
+    /// Properties that it says not to have; never those that it had once.
+    absent: HashSet<String>,
+    answered: HashSet<String>,
+}
+
+impl Has {
+    /// Learns from an answer.
+    pub fn learn(&mut self, property: &str, answer: &Result<Value, AlpacaError>) {
+        match answer {
+            Ok(_) => drop(self.answered.insert(property.to_owned())),
+            // what it had once it has: a server that is restarted denies everything for a while
+            Err(error) if error.is_not_implemented() && !self.answered.contains(property) => {
+                self.absent.insert(property.to_owned());
+            }
+            Err(_) => {}
+        }
+    }
+
+    /// It was connected anew, and may have changed.
+    pub fn ask_again(&mut self) {
+        self.absent.clear();
+    }
+
+    /// Those of these that are worth asking for.
+    pub fn present(&self, names: impl Iterator<Item = String>) -> Vec<String> {
+        names.filter(|name| !self.absent.contains(name)).collect()
+    }
+
+    /// Has it ever answered anything?
+    pub fn has_spoken(&self) -> bool {
+        !self.answered.is_empty()
+    }
+}
