@@ -15,11 +15,13 @@ use contract::node::{DiaryLine, NodeState};
 use contract::{Key, Name, NodeTopic, Role, Scalar};
 use tokio::sync::mpsc;
 use tracing_subscriber::Layer as _;
+use tracing_subscriber::filter::FilterExt as _;
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::diary::DiaryLayer;
-use crate::{AlertBoard, Bus, Clock, Quality, Stop, disk, threads, twin};
+use crate::flood::{self, Flood};
+use crate::{AlertBoard, Bus, Clock, Quality, Stop, disk, links, threads, twin};
 
 /// What a node's command line takes.
 #[derive(Debug, Clone, Parser)]
@@ -110,6 +112,8 @@ impl Node {
         let lines = self.bus.publisher(&self.key(NodeTopic::Diary), Quality::Event { cache: 1000 }).await?;
         let health = async {
             loop {
+                let left_out = i64::try_from(flood::left_out()).unwrap_or(i64::MAX);
+                self.figure("log_lines_left_out_count", Scalar::Int(left_out));
                 states.put(self.state()).await?;
                 self.bus.clock().tick(Duration::from_secs(5)).await;
             }
@@ -127,13 +131,14 @@ impl Node {
             result = health => result,
             result = twin::leave_to_older(&self) => result,
             result = disk::keep_telling(&self) => result,
+            result = links::keep_mending(&self) => result,
             result = write => result,
             () = self.alerts.keep_time() => Ok(()),
             result = alerts.follow(self.alerts.watch(), Duration::from_secs(10)) => Ok(result?),
         }
     }
 
-    fn state(&self) -> NodeState {
+    pub(crate) fn state(&self) -> NodeState {
         let now = self.bus.clock().machine();
         NodeState {
             role: self.role,
@@ -250,10 +255,11 @@ where
 
 /// Console at the level of `STARMESH_LOG` (default info), and the diary; `None` where a subscriber is set already.
 fn init_tracing() -> Option<mpsc::Receiver<DiaryLine>> {
-    let words = std::env::var("STARMESH_LOG").unwrap_or_else(|_| "info,zenoh=warn,zenoh_ext=warn".to_owned());
-    let filter = tracing_subscriber::EnvFilter::new(words);
+    let words = std::env::var("STARMESH_LOG").unwrap_or_else(|_| "info,zenoh=warn,uhlc=error".to_owned());
+    let filter = tracing_subscriber::EnvFilter::new(words).and(Flood::default());
     let (diary, lines) = DiaryLayer::new();
-    let diary_filter = tracing_subscriber::EnvFilter::new("info,zenoh=error,zenoh_ext=error");
+    // what the bus complains of stays off the bus: it would complain of that, too
+    let diary_filter = tracing_subscriber::EnvFilter::new("info,zenoh=off,uhlc=off").and(Flood::default());
     let colour = std::io::stderr().is_terminal();
     let console = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_ansi(colour).with_filter(filter);
     let set = tracing_subscriber::registry().with(console).with(diary.with_filter(diary_filter)).try_init();
