@@ -42,11 +42,11 @@ pub async fn device(
         return image(&world, &scissors, &request, &headers).await;
     }
     let reply = world.ask(kind, &request);
-    if let Some(spoilt) = spoil(&reply, &scissors).await {
-        return spoilt;
-    }
     if is_put && reply.answer.is_ok() {
         follow_up(&world, kind, &member).await;
+    }
+    if let Some(spoilt) = spoil(&reply, &scissors).await {
+        return spoilt;
     }
     let answer = if reply.fault.nan { reply.answer.map(with_nan) } else { reply.answer };
     answered(answer, request.client_transaction(), world.next_transaction())
@@ -80,7 +80,7 @@ async fn spoil(reply: &Reply, scissors: &Scissors) -> Option<Response> {
         // until the client gives up; its going away drops this future
         std::future::pending::<()>().await;
     }
-    if fault.refuse {
+    if fault.refuse || fault.mute {
         scissors.cut();
         return Some(text(StatusCode::INTERNAL_SERVER_ERROR, String::new()));
     }

@@ -9,6 +9,7 @@
 //! | `PUT /simulator/v1/world/safety` `{"unsafe": true}` | the safety monitor says unsafe |
 //! | `PUT /simulator/v1/world/shutter` `{"sticks_half_open": true}` | |
 //! | `PUT /simulator/v1/world/park` `{"lies": true}` | `AtPark` is true whatever is the case |
+//! | `PUT /simulator/v1/world/flip` `{"ignored": true}` | slews leave the tube on its side of the pier |
 //! | `PUT /simulator/v1/world/ups` `{"on_mains": false}` | |
 //! | `PUT /simulator/v1/world/watchdog` `{"limit_s": 120}` | the dome's own watchdog; null: none |
 //! | `PUT /simulator/v1/world/connection` `{"lose": "camera"}` | device is not connected any more |
@@ -56,6 +57,7 @@ fn obey(world: &World, thing: &str, order: &Value) -> Result<(), String> {
         "safety" => world.set_unsafe(truth("unsafe")?),
         "shutter" => world.stick_shutter_half_open(truth("sticks_half_open")?),
         "park" => world.lie_about_park(truth("lies")?),
+        "flip" => world.ignore_flips(truth("ignored")?),
         "ups" => world.set_on_mains(truth("on_mains")?),
         "watchdog" => world.set_watchdog(order["limit_s"].as_f64()),
         "connection" => {

@@ -21,6 +21,8 @@ pub struct Fault {
     pub hang: bool,
     /// The connection ends without an answer.
     pub refuse: bool,
+    /// Requests are obeyed, and the connection ends without an answer.
+    pub mute: bool,
     /// Answers are HTTP 500 with a page of HTML.
     pub html: bool,
     /// Answers are held back, milliseconds of machine time.
@@ -60,6 +62,11 @@ impl Fault {
     /// A device that drops connections.
     pub fn refuse() -> Self {
         Self { refuse: true, ..Self::default() }
+    }
+
+    /// A device whose answers are lost.
+    pub fn mute() -> Self {
+        Self { mute: true, ..Self::default() }
     }
 
     /// A device behind a broken web server.

@@ -50,6 +50,8 @@ pub struct Mount {
     pub home: bool,
     /// Tube west of the pier, looking east.
     pub pier_west: bool,
+    /// Slews to the other side of the meridian leave the tube on its side of the pier.
+    pub ignores_flip: bool,
     /// Extra rates while tracking, arcsec per second, in right ascension (coordinate) and declination.
     pub rates: [f64; 2],
     /// `MoveAxis` rates, deg per second.
@@ -76,6 +78,7 @@ impl Mount {
             parked: true,
             home: false,
             pier_west: false,
+            ignores_flip: false,
             rates: [0.0; 2],
             axis_rates: [0.0; 2],
             pulses: [(0.0, 0.0); 2],
@@ -116,7 +119,7 @@ impl Mount {
 
     /// Starts a slew.
     pub fn slew_to(&mut self, observer: &Observer, target: Icrs, arrival: Arrival) {
-        let west = self.destination_is_west(observer, target);
+        let west = if self.ignores_flip { self.pier_west } else { self.destination_is_west(observer, target) };
         let by = [
             Angle::from_degrees(target.ra.degrees() - self.axes[0]).wrapped_signed().degrees(),
             target.dec.degrees() - self.axes[1],

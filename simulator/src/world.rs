@@ -203,6 +203,11 @@ impl World {
         self.lock().observatory.telescope.lies_about_park = lies;
     }
 
+    /// Makes the mount stay on its side of the pier whatever it is told, or flip again.
+    pub fn ignore_flips(&self, ignores: bool) {
+        self.lock().observatory.telescope.mount.ignores_flip = ignores;
+    }
+
     /// Lets the dome close itself when no PUT came for so many machine seconds; None: not at all.
     pub fn set_watchdog(&self, limit_s: Option<f64>) {
         let mut inner = self.lock();
@@ -268,6 +273,7 @@ impl World {
         inner.observatory.safety_monitor.ordered_unsafe = false;
         inner.observatory.dome.sticks_half_open = false;
         inner.observatory.telescope.lies_about_park = false;
+        inner.observatory.telescope.mount.ignores_flip = false;
         inner.observatory.switch.set_on_mains(true);
         drop(inner);
         self.refresh();

@@ -71,6 +71,15 @@ async fn a_refusing_device_drops_the_line() {
 }
 
 #[tokio::test]
+async fn a_mute_device_obeys_and_drops_the_line() {
+    let site = Site::connected(options(100.0), &["dome"]).await;
+    site.simulator.world().fault(Kind::Dome, Fault::mute().only(&["openshutter"]));
+    let error = site.http.put(site.url("dome", "openshutter")).send().await.unwrap_err();
+    assert!(!error.is_timeout() && error.status().is_none(), "{error:?}");
+    site.until("dome", "shutterstatus", 0).await;
+}
+
+#[tokio::test]
 async fn slow_erring_and_broken_answers() {
     let site = Site::connected(options(1.0), &["focuser"]).await;
     let world = site.simulator.world();

@@ -69,6 +69,24 @@ async fn an_imperfect_mount_misses_and_a_sync_mends_it() {
 }
 
 #[tokio::test]
+async fn a_mount_that_ignores_flips_looks_west_from_the_side_for_the_east() {
+    let site = Site::connected(options(50.0), &["telescope"]).await;
+    site.put("telescope", "unpark", "").await;
+    site.put("telescope", "tracking", "Tracking=true").await;
+    let sidereal_h = site.get("telescope", "siderealtime").await.as_f64().unwrap();
+    let side_at = async |hour_angle_h: f64| {
+        let ra_h = (sidereal_h - hour_angle_h).rem_euclid(24.0);
+        site.put("telescope", "slewtocoordinates", &format!("RightAscension={ra_h}&Declination=-10")).await;
+        site.get("telescope", "sideofpier").await.as_i64().unwrap()
+    };
+    let east = side_at(-1.0).await;
+    site.order("world/flip", r#"{"ignored": true}"#).await;
+    assert_eq!(side_at(1.0).await, east);
+    site.simulator.world().clear_faults();
+    assert_ne!(side_at(1.0).await, east);
+}
+
+#[tokio::test]
 async fn a_guide_pulse_moves_by_rate_times_time() {
     let site = Site::connected(options(10.0), &["telescope"]).await;
     site.put("telescope", "unpark", "").await;
