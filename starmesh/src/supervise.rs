@@ -28,8 +28,16 @@ pub struct NodeProcess {
 
 /// A process that lived so long is healthy again: the next restart comes at once.
 const HEALTHY: Duration = Duration::from_secs(60);
+/// A node that keeps ending waits at most so long for its next start.
+const MOST: Duration = Duration::from_secs(60);
+/// An enclosure has no guard meanwhile (docs/reliability.md).
+const MOST_DEVICE: Duration = Duration::from_secs(5);
 
 impl NodeProcess {
+    fn longest_pause(&self) -> Duration {
+        if self.role == Role::Device { MOST_DEVICE } else { MOST }
+    }
+
     /// Starts it.
     pub fn spawn(&self) -> anyhow::Result<Child> {
         let program = std::env::current_exe().context("cannot find this program's own file")?;
@@ -48,7 +56,7 @@ impl NodeProcess {
         command.spawn().with_context(|| format!("cannot start the {} node", self.role))
     }
 
-    /// Keeps it running until the stop is said: restarted within 1 s, with back-off to 60 s while it keeps ending.
+    /// Keeps it running until the stop is said: restarted after 1 s, with back-off while it keeps ending.
     pub async fn keep(&self, stop: Stop) -> anyhow::Result<()> {
         let mut pause = Duration::from_secs(1);
         loop {
@@ -61,7 +69,11 @@ impl NodeProcess {
                 return end(child).await;
             };
             let status = ended.map_or_else(|error| error.to_string(), |status| status.to_string());
-            pause = if started.elapsed() > HEALTHY { Duration::from_secs(1) } else { (pause * 2).min(HEALTHY) };
+            pause = if started.elapsed() > HEALTHY {
+                Duration::from_secs(1)
+            } else {
+                (pause * 2).min(self.longest_pause())
+            };
             eprintln!("starmesh: the {} node {} ended ({status}); next start in {pause:?}", self.role, self.id);
             if stop.or(tokio::time::sleep(pause)).await.is_none() {
                 return Ok(());
