@@ -3,6 +3,8 @@
 import cases_bus
 import cases_devices  # noqa: F401
 import cases_inputs  # noqa: F401
+import cases_limits  # noqa: F401
+import cases_loops  # noqa: F401
 import cases_machine  # noqa: F401
 import cases_network  # noqa: F401
 import cases_policy  # noqa: F401

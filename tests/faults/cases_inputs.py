@@ -5,7 +5,7 @@ import time
 
 from case import ISSAFE, MONITOR_SILENT, SUN, WEATHER, WEATHER_SILENT, case
 from relay import RESET
-from rig import DWELL_MIN, PREFIX, Late, wait
+from rig import DWELL_MIN, PREFIX, Late, arrived_s, wait
 
 
 def unsafe(rig):
@@ -229,8 +229,16 @@ def sun(rig):
     rig.write_config()
     rig.restart("observatory")
     rig.exposes(30)
-    wait("the Sun crosses the limit", lambda: rig.wire.world()["sun_altitude_deg"] > rig.sun_max_deg, 60, 0.05)
+    since = rig.wire.last()
+    # the node's Sun may cross a moment before the simulator's
+    wait("the Sun crosses the limit", lambda: rig.puts("closeshutter", since)
+         or rig.wire.world()["sun_altitude_deg"] > rig.sun_max_deg, 60, 0.05)
+    left_deg = rig.sun_max_deg - rig.wire.world()["sun_altitude_deg"]
+    if left_deg > 2.0 * rises_deg_per_s:
+        raise Late(f"it closed {left_deg / rises_deg_per_s:.1f} s before the Sun crossed the limit")
     rig.mark()
+    told = rig.puts("closeshutter", since)
+    rig.t0 = min([rig.t0, *map(arrived_s, told)])
     yield
     rig.sun_max_deg = 90.0
     rig.write_config()

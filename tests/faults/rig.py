@@ -88,7 +88,7 @@ listen = "127.0.0.1:{self.web_port}"
         blocks = [
             ("dome", "dome", self.wire.address, f"permit_valid_s = {PERMIT_VALID_S}\nwatchdog_s = {WATCHDOG_S}\n"
              f'watchdog_action = "feedwatchdog"\n{self.dome}', "dome"),
-            ("telescope", "mount", self.wire.address, "settle_s = 0.2", "hands"),
+            ("telescope", "mount", self.wire.address, "settle_s = 0.2\nlimits = { altitude_min_deg = 20.0, meridian_past_min = 15.0 }", "hands"),
             ("camera", "camera", self.wire.address, "", "hands"),
             ("filterwheel", "wheel", self.wire.address, "", "hands"),
             ("focuser", "focuser", self.wire.address, "", "hands"),

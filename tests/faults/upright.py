@@ -5,7 +5,7 @@ import os
 import pathlib
 import signal
 
-from rig import Rig, wait
+from rig import ROLE, Rig, wait
 
 
 class UpRig(Rig):
@@ -26,6 +26,13 @@ class UpRig(Rig):
                     found.append(int(entry.name))
         return found
 
+    def signal(self, number: signal.Signals, *nodes: str):
+        for node in nodes:
+            role = ROLE.get(node)
+            for pid in self.pids(f" node {role} --id {node} " if role else f" node {node} "):
+                os.kill(pid, number)
+            (self.stopped.add if number == signal.SIGSTOP else self.stopped.discard)(node)
+
     def kill_nodes(self, *words: str):
         for word in words:
             for pid in wait(f"{word} runs", lambda word=word: self.pids(word), 20):
@@ -41,6 +48,7 @@ class UpRig(Rig):
         self.wire.heal()
         for relay in self.relays.values():
             relay.honest()
+        self.signal(signal.SIGCONT, *list(self.stopped))
         if self.processes["up"].poll() is not None:
             self.end_nodes()
             self.start_all()

@@ -52,6 +52,13 @@ class Wire:
         if body.get("ErrorNumber"):
             raise ValueError(f"{kind} {member}: {body}")
 
+    def get_alpaca(self, kind: str, member: str):
+        """A property as any other ASCOM client on the network would read it."""
+        body = self.ask("GET", f"/api/v1/{kind}/0/{member}")
+        if body["ErrorNumber"]:
+            raise ValueError(f"{kind} {member}: {body}")
+        return body["Value"]
+
     def heal(self):
         self.ask("DELETE", "/simulator/v1/faults")
 

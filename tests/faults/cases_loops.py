@@ -1,0 +1,166 @@
+"""A part of a process that hangs while the rest lives, processes that get no time, that start again and again, or twice."""
+
+import json
+import signal
+import time
+
+from case import DOME_NODE, HANDS, ISSAFE, SILENCE, UNCOMMANDED, Bound, case, watchdog
+from freeze import Frozen
+from rig import PREFIX, WATCHDOG_S, Late, arrived_s, free_port, wait
+
+# from the beginning of an exposure until it should have been read out
+EXPOSED_S = 5.0
+# the main thread and the workers of tokio; zenoh's threads have other names and keep the session alive
+LOOPS = ("starmesh", "tokio-rt-worker")
+RESUMED = Bound("all nodes suspended for 15 s and resumed", 3.0)
+RESTARTED = "a node is restarted at once: nothing need close"
+
+
+def deadlocked(node: str, arm: bool = False):
+    def run(rig):
+        if arm:
+            rig.wire.change("watchdog", limit_s=WATCHDOG_S)
+        rig.mark()
+        frozen = Frozen(rig.processes[node].pid, *LOOPS)
+        try:
+            yield
+        finally:
+            frozen.thaw()
+    return run
+
+
+case("observatory's loops deadlock while its session lives", "N2 N3", SILENCE)(deadlocked("observatory"))
+case("other device node's loops deadlock while its session lives", "N5 S2", HANDS)(deadlocked("hands"))
+case("loops of the dome's device node deadlock while its session lives: its hardware closes", "N5",
+     watchdog(WATCHDOG_S), members=())(deadlocked("dome", arm=True))
+
+
+@case("the runner waits for a camera that never answers, then it is unsafe", "N3 D10", ISSAFE)
+def stuck_runner(rig):
+    rig.wire.fault("camera", stale=True, only=["imageready", "camerastate", "devicestate"])
+    time.sleep(EXPOSED_S)
+    rig.mark()
+    rig.wire.change("safety", unsafe=True)
+    yield
+
+
+@case("observatory gets a twentieth of a processor, then it is unsafe", "N11", SILENCE, watch_s=20.0)
+def starved(rig):
+    pid_stops = 0
+    rig.mark()
+    rig.wire.change("safety", unsafe=True)
+    until = time.monotonic() + 16.0
+    while time.monotonic() < until and rig.wire.open_fraction() > 0.0:
+        rig.signal(signal.SIGSTOP, "observatory")
+        time.sleep(0.19)
+        rig.signal(signal.SIGCONT, "observatory")
+        time.sleep(0.01)
+        pid_stops += 1
+    if pid_stops < 3:
+        raise Late("the dome was closed before anything was slow")
+    yield
+
+
+@case("all nodes suspended for 15 s, as with their machine, and resumed", "N18 N2", RESUMED)
+def suspended(rig):
+    nodes = ["dome", "hands", "observatory", "archive", "web"]
+    rig.signal(signal.SIGSTOP, *nodes)
+    time.sleep(15.0)
+    rig.mark()
+    rig.signal(signal.SIGCONT, *nodes)
+    yield
+
+
+@case("dome's device node killed five times in a row, and nobody permits", "N15 N4", DOME_NODE)
+def crash_loop(rig):
+    rig.kill("observatory", "dome")
+    for _ in range(4):
+        time.sleep(1.0)
+        rig.restart("dome")
+        time.sleep(1.0)
+        rig.kill("dome")
+    time.sleep(5.0)  # the longest pause of the supervisor before a device node
+    rig.restart("dome")
+    yield
+
+
+@case("under `starmesh up`: dome's device node killed again and again", "N15 N4", group=RESTARTED, may_close=True,
+      watch_s=12.0, flavour="up")
+def up_crash_loop(rig):
+    pauses = []
+    for _ in range(4):
+        rig.kill_nodes("node device --id dome")
+        killed = time.monotonic()
+        wait("the dome's device node is started again", lambda: rig.pids("node device --id dome"), 20)
+        pauses.append(time.monotonic() - killed)
+    if max(pauses) > 6.0:
+        raise Late(f"restarted after {max(pauses):.1f} s, at most 5 s are allowed")
+    yield
+
+
+def twice(node: str):
+    """A second device node for the same devices, as after a mistaken start on another host."""
+    def run(rig):
+        endpoint = f"tcp/127.0.0.1:{free_port()}"
+        rig.spawn("twin", rig.command(node, node, endpoint) + ["--connect", rig.endpoint("observatory")])
+        ear = rig.fresh_ear()
+        ear.wait_for("an alert about the second writer", lambda newest: any(
+            "second-writer" in json.dumps(said) for key, said in newest.items() if "alert" in key), 30)
+        rig.mark()
+        rig.wire.change("safety", unsafe=True)
+        yield
+        rig.end("twin")
+    return run
+
+
+case("two device nodes for one dome, then it is unsafe", "N14", ISSAFE)(twice("dome"))
+case("two device nodes for the other devices, then it is unsafe", "N14", ISSAFE)(twice("hands"))
+
+
+def mute(kind: str, *members: str):
+    """Commands are obeyed, and their answers lost: nothing may be done twice for that, and nothing be left undone."""
+    def run(rig):
+        rig.wire.fault(kind, mute=True, only=list(members))
+        rig.mark()
+        rig.wire.change("safety", unsafe=True)
+        yield
+    return run
+
+
+case("dome closes, and the answer is lost", "D11 D4", UNCOMMANDED, short=False)(mute("dome", "closeshutter"))
+
+
+@case("an exposure begins, and the answer is lost: it is not begun twice", "D11", group="mount or dome at fault for a while, sky safe",
+      watch_s=2.0)
+def exposure_mute(rig):
+    since = rig.wire.last()
+    rig.wire.fault("camera", mute=True, only=["startexposure"])
+    wait("three exposures", lambda: len(rig.puts("startexposure", since)) >= 3, 40)
+    rig.wire.fault("camera")
+    starts = [arrived_s(put) for put in rig.puts("startexposure", since)]
+    gaps = [later - earlier for earlier, later in zip(starts, starts[1:])]
+    if min(gaps) < 3.0:
+        raise Late(f"an exposure of 3 s was begun again after {min(gaps):.2f} s")
+    rig.mark()
+    yield
+
+
+@case("a peer of another version speaks on the bus, then it is unsafe", "N16 B1", ISSAFE)
+def versions(rig):
+    ear = rig.fresh_ear()
+    state = f"{PREFIX}/device/safetymonitor/monitor/state"
+    heard = ear.wait_for("the monitor", lambda newest: newest.get(state), 10)
+    # the next major version beside ours, ours with fields of tomorrow, and words that are not known yet
+    foreign = {**heard, "boot_id": "ffffffff-ffff-7fff-bfff-ffffffffffff", "seq": 1}
+    for key, said in [(state.replace("/v1/", "/v2/"), {**foreign, "fields": {"is_safe": "yes"}}),
+                      (f"{PREFIX}/device/safetymonitor/tomorrow/state", {**foreign, "fields": {"is_safe": True, "mood": 7}}),
+                      (f"{PREFIX}/observatory/permit/dome", {**foreign, "verdict": "probably", "token": "x"}),
+                      (f"{PREFIX}/device/telescope/mount/command", {"id": "x", "from": "y", "do": {"dance": {}}})]:
+        for _ in range(20):
+            ear.session.put(key, json.dumps(said).encode())
+    time.sleep(2.0)
+    if rig.wire.open_fraction() != 1.0:
+        raise Late("words of another version closed the dome")
+    rig.mark()
+    rig.wire.change("safety", unsafe=True)
+    yield
