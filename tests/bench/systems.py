@@ -141,7 +141,7 @@ class Site:
         self.leader = process.pid
 
     def wait_for_answer(self, path: str):
-        wait("the first answer", lambda: fetch(f"http://127.0.0.1:{self.port}{path}"), 180, 0.01)
+        wait("the first answer", lambda: fetch(f"http://127.0.0.1:{self.port}{path}"), 300, 0.01)
         self.first_answer_s = time.monotonic() - self.began_s
 
     def get(self, path: str):

@@ -30,7 +30,10 @@ class Runner:
     def __init__(self, folder: pathlib.Path, cases: dict, limit_s: float, heal_s: float):
         self.folder, self.cases, self.limit_s, self.heal_s = folder, cases, limit_s, heal_s
         self.outcomes: dict[tuple, object] = {}
-        self.stop, self.lock, self.starts = threading.Event(), threading.Lock(), {}
+        self.ends: list[contextlib.ExitStack] = []
+        self.stop, self.lock = threading.Event(), threading.Lock()
+        # one at a time: ten processes that import their libraries are all that two cores can carry
+        self.starting = {name: threading.Lock() for name in ("starmesh", "predecessor")}
 
     def run(self, lanes: dict):
         threads = []
@@ -39,7 +42,7 @@ class Runner:
             for name in self.cases:
                 todo.put(name)
             for number in range(count):
-                threads.append(threading.Thread(target=self.lane, args=(program, number, todo)))
+                threads.append(threading.Thread(target=self.lane, args=(program, number, todo), daemon=True))
         for thread in threads:
             thread.start()
         try:
@@ -48,8 +51,9 @@ class Runner:
                     thread.join(0.5)
         except KeyboardInterrupt:
             self.stop.set()
-            for thread in threads:
-                thread.join()
+        finally:
+            for ends in self.ends:
+                ends.pop_all().close()
 
     def lane(self, program, number: int, todo: queue.SimpleQueue):
         """Case after case on one site; after a night that did not go on, on a new one."""
@@ -57,18 +61,18 @@ class Runner:
         folder = self.folder / f"{program.__name__}{number}"
         folder.mkdir()
         systems.write_catalogue(folder)
-        with contextlib.ExitStack() as ends:
-            site = None
-            while not self.stop.is_set():
-                try:
-                    name = todo.get_nowait()
-                except queue.Empty:
-                    return
-                site, outcome = self.measure(program, folder, name, site, ends)
-                self.note(program, name, outcome)
-                if outcome.went_on_s is None:
-                    ends.close()
-                    site = None
+        ends, site = contextlib.ExitStack(), None
+        self.ends.append(ends)
+        while not self.stop.is_set():
+            try:
+                name = todo.get_nowait()
+            except queue.Empty:
+                return
+            site, outcome = self.measure(program, folder, name, site, ends)
+            self.note(program, name, outcome)
+            if outcome.went_on_s is None:
+                ends.pop_all().close()
+                site = None
 
     def measure(self, program, folder, name: str, site, ends):
         import both
@@ -79,7 +83,8 @@ class Runner:
             try:
                 if site is None:
                     site = both.FaultSite(program, folder, ends)
-                    site.start()
+                    with self.starting[program.__name__]:
+                        site.start()
                     site.exposes(180.0)
                 return site, both.inject(self.cases[name], site, self.limit_s, self.heal_s)
             except (SystemExit, OSError, http.client.HTTPException) as failure:
@@ -89,7 +94,7 @@ class Runner:
             self.say(f"again with a new site: {program.__name__}, {name}: {outcome.not_run}")
             if keep := os.environ.get("KEEP_LOGS"):
                 shutil.copytree(site.folder, pathlib.Path(keep) / f"{site.folder.name}", ignore=shutil.ignore_patterns("disk"))
-            ends.close()
+            ends.pop_all().close()
             site = None
         return site, outcome or both.Outcome(not_run="stopped")
 
@@ -140,7 +145,7 @@ def main() -> int:
     parser.add_argument("--only", action="append", help="faults that contain this word")
     parser.add_argument("--limit", type=float, default=80.0, metavar="S", help="so long the fault stands, for both")
     parser.add_argument("--heal", type=float, default=45.0, metavar="S", help="so long the night has to go on again, for both")
-    parser.add_argument("--lanes", type=int, nargs=2, default=[2, 4], metavar="N", help="sites beside each other of each")
+    parser.add_argument("--lanes", type=int, nargs=2, default=[1, 3], metavar="N", help="sites beside each other of each")
     parser.add_argument("--list", action="store_true", help="print the faults and stop")
     arguments = parser.parse_args()
     sys.path.append(str(pathlib.Path(__file__).resolve().parents[1] / "bench"))
