@@ -1,6 +1,8 @@
 """One site of either system with faults in front of its devices, and how one injection is measured on it."""
 
 import dataclasses
+import datetime
+import http.client
 import os
 import pathlib
 import shutil
@@ -12,7 +14,7 @@ import time
 sys.path.append(str(pathlib.Path(__file__).resolve().parents[1] / "bench"))
 
 import systems
-from loopback import wait
+from loopback import fetch, wait
 from relay import AlpacaRelay
 
 EXPOSURE_S = 5.0
@@ -39,6 +41,11 @@ class FaultSite(systems.Site):
         subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK_MIB}m", "tmpfs", self.disk], check=True)
         self.ends.callback(subprocess.run, ["umount", "--lazy", self.disk], check=False)
         self.t0, self.stopped = 0.0, None
+
+    def start(self):
+        super().start()
+        self.exposes(180.0)
+        self.polled_at_start = self.polled() if self.program is systems.predecessor else set()
 
     def server(self, kind: str) -> str:
         return self.relays[kind].address if kind in RELAYED else super().server(kind)
@@ -72,6 +79,29 @@ class FaultSite(systems.Site):
     def stop_process(self, pid: int):
         os.kill(pid, signal.SIGSTOP)
         self.stopped = pid
+
+    def polled(self) -> set[str]:
+        """Properties of which the predecessor has a fresh value; what failed once it polls no more."""
+        now = datetime.datetime.now(datetime.UTC)
+        kinds = fetch(f"http://127.0.0.1:{self.port}/api/heartbeat")["data"]["polling"]
+        return {f"{name} {word}" for devices in kinds.values() for name, values in devices.items() for word, said in values.items()
+                if said["datetime"] and (now - datetime.datetime.fromisoformat(said["datetime"])).total_seconds() < 20.0}
+
+    def restarted_by_hand(self) -> bool:
+        """The predecessor's operator clears its errors and turns its switch; false if it needs a new process."""
+        if self.program is not systems.predecessor:
+            return False
+        try:
+            fetch(f"http://127.0.0.1:{self.port}/api/heartbeat")
+            time.sleep(systems.ERROR_TREE_S)
+            systems.restart_watchdog(f"http://127.0.0.1:{self.port}/api")
+            if not self.polled_at_start <= self.polled():
+                return False
+            systems.begin_night(self)
+            self.exposes(60.0)
+            return True
+        except (SystemExit, OSError, http.client.HTTPException, ValueError, KeyError, TypeError):
+            return False
 
     def heal(self):
         """Honest servers, a fair sky, and nobody stopped."""

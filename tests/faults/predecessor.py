@@ -13,6 +13,7 @@ import pathlib
 import queue
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
 import threading
@@ -70,7 +71,7 @@ class Runner:
                 return
             site, outcome = self.measure(program, folder, name, site, ends)
             self.note(program, name, outcome)
-            if outcome.went_on_s is None:
+            if site and outcome.went_on_s is None and not site.restarted_by_hand():
                 ends.pop_all().close()
                 site = None
 
@@ -85,7 +86,6 @@ class Runner:
                     site = both.FaultSite(program, folder, ends)
                     with self.starting[program.__name__]:
                         site.start()
-                    site.exposes(180.0)
                 return site, both.inject(self.cases[name], site, self.limit_s, self.heal_s)
             except (SystemExit, OSError, http.client.HTTPException) as failure:
                 outcome = both.Outcome(not_run=str(failure))
@@ -96,7 +96,7 @@ class Runner:
                 shutil.copytree(site.folder, pathlib.Path(keep) / f"{site.folder.name}", ignore=shutil.ignore_patterns("disk"))
             ends.pop_all().close()
             site = None
-        return site, outcome or both.Outcome(not_run="stopped")
+        return None, outcome or both.Outcome(not_run="stopped")
 
     def note(self, program, name: str, outcome):
         self.outcomes[name, program.__name__] = outcome
@@ -161,6 +161,8 @@ def main() -> int:
     systems.install()
     alone()
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that all that was started is ended
+    # semaphores of processes that were killed end with this run
+    subprocess.run(["mount", "-t", "tmpfs", "tmpfs", "/dev/shm"], check=True)
     folder = pathlib.Path(tempfile.mkdtemp(prefix="starmesh-predecessor-"))
     began = time.monotonic()
     runner = Runner(folder, cases, arguments.limit, arguments.heal)
