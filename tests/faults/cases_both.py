@@ -129,11 +129,14 @@ def no_rain_sensor(site):
 @case("C: the station repeats what it measured 25 min ago, and it rains")
 def frozen(site):
     before: dict = {}
+    site.mark()
+    began_s = site.t0
     site.relays["observingconditions"].spoil = measured(
         lambda name, value: 1500.0 if name == "timesincelastupdate" else
         value if name == "timestamp" else before.setdefault(name, value))
     time.sleep(2.5)  # twice polled, so that all is known
     site.weather(rainrate=5.0)
+    site.t0 = began_s
     yield
 
 
