@@ -133,7 +133,7 @@ class Outcome:
     not_run: str = ""
 
     @property
-    def never_stopped(self) -> bool:
+    def never_closed(self) -> bool:
         return self.took_s is None and not self.closed and self.went_on_s is not None
 
 

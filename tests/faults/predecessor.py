@@ -117,8 +117,8 @@ def cell(outcome, limit_s: float) -> str:
 def went_on(outcome) -> str:
     if outcome.not_run:
         return "-"
-    if outcome.never_stopped:
-        return "never stopped"
+    if outcome.never_closed:
+        return "never closed"
     return "no" if outcome.went_on_s is None else f"after {outcome.went_on_s:.0f} s"
 
 
@@ -135,7 +135,7 @@ def rows(cases, outcomes: dict, limit_s: float) -> list[str]:
         return [f"{sum(bool(holds(pair[side])) for pair in both)} of {sum(not pair[side].not_run for pair in both)}"
                 for side in (1, 2)]
     began, closed = count(lambda o: o.took_s is not None), count(lambda o: o.closed)
-    nights = count(lambda o: o.went_on_s is not None and not o.never_stopped)
+    nights = count(lambda o: o.went_on_s is not None and not o.never_closed)
     lines.append(f"| **all** | {began[0]} | {began[1]} | | {closed[0]} | {closed[1]} | {nights[0]} | {nights[1]} |")
     return lines
 
