@@ -10,7 +10,6 @@ import pathlib
 import random
 import re
 import signal
-import socket
 import statistics
 import subprocess
 import sys
@@ -18,39 +17,13 @@ import tempfile
 import time
 import urllib.request
 
+from loopback import fetch, free_port, put, wait
+
 PROJECT = pathlib.Path(__file__).resolve().parents[2]
 BINARY = pathlib.Path(os.environ.get("STARMESH_BIN", PROJECT / "target" / "release" / "starmesh"))
 READOUT_S = 1.0  # of the simulator's camera
 ROLES = ["device", "observatory", "archive", "web"]
 ROWS: list[tuple[str, str, str]] = []
-
-
-def free_port() -> int:
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
-
-
-def fetch(url: str):
-    with urllib.request.urlopen(url, timeout=5) as answer:
-        return json.load(answer)
-
-
-def put(url: str, body: dict):
-    request = urllib.request.Request(url, data=json.dumps(body).encode(), method="PUT",
-                                     headers={"Content-Type": "application/json"})
-    with urllib.request.urlopen(request, timeout=5) as answer:
-        answer.read()
-
-
-def wait(what: str, holds, limit_s: float = 60.0, pause_s: float = 0.05):
-    until = time.monotonic() + limit_s
-    while time.monotonic() < until:
-        with contextlib.suppress(OSError, KeyError, TypeError, ValueError):
-            if result := holds():
-                return result
-        time.sleep(pause_s)
-    raise SystemExit(f"bench: {what}: not within {limit_s} s")
 
 
 class Telescope:

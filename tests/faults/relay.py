@@ -20,10 +20,14 @@ class AlpacaRelay:
     def __init__(self, host: str, server: str):
         self.server, self.spoil, self.gone = server, None, False
         self.renumber: dict[int, int] = {}
+        # cleared while the server hangs: requests are taken, and answered when it goes on
+        self.awake = threading.Event()
+        self.awake.set()
         relay = self
 
         class Handler(http.server.BaseHTTPRequestHandler):
             protocol_version = "HTTP/1.1"
+            disable_nagle_algorithm = True
 
             def do_GET(self):
                 relay.pass_on(self)
@@ -39,13 +43,19 @@ class AlpacaRelay:
             def handle_error(self, request, client_address):
                 pass  # clients that give up are what this is for
 
-        self.http = Server((host, 0), Handler)
+        self.listen = lambda port: Server((host, port), Handler)
+        self.http = None
+        self.accept(0)
         self.address = f"{host}:{self.http.server_address[1]}"
+
+    def accept(self, port: int):
+        self.http = self.listen(port)
         threading.Thread(target=self.http.serve_forever, kwargs={"poll_interval": 0.2}, daemon=True).start()
 
     def pass_on(self, asked):
         length = int(asked.headers.get("Content-Length") or 0)
         body = asked.rfile.read(length) if length else None
+        self.awake.wait()
         if self.gone:
             asked.connection.shutdown(socket.SHUT_RDWR)
             asked.close_connection = True
@@ -92,12 +102,30 @@ class AlpacaRelay:
             return json.dumps(envelope if changed is None else changed).encode()
         self.spoil = spoil
 
+    def hang(self):
+        self.awake.clear()
+
+    def refuse(self):
+        """Nobody listens any more, and connections that stand end at their next request."""
+        self.gone = True
+        self.close()
+
     def honest(self):
         self.spoil, self.gone, self.renumber = None, False, {}
+        self.awake.set()
+        if self.http is None:
+            self.accept(int(self.address.rsplit(":", 1)[1]))
+
+    def close(self):
+        if self.http:
+            self.http.shutdown()
+            self.http.server_close()
+            self.http = None
 
     def stop(self):
-        self.http.shutdown()
-        self.http.server_close()
+        self.gone = True
+        self.awake.set()
+        self.close()
 
 
 class DelayRelay:

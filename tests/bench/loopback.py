@@ -1,0 +1,35 @@
+"""HTTP on this machine: a free port, an answer, and waiting for what must come to hold."""
+
+import contextlib
+import json
+import socket
+import time
+import urllib.request
+
+
+def free_port() -> int:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+def fetch(url: str):
+    with urllib.request.urlopen(url, timeout=5) as answer:
+        return json.load(answer)
+
+
+def put(url: str, body: dict):
+    request = urllib.request.Request(url, data=json.dumps(body).encode(), method="PUT",
+                                     headers={"Content-Type": "application/json"})
+    with urllib.request.urlopen(request, timeout=5) as answer:
+        answer.read()
+
+
+def wait(what: str, holds, limit_s: float = 60.0, pause_s: float = 0.05):
+    until = time.monotonic() + limit_s
+    while time.monotonic() < until:
+        with contextlib.suppress(OSError, KeyError, TypeError, ValueError):
+            if result := holds():
+                return result
+        time.sleep(pause_s)
+    raise SystemExit(f"bench: {what}: not within {limit_s} s")
