@@ -33,7 +33,7 @@ def stopped(rig, since: int):
       watch_s=0.0)
 def below(rig):
     since = rig.wire.last()
-    strange_slew(rig, 6.0, 20.0)
+    strange_slew(rig, 5.5, -30.0)
     altitude_deg = rig.wire.world()["telescope"]["altitude_deg"]
     if altitude_deg > ALTITUDE_MIN_DEG:
         raise Late(f"the mount was to go below its limit and stands at {altitude_deg:.1f} deg")

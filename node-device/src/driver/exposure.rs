@@ -21,6 +21,11 @@ const READOUT_LIMIT_S: f64 = 60.0;
 /// So many failed questions in a row and the exposure has failed.
 const MOST_FAILURES: u32 = 3;
 
+/// A start that was answered, or whose answer was lost, within this time is known to half of it.
+const START_KNOWN: Duration = Duration::from_millis(500);
+/// ASCOM CameraState: waiting for its start, exposing, reading, download.
+const EXPOSES: [i64; 4] = [1, 2, 3, 4];
+
 /// What a camera is set to before an exposure, binned pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Setting {
@@ -85,7 +90,7 @@ impl Camera {
         let duration = exposure_s.to_string();
         let parameters = [("Duration", duration.as_str()), ("Light", if light { "True" } else { "False" })];
         let before = self.clock.utc();
-        alpaca.put("startexposure", &parameters).await?;
+        self.begin(alpaca, &parameters).await?;
         let began = Instant::now();
         let after = self.clock.utc();
         let started_utc = before.plus_seconds(after.seconds_since(before) / 2.0);
@@ -116,6 +121,23 @@ impl Camera {
                 readings: readings.shown(Kind::Camera),
             },
         );
+        Ok(())
+    }
+
+    /// Opens the shutter, once. A lost answer is no failure where the camera says that it exposes, and when the loss
+    /// was noticed so soon that the time of the start is still known.
+    async fn begin(&self, alpaca: &Alpaca, parameters: &[(&str, &str)]) -> Result<(), AlpacaError> {
+        let asked = Instant::now();
+        let answer = alpaca.put("startexposure", parameters).await;
+        let Err(lost) = &answer else { return answer };
+        if !lost.is_unknown_outcome() || asked.elapsed() > START_KNOWN {
+            return answer;
+        }
+        let state = alpaca.get("camerastate").await.ok().and_then(|state| value::whole(&state).ok());
+        if !state.is_some_and(|state| EXPOSES.contains(&state)) {
+            return answer;
+        }
+        tracing::warn!(camera = %self.name, %lost, "the answer to the start of an exposure was lost; the camera exposes");
         Ok(())
     }
 
