@@ -20,9 +20,26 @@ pub enum Measure {
 #[derive(Debug, Clone, Default)]
 pub struct Window {
     values: VecDeque<(SkyTime, f64)>,
+    /// What was before this is not known.
+    recalled_since: Option<SkyTime>,
+}
+
+impl Measure {
+    /// The window that it is taken over, sky time.
+    pub fn over(self) -> Duration {
+        match self {
+            Self::Value => Duration::ZERO,
+            Self::Max(over) | Self::Rate(over) => over,
+        }
+    }
 }
 
 impl Window {
+    /// One whose values begin in the middle of a longer past: the largest of a window is not known before it is full.
+    pub fn recalled(since: SkyTime) -> Self {
+        Self { values: VecDeque::new(), recalled_since: Some(since) }
+    }
+
     /// The measure with one more value, or why it has none yet.
     pub fn measure(&mut self, measure: Measure, at: SkyTime, value: f64) -> Result<f64, String> {
         let over = match measure {
@@ -42,6 +59,9 @@ impl Window {
                 }
                 Ok((value - first) / minutes(passed))
             }
+            (Measure::Max(_), _) if self.recalled_since.is_some_and(|since| at.since(since) < over) => {
+                Err("what was before the record may have been more".to_owned())
+            }
             _ => Ok(within.map(|(_, value)| *value).fold(value, f64::max)),
         }
     }
@@ -49,6 +69,7 @@ impl Window {
     /// A missing value: what was measured across it would be a guess.
     pub fn clear(&mut self) {
         self.values.clear();
+        self.recalled_since = None;
     }
 }
 
@@ -72,6 +93,16 @@ mod tests {
             .map(|(second, value)| window.measure(measure, at(second), value).unwrap())
             .collect();
         assert_eq!(told, [5.0, 18.0, 18.0, 18.0, 7.0]);
+    }
+
+    #[test]
+    fn a_recalled_maximum_needs_its_whole_window_until_a_hole_begins_it_anew() {
+        let (mut window, measure) = (Window::recalled(at(100)), Measure::Max(Duration::from_secs(60)));
+        assert!(window.measure(measure, at(100), 5.0).is_err() && window.measure(measure, at(159), 6.0).is_err());
+        assert_eq!(window.measure(measure, at(160), 4.0), Ok(6.0));
+        let mut window = Window::recalled(at(100));
+        window.clear();
+        assert_eq!(window.measure(measure, at(110), 5.0), Ok(5.0), "as it was when it was heard");
     }
 
     #[test]
