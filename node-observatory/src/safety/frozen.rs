@@ -28,6 +28,12 @@ struct Still {
     since: MachineTime,
 }
 
+impl Still {
+    fn is_enough(&self) -> bool {
+        self.values.len() >= LEAST_CHANNELS
+    }
+}
+
 impl Freeze {
     /// Takes in what a station said; machine time, because a fast simulation polls seldom. True if a channel moved.
     pub fn hear(&mut self, station: &Device, fields: &Fields, now: MachineTime) -> bool {
@@ -48,6 +54,11 @@ impl Freeze {
         moved
     }
 
+    /// Are enough channels of a station known to tell whether it stands still?
+    pub fn knows(&self, station: &Device) -> bool {
+        self.stations.get(station).is_some_and(Still::is_enough)
+    }
+
     /// Forgets a station, to hear it anew from its record.
     pub fn forget(&mut self, station: &Device) {
         self.stations.remove(station);
@@ -55,7 +66,7 @@ impl Freeze {
 
     /// How long all values of each station have been the same.
     pub fn stand_still(&self, now: MachineTime) -> impl Iterator<Item = (&Device, Duration)> {
-        let enough = self.stations.iter().filter(|(_, still)| still.values.len() >= LEAST_CHANNELS);
+        let enough = self.stations.iter().filter(|(_, still)| still.is_enough());
         enough.map(move |(station, still)| (station, now.since(still.since)))
     }
 }
