@@ -90,12 +90,8 @@ impl Rig {
         let simulator = Simulator::start(world.clone()).await?;
         let address = Address::new(SITE, TELESCOPE)?;
         let folder = tempfile::tempdir()?;
-        let text = configuration(
-            &address,
-            simulator.address(),
-            &world,
-            (options.permit_valid_s, options.weather_dwell_min),
-        );
+        let text =
+            configuration(&address, simulator.address(), &world, (options.permit_valid_s, options.weather_dwell_min));
         std::fs::write(folder.path().join("observatory.toml"), text + &options.more)?;
         let start = simulator.world().now();
         std::fs::write(folder.path().join("schedule.jsonl"), jsonl(&rows(&world), start, options.window_s))?;

@@ -53,7 +53,10 @@ async fn a_weather_stations_record_is_what_was_heard_of_it() {
     assert_eq!(record.entries[0].seq, 0, "from the first word of this life on");
     for state in &heard {
         let told = &record.entries[usize::try_from(state.said.seq).unwrap()];
-        assert_eq!((told.seq, &told.link, &told.fields), (state.said.seq, &state.said.body.link, &state.said.body.fields));
+        assert_eq!(
+            (told.seq, &told.link, &told.fields),
+            (state.said.seq, &state.said.body.link, &state.said.body.fields)
+        );
         // it was said before it arrived, and the age is that of the moment of the answer
         let age = Duration::from_secs_f64(told.age_s);
         assert!(state.arrived.plus(age) >= asked.minus(Duration::from_millis(1)), "{told:?}");

@@ -172,7 +172,8 @@ impl History {
             // where every value is needed a missing one is as bad as a bad one; else the last one stands
             let before = if rule.needs_each() { record.newest().filter(|_| !is_gap) } else { record.last_known() };
             let was_good = before.is_some_and(|entry| entry.outcome.as_ref().is_ok_and(|before| !before.tripped));
-            Measured { value, tripped: !rule.bad.contain(value) || !(was_good || rule.reopen.contain(value)) }
+            let good = rule.bad.contain(value) && (was_good || rule.reopen.contain(value));
+            Measured { value, tripped: !good || !window.is_whole(rule.measure, at.sky) }
         });
         record.push(Entry { at, outcome });
         record.forget(at, rule.dwell);

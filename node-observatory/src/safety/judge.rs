@@ -275,7 +275,8 @@ fn violation(rule: &LimitRule, value: f64) -> String {
         (_, Some(lower), ..) if value < lower => format!("{words} is below {}", number(lower)),
         (_, _, Some(upper), _) if value > upper => format!("{words} is not down to {} yet", number(upper)),
         (_, _, _, Some(lower)) if value < lower => format!("{words} is not up to {} yet", number(lower)),
-        _ => format!("{words} is not allowed"),
+        // the largest of a window that was recalled in part
+        _ => format!("{words} is not known to be good"),
     }
 }
 

@@ -59,11 +59,15 @@ impl Window {
                 }
                 Ok((value - first) / minutes(passed))
             }
-            (Measure::Max(_), _) if self.recalled_since.is_some_and(|since| at.since(since) < over) => {
-                Err("what was before the record may have been more".to_owned())
-            }
             _ => Ok(within.map(|(_, value)| *value).fold(value, f64::max)),
         }
+    }
+
+    /// Is the measure known, or may it have been more before the record began?
+    pub fn is_whole(&self, measure: Measure, at: SkyTime) -> bool {
+        let is_short = |since: SkyTime| at.since(since) < measure.over();
+        // a rate has no value before its window is full
+        !matches!(measure, Measure::Max(_)) || !self.recalled_since.is_some_and(is_short)
     }
 
     /// A missing value: what was measured across it would be a guess.
@@ -98,11 +102,11 @@ mod tests {
     #[test]
     fn a_recalled_maximum_needs_its_whole_window_until_a_hole_begins_it_anew() {
         let (mut window, measure) = (Window::recalled(at(100)), Measure::Max(Duration::from_secs(60)));
-        assert!(window.measure(measure, at(100), 5.0).is_err() && window.measure(measure, at(159), 6.0).is_err());
-        assert_eq!(window.measure(measure, at(160), 4.0), Ok(6.0));
-        let mut window = Window::recalled(at(100));
+        assert_eq!(window.measure(measure, at(100), 5.0), Ok(5.0));
+        assert!(!window.is_whole(measure, at(100)) && !window.is_whole(measure, at(159)));
+        assert!(window.is_whole(measure, at(160)) && window.is_whole(Measure::Value, at(100)));
         window.clear();
-        assert_eq!(window.measure(measure, at(110), 5.0), Ok(5.0), "as it was when it was heard");
+        assert!(window.is_whole(measure, at(110)), "as it was when it was heard");
     }
 
     #[test]

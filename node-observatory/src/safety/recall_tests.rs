@@ -30,6 +30,7 @@ fn now(ms: i64) -> Now {
 }
 
 /// A weather station's node: what it said, and when.
+#[derive(Debug)]
 struct Station {
     boot_id: BootId,
     said: Vec<(i64, Link, Fields)>,
@@ -207,8 +208,7 @@ fn restarted(
 ) -> Option<Judgement> {
     let mut history = History::new(rules, now(started_ms).sky);
     let next = station.said.iter().take_while(|(said_ms, ..)| *said_ms <= started_ms).count();
-    let (first, first_ms) =
-        if late && next > 0 { (next - 1, started_ms) } else { (next, station.said.get(next)?.0) };
+    let (first, first_ms) = if late && next > 0 { (next - 1, started_ms) } else { (next, station.said.get(next)?.0) };
     let answered_ms = first_ms + answer_ms;
     if judged_ms < answered_ms {
         return None;
