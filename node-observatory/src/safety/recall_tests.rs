@@ -198,14 +198,14 @@ fn listened(rules: &Rules, station: &Station, judged_ms: i64) -> Judgement {
 }
 
 /// The verdict of one that was started at some moment: it asks for the state of that moment (`late`) or hears the
-/// next one, then asks for the record, which takes so long.
+/// next one, then asks for the record, which takes so long. With it comes whether the record was taken.
 fn restarted(
     rules: &Rules,
     station: &Station,
     started_ms: i64,
     (late, answer_ms): (bool, i64),
     judged_ms: i64,
-) -> Option<Judgement> {
+) -> Option<(Judgement, bool)> {
     let mut history = History::new(rules, now(started_ms).sky);
     let next = station.said.iter().take_while(|(said_ms, ..)| *said_ms <= started_ms).count();
     let (first, first_ms) = if late && next > 0 { (next - 1, started_ms) } else { (next, station.said.get(next)?.0) };
@@ -215,7 +215,7 @@ fn restarted(
     }
     let mut recall = Recall::new(&station.stamped(first), now(first_ms));
     hear(&mut history, rules, station, first, now(first_ms));
-    let mut record = Some(station.record(first_ms + answer_ms / 2));
+    let (mut record, mut taken) = (Some(station.record(first_ms + answer_ms / 2)), false);
     for index in first + 1..=station.said.len() {
         let said_ms = station.said.get(index).map_or(i64::MAX, |(said_ms, ..)| *said_ms);
         if said_ms.min(judged_ms) >= answered_ms
@@ -223,8 +223,7 @@ fn restarted(
         {
             let told = recall.place(&record, asked(first_ms, answered_ms)).unwrap();
             assert_eq!(told.last().unwrap().fields, recall.live.last().unwrap().1.fields, "the newest word is live");
-            // a station that stands still is refused, which is no error here
-            let _ = history.recall_weather(rules, &wx(), told, SPEED);
+            taken = history.recall_weather(rules, &wx(), told, SPEED).is_ok();
         }
         if said_ms > judged_ms {
             break;
@@ -232,12 +231,12 @@ fn restarted(
         recall.hear(&station.stamped(index), now(said_ms));
         hear(&mut history, rules, station, index, now(said_ms));
     }
-    Some(judge(rules, &history, now(judged_ms)))
+    Some((judge(rules, &history, now(judged_ms)), taken))
 }
 
 /// Seconds of the machine until it is safe, told by one that was started at 100 s and judges at 106 s.
 fn waits_s(limits: Vec<LimitRule>, station: &Station) -> Option<f64> {
-    let judged = restarted(&rules(limits), station, 100_000, (false, 20), 106_000).unwrap();
+    let (judged, _) = restarted(&rules(limits), station, 100_000, (false, 20), 106_000).unwrap();
     judged.time_to_safe_s.map(|sky_s| (sky_s / SPEED).round())
 }
 
@@ -307,18 +306,20 @@ fn a_record_in_which_nothing_moves_may_be_that_of_a_frozen_station() {
     // good since 105 s, when this observatory heard it first
     assert_eq!(waits_s(vec![limit()], &still), Some(29.0));
     let heedless = Rules { frozen_after: Duration::ZERO, ..rules(vec![limit()]) };
-    assert_eq!(restarted(&heedless, &still, 100_000, (false, 20), 106_000).unwrap().verdict, Verdict::Safe);
+    let (judged, taken) = restarted(&heedless, &still, 100_000, (false, 20), 106_000).unwrap();
+    assert_eq!((judged.verdict, taken), (Verdict::Safe, true));
 }
 
 #[test]
 fn recalled_evidence_without_live_states_is_not_what_is_now() {
     let rules = rules(vec![limit()]);
     let station = Station::new().says((0..=100).step_by(5), 50.0);
-    assert_eq!(restarted(&rules, &station, 99_000, (false, 20), 101_000).unwrap().verdict, Verdict::Safe);
-    let later = restarted(&rules, &station, 99_000, (false, 20), 116_000).unwrap();
+    let (judged, taken) = restarted(&rules, &station, 99_000, (false, 20), 101_000).unwrap();
+    assert_eq!((judged.verdict, taken), (Verdict::Safe, true));
+    let (later, _) = restarted(&rules, &station, 99_000, (false, 20), 116_000).unwrap();
     assert!(later.reasons[0].why.starts_with("stale"), "{later:?}");
     // and a late first state is as old as it is
-    let late = restarted(&rules, &station, 117_000, (true, 20), 118_000).unwrap();
+    let (late, _) = restarted(&rules, &station, 117_000, (true, 20), 118_000).unwrap();
     assert!(late.reasons[0].why.starts_with("stale"), "{late:?}");
 }
 
@@ -386,7 +387,9 @@ proptest! {
         let known = forgotten.min(younger.said.iter().filter(|(said_ms, ..)| *said_ms <= started_ms).count());
         younger.said.drain(..known.saturating_sub(1));
         for judged_ms in (started_ms..last_ms + 20_000).step_by(2900) {
-            let Some(judged) = restarted(&rules, &younger, started_ms, (late, answer_ms), judged_ms) else { continue };
+            let restarted = restarted(&rules, &younger, started_ms, (late, answer_ms), judged_ms);
+            // one that stands still: what is refused is as if there were no record
+            let Some((judged, true)) = restarted else { continue };
             let truth = listened(&rules, &station, judged_ms);
             prop_assert!(
                 judged.verdict == Verdict::Unsafe || truth.verdict == Verdict::Safe,
