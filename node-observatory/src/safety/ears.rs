@@ -36,10 +36,13 @@ pub enum Word {
     SwitchBefore(Device, Vec<Told<Switches>>),
 }
 
+/// Makes a word of all that a device said.
+type Retell<F> = fn(Device, Vec<Told<F>>) -> Word;
+
 /// How an ear speaks of the devices of a kind.
 struct Voice<F> {
     state: fn(Device, Box<DeviceState<F>>, Now) -> Word,
-    before: Option<fn(Device, Vec<Told<F>>) -> Word>,
+    before: Option<Retell<F>>,
 }
 
 /// A device node is asked for its record so often, after these pauses: one that was just found may not be known to

@@ -49,7 +49,7 @@ impl Station {
         self
     }
 
-    fn is_lost(mut self, second: i64) -> Self {
+    fn loses_link(mut self, second: i64) -> Self {
         let reason = NoData::new("timeout", "2 s");
         self.said.push((second * 1000, Link::Lost { reason: reason.clone() }, air(second, Datum::missing(reason))));
         self
@@ -260,9 +260,9 @@ fn a_bad_reading_within_the_dwell_leaves_the_rest_of_it() {
 fn a_gap_of_any_kind_restarts_the_dwell() {
     let silent = Station::new().says((0..=70).step_by(5), 50.0).says((90..=105).step_by(5), 50.0);
     assert_eq!(waits_s(vec![limit()], &silent), Some(14.0), "suspended");
-    let lost = Station::new().says((0..=80).step_by(5), 50.0).is_lost(85).says((90..=105).step_by(5), 50.0);
+    let lost = Station::new().says((0..=80).step_by(5), 50.0).loses_link(85).says((90..=105).step_by(5), 50.0);
     assert_eq!(waits_s(vec![limit()], &lost), Some(14.0), "no link");
-    let born = Station::new().is_lost(89).says((90..=105).step_by(5), 50.0);
+    let born = Station::new().loses_link(89).says((90..=105).step_by(5), 50.0);
     assert_eq!(waits_s(vec![limit()], &born), Some(14.0), "the device node was restarted too");
 }
 
@@ -336,7 +336,7 @@ fn stations() -> impl Strategy<Value = Station> {
         for (pause, humidity, air_c, lost) in words {
             second += pause;
             if lost {
-                station = station.is_lost(second);
+                station = station.loses_link(second);
             } else {
                 // a thermometer that may stand still, be zero or be missing
                 let fields = Fields { air_c: datum(air_c), ..air(second, datum(humidity)) };
