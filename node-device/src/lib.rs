@@ -24,6 +24,7 @@ mod mount_watch;
 mod node_part;
 mod permits;
 mod readings;
+mod record;
 mod second_writer;
 mod serve;
 mod simulated;

@@ -23,6 +23,7 @@ use crate::driver::{Capabilities, Command, Driver, Fields, Now, Obeyed, Progress
 use crate::front::{Front, Order};
 use crate::has::Has;
 use crate::readings::Readings;
+use crate::record::Voice;
 
 /// While something moves or exposes.
 const FAST: Duration = Duration::from_millis(100);
@@ -82,7 +83,7 @@ struct Running<D: Driver> {
 
 struct Loop<D: Driver> {
     serve: Serve<D>,
-    states: Publisher<DeviceState<Fields<D>>>,
+    states: Voice<Fields<D>>,
     descriptions: Publisher<Description<Capabilities<D>>>,
     readings: Readings,
     link: Link,
@@ -106,7 +107,7 @@ impl<D: Driver> Serve<D> {
     pub async fn run(self, mut orders: mpsc::UnboundedReceiver<Order<Command<D>>>) -> anyhow::Result<()> {
         let (bus, stop) = (self.node.bus.clone(), self.node.stop.clone());
         let cache = (CACHED.as_secs_f64() / self.common.period_s).ceil() as usize + CACHED_CHANGES;
-        let states = bus.publisher(&Key::State(self.device.clone()), Quality::State { cache }).await?;
+        let states = Voice::open(&self.node, &self.device, cache).await?;
         let key = Key::Capabilities(self.device.clone());
         let descriptions = bus.publisher(&key, Quality::State { cache: 1 }).await?;
         let front = self.front.clone();

@@ -58,7 +58,7 @@ pub fn period(key: &Key, body: &Value) -> Option<Duration> {
             return None;
         }
         Key::Frame(_) | Key::Facts(..) | Key::Stored(_) => return None,
-        Key::Command(_) | Key::Order(_) | Key::History(_) => return None,
+        Key::Command(_) | Key::Record(_) | Key::Order(_) | Key::History(_) => return None,
     };
     Some(Duration::from_secs_f64(seconds))
 }

@@ -50,10 +50,11 @@ pub(crate) fn configuration(
     address: &Address,
     simulator: std::net::SocketAddr,
     options: &simulator::Options,
-    permit_valid_s: f64,
+    (permit_valid_s, weather_dwell_min): (f64, f64),
 ) -> String {
     let permit =
         format!("permit_valid_s = {permit_valid_s:?}\nwatchdog_s = 60.0\nwatchdog_action = \"feedwatchdog\"\n");
+    let limit = format!("limit = [{{ parameter = \"Humidity\", upper = 99.5, dwell_min = {weather_dwell_min:?} }}]\n");
     let mut text = format!(
         "[observatory]\nsite = \"{}\"\ntelescope = \"{}\"\nlatitude_deg = {}\nlongitude_deg = {}\nelevation_m = {}\n\
          [bus]\nmulticast = false\n[clock]\nsimulator = \"http://{simulator}\"\n[schedule]\nrobotic = true\n\
@@ -71,7 +72,7 @@ pub(crate) fn configuration(
         ("focuser", "focuser", ""),
         ("dome", "dome", permit.as_str()),
         ("safetymonitor", "monitor", "dwell_min = 0.5\n"),
-        ("observingconditions", "weather", "limit = [{ parameter = \"Humidity\", upper = 99.5, dwell_min = 0.5 }]\n"),
+        ("observingconditions", "weather", limit.as_str()),
         ("covercalibrator", "cover", ""),
         ("switch", "power", ""),
         ("rotator", "rotator", ""),

@@ -33,6 +33,8 @@ pub struct RigOptions {
     pub window_s: f64,
     /// How long a permit of the dome is valid, machine seconds.
     pub permit_valid_s: f64,
+    /// The sky must have been good for so long by the weather station's limit, sky minutes.
+    pub weather_dwell_min: f64,
     /// More of the configuration, after the devices.
     pub more: String,
 }
@@ -49,7 +51,7 @@ impl Default for RigOptions {
         world.dome.watchdog_s = Some(60.0);
         world.camera.pixel_um *= 8.0;
         (world.camera.width, world.camera.height) = (256, 256);
-        Self { world, window_s: 3600.0, permit_valid_s: 5.0, more: String::new() }
+        Self { world, window_s: 3600.0, permit_valid_s: 5.0, weather_dwell_min: 0.5, more: String::new() }
     }
 }
 
@@ -88,7 +90,8 @@ impl Rig {
         let simulator = Simulator::start(world.clone()).await?;
         let address = Address::new(SITE, TELESCOPE)?;
         let folder = tempfile::tempdir()?;
-        let text = configuration(&address, simulator.address(), &world, options.permit_valid_s);
+        let text =
+            configuration(&address, simulator.address(), &world, (options.permit_valid_s, options.weather_dwell_min));
         std::fs::write(folder.path().join("observatory.toml"), text + &options.more)?;
         let start = simulator.world().now();
         std::fs::write(folder.path().join("schedule.jsonl"), jsonl(&rows(&world), start, options.window_s))?;

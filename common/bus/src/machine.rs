@@ -24,6 +24,11 @@ impl MachineTime {
         Self(self.0.saturating_add(duration))
     }
 
+    /// This moved back, to the zero of the clock at most: what is older is as old as the clock.
+    pub fn minus(self, duration: Duration) -> Self {
+        Self(self.0.saturating_sub(duration))
+    }
+
     /// Time left to the next whole multiple of a period since boot; what recurs shares these ticks, so that an idle
     /// machine wakes once for all of it.
     pub fn to_tick(self, period: Duration) -> Duration {
@@ -56,6 +61,11 @@ impl SkyTime {
     /// This moved forward.
     pub fn plus(self, duration: Duration) -> Self {
         Self(self.0.saturating_add(duration))
+    }
+
+    /// This moved back, to the zero of the clock at most: what is older is as old as the clock.
+    pub fn minus(self, duration: Duration) -> Self {
+        Self(self.0.saturating_sub(duration))
     }
 }
 

@@ -129,6 +129,11 @@ impl<T: Payload> Publisher<T> {
         sent.map_err(|error| failed(error.to_string()))
     }
 
+    /// The number that the next payload will be said with.
+    pub fn next_seq(&self) -> u64 {
+        self.seq.load(Ordering::Relaxed)
+    }
+
     /// Says the newest value of a watch at each change and at least every `period`, until the sender is gone.
     pub async fn follow(&self, mut values: tokio::sync::watch::Receiver<T>, period: Duration) -> Result<(), BusError> {
         loop {

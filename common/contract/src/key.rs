@@ -254,6 +254,8 @@ pub enum Key {
     Frame(Device),
     /// A dome's guard speaks.
     Guard(Device),
+    /// Question and answer about what a weather station or a set of switches said before (queryable).
+    Record(Device),
     /// A state of the observatory node.
     Observatory(Address, Part),
     /// May this dome be open?
@@ -281,6 +283,7 @@ impl fmt::Display for Key {
             Self::Command(d) => device(f, d, "command"),
             Self::Frame(d) => device(f, d, "frame"),
             Self::Guard(d) => device(f, d, "guard"),
+            Self::Record(d) => device(f, d, "record"),
             Self::Observatory(a, part) => write!(f, "{ROOT}/{a}/observatory/{}/state", part.word()),
             Self::Permit(a, dome) => write!(f, "{ROOT}/{a}/observatory/permit/{dome}"),
             Self::Facts(a, frame) => write!(f, "{ROOT}/{a}/observatory/frame/{frame}/facts"),
@@ -296,7 +299,12 @@ impl Key {
     /// The address that the key lies under.
     pub fn address(&self) -> &Address {
         match self {
-            Self::Capabilities(d) | Self::State(d) | Self::Command(d) | Self::Frame(d) | Self::Guard(d) => &d.address,
+            Self::Capabilities(d)
+            | Self::State(d)
+            | Self::Command(d)
+            | Self::Frame(d)
+            | Self::Guard(d)
+            | Self::Record(d) => &d.address,
             Self::Observatory(a, _)
             | Self::Permit(a, _)
             | Self::Facts(a, _)
@@ -321,6 +329,7 @@ impl Key {
                     "command" => Some(Self::Command(device)),
                     "frame" if device.kind == Kind::Camera => Some(Self::Frame(device)),
                     "guard" if device.kind == Kind::Dome => Some(Self::Guard(device)),
+                    "record" if device.kind.keeps_record() => Some(Self::Record(device)),
                     _ => None,
                 }
             }
@@ -358,6 +367,8 @@ mod tests {
             Key::History(address.clone()),
             Key::Frame(address.device(Kind::Camera, &name)),
             Key::Guard(address.device(Kind::Dome, &name)),
+            Key::Record(address.device(Kind::ObservingConditions, &name)),
+            Key::Record(address.device(Kind::Switch, &name)),
         ];
         for kind in Kind::ALL {
             let device = address.device(kind, &name);

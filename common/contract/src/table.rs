@@ -85,6 +85,24 @@ pub const TABLE: &[Row] = &[
         reader: "observatory, web",
     },
     Row {
+        pattern: "{site}/{telescope}/device/observingconditions/{name}/record",
+        payloads: &["record.question", "observingconditions.record"],
+        says: "what a weather station said before: evidence for an observatory node that was restarted",
+        rate: "when asked",
+        qos: QUERY,
+        writer: "observatory",
+        reader: "device node",
+    },
+    Row {
+        pattern: "{site}/{telescope}/device/switch/{name}/record",
+        payloads: &["record.question", "switch.record"],
+        says: "what a set of switches said before: evidence for an observatory node that was restarted",
+        rate: "when asked",
+        qos: QUERY,
+        writer: "observatory",
+        reader: "device node",
+    },
+    Row {
         pattern: "{site}/{telescope}/observatory/safety/state",
         payloads: &["observatory.safety"],
         says: "the verdict, its reasons, and every input with its age",
@@ -306,6 +324,7 @@ mod tests {
             Key::Command(_) => 2,
             Key::Frame(_) => 3,
             Key::Guard(_) => 4,
+            Key::Record(_) => 12,
             Key::Observatory(..) => 5,
             Key::Permit(..) => 6,
             Key::Facts(..) => 7,
@@ -315,7 +334,7 @@ mod tests {
             Key::Node(..) => 11,
         }
     }
-    const SORTS: usize = 12;
+    const SORTS: usize = 13;
 
     fn every_key() -> Vec<Key> {
         let at = Address::new("paranal", "callisto").unwrap();
@@ -323,6 +342,8 @@ mod tests {
         let mut keys = vec![
             Key::Frame(at.device(Kind::Camera, &name)),
             Key::Guard(at.device(Kind::Dome, &name)),
+            Key::Record(at.device(Kind::ObservingConditions, &name)),
+            Key::Record(at.device(Kind::Switch, &name)),
             Key::Permit(at.clone(), name.clone()),
             Key::Facts(at.clone(), name.clone()),
             Key::Order(at.clone()),

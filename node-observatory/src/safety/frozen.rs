@@ -28,25 +28,45 @@ struct Still {
     since: MachineTime,
 }
 
+impl Still {
+    fn is_enough(&self) -> bool {
+        self.values.len() >= LEAST_CHANNELS
+    }
+}
+
 impl Freeze {
-    /// Takes in what a station said; machine time, because a fast simulation polls seldom.
-    pub fn hear(&mut self, station: &Device, fields: &Fields, now: MachineTime) {
+    /// Takes in what a station said; machine time, because a fast simulation polls seldom. True if a channel moved.
+    pub fn hear(&mut self, station: &Device, fields: &Fields, now: MachineTime) -> bool {
         let fresh = Still { values: BTreeMap::new(), since: now };
         let still = self.stations.entry(station.clone()).or_insert(fresh);
+        let mut moved = false;
         for name in ANALOGUE {
             // a calm is exactly zero for hours; a channel that falls silent does not move the others
             let value = fields.by_ascom_name(name).and_then(|datum| datum.known()).filter(|value| **value != 0.0);
-            if let Some(bits) = value.map(|value| value.to_bits())
-                && still.values.insert(name, bits) != Some(bits)
-            {
-                still.since = now;
+            if let Some(bits) = value.map(|value| value.to_bits()) {
+                // a first value shows no movement: it may have been the same before this node listened
+                moved |= still.values.insert(name, bits).is_some_and(|before| before != bits);
             }
         }
+        if moved {
+            still.since = now;
+        }
+        moved
+    }
+
+    /// Are enough channels of a station known to tell whether it stands still?
+    pub fn knows(&self, station: &Device) -> bool {
+        self.stations.get(station).is_some_and(Still::is_enough)
+    }
+
+    /// Forgets a station, to hear it anew from its record.
+    pub fn forget(&mut self, station: &Device) {
+        self.stations.remove(station);
     }
 
     /// How long all values of each station have been the same.
     pub fn stand_still(&self, now: MachineTime) -> impl Iterator<Item = (&Device, Duration)> {
-        let enough = self.stations.iter().filter(|(_, still)| still.values.len() >= LEAST_CHANNELS);
+        let enough = self.stations.iter().filter(|(_, still)| still.is_enough());
         enough.map(move |(station, still)| (station, now.since(still.since)))
     }
 }

@@ -1,5 +1,6 @@
 //! What the safety inputs said, as the rules see it.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use bus::SkyTime;
@@ -12,6 +13,7 @@ use super::frozen::Freeze;
 use super::history::{Entry, Now, Record};
 use super::measure::Window;
 use super::nodes::Nodes;
+use super::recall::Told;
 use super::rules::{LimitRule, Rules};
 use super::wind::Winds;
 use crate::patience::seconds;
@@ -45,6 +47,8 @@ pub struct History {
     pub limits: Vec<Record<Measured>>,
     /// What the limits' measures are made of.
     windows: Vec<Window>,
+    /// Devices whose nodes were not heard out on the time before.
+    awaited: BTreeSet<Device>,
     /// Since when the stations' values stand still.
     pub freeze: Freeze,
     /// What wind blows.
@@ -63,6 +67,7 @@ impl History {
             monitors: rules.monitors.iter().map(|_| Record::default()).collect(),
             limits: rules.limits.iter().map(|_| Record::default()).collect(),
             windows: rules.limits.iter().map(|_| Window::default()).collect(),
+            awaited: rules.limits.iter().map(|rule| rule.device.clone()).collect(),
             freeze: Freeze::default(),
             winds: Winds::default(),
             nodes: Nodes::default(),
@@ -99,6 +104,51 @@ impl History {
         });
     }
 
+    /// Takes in all that a weather station said before this node listened and since, in place of what was heard; `told`
+    /// is empty where there is no record. An error says why it is not taken, and what was heard stands.
+    pub fn recall_weather(
+        &mut self,
+        rules: &Rules,
+        device: &Device,
+        told: Vec<Told<Weather>>,
+        speed: f64,
+    ) -> Result<(), String> {
+        self.awaited.remove(device);
+        let mut freeze = Freeze::default();
+        let answers = told.iter().filter(|told| told.link == Link::Connected);
+        let moves = answers.filter(|told| freeze.hear(device, &told.fields, told.at.machine)).count();
+        if (moves == 0 || !freeze.knows(device)) && !told.is_empty() && !rules.frozen_after.is_zero() {
+            // since when it stands still is not known, and it may be too long
+            return Err("its values do not move in all of its record".to_owned());
+        }
+        self.forget(rules, device, told.first().map(|first| first.at));
+        if !told.is_empty() {
+            self.freeze.forget(device);
+        }
+        for told in told {
+            self.hear_weather(rules, device, &state(told.link, told.fields), speed, told.at);
+        }
+        Ok(())
+    }
+
+    /// The same for a set of switches, whose values may stand still for ever.
+    pub fn recall_switch(&mut self, rules: &Rules, device: &Device, told: Vec<Told<Switches>>) {
+        self.awaited.remove(device);
+        self.forget(rules, device, told.first().map(|first| first.at));
+        for told in told {
+            self.hear_switch(rules, device, &state(told.link, told.fields), told.at);
+        }
+    }
+
+    /// Forgets what was heard of a device, to hear it anew from its record, which begins then.
+    fn forget(&mut self, rules: &Rules, device: &Device, begins: Option<Now>) {
+        let Some(begins) = begins else { return };
+        let kept = self.limits.iter_mut().zip(&mut self.windows).zip(&rules.limits);
+        for ((record, window), _) in kept.filter(|(_, rule)| rule.device == *device) {
+            (*record, *window) = (Record::default(), Window::recalled(begins.sky));
+        }
+    }
+
     fn hear_limits(
         &mut self,
         rules: &Rules,
@@ -122,16 +172,24 @@ impl History {
             // where every value is needed a missing one is as bad as a bad one; else the last one stands
             let before = if rule.needs_each() { record.newest().filter(|_| !is_gap) } else { record.last_known() };
             let was_good = before.is_some_and(|entry| entry.outcome.as_ref().is_ok_and(|before| !before.tripped));
-            Measured { value, tripped: !rule.bad.contain(value) || !(was_good || rule.reopen.contain(value)) }
+            let good = rule.bad.contain(value) && (was_good || rule.reopen.contain(value));
+            Measured { value, tripped: !good || !window.is_whole(rule.measure, at.sky) }
         });
         record.push(Entry { at, outcome });
         record.forget(at, rule.dwell);
     }
 
-    /// Has every input been heard at least once?
+    /// Has every input been heard at least once, and what its node knows of the time before?
     pub fn all_heard(&self) -> bool {
-        !self.monitors.iter().any(Record::is_empty) && !self.limits.iter().any(Record::is_empty)
+        self.awaited.is_empty()
+            && !self.monitors.iter().any(Record::is_empty)
+            && !self.limits.iter().any(Record::is_empty)
     }
+}
+
+/// A state of which no more is known than verdicts need.
+fn state<F>(link: Link, fields: F) -> DeviceState<F> {
+    DeviceState { link, busy: false, period_s: 0.0, last_command: None, fields, readings: BTreeMap::new() }
 }
 
 fn connected<F>(state: &DeviceState<F>) -> Result<(), String> {
@@ -188,21 +246,12 @@ fn plausible(name: &str, value: f64) -> Result<f64, String> {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use contract::{Datum, NoData};
 
     use super::*;
 
     fn weather(fields: Weather) -> DeviceState<Weather> {
-        DeviceState {
-            link: Link::Connected,
-            busy: false,
-            period_s: 5.0,
-            last_command: None,
-            fields,
-            readings: BTreeMap::new(),
-        }
+        state(Link::Connected, fields)
     }
 
     const MAX_AGE: Duration = Duration::from_secs(60);

@@ -29,6 +29,8 @@ pub struct Record<T> {
     entries: VecDeque<Entry<T>>,
     /// Outlives the dwell: an input that fell silent over a bad value stays bad.
     last_known: Option<Entry<T>>,
+    /// Outlives it too: when the first value came.
+    known_since: Option<SkyTime>,
 }
 
 /// More entries than any dwell needs; when they run out, the record starts later, which is the safe side.
@@ -36,7 +38,7 @@ const MOST_ENTRIES: usize = 50_000;
 
 impl<T> Default for Record<T> {
     fn default() -> Self {
-        Self { entries: VecDeque::new(), last_known: None }
+        Self { entries: VecDeque::new(), last_known: None, known_since: None }
     }
 }
 
@@ -61,6 +63,7 @@ impl<T: Clone> Record<T> {
     pub fn push(&mut self, entry: Entry<T>) {
         if entry.outcome.is_ok() {
             self.last_known = Some(entry.clone());
+            self.known_since.get_or_insert(entry.at.sky);
         }
         if self.entries.len() >= MOST_ENTRIES {
             self.entries.pop_front();
@@ -88,6 +91,11 @@ impl<T: Clone> Record<T> {
     /// The newest entry that carried a value, however old.
     pub fn last_known(&self) -> Option<&Entry<T>> {
         self.last_known.as_ref()
+    }
+
+    /// When the first value came, however long ago.
+    pub fn known_since(&self) -> Option<SkyTime> {
+        self.known_since
     }
 
     /// All that is remembered.

@@ -1,8 +1,8 @@
 //! The verdict: a pure function of the rules, of what was heard, and of now.
 //!
 //! Unknown, stale, NaN and missing are unsafe with a reason; any unsafe input makes the whole unsafe. Nothing is
-//! safe from the start: the dwell window of every input must be filled with good readings without a gap. A safety
-//! monitor's device node may vouch for the time before this node was started.
+//! safe from the start: the dwell window of every input must be filled with good readings without a gap. The device
+//! nodes may vouch for the time before this node was started (`recall.rs`; a safety monitor's state tells how long).
 
 use std::time::Duration;
 
@@ -104,8 +104,9 @@ impl Hearing {
     }
 
     /// A limit that is violated now.
-    fn violated(&mut self, rule: &LimitRule, why: String) {
-        self.speaks_against |= rule.response == Response::Close;
+    fn violated(&mut self, rule: &LimitRule, value: f64, why: String) {
+        // what is not good enough to reopen is not bad yet: a record of the time before may know that it was good
+        self.speaks_against |= rule.response == Response::Close && !rule.bad.contain(value);
         self.against(rule.response, &rule.input, why, None);
     }
 
@@ -193,7 +194,7 @@ fn weigh(rule: &LimitRule, record: &Record<Measured>, now: Now, hearing: &mut He
 fn hear_required(rule: &LimitRule, record: &Record<Measured>, now: Now, hearing: &mut Hearing) {
     match weigh(rule, record, now, hearing) {
         Evidence::Missing(reason) => hearing.against(rule.response, &rule.input, reason, None),
-        Evidence::Bad(measured) => hearing.violated(rule, violation(rule, measured.value)),
+        Evidence::Bad(measured) => hearing.violated(rule, measured.value, violation(rule, measured.value)),
         Evidence::Good { since, .. } => {
             hearing.unproven(rule.response, &rule.input, now.sky.since(since), rule.dwell);
         }
@@ -201,17 +202,20 @@ fn hear_required(rule: &LimitRule, record: &Record<Measured>, now: Now, hearing:
 }
 
 /// A limit that the site can do without, or that others vote with: a missing value is no violation, but a bad one stays
-/// one until a good one has come, and the dwell counts from the last bad one or the start of the listening.
+/// one until a good one has come, and the dwell counts from the last bad one or the start of the listening; a record of the
+/// time before counts from the first value that it holds, since a bad one may have come before.
 fn hear_optional(rule: &LimitRule, record: &Record<Measured>, history: &History, now: Now, hearing: &mut Hearing) {
     weigh(rule, record, now, hearing);
     if let Some(Ok(measured)) = record.last_known().map(|entry| &entry.outcome)
         && measured.tripped
     {
-        return hearing.violated(rule, format!("{} when last heard", violation(rule, measured.value)));
+        let why = format!("{} when last heard", violation(rule, measured.value));
+        return hearing.violated(rule, measured.value, why);
     }
     let violations = record.entries().filter(|entry| entry.outcome.as_ref().is_ok_and(|measured| measured.tripped));
     let last_bad = violations.map(|entry| entry.at.sky).max();
-    let proven = now.sky.since(last_bad.map_or(history.since, |bad| bad.max(history.since)));
+    let heard_since = record.known_since().map_or(history.since, |known| known.min(history.since));
+    let proven = now.sky.since(last_bad.map_or(heard_since, |bad| bad.max(heard_since)));
     hearing.unproven(rule.response, &rule.input, proven, rule.dwell);
 }
 
@@ -271,7 +275,8 @@ fn violation(rule: &LimitRule, value: f64) -> String {
         (_, Some(lower), ..) if value < lower => format!("{words} is below {}", number(lower)),
         (_, _, Some(upper), _) if value > upper => format!("{words} is not down to {} yet", number(upper)),
         (_, _, _, Some(lower)) if value < lower => format!("{words} is not up to {} yet", number(lower)),
-        _ => format!("{words} is not allowed"),
+        // the largest of a window that was recalled in part
+        _ => format!("{words} is not known to be good"),
     }
 }
 

@@ -20,9 +20,26 @@ pub enum Measure {
 #[derive(Debug, Clone, Default)]
 pub struct Window {
     values: VecDeque<(SkyTime, f64)>,
+    /// What was before this is not known.
+    recalled_since: Option<SkyTime>,
+}
+
+impl Measure {
+    /// The window that it is taken over, sky time.
+    pub fn over(self) -> Duration {
+        match self {
+            Self::Value => Duration::ZERO,
+            Self::Max(over) | Self::Rate(over) => over,
+        }
+    }
 }
 
 impl Window {
+    /// One whose values begin in the middle of a longer past: the largest of a window is not known before it is full.
+    pub fn recalled(since: SkyTime) -> Self {
+        Self { values: VecDeque::new(), recalled_since: Some(since) }
+    }
+
     /// The measure with one more value, or why it has none yet.
     pub fn measure(&mut self, measure: Measure, at: SkyTime, value: f64) -> Result<f64, String> {
         let over = match measure {
@@ -46,9 +63,17 @@ impl Window {
         }
     }
 
+    /// Is the measure known, or may it have been more before the record began?
+    pub fn is_whole(&self, measure: Measure, at: SkyTime) -> bool {
+        let is_short = |since: SkyTime| at.since(since) < measure.over();
+        // a rate has no value before its window is full
+        !matches!(measure, Measure::Max(_)) || !self.recalled_since.is_some_and(is_short)
+    }
+
     /// A missing value: what was measured across it would be a guess.
     pub fn clear(&mut self) {
         self.values.clear();
+        self.recalled_since = None;
     }
 }
 
@@ -72,6 +97,16 @@ mod tests {
             .map(|(second, value)| window.measure(measure, at(second), value).unwrap())
             .collect();
         assert_eq!(told, [5.0, 18.0, 18.0, 18.0, 7.0]);
+    }
+
+    #[test]
+    fn a_recalled_maximum_needs_its_whole_window_until_a_hole_begins_it_anew() {
+        let (mut window, measure) = (Window::recalled(at(100)), Measure::Max(Duration::from_secs(60)));
+        assert_eq!(window.measure(measure, at(100), 5.0), Ok(5.0));
+        assert!(!window.is_whole(measure, at(100)) && !window.is_whole(measure, at(159)));
+        assert!(window.is_whole(measure, at(160)) && window.is_whole(Measure::Value, at(100)));
+        window.clear();
+        assert!(window.is_whole(measure, at(110)), "as it was when it was heard");
     }
 
     #[test]

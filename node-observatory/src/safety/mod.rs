@@ -1,5 +1,6 @@
 //! The verdict: what is heard, how it is judged, and the task that never stops doing both.
 
+mod ears;
 pub mod frozen;
 pub mod heard;
 pub mod history;
@@ -7,6 +8,7 @@ mod intervals;
 pub mod judge;
 pub mod measure;
 pub mod nodes;
+pub mod recall;
 pub mod rules;
 pub mod task;
 pub mod wind;

@@ -4,20 +4,16 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::Context as _;
-use bus::{Catch, Clock, Heard, Node, Subscriber, Succession};
-use contract::device::observing_conditions::Fields as Weather;
-use contract::device::safety_monitor::Fields as Monitor;
-use contract::device::switch::Fields as Switches;
+use bus::{Catch, Clock, Heard, Node, Subscriber};
 use contract::node::NodeState;
 use contract::observatory::{AlertKind, Interval, SafetyState, Verdict};
-use contract::{Device, DeviceState, Key, Kind, NodeTopic, Payload, Role};
+use contract::{Key, NodeTopic, Role};
 use sky::{EarthOrientation, Observer, Place};
-use tokio::sync::{mpsc, watch};
-use tokio::task::JoinSet;
+use tokio::sync::watch;
 use units::Angle;
 
 use super::Ruling;
+use super::ears::{self, Word};
 use super::heard::History;
 use super::history::Now;
 use super::intervals::{self, Intervals};
@@ -28,13 +24,6 @@ use crate::standing::Standing;
 /// So long after its start a node may be without a word from an input before that counts.
 const GRACE: Duration = Duration::from_secs(5);
 
-/// A state of a safety input.
-enum Word {
-    Monitor(Device, Box<DeviceState<Monitor>>, Now),
-    Weather(Device, Box<DeviceState<Weather>>, Now),
-    Switch(Device, Box<DeviceState<Switches>>, Now),
-}
-
 /// Judges until the node ends; the ruling is all that leaves this task.
 pub async fn keep_judging(
     node: Node,
@@ -43,21 +32,7 @@ pub async fn keep_judging(
     ruling: watch::Sender<Ruling>,
 ) -> anyhow::Result<()> {
     let clock = node.bus.clock().clone();
-    let (words, mut heard) = mpsc::channel(256);
-    let mut ears = JoinSet::new();
-    let mut devices: Vec<Device> = rules.monitors.iter().map(|rule| rule.device.clone()).collect();
-    devices.dedup();
-    for device in devices {
-        ears.spawn(listen(&node, device, &words, Word::Monitor).await?);
-    }
-    let mut devices: Vec<Device> = rules.limits.iter().map(|rule| rule.device.clone()).collect();
-    devices.dedup();
-    for device in devices {
-        match device.kind {
-            Kind::Switch => ears.spawn(listen(&node, device, &words, Word::Switch).await?),
-            _ => ears.spawn(listen(&node, device, &words, Word::Weather).await?),
-        };
-    }
+    let (_ears, mut heard) = ears::open(&node, &rules).await?;
     let nodes = listen_to_nodes(&node).await?;
 
     for (input, why) in &rules.disabled {
@@ -114,6 +89,12 @@ fn take_in(history: &mut History, rules: &Rules, word: Word, speed: f64) {
         Word::Monitor(device, state, at) => history.hear_monitor(rules, &device, &state, at),
         Word::Weather(device, state, at) => history.hear_weather(rules, &device, &state, speed, at),
         Word::Switch(device, state, at) => history.hear_switch(rules, &device, &state, at),
+        Word::WeatherBefore(device, told) => {
+            if let Err(why) = history.recall_weather(rules, &device, told, speed) {
+                tracing::warn!(%device, why, "the record of the time before is not taken: the dwell runs");
+            }
+        }
+        Word::SwitchBefore(device, told) => history.recall_switch(rules, &device, told),
     }
 }
 
@@ -180,34 +161,4 @@ fn publish(
         ruling.judged = clock.machine();
         ruling.settled |= settled;
     });
-}
-
-/// Subscribes to a device's state and forwards each new one, with both times of its arrival.
-async fn listen<F: Payload>(
-    node: &Node,
-    device: Device,
-    words: &mpsc::Sender<Word>,
-    word: fn(Device, Box<DeviceState<F>>, Now) -> Word,
-) -> anyhow::Result<impl Future<Output = ()> + use<F>> {
-    let key = Key::State(device.clone()).to_string();
-    let subscriber: Subscriber<DeviceState<F>> =
-        node.bus.subscribe(&key, Catch::Newest, 256).await.with_context(|| format!("cannot hear {device}"))?;
-    let (words, clock) = (words.clone(), node.bus.clock().clone());
-    Ok(async move {
-        let mut succession = Succession::default();
-        loop {
-            let heard: Heard<DeviceState<F>> = subscriber.hear().await;
-            if !succession.is_newer(&heard.said.boot_id, heard.said.seq, heard.arrived) {
-                continue;
-            }
-            // what waited in the queue is as old as it is
-            let queued = clock.machine().since(heard.arrived).mul_f64(clock.speed());
-            let start = bus::SkyTime::from_start(Duration::ZERO);
-            let sky = bus::SkyTime::from_start(clock.sky().since(start).saturating_sub(queued));
-            let at = Now { sky, machine: heard.arrived };
-            if words.send(word(device.clone(), Box::new(heard.said.body), at)).await.is_err() {
-                return;
-            }
-        }
-    })
 }

@@ -8,5 +8,6 @@ mod closes_when_sensors_fail;
 mod follows_orders;
 mod goes_on_after_a_restart;
 mod leaves_a_record;
+mod spares_the_wait;
 mod standby_takes_over;
 mod up_supervises;

@@ -6,6 +6,7 @@ pub mod dome;
 pub mod filter_wheel;
 pub mod focuser;
 pub mod observing_conditions;
+pub mod record;
 pub mod rotator;
 pub mod safety_monitor;
 pub mod switch;
@@ -91,6 +92,12 @@ impl Kind {
             Self::Switch => "Switch",
             Self::Rotator => "Rotator",
         }
+    }
+
+    /// Limits are put on what it says, so its device node keeps a record of that (a safety monitor's state tells the
+    /// length of its own).
+    pub const fn keeps_record(self) -> bool {
+        matches!(self, Self::ObservingConditions | Self::Switch)
     }
 }
 

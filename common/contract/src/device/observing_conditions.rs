@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::record::Record;
 use crate::{Datum, DeviceKind, Kind, Payload};
 
 /// The weather station, ASCOM ObservingConditions.
@@ -61,6 +62,10 @@ pub struct Fields {
 
 impl Payload for Fields {
     const NAME: &'static str = "observingconditions.state";
+}
+
+impl Payload for Record<Fields> {
+    const NAME: &'static str = "observingconditions.record";
 }
 
 impl Fields {

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::record::Record;
 use crate::{Datum, DeviceKind, Kind, Payload};
 
 /// The switches, ASCOM Switch.
@@ -48,6 +49,10 @@ pub struct Fields {
 
 impl Payload for Fields {
     const NAME: &'static str = "switch.state";
+}
+
+impl Payload for Record<Fields> {
+    const NAME: &'static str = "switch.record";
 }
 
 /// The number of the switch that a property is the value of: 3 for `GetSwitchValue3`.

@@ -1,8 +1,8 @@
 //! Every payload type with the way it travels: in the envelope, or plain in a query.
 
 use contract::device::{
-    Description, camera, cover_calibrator, dome, filter_wheel, focuser, observing_conditions, rotator, safety_monitor,
-    switch, telescope,
+    Description, camera, cover_calibrator, dome, filter_wheel, focuser, observing_conditions, record, rotator,
+    safety_monitor, switch, telescope,
 };
 use contract::{Command, DeviceKind, DeviceState, Kind, Order, Payload, Reply, Stamped};
 use contract::{archive, audit, node, observatory};
@@ -50,6 +50,9 @@ pub fn claims() -> Vec<Claim> {
         stamped::<audit::Said<audit::Record>>(),
         plain::<audit::Question>(),
         plain::<audit::Answer<audit::Record>>(),
+        plain::<record::Question>(),
+        plain::<record::Record<observing_conditions::Fields>>(),
+        plain::<record::Record<switch::Fields>>(),
         plain::<Reply>(),
         plain::<Order>(),
         plain::<archive::Question>(),

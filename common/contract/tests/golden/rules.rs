@@ -107,6 +107,9 @@ fn words() -> BTreeMap<String, BTreeMap<String, Vec<String>>> {
     put("dome.guard", "action", words_of::<dome::GuardAction>(json!("?")));
     put("covercalibrator.state", "fields.cover", words_of::<cover_calibrator::Cover>(json!("?")));
     put("covercalibrator.state", "fields.calibrator", words_of::<cover_calibrator::Calibrator>(json!("?")));
+    for record in ["observingconditions.record", "switch.record"] {
+        put(record, "entries.*.link.is", words_of::<Link>(json!({"is": "?"})));
+    }
     put("reply", "answer", words_of::<Reply>(json!({"answer": "?"})));
     put("reply", "reason", words_of::<Reason>(json!("?")));
     put("order", "do", words_of::<OrderKind>(json!("?")));

@@ -1,0 +1,216 @@
+//! The ears of the safety loop: one for each device that it rests on.
+//!
+//! Live states go on at once. Beside them an ear asks the device node, when it hears it first, for the record of the
+//! time before, so that a restarted observatory need not wait again for what is known.
+
+use std::collections::BTreeMap;
+use std::future::Future;
+use std::pin::Pin;
+use std::time::Duration;
+
+use anyhow::Context as _;
+use bus::{Bus, Catch, Clock, Heard, MachineTime, Node, Subscriber, Succession};
+use contract::device::observing_conditions::Fields as Weather;
+use contract::device::record::{Question, Record};
+use contract::device::safety_monitor::Fields as Monitor;
+use contract::device::switch::Fields as Switches;
+use contract::{Device, DeviceState, Key, Kind, Payload, Stamped};
+use tokio::sync::mpsc;
+use tokio::task::JoinSet;
+
+use super::history::Now;
+use super::recall::{Asked, Recall, Told};
+use super::rules::Rules;
+
+/// What an ear has to say.
+pub enum Word {
+    /// A state of a safety monitor.
+    Monitor(Device, Box<DeviceState<Monitor>>, Now),
+    /// A state of a weather station.
+    Weather(Device, Box<DeviceState<Weather>>, Now),
+    /// A state of a set of switches.
+    Switch(Device, Box<DeviceState<Switches>>, Now),
+    /// All that a weather station said, before this node listened and since; empty where no record was to be had.
+    WeatherBefore(Device, Vec<Told<Weather>>),
+    /// The same of a set of switches.
+    SwitchBefore(Device, Vec<Told<Switches>>),
+}
+
+/// Makes a word of all that a device said.
+type Retell<F> = fn(Device, Vec<Told<F>>) -> Word;
+
+/// How an ear speaks of the devices of a kind.
+struct Voice<F> {
+    state: fn(Device, Box<DeviceState<F>>, Now) -> Word,
+    before: Option<Retell<F>>,
+}
+
+/// A device node is asked for its record so often, after these pauses: one that was just found may not be known to
+/// answer yet, and an answer may be lost or late.
+const TRIES_MS: [u64; 3] = [0, 300, 800];
+/// An answer that takes longer is none; with the pauses before the end of the safety loop's grace.
+const TIMEOUT: Duration = Duration::from_millis(1200);
+/// No record reaches farther back, sky time.
+const LONGEST: Duration = Duration::from_secs(86_400);
+
+/// Opens an ear for each device of the rules; what they hear comes out of the channel.
+pub async fn open(node: &Node, rules: &Rules) -> anyhow::Result<(JoinSet<()>, mpsc::Receiver<Word>)> {
+    let (words, heard) = mpsc::channel(256);
+    let mut ears = JoinSet::new();
+    let mut monitors: Vec<&Device> = rules.monitors.iter().map(|rule| &rule.device).collect();
+    monitors.dedup();
+    for device in monitors {
+        let voice = Voice { state: Word::Monitor, before: None };
+        ears.spawn(listen(node, device.clone(), &words, voice, Duration::ZERO).await?);
+    }
+    for (device, back) in evidence(rules, node.bus.clock().speed()) {
+        if device.kind == Kind::Switch {
+            let voice = Voice { state: Word::Switch, before: Some(Word::SwitchBefore) };
+            ears.spawn(listen(node, device, &words, voice, back).await?);
+        } else {
+            let voice = Voice { state: Word::Weather, before: Some(Word::WeatherBefore) };
+            ears.spawn(listen(node, device, &words, voice, back).await?);
+        }
+    }
+    Ok((ears, heard))
+}
+
+/// How far back the limits on each device look, sky time: the dwell, before it the window of a measure, and a state
+/// more, by which the window began.
+fn evidence(rules: &Rules, speed: f64) -> BTreeMap<Device, Duration> {
+    let mut longest = BTreeMap::new();
+    for rule in &rules.limits {
+        let window = rule.measure.over().min(LONGEST) + rule.max_age.min(LONGEST).mul_f64(speed);
+        let looks = rule.dwell.min(LONGEST) + window;
+        let back: &mut Duration = longest.entry(rule.device.clone()).or_default();
+        *back = (*back).max(looks.min(LONGEST));
+    }
+    longest
+}
+
+/// Subscribes to a device's state and forwards each new one, with both times of its arrival.
+async fn listen<F: Payload + PartialEq>(
+    node: &Node,
+    device: Device,
+    words: &mpsc::Sender<Word>,
+    voice: Voice<F>,
+    back: Duration,
+) -> anyhow::Result<impl Future<Output = ()> + use<F>> {
+    let key = Key::State(device.clone()).to_string();
+    let subscriber: Subscriber<DeviceState<F>> =
+        node.bus.subscribe(&key, Catch::Newest, 256).await.with_context(|| format!("cannot hear {device}"))?;
+    let (words, bus) = (words.clone(), node.bus.clone());
+    Ok(async move {
+        let mut succession = Succession::default();
+        let mut before = voice.before.map(|word| (word, Before::new(bus.clone(), device.clone(), back)));
+        loop {
+            tokio::select! {
+                heard = subscriber.hear() => {
+                    let heard: Heard<DeviceState<F>> = heard;
+                    if !succession.is_newer(&heard.said.boot_id, heard.said.seq, heard.arrived) {
+                        continue;
+                    }
+                    let at = arrival(bus.clock(), heard.arrived);
+                    if let Some((_, before)) = &mut before {
+                        before.hear(&heard.said, at);
+                    }
+                    let word = (voice.state)(device.clone(), Box::new(heard.said.body), at);
+                    if words.send(word).await.is_err() {
+                        return;
+                    }
+                }
+                (word, told) = told(&mut before) => {
+                    before = None;
+                    if words.send(word(device.clone(), told)).await.is_err() {
+                        return;
+                    }
+                }
+            }
+        }
+    })
+}
+
+/// Both times of an arrival: what waited in the queue is as old as it is.
+fn arrival(clock: &Clock, arrived: MachineTime) -> Now {
+    let queued = clock.machine().since(arrived).mul_f64(clock.speed());
+    Now { sky: clock.sky().minus(queued), machine: arrived }
+}
+
+/// Waits for the record, where one is awaited.
+async fn told<F: Payload + PartialEq, W: Copy>(before: &mut Option<(W, Before<F>)>) -> (W, Vec<Told<F>>) {
+    match before {
+        Some((word, before)) => (*word, before.told().await),
+        None => std::future::pending().await,
+    }
+}
+
+type Answer<F> = Result<(Record<F>, Asked), String>;
+
+/// The time before, while a device node is asked for it.
+struct Before<F> {
+    bus: Bus,
+    device: Device,
+    back: Duration,
+    /// Of the first life that is heard; a later one knows no more than was heard live.
+    recall: Option<Recall<F>>,
+    over: bool,
+    tries: std::slice::Iter<'static, u64>,
+    asking: Option<Pin<Box<dyn Future<Output = Answer<F>> + Send>>>,
+}
+
+impl<F: Payload + PartialEq> Before<F> {
+    fn new(bus: Bus, device: Device, back: Duration) -> Self {
+        Self { bus, device, back, recall: None, over: false, tries: TRIES_MS.iter(), asking: None }
+    }
+
+    /// A live state; the first one is when the node is asked.
+    fn hear(&mut self, said: &Stamped<DeviceState<F>>, at: Now) {
+        match &mut self.recall {
+            Some(recall) => self.over |= !recall.hear(said, at),
+            None => {
+                self.recall = Some(Recall::new(said, at));
+                self.ask();
+            }
+        }
+    }
+
+    fn ask(&mut self) {
+        let Some(pause_ms) = self.tries.next() else { return };
+        let (bus, device, pause) = (self.bus.clone(), self.device.clone(), Duration::from_millis(*pause_ms));
+        let question = Question { back_s: self.back.as_secs_f64() };
+        self.asking = Some(Box::pin(async move {
+            tokio::time::sleep(pause).await;
+            let asked = bus.clock().machine();
+            let record = bus.ask(&Key::Record(device), &question, TIMEOUT).await.map_err(|error| error.to_string())?;
+            let answered = arrival(bus.clock(), bus.clock().machine());
+            Ok((record, Asked { at: asked, answered, speed: bus.clock().speed() }))
+        }));
+    }
+
+    /// Waits for all that was said up to now; empty where there is no record, or none that can be taken.
+    ///
+    /// May be dropped and called again.
+    async fn told(&mut self) -> Vec<Told<F>> {
+        loop {
+            let Some(asking) = &mut self.asking else { std::future::pending().await };
+            let answer = asking.as_mut().await;
+            self.asking = None;
+            let Some(recall) = self.recall.as_ref().filter(|_| !self.over) else {
+                tracing::info!(device = %self.device, "its node was restarted: the dwell runs");
+                return Vec::new();
+            };
+            let refused = match answer.and_then(|(record, asked)| recall.place(&record, asked)) {
+                Ok(told) => {
+                    tracing::info!(device = %self.device, states = told.len(), "its node tells of the time before");
+                    return told;
+                }
+                Err(why) => why,
+            };
+            self.ask();
+            if self.asking.is_none() {
+                tracing::warn!(device = %self.device, why = refused, "no record of the time before: the dwell runs");
+                return Vec::new();
+            }
+        }
+    }
+}
