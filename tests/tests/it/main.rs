@@ -9,4 +9,5 @@ mod follows_orders;
 mod goes_on_after_a_restart;
 mod leaves_a_record;
 mod standby_takes_over;
+mod turns_the_dome;
 mod up_supervises;
