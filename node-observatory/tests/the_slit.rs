@@ -48,7 +48,9 @@ fn exposures(site: &Site) -> Vec<Instant> {
 }
 
 fn alert_stands(site: &Site, id: &str) -> bool {
-    site.alerts.get().is_some_and(|heard| heard.said.body.alerts.iter().any(|alert| alert.id == id))
+    site.alerts
+        .get()
+        .is_some_and(|heard| heard.said.body.alerts.iter().any(|alert| alert.id == id && alert.returned_utc.is_none()))
 }
 
 /// From a dome that stands in the north: some 100 deg to each target.

@@ -1,6 +1,7 @@
 //! A dome or roof: opening it with the guard's consent, and knowing whether it is closed.
 
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use bus::Latest;
@@ -31,6 +32,7 @@ pub struct Dome {
     /// Its slit.
     pub slit: config::Slit,
     turning_fails: AtomicBool,
+    stands_deg: Mutex<Option<f64>>,
 }
 
 /// A guard that was not heard for so long is not there.
@@ -52,7 +54,24 @@ impl Dome {
             follow: own.filter(|own| own.telescopes.len() < 2).map_or(Follow::Off, |own| own.follow),
             slit: own.map(|own| own.slit).unwrap_or_default(),
             turning_fails: AtomicBool::new(false),
+            stands_deg: Mutex::new(None),
         })
+    }
+
+    /// Azimuth of the slit, degrees; of a dome that says nothing of it right now, where it stood at rest before.
+    pub fn azimuth_deg(&self) -> Option<f64> {
+        let fields = self.instrument.newest()?.said.body.fields;
+        let mut stands = self.stands_deg.lock().unwrap_or_else(PoisonError::into_inner);
+        let said = fields.azimuth_deg.known().copied().filter(|deg| deg.is_finite());
+        if let Some(deg) = said {
+            *stands = (fields.slewing.known() != Some(&true)).then_some(deg);
+        }
+        said.or(*stands)
+    }
+
+    /// Forgets where it stood: it is about to turn.
+    pub fn forget_azimuth(&self) {
+        *self.stands_deg.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }
 
     /// Did its last turn fail?

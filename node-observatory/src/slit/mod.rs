@@ -118,6 +118,9 @@ pub async fn wait_until_clear(stage: &Stage, exposure_s: f64) -> Result<(), Trou
                 () = tokio::time::sleep(Duration::from_millis(250)) => {}
             }
         }
+        if told {
+            note(room, dome, &Ok(()));
+        }
     }
     Ok(())
 }

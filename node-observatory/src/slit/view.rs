@@ -79,13 +79,13 @@ impl<'a> View<'a> {
         Some(way(self.dome.follow, &self.dome.instrument.can()?, slaved))
     }
 
-    /// What the dome said last. It stands where it stood, also when nothing is heard of it for a while.
+    /// What the dome said last, however old: it stands where it stood.
     fn fields(&self) -> Option<Fields> {
         self.dome.instrument.newest().map(|heard| heard.said.body.fields)
     }
 
     fn azimuth(&self) -> Option<Angle> {
-        self.fields()?.azimuth_deg.known().copied().filter(|deg| deg.is_finite()).map(Angle::from_degrees)
+        self.dome.azimuth_deg().map(Angle::from_degrees)
     }
 
     /// Where the telescope looks, or is about to: a slew counts as its end from its first moment on. None while it
@@ -182,6 +182,7 @@ impl<'a> View<'a> {
             dome.obey(Command::Slave { on: false }, SLAVING).await?;
         }
         tracing::info!(dome = %dome.device.name, azimuth_deg, "turning the slit");
+        self.dome.forget_azimuth();
         let state = dome.obey(Command::SlewToAzimuth { azimuth_deg }, seconds(self.dome.slit.timeout_s)).await?;
         let off_deg = |stands: &f64| Angle::from_degrees(stands - azimuth_deg).wrapped_signed().abs().degrees();
         match state.fields.azimuth_deg.known() {
@@ -225,7 +226,8 @@ fn better(slit: &Slit, aim: &Aim, azimuth: Angle, error: Angle, speed: f64) -> O
     };
     let Some(clear_s) = clear_s else { return Some(to) };
     let lead_s = least_s + S_PER_DEG * (to - azimuth).wrapped_signed().abs().degrees();
-    (clear_s < lead_s && lasts_s >= clear_s + GAIN_S).then_some(to)
+    // a sky so fast that it outruns any lead is not turned after at every look
+    (clear_s < lead_s.min(lasts_s / 3.0) && lasts_s >= clear_s + GAIN_S).then_some(to)
 }
 
 /// What the configuration knows of a dome and a mount in it.
