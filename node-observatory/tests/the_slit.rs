@@ -1,5 +1,7 @@
 //! The dome's slit on a real bus, with a dome of make-believe that turns as fast as it is told.
 
+#![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
+
 #[allow(dead_code, reason = "shared with the other stories of the site")]
 mod site;
 

@@ -1,5 +1,7 @@
 //! The dome's slit stands where the telescope looks: judged by the light that reaches the camera in the simulated world.
 
+#![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
+
 use serde_json::json;
 use simulator::SlitOptions;
 use sky::{EarthOrientation, Horizontal, Observer, Place};
