@@ -8,10 +8,10 @@ use bus::Node;
 use config::FaultPolicy;
 use contract::audit::Outcome;
 use contract::observatory::{Alerts, Sector};
-use contract::{CommandId, Key, Part};
-use sky::{EarthOrientation, Observer, Place};
+use contract::{CommandId, Key, Name, Part};
+use sky::{EarthOrientation, Icrs, Observer, Place, SkyError};
 use tokio::sync::{Notify, watch};
-use units::Angle;
+use units::{Angle, Utc};
 
 use crate::action::AnyAction;
 use crate::annunciator::Annunciator;
@@ -42,6 +42,8 @@ pub struct ControlRoom {
     pub robotic: watch::Sender<bool>,
     /// Why everything should be closed although the sky is safe; `None` once it is verified closed.
     pub wish_closed: watch::Sender<Option<String>>,
+    /// Where a row is about to point a mount, or points it.
+    pub aim: watch::Sender<Option<(Name, Icrs)>>,
     /// Counts orders to read the schedule again.
     pub reload: watch::Sender<u64>,
     /// What was begun and finished, on disk.
@@ -147,14 +149,24 @@ impl ControlRoom {
         if sectors.is_empty() {
             return None;
         }
-        let place = &self.node.config.place;
-        let (latitude, longitude) = (Angle::from_degrees(place.latitude_deg), Angle::from_degrees(place.longitude_deg));
-        let place = Place::new(latitude, longitude, place.elevation_m).ok()?;
-        let sky = Observer::new(&place, &EarthOrientation::default(), self.node.bus.clock().utc()).ok()?;
+        let sky = self.observer(self.node.bus.clock().utc()).ok()?;
         let azimuth_deg = action.azimuth_deg(&sky)?;
         let sector = sectors.iter().find(|sector| sector.contains(azimuth_deg))?;
         let (why, half_width_deg) = (&sector.why, sector.half_width_deg);
         Some(format!("{why}; azimuth {azimuth_deg:.0} deg is within {half_width_deg:.0} deg of it"))
+    }
+
+    /// The sky over this site at an instant.
+    pub fn observer(&self, at: Utc) -> Result<Observer, SkyError> {
+        let config = &self.node.config.place;
+        let (latitude, longitude) = (config.latitude_deg, config.longitude_deg);
+        let place = Place::new(Angle::from_degrees(latitude), Angle::from_degrees(longitude), config.elevation_m)?;
+        let orientation = EarthOrientation {
+            dut1_s: config.dut1_s,
+            polar_x_arcsec: config.polar_x_arcsec,
+            polar_y_arcsec: config.polar_y_arcsec,
+        };
+        Observer::new(&place, &orientation, at)
     }
 
     /// Waits until something stands against a row's action.

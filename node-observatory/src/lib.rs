@@ -23,6 +23,7 @@ pub mod rig;
 pub mod runner;
 pub mod safety;
 pub mod schedule;
+mod slit;
 pub mod standing;
 mod start;
 mod takeover;
@@ -54,6 +55,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     run("orders", Box::pin(order::keep_answering(room.clone())));
     run("schedule", Box::pin(schedule::keep_reading(node.clone(), loaded, room.reload.subscribe())));
     run("runner", Box::pin(runner::keep_observing(room.clone(), schedule)));
+    run("dome slits", Box::pin(slit::keep_following(room.clone())));
     run("frames", Box::pin(ledger::keep_counting_frames(room.clone())));
     run("files", Box::pin(ledger::keep_counting_files(room.clone())));
     run("neighbours", Box::pin(neighbours.keep_hearing(node.clone())));

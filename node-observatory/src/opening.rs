@@ -1,12 +1,13 @@
-//! Opening: the roof first, then cover and mount, each only while the sky stays safe.
+//! Opening: the slit to where the telescope looks, the roof, then cover and mount, each only while the sky stays safe.
 
 use crate::control_room::ControlRoom;
 use crate::rig::Chain;
+use crate::slit;
 use crate::trouble::Trouble;
 
 /// Opens every enclosure, then the covers, and takes the mount of a chain out of its park position.
 ///
-/// The runner drops this as soon as the sky is not safe. The roof goes first: a roll-off roof may hit a mount that
+/// A dome turns before it opens: many cannot do both at once. The runner drops this as soon as the sky is not safe. The roof goes first: a roll-off roof may hit a mount that
 /// has left its park position.
 pub async fn open(room: &ControlRoom, chain: &Chain<'_>) -> Result<(), Trouble> {
     if !room.is_safe() {
@@ -15,6 +16,7 @@ pub async fn open(room: &ControlRoom, chain: &Chain<'_>) -> Result<(), Trouble> 
     // whatever was to be closed gives way to what is observed now
     room.wish_closed.send_if_modified(|wish| wish.take().is_some());
     for dome in &room.rig.domes {
+        slit::turn_before_opening(room, dome).await?;
         dome.open().await?;
     }
     for cover in &room.rig.covers {

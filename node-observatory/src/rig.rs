@@ -114,6 +114,17 @@ impl Rig {
         })
     }
 
+    /// The mount that looks out of a dome: of a camera that is paired with both, else the only one.
+    pub fn mount_under(&self, dome: &Dome) -> Option<&Mount> {
+        let name = &dome.instrument.device.name;
+        let camera = self.cameras.iter().find(|camera| camera.config.dome.as_ref() == Some(name));
+        let paired = camera.and_then(|camera| camera.config.telescope.as_ref());
+        match self.mounts.as_slice() {
+            [only] => Some(only),
+            several => find(several, |mount| &mount.instrument.device, Some(paired?)),
+        }
+    }
+
     fn watch_what_must_close(&mut self) {
         let (stir, stirred) = watch::channel(0);
         let stir = std::sync::Arc::new(stir);

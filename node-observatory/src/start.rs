@@ -69,6 +69,7 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
         doubt,
         robotic: watch::channel(robotic).0,
         wish_closed: watch::channel(None).0,
+        aim: watch::channel(None).0,
         reload: watch::channel(0).0,
         journal,
         rules: Arc::new(Rules::of(config)),

@@ -133,6 +133,11 @@ impl Camera {
         self.exposure.as_ref().map(|exposure| exposure.ends)
     }
 
+    /// Light falls on the sensor.
+    pub fn exposes_light(&self) -> bool {
+        self.exposure.as_ref().is_some_and(|exposure| exposure.light)
+    }
+
     /// The plan of a frame that waits to be drawn; given once.
     pub fn take_plan(&mut self) -> Option<Plan> {
         self.plan.take()

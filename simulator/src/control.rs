@@ -8,6 +8,7 @@
 //! | `PUT /simulator/v1/world/weather` `{"WindSpeed": 22, "Humidity": null}` | orders values; null: as nature has it |
 //! | `PUT /simulator/v1/world/safety` `{"unsafe": true}` | the safety monitor says unsafe |
 //! | `PUT /simulator/v1/world/shutter` `{"sticks_half_open": true}` | |
+//! | `PUT /simulator/v1/world/dome` `{"turn_deg_per_s": 0}` | how fast it turns; 0: it hangs; null: as at the start |
 //! | `PUT /simulator/v1/world/park` `{"lies": true}` | `AtPark` is true whatever is the case |
 //! | `PUT /simulator/v1/world/flip` `{"ignored": true}` | slews leave the tube on its side of the pier |
 //! | `PUT /simulator/v1/world/ups` `{"on_mains": false}` | |
@@ -59,6 +60,13 @@ fn obey(world: &World, thing: &str, order: &Value) -> Result<(), String> {
         "park" => world.lie_about_park(truth("lies")?),
         "flip" => world.ignore_flips(truth("ignored")?),
         "ups" => world.set_on_mains(truth("on_mains")?),
+        "dome" => {
+            let speed = &order["turn_deg_per_s"];
+            if !(speed.is_null() || speed.as_f64().is_some_and(|speed| (0.0..=360.0).contains(&speed))) {
+                return Err("expected {\"turn_deg_per_s\": 0 to 360, or null}".to_owned());
+            }
+            world.set_turn_speed(speed.as_f64());
+        }
         "watchdog" => world.set_watchdog(order["limit_s"].as_f64()),
         "connection" => {
             let kind = order["lose"].as_str().and_then(Kind::from_path).ok_or("expected {\"lose\": \"camera\"}")?;

@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use serde_json::{Value, json};
+use units::Angle;
 
 use crate::answer::{Answer, DONE, Refusal, within};
 use crate::options::DomeOptions;
@@ -52,6 +53,11 @@ pub struct Dome {
     /// How often the watchdog has closed the dome.
     pub watchdog_closings: u32,
     heard: Instant,
+    turns: u32,
+    turned_deg: f64,
+    exposed_s: f64,
+    vignetted_s: f64,
+    options: DomeOptions,
 }
 
 impl Dome {
@@ -68,7 +74,47 @@ impl Dome {
             watchdog_s: options.watchdog_s,
             watchdog_closings: 0,
             heard: Instant::now(),
+            turns: 0,
+            turned_deg: 0.0,
+            exposed_s: 0.0,
+            vignetted_s: 0.0,
+            options: *options,
         }
+    }
+
+    /// Where the slit stands.
+    pub fn azimuth(&self) -> Angle {
+        Angle::from_degrees(self.azimuth.at()).wrapped_positive()
+    }
+
+    /// Turns at this speed from now on, deg per sky second; as at the start where None, not at all at 0.
+    pub fn set_turn_speed(&mut self, deg_per_s: Option<f64>) {
+        self.azimuth.set_speed(deg_per_s.unwrap_or(self.options.turn_deg_per_s));
+    }
+
+    /// Counts sky time in which the open dome let light fall on a camera that exposes, and how much of it came through
+    /// an aperture that the slit did not leave free.
+    pub fn count_light(&mut self, dt: f64, free: f64) {
+        if self.open() > 0.0 {
+            self.exposed_s += dt;
+            self.vignetted_s += if free < 1.0 { dt } else { 0.0 };
+        }
+    }
+
+    /// What the truth is; `free` of the aperture is not hidden by the slit.
+    pub fn told(&self, free: f64) -> Value {
+        json!({
+            "open": self.open(),
+            "sticks_half_open": self.sticks_half_open,
+            "watchdog_s": self.watchdog_s,
+            "watchdog_closings": self.watchdog_closings,
+            "azimuth_deg": self.azimuth().degrees(),
+            "slit_free": free,
+            "turns": self.turns,
+            "turned_deg": self.turned_deg,
+            "exposed_s": self.exposed_s,
+            "vignetted_s": self.vignetted_s,
+        })
     }
 
     /// Fraction of the slit that is open.
@@ -81,7 +127,9 @@ impl Dome {
         if self.slaved {
             self.azimuth.send_round(telescope_azimuth_deg);
         }
+        let before_deg = self.azimuth.at();
         self.azimuth.advance(dt);
+        self.turned_deg += (self.azimuth.at() - before_deg).abs();
         if self.parking && !self.azimuth.is_moving() {
             (self.parking, self.parked) = (false, true);
         }
@@ -127,8 +175,10 @@ impl Dome {
             "athome" => json!(!self.azimuth.is_moving() && (azimuth - HOME_DEG).abs() < 0.1),
             "atpark" => json!(self.parked),
             "azimuth" => json!(azimuth),
-            "canfindhome" | "canpark" | "cansetazimuth" | "cansetpark" | "cansetshutter" | "canslave"
-            | "cansyncazimuth" => json!(true),
+            "cansetshutter" => json!(true),
+            "canfindhome" | "canpark" | "cansetazimuth" | "cansetpark" | "canslave" | "cansyncazimuth" => {
+                json!(self.options.slit.is_some())
+            }
             "cansetaltitude" => json!(false),
             "shutterstatus" => json!(self.shutter_status()),
             "slaved" => json!(self.slaved),
@@ -159,6 +209,9 @@ impl Dome {
             }
             "setpark" => self.park_deg = self.azimuth.at().rem_euclid(360.0),
             "slaved" => {
+                if self.options.slit.is_none() {
+                    return Err(Refusal::not_implemented("Slaved"));
+                }
                 self.slaved = request.truth("Slaved")?;
                 self.parked &= !self.slaved;
             }
@@ -188,7 +241,11 @@ impl Dome {
     }
 
     fn turn(&mut self, azimuth_deg: f64) -> Result<(), Refusal> {
+        if self.options.slit.is_none() {
+            return Err(Refusal::not_implemented("turning"));
+        }
         self.refuse_slaved()?;
+        self.turns += 1;
         self.azimuth.send_round(azimuth_deg);
         (self.parking, self.parked) = (false, false);
         Ok(())

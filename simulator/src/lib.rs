@@ -54,7 +54,7 @@ mod rotator;
 mod safety_monitor;
 pub mod scene;
 mod server;
-
+mod slit;
 mod switch;
 mod telescope;
 mod travel;
@@ -66,7 +66,7 @@ pub use faults::Fault;
 pub use frame::Frame;
 pub use kind::Kind;
 pub use log::Entry;
-pub use options::{CameraOptions, DomeOptions, Filter, FocusOptions, MountOptions, Options};
+pub use options::{CameraOptions, DomeOptions, Filter, FocusOptions, MountOptions, Options, SlitOptions};
 pub use server::{Simulator, SimulatorError, run};
 pub use weather::{Conditions, Quantity};
 pub use world::World;

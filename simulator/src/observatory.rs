@@ -18,6 +18,7 @@ use crate::request::Request;
 use crate::rotator::{self, Rotator};
 use crate::safety_monitor::{self, SafetyMonitor};
 use crate::scene::{Light, Pointing, Scene};
+use crate::slit;
 use crate::switch::{self, Switch};
 use crate::telescope::{self, Telescope};
 use crate::weather::{Conditions, Quantity, Weather, clear_sky_mag};
@@ -125,6 +126,9 @@ impl Observatory {
         let pointing = self.pointing();
         self.dome.advance(dt, pointing.horizontal.azimuth.degrees());
         let scene = self.scene();
+        if self.camera.exposes_light() {
+            self.dome.count_light(dt, scene.light.slit_free);
+        }
         self.camera.advance(dt, &scene);
     }
 
@@ -139,6 +143,7 @@ impl Observatory {
         let pointing = self.pointing();
         let (filter, transmission) = self.filter_wheel.filter();
         let temperature_c = self.conditions.of(Quantity::Temperature);
+        let slit_free = slit::free(&self.options, &pointing, self.dome.azimuth());
         let turned = self.rotator.mechanical_deg() + if pointing.pier_west { 180.0 } else { 0.0 };
         Scene {
             now: self.now,
@@ -146,7 +151,8 @@ impl Observatory {
             of_date: self.options.mount.of_date,
             weather: self.conditions,
             light: Light {
-                open: self.dome.open() * self.cover_calibrator.open(),
+                open: self.dome.open() * slit_free * self.cover_calibrator.open(),
+                slit_free,
                 panel_e_per_s: self.cover_calibrator.panel_e_per_s(),
                 transmission,
                 defocus_steps: self.focuser.defocus_steps(temperature_c, f64::from(filter.focus_offset)),

@@ -58,6 +58,8 @@ pub struct MountOptions {
     pub drift_arcsec_per_min: (f64, f64),
     /// A German mount, which turns the camera by 180 deg between the sides of its pier.
     pub german: bool,
+    /// From the polar axis of a German mount to its optical axis, m.
+    pub arm_m: f64,
     /// Speaks coordinates of date (`EquatorialSystem` 1) instead of J2000 (2).
     pub of_date: bool,
 }
@@ -106,6 +108,21 @@ pub struct DomeOptions {
     pub turn_deg_per_s: f64,
     /// Closes by itself when it gets no command for this long while open, machine seconds; None: no such watchdog.
     pub watchdog_s: Option<f64>,
+    /// Its slit; None: a roof, which hides nothing once it is open, and does not turn.
+    pub slit: Option<SlitOptions>,
+}
+
+/// The slit of a dome, and where the mount stands in it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SlitOptions {
+    /// Of the dome's sphere, m.
+    pub radius_m: f64,
+    /// Of the slit, m.
+    pub width_m: f64,
+    /// How far it reaches behind the zenith along the ground, m.
+    pub past_zenith_m: f64,
+    /// Where the mount's axes meet, from the middle of the sphere: east, north, up, m.
+    pub axes_m: [f64; 3],
 }
 
 /// The focuser, and where the focus is.
@@ -180,6 +197,7 @@ impl Default for MountOptions {
             worm_period_s: 480.0,
             drift_arcsec_per_min: (0.3, -0.2),
             german: true,
+            arm_m: 0.0,
             of_date: false,
         }
     }
@@ -229,7 +247,14 @@ impl CameraOptions {
 
 impl Default for DomeOptions {
     fn default() -> Self {
-        Self { shutter_s: 30.0, turn_deg_per_s: 5.0, watchdog_s: None }
+        Self { shutter_s: 30.0, turn_deg_per_s: 5.0, watchdog_s: None, slit: Some(SlitOptions::default()) }
+    }
+}
+
+impl Default for SlitOptions {
+    /// Wide enough for a telescope in the middle whose dome follows its azimuth within 7 deg.
+    fn default() -> Self {
+        Self { radius_m: 2.5, width_m: 1.0, past_zenith_m: 0.5, axes_m: [0.0; 3] }
     }
 }
 

@@ -39,6 +39,8 @@ pub struct Pointing {
 pub struct Light {
     /// Fraction of the aperture that dome and cover leave free.
     pub open: f64,
+    /// Of that, the fraction that the dome's slit leaves free when its shutter is open.
+    pub slit_free: f64,
     /// What the flat panel sends into the closed cover, electrons per second and pixel, before the filter.
     pub panel_e_per_s: f64,
     /// Fraction that the filter lets through.

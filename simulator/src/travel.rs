@@ -31,6 +31,11 @@ impl Travel {
         self.at != self.target
     }
 
+    /// Moves at `per_s` units per sky second from now on; at 0 it hangs.
+    pub fn set_speed(&mut self, per_s: f64) {
+        self.per_s = per_s;
+    }
+
     /// Sends it somewhere.
     pub fn send(&mut self, target: f64) {
         self.target = target;

@@ -198,6 +198,11 @@ impl World {
         self.lock().observatory.dome.sticks_half_open = sticks;
     }
 
+    /// Turns the dome at this speed from now on, deg per sky second: at 0 it hangs; None: as at the start.
+    pub fn set_turn_speed(&self, deg_per_s: Option<f64>) {
+        self.lock().observatory.dome.set_turn_speed(deg_per_s);
+    }
+
     /// Makes the mount say that it is parked, and believe it, or tell the truth again.
     pub fn lie_about_park(&self, lies: bool) {
         self.lock().observatory.telescope.lies_about_park = lies;
@@ -272,6 +277,7 @@ impl World {
         inner.observatory.weather.clear();
         inner.observatory.safety_monitor.ordered_unsafe = false;
         inner.observatory.dome.sticks_half_open = false;
+        inner.observatory.dome.set_turn_speed(None);
         inner.observatory.telescope.lies_about_park = false;
         inner.observatory.telescope.mount.ignores_flip = false;
         inner.observatory.switch.set_on_mains(true);
@@ -315,12 +321,7 @@ impl World {
                 "defocus_steps": scene.light.defocus_steps,
                 "aperture_open": scene.light.open,
             },
-            "dome": {
-                "open": observatory.dome.open(),
-                "sticks_half_open": observatory.dome.sticks_half_open,
-                "watchdog_s": observatory.dome.watchdog_s,
-                "watchdog_closings": observatory.dome.watchdog_closings,
-            },
+            "dome": observatory.dome.told(scene.light.slit_free),
             "ups": observatory.switch.told(),
         })
     }

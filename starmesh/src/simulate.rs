@@ -30,6 +30,12 @@ pub struct Options {
     /// Time the dome's shutter takes from end to end, sky seconds.
     #[arg(long)]
     shutter_s: Option<f64>,
+    /// Turning speed of the dome, degrees per sky second.
+    #[arg(long)]
+    turn_deg_per_s: Option<f64>,
+    /// A roof instead of a dome: nothing turns, and there is no slit.
+    #[arg(long)]
+    roof: bool,
     /// Speed of each axis of the mount, degrees per sky second.
     #[arg(long)]
     slew_deg_per_s: Option<f64>,
@@ -41,7 +47,11 @@ pub struct Options {
 /// Serves until Ctrl-C.
 pub async fn run(options: Options) -> anyhow::Result<()> {
     anyhow::ensure!(options.speed > 0.0 && options.speed <= 5000.0, "--speed {}: expected 0 to 5000", options.speed);
-    for (name, value) in [("--shutter-s", options.shutter_s), ("--slew-deg-per-s", options.slew_deg_per_s)] {
+    for (name, value) in [
+        ("--shutter-s", options.shutter_s),
+        ("--turn-deg-per-s", options.turn_deg_per_s),
+        ("--slew-deg-per-s", options.slew_deg_per_s),
+    ] {
         anyhow::ensure!(value.is_none_or(|v| v > 0.0 && v.is_finite()), "{name}: expected a number greater than 0");
     }
     let mut chosen = simulator::Options { bind: options.bind, speed: options.speed, ..Default::default() };
@@ -50,6 +60,10 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     chosen.latitude = options.latitude_deg.map_or(chosen.latitude, Angle::from_degrees);
     chosen.longitude = options.longitude_deg.map_or(chosen.longitude, Angle::from_degrees);
     chosen.dome.shutter_s = options.shutter_s.unwrap_or(chosen.dome.shutter_s);
+    chosen.dome.turn_deg_per_s = options.turn_deg_per_s.unwrap_or(chosen.dome.turn_deg_per_s);
+    if options.roof {
+        chosen.dome.slit = None;
+    }
     chosen.mount.slew_deg_per_s = options.slew_deg_per_s.unwrap_or(chosen.mount.slew_deg_per_s);
     if let Some(size) = options.size_px {
         (chosen.camera.width, chosen.camera.height) = (size, size);

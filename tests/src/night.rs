@@ -45,16 +45,13 @@ pub(crate) fn jsonl(rows: &[(&'static str, Value)], start: Utc, length_s: f64) -
     lines.collect()
 }
 
-/// The configuration of all ten simulated devices.
+/// The configuration of all ten simulated devices, with more of the mount's, the dome's and the weather station's block.
 pub(crate) fn configuration(
     address: &Address,
     simulator: std::net::SocketAddr,
     options: &simulator::Options,
-    (permit_valid_s, weather_dwell_min): (f64, f64),
+    [mount, dome, weather]: [&str; 3],
 ) -> String {
-    let permit =
-        format!("permit_valid_s = {permit_valid_s:?}\nwatchdog_s = 60.0\nwatchdog_action = \"feedwatchdog\"\n");
-    let limit = format!("limit = [{{ parameter = \"Humidity\", upper = 99.5, dwell_min = {weather_dwell_min:?} }}]\n");
     let mut text = format!(
         "[observatory]\nsite = \"{}\"\ntelescope = \"{}\"\nlatitude_deg = {}\nlongitude_deg = {}\nelevation_m = {}\n\
          [bus]\nmulticast = false\n[clock]\nsimulator = \"http://{simulator}\"\n[schedule]\nrobotic = true\n\
@@ -66,13 +63,13 @@ pub(crate) fn configuration(
         options.elevation_m,
     );
     let blocks = [
-        ("telescope", "mount", ""),
+        ("telescope", "mount", mount),
         ("camera", "camera", "temperature_c = -10.0\ntemperature_tolerance_c = 2.0\n"),
         ("filterwheel", "wheel", ""),
         ("focuser", "focuser", ""),
-        ("dome", "dome", permit.as_str()),
+        ("dome", "dome", dome),
         ("safetymonitor", "monitor", "dwell_min = 0.5\n"),
-        ("observingconditions", "weather", limit.as_str()),
+        ("observingconditions", "weather", weather),
         ("covercalibrator", "cover", ""),
         ("switch", "power", ""),
         ("rotator", "rotator", ""),

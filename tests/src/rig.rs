@@ -35,6 +35,10 @@ pub struct RigOptions {
     pub permit_valid_s: f64,
     /// The sky must have been good for so long by the weather station's limit, sky minutes.
     pub weather_dwell_min: f64,
+    /// More of the mount's block.
+    pub mount_block: &'static str,
+    /// More of the dome's block.
+    pub dome_block: &'static str,
     /// More of the configuration, after the devices.
     pub more: String,
 }
@@ -51,7 +55,15 @@ impl Default for RigOptions {
         world.dome.watchdog_s = Some(60.0);
         world.camera.pixel_um *= 8.0;
         (world.camera.width, world.camera.height) = (256, 256);
-        Self { world, window_s: 3600.0, permit_valid_s: 5.0, weather_dwell_min: 0.5, more: String::new() }
+        Self {
+            world,
+            window_s: 3600.0,
+            permit_valid_s: 5.0,
+            weather_dwell_min: 0.5,
+            mount_block: "",
+            dome_block: "",
+            more: String::new(),
+        }
     }
 }
 
@@ -90,8 +102,12 @@ impl Rig {
         let simulator = Simulator::start(world.clone()).await?;
         let address = Address::new(SITE, TELESCOPE)?;
         let folder = tempfile::tempdir()?;
-        let text =
-            configuration(&address, simulator.address(), &world, (options.permit_valid_s, options.weather_dwell_min));
+        let permit_valid_s = options.permit_valid_s;
+        let watchdog = "watchdog_s = 60.0\nwatchdog_action = \"feedwatchdog\"\n";
+        let dome = format!("permit_valid_s = {permit_valid_s:?}\n{watchdog}{}", options.dome_block);
+        let dwell_min = options.weather_dwell_min;
+        let weather = format!("limit = [{{ parameter = \"Humidity\", upper = 99.5, dwell_min = {dwell_min:?} }}]\n");
+        let text = configuration(&address, simulator.address(), &world, [options.mount_block, &dome, &weather]);
         std::fs::write(folder.path().join("observatory.toml"), text + &options.more)?;
         let start = simulator.world().now();
         std::fs::write(folder.path().join("schedule.jsonl"), jsonl(&rows(&world), start, options.window_s))?;

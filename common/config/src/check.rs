@@ -144,7 +144,18 @@ fn numbers(observatory: &Observatory, faults: &mut Faults<'_>) {
         let name = &dome.common.name;
         faults.add(name.as_str(), format!("dome \"{name}\": watchdog_action needs watchdog_s, its time limit"));
     }
+    let shared = observatory.place.telescope.as_str() == Address::SHARED;
+    for dome in &observatory.dome {
+        for fault in crate::slit::faults(dome, &observatory.telescope, shared) {
+            let name = &dome.common.name;
+            faults.add(name.as_str(), format!("dome \"{name}\": {fault}"));
+        }
+    }
     for mount in &observatory.telescope {
+        for fault in crate::slit::mount_faults(mount) {
+            let name = &mount.common.name;
+            faults.add(name.as_str(), format!("telescope \"{name}\": {fault}"));
+        }
         let (name, limits) = (&mount.common.name, &mount.limits);
         for (key, value, low, high) in [
             ("altitude_min_deg", Some(limits.altitude_min_deg), -90.0, 90.0),

@@ -5,6 +5,8 @@
 use contract::{Chunk, Kind, Name};
 use serde::{Deserialize, Deserializer};
 
+use crate::slit::{Follow, Slit};
+
 /// What every device block has.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Common {
@@ -214,6 +216,10 @@ devices! {
         settle_s: f64 = 1.0,
         /// Where tracking is stopped.
         limits: MountLimits = MountLimits::default(),
+        /// Diameter of the widest telescope on it, m; for a dome whose `slit` has a width.
+        aperture_m: Option<f64> = None,
+        /// From the polar axis to the optical axis, m: of a German mount; 0 for forks.
+        arm_m: f64 = 0.0,
     }
 
     /// A camera, with the devices that belong to it.
@@ -277,6 +283,10 @@ devices! {
         watchdog_parameters: String = String::new(),
         /// Telescopes under it; for a dome of the file `shared` at least one, else this one alone.
         telescopes: Vec<Chunk> = Vec::new(),
+        /// Who turns it.
+        follow: Follow = Follow::Auto,
+        /// Its slit.
+        slit: Slit = Slit::default(),
     }
 
     /// A safety monitor.

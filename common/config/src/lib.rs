@@ -10,6 +10,7 @@ mod device;
 mod faults;
 pub mod header;
 mod observatory;
+mod slit;
 
 pub use alerts::{Alerting, Email, Ping, Security, Smtp, Webhook};
 pub use check::{ConfigError, parse};
@@ -21,3 +22,4 @@ pub use faults::{FaultPolicy, Faults};
 pub use observatory::{
     Archive, Bus, ClockSource, Folders, Observatory, Place, Safety, Schedule, Shared, Spool, Web, WindSector,
 };
+pub use slit::{Follow, Slit};

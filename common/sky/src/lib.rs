@@ -24,6 +24,7 @@
 //! endorsed by SOFA.
 
 mod airmass;
+mod arc;
 mod body;
 mod error;
 mod frame;
@@ -31,12 +32,14 @@ mod light_time;
 mod night_date;
 mod observer;
 mod place;
+pub mod slit;
 mod sun_crossing;
 mod tangent;
 mod time_scale;
 mod visibility;
 
 pub use airmass::airmass;
+pub use arc::Arc;
 pub use error::SkyError;
 pub use frame::{Horizontal, Icrs, OfDate, position_angle, separation};
 pub use light_time::{barycentric_jd_tdb, heliocentric_jd_utc};

@@ -97,12 +97,23 @@ impl Driver for Dome {
         matches!(command, Command::CloseShutter | Command::Abort | Command::Park)
     }
 
-    fn refuse(&self, _: &CommandId, command: &Command, can: &Capabilities, _: &Fields) -> Option<(Reason, String)> {
+    fn refuse(
+        &self,
+        _: &CommandId,
+        command: &Command,
+        can: &Capabilities,
+        fields: &Fields,
+    ) -> Option<(Reason, String)> {
+        let shutter_moves = matches!(fields.shutter.known(), Some(Shutter::Opening | Shutter::Closing));
         let not = |what: &str| Some((Reason::NotImplemented, format!("this dome cannot {what}")));
         match command {
             Command::OpenShutter if !can.set_shutter => not("open its shutter"),
             Command::Park if !can.park => not("park"),
             Command::SlewToAzimuth { .. } if !can.set_azimuth => not("turn"),
+            // many domes cannot do both at once, and a shutter that closes must not be hindered
+            Command::SlewToAzimuth { .. } if shutter_moves => {
+                Some((Reason::WrongState, "the shutter moves; turn when it rests".to_owned()))
+            }
             Command::SlewToAzimuth { azimuth_deg } => within("azimuth_deg", *azimuth_deg, 0.0, 360.0),
             Command::Slave { .. } if !can.slave => not("follow the mount"),
             // closing is tried whatever the dome says of itself
@@ -132,7 +143,15 @@ impl Driver for Dome {
                 alpaca.put("openshutter", &[]).await?;
             }
             Command::CloseShutter if fields.shutter.known() == Some(&Shutter::Closing) => {}
-            Command::CloseShutter => alpaca.put("closeshutter", &[]).await?,
+            Command::CloseShutter => match alpaca.put("closeshutter", &[]).await {
+                // there are domes that move no shutter while they turn
+                Err(error) if !error.is_unknown_outcome() && fields.slewing.known() == Some(&true) => {
+                    // if it cannot be stopped, the closing itself decides
+                    let _ = alpaca.put("abortslew", &[]).await;
+                    alpaca.put("closeshutter", &[]).await?
+                }
+                closed => closed?,
+            },
             Command::Abort => alpaca.put("abortslew", &[]).await?,
             Command::Park => alpaca.put("park", &[]).await?,
             Command::SlewToAzimuth { azimuth_deg } => {

@@ -247,6 +247,35 @@ async fn a_close_command_waits_for_no_hung_poll_and_needs_no_token() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_dome_that_moves_no_shutter_while_it_turns_is_stopped_and_closed_and_not_turned_meanwhile() {
+    let hardware = a_dome().await;
+    for (member, answer) in [("cansetazimuth", json!(true)), ("azimuth", json!(10.0))] {
+        hardware.say(member, Says::Value(answer));
+    }
+    hardware.on("slewtoazimuth", |hardware, _| hardware.say("slewing", Says::Value(json!(true))));
+    hardware.say("put closeshutter", Says::Error(0x40B, "it turns"));
+    hardware.on("closeshutter", |_, _| {});
+    hardware.on("abortslew", |hardware, _| {
+        hardware.say("slewing", Says::Value(json!(false)));
+        hardware.say("put closeshutter", Says::Value(json!(null)));
+        hardware.on("closeshutter", |hardware, _| hardware.say("shutterstatus", Says::Value(json!(3))));
+    });
+    let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.2\npermit_valid_s = 10.0")).await;
+    let (token, _commander) = open(&stage).await;
+    let turn = |id| command(id, Some(token), dome::Command::SlewToAzimuth { azimuth_deg: 200.0 });
+    accepted(&stage.command(Kind::Dome, "dome", &turn("t1")).await);
+    stage.until::<dome::Dome>("dome", |state| state.fields.slewing.known() == Some(&true)).await;
+
+    accepted(&stage.command(Kind::Dome, "dome", &command("c9", None, dome::Command::CloseShutter)).await);
+    stage.until::<dome::Dome>("dome", |state| state.fields.shutter.known() == Some(&Shutter::Closing)).await;
+    let (closes, stopped) = (hardware.puts("closeshutter"), hardware.puts("abortslew")[0].at);
+    assert_eq!(closes.len(), 2);
+    assert!(closes[0].at < stopped && stopped < closes[1].at, "closing is asked first, and waits for nothing");
+    assert_eq!(refused(&stage.command(Kind::Dome, "dome", &turn("t2")).await), Reason::WrongState);
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn the_lease_is_granted_to_one_at_a_time() {
     let hardware = a_dome().await;
     let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5")).await;

@@ -9,6 +9,7 @@ use units::Utc;
 
 use super::stage::Stage;
 use crate::journal::Intent;
+use crate::slit;
 use crate::trouble::Trouble;
 
 /// One frame to take.
@@ -37,7 +38,8 @@ pub struct Series {
     pub subframe: Option<Subframe>,
     /// Folder for the files.
     pub folder: Option<String>,
-    /// The roof must be open: a dome that was shut by its guard is noticed, and opened again by the retry.
+    /// The roof must be open and its slit clear: a dome that was shut by its guard is noticed, and opened again by the
+    /// retry; one that turns is waited for.
     pub open_sky: bool,
     /// For the header.
     pub metadata: BTreeMap<String, String>,
@@ -62,6 +64,7 @@ pub async fn expose(
     let camera = stage.chain()?.camera;
     loop {
         if series.open_sky {
+            slit::wait_until_clear(stage, shot.exposure_s).await?;
             roof_is_open(stage)?;
             sky_is_followed(stage)?;
         }

@@ -9,6 +9,7 @@ use super::parameters::{Metadata, Part, check_bin, check_exptime, half, one};
 use super::{Action, Needs, Stage};
 use crate::opening;
 use crate::rig::focuser::Wanted;
+use crate::slit::Aimed;
 use crate::trouble::Trouble;
 
 /// What to observe and how.
@@ -195,6 +196,9 @@ impl Action for Object {
         }
         chain.camera.start_cooling().await?;
         let target = self.target(stage, stage.clock().utc())?;
+        let pointed = target.filter(|_| self.moves()).zip(chain.mount);
+        // the slit goes there beside the mount
+        let _aimed = pointed.map(|(target, mount)| Aimed::at(&stage.room, mount, target));
 
         let point = async {
             let Some(target) = target.filter(|_| self.moves()) else { return Ok(()) };

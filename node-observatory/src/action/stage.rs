@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use bus::Clock;
 use contract::observatory::AlertKind;
 use contract::{CommandId, Name};
-use sky::{EarthOrientation, NightDate, Observer, Place};
+use sky::{NightDate, Observer};
 use units::{Angle, Utc};
 
 use crate::control_room::ControlRoom;
@@ -77,15 +77,7 @@ impl Stage {
 
     /// The sky over this site at an instant.
     pub fn observer(&self, at: Utc) -> Result<Observer, Trouble> {
-        let config = &self.room.node.config.place;
-        let (latitude, longitude) = (config.latitude_deg, config.longitude_deg);
-        let place = Place::new(Angle::from_degrees(latitude), Angle::from_degrees(longitude), config.elevation_m)?;
-        let orientation = EarthOrientation {
-            dut1_s: config.dut1_s,
-            polar_x_arcsec: config.polar_x_arcsec,
-            polar_y_arcsec: config.polar_y_arcsec,
-        };
-        Ok(Observer::new(&place, &orientation, at)?)
+        Ok(self.room.observer(at)?)
     }
 
     /// Brings the wanted filter into the beam and the focuser to where it belongs.

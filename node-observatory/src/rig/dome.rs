@@ -1,9 +1,11 @@
 //! A dome or roof: opening it with the guard's consent, and knowing whether it is closed.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use bus::Latest;
-use config::CloseWithMount;
+use config::{CloseWithMount, Follow};
 use contract::device::dome::{self, Command, Guard, Shutter};
 use contract::{Device, Key, Reason};
 
@@ -25,6 +27,12 @@ pub struct Dome {
     pub travel: Duration,
     /// Stands over this telescope alone.
     pub is_own: bool,
+    /// Who turns it.
+    pub follow: Follow,
+    /// Its slit.
+    pub slit: config::Slit,
+    turning_fails: AtomicBool,
+    stands_deg: Mutex<Option<f64>>,
 }
 
 /// A guard that was not heard for so long is not there.
@@ -42,7 +50,38 @@ impl Dome {
             parked_within: seconds(own.map_or(120.0, |own| own.parked_within_s)),
             travel: seconds(own.map_or(90.0, |own| own.travel_timeout_s)),
             is_own: own.is_some(),
+            // a dome over several telescopes has no slit for one of them
+            follow: own.filter(|own| own.telescopes.len() < 2).map_or(Follow::Off, |own| own.follow),
+            slit: own.map(|own| own.slit).unwrap_or_default(),
+            turning_fails: AtomicBool::new(false),
+            stands_deg: Mutex::new(None),
         })
+    }
+
+    /// Azimuth of the slit, degrees; of a dome that says nothing of it right now, where it stood at rest before.
+    pub fn azimuth_deg(&self) -> Option<f64> {
+        let fields = self.instrument.newest()?.said.body.fields;
+        let mut stands = self.stands_deg.lock().unwrap_or_else(PoisonError::into_inner);
+        let said = fields.azimuth_deg.known().copied().filter(|deg| deg.is_finite());
+        if let Some(deg) = said {
+            *stands = (fields.slewing.known() != Some(&true)).then_some(deg);
+        }
+        said.or(*stands)
+    }
+
+    /// Forgets where it stood: it is about to turn.
+    pub fn forget_azimuth(&self) {
+        *self.stands_deg.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
+    /// Did its last turn fail?
+    pub fn turning_fails(&self) -> bool {
+        self.turning_fails.load(Ordering::Relaxed)
+    }
+
+    /// Notes whether a turn failed.
+    pub fn set_turning_fails(&self, fails: bool) {
+        self.turning_fails.store(fails, Ordering::Relaxed);
     }
 
     /// The shutter as the dome itself says now; `None` where that is not known.

@@ -47,12 +47,10 @@ impl Mount {
 
     /// Slews to a place of the catalogue, tracks it, and settles.
     pub async fn point(&self, target: &Icrs, observer: &Observer) -> Result<(), Trouble> {
-        let system = match self.config.equatorial_system {
-            EquatorialChoice::Auto => self.instrument.capabilities().await?.equatorial_system,
-            EquatorialChoice::J2000 => EquatorialSystem::J2000,
-            EquatorialChoice::Topocentric => EquatorialSystem::Topocentric,
-        };
-        let (ra, dec) = in_mount_frame(target, observer, system)?;
+        if self.config.equatorial_system == EquatorialChoice::Auto {
+            self.instrument.capabilities().await?;
+        }
+        let (ra, dec) = in_mount_frame(target, observer, self.frame())?;
         self.unpark().await?;
         self.track(true).await?;
         let slew = Command::Slew { ra_deg: ra.degrees(), dec_deg: dec.degrees() };
@@ -61,6 +59,17 @@ impl Mount {
         self.track(true).await?;
         self.instrument.clock().sleep_sky(seconds(self.config.settle_s)).await;
         Ok(())
+    }
+
+    /// The frame of its coordinates, as far as it is known yet.
+    pub fn frame(&self) -> EquatorialSystem {
+        match self.config.equatorial_system {
+            EquatorialChoice::Auto => {
+                self.instrument.can().map_or(EquatorialSystem::Other, |can| can.equatorial_system)
+            }
+            EquatorialChoice::J2000 => EquatorialSystem::J2000,
+            EquatorialChoice::Topocentric => EquatorialSystem::Topocentric,
+        }
     }
 
     fn slew_timeout(&self) -> Duration {

@@ -10,7 +10,7 @@ use bus::{Bus, Clock, Latest, Node, Publisher, Quality, Service};
 use contract::device::camera::{self, Activity, Exposure, Frame, Pixel, Purpose};
 use contract::device::dome::{self, Guard, GuardAction, Shutter};
 use contract::device::{Description, safety_monitor, telescope};
-use contract::observatory::{NightState, Permit, SafetyState, ScheduleState, Verdict};
+use contract::observatory::{Alerts, NightState, Permit, SafetyState, ScheduleState, Verdict};
 use contract::{
     Accepted, Address, Command, CommandId, Datum, DeviceKind, DeviceState, Key, Kind, LastCommand, Link, Name, Order,
     OrderKind, Outcome, Part, Payload, Reason, Refusal, Reply, Role,
@@ -115,7 +115,14 @@ pub struct Site {
     pub hold: Arc<AtomicBool>,
     /// Somebody else has the lease.
     pub lease_held: Arc<AtomicBool>,
+    /// How fast the dome turns, degrees per sky second: at 0 it hangs. None for a roof.
+    pub turn_deg_per_s: Arc<Mutex<Option<f64>>>,
+    /// More of the dome's block.
+    pub dome_block: &'static str,
+    /// More of the configuration.
+    pub more: &'static str,
     pub bus: Bus,
+    pub alerts: Latest<Alerts>,
     pub night: Latest<NightState>,
     pub schedule: Latest<ScheduleState>,
     pub safety: Latest<SafetyState>,
@@ -137,13 +144,23 @@ impl Running {
 }
 
 impl Site {
-    /// A site whose sky is safe and whose sky time runs `speed` times as fast.
+    /// A site with a roof, whose sky is safe and whose sky time runs `speed` times as fast.
     pub async fn new(speed: f64) -> Self {
+        Self::with_dome(speed, None).await
+    }
+
+    /// As [`Self::new`], with a dome that turns at so many degrees per sky second and stands in the north.
+    pub async fn with_dome(speed: f64, turns: Option<f64>) -> Self {
         let clock = Clock::simulated("2026-11-21T03:00:00Z".parse().unwrap(), speed);
         let address = Address::new("paranal", "callisto").unwrap();
         let config = bus_config(vec![]);
         let bus = Bus::open(&config, clock.clone()).await.unwrap();
-        let dome_fields = dome::Fields { shutter: Datum::Known(Shutter::Closed), ..Default::default() };
+        let mut dome_fields = dome::Fields { shutter: Datum::Known(Shutter::Closed), ..Default::default() };
+        if turns.is_some() {
+            (dome_fields.azimuth_deg, dome_fields.slewing) = (Datum::Known(0.0), Datum::Known(false));
+            dome_fields.slaved = Datum::Known(false);
+        }
+        let turn_deg_per_s = Arc::new(Mutex::new(turns));
         let mount_fields = telescope::Fields {
             tracking: Datum::Known(false),
             slewing: Datum::Known(false),
@@ -161,20 +178,29 @@ impl Site {
         let mount = Device::new(&address, "mount", mount_fields);
         let camera = Device::new(&address, "cam", camera_fields);
         let monitor = Device::new(&address, "monitor", monitor_fields);
-        dome.appear(&bus, dome::Capabilities { set_shutter: true, ..Default::default() }).await;
+        let (set_azimuth, slave) = (turns.is_some(), turns.is_some());
+        dome.appear(&bus, dome::Capabilities { set_shutter: true, set_azimuth, slave, park: false }).await;
         mount.appear(&bus, telescope::Capabilities { park: true, ..Default::default() }).await;
         camera.appear(&bus, camera::Capabilities { width_px: 100, height_px: 100, ..Default::default() }).await;
         monitor.appear(&bus, safety_monitor::Capabilities {}).await;
         let purposes = Arc::default();
         let (hold, lease_held) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
         let services = vec![
-            serve_dome(&bus, &dome, &address, hold.clone(), lease_held.clone()).await,
+            serve_dome(
+                &bus,
+                &dome,
+                &address,
+                (hold.clone(), lease_held.clone()),
+                (clock.clone(), turn_deg_per_s.clone()),
+            )
+            .await,
             serve_mount(&bus, &mount).await,
             serve_camera(&bus, &camera, &clock, &purposes).await,
         ];
         let part = |part| Key::Observatory(address.clone(), part);
         Self {
             night: bus.latest(&part(Part::Night)).await.unwrap(),
+            alerts: bus.latest(&part(Part::Alerts)).await.unwrap(),
             schedule: bus.latest(&part(Part::Schedule)).await.unwrap(),
             safety: bus.latest(&part(Part::Safety)).await.unwrap(),
             folder: tempfile::tempdir().unwrap(),
@@ -187,6 +213,9 @@ impl Site {
             purposes,
             hold,
             lease_held,
+            turn_deg_per_s,
+            dome_block: "",
+            more: "",
             bus,
             _services: services,
         }
@@ -227,11 +256,13 @@ impl Site {
             [[dome]]
             name = "dome"
             server = "a:1"
+            # the rest of the dome
             [[safetymonitor]]
             name = "monitor"
             server = "a:1"
         "#;
-        let mut config = config::parse(text, self.folder.path()).unwrap();
+        let text = text.replace("# the rest of the dome", self.dome_block) + self.more;
+        let mut config = config::parse(&text, self.folder.path()).unwrap();
         config.bus = bus_config(self.bus.locators().await);
         let bus = Bus::open(&config.bus, self.clock.clone()).await.unwrap();
         let id: Name = "main".parse().unwrap();
@@ -301,8 +332,8 @@ async fn serve_dome(
     bus: &Bus,
     dome: &Arc<Device<dome::Dome>>,
     address: &Address,
-    hold: Arc<AtomicBool>,
-    lease_held: Arc<AtomicBool>,
+    (hold, lease_held): (Arc<AtomicBool>, Arc<AtomicBool>),
+    (clock, turn_deg_per_s): (Clock, Arc<Mutex<Option<f64>>>),
 ) -> Service {
     let permit: Latest<Permit> = bus.latest(&Key::Permit(address.clone(), dome.key.name.clone())).await.unwrap();
     let guard = bus.publisher::<Guard>(&Key::Guard(dome.key.clone()), Quality::Urgent).await.unwrap();
@@ -356,6 +387,22 @@ async fn serve_dome(
             let start = |fields: &mut dome::Fields| fields.shutter = Datum::Known(Shutter::Closing);
             at.take(command, Duration::from_millis(100), start, end)
         }
+        dome::Command::SlewToAzimuth { azimuth_deg } => {
+            assert_eq!(command.token, Some(7), "turning needs the token");
+            let from_deg = at.state.borrow().fields.azimuth_deg.known().copied().unwrap_or_default();
+            let way_deg = units::Angle::from_degrees(azimuth_deg - from_deg).wrapped_signed().abs().degrees();
+            let takes = match *turn_deg_per_s.lock().unwrap() {
+                Some(speed) if speed > 0.0 => clock.machine_duration(Duration::from_secs_f64(way_deg / speed)),
+                _ => Duration::from_secs(3600),
+            };
+            let start = |fields: &mut dome::Fields| fields.slewing = Datum::Known(true);
+            at.take(command, takes, start, move |fields| {
+                (fields.azimuth_deg, fields.slewing) = (Datum::Known(azimuth_deg), Datum::Known(false));
+            })
+        }
+        dome::Command::Slave { on } => {
+            at.take(command, Duration::from_millis(20), |_| {}, move |fields| fields.slaved = Datum::Known(on))
+        }
         _ => at.take(command, Duration::ZERO, |_| {}, |_| {}),
     })
     .await
@@ -365,18 +412,21 @@ async fn serve_mount(bus: &Bus, mount: &Arc<Device<telescope::Telescope>>) -> Se
     let at = mount.clone();
     serve(bus, &mount.key, move |command: Command<telescope::Command>| {
         let action = command.action.clone();
+        let slews = matches!(action, telescope::Command::Slew { .. } | telescope::Command::Park);
         at.take(
             command,
             Duration::from_millis(50),
-            |_| {},
+            |fields| fields.slewing = Datum::Known(slews),
             move |fields| match action {
                 telescope::Command::Park => {
+                    fields.slewing = Datum::Known(false);
                     fields.at_park = Datum::Known(true);
                     fields.tracking = Datum::Known(false);
                 }
                 telescope::Command::Unpark => fields.at_park = Datum::Known(false),
                 telescope::Command::Track { on } => fields.tracking = Datum::Known(on),
                 telescope::Command::Slew { ra_deg, dec_deg } => {
+                    fields.slewing = Datum::Known(false);
                     (fields.ra_deg, fields.dec_deg) = (Datum::Known(ra_deg), Datum::Known(dec_deg));
                 }
                 _ => {}

@@ -70,6 +70,7 @@ async fn expose(site: &Site, duration_s: f64, light: bool) -> Image {
 async fn observing(options: simulator::Options, ra_h: f64, dec_deg: f64) -> Site {
     let site =
         Site::connected(options, &["telescope", "camera", "dome", "filterwheel", "focuser", "covercalibrator"]).await;
+    site.put("dome", "slaved", "Slaved=true").await;
     site.put("dome", "openshutter", "").await;
     site.put("filterwheel", "position", "Position=4").await;
     site.put("camera", "setccdtemperature", "SetCCDTemperature=-20").await;
@@ -78,6 +79,7 @@ async fn observing(options: simulator::Options, ra_h: f64, dec_deg: f64) -> Site
     site.put("telescope", "tracking", "Tracking=true").await;
     site.put("telescope", "slewtocoordinates", &format!("RightAscension={ra_h}&Declination={dec_deg}")).await;
     site.until("dome", "shutterstatus", 0).await;
+    site.until("dome", "slewing", false).await;
     site.until("filterwheel", "position", 4).await;
     site
 }
@@ -232,6 +234,46 @@ async fn darks_have_no_stars_and_grow_with_time_and_warmth() {
     assert!(flat.median() > 5000 && flat.median() < 60_000, "{}", flat.median());
     let (middle, corner) = (u32::from(flat.at(256, 200)), u32::from(flat.at(2, 2)));
     assert!(corner < middle * 95 / 100, "{corner} {middle}");
+}
+
+#[tokio::test]
+async fn a_slit_that_stands_elsewhere_hides_the_stars_and_the_world_tells_it() {
+    // 35 deg from the zenith, so that the slit must stand in the south
+    let site = observing(options(100.0), 3.0, -60.0).await;
+    let dome = |site: &Site| site.simulator.world().told()["dome"].clone();
+    let bright = |image: &Image| {
+        let limit = image.median() + 1000;
+        image.pixels.iter().filter(|count| **count > limit).count()
+    };
+    let before = expose(&site, 20.0, true).await;
+    assert_eq!((dome(&site)["slit_free"].as_f64(), dome(&site)["vignetted_s"].as_f64()), (Some(1.0), Some(0.0)));
+    assert!(dome(&site)["exposed_s"].as_f64().unwrap() > 15.0, "{}", dome(&site));
+    site.put("dome", "slaved", "Slaved=false").await;
+    site.put("dome", "slewtoazimuth", "Azimuth=20").await;
+    site.until("dome", "slewing", false).await;
+    let hidden = expose(&site, 20.0, true).await;
+    assert_eq!(dome(&site)["slit_free"], 0.0);
+    let vignetted_s = dome(&site)["vignetted_s"].as_f64().unwrap();
+    assert!((15.0..60.0).contains(&vignetted_s), "{vignetted_s}");
+    assert_eq!(dome(&site)["turns"], 1);
+    // hot pixels stay, stars do not
+    assert!(bright(&before) > 2 * bright(&hidden), "{} {}", bright(&before), bright(&hidden));
+    site.simulator.world().set_turn_speed(Some(0.0));
+    site.put("dome", "slewtoazimuth", "Azimuth=200").await;
+    assert_eq!(site.get("dome", "slewing").await, true);
+    assert!((site.get("dome", "azimuth").await.as_f64().unwrap() - 20.0).abs() < 1e-6, "it hangs");
+}
+
+#[tokio::test]
+async fn a_roof_says_that_it_does_not_turn() {
+    let mut options = options(100.0);
+    options.dome.slit = None;
+    let site = Site::connected(options, &["dome"]).await;
+    for word in ["cansetazimuth", "canslave", "canpark"] {
+        assert_eq!(site.get("dome", word).await, false, "{word}");
+    }
+    assert_eq!(site.try_put("dome", "slewtoazimuth", "Azimuth=20").await, (200, 0x400));
+    assert_eq!(site.try_put("dome", "slaved", "Slaved=true").await, (200, 0x400));
 }
 
 #[tokio::test]

@@ -10,4 +10,5 @@ mod goes_on_after_a_restart;
 mod leaves_a_record;
 mod spares_the_wait;
 mod standby_takes_over;
+mod turns_the_dome;
 mod up_supervises;

@@ -202,6 +202,17 @@ catalogue! {
         on_delay_s: 0,
         hold_s: 0,
     },
+    /// The slit of a dome could not be brought to where the telescope looks: the dome does not turn, or not far enough,
+    /// or no azimuth of its slit leaves the whole aperture free. Closing does not depend on it.
+    DomeNotTurned: Entry {
+        word: "dome-not-turned",
+        instance: "DOME",
+        priority: Priority::High,
+        consequence: "The sky is not exposed; rows wait and are tried again.",
+        action: "Look at the dome's rotation, and whether `dome.follow` and `dome.slit` are right. It is tried again by itself.",
+        on_delay_s: 0,
+        hold_s: 0,
+    },
     /// The guard closed the dome because nobody renewed its permission. The dome is safe; the night waits. The
     /// observatory node takes over again by itself when it runs and the sky is safe.
     DomeHeld: Entry {

@@ -1,0 +1,190 @@
+//! `[[dome]] follow` and `slit`: how the dome's slit comes to stand where the telescope looks.
+
+use serde::Deserialize;
+
+use crate::device::{Dome, Telescope};
+
+/// Who turns a dome.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Follow {
+    /// This system, if the dome says that it can turn and that nobody else turns it.
+    #[default]
+    Auto,
+    /// This system.
+    Turn,
+    /// The dome by itself, once it is told to (ASCOM `Slaved`).
+    Slave,
+    /// The site, or nobody: nothing is commanded and nothing waited for.
+    Off,
+}
+
+/// The slit, and the mount's place in the dome. Lengths in metres.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Slit {
+    /// Of the slit; with `radius_m`. Where absent, `tolerance_deg` is all that is known of the dome.
+    pub width_m: Option<f64>,
+    /// Of the dome's sphere.
+    pub radius_m: Option<f64>,
+    /// How far the slit reaches behind the zenith, along the ground; half its width where absent.
+    pub past_zenith_m: Option<f64>,
+    /// Where the mount's axes meet, east of the middle of the dome's sphere.
+    pub east_m: f64,
+    /// North of it.
+    pub north_m: f64,
+    /// Above it.
+    pub up_m: f64,
+    /// Without a width: the slit is clear within so many degrees of the telescope's azimuth at the horizon.
+    pub tolerance_deg: f64,
+    /// The dome may stand so far from where it says, or from where it was sent, degrees.
+    pub error_deg: f64,
+    /// A slit that is not where it belongs after so long is a fault of the dome, sky s.
+    pub timeout_s: f64,
+}
+
+impl Default for Slit {
+    fn default() -> Self {
+        Self {
+            width_m: None,
+            radius_m: None,
+            past_zenith_m: None,
+            east_m: 0.0,
+            north_m: 0.0,
+            up_m: 0.0,
+            tolerance_deg: 5.0,
+            error_deg: 1.0,
+            timeout_s: 300.0,
+        }
+    }
+}
+
+impl Slit {
+    /// What does not hold, in words that begin with the key; `mounts` are those that may stand in this dome.
+    fn faults(&self, mounts: &[Telescope]) -> Vec<String> {
+        let mut found = Vec::new();
+        for (key, value, low, high) in [
+            ("width_m", self.width_m, 0.05, 50.0),
+            ("radius_m", self.radius_m, 0.3, 50.0),
+            ("past_zenith_m", self.past_zenith_m, 0.0, 50.0),
+            ("east_m", Some(self.east_m), -50.0, 50.0),
+            ("north_m", Some(self.north_m), -50.0, 50.0),
+            ("up_m", Some(self.up_m), -50.0, 50.0),
+            ("tolerance_deg", Some(self.tolerance_deg), 0.5, 45.0),
+            ("error_deg", Some(self.error_deg), 0.0, 10.0),
+            ("timeout_s", Some(self.timeout_s), 10.0, 3600.0),
+        ] {
+            if let Some(value) = value.filter(|value| !(low..=high).contains(value)) {
+                found.push(format!("{key} = {value}: expected {low} to {high}"));
+            }
+        }
+        if !found.is_empty() {
+            return found;
+        }
+        match (self.width_m, self.radius_m) {
+            (Some(width_m), Some(radius_m)) => found.extend(self.misfits(width_m, radius_m, mounts)),
+            (None, None) => {}
+            _ => found.push("width_m and radius_m go together; give both or neither".to_owned()),
+        }
+        found
+    }
+
+    /// What does not fit into a dome of this size.
+    fn misfits(&self, width_m: f64, radius_m: f64, mounts: &[Telescope]) -> Vec<String> {
+        let mut found = Vec::new();
+        if width_m >= 2.0 * radius_m {
+            found.push(format!("width_m = {width_m}: is wider than the dome of radius_m = {radius_m}"));
+        }
+        let away_m = self.east_m.hypot(self.north_m).hypot(self.up_m);
+        for mount in mounts {
+            let name = &mount.common.name;
+            let Some(aperture_m) = mount.aperture_m else {
+                found.push(format!("width_m: telescope \"{name}\" needs aperture_m, to know when it looks out free"));
+                continue;
+            };
+            if aperture_m >= width_m {
+                let why = format!("telescope \"{name}\" with aperture_m = {aperture_m} cannot look out");
+                found.push(format!("width_m = {width_m}: {why}"));
+            }
+            if away_m + mount.arm_m + 0.5 * aperture_m >= radius_m {
+                let why = format!("telescope \"{name}\" would look from outside: east_m, north_m, up_m, arm_m");
+                found.push(format!("radius_m = {radius_m}: {why}"));
+            }
+        }
+        found
+    }
+}
+
+/// What does not hold of a dome's following, in words; `shared` in the file of a site's shared devices.
+pub(crate) fn faults(dome: &Dome, mounts: &[Telescope], shared: bool) -> Vec<String> {
+    let slit = dome.slit.faults(mounts).into_iter().map(|fault| format!("slit.{fault}"));
+    let mut found: Vec<String> = slit.collect();
+    let follows = matches!(dome.follow, Follow::Turn | Follow::Slave);
+    if follows && (shared || dome.telescopes.len() > 1) {
+        found.push("follow: a dome over several telescopes has no slit to follow; leave it out".to_owned());
+    }
+    found
+}
+
+/// What does not hold of a mount's sizes, in words.
+pub(crate) fn mount_faults(mount: &Telescope) -> Vec<String> {
+    let mut found = Vec::new();
+    if let Some(aperture_m) = mount.aperture_m.filter(|aperture_m| !(0.01..=20.0).contains(aperture_m)) {
+        found.push(format!("aperture_m = {aperture_m}: expected 0.01 to 20"));
+    }
+    if !(0.0..=20.0).contains(&mount.arm_m) {
+        found.push(format!("arm_m = {}: expected 0 to 20", mount.arm_m));
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::parse;
+
+    fn site(mount: &str, dome: &str) -> Result<crate::Observatory, String> {
+        let text = format!(
+            "[observatory]\nsite = \"p\"\ntelescope = \"t\"\nlatitude_deg = 1\nlongitude_deg = 2\nelevation_m = 3\n\
+             [[telescope]]\nname = \"m\"\nserver = \"a:1\"\n{mount}\n[[dome]]\nname = \"d\"\nserver = \"a:1\"\n{dome}\n"
+        );
+        parse(&text, Path::new("/site")).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_dome_of_which_nothing_is_said_follows_by_a_tolerance() {
+        let dome = &site("", "").unwrap().dome[0];
+        assert_eq!((dome.follow, dome.slit), (Follow::Auto, Slit::default()));
+    }
+
+    #[test]
+    fn a_whole_geometry_is_read() {
+        let slit = "follow = \"turn\"\nslit = { width_m = 1.2, radius_m = 2.5, north_m = -0.1, up_m = 0.2 }";
+        let read = site("aperture_m = 0.35\narm_m = 0.4", slit).unwrap();
+        assert_eq!((read.dome[0].follow, read.dome[0].slit.width_m), (Follow::Turn, Some(1.2)));
+        assert_eq!((read.telescope[0].aperture_m, read.telescope[0].arm_m), (Some(0.35), 0.4));
+    }
+
+    #[test]
+    fn what_does_not_fit_is_told_with_its_place() {
+        let fault = |mount: &str, dome: &str| site(mount, dome).unwrap_err();
+        let told = fault("", "slit = { width_m = 1.2, radius_m = 2.5 }");
+        assert!(told.contains("line 12: dome \"d\": slit.width_m: telescope \"m\" needs aperture_m"), "{told}");
+        let told = fault("", "slit = { width_m = 1.2 }");
+        assert!(told.contains("width_m and radius_m go together"), "{told}");
+        let told = fault("aperture_m = 1.3", "slit = { width_m = 1.2, radius_m = 2.5 }");
+        assert!(told.contains("cannot look out"), "{told}");
+        let told = fault("aperture_m = 0.5\narm_m = 2.4", "slit = { width_m = 1.2, radius_m = 2.5 }");
+        assert!(told.contains("would look from outside"), "{told}");
+        let told = fault("aperture_m = nan", "slit = { tolerance_deg = nan, timeout_s = 1 }");
+        for word in ["aperture_m = NaN", "slit.tolerance_deg = NaN: expected 0.5 to 45", "slit.timeout_s = 1"] {
+            assert!(told.contains(word), "{word}: {told}");
+        }
+        let told = fault("", "follow = \"turn\"\ntelescopes = [\"t\", \"u\"]");
+        assert!(told.contains("has no slit to follow"), "{told}");
+        assert!(fault("", "follow = \"sometimes\"").contains("unknown variant"));
+        assert!(fault("", "slit = { widht_m = 1.2 }").contains("unknown field"));
+    }
+}
