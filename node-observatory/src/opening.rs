@@ -7,8 +7,8 @@ use crate::trouble::Trouble;
 
 /// Opens every enclosure, then the covers, and takes the mount of a chain out of its park position.
 ///
-/// A dome turns before it opens: many cannot do both at once. The runner drops this as soon as the sky is not safe. The roof goes first: a roll-off roof may hit a mount that
-/// has left its park position.
+/// A dome turns before it opens: many cannot do both at once. The roof goes before the mount: a roll-off roof may hit a
+/// mount that has left its park position. The runner drops this as soon as the sky is not safe.
 pub async fn open(room: &ControlRoom, chain: &Chain<'_>) -> Result<(), Trouble> {
     if !room.is_safe() {
         return Err(Trouble::Impossible(format!("nothing is opened: {}", room.ruling.borrow().why())));
