@@ -21,7 +21,7 @@ const FIRST_PAUSE: Duration = Duration::from_secs(30);
 const LONGEST_PAUSE: Duration = Duration::from_secs(600);
 /// A peer that is gone so long is forgotten; each start of a node is a new peer.
 const FORGET: Duration = Duration::from_secs(3600);
-const LOOK: Duration = Duration::from_secs(2);
+const LOOK: Duration = Duration::from_secs(5);
 
 /// Watches and mends for ever.
 pub async fn keep_mending(node: &Node) -> anyhow::Result<()> {

@@ -37,7 +37,10 @@ async fn follow(room: &ControlRoom, dome: &Dome) {
             _ = aim.changed() => {}
             () = tokio::time::sleep(Duration::from_secs(1)) => {}
         }
-        let Some(view) = View::of(room, dome).filter(|_| may_turn(room, dome)) else { continue };
+        if !may_turn(room, dome) {
+            continue;
+        }
+        let Some(view) = View::of(room, dome) else { continue };
         let turned = tokio::select! {
             biased;
             // what is on its way is left to the closing
