@@ -1,0 +1,92 @@
+//! Which maxima of the matched filter are objects of their own?
+//!
+//! Noise makes maxima on the wings of a bright star, along a trail and on the plateau of a defocused disc. From the
+//! brightest down, a maximum is kept when no kept one lies within 1 FWHM (algorithms.md 6.1, step 4), when a valley
+//! parts it from brighter neighbours, and when it stands out of its own surroundings too: fitted together with a
+//! constant, a Gaussian must have a significant height above the scatter found there.
+
+use crate::clean::Clean;
+use crate::grid::Grid;
+use crate::matched_filter::{FWHM_PER_SIGMA, Kernel, Peak, Peaks};
+use crate::parallel;
+
+/// Height of the fitted Gaussian over its error that is asked for. Fitting a constant too costs a quarter of the
+/// signal: a star of significance 5 comes out at 3.7 on the average.
+const LOCAL_SIGNIFICANCE: f32 = 2.5;
+/// Neighbours within this many FWHM must be parted by a valley ...
+const VALLEY_REACH: f32 = 3.0;
+/// ... this deep: in units of significance, and as a share of the fainter one's.
+const VALLEY: (f32, f32) = (2.5, 0.05);
+/// More maxima than this are not looked at, the least significant being dropped.
+const MOST: usize = 200_000;
+
+/// The objects among the peaks, the most significant first.
+pub(crate) fn objects(clean: &Clean, kernel: &Kernel, peaks: &Peaks) -> Vec<Peak> {
+    let peaks = &peaks.peaks[..peaks.peaks.len().min(MOST)];
+    let local = parallel::ranges(peaks.len(), 512, |range| {
+        peaks[range].iter().map(|peak| local_significance(clean, kernel, peak)).collect::<Vec<f32>>()
+    });
+    let reach = VALLEY_REACH * kernel.fwhm_px;
+    let mut grid = Grid::new(clean.width, clean.height, reach);
+    let mut objects: Vec<Peak> = Vec::new();
+    for (peak, local) in peaks.iter().zip(local.into_iter().flatten()) {
+        if local < LOCAL_SIGNIFICANCE {
+            continue;
+        }
+        let (x, y) = (peak.x as f32, peak.y as f32);
+        let joined = grid.near(x, y, reach).any(|n| {
+            let brighter = &objects[n];
+            let apart = (brighter.x as f32 - x).hypot(brighter.y as f32 - y);
+            apart <= kernel.fwhm_px || !has_valley(clean, kernel, peak, brighter)
+        });
+        if !joined {
+            grid.add(x, y);
+            objects.push(*peak);
+        }
+    }
+    objects
+}
+
+/// Whether the significance falls between a peak and a brighter one.
+fn has_valley(clean: &Clean, kernel: &Kernel, peak: &Peak, brighter: &Peak) -> bool {
+    let here = kernel.significance(clean, peak.x, peak.y);
+    let floor = here - VALLEY.0 - VALLEY.1 * here;
+    let between = |from: usize, to: usize, step: f32| (from as f32 + step * (to as f32 - from as f32)).round() as usize;
+    // the valley lies nearer to the fainter one
+    [0.2, 0.35, 0.5, 0.65].iter().any(|step| {
+        let (x, y) = (between(peak.x, brighter.x, *step), between(peak.y, brighter.y, *step));
+        kernel.significance(clean, x, y) < floor
+    })
+}
+
+/// Height over its error of a Gaussian that is fitted together with a constant, within 3 sigma of its middle.
+fn local_significance(clean: &Clean, kernel: &Kernel, peak: &Peak) -> f32 {
+    let radius = (3.0 * kernel.fwhm_px / FWHM_PER_SIGMA).max(2.0);
+    let reach = radius as usize;
+    let sigma = kernel.fwhm_px / FWHM_PER_SIGMA;
+    let profile: Vec<f32> = (0..=reach).map(|d| (-0.5 * (d as f32 / sigma).powi(2)).exp()).collect();
+    let (mut n, mut g, mut gg, mut a, mut ga, mut aa) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    for y in peak.y.saturating_sub(reach)..(peak.y + reach + 1).min(clean.height) {
+        let dy = y.abs_diff(peak.y);
+        for x in peak.x.saturating_sub(reach)..(peak.x + reach + 1).min(clean.width) {
+            let dx = x.abs_diff(peak.x);
+            if ((dx * dx + dy * dy) as f32) <= radius * radius {
+                let (gauss, pixel) = (profile[dx] * profile[dy], clean.pixels[y * clean.width + x]);
+                n += 1.0;
+                g += gauss;
+                gg += gauss * gauss;
+                a += pixel;
+                ga += gauss * pixel;
+                aa += pixel * pixel;
+            }
+        }
+    }
+    let spread = gg - g * g / n;
+    if n < 6.0 || spread <= 0.0 {
+        return 0.0;
+    }
+    let height = (ga - g * a / n) / spread;
+    let residual = (aa - a * a / n - height * height * spread).max(0.0) / (n - 2.0);
+    let noise = clean.background.noise.at(peak.x, peak.y).max(residual.sqrt());
+    height * spread.sqrt() / noise
+}

@@ -1,0 +1,214 @@
+//! A Gaussian of the stars' width, run over the image: where does a star stand out of the noise?
+//!
+//! Significance `S = (A * g) / (sigma sqrt(sum g^2))` is the signal-to-noise ratio of the best-fitting Gaussian of
+//! that width (algorithms.md 6.1, step 4). The kernel is separable; the filtered image exists only as three rows
+//! per thread. Where noise is correlated from pixel to pixel (mosaics, debayered frames), S scatters by more than 1:
+//! its scatter is measured on the frame itself and divided out.
+
+use crate::background::median_in_place;
+use crate::clean::Clean;
+use crate::parallel;
+
+/// FWHM of a Gaussian in sigma.
+pub(crate) const FWHM_PER_SIGMA: f32 = 2.354_820_1;
+/// The kernel ends at this many sigma.
+const REACH_SIGMA: f32 = 2.5;
+/// Every n-th pixel of every n-th row tells the scatter of S.
+const SAMPLE_STEP: usize = 8;
+
+/// A sampled Gaussian of peak 1.
+#[derive(Debug, Clone)]
+pub(crate) struct Kernel {
+    pub(crate) fwhm_px: f32,
+    /// Values at distance 0, 1, 2 ... px along one axis.
+    taps: Vec<f32>,
+    /// Square root of the sum over all pixels of the squared kernel.
+    norm: f32,
+}
+
+/// A local maximum of the significance.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Peak {
+    pub(crate) x: usize,
+    pub(crate) y: usize,
+    pub(crate) significance: f32,
+}
+
+/// All maxima above a threshold, the most significant first.
+#[derive(Debug, Clone)]
+pub(crate) struct Peaks {
+    pub(crate) peaks: Vec<Peak>,
+    /// Scatter of S over the frame, at least 1; already divided out of the peaks.
+    pub(crate) scatter: f32,
+}
+
+impl Kernel {
+    pub(crate) fn new(fwhm_px: f32) -> Self {
+        let sigma = fwhm_px / FWHM_PER_SIGMA;
+        let reach = (REACH_SIGMA * sigma).round().max(1.0) as usize;
+        let taps: Vec<f32> = (0..=reach).map(|d| (-0.5 * (d as f32 / sigma).powi(2)).exp()).collect();
+        let norm = taps[0].powi(2) + 2.0 * taps[1..].iter().map(|t| t * t).sum::<f32>();
+        Self { fwhm_px, taps, norm }
+    }
+
+    /// Half width, px.
+    pub(crate) fn reach(&self) -> usize {
+        self.taps.len() - 1
+    }
+
+    /// Significance at one pixel, without the frame's scatter.
+    pub(crate) fn significance(&self, clean: &Clean, x: usize, y: usize) -> f32 {
+        let reach = self.reach();
+        let (left, right) = (x.saturating_sub(reach), (x + reach + 1).min(clean.width));
+        let mut sum = 0.0;
+        for row in y.saturating_sub(reach)..(y + reach + 1).min(clean.height) {
+            let line = &clean.pixels[row * clean.width + left..row * clean.width + right];
+            let along: f32 = line.iter().enumerate().map(|(n, pixel)| pixel * self.taps[(left + n).abs_diff(x)]).sum();
+            sum += along * self.taps[row.abs_diff(y)];
+        }
+        sum / (clean.background.noise.at(x, y) * self.norm)
+    }
+
+    /// Local maxima of the significance above `threshold`.
+    pub(crate) fn peaks(&self, clean: &Clean, threshold: f32) -> Peaks {
+        let bands = parallel::ranges(clean.height, clean.width, |rows| {
+            let mut filter = Rows::new(self, clean, rows.start);
+            let (mut peaks, mut sample) = (Vec::new(), Vec::<f32>::new());
+            for y in rows {
+                filter.advance(y);
+                let [above, here, below] = &filter.significance;
+                local_maxima(above, here, below, threshold, |x| peaks.push(Peak { x, y, significance: here[x] }));
+                if y % SAMPLE_STEP == SAMPLE_STEP / 2 {
+                    sample.extend(here.iter().skip(SAMPLE_STEP / 2).step_by(SAMPLE_STEP));
+                }
+            }
+            (peaks, sample)
+        });
+        let (mut peaks, mut sample): (Vec<Peak>, Vec<f32>) = (Vec::new(), Vec::new());
+        for (band_peaks, band_sample) in bands {
+            peaks.extend(band_peaks);
+            sample.extend(band_sample);
+        }
+        let scatter = lower_scatter(&mut sample).max(1.0);
+        peaks.iter_mut().for_each(|peak| peak.significance /= scatter);
+        peaks.retain(|peak| peak.significance > threshold);
+        peaks.sort_unstable_by(|a, b| b.significance.total_cmp(&a.significance).then((a.y, a.x).cmp(&(b.y, b.x))));
+        Peaks { peaks, scatter }
+    }
+}
+
+/// Median less the 16th percentile, which stars do not reach: one sigma of a Gaussian. 0 when there are too few.
+fn lower_scatter(sample: &mut [f32]) -> f32 {
+    if sample.len() < 100 {
+        return 0.0;
+    }
+    let rank = (0.158_655 * sample.len() as f64) as usize;
+    let low = *sample.select_nth_unstable_by(rank, f32::total_cmp).1;
+    median_in_place(sample).map_or(0.0, |median| median - low)
+}
+
+fn local_maxima(above: &[f32], here: &[f32], below: &[f32], threshold: f32, mut found: impl FnMut(usize)) {
+    let at = |line: &[f32], x: usize| line.get(x).copied().unwrap_or(f32::NEG_INFINITY);
+    for (chunk, values) in here.chunks(16).enumerate() {
+        if !values.iter().fold(false, |any, value| any | (*value > threshold)) {
+            continue;
+        }
+        for (n, value) in values.iter().enumerate().filter(|(_, value)| **value > threshold) {
+            let x = 16 * chunk + n;
+            let (left, right) = (x.wrapping_sub(1), x + 1);
+            // of equal neighbours the first one is the maximum
+            let later = [at(here, right), at(below, left), at(below, x), at(below, right)];
+            let earlier = [at(here, left), at(above, left), at(above, x), at(above, right)];
+            if later.iter().all(|other| value >= other) && earlier.iter().all(|other| value > other) {
+                found(x);
+            }
+        }
+    }
+}
+
+/// The filter as it moves down a band of rows.
+struct Rows<'a> {
+    kernel: &'a Kernel,
+    clean: &'a Clean,
+    /// Rows filtered along x, row `y` in place `y % (2 reach + 1)`.
+    along_x: Vec<Vec<f32>>,
+    /// First row that is not in `along_x` yet.
+    next: usize,
+    padded: Vec<f32>,
+    noise: Vec<f32>,
+    /// Rows `y - 1`, `y`, `y + 1`.
+    significance: [Vec<f32>; 3],
+}
+
+impl<'a> Rows<'a> {
+    /// Ready to `advance` to row `first`.
+    fn new(kernel: &'a Kernel, clean: &'a Clean, first: usize) -> Self {
+        let (reach, width) = (kernel.reach(), clean.width);
+        let mut rows = Self {
+            kernel,
+            clean,
+            along_x: vec![vec![0.0; width]; 2 * reach + 1],
+            next: first.saturating_sub(reach + 1),
+            padded: vec![0.0; width + 2 * reach],
+            noise: vec![0.0; width],
+            significance: std::array::from_fn(|_| vec![f32::NEG_INFINITY; width]),
+        };
+        for y in [first.wrapping_sub(1), first] {
+            rows.push(y);
+        }
+        rows
+    }
+
+    /// Makes `y` the middle row; called with one row after the other.
+    fn advance(&mut self, y: usize) {
+        self.push(y + 1);
+    }
+
+    /// Moves the three rows up and filters row `y` into the last; a row outside of the image is lower than any.
+    fn push(&mut self, y: usize) {
+        self.significance.rotate_left(1);
+        if y >= self.clean.height {
+            self.significance[2].fill(f32::NEG_INFINITY);
+            return;
+        }
+        let (reach, height) = (self.kernel.reach(), self.clean.height);
+        while self.next <= (y + reach).min(height - 1) {
+            self.filter_along_x(self.next);
+            self.next += 1;
+        }
+        let place = |row: usize| row % (2 * reach + 1);
+        let out = &mut self.significance[2];
+        let middle = &self.along_x[place(y)];
+        out.iter_mut().zip(middle).for_each(|(out, value)| *out = *value);
+        for (distance, tap) in self.kernel.taps.iter().enumerate().skip(1) {
+            match (y.checked_sub(distance), (y + distance < height).then_some(y + distance)) {
+                (Some(up), Some(down)) => {
+                    let (up, down) = (&self.along_x[place(up)], &self.along_x[place(down)]);
+                    out.iter_mut().zip(up).zip(down).for_each(|((out, up), down)| *out += tap * (up + down));
+                }
+                (Some(one), None) | (None, Some(one)) => {
+                    out.iter_mut().zip(&self.along_x[place(one)]).for_each(|(out, value)| *out += tap * value);
+                }
+                (None, None) => {}
+            }
+        }
+        self.clean.background.noise.row(y, &mut self.noise);
+        let norm = self.kernel.norm;
+        out.iter_mut().zip(&self.noise).for_each(|(out, noise)| *out /= noise * norm);
+    }
+
+    fn filter_along_x(&mut self, y: usize) {
+        let (reach, width) = (self.kernel.reach(), self.clean.width);
+        self.padded[reach..reach + width].copy_from_slice(&self.clean.pixels[y * width..(y + 1) * width]);
+        let out = &mut self.along_x[y % (2 * reach + 1)];
+        out.copy_from_slice(&self.padded[reach..reach + width]);
+        for (distance, tap) in self.kernel.taps.iter().enumerate().skip(1) {
+            let left = &self.padded[reach - distance..reach - distance + width];
+            let right = &self.padded[reach + distance..reach + distance + width];
+            out.iter_mut().zip(left).zip(right).for_each(|((out, left), right)| *out += tap * (left + right));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
