@@ -68,6 +68,8 @@ pub(crate) fn remove(image: &mut [f32], width: usize, sigma: f32) -> Banding {
 struct Offsets {
     offset: Vec<f32>,
     bad: Vec<usize>,
+    /// Whether most of the line has the offset.
+    is_band: Vec<bool>,
     /// Greatest offset by chance, ADU.
     limit: f32,
 }
@@ -79,7 +81,9 @@ impl Offsets {
         sigma: f32,
         line: impl Fn(usize) -> I,
     ) -> Self {
-        let mut all = Self { offset: vec![0.0; means.len()], bad: Vec::new(), limit: f32::INFINITY };
+        let lines = means.len();
+        let mut all =
+            Self { offset: vec![0.0; lines], bad: Vec::new(), is_band: vec![false; lines], limit: f32::INFINITY };
         if length < SHORTEST {
             return all;
         }
@@ -88,6 +92,9 @@ impl Offsets {
             let mut segments = *segments;
             segments.sort_unstable_by(f32::total_cmp);
             let mean = 0.5 * (segments[SEGMENTS / 2 - 1] + segments[SEGMENTS / 2]);
+            // nearly all segments of a band share its offset; a halo covers some
+            let shared = if mean > 0.0 { segments[2] } else { -segments[SEGMENTS - 3] };
+            all.is_band[n] = shared > 0.5 * SIGNIFICANT * MEDIAN * SPREAD / (length as f32).sqrt();
             all.offset[n] = sigma * mean / SLOPE;
             if mean.abs() > LINEAR {
                 let mut values: Vec<f32> = line(n).filter(|value| value.is_finite()).collect();
@@ -117,7 +124,8 @@ impl Offsets {
 
     /// Whether an offset is more than chance. If none is, correcting would only add noise.
     fn found(&self) -> bool {
-        self.offset.iter().any(|offset| offset.is_nan() || offset.abs() > self.limit)
+        let mut lines = self.offset.iter().zip(&self.is_band);
+        lines.any(|(offset, is_band)| offset.is_nan() || (*is_band && offset.abs() > self.limit))
     }
 }
 

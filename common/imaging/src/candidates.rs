@@ -20,19 +20,23 @@ const VALLEY: (f32, f32) = (2.5, 0.05);
 /// More maxima than this are not looked at, the least significant being dropped.
 const MOST: usize = 200_000;
 
-/// The objects among the peaks, the most significant first.
-pub(crate) fn objects(clean: &Clean, kernel: &Kernel, peaks: &Peaks) -> Vec<Peak> {
+/// The objects among the peaks, the most significant first. `is_saturated` tells of flat tops, which have no height
+/// of their own.
+pub(crate) fn objects(
+    clean: &Clean,
+    kernel: &Kernel,
+    peaks: &Peaks,
+    is_saturated: impl Fn(&Peak) -> bool + Sync,
+) -> Vec<Peak> {
     let peaks = &peaks.peaks[..peaks.peaks.len().min(MOST)];
-    let local = parallel::ranges(peaks.len(), 512, |range| {
-        peaks[range].iter().map(|peak| local_significance(clean, kernel, peak)).collect::<Vec<f32>>()
+    let stands_out = parallel::ranges(peaks.len(), 512, |range| {
+        let stands_out = |peak| local_significance(clean, kernel, peak) >= LOCAL_SIGNIFICANCE || is_saturated(peak);
+        peaks[range].iter().map(stands_out).collect::<Vec<bool>>()
     });
     let reach = VALLEY_REACH * kernel.fwhm_px;
     let mut grid = Grid::new(clean.width, clean.height, reach);
     let mut objects: Vec<Peak> = Vec::new();
-    for (peak, local) in peaks.iter().zip(local.into_iter().flatten()) {
-        if local < LOCAL_SIGNIFICANCE {
-            continue;
-        }
+    for (peak, _) in peaks.iter().zip(stands_out.into_iter().flatten()).filter(|(_, stands_out)| *stands_out) {
         let (x, y) = (peak.x as f32, peak.y as f32);
         let joined = grid.near(x, y, reach).any(|n| {
             let brighter = &objects[n];

@@ -101,7 +101,8 @@ fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light) -> F
     loop {
         let kernel = Kernel::new(kernel_px as f32);
         let peaks = kernel.peaks(clean, search.threshold);
-        let mut objects = candidates::objects(clean, &kernel, &peaks);
+        let is_saturated = |peak: &Peak| light.peak(peak.x, peak.y, 1).1;
+        let mut objects = candidates::objects(clean, &kernel, &peaks, is_saturated);
         let width = typical_width(clean, camera, light, &objects, kernel_px);
         let factor = width.map_or(1.0, |width| (width / kernel_px).max(kernel_px / width));
         if let Some(width) = width
@@ -148,8 +149,11 @@ fn describe(clean: &Clean, camera: &Camera, light: &Light, found: &Found) -> Vec
     let window = Window::new(width, camera.gain_e_per_adu);
     let seen = parallel::ranges(found.objects.len(), 512, |range| {
         let look = |peak: &Peak| {
-            let seen = window.look(clean, (peak.x as f64, peak.y as f64), width.max(found.kernel_px))?;
             let (peak_adu, saturated) = light.peak(peak.x, peak.y, (0.5 * width).ceil() as usize);
+            // only a window that reaches over a flat top finds its middle
+            let own = if saturated { own_width(clean, camera, peak, width)? } else { width };
+            let window = if saturated { Window::new(own, camera.gain_e_per_adu) } else { window };
+            let seen = window.look(clean, (peak.x as f64, peak.y as f64), own.max(found.kernel_px))?;
             Some(Object { peak: *peak, seen, peak_adu, saturated })
         };
         found.objects[range].iter().filter_map(look).collect::<Vec<_>>()

@@ -20,12 +20,13 @@ fn pairs<'a>(sky: &'a Sky, measured: &'a Measured, reach: f64) -> Vec<(&'a Drawn
 
 #[test]
 fn places_and_fluxes_are_unbiased_and_their_errors_true() {
-    for (psf, fwhm) in [
+    let cases: [(Psf, f64); 4] = [
         (Psf::Gaussian(sigma(1.8)), 1.8),
         (Psf::Gaussian(sigma(4.0)), 4.0),
         (Psf::Moffat(3.5, 2.5), 3.5),
         (Psf::Gaussian(sigma(8.0)), 8.0),
-    ] {
+    ];
+    for (psf, fwhm) in cases {
         let (mut x, mut y, mut flux, mut pull, mut flux_pull) = (vec![], vec![], vec![], vec![], vec![]);
         for seed in 0..30 {
             let mut sky = Sky::new(512, 512, 300.0, seed);

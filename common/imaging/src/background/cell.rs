@@ -15,6 +15,10 @@ const BINS_PER_SIGMA: f32 = 12.0;
 /// Clipping at 3 sigma, at most 5 times (the predecessor's numbers).
 const CLIP_SIGMA: f32 = 3.0;
 const CLIP_PASSES: usize = 5;
+/// Share of a Gaussian below +1 sigma.
+const UP_TO_SIGMA: f32 = 0.841_345;
+/// With more than this share of the pixels at one value the camera has cut off what lies below it.
+const CUT_OFF: f32 = 0.35;
 /// Variance of rounding to whole steps is step^2 / 12: no digitised noise is smaller.
 const ROUNDING: f32 = 0.288_675_13;
 
@@ -79,8 +83,12 @@ impl Scratch {
             skip = after - line.len();
         }
         let middle = median_in_place(&mut self.sample)?;
+        let rank = ((UP_TO_SIGMA * self.sample.len() as f32) as usize).min(self.sample.len() - 1);
+        let above = *self.sample.select_nth_unstable_by(rank, f32::total_cmp).1 - middle;
         self.sample.iter_mut().for_each(|value| *value = (*value - middle).abs());
-        Some((middle, MAD_TO_SIGMA * median_in_place(&mut self.sample)?))
+        let sigma = MAD_TO_SIGMA * median_in_place(&mut self.sample)?;
+        // more than half of the pixels share one value: the spread is that of the others
+        Some((middle, if sigma > 0.0 { sigma } else { above }))
     }
 }
 
@@ -116,10 +124,12 @@ impl Bins {
     }
 }
 
-/// Clipped median and sigma in bins, and the number of pixels that were kept.
+/// Clipped median and sigma in bins, and the number of pixels that were kept. Where a camera without pedestal has
+/// cut off the lower half of the noise, mean and standard deviation instead: stars stand on the mean.
 fn clip(cumulative: &[f32; BINS + 1]) -> (f32, f32, f32) {
     let (mut low, mut high) = (0.0, BINS as f32);
     let (mut level, mut noise, mut kept) = (0.0, 0.0, f32::INFINITY);
+    let mut is_cut_off = false;
     for _ in 0..CLIP_PASSES {
         let (below, up_to) = (count_below(cumulative, low), count_below(cumulative, high));
         if up_to - below >= kept || up_to <= below {
@@ -128,11 +138,33 @@ fn clip(cumulative: &[f32; BINS + 1]) -> (f32, f32, f32) {
         kept = up_to - below;
         level = quantile(cumulative, below + 0.5 * kept);
         noise = MAD_TO_SIGMA * deviation(cumulative, level, low, high, 0.5 * kept);
+        let upper = quantile(cumulative, below + UP_TO_SIGMA * kept) - level;
+        let bin = (level as usize).min(BINS - 1);
+        is_cut_off = upper > 2.0 && cumulative[bin + 1] - cumulative[bin] > CUT_OFF * kept;
+        if is_cut_off {
+            noise = upper;
+        }
         // a bin's width of room: nearly all pixels may share one value
         let reach = (CLIP_SIGMA * noise).max(1.0);
         (low, high) = ((level - reach).max(0.0), (level + reach).min(BINS as f32));
     }
+    if is_cut_off {
+        (level, noise) = mean_and_spread(cumulative, low, high);
+    }
     (level, noise, if kept.is_finite() { kept } else { 0.0 })
+}
+
+fn mean_and_spread(cumulative: &[f32; BINS + 1], low: f32, high: f32) -> (f32, f32) {
+    let bins = (low as usize)..(high.ceil() as usize).min(BINS);
+    let (mut n, mut sum, mut squares) = (0.0, 0.0, 0.0);
+    for bin in bins {
+        let (count, at) = (cumulative[bin + 1] - cumulative[bin], bin as f32 + 0.5);
+        n += count;
+        sum += count * at;
+        squares += count * at * at;
+    }
+    let mean = sum / f32::max(n, 1.0);
+    (mean, (squares / f32::max(n, 1.0) - mean * mean).max(0.0).sqrt())
 }
 
 /// Pixels below a place in the histogram, pixels of a bin being spread evenly over it.

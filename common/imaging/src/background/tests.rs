@@ -82,3 +82,12 @@ fn frames_without_sky_or_without_noise_have_an_answer() {
     let float = Background::measure(&[0.0; 50], 50, 0.0, f32::INFINITY).unwrap();
     assert!(float.level.at(3, 0).abs() < 1e-20 && float.noise.at(3, 0) > 0.0);
 }
+
+#[test]
+fn a_camera_that_cuts_off_the_lower_half_of_the_noise_is_measured_by_mean_and_spread() {
+    let image: Vec<f32> = sky(512, 512, 35.0, 6, |_, _| 0.0).iter().map(|v| v.max(0.0).round()).collect();
+    let background = Background::measure(&image, 512, 1.0, 60_000.0).unwrap();
+    // half of a Gaussian at zero: mean sigma / sqrt(2 pi), standard deviation 0.584 sigma
+    let (level, noise) = (background.level.median() / 35.0, background.noise.median() / 35.0);
+    assert!((level - 0.4).abs() < 0.03 && (noise - 0.584).abs() < 0.03, "{level} {noise}");
+}
