@@ -17,6 +17,19 @@ pub use mesh::Mesh;
 const CELL: (usize, usize) = (64, 32);
 const SMALL_FRAME: usize = 1500;
 
+/// A cell is at least this many FWHM wide, or it would take the light of faint stars for sky ...
+const CELL_FWHM: f32 = 10.0;
+/// ... but there are at least this many along the shorter side.
+const FEWEST_CELLS: usize = 4;
+
+/// Side of the cells, px, for stars of a known width.
+pub(crate) fn side(width: usize, height: usize, fwhm_px: Option<f32>) -> usize {
+    let shorter = width.min(height);
+    let usual = if shorter < SMALL_FRAME { CELL.1 } else { CELL.0 };
+    let wide = fwhm_px.map_or(0, |fwhm| (CELL_FWHM * fwhm) as usize);
+    usual.max(wide.min(shorter / FEWEST_CELLS)).max(1)
+}
+
 /// Sky level and noise of a frame.
 #[derive(Debug, Clone)]
 pub struct Background {
@@ -29,9 +42,9 @@ pub struct Background {
 impl Background {
     /// Measures an image; `quantum` is the step of the digitisation (1 for raw counts, 0 for continuous values).
     /// Cells whose level is not below `saturation` are not sky. None when no cell is sky.
-    pub(crate) fn measure(image: &[f32], width: usize, quantum: f32, saturation: f32) -> Option<Self> {
+    pub(crate) fn measure(image: &[f32], width: usize, quantum: f32, saturation: f32, fwhm_px: Option<f32>) -> Option<Self> {
         let height = image.len() / width;
-        let side = if width.min(height) < SMALL_FRAME { CELL.1 } else { CELL.0 };
+        let side = side(width, height, fwhm_px);
         let count = |length: usize| ((length + side / 2) / side).max(1);
         let (columns, rows) = (count(width), count(height));
         // rounded, not cut off: else all cells would stand half a pixel lower than the mesh believes

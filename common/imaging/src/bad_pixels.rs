@@ -34,7 +34,7 @@ impl BadPixelMap {
             Pixels::F32(raw) => raw.to_vec(),
         };
         let missing = pixels.iter().filter(|value| !value.is_finite()).count();
-        let background = Background::measure(&pixels, width, 0.0, f32::INFINITY)
+        let background = Background::measure(&pixels, width, 0.0, f32::INFINITY, None)
             .ok_or(FrameError::NoSky { pixels: pixels.len(), saturated: 0, missing })?;
         let (mut level, mut noise) = (vec![0.0; width], vec![0.0; width]);
         let mut positions = Vec::new();

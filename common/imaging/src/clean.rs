@@ -74,7 +74,7 @@ impl Clean {
         let saturation = camera.saturation_adu(frame);
         let (mut pixels, Copied { saturated, missing, brightest }) = copy(frame, camera, saturation)?;
         let quantum = if camera.dark.is_none() && are_whole(frame) { 1.0 } else { 0.0 };
-        let Some(background) = Background::measure(&pixels, width, quantum, saturation) else {
+        let Some(background) = Background::measure(&pixels, width, quantum, saturation, fwhm_px) else {
             return Err(FrameError::NoSky { pixels: pixels.len(), saturated, missing });
         };
         subtract(&mut pixels, width, &background);
@@ -89,7 +89,7 @@ impl Clean {
             filled: Vec::new(),
             banding: false,
         };
-        let struck = clean.remove_banding() + missing + camera.bad_pixels.map_or(0, |map| map.positions().len());
+        let struck = clean.remove_banding(fwhm_px) + missing + camera.bad_pixels.map_or(0, |map| map.positions().len());
         if struck > 0 {
             let nan = clean.pixels.iter().enumerate().filter(|(_, value)| value.is_nan());
             clean.filled = nan.map(|(at, _)| at as u32).collect();
@@ -111,12 +111,18 @@ impl Clean {
         count
     }
 
+    /// Whether stars of this width (px) are so wide that the sky's cells have taken part of their light.
+    pub(crate) fn takes_for_sky(&self, fwhm_px: f32) -> bool {
+        let cell = self.width.div_ceil(self.background.level.shape().0);
+        crate::background::side(self.width, self.height, Some(fwhm_px)) as f32 > 1.5 * cell as f32
+    }
+
     /// Takes offsets of rows and columns out, and measures the sky again if there were any. Answers how many lines
     /// were struck out.
-    fn remove_banding(&mut self) -> usize {
+    fn remove_banding(&mut self, fwhm_px: Option<f32>) -> usize {
         let found = banding::remove(&mut self.pixels, self.width, self.background.noise.median());
         if found.removed
-            && let Some(rest) = Background::measure(&self.pixels, self.width, 0.0, f32::INFINITY)
+            && let Some(rest) = Background::measure(&self.pixels, self.width, 0.0, f32::INFINITY, fwhm_px)
         {
             subtract(&mut self.pixels, self.width, &rest);
             self.background.level.add(&rest.level);

@@ -51,6 +51,27 @@ impl Kernel {
         Self { fwhm_px, taps, norm }
     }
 
+    /// Share of a star's significance that is left at the pixel's centre when the star stands on its corner: for
+    /// stars as wide as the kernel S falls with distance as `exp(-d^2 / 4 sigma^2)`.
+    pub(crate) fn sampling_loss(&self) -> f32 {
+        (-0.5 / self.fall()).exp()
+    }
+
+    /// `4 sigma^2`, px^2.
+    fn fall(&self) -> f32 {
+        (2.0 * self.fwhm_px / FWHM_PER_SIGMA).powi(2)
+    }
+
+    /// Significance at the maximum between the pixels, from the four neighbours of the highest pixel.
+    fn between_pixels(&self, here: f32, along_x: (f32, f32), along_y: (f32, f32)) -> f32 {
+        let fall = self.fall();
+        let offset = |(before, after): (f32, f32)| {
+            let offset = 0.25 * fall * (1.0 / fall).exp() * (after - before) / here;
+            if offset.is_finite() { offset.clamp(-0.5, 0.5) } else { 0.0 }
+        };
+        here * ((offset(along_x).powi(2) + offset(along_y).powi(2)) / fall).exp()
+    }
+
     /// Half width, px.
     pub(crate) fn reach(&self) -> usize {
         self.taps.len() - 1
@@ -69,7 +90,7 @@ impl Kernel {
         sum / (clean.background.noise.at(x, y) * self.norm)
     }
 
-    /// Local maxima of the significance above `threshold`.
+    /// Local maxima of the significance above `threshold`, each at its height between the pixels.
     pub(crate) fn peaks(&self, clean: &Clean, threshold: f32) -> Peaks {
         let bands = parallel::ranges(clean.height, clean.width, |rows| {
             let mut filter = Rows::new(self, clean, rows.start);
@@ -77,7 +98,11 @@ impl Kernel {
             for y in rows {
                 filter.advance(y);
                 let [above, here, below] = &filter.significance;
-                local_maxima(above, here, below, threshold, |x| peaks.push(Peak { x, y, significance: here[x] }));
+                local_maxima(above, here, below, threshold * self.sampling_loss(), |x| {
+                    let along_x = (at(here, x.wrapping_sub(1)), at(here, x + 1));
+                    let significance = self.between_pixels(here[x], along_x, (above[x], below[x]));
+                    peaks.push(Peak { x, y, significance });
+                });
                 if y % SAMPLE_STEP == SAMPLE_STEP / 2 {
                     sample.extend(here.iter().skip(SAMPLE_STEP / 2).step_by(SAMPLE_STEP));
                 }
@@ -107,8 +132,12 @@ fn lower_scatter(sample: &mut [f32]) -> f32 {
     median_in_place(sample).map_or(0.0, |median| median - low)
 }
 
+/// Significance at a column; lower than any outside of the image.
+fn at(line: &[f32], x: usize) -> f32 {
+    line.get(x).copied().unwrap_or(f32::NEG_INFINITY)
+}
+
 fn local_maxima(above: &[f32], here: &[f32], below: &[f32], threshold: f32, mut found: impl FnMut(usize)) {
-    let at = |line: &[f32], x: usize| line.get(x).copied().unwrap_or(f32::NEG_INFINITY);
     for (chunk, values) in here.chunks(16).enumerate() {
         if !values.iter().fold(false, |any, value| any | (*value > threshold)) {
             continue;

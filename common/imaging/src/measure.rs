@@ -55,7 +55,14 @@ pub struct Measured {
 pub fn measure(frame: &Frame, camera: &Camera, search: &Search) -> Result<Measured, FrameError> {
     let mut clean = Clean::new(frame, camera, search.fwhm_px)?;
     let light = Light { frame, saturation: camera.saturation_adu(frame), brightest: clean.brightest_adu };
-    let found = find(&mut clean, camera, search, &light);
+    let mut found = find(&mut clean, camera, search, &light);
+    if let Some(width) = found.width
+        && clean.takes_for_sky(width as f32)
+    {
+        let wide = Search { fwhm_px: Some(width as f32), ..*search };
+        clean = Clean::new(frame, camera, wide.fwhm_px)?;
+        found = find(&mut clean, camera, &wide, &light);
+    }
     let stars = describe(&clean, camera, &light, &found);
     let quality = Quality::of(&clean, &stars, found.width.is_some());
     Ok(Measured { stars, quality })
@@ -109,7 +116,7 @@ fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light) -> F
             && clean.fill_defects(0.8 * width as f32) > 0
         {
             // what stood on a defect is gone now
-            let least = search.threshold * peaks.scatter;
+            let least = search.threshold * kernel.sampling_loss() * peaks.scatter;
             objects.retain(|peak| kernel.significance(clean, peak.x, peak.y) > least);
         }
         if factor <= KERNEL_TOLERANCE || left == 0 {
@@ -151,7 +158,7 @@ fn describe(clean: &Clean, camera: &Camera, light: &Light, found: &Found) -> Vec
         let look = |peak: &Peak| {
             let (peak_adu, saturated) = light.peak(peak.x, peak.y, (0.5 * width).ceil() as usize);
             // only a window that reaches over a flat top finds its middle
-            let own = if saturated { own_width(clean, camera, peak, width)? } else { width };
+            let own = if saturated { own_width(clean, camera, peak, width).unwrap_or(width) } else { width };
             let window = if saturated { Window::new(own, camera.gain_e_per_adu) } else { window };
             let seen = window.look(clean, (peak.x as f64, peak.y as f64), own.max(found.kernel_px))?;
             Some(Object { peak: *peak, seen, peak_adu, saturated })

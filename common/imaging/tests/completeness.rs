@@ -8,7 +8,6 @@ use imaging::{Camera, Frame, Measured, Pixels, Search, measure};
 use rand::RngExt;
 use sky::{Psf, Sky, make_hot, seen_fwhm, sigma};
 
-const SIZE: usize = 512;
 const LEVEL: f64 = 400.0;
 const READ_NOISE: f64 = 8.0;
 
@@ -25,8 +24,14 @@ fn flux_of(significance: f64, fwhm: f64, noise: f64) -> f64 {
     significance * noise * (4.0 * std::f64::consts::PI).sqrt() * sigma(seen_fwhm(fwhm))
 }
 
+/// Side of the frame, px: wide stars need more sky around them.
+fn side(fwhm: f64) -> usize {
+    if fwhm > 6.0 { 1024 } else { 512 }
+}
+
 fn frame(fwhm: f64, seed: u64, faults: bool) -> (Sky, Vec<u16>) {
-    let mut sky = Sky::new(SIZE, SIZE, LEVEL, seed);
+    let side = side(fwhm);
+    let mut sky = Sky::new(side, side, LEVEL, seed);
     let noise = (LEVEL + READ_NOISE * READ_NOISE).sqrt();
     // stars that tell the width, and stars that are just above the threshold
     for (n, (x, y)) in sky.places(30, 8.0 + 3.0 * fwhm).into_iter().enumerate() {
@@ -39,7 +44,7 @@ fn frame(fwhm: f64, seed: u64, faults: bool) -> (Sky, Vec<u16>) {
     let mut counts = sky.counts(300.0, READ_NOISE);
     if faults {
         for (n, value) in counts.iter_mut().enumerate() {
-            let band = (n / SIZE / 24) % 3;
+            let band = (n / side / 24) % 3;
             *value += 4 * band as u16;
         }
         make_hot(&mut counts, 0.003, noise, &mut sky.rng);
@@ -61,14 +66,14 @@ fn count(tally: &mut Tally, sky: &Sky, measured: &Measured, fwhm: f64, noise_fac
 }
 
 fn run(faults: bool) -> Vec<(f64, Tally)> {
-    let widths = [1.5, 2.0, 3.0, 4.0, 5.7, 8.0, 12.0];
+    let widths: [f64; 7] = [1.5, 2.0, 3.0, 4.0, 5.7, 8.0, 12.0];
     widths
         .iter()
         .map(|fwhm| {
             let mut tally = Tally::default();
             for seed in 0..100 {
                 let (sky, counts) = frame(*fwhm, seed, faults);
-                let frame = Frame::new(SIZE, SIZE, Pixels::U16(&counts)).unwrap();
+                let frame = Frame::new(side(*fwhm), side(*fwhm), Pixels::U16(&counts)).unwrap();
                 let measured = measure(&frame, &Camera::default(), &Search::default()).unwrap();
                 // where the gradient adds photon noise, a star of 7 is no longer one of 7
                 let noise = |x: f64, y: f64| if faults { 1.0 + (0.15 * x + 0.1 * y) / 2.0 / 464.0 } else { 1.0 };

@@ -83,12 +83,14 @@ impl Scratch {
             skip = after - line.len();
         }
         let middle = median_in_place(&mut self.sample)?;
+        let least = self.sample.iter().copied().fold(f32::INFINITY, f32::min);
+        let lowest = self.sample.iter().filter(|value| **value == least).count() as f32 / self.sample.len() as f32;
         let rank = ((UP_TO_SIGMA * self.sample.len() as f32) as usize).min(self.sample.len() - 1);
         let above = *self.sample.select_nth_unstable_by(rank, f32::total_cmp).1 - middle;
         self.sample.iter_mut().for_each(|value| *value = (*value - middle).abs());
         let sigma = MAD_TO_SIGMA * median_in_place(&mut self.sample)?;
-        // more than half of the pixels share one value: the spread is that of the others
-        Some((middle, if sigma > 0.0 { sigma } else { above }))
+        // where many pixels share the lowest value, the spread is that of the others
+        Some((middle, if sigma > 0.0 && lowest < CUT_OFF * 0.7 { sigma } else { sigma.max(above) }))
     }
 }
 
@@ -130,6 +132,7 @@ fn clip(cumulative: &[f32; BINS + 1]) -> (f32, f32, f32) {
     let (mut low, mut high) = (0.0, BINS as f32);
     let (mut level, mut noise, mut kept) = (0.0, 0.0, f32::INFINITY);
     let mut is_cut_off = false;
+    let fullest = cumulative.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f32::max);
     for _ in 0..CLIP_PASSES {
         let (below, up_to) = (count_below(cumulative, low), count_below(cumulative, high));
         if up_to - below >= kept || up_to <= below {
@@ -139,8 +142,7 @@ fn clip(cumulative: &[f32; BINS + 1]) -> (f32, f32, f32) {
         level = quantile(cumulative, below + 0.5 * kept);
         noise = MAD_TO_SIGMA * deviation(cumulative, level, low, high, 0.5 * kept);
         let upper = quantile(cumulative, below + UP_TO_SIGMA * kept) - level;
-        let bin = (level as usize).min(BINS - 1);
-        is_cut_off = upper > 2.0 && cumulative[bin + 1] - cumulative[bin] > CUT_OFF * kept;
+        is_cut_off = upper > 2.0 && fullest > CUT_OFF * kept;
         if is_cut_off {
             noise = upper;
         }

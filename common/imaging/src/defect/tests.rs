@@ -14,7 +14,7 @@ fn noise(width: usize, height: usize, seed: u64) -> Vec<f32> {
 }
 
 fn noise_map(width: usize, height: usize) -> Mesh {
-    Background::measure(&noise(width, height, 99), width, 0.0, f32::INFINITY).unwrap().noise
+    Background::measure(&noise(width, height, 99), width, 0.0, f32::INFINITY, None).unwrap().noise
 }
 
 /// A Gaussian sampled at pixel centres, the narrowest that a star of that width can be.

@@ -28,12 +28,17 @@ fn the_running_filter_agrees_with_the_plain_sum() {
             let columns = x.saturating_sub(1)..(x + 2).min(width);
             let rows = y.saturating_sub(1)..(y + 2).min(height);
             let highest = rows.flat_map(|r| columns.clone().map(move |c| at(c, r))).fold(f32::MIN, f32::max);
-            at(x, y) > 1.0 && at(x, y) >= highest
+            at(x, y) >= highest
         };
-        let expected = (0..width * height).filter(|n| is_peak(n % width, n / width)).count();
-        assert_eq!(found.peaks.len(), expected, "{width} x {height} at {fwhm} px");
+        // all that are above the threshold at a pixel's centre, and some that are above it between the pixels
+        let missing = (0..width * height).map(|n| (n % width, n / width)).filter(|(x, y)| {
+            is_peak(*x, *y) && at(*x, *y) > 1.001 && !found.peaks.iter().any(|p| (p.x, p.y) == (*x, *y))
+        });
+        assert_eq!(missing.count(), 0, "{width} x {height} at {fwhm} px");
         for peak in &found.peaks {
-            assert!((peak.significance - at(peak.x, peak.y)).abs() < 1e-3);
+            assert!(is_peak(peak.x, peak.y));
+            let gain = peak.significance / at(peak.x, peak.y);
+            assert!(gain > 0.999 && gain < 1.001 / kernel.sampling_loss(), "{gain} at {fwhm} px");
         }
     }
 }
