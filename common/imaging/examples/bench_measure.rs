@@ -12,7 +12,9 @@ const FWHM_PX: f32 = 4.0;
 
 fn main() -> anyhow::Result<()> {
     let cores = std::thread::available_parallelism()?;
-    println!("{cores} cores; asked for 2048 x 2048 on 2 cores: clean and detect within 60 ms (predecessor: 2780-3040 ms)");
+    println!(
+        "{cores} cores; asked for 2048 x 2048 on 2 cores: clean and detect within 60 ms (predecessor: 2780-3040 ms)"
+    );
     println!("ms: best (median) of {RUNS} runs");
     println!("       size   stars        clean  all, width known  all, width unknown");
     for (width, height) in [(2048, 2048), (4096, 4096), (9600, 6422)] {

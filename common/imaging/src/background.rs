@@ -42,7 +42,13 @@ pub struct Background {
 impl Background {
     /// Measures an image; `quantum` is the step of the digitisation (1 for raw counts, 0 for continuous values).
     /// Cells whose level is not below `saturation` are not sky. None when no cell is sky.
-    pub(crate) fn measure(image: &[f32], width: usize, quantum: f32, saturation: f32, fwhm_px: Option<f32>) -> Option<Self> {
+    pub(crate) fn measure(
+        image: &[f32],
+        width: usize,
+        quantum: f32,
+        saturation: f32,
+        fwhm_px: Option<f32>,
+    ) -> Option<Self> {
         let height = image.len() / width;
         let side = side(width, height, fwhm_px);
         let count = |length: usize| ((length + side / 2) / side).max(1);

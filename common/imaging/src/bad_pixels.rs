@@ -34,8 +34,11 @@ impl BadPixelMap {
             Pixels::F32(raw) => raw.to_vec(),
         };
         let missing = pixels.iter().filter(|value| !value.is_finite()).count();
-        let background = Background::measure(&pixels, width, 0.0, f32::INFINITY, None)
-            .ok_or(FrameError::NoSky { pixels: pixels.len(), saturated: 0, missing })?;
+        let background = Background::measure(&pixels, width, 0.0, f32::INFINITY, None).ok_or(FrameError::NoSky {
+            pixels: pixels.len(),
+            saturated: 0,
+            missing,
+        })?;
         let (mut level, mut noise) = (vec![0.0; width], vec![0.0; width]);
         let mut positions = Vec::new();
         for (y, line) in pixels.chunks(width).enumerate() {
@@ -95,7 +98,8 @@ impl BadPixelVotes {
         };
         for (y, line) in frame.pixels.chunks(width).enumerate() {
             frame.background.noise.row(y, &mut sigma);
-            let bright = line.iter().zip(&sigma).enumerate().filter(|(_, (pixel, sigma))| **pixel > STANDS_OUT * **sigma);
+            let bright =
+                line.iter().zip(&sigma).enumerate().filter(|(_, (pixel, sigma))| **pixel > STANDS_OUT * **sigma);
             let at = bright.map(|(x, _)| (y * width + x) as u32);
             at.filter(|at| frame.filled.binary_search(at).is_err()).for_each(&mut vote);
         }

@@ -24,6 +24,10 @@ const SIGNIFICANT: f32 = 6.0;
 const LINEAR: f32 = 0.7;
 /// A whole line quieter or noisier than this (in units of the frame's noise) carries no sky.
 const ALIVE: std::ops::Range<f32> = 0.3..2.5;
+/// Most bad lines side by side.
+const WIDEST_RUN: usize = 3;
+/// How much farther off than the lines beside them they are.
+const STANDS_OUT: f32 = 3.0;
 
 /// What was wrong with the lines of a frame.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -101,13 +105,35 @@ impl Offsets {
                 let Some(median) = median_in_place(&mut values) else { continue };
                 values.iter_mut().for_each(|value| *value = (*value - median).abs());
                 let noise = 1.4826 * median_in_place(&mut values).unwrap_or(0.0) / sigma;
-                all.offset[n] = if ALIVE.contains(&noise) { median } else { f32::NAN };
+                all.offset[n] = median;
                 if !ALIVE.contains(&noise) {
                     all.bad.push(n);
                 }
             }
         }
+        all.strike_out_bad(sigma);
         all
+    }
+
+    /// Sensors have single bad lines, or two or three side by side, that differ from those beside them; what is
+    /// wider or smoother is in the sky and stays.
+    fn strike_out_bad(&mut self, sigma: f32) {
+        let runs: Vec<Vec<usize>> = self.bad.chunk_by(|a, b| a + 1 == *b).map(<[usize]>::to_vec).collect();
+        self.bad.clear();
+        for run in runs {
+            let beside = |n: Option<usize>| n.and_then(|n| self.offset.get(n)).map_or(0.0, |offset| offset.abs());
+            let (first, last) = (run[0], run[run.len() - 1]);
+            let around = beside(first.checked_sub(1)).max(beside(Some(last + 1))).max(sigma);
+            let stands_out = run.iter().all(|n| self.offset[*n].abs() > STANDS_OUT * around);
+            let is_bad = run.len() <= WIDEST_RUN && stands_out;
+            for line in &run {
+                self.offset[*line] = if is_bad { f32::NAN } else { 0.0 };
+                self.is_band[*line] = is_bad;
+            }
+            if is_bad {
+                self.bad.extend(run);
+            }
+        }
     }
 
     /// An offset of the whole image would be seen, and taken out, twice.

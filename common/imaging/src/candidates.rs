@@ -68,14 +68,19 @@ fn local_significance(clean: &Clean, kernel: &Kernel, peak: &Peak) -> f32 {
     let radius = (3.0 * kernel.fwhm_px / FWHM_PER_SIGMA).max(2.0);
     let reach = radius as usize;
     let sigma = kernel.fwhm_px / FWHM_PER_SIGMA;
-    let profile: Vec<f32> = (0..=reach).map(|d| (-0.5 * (d as f32 / sigma).powi(2)).exp()).collect();
+    // distances from the maximum, not from the pixel's centre: of a narrow star that is a great difference
+    let profile = |offset: f32| -> Vec<f32> {
+        (0..=2 * reach).map(|n| (-0.5 * ((n as f32 - reach as f32 - offset) / sigma).powi(2)).exp()).collect()
+    };
+    let (along_x, along_y) = (profile(peak.offset.0), profile(peak.offset.1));
     let (mut n, mut g, mut gg, mut a, mut ga, mut aa) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
     for y in peak.y.saturating_sub(reach)..(peak.y + reach + 1).min(clean.height) {
         let dy = y.abs_diff(peak.y);
         for x in peak.x.saturating_sub(reach)..(peak.x + reach + 1).min(clean.width) {
             let dx = x.abs_diff(peak.x);
             if ((dx * dx + dy * dy) as f32) <= radius * radius {
-                let (gauss, pixel) = (profile[dx] * profile[dy], clean.pixels[y * clean.width + x]);
+                let (gauss, pixel) =
+                    (along_x[x + reach - peak.x] * along_y[y + reach - peak.y], clean.pixels[y * clean.width + x]);
                 n += 1.0;
                 g += gauss;
                 gg += gauss * gauss;
@@ -91,6 +96,8 @@ fn local_significance(clean: &Clean, kernel: &Kernel, peak: &Peak) -> f32 {
     }
     let height = (ga - g * a / n) / spread;
     let residual = (aa - a * a / n - height * height * spread).max(0.0) / (n - 2.0);
-    let noise = clean.background.noise.at(peak.x, peak.y).max(residual.sqrt());
+    // the scatter of a few pixels is itself uncertain: it counts when it is surely more than the sky's noise
+    let sure = 1.0 - 1.5 / (2.0 * (n - 2.0)).sqrt();
+    let noise = clean.background.noise.at(peak.x, peak.y).max(sure * residual.sqrt());
     height * spread.sqrt() / noise
 }

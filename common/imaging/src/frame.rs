@@ -31,7 +31,9 @@ impl Pixels<'_> {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum FrameError {
     /// The number of pixels is not width x height, or is zero.
-    #[error("frame of {width} x {height} px came with {pixels} pixel values; give width x height of them, at least one")]
+    #[error(
+        "frame of {width} x {height} px came with {pixels} pixel values; give width x height of them, at least one"
+    )]
     Shape {
         /// Columns.
         width: usize,

@@ -37,15 +37,16 @@ impl Grid {
         let range = |at: f32, count: usize| self.cell_of(at - reach, count)..=self.cell_of(at + reach, count);
         let columns = range(x, self.columns);
         let cells = range(y, self.rows).flat_map(move |row| columns.clone().map(move |c| row * self.columns + c));
-        cells.flat_map(move |cell| {
-            let next = |number: u32| (number != NONE).then_some(number);
-            std::iter::successors(next(self.newest[cell]), move |n| next(self.points[*n as usize].2))
-        })
-        .map(|number| number as usize)
-        .filter(move |number| {
-            let (px, py, _) = self.points[*number];
-            (px - x).powi(2) + (py - y).powi(2) <= reach * reach
-        })
+        cells
+            .flat_map(move |cell| {
+                let next = |number: u32| (number != NONE).then_some(number);
+                std::iter::successors(next(self.newest[cell]), move |n| next(self.points[*n as usize].2))
+            })
+            .map(|number| number as usize)
+            .filter(move |number| {
+                let (px, py, _) = self.points[*number];
+                (px - x).powi(2) + (py - y).powi(2) <= reach * reach
+            })
     }
 
     fn cell_of(&self, at: f32, count: usize) -> usize {

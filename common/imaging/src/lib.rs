@@ -6,6 +6,7 @@
 //! - [`frame`] is what comes in: raw counts or floats with their shape.
 //! - [`clean`] takes away sky ([`background`]), bands and defects ([`bad_pixels`]).
 //! - [`measure`] finds the [`star`]s, measures them, and says what the frame is worth ([`quality`]).
+//! - [`shift`] tells from two star lists how far the field moved; [`projection`] from two cleaned frames.
 //! - [`catalogue`] reads (and builds) the compact all-sky star catalogue from bytes.
 //! - [`healpix`] divides the sky into equal areas; the catalogue is ordered by it.
 //!
@@ -25,7 +26,9 @@ mod matched_filter;
 pub mod measure;
 mod parallel;
 mod profile;
+pub mod projection;
 pub mod quality;
+pub mod shift;
 pub mod star;
 mod window;
 
@@ -33,4 +36,5 @@ pub use clean::{Camera, Clean};
 pub use frame::{Frame, FrameError, Pixels};
 pub use measure::{Measured, Search, measure};
 pub use quality::Quality;
+pub use shift::{NoShift, Shift};
 pub use star::{Flags, Star, spread_evenly};

@@ -29,8 +29,11 @@ pub(crate) struct Kernel {
 /// A local maximum of the significance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Peak {
+    /// Highest pixel.
     pub(crate) x: usize,
     pub(crate) y: usize,
+    /// How far from its centre the maximum lies, px.
+    pub(crate) offset: (f32, f32),
     pub(crate) significance: f32,
 }
 
@@ -62,14 +65,30 @@ impl Kernel {
         (2.0 * self.fwhm_px / FWHM_PER_SIGMA).powi(2)
     }
 
-    /// Significance at the maximum between the pixels, from the four neighbours of the highest pixel.
-    fn between_pixels(&self, here: f32, along_x: (f32, f32), along_y: (f32, f32)) -> f32 {
+    /// How far from the highest pixel (significance `here`) the maximum lies, px, from the pixels before and after.
+    fn offset(&self, here: f32, before: f32, after: f32) -> f32 {
         let fall = self.fall();
-        let offset = |(before, after): (f32, f32)| {
-            let offset = 0.25 * fall * (1.0 / fall).exp() * (after - before) / here;
-            if offset.is_finite() { offset.clamp(-0.5, 0.5) } else { 0.0 }
+        let offset = 0.25 * fall * (1.0 / fall).exp() * (after - before) / here;
+        if offset.is_finite() { offset.clamp(-0.5, 0.5) } else { 0.0 }
+    }
+
+    /// Significance of a Gaussian whose middle lies (dx, dy) px off a pixel's centre.
+    fn significance_beside(&self, clean: &Clean, x: usize, y: usize, dx: f32, dy: f32) -> f32 {
+        let (reach, per_sigma) = (self.reach(), FWHM_PER_SIGMA / self.fwhm_px);
+        let taps = |offset: f32| -> Vec<f32> {
+            let at = (0..=2 * reach).map(|n| n as f32 - reach as f32 - offset);
+            at.map(|d| (-0.5 * (d * per_sigma).powi(2)).exp()).collect()
         };
-        here * ((offset(along_x).powi(2) + offset(along_y).powi(2)) / fall).exp()
+        let (along_x, along_y) = (taps(dx), taps(dy));
+        let squared = |taps: &[f32]| taps.iter().map(|tap| tap * tap).sum::<f32>();
+        let (left, right) = (x.saturating_sub(reach), (x + reach + 1).min(clean.width));
+        let mut sum = 0.0;
+        for row in y.saturating_sub(reach)..(y + reach + 1).min(clean.height) {
+            let line = &clean.pixels[row * clean.width + left..row * clean.width + right];
+            let taps = &along_x[left + reach - x..];
+            sum += along_y[row + reach - y] * line.iter().zip(taps).map(|(pixel, tap)| pixel * tap).sum::<f32>();
+        }
+        sum / (clean.background.noise.at(x, y) * (squared(&along_x) * squared(&along_y)).sqrt())
     }
 
     /// Half width, px.
@@ -99,9 +118,10 @@ impl Kernel {
                 filter.advance(y);
                 let [above, here, below] = &filter.significance;
                 local_maxima(above, here, below, threshold * self.sampling_loss(), |x| {
-                    let along_x = (at(here, x.wrapping_sub(1)), at(here, x + 1));
-                    let significance = self.between_pixels(here[x], along_x, (above[x], below[x]));
-                    peaks.push(Peak { x, y, significance });
+                    let dx = self.offset(here[x], at(here, x.wrapping_sub(1)), at(here, x + 1));
+                    let dy = self.offset(here[x], above[x], below[x]);
+                    let beside = self.significance_beside(clean, x, y, dx, dy);
+                    peaks.push(Peak { x, y, offset: (dx, dy), significance: beside.max(here[x]) });
                 });
                 if y % SAMPLE_STEP == SAMPLE_STEP / 2 {
                     sample.extend(here.iter().skip(SAMPLE_STEP / 2).step_by(SAMPLE_STEP));

@@ -179,7 +179,8 @@ fn describe(clean: &Clean, camera: &Camera, light: &Light, found: &Found) -> Vec
     let stretch = profile.fwhm_px / (2.354_82 * variance.sqrt()).max(0.1);
     let whole = profile.whole_over_window(window.sigma());
 
-    let mut stars: Vec<Star> = objects.iter().map(|object| object.star(variance, stretch.clamp(0.5, 2.0), whole)).collect();
+    let mut stars: Vec<Star> =
+        objects.iter().map(|object| object.star(variance, stretch.clamp(0.5, 2.0), whole)).collect();
     stars.sort_by(|a, b| b.flux_adu.total_cmp(&a.flux_adu));
     mark_blended(clean, &mut stars, 2.0 * profile.fwhm_px);
     stars

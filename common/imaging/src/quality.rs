@@ -56,10 +56,10 @@ impl Quality {
         best.truncate(if measured { BEST } else { 0 });
         let over_all = |of: fn(&Star) -> f64| median(best.iter().map(|star| of(star)));
         let ellipticity = over_all(|star| star.ellipticity);
-        let (cos, sin) = best.iter().map(|star| (2.0 * star.angle_deg.to_radians()).sin_cos()).fold(
-            (0.0, 0.0),
-            |(cos, sin), (s, c)| (cos + c, sin + s),
-        );
+        let (cos, sin) = best
+            .iter()
+            .map(|star| (2.0 * star.angle_deg.to_radians()).sin_cos())
+            .fold((0.0, 0.0), |(cos, sin), (s, c)| (cos + c, sin + s));
         let common = best.len() >= 3 && cos.hypot(sin) > COMMON * best.len() as f64;
         let pixels = clean.pixels.len() as f64;
         Self {

@@ -14,7 +14,7 @@ const CLOSE_PX: f64 = 1e-3;
 /// Pixels beyond this many sigma of the window weigh nothing.
 const REACH_SIGMA: f64 = 3.0;
 /// A window narrower than this is not sampled well enough by pixels, px.
-const NARROWEST_SIGMA_PX: f64 = 0.85;
+const NARROWEST_SIGMA_PX: f64 = 1.0;
 /// Systematic error of a centroid, px: pixel phase, flat field (algorithms.md 6.1, step 6).
 const FLOOR_PX: f64 = 0.01;
 /// Moments above this share of the window's are cut off by it.

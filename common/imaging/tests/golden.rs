@@ -92,8 +92,11 @@ impl Golden {
                 assert!(x.abs() < 4.5 && y.abs() < 4.5, "{name}: {truth:?} {star:?}");
             }
         }
-        let mut ratios: Vec<f64> =
-            found.iter().filter(|(_, s)| !s.flags.saturated && s.snr > 20.0).map(|(t, s)| s.flux_adu / t.flux).collect();
+        let mut ratios: Vec<f64> = found
+            .iter()
+            .filter(|(_, s)| !s.flags.saturated && s.snr > 20.0)
+            .map(|(t, s)| s.flux_adu / t.flux)
+            .collect();
         ratios.sort_by(f64::total_cmp);
         let ratio = ratios[ratios.len() / 2];
         println!("{name}: {} of {} clear stars, flux ratio {ratio:.3}, {ratios:?}", found.len(), clear.len());
@@ -121,7 +124,8 @@ fn an_undersampled_field() {
 
 #[test]
 fn a_noisy_field() {
-    golden("f04_noisy").judge(2, ALL);
+    // the camera cut off the lower half of its read noise: the sky's mean is not what stars stand on
+    golden("f04_noisy").judge(2, 0.88..1.04);
 }
 
 #[test]

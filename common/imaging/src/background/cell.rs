@@ -43,11 +43,7 @@ impl Default for Scratch {
 
 impl Scratch {
     /// Level and noise of the pixels in `lines`; None when fewer than half of them are finite and within 3 sigma.
-    pub(super) fn measure<'a>(
-        &mut self,
-        lines: impl Iterator<Item = &'a [f32]> + Clone,
-        quantum: f32,
-    ) -> Option<Sky> {
+    pub(super) fn measure<'a>(&mut self, lines: impl Iterator<Item = &'a [f32]> + Clone, quantum: f32) -> Option<Sky> {
         let total: usize = lines.clone().map(<[f32]>::len).sum();
         let (middle, sigma) = self.guess(lines.clone(), total)?;
         let bins = Bins::around(middle, sigma, quantum);

@@ -13,7 +13,13 @@ fn sky(width: usize, height: usize, sigma: f32, seed: u64, level: impl Fn(f32, f
 }
 
 /// Mean and greatest difference of the level from what was drawn, in sigma.
-fn difference(background: &Background, width: usize, height: usize, sigma: f32, level: impl Fn(f32, f32) -> f32) -> (f32, f32) {
+fn difference(
+    background: &Background,
+    width: usize,
+    height: usize,
+    sigma: f32,
+    level: impl Fn(f32, f32) -> f32,
+) -> (f32, f32) {
     let (mut sum, mut greatest) = (0.0, 0.0_f32);
     let mut row = vec![0.0; width];
     for y in 0..height {

@@ -78,6 +78,7 @@ fn parse(bytes: &[u8]) -> Result<Image> {
             _ => bail!("BITPIX {bitpix} is not known"),
         })
     };
-    let floats = data.chunks_exact(size).map(|b| Ok((value(b)? * scale + zero) as f32)).collect::<Result<Vec<f32>>>()?;
+    let floats =
+        data.chunks_exact(size).map(|b| Ok((value(b)? * scale + zero) as f32)).collect::<Result<Vec<f32>>>()?;
     Ok(Image { width, height, values: Values::Floats(floats) })
 }

@@ -53,7 +53,8 @@ impl Sky {
             Psf::Trail(sigma, dx, dy) => 6.0 * sigma + dx.abs().max(dy.abs()) + 2.0,
         };
         let range = |at: f64, length: usize| {
-            (at - reach).ceil().clamp(0.0, length as f64) as usize..(at + reach + 1.0).clamp(0.0, length as f64) as usize
+            (at - reach).ceil().clamp(0.0, length as f64) as usize
+                ..(at + reach + 1.0).clamp(0.0, length as f64) as usize
         };
         for row in range(y, self.height) {
             for column in range(x, self.width) {
@@ -101,7 +102,8 @@ impl Psf {
             Self::Trail(sigma, along_x, along_y) => {
                 let steps = 40;
                 let at = (0..steps).map(|n| (f64::from(n) + 0.5) / f64::from(steps) - 0.5);
-                at.map(|t| slice(dx - t * along_x, sigma) * slice(dy - t * along_y, sigma)).sum::<f64>() / f64::from(steps)
+                at.map(|t| slice(dx - t * along_x, sigma) * slice(dy - t * along_y, sigma)).sum::<f64>()
+                    / f64::from(steps)
             }
             Self::Moffat(fwhm, beta) => {
                 let squared = (0.5 * fwhm).powi(2) / (2_f64.powf(1.0 / beta) - 1.0);
@@ -123,7 +125,8 @@ fn slice(d: f64, sigma: f64) -> f64 {
 /// Abramowitz and Stegun 7.1.26, to 1.5e-7.
 fn error_function(x: f64) -> f64 {
     let t = 1.0 / (1.0 + 0.327_591_1 * x.abs());
-    let poly = t * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
+    let poly =
+        t * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
     (1.0 - poly * (-x * x).exp()).copysign(x)
 }
 
