@@ -44,7 +44,7 @@ impl BadPixelMap {
         for (y, line) in pixels.chunks(width).enumerate() {
             background.level.row(y, &mut level);
             background.noise.row(y, &mut noise);
-            let stands_out = |x: usize| !((line[x] - level[x]).abs() <= STANDS_OUT * noise[x]);
+            let stands_out = |x: usize| line[x].is_nan() || (line[x] - level[x]).abs() > STANDS_OUT * noise[x];
             positions.extend((0..width).filter(|x| stands_out(*x)).map(|x| (y * width + x) as u32));
         }
         Ok(Self { width, height, positions })

@@ -159,7 +159,7 @@ impl Offsets {
 fn clamped_means(image: &[f32], width: usize, sigma: f32) -> (Vec<[f32; SEGMENTS]>, Vec<[f32; SEGMENTS]>) {
     let height = image.len() / width;
     let per_sigma = 1.0 / sigma;
-    let clamped = |pixel: f32| if pixel.is_nan() { 0.0 } else { (pixel * per_sigma).max(-CLAMP).min(CLAMP) };
+    let clamped = |pixel: f32| if pixel.is_nan() { 0.0 } else { (pixel * per_sigma).clamp(-CLAMP, CLAMP) };
     let bound = |segment: usize, length: usize| segment * length / SEGMENTS;
     let bands = parallel::ranges(height, width, |band| {
         let mut rows = Vec::with_capacity(band.len());

@@ -64,7 +64,8 @@ pub struct Clean {
 
 impl Clean {
     /// Cleans a frame; `fwhm_px` is the width of its stars if it is known (the last frame's). Without it only what
-    /// is sharper than stars of 1.5 px counts as a defect, until [`Clean::fill_defects`] is told more.
+    /// is sharper than stars of 1.5 px counts as a defect, until [`Clean::fill_defects`] is told more. Stars below
+    /// 1.5 px cannot be told from hot pixels: then only known bad pixels are filled.
     ///
     /// # Errors
     /// [`FrameError::NoSky`] when no part of the frame has usable sky; [`FrameError::Mismatch`] when dark or
@@ -95,7 +96,11 @@ impl Clean {
             clean.filled = nan.map(|(at, _)| at as u32).collect();
         }
         // known widths are trusted to 20 %: seeing may have improved since
-        clean.fill_defects(fwhm_px.map_or(0.0, |fwhm| 0.8 * fwhm));
+        if fwhm_px.is_none_or(|fwhm| fwhm >= defect::SHARPEST_PX) {
+            clean.fill_defects(fwhm_px.map_or(0.0, |fwhm| 0.8 * fwhm));
+        } else {
+            defect::fill(&mut clean.pixels, width, &clean.filled);
+        }
         Ok(clean)
     }
 
@@ -115,6 +120,12 @@ impl Clean {
     pub(crate) fn takes_for_sky(&self, fwhm_px: f32) -> bool {
         let cell = self.width.div_ceil(self.background.level.shape().0);
         crate::background::side(self.width, self.height, Some(fwhm_px)) as f32 > 1.5 * cell as f32
+    }
+
+    /// Whether stars of this width (px), of which so many were found, are as sharp as the pixels that were filled,
+    /// and many enough to think that those were stars too.
+    pub(crate) fn took_for_defects(&self, fwhm_px: f32, stars: usize) -> bool {
+        fwhm_px < defect::SHARPEST_PX && stars > self.filled.len().saturating_sub(self.missing)
     }
 
     /// Takes offsets of rows and columns out, and measures the sky again if there were any. Answers how many lines

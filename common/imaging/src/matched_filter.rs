@@ -10,7 +10,7 @@ use crate::clean::Clean;
 use crate::parallel;
 
 /// FWHM of a Gaussian in sigma.
-pub(crate) const FWHM_PER_SIGMA: f32 = 2.354_820_1;
+pub(crate) const FWHM_PER_SIGMA: f32 = 2.354_82;
 /// The kernel ends at this many sigma.
 const REACH_SIGMA: f32 = 2.5;
 /// Every n-th pixel of every n-th row tells the scatter of S.

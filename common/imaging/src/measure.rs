@@ -3,6 +3,7 @@
 use crate::background::median_in_place;
 use crate::candidates;
 use crate::clean::{Camera, Clean};
+use crate::defect::SHARPEST_PX;
 use crate::frame::{Frame, FrameError};
 use crate::grid::Grid;
 use crate::matched_filter::{Kernel, Peak};
@@ -57,11 +58,11 @@ pub fn measure(frame: &Frame, camera: &Camera, search: &Search) -> Result<Measur
     let light = Light { frame, saturation: camera.saturation_adu(frame), brightest: clean.brightest_adu };
     let mut found = find(&mut clean, camera, search, &light);
     if let Some(width) = found.width
-        && clean.takes_for_sky(width as f32)
+        && (clean.takes_for_sky(width as f32) || clean.took_for_defects(width as f32, found.objects.len()))
     {
-        let wide = Search { fwhm_px: Some(width as f32), ..*search };
-        clean = Clean::new(frame, camera, wide.fwhm_px)?;
-        found = find(&mut clean, camera, &wide, &light);
+        let again = Search { fwhm_px: Some(width as f32), ..*search };
+        clean = Clean::new(frame, camera, again.fwhm_px)?;
+        found = find(&mut clean, camera, &again, &light);
     }
     let stars = describe(&clean, camera, &light, &found);
     let quality = Quality::of(&clean, &stars, found.width.is_some());
@@ -113,6 +114,7 @@ fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light) -> F
         let width = typical_width(clean, camera, light, &objects, kernel_px);
         let factor = width.map_or(1.0, |width| (width / kernel_px).max(kernel_px / width));
         if let Some(width) = width
+            && width >= f64::from(SHARPEST_PX)
             && clean.fill_defects(0.8 * width as f32) > 0
         {
             // what stood on a defect is gone now

@@ -97,7 +97,8 @@ impl Window {
         for _ in 0..STEPS {
             let (step_x, step_y) = self.step(&sums)?;
             (x, y) = (x + step_x, y + step_y);
-            if !((x - near.0).hypot(y - near.1) <= reach) {
+            let moved = (x - near.0).hypot(y - near.1);
+            if moved.is_nan() || moved > reach {
                 return None;
             }
             sums = self.sums(clean, x, y, noise);

@@ -1,4 +1,5 @@
 //! Places, fluxes, widths and their errors against what was drawn.
+#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
 
 mod sky;
 
@@ -87,6 +88,21 @@ fn a_centroid_has_no_error_that_depends_on_the_pixel_phase() {
         println!("{psf:?}: worst {worst:.4} px");
         assert!(worst < limit, "{psf:?}: {worst} px");
     }
+}
+
+#[test]
+fn stars_sharper_than_hot_pixels_are_not_taken_for_them() {
+    let mut sky = Sky::new(400, 400, 200.0, 21);
+    for (x, y) in sky.places(150, 12.0) {
+        sky.add_star(Psf::Gaussian(sigma(0.7)), x, y, 5000.0);
+    }
+    let counts = sky.counts(300.0, 5.0);
+    let measured = look(400, 400, &counts);
+    assert!(measured.quality.fwhm_px.unwrap().value < 1.5);
+    let found = pairs(&sky, &measured, 0.5);
+    assert!(found.len() >= 148 && measured.quality.defect_fraction == 0.0, "{} {:?}", found.len(), measured.quality);
+    let ratios: Vec<f64> = found.iter().map(|(drawn, star)| star.flux_adu / drawn.flux).collect();
+    assert!((mean_and_spread(&ratios).0 - 1.0).abs() < 0.1, "{:?}", mean_and_spread(&ratios));
 }
 
 #[test]

@@ -1,4 +1,5 @@
 //! Frames that another program drew (`tests/golden/README.md`): what is found against what was put there.
+#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
 
 mod fits;
 

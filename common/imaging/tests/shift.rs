@@ -1,4 +1,5 @@
 //! Shifts between pairs of frames that another program drew, and between frames drawn here.
+#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
 
 mod fits;
 mod sky;
