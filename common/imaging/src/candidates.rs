@@ -16,7 +16,7 @@ const LOCAL_SIGNIFICANCE: f32 = 2.5;
 /// Neighbours within this many FWHM must be parted by a valley ...
 const VALLEY_REACH: f32 = 3.0;
 /// ... this deep: in units of significance, and as a share of the fainter one's.
-const VALLEY: (f32, f32) = (2.5, 0.02);
+const VALLEY: (f32, f32) = (2.5, 0.03);
 /// More maxima than this are not looked at, the least significant being dropped.
 const MOST: usize = 200_000;
 

@@ -162,16 +162,9 @@ fn copy(frame: &Frame, camera: &Camera, saturation: f32) -> Result<(Vec<f32>, Co
     let counts = parallel::bands_mut(&mut pixels, width, |first, band| {
         let range = first * width..first * width + band.len();
         match frame.pixels() {
-            Pixels::U16(raw) => band.iter_mut().zip(&raw[range]).for_each(|(to, from)| *to = f32::from(*from)),
-            Pixels::F32(raw) => band.copy_from_slice(&raw[range]),
+            Pixels::U16(raw) => copy_counts(&raw[range], band, width, saturation),
+            Pixels::F32(raw) => copy_floats(&raw[range], band, saturation),
         }
-        let saturated: usize = band.iter().map(|value| usize::from(*value >= saturation)).sum();
-        let missing: usize = band.iter().map(|value| usize::from(!value.is_finite())).sum();
-        if missing > 0 {
-            band.iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = f32::NAN);
-        }
-        let brightest = band.iter().fold(f32::NEG_INFINITY, |most, value| most.max(*value));
-        Copied { saturated, missing, brightest }
     });
     if let Some(dark) = camera.dark {
         fits("dark", dark.width(), dark.height())?;
@@ -194,6 +187,32 @@ fn copy(frame: &Frame, camera: &Camera, saturation: f32) -> Result<(Vec<f32>, Co
         brightest: all.brightest.max(band.brightest),
     });
     Ok((pixels, all))
+}
+
+/// Row by row, so that what is counted is still in the cache.
+fn copy_counts(raw: &[u16], to: &mut [f32], width: usize, saturation: f32) -> Copied {
+    // the least whole number at or above the limit; beyond u16 nothing is saturated
+    let limit = saturation.ceil().max(0.0);
+    let limit = (limit <= f32::from(u16::MAX)).then_some(limit as u16);
+    let (mut saturated, mut brightest) = (0, 0);
+    for (raw, to) in raw.chunks(width).zip(to.chunks_mut(width)) {
+        to.iter_mut().zip(raw).for_each(|(to, from)| *to = f32::from(*from));
+        brightest = raw.iter().fold(brightest, |most, value| most.max(*value));
+        if let Some(limit) = limit.filter(|limit| brightest >= *limit) {
+            saturated += raw.iter().filter(|value| **value >= limit).count();
+        }
+    }
+    Copied { saturated, missing: 0, brightest: f32::from(brightest) }
+}
+
+fn copy_floats(raw: &[f32], to: &mut [f32], saturation: f32) -> Copied {
+    to.copy_from_slice(raw);
+    let saturated = to.iter().filter(|value| **value >= saturation).count();
+    let missing = to.iter().filter(|value| !value.is_finite()).count();
+    if missing > 0 {
+        to.iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = f32::NAN);
+    }
+    Copied { saturated, missing, brightest: parallel::highest(to) }
 }
 
 /// Whether the values are whole counts, judged by a thousand of them.

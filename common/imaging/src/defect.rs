@@ -20,6 +20,20 @@ const MISSED: f32 = 2.5;
 /// Narrower stars than this cannot be told from defects, px.
 pub(crate) const SHARPEST_PX: f32 = 1.5;
 
+/// Pixels that are passed over together when none of them stands out, and rows that share one noise.
+const BLOCK: usize = 64;
+const NOISE_ROWS: usize = 4;
+
+/// The greatest distance from the sky; in eight lanes, which the compiler keeps in vector registers.
+fn furthest(pixels: &[f32]) -> f32 {
+    let mut lanes = [0.0_f32; 8];
+    let (eights, rest) = pixels.as_chunks::<8>();
+    for eight in eights {
+        lanes.iter_mut().zip(eight).for_each(|(lane, p)| *lane = if p.abs() > *lane { p.abs() } else { *lane });
+    }
+    lanes.iter().chain(rest).fold(0.0, |most, p| if p.abs() > most { p.abs() } else { most })
+}
+
 /// Positions (`y * width + x`) of the defects in a background-subtracted image, in order.
 pub(crate) fn find(image: &[f32], width: usize, noise: &Mesh, fwhm_px: f32) -> Vec<u32> {
     let height = image.len() / width;
@@ -27,16 +41,20 @@ pub(crate) fn find(image: &[f32], width: usize, noise: &Mesh, fwhm_px: f32) -> V
     let found = parallel::ranges(height, width, |band| {
         let mut sigma = vec![0.0; width];
         let mut found = Vec::new();
+        let mut least = f32::NAN;
         for y in band {
-            noise.row(y, &mut sigma);
+            // the noise hardly changes from row to row
+            if least.is_nan() || y % NOISE_ROWS == 0 {
+                noise.row(y, &mut sigma);
+                least = -parallel::highest(&sigma.iter().map(|s| -s).collect::<Vec<f32>>());
+            }
             let line = &image[y * width..(y + 1) * width];
-            for (first, (pixels, sigmas)) in line.chunks(16).zip(sigma.chunks(16)).enumerate() {
-                let any = pixels.iter().zip(sigmas).fold(false, |any, (p, s)| any | (p.abs() > STANDS_OUT * s));
-                if !any {
+            for (first, (pixels, sigmas)) in line.chunks(BLOCK).zip(sigma.chunks(BLOCK)).enumerate() {
+                if furthest(pixels) <= STANDS_OUT * least {
                     continue;
                 }
                 for (n, (pixel, sigma)) in pixels.iter().zip(sigmas).enumerate() {
-                    let x = 16 * first + n;
+                    let x = BLOCK * first + n;
                     if pixel.abs() > STANDS_OUT * sigma && is_defect(image, width, height, (x, y), *sigma, due) {
                         found.push((y * width + x) as u32);
                     }

@@ -19,6 +19,8 @@ const FIRST_FWHM_PX: f64 = 4.0;
 const WIDTHS_PX: (f64, f64) = (1.0, 40.0);
 /// A kernel that is wrong by more than this is replaced (algorithms.md 6.1, step 5).
 const KERNEL_TOLERANCE: f64 = 1.3;
+/// Defects are looked for again when the stars are wider than was known by this factor: then more can be told.
+const DEFECTS_AGAIN: f64 = 1.2;
 /// Stars that tell the width.
 const BEST: usize = 50;
 /// Significance that such stars should have.
@@ -115,6 +117,7 @@ fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light) -> F
         let factor = width.map_or(1.0, |width| (width / kernel_px).max(kernel_px / width));
         if let Some(width) = width
             && width >= f64::from(SHARPEST_PX)
+            && width > DEFECTS_AGAIN * search.fwhm_px.map_or(0.0, f64::from)
             && clean.fill_defects(0.8 * width as f32) > 0
         {
             // what stood on a defect is gone now

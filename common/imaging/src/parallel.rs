@@ -47,6 +47,16 @@ fn all<I: Send, T: Send>(items: impl Iterator<Item = I>, work: impl Fn(I) -> T +
     })
 }
 
+/// The greatest of the values, taking NaN for none; in eight lanes, which the compiler keeps in vector registers.
+pub(crate) fn highest(values: &[f32]) -> f32 {
+    let mut lanes = [f32::NEG_INFINITY; 8];
+    let (eights, rest) = values.as_chunks::<8>();
+    for eight in eights {
+        lanes.iter_mut().zip(eight).for_each(|(lane, value)| *lane = if *value > *lane { *value } else { *lane });
+    }
+    lanes.iter().chain(rest).fold(f32::NEG_INFINITY, |most, value| if *value > most { *value } else { most })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -12,6 +12,8 @@ const SAMPLE: usize = 251;
 const HALF: usize = 96;
 const BINS: usize = 2 * HALF;
 const BINS_PER_SIGMA: f32 = 12.0;
+/// Pixels whose bins are found together.
+const PART: usize = 64;
 /// Clipping at 3 sigma, at most 5 times (the predecessor's numbers).
 const CLIP_SIGMA: f32 = 3.0;
 const CLIP_PASSES: usize = 5;
@@ -32,12 +34,13 @@ pub(super) struct Sky {
 /// Memory used again for each cell.
 pub(super) struct Scratch {
     sample: Vec<f32>,
-    counts: [u32; BINS + 1],
+    /// What lies below the bins, the bins, what lies above; 256 so that no index can be out of bounds.
+    counts: [u32; 256],
 }
 
 impl Default for Scratch {
     fn default() -> Self {
-        Self { sample: Vec::with_capacity(2 * SAMPLE), counts: [0; BINS + 1] }
+        Self { sample: Vec::with_capacity(2 * SAMPLE), counts: [0; 256] }
     }
 }
 
@@ -49,13 +52,16 @@ impl Scratch {
         let bins = Bins::around(middle, sigma, quantum);
         self.counts.fill(0);
         for line in lines {
-            for value in line {
-                self.counts[bins.index(*value)] += 1;
+            for part in line.chunks(PART) {
+                // places first, in vector registers; then the counting
+                let mut places = [0_u32; PART];
+                places.iter_mut().zip(part).for_each(|(place, value)| *place = bins.place(*value));
+                places[..part.len()].iter().for_each(|place| self.counts[(place & 0xFF) as usize] += 1);
             }
         }
         let mut cumulative = [0.0; BINS + 1];
         let mut sum = 0;
-        for (bin, count) in self.counts[..BINS].iter().enumerate() {
+        for (bin, count) in self.counts[1..=BINS].iter().enumerate() {
             sum += count;
             cumulative[bin + 1] = sum as f32;
         }
@@ -82,17 +88,18 @@ impl Scratch {
         let least = self.sample.iter().copied().fold(f32::INFINITY, f32::min);
         let lowest = self.sample.iter().filter(|value| **value == least).count() as f32 / self.sample.len() as f32;
         let rank = ((UP_TO_SIGMA * self.sample.len() as f32) as usize).min(self.sample.len() - 1);
-        let above = *self.sample.select_nth_unstable_by(rank, f32::total_cmp).1 - middle;
+        // where many pixels share the lowest value, the spread is that of the others
+        let cut_off = lowest > 0.7 * CUT_OFF;
+        let above = cut_off.then(|| *self.sample.select_nth_unstable_by(rank, f32::total_cmp).1 - middle);
         self.sample.iter_mut().for_each(|value| *value = (*value - middle).abs());
         let sigma = MAD_TO_SIGMA * median_in_place(&mut self.sample)?;
-        // where many pixels share the lowest value, the spread is that of the others
-        Some((middle, if sigma > 0.0 && lowest < CUT_OFF * 0.7 { sigma } else { sigma.max(above) }))
+        Some((middle, above.map_or(sigma, |above| sigma.max(above))))
     }
 }
 
 /// Smallest step that f32 resolves near a level, with room for sums.
 fn level_step(level: f32) -> f32 {
-    (level.abs() * 4.0 * f32::EPSILON).max(f32::MIN_POSITIVE)
+    (level.abs() * 16.0 * f32::EPSILON).max(f32::MIN_POSITIVE)
 }
 
 struct Bins {
@@ -115,10 +122,14 @@ impl Bins {
         }
     }
 
-    /// The bin of a value; `BINS` for all that lie outside, NaN too.
-    fn index(&self, value: f32) -> usize {
-        let at = (value - self.low) * self.per_width;
-        if at >= 0.0 && at < BINS as f32 { (at as i32) as usize } else { BINS }
+    /// 1 + the bin of a value; 0 for what lies below and for NaN, `BINS + 1` for what lies above.
+    fn place(&self, value: f32) -> u32 {
+        // adding 2^23 rounds to whole numbers, which then stand in the lowest bits
+        const WHOLE: f32 = 8_388_608.0;
+        let at = (value - self.low) * self.per_width + 0.5;
+        let at = if at > 0.0 { at } else { 0.0 };
+        let at = if at < (BINS + 1) as f32 { at } else { (BINS + 1) as f32 };
+        (at + WHOLE).to_bits() & 0xFF
     }
 }
 

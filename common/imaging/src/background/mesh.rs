@@ -68,7 +68,8 @@ impl Mesh {
             let cubic = Cubic::through(&line, cell);
             // columns whose left neighbour is this cell; at least the present one
             let run = (((1.0 - t) / step).ceil() as usize).clamp(1, out.len() - x);
-            for (n, value) in out[x..x + run].iter_mut().enumerate() {
+            // i32: there is no vector instruction that turns usize into f32
+            for (n, value) in (0..run as i32).zip(&mut out[x..x + run]) {
                 *value = cubic.at(t + n as f32 * step);
             }
             x += run;

@@ -24,22 +24,24 @@ fn the_running_filter_agrees_with_the_plain_sum() {
         let plain: Vec<f32> =
             (0..width * height).map(|n| kernel.significance(&clean, n % width, n / width) / found.scatter).collect();
         let at = |x: usize, y: usize| plain[y * width + x];
-        let is_peak = |x: usize, y: usize| {
+        // four rows share one noise, so that neighbours may change places
+        let is_peak = |x: usize, y: usize, share: f32| {
             let columns = x.saturating_sub(1)..(x + 2).min(width);
             let rows = y.saturating_sub(1)..(y + 2).min(height);
             let highest = rows.flat_map(|r| columns.clone().map(move |c| at(c, r))).fold(f32::MIN, f32::max);
-            at(x, y) >= highest
+            at(x, y) >= share * highest
         };
         // all that are above the threshold at a pixel's centre, and some that are above it between the pixels
         let missing = (0..width * height).map(|n| (n % width, n / width)).filter(|(x, y)| {
-            is_peak(*x, *y) && at(*x, *y) > 1.001 && !found.peaks.iter().any(|p| (p.x, p.y) == (*x, *y))
+            let near = |p: &Peak| p.x.abs_diff(*x) <= 1 && p.y.abs_diff(*y) <= 1;
+            is_peak(*x, *y, 1.0) && at(*x, *y) > 1.02 && !found.peaks.iter().any(near)
         });
         assert_eq!(missing.count(), 0, "{width} x {height} at {fwhm} px");
         for peak in &found.peaks {
-            assert!(is_peak(peak.x, peak.y));
+            assert!(is_peak(peak.x, peak.y, 0.98));
             // a peak of noise may be sharper than a star
             let gain = peak.significance / at(peak.x, peak.y);
-            assert!(gain > 0.999 && gain < 1.15 / kernel.sampling_loss(), "{gain} at {fwhm} px");
+            assert!(gain > 0.98 && gain < 1.15 / kernel.sampling_loss(), "{gain} at {fwhm} px");
         }
     }
 }
