@@ -1,0 +1,288 @@
+//! A Gaussian of the stars' width, run over the image: where does a star stand out of the noise?
+//!
+//! Significance `S = (A * g) / (sigma sqrt(sum g^2))` is the signal-to-noise ratio of the best-fitting Gaussian of
+//! that width (algorithms.md 6.1, step 4). The kernel is separable; the filtered image exists only as three rows
+//! per thread. Where noise is correlated from pixel to pixel (mosaics, debayered frames), S scatters by more than 1:
+//! its scatter is measured on the frame itself and divided out.
+
+use crate::background::median_in_place;
+use crate::clean::Clean;
+use crate::parallel;
+
+/// FWHM of a Gaussian in sigma.
+pub(crate) const FWHM_PER_SIGMA: f32 = 2.354_82;
+/// The kernel ends at this many sigma.
+const REACH_SIGMA: f32 = 2.5;
+/// Every n-th pixel of every n-th row tells the scatter of S.
+const SAMPLE_STEP: usize = 8;
+
+/// Rows for which the noise is evaluated once: an eighth of a cell of the mesh at most.
+const NOISE_ROWS: usize = 4;
+
+/// A sampled Gaussian of peak 1.
+#[derive(Debug, Clone)]
+pub(crate) struct Kernel {
+    pub(crate) fwhm_px: f32,
+    /// Values at distance 0, 1, 2 ... px along one axis.
+    taps: Vec<f32>,
+    /// Square root of the sum over all pixels of the squared kernel.
+    norm: f32,
+}
+
+/// A local maximum of the significance.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Peak {
+    /// Highest pixel.
+    pub(crate) x: usize,
+    pub(crate) y: usize,
+    /// How far from its centre the maximum lies, px.
+    pub(crate) offset: (f32, f32),
+    pub(crate) significance: f32,
+}
+
+/// All maxima above a threshold, the most significant first.
+#[derive(Debug, Clone)]
+pub(crate) struct Peaks {
+    pub(crate) peaks: Vec<Peak>,
+    /// Scatter of S over the frame, at least 1; already divided out of the peaks.
+    pub(crate) scatter: f32,
+}
+
+impl Kernel {
+    pub(crate) fn new(fwhm_px: f32) -> Self {
+        let sigma = fwhm_px / FWHM_PER_SIGMA;
+        let reach = (REACH_SIGMA * sigma).round().max(1.0) as usize;
+        let taps: Vec<f32> = (0..=reach).map(|d| (-0.5 * (d as f32 / sigma).powi(2)).exp()).collect();
+        let norm = taps[0].powi(2) + 2.0 * taps[1..].iter().map(|t| t * t).sum::<f32>();
+        Self { fwhm_px, taps, norm }
+    }
+
+    /// Share of a star's significance that is left at the pixel's centre when the star stands on its corner: for
+    /// stars as wide as the kernel S falls with distance as `exp(-d^2 / 4 sigma^2)`.
+    pub(crate) fn sampling_loss(&self) -> f32 {
+        (-0.5 / self.fall()).exp()
+    }
+
+    /// `4 sigma^2`, px^2.
+    fn fall(&self) -> f32 {
+        (2.0 * self.fwhm_px / FWHM_PER_SIGMA).powi(2)
+    }
+
+    /// How far from the highest pixel (significance `here`) the maximum lies, px, from the pixels before and after.
+    fn offset(&self, here: f32, before: f32, after: f32) -> f32 {
+        let fall = self.fall();
+        let offset = 0.25 * fall * (1.0 / fall).exp() * (after - before) / here;
+        if offset.is_finite() { offset.clamp(-0.5, 0.5) } else { 0.0 }
+    }
+
+    /// Significance of a Gaussian whose middle lies (dx, dy) px off a pixel's centre.
+    fn significance_beside(&self, clean: &Clean, x: usize, y: usize, dx: f32, dy: f32) -> f32 {
+        let (reach, per_sigma) = (self.reach(), FWHM_PER_SIGMA / self.fwhm_px);
+        let taps = |offset: f32| -> Vec<f32> {
+            let at = (0..=2 * reach).map(|n| n as f32 - reach as f32 - offset);
+            at.map(|d| (-0.5 * (d * per_sigma).powi(2)).exp()).collect()
+        };
+        let (along_x, along_y) = (taps(dx), taps(dy));
+        let squared = |taps: &[f32]| taps.iter().map(|tap| tap * tap).sum::<f32>();
+        let (left, right) = (x.saturating_sub(reach), (x + reach + 1).min(clean.width));
+        let mut sum = 0.0;
+        for row in y.saturating_sub(reach)..(y + reach + 1).min(clean.height) {
+            let line = &clean.pixels[row * clean.width + left..row * clean.width + right];
+            let taps = &along_x[left + reach - x..];
+            sum += along_y[row + reach - y] * line.iter().zip(taps).map(|(pixel, tap)| pixel * tap).sum::<f32>();
+        }
+        sum / (clean.background.noise.at(x, y) * (squared(&along_x) * squared(&along_y)).sqrt())
+    }
+
+    /// Half width, px.
+    pub(crate) fn reach(&self) -> usize {
+        self.taps.len() - 1
+    }
+
+    /// Significance at one pixel, without the frame's scatter.
+    pub(crate) fn significance(&self, clean: &Clean, x: usize, y: usize) -> f32 {
+        let reach = self.reach();
+        let (left, right) = (x.saturating_sub(reach), (x + reach + 1).min(clean.width));
+        let mut sum = 0.0;
+        for row in y.saturating_sub(reach)..(y + reach + 1).min(clean.height) {
+            let line = &clean.pixels[row * clean.width + left..row * clean.width + right];
+            let along: f32 = line.iter().enumerate().map(|(n, pixel)| pixel * self.taps[(left + n).abs_diff(x)]).sum();
+            sum += along * self.taps[row.abs_diff(y)];
+        }
+        sum / (clean.background.noise.at(x, y) * self.norm)
+    }
+
+    /// Local maxima of the significance above `threshold`, each at its height between the pixels.
+    pub(crate) fn peaks(&self, clean: &Clean, threshold: f32) -> Peaks {
+        let bands = parallel::ranges(clean.height, clean.width, |rows| {
+            let mut filter = Rows::new(self, clean, rows.start);
+            let (mut peaks, mut sample) = (Vec::new(), Vec::<f32>::new());
+            for y in rows {
+                filter.advance(y);
+                let [above, here, below] = &filter.significance;
+                local_maxima(above, here, below, threshold * self.sampling_loss(), |x| {
+                    let dx = self.offset(here[x], at(here, x.wrapping_sub(1)), at(here, x + 1));
+                    let dy = self.offset(here[x], above[x], below[x]);
+                    let beside = self.significance_beside(clean, x, y, dx, dy);
+                    peaks.push(Peak { x, y, offset: (dx, dy), significance: beside.max(here[x]) });
+                });
+                if y % SAMPLE_STEP == SAMPLE_STEP / 2 {
+                    sample.extend(here.iter().skip(SAMPLE_STEP / 2).step_by(SAMPLE_STEP));
+                }
+            }
+            (peaks, sample)
+        });
+        let (mut peaks, mut sample): (Vec<Peak>, Vec<f32>) = (Vec::new(), Vec::new());
+        for (band_peaks, band_sample) in bands {
+            peaks.extend(band_peaks);
+            sample.extend(band_sample);
+        }
+        let scatter = lower_scatter(&mut sample).max(1.0);
+        peaks.iter_mut().for_each(|peak| peak.significance /= scatter);
+        peaks.retain(|peak| peak.significance > threshold);
+        peaks.sort_unstable_by(|a, b| b.significance.total_cmp(&a.significance).then((a.y, a.x).cmp(&(b.y, b.x))));
+        Peaks { peaks, scatter }
+    }
+}
+
+/// Median less the 16th percentile, which stars do not reach: one sigma of a Gaussian. 0 when there are too few.
+fn lower_scatter(sample: &mut [f32]) -> f32 {
+    if sample.len() < 100 {
+        return 0.0;
+    }
+    let rank = (0.158_655 * sample.len() as f64) as usize;
+    let low = *sample.select_nth_unstable_by(rank, f32::total_cmp).1;
+    median_in_place(sample).map_or(0.0, |median| median - low)
+}
+
+/// Significance at a column; lower than any outside of the image.
+fn at(line: &[f32], x: usize) -> f32 {
+    line.get(x).copied().unwrap_or(f32::NEG_INFINITY)
+}
+
+fn local_maxima(above: &[f32], here: &[f32], below: &[f32], threshold: f32, mut found: impl FnMut(usize)) {
+    for (chunk, values) in here.chunks(64).enumerate() {
+        if parallel::highest(values) <= threshold {
+            continue;
+        }
+        for (n, value) in values.iter().enumerate().filter(|(_, value)| **value > threshold) {
+            let x = 64 * chunk + n;
+            let (left, right) = (x.wrapping_sub(1), x + 1);
+            // of equal neighbours the first one is the maximum
+            let later = [at(here, right), at(below, left), at(below, x), at(below, right)];
+            let earlier = [at(here, left), at(above, left), at(above, x), at(above, right)];
+            if later.iter().all(|other| value >= other) && earlier.iter().all(|other| value > other) {
+                found(x);
+            }
+        }
+    }
+}
+
+/// The filter as it moves down a band of rows.
+struct Rows<'a> {
+    kernel: &'a Kernel,
+    clean: &'a Clean,
+    /// Rows filtered along x, row `y` in place `y % (2 reach + 1)`.
+    along_x: Vec<Vec<f32>>,
+    /// First row that is not in `along_x` yet.
+    next: usize,
+    padded: Vec<f32>,
+    /// What lies outside of the image.
+    zeros: Vec<f32>,
+    /// 1 / (noise x norm of the kernel), and the row it was evaluated for.
+    per_noise: Vec<f32>,
+    per_noise_of: Option<usize>,
+    /// Rows `y - 1`, `y`, `y + 1`.
+    significance: [Vec<f32>; 3],
+}
+
+impl<'a> Rows<'a> {
+    /// Ready to `advance` to row `first`.
+    fn new(kernel: &'a Kernel, clean: &'a Clean, first: usize) -> Self {
+        let (reach, width) = (kernel.reach(), clean.width);
+        let mut rows = Self {
+            kernel,
+            clean,
+            along_x: vec![vec![0.0; width]; 2 * reach + 1],
+            next: first.saturating_sub(reach + 1),
+            padded: vec![0.0; width + 2 * reach],
+            zeros: vec![0.0; width],
+            per_noise: vec![0.0; width],
+            per_noise_of: None,
+            significance: std::array::from_fn(|_| vec![f32::NEG_INFINITY; width]),
+        };
+        for y in [first.wrapping_sub(1), first] {
+            rows.push(y);
+        }
+        rows
+    }
+
+    /// Makes `y` the middle row; called with one row after the other.
+    fn advance(&mut self, y: usize) {
+        self.push(y + 1);
+    }
+
+    /// Moves the three rows up and filters row `y` into the last; a row outside of the image is lower than any.
+    fn push(&mut self, y: usize) {
+        self.significance.rotate_left(1);
+        if y >= self.clean.height {
+            self.significance[2].fill(f32::NEG_INFINITY);
+            return;
+        }
+        let (reach, height) = (self.kernel.reach(), self.clean.height);
+        while self.next <= (y + reach).min(height - 1) {
+            self.filter_along_x(self.next);
+            self.next += 1;
+        }
+        let row = |row: Option<usize>| row.map_or(&self.zeros[..], |row| &self.along_x[row % (2 * reach + 1)]);
+        let taps = self.kernel.taps.iter().enumerate().skip(1);
+        let pairs: Vec<Pair> =
+            taps.map(|(d, tap)| (*tap, row(y.checked_sub(d)), row((y + d < height).then_some(y + d)))).collect();
+        let out = &mut self.significance[2];
+        weigh(out, row(Some(y)), &pairs);
+        // the noise hardly changes from row to row
+        if self.per_noise_of.is_none_or(|of| y.abs_diff(of) >= NOISE_ROWS) {
+            self.clean.background.noise.row(y, &mut self.per_noise);
+            self.per_noise.iter_mut().for_each(|noise| *noise = 1.0 / (*noise * self.kernel.norm));
+            self.per_noise_of = Some(y);
+        }
+        out.iter_mut().zip(&self.per_noise).for_each(|(out, per_noise)| *out *= per_noise);
+    }
+
+    fn filter_along_x(&mut self, y: usize) {
+        let (reach, width) = (self.kernel.reach(), self.clean.width);
+        self.padded[reach..reach + width].copy_from_slice(&self.clean.pixels[y * width..(y + 1) * width]);
+        let padded = &self.padded;
+        let taps = self.kernel.taps.iter().enumerate().skip(1);
+        let pairs: Vec<Pair> = taps.map(|(d, tap)| (*tap, &padded[reach - d..], &padded[reach + d..])).collect();
+        weigh(&mut self.along_x[y % (2 * reach + 1)], &padded[reach..], &pairs);
+    }
+}
+
+/// A tap of the kernel and the two lines at its distance on either side.
+type Pair<'a> = (f32, &'a [f32], &'a [f32]);
+
+/// `out = middle + sum of tap * (before + after)`; 16 sums at a time, which stay in vector registers.
+fn weigh(out: &mut [f32], middle: &[f32], pairs: &[Pair]) {
+    const BLOCK: usize = 16;
+    let done = out.len() / BLOCK * BLOCK;
+    let (blocks, rest) = out.as_chunks_mut::<BLOCK>();
+    let blocks_of = |line: &'_ [f32], n: usize| -> [f32; BLOCK] { line.as_chunks::<BLOCK>().0[n] };
+    for (n, block) in blocks.iter_mut().enumerate() {
+        let mut sums = blocks_of(middle, n);
+        for (tap, before, after) in pairs {
+            let (before, after) = (blocks_of(before, n), blocks_of(after, n));
+            for lane in 0..BLOCK {
+                sums[lane] += tap * (before[lane] + after[lane]);
+            }
+        }
+        *block = sums;
+    }
+    for (n, value) in rest.iter_mut().enumerate() {
+        let at = done + n;
+        *value = middle[at] + pairs.iter().map(|(tap, before, after)| tap * (before[at] + after[at])).sum::<f32>();
+    }
+}
+
+#[cfg(test)]
+mod tests;

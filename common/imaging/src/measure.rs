@@ -1,0 +1,259 @@
+//! From a frame to its stars and its quality, in one call.
+
+use crate::background::median_in_place;
+use crate::candidates;
+use crate::clean::{Camera, Clean};
+use crate::defect::SHARPEST_PX;
+use crate::frame::{Frame, FrameError};
+use crate::grid::Grid;
+use crate::matched_filter::{Kernel, Peak};
+use crate::parallel;
+use crate::profile::Profile;
+use crate::quality::Quality;
+use crate::star::{Flags, Star};
+use crate::window::{Seen, Window};
+
+/// Width assumed when nobody knows better, px; it is measured and the search repeated if it is wrong.
+const FIRST_FWHM_PX: f64 = 4.0;
+/// Widths between which stars are looked for, px.
+const WIDTHS_PX: (f64, f64) = (1.0, 40.0);
+/// A kernel that is wrong by more than this is replaced (algorithms.md 6.1, step 5).
+const KERNEL_TOLERANCE: f64 = 1.3;
+/// Defects are looked for again when the stars are wider than was known by this factor: then more can be told.
+const DEFECTS_AGAIN: f64 = 1.2;
+/// Stars that tell the width.
+const BEST: usize = 50;
+/// Significance that such stars should have.
+const WELL_SEEN: f32 = 8.0;
+
+/// How to look for stars.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Search {
+    /// Least significance in the matched filter.
+    pub threshold: f32,
+    /// Width of the stars in the last frame of this camera, px; saves a second search.
+    pub fwhm_px: Option<f32>,
+}
+
+impl Default for Search {
+    fn default() -> Self {
+        Self { threshold: 5.0, fwhm_px: None }
+    }
+}
+
+/// What a frame shows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measured {
+    /// All stars, the brightest first, flagged ones included.
+    pub stars: Vec<Star>,
+    /// The frame as a whole.
+    pub quality: Quality,
+}
+
+/// Cleans a frame, finds its stars and measures them.
+///
+/// # Errors
+/// [`FrameError`] when the frame has no usable sky, or the dark or bad-pixel map have another shape. A frame without
+/// stars is no error.
+pub fn measure(frame: &Frame, camera: &Camera, search: &Search) -> Result<Measured, FrameError> {
+    let mut clean = Clean::new(frame, camera, search.fwhm_px)?;
+    let light = Light { frame, saturation: camera.saturation_adu(frame), brightest: clean.brightest_adu };
+    let mut found = find(&mut clean, camera, search, &light);
+    if let Some(width) = found.width
+        && (clean.takes_for_sky(width as f32) || clean.took_for_defects(width as f32, found.objects.len()))
+    {
+        let again = Search { fwhm_px: Some(width as f32), ..*search };
+        clean = Clean::new(frame, camera, again.fwhm_px)?;
+        found = find(&mut clean, camera, &again, &light);
+    }
+    let stars = describe(&clean, camera, &light, &found);
+    let quality = Quality::of(&clean, &stars, found.width.is_some());
+    Ok(Measured { stars, quality })
+}
+
+/// The raw pixels, asked about saturation.
+struct Light<'a> {
+    frame: &'a Frame<'a>,
+    saturation: f32,
+    brightest: f32,
+}
+
+impl Light<'_> {
+    /// Brightest raw pixel within `reach` px, and whether the star is saturated there: at the limit, or with three
+    /// pixels at the one value that is the greatest of the whole frame.
+    fn peak(&self, x: usize, y: usize, reach: usize) -> (f32, bool) {
+        let (mut peak, mut at_top) = (f32::NEG_INFINITY, 0);
+        for row in y.saturating_sub(reach)..=y + reach {
+            for column in x.saturating_sub(reach)..=x + reach {
+                let value = self.frame.value(column, row);
+                peak = peak.max(value);
+                at_top += usize::from(value == self.brightest);
+            }
+        }
+        (peak, peak >= self.saturation || at_top >= 3)
+    }
+}
+
+/// Objects, and the width of their stars.
+struct Found {
+    objects: Vec<Peak>,
+    /// Width of the kernel they were found with, px.
+    kernel_px: f64,
+    /// Width that was measured, px.
+    width: Option<f64>,
+}
+
+/// Searches with the expected width, measures the true one, and searches again if they differ too much.
+fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light) -> Found {
+    let expected = search.fwhm_px.map_or(FIRST_FWHM_PX, f64::from);
+    let mut kernel_px = if expected.is_finite() { expected.clamp(WIDTHS_PX.0, WIDTHS_PX.1) } else { FIRST_FWHM_PX };
+    let mut left = 2;
+    loop {
+        let kernel = Kernel::new(kernel_px as f32);
+        let peaks = kernel.peaks(clean, search.threshold);
+        let is_saturated = |peak: &Peak| light.peak(peak.x, peak.y, 1).1;
+        let mut objects = candidates::objects(clean, &kernel, &peaks, is_saturated);
+        let width = typical_width(clean, camera, light, &objects, kernel_px);
+        let factor = width.map_or(1.0, |width| (width / kernel_px).max(kernel_px / width));
+        if let Some(width) = width
+            && width >= f64::from(SHARPEST_PX)
+            && width > DEFECTS_AGAIN * search.fwhm_px.map_or(0.0, f64::from)
+            && clean.fill_defects(0.8 * width as f32) > 0
+        {
+            // what stood on a defect is gone now
+            let least = search.threshold * kernel.sampling_loss() * peaks.scatter;
+            objects.retain(|peak| kernel.significance(clean, peak.x, peak.y) > least);
+        }
+        if factor <= KERNEL_TOLERANCE || left == 0 {
+            return Found { objects, kernel_px, width };
+        }
+        kernel_px = width.map_or(kernel_px, |width| width.clamp(WIDTHS_PX.0, WIDTHS_PX.1));
+        left -= 1;
+    }
+}
+
+/// Median width of the best unsaturated stars, px, each seen through a window that grows or shrinks to its size.
+fn typical_width(clean: &Clean, camera: &Camera, light: &Light, objects: &[Peak], kernel_px: f64) -> Option<f64> {
+    let good = objects.iter().filter(|peak| peak.significance >= WELL_SEEN);
+    let unsaturated = good.filter(|peak| !light.peak(peak.x, peak.y, kernel_px as usize).1);
+    let widths = unsaturated.take(4 * BEST).filter_map(|peak| own_width(clean, camera, peak, kernel_px));
+    let mut widths: Vec<f32> = widths.take(BEST).map(|width| width as f32).collect();
+    median_in_place(&mut widths).map(f64::from)
+}
+
+fn own_width(clean: &Clean, camera: &Camera, peak: &Peak, kernel_px: f64) -> Option<f64> {
+    let mut width = kernel_px;
+    for _ in 0..8 {
+        let window = Window::new(width, camera.gain_e_per_adu);
+        let seen = window.look(clean, (peak.x as f64, peak.y as f64), width.max(kernel_px))?;
+        let new = seen.fwhm().clamp(WIDTHS_PX.0, WIDTHS_PX.1);
+        if (new / width - 1.0).abs() < 0.02 {
+            return (!seen.cut).then_some(new);
+        }
+        width = new;
+    }
+    Some(width)
+}
+
+/// Measures all objects through one window and turns them into stars.
+fn describe(clean: &Clean, camera: &Camera, light: &Light, found: &Found) -> Vec<Star> {
+    let width = found.width.unwrap_or(found.kernel_px);
+    let window = Window::new(width, camera.gain_e_per_adu);
+    let seen = parallel::ranges(found.objects.len(), 512, |range| {
+        let look = |peak: &Peak| {
+            let (peak_adu, saturated) = light.peak(peak.x, peak.y, (0.5 * width).ceil() as usize);
+            // only a window that reaches over a flat top finds its middle
+            let own = if saturated { own_width(clean, camera, peak, width).unwrap_or(width) } else { width };
+            let window = if saturated { Window::new(own, camera.gain_e_per_adu) } else { window };
+            let seen = window.look(clean, (peak.x as f64, peak.y as f64), own.max(found.kernel_px))?;
+            Some(Object { peak: *peak, seen, peak_adu, saturated })
+        };
+        found.objects[range].iter().filter_map(look).collect::<Vec<_>>()
+    });
+    let objects = without_doubles(clean, seen.into_iter().flatten(), 0.5 * width);
+
+    let stackable = |o: &&Object| !o.saturated && !o.seen.cut && o.peak.significance >= WELL_SEEN;
+    let best: Vec<&Object> = objects.iter().filter(stackable).take(BEST).collect();
+    let mut variances: Vec<f32> = best.iter().map(|o| o.seen.variance() as f32).collect();
+    let variance = median_in_place(&mut variances).map_or((width / 2.354_82).powi(2), f64::from);
+    let starlike = best.iter().filter(|o| o.seen.variance() > 0.36 * variance);
+    let stack: Vec<_> = starlike.map(|o| (o.seen.x, o.seen.y, o.seen.flux)).collect();
+    // a Gaussian under a window of its own size shows half of its flux
+    let gaussian = Profile { fwhm_px: width, beta: 30.0 };
+    let profile = Profile::fit(clean, &stack, width).unwrap_or(gaussian);
+    let stretch = profile.fwhm_px / (2.354_82 * variance.sqrt()).max(0.1);
+    let whole = profile.whole_over_window(window.sigma());
+
+    let mut stars: Vec<Star> =
+        objects.iter().map(|object| object.star(variance, stretch.clamp(0.5, 2.0), whole)).collect();
+    stars.sort_by(|a, b| b.flux_adu.total_cmp(&a.flux_adu));
+    mark_blended(clean, &mut stars, 2.0 * profile.fwhm_px);
+    stars
+}
+
+struct Object {
+    peak: Peak,
+    seen: Seen,
+    peak_adu: f32,
+    saturated: bool,
+}
+
+impl Object {
+    /// `variance` is the typical star's, `stretch` turns widths by moments into FWHM, `whole` is the flux of a star
+    /// over that in the window.
+    fn star(&self, variance: f64, stretch: f64, whole: f64) -> Star {
+        let seen = &self.seen;
+        let ratio = seen.axis_ratio();
+        Star {
+            x_px: seen.x,
+            y_px: seen.y,
+            x_error_px: seen.error.0,
+            y_error_px: seen.error.1,
+            flux_adu: whole * seen.flux,
+            flux_error_adu: whole * seen.flux_error,
+            snr: seen.flux / seen.flux_error,
+            significance: f64::from(self.peak.significance),
+            peak_adu: f64::from(self.peak_adu),
+            fwhm_px: stretch * seen.fwhm(),
+            ellipticity: 1.0 - 1.0 / ratio,
+            angle_deg: seen.angle.to_degrees(),
+            flags: Flags {
+                saturated: self.saturated,
+                // widths of faint stars scatter: sharper than 0.6 of the width beyond doubt
+                cosmic: seen.variance() + 1.5 * seen.variance_error < 0.36 * variance,
+                trailed: ratio > 1.6 && seen.major - seen.minor > 3.0 * seen.variance_error,
+                edge: seen.cut,
+                blended: false,
+            },
+        }
+    }
+}
+
+/// Drops objects whose windows ran into the same star, keeping the more significant.
+fn without_doubles(clean: &Clean, objects: impl Iterator<Item = Object>, reach: f64) -> Vec<Object> {
+    let mut grid = Grid::new(clean.width, clean.height, reach as f32);
+    let mut kept = Vec::new();
+    for object in objects {
+        let (x, y) = (object.seen.x as f32, object.seen.y as f32);
+        if grid.near(x, y, reach as f32).next().is_none() {
+            grid.add(x, y);
+            kept.push(object);
+        }
+    }
+    kept
+}
+
+/// Flags stars with a neighbour of at least a tenth of their flux within `reach` px.
+fn mark_blended(clean: &Clean, stars: &mut [Star], reach: f64) {
+    let mut grid = Grid::new(clean.width, clean.height, reach as f32);
+    stars.iter().for_each(|star| grid.add(star.x_px as f32, star.y_px as f32));
+    let blended: Vec<bool> = stars
+        .iter()
+        .enumerate()
+        .map(|(n, star)| {
+            let mut near = grid.near(star.x_px as f32, star.y_px as f32, reach as f32);
+            near.any(|other| other != n && stars[other].flux_adu > 0.1 * star.flux_adu)
+        })
+        .collect();
+    stars.iter_mut().zip(blended).for_each(|(star, blended)| star.flags.blended = blended);
+}

@@ -1,0 +1,141 @@
+//! How far the stars moved from one frame to another, from their measured places.
+//!
+//! Star lists are paired by voting for the most frequent difference of places, then a shift and a small rotation
+//! about the frame's centre are fitted by weighted least squares with Huber's weights (algorithms.md 6.4). The
+//! errors follow from the stars' own centroid errors. dx and dy are *check minus reference*: a star that stood at
+//! x stands at x + dx now. Rotation is positive from +x towards +y.
+
+mod fit;
+mod pair;
+
+use crate::star::Star;
+
+/// A shift with a standard error above this is no shift, px.
+const GREATEST_ERROR_PX: f64 = 0.5;
+/// Shifts above this need at least three stars, px.
+const FEW_STARS_PX: f64 = 5.0;
+/// Stars that take part, spread over the frame.
+const STARS: usize = 50;
+
+/// How a shift was measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Method {
+    /// By the places of stars.
+    Stars,
+    /// By the sums over rows and columns.
+    Projections,
+}
+
+/// How far the stars moved.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shift {
+    /// Along x, at the frame's centre, px.
+    pub dx_px: f64,
+    /// Along y, at the frame's centre, px.
+    pub dy_px: f64,
+    /// Rotation about the frame's centre from +x towards +y, degrees; 0 where it was not fitted.
+    pub rotation_deg: f64,
+    /// Covariance of dx (px), dy (px) and rotation (deg); rotation's row is zero where it was not fitted.
+    pub covariance: [[f64; 3]; 3],
+    /// Stars that were used; 0 for projections.
+    pub stars: usize,
+    /// Median flux in check over flux in reference; None for projections.
+    pub transparency: Option<f64>,
+    /// How it was measured.
+    pub method: Method,
+}
+
+impl Shift {
+    /// Standard errors of dx and dy, px.
+    pub fn error_px(&self) -> (f64, f64) {
+        (self.covariance[0][0].sqrt(), self.covariance[1][1].sqrt())
+    }
+}
+
+/// Why no shift can be told.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum NoShift {
+    /// No stars, or none that is good enough, in one of the frames.
+    #[error("too few stars to compare: {reference} in the reference, {check} in the check frame")]
+    TooFewStars {
+        /// Usable stars in the reference.
+        reference: usize,
+        /// Usable stars in the check frame.
+        check: usize,
+    },
+    /// The star lists have too little in common.
+    #[error("the frames do not match: only {matched} stars agree on a shift of {dx_px:.1}, {dy_px:.1} px")]
+    NoMatch {
+        /// Stars that agree.
+        matched: usize,
+        /// The best shift found, px.
+        dx_px: f64,
+        /// The best shift found, px.
+        dy_px: f64,
+    },
+    /// A shift was found, but its error is too great to be used.
+    #[error("the shift is uncertain by {error_px:.2} px, more than 0.5 px")]
+    Uncertain {
+        /// Greater one of the standard errors, px.
+        error_px: f64,
+    },
+    /// The frames have different shapes.
+    #[error("frames of {0} x {1} px and {2} x {3} px cannot be compared")]
+    Shapes(usize, usize, usize, usize),
+    /// The correlation of the projections has no clear peak.
+    #[error("the projections have no clear common peak along {axis}")]
+    NoPeak {
+        /// `x` or `y`.
+        axis: char,
+    },
+}
+
+/// The shift between two lists of stars of frames with this many columns and rows.
+///
+/// # Errors
+/// [`NoShift`] when too few stars are good, too few agree, or the result is too uncertain: with fewer than three
+/// common stars only shifts up to 5 px are believed.
+pub fn from_stars(reference: &[Star], check: &[Star], width: usize, height: usize) -> Result<Shift, NoShift> {
+    let chosen = |stars: &[Star]| {
+        let good: Vec<Star> = stars.iter().filter(|s| !(s.flags.saturated || s.flags.edge)).copied().collect();
+        crate::star::spread_evenly(&good, width, height, STARS)
+    };
+    let (reference, check) = (chosen(reference), chosen(check));
+    if reference.is_empty() || check.is_empty() {
+        return Err(NoShift::TooFewStars { reference: reference.len(), check: check.len() });
+    }
+    let centre = (0.5 * (width as f64 - 1.0), 0.5 * (height as f64 - 1.0));
+    let start = pair::most_frequent_difference(&reference, &check);
+    let mut motion = fit::Motion::shifted(start, centre);
+    let mut pairs = Vec::new();
+    // the vote is good to a few px; the fit then closes in
+    for reach in [6.0, 4.0, 3.0, 3.0] {
+        pairs = pair::mutual(&reference, &check, &motion, reach);
+        let no_match = NoShift::NoMatch { matched: pairs.len(), dx_px: motion.dx, dy_px: motion.dy };
+        motion = fit::fit(pair::moving(&pairs).as_deref().unwrap_or(&pairs), centre).ok_or(no_match)?;
+    }
+    let (dx_px, dy_px) = (motion.dx, motion.dy);
+    let far = dx_px.hypot(dy_px) > FEW_STARS_PX;
+    // of long lists a few pairs agree by chance
+    let by_chance = reference.len().min(check.len()) / 10;
+    if pairs.len() <= by_chance || (far && pairs.len() < 3) {
+        return Err(NoShift::NoMatch { matched: pairs.len(), dx_px, dy_px });
+    }
+    let error_px = motion.covariance[0][0].max(motion.covariance[1][1]).sqrt();
+    if !(error_px <= GREATEST_ERROR_PX && dx_px.is_finite() && dy_px.is_finite()) {
+        return Err(NoShift::Uncertain { error_px });
+    }
+    let mut ratios: Vec<f32> = pairs.iter().map(|(r, c)| (c.flux_adu / r.flux_adu) as f32).collect();
+    Ok(Shift {
+        dx_px,
+        dy_px,
+        rotation_deg: motion.rotation.to_degrees(),
+        covariance: motion.covariance_in_degrees(),
+        stars: pairs.len(),
+        transparency: crate::background::median_in_place(&mut ratios).map(f64::from),
+        method: Method::Stars,
+    })
+}
+
+#[cfg(test)]
+mod tests;
