@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::Payload;
+use crate::{BootId, Payload};
 
 /// Names one command; a repeat of the same id is answered again and not done again.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
@@ -40,6 +40,10 @@ pub struct Command<C> {
     /// valid safe permit exists.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub token: Option<u64>,
+    /// Life of the sender: the lease is granted to a process, not to a name. A sender that tells none is known by its
+    /// name alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub boot_id: Option<BootId>,
     /// What to do.
     #[serde(rename = "do")]
     pub action: C,
@@ -184,4 +188,9 @@ pub enum OrderKind {
     },
     /// Takes the alert of this id from the shelf.
     Unshelve(String),
+    /// Puts another schedule in the place of the one in force; refused with what is wrong with it where it is none.
+    PutSchedule {
+        /// The whole file, at most 1000000 bytes.
+        text: String,
+    },
 }

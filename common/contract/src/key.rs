@@ -182,16 +182,35 @@ pub enum Part {
     Schedule,
     /// What needs a person.
     Alerts,
+    /// Where the telescope looks, and what was learnt of it.
+    Pointing,
     /// The guide loop.
     Guiding,
     /// The focus run.
     Focus,
+    /// What people have ordered and what holds until it ends.
+    Standing,
+    /// What solved frames taught of the optics.
+    Optics,
+    /// What focus runs taught.
+    FocusLearnt,
 }
 
 impl Part {
     /// All parts.
-    pub const ALL: [Self; 7] =
-        [Self::Safety, Self::Lease, Self::Night, Self::Schedule, Self::Alerts, Self::Guiding, Self::Focus];
+    pub const ALL: [Self; 11] = [
+        Self::Safety,
+        Self::Lease,
+        Self::Night,
+        Self::Schedule,
+        Self::Alerts,
+        Self::Pointing,
+        Self::Guiding,
+        Self::Focus,
+        Self::Standing,
+        Self::Optics,
+        Self::FocusLearnt,
+    ];
 
     /// As it stands in a key.
     pub const fn word(self) -> &'static str {
@@ -201,8 +220,12 @@ impl Part {
             Self::Night => "night",
             Self::Schedule => "schedule",
             Self::Alerts => "alerts",
+            Self::Pointing => "pointing",
             Self::Guiding => "guiding",
             Self::Focus => "focus",
+            Self::Standing => "standing",
+            Self::Optics => "optics",
+            Self::FocusLearnt => "focus-learnt",
         }
     }
 }
@@ -262,8 +285,18 @@ pub enum Key {
     Permit(Address, Name),
     /// What was measured on a frame.
     Facts(Address, Name),
+    /// What guiding did about a frame.
+    Correction(Address),
+    /// Where the stars of a field stood that guiding holds.
+    GuideReference(Address),
+    /// A focus run has ended.
+    FocusRun(Address),
     /// A person's order (queryable).
     Order(Address),
+    /// Question and answer about the actions that a schedule may ask for (queryable).
+    Actions(Address),
+    /// What is wrong with a schedule? (queryable)
+    ScheduleCheck(Address),
     /// A file is safe on the archive's disk.
     Stored(Address),
     /// Question and answer about the past (queryable).
@@ -286,8 +319,13 @@ impl fmt::Display for Key {
             Self::Record(d) => device(f, d, "record"),
             Self::Observatory(a, part) => write!(f, "{ROOT}/{a}/observatory/{}/state", part.word()),
             Self::Permit(a, dome) => write!(f, "{ROOT}/{a}/observatory/permit/{dome}"),
+            Self::Correction(a) => write!(f, "{ROOT}/{a}/observatory/guiding/correction"),
             Self::Facts(a, frame) => write!(f, "{ROOT}/{a}/observatory/frame/{frame}/facts"),
+            Self::GuideReference(a) => write!(f, "{ROOT}/{a}/observatory/guiding/reference"),
+            Self::FocusRun(a) => write!(f, "{ROOT}/{a}/observatory/focus/run"),
             Self::Order(a) => write!(f, "{ROOT}/{a}/observatory/order"),
+            Self::Actions(a) => write!(f, "{ROOT}/{a}/observatory/actions"),
+            Self::ScheduleCheck(a) => write!(f, "{ROOT}/{a}/observatory/schedule/check"),
             Self::Stored(a) => write!(f, "{ROOT}/{a}/archive/stored"),
             Self::History(a) => write!(f, "{ROOT}/{a}/archive/history"),
             Self::Node(a, role, id, topic) => write!(f, "{ROOT}/{a}/node/{role}/{id}/{}", topic.word()),
@@ -308,7 +346,12 @@ impl Key {
             Self::Observatory(a, _)
             | Self::Permit(a, _)
             | Self::Facts(a, _)
+            | Self::Correction(a)
+            | Self::GuideReference(a)
+            | Self::FocusRun(a)
             | Self::Order(a)
+            | Self::Actions(a)
+            | Self::ScheduleCheck(a)
             | Self::Stored(a)
             | Self::History(a)
             | Self::Node(a, ..) => a,
@@ -335,7 +378,12 @@ impl Key {
             }
             ["observatory", "permit", dome] => Some(Self::Permit(address, dome.parse().ok()?)),
             ["observatory", "frame", id, "facts"] => Some(Self::Facts(address, id.parse().ok()?)),
+            ["observatory", "guiding", "correction"] => Some(Self::Correction(address)),
+            ["observatory", "guiding", "reference"] => Some(Self::GuideReference(address)),
+            ["observatory", "focus", "run"] => Some(Self::FocusRun(address)),
             ["observatory", "order"] => Some(Self::Order(address)),
+            ["observatory", "actions"] => Some(Self::Actions(address)),
+            ["observatory", "schedule", "check"] => Some(Self::ScheduleCheck(address)),
             ["observatory", part, "state"] => {
                 Part::ALL.into_iter().find(|p| p.word() == *part).map(|part| Self::Observatory(address, part))
             }
@@ -362,7 +410,12 @@ mod tests {
         let mut keys = vec![
             Key::Permit(address.clone(), name.clone()),
             Key::Facts(address.clone(), name.clone()),
+            Key::Correction(address.clone()),
+            Key::GuideReference(address.clone()),
+            Key::FocusRun(address.clone()),
             Key::Order(address.clone()),
+            Key::Actions(address.clone()),
+            Key::ScheduleCheck(address.clone()),
             Key::Stored(address.clone()),
             Key::History(address.clone()),
             Key::Frame(address.device(Kind::Camera, &name)),

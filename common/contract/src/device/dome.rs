@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::vendor::VendorCommand;
 use crate::{Datum, DeviceKind, Kind, Payload};
 
 /// The dome, ASCOM Dome.
@@ -93,6 +94,9 @@ pub enum Command {
     Claim,
     /// Ends a hold of the guard: the commander has taken over again after a closing by the guard.
     Resume,
+    /// A command of the maker's own; only what the device's block lists is sent, and without a valid safe permit only
+    /// what it lists for closing.
+    Vendor(VendorCommand),
 }
 
 impl Payload for Command {

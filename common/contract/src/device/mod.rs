@@ -11,6 +11,7 @@ pub mod rotator;
 pub mod safety_monitor;
 pub mod switch;
 pub mod telescope;
+pub mod vendor;
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -180,6 +181,9 @@ pub struct LastCommand {
     pub taken_utc: Utc,
     /// How it went.
     pub outcome: Outcome,
+    /// What the device answered to a command of its maker's own; absent for all others, and until it has answered.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub answer: Option<String>,
 }
 
 /// What is true of a device now, `F` being the typed fields of its kind (or plain JSON for a reader of all kinds).

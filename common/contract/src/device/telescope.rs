@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::vendor::VendorCommand;
 use crate::{Datum, DeviceKind, Kind, Payload};
 
 /// The mount, ASCOM Telescope.
@@ -38,6 +39,12 @@ pub struct Capabilities {
     pub site_longitude_deg: Datum<f64>,
     /// Metres above sea level.
     pub site_elevation_m: Datum<f64>,
+    /// Speed of guide pulses in right ascension, degrees of that coordinate per second; absent where it is not told.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub guide_rate_ra_deg_per_s: Option<f64>,
+    /// Speed of guide pulses in declination, degrees per second; absent where it is not told.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub guide_rate_dec_deg_per_s: Option<f64>,
 }
 
 impl Payload for Capabilities {
@@ -150,8 +157,18 @@ pub enum Command {
         /// Degrees, mount frame.
         dec_deg: f64,
     },
+    /// Go at these rates beside the stars, after a moving target; both zero: follow the stars again. A slew, parking, and
+    /// switching tracking end them too.
+    Rates {
+        /// Seconds of right ascension per sidereal second, eastward positive (ASCOM RightAscensionRate).
+        ra_s_per_sidereal_s: f64,
+        /// Arcseconds per second, northward positive (ASCOM DeclinationRate).
+        dec_arcsec_per_s: f64,
+    },
     /// Grants the lease where there is no enclosure; the answer carries the token.
     Claim,
+    /// A command of the maker's own; only what the device's block lists (`vendor_commands`) is sent.
+    Vendor(VendorCommand),
 }
 
 impl Payload for Command {

@@ -3,62 +3,10 @@
 //! Only what stands here can be raised. `docs/operator/alerts.md` is made from it by [`super::markdown`]; a test holds both
 //! together. The comment above a row is its text in that page.
 
-use std::fmt::Display;
-
-use units::Utc;
-
-use super::{Alert, Priority};
-
-/// What is the same for every alert of one kind.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Entry {
-    /// Begins the id; what varies follows after a `/`.
-    pub word: &'static str,
-    /// What varies, as the page shows it, such as `DOME`; empty where there is only one.
-    pub instance: &'static str,
-    /// How urgent.
-    pub priority: Priority,
-    /// What follows from it.
-    pub consequence: &'static str,
-    /// What a person should do.
-    pub action: &'static str,
-    /// Shown only after it has stood so long, machine s.
-    pub on_delay_s: u16,
-    /// Stands on for so long after its cause is gone, machine s: what comes and goes is one alert.
-    pub hold_s: u16,
-}
-
-macro_rules! catalogue {
-    ($($(#[doc = $means:literal])+ $kind:ident: $entry:expr,)*) => {
-        /// A sort of alert. The text of each is its explanation in `docs/operator/alerts.md`.
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-        pub enum AlertKind {
-            $($(#[doc = $means])+ $kind,)*
-        }
-
-        impl AlertKind {
-            /// All of them.
-            pub const ALL: &[Self] = &[$(Self::$kind),*];
-
-            /// Its row of the catalogue.
-            pub const fn entry(self) -> &'static Entry {
-                match self {
-                    $(Self::$kind => {
-                        const ENTRY: Entry = $entry;
-                        &ENTRY
-                    })*
-                }
-            }
-
-            /// What has happened, for a person.
-            pub const fn means(self) -> &'static str {
-                match self {
-                    $(Self::$kind => const { concat!($($means),+).trim_ascii() },)*
-                }
-            }
-        }
-    };
-}
+use super::Priority;
+pub use super::catalogue_entry::Entry;
+use super::catalogue_entry::PLAIN;
+use super::catalogue_macro::catalogue;
 
 catalogue! {
     /// A device failed again and again, so a row of the schedule rests and is tried again later, each time after twice
@@ -69,8 +17,7 @@ catalogue! {
         priority: Priority::Medium,
         consequence: "Its frames are not taken meanwhile.",
         action: "Look at the device that is named. The row goes on by itself while its window is open.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// The disk of a node's folder is almost full (`safety.disk_free_min_gb`). While it is the data folder of a device
     /// or observatory node, nothing is exposed: the last room is for the journal and for frames that are under way.
@@ -91,8 +38,7 @@ catalogue! {
         priority: Priority::High,
         consequence: "Its device node stops the tracking, and again every 5 s until it obeys.",
         action: "Look why it was left tracking; a person may have to stop it at the mount.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// The dome's own watchdog did not take its food. It closes the dome when its time is over, safe or not.
     Watchdog: Entry {
@@ -101,8 +47,7 @@ catalogue! {
         priority: Priority::High,
         consequence: "The dome will close by itself.",
         action: "Look at the dome's controller; compare watchdog_action with its manual.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// Nothing closes this dome when its device node's host loses power or hangs: it has no watchdog of its own, or
     /// none is configured.
@@ -112,30 +57,25 @@ catalogue! {
         priority: Priority::Advisory,
         consequence: "Nothing closes it when the host of its device node dies.",
         action: "Configure watchdog_s and watchdog_action, or give the dome a controller that has one.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// The disk that holds a node's data folder does not take its records of what was ordered and moved. Nothing waits
     /// for it: closing and all else go on.
     Audit: Entry {
         word: "audit",
-        instance: "",
         priority: Priority::High,
         consequence: "What is ordered and moved goes on and may leave no record.",
         action: "Free or repair the disk that holds this node's data folder.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// Records of what was ordered and moved found no room while a disk was slow or full. The chain says where, and how
     /// many.
     AuditLost: Entry {
         word: "audit-lost",
-        instance: "",
         priority: Priority::Medium,
         consequence: "Nothing can bring them back.",
         action: "Find out why the disk was slow or full.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// Records of what was ordered and moved do not follow from each other: somebody or something has changed or removed
     /// some. A node tells it of its own file, the archive of a node's. Stands until the node that tells it ends.
@@ -145,8 +85,7 @@ catalogue! {
         priority: Priority::High,
         consequence: "What was done before the break cannot be proven by this file; a new chain has begun.",
         action: "Compare the node's own files with the archive: starmesh audit verify FILE archive.db.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// A node does not tell the archive what was ordered and moved there. The node itself keeps it.
     AuditLacking: Entry {
@@ -155,18 +94,15 @@ catalogue! {
         priority: Priority::Medium,
         consequence: "The archive's copy is not whole.",
         action: "Look whether the node and its disk are well.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// A person's order to stay closed, or to do without a limit, was accepted and could not be written.
     StandingOrders: Entry {
         word: "standing-orders",
-        instance: "",
         priority: Priority::High,
         consequence: "It holds, but a restart of the observatory node would forget it.",
         action: "Look at the disk that holds the data folder.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// An enclosure must be closed and is not seen to be. The guard of the dome and the observatory node each try
     /// again, for ever. Look at the camera of the site before anything else: the shutter may be shut and only its
@@ -177,8 +113,7 @@ catalogue! {
         priority: Priority::Critical,
         consequence: "The telescope may stand in the weather.",
         action: "Close it by hand or at its own controls, or call the site. The closing goes on by itself.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// A dome opened and no node had told it to. Somebody stands at it, another program drives it, or its controller
     /// has a fault. Ask who is on site before you touch anything.
@@ -199,8 +134,7 @@ catalogue! {
         priority: Priority::Critical,
         consequence: "It stays open as long as its policy is parked_only.",
         action: "Park the mount, or make sure that the roof can pass it and close by hand.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// The slit of a dome could not be brought to where the telescope looks: the dome does not turn, or not far enough,
     /// or no azimuth of its slit leaves the whole aperture free. Closing does not depend on it.
@@ -210,8 +144,17 @@ catalogue! {
         priority: Priority::High,
         consequence: "The sky is not exposed; rows wait and are tried again.",
         action: "Look at the dome's rotation, and whether `dome.follow` and `dome.slit` are right. It is tried again by itself.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
+    },
+    /// A dome that says that it can turn stands over several telescopes, and nothing says who turns its slit
+    /// (`dome.follow`). One slit cannot stand where each of them looks, so Starmesh treats it as a roof.
+    DomeShared: Entry {
+        word: "dome-shared",
+        instance: "DOME",
+        priority: Priority::Medium,
+        consequence: "Nobody turns it: frames may show its wall.",
+        action: "Set `follow = \"off\"` where the site turns it or it is a roof; else give each telescope a dome block of its own.",
+        ..PLAIN
     },
     /// The guard closed the dome because nobody renewed its permission. The dome is safe; the night waits. The
     /// observatory node takes over again by itself when it runs and the sky is safe.
@@ -221,8 +164,7 @@ catalogue! {
         priority: Priority::High,
         consequence: "It opens for nobody until the commander resumes.",
         action: "Look why the observatory node was silent or unsafe.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// A mount was told to park and is not seen parked in time.
     MountNotParked: Entry {
@@ -231,8 +173,7 @@ catalogue! {
         priority: Priority::High,
         consequence: "It may move under a closed roof, or hold up a roof that waits for it.",
         action: "Look at the mount. The parking goes on by itself.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// No device node grants the right to command: the one that serves the dome (without a dome: the mount) does not
     /// answer or refuses.
@@ -262,58 +203,54 @@ catalogue! {
         priority: Priority::High,
         consequence: "Its state and its commands are unsure.",
         action: "Stop one of the two device nodes, or give the device to one of them (node = ...).",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// Two nodes of one role have one name. The younger ends by itself.
     Twin: Entry {
         word: "twin",
-        instance: "",
         priority: Priority::High,
         consequence: "The younger should leave by itself.",
         action: "End it if it does not.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// The newest schedule file cannot be read. The cause names the line.
     ScheduleRefused: Entry {
         word: "schedule-refused",
-        instance: "",
         priority: Priority::High,
         consequence: "The schedule before it stays in force; without one, nothing is observed.",
         action: "Correct the file; it is read again by itself.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
+    },
+    /// The schedule in force cannot be kept as a version beside those before it.
+    ScheduleNotKept: Entry {
+        word: "schedule-not-kept",
+        consequence: "It is observed all the same; who changed it, when and why may be missing from the list of versions.",
+        action: "Look at the disk that holds the data folder.",
+        ..PLAIN
     },
     /// What was begun and finished cannot be written down.
     Journal: Entry {
         word: "journal",
-        instance: "",
         priority: Priority::High,
         consequence: "After a restart rows may begin again.",
         action: "Look at the disk that holds the data folder.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// A frame was taken and the device node could not write it.
     SpoolCannotWrite: Entry {
         word: "spool-cannot-write",
-        instance: "",
         priority: Priority::High,
         consequence: "Frames are lost.",
         action: "Look at the disk of the device node.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// The archive's database does not take rows: its disk is full or read-only, or another program locks it.
     ArchiveDatabase: Entry {
         word: "archive/database",
-        instance: "",
         priority: Priority::High,
         consequence: "Telemetry waits in memory; when that is full, it is lost.",
         action: "Free disk space, or find who locks it.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// The archive tried several times to store a frame. Nothing is lost yet: the frame stays in the spool of its
     /// camera's device node.
@@ -323,8 +260,7 @@ catalogue! {
         priority: Priority::High,
         consequence: "It stays in the camera's spool; when that is full, exposing ends.",
         action: "Look at the archive's disk and its way to the device node.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// Nobody can be told of alerts at this address: it does not answer, refuses, or its password is wrong. The cause has
     /// its words. Everybody else is told, this alert too.
@@ -334,18 +270,15 @@ catalogue! {
         priority: Priority::High,
         consequence: "Whoever reads there does not hear of alerts.",
         action: "Look at `[alerts]` in observatory.toml, at the network and at the receiver. It is tried again by itself.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// What people acknowledged and shelved cannot be written down.
     AlertsNotKept: Entry {
         word: "alerts-not-kept",
-        instance: "",
         priority: Priority::Medium,
         consequence: "After a restart they stand as new again.",
         action: "Look at the disk that holds the data folder.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// A frame was exposed and never announced by the camera's device node.
     FrameLost: Entry {
@@ -354,8 +287,7 @@ catalogue! {
         priority: Priority::Medium,
         consequence: "It may not be on disk.",
         action: "Look at the device node of the camera and its spool.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// A camera does not reach its temperature in its time.
     CoolingFailed: Entry {
@@ -364,8 +296,7 @@ catalogue! {
         priority: Priority::Medium,
         consequence: "Rows of this camera fail.",
         action: "Look at the cooler, or raise temperature_c.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// A mirror cover must be closed and is not seen to be.
     CoverNotClosed: Entry {
@@ -374,8 +305,7 @@ catalogue! {
         priority: Priority::Medium,
         consequence: "Dust and dew reach the mirror.",
         action: "Look at the cover. The closing goes on by itself.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// A safety input is switched off in the configuration. It stands so that nobody forgets.
     Disabled: Entry {
@@ -384,28 +314,23 @@ catalogue! {
         priority: Priority::Medium,
         consequence: "The verdict does without it.",
         action: "Take `disabled` out of the configuration once it can be relied on again.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// A file's header lacks values that the telemetry should give.
     ArchiveHeaders: Entry {
         word: "archive/headers",
-        instance: "",
         priority: Priority::Advisory,
         consequence: "Its keywords stay incomplete.",
         action: "Put the file back where it was, or look at the disk.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// A person ordered that nothing opens.
     StayClosed: Entry {
         word: "stay-closed",
-        instance: "",
         priority: Priority::Advisory,
         consequence: "Nothing opens.",
         action: "Take it back: starmesh order SITE/TELESCOPE open-again.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
     /// A person does without one limit for a while.
     Override: Entry {
@@ -414,74 +339,143 @@ catalogue! {
         priority: Priority::Advisory,
         consequence: "It closes nothing.",
         action: "Heed it again: starmesh order SITE/TELESCOPE heed INPUT.",
-        on_delay_s: 0,
-        hold_s: 0,
+        ..PLAIN
     },
-}
-
-impl AlertKind {
-    /// The id of one alert of this kind; `instance` is empty where there is only one.
-    pub fn id(self, instance: impl Display) -> String {
-        let word = self.entry().word;
-        match instance.to_string().as_str() {
-            "" => word.to_owned(),
-            instance => format!("{word}/{instance}"),
-        }
-    }
-
-    /// An alert of this kind.
-    pub fn alert(self, instance: impl Display, raised_utc: Utc, cause: &str) -> Alert {
-        let entry = self.entry();
-        let [cause, consequence, action] = [cause, entry.consequence, entry.action].map(str::to_owned);
-        Alert {
-            id: self.id(instance),
-            priority: entry.priority,
-            raised_utc,
-            cause,
-            consequence,
-            action,
-            returned_utc: None,
-            acknowledged_by: None,
-            acknowledged_utc: None,
-            shelved_by: None,
-            shelved_until_utc: None,
-            shelved_reason: None,
-        }
-    }
-
-    /// The kind that an id names; `None` for one of a newer version.
-    pub fn of(id: &str) -> Option<Self> {
-        let begins = |kind: &&Self| {
-            let rest = id.strip_prefix(kind.entry().word);
-            rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
-        };
-        Self::ALL.iter().find(begins).copied()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_id_names_its_kind() {
-        for kind in AlertKind::ALL {
-            for instance in ["", "dome_1", "wx/Humidity"] {
-                assert_eq!(AlertKind::of(&kind.id(instance)), Some(*kind), "{instance}");
-            }
-        }
-        for id in ["", "dome", "dome-not-closed-yet", "archive", "archive/other", "twin2"] {
-            assert_eq!(AlertKind::of(id), None, "{id}");
-        }
-    }
-
-    #[test]
-    fn every_row_has_words_that_are_sentences() {
-        for kind in AlertKind::ALL {
-            let Entry { word, consequence, action, .. } = kind.entry();
-            for text in [*consequence, *action, kind.means()] {
-                assert!(text.ends_with('.') && text.starts_with(char::is_uppercase), "{word}: {text:?}");
-            }
-        }
-    }
+    /// The stars of a camera grow wider from frame to frame, and not by the seeing of a moment: the middle of the last
+    /// five frames of a row is more than 1.3 times as wide as its best five were.
+    FocusDrift: Entry {
+        word: "focus-drift",
+        instance: "CAMERA",
+        priority: Priority::Advisory,
+        consequence: "The frames are less sharp than they could be.",
+        action: "Compare with the seeing; focus again where the seeing is not worse.",
+        ..PLAIN
+    },
+    /// A focus run of a camera has not found the focus; the focuser went back to where it stood before.
+    FocusFailed: Entry {
+        word: "focus-failed",
+        instance: "CAMERA",
+        priority: Priority::Medium,
+        consequence: "Frames are taken at the focus as it was known before.",
+        action: "Look at the plot of the run and at its reason; the next run that succeeds ends this alert.",
+        ..PLAIN
+    },
+    /// What was learnt of the focus (best positions, runs) cannot be written down; it is tried again and again.
+    FocusNotKept: Entry {
+        word: "focus-not-kept",
+        priority: Priority::Medium,
+        consequence: "A restart of the observatory node would fall back to the focus known before.",
+        action: "Look at the disk of the observatory node's data folder.",
+        ..PLAIN
+    },
+    /// A camera sees fewer than 30 % of the stars that the frames before of the same row showed, or less than 30 % of the light
+    /// that the stars give at best, clear air allowed for: clouds, a dome before the telescope, dew, or dawn. It ends at half.
+    StarsGone: Entry {
+        word: "stars-gone",
+        instance: "CAMERA",
+        priority: Priority::Advisory,
+        consequence: "The frames may be worth nothing; the sensors of the weather decide alone whether the roof closes.",
+        action: "Look at the sky and at the last frame.",
+        ..PLAIN
+    },
+    /// The stars of a camera were drawn out in one direction on two frames, one after the other.
+    StarsTrailed: Entry {
+        word: "stars-trailed",
+        instance: "CAMERA",
+        priority: Priority::Medium,
+        consequence: "The frames are smeared.",
+        action: "Look at tracking, guiding and wind.",
+        ..PLAIN
+    },
+    /// A row asks for guiding, and the field is lost, no frame can be measured, the mount takes no pulses, or nobody knows
+    /// what pulses do. The cause says which.
+    GuidingLost: Entry {
+        word: "guiding-lost",
+        instance: "CAMERA",
+        priority: Priority::Medium,
+        consequence: "The mount only tracks: the field may drift. Frames go on unless `guiding.when_lost` says otherwise.",
+        action: "Look at the sky, the last frame and the mount; without a calibration run calibrate_guiding.",
+        ..PLAIN
+    },
+    /// The field turns around the star that is guided on.
+    FieldTurns: Entry {
+        word: "field-turns",
+        instance: "CAMERA",
+        priority: Priority::Advisory,
+        consequence: "Stars far from the middle are drawn out on long exposures.",
+        action: "Look at the polar alignment, or at the rotator.",
+        ..PLAIN
+    },
+    /// What guiding has learnt (what pulses do, where fields stood) cannot be written down.
+    GuidingNotKept: Entry {
+        word: "guiding-not-kept",
+        priority: Priority::Advisory,
+        consequence: "After a restart it is learnt again: fields may stand on other pixels than before.",
+        action: "Look at the disk that holds the data folder.",
+        ..PLAIN
+    },
+    /// A row asks for `pointing`, and where its camera looks could not be proven, or the mount does not go where it is sent.
+    /// The cause says which. It ends with the next telescope that is proven to be on target.
+    PointingUnproven: Entry {
+        word: "pointing-unproven",
+        instance: "CAMERA",
+        priority: Priority::Medium,
+        consequence: "The row rests or is given up, as `pointing.on_failure` says; no frame counts meanwhile.",
+        action: "Look at the last frame and at the sky; compare the mount's clock, site and alignment.",
+        ..PLAIN
+    },
+    /// What was learnt of the pointing cannot be written down.
+    PointingNotKept: Entry {
+        word: "pointing-not-kept",
+        priority: Priority::Advisory,
+        consequence: "After a restart the pointing model is learnt anew: first slews need more corrections.",
+        action: "Look at the disk of the data folder.",
+        ..PLAIN
+    },
+    /// A solved frame shows another field than that of its target: the middle of the sensor is farther from it than half the
+    /// frame's shorter side. It ends with the next frame that is on target.
+    WrongField: Entry {
+        word: "wrong-field",
+        instance: "CAMERA",
+        priority: Priority::Medium,
+        consequence: "The target is not on the frames.",
+        action: "Look at the target's coordinates, the mount's alignment and its frame of coordinates.",
+        ..PLAIN
+    },
+    /// The star catalogue that `[imaging] catalogue` names cannot be opened.
+    CatalogueUnusable: Entry {
+        word: "catalogue",
+        priority: Priority::Advisory,
+        consequence: "Frames are measured but not solved: no coordinates, no zero point, no check of the pointing.",
+        action: "Put the file there, or take the key out of the configuration for the catalogue that is shipped.",
+        ..PLAIN
+    },
+    /// What solved frames taught of the optics cannot be written down.
+    OpticsNotKept: Entry {
+        word: "optics-not-kept",
+        priority: Priority::Advisory,
+        consequence: "After a restart the optics are learnt anew: the first frames take longer to solve.",
+        action: "Look at the disk of the data folder.",
+        ..PLAIN
+    },
+    /// Frames of a camera could not be measured, three in a row: their pixels could not be fetched from the spool, or
+    /// measuring does not keep up.
+    FramesUnmeasured: Entry {
+        word: "frames-unmeasured",
+        instance: "CAMERA",
+        priority: Priority::Advisory,
+        consequence: "Focus drift, clouds and trailing are not noticed on them; the archive stores them all the same.",
+        action: "Look at the reason in the facts of the last frame, and at the way from this node to the spool.",
+        ..PLAIN
+    },
+    /// A function of the site's script (`[hooks]`) failed, took too long, or could not be read; the cause names it, with
+    /// line and column. It ends when that function succeeds; of a script that cannot be read, with a restart.
+    SiteScript: Entry {
+        word: "site-script",
+        instance: "FUNCTION",
+        priority: Priority::High,
+        consequence: "Closing goes on by default. What the script was to open stays closed or is closed again, and the row rests.",
+        action: "Look at what the cause says of the devices; correct the script, prove it with starmesh check, restart the observatory node.",
+        ..PLAIN
+    },
 }

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
+use super::Trigger;
 use crate::{CommandId, Payload};
 
 /// How the observatory stands to the sky.
@@ -43,6 +44,9 @@ pub struct NightState {
     /// The newest frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub last_frame: Option<CommandId>,
+    /// What the newest frames say together; empty while all is well.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub triggers: Vec<Trigger>,
 }
 
 impl Payload for NightState {
@@ -82,56 +86,4 @@ pub struct Lease {
 
 impl Payload for Lease {
     const NAME: &'static str = "observatory.lease";
-}
-
-/// The guide loop.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct GuidingState {
-    /// A loop runs.
-    pub active: bool,
-    /// In words.
-    pub detail: String,
-}
-
-impl Payload for GuidingState {
-    const NAME: &'static str = "observatory.guiding";
-}
-
-/// The focus.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct FocusState {
-    /// A run is under way.
-    pub active: bool,
-    /// Best known position, steps.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub best_position: Option<i64>,
-    /// In words.
-    pub detail: String,
-}
-
-impl Payload for FocusState {
-    const NAME: &'static str = "observatory.focus";
-}
-
-/// What was measured on a frame; each value is absent until it is measured.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct FrameFacts {
-    /// Which frame.
-    pub frame: CommandId,
-    /// Stars found.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub stars: Option<u32>,
-    /// Full width at half maximum of the stars, pixels.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub fwhm_px: Option<f64>,
-    /// Median of the sky, ADU.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub sky_adu: Option<f64>,
-    /// Noise of the sky, ADU.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub noise_adu: Option<f64>,
-}
-
-impl Payload for FrameFacts {
-    const NAME: &'static str = "observatory.facts";
 }

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
+use super::Finding;
 use crate::Payload;
 
 /// The schedule as the observatory runs it, at each change and every 10 s.
@@ -17,6 +18,9 @@ pub struct ScheduleState {
     pub refused: Option<String>,
     /// The rows in order of their start.
     pub rows: Vec<RowState>,
+    /// What was found in the schedule that is active, errors first where there are too many to be listed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub findings: Vec<Finding>,
 }
 
 impl Payload for ScheduleState {

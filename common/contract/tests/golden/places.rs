@@ -17,7 +17,14 @@ pub struct Place(pub Vec<Step>);
 pub fn has_free_keys(name: &str, pattern: &str) -> bool {
     let last = pattern.rsplit('.').next().unwrap_or_default();
     matches!(last, "readings" | "figures" | "metadata" | "paired") && !pattern.starts_with("ask")
-        || (name == "node.diary" && pattern == "fields")
+        || matches!((name, pattern), ("node.diary", "fields") | ("observatory.focus_learnt", "focusers"))
+        || is_any_json(name, pattern)
+}
+
+/// Values that may be any JSON, and all within them: a row of a schedule, a JSON Schema.
+pub fn is_any_json(name: &str, pattern: &str) -> bool {
+    let within = |place: &str| pattern.strip_prefix(place).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
+    name == "actions.answer" && (within("actions.*.example") || within("actions.*.schema"))
 }
 
 impl Place {

@@ -1,0 +1,60 @@
+//! What people have ordered and what holds until it is taken back or ends, so that whoever commands next knows it.
+
+use serde::{Deserialize, Serialize};
+use units::Utc;
+
+use crate::Payload;
+
+/// The standing orders of a telescope, on change and every second.
+///
+/// Acknowledgements of alerts stand with the alerts themselves, the robotic switch with the night.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct StandingOrders {
+    /// Fencing token of the commander that says it; absent from a node that speaks because nobody is known to command.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub token: Option<u64>,
+    /// Nothing opens while this stands.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stay_closed: Option<Ordered>,
+    /// Limits that are done without.
+    pub overrides: Vec<Override>,
+    /// Alerts that nobody is told of, whether they stand now or not.
+    pub shelved: Vec<Shelved>,
+}
+
+impl Payload for StandingOrders {
+    const NAME: &'static str = "observatory.standing";
+}
+
+/// Who ordered something, why and when.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Ordered {
+    /// Who, such as `web/ana`.
+    pub from: String,
+    /// Why.
+    pub reason: String,
+    /// When, sky time.
+    pub at_utc: Utc,
+}
+
+/// One limit that is done without.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Override {
+    /// The input as the verdict names it, such as `wx/Humidity` or `sun`.
+    pub input: String,
+    /// Until when, sky time.
+    pub until_utc: Utc,
+    /// By whom.
+    pub ordered: Ordered,
+}
+
+/// One alert that nobody is told of.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Shelved {
+    /// Its id.
+    pub alert: String,
+    /// Until when, sky time.
+    pub until_utc: Utc,
+    /// By whom.
+    pub ordered: Ordered,
+}
