@@ -18,6 +18,8 @@ pub struct Alerting {
     pub email: Vec<Email>,
     /// URL that is asked while all is well, so that silence is noticed there.
     pub ping: Option<Ping>,
+    /// PEM file with certificates of the site's own authorities, trusted beside those of the host.
+    pub ca_file: Option<PathBuf>,
     /// A receiver gets at most so many messages, critical and other ones counted apart ...
     pub flood_messages: u32,
     /// ... in so many minutes, machine time; what waits then comes as one digest.
@@ -35,6 +37,7 @@ impl Default for Alerting {
             smtp: None,
             email: Vec::new(),
             ping: None,
+            ca_file: None,
             flood_messages: 10,
             flood_minutes: 10.0,
             send_when_observatory_silent_s: None,
@@ -183,6 +186,11 @@ impl Alerting {
             Some(Smtp { user: Some(user), password_file: None, password_env: None, .. }) => {
                 add(user, "alerts.smtp.user needs a password_file or password_env".to_owned());
             }
+            Some(Smtp { user: Some(_), security: Security::None, server, .. }) if !is_this_host(server) => {
+                let message = "alerts.smtp: security = \"none\" would send the password in the open: expected \
+                    \"starttls\" or \"tls\", or a server on this host such as \"localhost\"";
+                add(server, message.to_owned());
+            }
             _ => {}
         }
         if !(1.0..=86400.0).contains(&self.ping.as_ref().map_or(60.0, |ping| ping.period_s)) {
@@ -204,6 +212,11 @@ impl Alerting {
     }
 }
 
+/// What is sent there leaves no wire.
+fn is_this_host(server: &str) -> bool {
+    server == "localhost" || server.parse::<std::net::IpAddr>().is_ok_and(|address| address.is_loopback())
+}
+
 #[cfg(test)]
 mod tests {
     use std::path::Path;
@@ -217,11 +230,12 @@ mod tests {
 
     #[test]
     fn receivers_are_read_and_secrets_lie_beside_the_file() {
-        let text = "[[alerts.webhook]]\nname = \"chat\"\nurl = \"https://chat.example.org/x\"\ntoken_file = \"token\"\n\
+        let text = "[alerts]\nca_file = \"ca.pem\"\n[[alerts.webhook]]\nname = \"chat\"\nurl = \"https://chat.example.org/x\"\ntoken_file = \"token\"\n\
             [alerts.smtp]\nserver = \"mail\"\nfrom = \"t@example.org\"\nuser = \"t\"\npassword_file = \"/run/secret\"\n\
             [[alerts.email]]\nname = \"chief\"\nto = [\"c@example.org\"]\nafter_min = 15\nmin_priority = \"critical\"\n";
         let alerts = crate::parse(&format!("{PLACE}{text}"), Path::new("/etc/starmesh")).unwrap().alerts;
         assert_eq!(alerts.webhook[0].token_file.as_deref(), Some(Path::new("/etc/starmesh/token")));
+        assert_eq!(alerts.ca_file.as_deref(), Some(Path::new("/etc/starmesh/ca.pem")));
         assert_eq!(alerts.smtp.unwrap().password_file.as_deref(), Some(Path::new("/run/secret")));
         assert_eq!(alerts.email[0].after_min, 15.0);
     }
@@ -250,6 +264,13 @@ mod tests {
             (
                 faults("[alerts.smtp]\nserver = \"m\"\nfrom = \"a@b\"\nuser = \"u\"\n"),
                 "line 10: alerts.smtp.user needs",
+            ),
+            (
+                faults(
+                    "[alerts.smtp]\nserver = \"m\"\nsecurity = \"none\"\nfrom = \"a@b\"\nuser = \"u\"\n\
+                     password_env = \"P\"\n",
+                ),
+                "line 8: alerts.smtp: security = \"none\" would send the password in the open",
             ),
             (faults("[alerts]\nflood_messages = 0\n"), "expected 1 or more"),
             (faults("[alerts]\nstand_in = \"device\"\n"), "expected \"archive\" or \"web\""),

@@ -7,6 +7,7 @@ use contract::{Address, Kind, Name};
 
 use crate::device::{Limit, Measure};
 use crate::observatory::Observatory;
+use crate::visibility::{Horizon, HorizonSource};
 
 /// Why a configuration is not taken; each message says where, what was expected and what to do.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -22,8 +23,15 @@ pub enum ConfigError {
 /// Parameters that a limit may name beside ASCOM's own ObservingConditions properties.
 const DERIVED: [&str; 2] = ["RelativeSkyTemp", "DewPointMargin"];
 
+/// Larger texts are neither configuration nor header table; what a text of this size becomes in memory is some ten times it.
+pub const MOST_BYTES: usize = 1 << 20;
+
 /// Reads and checks a configuration; relative paths in it start at `folder`.
 pub fn parse(text: &str, folder: &Path) -> Result<Observatory, ConfigError> {
+    if text.len() > MOST_BYTES {
+        let bytes = text.len();
+        return Err(ConfigError::Toml(format!("{bytes} bytes; a configuration has at most {MOST_BYTES}")));
+    }
     let mut observatory: Observatory = toml::from_str(text).map_err(|error| ConfigError::Toml(error.to_string()))?;
     let folders = [&mut observatory.folders.data, &mut observatory.folders.images];
     for path in folders.into_iter().chain([&mut observatory.schedule.file, &mut observatory.archive.database]) {
@@ -31,9 +39,19 @@ pub fn parse(text: &str, folder: &Path) -> Result<Observatory, ConfigError> {
     }
     observatory.archive.fits_header = observatory.archive.fits_header.map(|path| folder.join(path));
 
+    observatory.imaging.catalogue = observatory.imaging.catalogue.map(|path| folder.join(path));
+
+    for mount in &mut observatory.telescope {
+        if let Some(HorizonSource::File(path)) = &mut mount.horizon {
+            *path = folder.join(&path);
+        }
+    }
+    observatory.hooks.script = observatory.hooks.script.map(|path| folder.join(path));
+
     let alerts = &mut observatory.alerts;
     let secrets = alerts.webhook.iter_mut().map(|hook| &mut hook.token_file);
-    for file in secrets.chain(alerts.smtp.iter_mut().map(|smtp| &mut smtp.password_file)).flatten() {
+    let secrets = secrets.chain(alerts.smtp.iter_mut().map(|smtp| &mut smtp.password_file));
+    for file in secrets.chain([&mut alerts.ca_file]).flatten() {
         *file = folder.join(&file);
     }
 
@@ -42,6 +60,9 @@ pub fn parse(text: &str, folder: &Path) -> Result<Observatory, ConfigError> {
     names(&observatory, &mut faults);
     numbers(&observatory, &mut faults);
     pairings(&mut observatory, &mut faults);
+    for (dome, message) in crate::slit::torn(&observatory) {
+        faults.add(dome.as_str(), message);
+    }
     for (quoted, message) in observatory.alerts.faults() {
         faults.add(&quoted, message);
     }
@@ -91,7 +112,23 @@ fn place(observatory: &Observatory, faults: &mut Faults<'_>) {
             faults.add("", format!("safety.{key} = {value}: expected 0 or more"));
         }
     }
+    for fault in observatory.names.faults().into_iter().chain(observatory.schedule.check.faults()) {
+        faults.add("", fault);
+    }
+    for fault in observatory.pointing.faults() {
+        faults.add("", fault);
+    }
     for fault in observatory.faults.faults() {
+        faults.add("", fault);
+    }
+    for fault in observatory.hooks.faults() {
+        faults.add("", fault);
+    }
+    let cameras = observatory.camera.iter().map(|camera| &camera.common.name);
+    for fault in observatory.guiding.faults(cameras) {
+        faults.add("", fault);
+    }
+    for fault in observatory.focusing.faults(&observatory.focuser) {
         faults.add("", fault);
     }
     let shared = place.telescope.as_str() == Address::SHARED;
@@ -151,12 +188,44 @@ fn numbers(observatory: &Observatory, faults: &mut Faults<'_>) {
             faults.add(name.as_str(), format!("dome \"{name}\": {fault}"));
         }
     }
+    for camera in &observatory.camera {
+        if let Some(fault) = crate::imaging::camera_fault(camera) {
+            let name = &camera.common.name;
+            faults.add(name.as_str(), format!("camera \"{name}\": {fault}"));
+        }
+    }
+    for camera in &observatory.camera {
+        let name = &camera.common.name;
+        let pulses = camera.guide_calibration.iter().flat_map(crate::GuideStart::faults);
+        for fault in camera.flats.faults().into_iter().chain(pulses) {
+            faults.add(name.as_str(), format!("camera \"{name}\": {fault}"));
+        }
+    }
     for mount in &observatory.telescope {
+        if let Some(HorizonSource::Points(points)) = &mount.horizon
+            && let Err(fault) = Horizon::new(points)
+        {
+            let name = &mount.common.name;
+            faults.add(name.as_str(), format!("telescope \"{name}\": horizon: {fault}"));
+        }
         for fault in crate::slit::mount_faults(mount) {
             let name = &mount.common.name;
             faults.add(name.as_str(), format!("telescope \"{name}\": {fault}"));
         }
         let (name, limits) = (&mount.common.name, &mount.limits);
+        let flip_min = mount.meridian_flip_min;
+        if !(0.0..=120.0).contains(&flip_min) {
+            let message = format!("telescope \"{name}\": meridian_flip_min = {flip_min}: expected 0 to 120");
+            faults.add(name.as_str(), message);
+        }
+        if let Some(past_min) = limits.meridian_past_min.filter(|past_min| mount.meridian_flip && *past_min <= flip_min)
+        {
+            let message = format!(
+                "telescope \"{name}\": meridian_flip_min = {flip_min}: the mount is stopped before, at \
+                 limits.meridian_past_min = {past_min}; make that greater"
+            );
+            faults.add(name.as_str(), message);
+        }
         for (key, value, low, high) in [
             ("altitude_min_deg", Some(limits.altitude_min_deg), -90.0, 90.0),
             ("hour_angle_max_h", limits.hour_angle_max_h, -12.0, 12.0),

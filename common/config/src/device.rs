@@ -5,7 +5,12 @@
 use contract::{Chunk, Kind, Name};
 use serde::{Deserialize, Deserializer};
 
+use crate::flats::Flats;
+use crate::focusing::Approach;
+use crate::guide_calibration::GuideStart;
 use crate::slit::{Follow, Slit};
+use crate::vendor::VendorPattern;
+use crate::visibility::HorizonSource;
 
 /// What every device block has.
 #[derive(Debug, Clone, PartialEq)]
@@ -214,12 +219,20 @@ devices! {
         slew_timeout_s: f64 = 300.0,
         /// Wait after a slew before exposing, sky s.
         settle_s: f64 = 1.0,
+        /// Turn a German mount over between two frames when the next one would end too far past the meridian.
+        meridian_flip: bool = false,
+        /// How far past the meridian that is, min.
+        meridian_flip_min: f64 = 5.0,
         /// Where tracking is stopped.
         limits: MountLimits = MountLimits::default(),
         /// Diameter of the widest telescope on it, m; for a dome whose `slit` has a width.
         aperture_m: Option<f64> = None,
         /// From the polar axis to the optical axis, m: of a German mount; 0 for forks.
         arm_m: f64 = 0.0,
+        /// What walls and trees leave of its sky: `[[azimuth, altitude], ...]` in degrees, or a file of such pairs.
+        horizon: Option<HorizonSource> = None,
+        /// Commands of its maker's own that it may be sent; none where absent.
+        vendor_commands: Vec<VendorPattern> = Vec::new(),
     }
 
     /// A camera, with the devices that belong to it.
@@ -230,6 +243,13 @@ devices! {
         temperature_tolerance_c: f64 = 1.0,
         /// Cooling that takes longer has failed, sky minutes.
         cooling_timeout_min: f64 = 30.0,
+        /// Size of an unbinned pixel on the sky, arcsec, to 5 %; by the pixel size and the mount's focal length, as the
+        /// devices tell them, where absent.
+        scale_arcsec_px: Option<f64> = None,
+        /// What a good flat is.
+        flats: Flats = Flats::default(),
+        /// What guide pulses do to its stars, until that is learnt here.
+        guide_calibration: Option<GuideStart> = None,
         /// Paired mount; like each pairing below, the only one of its kind where absent.
         telescope: Option<Name> = None,
         /// Paired filter wheel.
@@ -251,7 +271,10 @@ devices! {
     }
 
     /// A filter wheel.
-    FilterWheel every 5.0 {}
+    FilterWheel every 5.0 {
+        /// Names of its filters by position, as the wheel tells them; for schedules that are checked while it is not heard.
+        filters: Vec<String> = Vec::new(),
+    }
 
     /// A focuser.
     Focuser every 5.0 {
@@ -261,6 +284,13 @@ devices! {
         tolerance_steps: i64 = 0,
         /// Wait after a move, sky s.
         settle_s: f64 = 3.0,
+        /// Play of the gears, steps: every position is overshot by so much and then approached from one side.
+        backlash_steps: i64 = 0,
+        /// The side that positions are approached from.
+        approach: Approach = Approach::Upward,
+        /// First and last position of a focus run are so far from its middle, steps; four times what the last run showed
+        /// the critical zone to be, or 1/50 of the travel, where absent.
+        search_steps: Option<i64> = None,
     }
 
     /// A dome or roof, with its guard.
@@ -287,6 +317,10 @@ devices! {
         follow: Follow = Follow::Auto,
         /// Its slit.
         slit: Slit = Slit::default(),
+        /// Commands of its maker's own that it may be sent under a valid safe permit; none where absent.
+        vendor_commands: Vec<VendorPattern> = Vec::new(),
+        /// Those that it may be sent without a permit too, because closing may need them.
+        vendor_commands_to_close: Vec<VendorPattern> = Vec::new(),
     }
 
     /// A safety monitor.

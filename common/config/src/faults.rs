@@ -48,6 +48,11 @@ impl Faults {
         self.policy.get(&kind.to_string()).copied().unwrap_or_default()
     }
 
+    /// Whether the site has chosen a policy for a kind of device.
+    pub fn is_chosen(&self, kind: Kind) -> bool {
+        self.policy.contains_key(&kind.to_string())
+    }
+
     /// What does not hold, in words.
     pub(crate) fn faults(&self) -> Vec<String> {
         let mut found = Vec::new();

@@ -4,6 +4,8 @@ use std::str::FromStr;
 
 use contract::Kind;
 
+use crate::check::MOST_BYTES;
+
 /// The rows that a site without a table of its own uses.
 pub const DEFAULT_CSV: &str = include_str!("default_fits_header.csv");
 
@@ -78,6 +80,10 @@ impl FromStr for HeaderTable {
     type Err = HeaderError;
 
     fn from_str(text: &str) -> Result<Self, HeaderError> {
+        if text.len() > MOST_BYTES {
+            let fault = format!("{} bytes; a table has at most {MOST_BYTES}", text.len());
+            return Err(HeaderError { line: 1, fault });
+        }
         let mut reader = csv::ReaderBuilder::new()
             .flexible(true)
             .trim(csv::Trim::All)

@@ -8,18 +8,40 @@ mod alerts;
 mod check;
 mod device;
 mod faults;
+mod flats;
+mod focusing;
+#[cfg(test)]
+mod fuzz_tests;
+mod guide_calibration;
+mod guiding;
 pub mod header;
+mod hooks;
+mod imaging;
+mod names;
 mod observatory;
+mod pointing;
 mod slit;
+mod vendor;
+mod visibility;
 
 pub use alerts::{Alerting, Email, Ping, Security, Smtp, Webhook};
-pub use check::{ConfigError, parse};
+pub use check::{ConfigError, MOST_BYTES, parse};
 pub use device::{
     Camera, CloseWithMount, Common, CoverCalibrator, Device, Dome, EquatorialChoice, FilterWheel, Focuser, Limit,
     Measure, MountLimits, ObservingConditions, Response, Rotator, SafetyMonitor, Switch, Telescope,
 };
 pub use faults::{FaultPolicy, Faults};
+pub use flats::Flats;
+pub use focusing::{Approach, Focusing, OnDrift};
+pub use guide_calibration::GuideStart;
+pub use guiding::{Gains, GuideControl, Guiding, WhenLost};
+pub use hooks::Hooks;
+pub use imaging::Imaging;
+pub use names::Names;
 pub use observatory::{
     Archive, Bus, ClockSource, Folders, Observatory, Place, Safety, Schedule, Shared, Spool, Web, WindSector,
 };
+pub use pointing::{OnFailure, Pointing};
 pub use slit::{Follow, Slit};
+pub use vendor::VendorPattern;
+pub use visibility::{Horizon, HorizonSource, ScheduleCheck};

@@ -13,6 +13,13 @@ use crate::device::{
     Switch, Telescope,
 };
 use crate::faults::Faults;
+use crate::focusing::Focusing;
+use crate::guiding::Guiding;
+use crate::hooks::Hooks;
+use crate::imaging::Imaging;
+use crate::names::Names;
+use crate::pointing::Pointing;
+use crate::visibility::ScheduleCheck;
 
 /// One `observatory.toml`.
 #[derive(Debug, Clone, Deserialize)]
@@ -36,6 +43,24 @@ pub struct Observatory {
     /// What becomes of the night when a device fails.
     #[serde(default)]
     pub faults: Faults,
+    /// How fields are held in their place.
+    #[serde(default)]
+    pub guiding: Guiding,
+    /// What frames are solved with.
+    #[serde(default)]
+    pub imaging: Imaging,
+    /// Where names of targets are looked up.
+    #[serde(default)]
+    pub names: Names,
+    /// How telescopes are brought onto their targets.
+    #[serde(default)]
+    pub pointing: Pointing,
+    /// How the focus is looked after.
+    #[serde(default)]
+    pub focusing: Focusing,
+    /// The site's own script.
+    #[serde(default)]
+    pub hooks: Hooks,
     /// What is observed.
     #[serde(default)]
     pub schedule: Schedule,
@@ -167,6 +192,19 @@ pub struct Place {
     pub polar_y_arcsec: f64,
 }
 
+impl Place {
+    /// The same as the sky is worked out for it: a place on an Earth that turns as it does.
+    ///
+    /// # Errors
+    /// No place on Earth, or an orientation beyond anything the Earth does.
+    pub fn on_earth(&self) -> Result<(sky::Place, sky::EarthOrientation), sky::SkyError> {
+        let [latitude, longitude] = [self.latitude_deg, self.longitude_deg].map(units::Angle::from_degrees);
+        let &Self { dut1_s, polar_x_arcsec, polar_y_arcsec, .. } = self;
+        let orientation = sky::EarthOrientation { dut1_s, polar_x_arcsec, polar_y_arcsec };
+        Ok((sky::Place::new(latitude, longitude, self.elevation_m)?, orientation.checked()?))
+    }
+}
+
 /// `[folders]`: where files go; relative paths start at the configuration's own folder.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -219,11 +257,13 @@ pub struct Schedule {
     pub file: PathBuf,
     /// Robotic switch at start.
     pub robotic: bool,
+    /// What its rows are held against.
+    pub check: ScheduleCheck,
 }
 
 impl Default for Schedule {
     fn default() -> Self {
-        Self { file: "schedule.jsonl".into(), robotic: false }
+        Self { file: "schedule.jsonl".into(), robotic: false, check: ScheduleCheck::default() }
     }
 }
 

@@ -1,8 +1,12 @@
 //! `[[dome]] follow` and `slit`: how the dome's slit comes to stand where the telescope looks.
 
+use std::collections::BTreeSet;
+
+use contract::Name;
 use serde::Deserialize;
 
 use crate::device::{Dome, Telescope};
+use crate::observatory::Observatory;
 
 /// Who turns a dome.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
@@ -119,11 +123,36 @@ impl Slit {
 pub(crate) fn faults(dome: &Dome, mounts: &[Telescope], shared: bool) -> Vec<String> {
     let slit = dome.slit.faults(mounts).into_iter().map(|fault| format!("slit.{fault}"));
     let mut found: Vec<String> = slit.collect();
-    let follows = matches!(dome.follow, Follow::Turn | Follow::Slave);
-    if follows && (shared || dome.telescopes.len() > 1) {
+    let over_several = shared || dome.telescopes.len() > 1;
+    if over_several && matches!(dome.follow, Follow::Turn | Follow::Slave) {
         found.push("follow: a dome over several telescopes has no slit to follow; leave it out".to_owned());
     }
+    if over_several && dome.slit != Slit::default() {
+        found.push("slit: a dome over several telescopes has no slit to follow; leave it out".to_owned());
+    }
     found
+}
+
+/// Domes whose slit would have to stand in two places, or nobody knows where, with the words for it; cameras are paired
+/// by then.
+pub(crate) fn torn(observatory: &Observatory) -> Vec<(Name, String)> {
+    let (mounts, cameras) = (&observatory.telescope, &observatory.camera);
+    let followed = observatory.dome.iter().filter(|dome| dome.follow != Follow::Off && dome.telescopes.len() < 2);
+    let torn = |dome: &Dome| {
+        let name = &dome.common.name;
+        let under = cameras.iter().filter(|camera| camera.dome.as_ref() == Some(name));
+        let under: BTreeSet<&Name> = under.filter_map(|camera| camera.telescope.as_ref()).collect();
+        let list: Vec<String> = under.iter().map(|mount| format!("\"{mount}\"")).collect();
+        let why = match under.len() {
+            1 => return None,
+            0 => format!("{} mounts, and no camera tells which of them looks out of it", mounts.len()),
+            _ => format!("telescopes {} look out of one slit, which cannot stand where each looks", list.join(" and ")),
+        };
+        let mend = "name its one mount by `dome` and `telescope` of the cameras, or set follow = \"off\" where it is a \
+                    roof or the site turns it";
+        Some((name.clone(), format!("dome \"{name}\": {why}; {mend}")))
+    };
+    if mounts.len() < 2 || cameras.is_empty() { Vec::new() } else { followed.filter_map(torn).collect() }
 }
 
 /// What does not hold of a mount's sizes, in words.
@@ -184,7 +213,36 @@ mod tests {
         }
         let told = fault("", "follow = \"turn\"\ntelescopes = [\"t\", \"u\"]");
         assert!(told.contains("has no slit to follow"), "{told}");
+        let told = fault("", "slit = { tolerance_deg = 3 }\ntelescopes = [\"t\", \"u\"]");
+        assert!(told.contains("slit: a dome over several telescopes"), "{told}");
         assert!(fault("", "follow = \"sometimes\"").contains("unknown variant"));
         assert!(fault("", "slit = { widht_m = 1.2 }").contains("unknown field"));
+    }
+
+    /// Two mounts, and cameras whose `telescope` and `dome` are these.
+    fn two_mounts(dome: &str, cameras: &[(&str, &str)]) -> Result<crate::Observatory, String> {
+        let camera = |(number, (telescope, dome)): (usize, &(&str, &str))| {
+            format!("[[camera]]\nname = \"c{number}\"\nserver = \"a:1\"\n{telescope}\n{dome}\n")
+        };
+        let cameras: String = cameras.iter().enumerate().map(camera).collect();
+        site("", &format!("{dome}\n[[telescope]]\nname = \"n\"\nserver = \"a:1\"\n{cameras}"))
+    }
+
+    #[test]
+    fn two_mounts_under_one_slit_are_refused_and_under_a_roof_are_not() {
+        let (m, n, d) = ("telescope = \"m\"", "telescope = \"n\"", "dome = \"d\"");
+        let told = two_mounts("", &[(m, d), (n, d)]).unwrap_err();
+        let expected = "dome \"d\": telescopes \"m\" and \"n\" look out of one slit, which cannot stand where each looks; \
+                        name its one mount by `dome` and `telescope` of the cameras, or set follow = \"off\"";
+        assert!(told.contains(expected), "{told}");
+        // the only dome is every camera's
+        assert!(two_mounts("follow = \"slave\"", &[(m, ""), (n, "")]).unwrap_err().contains("one slit"));
+        assert!(two_mounts("", &[("", "")]).unwrap_err().contains("no camera tells which"));
+        assert!(two_mounts("follow = \"off\"", &[(m, d), (n, d)]).is_ok());
+        assert!(two_mounts("telescopes = [\"t\", \"u\"]", &[(m, d), (n, d)]).is_ok());
+        let second = "[[dome]]\nname = \"e\"\nserver = \"a:1\"";
+        assert!(two_mounts(second, &[(m, d), (n, "dome = \"e\"")]).is_ok(), "each has a dome of its own");
+        assert!(two_mounts("", &[(m, d), (m, d)]).is_ok(), "two cameras on one of them");
+        assert!(site("", "").is_ok());
     }
 }
