@@ -1,0 +1,105 @@
+//! What can be wrong with a FITS file, and what to do then.
+
+use std::path::PathBuf;
+
+/// A file that gives no image.
+#[derive(Debug, thiserror::Error)]
+#[error("{} {fault}", file.display())]
+pub struct FitsError {
+    /// Which file.
+    pub file: PathBuf,
+    /// What is wrong with it.
+    pub fault: Fault,
+}
+
+/// What is wrong with a file; reads on from the file's name.
+#[derive(Debug, thiserror::Error)]
+pub enum Fault {
+    /// The operating system does not give it.
+    #[error("cannot be read: {0}")]
+    Unreadable(#[from] std::io::Error),
+    /// No bytes at all.
+    #[error("is empty (0 bytes): copy or fetch it again")]
+    Empty,
+    /// Other bytes than those of FITS.
+    #[error("is not FITS: it {looks}")]
+    NotFits {
+        /// What it looks like, and what to do then.
+        looks: String,
+    },
+    /// gzip or bzip2 does not unpack.
+    #[error("is damaged or cut short ({how} says: {detail}): copy or fetch it again")]
+    Packed {
+        /// By what it was packed.
+        how: &'static str,
+        /// What the unpacking says.
+        detail: String,
+    },
+    /// More than is taken.
+    #[error("is too large: {what}, at most {most} are taken")]
+    TooLarge {
+        /// What there is too much of, with its number.
+        what: String,
+        /// The most that is taken.
+        most: u64,
+    },
+    /// The file ends too early.
+    #[error("is cut short: HDU {hdu} should end at byte {expected}, the file has {found}; copy or fetch it again")]
+    CutShort {
+        /// Part of the file, from 1.
+        hdu: usize,
+        /// Bytes up to the end of this part.
+        expected: u64,
+        /// Bytes that are there.
+        found: u64,
+    },
+    /// A header that cannot be followed.
+    #[error("has a broken header in HDU {hdu}: {problem}; write it again with the program that made it")]
+    Header {
+        /// Part of the file, from 1.
+        hdu: usize,
+        /// Which keyword, what was expected.
+        problem: String,
+    },
+    /// FITS, but nothing to see.
+    #[error("holds no image, only {found}; give a file with an image of two axes")]
+    NoImage {
+        /// The parts of the file.
+        found: String,
+    },
+    /// FITS, but no binary table.
+    #[error("holds no binary table, only {found}; give a file with one")]
+    NoTable {
+        /// The parts of the file.
+        found: String,
+    },
+    /// A cube or a spectrum.
+    #[error(
+        "holds no flat image: HDU {hdu} has the axes {axes}, expected two; give a plane of it, such as \
+         `imcopy 'FILE[*,*,1]' plane.fits` of cfitsio makes"
+    )]
+    Axes {
+        /// Part of the file, from 1.
+        hdu: usize,
+        /// Their lengths.
+        axes: String,
+    },
+    /// The bytes are not those that were written.
+    #[error("is damaged: DATASUM of HDU {hdu} is {expected}, its bytes give {found}; copy or fetch it again")]
+    Checksum {
+        /// Part of the file, from 1.
+        hdu: usize,
+        /// What the header says.
+        expected: u32,
+        /// What the bytes give.
+        found: u32,
+    },
+    /// Tiles that cfitsio does not decode.
+    #[error("does not decompress: HDU {hdu}: {detail}; copy or fetch it again, or unpack it with `funpack`")]
+    Tiles {
+        /// Part of the file, from 1.
+        hdu: usize,
+        /// What cfitsio says.
+        detail: String,
+    },
+}

@@ -1,0 +1,38 @@
+//! Opens any FITS image: its header and its pixels.
+//!
+//! ```no_run
+//! let image = fits::read("m31.fits.fz".as_ref())?;
+//! let exposure_s = image.header.number("EXPTIME")?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! Plain files and those packed by gzip or bzip2 are told by their first bytes, not by their names; images that are
+//! compressed in tiles (`.fz`) are decoded by cfitsio. The first image with pixels is taken. What is wrong with a file
+//! is told with its name and what to do ([`FitsError`], [`KeywordError`]); nothing panics, whatever the bytes are.
+//!
+//! - [`image`] is what comes out: header, size, pixels.
+//! - [`header`] answers keywords with the type that was asked for; [`card`] reads one line of it.
+//! - [`hdu`] finds the parts of a file, [`decode`] turns bytes into pixels, [`tiles`] asks cfitsio to where
+//!   [`tiling`] makes sense, [`unpack`] undoes gzip and bzip2.
+//! - [`table`] reads the rows of binary tables, of any length.
+//! - [`cfitsio`] is what all users of that library share: its lock and its words.
+//!
+//! Pixel `(0, 0)` is the first of the file, x the column (axis 1), y the row; FITS numbers are greater by one.
+//! The format is that of the FITS Standard 4.0 (IAU FITS Working Group, 2018), cited by section.
+
+pub mod card;
+pub mod cfitsio;
+mod decode;
+pub mod error;
+pub mod hdu;
+pub mod header;
+pub mod image;
+pub mod table;
+mod tiles;
+mod tiling;
+mod unpack;
+
+pub use error::{Fault, FitsError};
+pub use header::{Header, KeywordError};
+pub use image::{Image, Pixels, parse, read};
+pub use table::Table;
