@@ -55,6 +55,18 @@ pub enum SkyError {
         /// As given.
         dec_deg: f64,
     },
+    /// Orbital elements that describe no orbit.
+    #[error("orbital elements: {0}")]
+    Elements(String),
+    /// Two-line elements that cannot be read, or that say nothing of the time asked for.
+    #[error("two-line elements: {0}")]
+    TwoLines(String),
+    /// A body that no telescope is pointed at.
+    #[error("{name}: no telescope is pointed at it")]
+    NoTarget {
+        /// Which.
+        name: String,
+    },
     /// No such day in the calendar.
     #[error("{0:?} is no date such as 20261121")]
     Date(String),

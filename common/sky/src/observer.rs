@@ -62,7 +62,7 @@ impl Observer {
     /// The same place at another instant, turned with the Earth and nothing else, which costs next to nothing.
     ///
     /// Good to 0.1 arcsec within half an hour of the instant this observer was built for.
-    pub(crate) fn turned_to(&self, at: Utc) -> Result<Self, SkyError> {
+    pub fn turned_to(&self, at: Utc) -> Result<Self, SkyError> {
         let mut turned = self.clone();
         turned.at = at;
         turned.scales = Scales::new(at, self.orientation.dut1_s)?;

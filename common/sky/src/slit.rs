@@ -24,6 +24,8 @@ const SIDEREAL_DEG_PER_S: f64 = 360.985_647_37 / 86_400.0;
 const RIM: u32 = 24;
 /// Steps in which the sky is followed ahead, s.
 const STEP_S: f64 = 60.0;
+/// Points that stand for equal parts of the aperture where it is weighed: a hundredth each.
+const PARTS: u32 = 100;
 
 /// On which side of its pier the tube of a German mount lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -150,6 +152,30 @@ impl Slit {
             }
         }
         Some((best.0.nearest(near), best.1))
+    }
+
+    /// The part of the aperture that a slit at `azimuth` leaves free, 0 to 1, to a few hundredths. Without a diameter
+    /// it is all or nothing.
+    pub fn free(&self, aim: &Aim, azimuth: Angle) -> f64 {
+        let (through, along) = self.optical_axis(aim);
+        let [across, up] = square_to(along);
+        // a spiral whose turns are divided by the golden section covers a disc evenly (Vogel 1979)
+        let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
+        let passes = |part: &u32| {
+            let out_m = 0.5 * self.aperture_m * ((f64::from(*part) + 0.5) / f64::from(PARTS)).sqrt();
+            let (sin, cos) = (golden * f64::from(*part)).sin_cos();
+            let from = add(through, add(scaled(across, out_m * cos), scaled(up, out_m * sin)));
+            self.is_open_at(self.meets_dome(from, along), azimuth)
+        };
+        let passed = (0..PARTS).filter(passes).map(|_| 1.0).sum::<f64>();
+        passed / f64::from(PARTS)
+    }
+
+    /// Is a slit at `azimuth` open where this point of the dome lies?
+    fn is_open_at(&self, [east, north, _]: [f64; 3], azimuth: Angle) -> bool {
+        let forward_m = east * azimuth.sin() + north * azimuth.cos();
+        let aside_m = east * azimuth.cos() - north * azimuth.sin();
+        aside_m.abs() <= 0.5 * self.width_m && forward_m >= -self.past_zenith_m
     }
 
     /// A point of the optical axis, and its direction.

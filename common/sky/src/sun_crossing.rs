@@ -7,11 +7,18 @@ use crate::{EarthOrientation, NightDate, Observer, Place, SkyError, night_date};
 /// Spacing at which a crossing is looked for. One that undoes itself within it, by a Sun that grazes the altitude at high
 /// latitude by less than an arcminute, goes unseen.
 const STEP_S: f64 = 600.0;
+/// The Sun is computed so often on the way, its hour angle and declination on a straight line between: what bends there, its
+/// parallax and the seasons, is less than an arcsecond.
+const KNOT_S: f64 = 7200.0;
+/// A sample that is off by that may lie on the wrong side of a crossing, which is then within this.
+const WIDER_S: f64 = 60.0;
 /// How far ahead [`next_sun_crossing`] looks.
 const HORIZON_S: f64 = 48.0 * 3600.0;
 const DAY_S: f64 = 86_400.0;
 /// A crossing is narrowed down to this; 100 Hz is far beyond what refraction lets anyone see.
 const PRECISION_S: f64 = 0.01;
+/// Less than half of that: two looks on either side of the crossing end the search.
+const BEYOND_S: f64 = 0.004;
 
 /// The night that [`night`] found, from local mean noon to local mean noon.
 ///
@@ -99,48 +106,112 @@ pub fn next_sun_crossing(
 struct SunPath<'a> {
     place: &'a Place,
     orientation: &'a EarthOrientation,
+    /// To an arcsecond: they tell between which two of them a crossing lies.
     samples: Vec<(Utc, Angle)>,
 }
 
+/// The Sun as the site's own axes have it: hour angle and declination of date.
+type HourAngle = (Angle, Angle);
+
 impl<'a> SunPath<'a> {
     fn sampled(place: &'a Place, orientation: &'a EarthOrientation, from: Utc, span_s: f64) -> Result<Self, SkyError> {
+        let seen = |from_s: f64| -> Result<HourAngle, SkyError> {
+            let observer = Observer::new(place, orientation, from.plus_seconds(from_s))?;
+            let sun = observer.sun_icrs();
+            Ok((observer.hour_angle(&sun), observer.to_of_date(&sun).dec))
+        };
         let steps = (span_s / STEP_S).round() as u32;
-        let samples = (0..=steps)
-            .map(|step| {
-                let at = from.plus_seconds(f64::from(step) * STEP_S);
-                Ok((at, Observer::new(place, orientation, at)?.sun().altitude))
-            })
-            .collect::<Result<_, SkyError>>()?;
+        let mut before = (0.0, seen(0.0)?);
+        let mut after = (KNOT_S, seen(KNOT_S)?);
+        let samples = (0..=steps).map(|step| -> Result<(Utc, Angle), SkyError> {
+            let from_s = f64::from(step) * STEP_S;
+            if from_s > after.0 {
+                let next_s = after.0 + KNOT_S;
+                before = std::mem::replace(&mut after, (next_s, seen(next_s)?));
+            }
+            let at = from.plus_seconds(from_s);
+            // the ends are exact: what one path misses there the next one has
+            if step == 0 || step == steps {
+                return Ok((at, Observer::new(place, orientation, at)?.sun().altitude));
+            }
+            let hour_angle = between(before.1, after.1, (from_s - before.0) / KNOT_S);
+            Ok((at, altitude(place.latitude(), hour_angle)))
+        });
+        let samples = samples.collect::<Result<_, SkyError>>()?;
         Ok(Self { place, orientation, samples })
     }
 
     fn crossings(&self, altitude: Angle, rising: bool) -> impl Iterator<Item = Result<Utc, SkyError>> {
+        let past = move |sun: Angle| is_past(past_deg(sun, altitude, rising));
         self.samples.windows(2).filter_map(move |pair| match pair {
-            [(before, low), (after, high)] if is_past(*high, altitude, rising) && !is_past(*low, altitude, rising) => {
-                Some(self.narrowed(*before, *after, altitude, rising))
+            [(before, low), (after, high)] if past(*high) && !past(*low) => {
+                self.narrowed(*before, *after, altitude, rising).transpose()
             }
             _ => None,
         })
     }
 
-    /// By halving: the Sun has not passed at `before` and has at `after`.
-    fn narrowed(&self, before: Utc, after: Utc, altitude: Angle, rising: bool) -> Result<Utc, SkyError> {
-        let (mut before, mut after) = (before, after);
+    /// By straight lines, a little beyond where they lead, so that the crossing is soon closed in from both sides. None where
+    /// the Sun itself only comes near the altitude.
+    fn narrowed(&self, before: Utc, after: Utc, altitude: Angle, rising: bool) -> Result<Option<Utc>, SkyError> {
+        let look = |at: Utc| -> Result<f64, SkyError> {
+            Ok(past_deg(Observer::new(self.place, self.orientation, at)?.sun().altitude, altitude, rising))
+        };
+        let (mut before, mut low_deg) = (before, look(before)?);
+        if is_past(low_deg) && self.samples.first().is_some_and(|(first, _)| before > *first) {
+            before = before.plus_seconds(-WIDER_S);
+            low_deg = look(before)?;
+        }
+        let (mut after, mut high_deg) = (after, look(after)?);
+        if !is_past(high_deg) {
+            after = after.plus_seconds(WIDER_S);
+            high_deg = look(after)?;
+        }
+        if is_past(low_deg) || !is_past(high_deg) {
+            return Ok(None);
+        }
+        let mut round = 0;
         while after.seconds_since(before) > PRECISION_S {
-            let middle = before.plus_seconds(after.seconds_since(before) / 2.0);
-            let sun = Observer::new(self.place, self.orientation, middle)?.sun().altitude;
-            if is_past(sun, altitude, rising) {
-                after = middle;
+            round += 1;
+            let span_s = after.seconds_since(before);
+            let line_s = span_s * low_deg / (low_deg - high_deg);
+            // a Sun that grazes bends too much for lines: every third round halves
+            let from_s = match round % 3 {
+                0 => span_s / 2.0,
+                1 => line_s - BEYOND_S,
+                _ => line_s + BEYOND_S,
+            };
+            let middle = before.plus_seconds(from_s.clamp(span_s * 1e-6, span_s * (1.0 - 1e-6)));
+            let middle_deg = look(middle)?;
+            if is_past(middle_deg) {
+                (after, high_deg) = (middle, middle_deg);
             } else {
-                before = middle;
+                (before, low_deg) = (middle, middle_deg);
             }
         }
-        Ok(after)
+        Ok(Some(after))
     }
 }
 
-fn is_past(sun: Angle, altitude: Angle, rising: bool) -> bool {
-    if rising { sun > altitude } else { sun <= altitude }
+/// So far beyond the altitude, in the direction asked for, degrees.
+fn past_deg(sun: Angle, altitude: Angle, rising: bool) -> f64 {
+    let above = (sun - altitude).degrees();
+    if rising { above } else { -above }
+}
+
+fn is_past(past_deg: f64) -> bool {
+    past_deg >= 0.0
+}
+
+/// On the straight line between two directions that are [`KNOT_S`] apart.
+fn between(before: HourAngle, after: HourAngle, share: f64) -> HourAngle {
+    let hour_angle = before.0 + (after.0 - before.0).wrapped_signed() * share;
+    (hour_angle, before.1 + (after.1 - before.1) * share)
+}
+
+fn altitude(latitude: Angle, (hour_angle, dec): HourAngle) -> Angle {
+    let sine = latitude.sin() * dec.sin() + latitude.cos() * dec.cos() * hour_angle.cos();
+    Angle::from_radians(sine.clamp(-1.0, 1.0).asin())
 }
 
 #[cfg(test)]
@@ -199,6 +270,25 @@ mod tests {
         let second = second.unwrap().unwrap();
         let day_s = second.seconds_since(first);
         assert!((day_s - 86_400.0).abs() < 120.0, "{day_s}");
+    }
+
+    #[test]
+    fn samples_between_the_computed_places_are_good_to_an_arcsecond_and_a_half() {
+        let earth = EarthOrientation { dut1_s: 0.3, polar_x_arcsec: 0.2, polar_y_arcsec: 0.4 };
+        for (latitude, longitude, at) in [
+            (-24.6, -70.4, "2026-11-22T03:00:00Z"),
+            (78.0, 15.0, "2026-03-20T00:00:00Z"),
+            (0.0, 179.9, "2031-07-01T09:00:00Z"),
+        ] {
+            let place = place(latitude, longitude);
+            let path = SunPath::sampled(&place, &earth, utc(at), DAY_S).unwrap();
+            assert_eq!(path.samples.len(), 145);
+            for (at, altitude) in path.samples {
+                let exact = Observer::new(&place, &earth, at).unwrap().sun().altitude;
+                let off = (altitude - exact).arcseconds();
+                assert!(off.abs() < 1.5, "{at}: {off} arcsec");
+            }
+        }
     }
 
     #[test]

@@ -63,6 +63,38 @@ fn rays_through(slit: &Slit, aim: &Aim, azimuth: Angle, rays: u32, seed: u64) ->
 }
 
 #[test]
+fn what_is_left_of_the_aperture_is_what_rays_of_chance_find() {
+    let (mut partly, mut most) = (0, 0.0_f64);
+    for hour_angle in [-60.0, -20.0, 5.0, 45.0] {
+        for dec in [-70.0, -24.0, 10.0] {
+            let aim = Aim::at(deg(hour_angle), deg(dec));
+            let middle = dome().azimuth(&aim);
+            for off in (-40..=40).step_by(8).map(f64::from) {
+                let free = dome().free(&aim, middle + deg(off));
+                let found = f64::from(rays_through(&dome(), &aim, middle + deg(off), 500, 3)) / 500.0;
+                partly += i32::from(free > 0.0 && free < 1.0);
+                most = most.max((free - found).abs());
+                assert!((free - found).abs() < 0.08, "{aim:?} {off}: {free} {found}");
+            }
+        }
+    }
+    assert!(partly > 10 && most > 0.0, "{partly} views were partly hidden");
+}
+
+#[test]
+fn a_whole_arc_is_free_and_what_lies_far_from_it_is_hidden() {
+    for slit in [dome(), fork(), Slit::of_tolerance(deg(-24.6), deg(5.0))] {
+        let aim = Aim::at(deg(-50.0), deg(-10.0));
+        let arc = slit.clear(&aim).unwrap();
+        let ends = arc.shrunk(deg(0.01));
+        for azimuth in [arc.middle(), ends.nearest(arc.middle() + deg(90.0)), ends.nearest(arc.middle() - deg(90.0))] {
+            assert_eq!(slit.free(&aim, azimuth), 1.0, "{azimuth:?}");
+        }
+        assert_eq!(slit.free(&aim, arc.middle() + deg(90.0)), 0.0);
+    }
+}
+
+#[test]
 fn a_telescope_in_the_middle_looks_where_its_slit_belongs() {
     for (altitude, azimuth) in [(10.0, 0.0), (30.0, 77.0), (60.0, 200.0), (85.0, 359.0)] {
         let aim = Aim::towards(&Horizontal::from_degrees(altitude, azimuth), deg(-24.6));
