@@ -53,22 +53,42 @@ impl Background {
         saturation: f32,
         fwhm_px: Option<f32>,
     ) -> Option<Self> {
-        let height = image.len() / width;
+        let read = |y: usize, to: &mut [f32]| to.copy_from_slice(&image[y * width..(y + 1) * width]);
+        Self::of_rows((width, image.len() / width), read, quantum, saturation, fwhm_px)
+    }
+
+    /// The same of an image of `(width, height)` px that need not exist as a whole: `read` writes row `y`. Each row is
+    /// asked for once at most.
+    pub(crate) fn of_rows(
+        (width, height): (usize, usize),
+        read: impl Fn(usize, &mut [f32]) + Sync,
+        quantum: f32,
+        saturation: f32,
+        fwhm_px: Option<f32>,
+    ) -> Option<Self> {
         let side = side(width, height, fwhm_px);
         let count = |length: usize| ((length + side / 2) / side).max(1);
         let (columns, rows) = (count(width), count(height));
         // rounded, not cut off: else all cells would stand half a pixel lower than the mesh believes
         let bound = |n: usize, of: usize, length: usize| (2 * n * length + of) / (2 * of);
+        let across = |column: usize| bound(column, columns, width)..bound(column + 1, columns, width);
         let per_band = parallel::ranges(rows, width * side, |band| {
             let mut scratch = cell::Scratch::default();
             let mut cells = Vec::with_capacity(band.len() * columns);
+            let mut lines = Vec::new();
             for row in band {
                 let ys = bound(row, rows, height)..bound(row + 1, rows, height);
+                let step = |column: usize| if HALVED.contains(&(ys.len() * across(column).len())) { 2 } else { 1 };
+                let rows_apart = (0..columns).map(step).min().unwrap_or(1);
+                lines.resize(ys.len().div_ceil(rows_apart) * width, 0.0);
+                ys.clone().step_by(rows_apart).zip(lines.chunks_mut(width)).for_each(|(y, line)| read(y, line));
+                // a cell looks much like the one before it in its row
+                let mut before = None;
                 for column in 0..columns {
-                    let xs = bound(column, columns, width)..bound(column + 1, columns, width);
-                    let step = if HALVED.contains(&(ys.len() * xs.len())) { 2 } else { 1 };
-                    let lines = ys.clone().step_by(step).map(|y| &image[y * width + xs.start..y * width + xs.end]);
-                    let sky = scratch.measure(lines, quantum);
+                    let of_cell =
+                        lines.chunks(width).step_by(step(column) / rows_apart).map(|line| &line[across(column)]);
+                    let sky = scratch.measure(of_cell, quantum, before);
+                    before = sky;
                     cells.push(sky.filter(|sky| sky.level < saturation));
                 }
             }

@@ -40,13 +40,14 @@ pub(crate) struct Banding {
     pub(crate) bad_rows: Vec<usize>,
 }
 
-/// Removes the offsets of rows and columns from a background-subtracted image whose noise is `sigma`, and sets bad
-/// lines to NaN.
-pub(crate) fn remove(image: &mut [f32], width: usize, sigma: f32) -> Banding {
+/// Removes the offsets of rows and columns from a background-subtracted image whose noise is `sigma` and whose means are
+/// `means`, and sets bad lines to NaN.
+pub(crate) fn remove(image: &mut [f32], width: usize, sigma: f32, means: Means) -> Banding {
     let height = image.len() / width;
     let mut banding = Banding::default();
+    let mut known = Some(means);
     for _ in 0..3 {
-        let (rows, columns) = clamped_means(image, width, sigma);
+        let Means { rows, columns } = known.take().unwrap_or_else(|| measure(image, width, sigma));
         let row = |y: usize| image[y * width..(y + 1) * width].iter().copied();
         let rows = Offsets::judge(&rows, width, sigma, row);
         let mut columns = Offsets::judge(&columns, height, sigma, |x| image[x..].iter().copied().step_by(width));
@@ -156,42 +157,88 @@ impl Offsets {
 }
 
 /// Mean of the clamped pixels, in sigma, of each segment of each row, and of each column.
-fn clamped_means(image: &[f32], width: usize, sigma: f32) -> (Vec<[f32; SEGMENTS]>, Vec<[f32; SEGMENTS]>) {
-    let height = image.len() / width;
-    let per_sigma = 1.0 / sigma;
-    let clamped = |pixel: f32| if pixel.is_nan() { 0.0 } else { (pixel * per_sigma).clamp(-CLAMP, CLAMP) };
-    let bound = |segment: usize, length: usize| segment * length / SEGMENTS;
-    let bands = parallel::ranges(height, width, |band| {
-        let mut rows = Vec::with_capacity(band.len());
-        let mut columns = vec![0.0; SEGMENTS * width];
-        for y in band {
-            let line = &image[y * width..(y + 1) * width];
-            let segment = (0..SEGMENTS).find(|s| y < bound(s + 1, height)).unwrap_or(SEGMENTS - 1);
-            let sums = &mut columns[segment * width..(segment + 1) * width];
-            sums.iter_mut().zip(line).for_each(|(sum, pixel)| *sum += clamped(*pixel));
-            rows.push(std::array::from_fn(|s| {
-                let part = &line[bound(s, width)..bound(s + 1, width)];
-                // eight running sums, so that the additions need not wait for one another
-                let mut sums = [0.0; 8];
-                for eight in part.chunks_exact(8) {
-                    sums.iter_mut().zip(eight).for_each(|(sum, pixel)| *sum += clamped(*pixel));
-                }
-                let rest: f32 = part.chunks_exact(8).remainder().iter().map(|pixel| clamped(*pixel)).sum();
-                (sums.iter().sum::<f32>() + rest) / part.len().max(1) as f32
-            }));
-        }
-        (rows, columns)
-    });
-    let mut all_rows = Vec::with_capacity(height);
-    let mut columns = vec![[0.0; SEGMENTS]; width];
-    for (rows, sums) in bands {
-        all_rows.extend(rows);
-        for (segment, sums) in sums.chunks(width).enumerate() {
-            let pixels = (bound(segment + 1, height) - bound(segment, height)).max(1) as f32;
-            columns.iter_mut().zip(sums).for_each(|(column, sum)| column[segment] += sum / pixels);
-        }
+pub(crate) struct Means {
+    rows: Vec<[f32; SEGMENTS]>,
+    columns: Vec<[f32; SEGMENTS]>,
+}
+
+/// The sums behind them, of a band of rows.
+pub(crate) struct Sums {
+    width: usize,
+    height: usize,
+    per_sigma: f32,
+    rows: Vec<[f32; SEGMENTS]>,
+    /// By segment of the columns' length, then by column.
+    columns: Vec<f32>,
+}
+
+/// Where segment number `segment` begins.
+fn bound(segment: usize, length: usize) -> usize {
+    segment * length / SEGMENTS
+}
+
+impl Sums {
+    /// Of no row yet, of an image whose noise is `sigma`.
+    pub(crate) fn new(width: usize, height: usize, sigma: f32) -> Self {
+        Self { width, height, per_sigma: 1.0 / sigma, rows: Vec::new(), columns: vec![0.0; SEGMENTS * width] }
     }
-    (all_rows, columns)
+
+    /// Adds row `y`; called with one row of the band after the other.
+    pub(crate) fn add(&mut self, y: usize, line: &[f32]) {
+        let (width, height, per_sigma) = (self.width, self.height, self.per_sigma);
+        // no branch for NaN, which counts as the mean: its bits are masked away
+        let clamped = |pixel: f32| {
+            let value = pixel * per_sigma;
+            let value = if value > -CLAMP { value } else { -CLAMP };
+            let value = if value < CLAMP { value } else { CLAMP };
+            f32::from_bits(value.to_bits() & 0_u32.wrapping_sub(u32::from(!pixel.is_nan())))
+        };
+        let segment = (0..SEGMENTS).find(|s| y < bound(s + 1, height)).unwrap_or(SEGMENTS - 1);
+        let columns = &mut self.columns[segment * width..(segment + 1) * width];
+        self.rows.push(std::array::from_fn(|s| {
+            let range = bound(s, width)..bound(s + 1, width);
+            let (pixels, rest) = line[range.clone()].as_chunks::<8>();
+            let (columns, columns_rest) = columns[range.clone()].as_chunks_mut::<8>();
+            // eight running sums, so that the additions need not wait for one another
+            let mut sums = [0.0; 8];
+            for (columns, pixels) in columns.iter_mut().zip(pixels) {
+                for lane in 0..8 {
+                    let value = clamped(pixels[lane]);
+                    columns[lane] += value;
+                    sums[lane] += value;
+                }
+            }
+            let mut sum = 0.0;
+            for (column, pixel) in columns_rest.iter_mut().zip(rest) {
+                *column += clamped(*pixel);
+                sum += clamped(*pixel);
+            }
+            (sums.iter().sum::<f32>() + sum) / range.len().max(1) as f32
+        }));
+    }
+
+    /// The means of all bands, given from the first row to the last.
+    pub(crate) fn means(bands: Vec<Self>, width: usize, height: usize) -> Means {
+        let mut means = Means { rows: Vec::with_capacity(height), columns: vec![[0.0; SEGMENTS]; width] };
+        for band in bands {
+            means.rows.extend(band.rows);
+            for (segment, sums) in band.columns.chunks(width).enumerate() {
+                let pixels = (bound(segment + 1, height) - bound(segment, height)).max(1) as f32;
+                means.columns.iter_mut().zip(sums).for_each(|(column, sum)| column[segment] += sum / pixels);
+            }
+        }
+        means
+    }
+}
+
+fn measure(image: &[f32], width: usize, sigma: f32) -> Means {
+    let height = image.len() / width;
+    let bands = parallel::ranges(height, width, |band| {
+        let mut sums = Sums::new(width, height, sigma);
+        band.for_each(|y| sums.add(y, &image[y * width..(y + 1) * width]));
+        sums
+    });
+    Sums::means(bands, width, height)
 }
 
 #[cfg(test)]
@@ -204,6 +251,11 @@ mod tests {
     fn noise(width: usize, height: usize, seed: u64) -> Vec<f32> {
         let mut rng = StdRng::seed_from_u64(seed);
         (0..width * height).map(|_| 4.0 * Distribution::<f32>::sample(&StandardNormal, &mut rng)).collect()
+    }
+
+    fn remove(image: &mut [f32], width: usize, sigma: f32) -> Banding {
+        let means = measure(image, width, sigma);
+        super::remove(image, width, sigma, means)
     }
 
     fn rms(image: &[f32]) -> f32 {

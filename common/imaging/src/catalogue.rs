@@ -18,7 +18,7 @@ mod record;
 
 use units::Angle;
 
-pub use build::{Entry, build};
+pub use build::{Entry, Pieces, build, order_for};
 use record::Record;
 
 use crate::healpix;
@@ -130,9 +130,9 @@ impl<B: AsRef<[u8]>> Catalogue<B> {
     /// The direction of a star as a unit vector, moved along its great circle; right ascension itself would
     /// run away near the poles.
     fn moved(&self, number: usize, record: Record, cell: u64, years: f64) -> [f64; 3] {
-        let (ra, dec) = record.position(self.order, cell);
+        let sines = healpix::sines(record.position(self.order, cell));
         let (pm_ra, pm_dec) = record.motion_mas().unwrap_or_else(|| self.fast_motion_mas(number));
-        moved(ra, dec, pm_ra * years, pm_dec * years)
+        moved(sines, pm_ra * years, pm_dec * years)
     }
 
     fn record(&self, number: usize) -> Record {
@@ -181,10 +181,8 @@ fn unit(ra: Angle, dec: Angle) -> [f64; 3] {
     [dec.cos() * ra.cos(), dec.cos() * ra.sin(), dec.sin()]
 }
 
-/// A direction after a motion in milliarcseconds to the east and to the north.
-fn moved(ra: Angle, dec: Angle, east_mas: f64, north_mas: f64) -> [f64; 3] {
-    let (sin_ra, cos_ra) = ra.radians().sin_cos();
-    let (sin_dec, cos_dec) = dec.radians().sin_cos();
+/// A direction, given by its sines and cosines, after a motion in milliarcseconds to the east and to the north.
+fn moved([sin_ra, cos_ra, sin_dec, cos_dec]: [f64; 4], east_mas: f64, north_mas: f64) -> [f64; 3] {
     let east = Angle::from_arcseconds(east_mas * 1e-3).radians();
     let north = Angle::from_arcseconds(north_mas * 1e-3).radians();
     let x = cos_dec * cos_ra - north * sin_dec * cos_ra - east * sin_ra;

@@ -1,11 +1,13 @@
 //! From raw pixels to an image whose sky is zero and whose defects are filled.
 //!
-//! In order: copy to f32, subtract the dark (signed: nothing wraps), strike out known bad pixels, subtract the sky
-//! ([`crate::background`]), take out bands ([`crate::banding`]), find and fill defects ([`crate::defect`]).
+//! In order: read as f32, subtract the dark (signed: nothing wraps), strike out known bad pixels ([`crate::raw`]), subtract
+//! the sky ([`crate::background`]), take out bands ([`crate::banding`]), find and fill defects ([`crate::defect`]).
 
-use crate::background::Background;
+use crate::background::{Background, Mesh};
 use crate::bad_pixels::BadPixelMap;
+use crate::banding::{Means, Sums};
 use crate::frame::{Frame, FrameError, Pixels};
+use crate::raw::{Counted, Raw};
 use crate::{banding, defect, parallel};
 
 /// What is known of a camera and its frames.
@@ -72,13 +74,19 @@ impl Clean {
     /// bad-pixel map have another shape.
     pub fn new(frame: &Frame, camera: &Camera, fwhm_px: Option<f32>) -> Result<Self, FrameError> {
         let (width, height) = (frame.width(), frame.height());
+        let raw = Raw::new(frame, camera)?;
+        let quantum = if raw.are_whole() { 1.0 } else { 0.0 };
         let saturation = camera.saturation_adu(frame);
-        let (mut pixels, Copied { saturated, missing, brightest }) = copy(frame, camera, saturation)?;
-        let quantum = if camera.dark.is_none() && are_whole(frame) { 1.0 } else { 0.0 };
-        let Some(background) = Background::measure(&pixels, width, quantum, saturation, fwhm_px) else {
-            return Err(FrameError::NoSky { pixels: pixels.len(), saturated, missing });
+        let read = |y: usize, to: &mut [f32]| raw.read(y, to);
+        // first, so that what outlives the image does not lie before it in memory and keep it from being given back
+        let mut pixels = vec![0.0; width * height];
+        let Some(background) = Background::of_rows((width, height), read, quantum, saturation, fwhm_px) else {
+            let all = (0..height).map(|y| raw.count(y)).fold(Counted::NOTHING, Counted::and);
+            let Counted { saturated, missing, .. } = all;
+            return Err(FrameError::NoSky { pixels: width * height, saturated, missing });
         };
-        subtract(&mut pixels, width, &background);
+        let (Counted { saturated, missing, brightest }, means) =
+            read_without_sky(&raw, &background, &mut pixels, width);
         let mut clean = Self {
             width,
             height,
@@ -90,7 +98,8 @@ impl Clean {
             filled: Vec::new(),
             banding: false,
         };
-        let struck = clean.remove_banding(fwhm_px) + missing + camera.bad_pixels.map_or(0, |map| map.positions().len());
+        let struck =
+            clean.remove_banding(means, fwhm_px) + missing + camera.bad_pixels.map_or(0, |map| map.positions().len());
         if struck > 0 {
             let nan = clean.pixels.iter().enumerate().filter(|(_, value)| value.is_nan());
             clean.filled = nan.map(|(at, _)| at as u32).collect();
@@ -130,12 +139,12 @@ impl Clean {
 
     /// Takes offsets of rows and columns out, and measures the sky again if there were any. Answers how many lines
     /// were struck out.
-    fn remove_banding(&mut self, fwhm_px: Option<f32>) -> usize {
-        let found = banding::remove(&mut self.pixels, self.width, self.background.noise.median());
+    fn remove_banding(&mut self, means: Means, fwhm_px: Option<f32>) -> usize {
+        let found = banding::remove(&mut self.pixels, self.width, self.background.noise.median(), means);
         if found.removed
             && let Some(rest) = Background::measure(&self.pixels, self.width, 0.0, f32::INFINITY, fwhm_px)
         {
-            subtract(&mut self.pixels, self.width, &rest);
+            subtract(&mut self.pixels, self.width, &rest.level);
             self.background.level.add(&rest.level);
             self.background.noise = rest.noise;
         }
@@ -144,94 +153,30 @@ impl Clean {
     }
 }
 
-/// What is counted while copying.
-struct Copied {
-    saturated: usize,
-    missing: usize,
-    brightest: f32,
-}
-
-/// The pixels as f32 less the dark, NaN where there is no value.
-fn copy(frame: &Frame, camera: &Camera, saturation: f32) -> Result<(Vec<f32>, Copied), FrameError> {
-    let (width, height) = (frame.width(), frame.height());
-    let fits = |what, found_width, found_height| {
-        let mismatch = FrameError::Mismatch { what, found_width, found_height, width, height };
-        if (found_width, found_height) == (width, height) { Ok(()) } else { Err(mismatch) }
-    };
-    let mut pixels = vec![0.0; width * height];
-    let counts = parallel::bands_mut(&mut pixels, width, |first, band| {
-        let range = first * width..first * width + band.len();
-        match frame.pixels() {
-            Pixels::U16(raw) => copy_counts(&raw[range], band, width, saturation),
-            Pixels::F32(raw) => copy_floats(&raw[range], band, saturation),
-        }
-    });
-    if let Some(dark) = camera.dark {
-        fits("dark", dark.width(), dark.height())?;
-        parallel::bands_mut(&mut pixels, width, |first, band| {
-            let range = first * width..first * width + band.len();
-            match dark.pixels() {
-                Pixels::U16(dark) => band.iter_mut().zip(&dark[range]).for_each(|(to, dark)| *to -= f32::from(*dark)),
-                Pixels::F32(dark) => band.iter_mut().zip(&dark[range]).for_each(|(to, dark)| *to -= dark),
-            }
-        });
-    }
-    if let Some(map) = camera.bad_pixels {
-        fits("bad-pixel map", map.width(), map.height())?;
-        map.positions().iter().for_each(|at| pixels[*at as usize] = f32::NAN);
-    }
-    let all = Copied { saturated: 0, missing: 0, brightest: f32::NEG_INFINITY };
-    let all = counts.into_iter().fold(all, |all, band| Copied {
-        saturated: all.saturated + band.saturated,
-        missing: all.missing + band.missing,
-        brightest: all.brightest.max(band.brightest),
-    });
-    Ok((pixels, all))
-}
-
-/// Row by row, so that what is counted is still in the cache.
-fn copy_counts(raw: &[u16], to: &mut [f32], width: usize, saturation: f32) -> Copied {
-    // the least whole number at or above the limit; beyond u16 nothing is saturated
-    let limit = saturation.ceil().max(0.0);
-    let limit = (limit <= f32::from(u16::MAX)).then_some(limit as u16);
-    let (mut saturated, mut brightest) = (0, 0);
-    for (raw, to) in raw.chunks(width).zip(to.chunks_mut(width)) {
-        to.iter_mut().zip(raw).for_each(|(to, from)| *to = f32::from(*from));
-        brightest = raw.iter().fold(brightest, |most, value| most.max(*value));
-        if let Some(limit) = limit.filter(|limit| brightest >= *limit) {
-            saturated += raw.iter().filter(|value| **value >= limit).count();
-        }
-    }
-    Copied { saturated, missing: 0, brightest: f32::from(brightest) }
-}
-
-fn copy_floats(raw: &[f32], to: &mut [f32], saturation: f32) -> Copied {
-    to.copy_from_slice(raw);
-    let saturated = to.iter().filter(|value| **value >= saturation).count();
-    let missing = to.iter().filter(|value| !value.is_finite()).count();
-    if missing > 0 {
-        to.iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = f32::NAN);
-    }
-    Copied { saturated, missing, brightest: parallel::highest(to) }
-}
-
-/// Whether the values are whole counts, judged by a thousand of them.
-fn are_whole(frame: &Frame) -> bool {
-    match frame.pixels() {
-        Pixels::U16(_) => true,
-        Pixels::F32(pixels) => {
-            let mut finite = pixels.iter().step_by((pixels.len() / 1000).max(1)).filter(|value| value.is_finite());
-            finite.all(|value| value.fract() == 0.0)
-        }
-    }
-}
-
-fn subtract(pixels: &mut [f32], width: usize, background: &Background) {
-    parallel::bands_mut(pixels, width, |first, band| {
-        let mut level = vec![0.0; width];
+/// Reads the frame, takes its sky away, and looks at the rows and columns of what is left, all in one pass.
+fn read_without_sky(raw: &Raw, background: &Background, pixels: &mut [f32], width: usize) -> (Counted, Means) {
+    let (steps, sigma, height) = (background.level.steps(), background.noise.median(), pixels.len() / width);
+    let bands = parallel::bands_mut(pixels, width, |first, band| {
+        let mut counted = Counted::NOTHING;
+        let mut sums = Sums::new(width, height, sigma);
         for (n, line) in band.chunks_mut(width).enumerate() {
-            background.level.row(first + n, &mut level);
-            line.iter_mut().zip(&level).for_each(|(pixel, level)| *pixel -= level);
+            let y = first + n;
+            raw.read(y, line);
+            counted = counted.and(raw.count(y));
+            background.level.subtract(y, &steps, line);
+            sums.add(y, line);
+        }
+        (counted, sums)
+    });
+    let (counted, sums): (Vec<Counted>, Vec<Sums>) = bands.into_iter().unzip();
+    (counted.into_iter().fold(Counted::NOTHING, Counted::and), Sums::means(sums, width, height))
+}
+
+fn subtract(pixels: &mut [f32], width: usize, level: &Mesh) {
+    let steps = level.steps();
+    parallel::bands_mut(pixels, width, |first, band| {
+        for (n, line) in band.chunks_mut(width).enumerate() {
+            level.subtract(first + n, &steps, line);
         }
     });
 }

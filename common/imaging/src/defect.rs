@@ -72,11 +72,6 @@ fn is_defect(image: &[f32], width: usize, height: usize, at: (usize, usize), sig
     if pixel < 0.0 {
         return true;
     }
-    let (mut around, count) = neighbours(image, width, height, x, y);
-    let median = median_in_place(&mut around[..count]).unwrap_or(0.0);
-    if pixel - median <= STANDS_OUT * sigma {
-        return false;
-    }
     // f32::max passes over NaN, so that a missing neighbour leaves the word to the opposite one
     let value = |inside: bool, index: usize| if inside { image[index] } else { f32::NAN };
     let here = y * width + x;
@@ -90,7 +85,13 @@ fn is_defect(image: &[f32], width: usize, height: usize, at: (usize, usize), sig
         (false, true) => (along_x, due),
         (false, false) => (along_x.min(along_y), due),
     };
-    neighbour < SHARE * due * pixel && due * pixel - neighbour > MISSED * sigma
+    let is_sharp = neighbour < SHARE * due * pixel && due * pixel - neighbour > MISSED * sigma;
+    // the median last: it takes longest, and most pixels above the sky belong to stars
+    is_sharp && {
+        let (mut around, count) = neighbours(image, width, height, x, y);
+        let median = median_in_place(&mut around[..count]).unwrap_or(0.0);
+        pixel - median > STANDS_OUT * sigma
+    }
 }
 
 /// The finite values among the eight neighbours, and their number.

@@ -54,22 +54,43 @@ pub fn face_point(ra: Angle, dec: Angle) -> FacePoint {
 
 /// The direction (right ascension, declination) of a place on the faces.
 pub fn direction(point: FacePoint) -> (Angle, Angle) {
-    let (row, column) = match point.face {
-        0..=3 => (2.0, f64::from(2 * point.face + 1)),
-        4..=7 => (3.0, f64::from(2 * (point.face - 4))),
-        _ => (4.0, f64::from(2 * (point.face - 8) + 1)),
-    };
-    let down = row - point.x - point.y;
-    // `ring` is the length of this circle of latitude in units of the equator's
-    let (ring, dec) = if down < 1.0 {
-        (down, FRAC_PI_2 - 2.0 * (down / 6.0_f64.sqrt()).asin())
+    let (ring, down) = rings(point);
+    let dec = if down < 1.0 {
+        FRAC_PI_2 - 2.0 * (down / 6.0_f64.sqrt()).asin()
     } else if down > 3.0 {
-        (4.0 - down, 2.0 * ((4.0 - down) / 6.0_f64.sqrt()).asin() - FRAC_PI_2)
+        2.0 * ((4.0 - down) / 6.0_f64.sqrt()).asin() - FRAC_PI_2
     } else {
-        (1.0, ((2.0 - down) * 2.0 / 3.0).asin())
+        ((2.0 - down) * 2.0 / 3.0).asin()
     };
-    let eighths = if ring < 1e-15 { 0.0 } else { column + (point.x - point.y) / ring };
-    (Angle::from_degrees(eighths * 45.0).wrapped_positive(), Angle::from_radians(dec))
+    (Angle::from_degrees(eighths(point, ring) * 45.0).wrapped_positive(), Angle::from_radians(dec))
+}
+
+/// The same with less trigonometry, as sine and cosine of the right ascension and of the declination.
+pub(crate) fn sines(point: FacePoint) -> [f64; 4] {
+    let (ring, down) = rings(point);
+    let (sin_ra, cos_ra) = (eighths(point, ring) * FRAC_PI_4).sin_cos();
+    let (sin_dec, cos_dec) = if ring < 1.0 {
+        // 1 - z^2 without the cancellation near the poles
+        let from_pole = ring * ring / 3.0;
+        ((1.0 - from_pole).copysign(2.0 - down), (from_pole * (2.0 - from_pole)).sqrt())
+    } else {
+        let z = (2.0 - down) * 2.0 / 3.0;
+        (z, (1.0 - z * z).sqrt())
+    };
+    [sin_ra, cos_ra, sin_dec, cos_dec]
+}
+
+/// Length of a place's circle of latitude in units of the equator's, and how far it lies below the north pole, which
+/// reaches 4 at the south pole.
+fn rings(point: FacePoint) -> (f64, f64) {
+    let down = f64::from(2 + point.face / 4) - point.x - point.y;
+    (down.min(4.0 - down).min(1.0), down)
+}
+
+/// Right ascension of a place in eighths of a turn.
+fn eighths(point: FacePoint, ring: f64) -> f64 {
+    let column = f64::from(2 * (point.face % 4) + u8::from(point.face / 4 != 1));
+    if ring < 1e-15 { 0.0 } else { column + (point.x - point.y) / ring }
 }
 
 /// The cell of this order that holds a place.
@@ -93,7 +114,9 @@ pub fn corner(order: u8, cell: u64) -> FacePoint {
 /// The cells of this order that a cone may touch, ascending; a few of its neighbours too, never one too few.
 pub fn cells_in_cone(order: u8, ra: Angle, dec: Angle, radius: Angle) -> Vec<u64> {
     let centre = unit(ra, dec);
-    let limits: [f64; MAX_ORDER as usize + 1] = std::array::from_fn(|o| radius.radians() + reach(o as u8));
+    // squared chords
+    let limit = |o| (2.0 * (0.5 * (radius.radians() + reach(o as u8))).clamp(0.0, FRAC_PI_2).sin()).powi(2);
+    let limits: [f64; MAX_ORDER as usize + 1] = std::array::from_fn(limit);
     let mut found = Vec::new();
     for face in 0..12 {
         descend(0, face, order, centre, &limits, &mut found);
@@ -104,8 +127,10 @@ pub fn cells_in_cone(order: u8, ra: Angle, dec: Angle, radius: Angle) -> Vec<u64
 fn descend(order: u8, number: u64, last: u8, centre: [f64; 3], limits: &[f64], found: &mut Vec<u64>) {
     let start = corner(order, number);
     let half = 0.5 / (1_u64 << order) as f64;
-    let (ra, dec) = direction(FacePoint { face: start.face, x: start.x + half, y: start.y + half });
-    if between(centre, unit(ra, dec)) > limits[usize::from(order)] {
+    let [sin_ra, cos_ra, sin_dec, cos_dec] =
+        sines(FacePoint { face: start.face, x: start.x + half, y: start.y + half });
+    let middle = [cos_dec * cos_ra, cos_dec * sin_ra, sin_dec];
+    if (0..3).map(|i| (centre[i] - middle[i]).powi(2)).sum::<f64>() > limits[usize::from(order)] {
         return;
     }
     if order == last {
@@ -196,6 +221,9 @@ mod tests {
             assert!((0.0..1.0).contains(&point.x) && (0.0..1.0).contains(&point.y), "{point:?}");
             let (ra2, dec2) = direction(point);
             assert!(between(unit(deg(ra), deg(dec)), unit(ra2, dec2)) < 1e-13, "{ra} {dec}");
+            let [sin_ra, cos_ra, sin_dec, cos_dec] = sines(point);
+            let at = [cos_dec * cos_ra, cos_dec * sin_ra, sin_dec];
+            assert!(between(unit(deg(ra), deg(dec)), at) < 1e-13, "{ra} {dec}");
             let number = cell(7, point);
             let start = corner(7, number);
             assert!(start.face == point.face && (0.0..1.0 / 128.0).contains(&(point.x - start.x)));

@@ -5,9 +5,14 @@
 //!
 //! - [`frame`] is what comes in: raw counts or floats with their shape.
 //! - [`clean`] takes away sky ([`background`]), bands and defects ([`bad_pixels`]).
-//! - [`measure`] finds the [`star`]s, measures them, and says what the frame is worth ([`quality`]).
+//! - [`measure`] finds the [`star`]s, measures them, and says what the frame is worth ([`quality`]);
+//!   [`mosaic`] does so for cameras with colour filters on their pixels.
 //! - [`shift`] tells from two star lists how far the field moved; [`projection`] from two cleaned frames.
+//! - [`hfd`] tells the size of stars in and out of focus; [`focus`] finds the position where it is least.
+//! - [`guide`] holds a field in its place: shifts in, pulses out.
+//! - [`pointing`] tells where to send a telescope that misses, and learns how it misses.
 //! - [`catalogue`] reads (and builds) the compact all-sky star catalogue from bytes.
+//! - [`solve`] tells which piece of the sky a star list shows, as a [`wcs`]; [`tangent`] lays the sky flat.
 //! - [`healpix`] divides the sky into equal areas; the catalogue is ordered by it.
 //!
 //! The work on pixels runs on all cores, in plain loops over rows that the compiler turns into vector instructions.
@@ -19,22 +24,35 @@ mod candidates;
 pub mod catalogue;
 pub mod clean;
 mod defect;
+pub mod focus;
 pub mod frame;
 mod grid;
+pub mod guide;
 pub mod healpix;
+pub mod hfd;
+mod least_squares;
 mod matched_filter;
 pub mod measure;
+pub mod mosaic;
 mod parallel;
+pub mod pointing;
 mod profile;
 pub mod projection;
 pub mod quality;
+mod raw;
 pub mod shift;
+pub mod solve;
 pub mod star;
+pub mod tangent;
+pub mod wcs;
 mod window;
 
 pub use clean::{Camera, Clean};
 pub use frame::{Frame, FrameError, Pixels};
 pub use measure::{Measured, Search, measure};
+pub use mosaic::{is_mosaic, measure_mosaic};
 pub use quality::Quality;
 pub use shift::{NoShift, Shift};
+pub use solve::{Hint, NoSolution, Solution, solve};
 pub use star::{Flags, Star, spread_evenly};
+pub use wcs::Wcs;

@@ -186,7 +186,6 @@ struct Rows<'a> {
     along_x: Vec<Vec<f32>>,
     /// First row that is not in `along_x` yet.
     next: usize,
-    padded: Vec<f32>,
     /// What lies outside of the image.
     zeros: Vec<f32>,
     /// 1 / (noise x norm of the kernel), and the row it was evaluated for.
@@ -205,7 +204,6 @@ impl<'a> Rows<'a> {
             clean,
             along_x: vec![vec![0.0; width]; 2 * reach + 1],
             next: first.saturating_sub(reach + 1),
-            padded: vec![0.0; width + 2 * reach],
             zeros: vec![0.0; width],
             per_noise: vec![0.0; width],
             per_noise_of: None,
@@ -251,11 +249,20 @@ impl<'a> Rows<'a> {
 
     fn filter_along_x(&mut self, y: usize) {
         let (reach, width) = (self.kernel.reach(), self.clean.width);
-        self.padded[reach..reach + width].copy_from_slice(&self.clean.pixels[y * width..(y + 1) * width]);
-        let padded = &self.padded;
-        let taps = self.kernel.taps.iter().enumerate().skip(1);
-        let pairs: Vec<Pair> = taps.map(|(d, tap)| (*tap, &padded[reach - d..], &padded[reach + d..])).collect();
-        weigh(&mut self.along_x[y % (2 * reach + 1)], &padded[reach..], &pairs);
+        let line = &self.clean.pixels[y * width..(y + 1) * width];
+        let out = &mut self.along_x[y % (2 * reach + 1)];
+        let inner = reach.min(width)..width.saturating_sub(reach).max(reach.min(width));
+        let taps = || self.kernel.taps.iter().enumerate().skip(1);
+        let at = |x: Option<usize>| x.and_then(|x| line.get(x)).copied().unwrap_or(0.0);
+        for x in (0..inner.start).chain(inner.end..width) {
+            let beside = taps().map(|(d, tap)| tap * (at(x.checked_sub(d)) + at(Some(x + d))));
+            out[x] = line[x] + beside.sum::<f32>();
+        }
+        if !inner.is_empty() {
+            let shifted = |from: usize| &line[from..from + inner.len()];
+            let pairs: Vec<Pair> = taps().map(|(d, tap)| (*tap, shifted(reach - d), shifted(reach + d))).collect();
+            weigh(&mut out[inner.clone()], shifted(reach), &pairs);
+        }
     }
 }
 
@@ -265,22 +272,24 @@ type Pair<'a> = (f32, &'a [f32], &'a [f32]);
 /// `out = middle + sum of tap * (before + after)`; 16 sums at a time, which stay in vector registers.
 fn weigh(out: &mut [f32], middle: &[f32], pairs: &[Pair]) {
     const BLOCK: usize = 16;
-    let done = out.len() / BLOCK * BLOCK;
-    let (blocks, rest) = out.as_chunks_mut::<BLOCK>();
-    let blocks_of = |line: &'_ [f32], n: usize| -> [f32; BLOCK] { line.as_chunks::<BLOCK>().0[n] };
-    for (n, block) in blocks.iter_mut().enumerate() {
-        let mut sums = blocks_of(middle, n);
+    let length = out.len();
+    let block = |line: &[f32], at: usize| -> [f32; BLOCK] {
+        line.get(at..at + BLOCK).and_then(|line| line.try_into().ok()).unwrap_or([0.0; BLOCK])
+    };
+    let mut at = 0;
+    while at + BLOCK <= length {
+        let mut sums = block(middle, at);
         for (tap, before, after) in pairs {
-            let (before, after) = (blocks_of(before, n), blocks_of(after, n));
+            let (before, after) = (block(before, at), block(after, at));
             for lane in 0..BLOCK {
                 sums[lane] += tap * (before[lane] + after[lane]);
             }
         }
-        *block = sums;
+        out[at..at + BLOCK].copy_from_slice(&sums);
+        at += BLOCK;
     }
-    for (n, value) in rest.iter_mut().enumerate() {
-        let at = done + n;
-        *value = middle[at] + pairs.iter().map(|(tap, before, after)| tap * (before[at] + after[at])).sum::<f32>();
+    for at in at..length {
+        out[at] = middle[at] + pairs.iter().map(|(tap, before, after)| tap * (before[at] + after[at])).sum::<f32>();
     }
 }
 

@@ -56,6 +56,15 @@ pub struct Measured {
 /// [`FrameError`] when the frame has no usable sky, or the dark or bad-pixel map have another shape. A frame without
 /// stars is no error.
 pub fn measure(frame: &Frame, camera: &Camera, search: &Search) -> Result<Measured, FrameError> {
+    measure_and_clean(frame, camera, search).map(|(measured, _)| measured)
+}
+
+/// The same, with the cleaned frame for those who look closer.
+pub(crate) fn measure_and_clean(
+    frame: &Frame,
+    camera: &Camera,
+    search: &Search,
+) -> Result<(Measured, Clean), FrameError> {
     let mut clean = Clean::new(frame, camera, search.fwhm_px)?;
     let light = Light { frame, saturation: camera.saturation_adu(frame), brightest: clean.brightest_adu };
     let mut found = find(&mut clean, camera, search, &light);
@@ -68,7 +77,7 @@ pub fn measure(frame: &Frame, camera: &Camera, search: &Search) -> Result<Measur
     }
     let stars = describe(&clean, camera, &light, &found);
     let quality = Quality::of(&clean, &stars, found.width.is_some());
-    Ok(Measured { stars, quality })
+    Ok((Measured { stars, quality }, clean))
 }
 
 /// The raw pixels, asked about saturation.

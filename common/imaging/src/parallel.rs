@@ -12,8 +12,9 @@ const FEWEST_PIXELS: usize = 1 << 16;
 
 /// How many threads a frame of `pixels` is worth.
 fn threads(pixels: usize) -> usize {
-    let cores = thread::available_parallelism().map_or(1, usize::from);
-    cores.min(MOST).min(pixels / FEWEST_PIXELS).max(1)
+    let worth = (pixels / FEWEST_PIXELS).min(MOST);
+    // the system reads files to count the cores: small frames do without
+    if worth <= 1 { 1 } else { thread::available_parallelism().map_or(1, usize::from).min(worth) }
 }
 
 /// Cuts the rows of `image` into bands and lets `work(first_row, band)` change them; answers in order of the rows.

@@ -24,11 +24,19 @@ const ERROR_PX: f64 = 0.1;
 /// # Errors
 /// [`NoShift`] when the frames differ in shape, or a correlation has no clear peak (no stars, clouds).
 pub fn from_projections(reference: &Clean, check: &Clean) -> Result<Shift, NoShift> {
-    let (width, height) = (reference.width, reference.height);
-    if (width, height) != (check.width, check.height) {
-        return Err(NoShift::Shapes(width, height, check.width, check.height));
+    between(&Profiles::of(reference), &Profiles::of(check))
+}
+
+/// The same from profiles that were kept.
+///
+/// # Errors
+/// As [`from_projections`].
+pub fn between(reference: &Profiles, check: &Profiles) -> Result<Shift, NoShift> {
+    let shape = |profiles: &Profiles| (profiles.along_x.len(), profiles.along_y.len());
+    let ((width, height), (check_width, check_height)) = (shape(reference), shape(check));
+    if (width, height) != (check_width, check_height) {
+        return Err(NoShift::Shapes(width, height, check_width, check_height));
     }
-    let (reference, check) = (Profiles::of(reference), Profiles::of(check));
     let dx_px = lag(&reference.along_x, &check.along_x).ok_or(NoShift::NoPeak { axis: 'x' })?;
     let dy_px = lag(&reference.along_y, &check.along_y).ok_or(NoShift::NoPeak { axis: 'y' })?;
     let variance = ERROR_PX * ERROR_PX;
@@ -43,13 +51,16 @@ pub fn from_projections(reference: &Clean, check: &Clean) -> Result<Shift, NoShi
     })
 }
 
-struct Profiles {
+/// What is left of a frame for this: the sums over its rows and over its columns, star cores only.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Profiles {
     along_x: Vec<f64>,
     along_y: Vec<f64>,
 }
 
 impl Profiles {
-    fn of(clean: &Clean) -> Self {
+    /// Of a cleaned frame.
+    pub fn of(clean: &Clean) -> Self {
         let mut sigma = vec![0.0; clean.width];
         let (mut along_x, mut along_y) = (vec![0.0; clean.width], Vec::with_capacity(clean.height));
         for (y, line) in clean.pixels.chunks(clean.width).enumerate() {

@@ -50,6 +50,14 @@ impl Shift {
     pub fn error_px(&self) -> (f64, f64) {
         (self.covariance[0][0].sqrt(), self.covariance[1][1].sqrt())
     }
+
+    /// Where a star of the reference at (x, y) px stands now, in frames of this many columns and rows.
+    pub fn apply(&self, x_px: f64, y_px: f64, width: usize, height: usize) -> (f64, f64) {
+        let (middle_x, middle_y) = (0.5 * (width as f64 - 1.0), 0.5 * (height as f64 - 1.0));
+        let (sin, cos) = self.rotation_deg.to_radians().sin_cos();
+        let (u, v) = (x_px - middle_x, y_px - middle_y);
+        (middle_x + cos * u - sin * v + self.dx_px, middle_y + sin * u + cos * v + self.dy_px)
+    }
 }
 
 /// Why no shift can be told.
@@ -114,11 +122,44 @@ pub fn from_stars(reference: &[Star], check: &[Star], width: usize, height: usiz
         let no_match = NoShift::NoMatch { matched: pairs.len(), dx_px: motion.dx, dy_px: motion.dy };
         motion = fit::fit(pair::moving(&pairs).as_deref().unwrap_or(&pairs), centre).ok_or(no_match)?;
     }
+    // of long lists a few pairs agree by chance
+    if pairs.len() <= reference.len().min(check.len()) / 10 {
+        return Err(NoShift::NoMatch { matched: pairs.len(), dx_px: motion.dx, dy_px: motion.dy });
+    }
+    of_motion(&motion, &pairs)
+}
+
+/// The shift of stars of which it is known which is which, of `reference` and `check` stars in the two frames. Pairs
+/// that do not agree with the most are left out.
+pub(crate) fn from_pairs(
+    pairs: &[(&Star, &Star)],
+    reference: usize,
+    check: usize,
+    width: usize,
+    height: usize,
+) -> Result<Shift, NoShift> {
+    let centre = (0.5 * (width as f64 - 1.0), 0.5 * (height as f64 - 1.0));
+    let too_few = NoShift::TooFewStars { reference, check };
+    let mut kept = pairs.to_vec();
+    let mut motion = fit::fit(pair::moving(&kept).as_deref().unwrap_or(&kept), centre).ok_or(too_few)?;
+    for _ in 0..2 {
+        kept = pairs.iter().copied().filter(|pair| motion.explains(pair)).collect();
+        let (matched, dx_px, dy_px) = (kept.len(), motion.dx, motion.dy);
+        // what most stars do not follow is no motion of the field
+        if 2 * matched < pairs.len().min(reference) || matched == 0 {
+            return Err(NoShift::NoMatch { matched, dx_px, dy_px });
+        }
+        let no_match = NoShift::NoMatch { matched, dx_px, dy_px };
+        motion = fit::fit(pair::moving(&kept).as_deref().unwrap_or(&kept), centre).ok_or(no_match)?;
+    }
+    of_motion(&motion, &kept)
+}
+
+/// The shift of a motion that these pairs gave, if it can be believed.
+fn of_motion(motion: &fit::Motion, pairs: &[(&Star, &Star)]) -> Result<Shift, NoShift> {
     let (dx_px, dy_px) = (motion.dx, motion.dy);
     let far = dx_px.hypot(dy_px) > FEW_STARS_PX;
-    // of long lists a few pairs agree by chance
-    let by_chance = reference.len().min(check.len()) / 10;
-    if pairs.len() <= by_chance || (far && pairs.len() < 3) {
+    if far && pairs.len() < 3 {
         return Err(NoShift::NoMatch { matched: pairs.len(), dx_px, dy_px });
     }
     let error_px = motion.covariance[0][0].max(motion.covariance[1][1]).sqrt();

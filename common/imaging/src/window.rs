@@ -131,29 +131,44 @@ impl Window {
         };
         let (columns, rows) = (range(x, clean.width), range(y, clean.height));
         let weight = |d: f64| (-0.5 * (d / self.sigma).powi(2)).exp();
-        let along_x: Vec<(f64, f64)> = columns.clone().map(|c| c as f64 - x).map(|d| (d, weight(d))).collect();
+        let along_x: Vec<[f64; 3]> = columns
+            .clone()
+            .map(|c| c as f64 - x)
+            .map(|d| (d * d, d, weight(d)))
+            .map(|(d2, d, weight)| [weight, weight * d, weight * d2])
+            .collect();
+        let (sky, per_gain, squared) = (noise * noise, 1.0 / self.gain, self.sigma.powi(2));
         let mut sums = Sums::default();
         for row in rows {
-            let dy = row as f64 - y;
-            let weight_y = weight(dy);
             let line = &clean.pixels[row * clean.width + columns.start..row * clean.width + columns.end];
-            for ((dx, weight_x), pixel) in along_x.iter().zip(line) {
+            // first along the row, then as a whole: what belongs to y is the same for all its pixels
+            let (mut light, mut light_x, mut light_xx) = (0.0, 0.0, 0.0);
+            let (mut variance, mut variance_xx, mut variance_x4) = (0.0, 0.0, 0.0);
+            for ([weight, weight_x, weight_xx], pixel) in along_x.iter().zip(line) {
                 let value = f64::from(*pixel);
-                let weight = weight_x * weight_y;
-                let weighed = weight * value;
-                let variance = weight * weight * (noise * noise + value.max(0.0) / self.gain);
-                let (dx2, dy2) = (dx * dx, dy * dy);
-                sums.flux += weighed;
-                sums.flux_variance += variance;
-                sums.x += weighed * dx;
-                sums.y += weighed * dy;
-                sums.x_variance += variance * dx2;
-                sums.y_variance += variance * dy2;
-                sums.xx += weighed * dx2;
-                sums.xy += weighed * dx * dy;
-                sums.yy += weighed * dy2;
-                sums.spread_variance += variance * (0.5 * (dx2 + dy2) - 0.5 * self.sigma.powi(2)).powi(2);
+                let squared_noise = sky + per_gain * value.max(0.0);
+                light += weight * value;
+                light_x += weight_x * value;
+                light_xx += weight_xx * value;
+                variance += weight * weight * squared_noise;
+                variance_xx += weight_x * weight_x * squared_noise;
+                variance_x4 += weight_xx * weight_xx * squared_noise;
             }
+            let dy = row as f64 - y;
+            let (weight, dy2) = (weight(dy), dy * dy);
+            let twice = weight * weight;
+            sums.flux += weight * light;
+            sums.flux_variance += twice * variance;
+            sums.x += weight * light_x;
+            sums.y += weight * light * dy;
+            sums.x_variance += twice * variance_xx;
+            sums.y_variance += twice * variance * dy2;
+            sums.xx += weight * light_xx;
+            sums.xy += weight * light_x * dy;
+            sums.yy += weight * light * dy2;
+            // of (dx^2 + dy^2 - sigma^2) / 2
+            let rest = dy2 - squared;
+            sums.spread_variance += 0.25 * twice * (variance_x4 + 2.0 * rest * variance_xx + rest * rest * variance);
         }
         sums
     }

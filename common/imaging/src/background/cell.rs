@@ -12,6 +12,13 @@ const SAMPLE: usize = 251;
 const HALF: usize = 96;
 const BINS: usize = 2 * HALF;
 const BINS_PER_SIGMA: f32 = 12.0;
+/// Two cells whose levels are nearer than this, in sigma, and whose noises differ by no more, are alike enough that the
+/// bins of one hold the other: they reach over 8 sigma, and clipping needs 3.
+const ALIKE_SIGMA: f32 = 1.5;
+const ALIKE_NOISE: std::ops::Range<f32> = 0.7..1.4;
+/// Cells with less than so many times the least noise there can be are not handed on: in a constant image the levels of
+/// neighbours would differ by their rounding, which is all the noise it has.
+const NOISY: f32 = 3.0;
 /// Pixels whose bins are found together.
 const PART: usize = 64;
 /// Clipping at 3 sigma, at most 5 times (the predecessor's numbers).
@@ -35,38 +42,70 @@ pub(super) struct Sky {
 pub(super) struct Scratch {
     sample: Vec<f32>,
     /// What lies below the bins, the bins, what lies above; 256 so that no index can be out of bounds.
-    counts: [u32; 256],
+    counts: [[u32; 256]; 2],
 }
 
 impl Default for Scratch {
     fn default() -> Self {
-        Self { sample: Vec::with_capacity(2 * SAMPLE), counts: [0; 256] }
+        Self { sample: Vec::with_capacity(2 * SAMPLE), counts: [[0; 256]; 2] }
     }
 }
 
 impl Scratch {
     /// Level and noise of the pixels in `lines`; None when fewer than half of them are finite and within 3 sigma.
-    pub(super) fn measure<'a>(&mut self, lines: impl Iterator<Item = &'a [f32]> + Clone, quantum: f32) -> Option<Sky> {
+    /// The cell beside this one, if it is known, saves the sample where the bins that fit it fit this one too.
+    pub(super) fn measure<'a>(
+        &mut self,
+        lines: impl Iterator<Item = &'a [f32]> + Clone,
+        quantum: f32,
+        beside: Option<Sky>,
+    ) -> Option<Sky> {
         let total: usize = lines.clone().map(<[f32]>::len).sum();
-        let (middle, sigma) = self.guess(lines.clone(), total)?;
+        if let Some(beside) = beside.filter(|sky| sky.noise > NOISY * least_noise(sky.level, quantum))
+            && let Some(sky) = self.measure_with(lines.clone(), total, quantum, (beside.level, beside.noise))
+            && (sky.level - beside.level).abs() < ALIKE_SIGMA * beside.noise
+            && ALIKE_NOISE.contains(&(sky.noise / beside.noise))
+        {
+            return Some(sky);
+        }
+        let guess = self.guess(lines.clone(), total)?;
+        self.measure_with(lines, total, quantum, guess)
+    }
+
+    /// Level and noise from bins around a guess of them.
+    fn measure_with<'a>(
+        &mut self,
+        lines: impl Iterator<Item = &'a [f32]>,
+        total: usize,
+        quantum: f32,
+        (middle, sigma): (f32, f32),
+    ) -> Option<Sky> {
         let bins = Bins::around(middle, sigma, quantum);
-        self.counts.fill(0);
+        self.counts.fill([0; 256]);
+        let [even, odd] = &mut self.counts;
         for line in lines {
             for part in line.chunks(PART) {
                 // places first, in vector registers; then the counting
                 let mut places = [0_u32; PART];
                 places.iter_mut().zip(part).for_each(|(place, value)| *place = bins.place(*value));
-                places[..part.len()].iter().for_each(|place| self.counts[(place & 0xFF) as usize] += 1);
+                // in turn into two tables: neighbours often share a bin, and need not wait for one another
+                let (pairs, last) = places[..part.len()].as_chunks::<2>();
+                for [first, second] in pairs {
+                    even[(first & 0xFF) as usize] += 1;
+                    odd[(second & 0xFF) as usize] += 1;
+                }
+                last.iter().for_each(|place| even[(place & 0xFF) as usize] += 1);
             }
         }
+        let counts = even[1..=BINS].iter().zip(&odd[1..=BINS]).map(|(even, odd)| even + odd);
         let mut cumulative = [0.0; BINS + 1];
         let mut sum = 0;
-        for (bin, count) in self.counts[1..=BINS].iter().enumerate() {
+        for (bin, count) in counts.enumerate() {
             sum += count;
             cumulative[bin + 1] = sum as f32;
         }
         let (level, noise, kept) = clip(&cumulative);
-        let floor = (ROUNDING * quantum).max(level_step(middle));
+        let floor = least_noise(middle, quantum);
         // spreading a bin's pixels over its width has added that width's variance
         let noise = (noise * noise - ROUNDING * ROUNDING).max(0.0).sqrt();
         (kept * 2.0 >= total as f32)
@@ -95,6 +134,11 @@ impl Scratch {
         let sigma = MAD_TO_SIGMA * median_in_place(&mut self.sample)?;
         Some((middle, above.map_or(sigma, |above| sigma.max(above))))
     }
+}
+
+/// No digitised noise is smaller, nor any that f32 resolves, ADU.
+fn least_noise(level: f32, quantum: f32) -> f32 {
+    (ROUNDING * quantum).max(level_step(level))
 }
 
 /// Smallest step that f32 resolves near a level, with room for sums.

@@ -19,7 +19,7 @@ pub struct Mesh {
 impl Mesh {
     /// A mesh over `width` x `height` px; missing cells are filled and single outliers smoothed away. None when
     /// all cells are missing.
-    pub(super) fn new(
+    pub(crate) fn new(
         columns: usize,
         rows: usize,
         width: usize,
@@ -61,19 +61,40 @@ impl Mesh {
     /// Writes the values of row `y` into `out`, one per column.
     pub fn row(&self, y: usize, out: &mut [f32]) {
         let line = self.line(y);
+        for (run, steps) in self.runs(out.len()) {
+            let cubic = Cubic::through(&line, run.cell);
+            out[run.columns].iter_mut().zip(steps).for_each(|(value, t)| *value = cubic.at(t));
+        }
+    }
+
+    /// How far each column lies beyond the centre of the cell before it, in cells: the same for all rows.
+    pub(crate) fn steps(&self) -> Vec<f32> {
+        self.runs(self.width).flat_map(|(_, steps)| steps).collect()
+    }
+
+    /// Subtracts the values of row `y` from `line`; `steps` are the mesh's own.
+    pub(crate) fn subtract(&self, y: usize, steps: &[f32], line: &mut [f32]) {
+        let cells = self.line(y);
+        for (run, _) in self.runs(line.len()) {
+            let cubic = Cubic::through(&cells, run.cell);
+            let pixels = line[run.columns.clone()].iter_mut().zip(&steps[run.columns]);
+            pixels.for_each(|(pixel, t)| *pixel -= cubic.at(*t));
+        }
+    }
+
+    /// The columns up to `end`, cut at the centres of the cells, and how far each lies beyond the last centre.
+    fn runs(&self, end: usize) -> impl Iterator<Item = (Run, impl Iterator<Item = f32>)> {
         let step = self.columns as f32 / self.width as f32;
         let mut x = 0;
-        while x < out.len() {
-            let (cell, t) = place(x, self.width, self.columns);
-            let cubic = Cubic::through(&line, cell);
+        std::iter::from_fn(move || {
+            let first = x;
+            let (cell, t) = (first < end).then(|| place(first, self.width, self.columns))?;
             // columns whose left neighbour is this cell; at least the present one
-            let run = (((1.0 - t) / step).ceil() as usize).clamp(1, out.len() - x);
+            let count = (((1.0 - t) / step).ceil() as usize).clamp(1, end - first);
+            x += count;
             // i32: there is no vector instruction that turns usize into f32
-            for (n, value) in (0..run as i32).zip(&mut out[x..x + run]) {
-                *value = cubic.at(t + n as f32 * step);
-            }
-            x += run;
-        }
+            Some((Run { cell, columns: first..x }, (0..count as i32).map(move |n| t + n as f32 * step)))
+        })
     }
 
     /// The mesh cut along row `y`, with two more cells at either end.
@@ -113,6 +134,13 @@ fn ghost(count: usize, n: isize, value: impl Fn(usize) -> f32) -> f32 {
     } else {
         value(n as usize)
     }
+}
+
+/// Columns between the centres of two cells.
+struct Run {
+    /// The cell before them.
+    cell: isize,
+    columns: std::ops::Range<usize>,
 }
 
 struct Cubic([f32; 4]);

@@ -55,14 +55,15 @@ impl Record {
         (pm_ra != FAST || pm_dec != FAST).then_some((f64::from(pm_ra), f64::from(pm_dec)))
     }
 
-    pub(super) fn position(self, order: u8, cell: u64) -> (Angle, Angle) {
+    /// Where it stands on the faces of the sphere.
+    pub(super) fn position(self, order: u8, cell: u64) -> FacePoint {
         let corner = healpix::corner(order, cell);
         let scale = STEPS * f64::from(1_u32 << order);
         let middle = |step: u32| (f64::from(step) + 0.5) / scale;
-        healpix::direction(FacePoint {
+        FacePoint {
             face: corner.face,
             x: corner.x + middle(self.place & 0xFFFF),
             y: corner.y + middle(self.place >> 16),
-        })
+        }
     }
 }

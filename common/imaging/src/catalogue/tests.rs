@@ -42,7 +42,13 @@ fn a_cone_agrees_with_a_search_through_all_stars() {
         let mut expected: Vec<[f64; 3]> = entries
             .iter()
             .filter(|e| ((e.mag + 2.0) * 50.0).round() <= ((limit + 2.0) * 50.0_f64).round())
-            .map(|e| moved(e.ra, e.dec, e.pm_ra_mas.round() * years, e.pm_dec_mas.round() * years))
+            .map(|e| {
+                moved(
+                    [e.ra.sin(), e.ra.cos(), e.dec.sin(), e.dec.cos()],
+                    e.pm_ra_mas.round() * years,
+                    e.pm_dec_mas.round() * years,
+                )
+            })
             .filter(|at| apart_arcsec(*at, axis) <= radius * 3600.0)
             .collect();
         let mut found: Vec<[f64; 3]> = catalogue
@@ -118,4 +124,33 @@ fn the_shipped_catalogue_covers_the_whole_sky() {
     }
     println!("cone of 1 deg: mean {:.3} ms, longest {longest:.3} ms; poorest field {poorest} stars", total / 400.0);
     assert!(poorest >= 20, "{poorest}");
+}
+
+#[test]
+fn pieces_of_the_sky_give_the_same_bytes_as_the_whole() {
+    let entries = drawn();
+    let mut pieces = Pieces::new(5, 2016.0);
+    let cells = healpix::cells(5);
+    let records: Vec<u8> = (0..48).flat_map(|n| pieces.add(n * cells / 48..(n + 1) * cells / 48, &entries)).collect();
+    assert_eq!(pieces.head().len(), pieces.head_length());
+    assert!([pieces.head(), records, pieces.tail()].concat() == build(&entries, 5, 2016.0));
+}
+
+#[test]
+fn the_order_follows_the_density_and_never_costs_places_or_a_large_index() {
+    assert_eq!([0, 1000, 1_900_000, 16_000_000, 297_000_000].map(|stars| order_for(stars, 1.0)), [7, 7, 7, 9, 11]);
+    assert_eq!(order_for(5000, 1e-4), 9, "the stars of one field, however dense");
+    assert_eq!(order_for(5000, f64::NAN), 7);
+}
+
+#[test]
+fn a_star_is_moved_along_its_great_circle_even_over_the_pole() {
+    let star = Entry { ra: deg(10.0), dec: deg(89.999), pm_ra_mas: 0.0, pm_dec_mas: 7200.0, mag: 5.0 };
+    // 3.6" from the pole and 7.2" northwards: as far beyond it, on the other side
+    let there = star.after(1.0);
+    assert!((there.ra.degrees() - 190.0).abs() < 1e-3 && (there.dec.degrees() - 89.999).abs() < 1e-8, "{there:?}");
+    // it came northwards and leaves southwards, along the same circle
+    assert!((there.pm_dec_mas + 7200.0).abs() < 1e-3 && there.pm_ra_mas.abs() < 0.2, "{there:?}");
+    let back = there.after(-1.0);
+    assert!((back.dec.degrees() - 89.999).abs() < 1e-9 && (back.pm_dec_mas - 7200.0).abs() < 1e-3, "{back:?}");
 }

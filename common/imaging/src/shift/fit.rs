@@ -34,6 +34,14 @@ impl Motion {
         (self.centre.0 + cos * u - sin * v + self.dx, self.centre.1 + sin * u + cos * v + self.dy)
     }
 
+    /// Whether a pair agrees with it within five standard errors and a tenth of a pixel.
+    pub(super) fn explains(&self, (reference, check): &(&Star, &Star)) -> bool {
+        let (x, y) = self.apply(reference.x_px, reference.y_px);
+        let error = |a: f64, b: f64| 0.1 + 5.0 * a.hypot(b);
+        (check.x_px - x).abs() <= error(reference.x_error_px, check.x_error_px)
+            && (check.y_px - y).abs() <= error(reference.y_error_px, check.y_error_px)
+    }
+
     pub(super) fn covariance_in_degrees(&self) -> Matrix {
         let unit = |n: usize| if n == 2 { 1_f64.to_degrees() } else { 1.0 };
         std::array::from_fn(|i| std::array::from_fn(|j| self.covariance[i][j] * unit(i) * unit(j)))

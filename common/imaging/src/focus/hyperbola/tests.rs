@@ -1,0 +1,106 @@
+use proptest::prelude::*;
+use rand::{RngExt, SeedableRng, rngs::StdRng};
+use rand_distr::{Distribution, StandardNormal};
+
+use super::*;
+
+fn truth(x: f64) -> f64 {
+    2.5_f64.hypot(0.03 * (x - 5210.0))
+}
+
+fn run(positions: impl Iterator<Item = f64>) -> Vec<Size> {
+    positions.map(|position| Size { position, size: truth(position), error: 0.02 * truth(position) }).collect()
+}
+
+#[test]
+fn an_exact_curve_is_found_exactly() {
+    let fit = Hyperbola::fit(&run((0..9).map(|n| 4800.0 + 100.0 * f64::from(n)))).unwrap();
+    assert!((fit.best_position - 5210.0).abs() < 1e-4, "{fit:?}");
+    assert!((fit.least_size - 2.5).abs() < 1e-6 && (fit.slope - 0.03).abs() < 1e-8, "{fit:?}");
+    assert!((fit.critical_zone() - 83.333_33).abs() < 1e-3 && fit.used.iter().all(|used| *used));
+    assert!((fit.size_at(4900.0) - truth(4900.0)).abs() < 1e-6);
+}
+
+#[test]
+fn the_error_is_what_the_scatter_of_many_runs_says() {
+    let mut rng = StdRng::seed_from_u64(7);
+    let pulls: Vec<f64> = (0..300)
+        .map(|_| {
+            let mut points = run((0..16).map(|n| 4900.0 + 40.0 * f64::from(n)));
+            for point in &mut points {
+                let noise: f64 = StandardNormal.sample(&mut rng);
+                point.size *= 1.0 + 0.03 * noise;
+                point.error = 0.022 * point.size; // with the share of seeing: 3 %
+            }
+            let fit = Hyperbola::fit(&points).unwrap();
+            (fit.best_position - 5210.0) / fit.best_position_error
+        })
+        .collect();
+    let rms = (pulls.iter().map(|p| p * p).sum::<f64>() / pulls.len() as f64).sqrt();
+    println!("rms of the pulls {rms:.3}");
+    assert!((0.75..1.25).contains(&rms), "{rms}");
+}
+
+#[test]
+fn two_frames_through_clouds_or_gusts_do_not_matter() {
+    let mut rng = StdRng::seed_from_u64(11);
+    for _ in 0..200 {
+        let mut points = run((0..16).map(|n| 4900.0 + 40.0 * f64::from(n)));
+        let first = rng.random_range(0..16);
+        let second = (first + rng.random_range(1..16)) % 16;
+        points[first].size *= rng.random_range(1.5..4.0);
+        points[second].size *= rng.random_range(0.2..0.6);
+        let fit = Hyperbola::fit(&points).unwrap();
+        assert!(!fit.used[first] && !fit.used[second], "{fit:?}");
+        assert!((fit.best_position - 5210.0).abs() < 0.1, "{fit:?}");
+    }
+}
+
+#[test]
+fn one_wing_tells_on_which_side_the_focus_lies() {
+    let fit = Hyperbola::fit(&run((0..9).map(|n| 4000.0 + 100.0 * f64::from(n))));
+    assert!(fit.is_ok_and(|fit| fit.best_position > 4800.0));
+}
+
+#[test]
+fn what_has_no_minimum_says_so() {
+    let flat = |_: f64| 4.0;
+    let hill = |x: f64| 9.0 - 0.001 * (x - 400.0).powi(2).abs().sqrt();
+    for shape in [&flat as &dyn Fn(f64) -> f64, &hill] {
+        let points: Vec<Size> = (0..9)
+            .map(|n| 100.0 * f64::from(n))
+            .map(|position| Size { position, size: shape(position), error: 0.1 })
+            .collect();
+        assert_eq!(Hyperbola::fit(&points).unwrap_err(), NoHyperbola::NoMinimum);
+    }
+    let one = [Size { position: 1.0, size: 2.0, error: 0.1 }];
+    assert_eq!(Hyperbola::fit(&one).unwrap_err(), NoHyperbola::TooFew { points: 1, positions: 1 });
+    let same = [one[0]; 9];
+    assert_eq!(Hyperbola::fit(&same).unwrap_err(), NoHyperbola::TooFew { points: 9, positions: 1 });
+    assert_eq!(Hyperbola::fit(&[]).unwrap_err(), NoHyperbola::TooFew { points: 0, positions: 0 });
+}
+
+#[test]
+fn a_slope_too_small_for_a_number_is_none() {
+    let size = |position: f64, error: f64| Size { position, size: 1e-300, error };
+    let points = [size(0.0, f64::NAN), size(40.0, 0.0), size(1e300, f64::NAN), size(-1e300, 0.56)];
+    assert_eq!(Hyperbola::fit(&points).unwrap_err(), NoHyperbola::NoMinimum);
+}
+
+proptest! {
+    #[test]
+    fn any_points_have_a_finite_answer_or_a_reason(
+        points in prop::collection::vec(
+            (
+                prop_oneof![0.0_f64..100.0, Just(50.0), Just(f64::NAN), Just(1e300), Just(-1e300)],
+                prop_oneof![0.1_f64..50.0, Just(0.0), Just(-1.0), Just(f64::NAN), Just(f64::INFINITY), Just(1e-300)],
+                prop_oneof![0.0_f64..5.0, Just(f64::NAN), Just(0.0)],
+            ), 0..25)
+    ) {
+        let points: Vec<Size> = points.into_iter().map(|(position, size, error)| Size { position, size, error }).collect();
+        if let Ok(fit) = Hyperbola::fit(&points) {
+            prop_assert!(fit.best_position.is_finite() && fit.best_position_error.is_finite(), "{fit:?}");
+            prop_assert!(fit.least_size > 0.0 && fit.slope > 0.0, "{fit:?}");
+        }
+    }
+}

@@ -1,0 +1,95 @@
+//! The stars of the frame, made ready for matching.
+
+use super::Detected;
+use super::hint::Hint;
+use crate::grid::Grid;
+use crate::star::{Star, spread_evenly};
+
+/// Stars that take part in matching (algorithms.md 6.1, step 8).
+const STARS: usize = 60;
+/// Half the stars flagged as trailed: then it is the frame that is, and they are all there are.
+const TRAILED_SHARE: f64 = 0.5;
+/// Greatest reach of a question about neighbours, px.
+const REACH_PX: f32 = 16.0;
+
+/// A star of the frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Spot {
+    /// Place, px from the frame's centre, without the distortion that is known.
+    pub(super) x: f64,
+    pub(super) y: f64,
+}
+
+/// Up to 60 stars spread over the frame, the brightest first.
+pub(super) struct Field {
+    pub(super) spots: Vec<Spot>,
+    pub(super) width: f64,
+    pub(super) height: f64,
+    /// Width of the stars, px.
+    pub(super) fwhm_px: f64,
+    grid: Grid,
+}
+
+impl Field {
+    pub(super) fn new(detected: &Detected, hint: &Hint) -> Self {
+        let (width, height) = (detected.width as f64, detected.height as f64);
+        let mut chosen = spread_evenly(&usable(detected), detected.width, detected.height, STARS);
+        chosen.sort_by(|a, b| b.flux_adu.total_cmp(&a.flux_adu));
+        let sip = hint.learnt.and_then(|learnt| learnt.sip);
+        let spot = |star: &Star| {
+            let (x, y) = (star.x_px - 0.5 * (width - 1.0), star.y_px - 0.5 * (height - 1.0));
+            let (x, y) = sip.map_or((x, y), |sip| sip.apply(x, y));
+            Spot { x, y }
+        };
+        let spots: Vec<Spot> = chosen.iter().map(spot).collect();
+        let mut grid = Grid::new(detected.width, detected.height, REACH_PX);
+        spots.iter().for_each(|s| grid.add((s.x + 0.5 * width) as f32, (s.y + 0.5 * height) as f32));
+        let mut widths: Vec<f32> = chosen.iter().map(|star| star.fwhm_px as f32).filter(|w| w.is_finite()).collect();
+        let fwhm_px = crate::background::median_in_place(&mut widths).map_or(3.0, f64::from);
+        Self { spots, width, height, fwhm_px, grid }
+    }
+
+    pub(super) fn area(&self) -> f64 {
+        self.width * self.height
+    }
+
+    pub(super) fn diagonal(&self) -> f64 {
+        self.width.hypot(self.height)
+    }
+
+    pub(super) fn longer_side(&self) -> f64 {
+        self.width.max(self.height)
+    }
+
+    /// Greatest rms of a solution that is believed, px.
+    pub(super) fn greatest_rms_px(&self) -> f64 {
+        (0.5 * self.fwhm_px).max(1.5)
+    }
+
+    /// Whether a place (px from the centre) is inside of the frame.
+    pub(super) fn holds(&self, x: f64, y: f64) -> bool {
+        x.abs() <= 0.5 * self.width && y.abs() <= 0.5 * self.height
+    }
+
+    /// The star nearest to a place (px from the centre) within `reach` px, and the square of its distance.
+    pub(super) fn nearest(&self, x: f64, y: f64, reach: f64) -> Option<(usize, f64)> {
+        let (column, row) = ((x + 0.5 * self.width) as f32, (y + 0.5 * self.height) as f32);
+        let near = self.grid.near(column, row, reach as f32 + 0.01);
+        let squared = |n: usize| (self.spots[n].x - x).powi(2) + (self.spots[n].y - y).powi(2);
+        let nearest = near.map(|n| (n, squared(n))).min_by(|a, b| a.1.total_cmp(&b.1));
+        nearest.filter(|(_, squared)| *squared <= reach * reach)
+    }
+}
+
+/// The stars that may be those of a catalogue: with a place inside of the frame, neither cosmic rays nor pieces of a
+/// satellite's trail.
+pub(super) fn usable(detected: &Detected) -> Vec<Star> {
+    let inside = |at: f64, length: usize| (-0.5..=length as f64 - 0.5).contains(&at);
+    let sound = |s: &&Star| inside(s.x_px, detected.width) && inside(s.y_px, detected.height) && s.flux_adu.is_finite();
+    let stars: Vec<Star> = detected.stars.iter().filter(sound).filter(|s| !s.flags.cosmic).copied().collect();
+    let trailed = stars.iter().filter(|star| star.flags.trailed).count();
+    if trailed as f64 >= TRAILED_SHARE * stars.len() as f64 {
+        return stars;
+    }
+    stars.into_iter().filter(|star| !star.flags.trailed).collect()
+}

@@ -1,0 +1,161 @@
+//! Frames of the real sky (the catalogue that ships), drawn, solved with nothing known but their stars.
+
+use std::time::Instant;
+
+use crate::drawn::{deg, normal, star, wcs};
+use imaging::catalogue::Catalogue;
+use imaging::solve::{AllSky, Blind, Detected, Level, Stars, at_epoch};
+use imaging::{NoSolution, Star, Wcs};
+use rand::{RngExt, SeedableRng, rngs::StdRng};
+
+const EPOCH: f64 = 2026.9;
+
+fn catalogue() -> Catalogue<Vec<u8>> {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../catalogue/default.smcat");
+    Catalogue::from_bytes(std::fs::read(file).unwrap()).unwrap()
+}
+
+struct Frame {
+    stars: Vec<Star>,
+    shape: (usize, usize),
+    truth: Wcs,
+}
+
+impl Frame {
+    /// A field anywhere, of this longer side (deg), any rotation, either parity: its brightest stars (of 10 to 50 in the
+    /// field, magnitudes wrong by 0.2 mag, a tenth missing, places by 0.3 px), and false detections.
+    fn draw(sky: &impl Stars, rng: &mut StdRng, field_deg: f64, spurious: f64) -> Self {
+        let shape = [(1000, 1000), (1600, 1200), (2048, 1400)][rng.random_range(0..3)];
+        let (ra, dec) = (deg(rng.random_range(0.0..360.0)), deg(rng.random_range(-1.0_f64..1.0).asin().to_degrees()));
+        let scale = field_deg * 3600.0 / shape.0 as f64;
+        let rotation = deg(rng.random_range(-180.0..180.0));
+        let truth = wcs(ra, dec, shape, scale, rotation, rng.random_bool(0.5));
+        let most = rng.random_range(20..=50);
+        let mut inside = Vec::new();
+        for limit in [5.0, 7.0, 9.0, 11.0, 99.0] {
+            inside.clear();
+            for known in sky.cone(ra, dec, deg(0.75 * field_deg), limit) {
+                let (x, y) = truth.sky_to_pixel(known.ra, known.dec).unwrap();
+                if (3.0..shape.0 as f64 - 4.0).contains(&x) && (3.0..shape.1 as f64 - 4.0).contains(&y) {
+                    inside.push((known.mag + 0.2 * normal(rng), x + 0.3 * normal(rng), y + 0.3 * normal(rng)));
+                }
+            }
+            if inside.len() > most {
+                break;
+            }
+        }
+        inside.retain(|_| rng.random_bool(0.9));
+        inside.sort_by(|a, b| a.0.total_cmp(&b.0));
+        inside.truncate(most);
+        let false_ones = (inside.len() as f64 * spurious / (1.0 - spurious)).round() as usize;
+        for _ in 0..false_ones {
+            let mag = inside[rng.random_range(0..inside.len())].0;
+            inside.push((
+                mag,
+                rng.random_range(0.0..shape.0 as f64 - 1.0),
+                rng.random_range(0.0..shape.1 as f64 - 1.0),
+            ));
+        }
+        let stars = inside.iter().map(|(mag, x, y)| star(*x, *y, 1e6 * 10_f64.powf(-0.4 * mag), 0.3)).collect();
+        Self { stars, shape, truth }
+    }
+
+    fn detected(&self) -> Detected<'_> {
+        Detected { stars: &self.stars, width: self.shape.0, height: self.shape.1, quality: None }
+    }
+
+    /// Distance of another WCS at the centre, px.
+    fn error_px(&self, wcs: &Wcs) -> f64 {
+        let (x, y) = (0.5 * (self.shape.0 as f64 - 1.0), 0.5 * (self.shape.1 as f64 - 1.0));
+        let (ra, dec) = wcs.pixel_to_sky(x, y);
+        self.truth.sky_to_pixel(ra, dec).map_or(f64::INFINITY, |(tx, ty)| (tx - x).hypot(ty - y))
+    }
+}
+
+#[test]
+fn fields_of_one_degree_and_more_are_found_without_a_hint() {
+    let catalogue = catalogue();
+    let sky = AllSky::new(at_epoch(&catalogue, EPOCH));
+    let source = at_epoch(&catalogue, EPOCH);
+    let mut rng = StdRng::seed_from_u64(3);
+    // longer sides, deg; share of false detections; whether the scale is known to 10 %
+    for (from_deg, to_deg, spurious, told) in [
+        (12.0, 24.0, 0.2, false),
+        (4.0, 12.0, 0.2, false),
+        (1.5, 4.0, 0.2, false),
+        (1.0, 1.5, 0.2, false),
+        (1.0, 4.0, 0.5, true),
+    ] {
+        let (mut right, mut wrong, mut times, mut missed) = (0, 0, Vec::new(), Vec::new());
+        const FIELDS: usize = 12;
+        for number in 0..FIELDS {
+            let field_deg = from_deg * f64::powf(to_deg / from_deg, rng.random_range(0.0..1.0));
+            let frame = Frame::draw(&source, &mut rng, field_deg, spurious);
+            let scale = frame.truth.scale_arcsec_px();
+            let blind = Blind { scales_arcsec_px: told.then_some((0.9 * scale, 1.1 * scale)), ..Blind::default() };
+            let started = Instant::now();
+            let answer = sky.solve(&frame.detected(), &blind);
+            times.push(started.elapsed().as_secs_f64() * 1e3);
+            match answer {
+                Ok(solution) => {
+                    let good = frame.error_px(&solution.wcs) < 1.0 && solution.level == Level::Blind;
+                    right += usize::from(good);
+                    wrong += usize::from(!good);
+                    assert_eq!(solution.mirrored, frame.truth.mirrored());
+                    assert!(solution.false_alarm < 1e-6);
+                }
+                Err(reason) => missed.push(format!("{number} ({field_deg:.1} deg): {reason}")),
+            }
+        }
+        times.sort_by(f64::total_cmp);
+        println!(
+            "{from_deg} to {to_deg} deg, {:.0} % false, scale {}: {right} of {FIELDS} right, {wrong} wrong; median {:.0} \
+             ms, p90 {:.0} ms, longest {:.0} ms; missed {missed:?}",
+            100.0 * spurious,
+            if told { "to 10 %" } else { "unknown" },
+            times[FIELDS / 2],
+            times[FIELDS * 9 / 10],
+            times[FIELDS - 1],
+        );
+        assert_eq!(wrong, 0);
+        assert!(right + 1 >= FIELDS, "{right} of {FIELDS}; missed {missed:?}");
+    }
+    // and what is no sky at all is nowhere
+    let (mut candidates, mut lists) = (0, 0);
+    for _ in 0..6 {
+        let count = rng.random_range(8..60);
+        let at = |rng: &mut StdRng| (rng.random_range(0.0..999.0), rng.random_range(0.0..999.0));
+        let stars: Vec<Star> = (0..count)
+            .map(|n| {
+                let (x, y) = at(&mut rng);
+                star(x, y, 1e5 / f64::from(n + 1), 0.3)
+            })
+            .collect();
+        let detected = Detected { stars: &stars, width: 1000, height: 1000, quality: None };
+        let started = Instant::now();
+        match sky.solve(&detected, &Blind { most_candidates: 2000, ..Blind::default() }) {
+            Err(NoSolution::Blind { candidates: tried, .. }) => {
+                candidates += tried;
+                lists += 1;
+            }
+            other => panic!("{other:?}"),
+        }
+        println!("random list of {count}: {:?}", started.elapsed());
+    }
+    println!("{lists} random lists, {candidates} candidates, none accepted");
+    assert!(candidates > 500, "only {candidates} candidates");
+}
+
+#[test]
+fn scales_that_make_no_sense_and_too_few_stars_are_refused() {
+    let none = |_, _, _, _| Vec::new();
+    let sky = AllSky::new(none);
+    let stars: Vec<Star> = (0..5).map(|n| star(100.0 * f64::from(n), 40.0, 100.0, 0.1)).collect();
+    let detected = Detected { stars: &stars, width: 500, height: 500, quality: None };
+    for scales in [(0.0, 1.0), (f64::NAN, 1.0), (2.0, 1.0), (1.0, f64::INFINITY)] {
+        let answer = sky.solve(&detected, &Blind { scales_arcsec_px: Some(scales), ..Blind::default() });
+        assert!(matches!(answer, Err(NoSolution::Hint { .. })), "{scales:?}: {answer:?}");
+    }
+    let answer = sky.solve(&detected, &Blind::default());
+    assert_eq!(answer, Err(NoSolution::TooFewStars { stars: 5, needed: 6 }));
+}
