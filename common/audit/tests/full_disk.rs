@@ -73,7 +73,8 @@ async fn on_a_small_disk(folder: &Path) {
     };
     audit.note(entry("before".to_owned()));
     until("a first record is written", &|| {
-        fs::read_to_string(folder.join("data/audit-device-alpha-main.jsonl")).is_ok_and(|text| text.contains("before"))
+        fs::read_to_string(folder.join("data/audit-device-alpha-main.jsonl"))
+            .is_ok_and(|text| text.contains("\"verb\":\"before\""))
     })
     .await;
     // somebody fills the disk to its last page

@@ -60,7 +60,7 @@ impl AlertLife {
         let shown = self.raised.values().filter(|raised| raised.show_at <= now);
         let mut alerts: Vec<Alert> = shown.map(|raised| raised.alert.clone()).collect();
         alerts.sort_by_key(|alert| (alert.priority, alert.raised_utc));
-        Alerts { alerts }
+        Alerts { alerts, told: Vec::new() }
     }
 
     /// How long until time alone changes what stands.

@@ -1,9 +1,10 @@
 //! A node's own alerts: raised and cleared by cause, published as state.
 
+use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use contract::observatory::{AlertKind, Alerts};
+use contract::observatory::{AlertKind, Alerts, Told};
 use tokio::sync::{Notify, watch};
 
 use crate::Clock;
@@ -13,6 +14,8 @@ use crate::alert_life::AlertLife;
 #[derive(Clone)]
 pub struct AlertBoard {
     life: Arc<Mutex<AlertLife>>,
+    /// By receiver.
+    told: Arc<Mutex<BTreeMap<String, Vec<Told>>>>,
     shown: Arc<watch::Sender<Alerts>>,
     changed: Arc<Notify>,
     clock: Clock,
@@ -22,7 +25,7 @@ impl AlertBoard {
     /// An empty board.
     pub fn new(clock: Clock) -> Self {
         let shown = Arc::new(watch::channel(Alerts::default()).0);
-        Self { life: Arc::default(), shown, changed: Arc::default(), clock }
+        Self { life: Arc::default(), told: Arc::default(), shown, changed: Arc::default(), clock }
     }
 
     /// Raises an alert; one that stands already keeps its time and takes the new cause. `instance` tells alerts of one
@@ -47,6 +50,13 @@ impl AlertBoard {
             self.show(&mut life);
             self.changed.notify_one();
         }
+    }
+
+    /// What this node told one receiver of alerts that stand; it is said with its alerts, so that a node which sends in
+    /// its place does not tell it again.
+    pub fn told(&self, receiver: &str, told: Vec<Told>) {
+        self.told.lock().unwrap_or_else(PoisonError::into_inner).insert(receiver.to_owned(), told);
+        self.show(&mut self.life());
     }
 
     /// The standing alerts, the most urgent first, as a value that can be followed.
@@ -81,7 +91,8 @@ impl AlertBoard {
 
     /// Shows what stands now.
     fn show(&self, life: &mut AlertLife) {
-        let now = life.shown(self.clock.machine());
+        let mut now = life.shown(self.clock.machine());
+        now.told = self.told.lock().unwrap_or_else(PoisonError::into_inner).values().flatten().cloned().collect();
         self.shown.send_if_modified(|shown| {
             let is_new = *shown != now;
             *shown = now;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::future::Future;
-use std::io::IsTerminal as _;
+use std::io::{IsTerminal as _, Read as _};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -164,16 +164,22 @@ fn started() -> crate::MachineTime {
     *STARTED.get_or_init(crate::MachineTime::now)
 }
 
+/// The text of a file, and no more of it than shows that it is too large.
+fn read_text(file: &Path) -> std::io::Result<String> {
+    let (mut text, most) = (String::new(), config::MOST_BYTES as u64 + 1);
+    std::fs::File::open(file)?.take(most).read_to_string(&mut text)?;
+    Ok(text)
+}
+
 /// Reads a configuration file with its FITS-header table; errors name the file.
 pub fn read_config(file: &Path) -> anyhow::Result<(Observatory, HeaderTable)> {
-    let text =
-        std::fs::read_to_string(file).with_context(|| format!("cannot read the configuration {}", file.display()))?;
+    let text = read_text(file).with_context(|| format!("cannot read the configuration {}", file.display()))?;
     let folder = file.parent().unwrap_or(Path::new("."));
     let config =
         config::parse(&text, folder).with_context(|| format!("{} is not a valid configuration", file.display()))?;
     let header = match &config.archive.fits_header {
         None => HeaderTable::default(),
-        Some(csv) => std::fs::read_to_string(csv)
+        Some(csv) => read_text(csv)
             .with_context(|| format!("cannot read the FITS-header table {}", csv.display()))?
             .parse()
             .with_context(|| format!("{} is not a valid FITS-header table", csv.display()))?,
