@@ -3,39 +3,18 @@
 use std::fmt::Write as _;
 
 use contract::Address;
-use contract::observatory::{Alert, Priority};
+use contract::observatory::{Alert, AlertEvent, Priority};
 use serde_json::{Value, json};
 
-/// What happened to an alert.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Event {
-    /// It stands and nobody has acknowledged it.
-    Raised,
-    /// Somebody sees to it.
-    Acknowledged,
-    /// Its cause is gone, and nobody had acknowledged it.
-    Returned,
-    /// It is over.
-    Cleared,
-}
-
-impl Event {
-    /// The event as a word of the messages.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Raised => "raised",
-            Self::Acknowledged => "acknowledged",
-            Self::Returned => "returned",
-            Self::Cleared => "cleared",
-        }
-    }
-}
+/// Chat services and mail servers refuse what is too long.
+const MOST_IN_FULL: usize = 20;
+const MOST_CHARS: usize = 1000;
 
 /// One event of one alert.
 #[derive(Debug, Clone, PartialEq)]
 pub struct News {
     /// What happened.
-    pub event: Event,
+    pub event: AlertEvent,
     /// To what.
     pub alert: Alert,
 }
@@ -51,30 +30,37 @@ impl Letter {
     /// One line that says it all; a mail's subject.
     pub fn subject(&self, address: &Address) -> String {
         match self.news.as_slice() {
-            [one] => format!("[{address}] {} {}: {}", priority(one.alert.priority), one.event.word(), one.alert.id),
+            [one] => {
+                // what other nodes say must not become a line of its own in a mail's head
+                let id = one.alert.id.replace(char::is_control, " ");
+                format!("[{address}] {} {}: {id}", priority(one.alert.priority), one.event.word())
+            }
             all => format!("[{address}] {} alerts", all.len()),
         }
     }
 
-    /// The whole text.
+    /// The whole text: all of the most urgent, and the rest by their ids.
     pub fn text(&self, address: &Address) -> String {
         let mut text = String::new();
-        for News { event, alert } in &self.news {
+        for News { event, alert } in self.news.iter().take(MOST_IN_FULL) {
             let Alert { id, cause, consequence, action, raised_utc, .. } = alert;
             let (event_word, urgency) = (event.word(), priority(alert.priority));
-            let _ = writeln!(text, "{urgency} {event_word}: {id} at {address}\n{cause}");
+            let _ = writeln!(text, "{urgency} {event_word}: {id} at {address}\n{}", cut(cause));
             match event {
-                Event::Raised => {
+                AlertEvent::Raised => {
                     let _ = writeln!(text, "Consequence: {consequence}\nWhat to do: {action}");
                     let _ = writeln!(text, "Acknowledge: starmesh order {address} ack {id}");
                 }
-                Event::Acknowledged => {
+                AlertEvent::Acknowledged => {
                     let _ = writeln!(text, "by {}", alert.acknowledged_by.as_deref().unwrap_or("somebody"));
                 }
-                Event::Returned => text.push_str("Its cause is gone, and nobody has acknowledged it.\n"),
-                Event::Cleared => {}
+                AlertEvent::Returned => text.push_str("Its cause is gone, and nobody has acknowledged it.\n"),
+                AlertEvent::Cleared => {}
             }
             let _ = writeln!(text, "Since {raised_utc}\n");
+        }
+        for News { event, alert } in self.news.iter().skip(MOST_IN_FULL) {
+            let _ = writeln!(text, "{} {}: {}", priority(alert.priority), event.word(), alert.id);
         }
         text.truncate(text.trim_end().len());
         text
@@ -94,11 +80,49 @@ impl Letter {
     }
 }
 
+/// A cause may hold a server's whole answer.
+fn cut(cause: &str) -> String {
+    match cause.char_indices().nth(MOST_CHARS) {
+        Some((end, _)) => format!("{} ...", &cause[..end]),
+        None => cause.to_owned(),
+    }
+}
+
 fn priority(priority: Priority) -> &'static str {
     match priority {
         Priority::Critical => "CRITICAL",
         Priority::High => "high",
         Priority::Medium => "medium",
         Priority::Advisory => "advisory",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use contract::observatory::AlertKind;
+    use units::Utc;
+
+    use super::*;
+
+    fn letter(ids: usize, cause: &str) -> Letter {
+        let alert = |number| AlertKind::DomeHeld.alert(format_args!("d{number}"), Utc::EPOCH, cause);
+        Letter { news: (0..ids).map(|n| News { event: AlertEvent::Raised, alert: alert(n) }).collect() }
+    }
+
+    #[test]
+    fn a_long_letter_stays_short_and_names_every_alert() {
+        let address = Address::new("s", "t").unwrap();
+        let text = letter(50, &"\u{e9}".repeat(5000)).text(&address);
+        assert!(text.chars().count() < 30_000, "{}", text.chars().count());
+        assert!((0..50).all(|number| text.contains(&format!("dome-held/d{number}"))), "{text}");
+        assert_eq!(text.matches("What to do").count(), 20);
+    }
+
+    #[test]
+    fn a_subject_is_one_line_whatever_a_node_says() {
+        let mut letter = letter(1, "c");
+        letter.news[0].alert.id = "x\r\nBcc: all@example.org".to_owned();
+        let subject = letter.subject(&Address::new("s", "t").unwrap());
+        assert_eq!(subject, "[s/t] high raised: x  Bcc: all@example.org");
     }
 }

@@ -10,6 +10,7 @@ mod mail;
 pub mod mailbox;
 mod post;
 mod stand_in;
+mod trust;
 
 use std::time::Duration;
 

@@ -1,45 +1,131 @@
 //! E-mail.
 
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::Context as _;
-use config::{Email, Security, Smtp};
+use anyhow::{Context as _, anyhow, bail};
+use config::{Security, Smtp};
+use lettre::address::Envelope;
 use lettre::message::header::ContentType;
-use lettre::transport::smtp::authentication::Credentials;
-use lettre::transport::smtp::client::{Tls, TlsParameters};
-use lettre::{AsyncSmtpTransport, AsyncTransport as _, Message, Tokio1Executor};
+use lettre::message::{Mailbox, MessageBuilder};
+use lettre::transport::smtp::authentication::{Credentials, Mechanism};
+use lettre::transport::smtp::client::{AsyncSmtpConnection, Certificate, TlsParameters};
+use lettre::transport::smtp::extension::ClientId;
 
 use crate::post::secret;
+use crate::trust;
 
-/// Each step of the exchange, machine time.
+/// Connecting and greeting, machine time.
 const STEP: Duration = Duration::from_secs(15);
 /// The whole of it.
 const WHOLE: Duration = Duration::from_secs(60);
 
-/// Sends one mail to all addresses of a receiver; an answer of the server that refuses it is an error.
-pub async fn send(smtp: &Smtp, email: &Email, subject: &str, text: String) -> anyhow::Result<()> {
-    let from = smtp.from.parse().with_context(|| format!("alerts.smtp.from: \"{}\" is no address", smtp.from))?;
-    let mut message = Message::builder().from(from).subject(subject).header(ContentType::TEXT_PLAIN);
-    for to in &email.to {
-        message = message.to(to.parse().with_context(|| format!("to: \"{to}\" is no address"))?);
-    }
-    let message = message.body(text).context("the mail cannot be written")?;
-    let tls = || TlsParameters::new(smtp.server.clone()).context("TLS cannot be prepared on this host");
-    let (tls, port) = match smtp.security {
-        Security::Starttls => (Tls::Required(tls()?), 587),
-        Security::Tls => (Tls::Wrapper(tls()?), 465),
-        Security::None => (Tls::None, 25),
+/// One mail to one address. A receiver's other addresses get theirs apart: one that the server refuses must not keep
+/// it from the others.
+pub struct Mail<'a> {
+    /// Who gets it.
+    pub to: &'a str,
+    /// Who gets one too; shown in its head.
+    pub all: &'a [String],
+    /// One line.
+    pub subject: &'a str,
+    /// Many.
+    pub text: String,
+}
+
+/// Sends one mail.
+///
+/// # Errors
+///
+/// The server is not reached, is not the one that its certificate names, does not protect the way there as configured,
+/// or refuses login, address or mail. Nothing was sent in the open then.
+pub async fn send(smtp: &Smtp, ca_file: Option<&Path>, mail: Mail<'_>) -> anyhow::Result<()> {
+    let from: Mailbox =
+        smtp.from.parse().with_context(|| format!("alerts.smtp.from: \"{}\" is no address", smtp.from))?;
+    let to = mailbox(mail.to)?;
+    let envelope = Envelope::new(Some(from.email.clone()), vec![to.email]).context("the mail cannot be addressed")?;
+    let message = MessageBuilder::new().from(from).subject(mail.subject).header(ContentType::TEXT_PLAIN);
+    let message = mail.all.iter().try_fold(message, |message, to| anyhow::Ok(message.to(mailbox(to)?)))?;
+    let message = message.body(mail.text).context("the mail cannot be written")?.formatted();
+
+    let hand_over = async {
+        let mut server = connect(smtp, ca_file).await?;
+        if let Some(user) = &smtp.user {
+            log_in(&mut server, smtp, user).await?;
+        }
+        server.send(&envelope, &message).await.map_err(|error| said("the mail server does not take it", &error))?;
+        // the mail is taken: how they part changes nothing, and waiting for it must not send it twice
+        let _ = tokio::time::timeout(Duration::from_secs(1), server.abort()).await;
+        Ok(())
     };
-    let mut transport = AsyncSmtpTransport::<Tokio1Executor>::builder_dangerous(&smtp.server)
-        .port(smtp.port.unwrap_or(port))
-        .tls(tls)
-        .timeout(Some(STEP));
-    if let Some(user) = &smtp.user {
-        let password = secret(smtp.password_file.as_deref(), smtp.password_env.as_deref()).await?.unwrap_or_default();
-        transport = transport.credentials(Credentials::new(user.clone(), password));
+    tokio::time::timeout(WHOLE, hand_over).await.context("the mail server did not finish within 60 s")?
+}
+
+fn mailbox(to: &str) -> anyhow::Result<Mailbox> {
+    to.parse().with_context(|| format!("to: \"{to}\" is no address"))
+}
+
+async fn connect(smtp: &Smtp, ca_file: Option<&Path>) -> anyhow::Result<AsyncSmtpConnection> {
+    let port = smtp.port.unwrap_or(match smtp.security {
+        Security::Starttls => 587,
+        Security::Tls => 465,
+        Security::None => 25,
+    });
+    let tls = match smtp.security {
+        Security::None => None,
+        Security::Starttls | Security::Tls => Some(tls(smtp.server.clone(), ca_file.map(Path::to_owned)).await?),
+    };
+    let (from_start, later) = if smtp.security == Security::Tls { (tls, None) } else { (None, tls) };
+    let (name, address) = (ClientId::default(), (smtp.server.as_str(), port));
+    let connected = AsyncSmtpConnection::connect_tokio1(address, Some(STEP), &name, from_start, None);
+    let connected =
+        tokio::time::timeout(STEP, connected).await.context("the mail server does not greet within 15 s")?;
+    let mut server = connected.map_err(|error| said("the mail server cannot be reached", &error))?;
+    if let Some(tls) = later {
+        if !server.can_starttls() {
+            server.abort().await;
+            bail!(
+                "the mail server offers no STARTTLS, and nothing goes there in the open: look at alerts.smtp.port, or \
+                 set security = \"tls\" where it wants TLS from the first byte"
+            );
+        }
+        server.starttls(tls, &name).await.map_err(|error| said("the mail server cannot be reached by TLS", &error))?;
     }
-    let sending = transport.build();
-    let sent = tokio::time::timeout(WHOLE, sending.send(message)).await;
-    sent.context("the mail server did not finish within 60 s")?.context("the mail server does not take it")?;
+    Ok(server)
+}
+
+/// TLS to this server, believing the host's authorities and the site's own.
+async fn tls(server: String, ca_file: Option<PathBuf>) -> anyhow::Result<TlsParameters> {
+    let prepare = move || {
+        let mut tls = TlsParameters::builder(server);
+        for own in ca_file.as_deref().map(trust::own).transpose()?.into_iter().flatten() {
+            let own = Certificate::from_der(own.to_vec()).context("alerts.ca_file: a certificate in it is not one")?;
+            tls = tls.add_root_certificate(own);
+        }
+        tls.build().context("TLS cannot be prepared on this host")
+    };
+    tokio::task::spawn_blocking(prepare).await.context("reading certificates was cut short")?
+}
+
+async fn log_in(server: &mut AsyncSmtpConnection, smtp: &Smtp, user: &str) -> anyhow::Result<()> {
+    let password = secret(smtp.password_file.as_deref(), smtp.password_env.as_deref()).await?.unwrap_or_default();
+    let ways = [Mechanism::Plain, Mechanism::Login];
+    if server.server_info().get_auth_mechanism(&ways).is_none() {
+        server.abort().await;
+        bail!("the mail server offers no login by PLAIN or LOGIN here: look at alerts.smtp.security and .port");
+    }
+    let logged_in = server.auth(&ways, &Credentials::new(user.to_owned(), password)).await;
+    logged_in.map_err(|error| {
+        said("the mail server refuses the login: look at alerts.smtp.user and its password", &error)
+    })?;
     Ok(())
+}
+
+/// The server's own words, once; or what TLS refused.
+fn said(what: &str, error: &lettre::transport::smtp::Error) -> anyhow::Error {
+    match trust::explain(error) {
+        Some(why) => anyhow!("the mail server: {why}"),
+        // it says its source itself
+        None => anyhow!("{what}: {error}"),
+    }
 }

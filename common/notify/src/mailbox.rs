@@ -4,13 +4,16 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use bus::MachineTime;
-use contract::observatory::{Alert, Alerts, Priority};
+use contract::observatory::{Alert, AlertEvent, Alerts, Priority, Told};
+use units::Utc;
 
-pub use crate::letter::{Event, Letter, News};
+pub use crate::letter::{Letter, News};
 
 /// What one receiver wants.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Wish {
+    /// Its name in the configuration.
+    pub receiver: String,
     /// Nothing less urgent.
     pub min_priority: Priority,
     /// Only what has stood unacknowledged for so long.
@@ -26,14 +29,26 @@ pub struct Wish {
 /// A failed letter is tried again after this, then twice as long, up to [`LONGEST_WAIT`].
 const FIRST_WAIT: Duration = Duration::from_secs(2);
 const LONGEST_WAIT: Duration = Duration::from_secs(300);
+/// Nodes notice the same thing within so many seconds of each other, sky time.
+const NOTICED_WITHIN_S: f64 = 60.0;
+/// Nodes say every 10 s what they told, so who begins to send has heard of all of it after this.
+const HEARD_OUT: Duration = Duration::from_secs(12);
+/// The most that one digest tells: receivers refuse what is too long.
+const MOST_NEWS: usize = 50;
 
 /// One receiver's mailbox.
 #[derive(Debug)]
 pub struct Mailbox {
     wish: Wish,
+    /// When it began; none for one that was always there.
+    began: Option<(MachineTime, Utc)>,
     /// Alerts that stand unacknowledged, and since when they do.
     unseen: BTreeMap<String, MachineTime>,
+    known: BTreeMap<String, Known>,
+    /// What arrived, also from nodes that sent before this one, of alerts that are not over.
     told: BTreeMap<String, Told>,
+    /// The newest word of any node about an alert.
+    newest_utc: BTreeMap<String, Utc>,
     waiting: Vec<News>,
     sent: VecDeque<(MachineTime, bool)>,
     held_back: [bool; 2],
@@ -41,10 +56,11 @@ pub struct Mailbox {
     not_before: Option<MachineTime>,
 }
 
+/// What needs not be put into the mailbox again.
 #[derive(Debug)]
-struct Told {
+struct Known {
     alert: Alert,
-    event: Event,
+    event: AlertEvent,
 }
 
 impl Mailbox {
@@ -52,8 +68,11 @@ impl Mailbox {
     pub fn new(wish: Wish) -> Self {
         Self {
             wish,
+            began: None,
             unseen: BTreeMap::new(),
+            known: BTreeMap::new(),
             told: BTreeMap::new(),
+            newest_utc: BTreeMap::new(),
             waiting: Vec::new(),
             sent: VecDeque::new(),
             held_back: [false; 2],
@@ -62,20 +81,44 @@ impl Mailbox {
         }
     }
 
+    /// One that begins now, where another node may have sent before: of what was raised until now, its word is waited for.
+    pub fn begins(self, now: MachineTime, now_utc: Utc) -> Self {
+        Self { began: Some((now, now_utc)), ..self }
+    }
+
     /// Takes the alerts as they stand now.
     pub fn look(&mut self, alerts: &Alerts, now: MachineTime) {
         let wished: Vec<&Alert> = alerts.alerts.iter().filter(|alert| self.concerns(alert)).collect();
+        for told in &alerts.told {
+            self.learn(told, alerts);
+        }
+        let (newest, known) = (&mut self.newest_utc, &self.known);
+        newest.retain(|id, _| known.contains_key(id) || alerts.told.iter().any(|told| told.id == *id));
         self.unseen.retain(|id, _| wished.iter().any(|alert| alert.id == *id && is_open(alert)));
         let gone: Vec<String> =
-            self.told.keys().filter(|id| wished.iter().all(|alert| alert.id != **id)).cloned().collect();
+            self.known.keys().filter(|id| wished.iter().all(|alert| alert.id != **id)).cloned().collect();
         for id in gone {
-            if let Some(told) = self.told.remove(&id) {
-                self.add(Event::Cleared, told.alert);
+            if let Some(known) = self.known.remove(&id) {
+                self.add(AlertEvent::Cleared, known.alert);
             }
         }
         for alert in wished {
             self.consider(alert, now);
         }
+    }
+
+    /// Takes what another node told this receiver. Its own words come back too, and are known by their time.
+    fn learn(&mut self, told: &Told, alerts: &Alerts) {
+        let newest = self.newest_utc.get(&told.id).copied();
+        if told.receiver != self.wish.receiver || newest.is_some_and(|newest| newest >= told.told_utc) {
+            return;
+        }
+        self.newest_utc.insert(told.id.clone(), told.told_utc);
+        let is_same = |alert: &&Alert| alert.id == told.id && is_of_one_time(alert, told);
+        let Some(alert) = alerts.alerts.iter().find(is_same).filter(|alert| self.concerns(alert)) else { return };
+        self.known.insert(told.id.clone(), Known { alert: alert.clone(), event: told.event });
+        self.told.insert(told.id.clone(), told.clone());
+        self.waiting.retain(|news| news.alert.id != told.id || news.event != told.event);
     }
 
     fn concerns(&self, alert: &Alert) -> bool {
@@ -84,31 +127,41 @@ impl Mailbox {
 
     fn consider(&mut self, alert: &Alert, now: MachineTime) {
         let since = if is_open(alert) { Some(*self.unseen.entry(alert.id.clone()).or_insert(now)) } else { None };
-        let told = self.told.get(&alert.id).map(|told| told.event);
-        let event = match (alert, told) {
+        let known = self.known.get(&alert.id).map(|known| known.event);
+        let event = match (alert, known) {
             (Alert { shelved_until_utc: Some(_), .. }, _) => {
                 // when it comes from the shelf it is told anew
+                self.known.remove(&alert.id);
                 self.told.remove(&alert.id);
                 self.waiting.retain(|news| news.alert.id != alert.id);
                 return;
             }
-            (Alert { acknowledged_by: Some(_), .. }, Some(Event::Acknowledged) | None) => return,
-            (Alert { acknowledged_by: Some(_), .. }, Some(_)) => Event::Acknowledged,
-            (Alert { returned_utc: Some(_), .. }, Some(Event::Returned)) => return,
-            (Alert { returned_utc: Some(_), .. }, Some(_)) => Event::Returned,
-            (_, Some(Event::Raised)) => return,
+            (Alert { acknowledged_by: Some(_), .. }, Some(AlertEvent::Acknowledged) | None) => return,
+            (Alert { acknowledged_by: Some(_), .. }, Some(_)) => AlertEvent::Acknowledged,
+            (_, None) if self.may_have_been_told(alert, now) => return,
+            (Alert { returned_utc: Some(_), .. }, Some(AlertEvent::Returned)) => return,
+            (Alert { returned_utc: Some(_), .. }, Some(_)) => AlertEvent::Returned,
+            (_, Some(AlertEvent::Raised)) => return,
             // also one that has returned: somebody must know that it was there
             (_, _) if since.is_none_or(|since| now.since(since) < self.wish.after) => return,
-            (Alert { returned_utc: Some(_), .. }, None) => Event::Returned,
-            (_, _) => Event::Raised,
+            (Alert { returned_utc: Some(_), .. }, None) => AlertEvent::Returned,
+            (_, _) => AlertEvent::Raised,
         };
-        let told = Told { alert: alert.clone(), event };
-        self.told.insert(alert.id.clone(), told);
+        self.known.insert(alert.id.clone(), Known { alert: alert.clone(), event });
         self.add(event, alert.clone());
     }
 
+    /// The alert may be heard before the word of who told it.
+    fn may_have_been_told(&self, alert: &Alert, now: MachineTime) -> bool {
+        self.began.is_some_and(|(at, utc)| alert.raised_utc <= utc && now.since(at) < HEARD_OUT)
+    }
+
     /// Of one alert only the newest event waits; one that was raised and is over before it could be told is told once.
-    fn add(&mut self, event: Event, alert: Alert) {
+    fn add(&mut self, event: AlertEvent, alert: Alert) {
+        if alert.priority == Priority::Critical && event == AlertEvent::Raised {
+            // the receiver may be back long before its next turn
+            self.not_before = None;
+        }
         self.waiting.retain(|news| news.alert.id != alert.id);
         self.waiting.push(News { event, alert });
         self.waiting.sort_by_key(|news| (news.alert.priority, news.alert.raised_utc));
@@ -133,19 +186,42 @@ impl Mailbox {
             self.held_back[usize::from(critical)] = true;
             return None;
         }
-        let count = if self.held_back[usize::from(critical)] { waiting.len() } else { 1 };
+        let count = if self.held_back[usize::from(critical)] { MOST_NEWS } else { 1 };
         Some(Letter { news: waiting.into_iter().take(count).collect() })
     }
 
-    /// It arrived.
-    pub fn sent(&mut self, letter: &Letter, now: MachineTime) {
+    /// It arrived, at this sky time.
+    pub fn sent(&mut self, letter: &Letter, now: MachineTime, told_utc: Utc) {
         self.waiting.retain(|news| !letter.news.contains(news));
+        for News { event, alert } in &letter.news {
+            self.note(*event, alert, told_utc);
+        }
         if let Some(first) = letter.news.first() {
             let critical = first.alert.priority == Priority::Critical;
             self.sent.push_back((now, critical));
-            self.held_back[usize::from(critical)] = false;
+            let left = self.waiting.iter().any(|news| (news.alert.priority == Priority::Critical) == critical);
+            self.held_back[usize::from(critical)] &= left;
         }
         (self.failures, self.not_before) = (0, None);
+    }
+
+    fn note(&mut self, event: AlertEvent, alert: &Alert, told_utc: Utc) {
+        let Alert { id, raised_utc, .. } = alert;
+        let newest = self.newest_utc.entry(id.clone()).or_insert(told_utc);
+        // another node's clock may be ahead
+        *newest = told_utc.max(*newest);
+        if event == AlertEvent::Cleared {
+            self.told.remove(id);
+            return;
+        }
+        let receiver = self.wish.receiver.clone();
+        let told = Told { receiver, id: id.clone(), raised_utc: *raised_utc, event, told_utc };
+        self.told.insert(id.clone(), told);
+    }
+
+    /// What this receiver was told of alerts that are not over.
+    pub fn told(&self) -> Vec<Told> {
+        self.told.values().cloned().collect()
     }
 
     /// It did not; returns how often in a row.
@@ -157,162 +233,17 @@ impl Mailbox {
     }
 }
 
+/// Two nodes that notice the same thing say so some seconds apart, and who hears both keeps the one that it heard first. What was
+/// raised after people were told is news.
+fn is_of_one_time(alert: &Alert, told: &Told) -> bool {
+    let apart_s = alert.raised_utc.seconds_since(told.raised_utc).abs();
+    apart_s <= NOTICED_WITHIN_S && (apart_s == 0.0 || alert.raised_utc <= told.told_utc)
+}
+
 /// Nobody sees to it, and nobody wishes not to be told.
 fn is_open(alert: &Alert) -> bool {
     alert.acknowledged_by.is_none() && alert.shelved_until_utc.is_none()
 }
 
 #[cfg(test)]
-mod tests {
-    use contract::observatory::AlertKind;
-    use units::Utc;
-
-    use super::*;
-
-    fn at(seconds: f64) -> MachineTime {
-        MachineTime::from_boot(Duration::from_secs_f64(1000.0 + seconds))
-    }
-
-    fn wish(after_s: u64) -> Wish {
-        Wish {
-            min_priority: Priority::High,
-            after: Duration::from_secs(after_s),
-            most: 10,
-            window: Duration::from_secs(60),
-            own_alert: AlertKind::AlertNotSent.id("me"),
-        }
-    }
-
-    fn critical(name: &str) -> Alert {
-        AlertKind::DomeNotClosed.alert(name, Utc::EPOCH, "c")
-    }
-
-    fn high(name: &str) -> Alert {
-        AlertKind::DomeHeld.alert(name, Utc::EPOCH, "c")
-    }
-
-    /// Shows the mailbox one list after another, a second apart, and tells what it sends; `!` fails a letter.
-    fn letters(wish: Wish, lists: Vec<Vec<Alert>>) -> Vec<String> {
-        let mut mailbox = Mailbox::new(wish);
-        let mut told = Vec::new();
-        for (second, alerts) in lists.into_iter().enumerate() {
-            let now = at(second as f64);
-            mailbox.look(&Alerts { alerts }, now);
-            while let Some(letter) = mailbox.due(now) {
-                mailbox.sent(&letter, now);
-                let words: Vec<String> =
-                    letter.news.iter().map(|news| format!("{} {}", news.event.word(), news.alert.id)).collect();
-                told.push(format!("{second}: {}", words.join(", ")));
-            }
-        }
-        told
-    }
-
-    fn acknowledged(alert: Alert) -> Alert {
-        Alert { acknowledged_by: Some("ana".to_owned()), acknowledged_utc: Some(Utc::EPOCH), ..alert }
-    }
-
-    fn shelved(alert: Alert) -> Alert {
-        Alert { shelved_until_utc: Some(Utc::EPOCH), ..alert }
-    }
-
-    fn returned(alert: Alert) -> Alert {
-        Alert { returned_utc: Some(Utc::EPOCH), ..alert }
-    }
-
-    /// Name, seconds before it is escalated to this receiver, the lists one a second, the letters.
-    type Story = (&'static str, u64, Vec<Vec<Alert>>, Vec<&'static str>);
-
-    #[test]
-    fn each_event_is_told_once_and_to_whom_it_concerns() {
-        let (d, mild) = (critical("d"), AlertKind::CoolingFailed.alert("c", Utc::EPOCH, "c"));
-        let own = AlertKind::AlertNotSent.alert("me", Utc::EPOCH, "c");
-        let other = AlertKind::AlertNotSent.alert("you", Utc::EPOCH, "c");
-        let stories: Vec<Story> = vec![
-            ("at once, and once", 0, vec![vec![d.clone()]; 3], vec!["0: raised dome-not-closed/d"]),
-            (
-                "its end too",
-                0,
-                vec![vec![d.clone()], vec![]],
-                vec!["0: raised dome-not-closed/d", "1: cleared dome-not-closed/d"],
-            ),
-            (
-                "a return, and its end",
-                0,
-                vec![vec![d.clone()], vec![returned(d.clone())], vec![]],
-                vec!["0: raised dome-not-closed/d", "1: returned dome-not-closed/d", "2: cleared dome-not-closed/d"],
-            ),
-            (
-                "who acknowledged",
-                0,
-                vec![vec![d.clone()], vec![acknowledged(d.clone())], vec![acknowledged(d.clone())]],
-                vec!["0: raised dome-not-closed/d", "1: acknowledged dome-not-closed/d"],
-            ),
-            ("nothing less urgent", 0, vec![vec![mild]], vec![]),
-            ("nothing of itself", 0, vec![vec![own]], vec![]),
-            ("but of others", 0, vec![vec![other]], vec!["0: raised alert-not-sent/you"]),
-            ("nothing that is shelved", 0, vec![vec![shelved(d.clone())]; 2], vec![]),
-            (
-                "but when it comes from the shelf, again",
-                0,
-                vec![vec![d.clone()], vec![shelved(d.clone())], vec![d.clone()]],
-                vec!["0: raised dome-not-closed/d", "2: raised dome-not-closed/d"],
-            ),
-            ("escalated after its time", 2, vec![vec![d.clone()]; 4], vec!["2: raised dome-not-closed/d"]),
-            (
-                "not when somebody acknowledged",
-                2,
-                vec![vec![d.clone()], vec![acknowledged(d.clone())], vec![acknowledged(d.clone())], vec![]],
-                vec![],
-            ),
-            ("nor when it is over", 2, vec![vec![d.clone()], vec![d.clone()], vec![], vec![]], vec![]),
-            (
-                "but when it returned and nobody looked",
-                2,
-                vec![vec![d.clone()], vec![returned(d.clone())], vec![returned(d)]],
-                vec!["2: returned dome-not-closed/d"],
-            ),
-        ];
-        for (name, after_s, lists, wanted) in stories {
-            assert_eq!(letters(wish(after_s), lists), wanted, "{name}");
-        }
-    }
-
-    #[test]
-    fn a_flood_ends_in_one_digest_and_holds_back_nothing_critical() {
-        let flood: Vec<Alert> = ["a", "b", "c", "d", "e"].map(high).to_vec();
-        let mut lists = vec![flood.clone(); 3];
-        lists.extend(vec![flood.iter().cloned().chain([critical("x")]).collect(); 60]);
-        let wanted = [
-            "0: raised dome-held/a",
-            "0: raised dome-held/b",
-            "3: raised dome-not-closed/x",
-            "60: raised dome-held/c, raised dome-held/d, raised dome-held/e",
-        ];
-        assert_eq!(letters(Wish { most: 2, ..wish(0) }, lists), wanted);
-    }
-
-    #[test]
-    fn what_failed_is_tried_again_later_and_later_and_not_lost() {
-        let mut mailbox = Mailbox::new(wish(0));
-        mailbox.look(&Alerts { alerts: vec![critical("d")] }, at(0.0));
-        let mut now = 0.0;
-        for (failures, wait_s) in [(1, 2.0), (2, 4.0), (3, 8.0)] {
-            assert!(mailbox.due(at(now)).is_some());
-            assert_eq!(mailbox.failed(at(now)), failures);
-            assert_eq!(mailbox.due(at(now + wait_s - 0.1)), None);
-            now += wait_s;
-        }
-        for _ in 0..20 {
-            mailbox.failed(at(now));
-        }
-        assert!(mailbox.due(at(now + 299.0)).is_none());
-        let letter = mailbox.due(at(now + 300.0)).unwrap();
-        // over before it could be told: told all the same
-        mailbox.look(&Alerts::default(), at(now + 300.0));
-        let over = mailbox.due(at(now + 300.0)).unwrap();
-        assert_eq!((letter.news[0].event, over.news[0].event), (Event::Raised, Event::Cleared));
-        mailbox.sent(&over, at(now + 300.0));
-        assert_eq!(mailbox.due(at(now + 301.0)), None);
-    }
-}
+mod tests;

@@ -4,21 +4,25 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Context as _;
-use bus::Node;
-use config::{Alerting, Email, Ping, Smtp, Webhook};
+use bus::{MachineTime, Node};
+use config::{Alerting, Ping, Smtp, Webhook};
 use contract::observatory::{AlertKind, Alerts, Priority};
 use hyper::Method;
 use tokio::sync::watch;
 
-use crate::http::Http;
+use crate::http::{Ask, Http};
 use crate::letter::Letter;
-use crate::mail;
+use crate::mail::{self, Mail};
 use crate::mailbox::{Mailbox, Wish};
 
 /// What the ping is called in the alert about it.
 pub const PING: &str = "ping";
 /// One failure is the weather of the internet; so many in a row need a person.
 const FAILURES_BEFORE_ALERT: u32 = 3;
+/// Three failures of the slowest kind, a server that takes the connection and says nothing, take so long.
+const LAST_WORD: Duration = Duration::from_secs(200);
+/// A ping that failed is tried again after twice this, then twice as long, up to its period.
+const FIRST_PING_AGAIN: Duration = Duration::from_secs(5);
 
 /// Who is told.
 #[derive(Clone)]
@@ -32,13 +36,19 @@ pub struct Receiver {
 #[derive(Clone)]
 enum Way {
     Webhook(Webhook),
-    Email(Smtp, Email),
+    Email {
+        smtp: Smtp,
+        to: String,
+        /// All addresses of this `[[alerts.email]]`.
+        all: Vec<String>,
+    },
 }
 
 /// All who are configured.
 pub fn receivers(alerting: &Alerting) -> Vec<Receiver> {
     let receiver = |name: &str, min_priority: Priority, after_min: f64, way: Way| {
         let wish = Wish {
+            receiver: name.to_owned(),
             min_priority,
             after: Duration::from_secs_f64(after_min * 60.0),
             most: alerting.flood_messages as usize,
@@ -49,9 +59,12 @@ pub fn receivers(alerting: &Alerting) -> Vec<Receiver> {
     };
     let hooks = alerting.webhook.iter();
     let hooks = hooks.map(|hook| receiver(&hook.name, hook.min_priority, hook.after_min, Way::Webhook(hook.clone())));
-    let mails = alerting.email.iter().filter_map(|email| {
-        let way = Way::Email(alerting.smtp.clone()?, email.clone());
-        Some(receiver(&email.name, email.min_priority, email.after_min, way))
+    let mails = alerting.email.iter().flat_map(|email| email.to.iter().enumerate().map(move |at| (email, at)));
+    let mails = mails.filter_map(|(email, (index, to))| {
+        // each address is one who is told or not: `night` where it is alone, else `night/1` and so on
+        let name = if email.to.len() == 1 { email.name.clone() } else { format!("{}/{}", email.name, index + 1) };
+        let way = Way::Email { smtp: alerting.smtp.clone()?, to: to.clone(), all: email.to.clone() };
+        Some(receiver(&name, email.min_priority, email.after_min, way))
     });
     hooks.chain(mails).collect()
 }
@@ -63,20 +76,29 @@ pub async fn keep_delivering(
     mut alerts: watch::Receiver<Option<Alerts>>,
 ) -> anyhow::Result<()> {
     let Receiver { name, wish, way } = receiver;
-    let (clock, http) = (node.bus.clock().clone(), Http::new()?);
-    let mut mailbox = Mailbox::new(wish.clone());
+    let (clock, mut http) = (node.bus.clock().clone(), Http::default());
+    let fresh = || Mailbox::new(wish.clone()).begins(clock.machine(), clock.utc());
+    let mut mailbox = fresh();
+    let mut silent_since = None;
     loop {
         let now = clock.machine();
         let shown = alerts.borrow_and_update().clone();
         match shown {
-            Some(shown) => mailbox.look(&shown, now),
-            // whoever speaks now tells it anew
-            None => mailbox = Mailbox::new(wish.clone()),
+            Some(shown) => {
+                silent_since = None;
+                mailbox.look(&shown, now);
+                node.alerts.told(&name, mailbox.told());
+            }
+            None => {
+                mailbox = fresh();
+                last_word(&node, &name, *silent_since.get_or_insert(now), now);
+            }
         }
         if let Some(letter) = mailbox.due(now) {
-            match deliver(&node, &http, &way, &letter).await {
+            match deliver(&node, &mut http, &way, &letter).await {
                 Ok(()) => {
-                    mailbox.sent(&letter, clock.machine());
+                    mailbox.sent(&letter, clock.machine(), clock.utc());
+                    node.alerts.told(&name, mailbox.told());
                     node.alerts.clear(AlertKind::AlertNotSent, &name);
                 }
                 Err(error) => failed(&node, &name, mailbox.failed(clock.machine()), &error),
@@ -90,15 +112,19 @@ pub async fn keep_delivering(
     }
 }
 
-async fn deliver(node: &Node, http: &Http, way: &Way, letter: &Letter) -> anyhow::Result<()> {
-    let address = node.config.address();
+async fn deliver(node: &Node, http: &mut Http, way: &Way, letter: &Letter) -> anyhow::Result<()> {
+    let (address, ca_file) = (node.config.address(), node.config.alerts.ca_file.as_deref());
     match way {
         Way::Webhook(hook) => {
             let token = secret(hook.token_file.as_deref(), hook.token_env.as_deref()).await?;
             let body = letter.json(&address).to_string();
-            http.ask(Method::POST, &hook.url, token.as_deref(), body).await
+            let ask = Ask { method: Method::POST, url: &hook.url, token: token.as_deref(), body };
+            http.ask(ask, ca_file).await
         }
-        Way::Email(smtp, email) => mail::send(smtp, email, &letter.subject(&address), letter.text(&address)).await,
+        Way::Email { smtp, to, all } => {
+            let mail = Mail { to, all, subject: &letter.subject(&address), text: letter.text(&address) };
+            mail::send(smtp, ca_file, mail).await
+        }
     }
 }
 
@@ -109,24 +135,46 @@ fn failed(node: &Node, name: &str, failures: u32, error: &anyhow::Error) {
     }
 }
 
-/// Pings for ever while all is well.
+/// A node that sends no more does not know whether it could. Its alert stands until the node that sends now has found
+/// out for itself: that nobody tries is no news of a receiver.
+fn last_word(node: &Node, name: &str, silent_since: MachineTime, now: MachineTime) {
+    if now.since(silent_since) >= LAST_WORD {
+        node.alerts.clear(AlertKind::AlertNotSent, name);
+    }
+}
+
+/// Pings for ever while all is well: at once when it becomes so, and again after a period; sooner after a failure, so
+/// that one lost packet is no alarm at the other end.
 pub async fn keep_pinging(node: Node, ping: Ping, is_well: impl Fn() -> bool) -> anyhow::Result<()> {
-    let (http, period) = (Http::new()?, Duration::from_secs_f64(ping.period_s));
-    let mut failures = 0;
+    let (mut http, period) = (Http::default(), Duration::from_secs_f64(ping.period_s));
+    let clock = node.bus.clock().clone();
+    let mut failures: u32 = 0;
+    let (mut next, mut silent_since) = (clock.machine(), None);
     loop {
-        if is_well() {
-            match http.ask(Method::GET, &ping.url, None, String::new()).await {
+        let now = clock.machine();
+        let is_well = is_well();
+        if is_well {
+            silent_since = None;
+        } else {
+            last_word(&node, PING, *silent_since.get_or_insert(now), now);
+        }
+        if is_well && now >= next {
+            let ask = Ask { method: Method::GET, url: &ping.url, token: None, body: String::new() };
+            let wait = match http.ask(ask, node.config.alerts.ca_file.as_deref()).await {
                 Ok(()) => {
                     failures = 0;
                     node.alerts.clear(AlertKind::AlertNotSent, PING);
+                    period
                 }
                 Err(error) => {
                     failures += 1;
                     failed(&node, PING, failures, &error);
+                    period.min(FIRST_PING_AGAIN.saturating_mul(1 << failures.min(10)))
                 }
-            }
+            };
+            next = now.plus(wait);
         }
-        tokio::time::sleep(period).await;
+        tokio::time::sleep(period.min(Duration::from_secs(1))).await;
     }
 }
 

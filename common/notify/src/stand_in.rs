@@ -1,19 +1,29 @@
 //! Sends in the place of an observatory node that fell silent.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use bus::{Catch, MachineTime, Node};
+use bus::{Catch, Heard, MachineTime, Node};
+use contract::node::NodeState;
 use contract::observatory::{AlertKind, Alerts, merge};
-use contract::{Key, Name, NodeTopic, Part, Role};
+use contract::{Key, Name, NodeTopic, Part, Role, Scalar};
 use tokio::sync::watch;
+use units::Utc;
 
 /// Alerts are said every 10 s; a node that is silent for longer than this has no say any more.
 const SILENCE: Duration = Duration::from_secs(60);
 
+/// The observatory node that returns must hear that it was missed, so that it tells people the end of it.
+const HOLD: Duration = Duration::from_secs(30);
+/// A node says how it is every 5 s.
+const LOST: Duration = Duration::from_secs(15);
+/// By which others see in this node's state that it stands in.
+const FIGURE: &str = "stands_in_after_s";
+
 /// Sends in its place while it is silent, for ever; does nothing where the configuration gives it to another role.
 ///
-/// It does not know what was sent before: what stands then is told again.
+/// What the silent node told people is not told again, and what this one tells is heard by the node that returns. Of
+/// several that stand in, the one with the first name sends.
 ///
 /// # Errors
 ///
@@ -23,10 +33,39 @@ pub async fn keep_standing_in(node: Node) -> anyhow::Result<()> {
     let Some(patience_s) = alerting.send_when_observatory_silent_s.filter(|_| alerting.stand_in == node.role) else {
         return std::future::pending().await;
     };
+    node.figure(FIGURE, Scalar::Float(patience_s));
     let (shown, alerts) = watch::channel(None);
     tokio::select! {
         result = crate::keep_sending(node.clone(), alerts) => result,
         result = keep_watching(&node, Duration::from_secs_f64(patience_s), &shown) => result,
+    }
+}
+
+/// Others of this role that stand in, and have the say before this one.
+struct Elders {
+    states: bus::Subscriber<NodeState>,
+    heard: BTreeMap<Name, MachineTime>,
+}
+
+impl Elders {
+    async fn listen(node: &Node) -> anyhow::Result<Self> {
+        let (address, role) = (node.config.address(), node.role);
+        let expression = format!("{}/{address}/node/{role}/*/{}", contract::key::ROOT, NodeTopic::State.word());
+        Ok(Self { states: node.bus.subscribe(&expression, Catch::Newest, 64).await?, heard: BTreeMap::new() })
+    }
+
+    fn hear(&mut self, node: &Node, state: Heard<NodeState>) {
+        if let Key::Node(_, _, id, NodeTopic::State) = state.key
+            && id < node.id
+            && state.said.body.figures.contains_key(FIGURE)
+        {
+            self.heard.insert(id, state.arrived);
+        }
+    }
+
+    fn are_there(&mut self, now: MachineTime) -> bool {
+        self.heard.retain(|_, arrived| now.since(*arrived) <= LOST);
+        !self.heard.is_empty()
     }
 }
 
@@ -35,7 +74,9 @@ async fn keep_watching(node: &Node, patience: Duration, shown: &watch::Sender<Op
     let merged = node.bus.latest::<Alerts>(&Key::Observatory(address.clone(), Part::Alerts)).await?;
     let expression = format!("{}/{address}/node/*/*/{}", contract::key::ROOT, NodeTopic::Alerts.word());
     let nodes = node.bus.subscribe::<Alerts>(&expression, Catch::Newest, 256).await?;
+    let mut elders = Elders::listen(node).await?;
     let clock = node.bus.clock().clone();
+    let mut last_silent: Option<MachineTime> = None;
     let began = clock.machine();
     let mut own = node.alerts.watch();
     let mut heard: BTreeMap<(Role, Name), (Alerts, MachineTime)> = BTreeMap::new();
@@ -46,20 +87,16 @@ async fn keep_watching(node: &Node, patience: Duration, shown: &watch::Sender<Op
         if is_silent {
             let cause = format!("no observatory node of {address} was heard for {} s", patience.as_secs());
             node.alerts.raise(AlertKind::NodeSilent, &instance, &cause);
-        } else {
+            last_silent = Some(now);
+        } else if last_silent.is_none_or(|at| now.since(at) >= HOLD) {
             node.alerts.clear(AlertKind::NodeSilent, &instance);
         }
         heard.retain(|_, (_, arrived)| now.since(*arrived) <= SILENCE);
         let lists = std::iter::once(own.borrow_and_update().clone());
-        // what the observatory said last still holds what people acknowledged
+        let standing = merge(lists.chain(heard.values().map(|(alerts, _)| alerts.clone())));
         let last = merged.get().map(|last| last.said.body).unwrap_or_default();
-        let mut all = merge(lists.chain(heard.values().map(|(alerts, _)| alerts.clone())));
-        for alert in &mut all.alerts {
-            if let Some(known) = last.alerts.iter().find(|known| known.id == alert.id) {
-                *alert = known.clone();
-            }
-        }
-        let now_shown = is_silent.then_some(all);
+        let all = in_its_place(standing, last, clock.utc());
+        let now_shown = (is_silent && !elders.are_there(now)).then_some(all);
         shown.send_if_modified(|shown| {
             let is_new = *shown != now_shown;
             *shown = now_shown;
@@ -73,8 +110,60 @@ async fn keep_watching(node: &Node, patience: Duration, shown: &watch::Sender<Op
                     heard.insert((role, id), (alerts.said.body, alerts.arrived));
                 }
             }
+            state = elders.states.hear() => elders.hear(node, state),
             changed = own.changed() => changed?,
             () = tokio::time::sleep(Duration::from_secs(1)) => {}
         }
+    }
+}
+
+/// What the silent node would show: what the others say now, and what it said last, which nobody has taken back; what
+/// people did about it holds too.
+fn in_its_place(standing: Alerts, last: Alerts, now: Utc) -> Alerts {
+    let stands: BTreeSet<String> = standing.alerts.iter().map(|alert| alert.id.clone()).collect();
+    let mut all = merge([standing, last.clone()].into_iter());
+    for alert in &mut all.alerts {
+        if let Some(known) = last.alerts.iter().find(|known| known.id == alert.id) {
+            *alert = known.clone();
+        }
+        if stands.contains(&alert.id) {
+            alert.returned_utc = None;
+        }
+        if alert.shelved_until_utc.is_some_and(|until| until <= now) {
+            (alert.shelved_by, alert.shelved_until_utc, alert.shelved_reason) = (None, None, None);
+        }
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use contract::observatory::Alert;
+
+    use super::*;
+
+    #[test]
+    fn what_the_silent_node_said_last_holds_until_others_say_otherwise() {
+        let at = Utc::from_seconds;
+        let alert = |name: &str| AlertKind::DomeHeld.alert(name, at(1.0), "c");
+        let list = |alerts: Vec<Alert>| Alerts { alerts, told: Vec::new() };
+        let shelved = |until_s| Alert { shelved_until_utc: Some(at(until_s)), ..alert("x") };
+        let known = Alert { acknowledged_by: Some("ana".to_owned()), ..alert("x") };
+        let gone = Alert { returned_utc: Some(at(2.0)), ..alert("x") };
+        let stories = [
+            ("it alone knew", vec![], alert("x"), alert("x")),
+            ("others know it too", vec![alert("x")], alert("x"), alert("x")),
+            ("somebody sees to it", vec![alert("x")], known.clone(), known),
+            ("it was over", vec![], gone.clone(), gone.clone()),
+            ("it was over and is back", vec![alert("x")], gone, alert("x")),
+            ("it lies on the shelf", vec![alert("x")], shelved(11.0), shelved(11.0)),
+            ("the shelf has ended", vec![alert("x")], shelved(10.0), alert("x")),
+        ];
+        for (name, standing, last, wanted) in stories {
+            let all = in_its_place(list(standing), list(vec![last]), at(10.0));
+            assert_eq!(all, list(vec![wanted]), "{name}");
+        }
+        let both = in_its_place(list(vec![alert("y")]), list(vec![alert("x")]), at(10.0));
+        assert_eq!(both, list(vec![alert("x"), alert("y")]), "what only others know is added");
     }
 }

@@ -1,0 +1,111 @@
+//! The ways out, to real servers on this host: HTTPS and SMTP with certificates of a site's own authority, and every
+//! way in which a server can fail to prove itself.
+#![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
+
+mod authority;
+mod mail;
+mod post_office;
+mod site;
+mod web;
+
+use authority::Authority;
+use site::Site;
+use web::Web;
+
+fn hook(name: &str, url: &str) -> String {
+    format!("[[alerts.webhook]]\nname = \"{name}\"\nurl = \"{url}\"\n")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn webhook_and_ping_reach_servers_of_the_sites_own_authority() {
+    let authority = Authority::new("site CA");
+    let web = Web::serve(Some(authority.server(&["localhost", "127.0.0.1"]))).await;
+    let (by_name, by_number) = (format!("https://localhost:{}", web.port), format!("https://127.0.0.1:{}", web.port));
+    let config = format!(
+        "[alerts]\nca_file = \"ca.pem\"\n{}token_file = \"token\"\n{}[alerts.ping]\nurl = \"{by_name}/ping-k3y\"\n\
+         period_s = 1\n",
+        hook("named", &format!("{by_name}/named-p4th")),
+        hook("numbered", &format!("{by_number}/numbered-p4th")),
+    );
+    let site = Site::open(&config, &[("ca.pem", &authority.pem()), ("token", "t0ken-of-chat\n")]).await;
+    let id = site.raise("dome");
+    site.until("both hooks are told", || web.told("raised", &id) == 2).await;
+    site.until("pings come", || web.asked().iter().filter(|asked| asked.path == "/ping-k3y").count() >= 2).await;
+    let asked = web.asked();
+    let of = |path: &str| asked.iter().find(|asked| asked.path == path).unwrap().clone();
+    assert_eq!(of("/named-p4th").authorization, "Bearer t0ken-of-chat");
+    assert_eq!(of("/numbered-p4th").authorization, "");
+    assert_eq!((of("/named-p4th").method.as_str(), of("/ping-k3y").method.as_str()), ("POST", "GET"));
+    assert!(of("/named-p4th").body["text"].as_str().is_some_and(|text| text.contains("What to do")));
+    assert_eq!(site.node.alerts.watch().borrow().told.len(), 2, "and who was told is said");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_that_proves_nothing_gets_nothing_and_is_an_alert_that_says_what_to_do() {
+    let (known, unknown) = (Authority::new("site CA"), Authority::new("somebody"));
+    let good = Web::serve(Some(known.server(&["localhost"]))).await;
+    let servers = [
+        ("stranger", Some(unknown.server(&["localhost"])), "name the authority's certificate in alerts.ca_file"),
+        ("expired", Some(known.expired_server(&["localhost"])), "has expired: have it renewed"),
+        ("other-host", Some(known.server(&["other.example.org"])), "is for another host"),
+        ("itself", Some(known.server_of_itself()), "it needs one that an authority signed"),
+        ("no-tls", None, "does not speak TLS on this port"),
+    ];
+    let mut config = "[alerts]\nca_file = \"ca.pem\"\n".to_owned() + &hook("good", &url(&good));
+    let mut webs = Vec::new();
+    for (name, tls, wanted) in servers {
+        let web = Web::serve(tls).await;
+        config += &format!("{}token_file = \"token\"\n", hook(name, &url(&web)));
+        webs.push((name, web, wanted));
+    }
+    config += &format!("[alerts.ping]\nurl = \"{}\"\nperiod_s = 1\n", url(&webs[0].1));
+    let site = Site::open(&config, &[("ca.pem", &known.pem()), ("token", "t0ken-for-liars")]).await;
+    let id = site.raise("dome");
+    for (name, web, wanted) in &webs {
+        let why = site.why_not(name).await;
+        assert!(why.starts_with(&format!("\"{name}\" gets no alerts: ")) && why.contains(wanted), "{name}: {why}");
+        assert!(web.connections() >= 3, "{name} was tried again: {}", web.connections());
+        assert_eq!(web.asked().len(), 0, "{name} was told nothing");
+        let about = format!("alert-not-sent/{name}");
+        site.until("who is reached hears of it", || good.told("raised", &about) == 1).await;
+    }
+    let why = site.why_not("ping").await;
+    assert!(why.contains("alerts.ca_file"), "{why}");
+    // a receiver that began after the alert first waits for the word of whoever may have told it
+    site.until("who is reached heard of the dome", || good.told("raised", &id) == 1).await;
+
+    // the authority is written into the file, and nothing was lost meanwhile
+    let both = known.pem() + &unknown.pem();
+    std::fs::write(site.path().join("ca.pem"), both).unwrap();
+    let later = site.raise("second");
+    let (_, stranger, _) = &webs[0];
+    site.until("all is told", || stranger.told("raised", &id) == 1 && stranger.told("raised", &later) == 1).await;
+    site.until("the alert ends", || site.undelivered("stranger").is_none()).await;
+    site.until("that of the ping too", || site.undelivered("ping").is_none()).await;
+    site.kept(&["t0ken-for-liars", "s3cret-path"]);
+}
+
+fn url(web: &Web) -> String {
+    format!("https://localhost:{}/s3cret-path", web.port)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_ca_file_that_is_none_is_an_alert_and_harms_no_receiver_without_tls() {
+    let open = Web::serve(None).await;
+    let authority = Authority::new("site CA");
+    let secure = Web::serve(Some(authority.server(&["localhost"]))).await;
+    let plain = format!("http://localhost:{}/", open.port);
+    let config = "[alerts]\nca_file = \"ca.pem\"\n".to_owned() + &hook("open", &plain) + &hook("secure", &url(&secure));
+    let site = Site::open(&config, &[("ca.pem", "not a certificate")]).await;
+    let id = site.raise("dome");
+    let why = site.why_not("secure").await;
+    assert!(why.contains("ca.pem holds no certificate: expected PEM"), "{why}");
+    site.until("who is open hears of it", || open.told("raised", &id) == 1).await;
+    assert_eq!(secure.connections(), 0);
+    std::fs::remove_file(site.path().join("ca.pem")).unwrap();
+    site.raise("second");
+    site.until("the cause is renewed", || {
+        site.undelivered("secure").is_some_and(|alert| alert.cause.contains("ca.pem cannot be read"))
+    })
+    .await;
+}

@@ -1,0 +1,132 @@
+//! A node with receivers, whose own alerts are told too, and everything that it wrote into a log.
+
+use std::io::Write;
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use bus::{Bus, Clock, Node};
+use contract::Role;
+use contract::observatory::{Alert, AlertKind, Alerts, merge};
+use tempfile::TempDir;
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
+
+/// Nothing in these tests may take longer, on a busy machine.
+const LIMIT: Duration = Duration::from_secs(60);
+
+pub struct Site {
+    pub node: Node,
+    folder: TempDir,
+    raised: watch::Sender<Alerts>,
+    _tasks: JoinSet<()>,
+}
+
+impl Site {
+    /// `more` of the configuration, and the files that it names.
+    pub async fn open(more: &str, files: &[(&str, &str)]) -> Self {
+        listen_to_logs();
+        let folder = tempfile::tempdir().unwrap();
+        for (name, text) in files {
+            std::fs::write(folder.path().join(name), text).unwrap();
+        }
+        let place = "[observatory]\nsite = \"s\"\ntelescope = \"t\"\nlatitude_deg = 0\nlongitude_deg = 0\n\
+            elevation_m = 0\n";
+        let config = config::parse(&format!("{place}{more}"), folder.path()).unwrap();
+        let private = config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect: vec![], multicast: false };
+        let bus = Bus::open(&private, Clock::machine_clock()).await.unwrap();
+        let header = config::header::HeaderTable::default();
+        let node = Node::new(Role::Observatory, "main".parse().unwrap(), config, header, bus);
+        let (raised, mut given) = watch::channel(Alerts::default());
+        let (shown, alerts) = watch::channel(None);
+        let (mut tasks, mut own) = (JoinSet::new(), node.alerts.watch());
+        let (sending, pinging, board) = (node.clone(), node.clone(), node.alerts.clone());
+        tasks.spawn(async move { drop(notify::keep_sending(sending, alerts).await) });
+        tasks.spawn(async move { drop(notify::keep_pinging(pinging, || true).await) });
+        tasks.spawn(async move { board.keep_time().await });
+        tasks.spawn(async move {
+            loop {
+                let lists = [given.borrow_and_update().clone(), own.borrow_and_update().clone()];
+                let _ = shown.send(Some(merge(lists.into_iter())));
+                let changed = tokio::select! {
+                    changed = given.changed() => changed,
+                    changed = own.changed() => changed,
+                };
+                if changed.is_err() {
+                    return;
+                }
+            }
+        });
+        Self { node, folder, raised, _tasks: tasks }
+    }
+
+    pub fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Raises a critical alert; returns its id.
+    pub fn raise(&self, name: &str) -> String {
+        let alert = AlertKind::DomeNotClosed.alert(name, self.node.bus.clock().utc(), "it is half open");
+        let id = alert.id.clone();
+        self.raised.send_modify(|alerts| alerts.alerts.push(alert));
+        id
+    }
+
+    /// The alert about a receiver.
+    pub fn undelivered(&self, receiver: &str) -> Option<Alert> {
+        let id = AlertKind::AlertNotSent.id(receiver);
+        self.node.alerts.watch().borrow().alerts.iter().find(|alert| alert.id == id).cloned()
+    }
+
+    /// Waits until a receiver is said not to be reached, and returns why.
+    pub async fn why_not(&self, receiver: &str) -> String {
+        self.until(&format!("an alert about {receiver}"), || self.undelivered(receiver).is_some()).await;
+        self.undelivered(receiver).unwrap().cause
+    }
+
+    pub async fn until(&self, what: &str, holds: impl Fn() -> bool) {
+        let began = Instant::now();
+        while !holds() {
+            assert!(began.elapsed() < LIMIT, "{what}: not within {LIMIT:?}; {:?}", *self.node.alerts.watch().borrow());
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+
+    /// Neither log nor bus holds any of these words.
+    pub fn kept(&self, secrets: &[&str]) {
+        let log = LOG.lock().unwrap_or_else(PoisonError::into_inner);
+        let log = String::from_utf8_lossy(&log);
+        assert!(log.contains("a receiver of alerts was not reached"), "the log is heard at all levels");
+        let bus = serde_json::to_string(&*self.node.alerts.watch().borrow()).unwrap();
+        for secret in secrets {
+            assert!(!log.contains(secret), "{secret} is in the log");
+            assert!(!bus.contains(secret), "{secret} is on the bus: {bus}");
+        }
+    }
+}
+
+static LOG: Mutex<Vec<u8>> = Mutex::new(Vec::new());
+
+struct Ear;
+
+impl Write for Ear {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        LOG.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Everything that any crate says, but zenoh, which never sees a secret and says a lot.
+fn listen_to_logs() {
+    let all = Targets::new().with_default(LevelFilter::TRACE).with_target("zenoh", LevelFilter::OFF);
+    let layer = tracing_subscriber::fmt::layer().with_ansi(false).with_writer(|| Ear);
+    // the first test of the process begins it
+    let _ = tracing_subscriber::registry().with(all).with(layer).try_init();
+}
