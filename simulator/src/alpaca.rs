@@ -28,7 +28,7 @@ pub async fn device(
     headers: HeaderMap,
     body: Bytes,
 ) -> Response {
-    let Some(kind) = Kind::from_path(&kind).filter(|_| number == "0") else {
+    let Some(kind) = Kind::at(&kind, &number).filter(|kind| world.kinds().contains(kind)) else {
         return text(StatusCode::BAD_REQUEST, format!("there is no device {kind} {number}"));
     };
     let is_put = method == Method::PUT;
@@ -38,8 +38,8 @@ pub async fn device(
     let encoded = if is_put { String::from_utf8_lossy(&body).into_owned() } else { query.unwrap_or_default() };
     let request = Request::new(is_put, &member, &encoded);
     world.advance();
-    if !is_put && kind == Kind::Camera && matches!(member.as_str(), "imagearray" | "imagearrayvariant") {
-        return image(&world, &scissors, &request, &headers).await;
+    if !is_put && is_camera(kind) && matches!(member.as_str(), "imagearray" | "imagearrayvariant") {
+        return image(&world, kind, &scissors, &request, &headers).await;
     }
     let reply = world.ask(kind, &request);
     if is_put && reply.answer.is_ok() {
@@ -52,6 +52,10 @@ pub async fn device(
     answered(answer, request.client_transaction(), world.next_transaction())
 }
 
+fn is_camera(kind: Kind) -> bool {
+    matches!(kind, Kind::Camera | Kind::GuideCamera)
+}
+
 /// What a command still needs: old-fashioned methods answer when they are done, and an exposure is waited for.
 async fn follow_up(world: &Arc<World>, kind: Kind, member: &str) {
     if kind == Kind::Telescope && WAITS_FOR_SLEW.contains(&member) {
@@ -59,8 +63,8 @@ async fn follow_up(world: &Arc<World>, kind: Kind, member: &str) {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     }
-    if kind == Kind::Camera && matches!(member, "startexposure" | "stopexposure") {
-        let end = world.exposure_ends();
+    if is_camera(kind) && matches!(member, "startexposure" | "stopexposure") {
+        let end = world.exposure_ends(kind);
         let world = world.clone();
         tokio::spawn(async move {
             let wait_s = end.map_or(0.0, |end| end.seconds_since(world.now()).max(0.0));
@@ -94,13 +98,19 @@ async fn spoil(reply: &Reply, scissors: &Scissors) -> Option<Response> {
 }
 
 /// The image, in the form that the client accepts.
-async fn image(world: &Arc<World>, scissors: &Scissors, request: &Request, headers: &HeaderMap) -> Response {
-    let reply = world.ask(Kind::Camera, request);
+async fn image(
+    world: &Arc<World>,
+    kind: Kind,
+    scissors: &Scissors,
+    request: &Request,
+    headers: &HeaderMap,
+) -> Response {
+    let reply = world.ask(kind, request);
     if let Some(spoilt) = spoil(&reply, scissors).await {
         return spoilt;
     }
     let (client, server) = (request.client_transaction(), world.next_transaction());
-    let frame = reply.answer.and_then(|_| world.image());
+    let frame = reply.answer.and_then(|_| world.image(kind));
     let accepts = headers.get(header::ACCEPT).and_then(|accept| accept.to_str().ok()).unwrap_or_default();
     if accepts.to_ascii_lowercase().contains("application/imagebytes") {
         let bytes = match frame {

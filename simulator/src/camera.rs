@@ -1,4 +1,4 @@
-//! The camera: exposures in sky time, a cooler with inertia, binning and sub-frames.
+//! A camera: exposures in sky time, a cooler with inertia, binning and sub-frames.
 
 use std::sync::Arc;
 
@@ -8,7 +8,8 @@ use units::Utc;
 use crate::answer::{Answer, DONE, Refusal, within};
 use crate::exposure::{Exposure, Plan, Sample};
 use crate::frame::Frame;
-use crate::options::{CameraOptions, FocusOptions, Options};
+use crate::kind::Kind;
+use crate::options::{CameraOptions, FocusOptions};
 use crate::request::Request;
 use crate::scene::Scene;
 use crate::weather::Quantity;
@@ -85,6 +86,7 @@ const COOLER_K_PER_S: f64 = 0.4;
 /// A camera.
 #[derive(Debug)]
 pub struct Camera {
+    kind: Kind,
     options: CameraOptions,
     focus: FocusOptions,
     seed: u64,
@@ -106,14 +108,15 @@ pub struct Camera {
 
 impl Camera {
     /// Warm, idle, whole sensor, no binning.
-    pub fn new(options: &Options, air_c: f64) -> Self {
+    pub fn new(kind: Kind, options: CameraOptions, focus: FocusOptions, seed: u64, air_c: f64) -> Self {
         Self {
-            options: options.camera,
-            focus: options.focus,
-            seed: options.seed,
+            kind,
+            options,
+            focus,
+            seed,
             binning: 1,
             start: [0, 0],
-            size: [options.camera.width, options.camera.height],
+            size: [options.width, options.height],
             gain: 0,
             offset: 0,
             cooler_on: false,
@@ -126,6 +129,11 @@ impl Camera {
             frame: None,
             last: None,
         }
+    }
+
+    /// Which of the cameras this is.
+    pub fn kind(&self) -> Kind {
+        self.kind
     }
 
     /// Sky time at which the exposure under way ends.
@@ -181,6 +189,7 @@ impl Camera {
         self.ready_at = Some(started.plus_seconds(exposure_s + self.options.readout_s));
         self.last = Some((started, exposure_s));
         self.plan = Some(Plan {
+            device: self.kind,
             number: self.number,
             started,
             exposure_s,

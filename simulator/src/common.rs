@@ -59,14 +59,20 @@ pub fn ask(observatory: &mut Observatory, connected: &mut bool, kind: Kind, requ
                 Err(Refusal::action_not_implemented(&action))
             }
         }
+        (true, "commandstring") if kind == Kind::Telescope && observatory.telescope.vendor.is_some() => {
+            let command = request.text("Command")?;
+            request.truth("Raw")?;
+            observatory.telescope.vendor.as_mut().map_or(DONE, |vendor| vendor.command_string(command))
+        }
         (true, "commandblind" | "commandbool" | "commandstring") => Err(Refusal::not_implemented(member)),
         _ => observatory.ask(kind, request),
     }
 }
 
-/// The name of the only device of a kind.
+/// The name of a device.
 pub fn name(kind: Kind) -> String {
-    format!("Simulated {}", kind.ascom())
+    let what = if kind == Kind::GuideCamera { "guide camera" } else { kind.ascom() };
+    format!("Simulated {what}")
 }
 
 fn actions(kind: Kind) -> &'static [&'static str] {

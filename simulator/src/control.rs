@@ -9,13 +9,19 @@
 //! | `PUT /simulator/v1/world/safety` `{"unsafe": true}` | the safety monitor says unsafe |
 //! | `PUT /simulator/v1/world/shutter` `{"sticks_half_open": true}` | |
 //! | `PUT /simulator/v1/world/dome` `{"turn_deg_per_s": 0}` | how fast it turns; 0: it hangs; null: as at the start |
+//! | `PUT /simulator/v1/world/dome` `{"runs_on": true}` | its turns never end |
+//! | `PUT /simulator/v1/world/dome` `{"shutter_needs_rest": true}` | it moves no shutter while it turns |
 //! | `PUT /simulator/v1/world/park` `{"lies": true}` | `AtPark` is true whatever is the case |
 //! | `PUT /simulator/v1/world/flip` `{"ignored": true}` | slews leave the tube on its side of the pier |
+//! | `PUT /simulator/v1/world/mount` `{"dec_backlash_arcsec": 15}` | play of the declination gear; null: as at the start |
+//! | `PUT /simulator/v1/world/mount` `{"dec_pulses_reverse_west": true}` | pulses north go south with the tube west of the pier |
+//! | `PUT /simulator/v1/world/focuser` `{"backlash_steps": 80}` | play of the focuser's gear; null: as at the start |
+//! | `PUT /simulator/v1/world/vendor` `{"status": "LIST", "clear": "CLEAR", "ready": "READY", "ready_after_s": 5, "errors": [{"entry": "mount\|4", "level": 4}]}` | the mount has a controller that latches errors ([`crate::Vendor`]); null: none |
 //! | `PUT /simulator/v1/world/ups` `{"on_mains": false}` | |
 //! | `PUT /simulator/v1/world/watchdog` `{"limit_s": 120}` | the dome's own watchdog; null: none |
 //! | `PUT /simulator/v1/world/connection` `{"lose": "camera"}` | device is not connected any more |
 //! | `GET`, `DELETE /simulator/v1/faults` | lists; clears these and all of the above |
-//! | `PUT /simulator/v1/faults/{kind}` | a [`Fault`] such as `{"stale": true}`; `{}` heals |
+//! | `PUT /simulator/v1/faults/{kind}` | (or `guidecamera`) a [`Fault`] such as `{"stale": true}`; `{}` heals |
 //! | `GET /simulator/v1/log?since=17` | PUTs to devices with a number above 17, and request counts |
 
 use std::sync::Arc;
@@ -60,16 +66,29 @@ fn obey(world: &World, thing: &str, order: &Value) -> Result<(), String> {
         "park" => world.lie_about_park(truth("lies")?),
         "flip" => world.ignore_flips(truth("ignored")?),
         "ups" => world.set_on_mains(truth("on_mains")?),
-        "dome" => {
-            let speed = &order["turn_deg_per_s"];
-            if !(speed.is_null() || speed.as_f64().is_some_and(|speed| (0.0..=360.0).contains(&speed))) {
-                return Err("expected {\"turn_deg_per_s\": 0 to 360, or null}".to_owned());
-            }
-            world.set_turn_speed(speed.as_f64());
+        "dome" if order.get("runs_on").is_some() => world.let_dome_run_on(truth("runs_on")?),
+        "dome" if order.get("shutter_needs_rest").is_some() => {
+            world.let_shutter_need_rest(truth("shutter_needs_rest")?);
         }
+        "dome" => match order.get("turn_deg_per_s") {
+            Some(Value::Null) => world.set_turn_speed(None),
+            Some(speed) if speed.as_f64().is_some_and(|speed| (0.0..=360.0).contains(&speed)) => {
+                world.set_turn_speed(speed.as_f64());
+            }
+            _ => return Err("expected {\"turn_deg_per_s\": 0 to 360, or null}".to_owned()),
+        },
+        "mount" if order.get("dec_pulses_reverse_west").is_some() => {
+            world.reverse_dec_pulses_west(match &order["dec_pulses_reverse_west"] {
+                Value::Null => None,
+                _ => Some(truth("dec_pulses_reverse_west")?),
+            });
+        }
+        "mount" => world.set_dec_backlash(play(order, "dec_backlash_arcsec")?),
+        "focuser" => world.set_focus_backlash(play(order, "backlash_steps")?),
+        "vendor" => world.set_vendor(serde_json::from_value(order.clone()).map_err(|error| error.to_string())?),
         "watchdog" => world.set_watchdog(order["limit_s"].as_f64()),
         "connection" => {
-            let kind = order["lose"].as_str().and_then(Kind::from_path).ok_or("expected {\"lose\": \"camera\"}")?;
+            let kind = order["lose"].as_str().and_then(Kind::from_name).ok_or("expected {\"lose\": \"camera\"}")?;
             world.lose_connection(kind);
         }
         "weather" => {
@@ -86,6 +105,15 @@ fn obey(world: &World, thing: &str, order: &Value) -> Result<(), String> {
     Ok(())
 }
 
+/// The play of a gear that an order gives; None for null.
+fn play(order: &Value, name: &str) -> Result<Option<f64>, String> {
+    match order.get(name) {
+        Some(Value::Null) => Ok(None),
+        Some(play) if play.as_f64().is_some_and(|play| (0.0..=3600.0).contains(&play)) => Ok(play.as_f64()),
+        _ => Err(format!("expected {{\"{name}\": 0 to 3600, or null}}")),
+    }
+}
+
 /// `GET /simulator/v1/faults`.
 pub async fn faults(State(world): State<Arc<World>>) -> Json<Value> {
     Json(json!(world.faults()))
@@ -93,7 +121,7 @@ pub async fn faults(State(world): State<Arc<World>>) -> Json<Value> {
 
 /// `PUT /simulator/v1/faults/{kind}`.
 pub async fn set_fault(State(world): State<Arc<World>>, Path(kind): Path<String>, body: axum::body::Bytes) -> Response {
-    let Some(kind) = Kind::from_path(&kind) else {
+    let Some(kind) = Kind::from_name(&kind) else {
         return text(StatusCode::BAD_REQUEST, format!("there is no device {kind}"));
     };
     match serde_json::from_slice::<Fault>(&body) {

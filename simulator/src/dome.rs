@@ -35,6 +35,8 @@ pub const STATE: &[&str] = &["AtHome", "AtPark", "Azimuth", "ShutterStatus", "Sl
 pub const ACTIONS: &[&str] = &["feedwatchdog", "watchdog"];
 
 const HOME_DEG: f64 = 90.0;
+/// A dome that runs on has always as much before it, degrees.
+const RUN_ON_DEG: f64 = 1e6;
 
 /// A dome.
 #[derive(Debug)]
@@ -48,6 +50,9 @@ pub struct Dome {
     parked: bool,
     /// The shutter sticks half-way, whichever way it is sent.
     pub sticks_half_open: bool,
+    runs_on: bool,
+    /// The shutter's motor has no current while the dome turns: `CloseShutter` and `OpenShutter` are refused then.
+    pub shutter_needs_rest: bool,
     /// Closes when no PUT came for this long, machine seconds; None: never.
     pub watchdog_s: Option<f64>,
     /// How often the watchdog has closed the dome.
@@ -71,6 +76,8 @@ impl Dome {
             parking: false,
             parked: true,
             sticks_half_open: false,
+            runs_on: false,
+            shutter_needs_rest: false,
             watchdog_s: options.watchdog_s,
             watchdog_closings: 0,
             heard: Instant::now(),
@@ -92,6 +99,15 @@ impl Dome {
         self.azimuth.set_speed(deg_per_s.unwrap_or(self.options.turn_deg_per_s));
     }
 
+    /// From now on a turn never ends: the dome runs past where it was sent, and says that it slews, until it is
+    /// stopped; or it does no longer, and stands.
+    pub fn set_runs_on(&mut self, runs_on: bool) {
+        if self.runs_on && !runs_on {
+            self.azimuth.stop();
+        }
+        self.runs_on = runs_on;
+    }
+
     /// Counts sky time in which the open dome let light fall on a camera that exposes, and how much of it came through
     /// an aperture that the slit did not leave free.
     pub fn count_light(&mut self, dt: f64, free: f64) {
@@ -106,6 +122,8 @@ impl Dome {
         json!({
             "open": self.open(),
             "sticks_half_open": self.sticks_half_open,
+            "turning": self.azimuth.is_moving(),
+            "slaved": self.slaved,
             "watchdog_s": self.watchdog_s,
             "watchdog_closings": self.watchdog_closings,
             "azimuth_deg": self.azimuth().degrees(),
@@ -128,6 +146,9 @@ impl Dome {
             self.azimuth.send_round(telescope_azimuth_deg);
         }
         let before_deg = self.azimuth.at();
+        if self.runs_on && self.azimuth.is_moving() {
+            self.azimuth.send(before_deg + RUN_ON_DEG * (self.azimuth.target() - before_deg).signum());
+        }
         self.azimuth.advance(dt);
         self.turned_deg += (self.azimuth.at() - before_deg).abs();
         if self.parking && !self.azimuth.is_moving() {
@@ -197,8 +218,8 @@ impl Dome {
                 self.azimuth.stop();
                 self.shutter.stop();
             }
-            "closeshutter" => self.shutter.send(0.0),
-            "openshutter" => self.shutter.send(1.0),
+            "closeshutter" => self.send_shutter(0.0)?,
+            "openshutter" => self.send_shutter(1.0)?,
             "findhome" => self.turn(HOME_DEG)?,
             "park" => {
                 if !self.parked {
@@ -238,6 +259,14 @@ impl Dome {
             }
             _ => Err(Refusal::action_not_implemented(action)),
         }
+    }
+
+    fn send_shutter(&mut self, target: f64) -> Result<(), Refusal> {
+        if self.shutter_needs_rest && self.azimuth.is_moving() {
+            return Err(Refusal::invalid_operation("the shutter does not move while the dome turns"));
+        }
+        self.shutter.send(target);
+        Ok(())
     }
 
     fn turn(&mut self, azimuth_deg: f64) -> Result<(), Refusal> {

@@ -3,6 +3,7 @@
 use sky::{Icrs, airmass};
 use units::{Angle, Utc};
 
+use crate::kind::Kind;
 use crate::options::{CameraOptions, FocusOptions};
 use crate::scene::Scene;
 use crate::weather::Quantity;
@@ -61,6 +62,8 @@ impl Sample {
 /// Everything that decides the pixels of one frame.
 #[derive(Debug, Clone)]
 pub struct Plan {
+    /// The camera that exposed.
+    pub device: Kind,
     /// Which exposure this is, counting from 1.
     pub number: u64,
     /// Begin of the exposure.
@@ -83,7 +86,7 @@ pub struct Plan {
     pub dark_e_per_s: f64,
     /// The camera.
     pub camera: CameraOptions,
-    /// Chance of this observatory.
+    /// Chance of this camera.
     pub seed: u64,
 }
 

@@ -3,6 +3,7 @@
 use serde_json::json;
 
 use crate::answer::{Answer, DONE, Refusal};
+use crate::gear::Gear;
 use crate::options::FocusOptions;
 use crate::request::Request;
 use crate::scene::Scene;
@@ -30,23 +31,41 @@ pub const STATE: &[&str] = &["IsMoving", "Position", "Temperature"];
 pub struct Focuser {
     options: FocusOptions,
     travel: Travel,
+    gear: Gear,
 }
 
 impl Focuser {
-    /// At the best position of 10 C.
+    /// At the best position of 10 C, come there from below.
     pub fn new(options: &FocusOptions) -> Self {
-        Self { options: *options, travel: Travel::resting(options.best_step.round(), options.steps_per_s) }
+        Self {
+            options: *options,
+            travel: Travel::resting(options.best_step.round(), options.steps_per_s),
+            gear: Gear::driving_forward(options.backlash_steps),
+        }
     }
 
     /// Steps beyond the best focus of this temperature and filter.
     pub fn defocus_steps(&self, temperature_c: f64, filter_offset: f64) -> f64 {
         let best = self.options.best_step + self.options.steps_per_k * (temperature_c - 10.0) + filter_offset;
-        self.travel.at() - best
+        // half the play, so that what is told is true when it moved outward
+        self.travel.at() - self.gear.lag() + self.gear.play() / 2.0 - best
+    }
+
+    /// Gives its gear another play, steps; None: as at the start.
+    pub fn set_backlash(&mut self, steps: Option<f64>) {
+        self.gear.set_play(steps.unwrap_or(self.options.backlash_steps));
+    }
+
+    /// Play of its gear, steps.
+    pub fn backlash_steps(&self) -> f64 {
+        self.gear.play()
     }
 
     /// Lets sky time pass.
     pub fn advance(&mut self, dt: f64) {
+        let before = self.travel.at();
         self.travel.advance(dt);
+        self.gear.turn(self.travel.at() - before);
     }
 
     /// Answers a GET.

@@ -1,8 +1,8 @@
-//! The ten ASCOM device types.
+//! The devices: the ten ASCOM types, and a second camera.
 
 use serde::{Deserialize, Serialize};
 
-/// An ASCOM device type; one device of each is in the observatory, all with device number 0.
+/// A device: one of each of the ten ASCOM types with device number 0, and the guide camera, which is camera 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
@@ -26,6 +26,8 @@ pub enum Kind {
     Switch,
     /// The camera rotator.
     Rotator,
+    /// The camera of the guide scope; in no list, since few observatories have one.
+    GuideCamera,
 }
 
 impl Kind {
@@ -47,7 +49,7 @@ impl Kind {
     pub fn ascom(self) -> &'static str {
         match self {
             Self::Telescope => "Telescope",
-            Self::Camera => "Camera",
+            Self::Camera | Self::GuideCamera => "Camera",
             Self::FilterWheel => "FilterWheel",
             Self::Focuser => "Focuser",
             Self::Dome => "Dome",
@@ -59,14 +61,28 @@ impl Kind {
         }
     }
 
-    /// The name as it stands in the address of a device, lower case.
+    /// Its device number.
+    pub fn number(self) -> u32 {
+        u32::from(self == Self::GuideCamera)
+    }
+
+    /// The type as it stands in the address of a device, lower case.
     pub fn path(self) -> String {
         self.ascom().to_ascii_lowercase()
     }
 
-    /// The device type of an address, or None.
-    pub fn from_path(path: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|kind| kind.path() == path)
+    /// The device of an address, or None.
+    pub fn at(path: &str, number: &str) -> Option<Self> {
+        match (path, number) {
+            ("camera", "1") => Some(Self::GuideCamera),
+            (_, "0") => Self::ALL.into_iter().find(|kind| kind.path() == path),
+            _ => None,
+        }
+    }
+
+    /// The device of a name in an order to the simulator: a type in lower case, or `guidecamera`.
+    pub fn from_name(name: &str) -> Option<Self> {
+        if name == "guidecamera" { Some(Self::GuideCamera) } else { Self::at(name, "0") }
     }
 
     /// Interface version of ASCOM Platform 7.
@@ -74,7 +90,7 @@ impl Kind {
         match self {
             Self::ObservingConditions | Self::CoverCalibrator => 2,
             Self::FilterWheel | Self::Dome | Self::SafetyMonitor | Self::Switch => 3,
-            Self::Telescope | Self::Camera | Self::Focuser | Self::Rotator => 4,
+            Self::Telescope | Self::Camera | Self::GuideCamera | Self::Focuser | Self::Rotator => 4,
         }
     }
 }

@@ -2,8 +2,8 @@
 //!
 //! One [`World`] has one clock, and everything physical in it happens in that clock's sky time: the Sun sinks, the
 //! weather wanders, the mount slews and drifts, the shutter travels, the cooler cools. At speed 60 a minute of night
-//! takes a second of machine time. Ten devices, one of each ASCOM kind, look at that world through the Alpaca
-//! protocol ([`alpaca`]); each has a file of its name. A device is a plain struct: `get` and `put` speak ASCOM,
+//! takes a second of machine time. Ten devices, one of each ASCOM kind, and a guide camera where one is
+//! asked for, look at that world through the Alpaca protocol ([`alpaca`]); each has a file of its name. A device is a plain struct: `get` and `put` speak ASCOM,
 //! `advance` lets sky time pass, and a [`scene::Scene`] shows it the rest of the observatory.
 //!
 //! The stars are real. The camera looks where the mount truly points (which is not quite where it says), through
@@ -41,6 +41,8 @@ mod faults;
 mod filter_wheel;
 mod focuser;
 mod frame;
+mod gear;
+mod guide_camera;
 mod kind;
 mod log;
 mod management;
@@ -58,6 +60,7 @@ mod slit;
 mod switch;
 mod telescope;
 mod travel;
+mod vendor;
 mod weather;
 mod world;
 
@@ -66,7 +69,10 @@ pub use faults::Fault;
 pub use frame::Frame;
 pub use kind::Kind;
 pub use log::Entry;
-pub use options::{CameraOptions, DomeOptions, Filter, FocusOptions, MountOptions, Options, SlitOptions};
+pub use options::{
+    CameraOptions, DomeOptions, Filter, FocusOptions, GuideCameraOptions, MountOptions, Options, SlitOptions,
+};
 pub use server::{Simulator, SimulatorError, run};
+pub use vendor::Vendor;
 pub use weather::{Conditions, Quantity};
 pub use world::World;

@@ -38,14 +38,15 @@ pub async fn description(State(world): State<Arc<World>>, RawQuery(query): RawQu
 
 /// `GET /management/v1/configureddevices`.
 pub async fn devices(State(world): State<Arc<World>>, RawQuery(query): RawQuery) -> Json<Value> {
-    let devices = Kind::ALL.map(|kind| {
+    let device = |kind: Kind| {
         json!({
             "DeviceName": common::name(kind),
             "DeviceType": kind.ascom(),
-            "DeviceNumber": 0,
+            "DeviceNumber": kind.number(),
             // the same for the same server name, as a unique id must not change between runs
-            "UniqueID": format!("{}-{}-0", world.name().to_ascii_lowercase().replace(' ', "-"), kind.path()),
+            "UniqueID": format!("{}-{}-{}", world.name().to_ascii_lowercase().replace(' ', "-"), kind.path(), kind.number()),
         })
-    });
+    };
+    let devices: Vec<Value> = world.kinds().iter().copied().map(device).collect();
     envelope(&world, query, json!(devices))
 }

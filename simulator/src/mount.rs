@@ -3,10 +3,11 @@
 
 use std::f64::consts::TAU;
 
-use sky::{Icrs, Observer};
+use sky::{Horizontal, Icrs, Observer};
 use units::Angle;
 
 use crate::chance::Chance;
+use crate::gear::Gear;
 use crate::options::MountOptions;
 
 /// Sidereal rate, arcsec per second.
@@ -30,6 +31,15 @@ struct Slew {
     elapsed_s: f64,
     duration_s: f64,
     arrival: Arrival,
+    /// What the declination motor turns altogether, deg; it turns forward to the north with the tube east of the pier.
+    dec_motor_deg: f64,
+}
+
+impl Slew {
+    /// The part of the way that is done.
+    fn part(&self) -> f64 {
+        if self.elapsed_s < self.duration_s { self.elapsed_s / self.duration_s } else { 1.0 }
+    }
 }
 
 /// The mount: where its axes are, and how wrong they are.
@@ -61,6 +71,10 @@ pub struct Mount {
     /// Telescope less encoders, arcsec on the sky (east, north): syncs and drift.
     offset: [f64; 2],
     scatter: [f64; 2],
+    /// Of declination, arcsec.
+    gear: Gear,
+    /// As in the options, unless ordered otherwise.
+    dec_pulses_reverse_west: bool,
     tracked_s: f64,
     chance: Chance,
 }
@@ -84,6 +98,8 @@ impl Mount {
             pulses: [(0.0, 0.0); 2],
             offset: [0.0; 2],
             scatter: [0.0; 2],
+            gear: Gear::driving_forward(options.dec_backlash_arcsec),
+            dec_pulses_reverse_west: options.dec_pulses_reverse_west,
             tracked_s: 0.0,
             chance: Chance::new(seed, 0x3007),
         }
@@ -126,9 +142,17 @@ impl Mount {
         ];
         // through the pole both axes of a German mount turn: half a turn less what the target asks anyway
         let flip_deg = if west == self.pier_west { 0.0 } else { 180.0 - by[0].abs() };
+        let dec_motor_deg = if west == self.pier_west {
+            self.dec_sense() * by[1]
+        } else {
+            // over the pole that is up: what is left of half a turn there, forward or back
+            let zenith = observer.to_icrs(&Horizontal::from_degrees(90.0, 0.0));
+            let pole_deg = 180.0_f64.copysign(zenith.dec.degrees());
+            (pole_deg - self.axes[1] - target.dec.degrees()) * if west { 1.0 } else { -1.0 }
+        };
         let way_deg = flip_deg.max(by[0].abs()).max(by[1].abs());
         let duration_s = way_deg / self.options.slew_deg_per_s;
-        self.slew = Some(Slew { from: self.axes, by, elapsed_s: 0.0, duration_s, arrival });
+        self.slew = Some(Slew { from: self.axes, by, elapsed_s: 0.0, duration_s, arrival, dec_motor_deg });
         self.pier_west = west;
         (self.parked, self.home) = (false, false);
         self.axis_rates = [0.0; 2];
@@ -154,14 +178,37 @@ impl Mount {
 
     /// Moves the telescope at `arcsec_per_s` (coordinate rate) along an axis (0 right ascension, 1 declination).
     pub fn pulse(&mut self, axis: usize, arcsec_per_s: f64, duration_s: f64) {
-        self.pulses[axis] = (duration_s, arcsec_per_s);
+        let reversed = axis == 1 && self.pier_west && self.dec_pulses_reverse_west;
+        self.pulses[axis] = (duration_s, if reversed { -arcsec_per_s } else { arcsec_per_s });
+    }
+
+    /// Is under way to somewhere; settling is over already.
+    pub fn is_under_way(&self) -> bool {
+        self.slew.is_some()
+    }
+
+    /// Gives the declination gear another play, arcsec; None: as at the start.
+    pub fn set_dec_backlash(&mut self, arcsec: Option<f64>) {
+        self.gear.set_play(arcsec.unwrap_or(self.options.dec_backlash_arcsec));
+    }
+
+    /// Lets pulses to the north go south with the tube west of the pier, or not; None: as at the start.
+    pub fn reverse_dec_pulses_west(&mut self, reverse: Option<bool>) {
+        self.dec_pulses_reverse_west = reverse.unwrap_or(self.options.dec_pulses_reverse_west);
+    }
+
+    /// Play of the declination gear, arcsec.
+    pub fn dec_backlash_arcsec(&self) -> f64 {
+        self.gear.play()
     }
 
     /// Lets sky time pass.
     pub fn advance(&mut self, dt: f64) {
         if let Some(mut slew) = self.slew.take() {
+            let before = slew.part();
             slew.elapsed_s += dt;
-            let part = if slew.duration_s > 0.0 { (slew.elapsed_s / slew.duration_s).min(1.0) } else { 1.0 };
+            let part = slew.part();
+            self.gear.turn((part - before) * slew.dec_motor_deg * 3600.0);
             self.axes = [slew.from[0] + part * slew.by[0], slew.from[1] + part * slew.by[1]];
             if part < 1.0 {
                 self.slew = Some(slew);
@@ -176,27 +223,39 @@ impl Mount {
         }
         self.settle_left_s = (self.settle_left_s - dt).max(0.0);
         self.axes[0] += self.axis_rates[0] * dt;
-        self.axes[1] = (self.axes[1] + self.axis_rates[1] * dt).clamp(-90.0, 90.0);
-        for axis in 0..2 {
-            let (left_s, rate) = self.pulses[axis];
-            self.axes[axis] += rate * left_s.min(dt) / 3600.0;
-            self.pulses[axis].0 = (left_s - dt).max(0.0);
-        }
+        let mut dec_deg = self.axes[1] + self.axis_rates[1] * dt;
+        let [right_ascension, declination] = &mut self.pulses;
+        self.axes[0] += run(right_ascension, dt) / 3600.0;
+        dec_deg += run(declination, dt) / 3600.0;
         if self.tracking {
             self.tracked_s += dt;
             self.axes[0] += self.rates[0] * dt / 3600.0;
-            self.axes[1] += self.rates[1] * dt / 3600.0;
+            dec_deg += self.rates[1] * dt / 3600.0;
             let (east, north) = self.options.drift_arcsec_per_min;
             self.offset[0] += east * dt / 60.0;
             self.offset[1] += north * dt / 60.0;
         } else {
             self.axes[0] += SIDEREAL_ARCSEC_PER_S * dt / 3600.0;
         }
+        self.turn_dec(dec_deg);
+    }
+
+    /// Turns the declination axis from its encoder's reading to another, through its gear.
+    fn turn_dec(&mut self, to_deg: f64) {
+        let to_deg = to_deg.clamp(-90.0, 90.0);
+        self.gear.turn(self.dec_sense() * (to_deg - self.axes[1]) * 3600.0);
+        self.axes[1] = to_deg;
+    }
+
+    /// Whether the declination motor turns forward (1) or backward (-1) towards the north: through the pole, what was
+    /// up on the axis is down.
+    fn dec_sense(&self) -> f64 {
+        if self.pier_west { -1.0 } else { 1.0 }
     }
 
     /// Telescope less encoders on the sky, arcsec to the east and to the north.
     ///
-    /// Index errors, a polar axis that misses the pole, a tube that bends, worm, drift, syncs and chance.
+    /// Index errors, a polar axis that misses the pole, a tube that bends, worm, drift, syncs, play and chance.
     fn error_arcsec(&self, observer: &Observer) -> [f64; 2] {
         let size = self.options.pointing_error_arcmin * 60.0;
         let (sin_h, cos_h) = observer.hour_angle(&self.encoders()).radians().sin_cos();
@@ -204,7 +263,15 @@ impl Mount {
         let worm = self.options.periodic_error_arcsec * (TAU * self.tracked_s / self.options.worm_period_s).sin();
         [
             size * (0.6 * cos_dec + 0.25 * sin_h * sin_dec) + worm * cos_dec + self.offset[0] + self.scatter[0],
-            size * (-0.5 + 0.25 * cos_h + 0.2 * sin_dec) + self.offset[1] + self.scatter[1],
+            size * (-0.5 + 0.25 * cos_h + 0.2 * sin_dec) + self.offset[1] + self.scatter[1]
+                - self.dec_sense() * self.gear.lag(),
         ]
     }
+}
+
+/// Runs a pulse (seconds left, arcsec per second) for so long; gives how far it went, arcsec.
+fn run((left_s, arcsec_per_s): &mut (f64, f64), dt: f64) -> f64 {
+    let ran_s = left_s.min(dt);
+    *left_s -= ran_s;
+    *arcsec_per_s * ran_s
 }

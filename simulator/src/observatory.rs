@@ -1,4 +1,4 @@
-//! The observatory as one machine: ten devices and the weather, moving through sky time together.
+//! The observatory as one machine: its devices and the weather, moving through sky time together.
 
 use std::sync::Arc;
 
@@ -11,6 +11,7 @@ use crate::cover_calibrator::{self, CoverCalibrator};
 use crate::dome::{self, Dome};
 use crate::filter_wheel::{self, FilterWheel};
 use crate::focuser::{self, Focuser};
+use crate::guide_camera;
 use crate::kind::Kind;
 use crate::observing_conditions::{self, ObservingConditions};
 use crate::options::Options;
@@ -27,8 +28,10 @@ use crate::weather::{Conditions, Quantity, Weather, clear_sky_mag};
 const STEP_S: f64 = 0.5;
 /// Most steps for one advance; at high speed they become longer instead.
 const STEPS: f64 = 60.0;
+/// Tells the guide camera's chance from the main camera's.
+const GUIDE_SEED: u64 = 0x6001_DE00_0000_0000;
 
-/// All ten devices under one sky.
+/// All devices under one sky.
 #[derive(Debug)]
 pub struct Observatory {
     options: Options,
@@ -43,6 +46,8 @@ pub struct Observatory {
     pub telescope: Telescope,
     /// Kind camera.
     pub camera: Camera,
+    /// Camera 1, where there is a guide scope.
+    pub guide_camera: Option<Camera>,
     /// Kind filterwheel.
     pub filter_wheel: FilterWheel,
     /// Kind focuser.
@@ -71,9 +76,14 @@ impl Observatory {
         let observer = Observer::new(&place, &EarthOrientation::default(), options.start)?;
         let weather = Weather::fair(options.seed, options.longitude, options.elevation_m);
         let conditions = weather.at(options.start, clear_sky_mag(observer.sun().altitude));
+        let air_c = conditions.of(Quantity::Temperature);
         Ok(Self {
             telescope: Telescope::new(options, &observer),
-            camera: Camera::new(options, conditions.of(Quantity::Temperature)),
+            camera: Camera::new(Kind::Camera, options.camera, options.focus, options.seed, air_c),
+            guide_camera: options.guide_camera.map(|guide| {
+                // its hot pixels are others
+                Camera::new(Kind::GuideCamera, guide.camera, options.focus, options.seed ^ GUIDE_SEED, air_c)
+            }),
             filter_wheel: FilterWheel::new(&options.filters),
             focuser: Focuser::new(&options.focus),
             dome: Dome::new(&options.dome),
@@ -117,7 +127,11 @@ impl Observatory {
     }
 
     fn step(&mut self, dt: f64) {
+        self.telescope.turn_rates(&self.observer);
         self.telescope.mount.advance(dt);
+        if let Some(vendor) = &mut self.telescope.vendor {
+            vendor.advance(dt, self.telescope.mount.parked);
+        }
         self.filter_wheel.advance(dt);
         self.focuser.advance(dt);
         self.cover_calibrator.advance(dt);
@@ -130,6 +144,29 @@ impl Observatory {
             self.dome.count_light(dt, scene.light.slit_free);
         }
         self.camera.advance(dt, &scene);
+        if let (Some(camera), Some(options)) = (&mut self.guide_camera, &self.options.guide_camera) {
+            camera.advance(dt, &guide_camera::scene(options, scene, self.dome.open()));
+        }
+    }
+
+    /// All cameras.
+    pub fn cameras(&mut self) -> impl Iterator<Item = &mut Camera> {
+        std::iter::once(&mut self.camera).chain(&mut self.guide_camera)
+    }
+
+    /// The camera of this kind; None: no camera, or none that is there.
+    pub fn camera(&self, kind: Kind) -> Option<&Camera> {
+        match kind {
+            Kind::Camera => Some(&self.camera),
+            Kind::GuideCamera => self.guide_camera.as_ref(),
+            _ => None,
+        }
+    }
+
+    /// The observatory as the guide camera finds it; None without one.
+    pub fn guide_scene(&self) -> Option<Scene> {
+        let options = self.options.guide_camera.as_ref()?;
+        Some(guide_camera::scene(options, self.scene(), self.dome.open()))
     }
 
     fn pointing(&self) -> Pointing {
@@ -177,6 +214,10 @@ impl Observatory {
         match kind {
             Kind::Telescope => self.telescope.get(request, &scene),
             Kind::Camera => self.camera.get(request, &scene),
+            Kind::GuideCamera => match (&self.guide_camera, self.guide_scene()) {
+                (Some(camera), Some(scene)) => camera.get(request, &scene),
+                _ => Err(Refusal::UnknownMember),
+            },
             Kind::FilterWheel => self.filter_wheel.get(request),
             Kind::Focuser => self.focuser.get(request, &scene),
             Kind::Dome => self.dome.get(request),
@@ -201,6 +242,13 @@ impl Observatory {
             Kind::Rotator => self.rotator.put(request),
             Kind::Telescope => self.telescope.put(request, &scene),
             Kind::Camera => self.camera.put(request, &scene),
+            Kind::GuideCamera => {
+                let scene = self.guide_scene();
+                match (&mut self.guide_camera, scene) {
+                    (Some(camera), Some(scene)) => camera.put(request, &scene),
+                    _ => Err(Refusal::UnknownMember),
+                }
+            }
         }
     }
 
@@ -208,7 +256,7 @@ impl Observatory {
     pub fn properties(kind: Kind) -> &'static [&'static str] {
         match kind {
             Kind::Telescope => telescope::PROPERTIES,
-            Kind::Camera => camera::PROPERTIES,
+            Kind::Camera | Kind::GuideCamera => camera::PROPERTIES,
             Kind::FilterWheel => filter_wheel::PROPERTIES,
             Kind::Focuser => focuser::PROPERTIES,
             Kind::Dome => dome::PROPERTIES,
@@ -224,7 +272,7 @@ impl Observatory {
     pub fn state_properties(kind: Kind) -> &'static [&'static str] {
         match kind {
             Kind::Telescope => telescope::STATE,
-            Kind::Camera => camera::STATE,
+            Kind::Camera | Kind::GuideCamera => camera::STATE,
             Kind::FilterWheel => filter_wheel::STATE,
             Kind::Focuser => focuser::STATE,
             Kind::Dome => dome::STATE,

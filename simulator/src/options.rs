@@ -31,6 +31,8 @@ pub struct Options {
     pub mount: MountOptions,
     /// Telescope and camera.
     pub camera: CameraOptions,
+    /// A guide scope with a camera of its own on the same mount; None: there is none.
+    pub guide_camera: Option<GuideCameraOptions>,
     /// The dome.
     pub dome: DomeOptions,
     /// Focuser and focus.
@@ -56,12 +58,21 @@ pub struct MountOptions {
     pub worm_period_s: f64,
     /// Drift while tracking in right ascension (on the sky) and declination, arcsec per minute.
     pub drift_arcsec_per_min: (f64, f64),
+    /// Play of the declination gear, arcsec: a reversal must cross it before the telescope moves. The encoder sits on
+    /// the motor, so the play is not seen in `Declination`. In right ascension tracking keeps the gear loaded.
+    pub dec_backlash_arcsec: f64,
+    /// What a pulse to the north means with the tube west of the pier. False: greater declination on both sides, as
+    /// ASCOM has it. True: the motor turns as it does with the tube east of the pier, so the telescope goes south, as
+    /// with German mounts whose controllers do not look at the side.
+    pub dec_pulses_reverse_west: bool,
     /// A German mount, which turns the camera by 180 deg between the sides of its pier.
     pub german: bool,
     /// From the polar axis of a German mount to its optical axis, m.
     pub arm_m: f64,
     /// Speaks coordinates of date (`EquatorialSystem` 1) instead of J2000 (2).
     pub of_date: bool,
+    /// Takes rates for moving targets (`CanSetRightAscensionRate`, `CanSetDeclinationRate`).
+    pub takes_rates: bool,
 }
 
 /// Telescope and camera, as one light path.
@@ -93,10 +104,44 @@ pub struct CameraOptions {
     pub hot_per_million: f64,
     /// Electrons that a pixel holds.
     pub full_well_e: f64,
-    /// Position angle of the camera's y axis (north through east) at rotator position 0.
+    /// Position angle of the camera's y axis (north through east) at rotator position 0, tube east of the pier.
     pub position_angle: Angle,
+    /// An odd number of mirrors: with north up, east is right.
+    pub mirrored: bool,
     /// Faint stars beyond the catalogue, from a seeded sky; None: only for fields under 0.75 deg.
     pub faint_stars: Option<bool>,
+}
+
+/// A guide scope: always in focus, behind the dome's slit but without cover, filter and rotator.
+#[derive(Debug, Clone, Copy)]
+pub struct GuideCameraOptions {
+    /// Its telescope and camera, as one light path; the position angle is that with the tube east of the pier.
+    pub camera: CameraOptions,
+    /// Where it looks, seen from the main telescope with the tube east of the pier: east and north, arcmin.
+    pub offset_arcmin: [f64; 2],
+}
+
+impl Default for GuideCameraOptions {
+    /// A guide scope of 60 mm and 240 mm with small pixels: a field of 1.6 x 1.2 deg, turned and beside the main one.
+    fn default() -> Self {
+        let camera = CameraOptions {
+            width: 1280,
+            height: 960,
+            pixel_um: 3.75,
+            focal_length_mm: 240.0,
+            aperture_mm: 60.0,
+            optics_fwhm_arcsec: 4.0,
+            readout_s: 0.2,
+            read_noise_e: 2.5,
+            electrons_per_adu: 0.3,
+            bias_adu: 200.0,
+            dark_e_per_s: 0.5,
+            full_well_e: 20_000.0,
+            position_angle: Angle::from_degrees(17.0),
+            ..CameraOptions::default()
+        };
+        Self { camera, offset_arcmin: [12.0, -7.0] }
+    }
 }
 
 /// The dome.
@@ -138,6 +183,8 @@ pub struct FocusOptions {
     pub best_step: f64,
     /// Shift of the best position, steps per K.
     pub steps_per_k: f64,
+    /// Play of the gear, steps: coming from greater positions, the optics stand this much farther out than told.
+    pub backlash_steps: f64,
 }
 
 /// One filter of the wheel.
@@ -173,6 +220,7 @@ impl Default for Options {
             elevation_m: 2635.0,
             mount: MountOptions::default(),
             camera: CameraOptions::default(),
+            guide_camera: None,
             dome: DomeOptions::default(),
             focus: FocusOptions::default(),
             filters: vec![
@@ -196,9 +244,12 @@ impl Default for MountOptions {
             periodic_error_arcsec: 2.0,
             worm_period_s: 480.0,
             drift_arcsec_per_min: (0.3, -0.2),
+            dec_backlash_arcsec: 0.0,
+            dec_pulses_reverse_west: false,
             german: true,
             arm_m: 0.0,
             of_date: false,
+            takes_rates: true,
         }
     }
 }
@@ -233,6 +284,7 @@ impl Default for CameraOptions {
             hot_per_million: 150.0,
             full_well_e: 90_000.0,
             position_angle: Angle::from_degrees(0.0),
+            mirrored: false,
             faint_stars: None,
         }
     }
@@ -260,6 +312,13 @@ impl Default for SlitOptions {
 
 impl Default for FocusOptions {
     fn default() -> Self {
-        Self { max_step: 50_000, step_um: 1.0, steps_per_s: 500.0, best_step: 25_000.0, steps_per_k: -15.0 }
+        Self {
+            max_step: 50_000,
+            step_um: 1.0,
+            steps_per_s: 500.0,
+            best_step: 25_000.0,
+            steps_per_k: -15.0,
+            backlash_steps: 0.0,
+        }
     }
 }

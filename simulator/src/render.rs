@@ -54,12 +54,13 @@ pub fn render(plan: &Plan) -> Frame {
 
 /// Where a star falls, in unbinned pixels of the whole sensor; None on the other half of the sky.
 ///
-/// With position angle 0, north is +y and east is -x; the sensor's middle looks at the sample's centre.
+/// With position angle 0, north is +y and east is -x (+x where mirrored); the sensor's middle looks at the sample's centre.
 pub fn pixel_of(plan: &Plan, sample: &Sample, star: Icrs) -> Option<(f64, f64)> {
     let (xi, eta) = Tangent::new(sample.center).project(&star)?;
     let (sin, cos) = sample.position_angle.radians().sin_cos();
     let scale = plan.camera.pixel_scale().radians();
-    let x = (eta.radians() * sin - xi.radians() * cos) / scale;
+    let parity = if plan.camera.mirrored { -1.0 } else { 1.0 };
+    let x = parity * (eta.radians() * sin - xi.radians() * cos) / scale;
     let y = (eta.radians() * cos + xi.radians() * sin) / scale;
     Some((f64::from(plan.camera.width - 1) / 2.0 + x, f64::from(plan.camera.height - 1) / 2.0 + y))
 }
@@ -227,6 +228,7 @@ mod tests {
     fn plan(samples: Vec<Sample>) -> Plan {
         let camera = CameraOptions::default();
         Plan {
+            device: crate::kind::Kind::Camera,
             number: 1,
             started: "2026-11-21T03:00:00Z".parse().unwrap_or(Utc::EPOCH),
             exposure_s: 10.0,

@@ -1,7 +1,7 @@
 //! The telescope: ASCOM's view of the mount.
 
 use serde_json::{Value, json};
-use sky::{Horizontal, Icrs, Observer};
+use sky::{Horizontal, Icrs, Observer, OfDate};
 use units::{Angle, Utc};
 
 use crate::answer::{Answer, DONE, Refusal, within};
@@ -9,6 +9,7 @@ use crate::mount::{Arrival, Mount, SIDEREAL_ARCSEC_PER_S};
 use crate::options::Options;
 use crate::request::Request;
 use crate::scene::Scene;
+use crate::vendor::Vendor;
 
 /// Properties that are read without parameters, in ASCOM's case.
 pub const PROPERTIES: &[&str] = &[
@@ -82,6 +83,9 @@ pub const WAITS_FOR_SLEW: &[&str] = &["slewtocoordinates", "slewtotarget", "slew
 /// Guide rate, deg per second: half the sidereal rate.
 const GUIDE_DEG_PER_S: f64 = 0.5 * SIDEREAL_ARCSEC_PER_S / 3600.0;
 
+/// One second of right ascension per sidereal second, arcsec per second.
+const RA_S_PER_SIDEREAL_S: f64 = 15.0 * 1.002_737_909_36;
+
 /// A mount with a telescope on it.
 #[derive(Debug)]
 pub struct Telescope {
@@ -89,7 +93,11 @@ pub struct Telescope {
     pub mount: Mount,
     /// `AtPark` says true whatever is the case, and `Park` believes it.
     pub lies_about_park: bool,
+    /// Its controller, where one was ordered.
+    pub vendor: Option<Vendor>,
     options: Options,
+    /// Beside the stars, arcsec per second, of right ascension and declination as the mount counts them.
+    pub rates: [f64; 2],
     target_ra_h: Option<f64>,
     target_dec_deg: Option<f64>,
     guide_deg_per_s: [f64; 2],
@@ -105,13 +113,28 @@ impl Telescope {
         Self {
             mount: Mount::parked_at(observer.to_icrs(&park), options.mount, options.seed),
             lies_about_park: false,
+            vendor: None,
             options: options.clone(),
+            rates: [0.0; 2],
             target_ra_h: None,
             target_dec_deg: None,
             guide_deg_per_s: [GUIDE_DEG_PER_S; 2],
             tracking_rate: 0,
             park,
         }
+    }
+
+    /// Turns the rates of the mount's own coordinates to those of its axes, which count in J2000.
+    pub fn turn_rates(&mut self, observer: &Observer) {
+        if !self.options.mount.of_date || self.rates == [0.0; 2] {
+            self.mount.rates = self.rates;
+            return;
+        }
+        let here = observer.to_of_date(&self.mount.encoders());
+        let on = |coordinate: Angle, rate: f64| coordinate + Angle::from_arcseconds(rate);
+        let there = OfDate { ra: on(here.ra, self.rates[0]), dec: on(here.dec, self.rates[1]) };
+        let (here, there) = (observer.of_date_to_icrs(&here), observer.of_date_to_icrs(&there));
+        self.mount.rates = [(there.ra - here.ra).wrapped_signed().arcseconds(), (there.dec - here.dec).arcseconds()];
     }
 
     /// Answers a GET.
@@ -127,20 +150,11 @@ impl Telescope {
             "focallength" => json!(self.options.camera.focal_length_mm / 1e3),
             "athome" => json!(mount.home),
             "atpark" => json!(mount.parked || self.lies_about_park),
-            "canfindhome"
-            | "canpark"
-            | "canpulseguide"
-            | "cansetdeclinationrate"
-            | "cansetguiderates"
-            | "cansetpark"
-            | "cansetrightascensionrate"
-            | "cansettracking"
-            | "canslew"
-            | "canslewaltaz"
-            | "canslewaltazasync"
-            | "canslewasync"
-            | "cansync"
-            | "canunpark" => json!(true),
+            "canfindhome" | "canpark" | "canpulseguide" | "cansetguiderates" | "cansetpark" | "cansettracking"
+            | "canslew" | "canslewaltaz" | "canslewaltazasync" | "canslewasync" | "cansync" | "canunpark" => {
+                json!(true)
+            }
+            "cansetrightascensionrate" | "cansetdeclinationrate" => json!(self.options.mount.takes_rates),
             "cansetpierside" | "cansyncaltaz" | "doesrefraction" => json!(false),
             "canmoveaxis" => json!(axis(request)? < 2),
             "axisrates" => match axis(request)? {
@@ -150,8 +164,8 @@ impl Telescope {
             "rightascension" => json!(scene.to_mount(mount.encoders()).0),
             "declination" => json!(scene.to_mount(mount.encoders()).1),
             // ASCOM counts this rate in seconds of right ascension per sidereal second
-            "rightascensionrate" => json!(mount.rates[0] / 15.0 / 1.002_737_9),
-            "declinationrate" => json!(mount.rates[1]),
+            "rightascensionrate" => json!(self.rates[0] / RA_S_PER_SIDEREAL_S),
+            "declinationrate" => json!(self.rates[1]),
             "equatorialsystem" => json!(if self.options.mount.of_date { 1 } else { 2 }),
             "guideraterightascension" => json!(self.guide_deg_per_s[0]),
             "guideratedeclination" => json!(self.guide_deg_per_s[1]),
@@ -195,6 +209,9 @@ impl Telescope {
                 }
             }
             "setpark" => self.park = scene.observer.to_horizontal(&self.mount.encoders()),
+            "unpark" if self.vendor.as_ref().is_some_and(Vendor::is_in_error) => {
+                return Err(Refusal::invalid_operation("the controller has latched errors"));
+            }
             "unpark" => self.mount.parked = false,
             "tracking" => {
                 let tracking = request.truth("Tracking")?;
@@ -226,8 +243,11 @@ impl Telescope {
             }
             "targetrightascension" => self.target_ra_h = Some(right_ascension(request, "TargetRightAscension")?),
             "targetdeclination" => self.target_dec_deg = Some(declination(request, "TargetDeclination")?),
-            "rightascensionrate" => self.mount.rates[0] = request.number("RightAscensionRate")? * 15.0 * 1.002_737_9,
-            "declinationrate" => self.mount.rates[1] = request.number("DeclinationRate")?,
+            "rightascensionrate" | "declinationrate" if !self.options.mount.takes_rates => {
+                return Err(Refusal::not_implemented(&request.member));
+            }
+            "rightascensionrate" => self.rates[0] = request.number("RightAscensionRate")? * RA_S_PER_SIDEREAL_S,
+            "declinationrate" => self.rates[1] = request.number("DeclinationRate")?,
             "guideraterightascension" => self.guide_deg_per_s[0] = guide_rate(request, "GuideRateRightAscension")?,
             "guideratedeclination" => self.guide_deg_per_s[1] = guide_rate(request, "GuideRateDeclination")?,
             "slewsettletime" => {
@@ -284,9 +304,13 @@ impl Telescope {
         Ok(())
     }
 
-    /// Directions as in ASCOM: 0 north, 1 south, 2 east, 3 west; east is towards greater right ascension.
+    /// Directions as in ASCOM: 0 north, 1 south, 2 east, 3 west; east is towards greater right ascension, north
+    /// towards greater declination on both sides of the pier, unless the mount is one that reverses it.
     fn pulse_guide(&mut self, direction: i32, duration_ms: f64) -> Result<(), Refusal> {
         self.refuse_parked()?;
+        if self.mount.is_under_way() {
+            return Err(Refusal::invalid_operation("not possible while slewing"));
+        }
         let (axis, sign) = match direction {
             0 => (1, 1.0),
             1 => (1, -1.0),
@@ -328,6 +352,8 @@ pub fn told(telescope: &Telescope, scene: &Scene) -> Value {
         "encoder_dec_deg": telescope.mount.encoders().dec.degrees(),
         "parked": telescope.mount.parked,
         "tracking": telescope.mount.tracking,
+        "rates_arcsec_per_s": telescope.rates,
         "pier_west": telescope.mount.pier_west,
+        "dec_backlash_arcsec": telescope.mount.dec_backlash_arcsec(),
     })
 }

@@ -21,12 +21,14 @@ use crate::options::Options;
 use crate::render::render;
 use crate::request::Request;
 use crate::telescope;
+use crate::vendor::Vendor;
 use crate::weather::Quantity;
 
 /// A simulated observatory that runs by itself.
 #[derive(Debug)]
 pub struct World {
     name: String,
+    kinds: Vec<Kind>,
     clock: SkyClock,
     inner: Mutex<Inner>,
     transactions: AtomicU32,
@@ -65,6 +67,7 @@ impl World {
         };
         Ok(Self {
             name: options.name.clone(),
+            kinds: Kind::ALL.into_iter().chain(options.guide_camera.map(|_| Kind::GuideCamera)).collect(),
             clock: SkyClock::at(options.start, options.speed),
             inner: Mutex::new(inner),
             transactions: AtomicU32::new(0),
@@ -107,8 +110,8 @@ impl World {
 
     /// Lets time pass; draws in the background whatever frame has been exposed. Needs a tokio runtime.
     pub fn advance(self: &Arc<Self>) {
-        let plan = self.lock().observatory.camera.take_plan();
-        if let Some(plan) = plan {
+        let plans: Vec<Plan> = self.lock().observatory.cameras().filter_map(|camera| camera.take_plan()).collect();
+        for plan in plans {
             let world = self.clone();
             tokio::task::spawn_blocking(move || world.develop(&plan));
         }
@@ -116,7 +119,9 @@ impl World {
 
     fn develop(&self, plan: &Plan) {
         let frame = render(plan);
-        self.lock().observatory.camera.develop(frame);
+        if let Some(camera) = self.lock().observatory.cameras().find(|camera| camera.kind() == plan.device) {
+            camera.develop(frame);
+        }
     }
 
     /// Asks a device, faults included.
@@ -149,21 +154,27 @@ impl World {
         Reply { answer, fault, logged }
     }
 
-    /// The camera's finished frame.
+    /// A camera's finished frame.
     ///
     /// # Errors
     /// When there is none, or the camera is not connected.
-    pub fn image(&self) -> Result<Arc<Frame>, Refusal> {
+    pub fn image(&self, kind: Kind) -> Result<Arc<Frame>, Refusal> {
         let inner = self.lock();
-        if !inner.connected.get(&Kind::Camera).copied().unwrap_or(false) {
+        if !inner.connected.get(&kind).copied().unwrap_or(false) {
             return Err(Refusal::not_connected());
         }
-        inner.observatory.camera.image(self.clock.now())
+        let camera = inner.observatory.camera(kind).ok_or_else(Refusal::not_connected)?;
+        camera.image(self.clock.now())
     }
 
-    /// Sky time at which the exposure under way ends.
-    pub fn exposure_ends(&self) -> Option<Utc> {
-        self.lock().observatory.camera.ends()
+    /// The devices that are there: the ten, and the guide camera where one was asked for.
+    pub fn kinds(&self) -> &[Kind] {
+        &self.kinds
+    }
+
+    /// Sky time at which a camera's exposure under way ends.
+    pub fn exposure_ends(&self, kind: Kind) -> Option<Utc> {
+        self.lock().observatory.camera(kind)?.ends()
     }
 
     /// Whether the mount still moves.
@@ -203,14 +214,49 @@ impl World {
         self.lock().observatory.dome.set_turn_speed(deg_per_s);
     }
 
+    /// Makes the dome's turns never end, or end again.
+    pub fn let_dome_run_on(&self, runs_on: bool) {
+        self.lock().observatory.dome.set_runs_on(runs_on);
+    }
+
+    /// Makes the dome refuse to move its shutter while it turns, or not.
+    pub fn let_shutter_need_rest(&self, needs_rest: bool) {
+        self.lock().observatory.dome.shutter_needs_rest = needs_rest;
+    }
+
     /// Makes the mount say that it is parked, and believe it, or tell the truth again.
     pub fn lie_about_park(&self, lies: bool) {
         self.lock().observatory.telescope.lies_about_park = lies;
     }
 
+    /// Gives the mount a controller of its maker's own; None: none.
+    pub fn set_vendor(&self, vendor: Option<Vendor>) {
+        self.lock().observatory.telescope.vendor = vendor;
+    }
+
+    /// Whether the mount's controller has latched errors.
+    pub fn has_vendor_errors(&self) -> bool {
+        self.lock().observatory.telescope.vendor.as_ref().is_some_and(Vendor::is_in_error)
+    }
+
     /// Makes the mount stay on its side of the pier whatever it is told, or flip again.
     pub fn ignore_flips(&self, ignores: bool) {
         self.lock().observatory.telescope.mount.ignores_flip = ignores;
+    }
+
+    /// Gives the declination gear this play, arcsec; None: as at the start.
+    pub fn set_dec_backlash(&self, arcsec: Option<f64>) {
+        self.lock().observatory.telescope.mount.set_dec_backlash(arcsec);
+    }
+
+    /// Makes pulses to the north go south with the tube west of the pier, or not; None: as at the start.
+    pub fn reverse_dec_pulses_west(&self, reverse: Option<bool>) {
+        self.lock().observatory.telescope.mount.reverse_dec_pulses_west(reverse);
+    }
+
+    /// Gives the focuser's gear this play, steps; None: as at the start.
+    pub fn set_focus_backlash(&self, steps: Option<f64>) {
+        self.lock().observatory.focuser.set_backlash(steps);
     }
 
     /// Lets the dome close itself when no PUT came for so many machine seconds; None: not at all.
@@ -233,6 +279,18 @@ impl World {
     /// Where the telescope really looks.
     pub fn looks_at(&self) -> Icrs {
         self.lock().observatory.scene().pointing.icrs
+    }
+
+    /// Where the telescope really looks, and when that was.
+    pub fn looks_at_when(&self) -> (Utc, Icrs) {
+        let inner = self.lock();
+        let scene = inner.observatory.scene();
+        (scene.now, scene.pointing.icrs)
+    }
+
+    /// Rates of the mount beside the stars, arcsec per second of right ascension (the coordinate) and declination.
+    pub fn rates_arcsec_per_s(&self) -> [f64; 2] {
+        self.lock().observatory.telescope.rates
     }
 
     /// Whether the mount really is parked, whatever it says.
@@ -278,8 +336,14 @@ impl World {
         inner.observatory.safety_monitor.ordered_unsafe = false;
         inner.observatory.dome.sticks_half_open = false;
         inner.observatory.dome.set_turn_speed(None);
+        inner.observatory.dome.set_runs_on(false);
+        inner.observatory.dome.shutter_needs_rest = false;
         inner.observatory.telescope.lies_about_park = false;
+        inner.observatory.telescope.vendor = None;
         inner.observatory.telescope.mount.ignores_flip = false;
+        inner.observatory.telescope.mount.set_dec_backlash(None);
+        inner.observatory.telescope.mount.reverse_dec_pulses_west(None);
+        inner.observatory.focuser.set_backlash(None);
         inner.observatory.switch.set_on_mains(true);
         drop(inner);
         self.refresh();
@@ -310,6 +374,7 @@ impl World {
         let inner = self.lock();
         let observatory = &inner.observatory;
         let scene = observatory.scene();
+        let guide = observatory.guide_scene();
         json!({
             "utc": scene.now,
             "sun_altitude_deg": observatory.sun().altitude.degrees(),
@@ -321,6 +386,12 @@ impl World {
                 "defocus_steps": scene.light.defocus_steps,
                 "aperture_open": scene.light.open,
             },
+            "guide_camera": guide.map(|it| json!({
+                "ra_deg": it.pointing.icrs.ra.degrees(),
+                "dec_deg": it.pointing.icrs.dec.degrees(),
+                "position_angle_deg": it.light.position_angle.degrees(),
+            })),
+            "focuser": { "backlash_steps": observatory.focuser.backlash_steps() },
             "dome": observatory.dome.told(scene.light.slit_free),
             "ups": observatory.switch.told(),
         })

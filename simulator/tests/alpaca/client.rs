@@ -37,8 +37,10 @@ impl Site {
         site
     }
 
+    /// `kind` is `camera`, or `camera/1` for another than the first.
     pub fn url(&self, kind: &str, member: &str) -> String {
-        format!("http://{}/api/v1/{kind}/0/{member}", self.simulator.address())
+        let device = if kind.contains('/') { kind.to_owned() } else { format!("{kind}/0") };
+        format!("http://{}/api/v1/{device}/{member}", self.simulator.address())
     }
 
     /// The whole answer to a GET; `member` may carry a query.

@@ -114,6 +114,30 @@ async fn a_stuck_shutter_stays_half_open() {
 }
 
 #[tokio::test]
+async fn a_dome_runs_on_until_it_is_stopped_and_its_shutter_waits_for_that() {
+    let site = Site::connected(options(10.0), &["dome"]).await;
+    site.order("world/dome", r#"{"runs_on": true}"#).await;
+    site.order("world/dome", r#"{"shutter_needs_rest": true}"#).await;
+    site.put("dome", "slewtoazimuth", "Azimuth=3").await;
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    assert_eq!(site.get("dome", "slewing").await, true);
+    assert!(site.get("dome", "azimuth").await.as_f64().unwrap() > 6.0, "it has run past 3 deg");
+    assert_eq!(site.try_put("dome", "openshutter", "").await, (200, 0x40B));
+    site.put("dome", "abortslew", "").await;
+    assert_eq!(site.get("dome", "slewing").await, false);
+    site.put("dome", "openshutter", "").await;
+    site.until("dome", "shutterstatus", 0).await;
+    // sent again it runs on again, until it is mended
+    site.put("dome", "slewtoazimuth", "Azimuth=300").await;
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    assert_eq!(site.get("dome", "slewing").await, true);
+    site.simulator.world().clear_faults();
+    site.until("dome", "slewing", false).await;
+    site.put("dome", "closeshutter", "").await;
+    site.until("dome", "shutterstatus", 1).await;
+}
+
+#[tokio::test]
 async fn a_lying_mount_says_parked_and_a_lost_one_wants_connecting() {
     let site = Site::connected(options(1.0), &["telescope"]).await;
     site.put("telescope", "unpark", "").await;

@@ -8,9 +8,9 @@ use units::Angle;
 
 use crate::client::{Site, options};
 
-struct Image {
-    width: usize,
-    height: usize,
+pub struct Image {
+    pub width: usize,
+    pub height: usize,
     /// `[x][y]`.
     pixels: Vec<u16>,
 }
@@ -27,7 +27,7 @@ impl Image {
     }
 
     /// Flux-weighted middle of the light around a place, and its peak.
-    fn centroid(&self, x: f64, y: f64) -> (f64, f64, f64) {
+    pub fn centroid(&self, x: f64, y: f64) -> (f64, f64, f64) {
         let sky = f64::from(self.median());
         let (mut sum, mut sx, mut sy, mut peak) = (0.0, 0.0, 0.0, 0.0_f64);
         for column in (x as usize).saturating_sub(6)..(x as usize + 7).min(self.width) {
@@ -43,15 +43,15 @@ impl Image {
     }
 }
 
-async fn bytes(site: &Site) -> Vec<u8> {
-    let request = site.http.get(site.url("camera", "imagearray?ClientTransactionID=9"));
+async fn bytes(site: &Site, camera: &str) -> Vec<u8> {
+    let request = site.http.get(site.url(camera, "imagearray?ClientTransactionID=9"));
     let response = request.header("Accept", "application/imagebytes").send().await.unwrap();
     assert_eq!(response.headers()["content-type"], "application/imagebytes");
     response.bytes().await.unwrap().to_vec()
 }
 
-async fn image(site: &Site) -> Image {
-    let bytes = bytes(site).await;
+async fn image(site: &Site, camera: &str) -> Image {
+    let bytes = bytes(site, camera).await;
     let word = |n: usize| i32::from_le_bytes(std::array::from_fn(|i| bytes[4 * n + i]));
     assert_eq!([word(0), word(1), word(2), word(4), word(5), word(6), word(7)], [1, 0, 9, 44, 2, 8, 2]);
     let (width, height) = (word(8) as usize, word(9) as usize);
@@ -61,13 +61,17 @@ async fn image(site: &Site) -> Image {
 }
 
 async fn expose(site: &Site, duration_s: f64, light: bool) -> Image {
-    site.put("camera", "startexposure", &format!("Duration={duration_s}&Light={light}")).await;
-    site.until("camera", "imageready", true).await;
-    image(site).await
+    expose_with(site, "camera", duration_s, light).await
+}
+
+pub async fn expose_with(site: &Site, camera: &str, duration_s: f64, light: bool) -> Image {
+    site.put(camera, "startexposure", &format!("Duration={duration_s}&Light={light}")).await;
+    site.until(camera, "imageready", true).await;
+    image(site, camera).await
 }
 
 /// An open dome, a telescope that tracks, a cooled camera.
-async fn observing(options: simulator::Options, ra_h: f64, dec_deg: f64) -> Site {
+pub async fn observing(options: simulator::Options, ra_h: f64, dec_deg: f64) -> Site {
     let site =
         Site::connected(options, &["telescope", "camera", "dome", "filterwheel", "focuser", "covercalibrator"]).await;
     site.put("dome", "slaved", "Slaved=true").await;
@@ -84,19 +88,22 @@ async fn observing(options: simulator::Options, ra_h: f64, dec_deg: f64) -> Site
     site
 }
 
-/// Stars of the shipped catalogue on the sensor of `options`, brightest first: pixel and magnitude.
-fn expected(center: Icrs, options: &simulator::Options, flipped: bool) -> Vec<(f64, f64, f64)> {
-    let scale = options.camera.pixel_scale().radians();
-    let (w, h) = (f64::from(options.camera.width), f64::from(options.camera.height));
+/// Stars of the shipped catalogue on a sensor turned by so many degrees, brightest first: pixel and magnitude.
+pub fn expected(center: Icrs, camera: &simulator::CameraOptions, angle_deg: f64) -> Vec<(f64, f64, f64)> {
+    let scale = camera.pixel_scale().radians();
+    let (w, h) = (f64::from(camera.width), f64::from(camera.height));
+    let (sin, cos) = angle_deg.to_radians().sin_cos();
     let radius = Angle::from_radians(scale * w.hypot(h) / 2.0);
     let tangent = Tangent::new(center);
-    let sign = if flipped { -1.0 } else { 1.0 };
+    // east is left unless a mirror turns it over
+    let left = if camera.mirrored { -1.0 } else { 1.0 };
     let stars = simulator::catalogue::default().cone(center.ra, center.dec, radius, 20.0, 2026.889);
     let mut found: Vec<(f64, f64, f64)> = stars
         .iter()
         .filter_map(|star| {
             let (xi, eta) = tangent.project(&Icrs { ra: star.ra, dec: star.dec })?;
-            let (x, y) = (-sign * xi.radians() / scale, sign * eta.radians() / scale);
+            let (xi, eta) = (xi.radians() / scale, eta.radians() / scale);
+            let (x, y) = (left * (eta * sin - xi * cos), eta * cos + xi * sin);
             Some(((w - 1.0) / 2.0 + x, (h - 1.0) / 2.0 + y, star.mag))
         })
         .filter(|(x, y, _)| (8.0..w - 8.0).contains(x) && (8.0..h - 8.0).contains(y))
@@ -106,7 +113,7 @@ fn expected(center: Icrs, options: &simulator::Options, flipped: bool) -> Vec<(f
 }
 
 /// Stars that no other of at most three magnitudes less brightness disturbs.
-fn alone(stars: &[(f64, f64, f64)]) -> Vec<(f64, f64, f64)> {
+pub fn alone(stars: &[(f64, f64, f64)]) -> Vec<(f64, f64, f64)> {
     let lonely = |a: &&(f64, f64, f64)| {
         stars.iter().filter(|b| b.2 < a.2 + 3.0 && (a.0 - b.0).hypot(a.1 - b.1) < 20.0).count() == 1
     };
@@ -120,8 +127,8 @@ async fn stars_stand_where_the_catalogue_projects_them() {
     let site = observing(options.clone(), 5.5, -2.0).await;
     let image = expose(&site, 20.0, true).await;
     let center = site.simulator.world().looks_at();
-    let flipped = site.get("telescope", "sideofpier").await == 1;
-    let stars = alone(&expected(center, &options, flipped));
+    let angle_deg = if site.get("telescope", "sideofpier").await == 1 { 180.0 } else { 0.0 };
+    let stars = alone(&expected(center, &options.camera, angle_deg));
     let seen: Vec<_> = stars.iter().filter(|star| star.2 > 8.5 && star.2 < 11.0).take(8).collect();
     assert_eq!(seen.len(), 8, "{stars:?}");
     for (x, y, mag) in seen {
@@ -177,7 +184,7 @@ async fn json_and_image_bytes_agree() {
 async fn an_image_that_is_not_there_is_an_error_in_both_forms() {
     let site = Site::connected(options(1.0), &["camera"]).await;
     assert_eq!(site.answer("camera", "imagearray").await["ErrorNumber"], 0x40B);
-    let bytes = bytes(&site).await;
+    let bytes = bytes(&site, "camera").await;
     assert_eq!(i32::from_le_bytes(std::array::from_fn(|i| bytes[4 + i])), 0x40B);
     assert!(String::from_utf8_lossy(&bytes[44..]).contains("no image"));
 }
@@ -200,7 +207,7 @@ async fn exposures_bins_and_subframes_mind_their_limits() {
     assert_eq!(site.get("camera", "lastexposureduration").await, 10.0);
     let stamp = site.get("camera", "lastexposurestarttime").await;
     assert!(stamp.as_str().unwrap().starts_with("2026-11-21T03:0"), "{stamp}");
-    let binned = image(&site).await;
+    let binned = image(&site, "camera").await;
     assert_eq!((binned.width, binned.height), (256, 200));
     site.put("camera", "startexposure", "Duration=1000&Light=true").await;
     site.put("camera", "abortexposure", "").await;
