@@ -11,6 +11,7 @@ use units::Utc;
 use crate::accounts::{Accounts, Asked};
 use crate::driver::{Capabilities, Command as Deed, Driver, Fields, Need};
 use crate::gate::{Gate, Turned};
+use crate::holder::Claimant;
 
 /// Answers of so many commands are remembered, so that a repeat is answered again and not done again.
 const REMEMBERED: usize = 200;
@@ -135,14 +136,15 @@ impl<D: Driver> Front<D> {
     }
 
     async fn take(&self, command: Command<Deed<D>>) -> Result<Option<u64>, Turned> {
-        let Command { id, from, token, action } = command;
+        let Command { id, from, token, boot_id, action } = command;
         let need = self.driver.need(&action);
+        let who = Claimant { name: &from, life: boot_id.as_ref() };
         if matches!(need, Need::Claim | Need::Resume) {
             let _claiming = self.claiming.lock().await;
             if let Some(Reply::Accepted(repeated)) = self.repeat(&id) {
                 return Ok(repeated.token);
             }
-            let granted = self.gate.admit(need, &from, token).await?;
+            let granted = self.gate.admit(need, who, token).await?;
             let asked = Asked { from, id, token };
             match granted {
                 Some(granted) => self.accounts.granted(asked, &action, granted),
@@ -151,7 +153,7 @@ impl<D: Driver> Front<D> {
             return Ok(granted);
         }
         let before = self.reserve(&id, &action)?;
-        match self.gate.admit(need, &from, token).await {
+        match self.gate.admit(need, who, token).await {
             Ok(granted) => {
                 let taken_utc = self.gate.clock.utc();
                 let order = Order { id, from, deed: action, token, taken_utc };

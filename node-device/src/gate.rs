@@ -7,6 +7,7 @@ use contract::Reason;
 
 use crate::driver::Need;
 use crate::guard::Guard;
+use crate::holder::Claimant;
 use crate::permits::Permits;
 use crate::token::Tokens;
 
@@ -31,11 +32,13 @@ pub struct Gate {
 
 impl Gate {
     /// May this command pass? A claim comes back with its token.
-    pub async fn admit(&self, need: Need, from: &str, token: Option<u64>) -> Result<Option<u64>, Turned> {
+    pub async fn admit(&self, need: Need, who: Claimant<'_>, token: Option<u64>) -> Result<Option<u64>, Turned> {
+        let from = who.name;
         match need {
             Need::Nothing => {}
             Need::Close => {
-                self.with_guard(|guard| guard.close_commanded());
+                let now = self.clock.machine();
+                self.with_guard(|guard| guard.close_commanded(now));
             }
             Need::Token => self.fence(from, token)?,
             Need::TokenWhileSafe => {
@@ -48,12 +51,20 @@ impl Gate {
                 let now = self.clock.machine();
                 self.with_guard(|guard| guard.open_commanded(now)).unwrap_or(Ok(()))?;
             }
+            Need::TokenAndPermit => {
+                self.fence(from, token)?;
+                let now = self.clock.machine();
+                if self.with_guard(|guard| guard.may_be_open(now)) == Some(false) {
+                    let detail = "no valid safe permit from every telescope under this dome";
+                    return Err((Reason::NoPermit, detail.to_owned()));
+                }
+            }
             Need::Resume => {
                 self.fence(from, token)?;
                 let now = self.clock.machine();
                 self.with_guard(|guard| guard.resume(now)).unwrap_or(Ok(()))?;
             }
-            Need::Claim => return self.claim(from).await.map(Some),
+            Need::Claim => return self.claim(who).await.map(Some),
         }
         Ok(None)
     }
@@ -73,21 +84,21 @@ impl Gate {
         }
     }
 
-    async fn claim(&self, from: &str) -> Result<u64, Turned> {
+    async fn claim(&self, who: Claimant<'_>) -> Result<u64, Turned> {
         if !self.is_arbiter {
             let detail = "the enclosure grants the lease, or the mount where there is none";
             return Err((Reason::NotImplemented, detail.to_owned()));
         }
-        let telescope = self.commanded(from)?;
-        let now = self.clock.machine();
-        if let Some(holder) = self.permits.holder(&telescope, now).filter(|holder| holder != from) {
-            return Err((Reason::LeaseHeld, format!("{holder} holds the lease and was heard within 5 s")));
+        let (telescope, from) = (self.commanded(who.name)?, who.name);
+        if let Some(holder) = self.permits.rival(&telescope, who, self.clock.machine()) {
+            let whose = if holder == from { "another process, or another life, of " } else { "" };
+            return Err((Reason::LeaseHeld, format!("{whose}{holder} holds the lease and was heard within 5 s")));
         }
         let (tokens, name) = (self.tokens.clone(), telescope.clone());
         let granted = tokio::task::spawn_blocking(move || tokens.grant(&name)).await;
         let granted = granted.map_err(std::io::Error::other).and_then(|granted| granted);
         let token = granted.map_err(|error| (Reason::DeviceError, format!("the token cannot be written: {error}")))?;
-        self.permits.held_by(&telescope, from, self.clock.machine());
+        self.permits.granted(&telescope, who, self.clock.machine());
         self.with_guard(|guard| guard.learn_token(&telescope, token));
         tracing::info!(telescope, from, token, "lease granted");
         Ok(token)

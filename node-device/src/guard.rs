@@ -124,6 +124,12 @@ struct Closing {
     commanded: bool,
 }
 
+impl Closing {
+    fn begun(since: MachineTime, commanded: bool) -> Self {
+        Self { since, tries: 0, last_try: None, moving_since: None, commanded }
+    }
+}
+
 /// The guard of one dome.
 #[derive(Debug)]
 pub struct Guard {
@@ -273,11 +279,19 @@ impl Guard {
     }
 
     /// Somebody commanded closing.
-    pub fn close_commanded(&mut self) {
+    pub fn close_commanded(&mut self, now: MachineTime) {
         self.expected = Expected::Closing;
         if let Some(closing) = &mut self.closing {
             closing.commanded = true;
+        } else if self.closes_by_itself() {
+            self.closing = Some(Closing::begun(now, true));
         }
+    }
+
+    /// Over several telescopes a commander knows its own mounts alone: where the shutter must wait for the park, a command
+    /// only begins the guard's own closing, which hears all of them.
+    pub fn closes_by_itself(&self) -> bool {
+        self.settings.telescopes.len() > 1 && self.settings.policy != CloseWithMount::Beside
     }
 
     /// The commander has taken over again.
@@ -299,7 +313,7 @@ impl Guard {
         let uncommanded = self.compare(now, shutter);
         if self.closing.is_none() && !closed && (uncommanded || self.must_close(now)) {
             let commanded = self.expected == Expected::Closing;
-            self.closing = Some(Closing { since: now, tries: 0, last_try: None, moving_since: None, commanded });
+            self.closing = Some(Closing::begun(now, commanded));
         }
         let mut deeds = Vec::new();
         let mut alarms = Vec::new();

@@ -162,10 +162,42 @@ fn a_closing_that_the_commander_wanted_too_is_no_hold() {
     let number = guard.beat(at(3.0));
     guard.hear(&telescope("alpha"), &permit(1, number, Verdict::Unsafe)).unwrap();
     guard.look(at(3.0), Some(Shutter::Open), true);
-    guard.close_commanded();
+    guard.close_commanded(at(4.0));
     guard.look(at(4.0), Some(Shutter::Closing), true);
     assert_eq!(guard.look(at(40.0), Some(Shutter::Closed), true), []);
     assert!(!guard.says(0, at(40.0), 0).hold);
+}
+
+#[test]
+fn a_commanded_closing_of_a_shared_roof_waits_for_all_mounts_under_it() {
+    for (policy, waits) in
+        [(CloseWithMount::Beside, false), (CloseWithMount::ParkedWithinS, true), (CloseWithMount::ParkedOnly, true)]
+    {
+        let mut roof = guard_with(policy, &["alpha", "beta"]);
+        roof.look(at(0.0), Some(Shutter::Closed), true);
+        let number = roof.beat(at(0.0));
+        for name in ["alpha", "beta"] {
+            roof.hear(&telescope(name), &safe(0, number)).unwrap();
+        }
+        roof.open_commanded(at(1.0)).unwrap();
+        assert_eq!(roof.look(at(2.0), Some(Shutter::Open), false), []);
+        assert_eq!(roof.closes_by_itself(), waits);
+        roof.close_commanded(at(3.0));
+        // the commander's own mount may be parked: the other one is not
+        assert_eq!((roof.is_closing(), roof.look(at(3.0), Some(Shutter::Open), false)), (waits, vec![]));
+        // beside the mounts the command itself has moved the shutter
+        let closes = if waits { vec![Deed::Close] } else { vec![] };
+        assert_eq!(roof.look(at(8.0), Some(Shutter::Open), true), closes, "{policy:?}");
+        roof.look(at(9.0), Some(Shutter::Closing), true);
+        roof.look(at(20.0), Some(Shutter::Closed), true);
+        assert!(!roof.is_closing() && !roof.says(0, at(20.0), 0).hold, "it was wanted: {policy:?}");
+        assert!(!guard_with(policy, &["alpha"]).closes_by_itself(), "one telescope's commander knows its mounts");
+    }
+    let mut late = guard_with(CloseWithMount::ParkedWithinS, &["alpha", "beta"]);
+    late.look(at(0.0), Some(Shutter::Open), false);
+    late.close_commanded(at(1.0));
+    assert_eq!(late.look(at(120.0), Some(Shutter::Open), false), []);
+    assert!(closes(&late.look(at(121.0), Some(Shutter::Open), false)), "and then all the same");
 }
 
 #[test]

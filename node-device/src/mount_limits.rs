@@ -16,10 +16,42 @@ const TURN_DEG_PER_S: f64 = 360.985_647_366 / 86_400.0;
 /// A command that did not help is given again so much later.
 const RETRY: Duration = Duration::from_secs(5);
 
+/// The side of its pier that a mount told of while it tracked towards the meridian. Who tells the same side beyond it has not
+/// turned over, by whatever name it calls the side: some drivers have the two the wrong way round.
+#[derive(Debug, Default)]
+pub struct Approach {
+    side: Option<PierSide>,
+}
+
+impl Approach {
+    /// Notes what the mount says. A slew, which may turn it over, begins anew; what it does not say for a while does not.
+    fn note(&mut self, fields: &Fields, hour_angle_h: f64) {
+        // by six hours from the meridian it is the other passage, below the pole
+        if (-6.0..0.0).contains(&hour_angle_h) {
+            self.side = told_side(fields).or(self.side);
+        } else if !(0.0..6.0).contains(&hour_angle_h) {
+            self.side = None;
+        }
+    }
+
+    /// Is the mount past the meridian on the side on which it came?
+    fn stayed(&self, fields: &Fields) -> bool {
+        self.side.is_some() && told_side(fields).is_none_or(|side| self.side == Some(side))
+    }
+}
+
+fn told_side(fields: &Fields) -> Option<PierSide> {
+    fields.pier_side.known().copied().filter(|side| *side != PierSide::Unknown)
+}
+
 /// Which limit a tracking mount reaches within the next seconds, in words with numbers and units.
-pub fn reached(limits: &MountLimits, fields: &Fields, sky: &Observer) -> Option<String> {
-    let tracks = fields.tracking.known() == Some(&true) && fields.slewing.known() != Some(&true);
-    if !tracks || fields.at_park.known() == Some(&true) {
+pub fn reached(limits: &MountLimits, approach: &mut Approach, fields: &Fields, sky: &Observer) -> Option<String> {
+    if fields.slewing.known() == Some(&true) || fields.at_park.known() == Some(&true) {
+        *approach = Approach::default();
+        return None;
+    }
+    let tracks = fields.tracking.known() == Some(&true);
+    if !tracks {
         return None;
     }
     let place = fields.ra_deg.known().zip(fields.dec_deg.known()).map(|(ra, dec)| OfDate::from_degrees(*ra, *dec));
@@ -41,7 +73,8 @@ pub fn reached(limits: &MountLimits, fields: &Fields, sky: &Observer) -> Option<
         return Some(format!("hour angle {hour_angle_h:.3} h, the limit is {most_h} h"));
     }
     let past_min = hour_angle_h * 60.0;
-    let looks_east = fields.pier_side.known() == Some(&PierSide::West);
+    approach.note(fields, hour_angle_h);
+    let looks_east = fields.pier_side.known() == Some(&PierSide::West) || approach.stayed(fields);
     // within 90 deg of the meridian above the pole; below the pole a mount on that side moves away from it
     let most_min = limits.meridian_past_min.filter(|most_min| looks_east && past_min > *most_min && past_min < 360.0);
     most_min
@@ -71,6 +104,10 @@ impl LimitWatch {
         if self.tries == 1 { vec![off] } else { vec![Command::Abort, off] }
     }
 }
+
+#[cfg(test)]
+#[path = "mount_limits_story_tests.rs"]
+mod story_tests;
 
 #[cfg(test)]
 mod tests {
@@ -103,7 +140,7 @@ mod tests {
         MountLimits { altitude_min_deg: 20.0, hour_angle_max_h: Some(5.0), meridian_past_min: Some(15.0) };
 
     fn why(fields: &Fields) -> String {
-        reached(&LIMITS, fields, &sky()).unwrap_or_default()
+        reached(&LIMITS, &mut Approach::default(), fields, &sky()).unwrap_or_default()
     }
 
     #[test]

@@ -9,10 +9,9 @@ use contract::device::dome::Guard;
 use contract::observatory::{Lease, Permit, Verdict};
 use contract::{BootId, Chunk, Key, Kind, Part};
 
+use crate::holder::{Claimant, Holding};
 use crate::token::Tokens;
 
-/// A holder that was silent for so long has lost its claim to the lease.
-pub const SILENT: Duration = Duration::from_secs(5);
 /// How long a permit counts for devices that have no guard of their own.
 const PERMIT_VALID: Duration = Duration::from_secs(10);
 
@@ -26,7 +25,7 @@ pub struct Permits {
 
 #[derive(Debug, Clone, Default)]
 struct Newest {
-    holder: Option<(String, MachineTime)>,
+    holding: Holding,
     permit: Option<HeardPermit>,
 }
 
@@ -47,27 +46,27 @@ impl Permits {
         permit.is_some_and(|permit| permit.safe && now.since(permit.arrived) <= PERMIT_VALID)
     }
 
-    /// Who was heard, or granted the lease, within the last 5 s.
-    pub fn holder(&self, telescope: &str, now: MachineTime) -> Option<String> {
+    /// Another process that holds the lease and was heard within the last 5 s, by its name.
+    pub fn rival(&self, telescope: &str, claimant: Claimant, now: MachineTime) -> Option<String> {
         let newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
-        let (holder, at) = newest.get(telescope)?.holder.as_ref()?;
-        (now.since(*at) < SILENT).then(|| holder.clone())
+        newest.get(telescope)?.holding.rival(claimant, now).map(str::to_owned)
     }
 
     /// Somebody holds the lease now.
-    pub fn held_by(&self, telescope: &str, holder: &str, now: MachineTime) {
+    pub fn granted(&self, telescope: &str, claimant: Claimant, now: MachineTime) {
         let mut newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
-        newest.entry(telescope.to_owned()).or_default().holder = Some((holder.to_owned(), now));
+        newest.entry(telescope.to_owned()).or_default().holding.grant(claimant, now);
     }
 
     /// A lease was spoken of: an empty holder has released it. Where permits are spoken, they alone keep it alive.
-    fn lease(&self, telescope: &str, holder: &str, arrived: MachineTime) {
+    fn lease(&self, telescope: &str, heard: &Heard<Lease>) {
+        let (lease, life) = (&heard.said.body, &heard.said.boot_id);
         let mut newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
         let entry = newest.entry(telescope.to_owned()).or_default();
-        if holder.is_empty() {
-            entry.holder = None;
+        if lease.holder.is_empty() {
+            entry.holding.release(life, lease.token);
         } else if entry.permit.is_none() {
-            entry.holder = Some((holder.to_owned(), arrived));
+            entry.holding.hear(&lease.holder, life, lease.token, heard.arrived);
         }
     }
 
@@ -99,7 +98,7 @@ impl Permits {
         if permit.token < highest_token || repeats {
             return;
         }
-        entry.holder = Some((permit.commander.clone(), heard.arrived));
+        entry.holding.hear(&permit.commander, &heard.said.boot_id, permit.token, heard.arrived);
         entry.permit = Some(HeardPermit {
             boot_id: heard.said.boot_id.clone(),
             seq: heard.said.seq,
@@ -142,10 +141,10 @@ pub async fn listen(bus: Bus, site: Chunk, tokens: Arc<Tokens>, permits: Arc<Per
             heard = heard_leases.hear() => {
                 let Key::Observatory(address, _) = &heard.key else { continue };
                 let telescope = address.telescope.as_str();
-                let lease = &heard.said.body;
-                learn(&tokens, telescope, lease.token).await;
-                if lease.token == tokens.highest(telescope) {
-                    permits.lease(telescope, &lease.holder, heard.arrived);
+                let token = heard.said.body.token;
+                learn(&tokens, telescope, token).await;
+                if token == tokens.highest(telescope) {
+                    permits.lease(telescope, &heard);
                 }
             }
         }

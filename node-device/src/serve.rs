@@ -4,6 +4,8 @@
 //! `select!`: a command, the answer to a command, the answer to a poll and the timers are heard in any order, so
 //! that what makes safe is never behind what hangs.
 
+mod command;
+
 use std::pin::Pin;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
@@ -12,14 +14,14 @@ use bus::{Node, Publisher, Quality};
 use config::Common;
 use contract::audit::Outcome as Ended;
 use contract::device::Description;
-use contract::{Device, DeviceKind as _, DeviceState, Key, LastCommand, Link, NoData, Outcome};
+use contract::{Device, DeviceKind as _, DeviceState, Key, LastCommand, Link, NoData};
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 
+use self::command::Running;
 use crate::alpaca::{Alpaca, AlpacaError};
 use crate::contact::{Answer, Greeting, Poll, Questions, lost_reason};
-use crate::deadline::machine_limit;
-use crate::driver::{Capabilities, Command, Driver, Fields, Now, Obeyed, Progress};
+use crate::driver::{Capabilities, Command, Driver, Fields, Now, Obeyed};
 use crate::front::{Front, Order};
 use crate::has::Has;
 use crate::readings::Readings;
@@ -29,8 +31,6 @@ use crate::record::Voice;
 const FAST: Duration = Duration::from_millis(100);
 /// A device that is busy for so long without a command is polled at leisure again.
 const BUSY_LIMIT: Duration = Duration::from_secs(600);
-/// A device that rests for so long after a command without an answer has not heard it.
-const DOUBT: Duration = Duration::from_secs(3);
 /// A state is said at least so often.
 const SAY: Duration = Duration::from_secs(5);
 /// Capabilities are said so often.
@@ -68,17 +68,6 @@ pub struct Serve<D: Driver> {
     pub polled: Vec<String>,
     /// Fixed rows of it.
     pub fixed: Vec<String>,
-}
-
-struct Running<D: Driver> {
-    order: Order<Command<D>>,
-    /// When the device had taken it; only later readings judge it.
-    sent: Option<Instant>,
-    deadline: Option<Instant>,
-    standing_since: Option<Instant>,
-    /// No answer came: perhaps it was never heard.
-    in_doubt: bool,
-    resting_since: Option<Instant>,
 }
 
 struct Loop<D: Driver> {
@@ -319,116 +308,6 @@ impl<D: Driver> Loop<D> {
         self.serve.driver.observed(&self.readings, Now { machine: clock.machine(), sky: clock.sky() });
     }
 
-    /// A command was accepted.
-    fn start(&mut self, order: Order<Command<D>>) {
-        let verb = verb(&order.deed);
-        if let Some(running) = &self.running {
-            self.account(&running.order, Ended::Superseded { by: order.id.clone() });
-            let id = running.order.id.clone();
-            tracing::info!(device = %self.serve.device, command = %id, by = verb, "command interrupted");
-        }
-        tracing::info!(device = %self.serve.device, verb, from = order.from, "command");
-        self.last_command = Some(LastCommand {
-            id: order.id.clone(),
-            from: order.from.clone(),
-            verb,
-            taken_utc: order.taken_utc,
-            outcome: Outcome::Running,
-        });
-        let driver = self.serve.driver.clone();
-        let urgent = driver.interrupts(&order.deed);
-        let alpaca = if urgent { self.serve.alpaca.at_once() } else { self.serve.alpaca.clone() };
-        let fields = driver.fields(&self.readings);
-        let (id, deed) = (order.id.clone(), order.deed.clone());
-        // dropping the job before ends its requests
-        self.job = Some(Box::pin(async move { driver.obey(&alpaca, &id, &deed, &fields).await }));
-        self.running = Some(Running {
-            order,
-            sent: None,
-            deadline: None,
-            standing_since: None,
-            in_doubt: false,
-            resting_since: None,
-        });
-    }
-
-    /// The device has answered a command.
-    fn obeyed(&mut self, result: Result<Obeyed, AlpacaError>) {
-        let Some(running) = &mut self.running else { return };
-        let now = Instant::now();
-        match result {
-            Ok(Obeyed::Done) => self.end(Outcome::Done),
-            Err(error) if !error.is_unknown_outcome() => self.end(Outcome::Failed { reason: error.to_string() }),
-            // no answer says nothing about whether it was done; the state will
-            answer @ (Ok(Obeyed::Watch) | Err(_)) => {
-                running.in_doubt = answer.is_err();
-                let limit = self.serve.driver.limit(&running.order.deed);
-                running.sent = Some(now);
-                running.deadline = Some(now + machine_limit(self.serve.node.bus.clock(), limit));
-            }
-        }
-        if self.link == Link::Connected {
-            self.next_contact = now;
-        }
-    }
-
-    /// How far is the command, by readings of a poll that began then?
-    fn judge(&mut self, began: Option<Instant>) {
-        let Some(running) = &mut self.running else { return };
-        let Some(sent) = running.sent else { return };
-        if let Some(began) = began.filter(|began| *began >= sent && self.link == Link::Connected) {
-            let driver = &self.serve.driver;
-            match driver.progress(&running.order.deed, &driver.fields(&self.readings)) {
-                Progress::Done => return self.end(Outcome::Done),
-                Progress::Failed(reason) => return self.end(Outcome::Failed { reason }),
-                Progress::Running => {
-                    running.standing_since = None;
-                    let rests = running.in_doubt && !driver.is_busy(&driver.fields(&self.readings));
-                    let since = if rests { *running.resting_since.get_or_insert(began) } else { began };
-                    running.resting_since = rests.then_some(since);
-                    if began.duration_since(since) >= DOUBT {
-                        let reason = "no answer came, and the device rests without having done it".to_owned();
-                        return self.end(Outcome::Failed { reason });
-                    }
-                }
-                Progress::Settling(seconds) => {
-                    let since = *running.standing_since.get_or_insert(began);
-                    let settle = Duration::from_secs_f64(seconds.clamp(0.0, 3600.0));
-                    if began.duration_since(since) >= self.serve.node.bus.clock().machine_duration(settle) {
-                        return self.end(Outcome::Done);
-                    }
-                }
-            }
-        }
-        if running.deadline.is_some_and(|deadline| Instant::now() >= deadline) {
-            let limit = self.serve.driver.limit(&running.order.deed).as_secs_f64();
-            self.end(Outcome::Failed { reason: format!("not done within {limit} s") });
-        }
-    }
-
-    fn end(&mut self, outcome: Outcome) {
-        if let Some(running) = self.running.take() {
-            self.account(&running.order, ended(&outcome));
-        }
-        self.front().running = None;
-        if let Some(last) = &mut self.last_command {
-            match &outcome {
-                Outcome::Failed { reason } => {
-                    tracing::warn!(device = %self.serve.device, verb = last.verb, reason, "command failed");
-                }
-                Outcome::Done | Outcome::Running => {}
-            }
-            last.outcome = outcome;
-        }
-    }
-
-    /// Tells the audit how a command ended.
-    fn account(&self, order: &Order<Command<D>>, how: Ended) {
-        if self.serve.driver.moves(&order.deed) {
-            self.serve.front.accounts.note(order.asked(), &order.deed, how);
-        }
-    }
-
     fn front(&self) -> std::sync::MutexGuard<'_, crate::front::Face<D>> {
         self.serve.front.face.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -476,22 +355,5 @@ impl<D: Driver> Loop<D> {
             }
             self.next_description = now + CAPABILITIES;
         }
-    }
-}
-
-fn ended(outcome: &Outcome) -> Ended {
-    match outcome {
-        // a command ends only once
-        Outcome::Done | Outcome::Running => Ended::Done,
-        Outcome::Failed { reason } => Ended::Failed { detail: reason.clone() },
-    }
-}
-
-/// What a command is called: the name that it has on the bus.
-fn verb<C: serde::Serialize>(deed: &C) -> String {
-    match serde_json::to_value(deed) {
-        Ok(serde_json::Value::String(word)) => word,
-        Ok(serde_json::Value::Object(object)) => object.keys().next().cloned().unwrap_or_default(),
-        _ => String::new(),
     }
 }

@@ -36,7 +36,7 @@ use crate::front::Front;
 use crate::gate::Gate;
 use crate::guard::{Guard, Settings};
 use crate::guard_task::GuardTask;
-use crate::mount_limits::{self, LimitWatch};
+use crate::mount_limits::{self, Approach, LimitWatch};
 use crate::mount_watch::MountWatch;
 use crate::node_part::NodePart;
 use crate::permits::{self, Permits};
@@ -44,7 +44,7 @@ use crate::serve::Serve;
 use crate::spool::Spool;
 use crate::token::Tokens;
 use crate::watchdog::Watchdog;
-use crate::{announce, second_writer, spool_http};
+use crate::{announce, second_writer, shared_dome, spool_http};
 
 type Tasks = JoinSet<anyhow::Result<()>>;
 
@@ -68,7 +68,8 @@ pub async fn all(
 ) -> anyhow::Result<Option<Arc<Spool>>> {
     let data = &node.config.folders.data;
     std::fs::create_dir_all(data).with_context(|| format!("cannot make the folder {}", data.display()))?;
-    let tokens = Arc::new(Tokens::open(&data.join(format!("tokens-{}.json", node.id)))?);
+    let tokens =
+        Arc::new(Tokens::open(&data.join(format!("tokens-{}-{}.json", node.config.place.telescope, node.id)))?);
     let permits = Arc::new(Permits::default());
     let (bus, site) = (node.bus.clone(), node.config.place.site.clone());
     let (heard_tokens, heard_permits, stop) = (tokens.clone(), permits.clone(), node.stop.clone());
@@ -179,9 +180,21 @@ impl Shared<'_> {
         };
         let guard = Arc::new(Mutex::new(Guard::new(settings, known, clock.machine())));
         let (eye, seen) = watch::channel(None);
-        let driver = Dome { travel_timeout_s: dome.travel_timeout_s, guard: guard.clone(), clock, eye };
+        let driver = Dome {
+            travel_timeout_s: dome.travel_timeout_s,
+            guard: guard.clone(),
+            clock,
+            eye,
+            vendor_commands: dome.vendor_commands.clone(),
+            vendor_commands_to_close: dome.vendor_commands_to_close.clone(),
+        };
         let gate = self.gate(Some(guard.clone()), true);
-        let (_, alpaca) = self.serve(&dome.common, driver, gate)?;
+        let (front, alpaca) = self.serve(&dome.common, driver, gate)?;
+        let (node, stop, block) = (self.node.clone(), self.node.stop.clone(), dome.clone());
+        self.tasks.spawn(async move {
+            stop.or(shared_dome::keep_noticing(node, block, front)).await.transpose()?;
+            Ok(())
+        });
         let device = self.device::<Dome>(&dome.common);
         let task = GuardTask {
             guard,
@@ -199,7 +212,7 @@ impl Shared<'_> {
     }
 
     fn telescope(&mut self, mount: &config::Telescope) -> anyhow::Result<()> {
-        let driver = Telescope { slew_timeout_s: mount.slew_timeout_s, settle_s: mount.settle_s };
+        let driver = Telescope::new(mount);
         let enclosures = self.node.config.enclosures();
         let gate = self.gate(None, enclosures.is_empty());
         let (front, _) = self.serve(mount.common(), driver, gate)?;
@@ -226,7 +239,8 @@ impl Shared<'_> {
             Some(host) => format!("http://{host}:{}", bound.port()),
             None => format!("http://{bound}"),
         };
-        let folder = node.config.folders.data.join(format!("spool-{}", node.id));
+        let folder = format!("spool-{}-{}", node.config.place.telescope, node.id);
+        let folder = node.config.folders.data.join(folder);
         let (spool, stored) = Spool::open(&folder, base)?;
         let spool = Arc::new(spool);
         let names = cameras.iter().map(|camera| camera.common.name.clone()).collect();
@@ -262,7 +276,7 @@ async fn watch_limits(
     let (clock, site) = (node.bus.clock().clone(), &node.config.place);
     let (latitude, longitude) = (Angle::from_degrees(site.latitude_deg), Angle::from_degrees(site.longitude_deg));
     let place = Place::new(latitude, longitude, site.elevation_m)?;
-    let mut watch = LimitWatch::default();
+    let (mut watch, mut approach) = (LimitWatch::default(), Approach::default());
     loop {
         if node.stop.or(clock.tick(Duration::from_secs(1))).await.is_none() {
             return Ok(());
@@ -275,7 +289,7 @@ async fn watch_limits(
             }
         };
         let fields = front.face.lock().unwrap_or_else(PoisonError::into_inner).fields.clone();
-        let reached = mount_limits::reached(&limits, &fields, &sky);
+        let reached = mount_limits::reached(&limits, &mut approach, &fields, &sky);
         for command in watch.look(clock.machine(), reached.is_some()) {
             tracing::warn!(mount = %name, ?command, why = reached, "a limit of the mount is reached");
             front.insist(&node.signature(), command);

@@ -99,6 +99,15 @@ impl Alpaca {
         parameters: &[(&str, &str)],
         deadline: Duration,
     ) -> Result<(), AlpacaError> {
+        self.send(member, parameters, deadline).await.map(|_| ())
+    }
+
+    /// Calls a method that answers, within 5 s; never sent twice. `None` where the answer has no value.
+    pub async fn call(&self, member: &str, parameters: &[(&str, &str)]) -> Result<Option<Value>, AlpacaError> {
+        self.send(member, parameters, COMMAND_DEADLINE).await.map(|answer| answer.value)
+    }
+
+    async fn send(&self, member: &str, parameters: &[(&str, &str)], deadline: Duration) -> Result<Answer, AlpacaError> {
         let _turn = self.my_turn().await;
         let asking = async {
             let (client_id, transaction) = self.ids();
@@ -110,7 +119,7 @@ impl Alpaca {
                     .header(CONTENT_TYPE, "application/x-www-form-urlencoded")
                     .body(form.clone());
                 let response = request.send().await.map_err(|error| AlpacaError::from_http(&error))?;
-                read_answer(response).await.map(|_| ())
+                read_answer(response).await
             };
             match send(self.client()).await {
                 // no new connection could be made, so nothing was done: the polls' own may still stand

@@ -3,6 +3,8 @@
 mod client;
 pub mod discovery;
 mod error;
+#[cfg(test)]
+mod fuzz_tests;
 pub mod image;
 mod image_bytes;
 mod image_json;

@@ -4,11 +4,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use bus::Clock;
+use config::VendorPattern;
 use contract::device::dome::{self, Capabilities, Command, Fields, Shutter};
 use contract::{CommandId, NoData, Reason};
 use tokio::sync::watch;
 
-use super::{Driver, Need, Now, Obeyed, Progress, apart_deg, can, within};
+use super::{Driver, Need, Now, Obeyed, Progress, apart_deg, can, vendor, within};
 use crate::alpaca::{Alpaca, AlpacaError};
 use crate::guard::Guard;
 use crate::guard_task::Seen;
@@ -28,6 +29,10 @@ pub struct Dome {
     pub clock: Clock,
     /// Where the guard sees what this driver reads.
     pub eye: watch::Sender<Seen>,
+    /// What of its maker's own it may be sent under a permit.
+    pub vendor_commands: Vec<VendorPattern>,
+    /// What it may be sent without one.
+    pub vendor_commands_to_close: Vec<VendorPattern>,
 }
 
 impl Dome {
@@ -90,6 +95,8 @@ impl Driver for Dome {
             Command::SlewToAzimuth { .. } | Command::Slave { .. } => Need::Token,
             Command::Claim => Need::Claim,
             Command::Resume => Need::Resume,
+            Command::Vendor(command) if vendor::is_listed(&self.vendor_commands_to_close, command) => Need::Token,
+            Command::Vendor(_) => Need::TokenAndPermit,
         }
     }
 
@@ -116,6 +123,9 @@ impl Driver for Dome {
             }
             Command::SlewToAzimuth { azimuth_deg } => within("azimuth_deg", *azimuth_deg, 0.0, 360.0),
             Command::Slave { .. } if !can.slave => not("follow the mount"),
+            Command::Vendor(command) => {
+                vendor::refuse(&[&self.vendor_commands, &self.vendor_commands_to_close], command)
+            }
             // closing is tried whatever the dome says of itself
             Command::OpenShutter
             | Command::CloseShutter
@@ -143,6 +153,8 @@ impl Driver for Dome {
                 alpaca.put("openshutter", &[]).await?;
             }
             Command::CloseShutter if fields.shutter.known() == Some(&Shutter::Closing) => {}
+            // it has begun to: the shutter moves as soon as all mounts under it are parked
+            Command::CloseShutter if self.guard().closes_by_itself() => {}
             Command::CloseShutter => match alpaca.put("closeshutter", &[]).await {
                 // there are domes that move no shutter while they turn
                 Err(error) if !error.is_unknown_outcome() && fields.slewing.known() == Some(&true) => {
@@ -158,6 +170,14 @@ impl Driver for Dome {
                 alpaca.put("slewtoazimuth", &[("Azimuth", &(azimuth_deg % 360.0).to_string())]).await?;
             }
             Command::Slave { on } => alpaca.put("slaved", &[("Slaved", if *on { "True" } else { "False" })]).await?,
+            Command::Vendor(words) => {
+                // the permit may have gone since the command was taken
+                let needs_permit = self.need(command) == Need::TokenAndPermit;
+                if needs_permit && !self.guard().may_be_open(self.clock.machine()) {
+                    return Err(AlpacaError::Value(NoData::new("no permit", "it ran out before this was sent")));
+                }
+                return vendor::obey(alpaca, words).await;
+            }
             Command::Claim | Command::Resume => return Ok(Obeyed::Done),
         }
         Ok(Obeyed::Watch)
@@ -169,7 +189,9 @@ impl Driver for Dome {
                 Duration::from_secs_f64(self.travel_timeout_s.clamp(1.0, 86_400.0))
             }
             Command::Park | Command::SlewToAzimuth { .. } => Duration::from_secs(300),
-            Command::Abort | Command::Slave { .. } | Command::Claim | Command::Resume => Duration::from_secs(30),
+            Command::Abort | Command::Slave { .. } | Command::Claim | Command::Resume | Command::Vendor(_) => {
+                Duration::from_secs(30)
+            }
         }
     }
 
@@ -193,6 +215,7 @@ impl Driver for Dome {
                 None => Progress::Running,
             },
             Command::Slave { on } => Progress::done_if(fields.slaved.known() == Some(on)),
+            Command::Vendor(_) => Progress::Failed(vendor::UNANSWERED.to_owned()),
             Command::Claim | Command::Resume => Progress::Done,
         }
     }

@@ -11,6 +11,7 @@ pub mod rotator;
 pub mod safety_monitor;
 pub mod switch;
 pub mod telescope;
+mod vendor;
 
 use std::future::Future;
 use std::time::Duration;
@@ -46,6 +47,8 @@ pub enum Need {
     TokenWhileSafe,
     /// The newest token: everything that moves.
     Token,
+    /// The newest token and every permit.
+    TokenAndPermit,
     /// The newest token, every permit, and no hold: opening an enclosure.
     Open,
     /// Nothing, and the guard must know: closing an enclosure.
@@ -83,6 +86,8 @@ pub enum Obeyed {
     Watch,
     /// Done already.
     Done,
+    /// Done, and the device answered so.
+    Answered(String),
 }
 
 /// One ASCOM kind.

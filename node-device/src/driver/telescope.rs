@@ -1,11 +1,13 @@
 //! The mount.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use config::VendorPattern;
 use contract::device::telescope::{self, Capabilities, Command, Direction, EquatorialSystem, Fields, PierSide};
 use contract::{CommandId, Datum, Reason};
 
-use super::{Driver, Need, Obeyed, Progress, apart_deg, can, optional, within};
+use super::{Driver, Need, Obeyed, Progress, apart_deg, can, optional, vendor, within};
 use crate::alpaca::{Alpaca, AlpacaError, value};
 use crate::readings::Readings;
 
@@ -13,12 +15,48 @@ use crate::readings::Readings;
 /// report positions after their own pointing model.
 const AT_TARGET_DEG: f64 = 0.5;
 
+/// The fastest that a mount is sent beside the stars, arcsec per second: a satellite at 300 km overhead needs 5000.
+const MOST_ARCSEC_PER_S: f64 = 20_000.0;
+/// The same in right ascension, s per sidereal second: beside the pole that coordinate runs faster.
+const MOST_RA_S_PER_SIDEREAL_S: f64 = 20_000.0;
+
+/// A mount that parks is asked to forget its rates no longer than this.
+const END_RATES: Duration = Duration::from_secs(2);
+
 /// Drives a mount.
 pub struct Telescope {
     /// A slew that takes longer has failed, sky s.
-    pub slew_timeout_s: f64,
+    slew_timeout_s: f64,
     /// A slew is done when the mount has stood for so long, sky s.
-    pub settle_s: f64,
+    settle_s: f64,
+    /// What of its maker's own it may be sent.
+    vendor_commands: Vec<VendorPattern>,
+    /// Rates beside the stars may be set: ours, or those of somebody before this node began.
+    may_drift: AtomicBool,
+}
+
+impl Telescope {
+    /// A driver by its block of the configuration.
+    pub fn new(mount: &config::Telescope) -> Self {
+        let vendor_commands = mount.vendor_commands.clone();
+        let (slew_timeout_s, settle_s) = (mount.slew_timeout_s, mount.settle_s);
+        Self { slew_timeout_s, settle_s, vendor_commands, may_drift: AtomicBool::new(true) }
+    }
+
+    /// Sets both rates beside the stars.
+    async fn set_rates(&self, alpaca: &Alpaca, ra: f64, dec: f64) -> Result<(), AlpacaError> {
+        self.may_drift.store(true, Ordering::Relaxed);
+        alpaca.put("rightascensionrate", &[("RightAscensionRate", ra.to_string().as_str())]).await?;
+        alpaca.put("declinationrate", &[("DeclinationRate", dec.to_string().as_str())]).await?;
+        // forgotten only when both are known to be zero
+        self.may_drift.store(ra != 0.0 || dec != 0.0, Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// Lets the mount follow the stars again, where it may do otherwise.
+    async fn end_rates(&self, alpaca: &Alpaca) -> Result<(), AlpacaError> {
+        if self.may_drift.load(Ordering::Relaxed) { self.set_rates(alpaca, 0.0, 0.0).await } else { Ok(()) }
+    }
 }
 
 impl Driver for Telescope {
@@ -46,6 +84,9 @@ impl Driver for Telescope {
 
     async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
         let set_rates = can(alpaca, "cansetrightascensionrate").await? && can(alpaca, "cansetdeclinationrate").await?;
+        if !set_rates {
+            self.may_drift.store(false, Ordering::Relaxed);
+        }
         let system = optional(alpaca, "equatorialsystem", value::whole).await?.unwrap_or(0);
         Ok(Capabilities {
             park: can(alpaca, "canpark").await?,
@@ -64,6 +105,8 @@ impl Driver for Telescope {
             site_latitude_deg: optional(alpaca, "sitelatitude", value::number).await?.into(),
             site_longitude_deg: optional(alpaca, "sitelongitude", value::number).await?.into(),
             site_elevation_m: optional(alpaca, "siteelevation", value::number).await?.into(),
+            guide_rate_ra_deg_per_s: guide_rate(alpaca, "guideraterightascension").await?,
+            guide_rate_dec_deg_per_s: guide_rate(alpaca, "guideratedeclination").await?,
         })
     }
 
@@ -91,11 +134,14 @@ impl Driver for Telescope {
         match command {
             Command::Abort => Need::Nothing,
             Command::Park | Command::Track { on: false } => Need::TokenWhileSafe,
+            Command::Rates { ra_s_per_sidereal_s: 0.0, dec_arcsec_per_s: 0.0 } => Need::TokenWhileSafe,
             Command::Slew { .. }
             | Command::Track { on: true }
             | Command::Unpark
             | Command::PulseGuide { .. }
-            | Command::Sync { .. } => Need::Token,
+            | Command::Rates { .. }
+            | Command::Sync { .. }
+            | Command::Vendor(_) => Need::Token,
             Command::Claim => Need::Claim,
         }
     }
@@ -131,6 +177,20 @@ impl Driver for Telescope {
             Command::Park if !can.park => not("park"),
             Command::PulseGuide { .. } if !can.pulse_guide => not("take guide pulses"),
             Command::PulseGuide { duration_ms, .. } => within("duration_ms", f64::from(*duration_ms), 1.0, 60_000.0),
+            Command::Rates { ra_s_per_sidereal_s: ra, dec_arcsec_per_s: dec } => {
+                let bad = within("ra_s_per_sidereal_s", *ra, -MOST_RA_S_PER_SIDEREAL_S, MOST_RA_S_PER_SIDEREAL_S)
+                    .or_else(|| within("dec_arcsec_per_s", *dec, -MOST_ARCSEC_PER_S, MOST_ARCSEC_PER_S));
+                let stands = fields.tracking.known() == Some(&false) && (*ra != 0.0 || *dec != 0.0);
+                match bad {
+                    Some(bad) => Some(bad),
+                    None if !can.set_rates => {
+                        not("follow moving targets (CanSetRightAscensionRate or CanSetDeclinationRate is false)")
+                    }
+                    None if stands => Some((Reason::WrongState, "the mount does not track".to_owned())),
+                    None => None,
+                }
+            }
+            Command::Vendor(command) => vendor::refuse(&[&self.vendor_commands], command),
             Command::Track { .. } | Command::Abort | Command::Park | Command::Unpark | Command::Claim => None,
         }
     }
@@ -148,6 +208,7 @@ impl Driver for Telescope {
                     // ASCOM refuses equatorial slews of a mount that does not track
                     alpaca.put("tracking", &[("Tracking", "True")]).await?;
                 }
+                self.end_rates(alpaca).await?;
                 let (hours, degrees) = (hours(*ra_deg), dec_deg.to_string());
                 let target = [("RightAscension", hours.as_str()), ("Declination", degrees.as_str())];
                 alpaca.put("slewtocoordinatesasync", &target).await?;
@@ -159,7 +220,16 @@ impl Driver for Telescope {
                 return Ok(Obeyed::Done);
             }
             Command::Track { on } => {
-                alpaca.put("tracking", &[("Tracking", if *on { "True" } else { "False" })]).await?
+                alpaca.put("tracking", &[("Tracking", if *on { "True" } else { "False" })]).await?;
+                match self.end_rates(alpaca).await {
+                    // a mount that stands goes nowhere; the next slew ends its rates
+                    Err(error) if !on => tracing::debug!(%error, "rates of a moving target are still set"),
+                    ended => ended?,
+                }
+            }
+            Command::Rates { ra_s_per_sidereal_s, dec_arcsec_per_s } => {
+                self.set_rates(alpaca, *ra_s_per_sidereal_s, *dec_arcsec_per_s).await?;
+                return Ok(Obeyed::Done);
             }
             Command::Abort => alpaca.put("abortslew", &[]).await?,
             Command::Park => {
@@ -168,6 +238,8 @@ impl Driver for Telescope {
                     let _ = alpaca.put("abortslew", &[]).await;
                 }
                 alpaca.put("park", &[]).await?;
+                // the park goes on meanwhile, whatever becomes of this; what is left of rates, the next slew ends
+                let _ = tokio::time::timeout(END_RATES, self.end_rates(alpaca)).await;
             }
             Command::Unpark => alpaca.put("unpark", &[]).await?,
             Command::PulseGuide { direction, duration_ms } => {
@@ -184,6 +256,7 @@ impl Driver for Telescope {
                 let parameters = [("Direction", direction), ("Duration", duration.as_str())];
                 alpaca.put_within("pulseguide", &parameters, deadline).await?;
             }
+            Command::Vendor(command) => return vendor::obey(alpaca, command).await,
             Command::Claim => return Ok(Obeyed::Done),
         }
         Ok(Obeyed::Watch)
@@ -193,9 +266,13 @@ impl Driver for Telescope {
         match command {
             Command::Slew { .. } | Command::Park => Duration::from_secs_f64(self.slew_timeout_s.clamp(1.0, 86_400.0)),
             Command::PulseGuide { duration_ms, .. } => Duration::from_millis(u64::from(*duration_ms) + 5000),
-            Command::Track { .. } | Command::Abort | Command::Unpark | Command::Sync { .. } | Command::Claim => {
-                Duration::from_secs(60)
-            }
+            Command::Track { .. }
+            | Command::Abort
+            | Command::Unpark
+            | Command::Sync { .. }
+            | Command::Rates { .. }
+            | Command::Vendor(_)
+            | Command::Claim => Duration::from_secs(60),
         }
     }
 
@@ -215,9 +292,16 @@ impl Driver for Telescope {
             Command::Park => Progress::done_if(fields.at_park.known() == Some(&true)),
             Command::Unpark => Progress::done_if(fields.at_park.known() == Some(&false)),
             Command::PulseGuide { .. } => Progress::done_if(fields.pulse_guiding.known() != Some(&true)),
-            Command::Sync { .. } | Command::Claim => Progress::Done,
+            Command::Vendor(_) => Progress::Failed(vendor::UNANSWERED.to_owned()),
+            Command::Sync { .. } | Command::Rates { .. } | Command::Claim => Progress::Done,
         }
     }
+}
+
+/// A guide rate, degrees per second; one that is no speed is not told.
+async fn guide_rate(alpaca: &Alpaca, property: &str) -> Result<Option<f64>, AlpacaError> {
+    let rate = optional(alpaca, property, value::number).await?;
+    Ok(rate.ok().filter(|rate| rate.is_finite() && *rate > 0.0))
 }
 
 /// Right ascension as ASCOM wants it, hours in [0, 24).

@@ -5,7 +5,10 @@
 mod accounts;
 mod evidence;
 mod fake;
+mod lease;
+mod rates;
 mod stage;
+mod vendor;
 
 use std::time::{Duration, Instant};
 

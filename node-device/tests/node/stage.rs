@@ -103,7 +103,7 @@ impl Stage {
 }
 
 pub fn command<C>(id: &str, token: Option<u64>, action: C) -> Command<C> {
-    Command { id: CommandId(id.to_owned()), from: "observatory/alpha/main".to_owned(), token, action }
+    Command { id: CommandId(id.to_owned()), from: "observatory/alpha/main".to_owned(), token, boot_id: None, action }
 }
 
 pub fn accepted(reply: &Reply) -> Option<u64> {

@@ -1,0 +1,85 @@
+//! Tells people of a dome that could turn, stands over several telescopes, and of which nobody said who turns it.
+//!
+//! One slit cannot stand where each of them looks, so no observatory node turns it (docs/decisions/0025); a roof that
+//! slides off needs no more, behind a turning dome frames may show its wall.
+
+use std::sync::{Arc, PoisonError};
+use std::time::Duration;
+
+use bus::Node;
+use config::Follow;
+use contract::Address;
+use contract::device::dome::Capabilities;
+use contract::observatory::AlertKind;
+
+use crate::driver::dome::Dome;
+use crate::front::Front;
+
+/// What a dome can do is asked again whenever it connects; nobody needs to know of it sooner.
+const LOOK: Duration = Duration::from_secs(2);
+
+/// Raises the standing alert of such a dome, and clears it when the dome says that it does not turn or is slaved by somebody;
+/// for ever.
+pub async fn keep_noticing(node: Node, block: config::Dome, front: Arc<Front<Dome>>) -> anyhow::Result<()> {
+    let name = &block.common.name;
+    let is_shared = node.config.place.telescope.as_str() == Address::SHARED;
+    let mut told = None;
+    loop {
+        let cause = {
+            let face = front.face.lock().unwrap_or_else(PoisonError::into_inner);
+            let slaved = face.fields.slaved.known() == Some(&true);
+            face.can.as_ref().filter(|_| !slaved).and_then(|can| complaint(&block, is_shared, can))
+        };
+        if cause != told {
+            match &cause {
+                Some(cause) => node.alerts.raise(AlertKind::DomeShared, name, cause),
+                None => node.alerts.clear(AlertKind::DomeShared, name),
+            }
+            told = cause;
+        }
+        tokio::time::sleep(LOOK).await;
+    }
+}
+
+/// What is wrong with a dome that says this of itself, if anything is; `is_shared` where its block is in the site's shared file.
+fn complaint(block: &config::Dome, is_shared: bool, can: &Capabilities) -> Option<String> {
+    let over_several = is_shared || block.telescopes.len() > 1;
+    let why = format!(
+        "dome {} can turn, stands over several telescopes, and nothing says who turns its slit: Starmesh does not",
+        block.common.name
+    );
+    (over_several && block.follow == Follow::Auto && can.set_azimuth).then_some(why)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn only_a_dome_that_turns_over_several_telescopes_and_of_which_nothing_is_said_is_complained_of() {
+        let dome = |more: &str| {
+            let text = format!(
+                "[observatory]\nsite = \"p\"\ntelescope = \"t\"\nlatitude_deg = 1\nlongitude_deg = 2\nelevation_m = 3\n\
+                 [[dome]]\nname = \"d\"\nserver = \"a:1\"\n{more}\n"
+            );
+            config::parse(&text, Path::new("/site")).unwrap().dome.remove(0)
+        };
+        let several = "telescopes = [\"t\", \"u\"]";
+        let off = format!("{several}\nfollow = \"off\"");
+        let stories = [
+            ("", false, true, false),
+            ("", true, true, true),
+            ("telescopes = [\"t\"]", false, true, false),
+            (several, false, true, true),
+            (several, false, false, false),
+            (&off, false, true, false),
+        ];
+        for (more, is_shared, set_azimuth, wanted) in stories {
+            let can = Capabilities { set_azimuth, ..Capabilities::default() };
+            let told = complaint(&dome(more), is_shared, &can);
+            assert_eq!(told.is_some(), wanted, "{more} {is_shared} {set_azimuth}: {told:?}");
+        }
+    }
+}

@@ -1,0 +1,72 @@
+//! The lease on a real bus: one process holds it, not whoever has its name.
+
+use std::time::{Duration, Instant};
+
+use bus::Quality;
+use contract::device::dome;
+use contract::observatory::Lease;
+use contract::{Address, BootId, Command, Key, Kind, Part, Reason};
+use units::Utc;
+
+use crate::stage::{Commander, LIMIT, Stage, accepted, command, refused};
+use crate::{a_dome, block};
+
+fn claim(id: &str, life: Option<&BootId>) -> Command<dome::Command> {
+    Command { boot_id: life.cloned(), ..command(id, None, dome::Command::Claim) }
+}
+
+/// Claims twice a second, as a node would, until the lease is granted.
+async fn until_granted(stage: &Stage, name: &str, life: &BootId) -> (u64, Duration) {
+    let began = Instant::now();
+    for number in 0.. {
+        let asked = claim(&format!("{name}{number}"), Some(life));
+        let reply = stage.command(Kind::Dome, "dome", &asked).await;
+        if let contract::Reply::Accepted(granted) = reply {
+            return (granted.token.unwrap(), began.elapsed());
+        }
+        assert_eq!(refused(&reply), Reason::LeaseHeld);
+        assert!(began.elapsed() < LIMIT, "the lease is never free");
+        tokio::time::sleep(Duration::from_millis(500)).await;
+    }
+    unreachable!("numbers do not end")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_second_process_of_the_same_name_gets_the_lease_when_the_first_is_silent_or_has_released_it() {
+    let hardware = a_dome().await;
+    let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5")).await;
+    // whoever speaks on this test's session is the first
+    let (first, twin) = (stage.bus.boot_id().clone(), BootId::fresh());
+    let token = accepted(&stage.command(Kind::Dome, "dome", &claim("a", Some(&first))).await).unwrap();
+    let commander = Commander::start(&stage, "dome", token).await;
+    for (id, life) in [("b", Some(&twin)), ("c", None)] {
+        let reply = stage.command(Kind::Dome, "dome", &claim(id, life)).await;
+        assert_eq!(refused(&reply), Reason::LeaseHeld, "{life:?}");
+    }
+    let again = accepted(&stage.command(Kind::Dome, "dome", &claim("d", Some(&first))).await).unwrap();
+    assert_eq!(again, token + 1, "the holder may claim anew");
+
+    drop(commander);
+    let (taken, after) = until_granted(&stage, "twin", &twin).await;
+    assert_eq!(taken, again + 1);
+    assert!(after > Duration::from_secs(4) && after < Duration::from_secs(8), "{after:?} of silence");
+
+    let reply = stage.command(Kind::Dome, "dome", &claim("e", Some(&first))).await;
+    assert_eq!(refused(&reply), Reason::LeaseHeld, "the twin holds it");
+    // a release counts only from the life that holds the lease, and the twin's is not on this session
+    let key = Key::Observatory(Address::new("site", "alpha").unwrap(), Part::Lease);
+    let line = stage.bus.publisher::<Lease>(&key, Quality::State { cache: 1 }).await.unwrap();
+    let released = Lease { holder: String::new(), token: taken, since_utc: Utc::EPOCH, arbiter: String::new() };
+    line.put(released).await.unwrap();
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    let reply = stage.command(Kind::Dome, "dome", &claim("f", Some(&first))).await;
+    assert_eq!(refused(&reply), Reason::LeaseHeld, "nobody releases what is another's");
+
+    let (mine, _) = until_granted(&stage, "first", &first).await;
+    line.put(Lease { holder: String::new(), token: mine, since_utc: Utc::EPOCH, arbiter: String::new() })
+        .await
+        .unwrap();
+    let (_, after) = until_granted(&stage, "next", &twin).await;
+    assert!(after < Duration::from_secs(2), "released, and yet it took {after:?}");
+    stage.end().await;
+}
