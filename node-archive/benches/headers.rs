@@ -120,7 +120,7 @@ async fn main() {
     let began = Instant::now();
     let mut added = 0;
     for image in &images {
-        added += complete_image(&site, &reader, image, true).unwrap().map_or(0, |plan| plan.cards.len());
+        added += complete_image(&site, &reader, image, None, true).unwrap().map_or(0, |plan| plan.cards.len());
     }
     let each_ms = began.elapsed().as_secs_f64() * 1000.0 / f64::from(FRAMES);
     println!("headers: {each_ms:.2} ms each, {} keywords each", added / FRAMES as usize);

@@ -1,6 +1,6 @@
 //! What a header says of the sky: dates, sidereal time, light times, direction and airmass at the start of an exposure.
 
-use sky::{EarthOrientation, Icrs, Observer, OfDate, Place, SkyError};
+use sky::{Icrs, Observer, OfDate, SkyError};
 use units::{Angle, Utc};
 
 use crate::card::CardValue;
@@ -17,16 +17,7 @@ pub struct Exposure {
 impl Exposure {
     /// Works it out; refused for a place off the Earth or a clock that was never set.
     pub fn new(place: &config::Place, start: Utc, exposure_s: f64, target: Option<Icrs>) -> Result<Self, SkyError> {
-        let site = Place::new(
-            Angle::from_degrees(place.latitude_deg),
-            Angle::from_degrees(place.longitude_deg),
-            place.elevation_m,
-        )?;
-        let orientation = EarthOrientation {
-            dut1_s: place.dut1_s,
-            polar_x_arcsec: place.polar_x_arcsec,
-            polar_y_arcsec: place.polar_y_arcsec,
-        };
+        let (site, orientation) = place.on_earth()?;
         let observer = Observer::new(&site, &orientation, start)?;
         let target = target.and_then(|target| target.checked().ok());
         Ok(Self { observer, start, end: start.plus_seconds(exposure_s), target })

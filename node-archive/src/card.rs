@@ -67,6 +67,12 @@ impl CardValue {
     }
 }
 
+impl From<bool> for CardValue {
+    fn from(value: bool) -> Self {
+        Self::Logical(value)
+    }
+}
+
 impl From<&str> for CardValue {
     fn from(text: &str) -> Self {
         Self::Text(text.to_owned())

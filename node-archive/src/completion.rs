@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 use crate::header::Plan;
+use crate::solution;
 use crate::store::PART_FOLDER;
 use crate::stored_header::Header;
 
@@ -59,6 +60,7 @@ impl Completer {
 
     /// Sets the plan's keywords in a file whose header was read after [`Self::recover`]. Twice changes nothing more.
     pub fn complete(&self, path: &Path, mut header: Header, plan: &Plan) -> Result<(), CompletionError> {
+        header.retain(|keyword| solution::stays(keyword, &plan.cards));
         for card in &plan.cards {
             header.set(card);
         }

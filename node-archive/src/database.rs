@@ -1,5 +1,6 @@
 //! The archive's SQLite file: one thread writes, in batches, and never loses a row without saying so.
 
+mod guiding;
 mod rows;
 
 use std::path::{Path, PathBuf};
@@ -16,6 +17,10 @@ use rusqlite::Connection;
 use tokio::sync::{mpsc, oneshot};
 use units::Utc;
 
+use crate::corrections::StoredCorrection;
+use crate::facts::StoredFacts;
+use crate::focus::StoredRun;
+
 pub use rows::stamp;
 
 /// Rows of one commit, at most.
@@ -29,7 +34,7 @@ const WAITING: usize = 10_000;
 const RETRY: Duration = Duration::from_secs(1);
 const LAST_TRIES: u32 = 5;
 /// Version of the tables; older files are brought up to it, newer ones are refused.
-const VERSION: i64 = 2;
+const VERSION: i64 = 4;
 
 /// The database could not be opened or asked.
 #[derive(Debug, thiserror::Error)]
@@ -113,6 +118,21 @@ pub enum Write {
     Complete(CommandId),
     /// A record of a node's audit.
     Audit(Box<StoredRecord>),
+    /// What guiding did about a frame.
+    Correction(Box<StoredCorrection>),
+    /// What was measured on a frame.
+    Facts(Box<StoredFacts>),
+    /// A focus run that has ended.
+    Focus(Box<StoredRun>),
+    /// The facts of a message stand in the header of their frame, or could not be put there.
+    FactsTaken {
+        /// Which frame.
+        frame: CommandId,
+        /// The message that brought them.
+        said: (BootId, u64),
+        /// Whether they stand there.
+        in_header: bool,
+    },
 }
 
 /// A row of the table of the audit.
@@ -250,12 +270,21 @@ fn prepare(path: &Path) -> Result<Connection, DatabaseError> {
             if found < 1 {
                 transaction.execute_batch(rows::SCHEMA)?;
             }
-            transaction.execute_batch(rows::AUDIT)?;
+            if found < 2 {
+                transaction.execute_batch(rows::AUDIT)?;
+            }
+            if found < 3 {
+                transaction.execute_batch(rows::FACTS)?;
+            }
+            transaction.execute_batch(rows::SOLUTIONS)?;
             transaction.pragma_update(None, "user_version", VERSION)?;
             transaction.commit()
         };
         make(&mut connection).map_err(failed("make the tables of"))?;
     }
+    // an older Starmesh that opens this file does not know these tables, and needs not
+    connection.execute_batch(guiding::SCHEMA).map_err(failed("make the tables of"))?;
+    connection.execute_batch(rows::FOCUS).map_err(failed("make the tables of"))?;
     Ok(connection)
 }
 

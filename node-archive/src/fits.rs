@@ -7,12 +7,12 @@
     reason = "cfitsio is a C library; every call is in this file, under one lock, with checked arguments"
 )]
 
-use std::ffi::{CStr, CString, c_char, c_int, c_long, c_void};
+use std::ffi::{CString, c_char, c_int, c_long, c_void};
 use std::path::{Path, PathBuf};
 use std::ptr::{self, NonNull};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use contract::device::camera::Pixel;
+use contract::device::camera::{Frame, Pixel};
+use fits::cfitsio::Turn;
 
 use crate::card::Card;
 
@@ -45,6 +45,11 @@ pub struct Shape {
 }
 
 impl Shape {
+    /// That of an announced frame.
+    pub fn of(frame: &Frame) -> Self {
+        Self { pixel: frame.pixel, width_px: frame.width_px, height_px: frame.height_px, planes: frame.planes.max(1) }
+    }
+
     /// Number of pixels; `None` when it does not fit.
     pub fn pixels(&self) -> Option<usize> {
         let rows = (self.width_px as usize).checked_mul(self.height_px as usize)?;
@@ -62,11 +67,8 @@ pub struct FitsFile {
     /// Absent once closed.
     raw: Option<NonNull<fitsio_sys::fitsfile>>,
     path: PathBuf,
-    _turn: MutexGuard<'static, ()>,
+    turn: Turn,
 }
-
-/// The error stack of cfitsio is one for all threads, so its calls take turns.
-static TURN: Mutex<()> = Mutex::new(());
 
 impl FitsFile {
     /// Creates a file that must not exist, with the mandatory keywords of an image (BZERO for 16 bits without sign).
@@ -103,12 +105,12 @@ impl FitsFile {
     ) -> Result<Self, FitsError> {
         let name = path.to_str().filter(|name| name.len() < LONGEST_PATH).and_then(|name| CString::new(name).ok());
         let name = name.ok_or_else(|| error(what, path, "the path is too long or no UTF-8".to_owned()))?;
-        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        let turn = Turn::wait();
         let (mut raw, mut status) = (ptr::null_mut(), 0);
         open(&mut raw, name.as_ptr(), &mut status);
         match NonNull::new(raw) {
-            Some(raw) if status == 0 => Ok(Self { raw: Some(raw), path: path.to_owned(), _turn: turn }),
-            _ => Err(error(what, path, explain(status))),
+            Some(raw) if status == 0 => Ok(Self { raw: Some(raw), path: path.to_owned(), turn }),
+            _ => Err(error(what, path, turn.explain(status))),
         }
     }
 
@@ -166,7 +168,7 @@ impl FitsFile {
         let mut status = 0;
         // SAFETY: `raw` was open and is given up here, whatever cfitsio answers.
         unsafe { fitsio_sys::ffclos(raw.as_ptr(), &mut status) };
-        if status == 0 { Ok(()) } else { Err(error("close", &self.path, explain(status))) }
+        if status == 0 { Ok(()) } else { Err(error("close", &self.path, self.turn.explain(status))) }
     }
 
     fn call(
@@ -177,7 +179,7 @@ impl FitsFile {
         let Some(raw) = self.raw else { return Err(error(what, &self.path, "it is closed".to_owned())) };
         let mut status = 0;
         work(raw.as_ptr(), &mut status);
-        if status == 0 { Ok(()) } else { Err(error(what, &self.path, explain(status))) }
+        if status == 0 { Ok(()) } else { Err(error(what, &self.path, self.turn.explain(status))) }
     }
 }
 
@@ -187,7 +189,7 @@ impl Drop for FitsFile {
             let mut status = 0;
             // SAFETY: `raw` is open and is given up here; an error was reported by whoever dropped it unclosed.
             unsafe { fitsio_sys::ffclos(raw.as_ptr(), &mut status) };
-            explain(status);
+            self.turn.explain(status);
         }
     }
 }
@@ -199,22 +201,4 @@ fn error(what: &'static str, file: &Path, detail: String) -> FitsError {
 /// A C string of text that [`printable`] has cleaned; a zero would end it early.
 fn c_text(text: &str) -> CString {
     CString::new(text.replace('\0', "?")).unwrap_or_default()
-}
-
-/// What cfitsio says of a status, with its stack of messages, which is emptied.
-fn explain(status: c_int) -> String {
-    let mut text = [0 as c_char; 81]; // FLEN_ERRMSG
-    // SAFETY: cfitsio writes at most 30 characters of its own and the closing zero.
-    unsafe { fitsio_sys::ffgerr(status, text.as_mut_ptr()) };
-    let mut words = vec![format!("{} (cfitsio {status})", from_c(&text))];
-    // SAFETY: cfitsio writes at most 80 characters and the closing zero.
-    while unsafe { fitsio_sys::ffgmsg(text.as_mut_ptr()) } != 0 {
-        words.push(from_c(&text));
-    }
-    words.join("; ")
-}
-
-fn from_c(text: &[c_char; 81]) -> String {
-    // SAFETY: the array is zero-filled at its end and cfitsio closes what it writes.
-    unsafe { CStr::from_ptr(text.as_ptr()) }.to_string_lossy().into_owned()
 }

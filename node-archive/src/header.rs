@@ -17,6 +17,7 @@ use units::{Angle, Utc};
 use crate::astronomy::{self, Exposure, fits_date};
 use crate::card::{Card, CardValue};
 use crate::interpolate::{Rule, Sample, value_at};
+use crate::{quality, solution};
 
 /// What the ASTRA keyword says.
 pub const PROGRAM: &str = concat!("Starmesh ", env!("CARGO_PKG_VERSION"));
@@ -25,8 +26,9 @@ const LEFT_TO_FITS: [&str; 14] = [
     "SIMPLE", "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "NAXIS3", "EXTEND", "BZERO", "BSCALE", "BLANK", "CHECKSUM",
     "DATASUM", "END", "PCOUNT",
 ];
-/// Room that a new file keeps beyond the rows of the table: a plate solution, the history, the odd keyword.
-const SPARE_CARDS: usize = 48;
+/// Room that a new file keeps beyond the rows of the table: what was measured (22), a plate solution with its distortion
+/// (73), the history, the odd keyword.
+const SPARE_CARDS: usize = 120;
 
 /// All that is known when a file is made.
 pub struct Known<'a> {
@@ -85,7 +87,9 @@ pub fn check(table: &HeaderTable) -> Vec<String> {
     let mut notes = Vec::new();
     for row in table.rows.iter().filter(|row| !LEFT_TO_FITS.contains(&row.keyword.as_str())) {
         let known = COMPUTED.iter().any(|(keyword, ..)| *keyword == row.keyword)
-            || astronomy::KEYWORDS.contains(&row.keyword.as_str());
+            || astronomy::KEYWORDS.contains(&row.keyword.as_str())
+            || quality::makes(&row.keyword)
+            || solution::makes(&row.keyword);
         match &row.source {
             Source::Computed if !known => notes.push(format!("{}: no keyword that Starmesh computes", row.keyword)),
             Source::Static(text) if !text.is_empty() && literal(row.dtype, text).is_none() => {

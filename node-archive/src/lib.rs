@@ -1,8 +1,10 @@
 //! The archive node: it keeps what a telescope sees and says.
 //!
-//! Frames come from the device nodes' spools ([`store`]): fetched and proven ([`frame`]), named ([`name`]), written as FITS
+//! Frames come from the device nodes' spools ([`store`]): fetched and proven ([`download`]), named ([`name`]), written as FITS
 //! ([`fits`], [`header`]) under a temporary name, synced, named, recorded, and only then released. Everything devices poll
-//! and nodes write in their diaries goes into one SQLite file ([`telemetry`], [`diary`], [`database`]), beside a copy of all nodes' audit ([`audit`]), from which questions
+//! and nodes write in their diaries goes into one SQLite file ([`telemetry`], [`diary`], [`database`]), beside a copy of all nodes' audit ([`audit`]) and what was
+//! measured on each frame ([`facts`]) and done by guiding ([`corrections`]), and the focus runs with their plots ([`focus`]),
+//! from which questions
 //! are answered ([`history`]) and headers completed ([`pass`], [`completion`]) with what was true when the exposure began
 //! ([`interpolate`], [`astronomy`]).
 //!
@@ -13,16 +15,20 @@ pub mod astronomy;
 mod audit;
 pub mod card;
 pub mod completion;
+pub mod corrections;
 pub mod database;
 mod diary;
+pub mod facts;
 pub mod fits;
-mod frame;
+pub mod focus;
 pub mod header;
 mod history;
 pub mod interpolate;
 pub mod name;
 pub mod pass;
+mod quality;
 pub mod reader;
+mod solution;
 mod store;
 pub mod stored_header;
 pub mod telemetry;
@@ -68,6 +74,9 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     tasks.spawn(notify::keep_standing_in(node.clone()));
     tasks.spawn(diary::keep(node.clone(), database.clone()));
     tasks.spawn(audit::keep(node.clone(), database.clone()));
+    tasks.spawn(facts::keep(node.clone(), database.clone(), incomplete.clone()));
+    tasks.spawn(focus::keep(node.clone(), database.clone()));
+    tasks.spawn(corrections::keep(node.clone(), database.clone()));
     tasks.spawn(store::keep(store::Store {
         node: node.clone(),
         database: database.clone(),

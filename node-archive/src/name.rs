@@ -241,7 +241,7 @@ fn clean(text: &str) -> String {
 }
 
 /// One folder or file name that every file system takes.
-fn part(text: &str) -> String {
+pub(crate) fn part(text: &str) -> String {
     let cleaned = clean(text);
     // Windows drops trailing dots and spaces; leading dots hide a file
     let cleaned = cleaned.trim_end_matches(['.', ' ']);

@@ -9,19 +9,22 @@ use bus::{MachineTime, Node, Publisher};
 use config::header::{HeaderTable, Source};
 use config::{EquatorialChoice, Observatory};
 use contract::archive::Stored;
+use contract::device::camera::Frame;
 use contract::device::telescope::EquatorialSystem;
-use contract::observatory::AlertKind;
-use contract::{CommandId, Device, Kind, Scalar};
+use contract::observatory::{AlertKind, FrameFacts};
+use contract::{BootId, CommandId, Device, Kind, Scalar};
 use tokio::sync::Notify;
 
 use crate::completion::{Completer, read_header};
 use crate::database::{Database, StoredImage, Write};
+use crate::facts::{self, StoredFacts};
 use crate::header::{Around, Later, Plan, completion, needed};
 use crate::pairing;
 use crate::reader::Reader;
 use crate::telemetry::Newest;
+use crate::{quality, solution};
 
-/// How often frames that wait for telemetry are looked at again, machine time.
+/// How often frames that wait for telemetry are looked at again at least, machine time.
 const PERIOD: Duration = Duration::from_millis(500);
 /// Frames looked at in one go.
 const AT_ONCE: u32 = 64;
@@ -64,7 +67,8 @@ struct Waiting {
 
 /// What became of a frame in one look.
 enum Outcome {
-    Complete,
+    /// With the facts of this message, where there are any.
+    Complete(Option<(BootId, u64)>),
     NotYet,
     Failed(String),
 }
@@ -83,13 +87,15 @@ pub struct Site<'a> {
     pub completer: &'a Completer,
 }
 
-/// Completes the header of one stored image from the polls around its exposure, and returns what was added.
+/// Completes the header of one stored image from the polls around its exposure, and from what was measured on it, and
+/// returns what was added.
 ///
 /// `None` when polls after the exposure are still to come, unless told to be impatient. Reads files: not for async threads.
 pub fn complete_image(
     site: &Site<'_>,
     reader: &Reader,
     image: &StoredImage,
+    facts: Option<&FrameFacts>,
     impatient: bool,
 ) -> anyhow::Result<Option<Plan>> {
     let (frame, config) = (&image.frame, site.config);
@@ -122,9 +128,22 @@ pub fn complete_image(
     let mount = devices.get(&Kind::Telescope).map_or(EquatorialSystem::Other, |mount| site.mount_frame(mount));
     let later =
         Later { frame, place: &config.place, mount, reach_s: site.reach_s(), present: &present, around: &around };
-    let plan = completion(site.table, &later)?;
+    let mut plan = completion(site.table, &later)?;
+    if let Some(facts) = facts {
+        let measured = measured(site.table, facts, frame);
+        plan.cards.extend(measured.cards);
+        plan.history.extend(measured.history);
+    }
     site.completer.complete(&image.path, stored, &plan)?;
     Ok(Some(plan))
+}
+
+/// What the facts of a frame add to its header.
+fn measured(table: &HeaderTable, facts: &FrameFacts, frame: &Frame) -> Plan {
+    let (mut plan, solution) = (quality::plan(table, facts), solution::plan(table, facts, frame));
+    plan.cards.extend(solution.cards);
+    plan.history.extend(solution.history);
+    plan
 }
 
 /// Fixed properties that the devices had not told yet when the file was made.
@@ -159,6 +178,7 @@ pub async fn keep(pass: Pass) -> anyhow::Result<()> {
     let pass = Arc::new(pass);
     let mut waiting: HashMap<CommandId, Waiting> = HashMap::new();
     loop {
+        pass.amend().await?;
         let images = pass.look().await?;
         if images.is_empty() {
             waiting.clear();
@@ -168,22 +188,27 @@ pub async fn keep(pass: Pass) -> anyhow::Result<()> {
         }
         let now = pass.node.bus.clock().machine();
         let fresh = Waiting { since: now, failures: 0, not_before: now };
-        let due: Vec<(StoredImage, bool)> = images
+        let due: Vec<(StoredImage, Duration)> = images
             .into_iter()
             .filter_map(|image| {
                 let waiting = waiting.entry(image.frame.id.clone()).or_insert(fresh);
-                (waiting.not_before <= now).then(|| (image, now.since(waiting.since) >= PATIENCE))
+                (waiting.not_before <= now).then(|| (image, now.since(waiting.since)))
             })
             .collect();
         let worker = pass.clone();
         let done = tokio::task::spawn_blocking(move || worker.complete_all(due)).await??;
-        let completed: Vec<&StoredImage> =
-            done.iter().filter(|(_, outcome)| matches!(outcome, Outcome::Complete)).map(|(image, _)| image).collect();
+        let completed: Vec<(&StoredImage, &Option<(BootId, u64)>)> = done
+            .iter()
+            .filter_map(|(image, outcome)| match outcome {
+                Outcome::Complete(said) => Some((image, said)),
+                Outcome::NotYet | Outcome::Failed(_) => None,
+            })
+            .collect();
         pass.tell(&completed).await?;
         let progress = !completed.is_empty();
         for (image, outcome) in &done {
             match outcome {
-                Outcome::Complete => drop(waiting.remove(&image.frame.id)),
+                Outcome::Complete(_) => drop(waiting.remove(&image.frame.id)),
                 Outcome::NotYet => {}
                 Outcome::Failed(error) => {
                     if let Some(waiting) = waiting.get_mut(&image.frame.id) {
@@ -193,8 +218,8 @@ pub async fn keep(pass: Pass) -> anyhow::Result<()> {
             }
         }
         if !progress {
-            // new frames need a poll after their exposure first, so there is no hurry
-            tokio::time::sleep(PERIOD).await;
+            // a poll after the exposure comes when it comes; a new frame or its facts are looked at as soon as they are told
+            let _ = tokio::time::timeout(PERIOD, pass.incomplete.notified()).await;
         }
     }
 }
@@ -206,18 +231,17 @@ impl Pass {
         Ok(tokio::task::spawn_blocking(look).await??)
     }
 
-    /// Completes those that are ready, at most [`AT_ONCE`]; the flag says that a frame has waited long enough.
-    fn complete_all(&self, due: Vec<(StoredImage, bool)>) -> anyhow::Result<Vec<(StoredImage, Outcome)>> {
+    /// Completes those that are ready, at most [`AT_ONCE`]; each comes with how long it has waited.
+    fn complete_all(&self, due: Vec<(StoredImage, Duration)>) -> anyhow::Result<Vec<(StoredImage, Outcome)>> {
         let reader = Reader::open(self.database.path())?;
         let mut done = Vec::new();
         let mut completed = 0;
-        for (image, impatient) in due {
-            let outcome = match self.complete(&reader, &image, impatient) {
-                Ok(true) => Outcome::Complete,
-                Ok(false) => Outcome::NotYet,
+        for (image, waited) in due {
+            let outcome = match self.complete(&reader, &image, waited) {
+                Ok(outcome) => outcome,
                 Err(error) => Outcome::Failed(format!("{error:#}")),
             };
-            completed += u32::from(matches!(outcome, Outcome::Complete));
+            completed += u32::from(matches!(outcome, Outcome::Complete(_)));
             done.push((image, outcome));
             if completed >= AT_ONCE || self.node.stop.is_stopped() {
                 break;
@@ -226,7 +250,11 @@ impl Pass {
         Ok(done)
     }
 
-    fn complete(&self, reader: &Reader, image: &StoredImage, impatient: bool) -> anyhow::Result<bool> {
+    fn complete(&self, reader: &Reader, image: &StoredImage, waited: Duration) -> anyhow::Result<Outcome> {
+        let known = reader.facts(&image.frame.id)?;
+        if known.is_none() && waited < facts::PATIENCE {
+            return Ok(Outcome::NotYet);
+        }
         let completer = Completer::new(&self.node.config.folders.images);
         let site = Site {
             config: &self.node.config,
@@ -235,21 +263,51 @@ impl Pass {
             speed: self.node.bus.clock().speed(),
             completer: &completer,
         };
-        let Some(plan) = complete_image(&site, reader, image, impatient)? else { return Ok(false) };
+        let facts = known.as_ref().map(|known| &known.facts);
+        let Some(plan) = complete_image(&site, reader, image, facts, waited >= PATIENCE)? else {
+            return Ok(Outcome::NotYet);
+        };
         for line in &plan.history {
             tracing::info!(file = image.file, "{line}");
         }
-        Ok(true)
+        Ok(Outcome::Complete(known.map(|known| known.said)))
     }
 
-    async fn tell(&self, completed: &[&StoredImage]) -> anyhow::Result<()> {
+    /// Puts facts that came late into headers that are complete already.
+    async fn amend(&self) -> anyhow::Result<()> {
+        let (database, node) = (self.database.path().to_owned(), self.node.clone());
+        let work = move || -> anyhow::Result<Vec<Write>> {
+            let late = Reader::open(&database)?.late_facts(AT_ONCE)?;
+            let completer = Completer::new(&node.config.folders.images);
+            let amended = late.into_iter().map(|(image, StoredFacts { facts, said, .. })| {
+                let put = completer.recover(&image.path).and_then(|()| {
+                    let plan = measured(&node.header, &facts, &image.frame);
+                    completer.complete(&image.path, read_header(&image.path)?, &plan)
+                });
+                if let Err(error) = &put {
+                    // the facts are in the database; a file that was moved away or changed is nothing to insist on
+                    tracing::warn!(file = image.file, %error, "late facts could not be put into a header");
+                }
+                Write::FactsTaken { frame: image.frame.id, said, in_header: put.is_ok() }
+            });
+            Ok(amended.collect())
+        };
+        Ok(self.database.commit(tokio::task::spawn_blocking(work).await??).await?)
+    }
+
+    async fn tell(&self, completed: &[(&StoredImage, &Option<(BootId, u64)>)]) -> anyhow::Result<()> {
         if completed.is_empty() {
             return Ok(());
         }
-        self.database.commit(completed.iter().map(|image| Write::Complete(image.frame.id.clone())).collect()).await?;
+        let writes = completed.iter().flat_map(|(image, said)| {
+            let frame = image.frame.id.clone();
+            let taken = (*said).clone().map(|said| Write::FactsTaken { frame: frame.clone(), said, in_header: true });
+            std::iter::once(Write::Complete(frame)).chain(taken)
+        });
+        self.database.commit(writes.collect()).await?;
         let count = self.count.fetch_add(completed.len() as i64, Ordering::Relaxed) + completed.len() as i64;
         self.node.figure("headers_complete", Scalar::Int(count));
-        for image in completed {
+        for (image, _) in completed {
             let stored = Stored {
                 frame: image.frame.id.clone(),
                 camera: image.frame.camera.clone(),

@@ -11,6 +11,7 @@ use rusqlite::{Connection, OpenFlags, OptionalExtension as _, params};
 use units::Utc;
 
 use crate::database::{DatabaseError, StoredImage, stamp};
+use crate::facts::StoredFacts;
 use crate::header::Around;
 use crate::interpolate::Sample;
 
@@ -91,6 +92,24 @@ impl Reader {
             Ok((row.get(0)?, row.get::<_, f64>(1)? as i64))
         });
         counted.map_err(|source| self.failed(source))
+    }
+
+    /// What was measured on a frame.
+    pub fn facts(&self, frame: &CommandId) -> Result<Option<StoredFacts>, DatabaseError> {
+        let sql = "SELECT facts, datetime, boot_id, seq FROM facts WHERE frame_id = ?";
+        let look = || self.connection.prepare_cached(sql)?.query_row([&frame.0], facts).optional();
+        look().map_err(|source| self.failed(source))
+    }
+
+    /// Images with complete headers whose facts are not in them, because they came later.
+    pub fn late_facts(&self, limit: u32) -> Result<Vec<(StoredImage, StoredFacts)>, DatabaseError> {
+        let late = "JOIN facts USING (frame_id) WHERE in_header = 0 AND complete_hdr = 1 LIMIT ?1";
+        let mut found = Vec::new();
+        for image in self.images(late, params![limit])? {
+            let facts = self.facts(&image.frame.id)?;
+            found.extend(facts.map(|facts| (image, facts)));
+        }
+        Ok(found)
     }
 
     /// The name that a frame's file was about to get, relative to the folder of images, when a kill came.
@@ -197,6 +216,25 @@ impl Reader {
         look().map_err(|source| self.failed(source))
     }
 
+    /// The images that were begun last, the newest first.
+    pub fn newest_images(&self, limit: u32) -> Result<Vec<StoredImage>, DatabaseError> {
+        self.images("ORDER BY date_obs DESC LIMIT ?1", params![limit])
+    }
+
+    /// Lines of the nodes' diaries that begin so, the newest of them, in the order of time.
+    pub fn diary(&self, begins: &str, limit: u32) -> Result<Vec<(Utc, String)>, DatabaseError> {
+        let sql = "SELECT datetime, message FROM log WHERE substr(message, 1, ?1) = ?2 ORDER BY datetime DESC LIMIT ?3";
+        let look = || -> rusqlite::Result<Vec<(Utc, String)>> {
+            let mut statement = self.connection.prepare(sql)?;
+            let letters = i64::try_from(begins.chars().count()).unwrap_or(i64::MAX);
+            let found = statement.query_map(params![letters, begins, limit], |row| Ok((time(row, 0)?, row.get(1)?)))?;
+            found.collect()
+        };
+        let mut lines = look().map_err(|source| self.failed(source))?;
+        lines.reverse();
+        Ok(lines)
+    }
+
     fn images(&self, condition: &str, params: &[&dyn rusqlite::ToSql]) -> Result<Vec<StoredImage>, DatabaseError> {
         let sql = format!("SELECT frame, filename, file, bytes, stored FROM images {condition}");
         let look = || -> rusqlite::Result<Vec<StoredImage>> {
@@ -224,6 +262,14 @@ impl Reader {
     fn failed(&self, source: rusqlite::Error) -> DatabaseError {
         DatabaseError::Sqlite { what: "ask", file: self.path.clone(), source }
     }
+}
+
+fn facts(row: &rusqlite::Row<'_>) -> rusqlite::Result<StoredFacts> {
+    let (json, boot_id, seq): (String, String, i64) = (row.get(0)?, row.get(2)?, row.get(3)?);
+    let read = |error| rusqlite::Error::FromSqlConversionFailure(0, rusqlite::types::Type::Text, Box::new(error));
+    let boot_id = serde_json::from_value(boot_id.into()).map_err(read)?;
+    let facts = serde_json::from_str(&json).map_err(read)?;
+    Ok(StoredFacts { facts, at: time(row, 1)?, said: (boot_id, seq.unsigned_abs()) })
 }
 
 fn time(row: &rusqlite::Row<'_>, column: usize) -> rusqlite::Result<Utc> {

@@ -18,8 +18,7 @@ use units::Utc;
 
 use crate::completion::sync_folder;
 use crate::database::{Database, StoredImage, Write};
-use crate::fits::FitsFile;
-use crate::frame::{fetch, shape};
+use crate::fits::{FitsFile, Shape};
 use crate::header;
 use crate::name::{Namer, other_than};
 use crate::pairing;
@@ -152,7 +151,7 @@ impl Store {
             anyhow::ensure!(same, "frame {} is stored with other pixels than those announced now", frame.id);
             return Ok(());
         }
-        let pixels = fetch(client, &frame).await?;
+        let pixels = download::fetch(client, &frame).await?;
         let written = self.node.bus.clock().utc();
         let devices = pairing(&self.node.config, camera, &frame);
         let newest = |kind: Kind, property: &str| {
@@ -165,7 +164,7 @@ impl Store {
         let images = self.node.config.folders.images.clone();
         let part = images.join(PART_FOLDER).join(format!("{}.fits", part_name(&frame.id)));
 
-        let (shape, part_path) = (shape(&frame)?, part.clone());
+        let (shape, part_path) = (Shape::of(&frame), part.clone());
         let write = move || -> anyhow::Result<u64> {
             if part_path.exists() {
                 std::fs::remove_file(&part_path)?;
@@ -237,7 +236,13 @@ impl Store {
     /// Tells the spool that it may forget the frame, until it says that it heard.
     async fn release(&self, camera: &Device, frame: &Frame) {
         let release = camera::Command::Release { frame: frame.id.clone(), sha256: frame.sha256.clone() };
-        let command = Command { id: CommandId::fresh(), from: self.node.signature(), token: None, action: release };
+        let command = Command {
+            id: CommandId::fresh(),
+            from: self.node.signature(),
+            token: None,
+            boot_id: None,
+            action: release,
+        };
         for tries in 1..=RELEASE_TRIES {
             match self.node.bus.command(camera, &command, Duration::from_secs(3)).await {
                 Ok(_) => return,

@@ -86,6 +86,15 @@ impl Header {
         }
     }
 
+    /// Takes out the keywords with a value that are not to stay.
+    pub fn retain(&mut self, stays: impl Fn(&str) -> bool) {
+        self.cards.retain(|card| {
+            let keyword =
+                card.get(8..10).filter(|sign| *sign == b"= ").and_then(|_| std::str::from_utf8(&card[..8]).ok());
+            keyword.is_none_or(|keyword| stays(keyword.trim_end()))
+        });
+    }
+
     /// Adds a line to the history, unless it stands there.
     pub fn add_history(&mut self, text: &str) {
         for part in printable(text).as_bytes().chunks(HISTORY_LENGTH) {

@@ -130,6 +130,28 @@ fn completing_in_place_moves_no_pixel_and_twice_is_as_good_as_once() {
 }
 
 #[test]
+fn a_frame_that_is_solved_again_without_distortion_keeps_no_term_of_the_one_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = new_file(folder.path(), 100);
+    let data = data_of(&path);
+    let text = |keyword: &str, value: &str| Card::new(keyword, value.into(), "");
+    let number = |keyword: &str| Card::new(keyword, CardValue::Float(2e-9), "");
+    let bent = vec![text("CTYPE1", "RA---TAN-SIP"), number("A_3_0"), number("BP_1_0"), number("A_GAIN")];
+    complete_file(&path, &Plan { cards: bent, ..plan() }).unwrap();
+    assert!(read_header(&path).unwrap().keywords().contains("A_3_0"));
+    // what is no solution takes nothing away
+    complete_file(&path, &plan()).unwrap();
+    assert!(read_header(&path).unwrap().keywords().contains("BP_1_0"));
+    complete_file(&path, &Plan { cards: vec![text("CTYPE1", "RA---TAN")], ..plan() }).unwrap();
+    let header = read_header(&path).unwrap();
+    assert_eq!(header.value("CTYPE1").unwrap(), "RA---TAN");
+    let kept = ["A_3_0", "BP_1_0", "A_GAIN", "KEY59"].map(|keyword| header.keywords().contains(keyword));
+    assert_eq!(kept, [false, false, true, true]);
+    assert_eq!(data_of(&path), data);
+    assert!(is_checksum_right(&std::fs::read(&path).unwrap()));
+}
+
+#[test]
 fn a_header_without_room_is_completed_in_a_new_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = new_file(folder.path(), 0);

@@ -7,6 +7,8 @@ use rusqlite::{Transaction, params};
 use units::Utc;
 
 use super::Write;
+use crate::facts::StoredFacts;
+use crate::focus::StoredRun;
 
 /// The predecessor's tables with its columns first. Uniqueness makes a repeated message harmless.
 pub(super) const SCHEMA: &str = "
@@ -41,6 +43,78 @@ CREATE TABLE audit (
     UNIQUE (node, chain, number, sha256)
 );
 CREATE INDEX audit_date ON audit (datetime);
+";
+
+/// What version 3 adds. `in_header`: 0 not yet, 1 yes, 2 the file could not be changed.
+pub(super) const FACTS: &str = "
+CREATE TABLE facts (
+    frame_id TEXT PRIMARY KEY, camera_name TEXT, filter TEXT, image_type TEXT, date_obs TEXT,
+    stars INTEGER, fwhm_px REAL, fwhm_error_px REAL, ellipticity REAL, elongation_deg REAL, trailed INTEGER,
+    sky_adu REAL, noise_adu REAL, saturated_fraction REAL, defect_fraction REAL,
+    zero_point_mag REAL, transparency REAL, reason TEXT,
+    facts TEXT NOT NULL, datetime TEXT NOT NULL, boot_id TEXT NOT NULL, seq INTEGER NOT NULL,
+    in_header INTEGER NOT NULL
+);
+CREATE INDEX facts_date ON facts (date_obs);
+CREATE INDEX facts_new ON facts (frame_id) WHERE in_header = 0;
+";
+
+/// What version 4 adds: where a frame points, or the class of the reason why that is not known.
+pub(super) const SOLUTIONS: &str = "
+ALTER TABLE facts ADD COLUMN ra_deg REAL;
+ALTER TABLE facts ADD COLUMN dec_deg REAL;
+ALTER TABLE facts ADD COLUMN scale_arcsec_px REAL;
+ALTER TABLE facts ADD COLUMN rotation_deg REAL;
+ALTER TABLE facts ADD COLUMN mirrored INTEGER;
+ALTER TABLE facts ADD COLUMN matched INTEGER;
+ALTER TABLE facts ADD COLUMN rms_px REAL;
+ALTER TABLE facts ADD COLUMN false_alarm REAL;
+ALTER TABLE facts ADD COLUMN off_target_arcmin REAL;
+ALTER TABLE facts ADD COLUMN airmass REAL;
+ALTER TABLE facts ADD COLUMN zero_point_error_mag REAL;
+ALTER TABLE facts ADD COLUMN unsolved TEXT;
+";
+
+/// Focus runs with all that was measured; a run that is heard again is the same run.
+pub(super) const FOCUS: &str = "
+CREATE TABLE IF NOT EXISTS focus_runs (
+    run_id TEXT PRIMARY KEY, camera_name TEXT NOT NULL, focuser_name TEXT NOT NULL, filter TEXT,
+    date_obs TEXT NOT NULL, ended TEXT, outcome TEXT NOT NULL, reason TEXT, start_position INTEGER NOT NULL,
+    best_position REAL, best_position_error REAL, kept_position REAL, critical_zone REAL, verified REAL,
+    operator TEXT NOT NULL, temperature_c REAL, altitude_deg REAL, plot TEXT NOT NULL,
+    run TEXT NOT NULL, datetime TEXT NOT NULL, boot_id TEXT NOT NULL, seq INTEGER NOT NULL
+);
+CREATE INDEX IF NOT EXISTS focus_runs_date ON focus_runs (date_obs);
+CREATE TABLE IF NOT EXISTS focus_points (
+    run_id TEXT NOT NULL, number INTEGER NOT NULL, position INTEGER NOT NULL, pass TEXT NOT NULL,
+    value REAL, error REAL, stars INTEGER, reason TEXT, temperature_c REAL, used INTEGER,
+    UNIQUE (run_id, number)
+);
+";
+
+/// The newest facts of a frame count, but what was measured never gives way to the reason why nothing was.
+const PUT_FACTS: &str = "
+INSERT INTO facts (
+    frame_id, camera_name, filter, image_type, date_obs, stars, fwhm_px, fwhm_error_px, ellipticity, elongation_deg,
+    trailed, sky_adu, noise_adu, saturated_fraction, defect_fraction, zero_point_mag, transparency, reason, facts,
+    datetime, boot_id, seq, ra_deg, dec_deg, scale_arcsec_px, rotation_deg, mirrored, matched, rms_px, false_alarm,
+    off_target_arcmin, airmass, zero_point_error_mag, unsolved, in_header
+) VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,0)
+ON CONFLICT (frame_id) DO UPDATE SET
+    camera_name = excluded.camera_name, filter = excluded.filter, image_type = excluded.image_type,
+    date_obs = excluded.date_obs, stars = excluded.stars, fwhm_px = excluded.fwhm_px,
+    fwhm_error_px = excluded.fwhm_error_px, ellipticity = excluded.ellipticity,
+    elongation_deg = excluded.elongation_deg, trailed = excluded.trailed, sky_adu = excluded.sky_adu,
+    noise_adu = excluded.noise_adu, saturated_fraction = excluded.saturated_fraction,
+    defect_fraction = excluded.defect_fraction, zero_point_mag = excluded.zero_point_mag,
+    transparency = excluded.transparency, reason = excluded.reason, facts = excluded.facts,
+    datetime = excluded.datetime, boot_id = excluded.boot_id, seq = excluded.seq,
+    ra_deg = excluded.ra_deg, dec_deg = excluded.dec_deg, scale_arcsec_px = excluded.scale_arcsec_px,
+    rotation_deg = excluded.rotation_deg, mirrored = excluded.mirrored, matched = excluded.matched,
+    rms_px = excluded.rms_px, false_alarm = excluded.false_alarm, off_target_arcmin = excluded.off_target_arcmin,
+    airmass = excluded.airmass, zero_point_error_mag = excluded.zero_point_error_mag, unsolved = excluded.unsolved,
+    in_header = 0
+WHERE excluded.datetime > facts.datetime AND (excluded.reason IS NULL OR facts.reason IS NOT NULL)
 ";
 
 /// Writes one thing; returns how many rows were new.
@@ -116,11 +190,122 @@ pub(super) fn write(transaction: &Transaction<'_>, write: &Write) -> rusqlite::R
                 record.sha256,
                 record.fault,
             ]),
+        Write::Correction(stored) => super::guiding::write(transaction, stored),
+        Write::Facts(stored) => {
+            let StoredFacts { facts, at, said: (boot_id, seq) } = &**stored;
+            let json =
+                serde_json::to_string(facts).map_err(|e| rusqlite::Error::ToSqlConversionFailure(Box::new(e)))?;
+            transaction.prepare_cached(PUT_FACTS)?.execute(params![
+                facts.frame.0,
+                facts.camera,
+                facts.filter,
+                facts.image_type,
+                facts.started_utc.map(stamp),
+                facts.stars,
+                facts.fwhm_px,
+                facts.fwhm_error_px,
+                facts.ellipticity,
+                facts.elongation_deg,
+                facts.trailed,
+                facts.sky_adu,
+                facts.noise_adu,
+                facts.saturated_fraction,
+                facts.defect_fraction,
+                facts.zero_point_mag,
+                facts.transparency,
+                facts.reason,
+                json,
+                stamp(*at),
+                boot_id.as_str(),
+                *seq as i64,
+                facts.ra_deg,
+                facts.dec_deg,
+                facts.scale_arcsec_px,
+                facts.rotation_deg,
+                facts.mirrored,
+                facts.matched,
+                facts.rms_px,
+                facts.false_alarm,
+                facts.off_target_arcmin,
+                facts.airmass,
+                facts.zero_point_error_mag,
+                facts.unsolved.as_ref().map(|unsolved| word(&unsolved.class)).transpose()?,
+            ])
+        }
+        Write::Focus(stored) => write_run(transaction, stored),
+        Write::FactsTaken { frame, said: (boot_id, seq), in_header } => transaction
+            .prepare_cached("UPDATE facts SET in_header = ? WHERE frame_id = ? AND boot_id = ? AND seq = ?")?
+            .execute(params![if *in_header { 1 } else { 2 }, frame.0, boot_id.as_str(), *seq as i64])
+            .map(|_| 0),
         Write::Complete(frame) => transaction
             .prepare_cached("UPDATE images SET complete_hdr = 1 WHERE frame_id = ?")?
             .execute([&frame.0])
             .map(|_| 0),
     }
+}
+
+/// The word of an enumeration, as it travels.
+fn word(value: &impl serde::Serialize) -> rusqlite::Result<String> {
+    let failed = |error| rusqlite::Error::ToSqlConversionFailure(Box::new(error));
+    let json = serde_json::to_value(value).map_err(failed)?;
+    Ok(json.as_str().map(str::to_owned).unwrap_or_else(|| json.to_string()))
+}
+
+fn write_run(transaction: &Transaction<'_>, stored: &StoredRun) -> rusqlite::Result<usize> {
+    let StoredRun { run, plot, at, said: (boot_id, seq) } = stored;
+    let json = |text: serde_json::Result<String>| {
+        text.map_err(|error| rusqlite::Error::ToSqlConversionFailure(Box::new(error)))
+    };
+    // a word of the contract, without its quotes
+    let word = |text: String| text.trim_matches('"').to_owned();
+    let new = transaction
+        .prepare_cached(
+            "INSERT INTO focus_runs VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) ON CONFLICT DO NOTHING",
+        )?
+        .execute(params![
+            run.id.0,
+            run.camera,
+            run.focuser,
+            run.filter,
+            stamp(run.started_utc),
+            run.ended_utc.map(stamp),
+            word(json(serde_json::to_string(&run.outcome))?),
+            run.reason,
+            run.start_position,
+            run.best_position,
+            run.best_position_error,
+            run.kept_position,
+            run.critical_zone,
+            run.verified,
+            run.operator,
+            run.temperature_c,
+            run.altitude_deg,
+            plot,
+            json(serde_json::to_string(run))?,
+            stamp(*at),
+            boot_id.as_str(),
+            *seq as i64,
+        ])?;
+    if new == 0 {
+        return Ok(0);
+    }
+    let mut put =
+        transaction.prepare_cached("INSERT INTO focus_points VALUES (?,?,?,?,?,?,?,?,?,?) ON CONFLICT DO NOTHING")?;
+    for (number, point) in run.points.iter().enumerate() {
+        put.execute(params![
+            run.id.0,
+            number as i64,
+            point.position,
+            word(json(serde_json::to_string(&point.pass))?),
+            point.value,
+            point.error,
+            point.stars,
+            point.reason,
+            point.temperature_c,
+            point.used,
+        ])?;
+    }
+    Ok(new + run.points.len())
 }
 
 /// A time as the predecessor's tables have it, which sorts as text.

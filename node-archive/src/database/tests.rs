@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use bus::Clock;
 use contract::archive::{Ask, Question, Row};
 use contract::device::camera::{Pixel, Purpose};
+use contract::observatory::{FrameFacts, Unsolved, UnsolvedClass};
 use contract::{Address, Kind};
 
 use super::*;
@@ -242,4 +243,129 @@ async fn a_database_of_version_1_gets_the_table_of_the_audit_and_keeps_its_rows(
     assert_eq!(reader.audit_end("device/alpha/main").unwrap().unwrap().sha256, "bb");
     assert_eq!(reader.audit_end("device/beta/main").unwrap(), None);
     assert_eq!(reader.writing(&CommandId("frame-1".to_owned())).unwrap().as_deref(), Some("n/a.fits"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_database_of_version_3_keeps_its_facts_and_takes_solutions() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("archive.db");
+    let old = Connection::open(&path).unwrap();
+    for made in [rows::SCHEMA, rows::AUDIT, rows::FACTS] {
+        old.execute_batch(made).unwrap();
+    }
+    let known = FrameFacts { frame: CommandId("old".to_owned()), stars: Some(7), ..FrameFacts::default() };
+    old.execute(
+        "INSERT INTO facts (frame_id, stars, facts, datetime, boot_id, seq, in_header) VALUES ('old', 7, ?1, ?2, ?3, 0, 1)",
+        rusqlite::params![serde_json::to_string(&known).unwrap(), rows::stamp(at(1)), BootId::fresh().as_str()],
+    )
+    .unwrap();
+    old.pragma_update(None, "user_version", 3).unwrap();
+    drop(old);
+    let (database, writer) = Database::open(&path, AlertBoard::new(Clock::machine_clock())).unwrap();
+    let unsolved = Unsolved { class: UnsolvedClass::TooFewStars, detail: "2 stars".to_owned() };
+    let frame = |id: &str| FrameFacts { frame: CommandId(id.to_owned()), ..FrameFacts::default() };
+    let solved = FrameFacts { ra_deg: Some(83.5), dec_deg: Some(-5.25), matched: Some(40), ..frame("solved") };
+    for facts in [solved, FrameFacts { unsolved: Some(unsolved), ..frame("unsolved") }] {
+        let stored = StoredFacts { facts, at: at(2), said: (BootId::fresh(), 0) };
+        database.commit(vec![Write::Facts(Box::new(stored))]).await.unwrap();
+    }
+    drop(database);
+    writer.end().await;
+    assert_eq!(Reader::open(&path).unwrap().facts(&known.frame).unwrap().unwrap().facts, known);
+    let rows = Connection::open(&path).unwrap();
+    let row = |id: &str| {
+        let sql = "SELECT stars, ra_deg, dec_deg, matched, unsolved, in_header FROM facts WHERE frame_id = ?1";
+        type Row = (Option<u32>, Option<f64>, Option<f64>, Option<u32>, Option<String>, u32);
+        rows.query_row(sql, [id], |row| -> rusqlite::Result<Row> {
+            Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?, row.get(5)?))
+        })
+        .unwrap()
+    };
+    assert_eq!(row("old"), (Some(7), None, None, None, None, 1));
+    assert_eq!(row("solved"), (None, Some(83.5), Some(-5.25), Some(40), None, 0));
+    assert_eq!(row("unsolved"), (None, None, None, None, Some("too_few_stars".to_owned()), 0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn facts_are_kept_once_and_what_was_measured_never_gives_way_to_a_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("archive.db");
+    let (database, writer) = Database::open(&path, AlertBoard::new(Clock::machine_clock())).unwrap();
+    let life = BootId::fresh();
+    let told = |stars: Option<u32>, reason: Option<&str>, second: i64, seq: u64| {
+        let facts = FrameFacts {
+            frame: CommandId("frame-1".to_owned()),
+            stars,
+            fwhm_px: stars.map(|_| 2.5),
+            reason: reason.map(str::to_owned),
+            ..FrameFacts::default()
+        };
+        StoredFacts { facts, at: at(second), said: (life.clone(), seq) }
+    };
+    let reader = Reader::open(&path).unwrap();
+    let frame = CommandId("frame-1".to_owned());
+    let put = async |told: &StoredFacts| {
+        database.commit(vec![Write::Facts(Box::new(told.clone()))]).await.unwrap();
+        reader.facts(&frame).unwrap().unwrap()
+    };
+    let missed = told(None, Some("not fetched"), 1, 0);
+    assert_eq!(put(&missed).await, missed);
+    let measured = told(Some(7), None, 2, 1);
+    assert_eq!(put(&measured).await, measured);
+    assert_eq!(put(&told(None, Some("not fetched: HTTP 404"), 3, 2)).await, measured);
+    assert_eq!(put(&told(Some(9), None, 1, 0)).await, measured, "an older word, recovered late");
+    let better = told(Some(8), None, 4, 3);
+    assert_eq!(put(&better).await, better);
+
+    assert_eq!(reader.late_facts(10).unwrap(), [], "there is no image of it");
+    let mut image = image("frame-1", "x");
+    image.frame.url.clear();
+    database.commit(vec![Write::Stored(Box::new(image.clone()))]).await.unwrap();
+    assert_eq!(reader.late_facts(10).unwrap(), [], "its header is not complete yet and takes them then");
+    database.commit(vec![Write::Complete(frame.clone())]).await.unwrap();
+    assert_eq!(reader.late_facts(10).unwrap(), [(image, better.clone())]);
+    let older = Write::FactsTaken { frame: frame.clone(), said: measured.said, in_header: true };
+    database.commit(vec![older]).await.unwrap();
+    assert_eq!(reader.late_facts(10).unwrap().len(), 1, "others stand in the header");
+    let taken = Write::FactsTaken { frame, said: better.said, in_header: true };
+    database.commit(vec![taken]).await.unwrap();
+    assert_eq!(reader.late_facts(10).unwrap(), []);
+    drop(database);
+    writer.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_correction_of_the_guiding_is_a_row_and_counts_once() {
+    let samples: Vec<contract::observatory::Correction> =
+        serde_json::from_str(include_str!("../../../common/contract/golden/v1/observatory.correction.json")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("archive.db");
+    let (database, writer) = Database::open(&path, AlertBoard::new(Clock::machine_clock())).unwrap();
+    let life = BootId::fresh();
+    for (seq, correction) in samples.iter().chain(&samples).enumerate() {
+        let (correction, telescope) = (correction.clone(), "callisto".to_owned());
+        let stored = StoredCorrection { correction, telescope, said: (life.clone(), seq as u64) };
+        database.commit(vec![Write::Correction(Box::new(stored))]).await.unwrap();
+    }
+    drop(database);
+    writer.end().await;
+    // opened again: the table is there already
+    let (database, writer) = Database::open(&path, AlertBoard::new(Clock::machine_clock())).unwrap();
+    let connection = rusqlite::Connection::open(&path).unwrap();
+    let mut asked = connection
+        .prepare(
+            "SELECT datetime, stage, shift_x, north_why, east_given_ms, reason IS NULL FROM guiding ORDER BY datetime",
+        )
+        .unwrap();
+    type Row = (String, String, Option<f64>, String, i64, bool);
+    let read = |row: &rusqlite::Row| Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?, row.get(5)?));
+    let rows: Vec<Row> = asked.query_map([], read).unwrap().map(Result::unwrap).collect();
+    let text = str::to_owned;
+    let expected: [Row; 2] = [
+        (text("2026-11-21 03:12:59.000000"), text("guide"), Some(0.21), text("reversal_resisted"), -61, true),
+        (text("2026-11-21 03:13:29.000000"), text("lost"), None, text("not_measured"), 0, false),
+    ];
+    assert_eq!(rows, expected);
+    drop(database);
+    writer.end().await;
 }

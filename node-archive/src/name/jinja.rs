@@ -17,7 +17,28 @@ pub(super) fn render(template: &str, values: &Values) -> Result<String, String> 
     environment.set_unknown_method_callback(method);
     environment.add_filter("format", percent);
     let context: BTreeMap<&str, Jinja> = values.iter().map(|(name, value)| (*name, to_jinja(value))).collect();
-    environment.render_str(template, context).map_err(|error| error.to_string())
+    environment.render_str(&with_methods(template), context).map_err(|error| error.to_string())
+}
+
+/// Python's arithmetic of dates, which Jinja has only in Python, as calls: `date + datetime.timedelta(hours=5)` becomes
+/// `date.plus(hours=5)`, and `-` becomes `.minus`.
+fn with_methods(template: &str) -> String {
+    const DELTA: &str = "datetime.timedelta(";
+    let mut out = String::new();
+    let mut rest = template;
+    while let Some(at) = rest.find(DELTA) {
+        let before = rest[..at].trim_end();
+        let date = before.strip_suffix(['+', '-']).map(str::trim_end);
+        match date {
+            Some(date) => {
+                out.push_str(date);
+                out.push_str(if before.ends_with('+') { ".plus(" } else { ".minus(" });
+            }
+            None => out.push_str(&rest[..at + DELTA.len()]),
+        }
+        rest = &rest[at + DELTA.len()..];
+    }
+    out + rest
 }
 
 fn to_jinja(value: &Value) -> Jinja {
@@ -29,7 +50,7 @@ fn to_jinja(value: &Value) -> Jinja {
     }
 }
 
-/// A date with `strftime`, `isoformat`, `plus(days=…, hours=…)` and its parts.
+/// A date with `strftime`, `isoformat`, `plus(days=…, hours=…)`, `minus(…)` and its parts.
 #[derive(Debug)]
 struct Date(Utc);
 
@@ -60,15 +81,8 @@ impl Object for Date {
                 text.map(Jinja::from).map_err(|fault| Error::new(ErrorKind::InvalidOperation, fault))
             }
             "isoformat" => Ok(Jinja::from(self.0.strftime("%Y-%m-%dT%H:%M:%S.%6f"))),
-            "plus" => {
-                let (parts,): (Kwargs,) = from_args(args)?;
-                let mut seconds = 0.0;
-                for (name, length_s) in [("days", 86_400.0), ("hours", 3600.0), ("minutes", 60.0), ("seconds", 1.0)] {
-                    seconds += parts.get::<Option<f64>>(name)?.unwrap_or(0.0) * length_s;
-                }
-                parts.assert_all_used()?;
-                Ok(Jinja::from_object(Self(self.0.plus_seconds(seconds))))
-            }
+            "plus" => Ok(Jinja::from_object(Self(self.0.plus_seconds(delta_s(args)?)))),
+            "minus" => Ok(Jinja::from_object(Self(self.0.plus_seconds(-delta_s(args)?)))),
             _ => Err(unknown(method)),
         }
     }
@@ -76,6 +90,26 @@ impl Object for Date {
     fn render(self: &Arc<Self>, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.0.strftime("%Y-%m-%d %H:%M:%S.%6f"))
     }
+}
+
+/// What Python's `timedelta` takes, s: by name, or days as the only one without.
+fn delta_s(args: &[Jinja]) -> Result<f64, Error> {
+    const LENGTHS: [(&str, f64); 7] = [
+        ("weeks", 604_800.0),
+        ("days", 86_400.0),
+        ("hours", 3600.0),
+        ("minutes", 60.0),
+        ("seconds", 1.0),
+        ("milliseconds", 1e-3),
+        ("microseconds", 1e-6),
+    ];
+    let (days, parts): (Option<f64>, Kwargs) = from_args(args)?;
+    let mut seconds = days.unwrap_or(0.0) * 86_400.0;
+    for (name, length_s) in LENGTHS {
+        seconds += parts.get::<Option<f64>>(name)?.unwrap_or(0.0) * length_s;
+    }
+    parts.assert_all_used()?;
+    Ok(seconds)
 }
 
 /// Methods of texts and numbers.

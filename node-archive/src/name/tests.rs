@@ -89,6 +89,72 @@ fn a_site_may_write_jinja_templates() {
     assert_eq!(name_of(&namer.unwrap(), &frame()), "2026-11/trappist-1_30.00_late_003_21.fits");
 }
 
+/// Each rule of the predecessor's names, beside what CPython 3.11 and Jinja2 3.1 print for it.
+#[test]
+fn templates_of_the_predecessor_give_the_names_that_they_gave_there() {
+    let (day, at) = ("20261120", "20261121_030001.234");
+    for (template, expected) in [
+        // plain: every variable, with its type
+        ("{action_type}/{device}.fits", "object/andor.fits".to_owned()),
+        ("{filter_name}_{object_name}_{imagetype}.fits", "I+z_TRAPPIST-1_light.fits".to_owned()),
+        ("{exptime}_{exptime:.3f}_{exptime:g}_{exptime:06.1f}.fits", "30.0_30.000_30_0030.0.fits".to_owned()),
+        ("{action_date}/{timestamp}.fits", format!("{day}/{at}.fits")),
+        ("{datetime_timestamp:%Y-%m-%d}_{action_datetime:%H%M}.fits", "2026-11-21_0000.fits".to_owned()),
+        ("{sequence_counter}_{sequence_counter:05d}_{device:>8}.fits", "3_00003_   andor.fits".to_owned()),
+        ("{action_date}/raw/{action_date}/{device}.fits", format!("{day}/raw/{day}/andor.fits")),
+        // Jinja: the same, then its own
+        ("{{ action_type }}/{{ device }}_{{ exptime }}.fits", "object/andor_30.0.fits".to_owned()),
+        ("{{ action_date }}/{{ timestamp }}_{{ sequence_counter }}.fits", format!("{day}/{at}_3.fits")),
+        ("{{ datetime_timestamp.strftime('%Y%m%d_%H%M%S.%f')[:-5] }}.fits", "20261121_030001.2.fits".to_owned()),
+        ("{{ filter_name.replace('+', 'p') | upper }}_{{ object_name[:4] }}.fits", "IPZ_TRAP.fits".to_owned()),
+        (
+            "{{ 'Dusk' if (datetime_timestamp + datetime.timedelta(hours=5)).hour > 12 else 'Dawn' }}_{{ device }}.fits",
+            "Dawn_andor.fits".to_owned(),
+        ),
+        (
+            "{{ 'Dusk' if (datetime_timestamp + datetime.timedelta(hours=10)).hour > 12 else 'Dawn' }}_{{ device }}.fits",
+            "Dusk_andor.fits".to_owned(),
+        ),
+        (
+            "{{ (action_datetime - datetime.timedelta(1, hours=12)).strftime('%m%d_%H') }}{{ device }}.fits",
+            "1118_12andor.fits".to_owned(),
+        ),
+        (
+            "{{ (action_datetime+datetime.timedelta(weeks=1, minutes=30)).strftime('%m%d_%H%M') }}.fits",
+            "1127_0030.fits".to_owned(),
+        ),
+    ] {
+        assert_eq!(name_of(&own("object", template).unwrap(), &frame()), expected, "{template}");
+    }
+    // kinds of frames by a part of their name, whatever its case
+    for (image_type, expected) in [
+        ("Light Frame", "light"),
+        ("BIAS", "bias"),
+        ("dark frame", "dark"),
+        ("Flat Frame", "flat"),
+        ("Unknown Frame", "default"),
+    ] {
+        let mut frame = frame();
+        frame.purpose.image_type = image_type.to_owned();
+        assert_eq!(name_of(&own("object", "{imagetype}.fits").unwrap(), &frame), format!("{expected}.fits"));
+    }
+    // without a filter or an object, and with apostrophes
+    let mut bare = frame();
+    (bare.purpose.filter, bare.purpose.object) = (Some("r'".to_owned()), None);
+    assert_eq!(name_of(&own("object", "{filter_name}_{object_name}.fits").unwrap(), &bare), "r_NA.fits");
+    // one Jinja template makes all of them Jinja, and an action that nobody knows is passed over
+    let mixed = BTreeMap::from([
+        ("object".to_owned(), "{device}.fits".to_owned()),
+        ("flats".to_owned(), "{{ device }}.fits".to_owned()),
+        ("focus".to_owned(), "{nonsense".to_owned()),
+    ]);
+    let namer = Namer::new(&mixed, 0.0).unwrap();
+    let mut flat = frame();
+    flat.purpose.action = "flats".to_owned();
+    assert_eq!(name_of(&namer, &flat), "andor.fits");
+    assert_ne!(name_of(&namer, &frame()), "andor.fits", "read as Jinja, a plain field is only text");
+}
+
 #[test]
 fn a_template_that_cannot_work_is_refused_at_the_start_and_named() {
     for template in [

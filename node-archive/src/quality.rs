@@ -1,0 +1,135 @@
+//! The keywords that facts make in a header.
+//!
+//! They stand in the header of every measured frame, whether the site's table lists them or not. A table that takes one
+//! of these keywords from elsewhere keeps it; one that lists it as computed (`astra`) chooses the comment.
+
+use config::header::{HeaderTable, Source};
+use contract::observatory::FrameFacts;
+
+use crate::card::{Card, CardValue};
+use crate::header::Plan;
+
+type Value = fn(&FrameFacts) -> Option<CardValue>;
+
+/// Keyword, value and comment; units stand in brackets as the FITS standard 4.0, 4.3 has them.
+const KEYWORDS: [(&str, Value, &str); 23] = [
+    ("NSTARS", |f| Some(CardValue::Int(f.stars?.into())), "stars found"),
+    ("FWHM", |f| f.fwhm_px.map(CardValue::Float), "[pix] median FWHM of the best stars"),
+    ("FWHMERR", |f| f.fwhm_error_px.map(CardValue::Float), "[pix] standard error of FWHM"),
+    ("ELLIPTIC", |f| f.ellipticity.map(CardValue::Float), "1 - minor / major axis of the same stars"),
+    ("ELONGPA", |f| f.elongation_deg.map(CardValue::Float), "[deg] direction of the stars, +x to +y"),
+    ("TRAILED", |f| f.trailed.map(CardValue::Logical), "all stars are drawn out in one direction"),
+    ("BKGLEVEL", |f| f.sky_adu.map(CardValue::Float), "[adu] median level of sky or frame"),
+    ("BKGNOISE", |f| f.noise_adu.map(CardValue::Float), "[adu] noise of a pixel of it"),
+    ("SATFRAC", |f| f.saturated_fraction.map(CardValue::Float), "share of saturated pixels, 0 to 1"),
+    ("BADFRAC", |f| f.defect_fraction.map(CardValue::Float), "share of defect pixels, 0 to 1"),
+    ("MAGZPT", |f| f.zero_point_mag.map(CardValue::Float), "[mag] of a star that gives 1 adu/s"),
+    ("MAGZPERR", |f| f.zero_point_error_mag.map(CardValue::Float), "[mag] standard error of MAGZPT"),
+    ("TRANSPAR", |f| f.transparency.map(CardValue::Float), "share of starlight that comes through"),
+    ("DOMEHID", |f| f.dome_hid_percent.map(CardValue::Float), "percent of the light that the dome hid"),
+    ("REFUSED", |f| f.refused.is_some().then_some(true.into()), "the frame does not count; HISTORY says why"),
+    (
+        "SOLVED",
+        |f| (f.wcs.is_some() || f.unsolved.is_some()).then(|| f.wcs.is_some().into()),
+        "a plate solution was found",
+    ),
+    ("PIXSCALE", |f| f.scale_arcsec_px.map(CardValue::Float), "[arcsec/pix] size of a pixel at the centre"),
+    ("POSANGLE", |f| f.rotation_deg.map(CardValue::Float), "[deg] +y from north through east"),
+    ("MIRRORED", |f| f.mirrored.map(CardValue::Logical), "first row at the top: mirror image"),
+    ("NMATCHED", |f| Some(CardValue::Int(f.matched?.into())), "stars that agree with the catalogue"),
+    ("WCSRMS", |f| f.rms_px.map(CardValue::Float), "[pix] rms of their places"),
+    ("WCSFALSE", |f| f.false_alarm.map(CardValue::Float), "probability of a false solution"),
+    ("OFFTARG", |f| f.off_target_arcmin.map(CardValue::Float), "[arcmin] frame's middle to target"),
+];
+
+/// Whether facts make this keyword.
+pub fn makes(keyword: &str) -> bool {
+    KEYWORDS.iter().any(|(known, ..)| *known == keyword)
+}
+
+/// What facts add to a header.
+pub fn plan(table: &HeaderTable, facts: &FrameFacts) -> Plan {
+    let card = |(keyword, value, comment): &(&str, Value, &str)| {
+        let row = table.rows.iter().find(|row| row.keyword == *keyword);
+        let comment = match row {
+            None => comment,
+            Some(row) if row.source == Source::Computed && row.comment.is_empty() => comment,
+            Some(row) if row.source == Source::Computed => row.comment.as_str(),
+            Some(_) => return None,
+        };
+        Some(Card::new(keyword, value(facts)?, comment))
+    };
+    let unsolved = facts.unsolved.iter().map(|unsolved| format!("not solved: {}", unsolved.detail));
+    let refused = facts.refused.iter().map(|why| format!("does not count: {why}"));
+    let history = facts.reason.iter().cloned().chain(unsolved).chain(refused).collect();
+    Plan { cards: KEYWORDS.iter().filter_map(card).collect(), history }
+}
+
+#[cfg(test)]
+mod tests {
+    use contract::observatory::{Unsolved, UnsolvedClass};
+
+    use super::*;
+
+    fn facts() -> FrameFacts {
+        FrameFacts { stars: Some(418), fwhm_px: Some(1.93), trailed: Some(false), ..FrameFacts::default() }
+    }
+
+    fn table(rows: &str) -> HeaderTable {
+        format!("header,dtype,fixed,device_type,device_command,comment\n{rows}").parse().unwrap()
+    }
+
+    #[test]
+    fn what_was_measured_stands_in_the_header_with_its_unit() {
+        let plan = plan(&HeaderTable::default(), &facts());
+        let records: Vec<String> = plan.cards.iter().map(|card| card.record().unwrap().trim_end().to_owned()).collect();
+        assert_eq!(
+            records,
+            [
+                "NSTARS  =                  418 / stars found",
+                "FWHM    =                 1.93 / [pix] median FWHM of the best stars",
+                "TRAILED =                    F / all stars are drawn out in one direction",
+            ]
+        );
+        assert!(plan.history.is_empty());
+    }
+
+    #[test]
+    fn every_keyword_fits_its_card() {
+        for (keyword, _, comment) in KEYWORDS {
+            let record = Card::new(keyword, CardValue::Float(0.123_456), comment).record().unwrap();
+            assert!(keyword.len() <= 8 && record.trim_end().ends_with(comment), "{record}");
+            assert!(makes(keyword));
+        }
+    }
+
+    #[test]
+    fn the_table_of_the_site_has_the_last_word() {
+        let from_elsewhere = table("FWHM,float,true,static,2.5,by hand\n");
+        assert!(plan(&from_elsewhere, &facts()).cards.iter().all(|card| card.keyword != "FWHM"));
+        let own_words = table("FWHM,float,false,astra,,[pix] how sharp\nNSTARS,int,false,astra,,\n");
+        assert!(crate::header::check(&own_words).is_empty());
+        let comments: Vec<String> = plan(&own_words, &facts()).cards.into_iter().map(|card| card.comment).collect();
+        assert_eq!(comments[..2], ["stars found", "[pix] how sharp"]);
+    }
+
+    #[test]
+    fn a_frame_that_was_not_measured_says_why() {
+        let facts = FrameFacts { reason: Some("not fetched: HTTP 404".to_owned()), ..FrameFacts::default() };
+        assert_eq!(plan(&HeaderTable::default(), &facts).history, ["not fetched: HTTP 404"]);
+        let unsolved = Unsolved { class: UnsolvedClass::Clouds, detail: "clouds: 3 stars".to_owned() };
+        let facts = FrameFacts { unsolved: Some(unsolved), ..FrameFacts::default() };
+        let plan = plan(&HeaderTable::default(), &facts);
+        assert_eq!(plan.history, ["not solved: clouds: 3 stars"]);
+        assert_eq!(plan.cards, [Card::new("SOLVED", false.into(), "a plate solution was found")]);
+    }
+
+    #[test]
+    fn a_frame_that_does_not_count_says_so_and_why() {
+        let why = "flat: 12345 ADU, expected 31500 within 6300 ADU";
+        let plan =
+            plan(&HeaderTable::default(), &FrameFacts { refused: Some(why.to_owned()), ..FrameFacts::default() });
+        assert_eq!(plan.cards, [Card::new("REFUSED", true.into(), "the frame does not count; HISTORY says why")]);
+        assert_eq!(plan.history, [format!("does not count: {why}")]);
+    }
+}

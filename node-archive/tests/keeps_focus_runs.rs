@@ -1,0 +1,66 @@
+//! A focus run is kept with all its points, once, and drawn, also by an archive that was away when it ended.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends at the first surprise")]
+
+use std::time::{Duration, Instant};
+
+use bus::{Bus, Clock, Node, Quality};
+use contract::observatory::FocusRun;
+use contract::{Address, CommandId, Key, Role};
+
+const MOST: Duration = Duration::from_secs(20);
+
+async fn bus(connect: Vec<String>) -> Bus {
+    let settings = config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect, multicast: false };
+    Bus::open(&settings, Clock::machine_clock()).await.unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn runs_are_kept_once_with_their_points_and_a_plot() {
+    let folder = tempfile::tempdir().unwrap();
+    let observatory = bus(Vec::new()).await;
+    let text = "[observatory]\nsite = \"paranal\"\ntelescope = \"callisto\"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\n\
+                elevation_m = 2500\n[[camera]]\nname = \"andor\"\nserver = \"localhost:1\"\n";
+    let config = config::parse(text, folder.path()).unwrap();
+    let (address, database) = (Address::new("paranal", "callisto").unwrap(), config.archive.database.clone());
+    let line = observatory.publisher::<FocusRun>(&Key::FocusRun(address), Quality::Event { cache: 10 }).await.unwrap();
+    let sample: FocusRun =
+        serde_json::from_str(include_str!("../../common/contract/golden/v1/observatory.focus_run.json")).unwrap();
+    // before the archive lives, and told twice
+    line.put(sample.clone()).await.unwrap();
+    line.put(sample.clone()).await.unwrap();
+
+    let table: config::header::HeaderTable =
+        "header,dtype,fixed,device_type,device_command,comment\nDATE,str,false,astra,,written\n".parse().unwrap();
+    let own = bus(observatory.locators().await).await;
+    let node = Node::new(Role::Archive, "main".parse().unwrap(), config, table, own);
+    let stop = node.stop.clone();
+    let running = tokio::spawn(node_archive::run(node));
+    let second = FocusRun { id: CommandId("second".to_owned()), filter: None, ..sample.clone() };
+    line.put(second).await.unwrap();
+
+    let plots = folder.path().join("images/autofocus/20261120");
+    let began = Instant::now();
+    while std::fs::read_dir(&plots).map_or(0, |files| files.flatten().count()) < 2 {
+        assert!(began.elapsed() < MOST, "no plots in {}", plots.display());
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    stop.stop();
+    running.await.unwrap().unwrap();
+    let svg = std::fs::read_to_string(plots.join("andor_focuser_V_20261121_030800.svg")).unwrap();
+    assert!(svg.contains("callisto andor, V") && svg.ends_with("</svg>\n"), "{svg}");
+    let database = rusqlite::Connection::open(database).unwrap();
+    let runs: i64 = database.query_row("SELECT count(*) FROM focus_runs", [], |row| row.get(0)).unwrap();
+    let points: i64 = database.query_row("SELECT count(*) FROM focus_points", [], |row| row.get(0)).unwrap();
+    assert_eq!((runs, points), (2, 2 * sample.points.len() as i64));
+    let query = "SELECT outcome, best_position, operator, temperature_c, run FROM focus_runs WHERE run_id = ?";
+    let row: (String, f64, String, f64, String) = database
+        .query_row(query, [&sample.id.0], |r| Ok((r.get(0)?, r.get(1)?, r.get(2)?, r.get(3)?, r.get(4)?)))
+        .unwrap();
+    assert_eq!((row.0.as_str(), row.1, row.2.as_str(), row.3), ("failed", 23150.4, "tenengrad", 11.2));
+    assert_eq!(serde_json::from_str::<FocusRun>(&row.4).unwrap(), sample);
+    let query = "SELECT position, pass, value, reason FROM focus_points WHERE run_id = ? AND number = 1";
+    let row: (i64, String, Option<f64>, String) =
+        database.query_row(query, [&sample.id.0], |r| Ok((r.get(0)?, r.get(1)?, r.get(2)?, r.get(3)?))).unwrap();
+    assert_eq!((row.0, row.1.as_str(), row.2), (22800, "coarse", None));
+}

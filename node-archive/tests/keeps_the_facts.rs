@@ -1,0 +1,155 @@
+//! What was measured on a frame stands in its header, whether it was said before the frame was stored or long after.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends at the first surprise")]
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use axum::routing::get;
+use bus::{Bus, Catch, Clock, Node, Publisher, Quality, Subscriber};
+use config::header::HeaderTable;
+use contract::archive::Stored;
+use contract::device::camera::{Frame, Pixel, Purpose};
+use contract::observatory::{Distortion, FrameFacts, FrameWcs};
+use contract::{Address, CommandId, Key, Kind, Role};
+use node_archive::stored_header::Header;
+use sha2::{Digest, Sha256};
+
+const MOST: Duration = Duration::from_secs(20);
+const PIXELS: [u8; 64 * 32 * 2] = [3; 64 * 32 * 2];
+
+fn address() -> Address {
+    Address::new("paranal", "callisto").unwrap()
+}
+
+/// An archive whose table asks for nothing that is polled.
+fn archive(folder: &Path, bus: Bus) -> Node {
+    let text = "[observatory]\nsite = \"paranal\"\ntelescope = \"callisto\"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\n\
+                elevation_m = 2500\n[[camera]]\nname = \"andor\"\nserver = \"localhost:1\"\n";
+    let table: HeaderTable =
+        "header,dtype,fixed,device_type,device_command,comment\nDATE,str,false,astra,,written\n".parse().unwrap();
+    Node::new(Role::Archive, "main".parse().unwrap(), config::parse(text, folder).unwrap(), table, bus)
+}
+
+async fn bus(connect: Vec<String>) -> Bus {
+    let settings = config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect, multicast: false };
+    Bus::open(&settings, Clock::machine_clock()).await.unwrap()
+}
+
+async fn spool() -> String {
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let url = format!("http://{}/frame", listener.local_addr().unwrap());
+    let app = axum::Router::new().route("/frame", get(async || PIXELS.to_vec()));
+    tokio::spawn(async move { axum::serve(listener, app).await });
+    url
+}
+
+fn frame(id: &str, url: &str, bus: &Bus) -> Frame {
+    Frame {
+        id: CommandId(id.to_owned()),
+        camera: "andor".to_owned(),
+        purpose: Purpose { image_type: "Light Frame".to_owned(), night: "20261120".to_owned(), ..Purpose::default() },
+        width_px: 64,
+        height_px: 32,
+        planes: 1,
+        pixel: Pixel::U16,
+        bin: 1,
+        origin_px: [0, 0],
+        started_utc: bus.clock().utc(),
+        exposure_s: 0.5,
+        url: url.to_owned(),
+        bytes: PIXELS.len() as u64,
+        sha256: Sha256::digest(PIXELS).iter().map(|byte| format!("{byte:02x}")).collect(),
+        readings: Default::default(),
+    }
+}
+
+/// A solution whose reference pixel lies at this right ascension.
+fn wcs(ra_deg: f64) -> FrameWcs {
+    let distortion = [0.0, 0.0, 0.0, 1e-9, 0.0, 1e-9, 0.0];
+    FrameWcs {
+        ra_deg,
+        dec_deg: -5.25,
+        x_px: 31.5,
+        y_px: 15.5,
+        cd_deg_px: [[-1e-4, 0.0], [0.0, 1e-4]],
+        sip: Some(Distortion { a: distortion, b: distortion }),
+    }
+}
+
+/// Says the facts of a frame, its width for its right ascension too; they can be recovered while the publisher lives.
+async fn say(bus: &Bus, frame: &str, fwhm_px: f64) -> Publisher<FrameFacts> {
+    let key = Key::Facts(address(), frame.parse().unwrap());
+    let line = bus.publisher(&key, Quality::Event { cache: 2 }).await.unwrap();
+    let frame = CommandId(frame.to_owned());
+    let facts = FrameFacts {
+        frame,
+        stars: Some(12),
+        fwhm_px: Some(fwhm_px),
+        wcs: Some(wcs(fwhm_px)),
+        zero_point_mag: Some(21.5),
+        ..FrameFacts::default()
+    };
+    line.put(facts).await.unwrap();
+    line
+}
+
+async fn complete(stored: &Subscriber<Stored>, id: &str) -> Stored {
+    let heard = async {
+        loop {
+            let heard = stored.hear().await.said.body;
+            if heard.header_complete && heard.frame.0 == id {
+                return heard;
+            }
+        }
+    };
+    tokio::time::timeout(MOST, heard).await.unwrap()
+}
+
+fn value(folder: &Path, file: &str, keyword: &str) -> Option<String> {
+    Header::read(&folder.join("images").join(file)).unwrap().unwrap().value(keyword)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn facts_stand_in_the_header_early_or_late_and_a_header_waits_for_none_that_never_come() {
+    let folder = tempfile::tempdir().unwrap();
+    let devices = bus(Vec::new()).await;
+    let node = archive(folder.path(), bus(devices.locators().await).await);
+    let stored = devices.subscribe::<Stored>(&Key::Stored(address()).to_string(), Catch::All, 100).await.unwrap();
+    let camera = address().device(Kind::Camera, &"andor".parse().unwrap());
+    let frames = devices.publisher::<Frame>(&Key::Frame(camera), Quality::Event { cache: 10 }).await.unwrap();
+    let (url, stop) = (spool().await, node.stop.clone());
+    let running = tokio::spawn(node_archive::run(node));
+
+    // said before the archive lives, of a frame that is not announced yet
+    let _early = say(&devices, "early", 2.25).await;
+    let _unknown = say(&devices, "never-announced", 9.0).await;
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    frames.put(frame("early", &url, &devices)).await.unwrap();
+    let file = complete(&stored, "early").await.file;
+    assert_eq!(value(folder.path(), &file, "FWHM").as_deref(), Some("2.25"));
+    assert_eq!(value(folder.path(), &file, "NSTARS").as_deref(), Some("12"));
+    let solution =
+        |file: &str| ["CTYPE1", "CRVAL1", "CRPIX1", "A_ORDER", "MAGZPT"].map(|key| value(folder.path(), file, key));
+    let expected = |ra: &str| ["RA---TAN-SIP", ra, "32.5", "3", "21.5"].map(|text| Some(text.to_owned()));
+    assert_eq!(solution(&file), expected("2.25"));
+
+    // nobody measures this one until its header is complete
+    let began = Instant::now();
+    frames.put(frame("late", &url, &devices)).await.unwrap();
+    let file = complete(&stored, "late").await.file;
+    let waited = began.elapsed();
+    assert!(waited >= node_archive::facts::PATIENCE && value(folder.path(), &file, "FWHM").is_none(), "{waited:?}");
+    let _late = say(&devices, "late", 3.5).await;
+    let began = Instant::now();
+    while value(folder.path(), &file, "FWHM").as_deref() != Some("3.5") {
+        assert!(began.elapsed() < MOST, "the late facts are not in the header");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    assert_eq!(solution(&file), expected("3.5"));
+    let mut fits = fitsio::FitsFile::open(folder.path().join("images").join(&file)).unwrap();
+    let image: Vec<u16> = fits.primary_hdu().unwrap().read_image(&mut fits).unwrap();
+    assert_eq!(image, [0x0303; 64 * 32], "the pixels are where they were");
+    stop.stop();
+    running.await.unwrap().unwrap();
+}
