@@ -50,14 +50,24 @@ pub fn period(key: &Key, body: &Value) -> Option<Duration> {
     let seconds = match key {
         Key::State(_) => body["period_s"].as_f64().filter(|s| (0.001..3600.0).contains(s)).unwrap_or(5.0),
         Key::Guard(_) | Key::Permit(..) => 1.0,
-        Key::Observatory(_, Part::Safety | Part::Lease | Part::Night) => 1.0,
-        Key::Observatory(_, Part::Schedule | Part::Alerts | Part::Guiding | Part::Focus) => 10.0,
+        Key::Observatory(_, Part::Safety | Part::Lease | Part::Night | Part::Standing) => 1.0,
+        Key::Observatory(
+            _,
+            Part::Schedule
+            | Part::Alerts
+            | Part::Pointing
+            | Part::Guiding
+            | Part::Focus
+            | Part::Optics
+            | Part::FocusLearnt,
+        ) => 10.0,
         Key::Capabilities(_) | Key::Node(_, _, _, NodeTopic::Alerts) => 10.0,
         Key::Node(_, _, _, NodeTopic::State) => 5.0,
         Key::Node(_, _, _, NodeTopic::Diary | NodeTopic::Audit | NodeTopic::AuditSince | NodeTopic::Alive) => {
             return None;
         }
-        Key::Frame(_) | Key::Facts(..) | Key::Stored(_) => return None,
+        Key::Frame(_) | Key::Facts(..) | Key::Correction(_) | Key::GuideReference(_) => return None,
+        Key::FocusRun(_) | Key::Stored(_) | Key::Actions(_) | Key::ScheduleCheck(_) => return None,
         Key::Command(_) | Key::Record(_) | Key::Order(_) | Key::History(_) => return None,
     };
     Some(Duration::from_secs_f64(seconds))

@@ -34,6 +34,7 @@ fn night(robotic: bool, posture: Posture) -> NightState {
         simulated: false,
         ended: false,
         last_frame: None,
+        triggers: Vec::new(),
     }
 }
 
@@ -126,6 +127,7 @@ async fn several_telescopes_roll_up_and_each_can_be_asked_alone() {
     observatory(&stage, "io", Verdict::Unsafe, Posture::Closed).await;
     let alerts = |priority| Alerts {
         alerts: vec![Alert { priority, ..AlertKind::DomeNotClosed.alert("dome_1", now(), "the dome does not close") }],
+        ..Alerts::default()
     };
     let key = Key::Observatory(address("io"), Part::Alerts);
     let publisher = stage.say(key, State { cache: 1 }, alerts(Priority::Critical)).await;
@@ -147,8 +149,18 @@ async fn several_telescopes_roll_up_and_each_can_be_asked_alone() {
     assert_eq!(stage.get("/api/heartbeat?telescope=paranal/callisto").await.1["data"]["telescope_id"], "callisto");
     let (status, problem) = stage.get("/api/heartbeat?telescope=europa").await;
     assert_eq!((status.as_u16(), &problem["code"]), (404, &json!("not-found")));
+    // over, and nobody has seen it: no error of now, and not lost to who asks every few minutes
+    let mut over = alerts(Priority::Critical);
+    over.alerts[0].returned_utc = Some(now());
+    publisher.put(over).await.unwrap();
+    let calm = stage.until("/api/heartbeat?telescope=io", |answer| answer["data"]["error_free"] == true).await;
+    let returned = &calm["data"]["returned"][0];
+    assert_eq!((&returned["device_name"], &calm["data"]["error_source"]), (&json!("dome_1"), &json!([])));
+    assert!(returned["error"].as_str().unwrap().starts_with("dome-not-closed/dome_1"), "{returned}");
+    stage.until("/api/heartbeat", |answer| answer["data"]["returned"][0]["telescope_id"] == "io").await;
     publisher.put(alerts(Priority::Advisory)).await.unwrap();
-    stage.until("/api/heartbeat?telescope=io", |answer| answer["data"]["error_free"] == true).await;
+    let none = |answer: &Value| answer["data"]["error_free"] == true && answer["data"]["returned"] == json!([]);
+    stage.until("/api/heartbeat?telescope=io", none).await;
     stage.end().await;
 }
 

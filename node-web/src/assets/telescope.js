@@ -66,7 +66,7 @@ function image(summary) {
   const shown = arrived(summary);
   const age = shown && ageOf(shown);
   const facts = store.states.get(`${summary.id}/observatory/frame/facts`)?.body;
-  const measured = shown && facts?.frame === shown.frame ? [facts.stars != null && `${facts.stars} stars`, facts.fwhm_px != null && `FWHM ${number(facts.fwhm_px)} px`, facts.sky_adu != null && `sky ${number(facts.sky_adu, 0)} ADU`].filter(Boolean) : [];
+  const measured = shown && facts?.frame === shown.frame ? [facts.stars != null && `${facts.stars} stars`, facts.fwhm_px != null && `FWHM ${number(facts.fwhm_px)} px`, facts.sky_adu != null && `sky ${number(facts.sky_adu, 0)} ADU`, facts.trailed && "trailed", facts.reason].filter(Boolean) : [];
   return section("image", "Latest image",
     shown ? [picture(shown, "large"),
       h("p", { class: "caption", key: "caption" }, h("strong", {}, shown.object ?? shown.image_type), ` ${shown.filter ?? "no filter"} · ${plain(shown.exposure_s)} s · ${shown.camera} · ${clock(shown.started_utc)} · `,

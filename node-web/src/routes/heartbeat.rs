@@ -11,7 +11,7 @@ use axum::extract::{Query, State};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use bus::MachineTime;
-use contract::observatory::{Posture, Priority};
+use contract::observatory::{Alert, Posture, Priority};
 use contract::{Address, Key, Kind, Reading};
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
@@ -96,15 +96,18 @@ fn one(
 ) -> Map<String, Value> {
     let face = &summary.face;
     let stale = face.quality != Quality::Fresh;
-    let mut errors: Vec<Value> = face
+    let told = |alert: &Alert| {
+        let (kind, name) = source(&alert.id, telescope);
+        json!({ "device_type": kind, "device_name": name, "error": format!("{}: {}", alert.id, alert.cause) })
+    };
+    // what is over and nobody acknowledged is no error of now, and must not be missed by who asks every few minutes
+    let (returned, standing): (Vec<&Alert>, Vec<&Alert>) = face
         .alerts
         .iter()
-        .filter(|alert| alert.priority != Priority::Advisory && alert.returned_utc.is_none())
-        .map(|alert| {
-            let (kind, name) = source(&alert.id, telescope);
-            json!({ "device_type": kind, "device_name": name, "error": format!("{}: {}", alert.id, alert.cause) })
-        })
-        .collect();
+        .filter(|alert| alert.priority != Priority::Advisory)
+        .partition(|alert| alert.returned_utc.is_some());
+    let mut errors: Vec<Value> = standing.into_iter().map(told).collect();
+    let returned: Vec<Value> = returned.into_iter().map(told).collect();
     if stale {
         let error = match summary.ages.age_s {
             Some(age_s) => format!("stale: the observatory node has been silent for {age_s:.0} s"),
@@ -134,6 +137,7 @@ fn one(
         "datetime": legacy_time(summary.ages.reported_utc.unwrap_or(utc)),
         "error_free": errors.is_empty(),
         "error_source": errors,
+        "returned": returned,
         "weather_safe": match face.safety.state {
             SafetyWord::Safe => Some(true),
             SafetyWord::Unsafe => Some(false),
@@ -161,14 +165,18 @@ fn one(
 /// What all telescopes are together; each one's document is inside.
 fn all(several: &[(&Address, Map<String, Value>, Posture)], usage: Usage, utc: Utc) -> Map<String, Value> {
     let is = |document: &Map<String, Value>, key: &str| document[key] == true;
-    let mut errors = Vec::new();
-    for (address, document, _) in several {
-        for error in document["error_source"].as_array().into_iter().flatten() {
-            let mut error = error.clone();
-            error["telescope_id"] = json!(address.telescope.as_str());
-            errors.push(error);
+    let of_all = |key: &str| {
+        let mut all = Vec::new();
+        for (address, document, _) in several {
+            for error in document[key].as_array().into_iter().flatten() {
+                let mut error = error.clone();
+                error["telescope_id"] = json!(address.telescope.as_str());
+                all.push(error);
+            }
         }
-    }
+        all
+    };
+    let mut errors = of_all("error_source");
     if several.is_empty() {
         errors.push(json!({ "device_type": "Network", "device_name": "", "error": "no telescope was heard" }));
     }
@@ -191,6 +199,7 @@ fn all(several: &[(&Address, Map<String, Value>, Posture)], usage: Usage, utc: U
         "datetime": legacy_time(utc),
         "error_free": errors.is_empty(),
         "error_source": errors,
+        "returned": of_all("returned"),
         "weather_safe": !heeded.is_empty() && heeded.iter().all(|document| is(document, "weather_safe")),
         "schedule_running": several.iter().any(|(_, document, _)| is(document, "schedule_running")),
         "cpu_percent": usage.cpu_percent,
