@@ -1,0 +1,93 @@
+//! One look at a frame: its stars, its place on the sky, and what that teaches.
+
+use std::sync::Arc;
+
+use contract::device::camera::Frame;
+use contract::observatory::{FrameFacts, Unsolved, UnsolvedClass};
+use imaging::solve::Level;
+
+use super::aim::Aim;
+use super::looked::{Fetched, Looked};
+use super::measure::{self, Plane, measure};
+use super::optics::{self, Lesson};
+use super::solving::{self, Known, solve_frame};
+use crate::control_room::ControlRoom;
+
+/// What the frames of a camera and binning before this one showed.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Before {
+    /// Width of the stars on the last one, px: where the next search begins.
+    pub width: Option<f32>,
+    /// Frames in a row that fitted the catalogue nowhere.
+    pub unmatched: u32,
+}
+
+/// Looks at a frame's pixels, as the spool has them; takes a while. `on_measured` is told as soon as its stars are known,
+/// with the facts where its place is still to be found.
+pub fn look(
+    room: &ControlRoom,
+    frame: Frame,
+    bytes: Vec<u8>,
+    before: Before,
+    on_measured: impl FnOnce(Option<FrameFacts>),
+) -> (Looked, Option<Lesson>) {
+    let clock = room.node.bus.clock();
+    let began = clock.machine();
+    let plane = room.darks.taken_off(&frame, Plane::of(&frame, bytes));
+    let fetched = Arc::new(Fetched { frame, plane });
+    room.looks.fetched(&fetched);
+    let (facts, measured) = measure(&fetched.frame, &fetched.plane, before.width);
+    let mut looked = Looked { frame: fetched.frame.clone(), facts, measured, solved: None };
+    // whoever follows the pixels has its own hold of them
+    drop(fetched);
+    let is_sought = looked.measured.is_some() && room.node.config.imaging.solve;
+    let measuring_s = Some(clock.machine().since(began).as_secs_f64());
+    on_measured(is_sought.then(|| FrameFacts { measuring_s, ..looked.facts.clone() }));
+    let lesson = place(room, &mut looked, before.unmatched);
+    looked.facts.measuring_s = Some(clock.machine().since(began).as_secs_f64());
+    (looked, lesson)
+}
+
+/// Finds where a frame with stars points, and what that teaches.
+fn place(room: &ControlRoom, looked: &mut Looked, unmatched: u32) -> Option<Lesson> {
+    let Looked { frame, facts, measured, solved } = looked;
+    let measured = measured.as_ref().filter(|_| room.node.config.imaging.solve)?;
+    let clock = room.node.bus.clock();
+    let began = clock.machine();
+    let aim = Aim::of(room, frame);
+    facts.pier_side = aim.pier_side;
+    let state = room.optics.get();
+    let was_ever_solved = state.optics.iter().any(|known| (&known.camera, known.bin) == (&frame.camera, frame.bin));
+    let known = Known::new(&aim, optics::known(&state, frame, aim.pier_side)).after(unmatched, was_ever_solved);
+    let no_catalogue = || Unsolved {
+        class: UnsolvedClass::NoCatalogue,
+        detail: "the star catalogue is not open (yet); an alert says why if it cannot be opened".to_owned(),
+    };
+    let tried = match room.catalogue.get() {
+        Some(catalogue) => solve_frame(frame, measured, &catalogue, &known, clock),
+        None => Err(no_catalogue()),
+    };
+    facts.solving_s = Some(clock.machine().since(began).as_secs_f64());
+    let found = tried.map_err(|unsolved| facts.unsolved = Some(unsolved)).ok()?;
+    let lesson = match &found {
+        Ok(solution) => {
+            if solution.level == Level::Scale {
+                let (camera, scale_arcsec_px) = (&frame.camera, solution.scale_arcsec_px);
+                let told_arcsec_px = aim.scale_arcsec_px;
+                tracing::warn!(camera, scale_arcsec_px, told_arcsec_px, "the camera's pixels are not as large as told");
+            }
+            let observer = room.observer(solving::middle_of(frame)).ok();
+            let lesson = solving::describe(facts, frame, solution, &aim, observer.as_ref());
+            let best = optics::best_zero_point(&state, frame);
+            let share = facts.zero_point_mag.zip(best).map(|(zero, best)| solving::transparency(zero, best));
+            facts.transparency = share.and_then(measure::told);
+            Some(lesson)
+        }
+        Err(reason) => {
+            facts.unsolved = Some(solving::unsolved(reason));
+            None
+        }
+    };
+    *solved = Some(found);
+    lesson
+}

@@ -1,0 +1,422 @@
+//! Measures and solves every frame of this telescope as soon as it is announced, and says what it shows.
+//!
+//! The frame is fetched from its device node's spool, whether there is an archive or not, and measured on a thread that
+//! steps back behind all others: neither the safety loop nor the next exposure waits for it. One frame per camera is
+//! worked on at a time, the newest first ([`waiting`]); a frame that cannot be had or measured gets facts with a reason.
+//! Only the commander measures; a standby remembers what nobody has measured yet. What several frames say together are
+//! [`triggers`], shown in the night's state and as alerts; a row may have its focus found anew for one (`focus/between.rs`).
+//! Who acts on single frames gets pixels, stars and solution from [`looked`].
+//!
+//! A row that asks for it has a dark taken off its frames first ([`dark`]).
+//!
+//! A frame with stars is solved ([`solving`]) from where it was pointed ([`aim`]) with what earlier frames taught of the
+//! optics ([`optics`]); its catalogue stars tell the zero point ([`zero_point`]).
+
+pub mod aim;
+pub mod dark;
+mod look;
+pub mod looked;
+pub mod measure;
+pub mod mounts;
+pub mod optics;
+pub mod optics_line;
+pub mod solving;
+pub mod tell;
+pub mod triggers;
+pub mod waiting;
+pub mod zero_point;
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::Arc;
+use std::time::Duration;
+
+use bus::Catch;
+use contract::device::camera::Frame;
+use contract::observatory::{AlertKind, FrameFacts, Trigger, TriggerKind};
+use contract::{Kind, Scalar};
+use tokio::sync::{Semaphore, oneshot};
+use tokio::task::JoinSet;
+
+use self::look::{Before, look};
+use self::looked::Looked;
+use self::measure::unmeasured;
+use self::optics::{Lesson, Rivals};
+use self::triggers::Triggers;
+use self::waiting::{Announced, Waiting};
+use crate::control_room::ControlRoom;
+
+/// Cameras whose frames are fetched at the same time, at most; pixels are in memory for so many frames.
+const CAMERAS: usize = 4;
+/// Frames that are measured at the same time: one takes all cores and several times its own memory.
+const MEASURED_AT_ONCE: usize = 1;
+/// The pixels are here within this time, or the newer frames get their turn, machine time.
+const FETCH_DEADLINE: Duration = Duration::from_secs(30);
+/// Announcements and facts of others that wait to be looked at.
+const HEARD: usize = 1000;
+/// So many frames of a camera in a row without facts, and a person is told.
+const FAILURES_BEFORE_ALERT: u32 = 3;
+/// A frame whose place is still sought so long after its stars were measured is told twice, first without its place:
+/// facts are there within a second of the pixels. Machine time.
+const SOON: Duration = Duration::from_millis(300);
+/// Triggers grow old at this pace, machine time.
+const PERIOD: Duration = Duration::from_secs(5);
+
+/// Measures the telescope's frames until the node ends.
+pub async fn keep_measuring(room: Arc<ControlRoom>) -> anyhow::Result<()> {
+    let (own, bus) = (room.node.config.address(), &room.node.bus);
+    let started_utc = bus.clock().utc();
+    let below = format!("{}/{own}", contract::key::ROOT);
+    let cameras = format!("{below}/device/{}/*/frame", Kind::Camera);
+    let frames = bus.subscribe::<Frame>(&cameras, Catch::All, HEARD).await?;
+    let told = format!("{below}/observatory/frame/*/facts");
+    let facts = bus.subscribe::<FrameFacts>(&told, Catch::Newest, HEARD).await?;
+    let mut desk = Desk::new(room.clone())?;
+    let mut hold = room.hold.clone();
+    let mut work: JoinSet<Done> = JoinSet::new();
+    loop {
+        if desk.commands() {
+            while work.len() < CAMERAS
+                && let Some(next) = desk.waiting.next(&desk.busy)
+            {
+                work.spawn(desk.begin(next));
+            }
+        }
+        tokio::select! {
+            heard = frames.hear() => {
+                let is_old = heard.said.at_utc < started_utc;
+                desk.announced(Announced { frame: heard.said.body, is_old }).await?;
+            }
+            heard = facts.hear() => {
+                // another commander's, while this node stood by
+                if heard.said.boot_id != *bus.boot_id() {
+                    desk.waiting.settle(&heard.said.body.frame);
+                }
+            }
+            Some(done) = work.join_next() => desk.finish(done?).await?,
+            changed = hold.changed() => changed?,
+            () = tokio::time::sleep(PERIOD) => {}
+        }
+        desk.show();
+    }
+}
+
+/// A frame whose turn is over.
+struct Done {
+    is_old: bool,
+    looked: Looked,
+    lesson: Option<Lesson>,
+}
+
+/// What the loop works with.
+struct Desk {
+    room: Arc<ControlRoom>,
+    client: reqwest::Client,
+    turns: Arc<Semaphore>,
+    waiting: Waiting,
+    /// Cameras whose frame is worked on.
+    busy: BTreeSet<String>,
+    /// By camera and binning.
+    before: HashMap<(String, u32), Before>,
+    triggers: Triggers,
+    /// Solutions that disagree with the optics that are known.
+    rivals: Rivals,
+    /// Frames in a row without facts, by camera.
+    failures: HashMap<String, u32>,
+    raised: BTreeSet<(TriggerKind, String)>,
+    measured: i64,
+}
+
+impl Desk {
+    fn new(room: Arc<ControlRoom>) -> anyhow::Result<Self> {
+        Ok(Self {
+            client: reqwest::Client::builder().connect_timeout(Duration::from_secs(5)).build()?,
+            turns: Arc::new(Semaphore::new(MEASURED_AT_ONCE)),
+            room,
+            waiting: Waiting::default(),
+            busy: BTreeSet::new(),
+            before: HashMap::new(),
+            triggers: Triggers::default(),
+            rivals: Rivals::default(),
+            failures: HashMap::new(),
+            raised: BTreeSet::new(),
+            measured: 0,
+        })
+    }
+
+    fn commands(&self) -> bool {
+        self.room.hold.borrow().token().is_some()
+    }
+
+    /// A frame is there; one that finds no room any more is told to be unmeasured.
+    async fn announced(&mut self, announced: Announced) -> anyhow::Result<()> {
+        let Some(Announced { frame, is_old }) = self.waiting.push(announced) else { return Ok(()) };
+        self.waiting.settle(&frame.id);
+        if self.commands() && !is_old {
+            let reason = Some(format!("not measured: {} newer frames waited", waiting::MOST));
+            self.room.facts.tell(&self.room, FrameFacts { reason, ..unmeasured(&frame) }).await?;
+        }
+        Ok(())
+    }
+
+    /// The work on one frame.
+    fn begin(&mut self, announced: Announced) -> impl Future<Output = Done> + Send + use<> {
+        let frame = &announced.frame;
+        self.busy.insert(frame.camera.clone());
+        let before = self.before.get(&(frame.camera.clone(), frame.bin)).copied().unwrap_or_default();
+        let (client, turns, room) = (self.client.clone(), self.turns.clone(), self.room.clone());
+        async move {
+            let Announced { frame, is_old } = announced;
+            let pixels = match tokio::time::timeout(FETCH_DEADLINE, download::fetch(&client, &frame)).await {
+                Ok(Ok(pixels)) => Ok(pixels),
+                Ok(Err(error)) => Err(format!("not fetched: {error}")),
+                Err(_) => Err(format!("not fetched: not within {FETCH_DEADLINE:?}")),
+            };
+            let looked = match pixels {
+                Ok(pixels) => {
+                    let of = frame.clone();
+                    // it is never closed, and without a turn the frame is measured all the same
+                    let turn = turns.acquire_owned().await;
+                    let ((tell, measured), here) = (oneshot::channel(), room.clone());
+                    let looking = stepped_back(move || {
+                        look(&here, of, pixels, before, move |facts| {
+                            // one core is enough for what follows
+                            drop(turn);
+                            if let Some(facts) = facts {
+                                // whoever waits may be gone
+                                let _ = tell.send(facts);
+                            }
+                        })
+                    });
+                    told_early(measured, looking, |facts| tell_early(room, facts)).await
+                }
+                Err(reason) => Err(reason),
+            };
+            let (looked, lesson) = looked.unwrap_or_else(|reason| {
+                let facts = FrameFacts { reason: Some(reason), ..unmeasured(&frame) };
+                (Looked { facts, frame, measured: None, solved: None }, None)
+            });
+            Done { is_old, looked, lesson }
+        }
+    }
+
+    async fn finish(&mut self, done: Done) -> anyhow::Result<()> {
+        let Done { is_old, looked, lesson } = done;
+        let (frame, facts) = (looked.frame.clone(), looked.facts.clone());
+        self.busy.remove(&frame.camera);
+        let had_pixels = facts.measuring_s.is_some();
+        if had_pixels {
+            // without pixels it is tried again when the spool announces it again
+            self.waiting.settle(&frame.id);
+        }
+        if !self.commands() || (is_old && !had_pixels) {
+            tracing::debug!(frame = %frame.id, reason = facts.reason, "not told: somebody else may have measured it");
+            return Ok(());
+        }
+        if let Some(lesson) = lesson {
+            self.room.optics.change(|optics| self.rivals.hear(optics, lesson));
+        }
+        self.room.looks.looked(looked);
+        self.count(&frame, &facts);
+        let before = self.before.entry((frame.camera.clone(), frame.bin)).or_default();
+        before.width = facts.fwhm_px.map(|fwhm_px| fwhm_px as f32).or(before.width);
+        match &facts.unsolved {
+            None if facts.wcs.is_some() => before.unmatched = 0,
+            Some(unsolved) if solving::may_be_scale(unsolved.class) => before.unmatched += 1,
+            // clouds and few stars say nothing of the scale
+            _ => {}
+        }
+        self.triggers.hear(&frame, &facts);
+        tracing::debug!(frame = %frame.id, stars = facts.stars, fwhm_px = facts.fwhm_px, reason = facts.reason, "measured");
+        self.room.facts.tell(&self.room, facts).await
+    }
+
+    /// Frames that were measured, and cameras whose frames are not.
+    fn count(&mut self, frame: &Frame, facts: &FrameFacts) {
+        let (alerts, camera) = (&self.room.node.alerts, &frame.camera);
+        if facts.measuring_s.is_some() {
+            self.measured += 1;
+            self.room.node.figure("frames_measured", Scalar::Int(self.measured));
+            if self.failures.remove(camera).is_some() {
+                alerts.clear(AlertKind::FramesUnmeasured, camera);
+            }
+            return;
+        }
+        let failures = self.failures.entry(camera.clone()).or_default();
+        *failures += 1;
+        if *failures >= FAILURES_BEFORE_ALERT {
+            let why = facts.reason.as_deref().unwrap_or_default();
+            let cause = format!("{failures} frames of {camera} in a row were not measured; the last: {why}");
+            alerts.raise(AlertKind::FramesUnmeasured, camera, &cause);
+        }
+    }
+
+    /// Shows the triggers that stand, in the night's state and as alerts; who does not command has none.
+    fn show(&mut self) {
+        let standing = match self.commands() {
+            true => self.triggers.standing(self.room.node.bus.clock().utc()),
+            false => Vec::new(),
+        };
+        let mut now: BTreeMap<(TriggerKind, String), Vec<&Trigger>> = BTreeMap::new();
+        for trigger in &standing {
+            now.entry((trigger.kind, trigger.camera.clone())).or_default().push(trigger);
+        }
+        let alerts = &self.room.node.alerts;
+        for (kind, camera) in self.raised.iter().filter(|raised| !now.contains_key(raised)) {
+            alerts.clear(alert(*kind), camera);
+        }
+        for ((kind, camera), triggers) in now.iter().filter(|(key, _)| !self.raised.contains(key)) {
+            let told = triggers.iter().map(|trigger| match &trigger.filter {
+                Some(filter) => format!("{camera}, {filter}: {}", trigger.detail),
+                None => format!("{camera}: {}", trigger.detail),
+            });
+            alerts.raise(alert(*kind), camera, &told.collect::<Vec<_>>().join("; "));
+        }
+        self.raised = now.into_keys().collect();
+        self.room.board.triggers(standing);
+    }
+}
+
+/// The alert that tells a person of a trigger.
+fn alert(kind: TriggerKind) -> AlertKind {
+    match kind {
+        TriggerKind::FocusDrift => AlertKind::FocusDrift,
+        TriggerKind::Clouds => AlertKind::StarsGone,
+        TriggerKind::Trailing => AlertKind::StarsTrailed,
+        TriggerKind::WrongField => AlertKind::WrongField,
+    }
+}
+
+/// Waits for a look at a frame; where it takes long, what was measured is told meanwhile.
+async fn told_early<T, F: Future<Output = ()>>(
+    measured: oneshot::Receiver<FrameFacts>,
+    looking: impl Future<Output = T>,
+    tell: impl FnOnce(FrameFacts) -> F,
+) -> T {
+    tokio::pin!(looking);
+    let late = async {
+        match measured.await {
+            Ok(facts) => {
+                tokio::time::sleep(SOON).await;
+                facts
+            }
+            Err(_) => std::future::pending().await,
+        }
+    };
+    let facts = tokio::select! {
+        biased;
+        looked = &mut looking => return looked,
+        facts = late => facts,
+    };
+    tell(facts).await;
+    looking.await
+}
+
+async fn tell_early(room: Arc<ControlRoom>, facts: FrameFacts) {
+    if room.hold.borrow().token().is_none() {
+        return;
+    }
+    let frame = facts.frame.clone();
+    if let Err(error) = room.facts.tell(&room, facts).await {
+        tracing::warn!(%frame, %error, "what was measured on a frame could not be told before its place");
+    }
+}
+
+/// Runs long work on a thread of its own that steps back behind all others.
+pub(crate) async fn stepped_back<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, String> {
+    let (tell, told) = oneshot::channel();
+    let run = move || {
+        bus::step_back();
+        // who asked may be gone
+        let _ = tell.send(work());
+    };
+    let thread = std::thread::Builder::new().name("measuring".to_owned()).spawn(run);
+    thread.map_err(|error| format!("not measured: no thread: {error}"))?;
+    told.await.map_err(|_| "not measured: the measuring broke off".to_owned())
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use contract::CommandId;
+    use contract::device::camera::{Pixel, Purpose};
+    use rand::SeedableRng as _;
+    use rand_distr::{Distribution as _, Normal};
+    use units::Utc;
+
+    use super::*;
+
+    pub fn frame(id: &str) -> Frame {
+        Frame {
+            id: CommandId(id.to_owned()),
+            camera: "cam".to_owned(),
+            purpose: Purpose::default(),
+            width_px: 2,
+            height_px: 1,
+            planes: 1,
+            pixel: Pixel::U16,
+            bin: 1,
+            origin_px: [0, 0],
+            started_utc: Utc::from_seconds(1.8e9),
+            exposure_s: 1.0,
+            url: String::new(),
+            bytes: 4,
+            sha256: String::new(),
+            readings: BTreeMap::new(),
+        }
+    }
+
+    /// Gaussian stars of this width, in rows of ten, on a sky of 1000 ADU with a noise of 8 ADU.
+    pub fn drawn(width: usize, height: usize, fwhm_px: f64, stars: usize) -> Vec<u16> {
+        let mut chance = rand::rngs::StdRng::seed_from_u64(4);
+        let noise = Normal::new(1000.0, 8.0).unwrap();
+        let mut image: Vec<f64> = (0..width * height).map(|_| noise.sample(&mut chance)).collect();
+        let rows = stars.div_ceil(10);
+        for star in 0..stars {
+            let x = (star % 10) as f64 * (width as f64 / 10.0) + 0.5 * width as f64 / 10.0 + 0.13 * star as f64 % 1.0;
+            let y = ((star / 10) as f64 + 0.5) * height as f64 / rows as f64 + 0.29 * star as f64 % 1.0;
+            let peak = 800.0 + 200.0 * (star % 7) as f64;
+            let reach = (4.0 * fwhm_px) as usize;
+            for row in (y as usize).saturating_sub(reach)..(y as usize + reach).min(height) {
+                for column in (x as usize).saturating_sub(reach)..(x as usize + reach).min(width) {
+                    let r2 = (column as f64 - x).powi(2) + (row as f64 - y).powi(2);
+                    image[row * width + column] += peak * (-4.0 * std::f64::consts::LN_2 * r2 / fwhm_px.powi(2)).exp();
+                }
+            }
+        }
+        image.into_iter().map(|value| value.round() as u16).collect()
+    }
+
+    #[tokio::test]
+    async fn what_is_measured_is_told_before_a_place_that_takes_long_and_with_one_that_does_not() {
+        fn never(_: FrameFacts) -> std::future::Ready<()> {
+            panic!("told twice")
+        }
+        let facts = || FrameFacts { stars: Some(7), ..FrameFacts::default() };
+        let (tell, measured) = oneshot::channel();
+        tell.send(facts()).unwrap();
+        assert_eq!(told_early(measured, std::future::ready(1), never).await, 1);
+
+        // the place is found only after what was measured is told
+        let (tell, measured) = oneshot::channel();
+        tell.send(facts()).unwrap();
+        let ((say, said), began) = (oneshot::channel(), std::time::Instant::now());
+        let slow = told_early(measured, said, |facts| async move { say.send(facts.stars).unwrap() });
+        assert_eq!(slow.await.unwrap(), Some(7));
+        assert!((SOON..Duration::from_secs(5)).contains(&began.elapsed()), "{:?}", began.elapsed());
+
+        // no place is sought: there is one word, however long it takes
+        let (tell, measured) = oneshot::channel();
+        drop(tell);
+        let looking = async {
+            tokio::time::sleep(2 * SOON).await;
+            1
+        };
+        assert_eq!(told_early(measured, looking, never).await, 1);
+    }
+
+    #[tokio::test]
+    async fn work_that_breaks_off_is_told() {
+        assert_eq!(stepped_back(|| 7).await, Ok(7));
+        let broken: Result<(), String> = stepped_back(|| std::panic::resume_unwind(Box::new(()))).await;
+        assert!(broken.unwrap_err().contains("broke off"));
+    }
+}

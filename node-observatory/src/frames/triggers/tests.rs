@@ -1,0 +1,173 @@
+use super::super::tests::frame;
+use super::*;
+
+fn at(n: usize) -> Utc {
+    Utc::from_seconds(1.8e9 + 30.0 * n as f64)
+}
+
+/// The nth frame of a row.
+fn light(n: usize) -> Frame {
+    let mut light = Frame { started_utc: at(n), exposure_s: 25.0, ..frame(&format!("f{n}")) };
+    light.purpose.action = "object".to_owned();
+    light.purpose.filter = Some("V".to_owned());
+    light.purpose.row = Some(1);
+    light
+}
+
+fn facts(stars: u32, fwhm_px: f64) -> FrameFacts {
+    FrameFacts { stars: Some(stars), fwhm_px: Some(fwhm_px), trailed: Some(false), ..FrameFacts::default() }
+}
+
+/// What stands after each frame of a story.
+fn told(story: &[FrameFacts]) -> Vec<Vec<TriggerKind>> {
+    let mut triggers = Triggers::default();
+    let tell = |(n, facts): (usize, &FrameFacts)| {
+        triggers.hear(&light(n), facts);
+        triggers.standing(at(n)).into_iter().map(|trigger| trigger.kind).collect()
+    };
+    story.iter().enumerate().map(tell).collect()
+}
+
+fn kinds(of: &[Option<TriggerKind>]) -> Vec<Vec<TriggerKind>> {
+    of.iter().map(|kind| kind.iter().copied().collect()).collect()
+}
+
+#[test]
+fn stars_that_vanish_are_clouds_until_half_of_them_are_back() {
+    let story = [100, 90, 110, 31, 29, 0, 49, 51, 29].map(|stars| facts(stars, 3.0));
+    let clouds = Some(TriggerKind::Clouds);
+    // the 31 are not clouds, and count among the usual from then on: (100, 90, 110, 31) have the median 95
+    assert_eq!(
+        told(&story),
+        kinds(&[None, None, None, None, None, clouds, None, None, None]),
+        "29 of 95 are more than 30 %"
+    );
+    let story = [100, 100, 100, 29, 0, 49, 51].map(|stars| facts(stars, 3.0));
+    assert_eq!(told(&story), kinds(&[None, None, None, clouds, clouds, clouds, None]));
+}
+
+#[test]
+fn clouds_for_an_hour_stay_clouds() {
+    let story: Vec<FrameFacts> = (0..120).map(|n| facts(if n < 5 { 200 } else { 3 }, 3.0)).collect();
+    let told = told(&story);
+    assert!(told[..5].iter().all(Vec::is_empty));
+    assert!(told[5..].iter().all(|kinds| *kinds == [TriggerKind::Clouds]));
+}
+
+#[test]
+fn a_handful_of_stars_is_no_measure() {
+    let story = [9, 9, 9, 0, 0].map(|stars| facts(stars, 3.0));
+    assert!(told(&story).iter().all(Vec::is_empty));
+    let two_before = [100, 100, 0].map(|stars| facts(stars, 3.0));
+    assert!(told(&two_before).iter().all(Vec::is_empty));
+}
+
+#[test]
+fn one_blurred_frame_is_seeing_and_five_are_a_drift() {
+    let widths = [3.0, 3.1, 2.9, 3.0, 3.1, 6.0, 3.0, 4.2, 4.3, 4.1, 4.2, 4.3];
+    let told = told(&widths.map(|width| facts(50, width)));
+    let drift = told.iter().position(|kinds| *kinds == [TriggerKind::FocusDrift]);
+    // the median of the last five is above 1.3 x 3.0 px with the second of the wide ones that follow the 6.0
+    assert_eq!(drift, Some(8), "{told:?}");
+    assert!(told[8..].iter().all(|kinds| *kinds == [TriggerKind::FocusDrift]));
+}
+
+#[test]
+fn a_drift_ends_when_the_stars_are_narrow_again() {
+    let widths = [vec![3.0; 5], vec![4.0; 5], vec![3.5; 5], vec![3.4; 5]].concat();
+    let told = told(&widths.iter().map(|width| facts(50, *width)).collect::<Vec<_>>());
+    assert_eq!(told[9], [TriggerKind::FocusDrift]);
+    assert_eq!(told[14], [TriggerKind::FocusDrift], "3.5 px is still more than 1.15 x 3.0 px");
+    assert!(told[19].is_empty());
+}
+
+#[test]
+fn what_has_stood_for_long_is_how_it_is_now() {
+    let story: Vec<FrameFacts> = (0..70).map(|n| facts(50, if n < 5 { 3.0 } else { 4.2 })).collect();
+    let told = told(&story);
+    assert_eq!(told[60], [TriggerKind::FocusDrift]);
+    assert!(told[69].is_empty(), "the seeing has worsened, and no frame of the last {REACH} was better");
+}
+
+#[test]
+fn two_trailed_frames_trail_and_a_round_one_ends_it() {
+    let trailed = FrameFacts { trailed: Some(true), ellipticity: Some(0.5), ..facts(50, 9.0) };
+    let round = facts(50, 3.0);
+    let story = [&round, &trailed, &round, &trailed, &trailed, &trailed, &round].map(Clone::clone);
+    let trailing = Some(TriggerKind::Trailing);
+    assert_eq!(told(&story), kinds(&[None, None, None, None, trailing, trailing, None]));
+    let mut triggers = Triggers::default();
+    story.iter().take(6).enumerate().for_each(|(n, facts)| triggers.hear(&light(n), facts));
+    assert_eq!(triggers.standing(at(5))[0].since_utc, at(3), "since the first of them");
+}
+
+#[test]
+fn another_field_another_filter_and_a_focus_sweep_are_not_compared() {
+    let mut triggers = Triggers::default();
+    (0..5).for_each(|n| triggers.hear(&light(n), &facts(100, 3.0)));
+    let mut other_filter = light(5);
+    other_filter.purpose.filter = Some("B".to_owned());
+    triggers.hear(&other_filter, &facts(5, 3.0));
+    let mut sweep = light(6);
+    sweep.purpose.action = "autofocus".to_owned();
+    triggers.hear(&sweep, &facts(0, 20.0));
+    let mut longer = light(7);
+    longer.exposure_s = 5.0;
+    triggers.hear(&longer, &facts(5, 3.0));
+    assert_eq!(triggers.standing(at(7)), []);
+}
+
+#[test]
+fn an_older_frame_that_is_measured_late_changes_nothing() {
+    let mut triggers = Triggers::default();
+    for n in [0, 1, 2, 4] {
+        triggers.hear(&light(n), &facts(if n == 4 { 10 } else { 100 }, 3.0));
+    }
+    triggers.hear(&light(3), &facts(100, 3.0));
+    let standing = triggers.standing(at(4));
+    assert_eq!(standing.len(), 1);
+    assert_eq!((standing[0].kind, standing[0].since_utc), (TriggerKind::Clouds, at(4)));
+    assert_eq!(standing[0].detail, "10 stars, the frames before had 100");
+}
+
+#[test]
+fn a_trigger_without_new_frames_grows_old() {
+    let mut triggers = Triggers::default();
+    (0..4).for_each(|n| triggers.hear(&light(n), &facts(if n == 3 { 0 } else { 100 }, 3.0)));
+    let after = |s: f64| triggers.standing(at(3).plus_seconds(s)).len();
+    assert_eq!((after(0.0), after(949.0), after(951.0)), (1, 1, 0));
+}
+
+#[test]
+fn a_frame_that_could_not_be_measured_changes_nothing() {
+    let mut triggers = Triggers::default();
+    (0..4).for_each(|n| triggers.hear(&light(n), &facts(if n == 3 { 0 } else { 100 }, 3.0)));
+    triggers.hear(&light(4), &FrameFacts { reason: Some("not fetched".to_owned()), ..FrameFacts::default() });
+    assert_eq!(triggers.standing(at(4)).len(), 1);
+}
+
+#[test]
+fn two_frames_off_target_are_a_wrong_field_until_one_is_on_target() {
+    // frames of 2 x 1 px: half of the shorter side is 0.5 arcmin
+    let off = |arcmin: Option<f64>| FrameFacts {
+        off_target_arcmin: arcmin,
+        scale_arcsec_px: arcmin.map(|_| 60.0),
+        ..facts(50, 3.0)
+    };
+    let story = [0.1, 0.6, 0.4, 0.6, 0.7].map(|arcmin| off(Some(arcmin)));
+    let wrong = Some(TriggerKind::WrongField);
+    assert_eq!(told(&story), kinds(&[None, None, None, None, wrong]), "the first one may be about to be corrected");
+    let story = [Some(9.0), None, Some(9.0), None, Some(0.5), Some(9.0)].map(off);
+    assert_eq!(told(&story), kinds(&[None, None, wrong, wrong, None, None]), "an unsolved frame says nothing of it");
+}
+
+#[test]
+fn light_that_is_gone_is_clouds_even_where_stars_are_counted_and_thick_air_is_none() {
+    let dim =
+        |share: f64, airmass: f64| FrameFacts { transparency: Some(share), airmass: Some(airmass), ..facts(50, 3.0) };
+    let clouds = Some(TriggerKind::Clouds);
+    let story = [dim(0.9, 1.0), dim(0.29, 1.0), dim(0.49, 1.0), dim(0.51, 1.0), dim(0.29, 2.0), dim(0.1, 2.0)];
+    assert_eq!(told(&story), kinds(&[None, clouds, clouds, None, None, clouds]));
+    let unknown = FrameFacts { airmass: None, ..dim(0.1, 1.0) };
+    assert_eq!(told(&[unknown]), kinds(&[None]), "nobody knows how much air there is");
+}

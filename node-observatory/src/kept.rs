@@ -1,0 +1,324 @@
+//! A value that outlives this life of the node: in memory, and in one file that is written whole, by one at a time.
+//!
+//! What loosens something is on disk before it counts ([`Kept::change_when_written`]); what must act at once counts at
+//! once, and is written as soon as the disk takes it ([`Kept::change`], [`keep_on_disk`]).
+
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use contract::Name;
+use contract::observatory::AlertKind;
+use serde::Serialize;
+use tokio::sync::{Mutex, OwnedMutexGuard, watch};
+
+use crate::control_room::ControlRoom;
+
+/// A disk that fails is tried again after this.
+const AGAIN: Duration = Duration::from_secs(2);
+
+/// A value and its file.
+#[derive(Debug)]
+pub struct Kept<T> {
+    live: watch::Sender<T>,
+    /// Counts the changes of this life; changed only while `live` is locked.
+    version: AtomicU64,
+    /// The newest of them that is on disk.
+    written: watch::Sender<u64>,
+    path: PathBuf,
+    part: PathBuf,
+    pen: Arc<Mutex<()>>,
+}
+
+/// Why a change was not made.
+#[derive(Debug, thiserror::Error)]
+pub enum Unchanged {
+    /// It makes no sense now.
+    #[error("{0}")]
+    Refused(String),
+    /// The disk does not take it.
+    #[error("the disk does not take it ({path}): {source}; nothing was changed")]
+    Disk {
+        /// The file.
+        path: String,
+        /// What the disk says.
+        #[source]
+        source: io::Error,
+    },
+}
+
+impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
+    /// A value that is on disk, or need not be. Nodes that share the folder write beside one another under the names
+    /// that they have as `writer`.
+    pub fn new(path: PathBuf, writer: &Name, value: T) -> Self {
+        let mut part = path.clone().into_os_string();
+        part.push(format!(".{writer}.part"));
+        Self {
+            live: watch::channel(value).0,
+            version: AtomicU64::new(0),
+            written: watch::channel(0).0,
+            path,
+            part: part.into(),
+            pen: Arc::default(),
+        }
+    }
+
+    /// The value now.
+    pub fn get(&self) -> T {
+        self.live.borrow().clone()
+    }
+
+    /// Follows the value.
+    pub fn subscribe(&self) -> watch::Receiver<T> {
+        self.live.subscribe()
+    }
+
+    /// Changes it at once, to be written later; `change` says whether it changed anything.
+    pub fn change(&self, change: impl FnOnce(&mut T) -> bool) {
+        self.live.send_if_modified(|value| {
+            let changed = change(value);
+            if changed {
+                self.version.fetch_add(1, Ordering::SeqCst);
+            }
+            changed
+        });
+    }
+
+    /// Takes over what another node keeps on its disk: nothing of this life is left to be written.
+    pub fn adopt(&self, change: impl FnOnce(&mut T) -> bool) {
+        self.live.send_if_modified(|value| {
+            self.note_written(self.version.load(Ordering::SeqCst));
+            change(value)
+        });
+    }
+
+    /// Changes it once the change is on disk. `change` is asked twice, for the disk and for the memory: what it says
+    /// the second time, when something else may have changed, decides.
+    pub async fn change_when_written(&self, change: impl Fn(&mut T) -> Result<(), String>) -> Result<(), Unchanged> {
+        let pen = self.pen.clone().lock_owned().await;
+        let (version, mut next) = self.snapshot();
+        change(&mut next).map_err(Unchanged::Refused)?;
+        // the pen is held until the memory has it too
+        let (_pen, put) = self.put(pen, next).await;
+        put.map_err(|source| Unchanged::Disk { path: self.path.display().to_string(), source })?;
+        let mut done = Ok(());
+        self.live.send_if_modified(|value| {
+            done = change(value);
+            if done.is_err() {
+                // the disk knows of what did not come to be
+                self.version.fetch_add(1, Ordering::SeqCst);
+            } else {
+                self.note_written(version);
+            }
+            done.is_ok()
+        });
+        done.map_err(Unchanged::Refused)
+    }
+
+    /// Is every change of this life on disk?
+    pub fn is_on_disk(&self) -> bool {
+        *self.written.borrow() >= self.version.load(Ordering::SeqCst)
+    }
+
+    /// Waits until every change made until now is on disk.
+    pub async fn on_disk(&self) {
+        let version = self.version.load(Ordering::SeqCst);
+        // the sender lives in self, so waiting cannot fail
+        let _ = self.written.subscribe().wait_for(|written| *written >= version).await;
+    }
+
+    /// Writes it, if it is not on disk yet.
+    ///
+    /// # Errors
+    ///
+    /// The disk does not take it.
+    pub async fn write(&self) -> io::Result<()> {
+        let pen = self.pen.clone().lock_owned().await;
+        let (version, value) = self.snapshot();
+        if *self.written.borrow() >= version {
+            return Ok(());
+        }
+        let (_pen, put) = self.put(pen, value).await;
+        put?;
+        self.note_written(version);
+        Ok(())
+    }
+
+    fn snapshot(&self) -> (u64, T) {
+        let value = self.live.borrow();
+        (self.version.load(Ordering::SeqCst), value.clone())
+    }
+
+    fn note_written(&self, version: u64) {
+        self.written.send_if_modified(|written| {
+            let is_newer = version > *written;
+            *written = version.max(*written);
+            is_newer
+        });
+    }
+
+    /// Whoever gives up waiting leaves the pen with the writing, so that nobody writes into it.
+    async fn put(&self, pen: OwnedMutexGuard<()>, value: T) -> (Option<OwnedMutexGuard<()>>, io::Result<()>) {
+        let (path, part) = (self.path.clone(), self.part.clone());
+        let put = tokio::task::spawn_blocking(move || (Some(pen), write_whole(&path, &part, &value))).await;
+        put.unwrap_or_else(|error| (None, Err(io::Error::other(error))))
+    }
+}
+
+/// The old file or the new one, whatever happens.
+pub fn write_whole<T: Serialize>(path: &Path, part: &Path, value: &T) -> io::Result<()> {
+    let mut file = std::fs::File::create(part)?;
+    file.write_all(&serde_json::to_vec_pretty(value)?)?;
+    file.sync_all()?;
+    std::fs::rename(part, path)?;
+    // the new name is on disk with its folder; Windows opens no folders
+    #[cfg(unix)]
+    if let Some(folder) = path.parent() {
+        std::fs::File::open(folder)?.sync_all()?;
+    }
+    Ok(())
+}
+
+/// Writes each change that was made at once, again and again until the disk takes it; a standby writes nothing.
+pub async fn keep_on_disk<T: Clone + Serialize + Send + Sync + 'static>(
+    room: Arc<ControlRoom>,
+    kept: fn(&ControlRoom) -> &Kept<T>,
+    alert: AlertKind,
+    what: &'static str,
+) -> anyhow::Result<()> {
+    let (mut live, mut hold) = (kept(&room).subscribe(), room.hold.clone());
+    loop {
+        if kept(&room).is_on_disk() {
+            room.node.alerts.clear(alert, "");
+        } else if room.may_speak() {
+            let error = kept(&room).write().await.err();
+            match &error {
+                None => room.node.alerts.clear(alert, ""),
+                Some(error) => room.node.alerts.raise(alert, "", &format!("{what} cannot be written down: {error}")),
+            }
+            if error.is_some() {
+                tokio::time::sleep(AGAIN).await;
+                continue;
+            }
+        }
+        tokio::select! {
+            changed = live.changed() => changed?,
+            changed = hold.changed() => changed?,
+            () = tokio::time::sleep(AGAIN) => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn kept(folder: &Path) -> Kept<Vec<u32>> {
+        Kept::new(folder.join("list.json"), &"main".parse().unwrap(), Vec::new())
+    }
+
+    fn on_disk(folder: &Path) -> Vec<u32> {
+        let text = std::fs::read(folder.join("list.json")).unwrap_or_else(|_| b"[]".to_vec());
+        serde_json::from_slice(&text).unwrap()
+    }
+
+    fn add(number: u32) -> impl Fn(&mut Vec<u32>) -> Result<(), String> {
+        move |list| {
+            list.push(number);
+            Ok(())
+        }
+    }
+
+    #[tokio::test]
+    async fn what_is_changed_when_written_is_on_disk_and_nothing_changes_where_the_disk_fails() {
+        let folder = tempfile::tempdir().unwrap();
+        let list = kept(folder.path());
+        list.change_when_written(add(1)).await.unwrap();
+        assert_eq!((list.get(), on_disk(folder.path())), (vec![1], vec![1]));
+        assert!(list.is_on_disk());
+        // a folder where the file is to be written: no disk takes that, whoever asks
+        std::fs::create_dir(folder.path().join("list.json.main.part")).unwrap();
+        let refused = list.change_when_written(add(2)).await.unwrap_err();
+        assert!(matches!(refused, Unchanged::Disk { .. }), "{refused}");
+        assert!(refused.to_string().contains("list.json") && refused.to_string().contains("nothing was changed"));
+        assert_eq!((list.get(), on_disk(folder.path())), (vec![1], vec![1]));
+        let senseless = list.change_when_written(|_| Err("no".to_owned())).await.unwrap_err();
+        assert!(matches!(senseless, Unchanged::Refused(why) if why == "no"));
+    }
+
+    #[tokio::test]
+    async fn what_is_changed_at_once_counts_at_once_and_is_written_when_the_disk_is_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let list = kept(folder.path());
+        let part = folder.path().join("list.json.main.part");
+        std::fs::create_dir(&part).unwrap();
+        list.change(|list| {
+            list.push(7);
+            true
+        });
+        assert_eq!(list.get(), [7]);
+        assert!(list.write().await.is_err() && !list.is_on_disk());
+        std::fs::remove_dir(&part).unwrap();
+        list.write().await.unwrap();
+        assert!(list.is_on_disk());
+        assert_eq!(on_disk(folder.path()), [7]);
+        // what is another node's to write is not ours
+        list.adopt(|list| {
+            list.clear();
+            true
+        });
+        list.write().await.unwrap();
+        assert_eq!((list.get(), on_disk(folder.path())), (vec![], vec![7]));
+    }
+
+    #[tokio::test]
+    async fn what_was_changed_at_once_while_another_change_was_written_is_heeded() {
+        let folder = tempfile::tempdir().unwrap();
+        let list = kept(folder.path());
+        let times = AtomicU64::new(0);
+        // between the disk and the memory somebody says 9: the loosening does not come to be
+        let refused = list
+            .change_when_written(|list| {
+                if times.fetch_add(1, Ordering::SeqCst) == 1 {
+                    return Err("somebody said 9 meanwhile".to_owned());
+                }
+                list.push(1);
+                Ok(())
+            })
+            .await;
+        assert!(matches!(refused, Err(Unchanged::Refused(_))));
+        assert_eq!((list.get(), on_disk(folder.path())), (vec![], vec![1]));
+        assert!(!list.is_on_disk(), "the disk knows too much");
+        list.write().await.unwrap();
+        assert_eq!(on_disk(folder.path()), Vec::<u32>::new());
+    }
+
+    #[tokio::test]
+    async fn changes_made_side_by_side_are_all_on_disk() {
+        let folder = tempfile::tempdir().unwrap();
+        let list = Arc::new(kept(folder.path()));
+        let mut tasks = tokio::task::JoinSet::new();
+        for number in 0..20 {
+            let list = list.clone();
+            tasks.spawn(async move {
+                if number % 2 == 0 {
+                    list.change_when_written(add(number)).await.unwrap();
+                } else {
+                    list.change(|list| {
+                        list.push(number);
+                        true
+                    });
+                    list.write().await.unwrap();
+                }
+            });
+        }
+        while tasks.join_next().await.transpose().unwrap().is_some() {}
+        list.write().await.unwrap();
+        let (mut known, mut written) = (list.get(), on_disk(folder.path()));
+        known.sort();
+        written.sort();
+        assert_eq!((known, written), ((0..20).collect(), (0..20).collect()));
+    }
+}
