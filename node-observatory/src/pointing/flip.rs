@@ -1,0 +1,124 @@
+//! The meridian flip of a German mount: between two frames, once the next one would end too far past the meridian.
+//!
+//! A slew to the same place is what turns such a mount over. One that stays on its side is left there: frames go on until the
+//! mount's device node stops it at its limit (`telescope.limits.meridian_past_min`), whatever this node does.
+
+use std::time::Duration;
+
+use contract::device::telescope::PierSide;
+use sky::Icrs;
+use units::{Angle, Utc};
+
+use super::fix::pier_side;
+use crate::action::Stage;
+use crate::rig::telescope::Mount;
+
+/// Past the pole below it a mount that looks east moves away from its pier: nothing is to be turned over there.
+const HIGHEST_H: f64 = 6.0;
+
+/// A mount that has turned over tells its other side within this, machine time: some drivers are late with it.
+const TOLD_WITHIN: Duration = Duration::from_secs(10);
+/// How often that is looked after.
+const LOOKED_AFTER: Duration = Duration::from_millis(50);
+
+/// Watches for the moment to turn a mount over.
+pub struct Flip<'a> {
+    stage: &'a Stage,
+    mount: &'a Mount,
+    /// A flip that was commanded did not happen.
+    is_ignored: bool,
+}
+
+impl<'a> Flip<'a> {
+    /// Of a row that tracks with this mount.
+    pub fn of(stage: &'a Stage, mount: &'a Mount) -> Self {
+        Self { stage, mount, is_ignored: false }
+    }
+
+    /// Must the mount be turned over before a frame of this length that begins now?
+    pub fn is_due(&self, target: &Icrs, exposure_s: f64, now: Utc) -> bool {
+        let config = &self.mount.config;
+        if !config.meridian_flip || self.is_ignored {
+            return false;
+        }
+        let Ok(then) = self.stage.observer(now.plus_seconds(exposure_s)) else { return false };
+        is_past(pier_side(self.mount), then.hour_angle(target), config.meridian_flip_min)
+    }
+
+    /// After the slew that should have turned it over: says so where it did not. One that is late to tell its side is waited for.
+    pub async fn note(&mut self) -> Option<String> {
+        if !stays(TOLD_WITHIN, || pier_side(self.mount)).await {
+            return None;
+        }
+        self.is_ignored = true;
+        let name = &self.mount.instrument.device.name;
+        Some(format!("no meridian flip: {name} stayed on its side of the pier"))
+    }
+}
+
+/// Does a mount tell all the time that its tube is west of the pier?
+async fn stays(within: Duration, side: impl Fn() -> Option<PierSide> + Send + Sync) -> bool {
+    let told_otherwise = async {
+        while side() == Some(PierSide::West) {
+            tokio::time::sleep(LOOKED_AFTER).await;
+        }
+    };
+    tokio::time::timeout(within, told_otherwise).await.is_err()
+}
+
+/// Looks a mount on this side over its pier, so long past the meridian, min?
+pub fn is_past(side: Option<PierSide>, hour_angle: Angle, margin_min: f64) -> bool {
+    let past_h = hour_angle.wrapped_signed().hours();
+    side == Some(PierSide::West) && past_h * 60.0 > margin_min && past_h < HIGHEST_H
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::*;
+
+    #[test]
+    fn only_a_mount_that_looks_east_is_turned_over_and_only_past_the_margin() {
+        let at = |minutes: f64| Angle::from_hours(minutes / 60.0);
+        for (side, minutes, due) in [
+            (Some(PierSide::West), 5.1, true),
+            (Some(PierSide::West), 4.9, false),
+            (Some(PierSide::West), -30.0, false),
+            (Some(PierSide::West), 359.0, true),
+            (Some(PierSide::West), 400.0, false),
+            (Some(PierSide::East), 30.0, false),
+            (Some(PierSide::Unknown), 30.0, false),
+            // a fork, or a mount that tells nothing: it is never slewed for this
+            (None, 30.0, false),
+        ] {
+            assert_eq!(is_past(side, at(minutes), 5.0), due, "{side:?} {minutes} min");
+        }
+    }
+
+    /// What is concluded of a mount that tells this at one look after the other, and the last for ever.
+    async fn concluded(told: &[Option<PierSide>]) -> bool {
+        let looks = AtomicUsize::new(0);
+        let side = || told[looks.fetch_add(1, Ordering::Relaxed).min(told.len() - 1)];
+        stays(5 * LOOKED_AFTER, side).await
+    }
+
+    #[tokio::test]
+    async fn a_mount_that_tells_its_side_late_has_turned_over_all_the_same() {
+        let [west, east] = [Some(PierSide::West), Some(PierSide::East)];
+        assert!(!concluded(&[east]).await, "it tells at once");
+        assert!(!concluded(&[west, west, west, east]).await, "it is late");
+        assert!(!concluded(&[west, None]).await, "it tells nothing any more: nobody can say that it stayed");
+        assert!(concluded(&[west, west, west]).await, "it stayed");
+    }
+
+    #[tokio::test]
+    async fn a_mount_that_tells_its_sides_the_wrong_way_round_is_asked_to_turn_over_once_and_left_alone() {
+        // truly east of the pier and looking west, where it belongs; its driver says west
+        let half_an_hour = Angle::from_hours(0.5);
+        assert!(is_past(Some(PierSide::West), half_an_hour, 5.0), "one slew to where it stands already");
+        assert!(concluded(&[Some(PierSide::West)]).await, "which is noted, and not tried again");
+        // truly west of the pier, as it was before the meridian; its driver says east: its device node stops it
+        assert!(!is_past(Some(PierSide::East), half_an_hour, 5.0));
+    }
+}
