@@ -1,0 +1,102 @@
+//! Gives guide pulses to a mount, when it may be pushed at all.
+
+use std::time::Duration;
+
+use contract::device::telescope::{Command, Direction};
+use imaging::guide::Pulses;
+
+use crate::control_room::ControlRoom;
+use crate::patience::patience;
+use crate::rig::telescope::Mount;
+use crate::schedule::Row;
+use crate::trouble::Trouble;
+
+/// What the mount took of a pulse: when it began, sky s, and how long it was, ms.
+pub type Taken = Option<(f64, i32)>;
+
+/// What became of a decision's pulses; None for an axis that was not to be pulsed.
+#[derive(Debug, Default)]
+pub struct Given {
+    /// Right ascension.
+    pub east: Taken,
+    /// Declination.
+    pub north: Taken,
+    /// Why the mount did not take one.
+    pub refused: Option<String>,
+}
+
+/// A pulse is over within this beyond its length, sky time.
+const OVER_WITHIN: Duration = Duration::from_secs(10);
+
+/// What stands against pushing the mount now, if anything does. Only what is known to be good is good.
+pub fn objection(room: &ControlRoom, row: &Row, mount: &Mount) -> Option<String> {
+    if let Some(objection) = room.objection(Some(row)) {
+        return Some(objection.to_string());
+    }
+    if room.node.bus.clock().utc() >= row.end {
+        return Some("the row's window has ended".to_owned());
+    }
+    let Some(state) = mount.instrument.fresh() else {
+        return Some("the mount does not tell how it stands".to_owned());
+    };
+    let fields = state.fields;
+    if fields.slewing.known() != Some(&false) {
+        return Some("the mount slews".to_owned());
+    }
+    if fields.tracking.known() != Some(&true) {
+        return Some("the mount does not track".to_owned());
+    }
+    if fields.at_park.known() == Some(&true) {
+        return Some("the mount is parked".to_owned());
+    }
+    None
+}
+
+/// Gives both pulses, one after the other: ASCOM lets a mount refuse a second one while the first runs.
+pub async fn give(room: &ControlRoom, row: &Row, mount: &Mount, pulses: Pulses) -> Given {
+    let mut given = Given::default();
+    if pulses.east_ms != 0 {
+        let direction = if pulses.east_ms > 0 { Direction::East } else { Direction::West };
+        given.east = Some(push(room, row, mount, direction, pulses.east_ms, &mut given.refused).await);
+    }
+    if pulses.north_ms != 0 {
+        let direction = if pulses.north_ms > 0 { Direction::North } else { Direction::South };
+        given.north = Some(push(room, row, mount, direction, pulses.north_ms, &mut given.refused).await);
+    }
+    given
+}
+
+/// Gives one pulse and waits for its end. A pulse of which nobody knows whether the mount took it counts as given: the
+/// next frame shows what is true.
+async fn push(
+    room: &ControlRoom,
+    row: &Row,
+    mount: &Mount,
+    direction: Direction,
+    signed_ms: i32,
+    refused: &mut Option<String>,
+) -> (f64, i32) {
+    let clock = room.node.bus.clock();
+    if let Some(why) = objection(room, row, mount) {
+        refused.get_or_insert(why);
+        return (clock.utc().seconds(), 0);
+    }
+    let begun_s = clock.utc().seconds();
+    match pulse(mount, direction, signed_ms.unsigned_abs()).await {
+        Ok(()) => (begun_s, signed_ms),
+        Err(trouble) => {
+            let is_taken = !matches!(trouble, Trouble::Refused { .. } | Trouble::Unanswered { .. });
+            refused.get_or_insert(trouble.to_string());
+            (begun_s, if is_taken { signed_ms } else { 0 })
+        }
+    }
+}
+
+/// Gives a pulse of so many ms and waits until it is over.
+pub async fn pulse(mount: &Mount, direction: Direction, duration_ms: u32) -> Result<(), Trouble> {
+    let mount = &mount.instrument;
+    // no turn is waited for: a pulse that comes late pushes a field that stands elsewhere
+    let id = mount.ask(Command::PulseGuide { direction, duration_ms }).await?;
+    let most = patience(mount.clock(), Duration::from_millis(u64::from(duration_ms)) + OVER_WITHIN);
+    mount.done(&id, "pulse_guide", most).await.map(|_| ())
+}
