@@ -1,0 +1,72 @@
+//! Where a focus run looks: a star near the zenith from the catalogue, the zenith itself where there is none.
+
+use imaging::focus::field::{Field, Wanted, choose, field_of_view};
+use sky::{Horizontal, Icrs};
+use units::{Angle, Utc};
+
+use crate::action::Stage;
+use crate::trouble::Trouble;
+
+/// Julian date of J2000.0, and days of a Julian year.
+const J2000: (f64, f64) = (2_451_545.0, 365.25);
+/// The camera's field where nothing tells it, degrees.
+pub const USUAL_FIELD_DEG: f64 = 0.5;
+
+/// A field, with a word on how it was chosen.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Chosen {
+    /// Where to point.
+    pub place: Icrs,
+    /// Why there.
+    pub words: String,
+}
+
+/// Chooses a field near the zenith of an instant. Whatever the catalogue cannot tell ends at the zenith.
+pub async fn near_zenith(stage: &Stage, at: Utc, wanted: Option<Wanted>) -> Result<Chosen, Trouble> {
+    let up = Horizontal { altitude: Angle::from_degrees(90.0), azimuth: Angle::default() };
+    let zenith = stage.observer(at)?.to_icrs(&up);
+    let at_zenith = |why: &str| Chosen { place: zenith, words: format!("the zenith: {why}") };
+    let Some(wanted) = wanted else { return Ok(at_zenith("the row asks for no catalogue")) };
+    let Some(catalogue) = stage.room.catalogue.get() else { return Ok(at_zenith("no star catalogue is open")) };
+    let (limit, faintest) = (wanted.zenith_limit, *wanted.magnitudes.end());
+    let looked = tokio::task::spawn_blocking(move || {
+        let epoch_year = 2000.0 + (at.jd() - J2000.0) / J2000.1;
+        let stars = catalogue.cone(zenith.ra, zenith.dec, limit, faintest, epoch_year);
+        stars.map(|stars| choose(&stars, (zenith.ra, zenith.dec), &wanted)).map_err(|error| error.to_string())
+    });
+    Ok(match looked.await.map_err(|error| error.to_string()).and_then(|chosen| chosen) {
+        Ok(Field { ra, dec, from_zenith, star: Some(star), stars }) => Chosen {
+            place: Icrs { ra, dec },
+            words: format!(
+                "a star of magnitude {:.1}, {:.1} deg from the zenith; {stars} in the field",
+                star.mag,
+                from_zenith.degrees()
+            ),
+        },
+        Ok(_) => at_zenith("no star fits"),
+        Err(why) => {
+            tracing::warn!(why, "no field from the catalogue");
+            at_zenith("the catalogue cannot be read")
+        }
+    })
+}
+
+/// The camera's field along both axes: as solved frames taught, else by the mount's focal length, else the usual one.
+pub async fn of_camera(stage: &Stage) -> Result<(Angle, Angle), Trouble> {
+    let camera = stage.chain()?.camera;
+    let can = camera.instrument.capabilities().await?;
+    let optics = stage.room.optics.get();
+    let name = stage.row.camera.as_str();
+    let scale_arcsec_px = optics.optics.iter().rev().find(|optics| optics.camera == name);
+    let scale_arcsec_px = scale_arcsec_px.map(|optics| optics.scale_arcsec_px / f64::from(optics.bin.max(1)));
+    let scale_arcsec_px = scale_arcsec_px.or(camera.config.scale_arcsec_px);
+    // a field of n pixels, each of this scale: the focal length of one millimetre pixels that gives it
+    let along = |pixels: u32| match scale_arcsec_px {
+        Some(scale) => {
+            let focal_length_mm = 1.0 / Angle::from_arcseconds(scale).radians().tan();
+            field_of_view(pixels as usize, 1000.0, focal_length_mm)
+        }
+        None => Angle::from_degrees(USUAL_FIELD_DEG),
+    };
+    Ok((along(can.width_px), along(can.height_px)))
+}

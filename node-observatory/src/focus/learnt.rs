@@ -1,0 +1,170 @@
+//! What runs have taught about each focuser: the best position, how it follows the temperature, the offsets of filters.
+//!
+//! It outlives a restart (`focus-TELESCOPE.json` in the data folder). A standby takes over what the commander says of it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use contract::observatory::{FocusFound as Found, FocusLearnt, FocusOutcome, FocusRun};
+use imaging::focus::correction::{PastRun, TemperatureModel, without_offset};
+use imaging::quality::Estimate;
+use serde::{Deserialize, Serialize};
+use units::Celsius;
+
+/// Runs that are remembered of a focuser, the newest.
+const REMEMBERED: usize = 200;
+/// Runs through two filters this near in time are compared, sky s: the seeing may change, the tube hardly does.
+const NEAR_S: f64 = 2.0 * 3600.0;
+/// Pairs of runs that tell an offset, at least.
+const PAIRS: usize = 2;
+/// An offset gives way to what was learnt when it is off by so many standard errors.
+const SURELY: f64 = 3.0;
+/// Standard error of a run that knows none, steps.
+const USUAL_ERROR: f64 = 10.0;
+
+/// All that was learnt; its file and what is told of it are the same.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Learnt(FocusLearnt);
+
+/// Where it is kept.
+pub fn path(config: &config::Observatory) -> PathBuf {
+    config.folders.data.join(format!("focus-{}.json", config.place.telescope))
+}
+
+impl Learnt {
+    /// What the life before kept; nothing where there is no file, or none that can be read, which is then told.
+    pub fn read(path: &Path) -> Self {
+        let read = match std::fs::read(path) {
+            Ok(bytes) => serde_json::from_slice(&bytes).map_err(|error| error.to_string()),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Self::default(),
+            Err(error) => Err(error.to_string()),
+        };
+        read.unwrap_or_else(|error| {
+            tracing::warn!(path = %path.display(), error, "what was learnt of the focus cannot be read; it is learnt anew");
+            Self::default()
+        })
+    }
+
+    /// As it is told to who stands by.
+    pub fn told(&self) -> FocusLearnt {
+        self.0.clone()
+    }
+
+    /// Takes over all that another node has learnt, instead of what was known; false where that is the same.
+    pub fn adopt(&mut self, told: FocusLearnt) -> bool {
+        let is_new = self.0 != told;
+        self.0 = told;
+        is_new
+    }
+
+    /// Learns from a run that found a focus and is to be kept; false where there is nothing new.
+    pub fn learn(&mut self, run: &FocusRun) -> bool {
+        let (FocusOutcome::Focused, Some(position), Some(_)) = (run.outcome, run.best_position, run.kept_position)
+        else {
+            return false;
+        };
+        let runs = self.0.focusers.entry(run.focuser.clone()).or_default();
+        if runs.iter().any(|known| known.id == run.id.0) {
+            return false;
+        }
+        runs.push(Found {
+            id: run.id.0.clone(),
+            at_utc: run.ended_utc.unwrap_or(run.started_utc),
+            filter: run.filter.clone(),
+            wheel_offset: run.wheel_offset.unwrap_or(0),
+            position,
+            error: run.best_position_error,
+            critical_zone: run.critical_zone,
+            temperature_c: run.temperature_c,
+            altitude_deg: run.altitude_deg,
+        });
+        runs.sort_by_key(|run| run.at_utc);
+        runs.drain(..runs.len().saturating_sub(REMEMBERED));
+        true
+    }
+
+    /// Runs of a focuser that are remembered, in order of time.
+    pub fn runs(&self, focuser: &str) -> &[Found] {
+        self.0.focusers.get(focuser).map_or(&[], Vec::as_slice)
+    }
+
+    /// The best position without a filter's offset at a temperature, steps: where the newest run found it, moved as the
+    /// temperature asks once that is known.
+    pub fn best(&self, focuser: &str, temperature_c: Option<f64>) -> Option<f64> {
+        let newest = self.runs(focuser).last()?;
+        let moved = match (self.model(focuser), newest.temperature_c, temperature_c) {
+            (Some(model), Some(then_c), Some(now_c)) => model.steps(Celsius::new(then_c), Celsius::new(now_c)),
+            _ => 0.0,
+        };
+        Some(self.base(focuser, newest) + moved)
+    }
+
+    /// Half width of the bottom of the last curve, steps.
+    pub fn critical_zone(&self, focuser: &str) -> Option<f64> {
+        self.runs(focuser).iter().rev().find_map(|run| run.critical_zone)
+    }
+
+    /// How the best position follows the temperature, once enough runs prove that it does.
+    pub fn model(&self, focuser: &str) -> Option<TemperatureModel> {
+        let past = |run: &Found| {
+            let temperature = Celsius::new(run.temperature_c?);
+            let position_error = run.error.unwrap_or(f64::NAN);
+            Some(PastRun { temperature, position: self.base(focuser, run), position_error })
+        };
+        let runs: Vec<PastRun> = self.runs(focuser).iter().filter_map(past).collect();
+        TemperatureModel::fit(&runs).ok().filter(TemperatureModel::is_proven)
+    }
+
+    /// Offset of a filter, steps: what runs through it and through the filter of most runs tell, where they surely tell
+    /// something else than the wheel; else what the wheel says.
+    pub fn offset(&self, focuser: &str, filter: &str, wheel_offset: i64) -> i64 {
+        let Some((reference, reference_offset)) = self.reference(focuser).filter(|(name, _)| name != filter) else {
+            return wheel_offset;
+        };
+        let Some(learnt) = self.difference(focuser, filter, &reference) else { return wheel_offset };
+        let offset = learnt.value + reference_offset as f64;
+        if (offset - wheel_offset as f64).abs() > SURELY * learnt.error { offset.round() as i64 } else { wheel_offset }
+    }
+
+    /// A run's position without its filter's offset.
+    fn base(&self, focuser: &str, run: &Found) -> f64 {
+        let offset = run.filter.as_ref().map_or(0, |filter| self.offset(focuser, filter, run.wheel_offset));
+        without_offset(run.position, offset as f64)
+    }
+
+    /// The filter of most runs, and what the wheel says of it.
+    fn reference(&self, focuser: &str) -> Option<(String, i64)> {
+        let mut counts: BTreeMap<&str, (usize, i64)> = BTreeMap::new();
+        for run in self.runs(focuser) {
+            if let Some(filter) = &run.filter {
+                let count = counts.entry(filter).or_default();
+                *count = (count.0 + 1, run.wheel_offset);
+            }
+        }
+        let most = counts.into_iter().rev().max_by_key(|(_, (count, _))| *count);
+        most.map(|(filter, (_, offset))| (filter.to_owned(), offset))
+    }
+
+    /// How much further out a filter focuses than another, from runs that followed one another, steps.
+    fn difference(&self, focuser: &str, filter: &str, reference: &str) -> Option<Estimate> {
+        let runs = self.runs(focuser);
+        let through =
+            |name: &str| runs.iter().filter(move |run| run.filter.as_deref() == Some(name)).collect::<Vec<_>>();
+        let references = through(reference);
+        let (mut weights, mut sum, mut pairs) = (0.0, 0.0, 0);
+        for run in through(filter) {
+            let apart_s = |other: &&&Found| run.at_utc.seconds_since(other.at_utc).abs();
+            let nearest = references.iter().min_by(|a, b| apart_s(a).total_cmp(&apart_s(b)));
+            let Some(other) = nearest.filter(|other| apart_s(other) <= NEAR_S) else { continue };
+            let error = |run: &Found| run.error.unwrap_or(USUAL_ERROR).max(1.0);
+            let weight = 1.0 / (error(run).powi(2) + error(other).powi(2));
+            weights += weight;
+            sum += weight * (run.position - other.position);
+            pairs += 1;
+        }
+        (pairs >= PAIRS).then(|| Estimate { value: sum / weights, error: (1.0 / weights).sqrt() })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,108 @@
+use contract::CommandId;
+
+use super::*;
+
+/// A run `hours` after the first, through a filter whose offset the wheel says to be nothing.
+fn run(hours: f64, filter: Option<&str>, position: f64, temperature_c: f64) -> FocusRun {
+    let sample = r#"{"id": "", "camera": "cam", "focuser": "f", "filter_offset": 0, "night": "20261121",
+        "started_utc": "2026-11-21T00:00:00Z", "outcome": "focused", "start_position": 0, "operator": "hfd",
+        "value_label": "", "points": []}"#;
+    let run: FocusRun = serde_json::from_str(sample).unwrap();
+    FocusRun {
+        id: CommandId(format!("{hours} {filter:?}")),
+        started_utc: run.started_utc.plus_seconds(3600.0 * hours),
+        filter: filter.map(str::to_owned),
+        wheel_offset: filter.map(|_| 0),
+        best_position: Some(position),
+        best_position_error: Some(3.0),
+        kept_position: Some(position),
+        critical_zone: Some(120.0),
+        temperature_c: Some(temperature_c),
+        ..run
+    }
+}
+
+#[test]
+fn the_newest_run_tells_the_best_position_and_ten_runs_how_it_follows_the_temperature() {
+    let mut learnt = Learnt::default();
+    assert_eq!(learnt.best("f", Some(10.0)), None);
+    for n in 0..9 {
+        let temperature_c = 12.0 - f64::from(n);
+        assert!(learnt.learn(&run(f64::from(n), None, 5000.0 - 15.0 * temperature_c, temperature_c)));
+    }
+    // 4 C: nine runs say nothing of the temperature yet
+    assert_eq!((learnt.best("f", Some(0.0)), learnt.model("f")), (Some(5000.0 - 60.0), None));
+    assert!(learnt.learn(&run(9.0, None, 5000.0 - 45.0, 3.0)));
+    assert!(!learnt.learn(&run(9.0, None, 1.0, 3.0)), "known already");
+    let model = learnt.model("f").unwrap();
+    assert!((model.steps_per_c.value + 15.0).abs() < 0.01, "{model:?}");
+    assert!((learnt.best("f", Some(0.0)).unwrap() - 5000.0).abs() < 0.5);
+    assert_eq!(learnt.best("f", None), Some(4955.0), "without a thermometer nothing moves");
+    assert_eq!(learnt.best("other", Some(0.0)), None);
+}
+
+#[test]
+fn a_coefficient_that_is_not_proven_moves_nothing() {
+    let mut learnt = Learnt::default();
+    // seeing and chance: 40 steps of scatter that lean a little with the temperature
+    let leans = [30.0, -45.0, 38.0, -20.0, -41.0, 44.0, 12.0, -33.0, 50.0, 9.0, -12.0, 35.0];
+    for (n, steps) in leans.into_iter().enumerate() {
+        learnt.learn(&run(n as f64, None, 5000.0 + steps, 0.6 * n as f64));
+    }
+    assert_eq!((learnt.runs("f").len(), learnt.model("f")), (12, None));
+    assert_eq!(learnt.best("f", Some(0.0)), Some(5035.0), "where the newest run found it");
+}
+
+#[test]
+fn what_is_told_is_taken_over_whole() {
+    let mut learnt = Learnt::default();
+    learnt.learn(&run(0.0, Some("V"), 1000.0, 10.0));
+    let mut other = Learnt::default();
+    other.learn(&run(5.0, Some("B"), 1.0, 1.0));
+    assert!(other.adopt(learnt.told()));
+    assert_eq!(other, learnt);
+    assert!(!other.adopt(learnt.told()), "nothing new");
+}
+
+#[test]
+fn runs_through_two_filters_teach_what_the_wheel_does_not_say() {
+    let mut learnt = Learnt::default();
+    let mut learn = |hours, filter, position| assert!(learnt.learn(&run(hours, Some(filter), position, 10.0)));
+    learn(0.0, "V", 1000.0);
+    learn(0.3, "B", 1040.0);
+    learn(24.0, "V", 1010.0);
+    learn(30.0, "R", 1005.0);
+    learn(48.0, "V", 1020.0);
+    learn(49.0, "B", 1062.0);
+    let offset = |filter| learnt.offset("f", filter, 0);
+    assert_eq!((offset("V"), offset("B")), (0, 41));
+    assert_eq!(offset("R"), 0, "its only run is far in time from any other");
+    assert_eq!(learnt.offset("f", "B", 45), 45, "the wheel is right within the errors");
+    // the newest run is one through B: without its offset it tells the best position
+    assert_eq!(learnt.best("f", Some(10.0)), Some(1021.0));
+}
+
+#[test]
+fn what_found_nothing_or_is_not_to_be_kept_teaches_nothing() {
+    let mut learnt = Learnt::default();
+    assert!(!learnt.learn(&FocusRun { outcome: FocusOutcome::Failed, ..run(0.0, None, 1.0, 1.0) }));
+    assert!(!learnt.learn(&FocusRun { kept_position: None, ..run(0.0, None, 1.0, 1.0) }));
+    assert_eq!(learnt, Learnt::default());
+}
+
+#[test]
+fn only_the_newest_runs_are_remembered_and_a_file_gives_them_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("focus-x.json");
+    let mut learnt = Learnt::default();
+    for n in 0..REMEMBERED + 20 {
+        learnt.learn(&run(n as f64, None, n as f64, 1.0));
+    }
+    assert_eq!(learnt.runs("f").len(), REMEMBERED);
+    assert_eq!(learnt.runs("f")[0].position, 20.0);
+    std::fs::write(&path, serde_json::to_vec(&learnt).unwrap()).unwrap();
+    assert_eq!(Learnt::read(&path), learnt);
+    std::fs::write(&path, "half a fi").unwrap();
+    assert_eq!(Learnt::read(&path), Learnt::default());
+    assert_eq!(Learnt::read(&folder.path().join("none")), Learnt::default());
+}

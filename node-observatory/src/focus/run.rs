@@ -1,0 +1,236 @@
+//! A focus run on real devices: moves, frames and values, as the sweep asks for them.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use contract::CommandId;
+use contract::observatory::{FocusOutcome, FocusRun};
+use imaging::focus::sweep::{Fit, Pass, Plan, Step, Sweep};
+use imaging::quality::Estimate;
+use tokio::sync::broadcast;
+
+use super::meter::{Meter, Read, together};
+use super::shown::{About, Shown};
+use crate::action::Stage;
+use crate::action::expose::{Series, Shot, fits, intend, single};
+use crate::frames::looked::Fetched;
+use crate::frames::stepped_back;
+use crate::patience::{patience, seconds};
+use crate::rig::focuser::Focuser;
+use crate::trouble::Trouble;
+
+/// Pixels are here so long after the exposure, or the frame counts as one without stars; machine time.
+const PIXELS: Duration = Duration::from_secs(60);
+/// Times an exposure is halved because stars are saturated, and the shortest that comes of it, s (algorithms.md 4.3).
+const HALVINGS: u32 = 5;
+const SHORTEST_S: f64 = 0.1;
+/// Machine time that two looks at the pixels are apart when a frame is known but its pixels were missed.
+const READOUT_S: f64 = 120.0;
+
+/// What is asked of a run.
+#[derive(Debug, Clone)]
+pub struct Wish {
+    /// Where to look.
+    pub plan: Plan,
+    /// How frames are measured.
+    pub meter: Meter,
+    /// Exposure time, s.
+    pub exposure_s: f64,
+    /// Frames at each of the first positions, and at each of the others.
+    pub frames: (u32, u32),
+    /// Exposures are halved while stars are saturated.
+    pub reduce_exposure: bool,
+    /// Size of the stars at the begin, px, where it is known.
+    pub expected_px: Option<f64>,
+    /// Filter that the row named, its offset, and its offset as the wheel says, steps.
+    pub filter: Option<(String, i64, i64)>,
+    /// Whether rows take the position that was found from now on.
+    pub keep: bool,
+    /// Whether the frames are those that the row was asked for.
+    pub counts: bool,
+}
+
+/// Runs until the focus is found and verified, or surely is not; the focuser then stands there, or where it stood.
+///
+/// Of a run that is dropped or meets a trouble, [`Stage::settle`] brings the focuser back.
+pub async fn find(stage: &Stage, series: &Series, focuser: &Focuser, wish: &Wish) -> Result<FocusRun, Trouble> {
+    let mut sweep = Sweep::new(wish.plan.clone()).map_err(|bad| Trouble::Impossible(format!("focus run: {bad}")))?;
+    stage.set_focus_before(Some(i64::from(wish.plan.start)));
+    let mut shown = Shown::begin(&stage.room, begun(stage, series, focuser, wish)?);
+    let mut camera = Lens { stage, series, wish, exposure_s: wish.exposure_s, halvings: 0 };
+    let (mut expected_px, mut has_moved) = (wish.expected_px, false);
+    let outcome = loop {
+        match sweep.next() {
+            Step::Move(position) => {
+                stage.small_step(format!("focusing: to {position} steps"));
+                focuser.go(i64::from(position)).await?;
+                has_moved = true;
+            }
+            Step::Expose(pass) => {
+                if std::mem::take(&mut has_moved) {
+                    focuser.settle().await;
+                }
+                let count = if pass == Pass::Coarse { wish.frames.0 } else { wish.frames.1 };
+                if !fits(stage.clock().utc(), camera.exposure_s * f64::from(count), stage.row.end) {
+                    sweep.end("the row's window is over");
+                    continue;
+                }
+                let words = words(&sweep, pass);
+                let (value, about) = camera.look(focuser, count, &words, expected_px).await?;
+                // it was asked for just now
+                let _ = sweep.measured(value);
+                expected_px = expected(&sweep).or(value.map(|value| value.value)).or(expected_px);
+                shown.measured(&sweep, about);
+            }
+            Step::Done(outcome) => break outcome,
+        }
+    };
+    if has_moved {
+        focuser.settle().await;
+    }
+    stage.set_focus_before(None);
+    Ok(match outcome {
+        Ok(focused) => shown.focused(&focused, wish.keep),
+        Err(failed) => shown.failed(failed.reason.to_string()),
+    })
+}
+
+fn words(sweep: &Sweep, pass: Pass) -> String {
+    let pass = match pass {
+        Pass::Coarse => "first look",
+        Pass::Fine => "closer look",
+        Pass::Verification => "verifying",
+    };
+    format!("focusing: {pass}, position {}", sweep.points().len() + 1)
+}
+
+/// Size of the stars where the curve is best, px: what a search may begin with; only sizes have one.
+fn expected(sweep: &Sweep) -> Option<f64> {
+    let last = sweep.points().last()?;
+    match sweep.fit()? {
+        Fit::Hyperbola(curve) => Some(curve.size_at(f64::from(last.position))),
+        Fit::Smoothed { .. } => None,
+    }
+}
+
+fn begun(stage: &Stage, series: &Series, focuser: &Focuser, wish: &Wish) -> Result<FocusRun, Trouble> {
+    let now = stage.clock().utc();
+    let place = series.target_deg.map(|(ra_deg, dec_deg)| sky::Icrs::from_degrees(ra_deg, dec_deg));
+    let altitude = place.map(|place| stage.observer(now).map(|sky| sky.to_horizontal(&place).altitude)).transpose()?;
+    let (filter, offsets) = match &wish.filter {
+        Some((filter, offset, of_wheel)) => (Some(filter.clone()), (*offset, Some(*of_wheel))),
+        None => (None, (0, None)),
+    };
+    Ok(FocusRun {
+        id: CommandId::fresh(),
+        camera: stage.row.camera.to_string(),
+        focuser: focuser.name().to_owned(),
+        filter,
+        filter_offset: offsets.0,
+        wheel_offset: offsets.1,
+        night: stage.night().to_string(),
+        started_utc: now,
+        ended_utc: None,
+        outcome: FocusOutcome::Running,
+        reason: None,
+        start_position: i64::from(wish.plan.start),
+        best_position: None,
+        best_position_error: None,
+        kept_position: None,
+        critical_zone: None,
+        verified: None,
+        operator: wish.meter.name().to_owned(),
+        value_label: wish.meter.label().to_owned(),
+        temperature_c: focuser.temperature_c(),
+        altitude_deg: altitude.map(|altitude| altitude.degrees()),
+        points: Vec::new(),
+        curve: None,
+    })
+}
+
+/// Takes and measures the frames of a run.
+struct Lens<'a> {
+    stage: &'a Stage,
+    series: &'a Series,
+    wish: &'a Wish,
+    exposure_s: f64,
+    halvings: u32,
+}
+
+impl Lens<'_> {
+    /// What so many frames at one position say together.
+    async fn look(
+        &mut self,
+        focuser: &Focuser,
+        count: u32,
+        words: &str,
+        expected_px: Option<f64>,
+    ) -> Result<(Option<Estimate>, About), Trouble> {
+        let (mut about, mut values) = (About::default(), Vec::new());
+        for _ in 0..count.max(1) {
+            let read = loop {
+                let (frame, read) = self.frame(words, expected_px).await?;
+                about.frames.push(frame);
+                let may_halve = self.wish.reduce_exposure && self.halvings < HALVINGS && self.exposure_s > SHORTEST_S;
+                if !(read.saturated && may_halve) {
+                    break read;
+                }
+                self.halvings += 1;
+                self.exposure_s = (0.5 * self.exposure_s).max(SHORTEST_S);
+                tracing::info!(exposure_s = self.exposure_s, "stars are saturated: focusing with shorter exposures");
+            };
+            values.extend(read.value);
+            about.read = read;
+        }
+        about.temperature_c = focuser.temperature_c();
+        Ok((together(&values), about))
+    }
+
+    /// Takes one frame and measures it.
+    async fn frame(&self, words: &str, expected_px: Option<f64>) -> Result<(CommandId, Read), Trouble> {
+        let room = &self.stage.room;
+        let mut pixels = room.looks.follow_pixels();
+        let intent = intend(self.stage).await?;
+        let words = format!("{words}, {} s", self.exposure_s);
+        let shot = Shot { exposure_s: self.exposure_s, image_type: "Light Frame", words };
+        let most = patience(self.stage.clock(), seconds(self.exposure_s + READOUT_S)) + PIXELS;
+        let taking = single(self.stage, self.series, &shot, &intent, self.wish.counts);
+        let catching = async {
+            let caught = tokio::time::timeout(most, caught(&mut pixels, &intent.frame)).await;
+            Ok(caught.ok().flatten())
+        };
+        let missed = async {
+            // what was looked at has been fetched, or never will be
+            let looked = room.looks.of(&intent.frame).await;
+            looked.facts.reason.clone()
+        };
+        let catching = async {
+            tokio::select! {
+                biased;
+                fetched = catching => fetched,
+                reason = missed => {
+                    tracing::debug!(frame = %intent.frame, reason, "the pixels of a focus frame were missed");
+                    Ok(None)
+                }
+            }
+        };
+        let ((), fetched) = tokio::try_join!(taking, catching)?;
+        let Some(fetched) = fetched else {
+            return Ok((intent.frame, Read::nothing("the frame's pixels did not arrive".to_owned())));
+        };
+        let meter = self.wish.meter.clone();
+        let read = stepped_back(move || meter.read(&fetched.frame, &fetched.plane, expected_px)).await;
+        Ok((intent.frame, read.unwrap_or_else(Read::nothing)))
+    }
+}
+
+/// Waits for the pixels of a frame; None when they went by while nobody looked.
+pub async fn caught(pixels: &mut broadcast::Receiver<Arc<Fetched>>, frame: &CommandId) -> Option<Arc<Fetched>> {
+    loop {
+        match pixels.recv().await {
+            Ok(fetched) if fetched.frame.id == *frame => return Some(fetched),
+            Ok(_) | Err(broadcast::error::RecvError::Lagged(_)) => {}
+            Err(broadcast::error::RecvError::Closed) => return None,
+        }
+    }
+}

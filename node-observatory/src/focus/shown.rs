@@ -1,0 +1,158 @@
+//! A run as it is shown while it is under way, and as it is told when it has ended, however it ends.
+
+use contract::CommandId;
+use contract::observatory::{FocusCurve, FocusOutcome, FocusPass, FocusPoint, FocusRun};
+use imaging::focus::Better;
+use imaging::focus::sweep::{Fit, Focused, Pass, Point, Sweep};
+
+use super::meter::Read;
+use crate::control_room::ControlRoom;
+
+/// What is known of a point beside its value.
+#[derive(Debug, Clone, Default)]
+pub struct About {
+    /// The frames.
+    pub frames: Vec<CommandId>,
+    /// What the last of them said.
+    pub read: Read,
+    /// Temperature at the focuser, degrees Celsius.
+    pub temperature_c: Option<f64>,
+}
+
+/// A run that is shown; one that is dropped before its end was interrupted.
+pub struct Shown<'a> {
+    room: &'a ControlRoom,
+    run: FocusRun,
+    about: Vec<About>,
+    is_told: bool,
+}
+
+impl<'a> Shown<'a> {
+    /// Shows that a run begins.
+    pub fn begin(room: &'a ControlRoom, run: FocusRun) -> Self {
+        let shown = Self { room, run, about: Vec::new(), is_told: false };
+        shown.show(format!("{} looks for the focus of {}", shown.run.focuser, shown.run.camera));
+        shown
+    }
+
+    /// A position was measured.
+    pub fn measured(&mut self, sweep: &Sweep, about: About) {
+        self.about.push(about);
+        let fit = sweep.fit();
+        self.run.points = points(sweep.points(), &self.about, fit.as_ref());
+        self.run.curve = fit.as_ref().and_then(curve);
+        let temperatures: Vec<f64> = self.about.iter().filter_map(|about| about.temperature_c).collect();
+        let mean = temperatures.iter().sum::<f64>() / temperatures.len().max(1) as f64;
+        self.run.temperature_c = (!temperatures.is_empty()).then_some((mean * 1000.0).round() / 1000.0);
+        self.show(format!("{} positions measured", self.run.points.len()));
+    }
+
+    /// The run found the focus; `keep` says whether it is what rows take from now on.
+    pub fn focused(mut self, focused: &Focused, keep: bool) -> FocusRun {
+        let (fit, run) = (&focused.fit, &mut self.run);
+        let best = finite(fit.best_position()).unwrap_or(f64::from(focused.position));
+        run.outcome = FocusOutcome::Focused;
+        run.best_position = Some(best);
+        run.best_position_error = fit.best_position_error().and_then(finite);
+        run.critical_zone = fit.critical_zone().and_then(finite);
+        run.kept_position = keep.then_some(best - run.filter_offset as f64);
+        run.verified = finite(focused.verified);
+        run.curve = curve(fit).or(run.curve.take());
+        let detail = format!("focused at {} steps: {:.2} ({})", focused.position, focused.verified, run.value_label);
+        self.end(detail)
+    }
+
+    /// The run found no focus.
+    pub fn failed(mut self, reason: String) -> FocusRun {
+        self.run.outcome = FocusOutcome::Failed;
+        let detail = format!("no focus: {reason}");
+        self.run.reason = Some(reason);
+        self.end(detail)
+    }
+
+    fn end(&mut self, detail: String) -> FocusRun {
+        self.is_told = true;
+        self.run.ended_utc = Some(self.room.node.bus.clock().utc());
+        self.room.focus_learnt.change(|learnt| learnt.learn(&self.run));
+        tracing::info!(camera = self.run.camera, points = self.run.points.len(), detail, "focus run");
+        self.show(detail);
+        // the receiver lives as long as the node
+        let _ = self.room.focus_runs.send(self.run.clone());
+        self.run.clone()
+    }
+
+    fn show(&self, detail: String) {
+        self.room.focus.send_modify(|shown| {
+            shown.active = self.run.outcome == FocusOutcome::Running;
+            shown.detail = detail;
+            shown.run = Some(self.run.clone());
+        });
+    }
+}
+
+impl Drop for Shown<'_> {
+    fn drop(&mut self) {
+        if !self.is_told {
+            self.run.outcome = FocusOutcome::Failed;
+            self.run.reason = Some("interrupted".to_owned());
+            self.end("no focus: the run was interrupted".to_owned());
+        }
+    }
+}
+
+fn points(points: &[Point], about: &[About], fit: Option<&Fit>) -> Vec<FocusPoint> {
+    let mut number = 0;
+    let told = points.iter().zip(about).map(|(point, about)| {
+        let used = match fit {
+            Some(Fit::Hyperbola(curve)) if point.pass != Pass::Verification => {
+                number += 1;
+                curve.used.get(number - 1).copied()
+            }
+            _ => None,
+        };
+        FocusPoint {
+            position: i64::from(point.position),
+            pass: match point.pass {
+                Pass::Coarse => FocusPass::Coarse,
+                Pass::Fine => FocusPass::Fine,
+                Pass::Verification => FocusPass::Verification,
+            },
+            value: point.value.and_then(|value| finite(value.value)),
+            error: point.value.and_then(|value| finite(value.error)),
+            stars: about.read.stars,
+            reason: about.read.reason.clone(),
+            used,
+            frames: about.frames.clone(),
+            temperature_c: about.temperature_c,
+            others: about.read.others.clone(),
+        }
+    });
+    told.collect()
+}
+
+/// A curve as it is told; one whose numbers are not finite is none.
+fn curve(fit: &Fit) -> Option<FocusCurve> {
+    let (best_position, best_value) = (finite(fit.best_position())?, finite(fit.best_value())?);
+    match fit {
+        Fit::Hyperbola(curve) => Some(FocusCurve {
+            model: "hyperbola".to_owned(),
+            best_position,
+            best_value,
+            slope_per_step: Some(finite(curve.slope)?),
+            larger_is_better: false,
+            places: Vec::new(),
+        }),
+        Fit::Smoothed { smoother, better, curve, .. } => Some(FocusCurve {
+            model: (*smoother).to_owned(),
+            best_position,
+            best_value,
+            slope_per_step: None,
+            larger_is_better: *better == Better::Larger,
+            places: curve.iter().map(|(position, value)| [*position, *value]).collect(),
+        }),
+    }
+}
+
+fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
