@@ -1,0 +1,22 @@
+//! Flat fields: of the twilight sky, and of a panel.
+//!
+//! ```text
+//!   sky:   wait for the Sun's window -> open, point away from the Sun ---+
+//!   panel: close the cover, light it -------------------------------------+--> which filter next? (order)
+//!                                                                               |
+//!      too dark or too bright, and it gets no better: the filter is given up <--+--> sound: a small frame aside
+//!      ... and it will get better: wait                                         |      tells how bright it is
+//!                                                                               v
+//!                              kept and not counted <-- out of tolerance -- take a frame, learn from its level
+//! ```
+//! What is computed is pure: [`exposure`] (how long), [`order`] (which filter), [`twilight`] (when and where). [`run`]
+//! takes frames and judges them, [`sky`] and [`panel`] tell the two stories. Levels are what every frame is measured for
+//! anyway ([`crate::frames`]). Decision 0028.
+
+pub mod exposure;
+pub mod forecast;
+pub mod order;
+pub mod panel;
+pub mod run;
+pub mod sky;
+pub mod twilight;

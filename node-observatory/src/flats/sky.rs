@@ -1,0 +1,190 @@
+//! Flats of the twilight sky, as an observer would tell it.
+
+use ::sky::{Horizontal, Icrs, separation};
+
+use super::exposure::Light;
+use super::order::{Next, Trend, next};
+use super::run::{Run, to_ms};
+use super::twilight::{Window, antisolar, dithered, is_clear_of_sun, slope_per_s};
+use crate::action::Stage;
+use crate::action::expose::fits;
+use crate::opening;
+use crate::patience::seconds;
+use crate::rig::telescope::Mount;
+use crate::slit::Aimed;
+use crate::trouble::Trouble;
+
+/// The Sun's way is taken over so long, s.
+pub const AHEAD_S: f64 = 300.0;
+/// The place opposite to the Sun is gone to again when it is further off than this, deg.
+const ASTRAY_DEG: f64 = 10.0;
+
+/// Takes the flats of a row while the Sun stands right; what it could not take is told by the run.
+pub async fn run(run: &mut Run<'_>) -> Result<(), Trouble> {
+    let stage = run.stage;
+    let config = stage.chain()?.camera.config.flats;
+    let window = Window { min_deg: config.sun_min_deg, max_deg: config.sun_max_deg };
+    if !wait_for(stage, &window).await? {
+        run.end(window.never());
+        return Ok(());
+    }
+    let (_, speed) = sun(stage)?;
+    let trend = if speed > 0.0 { Trend::Brightens } else { Trend::Fades };
+    let mut light = Light::new(run.want, run.wish.filters.len(), slope_per_s(speed));
+    let mut aim = match run.wish.moves {
+        true => Some(Aim::begin(stage, config.dither_arcsec).await?),
+        false => None,
+    };
+    let (mut sound, mut current) = (None, None);
+    loop {
+        if !window.has(&sun(stage)?.0) {
+            run.end(window.left());
+            break;
+        }
+        let what = match sound.take() {
+            Some(index) => Next::Sound(index),
+            None => next(run.wish.order, trend, &run.candidates(&light), current),
+        };
+        match what {
+            Next::Done => break,
+            Next::GiveUp(index, true) => run.give_up(index, "too bright"),
+            Next::GiveUp(index, false) => run.give_up(index, "too dark"),
+            Next::Wait(index, wait_s) => {
+                if !fits(stage.clock().utc(), wait_s, stage.row.end) {
+                    run.end("the row's window ended".to_owned());
+                    break;
+                }
+                let (how, words) = (if trend == Trend::Fades { "bright" } else { "dark" }, run.words(index));
+                stage.small_step(format!("waiting {wait_s:.0} s: the sky is too {how} for {words}"));
+                stage.clock().sleep_sky(seconds(wait_s)).await;
+                sound = Some(index);
+            }
+            Next::Sound(index) => {
+                if let Some(aim) = &mut aim {
+                    aim.renew().await?;
+                }
+                run.turn_to(index).await?;
+                if !run.sound(index, &mut light).await? {
+                    run.end("the row's window ended".to_owned());
+                    break;
+                }
+            }
+            Next::Take(index, exposure_s) => {
+                let exposure_s = to_ms(exposure_s);
+                if !fits(stage.clock().utc(), exposure_s, stage.row.end) {
+                    run.end("the row's window ended".to_owned());
+                    break;
+                }
+                run.turn_to(index).await?;
+                let frame = run.take(index, exposure_s).await?;
+                // the telescope goes on to the next place while the frame is read and measured
+                let dither = async {
+                    match &mut aim {
+                        Some(aim) => aim.dither().await,
+                        None => Ok(()),
+                    }
+                };
+                let (seen, ()) = tokio::try_join!(run.judge(index, &frame), dither)?;
+                light.see(index, &seen);
+                current = Some(index);
+            }
+        }
+    }
+    match &aim {
+        Some(aim) => aim.mount.track(false).await,
+        None => Ok(()),
+    }
+}
+
+/// The Sun now, and how fast its altitude changes, deg per s.
+fn sun(stage: &Stage) -> Result<(Horizontal, f64), Trouble> {
+    let now = stage.clock().utc();
+    let (sun, later) = (stage.observer(now)?.sun(), stage.observer(now.plus_seconds(AHEAD_S))?.sun());
+    Ok((sun, (later.altitude.degrees() - sun.altitude.degrees()) / AHEAD_S))
+}
+
+/// Waits until the Sun stands right; false where it does not while the row may run, or did before.
+async fn wait_for(stage: &Stage, window: &Window) -> Result<bool, Trouble> {
+    let has_begun = stage.room.journal.progress(&stage.row.id).taken > 0;
+    loop {
+        let (now, sun) = (stage.clock().utc(), sun(stage)?.0);
+        if window.has(&sun) {
+            return Ok(true);
+        }
+        if has_begun {
+            // what dusk has left over does not keep the other rows waiting until dawn
+            return Ok(false);
+        }
+        let Some(opens) = window.opens(stage.room.site()?, now)?.filter(|opens| *opens < stage.row.end) else {
+            return Ok(false);
+        };
+        let (sun_deg, at) = (sun.altitude.degrees(), opens.strftime("%H:%M:%S"));
+        stage.step(format!("waiting for the Sun, now at {sun_deg:.1} deg, until {at} UTC"));
+        // a second more: the window has no end of its own
+        stage.clock().sleep_sky(seconds(opens.seconds_since(now) + 1.0)).await;
+    }
+}
+
+/// Where the telescope looks: opposite to the Sun, each frame beside the last one.
+struct Aim<'a> {
+    stage: &'a Stage,
+    mount: &'a Mount,
+    base: Icrs,
+    index: u32,
+    step_arcsec: f64,
+    aimed: Option<Aimed<'a>>,
+}
+
+impl<'a> Aim<'a> {
+    /// Opens, and goes there.
+    async fn begin(stage: &'a Stage, step_arcsec: f64) -> Result<Self, Trouble> {
+        let chain = stage.chain()?;
+        let mount = chain.mount.ok_or_else(|| {
+            let why = "has no mount; disable_telescope_movement = true takes flats where it looks";
+            Trouble::Impossible(format!("{} {why}", stage.row.camera))
+        })?;
+        let base = opposite(stage)?;
+        // the slit goes there beside the mount
+        let aimed = Some(Aimed::at(&stage.room, mount, base));
+        let index = stage.room.journal.progress(&stage.row.id).taken;
+        let aim = Self { stage, mount, base, index, step_arcsec, aimed };
+        stage.step("opening");
+        opening::open(&stage.room, &chain).await?;
+        stage.step("slewing away from the Sun");
+        aim.go().await?;
+        Ok(aim)
+    }
+
+    /// Goes to the place opposite to the Sun again, where the sky has carried the telescope away from it.
+    async fn renew(&mut self) -> Result<(), Trouble> {
+        let base = opposite(self.stage)?;
+        if separation(&base, &self.base).degrees() < ASTRAY_DEG {
+            return Ok(());
+        }
+        self.base = base;
+        // the end of the old one takes back what it told
+        self.aimed = None;
+        self.aimed = Some(Aimed::at(&self.stage.room, self.mount, base));
+        self.go().await
+    }
+
+    async fn dither(&mut self) -> Result<(), Trouble> {
+        self.index += 1;
+        if self.step_arcsec > 0.0 { self.go().await } else { Ok(()) }
+    }
+
+    async fn go(&self) -> Result<(), Trouble> {
+        let place = dithered(&self.base, self.index, self.step_arcsec);
+        let observer = self.stage.visible(&place)?;
+        if !is_clear_of_sun(&observer.to_horizontal(&place), &observer.sun()) {
+            return Err(Trouble::Impossible("flats: the telescope would look near the Sun".to_owned()));
+        }
+        self.mount.point(&place, &observer).await
+    }
+}
+
+/// The place opposite to the Sun now.
+fn opposite(stage: &Stage) -> Result<Icrs, Trouble> {
+    let observer = stage.observer(stage.clock().utc())?;
+    Ok(observer.to_icrs(&antisolar(&observer.sun())))
+}
