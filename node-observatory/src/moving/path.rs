@@ -1,0 +1,105 @@
+//! The path of a body over this site, as one mount counts it.
+
+use sky::{Body, Icrs, Observer};
+use units::Utc;
+
+use super::course::{Spot, TRAIL_ARCSEC};
+use crate::action::Stage;
+use crate::rig::outlook::Outlook;
+use crate::rig::telescope::Mount;
+use crate::trouble::Trouble;
+
+/// Rates are renewed no more often than this where the row says nothing else, s (spec core.md 7.4).
+const INTERVAL_S: f64 = 10.0;
+/// Where a path bends faster than straight pieces of that length can follow, shorter ones are tried.
+const SHORTER_S: [f64; 3] = [5.0, 2.0, 1.0];
+/// Whether it is hidden is looked at along a path so often, s, unless the window is long.
+const STEP_S: f64 = 30.0;
+const MOST_STEPS: f64 = 500.0;
+
+/// A body's path.
+pub struct Path<'a> {
+    stage: &'a Stage,
+    mount: &'a Mount,
+    body: &'a Body,
+}
+
+impl<'a> Path<'a> {
+    /// The path of `body`.
+    pub fn new(stage: &'a Stage, mount: &'a Mount, body: &'a Body) -> Self {
+        Self { stage, mount, body }
+    }
+
+    /// Where it stands among the stars.
+    pub fn icrs(&self, at: Utc) -> Result<Icrs, Trouble> {
+        Ok(self.body.seen(&self.stage.observer(at)?)?.icrs)
+    }
+
+    /// Where it stands in the mount's frame.
+    pub fn spot(&self, at: Utc) -> Result<Spot, Trouble> {
+        let observer = self.stage.observer(at)?;
+        self.of_mount(&self.body.seen(&observer)?.icrs, &observer)
+    }
+
+    /// A place among the stars in the mount's frame.
+    pub fn of_mount(&self, place: &Icrs, observer: &Observer) -> Result<Spot, Trouble> {
+        let (ra, dec) = self.mount.place(place, observer)?;
+        Ok(Spot { ra, dec })
+    }
+
+    /// How long rates may last now, s: as the row has it, or as long as a straight piece stays near the path.
+    pub fn interval_s(&self, now: Utc, wished_s: Option<f64>) -> Result<f64, Trouble> {
+        if let Some(wished_s) = wished_s {
+            return Ok(wished_s.max(0.5));
+        }
+        let start = self.spot(now)?;
+        for interval_s in std::iter::once(INTERVAL_S).chain(SHORTER_S) {
+            let (middle, end) =
+                (self.spot(now.plus_seconds(interval_s / 2.0))?, self.spot(now.plus_seconds(interval_s))?);
+            let straight = Spot {
+                ra: start.ra + (end.ra - start.ra).wrapped_signed() * 0.5,
+                dec: start.dec + (end.dec - start.dec) * 0.5,
+            };
+            if straight.apart_arcsec(&middle) < TRAIL_ARCSEC {
+                return Ok(interval_s);
+            }
+        }
+        Ok(SHORTER_S[SHORTER_S.len() - 1])
+    }
+
+    /// Until when it stands in what the site leaves of the sky from `from` on, but not beyond `to`.
+    ///
+    /// # Errors
+    /// [`Trouble::Impossible`] where it does not at `from`.
+    pub fn up_until(&self, from: Utc, to: Utc) -> Result<Utc, Trouble> {
+        up_until(self.body, (from, to), &self.mount.outlook, |at| self.stage.observer(at), Trouble::Impossible)
+    }
+}
+
+/// Until when a body stands in an outlook within a span, from its begin on, under the sky that `observer` gives.
+///
+/// # Errors
+/// What `impossible` makes of the words, where it does not at the begin, or its path is not known.
+pub fn up_until<E>(
+    body: &Body,
+    (from, to): (Utc, Utc),
+    outlook: &Outlook,
+    mut observer: impl FnMut(Utc) -> Result<Observer, E>,
+    impossible: impl Fn(String) -> E,
+) -> Result<Utc, E> {
+    let step_s = STEP_S.max(to.seconds_since(from) / MOST_STEPS);
+    let mut up = None;
+    let mut at = from;
+    loop {
+        let observer = observer(at)?;
+        let seen = body.seen(&observer).map_err(|error| impossible(error.to_string()))?;
+        if let Some(why) = outlook.hides(&seen.icrs, &observer) {
+            return up.ok_or_else(|| impossible(why));
+        }
+        up = Some(at);
+        if at >= to {
+            return Ok(to);
+        }
+        at = at.plus_seconds(step_s).min(to);
+    }
+}
