@@ -1,0 +1,77 @@
+//! The site's own script: what a site does before, after or instead of opening and closing (`[hooks]`).
+//!
+//! A script is Rhai, run in this process on a thread of its own, with limits on time, work and memory, and nothing to
+//! reach the world by but the functions of [`engine`]. It asks; this node does, under the same verdict, permits, tokens
+//! and audit as ever. So a script can delay an opening or refuse it, and can never open what may not be open.
+//!
+//! ```text
+//!  opening:  before_open  ->  open, or the default  ->  is_ready, each second  ->  after_open
+//!            any failure: closed by default, and the row rests
+//!
+//!  closing:  before_close ->  close, or nothing     ->  the default closing, until verified  ->  after_close
+//!            |<-- at most close_wait_s ---------------->|   any failure: the default closing, at once
+//! ```
+//! The guards of the domes, the verdict and the permits never wait for a script.
+
+mod call;
+#[cfg(test)]
+mod call_tests;
+mod calls;
+mod closing;
+pub mod engine;
+#[cfg(test)]
+mod greedy_tests;
+mod host;
+mod line;
+mod memory;
+pub mod opening;
+mod script;
+
+use bus::Node;
+use contract::observatory::AlertKind;
+
+pub use closing::AtClosing;
+pub use script::{FUNCTIONS, Function, Script, ScriptError};
+
+use crate::trouble::Trouble;
+
+/// What the configuration has of a script.
+pub enum Hooks {
+    /// No script.
+    None,
+    /// A script that has been proven.
+    Script(Script),
+    /// A script that cannot be used: nothing is opened, and everything is closed by default.
+    Broken(String),
+}
+
+impl Hooks {
+    /// Reads and proves the script of the configuration; an alert stands where it cannot be used.
+    pub async fn load(node: &Node) -> Self {
+        let Some(file) = node.config.hooks.script.clone() else { return Self::None };
+        let shown = file.display().to_string();
+        let read = tokio::task::spawn_blocking(move || Script::read(&file)).await;
+        let why = match read {
+            Ok(Ok(script)) => {
+                tracing::info!(file = shown, functions = ?script.names(), "the site's script");
+                return Self::Script(script);
+            }
+            Ok(Err(error)) => error.to_string(),
+            Err(error) => format!("{shown}: {error}"),
+        };
+        node.alerts.raise(AlertKind::SiteScript, "script", &why);
+        Self::Broken(why)
+    }
+
+    /// The script, where there is one.
+    ///
+    /// # Errors
+    /// When there is one that cannot be used: what it is for may be needed to open without harm.
+    pub fn script(&self) -> Result<Option<&Script>, Trouble> {
+        match self {
+            Self::None => Ok(None),
+            Self::Script(script) => Ok(Some(script)),
+            Self::Broken(why) => Err(Trouble::Script { function: "the text".to_owned(), why: why.clone() }),
+        }
+    }
+}
