@@ -1,13 +1,30 @@
 //! The known word that a misspelt one was probably meant to be.
 
+/// A longer word is no slip of any.
+const LONGEST: usize = 64;
+
 /// The nearest of the known words, if it is near at all.
 pub fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    if word.len() > LONGEST {
+        return None;
+    }
     let (distance, found) = known.into_iter().map(|other| (distance(word, other), other)).min_by_key(|(d, _)| *d)?;
     (distance <= found.len().max(word.len()) / 2).then_some(found)
 }
 
+/// What somebody probably meant, or all that there is.
+pub fn meant<'a>(word: &str, known: impl IntoIterator<Item = &'a str> + Clone) -> String {
+    match nearest(word, known.clone()) {
+        Some(near) => format!("did you mean {near:?}?"),
+        None => {
+            let all: Vec<&str> = known.into_iter().collect();
+            format!("expected one of {}", all.join(", "))
+        }
+    }
+}
+
 /// Letters to change, add or drop between two words, without regard to case.
-fn distance(a: &str, b: &str) -> usize {
+pub fn distance(a: &str, b: &str) -> usize {
     let (a, b): (Vec<char>, Vec<char>) = (a.to_lowercase().chars().collect(), b.to_lowercase().chars().collect());
     let mut before: Vec<usize> = (0..=b.len()).collect();
     for (i, from) in a.iter().enumerate() {

@@ -9,6 +9,7 @@ use serde_json::Value;
 use sha2::{Digest, Sha256};
 use units::Utc;
 
+use super::written::Written;
 use crate::action::AnyAction;
 
 /// Names a row by its content, so that a file that is read again finds its rows where they stood.
@@ -51,6 +52,8 @@ pub struct Row {
     pub id: RowId,
     /// Line of the file on which it begins, from 1.
     pub line: usize,
+    /// Where it and its fields are written.
+    pub written: Arc<Written>,
     /// The camera that it is about.
     pub camera: Name,
     /// What is to be done.

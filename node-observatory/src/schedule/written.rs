@@ -1,0 +1,228 @@
+//! Where the rows of a schedule and their fields are written: lines and columns.
+
+use std::collections::HashSet;
+
+/// A place in a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Position {
+    /// Line, from 1.
+    pub line: u32,
+    /// Character of the line, from 1.
+    pub column: u32,
+}
+
+/// Counts lines and columns on the way through a text, forward only, so that one long line costs no more than many.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Cursor<'a> {
+    text: &'a str,
+    offset: usize,
+    /// Where it stands.
+    pub position: Position,
+}
+
+impl<'a> Cursor<'a> {
+    /// At the begin of a text.
+    pub fn new(text: &'a str) -> Self {
+        Self { text, offset: 0, position: Position { line: 1, column: 1 } }
+    }
+
+    /// The same, further on; `offset` in bytes. What lies behind is not gone back to.
+    pub fn to(mut self, offset: usize) -> Self {
+        let passed = self.text.get(self.offset..offset).unwrap_or_default();
+        let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+        match passed.rsplit_once('\n') {
+            None => self.position.column = self.position.column.saturating_add(count(passed.chars().count())),
+            Some((before, line)) => {
+                self.position.line = self.position.line.saturating_add(count(before.matches('\n').count() + 1));
+                self.position.column = count(line.chars().count() + 1);
+            }
+        }
+        self.offset = self.offset.max(offset);
+        self
+    }
+}
+
+/// A row as it is written: where it begins, and each of its fields.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Written {
+    /// Its brace.
+    pub begin: Position,
+    fields: Vec<Field>,
+}
+
+/// One field of a row, or of its `action_value`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Field {
+    name: String,
+    /// Of `action_value`.
+    is_parameter: bool,
+    key: Position,
+    value: Position,
+}
+
+/// Of the row itself, or of its `action_value`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Of {
+    Row,
+    Parameters,
+}
+
+impl Written {
+    /// Of the JSON object that `cursor` stands before; `end` is the byte after it.
+    pub(super) fn read(cursor: Cursor<'_>, blanked: &str, end: usize) -> Self {
+        let begin = cursor.offset;
+        let mut here = cursor;
+        let mut fields = Vec::new();
+        for span in spans(blanked.get(begin..end).unwrap_or_default()) {
+            here = here.to(begin + span.key);
+            let key = here.position;
+            here = here.to(begin + span.value);
+            fields.push(Field { name: span.name, is_parameter: span.is_parameter, key, value: here.position });
+        }
+        Self { begin: cursor.position, fields }
+    }
+
+    fn find(&self, of: Of, name: &str) -> Option<&Field> {
+        self.fields.iter().find(|field| field.is_parameter == (of == Of::Parameters) && field.name == name)
+    }
+
+    /// Where a field's name stands; the row's begin where it has none.
+    pub(super) fn key(&self, of: Of, name: &str) -> Position {
+        self.find(of, name).map_or(self.begin, |field| field.key)
+    }
+
+    /// Where a field's value stands; the row's begin where it has none.
+    pub(super) fn value(&self, of: Of, name: &str) -> Position {
+        self.find(of, name).map_or(self.begin, |field| field.value)
+    }
+
+    /// Where the value of a parameter stands, else that of `action_value`, else the row.
+    pub fn parameter(&self, name: &str) -> Position {
+        match self.find(Of::Parameters, name) {
+            Some(field) => field.value,
+            None => self.value(Of::Row, "action_value"),
+        }
+    }
+
+    /// Where the name of a parameter stands, else the value of `action_value`, else the row.
+    pub(super) fn parameter_key(&self, name: &str) -> Position {
+        self.find(Of::Parameters, name).map_or_else(|| self.field("action_value"), |field| field.key)
+    }
+
+    /// Where the value of one of the row's own fields stands.
+    pub fn field(&self, name: &str) -> Position {
+        self.value(Of::Row, name)
+    }
+
+    /// Names that stand a second time, with their places.
+    pub(super) fn doubled(&self) -> impl Iterator<Item = (&str, Position)> {
+        let mut seen = HashSet::new();
+        let again = self.fields.iter().filter(move |field| !seen.insert((field.is_parameter, field.name.as_str())));
+        again.map(|field| (field.name.as_str(), field.key))
+    }
+}
+
+/// A field as bytes of its row.
+struct Span {
+    name: String,
+    is_parameter: bool,
+    key: usize,
+    value: usize,
+}
+
+/// The fields of an object, and those of its `action_value`; the text is known to be JSON.
+fn spans(text: &str) -> Vec<Span> {
+    let bytes = text.as_bytes();
+    let mut found: Vec<Span> = Vec::new();
+    let (mut at, mut depth) = (0, 0_usize);
+    // containers around `at`: is it an object, and is it the one whose fields are parameters?
+    let mut around: Vec<(bool, bool)> = Vec::new();
+    let (mut expects_key, mut expects_value) = (false, false);
+    while let Some(byte) = bytes.get(at).copied() {
+        let is_value = expects_value && !byte.is_ascii_whitespace() && byte != b':';
+        if is_value {
+            expects_value = false;
+            if let Some(span) = found.last_mut() {
+                span.value = at;
+            }
+        }
+        match byte {
+            b'"' => {
+                let end = end_of_string(bytes, at);
+                let (is_object, is_parameters) = around.last().copied().unwrap_or_default();
+                if is_object && expects_key && (depth == 1 || is_parameters) {
+                    let raw = text.get(at..end).unwrap_or_default();
+                    let name = serde_json::from_str(raw).unwrap_or_else(|_| raw.trim_matches('"').to_owned());
+                    found.push(Span { name, is_parameter: depth == 2, key: at, value: at });
+                    expects_value = true;
+                }
+                expects_key = false;
+                at = end;
+                continue;
+            }
+            b'{' => {
+                let named = found.last().is_some_and(|span| !span.is_parameter && span.name == "action_value");
+                around.push((true, depth == 1 && is_value && named));
+                (depth, expects_key) = (depth + 1, true);
+            }
+            b'[' => {
+                around.push((false, false));
+                depth += 1;
+            }
+            b'}' | b']' => {
+                around.pop();
+                depth = depth.saturating_sub(1);
+                expects_key = false;
+            }
+            b',' => expects_key = around.last().is_some_and(|(is_object, _)| *is_object),
+            _ => {}
+        }
+        at += 1;
+    }
+    found
+}
+
+/// The byte after the string that begins at `at`.
+fn end_of_string(bytes: &[u8], at: usize) -> usize {
+    let mut end = at + 1;
+    while let Some(byte) = bytes.get(end) {
+        match byte {
+            b'\\' => end += 2,
+            b'"' => return end + 1,
+            _ => end += 1,
+        }
+    }
+    bytes.len()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(line: u32, column: u32) -> Position {
+        Position { line, column }
+    }
+
+    #[test]
+    fn fields_are_found_where_they_stand_and_not_in_what_they_hold() {
+        let text = "  {\"device_name\": \"a \\\"exptime\\\": 5\",\n \"action_value\": {\"object\": \"é{,}\", \"exptime\" : 10,\n\"metadata\": {\"exptime\": 7}}, \"list\": [{\"exptime\": 1}], \"end_time\": \"x\"}";
+        let written = Written::read(Cursor::new(text).to(2), text, text.len());
+        assert_eq!(written.begin, at(1, 3));
+        assert_eq!(written.field("device_name"), at(1, 19));
+        assert_eq!(written.key(Of::Parameters, "object"), at(2, 19));
+        assert_eq!(written.parameter("exptime"), at(2, 49));
+        assert_eq!(written.parameter("metadata"), at(3, 13));
+        assert_eq!(written.field("end_time"), at(3, 68));
+        assert_eq!(written.parameter("filter"), written.field("action_value"));
+        assert_eq!(written.field("start_time"), at(1, 3));
+        assert_eq!(written.doubled().count(), 0);
+    }
+
+    #[test]
+    fn a_name_that_stands_twice_is_seen() {
+        let text = "{\"a\": 1, \"action_value\": {\"a\": 1, \"b\": 2,\n \"b\": 3}, \"a\": 2}";
+        let written = Written::read(Cursor::new(text), text, text.len());
+        let doubled: Vec<_> = written.doubled().collect();
+        assert_eq!(doubled, [("b", at(2, 2)), ("a", at(2, 11))]);
+    }
+}
