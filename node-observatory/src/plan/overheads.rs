@@ -1,0 +1,161 @@
+//! What devices take beside collecting light: measured where there is telemetry of it, else assumed, and which it is.
+
+use std::collections::BTreeMap;
+
+use config::Observatory;
+
+/// A part of a row whose length the nodes write into their diaries when it is done, so that later nights can be planned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Span {
+    /// From shut to open roof and covers, with the mount out of its park position.
+    Open,
+    /// From the wish to close to verified closed, with the mount parked.
+    Close,
+    /// From a warm sensor to a cold one.
+    Cool,
+    /// A slew with its settling; its length goes with the way.
+    Slew,
+    /// After a slew, until the slit of the dome is there too.
+    Slit,
+    /// Another filter in the beam, with the focus that belongs to it.
+    Filter,
+    /// Frames, solving and corrections until the telescope is proven to be on target.
+    Acquire,
+    /// From the last exposure of a row until its frames are on disk.
+    Spool,
+}
+
+impl Span {
+    /// All of them.
+    pub const ALL: [Self; 8] =
+        [Self::Open, Self::Close, Self::Cool, Self::Slew, Self::Slit, Self::Filter, Self::Acquire, Self::Spool];
+
+    /// As it stands in the diary.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Open => "open",
+            Self::Close => "close",
+            Self::Cool => "cool",
+            Self::Slew => "slew",
+            Self::Slit => "slit",
+            Self::Filter => "filter",
+            Self::Acquire => "acquire",
+            Self::Spool => "spool",
+        }
+    }
+}
+
+/// The message under which a span's length stands in the diary, with `span`, `took_s` and, of a slew, `deg`.
+pub const TOOK: &str = "took";
+
+/// A number, and where it comes from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Figure {
+    /// In the unit that its name says.
+    pub value: f64,
+    /// Of so many measurements, of which it is the median; 0: assumed.
+    pub measured: usize,
+}
+
+impl Figure {
+    /// A number that nobody measured.
+    pub const fn assumed(value: f64) -> Self {
+        Self { value, measured: 0 }
+    }
+}
+
+/// Pixels of a camera, from its frames.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sensor {
+    /// Columns and rows, unbinned px.
+    pub size_px: [u32; 2],
+    /// Bytes of a stored file per pixel, headers included.
+    pub bytes_per_px: f64,
+    /// Of so many frames; 0: assumed.
+    pub measured: usize,
+}
+
+/// A sensor that nothing is known of: 4096 x 4096 px of 16 bits.
+const UNKNOWN: Sensor = Sensor { size_px: [4096, 4096], bytes_per_px: 2.0, measured: 0 };
+
+/// What everything takes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Overheads {
+    spans: BTreeMap<Span, Figure>,
+    /// What a slew takes per degree of its way beyond [`Span::Slew`], s/deg.
+    pub slew_s_per_deg: Figure,
+    /// From the end of a frame's exposure to the begin of the next one, by action, s.
+    pub frame_s: BTreeMap<String, Figure>,
+    /// ... where none of an action was measured.
+    pub other_frame_s: Figure,
+    /// From the end of a row's last exposure to the whole headers of all frames, s.
+    pub headers_s: Figure,
+    /// By camera.
+    pub sensors: BTreeMap<String, Sensor>,
+}
+
+impl Overheads {
+    /// Nothing measured: the configuration's numbers where it has some, else those of a 1 m telescope in a dome.
+    pub fn assumed(config: &Observatory) -> Self {
+        let settle_s = config.telescope.iter().map(|mount| mount.settle_s).fold(0.0, f64::max);
+        let spans = [
+            // half the travel time after which a dome counts as stuck is the usual one
+            (Span::Open, 60.0),
+            (Span::Close, 60.0),
+            (Span::Cool, 600.0),
+            // ramps of 5 s, then 3 deg/s
+            (Span::Slew, 5.0 + settle_s),
+            // a roof, or a dome that is as quick as its mount
+            (Span::Slit, 0.0),
+            (Span::Filter, 5.0),
+            // a frame and its solving (some s each), a correction, and a frame that proves it
+            (Span::Acquire, 30.0),
+            (Span::Spool, 2.0),
+        ];
+        Self {
+            spans: spans.into_iter().map(|(span, value)| (span, Figure::assumed(value))).collect(),
+            slew_s_per_deg: Figure::assumed(1.0 / 3.0),
+            frame_s: BTreeMap::new(),
+            other_frame_s: Figure::assumed(config.schedule.check.frame_overhead_s),
+            headers_s: Figure::assumed(10.0),
+            sensors: BTreeMap::new(),
+        }
+    }
+
+    /// What a part of a row takes, s; of a slew what it takes whatever its way.
+    pub fn span(&self, span: Span) -> Figure {
+        self.spans.get(&span).copied().unwrap_or(Figure::assumed(0.0))
+    }
+
+    /// Learns what a part of a row takes.
+    pub fn set_span(&mut self, span: Span, figure: Figure) {
+        self.spans.insert(span, figure);
+    }
+
+    /// A slew over so many degrees with its settling, s.
+    pub fn slew_s(&self, deg: f64) -> f64 {
+        self.span(Span::Slew).value + self.slew_s_per_deg.value * deg
+    }
+
+    /// From the end of a frame's exposure to the begin of the next one, s.
+    pub fn frame(&self, action: &str) -> Figure {
+        self.frame_s.get(action).copied().unwrap_or(self.other_frame_s)
+    }
+
+    /// The pixels of a camera.
+    pub fn sensor(&self, camera: &str) -> Sensor {
+        self.sensors.get(camera).copied().unwrap_or(UNKNOWN)
+    }
+
+    /// Every figure with its name, unit and origin, for people: `slew 12.3 s (n = 40)`.
+    pub fn told(&self) -> Vec<(String, Figure, &'static str)> {
+        let mut told: Vec<(String, Figure, &'static str)> =
+            Span::ALL.iter().map(|span| (span.word().to_owned(), self.span(*span), "s")).collect();
+        told.push(("slew, each degree".to_owned(), self.slew_s_per_deg, "s/deg"));
+        let frames = self.frame_s.iter().map(|(action, figure)| (format!("between frames, {action}"), *figure, "s"));
+        told.extend(frames);
+        told.push(("between frames, any other".to_owned(), self.other_frame_s, "s"));
+        told.push(("headers whole".to_owned(), self.headers_s, "s"));
+        told
+    }
+}
