@@ -9,11 +9,11 @@ use contract::node::NodeState;
 use contract::observatory::{AlertKind, Alerts};
 use contract::{Key, Name, NodeTopic, Part, Role};
 
-use crate::annunciator::{self, Annunciator};
+use crate::annunciator::Annunciator;
 use crate::control_room::ControlRoom;
 
-/// Alerts are said every 10 s; a node that is silent for longer than this has no say any more. It is also how long
-/// nothing is taken for gone after this node began to speak: by then every node that is there was heard.
+/// Alerts are said every 10 s; a node that is silent for longer than this is away. It is also how long nothing is taken
+/// for gone after this node began to speak: by then every node that is there was heard.
 const SILENCE: Duration = Duration::from_secs(60);
 /// A node says how it is every 5 s; the on-delay of the alert comes on top.
 const LOST: Duration = Duration::from_secs(15);
@@ -30,10 +30,12 @@ pub async fn keep_merging(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let mut heard: BTreeMap<(Role, Name), (Alerts, MachineTime)> = BTreeMap::new();
     let mut said: Option<(Alerts, MachineTime)> = None;
     let mut speaks_since: Option<MachineTime> = None;
-    let mut kept: Option<Annunciator> = None;
     loop {
         let now = clock.machine();
-        heard.retain(|_, (_, arrived)| now.since(*arrived) <= SILENCE);
+        let known = room.annunciator.get();
+        for (alerts, _) in heard.values_mut().filter(|(_, arrived)| now.since(*arrived) > SILENCE) {
+            stand_on(alerts, &known);
+        }
         let nodes = std::iter::once(own.borrow_and_update().clone());
         let standing = contract::observatory::merge(nodes.chain(heard.values().map(|(alerts, _)| alerts.clone())));
         if room.may_speak() {
@@ -44,9 +46,8 @@ pub async fn keep_merging(room: Arc<ControlRoom>) -> anyhow::Result<()> {
                 line.put(all.clone()).await?;
                 said = Some((all, now));
             }
-            keep(&room, &mut kept).await;
         } else {
-            (speaks_since, kept) = (None, None);
+            speaks_since = None;
             room.alerts.send_if_modified(|shown| shown.take().is_some());
         }
         tokio::select! {
@@ -64,41 +65,27 @@ pub async fn keep_merging(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     }
 }
 
+/// Silence takes nothing back: the shutter that a dead node could not close is still open. Of what a node that is away said
+/// last, only what a person has acknowledged goes.
+fn stand_on(said_last: &mut Alerts, known: &Annunciator) {
+    said_last.alerts.retain(|alert| !known.is_acknowledged(&alert.id));
+}
+
 /// Takes what stands, and returns what is shown.
 fn hear(room: &ControlRoom, standing: &Alerts, settled: bool) -> Alerts {
     let utc = room.node.bus.clock().utc();
-    room.annunciator.send_if_modified(|known| {
+    room.annunciator.change(|known| {
         let was = known.clone();
         known.hear(standing, settled, utc);
         *known != was
     });
-    let all = room.annunciator.borrow().shown(utc);
+    let all = room.annunciator.get().shown(utc);
     room.alerts.send_if_modified(|shown| {
         let is_new = shown.as_ref() != Some(&all);
         *shown = Some(all.clone());
         is_new
     });
     all
-}
-
-/// Writes down what is not on disk yet; a disk that fails is told, and tried again at the next round.
-async fn keep(room: &Arc<ControlRoom>, kept: &mut Option<Annunciator>) {
-    let now = room.annunciator.borrow().clone();
-    if kept.as_ref() == Some(&now) {
-        return;
-    }
-    let (path, text) = (annunciator::path(&room.node.config), now.clone());
-    match tokio::task::spawn_blocking(move || text.write(&path)).await {
-        Ok(Ok(())) => {
-            *kept = Some(now);
-            room.node.alerts.clear(AlertKind::AlertsNotKept, "");
-        }
-        Ok(Err(error)) => {
-            let cause = format!("what people did about alerts cannot be written down: {error}");
-            room.node.alerts.raise(AlertKind::AlertsNotKept, "", &cause);
-        }
-        Err(error) => tracing::warn!(%error, "writing down the alerts was cut short"),
-    }
 }
 
 /// Raises an alert for each node of this telescope that was heard and is heard no more.
@@ -121,5 +108,28 @@ pub async fn keep_noticing_silence(room: Arc<ControlRoom>) -> anyhow::Result<()>
             let cause = format!("the {role} node {id} on host \"{host}\" has fallen silent");
             room.node.alerts.raise(AlertKind::NodeSilent, format_args!("{role}/{id}"), &cause);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::standing::Said;
+
+    #[test]
+    fn silence_takes_nothing_back_but_what_a_person_knows_of() {
+        let now = "2026-11-21T03:00:00Z".parse().unwrap();
+        let alert = AlertKind::DomeNotClosed.alert("dome", now, "the shutter sticks");
+        let mut alerts = Alerts { alerts: vec![alert.clone()], ..Alerts::default() };
+        let mut known = Annunciator::default();
+        known.hear(&alerts, true, now);
+        stand_on(&mut alerts, &known);
+        assert_eq!(alerts.alerts.len(), 1);
+        known
+            .acknowledge(&alert.id, &Said { from: "operator".to_owned(), reason: String::new(), at_utc: now })
+            .unwrap();
+        stand_on(&mut alerts, &known);
+        known.hear(&alerts, true, now);
+        assert_eq!((alerts.alerts.len(), known.shown(now).alerts.len()), (0, 0));
     }
 }

@@ -9,10 +9,9 @@
 //! is heard by the verdict or a guard. It outlives a restart (`alerts-TELESCOPE.json` in the data folder).
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use contract::observatory::{Alert, Alerts, Priority};
+use contract::observatory::{self as standing, Alert, Alerts, Priority, Told};
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
@@ -30,6 +29,9 @@ pub struct Annunciator {
     /// By id of the alert; what is shelved may come and go meanwhile.
     #[serde(default)]
     shelved: BTreeMap<String, Shelved>,
+    /// What people were told of these alerts, by this life or another: who is told goes on where that ended.
+    #[serde(default)]
+    told: Vec<Told>,
     /// Ids of the life before that this one has not heard of: their nodes may not have spoken yet.
     #[serde(skip)]
     awaited: BTreeSet<String>,
@@ -75,6 +77,10 @@ impl Annunciator {
             }
             waits
         });
+        let told = |told: &[Told]| Alerts { alerts: Vec::new(), told: told.to_vec() };
+        self.told = standing::merge([told(&self.told), told(&standing.told)].into_iter()).told;
+        let alerts = &self.alerts;
+        self.told.retain(|told| alerts.contains_key(&told.id));
     }
 
     /// Somebody knows of it. A returned one is thereby done with.
@@ -87,6 +93,11 @@ impl Annunciator {
             alert.acknowledged_utc = Some(said.at_utc);
         }
         Ok(())
+    }
+
+    /// Whether somebody has said so.
+    pub fn is_acknowledged(&self, id: &str) -> bool {
+        self.alerts.get(id).is_some_and(|alert| alert.acknowledged_by.is_some())
     }
 
     /// Tells nobody of it for so many sky seconds.
@@ -113,7 +124,7 @@ impl Annunciator {
         }
     }
 
-    /// What is shown, the most urgent first.
+    /// What is shown, the most urgent first, with what people were told of it.
     pub fn shown(&self, now: Utc) -> Alerts {
         let mut alerts: Vec<Alert> = self.alerts.values().cloned().collect();
         for alert in &mut alerts {
@@ -124,7 +135,7 @@ impl Annunciator {
             }
         }
         alerts.sort_by(|a, b| (a.priority, a.raised_utc, &a.id).cmp(&(b.priority, b.raised_utc, &b.id)));
-        Alerts { alerts }
+        Alerts { alerts, told: self.told.clone() }
     }
 
     fn unknown(&self, id: &str) -> String {
@@ -146,17 +157,32 @@ impl Annunciator {
         })
     }
 
-    fn of_the_life_before(self) -> Self {
-        Self { awaited: self.alerts.keys().cloned().collect(), ..self }
+    /// What a commander on another host said last: its alerts as people heard of them, and its shelf.
+    pub fn heard(alerts: &Alerts, shelf: &[standing::Shelved]) -> Self {
+        let told = alerts.told.clone();
+        let alerts = alerts.alerts.iter().cloned().map(|mut alert| {
+            // the shelf itself tells this
+            (alert.shelved_by, alert.shelved_until_utc, alert.shelved_reason) = (None, None, None);
+            (alert.id.clone(), alert)
+        });
+        let shelved = shelf.iter().map(|shelved| {
+            let said = Said::from(shelved.ordered.clone());
+            (shelved.alert.clone(), Shelved { said, until_utc: shelved.until_utc })
+        });
+        Self { alerts: alerts.collect(), shelved: shelved.collect(), told, ..Self::default() }.of_the_life_before()
     }
 
-    /// Keeps it for the next life of this node: the old file or the new one, whatever happens.
-    pub fn write(&self, path: &Path) -> std::io::Result<()> {
-        let part = path.with_extension("json.part");
-        let mut file = std::fs::File::create(&part)?;
-        file.write_all(&serde_json::to_vec_pretty(self)?)?;
-        file.sync_all()?;
-        std::fs::rename(part, path)
+    /// What lies on the shelf, as it is said on the bus.
+    pub fn shelf(&self) -> Vec<standing::Shelved> {
+        let shelf = self.shelved.iter().map(|(id, shelved)| {
+            let (alert, ordered) = (id.clone(), shelved.said.clone().into());
+            standing::Shelved { alert, until_utc: shelved.until_utc, ordered }
+        });
+        shelf.collect()
+    }
+
+    fn of_the_life_before(self) -> Self {
+        Self { awaited: self.alerts.keys().cloned().collect(), ..self }
     }
 }
 
@@ -178,7 +204,7 @@ pub fn path(config: &config::Observatory) -> PathBuf {
 
 #[cfg(test)]
 mod tests {
-    use contract::observatory::AlertKind;
+    use contract::observatory::{AlertEvent, AlertKind};
 
     use super::*;
 
@@ -263,7 +289,7 @@ mod tests {
     #[test]
     fn what_the_life_before_knew_is_gone_once_every_node_had_time_to_speak() {
         let mut desk = Annunciator::default();
-        desk.hear(&Alerts { alerts: vec![MILD.alert("x", at(0.0), "c")] }, true, at(0.0));
+        desk.hear(&Alerts { alerts: vec![MILD.alert("x", at(0.0), "c")], ..Alerts::default() }, true, at(0.0));
         let mut desk = desk.of_the_life_before();
         desk.hear(&Alerts::default(), false, at(1.0));
         assert_eq!(desk.shown(at(1.0)).alerts.len(), 1);
@@ -272,9 +298,58 @@ mod tests {
     }
 
     #[test]
+    fn what_people_were_told_outlives_the_life_that_told_it_and_ends_with_the_alert() {
+        let told = |event, second| Told {
+            receiver: "chat".to_owned(),
+            id: URGENT.id("d"),
+            raised_utc: at(0.0),
+            event,
+            told_utc: at(second),
+        };
+        let alerts = vec![URGENT.alert("d", at(0.0), "c")];
+        let mut desk = Annunciator::default();
+        desk.hear(&Alerts { alerts: alerts.clone(), told: vec![told(AlertEvent::Raised, 1.0)] }, true, at(1.0));
+        let text = serde_json::to_vec(&desk).unwrap();
+        let mut next = serde_json::from_slice::<Annunciator>(&text).unwrap().of_the_life_before();
+        // its own nodes have not spoken yet
+        next.hear(&Alerts::default(), false, at(2.0));
+        assert_eq!(next.shown(at(2.0)).told, [told(AlertEvent::Raised, 1.0)]);
+        let standby = Annunciator::heard(&desk.shown(at(2.0)), &[]);
+        assert_eq!(standby.shown(at(2.0)), desk.shown(at(2.0)));
+        // what is told later takes the place of it, and an older word does not
+        next.hear(&Alerts { alerts: alerts.clone(), told: vec![told(AlertEvent::Acknowledged, 3.0)] }, true, at(3.0));
+        next.hear(&Alerts { alerts, told: vec![told(AlertEvent::Raised, 1.0)] }, true, at(4.0));
+        assert_eq!(next.shown(at(4.0)).told, [told(AlertEvent::Acknowledged, 3.0)]);
+        next.acknowledge(&URGENT.id("d"), &said(5.0)).unwrap();
+        next.hear(&Alerts { alerts: Vec::new(), told: vec![told(AlertEvent::Acknowledged, 3.0)] }, true, at(6.0));
+        assert_eq!(next.shown(at(6.0)), Alerts::default(), "an alert that is over was told of for the last time");
+    }
+
+    #[test]
+    fn what_another_host_said_last_goes_on_as_it_stood() {
+        let mut desk = Annunciator::default();
+        desk.hear(
+            &Alerts {
+                alerts: vec![URGENT.alert("d", at(0.0), "c"), MILD.alert("x", at(0.0), "c")],
+                ..Alerts::default()
+            },
+            true,
+            at(0.0),
+        );
+        desk.acknowledge("dome-not-closed/d", &said(1.0)).unwrap();
+        desk.shelve("cooling-failed/x", 60.0, said(1.0)).unwrap();
+        let mut next = Annunciator::heard(&desk.shown(at(2.0)), &desk.shelf());
+        assert_eq!(next.shown(at(2.0)), desk.shown(at(2.0)));
+        // its own nodes have not spoken yet
+        next.hear(&Alerts::default(), false, at(3.0));
+        assert_eq!(next.shown(at(3.0)), desk.shown(at(3.0)));
+        assert_eq!(next.shelf(), desk.shelf());
+    }
+
+    #[test]
     fn orders_about_what_does_not_stand_are_refused_with_what_does() {
         let mut desk = Annunciator::default();
-        desk.hear(&Alerts { alerts: vec![MILD.alert("cam", at(0.0), "c")] }, true, at(0.0));
+        desk.hear(&Alerts { alerts: vec![MILD.alert("cam", at(0.0), "c")], ..Alerts::default() }, true, at(0.0));
         let errors =
             [desk.acknowledge("twin", &said(1.0)).unwrap_err(), desk.shelve("twin", 60.0, said(1.0)).unwrap_err()];
         for error in errors {
@@ -294,10 +369,10 @@ mod tests {
         let path = folder.path().join("alerts.json");
         assert_eq!(Annunciator::read(&path), Annunciator::default());
         let mut desk = Annunciator::default();
-        desk.hear(&Alerts { alerts: vec![URGENT.alert("d", at(0.0), "c")] }, true, at(0.0));
+        desk.hear(&Alerts { alerts: vec![URGENT.alert("d", at(0.0), "c")], ..Alerts::default() }, true, at(0.0));
         desk.acknowledge("dome-not-closed/d", &said(1.0)).unwrap();
         desk.shelve("dome-not-closed/d", 60.0, said(1.0)).unwrap();
-        desk.write(&path).unwrap();
+        crate::kept::write_whole(&path, &folder.path().join("part"), &desk).unwrap();
         let again = Annunciator::read(&path);
         assert_eq!(again, Annunciator { awaited: ["dome-not-closed/d".to_owned()].into(), ..desk.clone() });
         assert_eq!(again.shown(at(2.0)), desk.shown(at(2.0)));

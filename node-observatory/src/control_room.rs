@@ -4,26 +4,39 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use audit::{Audit, Entry};
-use bus::Node;
+use bus::{MachineTime, Node, Publisher};
 use config::FaultPolicy;
 use contract::audit::Outcome;
-use contract::observatory::{Alerts, Sector};
+use contract::observatory::{
+    Alerts, Correction, FocusRun, FocusState, GuidingState, OpticsState, PointingState, Sector, StandingOrders,
+};
 use contract::{CommandId, Key, Name, Part};
 use sky::{EarthOrientation, Icrs, Observer, Place, SkyError};
-use tokio::sync::{Notify, watch};
-use units::{Angle, Utc};
+use tokio::sync::{Notify, OnceCell, mpsc, watch};
+use units::Utc;
 
-use crate::action::AnyAction;
 use crate::annunciator::Annunciator;
+use crate::frames::dark::Darks;
+use crate::frames::looked::Looks;
+use crate::frames::mounts::Mounts;
+use crate::frames::tell::Telling;
+use crate::guiding::learnt::Learnt;
+use crate::hooks::Hooks;
 use crate::journal::Journal;
+use crate::kept::Kept;
 use crate::lease::Hold;
 use crate::ledger::Ledger;
+use crate::names::Known;
 use crate::night::Board;
+use crate::pointing::learnt::Book;
 use crate::rig::Rig;
 use crate::safety::Ruling;
 use crate::safety::rules::Rules;
 use crate::schedule::Row;
+use crate::schedule::versions::Versions;
 use crate::standing::Standing;
+use crate::star_catalogue::StarCatalogue;
+use crate::takeover::Before;
 use crate::trouble::Trouble;
 
 /// The control room.
@@ -44,6 +57,8 @@ pub struct ControlRoom {
     pub wish_closed: watch::Sender<Option<String>>,
     /// Where a row is about to point a mount, or points it.
     pub aim: watch::Sender<Option<(Name, Icrs)>>,
+    /// Every schedule that was in force.
+    pub versions: Versions,
     /// Counts orders to read the schedule again.
     pub reload: watch::Sender<u64>,
     /// What was begun and finished, on disk.
@@ -51,15 +66,49 @@ pub struct ControlRoom {
     /// What the verdict rests on.
     pub rules: Arc<Rules>,
     /// What people have ordered of the verdict.
-    pub standing: watch::Sender<Standing>,
-    /// Those of them that are on disk, as this life knows.
-    pub standing_on_disk: watch::Sender<Standing>,
+    pub standing: Kept<Standing>,
+    /// What was last said of it on the bus.
+    pub standing_said: watch::Sender<Option<StandingOrders>>,
     /// What people have done about alerts.
-    pub annunciator: watch::Sender<Annunciator>,
+    pub annunciator: Kept<Annunciator>,
+    /// What the commander before is heard to say.
+    pub before: Before,
     /// The alerts as people are to hear of them; `None` while another node speaks for this telescope.
     pub alerts: watch::Sender<Option<Alerts>>,
     /// Frames announced and stored.
     pub ledger: Ledger,
+    /// What was said of frames.
+    pub facts: Telling,
+    /// What the newest frames showed, for who acts on it.
+    pub looks: Looks,
+    /// What is taken off frames before they are measured.
+    pub darks: Darks,
+    /// The star catalogue, once it is open.
+    pub catalogue: StarCatalogue,
+    /// Where the mounts pointed lately.
+    pub mounts: Mounts,
+    /// What solved frames taught.
+    pub optics: Kept<OpticsState>,
+    /// What was looked up of names of targets.
+    pub names: watch::Sender<Known>,
+    /// The pointing, as it is shown.
+    pub pointing: watch::Sender<PointingState>,
+    /// What was learnt of it.
+    pub pointing_book: Kept<Book>,
+    /// The guide loop, as it is shown.
+    pub guiding: watch::Sender<GuidingState>,
+    /// What guiding has learnt and keeps.
+    pub guide_learnt: Kept<Learnt>,
+    /// Where the corrections of the guiding are said.
+    pub corrections: OnceCell<Publisher<Correction>>,
+    /// The focus, as it is shown.
+    pub focus: watch::Sender<FocusState>,
+    /// What focus runs have taught.
+    pub focus_learnt: Kept<crate::focus::Learnt>,
+    /// Takes the runs that have ended, to be told.
+    pub focus_runs: mpsc::UnboundedSender<FocusRun>,
+    /// The site's own script.
+    pub hooks: Hooks,
     /// What is shown of the night.
     pub board: Board,
     /// What people ordered, and what became of it.
@@ -130,43 +179,24 @@ impl ControlRoom {
 
     /// What stands against a row's action, or against any where there is none.
     pub fn objection(&self, row: Option<&Row>) -> Option<Objection> {
-        if !*self.robotic.borrow() {
-            return Some(Objection::NotRobotic);
-        }
-        if self.hold.borrow().token().is_none() {
-            return Some(Objection::NoLease);
-        }
-        let action = &row.filter(|row| row.action.needs().safe)?.action;
-        if !self.is_safe() {
-            return Some(Objection::Unsafe(self.ruling.borrow().why()));
-        }
-        let ruling = self.ruling.borrow();
-        ruling.suspension().or_else(|| self.avoided(&ruling.state.avoid, &**action)).map(Objection::Suspended)
-    }
-
-    /// Why an action's direction is to be avoided now, if it is.
-    fn avoided(&self, sectors: &[Sector], action: &dyn AnyAction) -> Option<String> {
-        if sectors.is_empty() {
-            return None;
-        }
-        let sky = self.observer(self.node.bus.clock().utc()).ok()?;
-        let azimuth_deg = action.azimuth_deg(&sky)?;
-        let sector = sectors.iter().find(|sector| sector.contains(azimuth_deg))?;
-        let (why, half_width_deg) = (&sector.why, sector.half_width_deg);
-        Some(format!("{why}; azimuth {azimuth_deg:.0} deg is within {half_width_deg:.0} deg of it"))
+        let commands = self.hold.borrow().token().is_some();
+        let needs_safe = row.is_some_and(|row| row.action.needs().safe);
+        stands_against(*self.robotic.borrow(), commands, needs_safe, || {
+            let clock = self.node.bus.clock();
+            let azimuth_deg = || row?.action.azimuth_deg(&self.observer(clock.utc()).ok()?);
+            sky_stands_against(&self.ruling.borrow(), clock.machine(), azimuth_deg)
+        })
     }
 
     /// The sky over this site at an instant.
     pub fn observer(&self, at: Utc) -> Result<Observer, SkyError> {
-        let config = &self.node.config.place;
-        let (latitude, longitude) = (config.latitude_deg, config.longitude_deg);
-        let place = Place::new(Angle::from_degrees(latitude), Angle::from_degrees(longitude), config.elevation_m)?;
-        let orientation = EarthOrientation {
-            dut1_s: config.dut1_s,
-            polar_x_arcsec: config.polar_x_arcsec,
-            polar_y_arcsec: config.polar_y_arcsec,
-        };
+        let (place, orientation) = self.site()?;
         Observer::new(&place, &orientation, at)
+    }
+
+    /// Where this site is, on an Earth that turns as it does.
+    pub fn site(&self) -> Result<(Place, EarthOrientation), SkyError> {
+        self.node.config.place.on_earth()
     }
 
     /// Waits until something stands against a row's action.
@@ -205,4 +235,45 @@ impl ControlRoom {
         // the sender lives in self, so waiting cannot fail
         let _ = wish.wait_for(Option::is_none).await;
     }
+}
+
+/// What stands against an action: the robotic switch, that another node commands, and, where it needs a safe sky, what
+/// `sky` has against it. Pure.
+pub fn stands_against(
+    is_robotic: bool,
+    commands: bool,
+    needs_safe: bool,
+    sky: impl FnOnce() -> Option<Objection>,
+) -> Option<Objection> {
+    if !is_robotic {
+        return Some(Objection::NotRobotic);
+    }
+    if !commands {
+        return Some(Objection::NoLease);
+    }
+    if needs_safe { sky() } else { None }
+}
+
+/// What the newest ruling has against the sky, or against the direction in which an action looks. Pure.
+pub fn sky_stands_against(
+    ruling: &Ruling,
+    now: MachineTime,
+    azimuth_deg: impl FnOnce() -> Option<f64>,
+) -> Option<Objection> {
+    if !ruling.is_safe(now) {
+        return Some(Objection::Unsafe(ruling.why()));
+    }
+    let avoided = || avoided(&ruling.state.avoid, azimuth_deg);
+    ruling.suspension().or_else(avoided).map(Objection::Suspended)
+}
+
+/// Why an action's direction is to be avoided now, if it is; where it looks is asked only if any is.
+fn avoided(sectors: &[Sector], azimuth_deg: impl FnOnce() -> Option<f64>) -> Option<String> {
+    if sectors.is_empty() {
+        return None;
+    }
+    let azimuth_deg = azimuth_deg()?;
+    let sector = sectors.iter().find(|sector| sector.contains(azimuth_deg))?;
+    let (why, half_width_deg) = (&sector.why, sector.half_width_deg);
+    Some(format!("{why}; azimuth {azimuth_deg:.0} deg is within {half_width_deg:.0} deg of it"))
 }

@@ -19,8 +19,26 @@ use crate::schedule::RowId;
 enum Line {
     /// A frame may have been started under this id.
     Intended { at_utc: Utc, row: RowId, frame: CommandId, sequence: u32 },
+    /// A frame beside the row's own may have been started under this id, such as one that shows where the telescope
+    /// looks; it never counts.
+    Aside { at_utc: Utc, row: RowId, frame: CommandId, sequence: u32 },
+    /// A frame was taken of another place than the row's target, so far from it; it does not count.
+    Astray { at_utc: Utc, row: RowId, frame: CommandId, off_target_arcmin: f64 },
     /// The frame was exposed.
     Taken { at_utc: Utc, row: RowId, frame: CommandId },
+    /// The dome hid so much of a frame's light; too much for it to count, or not.
+    Hidden { at_utc: Utc, row: RowId, frame: CommandId, lost_percent: f64, counts: bool },
+    /// A flat was judged by its level: does it count, and of which filter is it?
+    Judged {
+        at_utc: Utc,
+        row: RowId,
+        frame: CommandId,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        filter: Option<String>,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        level_adu: Option<f64>,
+        counts: bool,
+    },
     /// A row ended.
     Ended { at_utc: Utc, row: RowId, status: RowStatus, detail: String },
     /// Somebody turned the robotic switch.
@@ -31,7 +49,11 @@ impl Line {
     fn at(&self) -> Utc {
         match self {
             Self::Intended { at_utc, .. }
+            | Self::Aside { at_utc, .. }
+            | Self::Astray { at_utc, .. }
             | Self::Taken { at_utc, .. }
+            | Self::Hidden { at_utc, .. }
+            | Self::Judged { at_utc, .. }
             | Self::Ended { at_utc, .. }
             | Self::Robotic { at_utc, .. } => *at_utc,
         }
@@ -58,11 +80,24 @@ pub struct Progress {
     pub ended: Option<(RowStatus, String)>,
 }
 
+/// What is known of a row's flats.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Flats {
+    /// Frames that count, by filter; without a name: of the one in the beam.
+    pub good: BTreeMap<String, u32>,
+    /// Frames that were exposed, and whose level nobody has judged.
+    pub unjudged: Vec<CommandId>,
+}
+
 #[derive(Debug, Default)]
 struct Record {
     intended: u32,
     open: Vec<CommandId>,
     taken: BTreeSet<String>,
+    /// Exposed, and not worth counting.
+    spoilt: BTreeSet<String>,
+    /// Flats that were judged good, with their filter.
+    judged: BTreeMap<String, Option<String>>,
     ended: Option<(RowStatus, String)>,
     /// Intended by this life and not sent.
     spare: Option<Intent>,
@@ -73,6 +108,8 @@ struct Book {
     rows: BTreeMap<RowId, Record>,
     row_of: HashMap<String, RowId>,
     robotic: Option<(Utc, bool)>,
+    /// Learnt, and perhaps not on disk yet: whoever reads the disk meanwhile must not forget them.
+    on_the_way: Vec<Line>,
 }
 
 /// The journal of one telescope. Nodes that stand by for one another may share its file: only the one that commands
@@ -100,14 +137,27 @@ impl Journal {
 
     /// Learns what another node wrote meanwhile, drops what is old, and makes the file this node's own.
     pub fn take_over(&self) -> io::Result<()> {
-        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+        self.read_anew(&mut self.file.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// While the file is held, nothing comes to disk; what waits to is learnt all the same.
+    fn read_anew(&self, file: &mut Option<File>) -> io::Result<()> {
         let mut lines = read(&self.path)?;
         let newest = lines.iter().map(Line::at).max().unwrap_or(Utc::EPOCH);
         lines.retain(|line| newest.seconds_since(line.at()) <= KEPT_S);
         rewrite(&self.path, &lines)?;
         *file = Some(OpenOptions::new().append(true).open(&self.path)?);
-        *self.book() = Book::of(&lines);
+        let mut book = self.book();
+        let on_the_way = std::mem::take(&mut book.on_the_way);
+        *book = Book::of(&lines);
+        on_the_way.iter().filter(|line| !lines.contains(line)).for_each(|line| book.learn(line));
+        book.on_the_way = on_the_way;
         Ok(())
+    }
+
+    /// Has a node commanded from this folder before?
+    pub fn is_there(&self) -> bool {
+        self.path.exists()
     }
 
     /// How far a row got.
@@ -123,18 +173,34 @@ impl Journal {
 
     /// Makes an id for the next frame of a row and returns when it is on disk.
     pub fn intend(&self, row: &RowId, at_utc: Utc) -> io::Result<Intent> {
-        let sequence = {
+        let (intent, line) = {
             let mut book = self.book();
             let record = book.rows.entry(row.clone()).or_default();
             if let Some(spare) = &record.spare {
                 return Ok(spare.clone());
             }
-            record.intended
+            let intent = Intent { frame: CommandId::fresh(), sequence: record.intended };
+            let line =
+                Line::Intended { at_utc, row: row.clone(), frame: intent.frame.clone(), sequence: intent.sequence };
+            book.send(&line);
+            (intent, line)
         };
-        let intent = Intent { frame: CommandId::fresh(), sequence };
-        self.write(Line::Intended { at_utc, row: row.clone(), frame: intent.frame.clone(), sequence })?;
+        self.arrive(&line)?;
         self.book().rows.entry(row.clone()).or_default().spare = Some(intent.clone());
         Ok(intent)
+    }
+
+    /// Makes an id for a frame beside the row's own, which never counts, and returns when it is on disk.
+    pub fn aside(&self, row: &RowId, at_utc: Utc) -> io::Result<Intent> {
+        let sequence = self.book().rows.entry(row.clone()).or_default().intended;
+        let intent = Intent { frame: CommandId::fresh(), sequence };
+        self.write(Line::Aside { at_utc, row: row.clone(), frame: intent.frame.clone(), sequence })?;
+        Ok(intent)
+    }
+
+    /// A frame shows another place than the row's target: it does not count, whoever says that it was exposed.
+    pub fn astray(&self, row: &RowId, frame: &CommandId, off_target_arcmin: f64, at_utc: Utc) -> io::Result<()> {
+        self.write(Line::Astray { at_utc, row: row.clone(), frame: frame.clone(), off_target_arcmin })
     }
 
     /// The intended frame is being sent; the next one needs a new id.
@@ -145,18 +211,60 @@ impl Journal {
     }
 
     /// A frame was exposed, whoever says so and however often; counted at once, written before this returns.
-    /// Returns false for a frame that is not of this journal or was counted already.
+    /// Returns false for a frame that is not of this journal, was counted already, or does not count.
     pub fn taken(&self, frame: &CommandId, at_utc: Utc) -> io::Result<bool> {
-        let row = {
-            let book = self.book();
-            let Some(row) = book.row_of.get(&frame.0) else { return Ok(false) };
-            if book.rows.get(row).is_some_and(|record| record.taken.contains(&frame.0)) {
+        let line = {
+            // looked up and counted in one step: two may say so at the same time
+            let mut book = self.book();
+            let Some(row) = book.row_of.get(&frame.0).cloned() else { return Ok(false) };
+            let known = |record: &Record| record.taken.contains(&frame.0) || record.spoilt.contains(&frame.0);
+            if book.rows.get(&row).is_some_and(known) {
                 return Ok(false);
             }
-            row.clone()
+            let line = Line::Taken { at_utc, row, frame: frame.clone() };
+            book.send(&line);
+            line
         };
-        self.write(Line::Taken { at_utc, row, frame: frame.clone() })?;
+        self.arrive(&line)?;
         Ok(true)
+    }
+
+    /// The dome hid so much of a frame's light, percent; one that does not count never will, whoever says that it was
+    /// exposed.
+    pub fn hidden(
+        &self,
+        row: &RowId,
+        frame: &CommandId,
+        lost_percent: f64,
+        counts: bool,
+        at_utc: Utc,
+    ) -> io::Result<()> {
+        self.write(Line::Hidden { at_utc, row: row.clone(), frame: frame.clone(), lost_percent, counts })
+    }
+
+    /// A flat was judged: it counts of its filter, or never will.
+    pub fn judged(
+        &self,
+        row: &RowId,
+        frame: &CommandId,
+        filter: Option<String>,
+        level_adu: Option<f64>,
+        counts: bool,
+        at_utc: Utc,
+    ) -> io::Result<()> {
+        self.write(Line::Judged { at_utc, row: row.clone(), frame: frame.clone(), filter, level_adu, counts })
+    }
+
+    /// What is known of a row's flats.
+    pub fn flats(&self, row: &RowId) -> Flats {
+        let (book, mut flats) = (self.book(), Flats::default());
+        let Some(record) = book.rows.get(row) else { return flats };
+        for filter in record.judged.values() {
+            *flats.good.entry(filter.clone().unwrap_or_default()).or_default() += 1;
+        }
+        let unjudged = record.taken.iter().filter(|frame| !record.judged.contains_key(*frame));
+        flats.unjudged = unjudged.map(|frame| CommandId(frame.clone())).collect();
+        flats
     }
 
     /// A row ended.
@@ -164,9 +272,15 @@ impl Journal {
         self.write(Line::Ended { at_utc, row: row.clone(), status, detail: detail.to_owned() })
     }
 
-    /// Somebody turned the robotic switch.
+    /// Somebody turned the robotic switch: off is learnt whatever the disk does, on only once it is on disk.
     pub fn robotic(&self, on: bool, at_utc: Utc) -> io::Result<()> {
-        self.write(Line::Robotic { at_utc, on })
+        let line = Line::Robotic { at_utc, on };
+        if !on {
+            return self.write(line);
+        }
+        self.put_down(&line)?;
+        self.book().learn(&line);
+        Ok(())
     }
 
     /// The robotic switch as it was last turned, and when.
@@ -180,8 +294,22 @@ impl Journal {
 
     /// Learns a line at once and puts it on disk; what was learnt stays true when the disk fails.
     fn write(&self, line: Line) -> io::Result<()> {
-        self.book().learn(&line);
-        let mut text = serde_json::to_string(&line)?;
+        self.book().send(&line);
+        self.arrive(&line)
+    }
+
+    /// Puts a line on disk that was sent there.
+    fn arrive(&self, line: &Line) -> io::Result<()> {
+        let there = self.put_down(line);
+        let mut book = self.book();
+        if let Some(place) = book.on_the_way.iter().position(|sent| sent == line) {
+            book.on_the_way.remove(place);
+        }
+        there
+    }
+
+    fn put_down(&self, line: &Line) -> io::Result<()> {
+        let mut text = serde_json::to_string(line)?;
         text.push('\n');
         match &mut *self.file.lock().unwrap_or_else(PoisonError::into_inner) {
             Some(file) => append(file, &text),
@@ -220,6 +348,12 @@ impl Book {
         book
     }
 
+    /// Learns a line that is going to disk.
+    fn send(&mut self, line: &Line) {
+        self.learn(line);
+        self.on_the_way.push(line.clone());
+    }
+
     fn learn(&mut self, line: &Line) {
         match line {
             Line::Intended { row, frame, sequence, .. } => {
@@ -228,10 +362,33 @@ impl Book {
                 record.intended = record.intended.max(sequence + 1);
                 record.open.push(frame.clone());
             }
+            Line::Aside { row, frame, sequence, .. } => {
+                self.row_of.insert(frame.0.clone(), row.clone());
+                let record = self.rows.entry(row.clone()).or_default();
+                record.intended = record.intended.max(sequence + 1);
+                record.spoilt.insert(frame.0.clone());
+            }
             Line::Taken { row, frame, .. } => {
                 let record = self.rows.entry(row.clone()).or_default();
                 record.open.retain(|open| open != frame);
+                if !record.spoilt.contains(&frame.0) {
+                    record.taken.insert(frame.0.clone());
+                }
+            }
+            Line::Hidden { counts: true, .. } => {}
+            Line::Hidden { row, frame, counts: false, .. }
+            | Line::Judged { row, frame, counts: false, .. }
+            | Line::Astray { row, frame, .. } => {
+                let record = self.rows.entry(row.clone()).or_default();
+                record.open.retain(|open| open != frame);
+                record.taken.remove(&frame.0);
+                record.spoilt.insert(frame.0.clone());
+            }
+            Line::Judged { row, frame, filter, counts: true, .. } => {
+                let record = self.rows.entry(row.clone()).or_default();
+                record.open.retain(|open| open != frame);
                 record.taken.insert(frame.0.clone());
+                record.judged.insert(frame.0.clone(), filter.clone());
             }
             Line::Ended { row, status, detail, .. } => {
                 self.rows.entry(row.clone()).or_default().ended = Some((*status, detail.clone()));
@@ -256,109 +413,5 @@ fn rewrite(path: &Path, lines: &[Line]) -> io::Result<()> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn at(text: &str) -> Utc {
-        text.parse().unwrap()
-    }
-
-    /// The journal of a node that commands.
-    fn own(path: &Path) -> Journal {
-        let journal = Journal::open(path).unwrap();
-        journal.take_over().unwrap();
-        journal
-    }
-
-    const NOW: &str = "2026-11-21T03:00:00Z";
-
-    #[test]
-    fn a_restart_goes_on_counting_where_the_crash_was() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("data").join("journal-callisto.jsonl");
-        let row = RowId("a".to_owned());
-        let (first, second) = {
-            let journal = own(&path);
-            let first = journal.intend(&row, at(NOW)).unwrap();
-            journal.sent(&row);
-            assert!(journal.taken(&first.frame, at(NOW)).unwrap());
-            assert!(!journal.taken(&first.frame, at(NOW)).unwrap(), "told twice, counted once");
-            let second = journal.intend(&row, at(NOW)).unwrap();
-            journal.sent(&row);
-            (first, second)
-        };
-        assert_eq!((first.sequence, second.sequence), (0, 1));
-        // the crash left half a line
-        OpenOptions::new().append(true).open(&path).unwrap().write_all(b"{\"is\":\"tak").unwrap();
-
-        let journal = own(&path);
-        assert_eq!(journal.progress(&row), Progress { taken: 1, open: vec![second.frame.clone()], ended: None });
-        // the announcement of the frame that was under way arrives after the restart
-        assert!(journal.taken(&second.frame, at(NOW)).unwrap());
-        assert_eq!(journal.progress(&row).taken, 2);
-        assert_eq!(journal.intend(&row, at(NOW)).unwrap().sequence, 2);
-        journal.ended(&row, RowStatus::Finished, "", at(NOW)).unwrap();
-        drop(journal);
-
-        let journal = own(&path);
-        assert_eq!(journal.progress(&row).ended, Some((RowStatus::Finished, String::new())));
-    }
-
-    #[test]
-    fn an_intent_that_was_not_sent_is_used_again() {
-        let folder = tempfile::tempdir().unwrap();
-        let journal = own(&folder.path().join("j.jsonl"));
-        let row = RowId("a".to_owned());
-        let first = journal.intend(&row, at(NOW)).unwrap();
-        assert_eq!(journal.intend(&row, at(NOW)).unwrap(), first);
-        journal.sent(&row);
-        assert_eq!(journal.intend(&row, at(NOW)).unwrap().sequence, 1);
-    }
-
-    #[test]
-    fn the_id_is_on_disk_before_it_is_used() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("j.jsonl");
-        let journal = own(&path);
-        let intent = journal.intend(&RowId("a".to_owned()), at(NOW)).unwrap();
-        assert!(std::fs::read_to_string(&path).unwrap().contains(&intent.frame.0));
-    }
-
-    #[test]
-    fn old_nights_are_dropped_and_strangers_are_not_counted() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("j.jsonl");
-        let (old, new) = (RowId("old".to_owned()), RowId("new".to_owned()));
-        let journal = own(&path);
-        journal.ended(&old, RowStatus::Finished, "", at("2026-11-01T03:00:00Z")).unwrap();
-        journal.ended(&new, RowStatus::Failed, "why", at(NOW)).unwrap();
-        journal.robotic(true, at(NOW)).unwrap();
-        assert!(!journal.taken(&CommandId("of another program".to_owned()), at(NOW)).unwrap());
-        drop(journal);
-        let journal = own(&path);
-        assert_eq!(journal.progress(&old).ended, None);
-        assert_eq!(journal.progress(&new).ended, Some((RowStatus::Failed, "why".to_owned())));
-        assert_eq!(journal.last_robotic(), Some((at(NOW), true)));
-    }
-
-    #[test]
-    fn who_takes_over_knows_what_was_done_and_the_one_before_disturbs_it_no_more() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("j.jsonl");
-        let row = RowId("a".to_owned());
-        let (first, standby) = (own(&path), Journal::open(&path).unwrap());
-        let frame = first.intend(&row, at(NOW)).unwrap().frame;
-        first.sent(&row);
-        first.taken(&frame, at(NOW)).unwrap();
-        // an order that a standby heard while nobody commanded
-        standby.robotic(false, at(NOW)).unwrap();
-        standby.take_over().unwrap();
-        assert_eq!((standby.progress(&row).taken, standby.last_robotic()), (1, Some((at(NOW), false))));
-        // it was only stopped, and goes on
-        first.ended(&row, RowStatus::Finished, "", at(NOW)).unwrap();
-        assert_eq!(standby.intend(&row, at(NOW)).unwrap().sequence, 1);
-        drop((first, standby));
-        let next = own(&path);
-        assert_eq!((next.progress(&row).taken, next.progress(&row).ended), (1, None));
-    }
-}
+#[path = "journal_tests.rs"]
+mod tests;

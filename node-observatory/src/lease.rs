@@ -1,8 +1,9 @@
 //! The lease: asks the arbiter for the right to command, and stands by while somebody else has it.
 
+use std::sync::Arc;
 use std::time::Duration;
 
-use bus::{Clock, Quality};
+use bus::{BusError, Clock, Publisher, Quality};
 use contract::device::{dome, telescope};
 use contract::observatory::{AlertKind, Lease};
 use contract::{CommandId, Part, Reason};
@@ -46,15 +47,44 @@ const ASKING: Duration = Duration::from_secs(10);
 /// A commander says its lease every second.
 const RIVAL: Duration = Duration::from_secs(5);
 
-/// An older node of this very name is heard within this time, and this one leaves before it claims in that name. Short
-/// enough for a restarted observatory to renew the permit that it left.
+/// An older node of this very name is heard within this time, and this one leaves before it claims: the arbiter would
+/// give the lease to one of them alone, but perhaps to the one that leaves. No restart takes longer for it: the arbiter
+/// waits 5 s for the life before.
 const TWIN: Duration = Duration::from_secs(3);
 
+/// Where the lease is said.
+#[derive(Clone)]
+pub struct Line(Arc<Publisher<Lease>>);
+
+impl Line {
+    /// Says nothing yet.
+    pub async fn open(room: &ControlRoom) -> Result<Self, BusError> {
+        let line = room.node.bus.publisher(&room.key(Part::Lease), Quality::State { cache: 1 }).await?;
+        Ok(Self(Arc::new(line)))
+    }
+
+    async fn say(&self, room: &ControlRoom, holder: String, token: u64, since_utc: Utc) {
+        let body = Lease { holder, token, since_utc, arbiter: arbiter(room) };
+        if let Err(error) = self.0.put(body).await {
+            tracing::warn!(%error, "the lease was not said");
+        }
+    }
+
+    /// Gives the lease back, if this node has it: the next one is granted it at once.
+    pub async fn release(&self, room: &ControlRoom) {
+        let hold = room.hold.borrow().clone();
+        if let Hold::Holding { token, .. } = hold {
+            self.say(room, String::new(), token, room.node.bus.clock().utc()).await;
+            tracing::info!(token, "the lease is released");
+        }
+    }
+}
+
 /// Claims for ever, once a second; a lease that is held is kept until the arbiter shows a higher token.
-pub async fn keep_holding(room: std::sync::Arc<ControlRoom>, hold: watch::Sender<Hold>) -> anyhow::Result<()> {
-    let lease = room.node.bus.publisher(&room.key(Part::Lease), Quality::State { cache: 1 }).await?;
+pub async fn keep_holding(room: Arc<ControlRoom>, hold: watch::Sender<Hold>, lease: Line) -> anyhow::Result<()> {
     let said = room.node.bus.latest::<Lease>(&room.key(Part::Lease)).await?;
-    let last_word = takeover::listen(&room).await?;
+    let has_arbiter = !(room.rig.domes.is_empty() && room.rig.mounts.is_empty());
+    let mut held = None;
     tokio::time::sleep(TWIN).await;
     let clock = room.node.bus.clock().clone();
     let mut asked_since = clock.machine();
@@ -63,7 +93,8 @@ pub async fn keep_holding(room: std::sync::Arc<ControlRoom>, hold: watch::Sender
         match claim(&room, &id).await {
             Ok(token) => {
                 tracing::info!(token, arbiter = %arbiter(&room), "this node commands");
-                takeover::learn(&room, &last_word).await;
+                takeover::learn(&room, has_arbiter.then_some(token), held).await;
+                held = Some(token);
                 room.node.alerts.clear(AlertKind::NoLease, "");
                 hold.send_replace(Hold::Holding { token, since_utc: clock.utc() });
                 until_lost(&room, token, &lease, &clock).await;
@@ -125,15 +156,12 @@ async fn claim(room: &ControlRoom, id: &CommandId) -> Result<u64, Trouble> {
 }
 
 /// Says the lease every second until the arbiter's guard shows a higher token or a device refuses ours as old.
-async fn until_lost(room: &ControlRoom, token: u64, lease: &bus::Publisher<Lease>, clock: &Clock) {
+async fn until_lost(room: &ControlRoom, token: u64, lease: &Line, clock: &Clock) {
     let since_utc = clock.utc();
     // a shared dome's guard counts the tokens of several telescopes
     let guard = room.rig.domes.first().filter(|dome| dome.is_own).map(|dome| &dome.guard);
     loop {
-        let body = Lease { holder: room.node.signature(), token, since_utc, arbiter: arbiter(room) };
-        if let Err(error) = lease.put(body).await {
-            tracing::warn!(%error, "the lease was not said");
-        }
+        lease.say(room, room.node.signature(), token, since_utc).await;
         tokio::select! {
             () = clock.tick(Duration::from_secs(1)) => {}
             () = room.doubt.notified() => return,

@@ -32,6 +32,11 @@ struct Expected {
 }
 
 impl Frames {
+    /// Has its camera's node told that it is on disk?
+    pub fn is_announced(&self, frame: &CommandId) -> bool {
+        self.announced.contains_key(&frame.0)
+    }
+
     /// How many frames of a night have complete headers, and how many frames it has.
     pub fn complete(&self, night: &str) -> (usize, usize) {
         let announced = self.announced.iter().filter(|(_, of)| *of == night).map(|(frame, _)| frame);
@@ -118,14 +123,15 @@ pub async fn keep_counting_frames(room: Arc<ControlRoom>) -> anyhow::Result<()> 
             room.node.alerts.clear(AlertKind::FrameLost, &device.name);
         }
         tracing::debug!(frame = %frame.id, camera = frame.camera, "announced");
+        let (at, id) = (room.clone(), frame.id.clone());
+        let noted = tokio::task::spawn_blocking(move || at.journal.taken(&id, at.node.bus.clock().utc()));
+        if let Err(error) = noted.await? {
+            tracing::warn!(%error, "an announced frame is not in the journal; a restart may take it again");
+        }
+        // after the journal: whoever sees it here finds it counted there
         let is_new = room.ledger.announced(&frame.id, &frame.purpose.night);
         if is_new && heard.said.at_utc >= started_utc {
             room.board.frame(&frame.id);
-        }
-        let (at, id) = (room.clone(), frame.id);
-        let noted = tokio::task::spawn_blocking(move || at.journal.taken(&id, at.node.bus.clock().utc()));
-        if let Err(error) = noted.await? {
-            tracing::warn!(%error, "an announced frame is not in the journal");
         }
     }
 }
@@ -135,9 +141,15 @@ pub async fn keep_counting_files(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let key = Key::Stored(room.node.config.address()).to_string();
     let stored = room.node.bus.subscribe::<Stored>(&key, Catch::All, 1000).await?;
     loop {
-        let heard = stored.hear().await;
-        if heard.said.body.header_complete {
-            room.ledger.complete(&heard.said.body.frame);
+        let stored = stored.hear().await.said.body;
+        if stored.header_complete {
+            room.ledger.complete(&stored.frame);
+        }
+        // one that was announced, stored and forgotten by its spool while this node was away
+        let (at, frame) = (room.clone(), stored.frame);
+        let noted = tokio::task::spawn_blocking(move || at.journal.taken(&frame, at.node.bus.clock().utc()));
+        if let Err(error) = noted.await? {
+            tracing::warn!(%error, "a stored frame is not in the journal");
         }
     }
 }

@@ -2,35 +2,52 @@
 //!
 //! It judges whether the sky is safe ([`safety`]), says so once a second to every dome's guard ([`permit`]), holds
 //! the right to command ([`lease`]), works through the schedule ([`runner`], [`action`]) while the sky allows, and
-//! closes ([`closing`]) when it does not, when people order it ([`order`]), and at the night's end. Each of these is
-//! a task of its own; they meet in the [`control_room`]. The safety loop waits for none of them.
+//! closes ([`closing`]) when it does not, when people order it ([`order`]), and at the night's end. It measures and solves
+//! each frame ([`frames`]), finds the focus ([`focus`]), proves where the telescope looks ([`pointing`]), and holds fields in
+//! their place ([`guiding`]). Each of these is a task of its own; they meet in the [`control_room`]. The safety loop waits for none of them.
 
 pub mod action;
 mod alerting;
 pub mod annunciator;
 pub mod closing;
 pub mod control_room;
+pub mod flats;
+pub mod focus;
+pub mod frames;
+pub mod guiding;
+pub mod hooks;
+pub mod inherit;
 pub mod journal;
+pub mod kept;
 pub mod lease;
 mod ledger;
+mod moving;
+mod names;
 mod neighbours;
 mod night;
+mod obey;
 mod opening;
 mod order;
 mod patience;
 pub mod permit;
+pub mod plan;
+pub mod pointing;
 pub mod rig;
 pub mod runner;
 pub mod safety;
 pub mod schedule;
 mod slit;
 pub mod standing;
+mod standing_line;
+pub mod star_catalogue;
 mod start;
 mod takeover;
 mod trouble;
 
 use anyhow::{Context as _, bail};
 use bus::Node;
+use contract::Part;
+use contract::observatory::AlertKind;
 use tokio::task::JoinSet;
 
 pub use trouble::Trouble;
@@ -40,29 +57,61 @@ pub use trouble::Trouble;
 /// A task that ends early ends the node, which is then started afresh; meanwhile the guards of the domes, hearing
 /// no permit, close.
 pub async fn run(node: Node) -> anyhow::Result<()> {
-    let start::Start { room, ruling, hold, loaded, neighbours } = start::start(&node).await?;
-    let (schedule, audit) = (loaded.subscribe(), room.audit.clone());
+    let start::Start { room, ruling, hold, loaded, focus_runs, neighbours } = start::start(&node).await?;
+    let (schedule, named, control_room) = (loaded.subscribe(), loaded.subscribe(), room.clone());
+    let lease = lease::Line::open(&room).await?;
     let mut tasks: JoinSet<(&str, anyhow::Result<()>)> = JoinSet::new();
     let mut run = |name, task: start::Task| tasks.spawn(async move { (name, task.await) });
 
     let (rules, standing) = (room.rules.clone(), room.standing.subscribe());
     run("safety", Box::pin(safety::task::keep_judging(node.clone(), rules, standing, ruling)));
     run("closing", Box::pin(closing::keep_closed(room.clone(), neighbours.clone())));
-    run("lease", Box::pin(lease::keep_holding(room.clone(), hold)));
+    run("lease", Box::pin(lease::keep_holding(room.clone(), hold, lease.clone())));
     run("permit", Box::pin(permit::keep_renewing(room.clone())));
     run("standing orders", Box::pin(standing::keep_reminding(room.clone())));
-    run("standing orders on disk", Box::pin(standing::keep_on_disk(room.clone())));
+    let (kind, what) = (AlertKind::StandingOrders, "what people ordered");
+    run("standing orders on disk", Box::pin(kept::keep_on_disk(room.clone(), |room| &room.standing, kind, what)));
+    let (kind, what) = (AlertKind::AlertsNotKept, "what people did about alerts");
+    run("alerts on disk", Box::pin(kept::keep_on_disk(room.clone(), |room| &room.annunciator, kind, what)));
+    let (kind, what) = (AlertKind::GuidingNotKept, "what guiding has learnt");
+    run("guiding on disk", Box::pin(kept::keep_on_disk(room.clone(), |room| &room.guide_learnt, kind, what)));
+    run("tell standing orders", Box::pin(standing_line::keep_telling(room.clone())));
+    run("hear standing orders", Box::pin(standing_line::keep_hearing(room.clone())));
     run("orders", Box::pin(order::keep_answering(room.clone())));
-    run("schedule", Box::pin(schedule::keep_reading(node.clone(), loaded, room.reload.subscribe())));
+    run("schedule", Box::pin(schedule::keep_reading(room.clone(), loaded)));
+    run("survey the schedule", Box::pin(schedule::validate::task::keep_surveying(room.clone(), schedule.clone())));
+    run("check schedules", Box::pin(schedule::validate::task::keep_answering(room.clone())));
     run("runner", Box::pin(runner::keep_observing(room.clone(), schedule)));
+    run("names", Box::pin(names::keep_looking_up(room.clone(), named)));
     run("dome slits", Box::pin(slit::keep_following(room.clone())));
+    run("star catalogue", Box::pin(star_catalogue::keep_open(room.clone())));
+    run("mounts", Box::pin(frames::mounts::keep_noting(room.clone())));
+    run("measuring", Box::pin(frames::keep_measuring(room.clone())));
+    let (kind, what) = (AlertKind::FocusNotKept, "what was learnt of the focus");
+    run("focus on disk", Box::pin(kept::keep_on_disk(room.clone(), |room| &room.focus_learnt, kind, what)));
+    run("best focus", Box::pin(focus::keep_showing(room.clone())));
+    run("tell focus runs", Box::pin(focus::keep_telling_runs(room.clone(), focus_runs)));
+    run("hear focus runs", Box::pin(focus::keep_hearing_runs(room.clone())));
+    run("tell learnt focus", Box::pin(focus::keep_telling_learnt(room.clone())));
+    run("hear learnt focus", Box::pin(focus::keep_hearing_learnt(room.clone())));
+    let (kind, what) = (AlertKind::OpticsNotKept, "what was learnt of the optics");
+    run("optics on disk", Box::pin(kept::keep_on_disk(room.clone(), |room| &room.optics, kind, what)));
+    run("tell optics", Box::pin(frames::optics_line::keep_telling(room.clone())));
+    run("hear optics", Box::pin(frames::optics_line::keep_hearing(room.clone())));
     run("frames", Box::pin(ledger::keep_counting_frames(room.clone())));
     run("files", Box::pin(ledger::keep_counting_files(room.clone())));
     run("neighbours", Box::pin(neighbours.keep_hearing(node.clone())));
     run("tell safety", Box::pin(night::keep_telling_safety(room.clone())));
     run("tell night", Box::pin(night::keep_telling_night(room.clone())));
     run("tell schedule", Box::pin(night::keep_telling_schedule(room.clone())));
-    run("tell the rest", Box::pin(night::keep_telling_the_rest(room.clone())));
+    let (kind, what) = (AlertKind::PointingNotKept, "what was learnt of the pointing");
+    run("pointing on disk", Box::pin(kept::keep_on_disk(room.clone(), |room| &room.pointing_book, kind, what)));
+    run("tell pointing", Box::pin(night::keep_telling(room.clone(), Part::Pointing, room.pointing.clone())));
+    run("hear pointing", Box::pin(pointing::line::keep_hearing(room.clone())));
+    run("tell guiding", Box::pin(night::keep_telling(room.clone(), Part::Guiding, room.guiding.clone())));
+    run("tell what guiding learnt", Box::pin(guiding::line::keep_telling(room.clone())));
+    run("hear what guiding learnt", Box::pin(guiding::line::keep_hearing(room.clone())));
+    run("tell focus", Box::pin(night::keep_telling(room.clone(), Part::Focus, room.focus.clone())));
     let pinging = room.clone();
     let is_well = move || pinging.is_judging() && pinging.may_speak();
     let alerts = room.alerts.subscribe();
@@ -73,7 +122,9 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
 
     let ended = node.stop.or(tasks.join_next()).await;
     tasks.shutdown().await;
-    audit.end().await;
+    // nothing of this life commands any more, so that whoever waits need not wait for its silence
+    lease.release(&control_room).await;
+    control_room.audit.end().await;
     let Some(ended) = ended else { return Ok(()) };
     match ended {
         Some(Ok((name, result))) => {

@@ -1,14 +1,15 @@
 //! What is shown of the night: posture, actions under way, the rows of the schedule.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use bus::{Publisher, Quality};
 use contract::device::dome::Shutter;
-use contract::observatory::{ActionNow, FocusState, GuidingState, NightState, Posture, RowState, ScheduleState};
+use contract::observatory::{ActionNow, NightState, Posture, RowState, ScheduleState, Trigger, TriggerKind};
 use contract::{CommandId, Part};
 use tokio::sync::watch;
+use units::Utc;
 
 use crate::control_room::ControlRoom;
 
@@ -17,21 +18,26 @@ use crate::control_room::ControlRoom;
 pub struct Board {
     tonight: watch::Sender<Tonight>,
     schedule: watch::Sender<ScheduleState>,
+    /// Where rows stand now that began at another place, or that they stand nowhere any more.
+    moved: Mutex<BTreeMap<u32, Option<u32>>>,
 }
 
 #[derive(Debug, Clone, Default)]
 struct Tonight {
+    /// By the place in the schedule at which their rows began.
     actions: BTreeMap<u32, ActionNow>,
     frames: u64,
     last_frame: Option<CommandId>,
+    triggers: Vec<Trigger>,
     ended: bool,
 }
 
 impl Board {
     /// An empty board for a schedule file.
     pub fn new(file: String) -> Self {
-        let schedule = ScheduleState { file, revision: 0, refused: None, rows: Vec::new() };
-        Self { tonight: watch::channel(Tonight::default()).0, schedule: watch::channel(schedule).0 }
+        let schedule = ScheduleState { file, revision: 0, refused: None, rows: Vec::new(), findings: Vec::new() };
+        let (tonight, schedule) = (watch::channel(Tonight::default()).0, watch::channel(schedule).0);
+        Self { tonight, schedule, moved: Mutex::default() }
     }
 
     /// An action begins.
@@ -50,8 +56,9 @@ impl Board {
         });
     }
 
-    /// An action is over.
+    /// An action is over; `row` is where it began.
     pub fn end(&self, row: u32) {
+        self.moved().remove(&row);
         self.tonight.send_modify(|tonight| {
             tonight.actions.remove(&row);
         });
@@ -63,6 +70,23 @@ impl Board {
             tonight.frames += 1;
             tonight.last_frame = Some(frame.clone());
         });
+    }
+
+    /// What the newest frames say together.
+    pub fn triggers(&self, triggers: Vec<Trigger>) {
+        self.tonight.send_if_modified(|tonight| {
+            let is_new = tonight.triggers != triggers;
+            tonight.triggers = triggers;
+            is_new
+        });
+    }
+
+    /// Since when one of these stands for a camera and filter, if it does.
+    pub fn trigger(&self, kind: TriggerKind, camera: &str, filter: Option<&str>) -> Option<Utc> {
+        let tonight = self.tonight.borrow();
+        let mut standing = tonight.triggers.iter();
+        let is_it = |t: &&Trigger| t.kind == kind && t.camera == camera && t.filter.as_deref() == filter;
+        standing.find(is_it).map(|trigger| trigger.since_utc)
     }
 
     /// The last row has ended and everything is closed, or that is over.
@@ -84,8 +108,29 @@ impl Board {
         });
     }
 
-    /// Changes what is shown of one row.
-    pub fn row(&self, row: u32, change: impl FnOnce(&mut RowState)) {
+    /// A row that is at work and began at one place of the schedule stands at another one now, or nowhere any more.
+    pub fn moved_to(&self, began: u32, now: Option<u32>) {
+        self.moved().insert(began, now);
+        self.tonight.send_if_modified(|tonight| {
+            let (Some(action), Some(now)) = (tonight.actions.get_mut(&began), now) else { return false };
+            std::mem::replace(&mut action.row, now) != now
+        });
+    }
+
+    fn moved(&self) -> MutexGuard<'_, BTreeMap<u32, Option<u32>>> {
+        self.moved.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Changes what is shown of a row at work, wherever it stands now; `began` is where it began.
+    pub fn row(&self, began: u32, change: impl FnOnce(&mut RowState)) {
+        let now = self.moved().get(&began).copied().unwrap_or(Some(began));
+        if let Some(now) = now {
+            self.at(now, change);
+        }
+    }
+
+    /// Changes what is shown of the row at a place of the schedule in force.
+    pub fn at(&self, row: u32, change: impl FnOnce(&mut RowState)) {
         self.schedule.send_if_modified(|schedule| {
             let index = usize::try_from(row).unwrap_or(usize::MAX);
             let Some(state) = schedule.rows.get_mut(index) else { return false };
@@ -136,6 +181,7 @@ pub async fn keep_telling_night(room: Arc<ControlRoom>) -> anyhow::Result<()> {
                     simulated: clock.is_simulated(),
                     ended: shown.ended,
                     last_frame: shown.last_frame,
+                    triggers: shown.triggers,
                 })
                 .await?;
             said_at = Some(clock.machine());
@@ -226,18 +272,31 @@ pub async fn keep_telling_safety(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     }
 }
 
-/// Publishes, every 10 s, that there is no guide loop and no focus run yet, and the best focus that is known.
-pub async fn keep_telling_the_rest(room: Arc<ControlRoom>) -> anyhow::Result<()> {
-    let bus = &room.node.bus;
-    let guiding = bus.publisher(&room.key(Part::Guiding), Quality::State { cache: 1 }).await?;
-    let focus = bus.publisher(&room.key(Part::Focus), Quality::State { cache: 1 }).await?;
+/// Publishes a state of the telescope whenever it changes, and every 10 s.
+pub async fn keep_telling<T>(room: Arc<ControlRoom>, part: Part, state: watch::Sender<T>) -> anyhow::Result<()>
+where
+    T: contract::Payload + Clone,
+{
+    let line = room.node.bus.publisher::<T>(&room.key(part), Quality::State { cache: 1 }).await?;
+    keep_saying(&room, &line, state.subscribe()).await
+}
+
+/// Says a state on a line whenever it changes, and every 10 s.
+pub async fn keep_saying<T>(
+    room: &ControlRoom,
+    line: &Publisher<T>,
+    mut state: watch::Receiver<T>,
+) -> anyhow::Result<()>
+where
+    T: contract::Payload + Clone,
+{
     loop {
-        let no_loop = GuidingState { active: false, detail: "no guide loop: not built yet".to_owned() };
-        say(&room, &guiding, no_loop).await?;
-        let best_position = room.rig.focusers.first().and_then(crate::rig::focuser::Focuser::best);
-        let detail = "no focus run: not built yet".to_owned();
-        say(&room, &focus, FocusState { active: false, best_position, detail }).await?;
-        tokio::time::sleep(Duration::from_secs(10)).await;
+        let shown = state.borrow_and_update().clone();
+        say(room, line, shown).await?;
+        tokio::time::sleep(LEAST).await;
+        if let Ok(changed) = tokio::time::timeout(Duration::from_secs(10), state.changed()).await {
+            changed?;
+        }
     }
 }
 
@@ -250,7 +309,39 @@ async fn say<T: contract::Payload>(room: &ControlRoom, line: &Publisher<T>, body
 
 #[cfg(test)]
 mod tests {
+    use contract::observatory::RowStatus;
+
     use super::*;
+
+    #[test]
+    fn what_a_row_at_work_counts_is_shown_where_it_stands_now() {
+        let board = Board::new("schedule.jsonl".to_owned());
+        let row = |row| RowState {
+            row,
+            action: "object".to_owned(),
+            camera: "cam".to_owned(),
+            object: None,
+            start_utc: Utc::EPOCH,
+            end_utc: Utc::EPOCH,
+            status: RowStatus::Pending,
+            frames: 0,
+            frames_wanted: None,
+            detail: String::new(),
+        };
+        board.schedule(|schedule| schedule.rows = vec![row(0), row(1)]);
+        let frames = || board.schedule.borrow().rows.iter().map(|row| row.frames).collect::<Vec<_>>();
+        board.row(0, |row| row.frames = 1);
+        assert_eq!(frames(), [1, 0]);
+        board.moved_to(0, Some(1));
+        board.row(0, |row| row.frames = 2);
+        assert_eq!(frames(), [1, 2]);
+        board.moved_to(0, None);
+        board.row(0, |row| row.frames = 3);
+        assert_eq!(frames(), [1, 2], "nowhere any more");
+        board.end(0);
+        board.row(0, |row| row.frames = 4);
+        assert_eq!(frames(), [4, 2], "the next row that begins there");
+    }
 
     #[test]
     fn the_posture_is_that_of_the_least_closed_dome() {

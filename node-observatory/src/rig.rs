@@ -6,6 +6,8 @@ pub mod dome;
 pub mod filter_wheel;
 pub mod focuser;
 pub mod instrument;
+pub mod outlook;
+pub mod reach;
 pub mod telescope;
 
 use std::time::Duration;
@@ -21,7 +23,9 @@ use self::dome::Dome;
 use self::filter_wheel::FilterWheel;
 use self::focuser::Focuser;
 use self::instrument::{Instrument, Voice};
+use self::outlook::Outlook;
 use self::telescope::Mount;
+use crate::focus::Learnt;
 use crate::trouble::Trouble;
 
 /// All devices that this telescope moves.
@@ -57,7 +61,7 @@ pub struct Chain<'a> {
 
 impl Rig {
     /// Begins to hear all devices of the configuration.
-    pub async fn listen(node: &Node, voice: &Voice) -> anyhow::Result<Self> {
+    pub async fn listen(node: &Node, voice: &Voice, focus: watch::Receiver<Learnt>) -> anyhow::Result<Self> {
         let config = &node.config;
         let mut rig = Self {
             domes: Vec::new(),
@@ -76,7 +80,12 @@ impl Rig {
         }
         let own = |kind: Kind, name: &Name| config.address().device(kind, name);
         for block in &config.telescope {
-            rig.mounts.push(Mount::listen(voice, own(Kind::Telescope, &block.common.name), block.clone()).await?);
+            let outlook = Outlook::of(config, block).unwrap_or_else(|(without, why)| {
+                tracing::error!(mount = %block.common.name, why, "the horizon of the site cannot be read; its rows are not held against it");
+                without
+            });
+            let device = own(Kind::Telescope, &block.common.name);
+            rig.mounts.push(Mount::listen(voice, device, block.clone(), outlook).await?);
         }
         for block in &config.covercalibrator {
             let device = own(Kind::CoverCalibrator, &block.common.name);
@@ -90,7 +99,8 @@ impl Rig {
             rig.wheels.push(FilterWheel { instrument: Instrument::listen(voice, device).await? });
         }
         for block in &config.focuser {
-            rig.focusers.push(Focuser::listen(voice, own(Kind::Focuser, &block.common.name), block.clone()).await?);
+            let device = own(Kind::Focuser, &block.common.name);
+            rig.focusers.push(Focuser::listen(voice, device, block.clone(), focus.clone()).await?);
         }
         rig.watch_what_must_close();
         Ok(rig)
@@ -114,11 +124,17 @@ impl Rig {
         })
     }
 
+    /// The cover or panel of a camera.
+    pub fn cover_of(&self, camera: &Name) -> Option<&Cover> {
+        let camera = find(&self.cameras, |camera| &camera.instrument.device, Some(camera))?;
+        find(&self.covers, |cover| &cover.instrument.device, Some(camera.config.covercalibrator.as_ref()?))
+    }
+
     /// The mount that looks out of a dome: of a camera that is paired with both, else the only one.
     pub fn mount_under(&self, dome: &Dome) -> Option<&Mount> {
         let name = &dome.instrument.device.name;
-        let camera = self.cameras.iter().find(|camera| camera.config.dome.as_ref() == Some(name));
-        let paired = camera.and_then(|camera| camera.config.telescope.as_ref());
+        let mut cameras = self.cameras.iter().filter(|camera| camera.config.dome.as_ref() == Some(name));
+        let paired = cameras.find_map(|camera| camera.config.telescope.as_ref());
         match self.mounts.as_slice() {
             [only] => Some(only),
             several => find(several, |mount| &mount.instrument.device, Some(paired?)),

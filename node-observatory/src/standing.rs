@@ -1,10 +1,10 @@
 //! A person's standing orders to the verdict: stay closed, and do without one limit for a while.
 //!
-//! They outlive a restart (`standing-TELESCOPE.json` in the data folder). Staying closed has no end of its own; an
-//! override has, at most eight hours, and only limits and the Sun can be overridden: no safety monitor, no vote.
+//! They outlive a restart (`standing-TELESCOPE.json` in the data folder) and a takeover (`inherit.rs`). Staying closed
+//! has no end of its own; an override has, at most eight hours, and only limits and the Sun can be overridden: no safety
+//! monitor, no vote.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -43,9 +43,19 @@ pub struct Override {
     pub until_utc: Utc,
 }
 
+impl Said {
+    /// What this node decides itself, because it cannot know what people want.
+    pub fn by_node(reason: String, at_utc: Utc) -> Self {
+        Self { from: "observatory node".to_owned(), reason, at_utc }
+    }
+}
+
 /// The standing orders.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Standing {
+    /// Fencing token of the commander that keeps them; absent in files of versions that did not write it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub token: Option<u64>,
     /// Nothing opens while this stands.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stay_closed: Option<Said>,
@@ -55,36 +65,22 @@ pub struct Standing {
 }
 
 impl Standing {
-    /// What was ordered before; a file that cannot be read keeps the dome closed until a person decides anew.
-    pub fn read(path: &Path, now: Utc) -> Self {
-        let unreadable = |why: String| {
-            let reason = format!("{} cannot be read: {why}", path.display());
-            Self {
-                stay_closed: Some(Said { from: "observatory node".to_owned(), reason, at_utc: now }),
-                ..Self::default()
+    /// What holds where two records are told: whatever keeps it closed, and no override that only one of them knows.
+    pub fn stricter(self, other: &Self) -> Self {
+        let mut overrides = BTreeMap::new();
+        for (input, order) in self.overrides {
+            if let Some(known) = other.overrides.get(&input) {
+                let ends_first = if known.until_utc < order.until_utc { known.clone() } else { order };
+                overrides.insert(input, ends_first);
             }
-        };
-        match std::fs::read(path) {
-            Ok(bytes) => serde_json::from_slice(&bytes).unwrap_or_else(|error| unreadable(error.to_string())),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Self::default(),
-            Err(error) => unreadable(error.to_string()),
         }
+        let stay_closed = self.stay_closed.or_else(|| other.stay_closed.clone());
+        Self { token: self.token, stay_closed, overrides }
     }
 
-    /// What holds where these orders could not be written and others stand on disk: whatever keeps it closed, and no
-    /// override that only one of them knows.
-    pub fn stricter(self, other: Self) -> Self {
-        let overrides = self.overrides.into_iter().filter(|(input, order)| other.overrides.get(input) == Some(order));
-        Self { stay_closed: self.stay_closed.or(other.stay_closed), overrides: overrides.collect() }
-    }
-
-    /// Keeps it for the next life of this node: the old file or the new one, whatever happens.
-    pub fn write(&self, path: &Path) -> std::io::Result<()> {
-        let part = path.with_extension("json.part");
-        let mut file = std::fs::File::create(&part)?;
-        file.write_all(&serde_json::to_vec_pretty(self)?)?;
-        file.sync_all()?;
-        std::fs::rename(part, path)
+    /// Do both say the same, whoever keeps them?
+    pub fn says_as(&self, other: &Self) -> bool {
+        self.stay_closed == other.stay_closed && self.overrides == other.overrides
     }
 
     /// Takes an override, or says why not.
@@ -133,35 +129,44 @@ impl Standing {
     }
 }
 
+/// What stands in the file of the standing orders.
+#[derive(Debug, Clone, PartialEq)]
+pub enum OnDisk {
+    /// There is no file.
+    Absent,
+    /// It cannot be read, and why.
+    Unreadable(String),
+    /// What was ordered before.
+    Found(Standing),
+}
+
+impl OnDisk {
+    /// Reads the file.
+    pub fn read(path: &Path) -> Self {
+        let unreadable = |why: String| Self::Unreadable(format!("{} cannot be read: {why}", path.display()));
+        match std::fs::read(path) {
+            Ok(bytes) => match serde_json::from_slice(&bytes) {
+                Ok(standing) => Self::Found(standing),
+                Err(error) => unreadable(error.to_string()),
+            },
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Self::Absent,
+            Err(error) => unreadable(error.to_string()),
+        }
+    }
+
+    /// What holds by it; one that cannot be read keeps the dome closed until a person decides anew.
+    pub fn orders(self, now: Utc) -> Standing {
+        match self {
+            Self::Absent => Standing::default(),
+            Self::Unreadable(why) => Standing { stay_closed: Some(Said::by_node(why, now)), ..Standing::default() },
+            Self::Found(standing) => standing,
+        }
+    }
+}
+
 /// Where the standing orders of a telescope are kept.
 pub fn path(config: &config::Observatory) -> PathBuf {
     config.folders.data.join(format!("standing-{}.json", config.place.telescope))
-}
-
-/// Writes the standing orders at each change, again and again until the disk takes them.
-pub async fn keep_on_disk(room: Arc<ControlRoom>) -> anyhow::Result<()> {
-    let (mut standing, path) = (room.standing.subscribe(), path(&room.node.config));
-    // those of the start came from the disk
-    standing.mark_unchanged();
-    loop {
-        standing.changed().await?;
-        loop {
-            let (orders, path) = (standing.borrow_and_update().clone(), path.clone());
-            let written = tokio::task::spawn_blocking(move || orders.write(&path).map(|()| orders)).await?;
-            match written {
-                Ok(orders) => {
-                    room.standing_on_disk.send_replace(orders);
-                    room.node.alerts.clear(AlertKind::StandingOrders, "");
-                    break;
-                }
-                Err(error) => {
-                    let cause = format!("the standing orders are not on disk: {error}");
-                    room.node.alerts.raise(AlertKind::StandingOrders, "", &cause);
-                    tokio::time::sleep(Duration::from_secs(2)).await;
-                }
-            }
-        }
-    }
 }
 
 /// Keeps an alert for every standing order, so that none is forgotten.
@@ -249,23 +254,27 @@ mod tests {
     #[test]
     fn of_two_records_the_stricter_holds() {
         let closed = Standing { stay_closed: Some(said("people on the roof")), ..Standing::default() };
-        let mut open = Standing::default();
+        let (mut open, mut sooner) = (Standing::default(), Standing::default());
         open.do_without(&rules(), SUN, 60.0, said("washing")).unwrap();
-        assert_eq!(closed.clone().stricter(open.clone()), closed);
-        assert_eq!(open.clone().stricter(closed.clone()), closed);
-        assert_eq!(open.clone().stricter(open.clone()), open);
+        sooner.do_without(&rules(), SUN, 30.0, said("washing")).unwrap();
+        assert_eq!(closed.clone().stricter(&open), closed);
+        assert_eq!(open.clone().stricter(&closed), closed);
+        assert_eq!(open.clone().stricter(&open), open);
+        assert_eq!(open.clone().stricter(&sooner), sooner);
+        assert_eq!(sooner.clone().stricter(&open), sooner);
     }
 
     #[test]
     fn orders_outlive_a_restart_and_a_broken_file_stays_closed() {
         let folder = tempfile::tempdir().unwrap();
         let (path, now) = (folder.path().join("standing.json"), Utc::from_seconds(2000.0));
-        assert_eq!(Standing::read(&path, now), Standing::default());
+        assert_eq!(OnDisk::read(&path), OnDisk::Absent);
+        assert_eq!(OnDisk::Absent.orders(now), Standing::default());
         let mut standing = Standing { stay_closed: Some(said("people on the roof")), ..Standing::default() };
         standing.do_without(&rules(), "wx/Humidity", 600.0, said("wet")).unwrap();
-        standing.write(&path).unwrap();
-        assert_eq!(Standing::read(&path, now), standing);
+        crate::kept::write_whole(&path, &folder.path().join("part"), &standing).unwrap();
+        assert_eq!(OnDisk::read(&path), OnDisk::Found(standing));
         std::fs::write(&path, "{").unwrap();
-        assert!(Standing::read(&path, now).stay_closed.is_some());
+        assert!(OnDisk::read(&path).orders(now).stay_closed.is_some());
     }
 }

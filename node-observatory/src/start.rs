@@ -9,22 +9,36 @@ use anyhow::{Context as _, ensure};
 use audit::Audit;
 use bus::Node;
 use contract::Address;
-use tokio::sync::{Notify, watch};
+use contract::observatory::{FocusRun, FocusState, GuidingState, PointingState};
+use tokio::sync::{Notify, OnceCell, mpsc, watch};
 
 use crate::annunciator::{self, Annunciator};
 use crate::control_room::ControlRoom;
+use crate::focus;
+use crate::frames::dark::Darks;
+use crate::frames::looked::Looks;
+use crate::frames::mounts::Mounts;
+use crate::frames::optics;
+use crate::frames::tell::Telling;
+use crate::guiding::learnt::{self, Learnt};
+use crate::hooks::Hooks;
 use crate::journal::Journal;
+use crate::kept::Kept;
 use crate::lease::Hold;
 use crate::ledger::Ledger;
+use crate::names::Known;
 use crate::neighbours::Neighbours;
 use crate::night::Board;
+use crate::pointing::learnt::{self as pointing_learnt, Book};
 use crate::rig::Rig;
 use crate::rig::instrument::Voice;
 use crate::safety::Ruling;
 use crate::safety::rules::Rules;
 use crate::schedule::Loaded;
-use crate::standing::{self, Standing};
-use crate::takeover;
+use crate::schedule::versions::Versions;
+use crate::standing::{self, OnDisk};
+use crate::star_catalogue::StarCatalogue;
+use crate::takeover::{self, Before};
 
 /// A task of the node.
 pub type Task = Pin<Box<dyn Future<Output = anyhow::Result<()>> + Send>>;
@@ -39,6 +53,8 @@ pub struct Start {
     pub hold: watch::Sender<Hold>,
     /// Where the schedule is put.
     pub loaded: watch::Sender<Loaded>,
+    /// Focus runs that have ended.
+    pub focus_runs: mpsc::UnboundedReceiver<FocusRun>,
     /// The other telescopes of the site.
     pub neighbours: Neighbours,
 }
@@ -53,9 +69,22 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
     let journal = open_journal(node).await?;
     let robotic = takeover::robotic(&journal, config.schedule.robotic, clock.utc());
     let (orders, now) = (standing::path(config), clock.utc());
-    let standing = tokio::task::spawn_blocking(move || Standing::read(&orders, now)).await?;
+    let standing = tokio::task::spawn_blocking(move || OnDisk::read(&orders).orders(now)).await?;
     let alerts = annunciator::path(config);
     let annunciator = tokio::task::spawn_blocking(move || Annunciator::read(&alerts)).await?;
+    let guiding = learnt::path(config);
+    let guide_learnt = tokio::task::spawn_blocking(move || Learnt::read(&guiding)).await?;
+    let learnt = optics::path(config);
+    let learnt = tokio::task::spawn_blocking(move || optics::read(&learnt)).await?;
+    let names = Known::path(config);
+    let names = tokio::task::spawn_blocking(move || Known::read(&names)).await?;
+    let pointing = pointing_learnt::path(config);
+    let pointing_book = tokio::task::spawn_blocking(move || Book::read(&pointing)).await?;
+    let pointing_state = PointingState { models: pointing_book.models.clone(), ..PointingState::default() };
+    let file = focus::path(config);
+    let known = tokio::task::spawn_blocking(move || focus::Learnt::read(&file)).await?;
+    let focus_learnt = Kept::new(focus::path(config), &node.id, known);
+    let (ended_runs, focus_runs) = mpsc::unbounded_channel();
     let (ruling, heard_ruling) = watch::channel(Ruling::none(clock.machine(), clock.utc()));
     let (hold, seen_hold) = watch::channel(Hold::Asking);
     let doubt = Arc::new(Notify::new());
@@ -63,22 +92,40 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
         Voice { bus: node.bus.clone(), signature: node.signature(), lease: seen_hold.clone(), doubt: doubt.clone() };
     let room = ControlRoom {
         node: node.clone(),
-        rig: Rig::listen(node, &voice).await?,
+        rig: Rig::listen(node, &voice, focus_learnt.subscribe()).await?,
         ruling: heard_ruling,
         hold: seen_hold,
         doubt,
         robotic: watch::channel(robotic).0,
         wish_closed: watch::channel(None).0,
         aim: watch::channel(None).0,
+        versions: Versions::of(config),
         reload: watch::channel(0).0,
         journal,
         rules: Arc::new(Rules::of(config)),
-        standing: watch::channel(standing.clone()).0,
-        standing_on_disk: watch::channel(standing).0,
-        annunciator: watch::channel(annunciator).0,
+        standing: Kept::new(standing::path(config), &node.id, standing),
+        standing_said: watch::channel(None).0,
+        annunciator: Kept::new(annunciator::path(config), &node.id, annunciator),
+        before: Before::listen(&node.bus, &config.address()).await?,
         alerts: watch::channel(None).0,
         ledger: Ledger::default(),
+        facts: Telling::default(),
+        looks: Looks::default(),
+        darks: Darks::default(),
+        catalogue: StarCatalogue::default(),
+        mounts: Mounts::default(),
+        optics: Kept::new(optics::path(config), &node.id, learnt),
+        names: watch::channel(names).0,
+        pointing: watch::channel(pointing_state).0,
+        pointing_book: Kept::new(pointing_learnt::path(config), &node.id, pointing_book),
+        guiding: watch::channel(GuidingState::default()).0,
+        guide_learnt: Kept::new(learnt::path(config), &node.id, guide_learnt),
+        corrections: OnceCell::new(),
+        focus: watch::channel(FocusState::default()).0,
+        focus_learnt,
+        focus_runs: ended_runs,
         audit: Audit::start(node).await?,
+        hooks: Hooks::load(node).await,
         board: Board::new(config.schedule.file.display().to_string()),
     };
     Ok(Start {
@@ -86,6 +133,7 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
         ruling,
         hold,
         loaded: watch::channel(Loaded::default()).0,
+        focus_runs,
         neighbours: Neighbours::default(),
     })
 }

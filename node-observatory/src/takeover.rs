@@ -3,20 +3,50 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use bus::{BusError, Latest};
-use contract::observatory::{AlertKind, NightState};
-use contract::{BootId, Part};
+use bus::{Bus, BusError, Heard, Latest};
+use contract::observatory::{AlertKind, Alerts, NightState, StandingOrders};
+use contract::{Address, Key, Part, Payload};
 use units::Utc;
 
 use crate::annunciator::{self, Annunciator};
 use crate::control_room::ControlRoom;
+use crate::inherit::{Known, Source, Word};
 use crate::journal::Journal;
-use crate::standing::{self, Standing};
+use crate::standing::{self, OnDisk, Said, Standing};
 
 /// An order from last night is no order for this one, sky s.
 const ORDER_HOLDS_S: f64 = 18.0 * 3600.0;
 /// A commander says each second how it stands; what is older than this is no last word.
 const LAST_WORD: Duration = Duration::from_secs(60);
+/// It says each second what it was ordered, and keeps the lease until it was silent for 5 s: one that was heard within
+/// this time can hardly have accepted what was not heard, and one that was not may have.
+const LAST_ORDERS: Duration = Duration::from_secs(10);
+/// A disk that hangs keeps nobody from commanding.
+const DISK: Duration = Duration::from_secs(2);
+/// A ruling that is not renewed for so long is no safe one any more.
+const RULING: Duration = Duration::from_secs(5);
+
+/// What the commander before is heard to say.
+pub struct Before {
+    /// How it stood.
+    pub night: Latest<NightState>,
+    /// What people ordered of it.
+    pub standing: Latest<StandingOrders>,
+    /// The alerts with what people did about them.
+    pub alerts: Latest<Alerts>,
+}
+
+impl Before {
+    /// Begins to listen, so that its last word is known.
+    pub async fn listen(bus: &Bus, address: &Address) -> Result<Self, BusError> {
+        let key = |part| Key::Observatory(address.clone(), part);
+        Ok(Self {
+            night: bus.latest(&key(Part::Night)).await?,
+            standing: bus.latest(&key(Part::Standing)).await?,
+            alerts: bus.latest(&key(Part::Alerts)).await?,
+        })
+    }
+}
 
 /// The robotic switch as it was last ordered, else as configured.
 pub fn robotic(journal: &Journal, configured: bool, now: Utc) -> bool {
@@ -26,21 +56,64 @@ pub fn robotic(journal: &Journal, configured: bool, now: Utc) -> bool {
     }
 }
 
-/// Listens to the commander before, so that its last word is known.
-pub async fn listen(room: &ControlRoom) -> Result<Latest<NightState>, BusError> {
-    room.node.bus.latest(&room.key(Part::Night)).await
+/// Learns it all, before this node commands with the token that it was granted; `held` is the token that this life held
+/// before. A disk that fails is told, and keeps nobody from commanding: who commands can close.
+pub async fn learn(room: &Arc<ControlRoom>, granted: Option<u64>, held: Option<u64>) {
+    let (disk, is_older_version) = read(room).await;
+    let now = room.node.bus.clock().utc();
+    let own = room.standing.get();
+    let heard = foreign(room, &room.before.standing);
+    let orders = heard.as_ref().map(|heard| Standing::from(&heard.said.body));
+    let is_last =
+        heard.as_ref().is_some_and(|heard| room.node.bus.clock().machine().since(heard.arrived) <= LAST_ORDERS);
+    let word = orders.as_ref().map(|orders| Word { orders, is_last });
+    let known = Known { granted, own: &own, held, disk: &disk, is_older_version, heard: word };
+    let (mut standing, source) = known.inherit(now);
+    if source == Source::Nobody {
+        tracing::warn!(?granted, "what the commander before was ordered is not known; the dome stays closed");
+    }
+    learn_alerts(room, source, heard.as_ref()).await;
+    put(room, &standing);
+    let written = tokio::time::timeout(DISK, room.standing.write()).await.map_err(|_| "no answer".to_owned());
+    if let Err(error) = written.and_then(|written| written.map_err(|error| error.to_string())) {
+        let cause = format!("the standing orders are not on disk: {error}");
+        room.node.alerts.raise(AlertKind::StandingOrders, "", &cause);
+        // such a disk may not have taken the last order of the life before either
+        if source == Source::Disk && standing.stay_closed.is_none() {
+            let reason = format!("{cause}; what was ordered last may be lost. Order open-again once the disk is well");
+            standing.stay_closed = Some(Said::by_node(reason, now));
+            put(room, &standing);
+        }
+    }
+    if !standing.says_as(&own) {
+        judged_anew(room).await;
+    }
+    learn_robotic(room, now);
 }
 
-/// Learns it all. A disk that fails is told, and keeps nobody from commanding: who commands can close.
-pub async fn learn(room: &Arc<ControlRoom>, last_word: &Latest<NightState>) {
-    let (at, now) = (room.clone(), room.node.bus.clock().utc());
-    let learnt = tokio::task::spawn_blocking(move || {
-        let config = &at.node.config;
-        let standing = Standing::read(&standing::path(config), now);
-        (at.journal.take_over(), standing, Annunciator::read(&annunciator::path(config)))
+fn put(room: &ControlRoom, standing: &Standing) {
+    room.standing.change(|known| {
+        let is_new = known != standing;
+        known.clone_from(standing);
+        is_new
     });
-    let Ok((taken, standing, annunciator)) = learnt.await else { return };
-    room.annunciator.send_replace(annunciator);
+}
+
+/// What the folder holds, and whether a version that kept no tokens commanded from it; makes the journal this node's.
+async fn read(room: &Arc<ControlRoom>) -> (OnDisk, bool) {
+    let at = room.clone();
+    let reading = tokio::task::spawn_blocking(move || {
+        let is_older_version = at.journal.is_there();
+        let disk = OnDisk::read(&standing::path(&at.node.config));
+        (disk, is_older_version, at.journal.take_over())
+    });
+    let (disk, is_older_version, taken) = match tokio::time::timeout(DISK, reading).await {
+        Ok(Ok(read)) => read,
+        Ok(Err(_)) | Err(_) => {
+            let why = format!("{} is not answered for by its disk", standing::path(&room.node.config).display());
+            (OnDisk::Unreadable(why), false, Err(std::io::ErrorKind::TimedOut.into()))
+        }
+    };
     match taken {
         Ok(()) => room.node.alerts.clear(AlertKind::Journal, ""),
         Err(error) => {
@@ -48,16 +121,66 @@ pub async fn learn(room: &Arc<ControlRoom>, last_word: &Latest<NightState>) {
             room.node.alerts.raise(AlertKind::Journal, "", &cause);
         }
     }
-    // an order that this life accepted and could not write is not forgotten with the lease
-    let is_written = *room.standing.borrow() == *room.standing_on_disk.borrow();
-    room.standing.send_if_modified(|known| {
-        let holds = if is_written { standing } else { known.clone().stricter(standing) };
-        let is_new = *known != holds;
-        *known = holds;
-        is_new
-    });
-    let own: &BootId = room.node.bus.boot_id();
-    let heard = last_word.fresh(LAST_WORD).filter(|heard| heard.said.boot_id != *own);
+    (disk, is_older_version)
+}
+
+/// What another life than this one said last.
+fn foreign<T: Payload + Clone>(room: &ControlRoom, latest: &Latest<T>) -> Option<Heard<T>> {
+    latest.get().filter(|heard| heard.said.boot_id != *room.node.bus.boot_id())
+}
+
+/// What people did about alerts, from where the orders come: a record of an older reign would acknowledge what it never
+/// saw. What nobody knows stands as new.
+async fn learn_alerts(room: &Arc<ControlRoom>, source: Source, orders: Option<&Heard<StandingOrders>>) {
+    match source {
+        Source::Own => {}
+        Source::Disk => {
+            let path = annunciator::path(&room.node.config);
+            let reading = tokio::task::spawn_blocking(move || Annunciator::read(&path));
+            if let Ok(Ok(read)) = tokio::time::timeout(DISK, reading).await {
+                room.annunciator.adopt(|known| {
+                    *known = read;
+                    true
+                });
+            }
+        }
+        Source::Bus | Source::Nobody => {
+            let orders = orders.filter(|_| source == Source::Bus).map(|heard| &heard.said);
+            let alerts = foreign(room, &room.before.alerts).map(|heard| heard.said);
+            let heard = match (orders, alerts) {
+                // both of one life, or the acknowledgements are not the commander's
+                (Some(orders), Some(alerts)) if orders.boot_id == alerts.boot_id => {
+                    Annunciator::heard(&alerts.body, &orders.body.shelved)
+                }
+                (Some(orders), _) => Annunciator::heard(&Alerts::default(), &orders.body.shelved),
+                (None, _) => Annunciator::default(),
+            };
+            room.annunciator.change(|known| {
+                *known = heard;
+                true
+            });
+        }
+    }
+}
+
+/// Waits until the safety loop has judged by the orders as they are now; a loop that does not is not safe by then.
+async fn judged_anew(room: &ControlRoom) {
+    let mut ruling = room.ruling.clone();
+    let twice = async {
+        // the first may have been under way
+        for _ in 0..2 {
+            let since = room.node.bus.clock().machine();
+            if ruling.wait_for(|ruling| ruling.judged > since).await.is_err() {
+                return;
+            }
+        }
+    };
+    let _ = tokio::time::timeout(RULING, twice).await;
+}
+
+fn learn_robotic(room: &ControlRoom, now: Utc) {
+    let age = |heard: &Heard<NightState>| room.node.bus.clock().machine().since(heard.arrived);
+    let heard = foreign(room, &room.before.night).filter(|heard| age(heard) <= LAST_WORD);
     // the journal of a commander on another host is out of reach, its last word is not
     let on = match heard {
         Some(heard) => heard.said.body.robotic,

@@ -1,6 +1,7 @@
 //! What can go wrong while a row of the schedule is worked on.
 
 use contract::{Kind, Reason};
+use units::Utc;
 
 /// Why a step of an action did not succeed.
 #[derive(Debug, thiserror::Error)]
@@ -68,6 +69,33 @@ pub enum Trouble {
     /// The row asks for what this telescope or this sky does not offer.
     #[error("{0}")]
     Impossible(String),
+    /// Where the telescope looks could not be proven.
+    #[error("{why}")]
+    Unproven {
+        /// Which camera, and why not.
+        why: String,
+        /// A later try may succeed, and is wanted.
+        again: bool,
+    },
+    /// The target stands behind the horizon of the site, or too low, and will stand clear later in the row's window.
+    #[error("{why}; it stands clear from {clear} on")]
+    Hidden {
+        /// What hides it, with numbers and units.
+        why: String,
+        /// From when on it does not, to a minute.
+        clear: Utc,
+    },
+    /// Where a named target stands is not known yet.
+    #[error("{0}")]
+    Unnamed(String),
+    /// A function of the site's script failed, or the script cannot be read.
+    #[error("{function} of the site's script: {why}")]
+    Script {
+        /// Which function.
+        function: String,
+        /// Why.
+        why: String,
+    },
     /// The sky cannot be computed.
     #[error("the sky cannot be computed: {0}")]
     Sky(#[from] sky::SkyError),
@@ -89,7 +117,12 @@ impl Trouble {
                 let named = device.split('/').nth(2)?;
                 Kind::ALL.iter().copied().find(|kind| kind.to_string() == named)
             }
-            Self::Impossible(_) | Self::Sky(_) | Self::Journal(_) => None,
+            Self::Impossible(_)
+            | Self::Unproven { .. }
+            | Self::Script { .. }
+            | Self::Unnamed(_)
+            | Self::Hidden { .. } => None,
+            Self::Sky(_) | Self::Journal(_) => None,
         }
     }
 
@@ -101,7 +134,11 @@ impl Trouble {
             | Self::Failed { .. }
             | Self::Deadline { .. }
             | Self::Restarted { .. }
+            | Self::Unnamed(_)
+            | Self::Hidden { .. }
+            | Self::Script { .. }
             | Self::Journal(_) => true,
+            Self::Unproven { again, .. } => *again,
             Self::Cooling { .. } | Self::Impossible(_) | Self::Sky(_) => false,
         }
     }

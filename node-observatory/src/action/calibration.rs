@@ -1,52 +1,40 @@
 //! `calibration`: bias and dark frames, whatever the sky does.
 
+use schemars::JsonSchema;
 use serde::Deserialize;
+use units::Utc;
 
 use super::expose::{Series, Shot, expose, fits};
-use super::parameters::{Metadata, Part, check_bin, check_exptime, half, one};
-use super::{Action, Needs, Stage};
+use super::parameters::{LONGEST_S, Metadata, Readout};
+use super::{Action, Exposures, Needs, Stage, Wrong};
+use crate::plan::{Course, Halt};
 use crate::rig::focuser::Wanted;
 use crate::trouble::Trouble;
 
-/// So many frames of each exposure time; 0 s is a bias.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// Takes bias and dark frames: so many of each exposure time, with the shutter shut.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Calibration {
-    /// Exposure times, s.
+    /// Exposure times, one after another; 0 is a bias, anything longer a dark.
+    #[schemars(length(min = 1, max = 1000), inner(range(min = 0, max = LONGEST_S)), extend("unit" = "s"))]
     exptime: Vec<f64>,
-    /// Frames of each.
+    /// Frames of each exposure time; as many numbers as `exptime` has.
+    #[schemars(length(min = 1, max = 1000), inner(range(min = 0, max = 1_000_000)), extend("unit" = "frames"))]
     n: Vec<u32>,
-    /// Filter to turn to first.
+    /// Filter to turn to first; the one in the beam where absent.
     filter: Option<String>,
-    /// Folder for the files.
+    /// Folder for the files, inside the folder of images.
     dir: Option<String>,
-    /// Binning of both axes.
-    #[serde(default = "one")]
-    bin: u32,
-    /// The next rows need not wait.
+    /// The next rows need not wait for this one.
     #[serde(default)]
     execute_parallel: bool,
-    /// Columns, binned.
-    subframe_width: Option<u32>,
-    /// Rows, binned.
-    subframe_height: Option<u32>,
-    /// 0 to 1.
-    #[serde(default = "half")]
-    subframe_center_x: f64,
-    /// 0 to 1.
-    #[serde(default = "half")]
-    subframe_center_y: f64,
-    /// For the header.
+    #[serde(flatten)]
+    readout: Readout,
+    /// For `action_metadata` rows of the FITS-header table.
     #[serde(default)]
     metadata: Metadata,
 }
 
 impl Calibration {
-    fn part(&self) -> Part {
-        let (width, height) = (self.subframe_width, self.subframe_height);
-        Part { width, height, center_x: self.subframe_center_x, center_y: self.subframe_center_y }
-    }
-
     /// The frame that follows `taken` others, if there is one.
     fn shot(&self, taken: u32) -> Option<Shot> {
         let mut before = 0_u32;
@@ -62,6 +50,16 @@ impl Calibration {
         None
     }
 
+    /// ... if it fits into the window.
+    fn shot_within(&self, taken: u32, now: Utc, end: Utc) -> Option<Shot> {
+        self.shot(taken).filter(|shot| fits(now, shot.exposure_s, end))
+    }
+
+    /// How it went: nothing where all was taken.
+    fn told(&self, taken: u32) -> String {
+        if taken < self.frames() { format!("the window ended after {taken} frames") } else { String::new() }
+    }
+
     fn frames(&self) -> u32 {
         self.n.iter().fold(0, |all, n| all.saturating_add(*n))
     }
@@ -71,14 +69,12 @@ impl Action for Calibration {
     const NAME: &'static str = "calibration";
     const EXAMPLE: &'static str = r#"{"exptime": [0, 30], "n": [10, 5]}"#;
 
-    fn check(&self) -> Result<(), String> {
-        if self.exptime.is_empty() || self.exptime.len() != self.n.len() {
-            let (exptime, n) = (self.exptime.len(), self.n.len());
-            return Err(format!("n: exptime has {exptime} and n has {n} values; expected as many, at least one"));
+    fn check(&self) -> Result<(), Wrong> {
+        let (exptime, n) = (self.exptime.len(), self.n.len());
+        if exptime != n {
+            return Err(Wrong::of("n", format!("exptime has {exptime} and n has {n} values; expected as many")));
         }
-        self.exptime.iter().try_for_each(|exptime| check_exptime(*exptime))?;
-        check_bin(self.bin)?;
-        self.part().check()
+        self.readout.check()
     }
 
     fn needs(&self) -> Needs {
@@ -89,22 +85,38 @@ impl Action for Calibration {
         Some(self.frames())
     }
 
+    fn exposures(&self) -> Vec<Exposures> {
+        self.exptime.iter().zip(&self.n).map(|(exptime, n)| Exposures::of(*exptime, Some(*n))).collect()
+    }
+
+    fn filters(&self) -> Vec<&str> {
+        self.filter.as_deref().into_iter().collect()
+    }
+
+    fn foresee(&self, course: &mut Course<'_>) -> Result<(), Halt> {
+        course.begin(None, self.filter.as_deref())?;
+        course.reads(&self.readout);
+        let end = course.row.end;
+        course.expose(|course| self.shot_within(course.taken, course.now, end))?;
+        course.tell(self.told(course.taken));
+        Ok(())
+    }
+
     async fn run(&self, stage: &Stage) -> Result<String, Trouble> {
         stage.step("cooling, filter and focus");
         let ready = stage.filter_and_focus(self.filter.as_deref(), Wanted::default());
         tokio::try_join!(stage.cool(), ready)?;
         let series = Series {
             filter: self.filter.clone(),
-            bin: self.bin,
-            subframe: self.part().on(stage.chain()?.camera, self.bin).await?,
+            bin: self.readout.bin,
+            subframe: self.readout.on(stage.chain()?.camera).await?,
             folder: self.dir.clone(),
             metadata: self.metadata.texts(),
             ..Series::default()
         };
         let end = stage.row.end;
-        let plan = |taken, now| self.shot(taken).filter(|shot| fits(now, shot.exposure_s, end));
-        let taken = expose(stage, &series, plan).await?;
-        Ok(if taken < self.frames() { format!("the window ended after {taken} frames") } else { String::new() })
+        let taken = expose(stage, &series, |taken, now| self.shot_within(taken, now, end)).await?;
+        Ok(self.told(taken))
     }
 }
 

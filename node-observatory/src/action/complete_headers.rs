@@ -4,15 +4,17 @@ use std::time::Duration;
 
 use contract::archive::{Answer, Ask, Question, Row};
 use contract::{CommandId, Key};
+use schemars::JsonSchema;
 use serde::Deserialize;
 use units::Angle;
 
 use super::{Action, Needs, Stage};
+use crate::plan::{Course, Halt};
 use crate::trouble::Trouble;
 
-/// No parameters. Archives complete headers by themselves; nothing is commanded.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// Waits until the archive has stored every frame of this night with a whole header; the archive completes headers by
+/// itself, and nothing is commanded.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct CompleteHeaders {}
 
 /// How often the archive is asked about files whose word was missed.
@@ -24,6 +26,13 @@ impl Action for CompleteHeaders {
 
     fn needs(&self) -> Needs {
         Needs { safe: false, mount: false, parallel: false, all_before: true }
+    }
+
+    fn foresee(&self, course: &mut Course<'_>) -> Result<(), Halt> {
+        match course.headers_whole() {
+            Some(whole) => course.wait_until(whole.min(course.row.end)),
+            None => Ok(()),
+        }
     }
 
     async fn run(&self, stage: &Stage) -> Result<String, Trouble> {

@@ -1,14 +1,15 @@
 //! `open`: opens roof and covers, takes the mount out of its park position, and starts the cooler.
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use super::{Action, Needs, Stage};
 use crate::opening;
+use crate::plan::{Course, Halt};
 use crate::trouble::Trouble;
 
-/// No parameters.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// Opens the roof and the covers, takes the mount out of its park position, and starts the cooler.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Open {}
 
 impl Action for Open {
@@ -17,6 +18,11 @@ impl Action for Open {
 
     fn needs(&self) -> Needs {
         Needs { safe: true, mount: true, parallel: false, all_before: false }
+    }
+
+    fn foresee(&self, course: &mut Course<'_>) -> Result<(), Halt> {
+        course.start_cooling();
+        course.open()
     }
 
     async fn run(&self, stage: &Stage) -> Result<String, Trouble> {

@@ -1,16 +1,19 @@
-//! Parameters that several actions share.
+//! Parameters that several actions share; they are flattened into the actions that have them.
 
 use std::collections::BTreeMap;
 
 use contract::device::camera::Subframe;
-use serde::Deserialize;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::Wrong;
 use crate::rig::camera::{Camera, subframe};
+use crate::rig::focuser::Wanted;
 use crate::trouble::Trouble;
 
 /// Values for `action_metadata` rows of the FITS-header table; numbers and booleans are taken as their text.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(transparent)]
 pub struct Metadata(BTreeMap<String, Value>);
 
@@ -25,65 +28,99 @@ impl Metadata {
     }
 }
 
-/// A part of the sensor as schedules ask for it: size in binned pixels, centre from 0 to 1.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Part {
-    /// Columns.
-    pub width: Option<u32>,
-    /// Rows.
-    pub height: Option<u32>,
-    /// 0 is the left edge, 1 the right one.
-    pub center_x: f64,
-    /// 0 is the first row's edge, 1 the last one's.
-    pub center_y: f64,
+/// How the sensor is read: its binning, and a part of it as schedules ask for it.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
+pub struct Readout {
+    /// Binning of both axes.
+    #[serde(default = "one")]
+    #[schemars(range(min = 1, max = 16), extend("unit" = "px"))]
+    pub bin: u32,
+    /// Columns of a part of the sensor, with `subframe_height`; the whole sensor where absent.
+    #[schemars(range(min = 1, max = 1_000_000), extend("unit" = "binned px"))]
+    pub subframe_width: Option<u32>,
+    /// Rows of a part of the sensor, with `subframe_width`.
+    #[schemars(range(min = 1, max = 1_000_000), extend("unit" = "binned px"))]
+    pub subframe_height: Option<u32>,
+    /// Middle of the part: 0 is the left edge, 1 the right one.
+    #[serde(default = "half")]
+    #[schemars(range(min = 0, max = 1), extend("unit" = "of the width"))]
+    pub subframe_center_x: f64,
+    /// Middle of the part: 0 is the first row's edge, 1 the last one's.
+    #[serde(default = "half")]
+    #[schemars(range(min = 0, max = 1), extend("unit" = "of the height"))]
+    pub subframe_center_y: f64,
 }
 
-impl Part {
-    /// Refuses half a size and a centre off the sensor.
-    pub fn check(&self) -> Result<(), String> {
-        match (self.width, self.height) {
-            (None, None) => {}
-            (Some(width), Some(height)) if width > 0 && height > 0 => {}
-            (Some(_), Some(_)) => return Err("subframe_width: width and height must be above 0".to_owned()),
-            _ => return Err("subframe_width: give subframe_width and subframe_height, or neither".to_owned()),
-        }
-        for (name, centre) in [("subframe_center_x", self.center_x), ("subframe_center_y", self.center_y)] {
-            if !(0.0..=1.0).contains(&centre) {
-                return Err(format!("{name}: expected 0 to 1, found {centre}"));
-            }
-        }
-        Ok(())
+impl Readout {
+    /// Refuses half a size.
+    pub fn check(&self) -> Result<(), Wrong> {
+        both("subframe_width", self.subframe_width.is_some(), "subframe_height", self.subframe_height.is_some())
     }
 
     /// The pixels, once the sensor is known; `None` is the whole sensor.
-    pub async fn on(&self, camera: &Camera, bin: u32) -> Result<Option<Subframe>, Trouble> {
-        let (Some(width), Some(height)) = (self.width, self.height) else { return Ok(None) };
+    pub async fn on(&self, camera: &Camera) -> Result<Option<Subframe>, Trouble> {
+        let (Some(width), Some(height)) = (self.subframe_width, self.subframe_height) else { return Ok(None) };
         let can = camera.instrument.capabilities().await?;
-        let centre = (self.center_x, self.center_y);
-        Ok(Some(subframe((can.width_px, can.height_px), bin, (width, height), centre)))
+        let centre = (self.subframe_center_x, self.subframe_center_y);
+        Ok(Some(subframe((can.width_px, can.height_px), self.bin, (width, height), centre)))
+    }
+}
+
+/// Where the focuser goes before the first frame.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize, JsonSchema)]
+pub struct Defocus {
+    /// From the best focus; 0 where absent.
+    #[schemars(range(min = -1_000_000_000, max = 1_000_000_000), extend("unit" = "steps"))]
+    focus_shift: Option<f64>,
+    /// Absolute position; wins over the shift.
+    #[schemars(range(min = 0, max = 1_000_000_000), extend("unit" = "steps"))]
+    focus_position: Option<f64>,
+}
+
+impl Defocus {
+    /// As the focuser takes it.
+    pub fn wanted(&self) -> Wanted {
+        Wanted::of_row(self.focus_position, self.focus_shift)
     }
 }
 
 /// Binning where a row names none.
-pub fn one() -> u32 {
+fn one() -> u32 {
     1
 }
 
 /// Centre where a row names none.
-pub fn half() -> f64 {
+fn half() -> f64 {
     0.5
 }
 
-/// Refuses an exposure time that no camera can take.
-pub fn check_exptime(exptime: f64) -> Result<(), String> {
-    if (0.0..=86_400.0).contains(&exptime) {
-        Ok(())
-    } else {
-        Err(format!("exptime: expected seconds, 0 or more, found {exptime}"))
-    }
+/// For what is done unless a row says otherwise.
+pub fn yes() -> bool {
+    true
 }
 
-/// Refuses a binning that no camera has.
-pub fn check_bin(bin: u32) -> Result<(), String> {
-    if (1..=16).contains(&bin) { Ok(()) } else { Err(format!("bin: expected 1 to 16, found {bin}")) }
+/// Longest exposure, s.
+pub const LONGEST_S: u32 = 86_400;
+
+/// Refuses one of two parameters that only mean something together.
+pub fn both(one: &str, has_one: bool, other: &str, has_other: bool) -> Result<(), Wrong> {
+    if has_one == has_other {
+        return Ok(());
+    }
+    let given = if has_one { one } else { other };
+    Err(Wrong::of(given, format!("give {one} and {other}, or neither")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn half_a_pair_is_refused_by_the_name_that_was_given() {
+        let part = |text: &str| -> Readout { serde_json::from_str(text).unwrap() };
+        assert_eq!(part("{}").check(), Ok(()));
+        assert_eq!(part(r#"{"subframe_width": 5, "subframe_height": 5}"#).check(), Ok(()));
+        let half = part(r#"{"subframe_height": 5}"#).check().unwrap_err();
+        assert_eq!(half, Wrong::of("subframe_height", "give subframe_width and subframe_height, or neither"));
+    }
 }

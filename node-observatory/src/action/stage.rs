@@ -1,18 +1,30 @@
 //! What an action works with: its row, the devices of its camera, and the building blocks that actions share.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use bus::Clock;
+use contract::device::telescope::Command;
 use contract::observatory::AlertKind;
-use contract::{CommandId, Name};
-use sky::{NightDate, Observer};
+use contract::{CommandId, Kind, Name};
+use sky::{Icrs, NightDate, Observer};
 use units::{Angle, Utc};
 
 use crate::control_room::ControlRoom;
+use crate::flats::panel;
+use crate::plan::overheads::{Span, TOOK};
 use crate::rig::Chain;
 use crate::rig::focuser::Wanted;
 use crate::schedule::Row;
 use crate::trouble::Trouble;
+
+/// A sensor that needs less was cold, s.
+const COOLED_S: f64 = 10.0;
+
+/// Sky time since an instant, s, to the hundredth.
+pub fn took_s(clock: &Clock, began: Utc) -> f64 {
+    (100.0 * clock.utc().seconds_since(began)).round() / 100.0
+}
 
 /// The stage of one row.
 pub struct Stage {
@@ -23,12 +35,18 @@ pub struct Stage {
     /// Its place in the schedule.
     pub index: u32,
     exposing: Mutex<Option<CommandId>>,
+    last: Mutex<Option<CommandId>>,
+    focus_before: Mutex<Option<i64>>,
+    following: AtomicBool,
+    panel: Mutex<Option<panel::Found>>,
 }
 
 impl Stage {
     /// The stage for a row.
     pub fn new(room: Arc<ControlRoom>, row: Row, index: u32) -> Self {
-        Self { room, row, index, exposing: Mutex::new(None) }
+        let (exposing, last, focus_before) = (Mutex::new(None), Mutex::new(None), Mutex::new(None));
+        let (following, panel) = (AtomicBool::new(false), Mutex::new(None));
+        Self { room, row, index, exposing, last, focus_before, following, panel }
     }
 
     /// The devices that work with the row's camera.
@@ -53,13 +71,80 @@ impl Stage {
         self.room.board.step(self.index, step);
     }
 
+    /// Writes into the diary how long a part of the row took, for the plans of later nights.
+    pub fn took(&self, span: Span, began: Utc) {
+        let took_s = took_s(self.clock(), began);
+        tracing::info!(row = self.index, span = span.word(), took_s, "{TOOK}");
+    }
+
     /// Remembers that a frame is under way, so that it can be stopped when the action is dropped.
     pub fn set_exposing(&self, frame: Option<CommandId>) {
+        if frame.is_some() {
+            self.last.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&frame);
+        }
         *self.exposing.lock().unwrap_or_else(PoisonError::into_inner) = frame;
+    }
+
+    /// Is a frame under way?
+    pub fn is_exposing(&self) -> bool {
+        self.exposing.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+    }
+
+    /// The frame that was begun last.
+    pub fn last_frame(&self) -> Option<CommandId> {
+        self.last.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Remembers where the focuser stood before a run, so that it goes back there when the action is dropped.
+    pub fn set_focus_before(&self, position: Option<i64>) {
+        *self.focus_before.lock().unwrap_or_else(PoisonError::into_inner) = position;
+    }
+
+    /// Remembers that the mount goes along with a moving target, so that it is called back when the action is dropped.
+    pub fn set_following(&self, is_following: bool) {
+        self.following.store(is_following, Ordering::Relaxed);
+    }
+
+    /// Remembers how a panel was found, so that it is left so when the action is dropped.
+    pub fn set_panel(&self, found: Option<panel::Found>) {
+        *self.panel.lock().unwrap_or_else(PoisonError::into_inner) = found;
+    }
+
+    /// How a panel was found that is in use; once.
+    pub fn take_panel(&self) -> Option<panel::Found> {
+        self.panel.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
 
     /// After the action was dropped: stops what it left running. Mount and roof are the closing's.
     pub async fn settle(&self) {
+        self.stop_exposing().await;
+        self.stop_following().await;
+        if let Err(trouble) = panel::put_back(self).await {
+            tracing::warn!(%trouble, "the flat panel was not left as it was found");
+        }
+        let position = self.focus_before.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let focuser = self.chain().ok().and_then(|chain| chain.focuser);
+        if let Some((position, focuser)) = position.zip(focuser)
+            && let Err(trouble) = focuser.send(position).await
+        {
+            tracing::warn!(%trouble, position, "the focuser did not go back to where it stood before the run");
+        }
+    }
+
+    /// The mount follows the stars again. One that is parked or closing meanwhile is left to that: its device node ends the
+    /// rates too.
+    async fn stop_following(&self) {
+        if !self.following.swap(false, Ordering::Relaxed) {
+            return;
+        }
+        let Some(mount) = self.chain().ok().and_then(|chain| chain.mount) else { return };
+        let rates = Command::Rates { ra_s_per_sidereal_s: 0.0, dec_arcsec_per_s: 0.0 };
+        if let Err(trouble) = mount.instrument.ask(rates).await {
+            tracing::warn!(%trouble, "the mount may still go along with the moving target, until it parks or slews");
+        }
+    }
+
+    async fn stop_exposing(&self) {
         let exposing = self.exposing.lock().unwrap_or_else(PoisonError::into_inner).take();
         if exposing.is_none() {
             return;
@@ -80,19 +165,58 @@ impl Stage {
         Ok(self.room.observer(at)?)
     }
 
+    /// The sky now, if the target stands in what the site leaves of it to the row's mount.
+    ///
+    /// # Errors
+    /// [`Trouble::Hidden`] where it will stand there later in the row's window, else [`Trouble::Impossible`].
+    pub fn visible(&self, target: &Icrs) -> Result<Observer, Trouble> {
+        let now = self.clock().utc();
+        let observer = self.observer(now)?;
+        let mount = self.chain()?.mount;
+        let outlook = mount.map(|mount| mount.outlook.clone()).unwrap_or_default();
+        let Some(why) = outlook.hides(target, &observer) else { return Ok(observer) };
+        let clear = outlook.clear_from(target, now, self.row.end, |at| self.observer(at).ok());
+        Err(match clear {
+            Some(clear) => Trouble::Hidden { why, clear },
+            None => Trouble::Impossible(why),
+        })
+    }
+
     /// Brings the wanted filter into the beam and the focuser to where it belongs.
     pub async fn filter_and_focus(&self, filter: Option<&str>, focus: Wanted) -> Result<(), Trouble> {
         let chain = self.chain()?;
+        let (began, before) = (self.clock().utc(), chain.wheel.and_then(|wheel| wheel.filter()));
+        let done = self.filter_and_focus_of(&chain, filter, focus).await;
+        if done.is_ok() && filter.is_some_and(|filter| before.is_some_and(|before| before != filter)) {
+            self.took(Span::Filter, began);
+        }
+        done
+    }
+
+    async fn filter_and_focus_of(&self, chain: &Chain<'_>, filter: Option<&str>, focus: Wanted) -> Result<(), Trouble> {
         let filter_offset = match (filter, chain.wheel) {
             (None, _) => 0,
-            (Some(filter), Some(wheel)) => wheel.turn_to(filter).await?,
+            (Some(filter), Some(wheel)) => {
+                let offset = wheel.turn_to(filter).await?;
+                chain.focuser.map_or(offset, |focuser| focuser.offset(filter, offset))
+            }
             (Some(filter), None) => {
                 let camera = &self.row.camera;
                 return Err(Trouble::Impossible(format!("filter {filter:?}: {camera} has no filter wheel")));
             }
         };
         match chain.focuser {
-            Some(focuser) => self.room.or_without(focuser.focus(Wanted { filter_offset, ..focus }).await),
+            Some(focuser) => {
+                let wanted = Wanted { filter_offset, ..focus };
+                let is_left_to_us = !self.room.node.config.faults.is_chosen(Kind::Focuser);
+                match focuser.focus(wanted).await {
+                    Err(trouble) if trouble.kind().is_some() && is_left_to_us && focuser.may_stay(wanted) => {
+                        tracing::warn!(%trouble, "the focus stays as it is: the row asks for nothing else");
+                        Ok(())
+                    }
+                    done => self.room.or_without(done),
+                }
+            }
             None if focus.position.is_some() || focus.shift.is_some() => {
                 Err(Trouble::Impossible(format!("{} has no focuser", self.row.camera)))
             }
@@ -105,7 +229,11 @@ impl Stage {
         let camera = self.chain()?.camera;
         let (alerts, name) = (&self.room.node.alerts, &self.row.camera);
         camera.start_cooling().await?;
+        let began = self.clock().utc();
         let cold = camera.wait_until_cold().await;
+        if cold.is_ok() && self.clock().utc().seconds_since(began) > COOLED_S {
+            self.took(Span::Cool, began);
+        }
         match &cold {
             Ok(()) => alerts.clear(AlertKind::CoolingFailed, name),
             Err(trouble) => alerts.raise(AlertKind::CoolingFailed, name, &trouble.to_string()),
@@ -115,7 +243,6 @@ impl Stage {
 
     /// Configured names of the devices that belong to the row's camera, by ASCOM type.
     pub fn paired(&self) -> std::collections::BTreeMap<String, String> {
-        use contract::Kind;
         let Ok(chain) = self.chain() else { return Default::default() };
         let camera = &chain.camera.config;
         let pairs: [(Kind, Option<&Name>); 10] = [

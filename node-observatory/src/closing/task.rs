@@ -12,9 +12,12 @@ use contract::observatory::AlertKind;
 use tokio::task::JoinSet;
 
 use super::decide::{Closing, CoverSight, DomeSight, MountSight, Sight, Step};
+use crate::action::took_s;
 use crate::control_room::ControlRoom;
+use crate::hooks::AtClosing;
 use crate::neighbours::Neighbours;
 use crate::patience::{patience, seconds};
+use crate::plan::overheads::{Span, TOOK};
 use crate::rig::cover_calibrator::TRAVEL;
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
@@ -24,32 +27,43 @@ pub async fn keep_closed(room: Arc<ControlRoom>, neighbours: Neighbours) -> anyh
     let clock = room.node.bus.clock().clone();
     let (mut ruling, mut hold) = (room.ruling.clone(), room.hold.clone());
     let (mut wish, mut stirred) = (room.wish_closed.subscribe(), room.rig.stirred());
-    let mut closing: Option<Closing> = None;
+    let (mut closing, mut script): (Option<Closing>, AtClosing) = (None, AtClosing::default());
     let mut sent: JoinSet<(Step, Result<(), Trouble>)> = JoinSet::new();
     let mut under_way: HashSet<Step> = HashSet::new();
+    let mut began_open = None;
     loop {
         let now = clock.machine();
         if let Some(why) = why_close(&room, now) {
             let sight = look(&room, &neighbours, now);
             let closing = closing.get_or_insert_with(|| {
                 if !sight.is_closed() {
+                    began_open = Some(clock.utc());
                     tracing::info!(why, "closing");
                     room.note_closing(&why);
                 }
+                script.begin(&room, &sight, now);
                 Closing::begin(now)
             });
-            for step in closing.due(&sight, now) {
+            script.see(sight.is_closed());
+            // the site's script has its moment before; the guards of the domes do not wait for it
+            let due = if script.holds(now) { Vec::new() } else { closing.due(&sight, now) };
+            for step in due {
                 if under_way.insert(step) {
                     let room = room.clone();
                     sent.spawn(async move { (step, send(&room, step).await) });
                 }
             }
             escalate(&room, &sight, now.since(closing.began));
+            if let Some(began) = began_open.take_if(|_| sight.is_closed()) {
+                tracing::info!(span = Span::Close.word(), took_s = took_s(&clock, began), "{TOOK}");
+            }
             if sight.is_closed() && room.wish_closed.borrow().is_some() {
                 tracing::info!("verified closed");
                 room.wish_closed.send_replace(None);
             }
         } else if closing.take().is_some() {
+            began_open = None;
+            script.end();
             calm(&room);
         }
         tokio::select! {
@@ -66,6 +80,7 @@ pub async fn keep_closed(room: Arc<ControlRoom>, neighbours: Neighbours) -> anyh
             _ = hold.changed() => {}
             _ = wish.changed() => {}
             _ = stirred.changed() => {}
+            () = script.freed(clock.machine()) => {}
             () = tokio::time::sleep(Duration::from_secs(1)) => {}
         }
     }

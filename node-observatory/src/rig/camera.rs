@@ -20,13 +20,17 @@ pub struct Camera {
 /// Readout, download and spool of the largest sensors, sky s, on top of the exposure.
 const READOUT: Duration = Duration::from_secs(120);
 
+/// What a cooler may take to be told its set point and switched on, sky s: what the device node gives that command.
+const COOLER: Duration = Duration::from_secs(60);
+
 impl Camera {
     /// Begins to hear a camera.
     pub async fn listen(voice: &Voice, device: Device, config: config::Camera) -> anyhow::Result<Self> {
         Ok(Self { instrument: Instrument::listen(voice, device).await?, config })
     }
 
-    /// Starts the cooler towards the configured set point, unless it runs there already; no cooler, nothing to do.
+    /// Starts the cooler towards the configured set point, unless it runs there already; no cooler, nothing to do. An error
+    /// when it refuses.
     pub async fn start_cooling(&self) -> Result<(), Trouble> {
         let Some(set_c) = self.config.temperature_c else { return Ok(()) };
         let fields = self.instrument.fresh().map(|state| state.fields).unwrap_or_default();
@@ -34,7 +38,8 @@ impl Camera {
         if set_already && fields.cooler_on.known() == Some(&true) {
             return Ok(());
         }
-        self.instrument.ask(Command::Cool { set_c }).await.map(|_| ())
+        // a cooler that refuses is found out now, not when the sensor is still warm half an hour later
+        self.instrument.obey(Command::Cool { set_c }, COOLER).await.map(|_| ())
     }
 
     /// Waits until the sensor is as cold as configured.

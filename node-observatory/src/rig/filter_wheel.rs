@@ -32,6 +32,13 @@ impl FilterWheel {
         Ok(can.focus_offsets.get(index).copied().unwrap_or(0))
     }
 
+    /// Focus offset of a filter as the wheel says, steps; `None` for a filter that it does not have, or while it says nothing.
+    pub fn offset_of(&self, filter: &str) -> Option<i64> {
+        let can = self.instrument.can()?;
+        let index = can.names.iter().position(|name| name == filter)?;
+        Some(can.focus_offsets.get(index).copied().unwrap_or(0))
+    }
+
     /// Name of the filter in the beam, where it is known.
     pub fn filter(&self) -> Option<String> {
         self.instrument.fresh().and_then(|state| state.fields.filter.known().cloned())

@@ -3,10 +3,14 @@
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use contract::Device;
+use config::Approach;
 use contract::device::focuser::{self, Command};
+use contract::{CommandId, Device};
+
+use tokio::sync::watch;
 
 use super::instrument::{Instrument, Voice};
+use crate::focus::Learnt;
 use crate::patience::seconds;
 use crate::trouble::Trouble;
 
@@ -16,6 +20,7 @@ pub struct Focuser {
     pub instrument: Instrument<focuser::Focuser>,
     /// Its configuration.
     pub config: config::Focuser,
+    learnt: watch::Receiver<Learnt>,
     found_at_start: OnceLock<i64>,
 }
 
@@ -30,18 +35,42 @@ pub struct Wanted {
     pub filter_offset: i64,
 }
 
+impl Wanted {
+    /// As rows write it, in numbers that may have a fraction; steps are whole. What is not finite was refused before.
+    pub fn of_row(position: Option<f64>, shift: Option<f64>) -> Self {
+        let whole = |steps: Option<f64>| steps.map(|steps| steps.round() as i64);
+        Self { position: whole(position), shift: whole(shift), filter_offset: 0 }
+    }
+}
+
 /// The slowest focuser needs less for its whole range, sky time.
 const TRAVEL: Duration = Duration::from_secs(180);
 
 impl Focuser {
     /// Begins to hear a focuser.
-    pub async fn listen(voice: &Voice, device: Device, config: config::Focuser) -> anyhow::Result<Self> {
+    pub async fn listen(
+        voice: &Voice,
+        device: Device,
+        config: config::Focuser,
+        learnt: watch::Receiver<Learnt>,
+    ) -> anyhow::Result<Self> {
         let instrument = Instrument::listen(voice, device).await?;
-        Ok(Self { instrument, config, found_at_start: OnceLock::new() })
+        Ok(Self { instrument, config, learnt, found_at_start: OnceLock::new() })
     }
 
-    /// The best position: as configured, or where the focuser was first seen.
+    /// Its configured name.
+    pub fn name(&self) -> &str {
+        self.config.common.name.as_str()
+    }
+
+    /// The best position without a filter's offset: as learnt, at the present temperature; else as configured, or where
+    /// the focuser was first seen.
     pub fn best(&self) -> Option<i64> {
+        let learnt = self.learnt.borrow().best(self.name(), self.temperature_c());
+        // saturates; positions are far below
+        if let Some(best) = learnt.filter(|best| best.is_finite()) {
+            return Some(best.round() as i64);
+        }
         if self.config.best_position.is_some() {
             return self.config.best_position;
         }
@@ -51,8 +80,26 @@ impl Focuser {
         self.found_at_start.get().copied()
     }
 
-    fn position(&self) -> Option<i64> {
+    /// Offset of a filter, steps: as learnt, else what the wheel says.
+    pub fn offset(&self, filter: &str, wheel_offset: i64) -> i64 {
+        self.learnt.borrow().offset(self.name(), filter, wheel_offset)
+    }
+
+    /// Temperature at the focuser, degrees Celsius, where it knows one.
+    pub fn temperature_c(&self) -> Option<f64> {
+        self.instrument.fresh().and_then(|state| state.fields.temperature_c.known().copied()).filter(|c| c.is_finite())
+    }
+
+    /// Where it stands, steps, where that is known.
+    pub fn position(&self) -> Option<i64> {
         self.instrument.fresh().and_then(|state| state.fields.position.known().copied())
+    }
+
+    /// Whether a row can do with the focus as it stands: it asks for nothing of its own, and as far as is known the
+    /// focuser is where it belongs.
+    pub fn may_stay(&self, wanted: Wanted) -> bool {
+        let last_heard = self.instrument.newest().and_then(|heard| heard.said.body.fields.position.known().copied());
+        stays(wanted, self.best(), last_heard, self.config.tolerance_steps)
     }
 
     /// Moves to where a row wants it, and settles.
@@ -71,15 +118,65 @@ impl Focuser {
             return Err(Trouble::Failed { device, verb, reason: "its position is not known".to_owned() });
         }
         let target = target(wanted, best, can.max_step)?;
-        let near =
-            self.position().is_some_and(|now| now.abs_diff(target) <= self.config.tolerance_steps.unsigned_abs());
-        if near {
+        if self.position().is_some_and(|now| near(now, target, self.config.tolerance_steps)) {
             return Ok(());
         }
-        self.instrument.obey(Command::Move { position: target }, TRAVEL).await?;
-        self.instrument.clock().sleep_sky(seconds(self.config.settle_s)).await;
+        self.approach(target, can.max_step).await
+    }
+
+    /// Where the focuser belongs for a row, steps.
+    pub fn target(&self, wanted: Wanted) -> Result<i64, Trouble> {
+        target(wanted, self.best(), self.instrument.can().map_or(i64::MAX, |can| can.max_step))
+    }
+
+    /// Goes to a position from the side that positions are approached from, and settles.
+    pub async fn approach(&self, target: i64, max_step: i64) -> Result<(), Trouble> {
+        let (backlash, side) = (self.config.backlash_steps, self.config.approach);
+        if let Some(from) = overshoot(self.position(), target, backlash, side, max_step) {
+            self.go(from).await?;
+        }
+        self.go(target).await?;
+        self.settle().await;
         Ok(())
     }
+
+    /// Goes to a position from where it stands.
+    pub async fn go(&self, position: i64) -> Result<(), Trouble> {
+        self.instrument.obey(Command::Move { position }, TRAVEL).await.map(|_| ())
+    }
+
+    /// Sends it to a position, and does not wait until it is there.
+    pub async fn send(&self, position: i64) -> Result<(), Trouble> {
+        self.instrument.ask_in_turn(&CommandId::fresh(), Command::Move { position }).await
+    }
+
+    /// Rests after a move, as long as configured.
+    pub async fn settle(&self) {
+        self.instrument.clock().sleep_sky(seconds(self.config.settle_s)).await;
+    }
+}
+
+/// From where a position is approached, unless the focuser comes from that side anyway; within its travel.
+fn overshoot(now: Option<i64>, target: i64, backlash: i64, side: Approach, max_step: i64) -> Option<i64> {
+    let from = match side {
+        Approach::Upward => target.saturating_sub(backlash),
+        Approach::Downward => target.saturating_add(backlash),
+    };
+    let comes_from_there = now.is_some_and(|now| match side {
+        Approach::Upward => now <= from,
+        Approach::Downward => now >= from,
+    });
+    let from = from.clamp(0, max_step);
+    (backlash > 0 && !comes_from_there && from != target).then_some(from)
+}
+
+fn near(position: i64, target: i64, tolerance_steps: i64) -> bool {
+    position.abs_diff(target) <= tolerance_steps.unsigned_abs()
+}
+
+fn stays(wanted: Wanted, best: Option<i64>, last_heard: Option<i64>, tolerance_steps: i64) -> bool {
+    let is_away = best.zip(last_heard).is_some_and(|(best, position)| !near(position, best, tolerance_steps));
+    wanted == Wanted::default() && !is_away
 }
 
 fn target(wanted: Wanted, best: Option<i64>, max_step: i64) -> Result<i64, Trouble> {
@@ -99,6 +196,35 @@ fn target(wanted: Wanted, best: Option<i64>, max_step: i64) -> Result<i64, Troub
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_row_that_asks_nothing_needs_no_focuser_that_stands_where_it_belongs_or_says_nothing() {
+        let nothing = Wanted::default();
+        assert!(stays(nothing, Some(1000), Some(1003), 5));
+        assert!(stays(nothing, Some(1000), None, 5));
+        assert!(stays(nothing, None, None, 5));
+        assert!(!stays(nothing, Some(1000), Some(1500), 5), "left defocused by another row");
+        for wanted in [
+            Wanted { shift: Some(0), ..nothing },
+            Wanted { position: Some(1000), ..nothing },
+            Wanted { filter_offset: 12, ..nothing },
+        ] {
+            assert!(!stays(wanted, Some(1000), Some(1000), 5), "{wanted:?}");
+        }
+    }
+
+    #[test]
+    fn the_play_of_the_gears_is_always_taken_up_from_the_same_side() {
+        let over = |now, target, side| overshoot(now, target, 60, side, 5000);
+        assert_eq!(over(Some(1000), 900, Approach::Upward), Some(840));
+        assert_eq!(over(Some(1000), 1030, Approach::Upward), Some(970), "not far enough below");
+        assert_eq!(over(Some(1000), 1060, Approach::Upward), None);
+        assert_eq!(over(None, 1060, Approach::Upward), Some(1000), "nobody knows where it comes from");
+        assert_eq!(over(Some(1000), 1100, Approach::Downward), Some(1160));
+        assert_eq!(over(Some(1000), 4990, Approach::Downward), Some(5000), "the end of its travel");
+        assert_eq!(over(Some(1000), 30, Approach::Upward), Some(0));
+        assert_eq!(overshoot(Some(1000), 900, 0, Approach::Upward, 5000), None);
+    }
 
     #[test]
     fn a_position_wins_over_a_shift_and_the_filter_adds_its_offset() {

@@ -117,7 +117,8 @@ impl<K: DeviceKind> Instrument<K> {
     pub async fn claim_as(&self, id: CommandId, action: K::Command) -> Result<Option<u64>, Trouble> {
         let verb = verb(&action);
         let token = self.voice.lease.borrow().token();
-        let command = Command { id: id.clone(), from: self.voice.signature.clone(), token, action };
+        let (from, boot_id) = (self.voice.signature.clone(), Some(self.voice.bus.boot_id().clone()));
+        let command = Command { id: id.clone(), from, token, boot_id, action };
         let mut asked = 0;
         loop {
             asked += 1;
@@ -185,15 +186,43 @@ impl<K: DeviceKind> Instrument<K> {
                     Some(Err(Trouble::Failed { device, verb, reason: reason.clone() }))
                 }
                 (Some(Outcome::Done | Outcome::Running), _) => None,
+                // a new life of the node knows nothing of it, whatever it was told since
+                (None, _) if life.as_ref().is_some_and(|life| heard.said.boot_id != *life) => {
+                    (!state.busy).then(|| Err(Trouble::Restarted { device: self.device.to_string() }))
+                }
                 // somebody's later command, such as the archive's release of a frame, stands in the place of ours:
                 // that nothing moves is then all that can be seen, once the state is surely newer than ours
                 (None, Some(_)) if !state.busy && (seen || heard.arrived >= taken.plus(SETTLED)) => {
                     Some(Ok(state.clone()))
                 }
-                (None, None) if life.as_ref().is_some_and(|life| heard.said.boot_id > *life) && !state.busy => {
-                    Some(Err(Trouble::Restarted { device: self.device.to_string() }))
-                }
                 _ => None,
+            }
+        })
+        .await?
+    }
+
+    /// Gives a command of the maker's own and waits for what the device answers, at most `most` of machine time.
+    pub async fn ask_for_answer(&self, action: K::Command, most: Duration) -> Result<String, Trouble> {
+        let (verb, id) = (verb(&action), CommandId::fresh());
+        self.ask_in_turn(&id, action).await?;
+        let (taken, mut seen) = (self.clock().machine(), false);
+        let failed = |reason: &str| {
+            let (device, verb) = (self.device.to_string(), verb.clone());
+            Some(Err(Trouble::Failed { device, verb, reason: reason.to_owned() }))
+        };
+        self.until(most, &format!("done with {verb}"), |heard| {
+            let last = heard.said.body.last_command.as_ref();
+            let mine = last.filter(|last| last.id == id);
+            seen |= mine.is_some();
+            match mine.map(|last| (&last.outcome, &last.answer)) {
+                Some((Outcome::Done, answer)) => Some(Ok(answer.clone().unwrap_or_default())),
+                Some((Outcome::Failed { reason }, _)) => failed(reason.as_str()),
+                Some((Outcome::Running, _)) => None,
+                // unlike a movement, an answer cannot be seen any more
+                None if seen || heard.arrived >= taken.plus(SETTLED) => {
+                    failed("another command came in between, so that the answer is lost")
+                }
+                None => None,
             }
         })
         .await?

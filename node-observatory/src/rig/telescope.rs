@@ -3,14 +3,21 @@
 use std::time::Duration;
 
 use config::EquatorialChoice;
-use contract::Device;
 use contract::device::telescope::{self, Command, EquatorialSystem};
-use sky::{Icrs, Observer};
-use units::Angle;
+use contract::{CommandId, Device};
+use sky::{Icrs, Observer, Rates, separation};
+use units::{Angle, Utc};
 
 use super::instrument::{Instrument, Voice};
-use crate::patience::seconds;
+use super::outlook::Outlook;
+use super::reach;
+use crate::action::took_s;
+use crate::patience::{patience, seconds};
+use crate::plan::overheads::{Span, TOOK};
 use crate::trouble::Trouble;
+
+/// Slews over less than this are not told, deg.
+const WORTH_TELLING_DEG: f64 = 1.0;
 
 /// A mount.
 pub struct Mount {
@@ -18,12 +25,19 @@ pub struct Mount {
     pub instrument: Instrument<telescope::Telescope>,
     /// Its configuration.
     pub config: config::Telescope,
+    /// What its site leaves of the sky.
+    pub outlook: Outlook,
 }
 
 impl Mount {
     /// Begins to hear a mount.
-    pub async fn listen(voice: &Voice, device: Device, config: config::Telescope) -> anyhow::Result<Self> {
-        Ok(Self { instrument: Instrument::listen(voice, device).await?, config })
+    pub async fn listen(
+        voice: &Voice,
+        device: Device,
+        config: config::Telescope,
+        outlook: Outlook,
+    ) -> anyhow::Result<Self> {
+        Ok(Self { instrument: Instrument::listen(voice, device).await?, config, outlook })
     }
 
     /// Leaves the park position, unless the mount is known to be out of it or to have none.
@@ -45,8 +59,12 @@ impl Mount {
         self.instrument.obey(Command::Track { on }, Duration::from_secs(60)).await.map(|_| ())
     }
 
-    /// Slews to a place of the catalogue, tracks it, and settles.
+    /// Slews to a place of the catalogue, tracks it, and settles. Every slew of this node goes through here, and none goes
+    /// beyond the mount's limits.
     pub async fn point(&self, target: &Icrs, observer: &Observer) -> Result<(), Trouble> {
+        if let Some(why) = reach::beyond(&self.config.limits, target, observer) {
+            return Err(Trouble::Impossible(why));
+        }
         if self.config.equatorial_system == EquatorialChoice::Auto {
             self.instrument.capabilities().await?;
         }
@@ -54,11 +72,47 @@ impl Mount {
         self.unpark().await?;
         self.track(true).await?;
         let slew = Command::Slew { ra_deg: ra.degrees(), dec_deg: dec.degrees() };
+        let (began, way_deg) = (self.instrument.clock().utc(), self.way_deg(ra, dec));
         self.instrument.obey(slew, self.slew_timeout()).await?;
         // some mounts drop tracking with a slew
         self.track(true).await?;
         self.instrument.clock().sleep_sky(seconds(self.config.settle_s)).await;
+        // small corrections come with frames, and would fill the diary
+        if let Some(deg) = way_deg.filter(|deg| *deg >= WORTH_TELLING_DEG) {
+            let took_s = took_s(self.instrument.clock(), began);
+            let (deg, device) = ((10.0 * deg).round() / 10.0, self.instrument.device.to_string());
+            tracing::info!(deg, device, span = Span::Slew.word(), took_s, "{TOOK}");
+        }
         Ok(())
+    }
+
+    /// How far it is from where it looks to a place of its own frame, deg.
+    fn way_deg(&self, ra: Angle, dec: Angle) -> Option<f64> {
+        let fields = self.instrument.fresh()?.fields;
+        let here = Icrs::from_degrees(*fields.ra_deg.known()?, *fields.dec_deg.known()?);
+        Some(separation(&here, &Icrs { ra, dec }).degrees()).filter(|deg| deg.is_finite())
+    }
+
+    /// Goes at these rates beside the stars; returns when the device node had taken them, which its mount then does at once.
+    pub async fn set_rates(&self, rates: Rates) -> Result<Utc, Trouble> {
+        let Rates { ra_s_per_sidereal_s, dec_arcsec_per_s } = rates;
+        let (id, clock) = (CommandId::fresh(), self.instrument.clock());
+        self.instrument.ask_in_turn(&id, Command::Rates { ra_s_per_sidereal_s, dec_arcsec_per_s }).await?;
+        let taken = clock.utc();
+        self.instrument.done(&id, "rates", patience(clock, Duration::from_secs(60))).await?;
+        Ok(taken)
+    }
+
+    /// A place of the catalogue in the mount's own frame.
+    pub fn place(&self, target: &Icrs, observer: &Observer) -> Result<(Angle, Angle), Trouble> {
+        in_mount_frame(target, observer, self.frame())
+    }
+
+    /// Tells the mount that it looks at a place of the catalogue now.
+    pub async fn sync(&self, seen: &Icrs, observer: &Observer) -> Result<(), Trouble> {
+        let (ra, dec) = in_mount_frame(seen, observer, self.frame())?;
+        let sync = Command::Sync { ra_deg: ra.degrees(), dec_deg: dec.degrees() };
+        self.instrument.obey(sync, Duration::from_secs(60)).await.map(|_| ())
     }
 
     /// The frame of its coordinates, as far as it is known yet.

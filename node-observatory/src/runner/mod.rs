@@ -3,7 +3,9 @@
 mod one_row;
 mod pick;
 mod rests;
+pub(crate) mod sequence;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -15,12 +17,12 @@ use tokio::task::JoinSet;
 use units::Utc;
 
 use self::one_row::{RowEnd, run_row};
-use self::pick::{has_ended, pick};
 use self::rests::Rests;
+use self::sequence::{Sequence, passed_words};
 use crate::action::Stage;
 use crate::control_room::{ControlRoom, Objection};
 use crate::patience::seconds;
-use crate::schedule::{Loaded, Row};
+use crate::schedule::{Loaded, Row, RowId};
 
 /// How the night's end stands.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,12 +40,21 @@ struct Runner {
     revision: u64,
     /// The lease under which the statuses were read from the journal.
     token: Option<u64>,
-    rows: Arc<Vec<Row>>,
-    statuses: Vec<RowStatus>,
+    sequence: Sequence,
     /// Rows that wait for a device to recover.
     rests: Rests,
-    at_work: JoinSet<(usize, RowEnd)>,
+    at_work: JoinSet<(RowId, RowEnd)>,
+    begun: BTreeMap<RowId, Begun>,
     farewell: Farewell,
+}
+
+/// A row at work.
+struct Begun {
+    row: Row,
+    /// Its place in the schedule when it began: under this number its frames and steps are told.
+    number: u32,
+    /// Says that the schedule has it no longer.
+    withdrawn: watch::Sender<bool>,
 }
 
 /// Announced frames of before a restart arrive within this time, and are then not taken again.
@@ -58,10 +69,10 @@ pub async fn keep_observing(room: Arc<ControlRoom>, mut loaded: watch::Receiver<
         room,
         revision: 0,
         token: None,
-        rows: Arc::default(),
-        statuses: Vec::new(),
+        sequence: Sequence::default(),
         rests: Rests::default(),
         at_work: JoinSet::new(),
+        begun: BTreeMap::new(),
         farewell: Farewell::NotYet,
     };
     loop {
@@ -77,8 +88,8 @@ pub async fn keep_observing(room: Arc<ControlRoom>, mut loaded: watch::Receiver<
         let nap = runner.until_next_start();
         tokio::select! {
             Some(done) = runner.at_work.join_next() => {
-                let (index, end) = done?;
-                runner.note_end(index, end);
+                let (id, end) = done?;
+                runner.note_end(&id, end);
             }
             _ = ruling.changed() => {}
             _ = hold.changed() => {}
@@ -91,42 +102,60 @@ pub async fn keep_observing(room: Arc<ControlRoom>, mut loaded: watch::Receiver<
 }
 
 impl Runner {
-    /// Takes a newer schedule, once nothing runs; rows that were done stay done.
+    /// Takes a newer schedule at once: rows that were done stay done, one at work that is unchanged goes on, and one that
+    /// the schedule has no longer ends with the frame that is under way (docs/decisions/0030).
     fn take_schedule(&mut self, loaded: &Loaded) {
         self.room.board.schedule_refused(&loaded.refused);
-        // a new lease may come with a journal that another node went on writing
+        // a new lease may come with a journal that another node went on writing: it is read once nothing runs
         let token = self.room.hold.borrow().token().or(self.token);
-        if (loaded.revision, token) == (self.revision, self.token) || !self.at_work.is_empty() {
+        let is_same_reign = token == self.token;
+        if (loaded.revision == self.revision && is_same_reign) || (!is_same_reign && !self.sequence.is_idle()) {
             return;
         }
         (self.revision, self.token) = (loaded.revision, token);
-        self.rows = loaded.rows.clone();
         self.farewell = Farewell::NotYet;
-        self.rests = Rests::default();
-        let states: Vec<RowState> =
-            self.rows.iter().zip(0..).map(|(row, index)| state_of(&self.room, row, index)).collect();
-        self.statuses = states.iter().map(|state| state.status).collect();
+        // before the rows are shown: what a row at work counts meanwhile is not shown at another one's place
+        for (id, begun) in &self.begun {
+            let place = loaded.rows.iter().position(|row| row.id == *id);
+            self.room.board.moved_to(begun.number, place.map(number));
+        }
+        let mut known: BTreeMap<&RowId, RowStatus> = BTreeMap::new();
         self.room.board.schedule(|schedule| {
+            let before = std::mem::take(&mut schedule.rows);
+            let shown = self.sequence.rows().iter().map(|row| &row.id).zip(before).filter(|_| is_same_reign);
+            let shown: BTreeMap<&RowId, RowState> = shown.collect();
+            let rows = loaded.rows.iter().zip(0..);
             schedule.revision = loaded.revision;
-            schedule.rows = states;
+            schedule.rows = rows.map(|(row, index)| state_of(&self.room, row, index, shown.get(&row.id))).collect();
+            known = loaded.rows.iter().map(|row| &row.id).zip(schedule.rows.iter().map(|row| row.status)).collect();
         });
+        let leaving = self.sequence.take(loaded.rows.clone(), |id| known.get(id).copied());
+        self.rests.keep(|id| self.sequence.place_of(id).is_some());
+        for (id, begun) in &self.begun {
+            let leaves = leaving.contains(id);
+            if begun.withdrawn.send_replace(leaves) != leaves && leaves {
+                let (action, object) = (begun.row.action.name(), begun.row.action.object());
+                tracing::info!(action, object, "the schedule has this row no longer; it ends");
+            }
+            if let Some(place) = self.sequence.place_of(id) {
+                self.room.board.at(number(place), |row| row.status = RowStatus::Running);
+            }
+        }
     }
 
     /// Marks rows whose window has passed.
     fn skip_passed(&mut self) {
         let now = self.room.node.bus.clock().utc();
-        for (index, row) in self.rows.clone().iter().enumerate() {
-            let waits = matches!(self.statuses[index], RowStatus::Pending | RowStatus::Interrupted);
-            if waits && row.end < now {
-                let taken = self.room.journal.progress(&row.id).taken;
-                let detail = match (self.statuses[index], taken) {
-                    (RowStatus::Interrupted, taken) => format!("interrupted; its window closed after {taken} frames"),
-                    (_, 0) => "its window passed".to_owned(),
-                    (_, taken) => format!("its window closed after {taken} frames"),
-                };
-                tracing::info!(row = index, action = row.action.name(), detail, "skipped");
-                self.set(index, RowStatus::Skipped, detail);
-            }
+        for index in self.sequence.passed(now) {
+            let (Some(row), Some(status)) = (self.sequence.rows().get(index), self.sequence.statuses().get(index))
+            else {
+                continue;
+            };
+            let taken = self.room.journal.progress(&row.id).taken;
+            let detail = passed_words(*status, taken);
+            tracing::info!(row = index, action = row.action.name(), detail, "skipped");
+            self.sequence.set(index, RowStatus::Skipped);
+            self.show(index, RowStatus::Skipped, detail);
         }
     }
 
@@ -134,12 +163,16 @@ impl Runner {
     fn start_next(&mut self) -> bool {
         let now = self.room.node.bus.clock().utc();
         let machine = self.room.node.bus.clock().machine();
-        let may = |index, row: &Row| !self.rests.rests(index, machine) && self.room.objection(Some(row)).is_none();
-        let Some(index) = pick(&self.rows, &self.statuses, now, may) else { return false };
-        let row = self.rows[index].clone();
-        let number = u32::try_from(index).unwrap_or(u32::MAX);
+        // a number tells whose frames they are, so a row waits for one that began at its place
+        let is_taken = |index| self.begun.values().any(|begun| begun.number == number(index));
+        let may = |index, row: &Row| {
+            !self.rests.rests(&row.id, machine) && !is_taken(index) && self.room.objection(Some(row)).is_none()
+        };
+        let Some(index) = self.sequence.next(now, may) else { return false };
+        let Some(row) = self.sequence.begin(index) else { return false };
+        let number = number(index);
         tracing::info!(row = index, action = row.action.name(), object = row.action.object(), "row begins");
-        self.set(index, RowStatus::Running, String::new());
+        self.show(index, RowStatus::Running, String::new());
         self.farewell = Farewell::NotYet;
         self.room.board.begin(ActionNow {
             row: number,
@@ -149,33 +182,44 @@ impl Runner {
             step: "starting".to_owned(),
             started_utc: now,
         });
+        let (withdrawn, heard) = watch::channel(false);
+        self.begun.insert(row.id.clone(), Begun { row: row.clone(), number, withdrawn });
         let stage = Stage::new(self.room.clone(), row, number);
-        self.at_work.spawn(async move { (index, run_row(&stage).await) });
+        self.at_work.spawn(async move { (stage.row.id.clone(), run_row(&stage, heard).await) });
         true
     }
 
-    fn note_end(&mut self, index: usize, end: RowEnd) {
+    fn note_end(&mut self, id: &RowId, end: RowEnd) {
+        let Some(Begun { row, number, .. }) = self.begun.remove(id) else { return };
         if end == RowEnd::Interrupted(Objection::NotRobotic) {
             // an opening that was under way may have taken the wish back in the very moment
             let why = || Some("the robotic switch is off".to_owned());
             self.room.wish_closed.send_if_modified(|wish| wish.is_none() && std::mem::replace(wish, why()).is_none());
         }
         if !matches!(end, RowEnd::Postponed(..)) {
-            self.room.node.alerts.clear(AlertKind::RowPostponed, index);
+            self.room.node.alerts.clear(AlertKind::RowPostponed, number);
         }
         let (status, detail) = match end {
             RowEnd::Finished(detail) => (RowStatus::Finished, detail),
             RowEnd::Failed(detail) => (RowStatus::Failed, detail),
-            RowEnd::Postponed(detail, kind) => (RowStatus::Interrupted, self.postpone(index, detail, kind)),
+            RowEnd::Postponed(detail, kind) => (RowStatus::Interrupted, self.postpone(id, number, detail, kind)),
+            RowEnd::Waits(detail, clear) => {
+                let clock = self.room.node.bus.clock();
+                let left = clock.machine_duration(seconds(clear.seconds_since(clock.utc())));
+                self.rests.hold(id, left, clock.machine());
+                (RowStatus::Interrupted, detail)
+            }
             RowEnd::Interrupted(objection) => (RowStatus::Interrupted, objection.to_string()),
+            RowEnd::Withdrawn => (RowStatus::Interrupted, "it was taken from the schedule for a while".to_owned()),
         };
-        let row = self.rows[index].clone();
-        self.room.board.end(u32::try_from(index).unwrap_or(u32::MAX));
+        self.room.board.end(number);
         match status {
-            RowStatus::Finished => tracing::info!(row = index, action = row.action.name(), detail, "row finished"),
-            _ => tracing::warn!(row = index, action = row.action.name(), detail, ?status, "row ended"),
+            RowStatus::Finished => tracing::info!(row = number, action = row.action.name(), detail, "row finished"),
+            _ => tracing::warn!(row = number, action = row.action.name(), detail, ?status, "row ended"),
         }
-        self.set(index, status, detail.clone());
+        if let Some(index) = self.sequence.end(id, status) {
+            self.show(index, status, detail.clone());
+        }
         if status == RowStatus::Interrupted {
             return;
         }
@@ -188,21 +232,21 @@ impl Runner {
     }
 
     /// Lets a row rest for a device's sake, as the policy for that kind has it; returns what is shown.
-    fn postpone(&mut self, index: usize, detail: String, kind: Option<Kind>) -> String {
+    fn postpone(&mut self, id: &RowId, number: u32, detail: String, kind: Option<Kind>) -> String {
         let (faults, clock) = (&self.room.node.config.faults, self.room.node.bus.clock());
-        let rest = self.rests.begin(index, seconds(faults.rest_s), clock.machine());
+        let rest = self.rests.begin(id, seconds(faults.rest_s), clock.machine());
         match kind.map_or(FaultPolicy::Postpone, |kind| faults.policy(kind)) {
             FaultPolicy::Close => drop(self.room.wish_closed.send_replace(Some(detail.clone()))),
-            FaultPolicy::Stop => crate::order::switch_robotic(&self.room, false, &detail),
+            FaultPolicy::Stop => crate::obey::robotic_off(&self.room, &detail),
             FaultPolicy::Postpone | FaultPolicy::Skip | FaultPolicy::Without => {}
         }
-        self.room.node.alerts.raise(AlertKind::RowPostponed, index, &detail);
+        self.room.node.alerts.raise(AlertKind::RowPostponed, number, &detail);
         format!("{detail}; tried again in {:.0} s", rest.as_secs_f64())
     }
 
     /// After the last row: closes everything, and says that the night has ended once that is verified.
     fn say_farewell(&mut self) {
-        if self.rows.is_empty() || !self.statuses.iter().all(|status| has_ended(*status)) {
+        if !self.sequence.is_over() {
             self.farewell = Farewell::NotYet;
             return;
         }
@@ -221,9 +265,9 @@ impl Runner {
         };
     }
 
-    fn set(&mut self, index: usize, status: RowStatus, detail: String) {
-        self.statuses[index] = status;
-        self.room.board.row(u32::try_from(index).unwrap_or(u32::MAX), |row| {
+    /// Shows how far a row of the schedule in force is.
+    fn show(&self, index: usize, status: RowStatus, detail: String) {
+        self.room.board.at(number(index), |row| {
             row.status = status;
             row.detail = detail;
         });
@@ -232,21 +276,24 @@ impl Runner {
     fn until_next_start(&self) -> Duration {
         let clock = self.room.node.bus.clock();
         let now = clock.utc();
-        let waiting = self
-            .rows
-            .iter()
-            .zip(&self.statuses)
-            .filter(|(row, status)| **status == RowStatus::Pending && row.start > now);
+        let each = self.sequence.rows().iter().zip(self.sequence.statuses());
+        let waiting = each.filter(|(row, status)| **status == RowStatus::Pending && row.start > now);
         let next: Option<Utc> = waiting.map(|(row, _)| row.start).min();
         let left = next.map(|start| clock.machine_duration(crate::patience::seconds(start.seconds_since(now))));
         left.unwrap_or(Duration::MAX).clamp(Duration::from_millis(1), Duration::from_secs(1))
     }
 }
 
-/// A row as it is shown when a schedule is taken.
-fn state_of(room: &ControlRoom, row: &Row, index: u32) -> RowState {
+/// A place in the schedule as it is told.
+fn number(index: usize) -> u32 {
+    u32::try_from(index).unwrap_or(u32::MAX)
+}
+
+/// A row as it is shown when a schedule is taken: as it was shown before, else as the journal has it.
+fn state_of(room: &ControlRoom, row: &Row, index: u32, before: Option<&RowState>) -> RowState {
     let progress = room.journal.progress(&row.id);
-    let (status, detail) = progress.ended.unwrap_or((RowStatus::Pending, String::new()));
+    let known = before.map(|before| (before.status, before.detail.clone())).or(progress.ended);
+    let (status, detail) = known.unwrap_or((RowStatus::Pending, String::new()));
     RowState {
         row: index,
         action: row.action.name().to_owned(),

@@ -1,7 +1,12 @@
 //! One row from start to end: raced against the verdict, retried after a fault, settled when it is over.
 
+use std::future::poll_fn;
+use std::task::Poll;
+
 use config::FaultPolicy;
 use contract::Kind;
+use tokio::sync::watch;
+use units::Utc;
 
 use crate::action::Stage;
 use crate::control_room::Objection;
@@ -17,12 +22,16 @@ pub enum RowEnd {
     Failed(String),
     /// Not done because of a device: to be tried again later.
     Postponed(String, Option<Kind>),
+    /// Its target is hidden, and stands clear from then on: other rows go on until then.
+    Waits(String, Utc),
     /// Stopped; goes on when nothing stands against it any more.
     Interrupted(Objection),
+    /// Ended between two frames, because the schedule has it no longer.
+    Withdrawn,
 }
 
-/// Runs a row; never ends the night, whatever happens in it.
-pub async fn run_row(stage: &Stage) -> RowEnd {
+/// Runs a row; never ends the night, whatever happens in it. One that is `withdrawn` ends with the frame under way.
+pub async fn run_row(stage: &Stage, withdrawn: watch::Receiver<bool>) -> RowEnd {
     let taken = || stage.room.journal.progress(&stage.row.id).taken;
     let faults = &stage.room.node.config.faults;
     let pause = seconds(faults.pause_s);
@@ -30,15 +39,19 @@ pub async fn run_row(stage: &Stage) -> RowEnd {
     loop {
         let tried = tokio::select! {
             biased;
-            objection = stage.room.objected(&stage.row) => Err(objection),
+            objection = stage.room.objected(&stage.row) => Err(RowEnd::Interrupted(objection)),
+            () = withdrawn_between_frames(stage, withdrawn.clone()) => Err(RowEnd::Withdrawn),
             result = stage.row.action.run(stage) => Ok(result),
         };
         let trouble = match tried {
             Ok(Ok(detail)) => return RowEnd::Finished(detail),
             Ok(Err(trouble)) => trouble,
-            Err(objection) => {
+            Err(end) => {
                 stage.settle().await;
-                return RowEnd::Interrupted(objection);
+                if end == RowEnd::Withdrawn {
+                    rest(stage).await;
+                }
+                return end;
             }
         };
         stage.settle().await;
@@ -47,7 +60,13 @@ pub async fn run_row(stage: &Stage) -> RowEnd {
             (retried, had) = (0, taken());
         }
         let in_time = stage.clock().utc() < stage.row.end;
-        if !trouble.may_pass() || retried >= faults.retries || !in_time {
+        if let Trouble::Hidden { clear, .. } = &trouble {
+            rest(stage).await;
+            return RowEnd::Waits(trouble.to_string(), *clear);
+        }
+        // each try of a script may open and close the roof, and a name is looked up by others: such a row rests at once
+        let rests = matches!(trouble, Trouble::Script { .. } | Trouble::Unnamed(_));
+        if rests || !trouble.may_pass() || retried >= faults.retries || !in_time {
             rest(stage).await;
             let kind = trouble.kind();
             let policy = kind.map_or(FaultPolicy::Postpone, |kind| faults.policy(kind));
@@ -62,7 +81,28 @@ pub async fn run_row(stage: &Stage) -> RowEnd {
         stage.small_step(format!("trying again after: {trouble}"));
         tokio::select! {
             objection = stage.room.objected(&stage.row) => return RowEnd::Interrupted(objection),
+            () = withdrawn_between_frames(stage, withdrawn.clone()) => return RowEnd::Withdrawn,
             () = tokio::time::sleep(pause) => {}
+        }
+    }
+}
+
+/// Waits until the schedule has the row no longer and no frame is under way. What else the row does is not worth waiting
+/// for: nobody wants its outcome any more.
+async fn withdrawn_between_frames(stage: &Stage, mut withdrawn: watch::Receiver<bool>) {
+    loop {
+        if withdrawn.wait_for(|withdrawn| *withdrawn).await.is_err() {
+            // the runner is gone, and this row with it
+            return std::future::pending().await;
+        }
+        // the row runs in the same task, so whenever it wakes this is looked at, before the row goes on
+        let is_back = poll_fn(|_| match (*withdrawn.borrow(), stage.is_exposing()) {
+            (false, _) => Poll::Ready(true),
+            (true, false) => Poll::Ready(false),
+            (true, true) => Poll::Pending,
+        });
+        if !is_back.await {
+            return;
         }
     }
 }

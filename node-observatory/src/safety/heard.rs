@@ -32,8 +32,10 @@ pub struct MonitorReading {
 pub struct Measured {
     /// The value of the measure.
     pub value: f64,
-    /// It is bad, or it was and is not good enough yet.
+    /// It is bad, or it was and is not good enough yet, or nobody knows whether it was.
     pub tripped: bool,
+    /// The time after which all of its window is known, sky time.
+    pub unknown_for: Duration,
 }
 
 /// What all inputs said.
@@ -66,7 +68,12 @@ impl History {
             since,
             monitors: rules.monitors.iter().map(|_| Record::default()).collect(),
             limits: rules.limits.iter().map(|_| Record::default()).collect(),
-            windows: rules.limits.iter().map(|_| Window::default()).collect(),
+            // where each value is needed, silence before the first one is as a hole
+            windows: rules
+                .limits
+                .iter()
+                .map(|rule| if rule.needs_each() { Window::default() } else { Window::since(since) })
+                .collect(),
             awaited: rules.limits.iter().map(|rule| rule.device.clone()).collect(),
             freeze: Freeze::default(),
             winds: Winds::default(),
@@ -145,7 +152,7 @@ impl History {
         let Some(begins) = begins else { return };
         let kept = self.limits.iter_mut().zip(&mut self.windows).zip(&rules.limits);
         for ((record, window), _) in kept.filter(|(_, rule)| rule.device == *device) {
-            (*record, *window) = (Record::default(), Window::recalled(begins.sky));
+            (*record, *window) = (Record::default(), Window::since(begins.sky));
         }
     }
 
@@ -166,14 +173,15 @@ impl History {
         let (Some(record), Some(window)) = (self.limits.get_mut(index), self.windows.get_mut(index)) else { return };
         let is_gap = record.newest().is_some_and(|newest| at.machine.since(newest.at.machine) > rule.max_age);
         if value.is_err() || is_gap {
-            window.clear();
+            window.miss(rule.measure, rule.needs_each());
         }
         let outcome = value.and_then(|value| window.measure(rule.measure, at.sky, value)).map(|value| {
             // where every value is needed a missing one is as bad as a bad one; else the last one stands
             let before = if rule.needs_each() { record.newest().filter(|_| !is_gap) } else { record.last_known() };
             let was_good = before.is_some_and(|entry| entry.outcome.as_ref().is_ok_and(|before| !before.tripped));
             let good = rule.bad.contain(value) && (was_good || rule.reopen.contain(value));
-            Measured { value, tripped: !good || !window.is_whole(rule.measure, at.sky) }
+            let unknown_for = window.unknown_for(rule.measure, at.sky);
+            Measured { value, tripped: !good || !unknown_for.is_zero(), unknown_for }
         });
         record.push(Entry { at, outcome });
         record.forget(at, rule.dwell);

@@ -103,11 +103,19 @@ impl Hearing {
         self.against(Response::Close, input, why, clears_in);
     }
 
-    /// A limit that is violated now.
-    fn violated(&mut self, rule: &LimitRule, value: f64, why: String) {
+    /// A limit that is violated now, or of whose window too little is known; `when` is told behind a value.
+    fn violated(&mut self, rule: &LimitRule, measured: Measured, when: &str) {
+        let Measured { value, unknown_for, .. } = measured;
+        if rule.reopen.contain(value) && !unknown_for.is_zero() {
+            let over = rule.measure.over();
+            let heard = over.saturating_sub(unknown_for);
+            let why = format!("heard for {:.1} of {:.1} min", minutes(heard), minutes(over));
+            let left = (rule.dwell != Duration::MAX).then(|| unknown_for.saturating_add(rule.dwell));
+            return self.against(rule.response, &rule.input, why, left);
+        }
         // what is not good enough to reopen is not bad yet: a record of the time before may know that it was good
         self.speaks_against |= rule.response == Response::Close && !rule.bad.contain(value);
-        self.against(rule.response, &rule.input, why, None);
+        self.against(rule.response, &rule.input, violation(rule, value) + when, None);
     }
 
     /// A dwell that is not filled yet.
@@ -194,7 +202,7 @@ fn weigh(rule: &LimitRule, record: &Record<Measured>, now: Now, hearing: &mut He
 fn hear_required(rule: &LimitRule, record: &Record<Measured>, now: Now, hearing: &mut Hearing) {
     match weigh(rule, record, now, hearing) {
         Evidence::Missing(reason) => hearing.against(rule.response, &rule.input, reason, None),
-        Evidence::Bad(measured) => hearing.violated(rule, measured.value, violation(rule, measured.value)),
+        Evidence::Bad(measured) => hearing.violated(rule, measured, ""),
         Evidence::Good { since, .. } => {
             hearing.unproven(rule.response, &rule.input, now.sky.since(since), rule.dwell);
         }
@@ -209,8 +217,7 @@ fn hear_optional(rule: &LimitRule, record: &Record<Measured>, history: &History,
     if let Some(Ok(measured)) = record.last_known().map(|entry| &entry.outcome)
         && measured.tripped
     {
-        let why = format!("{} when last heard", violation(rule, measured.value));
-        return hearing.violated(rule, measured.value, why);
+        return hearing.violated(rule, *measured, " when last heard");
     }
     let violations = record.entries().filter(|entry| entry.outcome.as_ref().is_ok_and(|measured| measured.tripped));
     let last_bad = violations.map(|entry| entry.at.sky).max();
@@ -275,7 +282,7 @@ fn violation(rule: &LimitRule, value: f64) -> String {
         (_, Some(lower), ..) if value < lower => format!("{words} is below {}", number(lower)),
         (_, _, Some(upper), _) if value > upper => format!("{words} is not down to {} yet", number(upper)),
         (_, _, _, Some(lower)) if value < lower => format!("{words} is not up to {} yet", number(lower)),
-        // the largest of a window that was recalled in part
+        // it is within both bounds
         _ => format!("{words} is not known to be good"),
     }
 }

@@ -130,6 +130,25 @@ fn the_dwell_must_be_filled_before_the_first_safe() {
 }
 
 #[test]
+fn a_gust_over_a_window_that_is_longer_than_the_dwell_needs_the_whole_window_and_then_the_dwell() {
+    for required in [true, false] {
+        let gust = LimitRule { measure: Measure::Max(Duration::from_secs(600)), ..limit(80.0, 60, required) };
+        let story = || Story::new(weather(vec![gust.clone()]));
+        let calm = story().weather_says(0, (0..=120).step_by(10), Ok(50.0));
+        let judged = calm.judged(120);
+        assert_eq!((why(&judged), judged.time_to_safe_s), ("heard for 2.0 of 10.0 min", Some(540.0)), "{required}");
+        assert!(!judged.speaks_against, "who has not heard enough says nothing bad");
+        let verdict = |until: u64| story().weather_says(0, (0..=until).step_by(10), Ok(50.0)).judged(until).verdict;
+        assert_eq!((verdict(640), verdict(660)), (Verdict::Unsafe, Verdict::Safe), "{required}");
+        // a hole in the record does not blow the gust before it away
+        let story = story().weather_says(0, (0..=700).step_by(10), Ok(50.0)).weather_says(0, [710], Ok(90.0));
+        let story =
+            story.weather_says(0, [720], Err("timeout: 2 s")).weather_says(0, (730..=1000).step_by(10), Ok(50.0));
+        assert!(why(&story.judged(1000)).starts_with("90 is above 80"), "{required}: {:?}", story.judged(1000));
+    }
+}
+
+#[test]
 fn a_record_kept_by_the_device_node_fills_the_dwell_at_once() {
     assert_eq!(one_monitor(900).monitor_says(0, [5], word(true, 900)).judged(6).verdict, Verdict::Safe);
     assert_eq!(one_monitor(900).monitor_says(0, [5], word(true, 899)).judged(6).verdict, Verdict::Unsafe);

@@ -20,8 +20,8 @@ pub enum Measure {
 #[derive(Debug, Clone, Default)]
 pub struct Window {
     values: VecDeque<(SkyTime, f64)>,
-    /// What was before this is not known.
-    recalled_since: Option<SkyTime>,
+    /// What was before this is not known; nothing is before the first value.
+    known_since: Option<SkyTime>,
 }
 
 impl Measure {
@@ -35,9 +35,9 @@ impl Measure {
 }
 
 impl Window {
-    /// One whose values begin in the middle of a longer past: the largest of a window is not known before it is full.
-    pub fn recalled(since: SkyTime) -> Self {
-        Self { values: VecDeque::new(), recalled_since: Some(since) }
+    /// One that knows nothing of the time before: the largest of a window is not known before it is full.
+    pub fn since(since: SkyTime) -> Self {
+        Self { values: VecDeque::new(), known_since: Some(since) }
     }
 
     /// The measure with one more value, or why it has none yet.
@@ -46,6 +46,7 @@ impl Window {
             Measure::Value => return Ok(value),
             Measure::Max(over) | Measure::Rate(over) => over,
         };
+        self.known_since.get_or_insert(at);
         self.values.push_back((at, value));
         while self.values.get(1).is_some_and(|(second, _)| at.since(*second) >= over) {
             self.values.pop_front();
@@ -63,17 +64,24 @@ impl Window {
         }
     }
 
-    /// Is the measure known, or may it have been more before the record began?
-    pub fn is_whole(&self, measure: Measure, at: SkyTime) -> bool {
-        let is_short = |since: SkyTime| at.since(since) < measure.over();
-        // a rate has no value before its window is full
-        !matches!(measure, Measure::Max(_)) || !self.recalled_since.is_some_and(is_short)
+    /// How long it takes until no value of the time before can be within the window, sky time; zero once it is so. A rate
+    /// has no value before that.
+    pub fn unknown_for(&self, measure: Measure, at: SkyTime) -> Duration {
+        match measure {
+            Measure::Value | Measure::Rate(_) => Duration::ZERO,
+            Measure::Max(over) => self.known_since.map_or(over, |since| over.saturating_sub(at.since(since))),
+        }
     }
 
-    /// A missing value: what was measured across it would be a guess.
-    pub fn clear(&mut self) {
-        self.values.clear();
-        self.recalled_since = None;
+    /// A value is missing. A rate across it would be a guess, so its window begins anew; the largest value that is known stays,
+    /// but where `each` value is needed it is not known to be the largest until the window has filled again.
+    pub fn miss(&mut self, measure: Measure, each: bool) {
+        if !matches!(measure, Measure::Max(_)) {
+            self.values.clear();
+        }
+        if each {
+            self.known_since = None;
+        }
     }
 }
 
@@ -100,13 +108,18 @@ mod tests {
     }
 
     #[test]
-    fn a_recalled_maximum_needs_its_whole_window_until_a_hole_begins_it_anew() {
-        let (mut window, measure) = (Window::recalled(at(100)), Measure::Max(Duration::from_secs(60)));
-        assert_eq!(window.measure(measure, at(100), 5.0), Ok(5.0));
-        assert!(!window.is_whole(measure, at(100)) && !window.is_whole(measure, at(159)));
-        assert!(window.is_whole(measure, at(160)) && window.is_whole(Measure::Value, at(100)));
-        window.clear();
-        assert!(window.is_whole(measure, at(110)), "as it was when it was heard");
+    fn a_maximum_is_known_once_its_window_has_filled_since_the_listening_began() {
+        let (mut window, measure) = (Window::since(at(100)), Measure::Max(Duration::from_secs(60)));
+        assert_eq!(window.measure(measure, at(110), 5.0), Ok(5.0));
+        let unknown_s = |window: &Window, second| window.unknown_for(measure, at(second)).as_secs();
+        assert_eq!((unknown_s(&window, 110), unknown_s(&window, 159), unknown_s(&window, 160)), (50, 1, 0));
+        assert_eq!(window.unknown_for(Measure::Value, at(100)), Duration::ZERO);
+        // of an input that nobody needs at each poll a hole hides nothing more than its silence did
+        window.miss(measure, false);
+        assert_eq!(unknown_s(&window, 160), 0);
+        window.miss(measure, true);
+        assert_eq!(window.measure(measure, at(170), 4.0), Ok(5.0), "what is known stays known");
+        assert_eq!((unknown_s(&window, 170), unknown_s(&window, 230)), (60, 0));
     }
 
     #[test]
@@ -116,7 +129,7 @@ mod tests {
         assert!(window.measure(measure, at(60), 11.0).is_err());
         assert_eq!(window.measure(measure, at(120), 14.0), Ok(2.0));
         assert_eq!(window.measure(measure, at(180), 11.0), Ok(0.0));
-        window.clear();
+        window.miss(measure, true);
         assert!(window.measure(measure, at(240), 30.0).is_err());
     }
 }

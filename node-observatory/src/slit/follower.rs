@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use config::Follow;
 use contract::Reason;
-use contract::device::dome::Shutter;
+use contract::device::dome::{Command, Shutter};
 
 use super::note;
 use super::view::{View, Way};
@@ -59,6 +59,7 @@ async fn follow(room: &ControlRoom, dome: &Dome) {
                 failed += 1;
                 tracing::warn!(dome = %dome.instrument.device.name, failed, ?failure, "the slit was not turned");
                 note(room, dome, &failure);
+                stop(room, dome).await;
                 tokio::time::sleep((REST * (1 << (failed - 1).min(4))).min(LONGEST_REST)).await;
             }
         }
@@ -72,6 +73,18 @@ async fn follow_once(view: &View<'_>) -> Option<Result<(), Trouble>> {
         Way::Slave if view.is_slaved() => None,
         Way::Slave => Some(view.slave().await),
         Way::Turn => Some(view.turn(view.better(&view.aim()?)?).await),
+    }
+}
+
+/// Stops a dome that still turns although its time is over: no other turn could be asked for before. The command would
+/// stop a shutter too, so it is given only where none is to move.
+async fn stop(room: &ControlRoom, dome: &Dome) {
+    let turns = dome.instrument.fresh().is_some_and(|state| state.fields.slewing.known() == Some(&true));
+    if !turns || !may_turn(room, dome) {
+        return;
+    }
+    if let Err(trouble) = dome.instrument.ask(Command::Abort).await {
+        tracing::warn!(%trouble, "a turn that does not end was not stopped");
     }
 }
 

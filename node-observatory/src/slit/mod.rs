@@ -7,11 +7,15 @@
 //!                     or will before long    +----------+  for a slew straight to its end
 //! ```
 //! Who turns a dome is settled by `dome.follow` and by what the dome says ([`view`]). The geometry is `sky::slit`. An
-//! exposure of the sky waits until the slit is clear ([`wait_until_clear`]). Nothing here is waited for by the closing:
+//! exposure of the sky waits until the slit is clear ([`wait_until_clear`]), and is watched while it runs: what it loses
+//! behind a dome that does not come along is summed, and decides what becomes of the frame ([`exposure`], [`light`]).
+//! Nothing here is waited for by the closing:
 //! a turn is a command like any other, which closing interrupts, and none is given to a dome that closes, is closed, or
 //! should be ([`follower`]).
 
+mod exposure;
 mod follower;
+mod light;
 mod view;
 
 use std::time::Duration;
@@ -21,11 +25,13 @@ use contract::device::dome::Shutter;
 use contract::observatory::AlertKind;
 use sky::Icrs;
 
+pub use self::exposure::{Seen, through_the_slit};
 pub use self::follower::keep_following;
 use self::view::{View, Way};
 use crate::action::Stage;
 use crate::control_room::ControlRoom;
 use crate::patience::{patience, seconds};
+use crate::plan::overheads::Span;
 use crate::rig::dome::Dome;
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
@@ -92,15 +98,21 @@ async fn rest(dome: &Dome) -> Result<(), Trouble> {
     dome.instrument.until(most, "at rest", rests).await
 }
 
+/// The slits that the row's telescope looks out of.
+fn views_of(stage: &Stage) -> Result<Vec<(&Dome, View<'_>)>, Trouble> {
+    let (room, mount) = (&*stage.room, stage.chain()?.mount);
+    let views = room.rig.domes.iter().filter_map(|dome| Some((dome, View::of(room, dome)?)));
+    Ok(views.filter(|(_, view)| view.is_of(mount)).collect())
+}
+
 /// Before an exposure of the sky: waits until every slit leaves the whole aperture free; one that cannot be brought
 /// there in its time is a fault of the dome.
 pub async fn wait_until_clear(stage: &Stage, exposure_s: f64) -> Result<(), Trouble> {
     let room = &*stage.room;
-    for dome in &room.rig.domes {
-        let Some(view) = View::of(room, dome) else { continue };
+    for (dome, view) in views_of(stage)? {
         let (clock, mut stirred) = (dome.instrument.clock(), room.rig.stirred());
         let most = patience(clock, seconds(dome.slit.timeout_s));
-        let began = clock.machine();
+        let (began, waits) = (clock.machine(), clock.utc());
         let mut told = false;
         while let Err(why) = view.clear(exposure_s) {
             if clock.machine().since(began) >= most {
@@ -119,6 +131,10 @@ pub async fn wait_until_clear(stage: &Stage, exposure_s: f64) -> Result<(), Trou
             }
         }
         if told {
+            stage.took(Span::Slit, waits);
+        }
+        // a dome that follows by itself is told of by nobody else
+        if told || (dome.turning_fails() && view.way() != Some(Way::Turn)) {
             note(room, dome, &Ok(()));
         }
     }

@@ -73,6 +73,11 @@ impl<'a> View<'a> {
         Some(Self { room, dome, mount, slit, error: Angle::from_degrees(dome.slit.error_deg) })
     }
 
+    /// Does this mount look out of it?
+    pub fn is_of(&self, mount: Option<&Mount>) -> bool {
+        mount.is_some_and(|mount| mount.instrument.device == self.mount.instrument.device)
+    }
+
     /// Who turns it; none while that cannot be told.
     pub fn way(&self) -> Option<Way> {
         let slaved = self.fields().and_then(|fields| fields.slaved.known().copied());
@@ -147,8 +152,8 @@ impl<'a> View<'a> {
             // a dome that follows by itself knows its geometry; here nothing is known to judge it by
             return Ok(());
         }
-        // nobody brings the slit along if the dome does not turn
-        let need_s = if self.dome.turning_fails() { exposure_s } else { 0.0 };
+        // nobody brings the slit along if the dome does not turn; what a dome that follows by itself will do is not known
+        let need_s = if way == Way::Turn && self.dome.turning_fails() { exposure_s } else { 0.0 };
         self.is_clear(need_s)
     }
 
@@ -166,6 +171,23 @@ impl<'a> View<'a> {
             }
             None => format!("{stands}; at no azimuth does it leave the whole aperture free"),
         })
+    }
+
+    /// The part of the aperture that looks out free now, 0 to 1, whether the dome turns or not. Where that cannot be
+    /// told it is none: a frame is to be taken of the sky for sure.
+    pub fn free(&self) -> f64 {
+        let Some(way) = self.way() else { return 0.0 };
+        let strays = self.fields().is_some_and(|fields| fields.slaved.known() == Some(&false));
+        let unknown = self.dome.slit.width_m.is_none() && way != Way::Turn && !strays;
+        if way == Way::Alone || unknown {
+            return 1.0;
+        }
+        self.aim().zip(self.azimuth()).map_or(0.0, |(aim, azimuth)| self.slit.free(&aim, azimuth))
+    }
+
+    /// What hides a part of the view, in words.
+    pub fn hidden_by(&self) -> String {
+        self.is_clear(0.0).err().unwrap_or_else(|| "the slit hid a part of the aperture".to_owned())
     }
 
     /// Where the slit is to be turned now, if it is.

@@ -1,17 +1,14 @@
 //! The dome's slit on a real bus, with a dome of make-believe that turns as fast as it is told.
 
-#![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
-
 #[allow(dead_code, reason = "shared with the other stories of the site")]
-mod site;
-
 use std::time::{Duration, Instant};
 
+use crate::site::Site;
+use bus::Catch;
 use contract::Datum;
 use contract::device::camera::Command as Camera;
 use contract::device::dome::{Command as Dome, Shutter};
-use contract::observatory::RowStatus;
-use site::Site;
+use contract::observatory::{FrameFacts, RowStatus};
 
 const MOST: Duration = Duration::from_secs(40);
 /// Some 45 deg high in the east, and in the west, at the start of the stories.
@@ -53,6 +50,20 @@ fn alert_stands(site: &Site, id: &str) -> bool {
     site.alerts
         .get()
         .is_some_and(|heard| heard.said.body.alerts.iter().any(|alert| alert.id == id && alert.returned_utc.is_none()))
+}
+
+/// The dome slips: it stands far from where it stood, and says so.
+fn slip(site: &Site) {
+    site.dome.state.send_modify(|state| {
+        let stands_deg = state.fields.azimuth_deg.known().copied().unwrap();
+        state.fields.azimuth_deg = Datum::Known((stands_deg + 90.0) % 360.0);
+    });
+}
+
+/// When each exposure was aborted.
+fn aborts(site: &Site) -> Vec<Instant> {
+    let log = site.camera.log.lock().unwrap();
+    log.iter().filter(|(_, command)| *command == Camera::Abort).map(|(at, _)| *at).collect()
 }
 
 /// From a dome that stands in the north: some 100 deg to each target.
@@ -124,6 +135,55 @@ async fn a_dome_that_hangs_while_it_follows_closes_as_fast_as_any_and_is_not_tur
     tokio::time::sleep(Duration::from_secs(3)).await;
     let later = dome_log(&site)[closed..].to_vec();
     assert!(!later.iter().any(|command| matches!(command, Dome::SlewToAzimuth { .. })), "{later:?}");
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_long_exposure_behind_a_dome_that_is_too_slow_is_ended_and_taken_again_when_the_slit_is_there() {
+    // 1200 s are 12 s here, 90 deg at 0.25 deg/s 3.6 s
+    let mut site = Site::with_dome(100.0, Some(50.0)).await;
+    site.more = "[faults]\npause_s = 0.2\n";
+    let long = format!(r#"{{"object": "east", "exptime": 1200, {EAST}, "n": 1}}"#);
+    site.write_schedule(&[("object", &long, "03:00:00", "06:00:00")]);
+    let node = site.start().await;
+    site.until("exposing", MOST, |site| site.camera.state.borrow().fields.exposure.is_some()).await;
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    *site.turn_deg_per_s.lock().unwrap() = Some(0.25);
+    let slipped = Instant::now();
+    slip(&site);
+    site.until("ended", Duration::from_secs(6), |site| !aborts(site).is_empty()).await;
+    // what is said late is no fault, and what is surely late is not waited for
+    let took = aborts(&site)[0].duration_since(slipped);
+    assert!((Duration::from_millis(1900)..Duration::from_secs(5)).contains(&took), "{took:?}");
+    site.until("alerted", MOST, |site| alert_stands(site, "dome-not-turned/dome")).await;
+    site.until("taken again", MOST, |site| status(site, 0) == Some(RowStatus::Finished)).await;
+    let (turned, frames) = (turns(&site).last().unwrap().0, exposures(&site));
+    assert_eq!((frames.len(), site.exposures(), aborts(&site).len()), (2, 1, 1));
+    assert!(frames[1].duration_since(turned) > Duration::from_secs(3), "it begins when the slit is there");
+    assert_eq!(site.schedule.get().unwrap().said.body.rows[0].frames, 1);
+    site.until("calm", MOST, |site| !alert_stands(site, "dome-not-turned/dome")).await;
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_exposure_that_is_nearly_done_is_let_end_and_what_it_lost_is_told_with_it() {
+    // 600 s are 12 s here
+    let site = Site::with_dome(50.0, Some(50.0)).await;
+    let long = format!(r#"{{"object": "east", "exptime": 600, {EAST}, "n": 1}}"#);
+    site.write_schedule(&[("object", &long, "03:00:00", "06:00:00")]);
+    let facts = site.bus.subscribe::<FrameFacts>("starmesh/v1/**/facts", Catch::All, 10).await.unwrap();
+    let node = site.start().await;
+    site.until("exposing", MOST, |site| site.camera.state.borrow().fields.exposure.is_some()).await;
+    let exposure = site.camera.state.borrow().fields.exposure.clone().unwrap();
+    *site.turn_deg_per_s.lock().unwrap() = Some(0.01);
+    let done_s = |site: &Site| site.clock.utc().seconds_since(exposure.started_utc) / 600.0;
+    site.until("nearly done", MOST, |site| done_s(site) > 0.94).await;
+    slip(&site);
+    let told = tokio::time::timeout(MOST, facts.hear()).await.unwrap().said.body;
+    assert_eq!(told.frame, exposure.id);
+    assert!(told.dome_hid_percent.is_some_and(|lost| (1.0..7.0).contains(&lost)), "{told:?}");
+    site.until("finished", MOST, |site| status(site, 0) == Some(RowStatus::Finished)).await;
+    assert_eq!((exposures(&site).len(), site.exposures(), aborts(&site)), (1, 1, vec![]));
     node.stop().await;
 }
 

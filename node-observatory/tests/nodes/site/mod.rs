@@ -1,20 +1,21 @@
 //! A site of make-believe devices on a real bus: what a device node says and answers, without hardware behind it.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends by panicking")]
+mod keeper;
 
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use bus::{Bus, Clock, Latest, Node, Publisher, Quality, Service};
 use contract::device::camera::{self, Activity, Exposure, Frame, Pixel, Purpose};
-use contract::device::dome::{self, Guard, GuardAction, Shutter};
+use contract::device::dome::{self, Shutter};
 use contract::device::{Description, safety_monitor, telescope};
-use contract::observatory::{Alerts, NightState, Permit, SafetyState, ScheduleState, Verdict};
+use contract::observatory::{Alerts, NightState, SafetyState, ScheduleState};
 use contract::{
     Accepted, Address, Command, CommandId, Datum, DeviceKind, DeviceState, Key, Kind, LastCommand, Link, Name, Order,
-    OrderKind, Outcome, Part, Payload, Reason, Refusal, Reply, Role,
+    OrderKind, Outcome, Part, Payload, Reply, Role,
 };
+use keeper::Keeper;
 use tempfile::TempDir;
 use tokio::sync::watch;
 
@@ -27,7 +28,7 @@ pub struct Device<K: DeviceKind> {
 }
 
 impl<K: DeviceKind> Device<K> {
-    fn new(address: &Address, name: &str, fields: K::Fields) -> Arc<Self> {
+    pub fn new(address: &Address, name: &str, fields: K::Fields) -> Arc<Self> {
         let state = DeviceState {
             link: Link::Connected,
             busy: false,
@@ -40,7 +41,7 @@ impl<K: DeviceKind> Device<K> {
         Arc::new(Self { key, state: watch::channel(state).0, log: Mutex::default() })
     }
 
-    async fn appear(self: &Arc<Self>, bus: &Bus, can: K::Capabilities) {
+    pub async fn appear(self: &Arc<Self>, bus: &Bus, can: K::Capabilities) {
         let states: Publisher<DeviceState<K::Fields>> =
             bus.publisher(&Key::State(self.key.clone()), Quality::State { cache: 10 }).await.unwrap();
         let mut values = self.state.subscribe();
@@ -80,6 +81,7 @@ impl<K: DeviceKind> Device<K> {
                 verb: "verb".to_owned(),
                 taken_utc: units::Utc::EPOCH,
                 outcome: Outcome::Running,
+                answer: None,
             });
         });
         let (device, mine) = (self.clone(), id.clone());
@@ -136,6 +138,13 @@ pub struct Running {
 }
 
 impl Running {
+    /// Ends it as a power cut would: it says no last word.
+    pub async fn kill(self) {
+        self.task.abort();
+        let _ = self.task.await;
+        self.node.bus.close().await;
+    }
+
     pub async fn stop(self) {
         self.node.stop.stop();
         self.task.await.unwrap().unwrap();
@@ -180,20 +189,19 @@ impl Site {
         let monitor = Device::new(&address, "monitor", monitor_fields);
         let (set_azimuth, slave) = (turns.is_some(), turns.is_some());
         dome.appear(&bus, dome::Capabilities { set_shutter: true, set_azimuth, slave, park: false }).await;
-        mount.appear(&bus, telescope::Capabilities { park: true, ..Default::default() }).await;
+        mount.appear(&bus, telescope::Capabilities { park: true, pulse_guide: true, ..Default::default() }).await;
         camera.appear(&bus, camera::Capabilities { width_px: 100, height_px: 100, ..Default::default() }).await;
         monitor.appear(&bus, safety_monitor::Capabilities {}).await;
         let purposes = Arc::default();
         let (hold, lease_held) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
+        let keeper = Keeper {
+            hold: hold.clone(),
+            lease_held: lease_held.clone(),
+            clock: clock.clone(),
+            turn_deg_per_s: turn_deg_per_s.clone(),
+        };
         let services = vec![
-            serve_dome(
-                &bus,
-                &dome,
-                &address,
-                (hold.clone(), lease_held.clone()),
-                (clock.clone(), turn_deg_per_s.clone()),
-            )
-            .await,
+            keeper.serve(&bus, &dome, &address).await,
             serve_mount(&bus, &mount).await,
             serve_camera(&bus, &camera, &clock, &purposes).await,
         ];
@@ -237,6 +245,11 @@ impl Site {
 
     /// Starts an observatory node.
     pub async fn start(&self) -> Running {
+        self.start_as("main", "data").await
+    }
+
+    /// Starts one by another name, or with a data folder of its own.
+    pub async fn start_as(&self, id: &str, data: &str) -> Running {
         let text = r#"
             [observatory]
             site = "paranal"
@@ -264,8 +277,9 @@ impl Site {
         let text = text.replace("# the rest of the dome", self.dome_block) + self.more;
         let mut config = config::parse(&text, self.folder.path()).unwrap();
         config.bus = bus_config(self.bus.locators().await);
+        config.folders.data = self.folder.path().join(data);
         let bus = Bus::open(&config.bus, self.clock.clone()).await.unwrap();
-        let id: Name = "main".parse().unwrap();
+        let id: Name = id.parse().unwrap();
         let node = Node::new(Role::Observatory, id, config, Default::default(), bus);
         let task = tokio::spawn(node.clone().live(None, node_observatory::run(node.clone())));
         Running { node, task }
@@ -305,7 +319,7 @@ impl Site {
     }
 
     pub async fn order(&self, kind: OrderKind) -> Reply {
-        let order = Order { id: CommandId::fresh(), from: "test".to_owned(), reason: String::new(), kind };
+        let order = Order { id: CommandId::fresh(), from: "test".to_owned(), reason: "a test".to_owned(), kind };
         self.bus.ask(&Key::Order(self.address.clone()), &order, Duration::from_secs(3)).await.unwrap()
     }
 }
@@ -326,86 +340,6 @@ async fn serve<C: Payload>(
         async move { answer(asked.unwrap()) }
     });
     service.await.unwrap()
-}
-
-async fn serve_dome(
-    bus: &Bus,
-    dome: &Arc<Device<dome::Dome>>,
-    address: &Address,
-    (hold, lease_held): (Arc<AtomicBool>, Arc<AtomicBool>),
-    (clock, turn_deg_per_s): (Clock, Arc<Mutex<Option<f64>>>),
-) -> Service {
-    let permit: Latest<Permit> = bus.latest(&Key::Permit(address.clone(), dome.key.name.clone())).await.unwrap();
-    let guard = bus.publisher::<Guard>(&Key::Guard(dome.key.clone()), Quality::Urgent).await.unwrap();
-    let numbers = Arc::new(AtomicU64::new(0));
-    let (say, held) = (numbers.clone(), hold.clone());
-    tokio::spawn(async move {
-        loop {
-            let number = say.fetch_add(1, Ordering::Relaxed);
-            let body = Guard {
-                number,
-                token: 7,
-                permit_valid_s: 10.0,
-                permits: vec![],
-                may_be_open: true,
-                action: GuardAction::Watching,
-                hold: held.load(Ordering::Relaxed),
-                dropped: 0,
-            };
-            guard.put(body).await.unwrap();
-            tokio::time::sleep(Duration::from_millis(300)).await;
-        }
-    });
-    let at = dome.clone();
-    serve(bus, &dome.key, move |command: Command<dome::Command>| match command.action {
-        dome::Command::Claim if lease_held.load(Ordering::Relaxed) => {
-            let detail = "observatory/other is alive".to_owned();
-            Reply::Refusal(Refusal { id: command.id, reason: Reason::LeaseHeld, detail })
-        }
-        dome::Command::Claim => accept(command.id, Some(7)),
-        dome::Command::Resume => {
-            hold.store(false, Ordering::Relaxed);
-            at.take(command, Duration::ZERO, |_| {}, |_| {})
-        }
-        dome::Command::OpenShutter => {
-            let newest = numbers.load(Ordering::Relaxed);
-            let valid = permit.fresh(Duration::from_secs(3)).is_some_and(|heard| {
-                let permit = heard.said.body;
-                permit.verdict == Verdict::Safe && permit.token == 7 && permit.guard_number + 10 > newest
-            });
-            if valid && command.token == Some(7) && !hold.load(Ordering::Relaxed) {
-                let end = |fields: &mut dome::Fields| fields.shutter = Datum::Known(Shutter::Open);
-                let start = |fields: &mut dome::Fields| fields.shutter = Datum::Known(Shutter::Opening);
-                at.take(command, Duration::from_millis(100), start, end)
-            } else {
-                let (id, detail) = (command.id, "no permit".to_owned());
-                Reply::Refusal(Refusal { id, reason: Reason::NoPermit, detail })
-            }
-        }
-        dome::Command::CloseShutter => {
-            let end = |fields: &mut dome::Fields| fields.shutter = Datum::Known(Shutter::Closed);
-            let start = |fields: &mut dome::Fields| fields.shutter = Datum::Known(Shutter::Closing);
-            at.take(command, Duration::from_millis(100), start, end)
-        }
-        dome::Command::SlewToAzimuth { azimuth_deg } => {
-            assert_eq!(command.token, Some(7), "turning needs the token");
-            let from_deg = at.state.borrow().fields.azimuth_deg.known().copied().unwrap_or_default();
-            let way_deg = units::Angle::from_degrees(azimuth_deg - from_deg).wrapped_signed().abs().degrees();
-            let takes = match *turn_deg_per_s.lock().unwrap() {
-                Some(speed) if speed > 0.0 => clock.machine_duration(Duration::from_secs_f64(way_deg / speed)),
-                _ => Duration::from_secs(3600),
-            };
-            let start = |fields: &mut dome::Fields| fields.slewing = Datum::Known(true);
-            at.take(command, takes, start, move |fields| {
-                (fields.azimuth_deg, fields.slewing) = (Datum::Known(azimuth_deg), Datum::Known(false));
-            })
-        }
-        dome::Command::Slave { on } => {
-            at.take(command, Duration::from_millis(20), |_| {}, move |fields| fields.slaved = Datum::Known(on))
-        }
-        _ => at.take(command, Duration::ZERO, |_| {}, |_| {}),
-    })
-    .await
 }
 
 async fn serve_mount(bus: &Bus, mount: &Arc<Device<telescope::Telescope>>) -> Service {

@@ -1,0 +1,105 @@
+//! The standing orders on the bus: said by whoever commands, heard by whoever stands by.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use bus::Quality;
+use contract::Part;
+use contract::observatory as said;
+use contract::observatory::StandingOrders;
+
+use crate::control_room::ControlRoom;
+use crate::standing::{Override, Said, Standing};
+
+const SECOND: Duration = Duration::from_secs(1);
+
+impl From<Said> for said::Ordered {
+    fn from(Said { from, reason, at_utc }: Said) -> Self {
+        Self { from, reason, at_utc }
+    }
+}
+
+impl From<said::Ordered> for Said {
+    fn from(said::Ordered { from, reason, at_utc }: said::Ordered) -> Self {
+        Self { from, reason, at_utc }
+    }
+}
+
+impl From<&StandingOrders> for Standing {
+    fn from(orders: &StandingOrders) -> Self {
+        let overrides = orders.overrides.iter().cloned().map(|said::Override { input, until_utc, ordered }| {
+            let order = Override { said: ordered.into(), until_utc };
+            (input, order)
+        });
+        Self {
+            token: orders.token,
+            stay_closed: orders.stay_closed.clone().map(Said::from),
+            overrides: overrides.collect::<BTreeMap<_, _>>(),
+        }
+    }
+}
+
+/// What this node says now.
+pub fn orders(room: &ControlRoom) -> StandingOrders {
+    let standing = room.standing.get();
+    let overrides = standing.overrides.into_iter().map(|(input, Override { said, until_utc })| said::Override {
+        input,
+        until_utc,
+        ordered: said.into(),
+    });
+    StandingOrders {
+        token: room.hold.borrow().token(),
+        stay_closed: standing.stay_closed.map(Into::into),
+        overrides: overrides.collect(),
+        shelved: room.annunciator.get().shelf(),
+    }
+}
+
+/// Publishes them at each change and every second, while this node speaks for the telescope.
+pub async fn keep_telling(room: Arc<ControlRoom>) -> anyhow::Result<()> {
+    let line =
+        room.node.bus.publisher::<StandingOrders>(&room.key(Part::Standing), Quality::State { cache: 1 }).await?;
+    let clock = room.node.bus.clock().clone();
+    let (mut standing, mut shelf, mut hold) =
+        (room.standing.subscribe(), room.annunciator.subscribe(), room.hold.clone());
+    let mut said_at = None;
+    loop {
+        if room.may_speak() {
+            let now = orders(&room);
+            // alerts come and go without touching the shelf
+            let is_due = said_at.is_none_or(|at| clock.machine().since(at) >= SECOND - SECOND / 20);
+            if is_due || room.standing_said.borrow().as_ref() != Some(&now) {
+                line.put(now.clone()).await?;
+                room.standing_said.send_replace(Some(now));
+                said_at = Some(clock.machine());
+            }
+        }
+        tokio::select! {
+            changed = standing.changed() => changed?,
+            changed = shelf.changed() => changed?,
+            changed = hold.changed() => changed?,
+            () = clock.tick(SECOND) => {}
+        }
+    }
+}
+
+/// Takes over what the commander says for as long as this node stands by, so that its verdict is the commander's
+/// before it commands.
+pub async fn keep_hearing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
+    let mut orders = room.before.standing.clone();
+    loop {
+        orders.changed().await;
+        let own = room.node.bus.boot_id();
+        let Some(heard) = orders.get().filter(|heard| heard.said.boot_id != *own) else { continue };
+        if room.may_speak() {
+            continue;
+        }
+        room.standing.adopt(|standing| {
+            let adopted = Standing { token: standing.token, ..Standing::from(&heard.said.body) };
+            let is_new = *standing != adopted;
+            *standing = adopted;
+            is_new
+        });
+    }
+}

@@ -1,0 +1,178 @@
+//! Another schedule while the night goes on: by the file or by order, with nothing running or in the middle of a row.
+
+#[allow(dead_code, reason = "shared with the stories of the slit")]
+use std::path::PathBuf;
+use std::time::{Duration, Instant, SystemTime};
+
+use crate::site::Site;
+use contract::device::camera::Command as Camera;
+use contract::observatory::{RowState, RowStatus};
+use contract::{OrderKind, Reason, Reply};
+use node_observatory::schedule::versions::Versions;
+
+const MOST: Duration = Duration::from_secs(20);
+/// A change is seen and active within this time while nothing runs; the machine of a test may be busy with others.
+const SEEN: Duration = Duration::from_secs(1);
+/// Near the zenith of the site at the start of the stories.
+const TARGET: &str = r#""ra": 45.0, "dec": -24.6"#;
+
+fn rows(site: &Site) -> Vec<RowState> {
+    site.schedule.get().map(|heard| heard.said.body.rows).unwrap_or_default()
+}
+
+fn refused(site: &Site) -> Option<String> {
+    site.schedule.get().and_then(|heard| heard.said.body.refused)
+}
+
+fn file(site: &Site) -> PathBuf {
+    site.folder.path().join("schedule.jsonl")
+}
+
+fn versions(site: &Site) -> Vec<(u64, String, String)> {
+    let versions = Versions::within(&site.folder.path().join("data"), "callisto").list().unwrap();
+    versions.into_iter().map(|kept| (kept.version, kept.author, kept.reason)).collect()
+}
+
+fn by_file(version: u64) -> (u64, String, String) {
+    (version, "file".to_owned(), String::new())
+}
+
+const CALIBRATION: &str = r#"{"exptime": [0], "n": [1]}"#;
+/// Rows whose time has not come.
+const LATER: [(&str, &str, &str, &str); 3] = [
+    ("calibration", CALIBRATION, "05:00:00", "06:00:00"),
+    ("calibration", CALIBRATION, "06:00:00", "07:00:00"),
+    ("calibration", CALIBRATION, "07:00:00", "08:00:00"),
+];
+
+/// Waits until so many rows are shown, and returns how long that took.
+async fn until_rows(site: &Site, count: usize) -> Duration {
+    let began = Instant::now();
+    site.until(&format!("{count} rows"), MOST, |site| rows(site).len() == count).await;
+    began.elapsed()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_change_while_nothing_runs_is_active_within_a_second_also_one_with_an_older_time() {
+    let site = Site::new(1.0).await;
+    site.write_schedule(&LATER[..1]);
+    let node = site.start().await;
+    until_rows(&site, 1).await;
+    site.until("kept", MOST, |site| versions(site).len() == 1).await;
+
+    site.write_schedule(&LATER[..2]);
+    let took = until_rows(&site, 2).await;
+    assert!(took < SEEN, "{took:?}");
+
+    // as a copy of last year's file would come: of an older time than the one in force
+    let kept = std::fs::read(file(&site)).unwrap();
+    site.write_schedule(&LATER);
+    let old = std::fs::File::options().write(true).open(file(&site)).unwrap();
+    old.set_modified(SystemTime::now() - Duration::from_secs(400 * 86_400)).unwrap();
+    drop(old);
+    until_rows(&site, 3).await;
+    let beside = site.folder.path().join("older");
+    std::fs::write(&beside, kept).unwrap();
+    let older = std::fs::File::options().write(true).open(&beside).unwrap();
+    older.set_modified(SystemTime::now() - Duration::from_secs(800 * 86_400)).unwrap();
+    drop(older);
+    std::fs::rename(&beside, file(&site)).unwrap();
+    let took = until_rows(&site, 2).await;
+    assert!(took < SEEN, "{took:?}");
+
+    // half of a file, and none at all: the rows stay, and why is told
+    std::fs::write(file(&site), "{\"device_name\": \"cam\", \"act").unwrap();
+    site.until("refused", MOST, |site| refused(site).is_some_and(|why| why.contains("line 1"))).await;
+    std::fs::remove_file(file(&site)).unwrap();
+    site.until("gone", MOST, |site| refused(site).is_some_and(|why| why.contains("cannot be read"))).await;
+    assert_eq!(rows(&site).len(), 2);
+    site.write_schedule(&LATER);
+    until_rows(&site, 3).await;
+    assert_eq!(refused(&site), None);
+    site.until("kept", MOST, |site| versions(site).len() == 5).await;
+    assert_eq!(versions(&site), [1, 2, 3, 4, 5].map(by_file));
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_row_at_work_goes_on_where_it_stays_and_ends_with_its_frame_where_it_is_taken_out() {
+    let site = Site::new(20.0).await;
+    let (x, y) = (
+        format!(r#"{{"object": "x", "exptime": 10, {TARGET}}}"#),
+        format!(r#"{{"object": "y", "exptime": 10, {TARGET}, "n": 2}}"#),
+    );
+    let (row_x, row_y) =
+        (("object", x.as_str(), "02:59:00", "05:00:00"), ("object", y.as_str(), "02:59:00", "05:00:00"));
+    site.write_schedule(&[row_x]);
+    let node = site.start().await;
+    let exposing = |site: &Site| site.camera.state.borrow().fields.exposure.is_some();
+    site.until("in the second frame", MOST, |site| site.exposures() == 1 && exposing(site)).await;
+
+    // a row before it: the one at work stands at another place now, and its frames are counted there
+    site.write_schedule(&[("calibration", CALIBRATION, "01:00:00", "02:00:00"), row_x]);
+    site.until("two rows", MOST, |site| rows(site).len() == 2).await;
+    assert_eq!(rows(&site)[1].status, RowStatus::Running);
+    site.until("counted at its place", MOST, |site| rows(site)[1].frames >= 3).await;
+    let shown = site.night.get().unwrap().said.body.actions;
+    assert_eq!(shown.iter().map(|action| action.row).collect::<Vec<_>>(), [1]);
+    assert_eq!(rows(&site)[0].frames, 0);
+
+    // another target: the frame under way is the last one of the old
+    site.until("in a frame", MOST, exposing).await;
+    site.write_schedule(&[row_y]);
+    site.until("y is done", MOST, |site| {
+        matches!(&rows(site)[..], [row] if row.object.as_deref() == Some("y") && row.status == RowStatus::Finished)
+    })
+    .await;
+    let (begun, aborted) = {
+        let log = site.camera.log.lock().unwrap();
+        let count = |is: fn(&Camera) -> bool| log.iter().filter(|(_, command)| is(command)).count();
+        (count(|command| matches!(command, Camera::Expose { .. })), count(|command| matches!(command, Camera::Abort)))
+    };
+    let of = |object: &str| {
+        site.purposes.lock().unwrap().iter().filter(|(_, purpose)| purpose.object.as_deref() == Some(object)).count()
+    };
+    assert_eq!((aborted, of("y")), (0, 2));
+    assert_eq!(of("x") + of("y"), begun, "every frame that was begun was ended");
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_schedule_by_order_is_proven_put_whole_and_kept_with_who_and_why() {
+    let site = Site::new(1.0).await;
+    site.write_schedule(&LATER[..1]);
+    let node = site.start().await;
+    until_rows(&site, 1).await;
+    site.until("kept", MOST, |site| versions(site).len() == 1).await;
+    let before = std::fs::read_to_string(file(&site)).unwrap();
+    let refusal = |reply: Reply| match reply {
+        Reply::Refusal(refusal) => (refusal.reason, refusal.detail),
+        Reply::Accepted(accepted) => panic!("{accepted:?}"),
+    };
+
+    let bad = before.replace("calibration", "calibratio");
+    let (reason, why) = refusal(site.order(OrderKind::PutSchedule { text: bad }).await);
+    assert_eq!(reason, Reason::Malformed);
+    assert!(why.contains("line 1") && why.contains("did you mean \"calibration\"?"), "{why}");
+    let (reason, why) = refusal(site.order(OrderKind::PutSchedule { text: " ".repeat(1_000_001) }).await);
+    assert!(reason == Reason::Malformed && why.contains("at most 1000000"), "{why}");
+
+    // a folder where the new file is to be written: as a disk that takes nothing
+    let good = format!("{before}{}", before.replace("05:00:00", "05:30:00"));
+    let part = site.folder.path().join("schedule.jsonl.part");
+    std::fs::create_dir(&part).unwrap();
+    let (reason, why) = refusal(site.order(OrderKind::PutSchedule { text: good.clone() }).await);
+    assert!(reason == Reason::NotNow && why.contains("nothing was changed"), "{why}");
+    std::fs::remove_dir(&part).unwrap();
+    assert_eq!(std::fs::read_to_string(file(&site)).unwrap(), before);
+    assert_eq!(versions(&site), [by_file(1)]);
+    assert_eq!(rows(&site).len(), 1);
+
+    let accepted = site.order(OrderKind::PutSchedule { text: good.clone() }).await;
+    assert!(matches!(accepted, Reply::Accepted(_)), "{accepted:?}");
+    let took = until_rows(&site, 2).await;
+    assert!(took < SEEN, "{took:?}");
+    assert_eq!(std::fs::read_to_string(file(&site)).unwrap(), good);
+    assert_eq!(versions(&site), [by_file(1), (2, "test".to_owned(), "a test".to_owned())]);
+    node.stop().await;
+}

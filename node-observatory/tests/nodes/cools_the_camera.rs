@@ -1,0 +1,67 @@
+//! `cool_camera` before the simulated camera: a cooler that refuses is asked again, and a sensor that stays too warm fails its
+//! row, exposes nothing, and raises an alert that stands until the sensor is cold.
+
+use std::time::Duration;
+
+use crate::sim::{Sim, telescope};
+use contract::observatory::{Alerts, RowStatus};
+use contract::{Address, Key, Part};
+use simulator::{Fault, Kind, Quantity};
+
+/// Beside what is waited for, a sensor gets 20 s of the machine's time before it is given up in a simulation.
+const MOST: Duration = Duration::from_secs(60);
+const CAMERA: &str = "temperature_c = -10.0\ncooling_timeout_min = 2.0\n";
+const BIAS: (&str, &str) = ("calibration", r#"{"exptime": [0], "n": [2]}"#);
+
+fn row(sim: &Sim, index: usize) -> Option<(RowStatus, String)> {
+    let row = sim.schedule.get()?.said.body.rows.get(index)?.clone();
+    Some((row.status, row.detail))
+}
+
+fn exposures(sim: &Sim) -> usize {
+    sim.simulator.world().puts_since(0).iter().filter(|put| put.member == "startexposure").count()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_cooler_that_refuses_is_asked_again_until_it_runs() {
+    let mut sim = Sim::with(telescope(20.0), "[faults]\npause_s = 0.5\n", CAMERA, &[]).await;
+    sim.write_schedule(&[("cool_camera", "{}"), BIAS], 7200.0);
+    let refuses = Fault { error: Some(0x500), only: vec!["cooleron".to_owned()], ..Fault::default() };
+    sim.simulator.world().fault(Kind::Camera, refuses);
+    sim.start().await;
+    let trying = |sim: &Sim| {
+        let night = sim.night.get().map(|heard| heard.said.body);
+        night.is_some_and(|night| night.actions.iter().any(|now| now.step.starts_with("trying again")))
+    };
+    sim.until("asked again", MOST, trying).await;
+    assert_eq!(row(&sim, 0).unwrap().0, RowStatus::Running);
+    sim.simulator.world().fault(Kind::Camera, Fault::default());
+    sim.until("cold, and the frames after it taken", MOST, |sim| sim.ended(0).is_some() && sim.ended(1).is_some())
+        .await;
+    assert_eq!(exposures(&sim), 2);
+    sim.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_sensor_that_stays_warm_fails_its_row_and_is_told_until_it_is_cold() {
+    let mut sim = Sim::with(telescope(20.0), "", CAMERA, &[]).await;
+    let key = Key::Observatory(Address::new("test", "alpha").unwrap(), Part::Alerts);
+    let alerts = sim.bus.latest::<Alerts>(&key).await.unwrap();
+    let stands =
+        || alerts.get().is_some_and(|heard| heard.said.body.alerts.iter().any(|a| a.id == "cooling-failed/camera"));
+    sim.write_schedule(&[("cool_camera", "{}"), BIAS], 7200.0);
+    // 45 K below such air the sensor is at 10 C
+    sim.simulator.world().set_weather(Quantity::Temperature, Some(55.0));
+    sim.start().await;
+    sim.until("given up", MOST, |sim| row(sim, 0).is_some_and(|(status, _)| status == RowStatus::Failed)).await;
+    let (_, detail) = row(&sim, 0).unwrap();
+    assert!(detail.contains("-10") && detail.contains(" C"), "what was wanted, and how warm it is: {detail}");
+    sim.until("told", MOST, |_| stands()).await;
+    assert_eq!(exposures(&sim), 0, "nothing is exposed by a warm sensor");
+
+    sim.simulator.world().set_weather(Quantity::Temperature, Some(5.0));
+    sim.until("the next row, which cools by itself", MOST, |sim| sim.ended(1).is_some()).await;
+    assert_eq!(exposures(&sim), 2);
+    sim.until("told no more", MOST, |_| !stands()).await;
+    sim.stop().await;
+}

@@ -1,0 +1,28 @@
+//! Device and observatory nodes in one process, on a bus of their own: against the simulated observatory (`sim`), or devices
+//! that do what a story asks of them (`site`, `starfield`). One binary, since each costs a link with all of zenoh.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends by panicking")]
+
+mod sim;
+mod site;
+mod starfield;
+
+mod a_night;
+mod another_schedule;
+mod answers_about_schedules;
+mod cools_the_camera;
+mod finds_lost_fields;
+mod guides_at_any_angle;
+mod guides_the_field;
+mod keeps_the_focus;
+mod measures_frames;
+mod obeys_the_sites_script;
+mod solves_frames;
+mod syncs_the_mount;
+mod takeover;
+mod takes_flats;
+mod takes_over_what_was_learnt;
+mod the_slit;
+mod truth_gate;
+mod turns_over_late_and_for_what_moves;
+mod waits_for_the_horizon;

@@ -1,0 +1,174 @@
+//! A standby with a data folder of its own takes over what people ordered, and orders are on disk before they count.
+
+#[allow(dead_code, reason = "shared with the stories of the night")]
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use crate::site::Site;
+use contract::device::dome::{Command as Dome, Shutter};
+use contract::observatory::{Alert, StandingOrders};
+use contract::{Key, OrderKind, Part, Reason, Reply};
+
+const MOST: Duration = Duration::from_secs(40);
+const SEEN: &str = "stay-closed";
+const SHELVED: &str = "override/sun";
+
+/// A site that opens whenever it may.
+async fn eager_site() -> Site {
+    let site = Site::new(1.0).await;
+    // near the zenith, and without an end
+    let object = r#"{"object": "x", "exptime": 10, "ra": 45.0, "dec": -24.6}"#;
+    site.write_schedule(&[("object", object, "03:00:00", "05:00:00")]);
+    site
+}
+
+fn is_open(site: &Site) -> bool {
+    site.shutter() == Some(Shutter::Open)
+}
+
+fn is_shut(site: &Site) -> bool {
+    site.shutter() == Some(Shutter::Closed)
+}
+
+fn openings(site: &Site) -> usize {
+    site.dome.log.lock().unwrap().iter().filter(|(_, command)| *command == Dome::OpenShutter).count()
+}
+
+fn alert(site: &Site, id: &str) -> Option<Alert> {
+    site.alerts.get()?.said.body.alerts.into_iter().find(|alert| alert.id == id)
+}
+
+fn accepted(reply: Reply) {
+    assert!(matches!(reply, Reply::Accepted(_)), "{reply:?}");
+}
+
+fn refused(reply: Reply) -> (Reason, String) {
+    match reply {
+        Reply::Refusal(refusal) => (refusal.reason, refusal.detail),
+        Reply::Accepted(_) => panic!("it was accepted"),
+    }
+}
+
+fn reason(site: &Site) -> String {
+    let safety = site.safety.get().map(|heard| heard.said.body.reasons).unwrap_or_default();
+    safety.iter().map(|reason| reason.why.clone()).collect::<Vec<_>>().join("; ")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_veto_an_override_and_acknowledgements_outlive_the_commander_and_its_disk() {
+    let site = eager_site().await;
+    let first = site.start_as("main", "data-main").await;
+    site.until("open", MOST, is_open).await;
+    let second = site.start_as("second", "data-second").await;
+    accepted(site.order(OrderKind::Override { input: "sun".to_owned(), for_s: 3600.0 }).await);
+    accepted(site.order(OrderKind::StayClosed(true)).await);
+    site.until("shut", MOST, is_shut).await;
+    site.until("the alerts stand", MOST, |site| alert(site, SEEN).is_some() && alert(site, SHELVED).is_some()).await;
+    accepted(site.order(OrderKind::Acknowledge(SEEN.to_owned())).await);
+    accepted(site.order(OrderKind::Shelve { alert: SHELVED.to_owned(), for_s: 600.0 }).await);
+    let marked = |site: &Site| {
+        alert(site, SEEN).is_some_and(|alert| alert.acknowledged_by.as_deref() == Some("test"))
+            && alert(site, SHELVED).is_some_and(|alert| alert.shelved_until_utc.is_some())
+    };
+    site.until("marked", MOST, marked).await;
+    // the standby has had its two seconds
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    let (before, opened) = (site.alerts.get().unwrap().said.boot_id, openings(&site));
+
+    let killed = Instant::now();
+    first.kill().await;
+    std::fs::remove_dir_all(site.folder.path().join("data-main")).unwrap();
+    let taken = |site: &Site| site.alerts.get().is_some_and(|said| said.said.boot_id != before);
+    site.until("taken over", MOST, taken).await;
+    println!("taken over {:?} after the kill", killed.elapsed());
+    assert!(marked(&site), "the first word of the new commander knows: {:?}", site.alerts.get());
+    site.until("the verdict says who ordered it", MOST, |site| reason(site).contains("test ordered it: a test")).await;
+    let overridden = alert(&site, SHELVED).unwrap();
+    assert!(overridden.cause.contains("by test: a test"), "{}", overridden.cause);
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    assert_eq!((openings(&site), is_shut(&site)), (opened, true), "the second does not open");
+
+    // and nothing but the order kept it shut
+    accepted(site.order(OrderKind::StayClosed(false)).await);
+    site.until("open again", MOST, is_open).await;
+    second.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_standby_that_never_heard_the_commander_stays_closed_until_a_person_decides() {
+    let site = eager_site().await;
+    let first = site.start_as("main", "data-main").await;
+    site.until("open", MOST, is_open).await;
+    first.kill().await;
+    let opened = openings(&site);
+    let second = site.start_as("second", "data-second").await;
+    site.until("shut", MOST, is_shut).await;
+    site.until("it says why", MOST, |site| reason(site).contains("token 1 was not heard to the end")).await;
+    assert_eq!(openings(&site), opened);
+    accepted(site.order(OrderKind::StayClosed(false)).await);
+    site.until("open again", MOST, is_open).await;
+    // which a restart knows: it released the lease, and is granted it at once
+    second.stop().await;
+    let moved = site.dome.log.lock().unwrap().len();
+    let restarted = Instant::now();
+    let second = site.start_as("second", "data-second").await;
+    let key = Key::Observatory(site.address.clone(), Part::Standing);
+    let standing = site.bus.latest::<StandingOrders>(&key).await.unwrap();
+    site.until("it commands", MOST, |_| standing.get().is_some_and(|said| said.said.body.token == Some(3))).await;
+    println!("a restart commands after {:?}", restarted.elapsed());
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    assert_eq!(standing.get().unwrap().said.body.stay_closed, None);
+    assert_eq!(site.dome.log.lock().unwrap().len(), moved, "and nothing moves for it");
+    second.stop().await;
+}
+
+/// Makes a disk fail for one file of the node `main`: a folder lies where the file would be written.
+fn part(site: &Site, file: &str) -> PathBuf {
+    site.folder.path().join("data").join(format!("{file}-callisto.json.main.part"))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_order_that_the_disk_does_not_take_is_refused_and_closing_acts_all_the_same() {
+    let site = eager_site().await;
+    let node = site.start().await;
+    site.until("open", MOST, is_open).await;
+    accepted(site.order(OrderKind::Override { input: "sun".to_owned(), for_s: 3600.0 }).await);
+    site.until("the alert stands", MOST, |site| alert(site, SHELVED).is_some()).await;
+    for file in ["standing", "alerts"] {
+        std::fs::create_dir(part(&site, file)).unwrap();
+    }
+    let refusals = [
+        OrderKind::Override { input: "sun".to_owned(), for_s: 60.0 },
+        OrderKind::Acknowledge(SHELVED.to_owned()),
+        OrderKind::Shelve { alert: SHELVED.to_owned(), for_s: 60.0 },
+    ];
+    for order in refusals {
+        let (reason, why) = refused(site.order(order.clone()).await);
+        assert_eq!(reason, Reason::NotNow, "{order:?}: {why}");
+        assert!(why.contains("the disk does not take it") && why.contains("-callisto.json"), "{why}");
+    }
+    let seen = alert(&site, SHELVED).unwrap();
+    assert_eq!((seen.acknowledged_by, seen.shelved_until_utc), (None, None), "and nothing is changed");
+
+    let ordered = Instant::now();
+    accepted(site.order(OrderKind::StayClosed(true)).await);
+    let answered = ordered.elapsed();
+    site.until("shut", MOST, is_shut).await;
+    assert!(answered < Duration::from_secs(2), "{answered:?}");
+    site.until("it is told", MOST, |site| alert(site, "standing-orders").is_some()).await;
+    let (_, why) = refused(site.order(OrderKind::StayClosed(false)).await);
+    assert!(why.contains("the disk does not take it"), "{why}");
+    site.until("still closed", MOST, |site| is_shut(site) && reason(site).contains("a test")).await;
+
+    // the disk is repaired: what acted is written, and can be taken back
+    for file in ["standing", "alerts"] {
+        std::fs::remove_dir(part(&site, file)).unwrap();
+    }
+    let file = site.folder.path().join("data/standing-callisto.json");
+    let written = |_: &Site| std::fs::read_to_string(&file).is_ok_and(|text| text.contains("stay_closed"));
+    site.until("written", MOST, written).await;
+    accepted(site.order(OrderKind::StayClosed(false)).await);
+    assert!(!std::fs::read_to_string(&file).unwrap().contains("stay_closed"), "on disk when it is answered");
+    site.until("open again", MOST, is_open).await;
+    node.stop().await;
+}

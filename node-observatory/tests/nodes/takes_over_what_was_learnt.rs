@@ -1,0 +1,97 @@
+//! A standby with a data folder of its own goes on with all that the commander had learnt: the pointing model, the optics,
+//! what guide pulses do, and where the field stood.
+
+use std::time::Duration;
+
+use crate::sim::{Sim, by_geometry, misses, wide_field};
+use bus::Catch;
+use contract::device::camera::Frame;
+use contract::observatory::{CalibrationSource, FrameFacts, GuideCalibration, OpticsState};
+use contract::{Address, Key, Part};
+use node_observatory::guiding::learnt::Learnt;
+use node_observatory::pointing::learnt::Book;
+use simulator::Quantity;
+
+const MOST: Duration = Duration::from_secs(90);
+/// How far the telescope looks beside where it is sent, arcmin to the east and to the north.
+const MISS: [f64; 2] = [-6.0, 4.0];
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_standby_points_solves_and_holds_the_field_as_the_commander_did() {
+    let options = wide_field(20.0);
+    let pulsed = by_geometry(&options.camera);
+    let pulsed = GuideCalibration { source: CalibrationSource::Pulses, backlash_s: Some(0.2), ..pulsed };
+    let mut sim = Sim::new(options, "").await;
+    sim.simulator.world().set_weather(Quantity::StarFwhm, Some(0.1));
+    sim.mislead(MISS).await;
+    // of nights before, on the first one's disk only
+    sim.keep_calibration("camera", pulsed.clone());
+    sim.keep_pointing(&misses(MISS));
+    let (ra, dec) = sim.place(0.7, -20.0);
+    let row = format!(
+        r#"{{"object": "field", "ra": {ra}, "dec": {dec}, "exptime": 10, "n": 400, "pointing": true, "guiding": true}}"#
+    );
+    sim.write_schedule(&[("object", &row)], 7200.0);
+    let below = |below: &str| format!("{}/test/alpha/{below}", contract::key::ROOT);
+    let frames = sim.bus.subscribe::<Frame>(&below("device/camera/*/frame"), Catch::All, 1000).await.unwrap();
+    let facts = sim.bus.subscribe::<FrameFacts>(&below("observatory/frame/*/facts"), Catch::All, 1000).await.unwrap();
+    let key = Key::Observatory(Address::new("test", "alpha").unwrap(), Part::Optics).to_string();
+    let optics = sim.bus.subscribe::<OpticsState>(&key, Catch::All, 1000).await.unwrap();
+    sim.start().await;
+    sim.until("held", MOST, |sim| sim.holds(4)).await;
+    let first = sim.guiding.get().unwrap().said;
+    assert_eq!(first.body.calibration.as_ref().unwrap().source, CalibrationSource::Pulses);
+
+    // it comes late: the reference was said before it was there
+    let folder = sim.start_standby().await;
+    tokio::time::sleep(Duration::from_secs(4)).await;
+    assert!(!folder.join("guiding-alpha.json").exists(), "a standby writes nothing");
+    let killed = sim.clock.utc();
+    sim.kill_commander().await;
+    let is_second = |sim: &Sim| sim.guiding.get().is_some_and(|heard| heard.said.boot_id != first.boot_id);
+    sim.until("held by the standby", MOST, |sim| is_second(sim) && sim.holds(2)).await;
+
+    let second = sim.guiding.get().unwrap().said.body;
+    println!("{}", second.detail);
+    assert_eq!(second.reference, first.body.reference, "on the pixels where it stood");
+    let calibration = second.calibration.unwrap();
+    assert_eq!((calibration.source, calibration.backlash_s), (CalibrationSource::Pulses, Some(0.2)));
+    assert_eq!(calibration.made_utc, pulsed.made_utc, "of nights before, and none that it made itself");
+    // the first slew was corrected by a model that is not on its disk
+    let (mut sent, mut off) = (None, None);
+    while let Ok(heard) = tokio::time::timeout(Duration::from_millis(300), frames.hear()).await {
+        let frame = heard.said.body;
+        if frame.purpose.action == "pointing" && frame.started_utc > killed {
+            sent.get_or_insert(frame.id);
+        }
+    }
+    while let Ok(heard) = tokio::time::timeout(Duration::from_millis(300), facts.hear()).await {
+        // a frame whose place takes long is told twice
+        if Some(&heard.said.body.frame) == sent.as_ref() {
+            off = heard.said.body.off_target_arcmin.or(off);
+        }
+    }
+    println!("first frame to point by: {sent:?}, {off:?} arcmin off");
+    assert!(off.unwrap() < 0.5, "its first frame looks {off:?} arcmin beside the target; without a model it is 7.2");
+    // its first word of the optics is what the commander had learnt
+    let mut told = None;
+    while let Ok(heard) = tokio::time::timeout(Duration::from_millis(300), optics.hear()).await {
+        if heard.said.boot_id != first.boot_id {
+            told.get_or_insert(heard.said.body);
+        }
+    }
+    let told = told.unwrap().optics;
+    assert!(told.iter().any(|optics| optics.camera == "camera" && optics.at_utc < killed), "{told:?}");
+
+    // and it is on its own disk, for its next life
+    let reference = first.body.reference.unwrap();
+    let is_written = |_: &Sim| {
+        let learnt = Learnt::read(&folder.join("guiding-alpha.json"));
+        learnt.references.iter().any(|kept| kept.frame == reference)
+            && learnt.calibrations.iter().any(|kept| kept.calibration.made_utc == pulsed.made_utc)
+            && Book::read(&folder.join("pointing-alpha.json")).models.iter().any(|model| model.points.len() >= 12)
+            && std::fs::read_to_string(folder.join("optics-alpha.json")).is_ok_and(|text| text.contains("\"camera\""))
+    };
+    sim.until("written down", MOST, is_written).await;
+    sim.stop().await;
+}
