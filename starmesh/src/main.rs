@@ -1,12 +1,18 @@
 //! The command line: try it, run it, look at it.
 
+mod actions;
 mod audit;
+mod catalogues;
 mod check;
 mod console;
 mod demo;
 mod discover;
+mod images;
+mod import;
 mod join;
 mod order;
+mod plan;
+mod schedules;
 mod simulate;
 mod status;
 mod supervise;
@@ -34,14 +40,34 @@ enum Command {
     Up(up::Options),
     /// Prove a configuration and say what is wrong with it.
     Check(check::Options),
+    /// Forecast schedules: when each row will begin and end, frames, altitudes, and what will not run.
+    Plan(plan::Options),
+    /// What a schedule may ask for: every action and its parameters.
+    Actions(actions::Options),
     /// One table of all telescopes on the bus.
     Status(status::Options),
     /// Close, stay closed, start, stop, or do without a limit for a while.
     Order(order::Options),
+    /// Put another schedule in force; list and show those that were.
+    #[command(subcommand)]
+    Schedule(schedules::Command),
     /// Prove and print the records of what was ordered and moved.
     Audit(audit::Options),
     /// Print what is said on the bus.
     Tail(tail::Options),
+    /// Sky, noise, width and stars of FITS images.
+    Measure(images::measure::Options),
+    /// How far the stars moved from one FITS image to another.
+    Shift(images::shift::Options),
+    /// Which piece of the sky FITS images show.
+    Solve(images::solve::Options),
+    /// Where the focus is, from FITS images taken at several positions.
+    Focus(images::focus::Options),
+    /// Star catalogues: make one of what you have.
+    #[command(subcommand)]
+    Catalogue(catalogues::Command),
+    /// Make observatory.toml, header table and schedule of a site's files of Astra.
+    ImportAstra(import::Options),
     /// Find Alpaca devices on the network and print them as blocks for observatory.toml.
     Discover(discover::Options),
     /// Serve a simulated observatory over Alpaca.
@@ -69,10 +95,19 @@ fn main() -> ExitCode {
         Command::Demo(options) => block_on(demo::run(options)),
         Command::Up(options) => block_on(up::run(options)),
         Command::Check(options) => check::run(&options),
+        Command::Plan(options) => plan::run(&options),
+        Command::Actions(options) => actions::run(&options),
         Command::Status(options) => block_on(status::run(options)),
         Command::Order(options) => block_on(order::run(options)),
+        Command::Schedule(command) => block_on(schedules::run(command)),
         Command::Audit(options) => audit::run(options),
         Command::Tail(options) => block_on(tail::run(options)),
+        Command::Measure(options) => images::measure::run(&options),
+        Command::Shift(options) => images::shift::run(&options),
+        Command::Solve(options) => images::solve::run(&options),
+        Command::Focus(options) => images::focus::run(&options),
+        Command::Catalogue(command) => block_on(catalogues::run(command)),
+        Command::ImportAstra(options) => block_on(import::run(options)),
         Command::Discover(options) => block_on(discover::run(options)),
         Command::Simulator(options) => block_on(simulate::run(options)),
     };

@@ -94,16 +94,21 @@ const TRIES: u32 = 5;
 
 /// Gives the order and says what became of it.
 pub async fn run(options: Options) -> anyhow::Result<()> {
-    let (site, telescope) = options.telescope.split_once('/').context("expected SITE/TELESCOPE, such as paranal/io")?;
+    give(&options.telescope, options.what.kind(), options.reason, options.join).await
+}
+
+/// Gives any order to a telescope, named as SITE/TELESCOPE, and says what became of it.
+pub async fn give(telescope: &str, kind: OrderKind, reason: String, join: Join) -> anyhow::Result<()> {
+    let (site, telescope) = telescope.split_once('/').context("expected SITE/TELESCOPE, such as paranal/io")?;
     let address = Address::new(site, telescope).context("expected SITE/TELESCOPE, such as paranal/io")?;
     let user = std::env::var("USER").or_else(|_| std::env::var("USERNAME")).unwrap_or_default();
     let order = Order {
         id: CommandId::fresh(),
         from: format!("starmesh cli {user}@{}", bus::node::host_name()).trim_end_matches('@').to_owned(),
-        reason: options.reason,
-        kind: options.what.kind(),
+        reason,
+        kind,
     };
-    let bus = options.join.open().await?;
+    let bus = join.open().await?;
     let key = Key::Order(address);
     let mut tried = 0;
     let reply = loop {

@@ -27,6 +27,12 @@ pub struct Options {
     /// Camera size, pixels along each side.
     #[arg(long)]
     size_px: Option<u32>,
+    /// Side of a pixel, um; with the telescope's 1055 mm, 54 um and 512 pixels a field of 1.5 deg.
+    #[arg(long)]
+    pixel_um: Option<f64>,
+    /// Full width of the stars that the optics alone give, arcsec.
+    #[arg(long)]
+    optics_fwhm_arcsec: Option<f64>,
     /// Time the dome's shutter takes from end to end, sky seconds.
     #[arg(long)]
     shutter_s: Option<f64>,
@@ -36,9 +42,21 @@ pub struct Options {
     /// A roof instead of a dome: nothing turns, and there is no slit.
     #[arg(long)]
     roof: bool,
+    /// The dome closes by itself when it is not fed for so long, machine seconds (its action `feedwatchdog`); never where absent.
+    #[arg(long)]
+    watchdog_s: Option<f64>,
     /// Speed of each axis of the mount, degrees per sky second.
     #[arg(long)]
     slew_deg_per_s: Option<f64>,
+    /// Play of the mount's declination gear, arcsec.
+    #[arg(long)]
+    dec_backlash_arcsec: Option<f64>,
+    /// Play of the focuser's gear, steps.
+    #[arg(long)]
+    focus_backlash_steps: Option<f64>,
+    /// A guide scope on the same mount, as camera 1.
+    #[arg(long)]
+    guide_camera: bool,
     /// Answer Alpaca discovery on this UDP port (32227 is Alpaca's).
     #[arg(long)]
     discovery_port: Option<u16>,
@@ -48,11 +66,20 @@ pub struct Options {
 pub async fn run(options: Options) -> anyhow::Result<()> {
     anyhow::ensure!(options.speed > 0.0 && options.speed <= 5000.0, "--speed {}: expected 0 to 5000", options.speed);
     for (name, value) in [
+        ("--pixel-um", options.pixel_um),
+        ("--optics-fwhm-arcsec", options.optics_fwhm_arcsec),
         ("--shutter-s", options.shutter_s),
         ("--turn-deg-per-s", options.turn_deg_per_s),
         ("--slew-deg-per-s", options.slew_deg_per_s),
+        ("--watchdog-s", options.watchdog_s),
     ] {
         anyhow::ensure!(value.is_none_or(|v| v > 0.0 && v.is_finite()), "{name}: expected a number greater than 0");
+    }
+    for (name, play) in [
+        ("--dec-backlash-arcsec", options.dec_backlash_arcsec),
+        ("--focus-backlash-steps", options.focus_backlash_steps),
+    ] {
+        anyhow::ensure!(play.is_none_or(|v| (0.0..=3600.0).contains(&v)), "{name}: expected 0 to 3600");
     }
     let mut chosen = simulator::Options { bind: options.bind, speed: options.speed, ..Default::default() };
     chosen.discovery_port = options.discovery_port;
@@ -61,13 +88,19 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     chosen.longitude = options.longitude_deg.map_or(chosen.longitude, Angle::from_degrees);
     chosen.dome.shutter_s = options.shutter_s.unwrap_or(chosen.dome.shutter_s);
     chosen.dome.turn_deg_per_s = options.turn_deg_per_s.unwrap_or(chosen.dome.turn_deg_per_s);
+    chosen.dome.watchdog_s = options.watchdog_s;
     if options.roof {
         chosen.dome.slit = None;
     }
     chosen.mount.slew_deg_per_s = options.slew_deg_per_s.unwrap_or(chosen.mount.slew_deg_per_s);
+    chosen.mount.dec_backlash_arcsec = options.dec_backlash_arcsec.unwrap_or(chosen.mount.dec_backlash_arcsec);
+    chosen.focus.backlash_steps = options.focus_backlash_steps.unwrap_or(chosen.focus.backlash_steps);
+    chosen.guide_camera = options.guide_camera.then(Default::default);
     if let Some(size) = options.size_px {
         (chosen.camera.width, chosen.camera.height) = (size, size);
     }
+    chosen.camera.pixel_um = options.pixel_um.unwrap_or(chosen.camera.pixel_um);
+    chosen.camera.optics_fwhm_arcsec = options.optics_fwhm_arcsec.unwrap_or(chosen.camera.optics_fwhm_arcsec);
     let simulator = Simulator::start(chosen).await?;
     println!("simulated observatory at http://{}/ ; Ctrl-C stops", simulator.address());
     tokio::signal::ctrl_c().await?;

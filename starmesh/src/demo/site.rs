@@ -68,7 +68,7 @@ impl DemoNight {
         self.dusk.plus_seconds(0.55 * self.dawn.seconds_since(self.dusk))
     }
 
-    /// The schedule, JSONL: cool, open, five objects, close, darks, headers.
+    /// The schedule, JSONL: cool, open, five objects pointed and guided, close, darks, headers.
     pub fn schedule(&self) -> anyhow::Result<String> {
         let mut rows = vec!["// the demo's night; the format is described in docs/operator/schedule.md".to_owned()];
         let mut row = |action: &str, value: serde_json::Value, start: Utc, end: Utc| {
@@ -82,7 +82,8 @@ impl DemoNight {
         row("open", json!({}), self.dusk, self.dawn);
         for (index, (name, ra_deg, dec_deg, start, end)) in self.slots()?.into_iter().enumerate() {
             let value = json!({
-                "object": name, "ra": ra_deg, "dec": dec_deg, "exptime": 120.0, "n": 24, "filter": FILTERS[index % 5],
+                "object": name, "ra": ra_deg, "dec": dec_deg, "exptime": 120.0, "n": 20, "filter": FILTERS[index % 5],
+                "pointing": true, "guiding": true,
             });
             row("object", value, start, end);
         }

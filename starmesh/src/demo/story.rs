@@ -7,7 +7,7 @@ use std::time::Duration;
 use bus::{Bus, Catch, Subscriber};
 use contract::archive::Stored;
 use contract::node::{DiaryLine, Level};
-use contract::observatory::{Alerts, NightState, RowStatus, SafetyState, ScheduleState, Verdict};
+use contract::observatory::{Alerts, GuidingState, NightState, RowStatus, SafetyState, ScheduleState, Verdict};
 use contract::{Address, Key, Part};
 use units::Utc;
 
@@ -19,6 +19,7 @@ pub struct Story {
     safety: Subscriber<SafetyState>,
     schedule: Subscriber<ScheduleState>,
     alerts: Subscriber<Alerts>,
+    guiding: Subscriber<GuidingState>,
     stored: Subscriber<Stored>,
     diary: Subscriber<DiaryLine>,
     facts: Facts,
@@ -38,6 +39,9 @@ pub struct Facts {
     rows: Vec<(String, RowStatus, String)>,
     last: Option<(Utc, NightState, Option<Verdict>)>,
     verdict: Option<Verdict>,
+    /// Whether a field is guided now, and how many were.
+    guides: bool,
+    guided: u32,
 }
 
 impl Story {
@@ -50,6 +54,7 @@ impl Story {
             safety: bus.subscribe(&part(Part::Safety), Catch::Newest, 64).await?,
             schedule: bus.subscribe(&part(Part::Schedule), Catch::Newest, 64).await?,
             alerts: bus.subscribe(&part(Part::Alerts), Catch::Newest, 64).await?,
+            guiding: bus.subscribe(&part(Part::Guiding), Catch::Newest, 64).await?,
             stored: bus.subscribe(&Key::Stored(address.clone()).to_string(), Catch::All, 4096).await?,
             diary: bus.subscribe(&all.replace("**", "node/*/*/diary"), Catch::All, 4096).await?,
             facts: Facts::default(),
@@ -95,6 +100,7 @@ impl Story {
                         }
                     }
                 }
+                heard = self.guiding.hear() => self.guiding(heard.said.at_utc, &heard.said.body),
                 heard = self.stored.hear() => self.stored(heard.said.body),
                 heard = self.diary.hear() => {
                     if heard.said.body.level == Level::Error {
@@ -164,6 +170,15 @@ impl Story {
         }
     }
 
+    fn guiding(&mut self, now: Utc, state: &GuidingState) {
+        if state.active != self.facts.guides {
+            self.facts.guides = state.active;
+            self.facts.guided += u32::from(state.active);
+            let word = if state.active { "begins" } else { "ends" };
+            self.print(now, &format!("guiding {word}: {}", state.detail));
+        }
+    }
+
     fn progress(&self, start: Utc, end: Utc) -> String {
         let Some((now, night, _)) = &self.facts.last else { return String::new() };
         let part = (now.seconds_since(start) / end.seconds_since(start)).clamp(0.0, 1.0);
@@ -206,13 +221,14 @@ impl Story {
             .map(|(name, status, detail)| format!("    {name}: {status:?} {detail}"))
             .collect();
         let text = format!(
-            "\nsummary\n  frames taken      {}\n  files stored      {}\n  headers complete  {}\n  dome open         {:.1} h, closed {} times, {} now\n  rows finished     {} of {}\n  alerts            {}\n  errors            {}\n{}",
+            "\nsummary\n  frames taken      {}\n  files stored      {}\n  headers complete  {}\n  dome open         {:.1} h, closed {} times, {} now\n  fields guided     {}\n  rows finished     {} of {}\n  alerts            {}\n  errors            {}\n{}",
             facts.frames,
             facts.stored.len(),
             facts.complete.len(),
             facts.open_s / 3600.0,
             facts.closings,
             if closed { "closed" } else { "NOT CLOSED" },
+            facts.guided,
             facts.rows.len() - unfinished.len(),
             facts.rows.len(),
             facts.alerts.len(),

@@ -1,0 +1,21 @@
+//! `starmesh catalogue`: star catalogues made of what a site has.
+
+mod build;
+mod gaia;
+mod http;
+
+use clap::Subcommand;
+
+/// What to do with catalogues.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Make a catalogue in Starmesh's format of other catalogues.
+    Build(build::Options),
+}
+
+/// Does it.
+pub async fn run(command: Command) -> anyhow::Result<()> {
+    match command {
+        Command::Build(options) => build::run(&options).await,
+    }
+}

@@ -1,0 +1,278 @@
+//! `starmesh solve`: which piece of the sky FITS files show.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context as _, bail, ensure};
+use catalogue::{Catalogue, EPOCH_YEAR, Reading};
+use clap::Args;
+use imaging::solve::{AllSky, Blind, Detected, Hint, KNOWN_OPTICS, Stars, at_epoch, solve};
+use imaging::{Measured, NoSolution, Solution};
+use serde_json::{Value, json};
+use units::Angle;
+
+use super::exposure::Exposure;
+use super::{Output, blind, each, hint, rounded, significant};
+
+/// Options of `starmesh solve`.
+#[derive(Debug, Args)]
+pub struct Options {
+    /// FITS images, plain or packed (.fz, .gz, .bz2).
+    #[arg(required = true)]
+    files: Vec<PathBuf>,
+    /// ICRS right ascension of the frame's centre, degrees, to some degrees; without it the header's.
+    #[arg(long, allow_negative_numbers = true)]
+    ra_deg: Option<f64>,
+    /// ICRS declination of the frame's centre, degrees, to some degrees; without it the header's.
+    #[arg(long, allow_negative_numbers = true)]
+    dec_deg: Option<f64>,
+    /// Size of a (binned) pixel on the sky, arcsec, to 5 %; without it the header's.
+    #[arg(long)]
+    scale_arcsec_px: Option<f64>,
+    /// A catalogue in Starmesh's format, a Gaia-2MASS SQLite file, or a FITS or CSV table; without it the one that
+    /// Starmesh ships, to about magnitude 11 to 12.5.
+    #[arg(long)]
+    catalogue: Option<PathBuf>,
+    /// Where there is no hint or nothing fits, the whole sky is looked through (fields of 1 deg and more), and then an
+    /// installed `solve-field` is asked, for this time at most, seconds; 0 for neither.
+    #[arg(long, default_value_t = 30.0)]
+    blind_s: f64,
+    #[command(flatten)]
+    output: Output,
+}
+
+/// Solves one file after the other. One that is not solved has its answer too, and then the whole fails.
+pub fn run(options: &Options) -> anyhow::Result<()> {
+    let asked = hint::asked_place(options.ra_deg, options.dec_deg)?;
+    if let Some(scale) = options.scale_arcsec_px {
+        ensure!(scale > 0.0 && scale.is_finite(), "--scale-arcsec-px is {scale}, expected more than 0");
+    }
+    let catalogue = match &options.catalogue {
+        Some(file) => Catalogue::open(file, &Reading::default())?,
+        None => Catalogue::of_program(),
+    };
+    let limit = Duration::try_from_secs_f64(options.blind_s).context("--blind-s is a time in seconds, 0 for never")?;
+    // bright stars stand where they stood: one epoch serves all files
+    let sky = AllSky::new(at_epoch(simulator::catalogue::default(), EPOCH_YEAR + SINCE_YEARS));
+    let task = Task { asked, scale_arcsec_px: options.scale_arcsec_px, catalogue: &catalogue, sky: &sky, limit };
+    let mut unsolved = 0;
+    let done = each(&options.files, |file| {
+        let exposure = Exposure::open(file)?;
+        let answer = task.answer(&exposure)?;
+        unsolved += usize::from(answer.is_err());
+        options.output.print(&object(&exposure, &answer), || sentence(&exposure, &answer))
+    });
+    done?;
+    if unsolved > 0 {
+        bail!("{unsolved} of {} files are not solved", options.files.len());
+    }
+    Ok(())
+}
+
+/// Where a frame points, and how well that is known.
+struct Solved {
+    ra: Angle,
+    dec: Angle,
+    scale_arcsec_px: f64,
+    rotation_deg: f64,
+    mirrored: bool,
+    /// Stars that agree with the catalogue, their rms (px) and the probability that it is false; none where only
+    /// `solve-field` knows the field.
+    verified: Option<(usize, f64, f64)>,
+}
+
+impl From<Solution> for Solved {
+    fn from(s: Solution) -> Self {
+        let verified = Some((s.matched, s.rms_px, s.false_alarm));
+        let Solution { ra, dec, scale_arcsec_px, rotation_deg, mirrored, .. } = s;
+        Self { ra, dec, scale_arcsec_px, rotation_deg, mirrored, verified }
+    }
+}
+
+/// Years from the catalogues' epoch to frames that are solved without a hint.
+const SINCE_YEARS: f64 = 10.0;
+/// A known scale as a blind search takes it, as a share to either side: it may be what was wrong.
+const SCALE_SHARE: f64 = 0.15;
+/// Longest side of a frame that a blind search has patterns for, deg.
+const LEAST_FIELD_DEG: f64 = 0.3;
+
+/// What all files have in common.
+struct Task<'a, S> {
+    asked: Option<hint::Place>,
+    scale_arcsec_px: Option<f64>,
+    catalogue: &'a Catalogue,
+    /// The shipped catalogue, in which frames are found without a hint.
+    sky: &'a AllSky<S>,
+    /// Time for `solve-field`.
+    limit: Duration,
+}
+
+impl<S: Stars + Sync> Task<'_, S> {
+    /// A solution, or the reason why there is none. What fails beside the sky (a catalogue that cannot be read) is an
+    /// error.
+    fn answer(&self, exposure: &Exposure) -> anyhow::Result<Result<Solved, String>> {
+        let measured = exposure.measure()?;
+        let hint = known(exposure, self.asked, self.scale_arcsec_px);
+        let found = match &hint {
+            Ok(hint) => self.hinted(exposure, &measured, hint)?.map_err(|reason| {
+                // more light is needed where these are not the reason; another solver has no more
+                let elsewhere = matches!(reason, NoSolution::NoMatch { .. } | NoSolution::CatalogueTooShallow { .. });
+                (reason.to_string(), elsewhere)
+            }),
+            Err(error) => Err((format!("no hint: {error:#}"), true)),
+        };
+        let (reason, elsewhere) = match found {
+            Ok(solution) => return Ok(Ok(solution.into())),
+            Err(reason) => reason,
+        };
+        if !elsewhere || self.limit.is_zero() {
+            return Ok(Err(reason));
+        }
+        let reason = match self.anywhere(exposure, &measured)? {
+            Ok(solution) => return Ok(Ok(solution.into())),
+            Err(nowhere) => format!("{reason}; {nowhere}"),
+        };
+        match blind::installed() {
+            Some(program) => self.blindly(exposure, &measured, &program, reason),
+            None => Ok(Err(format!("{reason}; solve-field is not installed"))),
+        }
+    }
+
+    /// Size of a pixel as it was told, or as the header tells it, arcsec.
+    fn told_scale(&self, exposure: &Exposure) -> Option<f64> {
+        self.scale_arcsec_px.or_else(|| hint::scale(exposure.header()).ok().map(|(scale, _)| scale))
+    }
+
+    /// Looks for the frame on the whole sky of the shipped catalogue; places are then those of the catalogue given,
+    /// where it knows the field.
+    fn anywhere(&self, exposure: &Exposure, measured: &Measured) -> anyhow::Result<Result<Solution, String>> {
+        let told = self.told_scale(exposure);
+        let longer_px = exposure.width_px().max(exposure.height_px()) as f64;
+        if let Some(field_deg) = told.map(|scale| scale * longer_px / 3600.0).filter(|deg| *deg < LEAST_FIELD_DEG) {
+            return Ok(Err(format!("a field of {field_deg:.3} deg is too narrow for a blind search of our own")));
+        }
+        let scales_arcsec_px = told.map(|scale| (scale * (1.0 - SCALE_SHARE), scale * (1.0 + SCALE_SHARE)));
+        let found = self.sky.solve(&detected(exposure, measured), &Blind { scales_arcsec_px, ..Blind::default() });
+        let solution = match found {
+            Ok(solution) => solution,
+            Err(reason) => return Ok(Err(reason.to_string())),
+        };
+        let near = Hint {
+            learnt: Some(solution.learnt()),
+            furthest: Angle::default(),
+            ..Hint::new(solution.ra, solution.dec, solution.scale_arcsec_px)
+        };
+        // a deeper catalogue, or the frame's own epoch, places it better
+        Ok(Ok(self.hinted(exposure, measured, &near)?.unwrap_or(solution)))
+    }
+
+    fn hinted(
+        &self,
+        exposure: &Exposure,
+        measured: &Measured,
+        hint: &Hint,
+    ) -> anyhow::Result<Result<Solution, NoSolution>> {
+        let stars = self.catalogue.at_epoch(hint::epoch_year(exposure.header()).unwrap_or(EPOCH_YEAR));
+        let found = solve(&detected(exposure, measured), hint, &stars);
+        stars.checked()?;
+        Ok(found)
+    }
+
+    /// `solve-field` says where; our own catalogue verifies it, or denies it, where it is deep enough.
+    fn blindly(
+        &self,
+        exposure: &Exposure,
+        measured: &Measured,
+        program: &Path,
+        reason: String,
+    ) -> anyhow::Result<Result<Solved, String>> {
+        let size_px = (exposure.width_px(), exposure.height_px());
+        let told = self.told_scale(exposure);
+        let field = blind::Field { stars: &measured.stars, size_px, scale_arcsec_px: told };
+        let wcs = match blind::solve(program, &field, self.limit) {
+            Ok(Some(wcs)) => wcs,
+            Ok(None) => return Ok(Err(format!("{reason}; solve-field found nothing either"))),
+            Err(error) => return Ok(Err(format!("{reason}; solve-field failed: {error:#}"))),
+        };
+        let (ra, dec) = wcs.pixel_to_sky(0.5 * (size_px.0 as f64 - 1.0), 0.5 * (size_px.1 as f64 - 1.0));
+        let scale_arcsec_px = wcs.scale_arcsec_px();
+        let near = Hint { furthest: Angle::default(), ..Hint::new(ra, dec, scale_arcsec_px) };
+        match self.hinted(exposure, measured, &near)? {
+            Ok(solution) => return Ok(Ok(solution.into())),
+            // nothing can be said of its answer where the catalogue has too few stars
+            Err(NoSolution::CatalogueTooShallow { .. }) => {}
+            Err(against) => {
+                let place = format!("RA {:.4} Dec {:+.4} deg", ra.degrees(), dec.degrees());
+                return Ok(Err(format!("{reason}; solve-field says {place}, which our catalogue denies: {against}")));
+            }
+        }
+        let (rotation_deg, mirrored) = (wcs.rotation_deg(), wcs.mirrored());
+        Ok(Ok(Solved { ra, dec, scale_arcsec_px, rotation_deg, mirrored, verified: None }))
+    }
+}
+
+/// Hints of the options, and of the header where they are absent.
+fn known(exposure: &Exposure, asked: Option<hint::Place>, scale_arcsec_px: Option<f64>) -> anyhow::Result<Hint> {
+    let header = exposure.header();
+    let (ra, dec) = match asked {
+        Some(place) => place,
+        None => hint::place(header, (exposure.width_px(), exposure.height_px()))?,
+    };
+    let (scale, scale_tolerance) = match scale_arcsec_px {
+        Some(scale) => (scale, imaging::solve::FIRST_LIGHT),
+        None => hint::scale(header)?,
+    };
+    let scale_tolerance = scale_tolerance.max(KNOWN_OPTICS);
+    Ok(Hint { scale_tolerance, wrong_scales: true, ..Hint::new(ra, dec, scale) })
+}
+
+fn detected<'a>(exposure: &Exposure, measured: &'a Measured) -> Detected<'a> {
+    Detected {
+        stars: &measured.stars,
+        width: exposure.width_px(),
+        height: exposure.height_px(),
+        quality: Some(&measured.quality),
+    }
+}
+
+/// The answer of issue 4: the geometric centre, ICRS at the epoch of the frame; null where there is no solution.
+fn object(exposure: &Exposure, answer: &Result<Solved, String>) -> Value {
+    let solved = answer.as_ref().ok();
+    let verified = solved.and_then(|s| s.verified);
+    let blind = solved.filter(|s| s.verified.is_none()).map(|_| BLIND);
+    json!({
+        "file": exposure.file.display().to_string(),
+        "solved": solved.is_some(),
+        "ra_deg": solved.and_then(|s| rounded(s.ra.degrees(), 7)),
+        "dec_deg": solved.and_then(|s| rounded(s.dec.degrees(), 7)),
+        "scale_arcsec_px": solved.and_then(|s| significant(s.scale_arcsec_px, 7)),
+        "rotation_deg": solved.and_then(|s| rounded(s.rotation_deg, 4)),
+        "mirrored": solved.map(|s| s.mirrored),
+        "matched": verified.map(|(matched, ..)| matched),
+        "rms_px": verified.and_then(|(_, rms, _)| rounded(rms, 4)),
+        "false_alarm": verified.and_then(|(.., chance)| significant(chance, 3)),
+        "reason": answer.as_ref().err().map(String::as_str).or(blind),
+    })
+}
+
+/// Said of a solution that our own catalogue does not show.
+const BLIND: &str = "by solve-field alone: the catalogue does not show this field";
+
+fn sentence(exposure: &Exposure, answer: &Result<Solved, String>) -> String {
+    let file = exposure.file.display();
+    let s = match answer {
+        Err(reason) => return format!("{file}: not solved: {reason}"),
+        Ok(solved) => solved,
+    };
+    let known = s.verified.map_or(BLIND.to_owned(), |(matched, rms_px, false_alarm)| {
+        format!("{matched} stars, rms {rms_px:.2} px, false alarm {false_alarm:.0e}")
+    });
+    format!(
+        "{file}: centre RA {:.6} Dec {:+.6} deg, {:.4} arcsec/px, +y {:.3} deg from north{}, {known}",
+        s.ra.degrees(),
+        s.dec.degrees(),
+        s.scale_arcsec_px,
+        s.rotation_deg,
+        if s.mirrored { ", mirrored" } else { "" },
+    )
+}

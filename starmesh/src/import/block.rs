@@ -1,0 +1,135 @@
+//! The text of `observatory.toml`, block by block.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use contract::Kind;
+
+/// A table of the file, as lines.
+#[derive(Debug, Clone, Default)]
+pub struct Lines(pub String);
+
+impl Lines {
+    /// `key = value`, with a comment where there is something to say.
+    pub fn key(&mut self, key: &str, value: impl std::fmt::Display, comment: &str) {
+        let comment = if comment.is_empty() { String::new() } else { format!("  # {comment}") };
+        // writing to a string cannot fail
+        let _ = writeln!(self.0, "{key} = {value}{comment}");
+    }
+
+    /// The same, where there is a value.
+    pub fn maybe(&mut self, key: &str, value: Option<impl std::fmt::Display>, comment: &str) {
+        if let Some(value) = value {
+            self.key(key, value, comment);
+        }
+    }
+
+    /// A comment of its own.
+    pub fn comment(&mut self, text: &str) {
+        let _ = writeln!(self.0, "# {text}");
+    }
+}
+
+/// A text as TOML writes it.
+pub fn quoted(text: &str) -> String {
+    // JSON's escapes are among TOML's
+    serde_json::Value::from(text).to_string()
+}
+
+/// A list of texts.
+pub fn list<'a>(texts: impl IntoIterator<Item = &'a String>) -> String {
+    let texts: Vec<String> = texts.into_iter().map(|text| quoted(text)).collect();
+    format!("[{}]", texts.join(", "))
+}
+
+/// A device of the predecessor's file, on its way into ours.
+#[derive(Debug, Clone)]
+pub struct Block {
+    /// Its kind.
+    pub kind: Kind,
+    /// Its name there, which may be no name here.
+    pub old_name: String,
+    /// Its name here.
+    pub name: String,
+    /// Line of the old file.
+    pub line: usize,
+    /// Alpaca server, `host:port`.
+    pub server: String,
+    /// Device number there.
+    pub number: i64,
+    /// The keys of its block.
+    pub lines: Lines,
+    /// Lists of tables within its block (`limit`), as inline tables.
+    pub limits: Vec<String>,
+    /// Of a safety monitor: min.
+    pub dwell_min: Option<f64>,
+    /// Of a camera: old names of what works with it, by kind.
+    pub pairs: BTreeMap<Kind, String>,
+    /// Of a dome: old names of the telescopes under it.
+    pub telescopes: Vec<String>,
+    /// What it says for tables of the whole telescope, by their name.
+    pub tables: BTreeMap<&'static str, Lines>,
+    /// Of a mount: what its pulses did to the stars of its camera.
+    pub guide_start: Option<GuideStart>,
+}
+
+/// What the pulses of a mount did, on its way to the block of a camera.
+#[derive(Debug, Clone)]
+pub struct GuideStart {
+    /// Line of the old file.
+    pub line: usize,
+    /// The inline table `guide_calibration`.
+    pub text: String,
+}
+
+impl Block {
+    /// The block's text in a telescope's file, where `pairs` are the names to write for a camera.
+    pub fn text(&self, pairs: &[(Kind, String)]) -> String {
+        let kind = self.kind.ascom().to_lowercase();
+        let mut lines = Lines(format!("\n[[{kind}]]\n"));
+        lines.key("name", quoted(&self.name), "");
+        lines.key("server", quoted(&self.server), "");
+        lines.key("number", self.number, "");
+        lines.0 += &self.lines.0;
+        for (kind, name) in pairs {
+            lines.key(&kind.ascom().to_lowercase(), quoted(name), "");
+        }
+        lines.maybe("dwell_min", self.dwell_min, "safe again only after so long without an unsafe reading");
+        if !self.limits.is_empty() {
+            lines.0 += &format!("limit = [\n    {},\n]\n", self.limits.join(",\n    "));
+        }
+        lines.0
+    }
+}
+
+/// A name that devices may have here: letters, digits, `_`, `-` and `.`.
+pub fn name(old: &str) -> String {
+    let kept = |c: char| if c.is_ascii_alphanumeric() || "_-.".contains(c) { c } else { '_' };
+    let name: String = old.trim().chars().map(kept).take(63).collect();
+    if name.starts_with(|c: char| c.is_ascii_alphanumeric()) {
+        name
+    } else {
+        format!("d{name}").chars().take(63).collect()
+    }
+}
+
+/// A name that sites and telescopes may have here: small letters, digits and `-`.
+pub fn chunk(old: &str) -> String {
+    let kept = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
+    let chunk: String = old.trim().chars().map(kept).take(63).collect();
+    let chunk = chunk.trim_matches('-');
+    if chunk.is_empty() { "telescope".to_owned() } else { chunk.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_become_such_as_are_allowed() {
+        assert_eq!(name("Cam 1 (north)"), "Cam_1__north_");
+        assert_eq!(name("_x").parse::<contract::Name>().map(|name| name.to_string()), Ok("d_x".to_owned()));
+        assert_eq!(chunk("SPECULOOS_South"), "speculoos-south");
+        assert!(chunk("__").parse::<contract::Chunk>().is_ok() && name("").parse::<contract::Name>().is_ok());
+    }
+}

@@ -1,0 +1,249 @@
+//! YAML as values that know their line.
+
+use std::collections::HashMap;
+
+use saphyr_parser::{Event, Parser, ScalarStyle};
+
+/// A value and where it begins.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Node {
+    /// Line of the file, from 1.
+    pub line: usize,
+    /// What stands there.
+    pub value: Value,
+}
+
+/// What may stand in a YAML file of a site.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Value {
+    /// Nothing, `~` or `null`.
+    Null,
+    /// `true` or `false`.
+    Bool(bool),
+    /// A number, always finite.
+    Number(f64),
+    /// Anything else that is plain, and all that is quoted.
+    Text(String),
+    /// A list.
+    List(Vec<Node>),
+    /// A map, in the order of the file.
+    Map(Vec<(String, Node)>),
+}
+
+/// Why a text is not taken.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("line {line}: {what}")]
+pub struct YamlError {
+    /// Line of the file, from 1.
+    pub line: usize,
+    /// What is wrong and what was expected.
+    pub what: String,
+}
+
+/// Larger files are no configuration of a site.
+const MOST_BYTES: usize = 1 << 20;
+/// Values within values, at most.
+const DEEPEST: usize = 40;
+/// Values of a file, those that anchors repeat included.
+const MOST_VALUES: usize = 100_000;
+
+/// Reads the one document of a text; an empty text is [`Value::Null`].
+///
+/// # Errors
+/// [`YamlError`] for what is no YAML, has two documents, a key twice, a key that is no plain word, or is nested or
+/// repeated without end.
+pub fn read(text: &str) -> Result<Node, YamlError> {
+    if text.len() > MOST_BYTES {
+        let what = format!("{} bytes; a configuration has at most {MOST_BYTES}", text.len());
+        return Err(YamlError { line: 1, what });
+    }
+    let mut reader = Reader { anchors: HashMap::new(), open: Vec::new(), done: None, values: 0 };
+    for event in Parser::new_from_str(text) {
+        match event {
+            Ok((event, span)) => reader.take(event, span.start.line())?,
+            Err(error) => {
+                return Err(YamlError { line: error.marker().line(), what: format!("no YAML: {}", error.info()) });
+            }
+        }
+    }
+    Ok(reader.done.unwrap_or(Node { line: 1, value: Value::Null }))
+}
+
+struct Reader {
+    anchors: HashMap<usize, Node>,
+    open: Vec<Open>,
+    done: Option<Node>,
+    values: usize,
+}
+
+/// A list or map whose end has not come yet.
+struct Open {
+    line: usize,
+    anchor: usize,
+    inside: Inside,
+}
+
+enum Inside {
+    List(Vec<Node>),
+    Map(Vec<(String, Node)>, Option<String>),
+}
+
+impl Reader {
+    fn take(&mut self, event: Event<'_>, line: usize) -> Result<(), YamlError> {
+        let wrong = |what: String| Err(YamlError { line, what });
+        match event {
+            Event::Scalar(text, style, anchor, tag) => {
+                // a tag such as !!str forces a text
+                let plain = style == ScalarStyle::Plain && tag.is_none();
+                let value = if plain { plain_value(&text) } else { Value::Text(text.into_owned()) };
+                self.put(anchor, Node { line, value })
+            }
+            Event::SequenceStart(anchor, _) => self.open(line, anchor, Inside::List(Vec::new())),
+            Event::MappingStart(anchor, _) => self.open(line, anchor, Inside::Map(Vec::new(), None)),
+            Event::SequenceEnd | Event::MappingEnd => {
+                let Some(Open { line, anchor, inside }) = self.open.pop() else {
+                    return wrong("a list or map ends that never began".to_owned());
+                };
+                let value = match inside {
+                    Inside::List(list) => Value::List(list),
+                    Inside::Map(map, _) => Value::Map(map),
+                };
+                self.put(anchor, Node { line, value })
+            }
+            Event::Alias(anchor) => match self.anchors.get(&anchor).cloned() {
+                Some(node) => {
+                    self.values += size(&node);
+                    self.put(0, Node { line, ..node })
+                }
+                None => wrong("an alias (*name) without its anchor (&name)".to_owned()),
+            },
+            Event::DocumentStart(_) if self.done.is_some() => wrong("a second document; expected one".to_owned()),
+            Event::Nothing | Event::StreamStart | Event::StreamEnd | Event::DocumentStart(_) | Event::DocumentEnd => {
+                Ok(())
+            }
+        }
+    }
+
+    fn open(&mut self, line: usize, anchor: usize, inside: Inside) -> Result<(), YamlError> {
+        if let Some(Open { inside: Inside::Map(_, None), .. }) = self.open.last() {
+            return Err(YamlError { line, what: "a list or map stands where a key was expected".to_owned() });
+        }
+        if self.open.len() >= DEEPEST {
+            return Err(YamlError { line, what: format!("nested deeper than {DEEPEST}") });
+        }
+        self.open.push(Open { line, anchor, inside });
+        Ok(())
+    }
+
+    fn put(&mut self, anchor: usize, node: Node) -> Result<(), YamlError> {
+        let line = node.line;
+        self.values += 1;
+        if self.values > MOST_VALUES {
+            return Err(YamlError { line, what: format!("more than {MOST_VALUES} values, repeated ones included") });
+        }
+        if anchor != 0 {
+            self.values += size(&node);
+            self.anchors.insert(anchor, node.clone());
+        }
+        match self.open.last_mut().map(|open| &mut open.inside) {
+            None => self.done = Some(node),
+            Some(Inside::List(list)) => list.push(node),
+            Some(Inside::Map(map, key)) => match key.take() {
+                Some(key) => map.push((key, node)),
+                None => {
+                    let word = match node.value {
+                        Value::Text(text) => text,
+                        Value::Number(number) => number.to_string(),
+                        Value::Bool(word) => word.to_string(),
+                        _ => return Err(YamlError { line, what: "expected a word as key".to_owned() }),
+                    };
+                    if map.iter().any(|(known, _)| *known == word) {
+                        return Err(YamlError { line, what: format!("the key {word:?} stands here twice") });
+                    }
+                    *key = Some(word);
+                }
+            },
+        }
+        Ok(())
+    }
+}
+
+fn size(node: &Node) -> usize {
+    1 + match &node.value {
+        Value::List(list) => list.iter().map(size).sum(),
+        Value::Map(map) => map.iter().map(|(_, node)| size(node)).sum(),
+        _ => 0,
+    }
+}
+
+/// What an unquoted word means, by the core schema of YAML 1.2; what is not finite stays a text.
+fn plain_value(text: &str) -> Value {
+    match text {
+        "" | "~" | "null" | "Null" | "NULL" => return Value::Null,
+        "true" | "True" | "TRUE" => return Value::Bool(true),
+        "false" | "False" | "FALSE" => return Value::Bool(false),
+        _ => {}
+    }
+    // Rust also takes "inf" and "nan"
+    let looks = text.trim_start_matches(['+', '-']).starts_with(|c: char| c.is_ascii_digit() || c == '.');
+    match text.parse::<f64>() {
+        Ok(number) if looks && number.is_finite() => Value::Number(number),
+        _ => Value::Text(text.to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn get<'a>(node: &'a Node, key: &str) -> &'a Node {
+        let Value::Map(map) = &node.value else { panic!("{node:?}") };
+        &map.iter().find(|(known, _)| known == key).unwrap().1
+    }
+
+    #[test]
+    fn values_have_their_types_and_lines() {
+        let node = read("a:\n  - n: 1.5 # comment\n    t: '1.5'\n    b: false\n+x: East\nempty:\n").unwrap();
+        let Value::List(list) = &get(&node, "a").value else { panic!() };
+        assert_eq!(*get(&list[0], "n"), Node { line: 2, value: Value::Number(1.5) });
+        assert_eq!(*get(&list[0], "t"), Node { line: 3, value: Value::Text("1.5".to_owned()) });
+        assert_eq!(get(&list[0], "b").value, Value::Bool(false));
+        assert_eq!(get(&node, "+x").value, Value::Text("East".to_owned()));
+        assert_eq!(get(&node, "empty").value, Value::Null);
+    }
+
+    #[test]
+    fn anchors_are_followed_but_not_without_end() {
+        let node = read("a: &one {x: 1}\nb: *one\n").unwrap();
+        assert_eq!(get(get(&node, "b"), "x").value, Value::Number(1.0));
+        let mut bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n".to_owned();
+        for n in 1..10 {
+            let refs = vec![format!("*a{}", n - 1); 10].join(", ");
+            bomb += &format!("a{n}: &a{n} [{refs}]\n");
+        }
+        assert!(read(&bomb).unwrap_err().what.contains("values"));
+    }
+
+    #[test]
+    fn what_is_wrong_is_told_with_its_line() {
+        for (text, line, what) in [
+            ("a: 1\na: 2\n", 2, "twice"),
+            ("a: [1, 2\nb: 3\n", 2, "no YAML"),
+            ("a: 1\n---\nb: 2\n", 2, "second document"),
+            ("? [1]\n: 2\n", 1, "key"),
+        ] {
+            let error = read(text).unwrap_err();
+            assert!(error.what.contains(what) && error.line.abs_diff(line) <= 1, "{text}: {error}");
+        }
+        for deep in ["[", "{a: ", "- ", "? ", "[[]\n,"] {
+            assert!(read(&deep.repeat(100_000)).is_err(), "{deep}");
+        }
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn no_text_ends_the_program(text in "[-:a&*#|>\\[\\]{},?! \\n\"'1%.]{0,200}") {
+            let _ = read(&text);
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! `starmesh check` of a schedule: every finding with its place, a caret under it, and the exit code.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
+mod command;
+
+use std::fs;
+
+use command::starmesh;
+
+const SITE: &str = r#"
+[observatory]
+site = "paranal"
+telescope = "callisto"
+latitude_deg = -24.6157
+longitude_deg = -70.3976
+elevation_m = 2518.0
+[[telescope]]
+name = "mount"
+server = "10.0.0.5:11111"
+horizon = "wall.txt"
+[[camera]]
+name = "main"
+server = "10.0.0.5:11111"
+[[filterwheel]]
+name = "wheel"
+server = "10.0.0.5:11111"
+"#;
+
+fn row(value: &str, end: &str) -> String {
+    format!(
+        "{{\"device_name\": \"main\", \"action_type\": \"object\", \"action_value\": {value}, \
+         \"start_time\": \"2026-11-21 03:00:00\", \"end_time\": \"2026-11-21 {end}\"}}\n"
+    )
+}
+
+#[test]
+fn findings_are_printed_with_their_places_and_only_errors_fail() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name).display().to_string();
+    fs::write(file("observatory.toml"), SITE).unwrap();
+    fs::write(file("wall.txt"), "# the wall of the next dome\n0 10\n180 10\n270 40\n").unwrap();
+    let check = |name: &str| starmesh(["check", file(name).as_str(), "--at", "2026-11-20T12:00:00Z"]);
+
+    fs::write(file("night.jsonl"), format!("// night\n{}", row(r#"{"object": "x", "exptime": -1, "twirl": 2}"#, "x")))
+        .unwrap();
+    let said = check("night.jsonl");
+    assert!(!said.success && said.err.contains("3 errors"), "{}\n{}", said.out, said.err);
+    for told in [
+        ":2:93: error: exptime: expected",
+        ":2:97: error: twirl",
+        ":2:159: error: end_time: \"2026-11-21 x\" is no time",
+    ] {
+        assert!(said.out.contains(told), "{told}: {}", said.out);
+    }
+    let lines: Vec<&str> = said.out.lines().collect();
+    let caret = lines.iter().position(|line| line.trim() == "^").unwrap();
+    assert!(lines[caret - 1][lines[caret].len() - 1..].starts_with("-1"), "{}", said.out);
+
+    fs::write(
+        file("night.jsonl"),
+        row(r#"{"object": "x", "exptime": 60, "ra": 50, "dec": -30, "filter": "V"}"#, "09:00:00"),
+    )
+    .unwrap();
+    let said = check("night.jsonl");
+    assert!(said.success, "{}\n{}", said.out, said.err);
+    assert!(
+        said.out.contains("warning: end_time: x stands behind the horizon of the site from 2026-11-21T0"),
+        "{}",
+        said.out
+    );
+    assert!(said.out.contains("not checked: filters of wheel"), "{}", said.out);
+    assert!(said.out.contains("valid (1 rows, 1 warnings)"), "{}", said.out);
+
+    fs::rename(file("night.jsonl"), file("schedule.jsonl")).unwrap();
+    let said = check("observatory.toml");
+    assert!(
+        said.success && said.out.contains("schedule.jsonl: valid (1 rows, 1 warnings)"),
+        "{}\n{}",
+        said.out,
+        said.err
+    );
+
+    fs::write(file("wall.txt"), "0 ten\n").unwrap();
+    let said = check("observatory.toml");
+    assert!(
+        !said.success && said.err.contains("telescope \"mount\": horizon") && said.err.contains("line 1"),
+        "{}",
+        said.err
+    );
+}

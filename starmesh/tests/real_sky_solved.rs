@@ -1,0 +1,88 @@
+//! `starmesh solve` on frames of the real sky with the catalogue that Starmesh ships; the frames stay where
+//! `STARMESH_REAL_SKY` points to. Unset, nothing is run, and that is what is said.
+#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
+#![allow(missing_docs)]
+
+mod command;
+
+use std::io::Write as _;
+use std::path::PathBuf;
+
+use command::{number, starmesh};
+
+/// A frame, what has to be told beside its header (degrees, arcsec/px), and the truth: centre (deg), arcsec/px,
+/// whether it is a mirror image (astrometry.net's parity "neg").
+struct Frame {
+    file: &'static str,
+    more: &'static [&'static str],
+    centre_deg: (f64, f64),
+    scale_arcsec_px: f64,
+    mirrored: bool,
+}
+
+/// Truth by astrometry.net (panoptes) and by the mosaic's own header (2MASS). The DSLR's header tells where the mount
+/// was, 2 deg off, and no scale; the infrared mosaic's tells both, so it is given a place 0.3 deg off.
+const FRAMES: [Frame; 4] = [
+    Frame {
+        file: "panoptes/unsolved.fits",
+        more: &["--scale-arcsec-px=10.2"],
+        centre_deg: (303.210_962, 46.019_547),
+        scale_arcsec_px: 10.3066,
+        mirrored: true,
+    },
+    Frame {
+        file: "panoptes/solved.fits.fz",
+        more: &["--scale-arcsec-px=10.4"],
+        centre_deg: (303.204_653, 46.018_036),
+        scale_arcsec_px: 10.3070,
+        mirrored: true,
+    },
+    Frame {
+        file: "2mass/gc_2mass_j.fits",
+        more: &["--ra-deg=266.7", "--dec-deg=-29.0"],
+        centre_deg: (266.399_978, -28.933_319),
+        scale_arcsec_px: 5.0,
+        mirrored: true,
+    },
+    Frame {
+        file: "2mass/gc_2mass_h.fits",
+        more: &["--ra-deg=266.2", "--dec-deg=-28.8"],
+        centre_deg: (266.399_978, -28.933_319),
+        scale_arcsec_px: 5.0,
+        mirrored: true,
+    },
+];
+
+/// Says how many were run, past the test's own capture of what is printed.
+fn tell(run: usize) {
+    let _ = writeln!(std::io::stderr(), "real sky: {run} of {} run", FRAMES.len() + 1);
+}
+
+#[test]
+fn real_frames_are_solved_within_a_pixel_or_refused_for_the_right_reason() {
+    let Some(folder) = std::env::var_os("STARMESH_REAL_SKY").map(PathBuf::from) else { return tell(0) };
+    let file = |name: &str| folder.join(name).display().to_string();
+    for frame in &FRAMES {
+        let mut arguments = vec!["solve".to_owned(), "--json".to_owned(), file(frame.file)];
+        arguments.extend(frame.more.iter().map(|&word| word.to_owned()));
+        let said = starmesh(&arguments);
+        assert!(said.success, "{}: {}{}", frame.file, said.out, said.err);
+        let answer = &said.json()[0];
+        let (ra, dec) = frame.centre_deg;
+        let east = (number(answer, "ra_deg") - ra) * dec.to_radians().cos();
+        let off = east.hypot(number(answer, "dec_deg") - dec) * 3600.0 / frame.scale_arcsec_px;
+        println!("{}: {off:.2} px off; {answer}", frame.file);
+        assert!(off < 1.0, "{}: {off} px off", frame.file);
+        assert!((number(answer, "scale_arcsec_px") / frame.scale_arcsec_px - 1.0).abs() < 1e-3, "{answer}");
+        assert_eq!(answer["mirrored"], frame.mirrored, "{answer}");
+        assert!(number(answer, "false_alarm") < 1e-6, "{answer}");
+    }
+    let said = starmesh(["solve".to_owned(), "--json".to_owned(), file("sdss/reprojected_sdss_g.fits.bz2")]);
+    assert!(!said.success);
+    let answer = &said.json()[0];
+    let reason = answer["reason"].as_str().unwrap();
+    println!("sdss: {reason}");
+    assert!(answer["solved"] == false && reason.starts_with("catalogue too shallow: "), "{answer}");
+    assert!(reason.contains(" stars in this field"), "{reason}");
+    tell(FRAMES.len() + 1);
+}
