@@ -22,8 +22,8 @@ import urllib.request
 from loopback import fetch, free_port, wait
 
 PROJECT = pathlib.Path(__file__).resolve().parents[2]
-BINARY = pathlib.Path(os.environ.get("STARMESH_BIN", PROJECT / "target" / "release" / "starmesh"))
-VENV = pathlib.Path(os.environ.get("STARMESH_BENCH_VENV", PROJECT / "target" / "bench-venv"))
+BINARY = pathlib.Path(os.environ.get("STARMESH_BIN", PROJECT / "target" / "release" / "starmesh")).resolve()
+VENV = pathlib.Path(os.environ.get("STARMESH_BENCH_VENV", PROJECT / "target" / "bench-venv")).resolve()
 KINDS = ["telescope", "focuser", "camera", "dome", "filterwheel", "observingconditions", "safetymonitor"]
 LONGITUDE_DEG = 8.0  # of the simulators' site
 # 30 degrees east of the meridian now, by the days since J2000: high for hours, and no meridian flip

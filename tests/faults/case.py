@@ -41,6 +41,7 @@ class Case:
     """`run(rig)` is a generator: it breaks one thing, yields, and heals it.
 
     `bound` None: nothing need close, and the night must go on; such a case may still close (`may_close`).
+    `takes_frames_first`: `run` waits for frames before it breaks its thing, so that the camera must be whole.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Case:
     short: bool = True
     leave: bool = False
     exposes: bool = True
+    takes_frames_first: bool = False
 
 
 CASES: list[Case] = []

@@ -9,6 +9,7 @@ import cases_machine  # noqa: F401
 import cases_network  # noqa: F401
 import cases_policy  # noqa: F401
 import cases_signals  # noqa: F401
+import cases_slit  # noqa: F401
 from case import CASES
 
 

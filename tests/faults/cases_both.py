@@ -2,10 +2,10 @@
 
 import json
 import os
-import shutil
 import signal
 import time
 
+import exhaust
 from loopback import wait
 from relay import RESET
 
@@ -212,20 +212,26 @@ def stopped(site):
 
 @case("disk full, and it is unsafe")
 def disk_full(site):
-    ballast = site.disk / "ballast"
-    with open(ballast, "wb", buffering=0) as file:
-        for size in (1 << 20, 1 << 12):
-            try:
-                while True:
-                    file.write(b"\0" * size)
-            except OSError:
-                pass
-    if shutil.disk_usage(site.disk).free > 1 << 16:
-        raise SystemExit("the disk is not full")
-    time.sleep(3.0)
-    site.unsafe()
-    yield
-    ballast.unlink()
+    with exhaust.room(site.disk):
+        time.sleep(3.0)
+        site.unsafe()
+        yield
+
+
+@case("disk read-only, and it is unsafe")
+def disk_read_only(site):
+    with exhaust.writing(site.disk):
+        time.sleep(3.0)
+        site.unsafe()
+        yield
+
+
+@case("control process out of files, and it is unsafe")
+def out_of_files(site):
+    with exhaust.files(site.commander()):
+        time.sleep(1.0)
+        site.unsafe()
+        yield
 
 
 @case("database locked by another process, and it is unsafe")

@@ -1,5 +1,6 @@
 """The bus: a peer that says what it must not. Nothing it says moves anything, and a valid permit is not disturbed."""
 
+import itertools
 import json
 import random
 import time
@@ -11,6 +12,7 @@ from rig import PREFIX, Late
 GROUP = "bad motion commands and permits on the bus"
 # the soak asks for more
 ATTACKS = 200
+ATTACK_RUNS = itertools.count()
 GUARD, PERMIT = f"{PREFIX}/device/dome/dome/guard", f"{PREFIX}/observatory/permit/dome"
 DOME, MOUNT = f"{PREFIX}/device/dome/dome", f"{PREFIX}/device/telescope/mount"
 MOTIONS = [
@@ -85,7 +87,7 @@ def second_token(rig, ear) -> int:
 
 @case("bad motion commands under a safe sky: none is obeyed", "B3 N13", group=GROUP, watch_s=2.0)
 def commands(rig):
-    ear, chance = rig.fresh_ear(), random.Random(ATTACKS)
+    ear, chance = rig.fresh_ear(), random.Random(next(ATTACK_RUNS))
     token = second_token(rig, ear)
     rig.exposes(60)
     last = ear.wait_for("the mount's last command",
@@ -123,7 +125,7 @@ def unsafe_permits(rig):
     yield
 
 
-@case("bad permits that say safe while it is unsafe: nothing opens", "B3 N2", ISSAFE)
+@case("bad permits that say safe while it is unsafe: nothing opens", "B3 N2", ISSAFE, takes_frames_first=True)
 def safe_permits(rig):
     ear = rig.fresh_ear()
     second_token(rig, ear)
@@ -138,7 +140,7 @@ def safe_permits(rig):
 
 
 def say_permits(rig, ear, verdict: str):
-    chance = random.Random(ATTACKS)
+    chance = random.Random(next(ATTACK_RUNS))
     permits = ear.wait_for("some permits", lambda _: [p for key, p in list(ear.heard) if key == PERMIT][-30:] or None, 10)
     before = ear.newest[GUARD]["dropped"]
     voice = ear.session.declare_publisher(PERMIT)

@@ -111,6 +111,14 @@ case("mount hangs for 6 s", "D3 D1", group=ALONE, may_close=True, short=False)(a
 case("dome hangs for 6 s", "D3 D1", group=ALONE, may_close=True, short=False)(alone("dome", 6.0, hang=True))
 
 
+@case("focuser at fault, and the observatory restarts: the night goes on", "D1 N1", group=ALONE, may_close=True, watch_s=0.0)
+def focuser_away(rig):
+    rig.wire.fault("focuser", html=True)
+    rig.restart("observatory")
+    rig.exposes(40)
+    yield
+
+
 @case("camera never says that an image is ready", "D10", group=ALONE, may_close=True, short=False)
 def no_image(rig):
     rig.wire.fault("camera", stale=True, only=["imageready", "camerastate", "devicestate"])

@@ -216,7 +216,7 @@ def none_reads_safe(rig):
     rig.restart("hands")
 
 
-@case("the Sun rises above its limit while the schedule runs", "S11", SUN)
+@case("the Sun rises above its limit while the schedule runs", "S11", SUN, takes_frames_first=True)
 def sun(rig):
     before, began = rig.wire.world()["sun_altitude_deg"], time.monotonic()
     time.sleep(3.0)

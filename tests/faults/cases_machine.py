@@ -1,13 +1,11 @@
 """The machine under the nodes: clocks that jump, disks that are full or read-only, locks, no more files."""
 
 import pathlib
-import resource
-import shutil
 import sqlite3
-import subprocess
 import threading
 import time
 
+import exhaust
 from case import MACHINE, MONITOR_SILENT, SILENCE, case
 from rig import Late
 
@@ -69,71 +67,38 @@ def observatory_in_the_past(rig):
     yield
 
 
-def fill(rig) -> pathlib.Path:
-    ballast = rig.data / "ballast"
-    with open(ballast, "wb", buffering=0) as file:
-        try:
-            while True:
-                file.write(b"\0" * 65536)
-        except OSError:
-            pass
-    if shutil.disk_usage(rig.data).free > 65536:
-        raise Late("the disk is not full")
-    return ballast
-
-
 @case("disk full, then it is unsafe", "N20 S10", MACHINE, **WALL)
 def full_unsafe(rig):
-    ballast = fill(rig)
-    time.sleep(3.0)
-    rig.mark()
-    rig.wire.change("safety", unsafe=True)
-    yield
-    ballast.unlink()
-
-
-@case("disk full, then the observatory dies", "N20 N1", SILENCE, short=False, **WALL)
-def full_dead(rig):
-    ballast = fill(rig)
-    rig.kill("observatory")
-    yield
-    ballast.unlink()
-
-
-def read_only(rig, on: bool):
-    if on:
-        subprocess.run(["mount", "--bind", rig.data, rig.data], check=True)
-        subprocess.run(["mount", "-o", "remount,bind,ro", rig.data], check=True)
-        try:
-            (rig.data / "probe").write_text("x")
-        except OSError:
-            return
-        raise Late("the data folder is not read-only")
-    subprocess.run(["umount", "--lazy", rig.data], check=True)
-
-
-@case("data folder read-only, then it is unsafe", "N21 S10", MACHINE, **WALL)
-def read_only_unsafe(rig):
-    read_only(rig, True)
-    try:
+    with exhaust.room(rig.data):
         time.sleep(3.0)
         rig.mark()
         rig.wire.change("safety", unsafe=True)
         yield
-    finally:
-        read_only(rig, False)
+
+
+@case("disk full, then the observatory dies", "N20 N1", SILENCE, short=False, **WALL)
+def full_dead(rig):
+    with exhaust.room(rig.data):
+        rig.kill("observatory")
+        yield
+
+
+@case("data folder read-only, then it is unsafe", "N21 S10", MACHINE, **WALL)
+def read_only_unsafe(rig):
+    with exhaust.writing(rig.data):
+        time.sleep(3.0)
+        rig.mark()
+        rig.wire.change("safety", unsafe=True)
+        yield
 
 
 @case("data folder read-only, and the dome's device node restarts without a commander", "N21 N4 N19",
       SILENCE, short=False, **WALL)
 def read_only_restart(rig):
-    read_only(rig, True)
-    try:
+    with exhaust.writing(rig.data):
         rig.kill("observatory", "dome")
         rig.restart("dome")
         yield
-    finally:
-        read_only(rig, False)
 
 
 class Lock:
@@ -167,19 +132,12 @@ def locked(rig):
 
 
 def exhausted(node: str):
-    """No more files for this node than it has open now."""
     def run(rig):
-        pid = rig.processes[node].pid
-        had = resource.prlimit(pid, resource.RLIMIT_NOFILE)
-        numbers = [int(fd.name) for fd in pathlib.Path(f"/proc/{pid}/fd").iterdir()]
-        resource.prlimit(pid, resource.RLIMIT_NOFILE, (3, had[1]))
-        if len(numbers) < 4:
-            raise Late("the node has no files open")
-        time.sleep(1.0)
-        rig.mark()
-        rig.wire.change("safety", unsafe=True)
-        yield
-        resource.prlimit(pid, resource.RLIMIT_NOFILE, had)
+        with exhaust.files(rig.processes[node].pid):
+            time.sleep(1.0)
+            rig.mark()
+            rig.wire.change("safety", unsafe=True)
+            yield
     return run
 
 

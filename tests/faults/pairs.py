@@ -32,6 +32,8 @@ def paired(case: Case, chance: random.Random) -> Case:
         more["phase"] = chance.choice(PHASES)
     if case.bound and chance.random() < 0.25:
         word, spoil = chance.choice(COMPANIONS)
+        if case.takes_frames_first and word.startswith("camera"):
+            return dataclasses.replace(case, **more)
 
         def run(rig, story=case.run, spoil=spoil):
             spoil(rig)

@@ -20,7 +20,7 @@ import threading
 import time
 import traceback
 
-from run import alone
+from run import alone, run_all
 
 STARTS = 3  # the predecessor's watchdog sometimes dies in a race at its start; see docs/reliability.md
 
@@ -44,12 +44,8 @@ class Runner:
                 todo.put(name)
             for number in range(count):
                 threads.append(threading.Thread(target=self.lane, args=(program, number, todo), daemon=True))
-        for thread in threads:
-            thread.start()
         try:
-            for thread in threads:
-                while thread.is_alive():
-                    thread.join(0.5)
+            run_all(threads)
         except KeyboardInterrupt:
             self.stop.set()
         finally:

@@ -37,12 +37,13 @@ class Rig:
 
     def __init__(self, binary: str, name: str, real_clock: bool = False, dome: str = "", data: pathlib.Path | None = None,
                  hosts: dict[str, str] | None = None, enter: dict[str, list[str]] | None = None,
-                 connect: dict[str, list[str]] | None = None, disk_min_gb: float = 1.0):
+                 connect: dict[str, list[str]] | None = None, disk_min_gb: float = 1.0,
+                 exposure_s: float = EXPOSURE_S):
         self.binary, self.name, self.real_clock = binary, name, real_clock
         self.folder = pathlib.Path(tempfile.mkdtemp(prefix=f"starmesh-faults-{name}-"))
         self.data = data or self.folder / "data"
         self.hosts, self.enter, self.connect = hosts or {}, enter or {}, connect
-        self.dome, self.sun_max_deg, self.disk_min_gb = dome, 90.0, disk_min_gb
+        self.dome, self.sun_max_deg, self.disk_min_gb, self.exposure_s = dome, 90.0, disk_min_gb, exposure_s
         self.processes: dict[str, subprocess.Popen] = {}
         self.stopped: set[str] = set()
         self._ear = None
@@ -108,7 +109,7 @@ listen = "127.0.0.1:{self.web_port}"
         now = datetime.datetime.fromisoformat(self.wire.ask("GET", "/simulator/v1/clock")["utc"])
         # wide enough that a clock that jumps by an hour stays inside
         utc, end = ((now + datetime.timedelta(hours=h)).isoformat() for h in (-3, 24))
-        value = {"object": "Long field", "alt": 70.0, "az": 90.0, "exptime": EXPOSURE_S}
+        value = {"object": "Long field", "alt": 70.0, "az": 90.0, "exptime": self.exposure_s}
         rows = [("open", {}), ("object", value)]
         lines = [json.dumps({"device_name": "camera", "action_type": action, "action_value": value,
                              "start_time": utc, "end_time": end}) for action, value in rows]
@@ -244,7 +245,7 @@ listen = "127.0.0.1:{self.web_port}"
             if world["dome"]["open"] < 1.0 or not world["telescope"]["tracking"]:
                 return None
             newest = self.puts("startexposure", max(0, self.wire.last() - 200))[-1:]
-            return newest and time.time() - arrived_s(newest[0]) < EXPOSURE_S - 1.0 and newest
+            return newest and time.time() - arrived_s(newest[0]) < min(self.exposure_s - 1.0, 3.0) and newest
         return wait("the night goes on: dome open and exposing", exposes, limit_s, 0.1)[-1]
 
     def phase(self, phase: str):
@@ -272,7 +273,7 @@ listen = "127.0.0.1:{self.web_port}"
         began = arrived_s(self.exposes())
         if phase == "downloading":
             # from the end of the exposure to the end of the readout and a little beyond
-            time.sleep(max(0.0, began + EXPOSURE_S + 0.3 - time.time()))
+            time.sleep(max(0.0, began + self.exposure_s + 0.3 - time.time()))
 
     def last_words(self, lines: int = 30) -> str:
         words = []

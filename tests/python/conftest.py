@@ -2,6 +2,7 @@
 
 import os
 import pathlib
+import subprocess
 import sys
 
 import pytest
@@ -21,3 +22,12 @@ def starmesh() -> str:
     binary = pathlib.Path(os.environ.get("STARMESH_BIN", PROJECT / "target" / "debug" / "starmesh"))
     assert binary.exists(), f"{binary} is missing: run `cargo build --workspace` (scripts/test does)"
     return str(binary)
+
+
+@pytest.fixture(scope="session")
+def catalogue(tmp_path_factory) -> pathlib.Path:
+    """Invented stars in the format of the Gaia-2MASS files: what alpaca-simulators draw, and what Starmesh may know."""
+    file = tmp_path_factory.mktemp("catalogue") / "stars.db"
+    script = pathlib.Path(__file__).with_name("make_catalogue.py")
+    subprocess.run([sys.executable, str(script), str(file)], check=True, stdout=subprocess.DEVNULL)
+    return file

@@ -299,7 +299,9 @@ def breakages(name, sample):
                 yield f"{wrong} at {pattern}", changed(sample, place, set_to(wrong))
         if pattern in rules()["words"].get(name, {}) and isinstance(value, str):
             yield f"foreign word at {pattern}", changed(sample, place, set_to("no_such_word"))
-        anything = pattern in rules()["scalars"].get(name, []) or any(
+        # an example and a JSON Schema hold anything
+        free_json = name == "actions.answer" and pattern.startswith(("actions.*.example.", "actions.*.schema."))
+        anything = free_json or pattern in rules()["scalars"].get(name, []) or any(
             pattern.startswith(place_of + ".") for place_of in rules()["scalars"].get(name, []))
         if kind_of(value) in ("number", "bool") and not anything:
             yield f"text at {pattern}", changed(sample, place, set_to("12"))

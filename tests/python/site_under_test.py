@@ -2,8 +2,8 @@
 
 import datetime
 import json
+import os
 import pathlib
-import re
 import signal
 import socket
 import subprocess
@@ -13,6 +13,7 @@ import urllib.parse
 import urllib.request
 
 import alpaca_simulators
+import yaml
 
 LATITUDE, LONGITUDE, ELEVATION = 48.0, 8.0, 1000.0  # alpaca-simulators' own site
 SITE, TELESCOPE = "black-forest", "alpha"
@@ -27,14 +28,26 @@ def free_port() -> int:
         return s.getsockname()[1]
 
 
+def overridden(template: dict, changed: dict) -> dict:
+    """A template with some of its values changed; what it does not have cannot be changed."""
+    for key, value in changed.items():
+        assert key in template, f"alpaca-simulators' template has no {key!r} among {sorted(map(str, template))}"
+        template[key] = overridden(template[key], value) if isinstance(value, dict) else value
+    return template
+
+
 class Site:
     """The simulators and the nodes, with everything they wrote in one folder."""
 
-    def __init__(self, starmesh: str, folder: pathlib.Path, catalogue: pathlib.Path):
-        self.starmesh, self.folder = starmesh, folder
+    def __init__(self, starmesh: str, folder: pathlib.Path, catalogue: pathlib.Path, simulators: dict | None = None,
+                 config: str = "", longitude: float = LONGITUDE, blocks: dict[str, str] | None = None):
+        """`simulators` overrides the simulators' own template; `config` is added to observatory.toml, `blocks` to its blocks by kind."""
+        self.starmesh, self.folder, self.more = starmesh, folder, config
+        self.longitude, self.blocks = longitude, blocks or {}
         self.alpaca, self.bus, self.web = free_port(), free_port(), free_port()
         self.processes: dict[str, subprocess.Popen] = {}
-        self._start_simulators(catalogue)
+        self.catalogue = catalogue
+        self._start_simulators({"tap_source": str(catalogue)} | (simulators or {}))
         (folder / "observatory.toml").write_text(self.config())
 
     def config(self) -> str:
@@ -43,7 +56,7 @@ class Site:
 site = "{SITE}"
 telescope = "{TELESCOPE}"
 latitude_deg = {LATITUDE}
-longitude_deg = {LONGITUDE}
+longitude_deg = {self.longitude}
 elevation_m = {ELEVATION}
 
 [bus]
@@ -51,6 +64,9 @@ multicast = false
 
 [safety]
 sun_altitude_max_deg = 90.0
+
+[imaging]
+catalogue = "{self.catalogue}"
 
 [schedule]
 robotic = true
@@ -60,24 +76,30 @@ listen = "127.0.0.1:{self.web}"
 """]
         extra = {
             "camera": "temperature_c = -15.0",
+            # nothing here needs to come to rest
+            "focuser": "settle_s = 0.0",
+            "telescope": "settle_s = 0.0",
             "safetymonitor": "dwell_min = 0.1",
             "observingconditions": 'limit = [{ parameter = "Humidity", upper = 95.0, dwell_min = 0.1 }]',
         }
         for kind in KINDS:
-            blocks.append(f'[[{kind}]]\nname = "{kind}_1"\nserver = "127.0.0.1:{self.alpaca}"\nnumber = 0\n{extra.get(kind, "")}\n')
-        return "\n".join(blocks)
+            more = f'{extra.get(kind, "")}\n{self.blocks.get(kind, "")}'
+            blocks.append(f'[[{kind}]]\nname = "{kind}_1"\nserver = "127.0.0.1:{self.alpaca}"\nnumber = 0\n{more}\n')
+        return "\n".join([*blocks, self.more])
 
-    def _start_simulators(self, catalogue: pathlib.Path):
+    def _start_simulators(self, changed: dict):
         template = pathlib.Path(alpaca_simulators.__file__).parent / "config" / "template.yaml"
-        text = template.read_text()
-        text, count = re.subn(r"^tap_source: null.*$", f"tap_source: {catalogue}", text, flags=re.M)
-        assert count == 1, "alpaca-simulators' template has no line `tap_source: null`"
         config = self.folder / "simulators.yaml"
-        config.write_text(text)
+        config.write_text(yaml.safe_dump(overridden(yaml.safe_load(template.read_text()), changed)))
         command = [str(pathlib.Path(sys.executable).with_name("alpaca-simulators")),
                    "--port", str(self.alpaca), "--config", str(config)]
+        # where their Sun stands must not ask the network, as in conftest.py
+        settings = self.folder / "astropy" / "astropy.cfg"
+        settings.parent.mkdir()
+        settings.write_text("[utils.iers.iers]\nauto_download = False\nauto_max_age = 100000.0\niers_degraded_accuracy = ignore\n")
+        environment = {**os.environ, "XDG_CONFIG_HOME": str(self.folder)}
         with open(self.folder / "simulators.log", "w") as log:
-            self.processes["simulators"] = subprocess.Popen(command, stdout=log, stderr=log)
+            self.processes["simulators"] = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
         until = time.monotonic() + 60
         while True:
             try:

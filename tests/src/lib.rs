@@ -4,8 +4,10 @@
 //! are processes, because a death is often the point; faults are caused through the world, and what happens is
 //! asserted on topics, as an operator would see it. Run `cargo build --workspace` first (scripts/test does).
 
+mod header;
 mod night;
 mod rig;
 
-pub use night::{Rows, long_row, object, row};
+pub use header::header;
+pub use night::{Rows, example, long_row, object, row};
 pub use rig::{Rig, RigOptions, SITE, TELESCOPE};

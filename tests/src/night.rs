@@ -1,5 +1,7 @@
 //! Schedules for tests: rows that start one after another from a given sky time on.
 
+use std::path::Path;
+
 use contract::Address;
 use serde_json::{Value, json};
 use sky::{EarthOrientation, Horizontal, Observer, Place};
@@ -32,6 +34,16 @@ pub fn long_row(options: &simulator::Options) -> Rows {
     vec![row("open", json!({})), object(options, "Long field", 20.0, 1000)]
 }
 
+/// The text of a file of `examples/`.
+///
+/// # Panics
+/// When there is no such file.
+#[allow(clippy::expect_used, reason = "a test ends by panicking")]
+pub fn example(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples").join(name);
+    std::fs::read_to_string(path).expect("tests ask for examples that are there")
+}
+
 /// The schedule's text.
 pub(crate) fn jsonl(rows: &[(&'static str, Value)], start: Utc, length_s: f64) -> String {
     let lines = rows.iter().enumerate().map(|(index, (action, value))| {
@@ -45,12 +57,12 @@ pub(crate) fn jsonl(rows: &[(&'static str, Value)], start: Utc, length_s: f64) -
     lines.collect()
 }
 
-/// The configuration of all ten simulated devices, with more of the mount's, the dome's and the weather station's block.
+/// The configuration of all ten simulated devices, with more of the mount, the focuser, the dome and the weather station.
 pub(crate) fn configuration(
     address: &Address,
     simulator: std::net::SocketAddr,
     options: &simulator::Options,
-    [mount, dome, weather]: [&str; 3],
+    [mount, focuser, dome, weather]: [&str; 4],
 ) -> String {
     let mut text = format!(
         "[observatory]\nsite = \"{}\"\ntelescope = \"{}\"\nlatitude_deg = {}\nlongitude_deg = {}\nelevation_m = {}\n\
@@ -66,7 +78,7 @@ pub(crate) fn configuration(
         ("telescope", "mount", mount),
         ("camera", "camera", "temperature_c = -10.0\ntemperature_tolerance_c = 2.0\n"),
         ("filterwheel", "wheel", ""),
-        ("focuser", "focuser", ""),
+        ("focuser", "focuser", focuser),
         ("dome", "dome", dome),
         ("safetymonitor", "monitor", "dwell_min = 0.5\n"),
         ("observingconditions", "weather", weather),

@@ -17,8 +17,9 @@ use tempfile::TempDir;
 
 use crate::night::{Rows, configuration, jsonl, long_row};
 
-/// A rig is five busy processes: more than so many at once would measure the machine, not Starmesh.
-static SEATS: tokio::sync::Semaphore = tokio::sync::Semaphore::const_new(3);
+/// A rig is five processes, which together take some 0.05 of a core (27 s for five tests of 185 s, 2026-11): many more at once
+/// would measure the machine at their start, not Starmesh.
+static SEATS: tokio::sync::Semaphore = tokio::sync::Semaphore::const_new(4);
 
 /// Site of every test.
 pub const SITE: &str = "test";
@@ -37,6 +38,8 @@ pub struct RigOptions {
     pub weather_dwell_min: f64,
     /// More of the mount's block.
     pub mount_block: &'static str,
+    /// More of the focuser's block.
+    pub focuser_block: &'static str,
     /// More of the dome's block.
     pub dome_block: &'static str,
     /// More of the configuration, after the devices.
@@ -61,6 +64,7 @@ impl Default for RigOptions {
             permit_valid_s: 5.0,
             weather_dwell_min: 0.5,
             mount_block: "",
+            focuser_block: "",
             dome_block: "",
             more: String::new(),
         }
@@ -97,20 +101,34 @@ pub struct Rig {
 impl Rig {
     /// Starts the world and the bus, writes configuration and schedule; no node runs yet.
     pub async fn new(options: RigOptions, rows: impl FnOnce(&simulator::Options) -> Rows) -> anyhow::Result<Self> {
-        let seat = SEATS.acquire().await?;
-        let world = options.world;
-        let simulator = Simulator::start(world.clone()).await?;
+        let world = options.world.clone();
         let address = Address::new(SITE, TELESCOPE)?;
-        let folder = tempfile::tempdir()?;
         let permit_valid_s = options.permit_valid_s;
         let watchdog = "watchdog_s = 60.0\nwatchdog_action = \"feedwatchdog\"\n";
         let dome = format!("permit_valid_s = {permit_valid_s:?}\n{watchdog}{}", options.dome_block);
         let dwell_min = options.weather_dwell_min;
         let weather = format!("limit = [{{ parameter = \"Humidity\", upper = 99.5, dwell_min = {dwell_min:?} }}]\n");
-        let text = configuration(&address, simulator.address(), &world, [options.mount_block, &dome, &weather]);
-        std::fs::write(folder.path().join("observatory.toml"), text + &options.more)?;
-        let start = simulator.world().now();
-        std::fs::write(folder.path().join("schedule.jsonl"), jsonl(&rows(&world), start, options.window_s))?;
+        let blocks = [options.mount_block, options.focuser_block, &dome, &weather];
+        Self::of_files(options.world, |simulator| {
+            let text = configuration(&address, simulator.address(), &world, blocks) + &options.more;
+            (text, jsonl(&rows(&world), simulator.world().now(), options.window_s))
+        })
+        .await
+    }
+
+    /// Starts the world and the bus, writes the configuration and the schedule that are made for this simulator; no node
+    /// runs yet. The devices are called mount and dome, and so on.
+    pub async fn of_files(
+        world: simulator::Options,
+        files: impl FnOnce(&Simulator) -> (String, String),
+    ) -> anyhow::Result<Self> {
+        let seat = SEATS.acquire().await?;
+        let simulator = Simulator::start(world.clone()).await?;
+        let folder = tempfile::tempdir()?;
+        let (text, rows) = files(&simulator);
+        let address = config::parse(&text, folder.path())?.address();
+        std::fs::write(folder.path().join("observatory.toml"), text)?;
+        std::fs::write(folder.path().join("schedule.jsonl"), rows)?;
         let clock = Clock::of_simulator(&format!("http://{}", simulator.address())).await?;
         let private = config::Bus { listen: vec![], connect: vec![], multicast: false };
         let bus = Bus::open(&private, clock).await?;
@@ -166,15 +184,40 @@ impl Rig {
 
     /// Starts a second observatory node for the same telescope.
     pub fn start_standby(&mut self) -> anyhow::Result<()> {
-        self.standby = Some(self.spawn(Role::Observatory, "second")?);
+        self.start_second(Role::Observatory)
+    }
+
+    /// Starts another node of a role, with the name `second`.
+    pub fn start_second(&mut self, role: Role) -> anyhow::Result<()> {
+        self.standby = Some(self.spawn(role, "second")?);
         Ok(())
     }
 
+    /// Starts one more observatory node of the first one's very name.
+    pub fn start_twin(&mut self) -> anyhow::Result<()> {
+        self.standby = Some(self.spawn(Role::Observatory, "main")?);
+        Ok(())
+    }
+
+    /// Starts a second observatory node with a data folder of its own, as on another host; returns the folder. It has
+    /// no rights beyond those of the folder's owner, so that what is read-only is read-only.
+    pub fn start_standby_apart(&mut self) -> anyhow::Result<PathBuf> {
+        let text = std::fs::read_to_string(self.path("observatory.toml"))?;
+        std::fs::write(self.path("second.toml"), text + "[folders]\ndata = \"second\"\n")?;
+        self.standby = Some(self.spawn_at(Role::Observatory, "second", "second.toml")?);
+        Ok(self.path("second"))
+    }
+
     fn spawn(&self, role: Role, id: &str) -> anyhow::Result<Child> {
+        self.spawn_at(role, id, "observatory.toml")
+    }
+
+    fn spawn_at(&self, role: Role, id: &str, config: &str) -> anyhow::Result<Child> {
         let log = std::fs::OpenOptions::new().create(true).append(true).open(self.path(&format!("{role}.log")))?;
-        let child = Command::new(binary()?)
+        let mut command = if config == "observatory.toml" { Command::new(binary()?) } else { as_owner(&binary()?)? };
+        let child = command
             .args(["node", role.word(), "--id", id, "--with-parent", "--connect", &self.endpoint, "--config"])
-            .arg(self.path("observatory.toml"))
+            .arg(self.path(config))
             .stdin(Stdio::piped())
             .stdout(log.try_clone()?)
             .stderr(log)
@@ -238,9 +281,13 @@ impl Rig {
     #[cfg(unix)]
     pub fn stop_in_its_tracks(&self, role: Role) -> anyhow::Result<()> {
         let child = self.nodes.get(&role).context("this node does not run")?;
-        let told = Command::new("kill").args(["-STOP", &child.id().to_string()]).status()?;
-        anyhow::ensure!(told.success(), "kill -STOP: {told}");
-        Ok(())
+        signal(child, "-STOP")
+    }
+
+    /// Lets a stopped node go on.
+    #[cfg(unix)]
+    pub fn go_on(&self, role: Role) -> anyhow::Result<()> {
+        signal(self.nodes.get(&role).context("this node does not run")?, "-CONT")
     }
 
     /// A file of this test.
@@ -319,6 +366,24 @@ impl Rig {
         }
         words
     }
+}
+
+/// A command that a file's permissions bind, also where the tests run as root.
+fn as_owner(binary: &Path) -> anyhow::Result<Command> {
+    let is_root = cfg!(unix) && Command::new("id").arg("-u").output()?.stdout == b"0\n";
+    if !is_root {
+        return Ok(Command::new(binary));
+    }
+    let mut command = Command::new("setpriv");
+    command.args(["--bounding-set=-all", "--inh-caps=-all", "--"]).arg(binary);
+    Ok(command)
+}
+
+#[cfg(unix)]
+fn signal(child: &Child, signal: &str) -> anyhow::Result<()> {
+    let told = Command::new("kill").args([signal, &child.id().to_string()]).status()?;
+    anyhow::ensure!(told.success(), "kill {signal}: {told}");
+    Ok(())
 }
 
 fn said<T: Payload>(latest: &Latest<T>) -> Option<T> {

@@ -8,8 +8,9 @@ use std::time::{Duration, Instant};
 use axum::Router;
 use axum::http::HeaderMap;
 use axum::routing::{get, post};
+use contract::node::NodeState;
 use contract::observatory::Alerts;
-use contract::{Address, Key, Part, Role};
+use contract::{Address, Key, NodeTopic, Part, Role};
 use serde_json::Value;
 use tests::{Rig, RigOptions, SITE, TELESCOPE, long_row};
 use tokio::io::{AsyncBufReadExt as _, AsyncWriteExt as _, BufReader};
@@ -57,6 +58,13 @@ impl Outside {
             }
         });
         Ok(ports)
+    }
+
+    /// How many mails have this in their subject.
+    fn mails(&self, subject: &str) -> usize {
+        let mails = self.mails.lock().unwrap_or_else(PoisonError::into_inner);
+        let has = |mail: &&String| mail.lines().any(|line| line.starts_with("Subject:") && line.contains(subject));
+        mails.iter().filter(has).count()
     }
 
     /// How many webhook letters `who` got with this event about this alert.
@@ -177,6 +185,48 @@ async fn a_critical_alert_is_told_escalated_acknowledged_and_cleared() -> anyhow
     rig.simulator.world().stick_shutter_half_open(false);
     rig.until("the dome ends shut", 90.0, Rig::is_shut).await?;
     rig.until("the acknowledged alert clears", 90.0, |_| find(ID).is_none()).await?;
+    Ok(())
+}
+
+/// Who sends next knows what was told: from its own disk after a restart, and from the bus where it is another host.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_was_told_is_not_told_again_by_the_next_life_or_by_the_standby_which_tells_what_is_new()
+-> anyhow::Result<()> {
+    let outside = Outside::default();
+    let mut rig = rig(&outside).await?;
+    let address = Address::new(SITE, TELESCOPE)?;
+    let alerts = rig.bus.latest::<Alerts>(&Key::Observatory(address.clone(), Part::Alerts)).await?;
+    let stands = |id: &str| alerts.get().is_some_and(|said| said.said.body.alerts.iter().any(|alert| alert.id == id));
+    let life = || alerts.get().map(|said| said.said.boot_id);
+    let mailed = |id: &str| outside.mails(&format!("raised: {id}"));
+    let told = |id: &str| (outside.letters("chat", "raised", id), mailed(id));
+
+    rig.simulator.world().stick_shutter_half_open(true);
+    rig.simulator.world().set_unsafe(true);
+    rig.until("people are told by webhook and mail", 90.0, |_| told(ID) == (1, 1)).await?;
+
+    let first = life();
+    rig.kill(Role::Observatory)?;
+    rig.start(Role::Observatory)?;
+    rig.until("its next life speaks of it", 60.0, |_| life() != first && stands(ID)).await?;
+    // longer than it waits for the word of others
+    tokio::time::sleep(Duration::from_secs(15)).await;
+    assert_eq!(told(ID), (1, 1), "nobody acknowledged it, and it is told once all the same");
+
+    rig.start_standby_apart()?;
+    let key = Key::Node(address, Role::Observatory, "second".parse()?, NodeTopic::State);
+    let standby = rig.bus.latest::<NodeState>(&key).await?;
+    rig.until("the standby is there", 30.0, |_| standby.get().is_some()).await?;
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    rig.kill(Role::Observatory)?;
+    let silent = "node-silent/observatory/main";
+    rig.until("the standby tells that the commander is dead", 75.0, |_| told(silent) == (1, 1)).await?;
+    assert!(stands(ID), "and goes on with what stood: {}", rig.last_words());
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    assert_eq!((told(silent), told(ID)), ((1, 1), (1, 1)), "and repeats nothing");
+
+    rig.simulator.world().stick_shutter_half_open(false);
+    rig.until("the dome ends shut", 90.0, Rig::is_shut).await?;
     Ok(())
 }
 

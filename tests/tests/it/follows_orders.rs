@@ -1,7 +1,7 @@
 //! A person's word outlives the sky, the schedule and a restart.
 
 use contract::Role;
-use tests::Rig;
+use tests::{Rig, RigOptions, long_row};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_ordered_to_stay_closed_stays_closed_until_it_is_taken_back() -> anyhow::Result<()> {
@@ -44,5 +44,34 @@ async fn one_limit_can_be_done_without_and_no_safety_monitor() -> anyhow::Result
 
     rig.order(&["heed", "weather/Humidity"]).await?;
     rig.until("the heeded limit closes", 30.0, Rig::is_shut).await?;
+    Ok(())
+}
+
+#[cfg(unix)]
+#[tokio::test(flavor = "multi_thread")]
+async fn a_read_only_data_folder_refuses_what_it_cannot_keep_and_closes_all_the_same() -> anyhow::Result<()> {
+    use std::os::unix::fs::PermissionsExt as _;
+    let mut rig = Rig::new(RigOptions::default(), long_row).await?;
+    rig.start(Role::Device)?;
+    let data = rig.start_standby_apart()?;
+    rig.until("the dome opens on a safe sky", 60.0, Rig::is_open).await?;
+    let id = "override/weather/Humidity";
+    rig.order(&["override", "weather/Humidity", "--reason", "the sensor is broken"]).await?;
+    let write = |mode| std::fs::set_permissions(&data, std::fs::Permissions::from_mode(mode));
+    write(0o555)?;
+    for order in [vec!["ack", id], vec!["override", "sun", "--reason", "x"], vec!["shelve", id, "--reason", "x"]] {
+        let refused = rig.order(&order).await.unwrap_err().to_string();
+        assert!(refused.contains("the disk does not take it"), "{order:?}: {refused}");
+    }
+    rig.order(&["stay-closed", "--reason", "people on the roof"]).await?;
+    rig.until("the dome is shut by the order", 30.0, Rig::is_shut).await?;
+    let refused = rig.order(&["open-again"]).await.unwrap_err().to_string();
+    assert!(refused.contains("the disk does not take it"), "{refused}");
+    write(0o755)?;
+    rig.order(&["ack", id]).await?;
+    rig.order(&["open-again"]).await?;
+    rig.until("the night goes on", 60.0, Rig::is_open).await?;
+    rig.simulator.world().set_unsafe(true);
+    rig.until("the dome ends shut", 30.0, Rig::is_shut).await?;
     Ok(())
 }

@@ -45,7 +45,7 @@ async fn refused<C: contract::Payload>(
     action: C,
 ) -> anyhow::Result<CommandId> {
     let device = Address::new(SITE, TELESCOPE)?.device(kind, &name.parse()?);
-    let command = Command { id: CommandId::fresh(), from: "web/mallory".to_owned(), token, action };
+    let command = Command { id: CommandId::fresh(), from: "web/mallory".to_owned(), token, boot_id: None, action };
     let reply: Reply = rig.bus.ask(&contract::Key::Command(device), &command, Duration::from_secs(3)).await?;
     match reply {
         Reply::Refusal(refusal) if refusal.reason == Reason::StaleToken => Ok(command.id),
@@ -76,6 +76,7 @@ fn verbs(member: &str) -> Option<(&'static [&'static str], bool)> {
         "slewtoazimuth" => (&["slew_to_azimuth"], true),
         // part of something larger, once or more
         "tracking" => (&["track", "slew", "unpark"], false),
+        "rightascensionrate" | "declinationrate" => (&["rates", "slew", "track", "park"], false),
         "abortslew" => (&["abort", "park", "abort_then_close_shutter"], false),
         "abortexposure" | "stopexposure" => (&["abort", "expose"], false),
         "setccdtemperature" | "cooleron" => (&["cool", "warm"], false),

@@ -1,9 +1,12 @@
 //! Two observatory nodes for one telescope: one commands, the other takes over before the permit runs out.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use contract::Role;
-use tests::{Rig, RigOptions};
+use bus::Catch;
+use contract::node::NodeState;
+use contract::observatory::{Permit, StandingOrders};
+use contract::{Address, BootId, Key, NodeTopic, Part, Role};
+use tests::{Rig, RigOptions, SITE, TELESCOPE, long_row};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hot_standby_takes_over_and_the_dome_stays_open() -> anyhow::Result<()> {
@@ -52,5 +55,73 @@ async fn of_two_nodes_with_one_name_the_younger_leaves() -> anyhow::Result<()> {
     assert_eq!(token(&rig), before, "and commands");
     rig.simulator.world().set_unsafe(true);
     rig.until("the dome ends shut", 30.0, Rig::is_shut).await?;
+    Ok(())
+}
+
+/// Both have one name, and neither hears the other before it claims: the first is stopped as it starts.
+#[cfg(unix)]
+#[tokio::test(flavor = "multi_thread")]
+async fn of_two_processes_with_one_name_one_has_the_lease_at_a_time() -> anyhow::Result<()> {
+    let mut rig = Rig::new(RigOptions { permit_valid_s: 10.0, ..RigOptions::default() }, long_row).await?;
+    let address = Address::new(SITE, TELESCOPE)?;
+    let permits = Key::Permit(address.clone(), "dome".parse()?).to_string();
+    let permits = rig.bus.subscribe::<Permit>(&permits, Catch::Newest, 1000).await?;
+    let state = Key::Node(address, Role::Observatory, "main".parse()?, NodeTopic::State);
+    let state = rig.bus.latest::<NodeState>(&state).await?;
+    rig.start(Role::Device)?;
+    rig.until("the guard speaks", 30.0, |rig| rig.guard.get().is_some()).await?;
+    rig.start(Role::Observatory)?;
+    rig.until("the first has a session", 30.0, |_| state.get().is_some()).await?;
+    rig.stop_in_its_tracks(Role::Observatory)?;
+    let first = state.get().map(|said| said.said.boot_id);
+    rig.start_twin()?;
+    let heard = tokio::time::timeout(Duration::from_secs(40), permits.hear()).await?;
+    assert_ne!(Some(&heard.said.boot_id), first.as_ref(), "the first has not claimed yet");
+
+    rig.go_on(Role::Observatory)?;
+    let (mut last, mut changes): ((BootId, u64, Instant), _) =
+        ((heard.said.boot_id, heard.said.body.token, Instant::now()), 0);
+    let until = Instant::now() + Duration::from_secs(14);
+    while let Ok(heard) = tokio::time::timeout_at(until.into(), permits.hear()).await {
+        let (life, token) = (heard.said.boot_id, heard.said.body.token);
+        if life != last.0 {
+            changes += 1;
+            let silence = last.2.elapsed();
+            assert!(silence > Duration::from_millis(4500), "{life} commands {silence:?} after {} spoke", last.0);
+            assert!(token > last.1, "with a token of its own");
+        } else {
+            assert!(token >= last.1, "no token goes back");
+        }
+        last = (life, token, Instant::now());
+    }
+    assert!(changes <= 1, "the lease changed hands {changes} times");
+    rig.simulator.world().set_unsafe(true);
+    rig.until("the dome ends shut", 60.0, Rig::is_shut).await?;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_standby_with_its_own_disk_keeps_closed_what_was_ordered_to_stay_closed() -> anyhow::Result<()> {
+    let mut rig = Rig::at_open_dome_with(RigOptions { permit_valid_s: 10.0, ..RigOptions::default() }).await?;
+    let data = rig.start_standby_apart()?;
+    let key = Key::Observatory(Address::new(SITE, TELESCOPE)?, Part::Standing);
+    let standing = rig.bus.latest::<StandingOrders>(&key).await?;
+    tokio::time::sleep(Duration::from_secs(8)).await;
+    rig.order(&["stay-closed", "--reason", "people on the roof"]).await?;
+    rig.until("the dome is shut by the order", 30.0, Rig::is_shut).await?;
+    let token = standing.get().and_then(|said| said.said.body.token);
+
+    rig.kill(Role::Observatory)?;
+    let taken = |_: &Rig| standing.get().is_some_and(|said| said.said.body.token > token);
+    rig.until("the standby commands", 30.0, taken).await?;
+    let written = std::fs::read_to_string(data.join(format!("standing-{TELESCOPE}.json")))?;
+    assert!(written.contains("people on the roof"), "{written}");
+    // the safety dwell of this rig is 3 s: without the order the dome would open
+    tokio::time::sleep(Duration::from_secs(8)).await;
+    assert!(rig.is_shut(), "{}", rig.last_words());
+    rig.order(&["open-again"]).await?;
+    rig.until("the night goes on", 60.0, Rig::is_open).await?;
+    rig.simulator.world().set_unsafe(true);
+    rig.until("the dome ends shut", 60.0, Rig::is_shut).await?;
     Ok(())
 }

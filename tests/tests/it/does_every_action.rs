@@ -1,0 +1,242 @@
+//! The night of `examples/night`, as its files stand: every action there is, in the order of a night, from dusk to dawn. It ends
+//! closed and parked, and every exposure that the simulator's log knows is one whole FITS file and one row of the archive.
+
+#![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
+
+use bus::{Catch, Latest, Subscriber};
+use contract::device::camera::Frame;
+use contract::observatory::{
+    ActionAnswer, ActionQuestion, Alerts, FocusOutcome, FocusRun, GuidingState, PointingState, RowStatus, ScheduleState,
+};
+use contract::{Address, Key, Part};
+use simulator::Simulator;
+use tests::{Rig, example, header};
+
+/// Sky seconds per machine second. On two slow and busy cores a frame takes 0.8 s from one to the next, and so long the light of
+/// this slow twilight is the same within a tenth.
+const SPEED: f64 = 100.0;
+/// Half of it is there for a busy machine: the rows of the night need 40 s on a quiet one.
+const MOST_S: f64 = 240.0;
+
+/// Frames that each row ends with, in the order of the rows; `None` where the frames are as many as it takes.
+const ROWS: [(&str, Option<u32>); 14] = [
+    ("cool_camera", Some(0)),
+    ("open", Some(0)),
+    ("flats", Some(4)),
+    ("autofocus", None),
+    ("calibrate_guiding", None),
+    ("pointing_model", Some(6)),
+    ("object", Some(5)),
+    ("object", Some(3)),
+    ("object", Some(3)),
+    ("flats", Some(4)),
+    ("close", Some(0)),
+    ("flats", Some(3)),
+    ("calibration", Some(7)),
+    ("complete_headers", Some(0)),
+];
+
+/// The simulator as README.md beside the files starts it.
+fn world() -> simulator::Options {
+    let mut world = simulator::Options {
+        start: "2026-06-20T20:50:00Z".parse().unwrap(),
+        speed: SPEED,
+        latitude: units::Angle::from_degrees(56.773),
+        longitude: units::Angle::from_degrees(24.404),
+        ..Default::default()
+    };
+    world.dome.watchdog_s = Some(120.0);
+    let camera = &mut world.camera;
+    (camera.width, camera.height, camera.pixel_um, camera.optics_fwhm_arcsec) = (512, 512, 54.0, 25.0);
+    world
+}
+
+/// The example's files, with this simulator for theirs and a bus of the test's own.
+fn files(simulator: &Simulator) -> (String, String) {
+    let config = example("night/observatory.toml").replace("127.0.0.1:11111", &simulator.address().to_string());
+    (config + "\n[bus]\nmulticast = false\n[web]\nlisten = \"127.0.0.1:0\"\n", example("night/schedule.jsonl"))
+}
+
+/// What is heard of the night.
+struct Ears {
+    schedule: Subscriber<ScheduleState>,
+    guiding: Latest<GuidingState>,
+    pointing: Latest<PointingState>,
+    alerts: Latest<Alerts>,
+    focus: Subscriber<FocusRun>,
+}
+
+impl Ears {
+    async fn of(rig: &Rig, address: &Address) -> anyhow::Result<Self> {
+        let part = |part| Key::Observatory(address.clone(), part);
+        Ok(Self {
+            schedule: rig.bus.subscribe(&part(Part::Schedule).to_string(), Catch::All, 10_000).await?,
+            guiding: rig.bus.latest(&part(Part::Guiding)).await?,
+            pointing: rig.bus.latest(&part(Part::Pointing)).await?,
+            alerts: rig.bus.latest(&part(Part::Alerts)).await?,
+            focus: rig.bus.subscribe(&Key::FocusRun(address.clone()).to_string(), Catch::All, 100).await?,
+        })
+    }
+}
+
+/// Waits until all rows are finished, and prints how it goes. Returns them in the order in which they were, and whether a field
+/// was guided meanwhile.
+async fn follow(rig: &Rig, ears: &Ears) -> anyhow::Result<(Vec<usize>, bool)> {
+    let began = Instant::now();
+    let (mut last, mut order, mut guided) = (Vec::<RowStatus>::new(), Vec::new(), false);
+    while order.len() < ROWS.len() {
+        anyhow::ensure!(began.elapsed().as_secs_f64() < MOST_S, "{order:?} are finished\n{}", rig.last_words());
+        guided |= ears.guiding.get().is_some_and(|heard| heard.said.body.active);
+        let heard = match tokio::time::timeout(Duration::from_millis(200), ears.schedule.hear()).await {
+            Ok(heard) => heard.said,
+            Err(_) => continue,
+        };
+        last.resize(heard.body.rows.len(), RowStatus::Pending);
+        for (index, row) in heard.body.rows.iter().enumerate() {
+            if std::mem::replace(&mut last[index], row.status) == row.status {
+                continue;
+            }
+            let (at_s, sky) = (began.elapsed().as_secs_f64(), heard.at_utc);
+            println!("{at_s:6.1} s {sky} {} {:?} {} frames, {}", row.action, row.status, row.frames, row.detail);
+            match row.status {
+                RowStatus::Finished => order.push(index),
+                RowStatus::Failed | RowStatus::Skipped => anyhow::bail!("{row:?}\n{}", rig.last_words()),
+                RowStatus::Pending | RowStatus::Running | RowStatus::Interrupted => {}
+            }
+        }
+    }
+    Ok((order, guided))
+}
+
+/// A frame as the archive's row tells it.
+struct Kept {
+    id: String,
+    file: String,
+    frame: Frame,
+    is_complete: bool,
+}
+
+fn kept(rig: &Rig) -> anyhow::Result<Vec<Kept>> {
+    let database = rusqlite::Connection::open(rig.path("data/archive.db"))?;
+    let mut query = database.prepare("SELECT frame_id, file, frame, complete_hdr FROM images ORDER BY date_obs")?;
+    let rows = query.query_map([], |row| {
+        Ok((row.get::<_, String>(0)?, row.get::<_, String>(1)?, row.get::<_, String>(2)?, row.get::<_, bool>(3)?))
+    })?;
+    let mut found = Vec::new();
+    for row in rows {
+        let (id, file, frame, is_complete) = row?;
+        found.push(Kept { id, file, frame: serde_json::from_str(&frame)?, is_complete });
+    }
+    Ok(found)
+}
+
+/// The exposures that the simulator's cameras began, in ms and with or without light; each was let run to its end.
+fn exposures(rig: &Rig) -> Vec<(i64, bool)> {
+    let puts = rig.simulator.world().puts_since(0);
+    let ended_early: Vec<_> =
+        puts.iter().filter(|put| matches!(&*put.member, "abortexposure" | "stopexposure")).collect();
+    assert!(ended_early.is_empty(), "{ended_early:?}");
+    let value = |parameters: &str, name: &str| {
+        let of = |pair: &str| pair.split_once('=').filter(|(key, _)| *key == name).map(|(_, value)| value.to_owned());
+        parameters.split('&').find_map(of).unwrap()
+    };
+    let begun = puts.iter().filter(|put| put.member == "startexposure");
+    begun
+        .map(|put| {
+            assert_eq!(put.error, Some(0), "{put:?}");
+            let seconds: f64 = value(&put.parameters, "Duration").parse().unwrap();
+            ((seconds * 1000.0).round() as i64, value(&put.parameters, "Light").eq_ignore_ascii_case("true"))
+        })
+        .collect()
+}
+
+/// Every exposure is one whole file and one row, and nothing else is.
+async fn account(rig: &Rig) -> anyhow::Result<()> {
+    let begun = exposures(rig);
+    let whole =
+        |rig: &Rig| kept(rig).is_ok_and(|kept| kept.len() == begun.len() && kept.iter().all(|it| it.is_complete));
+    rig.until(&format!("{} frames with whole headers", begun.len()), 60.0, whole).await?;
+    let kept = kept(rig)?;
+    let told: Vec<(i64, bool)> = kept
+        .iter()
+        .map(|it| ((it.frame.exposure_s * 1000.0).round() as i64, is_light(&it.frame.purpose.image_type)))
+        .collect();
+    assert_eq!(told, begun, "one after another, as the simulator exposed them");
+    let files: BTreeSet<_> = rig.fits().into_iter().collect();
+    let of_rows: BTreeSet<_> = kept.iter().map(|it| rig.path("images").join(&it.file)).collect();
+    assert_eq!((files.len(), &files), (begun.len(), &of_rows), "no file without a row, none twice");
+    let mut counts = BTreeMap::<(u32, String), usize>::new();
+    for it in &kept {
+        let path = rig.path("images").join(&it.file);
+        let header = header(&path)?;
+        let purpose = &it.frame.purpose;
+        *counts.entry((purpose.row.unwrap(), purpose.image_type.clone())).or_default() += 1;
+        let text = |keyword: &str| header.get(keyword).map(|value| value.trim_matches(['\'', ' ']).to_owned());
+        assert_eq!(text("FRAMEID").as_deref(), Some(it.id.as_str()), "{}", it.file);
+        assert_eq!(text("IMAGETYP").as_deref(), Some(purpose.image_type.as_str()), "{}", it.file);
+        assert!(header.contains_key("DATE-OBS") && header.contains_key("BKGLEVEL"), "{}: {header:?}", it.file);
+        // what only a complete header has
+        let needs = if purpose.image_type == "Light Frame" { "OBJALT" } else { "CCD-TEMP" };
+        assert!(header.contains_key(needs), "{}: no {needs} in {:?}", it.file, header.keys().collect::<BTreeSet<_>>());
+    }
+    println!("{} exposures: {counts:?}", begun.len());
+    let of = |row: u32, image_type: &str| counts.get(&(row, image_type.to_owned())).copied().unwrap_or_default();
+    assert_eq!(of(5, "Dark Frame"), 1, "the pointing model's own");
+    assert_eq!((of(12, "Bias Frame"), of(12, "Dark Frame")), (3, 4));
+    Ok(())
+}
+
+fn is_light(image_type: &str) -> bool {
+    !matches!(image_type, "Bias Frame" | "Dark Frame")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_night_with_every_action_ends_closed_with_every_frame_accounted_for() -> anyhow::Result<()> {
+    let mut rig = Rig::of_files(world(), files).await?;
+    let config = config::parse(&std::fs::read_to_string(rig.path("observatory.toml"))?, &rig.path(""))?;
+    let address = config.address();
+    let [toml, schedule] = ["observatory.toml", "schedule.jsonl"].map(|name| rig.path(name).display().to_string());
+    for words in [vec!["check", &toml], vec!["check", &schedule, "--at", "2026-06-20T20:50:00Z"]] {
+        let told = rig.starmesh(&words).await?;
+        assert!(!told.contains("warning") && !told.contains("error"), "{told}");
+    }
+    let ears = Ears::of(&rig, &address).await?;
+    rig.start_all()?;
+    let (order, guided) = follow(&rig, &ears).await?;
+    assert_eq!(order, (0..ROWS.len()).collect::<Vec<_>>(), "one row after another");
+    rig.until("the night ends", 60.0, |rig| rig.night.get().is_some_and(|night| night.said.body.ended)).await?;
+
+    let rows = rig.schedule.get().unwrap().said.body.rows;
+    let told: Vec<_> = rows.iter().map(|row| row.action.as_str()).collect();
+    assert_eq!(told, ROWS.map(|(action, _)| action));
+    for (row, (_, frames)) in rows.iter().zip(ROWS) {
+        assert_eq!(row.status, RowStatus::Finished, "{row:?}");
+        assert!(frames.is_none_or(|frames| row.frames == frames), "{frames:?} expected: {row:?}");
+    }
+    // no action is left out: the bus tells which there are
+    let answer: ActionAnswer =
+        rig.bus.ask(&Key::Actions(address.clone()), &ActionQuestion::default(), Duration::from_secs(5)).await?;
+    let all: BTreeSet<&str> = answer.actions.iter().map(|action| action.name.as_str()).collect();
+    assert_eq!(told.into_iter().collect::<BTreeSet<_>>(), all);
+    assert!(answer.actions.iter().all(|action| action.schema["type"] == "object" && action.example.is_object()));
+
+    let run = tokio::time::timeout(Duration::from_secs(5), ears.focus.hear()).await?.said.body;
+    assert_eq!(run.outcome, FocusOutcome::Focused, "{run:?}");
+    assert!(guided, "a field was held by guiding");
+    let points: usize = ears.pointing.get().unwrap().said.body.models.iter().map(|model| model.points.len()).sum();
+    assert!(points >= 6, "the pointing model has learnt of {points} places");
+
+    assert!(rig.is_shut() && rig.is_parked() && rig.simulator.world().is_parked(), "{}", rig.last_words());
+    let mut lamp = rig.simulator.world().puts_since(0).into_iter().filter(|put| put.member.starts_with("calibrator"));
+    assert_eq!(lamp.next_back().map(|put| put.member), Some("calibratoroff".to_owned()), "the panel is dark");
+    account(&rig).await?;
+    let standing = ears.alerts.get().unwrap().said.body.alerts;
+    assert!(standing.is_empty(), "{standing:?}");
+    let books = ["device", "observatory"].map(|role| rig.path(&format!("data/audit-{role}-alpha-main.jsonl")));
+    let books = books.map(|book| book.display().to_string());
+    println!("{}", rig.starmesh(&["audit", "verify", &books[0], &books[1]]).await?);
+    Ok(())
+}

@@ -1,0 +1,119 @@
+//! The observatory node dies, and people hear of it once: from an archive node, or from one of two web nodes. It comes
+//! back, and nobody hears anything twice.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use axum::Router;
+use axum::routing::post;
+use contract::observatory::Alerts;
+use contract::{Address, Key, NodeTopic, Part, Role};
+use serde_json::Value;
+use tests::{Rig, RigOptions, SITE, TELESCOPE, long_row};
+use tokio::net::TcpListener;
+
+const SILENT: &str = "node-silent/observatory/alpha";
+/// What is told before the observatory node dies and stands all the time: a full disk, that each node tells, and a
+/// receiver that nobody reaches, that only those who send can know.
+const BEFORE: [&str; 2] = ["disk/data", "alert-not-sent/dead"];
+
+/// Who gets the alerts.
+#[derive(Clone, Default)]
+struct Chat(Arc<Mutex<Vec<Value>>>);
+
+impl Chat {
+    async fn open(&self) -> anyhow::Result<u16> {
+        let (listener, letters) = (TcpListener::bind("127.0.0.1:0").await?, self.0.clone());
+        let port = listener.local_addr()?.port();
+        let take = move |body: String| {
+            letters
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push(serde_json::from_str(&body).unwrap_or_default());
+            std::future::ready("thanks")
+        };
+        tokio::spawn(async move { axum::serve(listener, Router::new().route("/", post(take))).await });
+        Ok(port)
+    }
+
+    /// Every event so far, in order, such as `raised no-lease`.
+    fn told(&self) -> Vec<String> {
+        let letters = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let news = letters.iter().flat_map(|letter| letter["news"].as_array().cloned().unwrap_or_default());
+        let words = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+        news.map(|news| format!("{} {}", words(&news["event"]), words(&news["alert"]["id"]))).collect()
+    }
+
+    fn count(&self, event: &str) -> usize {
+        self.told().iter().filter(|told| *told == event).count()
+    }
+}
+
+/// Waits for a message and longer: it came once, and nothing came twice.
+async fn once(rig: &Rig, chat: &Chat, event: &str, limit_s: f64) -> anyhow::Result<()> {
+    rig.until(event, limit_s, |_| chat.count(event) > 0).await?;
+    tokio::time::sleep(Duration::from_secs(4)).await;
+    for told in chat.told() {
+        assert_eq!(chat.count(&told), 1, "{told} came more than once: {:?}", chat.told());
+    }
+    Ok(())
+}
+
+async fn story(role: Role, ids: &[&str]) -> anyhow::Result<()> {
+    let chat = Chat::default();
+    let port = chat.open().await?;
+    let more = format!(
+        "[safety]\ndisk_free_min_gb = 1000000\n[alerts]\nsend_when_observatory_silent_s = 20\nstand_in = \"{}\"\n\
+         [[alerts.webhook]]\nname = \"chat\"\nurl = \"http://127.0.0.1:{port}/\"\n\
+         [[alerts.webhook]]\nname = \"dead\"\nurl = \"http://127.0.0.1:1/\"\n",
+        role.word()
+    );
+    let mut rig = Rig::new(RigOptions { more, ..RigOptions::default() }, long_row).await?;
+    for role in [Role::Device, role, Role::Observatory] {
+        rig.start(role)?;
+    }
+    if ids.len() > 1 {
+        rig.start_second(role)?;
+    }
+    let address = Address::new(SITE, TELESCOPE)?;
+    let merged = rig.bus.latest::<Alerts>(&Key::Observatory(address.clone(), Part::Alerts)).await?;
+    let mut own = Vec::new();
+    for id in ids {
+        own.push(rig.bus.latest::<Alerts>(&Key::Node(address.clone(), role, id.parse()?, NodeTopic::Alerts)).await?);
+    }
+    let raised = format!("raised {SILENT}");
+    let stands = |latest: &bus::Latest<Alerts>, id: &str| {
+        latest.get().is_some_and(|said| said.said.body.alerts.iter().any(|alert| alert.id == id))
+    };
+    for id in BEFORE {
+        rig.until("what stands before is alerted", 60.0, |_| stands(&merged, id)).await?;
+        once(&rig, &chat, &format!("raised {id}"), 20.0).await?;
+    }
+    assert_eq!(chat.count(&raised), 0, "nobody stands in for a node that lives");
+
+    rig.kill(Role::Observatory)?;
+    once(&rig, &chat, &raised, 60.0).await?;
+    rig.until("all that stand in say so", 10.0, |_| own.iter().all(|latest| stands(latest, SILENT))).await?;
+
+    rig.start(Role::Observatory)?;
+    let over = format!("returned {SILENT}");
+    once(&rig, &chat, &over, 90.0).await?;
+    rig.until("who stood in is content", 20.0, |_| own.iter().all(|latest| !stands(latest, SILENT))).await?;
+    for id in BEFORE {
+        assert!(stands(&merged, id), "{id} still stands");
+        assert_eq!(chat.count(&format!("raised {id}")), 1, "and was told once: {:?}", chat.told());
+    }
+    rig.until("the dome ends shut", 60.0, Rig::is_shut).await?;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_archive_node_tells_once_that_the_observatory_is_dead_and_falls_silent_when_it_is_back() -> anyhow::Result<()>
+{
+    story(Role::Archive, &["main"]).await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn of_two_web_nodes_one_tells_it() -> anyhow::Result<()> {
+    story(Role::Web, &["main", "second"]).await
+}

@@ -1,0 +1,184 @@
+//! A plan beside the truth: overheads are measured from the archive of one schedule, the next one is planned with them, and
+//! then real nodes do it on the simulator.
+
+#![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
+
+use std::collections::BTreeMap;
+
+use contract::observatory::RowStatus;
+use serde_json::{Value, json};
+use sky::{EarthOrientation, Horizontal, Observer, Place};
+use tests::{Rig, RigOptions};
+use units::Utc;
+
+/// Sky seconds per machine second.
+const SPEED: f64 = 20.0;
+/// Devices at rest are polled each machine second, 20 s here, and a busy machine needs a quarter of one more.
+const EACH_ROW_S: f64 = 25.0;
+/// The first slew of a night comes from the park position: its way is taken for 60 deg, and may be 60 more or less.
+const FROM_PARK_S: f64 = 40.0;
+/// So many frames of a row without a number may be missed by that.
+const FRAMES: u64 = 3;
+/// Medians of few slews and frames are good to this share of a row.
+const SHARE: f64 = 0.1;
+
+/// An object row at an altitude and azimuth of now.
+fn object(rig: &Rig, name: &str, (altitude_deg, azimuth_deg): (f64, f64), exptime: f64, n: Option<u32>) -> Value {
+    let place = Place::new(rig.world.latitude, rig.world.longitude, rig.world.elevation_m).unwrap();
+    let observer = Observer::new(&place, &EarthOrientation::default(), rig.simulator.world().now()).unwrap();
+    let target = observer.to_icrs(&Horizontal::from_degrees(altitude_deg, azimuth_deg));
+    let (ra, dec) = (target.ra.wrapped_positive().degrees(), target.dec.degrees());
+    let filter = if n.is_some() { "V" } else { "R" };
+    let mut row = json!({ "object": name, "ra": ra, "dec": dec, "exptime": exptime, "filter": filter });
+    if let Some(n) = n {
+        row["n"] = json!(n);
+    }
+    row
+}
+
+/// A schedule's text: rows with the length of their windows, which begin one second after another.
+fn text(start: Utc, rows: &[(&'static str, Value, f64)]) -> String {
+    let at = |(index, (action, value, length_s)): (usize, &(&'static str, Value, f64))| {
+        (*action, value.clone(), index as f64, index as f64 + length_s)
+    };
+    text_at(start, &rows.iter().enumerate().map(at).collect::<Vec<_>>())
+}
+
+/// ... rows with begin and end of their windows after `start`, s.
+fn text_at(start: Utc, rows: &[(&str, Value, f64, f64)]) -> String {
+    let line = |(action, value, from_s, to_s): &(&str, Value, f64, f64)| {
+        let row = json!({
+            "device_name": "camera", "action_type": action, "action_value": value,
+            "start_time": start.plus_seconds(*from_s).to_string(), "end_time": start.plus_seconds(*to_s).to_string(),
+        });
+        format!("{row}\n")
+    };
+    rows.iter().map(line).collect()
+}
+
+/// When each row began and ended after `since`, as the nodes' diaries have it in the archive.
+fn truth(rig: &Rig, since: Utc) -> BTreeMap<u32, (Option<Utc>, Option<Utc>)> {
+    let database = rusqlite::Connection::open(rig.path("data/archive.db")).unwrap();
+    let mut lines = database.prepare("SELECT datetime, message FROM log ORDER BY datetime").unwrap();
+    let lines = lines.query_map([], |row| Ok((row.get::<_, String>(0)?, row.get::<_, String>(1)?))).unwrap();
+    let mut rows: BTreeMap<u32, (Option<Utc>, Option<Utc>)> = BTreeMap::new();
+    for (at, message) in lines.map(Result::unwrap) {
+        let at: Utc = format!("{}Z", at.replace(' ', "T")).parse().unwrap();
+        let number = message.split(' ').find_map(|word| word.strip_prefix("row=")).and_then(|n| n.parse().ok());
+        let Some(number) = number.filter(|_| at >= since) else { continue };
+        let row = rows.entry(number).or_default();
+        if message.starts_with("row begins") {
+            row.0 = Some(at);
+        } else if message.starts_with("row finished") || message.starts_with("row ended") {
+            row.1 = Some(at);
+        }
+    }
+    rows
+}
+
+/// Waits until all rows of a schedule so long have ended.
+async fn until_ended(rig: &Rig, rows: usize) -> anyhow::Result<()> {
+    let ended = |rig: &Rig| {
+        let told = rig.schedule.get().map(|schedule| schedule.said.body.rows).unwrap_or_default();
+        let is_over = |status| matches!(status, RowStatus::Finished | RowStatus::Failed | RowStatus::Skipped);
+        told.len() == rows && told.iter().all(|row| is_over(row.status))
+    };
+    rig.until("all rows have ended", 120.0, ended).await?;
+    rig.until("the night has ended", 60.0, |rig| rig.night.get().is_some_and(|night| night.said.body.ended)).await?;
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_next_night_goes_as_planned_from_the_telemetry_of_the_last_one() -> anyhow::Result<()> {
+    let mut options = RigOptions::default();
+    options.world.speed = SPEED;
+    // how far a dome turns before it opens is that of the night before
+    options.world.dome.slit = None;
+    options.world.mount = simulator::MountOptions { slew_deg_per_s: 3.0, ..simulator::MountOptions::perfect() };
+    let mut rig = Rig::new(options, |_| vec![("cool_camera", json!({}))]).await?;
+    // a plan takes the sensor for warm at first, and in the second schedule it would still be cold
+    let site = std::fs::read_to_string(rig.path("observatory.toml"))?;
+    std::fs::write(rig.path("observatory.toml"), site.replace("temperature_c = -10.0\n", ""))?;
+    let first = [
+        ("open", json!({}), 3600.0),
+        ("object", object(&rig, "a", (70.0, 90.0), 5.0, Some(4)), 3600.0),
+        ("object", object(&rig, "b", (40.0, 200.0), 5.0, Some(4)), 3600.0),
+        ("object", object(&rig, "c", (55.0, 20.0), 5.0, Some(4)), 3600.0),
+        ("object", object(&rig, "d", (50.0, 60.0), 5.0, Some(3)), 3600.0),
+        ("object", object(&rig, "e", (75.0, 60.0), 5.0, Some(3)), 3600.0),
+        ("calibration", json!({ "exptime": [0.0, 2.0], "n": [4, 4] }), 3600.0),
+        ("close", json!({}), 3600.0),
+    ];
+    std::fs::write(rig.path("schedule.jsonl"), text(rig.simulator.world().now(), &first))?;
+    rig.start_all()?;
+    until_ended(&rig, first.len()).await?;
+
+    // the archive commits within a second
+    tokio::time::sleep(std::time::Duration::from_millis(1500)).await;
+    let start = rig.simulator.world().now().plus_seconds(60.0);
+    // each row has time to end before the next one begins, so that each is judged for itself
+    let second = [
+        ("open", json!({}), 0.0, 100.0),
+        ("object", object(&rig, "f", (65.0, 120.0), 10.0, Some(6)), 80.0, 300.0),
+        ("object", object(&rig, "g", (35.0, 300.0), 4.0, Some(8)), 270.0, 400.0),
+        ("object", object(&rig, "h", (60.0, 10.0), 12.0, None), 410.0, 570.0),
+        ("calibration", json!({ "exptime": [0.0, 8.0], "n": [6, 5] }), 600.0, 760.0),
+        ("close", json!({}), 700.0, 1000.0),
+    ];
+    let file = rig.path("next.jsonl");
+    std::fs::write(&file, text_at(start, &second))?;
+    let config = rig.path("observatory.toml");
+    let words = ["plan", file.to_str().unwrap(), "--config", config.to_str().unwrap(), "--json"];
+    let told = rig.starmesh(&words).await?;
+    println!("{}", rig.starmesh(&words[..4]).await?);
+    std::fs::rename(&file, rig.path("schedule.jsonl"))?;
+    let plan: Vec<Value> = told.lines().map(serde_json::from_str).collect::<Result<_, _>>()?;
+    let measured = |name: &str| {
+        let figures = plan[0]["overheads"].as_array().unwrap();
+        figures.iter().find(|figure| figure["name"] == name).map_or(0, |figure| figure["measured"].as_u64().unwrap())
+    };
+    for (name, least) in [("open", 1), ("close", 1), ("slew", 4), ("spool", 5), ("between frames, object", 10)] {
+        assert!(measured(name) >= least, "{name}: {} measured of at least {least}\n{told}", measured(name));
+    }
+    assert!(
+        plan[0]["cameras"]["camera"]["width_px"] == 256 && plan[0]["cameras"]["camera"]["measured"].as_u64() > Some(10)
+    );
+    let rows: Vec<&Value> = plan.iter().filter(|line| line["row"].is_number()).collect();
+    assert!(rows.len() == second.len() && rows.iter().all(|row| row["whole"] == true), "{told}");
+
+    let begins = start.plus_seconds(-1.0);
+    rig.until("the next night has begun", 60.0, |rig| {
+        rig.schedule.get().is_some_and(|told| told.said.body.rows.len() == 6)
+    })
+    .await?;
+    until_ended(&rig, second.len()).await?;
+    tokio::time::sleep(std::time::Duration::from_millis(1500)).await;
+    let done = truth(&rig, begins);
+    let frames = rig.schedule.get().unwrap().said.body.rows;
+    let mut off: Vec<String> = Vec::new();
+    for (number, row) in (0_u32..).zip(rows) {
+        let time = |name: &str| -> Utc { row[name].as_str().unwrap().parse().unwrap() };
+        let (planned, (began, ended)) = ((time("start_utc"), time("end_utc")), done[&number]);
+        let (began, ended) = (began.unwrap(), ended.unwrap());
+        let near_s =
+            EACH_ROW_S + SHARE * planned.1.seconds_since(planned.0) + if number == 1 { FROM_PARK_S } else { 0.0 };
+        let (early_s, late_s) = (began.seconds_since(planned.0), ended.seconds_since(planned.1));
+        let (count, wanted) = (frames[number as usize].frames, row["frames"].as_u64().unwrap());
+        println!(
+            "{:12} begins {early_s:+6.1} s, ends {late_s:+6.1} s beside its plan ({:.0} s long, within {near_s:.0} s), {count} of \
+             {wanted} frames",
+            row["action"].as_str().unwrap(),
+            planned.1.seconds_since(planned.0),
+        );
+        if early_s.abs() > near_s || late_s.abs() > near_s {
+            off.push(format!("row {number}: {early_s:+.1} s, {late_s:+.1} s"));
+        }
+        // a row that goes on until its window ends has as many as fit
+        let is_counted = row["frames_wanted"].is_number();
+        let differ = u64::from(count).abs_diff(wanted);
+        assert!(differ <= if is_counted { 0 } else { FRAMES }, "row {number}: {count} frames, {wanted} were planned");
+    }
+    assert!(off.is_empty(), "{off:?}");
+    rig.until("the dome ends shut", 30.0, Rig::is_shut).await?;
+    Ok(())
+}
