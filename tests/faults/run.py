@@ -147,8 +147,9 @@ def chosen(arguments, cases):
 
 
 def second_try(first: Runner, cases, binary: str, allowance_s: float) -> Runner:
-    """What failed or was not run, once more and alone; the first tries stay in the words of this run."""
-    good = [result for result in first.results if result.passed or result.case.known]
+    """What failed, was late or was not run, once more and alone; the first tries stay in the words of this run."""
+    from table import is_late
+    good = [result for result in first.results if result.passed and not is_late(result, allowance_s) or result.case.known]
     rest = [case for case in cases if not any(result.case is case for result in good)]
     if not rest:
         return first
@@ -169,7 +170,7 @@ def main() -> int:
                         help="added to each bound for a busy machine; 1 in the short form, else 0")
     parser.add_argument("--list", action="store_true", help="print the cases and stop")
     parser.add_argument("--again", action="store_true",
-                        help="what fails is tried once more, by itself, on a machine that has nothing else to do")
+                        help="what fails or is late is tried once more, by itself, on a machine that has nothing else to do")
     parser.add_argument("--quiet", action="store_true", help="without the nodes' last words after a failure")
     arguments = parser.parse_args()
     binary = pathlib.Path(os.environ.get("STARMESH_BIN", PROJECT / "target" / "debug" / "starmesh"))
