@@ -1,5 +1,6 @@
 """A site whose hardware is PyPI's alpaca-simulators, run by the four Starmesh nodes as four processes."""
 
+import contextlib
 import datetime
 import json
 import os
@@ -14,6 +15,7 @@ import urllib.request
 
 import alpaca_simulators
 import yaml
+from ear import Ear
 
 LATITUDE, LONGITUDE, ELEVATION = 48.0, 8.0, 1000.0  # alpaca-simulators' own site
 SITE, TELESCOPE = "black-forest", "alpha"
@@ -165,3 +167,25 @@ listen = "127.0.0.1:{self.web}"
                 process.kill()
                 codes[name] = process.wait()
         return codes
+
+
+class Record:
+    """What is left of a night for the tests of a file."""
+
+    site: Site
+    ear: Ear
+    exit_codes: dict[str, int]
+
+
+@contextlib.contextmanager
+def observing(record: Record):
+    """Ends what `record.site` has started, whatever happened; where something did, shows the last words of all nodes."""
+    try:
+        yield
+    except BaseException:
+        print(record.site.logs())
+        raise
+    finally:
+        if hasattr(record, "ear"):
+            record.ear.close()
+        record.exit_codes = record.site.stop()

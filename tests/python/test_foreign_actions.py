@@ -20,7 +20,7 @@ from astropy.coordinates import AltAz, EarthLocation, SkyCoord, get_body_barycen
 from astropy.io import fits
 from astropy.time import Time
 from ear import Ear
-from site_under_test import ELEVATION, LATITUDE, PREFIX, Site
+from site_under_test import ELEVATION, LATITUDE, PREFIX, Record, Site, observing
 
 STATE = f"{PREFIX}/observatory/%s/state"
 SUN_DEG = -9.7  # when the night begins; it then sinks by a sixth of a degree a minute
@@ -98,12 +98,9 @@ def asteroid(here: EarthLocation) -> dict:
     return bodies[int(np.argmax(places))]
 
 
-class NightRecord:
+class NightRecord(Record):
     """What is left of the night for the tests below."""
 
-    site: Site
-    ear: Ear
-    exit_codes: dict[str, int]
     elements: dict
     rates: list[float]
     rates_at_end: list[float]
@@ -129,15 +126,8 @@ def night(starmesh, tmp_path_factory):
     site = Site(starmesh, folder, catalogue, changed, longitude=longitude, blocks=BLOCKS)
     record = NightRecord()
     record.site = site
-    try:
+    with observing(record):
         observe(site, record, target, asteroid(here))
-    except BaseException:
-        print(site.logs())
-        raise
-    finally:
-        if hasattr(record, "ear"):
-            record.ear.close()
-        record.exit_codes = site.stop()
     yield record
 
 

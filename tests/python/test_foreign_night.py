@@ -23,7 +23,7 @@ from astropy.io import fits
 from astropy.time import Time
 from astropy.wcs import WCS
 from ear import Ear
-from site_under_test import ELEVATION, LATITUDE, LONGITUDE, PREFIX, Site
+from site_under_test import ELEVATION, LATITUDE, LONGITUDE, PREFIX, Record, Site, observing
 
 HERE = EarthLocation.from_geodetic(LONGITUDE, LATITUDE, ELEVATION)
 DOME = f"{PREFIX}/device/dome/dome_1/state"
@@ -38,15 +38,12 @@ def frames_of(ear: Ear, name: str) -> int:
     return len({p["id"] for k, p in ear.heard if k.endswith("/frame") and p["purpose"].get("object") == name})
 
 
-class NightRecord:
+class NightRecord(Record):
     """What is left of the night for the tests below."""
 
-    site: Site
-    ear: Ear
     history: list[dict]
     cli: set[str]
     heartbeat: dict
-    exit_codes: dict[str, int]
     frames_while_closed: int
     seconds_to_close: float
 
@@ -56,15 +53,8 @@ def night(starmesh, catalogue, tmp_path_factory):
     site = Site(starmesh, tmp_path_factory.mktemp("night"), catalogue)
     record = NightRecord()
     record.site = site
-    try:
+    with observing(record):
         observe(site, record)
-    except BaseException:
-        print(site.logs())
-        raise
-    finally:
-        if hasattr(record, "ear"):
-            record.ear.close()
-        record.exit_codes = site.stop()
     yield record
 
 

@@ -16,7 +16,7 @@ from astropy.io import fits
 from astropy.time import Time
 from astropy.wcs import WCS
 from ear import Ear
-from site_under_test import ELEVATION, LATITUDE, LONGITUDE, PREFIX, Site
+from site_under_test import ELEVATION, LATITUDE, LONGITUDE, PREFIX, Record, Site, observing
 
 STATE = f"{PREFIX}/observatory/%s/state"
 OBJECT = "Foreign field"
@@ -41,14 +41,11 @@ SIMULATORS = {
 }
 
 
-class NightRecord:
+class NightRecord(Record):
     """What is left of the night for the tests below."""
 
-    site: Site
-    ear: Ear
     target: SkyCoord
     focuser_position: int
-    exit_codes: dict[str, int]
 
 
 @pytest.fixture(scope="module")
@@ -56,15 +53,8 @@ def night(starmesh, catalogue, tmp_path_factory):
     site = Site(starmesh, tmp_path_factory.mktemp("sky"), catalogue, SIMULATORS)
     record = NightRecord()
     record.site = site
-    try:
+    with observing(record):
         observe(site, record)
-    except BaseException:
-        print(site.logs())
-        raise
-    finally:
-        if hasattr(record, "ear"):
-            record.ear.close()
-        record.exit_codes = site.stop()
     yield record
 
 
