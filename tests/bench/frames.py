@@ -38,7 +38,8 @@ class Watch(Ear):
         payload = self.newest.get(key, {})
         if key.endswith("/frame"):
             self.times.setdefault(("announced", payload["id"]), now)
-        elif key.endswith("/facts"):
+        # what the dome says of a frame may come before what was measured in it
+        elif key.endswith("/facts") and ("measuring_s" in payload or payload.get("reason")):
             self.times.setdefault(("facts", payload["frame"]), now)
             self.facts.setdefault(payload["frame"], payload)
         elif key.endswith("/archive/stored") and payload["header_complete"]:

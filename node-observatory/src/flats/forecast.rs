@@ -9,7 +9,7 @@ use units::Utc;
 use super::exposure::{Level, Light, Seen, Want, signal_adu};
 use super::order::{Next, Order, Trend, next};
 use super::panel::GOOD_S;
-use super::run::{Filter, LOOKS, MAX_ADU, candidate, to_ms, told};
+use super::run::{Filter, LOOKS, MAX_ADU, WINDOW_ENDED, candidate, to_ms, told};
 use super::sky::AHEAD_S;
 use super::twilight::{Window, antisolar, ln_between, slope_per_s};
 use crate::action::expose::fits;
@@ -19,7 +19,8 @@ use crate::plan::{Course, Halt};
 const MOST_STEPS: u32 = 10_000;
 /// A cover closes or opens in so long, s.
 const COVER_S: f64 = 10.0;
-const WINDOW_ENDED: &str = "the row's window ended";
+/// The Sun of a plan may be so long beside that of the almanac, s.
+const SUN_AHEAD_S: f64 = 4.0;
 
 /// A sky on paper.
 struct Dusk {
@@ -173,8 +174,7 @@ fn wait_for(course: &mut Course<'_>, window: &Window, has_begun: bool) -> Result
         let opens = window.opens(course.site(), course.now).map_err(|why| Halt::Failed(why.to_string()))?;
         let Some(opens) = opens.filter(|opens| *opens < course.row.end) else { return Ok(false) };
         course.wait_until(opens.plus_seconds(1.0))?;
-        // the Sun of a plan may be some seconds beside that of the almanac
-        course.pass(4.0)?;
+        course.pass(SUN_AHEAD_S)?;
     }
 }
 

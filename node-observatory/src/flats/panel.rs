@@ -5,7 +5,7 @@ use contract::device::dome::Shutter;
 
 use super::exposure::{Light, Want};
 use super::order::{Candidate, Next, Order, Trend, next};
-use super::run::{Run, to_ms};
+use super::run::{Run, WINDOW_ENDED, to_ms};
 use crate::action::Stage;
 use crate::action::expose::fits;
 use crate::rig::cover_calibrator::Cover;
@@ -39,7 +39,7 @@ pub async fn run(run: &mut Run<'_>, brightness: Option<i64>) -> Result<(), Troub
             Next::Sound(index) => {
                 run.turn_to(index).await?;
                 if !run.sound(index, &mut light).await? {
-                    run.end("the row's window ended".to_owned());
+                    run.end(WINDOW_ENDED.to_owned());
                     break;
                 }
             }
@@ -62,7 +62,7 @@ pub async fn run(run: &mut Run<'_>, brightness: Option<i64>) -> Result<(), Troub
             Next::Take(index, exposure_s) => {
                 let exposure_s = to_ms(exposure_s);
                 if !fits(stage.clock().utc(), exposure_s, stage.row.end) {
-                    run.end("the row's window ended".to_owned());
+                    run.end(WINDOW_ENDED.to_owned());
                     break;
                 }
                 changes = 0;

@@ -27,6 +27,8 @@ const FLAT: &str = "Flat Frame";
 const TEST: &str = "Test Frame";
 /// Side of the part of the sensor that a look reads, binned px: enough for a median, and quickly read.
 const PART_PX: u32 = 256;
+/// Why a row ends before its frames are taken, where nothing else is wrong.
+pub const WINDOW_ENDED: &str = "the row's window ended";
 /// Looks at one filter at a moment, at most.
 pub const LOOKS: u32 = 3;
 /// So many frames of a filter in a row that do not count, and it is given up: something else than the light is wrong.

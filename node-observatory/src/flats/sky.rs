@@ -4,7 +4,7 @@ use ::sky::{Horizontal, Icrs, separation};
 
 use super::exposure::Light;
 use super::order::{Next, Trend, next};
-use super::run::{Run, to_ms};
+use super::run::{Run, WINDOW_ENDED, to_ms};
 use super::twilight::{Window, antisolar, dithered, is_clear_of_sun, slope_per_s};
 use crate::action::Stage;
 use crate::action::expose::fits;
@@ -51,7 +51,7 @@ pub async fn run(run: &mut Run<'_>) -> Result<(), Trouble> {
             Next::GiveUp(index, false) => run.give_up(index, "too dark"),
             Next::Wait(index, wait_s) => {
                 if !fits(stage.clock().utc(), wait_s, stage.row.end) {
-                    run.end("the row's window ended".to_owned());
+                    run.end(WINDOW_ENDED.to_owned());
                     break;
                 }
                 let (how, words) = (if trend == Trend::Fades { "bright" } else { "dark" }, run.words(index));
@@ -65,14 +65,14 @@ pub async fn run(run: &mut Run<'_>) -> Result<(), Trouble> {
                 }
                 run.turn_to(index).await?;
                 if !run.sound(index, &mut light).await? {
-                    run.end("the row's window ended".to_owned());
+                    run.end(WINDOW_ENDED.to_owned());
                     break;
                 }
             }
             Next::Take(index, exposure_s) => {
                 let exposure_s = to_ms(exposure_s);
                 if !fits(stage.clock().utc(), exposure_s, stage.row.end) {
-                    run.end("the row's window ended".to_owned());
+                    run.end(WINDOW_ENDED.to_owned());
                     break;
                 }
                 run.turn_to(index).await?;
