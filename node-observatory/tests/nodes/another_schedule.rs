@@ -1,6 +1,5 @@
 //! Another schedule while the night goes on: by the file or by order, with nothing running or in the middle of a row.
 
-#[allow(dead_code, reason = "shared with the stories of the slit")]
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime};
 

@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 
 use contract::observatory::RowStatus;
 use serde_json::{Value, json};
+use simulator::SlitOptions;
 use sky::{EarthOrientation, Horizontal, Observer, Place};
 use tests::{Rig, RigOptions};
 use units::Utc;
@@ -17,6 +18,11 @@ const SPEED: f64 = 20.0;
 const EACH_ROW_S: f64 = 25.0;
 /// The first slew of a night comes from the park position: its way is taken for 60 deg, and may be 60 more or less.
 const FROM_PARK_S: f64 = 40.0;
+/// Of a slow dome, deg/s: the mount slews by 3.
+const TURN_DEG_S: f64 = 2.0;
+/// The plan has the median of what it waited for its slit: some 30 s, where a turn by half a circle keeps the mount waiting
+/// for a minute, and none not at all.
+const OTHER_TURN_S: f64 = 35.0;
 /// So many frames of a row without a number may be missed by that.
 const FRAMES: u64 = 3;
 /// Medians of few slews and frames are good to this share of a row.
@@ -90,10 +96,20 @@ async fn until_ended(rig: &Rig, rows: usize) -> anyhow::Result<()> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_next_night_goes_as_planned_from_the_telemetry_of_the_last_one() -> anyhow::Result<()> {
+    under(None, 1.0).await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn under_a_slow_dome_the_next_night_goes_as_planned_too() -> anyhow::Result<()> {
+    under(Some(SlitOptions::default()), 1.6).await
+}
+
+/// Two nights under a roof, or under a slow dome with this slit; windows are as much wider as that takes longer.
+async fn under(slit: Option<SlitOptions>, wider: f64) -> anyhow::Result<()> {
     let mut options = RigOptions::default();
     options.world.speed = SPEED;
-    // how far a dome turns before it opens is that of the night before
-    options.world.dome.slit = None;
+    let turn_s = if slit.is_some() { OTHER_TURN_S } else { 0.0 };
+    options.world.dome = simulator::DomeOptions { slit, turn_deg_per_s: TURN_DEG_S, ..options.world.dome };
     options.world.mount = simulator::MountOptions { slew_deg_per_s: 3.0, ..simulator::MountOptions::perfect() };
     let mut rig = Rig::new(options, |_| vec![("cool_camera", json!({}))]).await?;
     // a plan takes the sensor for warm at first, and in the second schedule it would still be cold
@@ -125,6 +141,7 @@ async fn the_next_night_goes_as_planned_from_the_telemetry_of_the_last_one() -> 
         ("calibration", json!({ "exptime": [0.0, 8.0], "n": [6, 5] }), 600.0, 760.0),
         ("close", json!({}), 700.0, 1000.0),
     ];
+    let second = second.map(|(action, value, from_s, to_s)| (action, value, wider * from_s, wider * to_s));
     let file = rig.path("next.jsonl");
     std::fs::write(&file, text_at(start, &second))?;
     let config = rig.path("observatory.toml");
@@ -137,7 +154,10 @@ async fn the_next_night_goes_as_planned_from_the_telemetry_of_the_last_one() -> 
         let figures = plan[0]["overheads"].as_array().unwrap();
         figures.iter().find(|figure| figure["name"] == name).map_or(0, |figure| figure["measured"].as_u64().unwrap())
     };
-    for (name, least) in [("open", 1), ("close", 1), ("slew", 4), ("spool", 5), ("between frames, object", 10)] {
+    let slits = if turn_s > 0.0 { 3 } else { 0 };
+    for (name, least) in
+        [("open", 1), ("close", 1), ("slew", 4), ("slit", slits), ("spool", 5), ("between frames, object", 10)]
+    {
         assert!(measured(name) >= least, "{name}: {} measured of at least {least}\n{told}", measured(name));
     }
     assert!(
@@ -160,8 +180,10 @@ async fn the_next_night_goes_as_planned_from_the_telemetry_of_the_last_one() -> 
         let time = |name: &str| -> Utc { row[name].as_str().unwrap().parse().unwrap() };
         let (planned, (began, ended)) = ((time("start_utc"), time("end_utc")), done[&number]);
         let (began, ended) = (began.unwrap(), ended.unwrap());
-        let near_s =
-            EACH_ROW_S + SHARE * planned.1.seconds_since(planned.0) + if number == 1 { FROM_PARK_S } else { 0.0 };
+        let near_s = EACH_ROW_S
+            + turn_s
+            + SHARE * planned.1.seconds_since(planned.0)
+            + if number == 1 { FROM_PARK_S } else { 0.0 };
         let (early_s, late_s) = (began.seconds_since(planned.0), ended.seconds_since(planned.1));
         let (count, wanted) = (frames[number as usize].frames, row["frames"].as_u64().unwrap());
         println!(
