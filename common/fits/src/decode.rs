@@ -45,23 +45,29 @@ impl Scaling {
 pub(crate) fn decode(bytes: &[u8], bitpix: i64, scaling: &Scaling) -> Pixels {
     if scaling.are_counts(bitpix) {
         return Pixels::U16(match bitpix {
-            8 => bytes.iter().map(|byte| u16::from(*byte)).collect(),
+            8 => all(bytes.iter().map(|byte| u16::from(*byte))),
             // 32768 more than the signed number: its highest bit turned round
-            _ => numbers(bytes, u16::from_be_bytes).map(|number| number ^ 0x8000).collect(),
+            _ => all(numbers(bytes, u16::from_be_bytes).map(|number| number ^ 0x8000)),
         });
     }
     Pixels::F32(match bitpix {
-        8 => bytes.iter().map(|byte| scaling.value(i64::from(*byte))).collect(),
-        16 => numbers(bytes, i16::from_be_bytes).map(|number| scaling.value(i64::from(number))).collect(),
-        32 => numbers(bytes, i32::from_be_bytes).map(|number| scaling.value(i64::from(number))).collect(),
-        64 => numbers(bytes, i64::from_be_bytes).map(|number| scaling.value(number)).collect(),
-        -32 => numbers(bytes, f32::from_be_bytes).map(|number| scaling.scaled(f64::from(number))).collect(),
-        -64 => numbers(bytes, f64::from_be_bytes).map(|number| scaling.scaled(number)).collect(),
+        8 => all(bytes.iter().map(|byte| scaling.value(i64::from(*byte)))),
+        16 => all(numbers(bytes, i16::from_be_bytes).map(|number| scaling.value(i64::from(number)))),
+        32 => all(numbers(bytes, i32::from_be_bytes).map(|number| scaling.value(i64::from(number)))),
+        64 => all(numbers(bytes, i64::from_be_bytes).map(|number| scaling.value(number))),
+        -32 => all(numbers(bytes, f32::from_be_bytes).map(|number| scaling.scaled(f64::from(number)))),
+        -64 => all(numbers(bytes, f64::from_be_bytes).map(|number| scaling.scaled(number))),
         _ => Vec::new(),
     })
 }
 
+fn all<T>(pixels: impl ExactSizeIterator<Item = T>) -> Vec<T> {
+    let mut all = pages::with_room(pixels.len());
+    all.extend(pixels);
+    all
+}
+
 /// `read` by its type, not by a pointer: that would be a call for each pixel.
-fn numbers<const N: usize, T>(bytes: &[u8], read: impl Fn([u8; N]) -> T) -> impl Iterator<Item = T> {
+fn numbers<const N: usize, T>(bytes: &[u8], read: impl Fn([u8; N]) -> T) -> impl ExactSizeIterator<Item = T> {
     bytes.as_chunks().0.iter().map(move |bytes| read(*bytes))
 }

@@ -1,5 +1,6 @@
 //! An image out of a file: its header and its pixels.
 
+use std::io::Read as _;
 use std::path::Path;
 
 use crate::decode::{Scaling, decode};
@@ -59,9 +60,17 @@ pub struct Image {
 /// # Errors
 /// [`FitsError`] when the file cannot be read, is no FITS, is damaged, or holds no image of two axes.
 pub fn read(file: &Path) -> Result<Image, FitsError> {
-    let bytes = std::fs::read(file);
+    let bytes = bytes_of(file);
     let bytes = bytes.map_err(|error| FitsError { file: file.to_owned(), fault: Fault::Unreadable(error) })?;
     parse(file, bytes)
+}
+
+fn bytes_of(file: &Path) -> std::io::Result<Vec<u8>> {
+    let mut file = std::fs::File::open(file)?;
+    // what grows meanwhile is read all the same, and what tells no true length too
+    let mut bytes = pages::with_room(usize::try_from(file.metadata()?.len()).unwrap_or(0));
+    file.read_to_end(&mut bytes)?;
+    Ok(bytes)
 }
 
 /// Reads the first image with pixels of a file's bytes; `file` is its name for what is said of it.

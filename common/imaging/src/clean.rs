@@ -79,7 +79,7 @@ impl Clean {
         let saturation = camera.saturation_adu(frame);
         let read = |y: usize, to: &mut [f32]| raw.read(y, to);
         // first, so that what outlives the image does not lie before it in memory and keep it from being given back
-        let mut pixels = vec![0.0; width * height];
+        let mut pixels = pages::zeros(width * height);
         let Some(background) = Background::of_rows((width, height), read, quantum, saturation, fwhm_px) else {
             let all = (0..height).map(|y| raw.count(y)).fold(Counted::NOTHING, Counted::and);
             let Counted { saturated, missing, .. } = all;
