@@ -2,7 +2,10 @@
 //!
 //! Who commanded last wrote its token beside its orders, and said it with them on the bus. The arbiter grants tokens
 //! one after another: whoever is granted token n knows everything if it has the last word of token n - 1. Where nobody
-//! has it, an order to stay closed may stand, and so it stands.
+//! has it, an order to stay closed may stand, and so it stands. Tokens whose holders were ended before they commanded
+//! ([`crate::claim_note`]) are passed over.
+
+use std::collections::BTreeSet;
 
 use units::Utc;
 
@@ -17,6 +20,8 @@ pub struct Known<'a> {
     pub own: &'a Standing,
     /// The token that this very life held last.
     pub held: Option<u64>,
+    /// Tokens whose holders never commanded.
+    pub unused: &'a BTreeSet<u64>,
     /// What its folder holds, which may be the commander's before it.
     pub disk: &'a OnDisk,
     /// A version that wrote no tokens has commanded from this folder.
@@ -50,8 +55,11 @@ pub enum Source {
 impl Known<'_> {
     /// What holds from now on.
     pub fn inherit(&self, now: Utc) -> (Standing, Source) {
-        let before = self.granted.map(|granted| granted.saturating_sub(1));
-        let follows = |token: Option<u64>| before.is_none() || (token.is_some() && token == before);
+        let before = self.before();
+        let follows = |token: Option<u64>| match &before {
+            None => true,
+            Some(before) => token.is_some_and(|token| before.contains(&token)),
+        };
         let heard = self.heard.as_ref().filter(|word| {
             // one that speaks without a token does so because nobody commands: its orders hold too
             follows(word.orders.token) || (word.orders.token.is_none() && word.is_last)
@@ -60,7 +68,7 @@ impl Known<'_> {
             OnDisk::Found(standing) if standing.token.is_none() || follows(standing.token) => Some(standing),
             OnDisk::Found(_) | OnDisk::Absent | OnDisk::Unreadable(_) => None,
         };
-        let is_first = *self.disk == OnDisk::Absent && (matches!(before, None | Some(0)) || self.is_older_version);
+        let is_first = *self.disk == OnDisk::Absent && (follows(Some(0)) || self.is_older_version);
         let source = if self.held.is_some() && follows(self.held) {
             Source::Own
         } else if on_disk.is_some() || is_first {
@@ -83,12 +91,20 @@ impl Known<'_> {
         (standing, source)
     }
 
+    /// The tokens of which one is the last commander's: the one before, and those before that one which nobody commanded
+    /// with; none where there is no arbiter.
+    fn before(&self) -> Option<std::ops::RangeInclusive<u64>> {
+        let last = self.granted?.saturating_sub(1);
+        let unused = (0..=last).rev().take_while(|token| self.unused.contains(token)).count() as u64;
+        Some(last.saturating_sub(unused)..=last)
+    }
+
     fn unknown(&self, now: Utc) -> Said {
         let again = "order open-again once nothing speaks against opening";
         let reason = match self.disk {
             OnDisk::Unreadable(why) => format!("{why}; {again}"),
             OnDisk::Absent | OnDisk::Found(_) => {
-                let before = self.granted.unwrap_or_default().saturating_sub(1);
+                let before = self.before().map_or(0, |before| *before.start());
                 format!(
                     "whoever commanded with token {before} was not heard to the end, and may have been ordered to stay closed; {again}"
                 )
@@ -130,6 +146,7 @@ mod tests {
         name: &'static str,
         own: Standing,
         held: Option<u64>,
+        unused: &'a [u64],
         disk: OnDisk,
         heard: Option<(Standing, bool)>,
         closed: Option<&'a str>,
@@ -146,6 +163,7 @@ mod tests {
             name,
             own,
             held: None,
+            unused: &[],
             disk: OnDisk::Absent,
             heard: None,
             closed: None,
@@ -255,14 +273,43 @@ mod tests {
                 ..story("another had the lease in between")
             },
             Story {
+                disk: Found(softened(Some(4))),
+                own: softened(Some(4)),
+                unused: &[6, 5],
+                softened: true,
+                source: disk,
+                ..story("two lives were ended before they commanded")
+            },
+            Story {
+                disk: Found(nothing(Some(5))),
+                unused: &[6],
+                source: disk,
+                ..story("a life was ended when its token was on disk, and before it commanded")
+            },
+            Story { unused: &[6, 5, 4, 3, 2, 1], source: disk, ..story("nobody has ever commanded") },
+            Story {
+                disk: Found(nothing(Some(4))),
+                unused: &[5],
+                closed: UNKNOWN,
+                ..story("somebody commanded after the life that was ended")
+            },
+            Story {
+                disk: Found(nothing(Some(4))),
+                unused: &[6],
+                closed: Some("token 5 was not heard to the end"),
+                ..story("... and before it")
+            },
+            Story {
                 disk: Unreadable("standing.json cannot be read: broken".to_owned()),
                 closed: Some("standing.json cannot be read: broken"),
                 ..story("a file that cannot be read")
             },
         ];
-        for Story { name, own, held, disk, heard, closed, softened, source } in stories {
+        for Story { name, own, held, unused, disk, heard, closed, softened, source } in stories {
+            let unused = &unused.iter().copied().collect();
             let heard = heard.as_ref().map(|(orders, is_last)| Word { orders, is_last: *is_last });
-            let known = Known { granted: Some(7), own: &own, held, disk: &disk, is_older_version: false, heard };
+            let known =
+                Known { granted: Some(7), own: &own, held, unused, disk: &disk, is_older_version: false, heard };
             let (standing, from) = known.inherit(now());
             let reason = standing.stay_closed.as_ref().map(|said| said.reason.clone());
             match closed {
@@ -276,11 +323,12 @@ mod tests {
 
     #[test]
     fn the_first_commander_of_all_and_one_without_an_arbiter_know_everything() {
-        let nothing = nothing(None);
+        let (nothing, unused) = (nothing(None), BTreeSet::new());
         let known = |granted, is_older_version| Known {
             granted,
             own: &nothing,
             held: None,
+            unused: &unused,
             disk: &OnDisk::Absent,
             is_older_version,
             heard: None,

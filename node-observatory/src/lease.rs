@@ -10,6 +10,7 @@ use contract::{CommandId, Part, Reason};
 use tokio::sync::watch;
 use units::Utc;
 
+use crate::claim_note::ClaimNote;
 use crate::control_room::ControlRoom;
 use crate::takeover;
 use crate::trouble::Trouble;
@@ -88,13 +89,31 @@ pub async fn keep_holding(room: Arc<ControlRoom>, hold: watch::Sender<Hold>, lea
     tokio::time::sleep(TWIN).await;
     let clock = room.node.bus.clock().clone();
     let mut asked_since = clock.machine();
-    let mut id = CommandId::fresh();
+    let mut note = ClaimNote::read(&room.node.config, &room.node.id).await;
+    let mut left = note.left();
+    let mut id = left.clone().unwrap_or_else(CommandId::fresh);
     loop {
+        // a living rival refuses; what is refused needs no note
+        let own = [room.node.signature(), String::new()];
+        let rival = said.fresh(RIVAL).is_some_and(|lease| !own.contains(&lease.said.body.holder));
+        if !rival {
+            note.asks(&id).await;
+        }
         match claim(&room, &id).await {
+            Ok(token) if left.take().is_some() => {
+                tracing::info!(token, "the life before was ended as it was granted the lease; asking again");
+                note.was_granted(token);
+                id = CommandId::fresh();
+                continue;
+            }
             Ok(token) => {
                 tracing::info!(token, arbiter = %arbiter(&room), "this node commands");
-                takeover::learn(&room, has_arbiter.then_some(token), held).await;
+                takeover::learn(&room, has_arbiter.then_some(token), held, note.unused()).await;
                 held = Some(token);
+                if !note.is_taken_back().await {
+                    id = CommandId::fresh();
+                    continue;
+                }
                 room.node.alerts.clear(AlertKind::NoLease, "");
                 hold.send_replace(Hold::Holding { token, since_utc: clock.utc() });
                 until_lost(&room, token, &lease, &clock).await;
@@ -109,7 +128,7 @@ pub async fn keep_holding(room: Arc<ControlRoom>, hold: watch::Sender<Hold>, lea
                     hold.send_replace(Hold::Standby);
                 }
                 room.node.alerts.clear(AlertKind::NoLease, "");
-                (asked_since, id) = (clock.machine(), CommandId::fresh());
+                (asked_since, id, left) = (clock.machine(), CommandId::fresh(), None);
             }
             Err(trouble) => {
                 let silent_for = clock.machine().since(asked_since);
@@ -121,7 +140,7 @@ pub async fn keep_holding(room: Arc<ControlRoom>, hold: watch::Sender<Hold>, lea
                 });
                 // a refusal is an answer; after silence the same claim is asked again
                 if matches!(trouble, Trouble::Refused { .. }) {
-                    id = CommandId::fresh();
+                    (id, left) = (CommandId::fresh(), None);
                 }
                 if silent_for > Duration::from_secs(30) {
                     no_lease(&room, &trouble);

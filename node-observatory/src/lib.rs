@@ -9,6 +9,7 @@
 pub mod action;
 mod alerting;
 pub mod annunciator;
+mod claim_note;
 pub mod closing;
 pub mod control_room;
 pub mod flats;

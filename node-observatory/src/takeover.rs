@@ -1,5 +1,6 @@
 //! What a node learns when it becomes the commander: what the one before it did, and what people ordered meanwhile.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -57,8 +58,8 @@ pub fn robotic(journal: &Journal, configured: bool, now: Utc) -> bool {
 }
 
 /// Learns it all, before this node commands with the token that it was granted; `held` is the token that this life held
-/// before. A disk that fails is told, and keeps nobody from commanding: who commands can close.
-pub async fn learn(room: &Arc<ControlRoom>, granted: Option<u64>, held: Option<u64>) {
+/// before, and with `unused` ones nobody commanded. A disk that fails is told, and keeps nobody from commanding: who commands can close.
+pub async fn learn(room: &Arc<ControlRoom>, granted: Option<u64>, held: Option<u64>, unused: &BTreeSet<u64>) {
     let (disk, is_older_version) = read(room).await;
     let now = room.node.bus.clock().utc();
     let own = room.standing.get();
@@ -67,7 +68,7 @@ pub async fn learn(room: &Arc<ControlRoom>, granted: Option<u64>, held: Option<u
     let is_last =
         heard.as_ref().is_some_and(|heard| room.node.bus.clock().machine().since(heard.arrived) <= LAST_ORDERS);
     let word = orders.as_ref().map(|orders| Word { orders, is_last });
-    let known = Known { granted, own: &own, held, disk: &disk, is_older_version, heard: word };
+    let known = Known { granted, own: &own, held, unused, disk: &disk, is_older_version, heard: word };
     let (mut standing, source) = known.inherit(now);
     if source == Source::Nobody {
         tracing::warn!(?granted, "what the commander before was ordered is not known; the dome stays closed");

@@ -3,9 +3,10 @@
 use std::time::{Duration, Instant};
 
 use bus::Catch;
+use contract::device::dome;
 use contract::node::NodeState;
 use contract::observatory::{Permit, StandingOrders};
-use contract::{Address, BootId, Key, NodeTopic, Part, Role};
+use contract::{Address, BootId, Command, CommandId, Key, Kind, NodeTopic, Part, Role};
 use tests::{Rig, RigOptions, SITE, TELESCOPE, long_row};
 
 #[tokio::test(flavor = "multi_thread")]
@@ -121,6 +122,29 @@ async fn a_standby_with_its_own_disk_keeps_closed_what_was_ordered_to_stay_close
     assert!(rig.is_shut(), "{}", rig.last_words());
     rig.order(&["open-again"]).await?;
     rig.until("the night goes on", 60.0, Rig::is_open).await?;
+    rig.simulator.world().set_unsafe(true);
+    rig.until("the dome ends shut", 60.0, Rig::is_shut).await?;
+    Ok(())
+}
+
+/// Killed between the grant of its first token and the word of it on its disk: as the arbiter and the disk have it then.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_life_that_was_ended_as_it_was_granted_the_lease_costs_no_night() -> anyhow::Result<()> {
+    let mut rig = Rig::new(RigOptions { permit_valid_s: 10.0, ..RigOptions::default() }, long_row).await?;
+    rig.start(Role::Device)?;
+    rig.until("the guard speaks", 30.0, |rig| rig.guard.get().is_some()).await?;
+    let dome = Address::new(SITE, TELESCOPE)?.device(Kind::Dome, &"dome".parse()?);
+    let (from, boot_id) = ("observatory/alpha/main".to_owned(), Some(BootId::fresh()));
+    let claim = Command { id: CommandId::fresh(), from, token: None, boot_id, action: dome::Command::Claim };
+    let granted = rig.bus.command(&dome, &claim, Duration::from_secs(5)).await?;
+    assert_eq!(granted.token, Some(1));
+    let note = rig.path("data").join(format!("claim-{TELESCOPE}-main.json"));
+    std::fs::write(&note, serde_json::json!({ "claim": claim.id }).to_string())?;
+
+    rig.start(Role::Observatory)?;
+    rig.until("the dome opens: nobody can have been ordered anything", 60.0, Rig::is_open).await?;
+    assert!(rig.guard.get().is_some_and(|guard| guard.said.body.token == 2));
+    assert!(!note.exists(), "who commands has taken its note back");
     rig.simulator.world().set_unsafe(true);
     rig.until("the dome ends shut", 60.0, Rig::is_shut).await?;
     Ok(())

@@ -1,0 +1,103 @@
+//! What a node notes on disk before it asks for the lease, so that its next life knows a token that nobody ever commanded with.
+//!
+//! ```text
+//!   note the claim's id ---> ask the arbiter ---> token on disk beside the standing orders ---> note taken back ---> command
+//!                                        ^ killed here, the next life would follow a token that nobody knows the orders of
+//! ```
+//! The next life asks again under the id of the note. The arbiter repeats its answer, or grants the claim that had never come.
+//! Either way that token's holder commanded nothing, and the word of the token before it counts ([`crate::inherit`]).
+//!
+//! A note that cannot be taken back must not be believed later: who holds such a token claims another one without a note.
+
+use std::collections::BTreeSet;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use contract::CommandId;
+use serde::{Deserialize, Serialize};
+
+/// A disk that hangs keeps nobody from commanding.
+const DISK: Duration = Duration::from_secs(2);
+
+/// As it stands in the file.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+struct Noted {
+    /// The claim that is asked.
+    claim: Option<CommandId>,
+    /// Tokens whose holders were ended before they commanded.
+    #[serde(default)]
+    unused: BTreeSet<u64>,
+}
+
+/// The note of one node.
+#[derive(Debug)]
+pub struct ClaimNote {
+    path: PathBuf,
+    noted: Noted,
+    /// The disk failed: this life notes nothing any more.
+    is_silent: bool,
+}
+
+impl ClaimNote {
+    /// The note that the life before left, if it did.
+    pub async fn read(config: &config::Observatory, node: &contract::Name) -> Self {
+        let path = config.folders.data.join(format!("claim-{}-{node}.json", config.place.telescope));
+        let noted = on_disk(&path, |path| std::fs::read(path)).await;
+        // half a note is none: the claim was not asked yet
+        let noted = noted.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();
+        Self { path, noted, is_silent: false }
+    }
+
+    /// The claim that the life before was about to ask, or had asked.
+    pub fn left(&self) -> Option<CommandId> {
+        self.noted.claim.clone()
+    }
+
+    /// Tokens whose holders were ended before they commanded.
+    pub fn unused(&self) -> &BTreeSet<u64> {
+        &self.noted.unused
+    }
+
+    /// The claim that was left was granted this token.
+    pub fn was_granted(&mut self, token: u64) {
+        self.noted.unused.insert(token);
+    }
+
+    /// Notes a claim that is about to be asked. It needs no more than to outlive this process, so nothing waits for the platter.
+    pub async fn asks(&mut self, claim: &CommandId) {
+        if self.is_silent || self.noted.claim.as_ref() == Some(claim) {
+            return;
+        }
+        let next = Noted { claim: Some(claim.clone()), ..self.noted.clone() };
+        let Ok(text) = serde_json::to_vec(&next) else { return };
+        if on_disk(&self.path, move |path| std::fs::write(path, &text)).await.is_ok() {
+            self.noted = next;
+        }
+    }
+
+    /// What was granted is on disk elsewhere, and the note is taken back. False where it cannot be.
+    pub async fn is_taken_back(&mut self) -> bool {
+        let removed = on_disk(&self.path, |path| std::fs::remove_file(path)).await;
+        self.noted = Noted::default();
+        match removed {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                tracing::warn!(path = %self.path.display(), %error, "the note of a claim cannot be taken back");
+                std::mem::replace(&mut self.is_silent, true)
+            }
+            Ok(()) | Err(_) => true,
+        }
+    }
+}
+
+async fn on_disk<T: Send + 'static>(
+    path: &Path,
+    work: impl FnOnce(&Path) -> io::Result<T> + Send + 'static,
+) -> io::Result<T> {
+    let path = path.to_owned();
+    let working = tokio::task::spawn_blocking(move || work(&path));
+    match tokio::time::timeout(DISK, working).await {
+        Ok(done) => done.map_err(io::Error::other)?,
+        Err(_) => Err(io::ErrorKind::TimedOut.into()),
+    }
+}
