@@ -100,9 +100,8 @@ pub fn check(frame: &Frame) -> Result<(), FetchError> {
 /// the pixels have another hash than announced.
 pub async fn fetch(client: &reqwest::Client, frame: &Frame) -> Result<Vec<u8>, FetchError> {
     check(frame)?;
-    let mut pixels: Vec<u8> = Vec::new();
-    let reserved = usize::try_from(frame.bytes).map(|bytes| pixels.try_reserve_exact(bytes));
-    if !matches!(reserved, Ok(Ok(()))) {
+    let mut pixels: Vec<u8> = pages::with_room(usize::try_from(frame.bytes).unwrap_or(usize::MAX));
+    if (pixels.capacity() as u64) < frame.bytes {
         return Err(FetchError::Memory { id: frame.id.0.clone(), bytes: frame.bytes });
     }
     let mut interruptions = 0;

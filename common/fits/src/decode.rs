@@ -45,26 +45,20 @@ impl Scaling {
 pub(crate) fn decode(bytes: &[u8], bitpix: i64, scaling: &Scaling) -> Pixels {
     if scaling.are_counts(bitpix) {
         return Pixels::U16(match bitpix {
-            8 => all(bytes.iter().map(|byte| u16::from(*byte))),
+            8 => pages::collect(bytes.iter().map(|byte| u16::from(*byte))),
             // 32768 more than the signed number: its highest bit turned round
-            _ => all(numbers(bytes, u16::from_be_bytes).map(|number| number ^ 0x8000)),
+            _ => pages::collect(numbers(bytes, u16::from_be_bytes).map(|number| number ^ 0x8000)),
         });
     }
     Pixels::F32(match bitpix {
-        8 => all(bytes.iter().map(|byte| scaling.value(i64::from(*byte)))),
-        16 => all(numbers(bytes, i16::from_be_bytes).map(|number| scaling.value(i64::from(number)))),
-        32 => all(numbers(bytes, i32::from_be_bytes).map(|number| scaling.value(i64::from(number)))),
-        64 => all(numbers(bytes, i64::from_be_bytes).map(|number| scaling.value(number))),
-        -32 => all(numbers(bytes, f32::from_be_bytes).map(|number| scaling.scaled(f64::from(number)))),
-        -64 => all(numbers(bytes, f64::from_be_bytes).map(|number| scaling.scaled(number))),
+        8 => pages::collect(bytes.iter().map(|byte| scaling.value(i64::from(*byte)))),
+        16 => pages::collect(numbers(bytes, i16::from_be_bytes).map(|number| scaling.value(i64::from(number)))),
+        32 => pages::collect(numbers(bytes, i32::from_be_bytes).map(|number| scaling.value(i64::from(number)))),
+        64 => pages::collect(numbers(bytes, i64::from_be_bytes).map(|number| scaling.value(number))),
+        -32 => pages::collect(numbers(bytes, f32::from_be_bytes).map(|number| scaling.scaled(f64::from(number)))),
+        -64 => pages::collect(numbers(bytes, f64::from_be_bytes).map(|number| scaling.scaled(number))),
         _ => Vec::new(),
     })
-}
-
-fn all<T>(pixels: impl ExactSizeIterator<Item = T>) -> Vec<T> {
-    let mut all = pages::with_room(pixels.len());
-    all.extend(pixels);
-    all
 }
 
 /// `read` by its type, not by a pointer: that would be a call for each pixel.

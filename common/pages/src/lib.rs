@@ -18,6 +18,13 @@ pub fn with_room<T>(len: usize) -> Vec<T> {
     room
 }
 
+/// A vector of all these values.
+pub fn collect<T>(values: impl ExactSizeIterator<Item = T>) -> Vec<T> {
+    let mut all = with_room(values.len());
+    all.extend(values);
+    all
+}
+
 /// So many zeros.
 pub fn zeros(len: usize) -> Vec<f32> {
     // new memory is zero without being written to
@@ -53,10 +60,10 @@ mod tests {
         for len in [0, 1, 511, 1 << 19, (1 << 20) + 3, 5_000_001] {
             let zeros = zeros(len);
             assert!(zeros.len() == len && zeros.iter().all(|value| *value == 0.0));
-            let mut room = with_room::<u16>(len);
+            let room = with_room::<u16>(len);
             assert!(room.is_empty() && room.capacity() >= len);
-            room.extend((0..len).map(|n| n as u16));
-            assert!(room.iter().enumerate().all(|(n, value)| *value == n as u16));
+            let all = collect((0..len).map(|n| n as u16));
+            assert!(all.len() == len && all.iter().enumerate().all(|(n, value)| *value == n as u16));
         }
         assert_eq!(with_room::<u64>(usize::MAX).capacity(), 0, "no such memory, and no panic");
         // nothing to ask for below values without a size

@@ -103,12 +103,12 @@ impl Plane {
         let start = (frame.planes.max(1) as usize / 2).saturating_mul(length);
         let plane = bytes.get(start..start.saturating_add(length)).unwrap_or_default();
         match frame.pixel {
-            Pixel::U16 => Self::Counts(plane.as_chunks().0.iter().map(|two| u16::from_le_bytes(*two)).collect()),
+            Pixel::U16 => Self::Counts(pages::collect(plane.as_chunks().0.iter().map(|two| u16::from_le_bytes(*two)))),
             Pixel::I32 => {
-                Self::Floats(plane.as_chunks().0.iter().map(|four| i32::from_le_bytes(*four) as f32).collect())
+                Self::Floats(pages::collect(plane.as_chunks().0.iter().map(|four| i32::from_le_bytes(*four) as f32)))
             }
             Pixel::F64 => {
-                Self::Floats(plane.as_chunks().0.iter().map(|eight| f64::from_le_bytes(*eight) as f32).collect())
+                Self::Floats(pages::collect(plane.as_chunks().0.iter().map(|eight| f64::from_le_bytes(*eight) as f32)))
             }
         }
     }
