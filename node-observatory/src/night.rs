@@ -290,12 +290,17 @@ pub async fn keep_saying<T>(
 where
     T: contract::Payload + Clone,
 {
+    let mut hold = room.hold.clone();
     loop {
+        hold.mark_unchanged();
         let shown = state.borrow_and_update().clone();
         say(room, line, shown).await?;
         tokio::time::sleep(LEAST).await;
-        if let Ok(changed) = tokio::time::timeout(Duration::from_secs(10), state.changed()).await {
-            changed?;
+        tokio::select! {
+            changed = state.changed() => changed?,
+            // who becomes the commander says at once what it knows: its own end may come before 10 s are over
+            changed = hold.changed() => changed?,
+            () = tokio::time::sleep(Duration::from_secs(10)) => {}
         }
     }
 }
