@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use contract::observatory::{Check, Finding};
 
 use super::Known;
-use super::sky_table::{SkyTable, angle_deg};
+use super::sky_table::{SkyTable, angle_deg, chord};
 use super::visibility::target;
 use crate::schedule::fault::{Right as _, warning};
 use crate::schedule::row::Row;
@@ -48,7 +48,7 @@ fn on_two_mounts(rows: &[Row], known: &Known, sky: &mut SkyTable) -> Vec<Finding
     for (index, (row, mount, place)) in aimed.iter().enumerate() {
         // rows are in order of their start
         let before = aimed.iter().take(index).filter(|(other, on, _)| other.end > row.start && on != mount);
-        let same = |(_, _, other): &&(&Row, _, [f64; 3])| angle_deg(other, place) < SAME_FIELD_DEG;
+        let same = |(_, _, other): &&(&Row, _, [f64; 3])| angle_deg(chord(other, place)) < SAME_FIELD_DEG;
         if let Some((other, on, _)) = before.into_iter().find(same) {
             let what = format!("{on} observes the same field at the same time, by the row of line {}", other.line);
             let at = row.written.parameter("ra");

@@ -7,7 +7,7 @@ use units::Utc;
 
 use super::Known;
 use super::duration::{Estimate, estimate, length};
-use super::sky_table::{Eye, Moment, SkyTable, Slot, Vector, angle_deg, dot, slot_of};
+use super::sky_table::{Eye, Moment, SkyTable, Slot, Vector, angle_deg, chord, dot, slot_of};
 use crate::action::Place as Aim;
 use crate::rig::outlook;
 use crate::schedule::fault::{Right as _, warning};
@@ -94,7 +94,7 @@ struct Looked {
     high: Bad,
     west: Bad,
     sunlit: Bad,
-    /// Smallest distance to the Moon while both are up, degrees, when, and its lit part.
+    /// Smallest chord to the Moon while both are up, when, and its lit part.
     moon: Option<(f64, Utc, f64)>,
 }
 
@@ -158,7 +158,8 @@ fn look(row: &Row, known: &Known, sky: &mut SkyTable) -> Vec<Finding> {
         let west = format!("{name} stands beyond the mount's hour angle of {limit_h:.1} h");
         (west, format!(", {hour_angle_h:.1} h at the farthest"))
     }));
-    findings.extend(looked.moon.filter(|(apart_deg, ..)| *apart_deg < check.moon_distance_min_deg).map(|moon| {
+    let moon = looked.moon.map(|(apart, at, lit)| (angle_deg(apart), at, lit));
+    findings.extend(moon.filter(|(apart_deg, ..)| *apart_deg < check.moon_distance_min_deg).map(|moon| {
         let (apart_deg, at, lit) = moon;
         let what = format!(
             "{name} stands {apart_deg:.1} deg from the Moon, which is {:.0} % lit, at {}",
@@ -212,9 +213,9 @@ impl Looked {
         if !is_up || dot(&now.zenith, &slot.moon) <= 0.0 {
             return;
         }
-        let apart_deg = angle_deg(place, &slot.moon);
-        if self.moon.is_none_or(|(least, ..)| apart_deg < least) {
-            self.moon = Some((apart_deg, now.at, slot.moon_lit));
+        let apart = chord(place, &slot.moon);
+        if self.moon.is_none_or(|(least, ..)| apart < least) {
+            self.moon = Some((apart, now.at, slot.moon_lit));
         }
     }
 }
