@@ -14,7 +14,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use contract::CommandId;
+use contract::{CommandId, Name};
 use serde::{Deserialize, Serialize};
 
 /// A disk that hangs keeps nobody from commanding.
@@ -30,6 +30,11 @@ struct Noted {
     unused: BTreeSet<u64>,
 }
 
+/// Where a node keeps it: nodes that share a folder have one each.
+pub fn path(config: &config::Observatory, node: &Name) -> PathBuf {
+    config.folders.data.join(format!("claim-{}-{node}.json", config.place.telescope))
+}
+
 /// The note of one node.
 #[derive(Debug)]
 pub struct ClaimNote {
@@ -41,8 +46,7 @@ pub struct ClaimNote {
 
 impl ClaimNote {
     /// The note that the life before left, if it did.
-    pub async fn read(config: &config::Observatory, node: &contract::Name) -> Self {
-        let path = config.folders.data.join(format!("claim-{}-{node}.json", config.place.telescope));
+    pub async fn read(path: PathBuf) -> Self {
         let noted = on_disk(&path, |path| std::fs::read(path)).await;
         // half a note is none: the claim was not asked yet
         let noted = noted.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();
@@ -71,8 +75,13 @@ impl ClaimNote {
         }
         let next = Noted { claim: Some(claim.clone()), ..self.noted.clone() };
         let Ok(text) = serde_json::to_vec(&next) else { return };
-        if on_disk(&self.path, move |path| std::fs::write(path, &text)).await.is_ok() {
-            self.noted = next;
+        match on_disk(&self.path, move |path| std::fs::write(path, &text)).await {
+            Ok(()) => self.noted = next,
+            Err(error) => {
+                // once: a disk that hangs would hold up each claim, and a thread each time
+                tracing::warn!(path = %self.path.display(), %error, "claims are not noted");
+                self.is_silent = true;
+            }
         }
     }
 
@@ -99,5 +108,50 @@ async fn on_disk<T: Send + 'static>(
     match tokio::time::timeout(DISK, working).await {
         Ok(done) => done.map_err(io::Error::other)?,
         Err(_) => Err(io::ErrorKind::TimedOut.into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn claim(id: &str) -> CommandId {
+        CommandId(id.to_owned())
+    }
+
+    #[tokio::test]
+    async fn the_next_life_finds_the_claim_and_what_was_never_used_until_it_is_taken_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("claim.json");
+        let mut first = ClaimNote::read(path.clone()).await;
+        assert_eq!((first.left(), first.unused().len()), (None, 0));
+        first.asks(&claim("one")).await;
+
+        let mut second = ClaimNote::read(path.clone()).await;
+        assert_eq!(second.left(), Some(claim("one")));
+        second.was_granted(7);
+        second.asks(&claim("two")).await;
+
+        let mut third = ClaimNote::read(path.clone()).await;
+        assert_eq!((third.left(), third.unused().iter().copied().collect::<Vec<_>>()), (Some(claim("two")), vec![7]));
+        assert!(third.is_taken_back().await && !path.exists() && third.unused().is_empty());
+        assert!(third.is_taken_back().await, "there is none");
+
+        std::fs::write(&path, "{\"claim\": \"hal").unwrap();
+        assert_eq!(ClaimNote::read(path).await.left(), None, "half a note is none");
+    }
+
+    #[tokio::test]
+    async fn a_note_that_cannot_be_taken_back_is_told_once_and_no_other_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("claim.json");
+        let mut note = ClaimNote::read(path.clone()).await;
+        note.asks(&claim("one")).await;
+        // a folder in its place can neither be written nor removed as a file
+        std::fs::remove_file(&path).unwrap();
+        std::fs::create_dir(&path).unwrap();
+        assert!(!note.is_taken_back().await, "who holds its token claims another");
+        note.asks(&claim("two")).await;
+        assert!(path.is_dir() && note.is_taken_back().await);
     }
 }

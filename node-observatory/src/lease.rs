@@ -10,7 +10,7 @@ use contract::{CommandId, Part, Reason};
 use tokio::sync::watch;
 use units::Utc;
 
-use crate::claim_note::ClaimNote;
+use crate::claim_note::{self, ClaimNote};
 use crate::control_room::ControlRoom;
 use crate::takeover;
 use crate::trouble::Trouble;
@@ -89,7 +89,7 @@ pub async fn keep_holding(room: Arc<ControlRoom>, hold: watch::Sender<Hold>, lea
     tokio::time::sleep(TWIN).await;
     let clock = room.node.bus.clock().clone();
     let mut asked_since = clock.machine();
-    let mut note = ClaimNote::read(&room.node.config, &room.node.id).await;
+    let mut note = ClaimNote::read(claim_note::path(&room.node.config, &room.node.id)).await;
     let mut left = note.left();
     let mut id = left.clone().unwrap_or_else(CommandId::fresh);
     loop {
