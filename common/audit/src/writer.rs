@@ -127,7 +127,12 @@ impl Writer {
         if !self.book.is_open() {
             let notes = self.book.open()?;
             for (verb, detail) in notes.into_iter().rev() {
-                tracing::warn!(verb, detail, "audit");
+                if verb == "chain_begins" {
+                    // each first start of a node
+                    tracing::info!(detail, "the audit of this node begins");
+                } else {
+                    tracing::warn!(verb, detail, "audit");
+                }
                 if verb == BROKEN {
                     self.signs.tell_broken(&detail);
                 }

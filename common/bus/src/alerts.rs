@@ -5,6 +5,7 @@ use std::fmt::Display;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use contract::observatory::{AlertKind, Alerts, Told};
+use contract::printable;
 use tokio::sync::{Notify, watch};
 
 use crate::Clock;
@@ -31,6 +32,8 @@ impl AlertBoard {
     /// Raises an alert; one that stands already keeps its time and takes the new cause. `instance` tells alerts of one
     /// kind apart; it is empty where there is only one.
     pub fn raise(&self, kind: AlertKind, instance: impl Display, cause: &str) {
+        // a cause holds what servers answered and schedules say
+        let cause = &*printable(cause);
         let alert = kind.alert(instance, self.clock.utc(), cause);
         let mut life = self.life();
         let (id, priority) = (alert.id.clone(), alert.priority);

@@ -67,7 +67,7 @@ impl Clock {
         let url = format!("{base}/simulator/v1/clock");
         let asked = MachineTime::now();
         let answer = async {
-            let client = reqwest::Client::builder().timeout(Duration::from_secs(5)).build()?;
+            let client = local_http::client_builder().timeout(Duration::from_secs(5)).build()?;
             client.get(&url).send().await?.error_for_status()?.text().await
         };
         let text = answer.await.map_err(|source| ClockError::NoAnswer { url: url.clone(), source })?;

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use contract::node::{DiaryLine, Level};
+use contract::printable;
 use tokio::sync::mpsc;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Subscriber};
@@ -48,17 +49,37 @@ struct Words {
 impl Visit for Words {
     fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
         if field.name() == "message" {
-            self.message = format!("{value:?}");
+            self.message = printable(&format!("{value:?}")).into_owned();
         } else {
-            self.fields.insert(field.name().to_owned(), format!("{value:?}"));
+            self.fields.insert(field.name().to_owned(), printable(&format!("{value:?}")).into_owned());
         }
     }
 
     fn record_str(&mut self, field: &Field, value: &str) {
         if field.name() == "message" {
-            self.message = value.to_owned();
+            self.message = printable(value).into_owned();
         } else {
-            self.fields.insert(field.name().to_owned(), value.to_owned());
+            self.fields.insert(field.name().to_owned(), printable(value).into_owned());
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tracing_subscriber::layer::SubscriberExt as _;
+
+    use super::*;
+
+    #[test]
+    fn what_comes_from_outside_stays_within_its_line() {
+        let (layer, mut lines) = DiaryLayer::new();
+        tracing::subscriber::with_default(tracing_subscriber::registry().with(layer), || {
+            let object = "M31\n2026-11-22T03:00:00Z ERROR the dome is open\u{1b}[2J";
+            tracing::info!(%object, text = object, "row begins: {object}");
+        });
+        let line = lines.try_recv().unwrap();
+        let all = [&line.message, &line.fields["object"], &line.fields["text"]];
+        assert!(all.iter().all(|text| !text.contains(char::is_control)), "{all:?}");
+        assert!(line.message.starts_with("row begins: M31\\n2026"), "{}", line.message);
     }
 }

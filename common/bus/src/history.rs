@@ -8,10 +8,10 @@ use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use contract::Payload;
-use tokio::sync::mpsc;
+use tokio::sync::{Semaphore, mpsc};
 use zenoh::Session;
 use zenoh::key_expr::KeyExpr;
-use zenoh::query::{ConsolidationMode, ReplyKeyExpr};
+use zenoh::query::{ConsolidationMode, QueryTarget, ReplyKeyExpr};
 use zenoh::sample::{Sample, SampleKind};
 
 use crate::subscribe::Queue;
@@ -22,6 +22,9 @@ const PAST: &str = "_time=[now(-600s)..]";
 const TRIES_MS: [u64; 3] = [0, 300, 1500];
 /// A cache of ten minutes takes well under a second on one network.
 const TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Publishers that are asked at the same time; a site has some hundred.
+const MOST_ASKED: usize = 2048;
 
 /// Watches for publishers; ends when dropped.
 pub type Watch = zenoh::pubsub::Subscriber<()>;
@@ -36,10 +39,19 @@ pub async fn recall<T: Payload>(
     let publishers = format!("{expression}/@adv/pub/**");
     let (asker, queue) = (session.clone(), Arc::downgrade(queue));
     let runtime = tokio::runtime::Handle::current();
+    let places = Arc::new(Semaphore::new(MOST_ASKED));
     let seen = move |token: Sample| {
         if token.kind() == SampleKind::Put {
+            let Ok(place) = places.clone().try_acquire_owned() else {
+                tracing::warn!(most = MOST_ASKED, "too many publishers came at once; one was not asked for its past");
+                return;
+            };
             let cache = token.key_expr().clone().into_owned();
-            runtime.spawn(ask(asker.clone(), cache, queue.clone()));
+            let asking = ask(asker.clone(), cache, queue.clone());
+            runtime.spawn(async move {
+                asking.await;
+                drop(place);
+            });
         }
     };
     session.liveliness().declare_subscriber(publishers).history(true).callback(seen).await
@@ -54,6 +66,7 @@ async fn ask<T: Payload>(session: Session, cache: KeyExpr<'static>, queue: Weak<
         let asked = session
             .get((&cache, PAST))
             .accept_replies(ReplyKeyExpr::Any)
+            .target(QueryTarget::All)
             .consolidation(ConsolidationMode::None)
             .timeout(TIMEOUT)
             .callback(move |reply| {

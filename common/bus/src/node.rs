@@ -12,16 +12,19 @@ use clap::Parser;
 use config::Observatory;
 use config::header::HeaderTable;
 use contract::node::{DiaryLine, NodeState};
+use contract::observatory::AlertKind;
 use contract::{Key, Name, NodeTopic, Role, Scalar};
 use tokio::sync::mpsc;
 use tracing_subscriber::Layer as _;
-use tracing_subscriber::filter::FilterExt as _;
+use tracing_subscriber::filter::{FilterExt as _, filter_fn};
 use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::registry::LookupSpan;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::diary::DiaryLayer;
 use crate::flood::{self, Flood};
-use crate::{AlertBoard, Bus, Clock, Quality, Stop, disk, links, threads, twin};
+use crate::zenoh_log::{ZenohLog, is_zenoh};
+use crate::{AlertBoard, Bus, Clock, Quality, Stop, console, disk, links, notify, private, threads, twin};
 
 /// What a node's command line takes.
 #[derive(Debug, Clone, Parser)]
@@ -30,9 +33,10 @@ pub struct NodeOptions {
     /// The telescope's observatory.toml.
     #[arg(long, value_name = "FILE")]
     pub config: PathBuf,
-    /// This node's name; needed where several nodes of one role serve one telescope.
-    #[arg(long, default_value = "main")]
-    pub id: Name,
+    /// This node's name; needed where several nodes of one role serve one telescope. Where absent: `main`; all device nodes
+    /// of the file, each as a process of its own, for the role `device`.
+    #[arg(long)]
+    pub id: Option<Name>,
     /// Prove the configuration and stop.
     #[arg(long)]
     pub check: bool,
@@ -48,6 +52,9 @@ pub struct NodeOptions {
     /// Stop when standard input closes, that is when the parent process ends.
     #[arg(long)]
     pub with_parent: bool,
+    /// This device node has a guard process around it, which alone sets this.
+    #[arg(long, hide = true)]
+    pub guarded: bool,
 }
 
 /// A node that has joined the bus.
@@ -65,7 +72,10 @@ pub struct Node {
     pub id: Name,
     /// Its alerts.
     pub alerts: AlertBoard,
-    /// Heard when it is time to end.
+    /// Said when somebody asks the node to end. Observatory and device nodes first do what an end in good order needs,
+    /// and then say [`Self::stop`] themselves; for the others both come together.
+    pub ending: Stop,
+    /// Said when it is time to end, at once.
     pub stop: Stop,
     figures: Arc<Mutex<BTreeMap<String, Scalar>>>,
 }
@@ -81,6 +91,7 @@ impl Node {
             role,
             id,
             alerts,
+            ending: Stop::default(),
             stop: Stop::default(),
             figures: Arc::default(),
         }
@@ -166,25 +177,48 @@ fn started() -> crate::MachineTime {
 
 /// The text of a file, and no more of it than shows that it is too large.
 fn read_text(file: &Path) -> std::io::Result<String> {
-    let (mut text, most) = (String::new(), config::MOST_BYTES as u64 + 1);
-    std::fs::File::open(file)?.take(most).read_to_string(&mut text)?;
-    Ok(text)
+    let (mut bytes, most) = (Vec::new(), config::MOST_BYTES as u64 + 1);
+    std::fs::File::open(file)?.take(most).read_to_end(&mut bytes)?;
+    config::utf8(bytes).map_err(std::io::Error::other)
+}
+
+/// The text of a configuration file; errors name the file.
+pub fn config_text(file: &Path) -> anyhow::Result<String> {
+    let read = read_text(file);
+    read.with_context(|| format!("cannot read the configuration {}", file.display()))
+}
+
+/// Reads a configuration file without the files that it names; errors name the file.
+pub fn read_observatory(file: &Path) -> anyhow::Result<Observatory> {
+    let text = config_text(file)?;
+    let folder = file.parent().unwrap_or(Path::new("."));
+    config::parse(&text, folder).with_context(|| format!("{} is not a valid configuration", file.display()))
 }
 
 /// Reads a configuration file with its FITS-header table; errors name the file.
 pub fn read_config(file: &Path) -> anyhow::Result<(Observatory, HeaderTable)> {
-    let text = read_text(file).with_context(|| format!("cannot read the configuration {}", file.display()))?;
-    let folder = file.parent().unwrap_or(Path::new("."));
-    let config =
-        config::parse(&text, folder).with_context(|| format!("{} is not a valid configuration", file.display()))?;
-    let header = match &config.archive.fits_header {
-        None => HeaderTable::default(),
-        Some(csv) => read_text(csv)
-            .with_context(|| format!("cannot read the FITS-header table {}", csv.display()))?
-            .parse()
-            .with_context(|| format!("{} is not a valid FITS-header table", csv.display()))?,
-    };
+    let config = read_observatory(file)?;
+    let header = read_header(&config)?;
     Ok((config, header))
+}
+
+/// The FITS-header table of a configuration, its own or the built-in one.
+fn read_header(config: &Observatory) -> anyhow::Result<HeaderTable> {
+    let Some(csv) = &config.archive.fits_header else { return Ok(HeaderTable::default()) };
+    let shown = csv.display();
+    let text =
+        read_text(csv).with_context(|| format!("archive.fits_header: cannot read the FITS-header table {shown}"))?;
+    text.parse().with_context(|| format!("archive.fits_header: {shown} is not a valid FITS-header table"))
+}
+
+/// As [`read_config`], for a node that goes on with the built-in rows where the FITS-header table cannot be used: no dome
+/// stays open because of a table. What is wrong with it comes with the rest.
+fn read_config_of_node(file: &Path) -> anyhow::Result<(Observatory, HeaderTable, Option<String>)> {
+    let config = read_observatory(file)?;
+    Ok(match read_header(&config) {
+        Ok(header) => (config, header, None),
+        Err(why) => (config, HeaderTable::default(), Some(format!("{why:#}; the built-in rows are used"))),
+    })
 }
 
 /// Starts one node as a process of its own: options, configuration, clock, bus, then `run` until a signal.
@@ -205,6 +239,7 @@ where
     W: Future<Output = anyhow::Result<()>>,
 {
     threads::ensure();
+    private::keep_files_private();
     let started = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .enable_all()
@@ -214,7 +249,10 @@ where
     match started {
         Ok(()) => std::process::ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("node-{role}: {error:#}");
+            let words = format!("node-{role}: {error:#}");
+            if !was_said_before(&words) {
+                eprintln!("{words}");
+            }
             std::process::ExitCode::FAILURE
         }
     }
@@ -226,8 +264,9 @@ where
     W: Future<Output = anyhow::Result<()>>,
 {
     started();
-    let (mut config, header) = read_config(&options.config)?;
+    let (mut config, header, wrong) = read_config_of_node(&options.config)?;
     if options.check {
+        anyhow::ensure!(wrong.is_none(), "{}", wrong.unwrap_or_default());
         println!("{}: valid ({} devices)", options.config.display(), config.devices().len());
         return Ok(());
     }
@@ -237,43 +276,114 @@ where
     config.bus.connect.extend(options.connect);
     config.bus.multicast &= !options.no_multicast;
 
+    private::tighten(&config.folders.data, &config.folders.images);
+
     let diary = init_tracing();
     let clock = match &config.clock.simulator {
         Some(base) => Clock::of_simulator(base).await?,
         None => Clock::machine_clock(),
     };
     let bus = Bus::open(&config.bus, clock).await?;
-    let node = Node::new(role, options.id, config, header, bus.clone());
+    let id = match options.id {
+        Some(id) => id,
+        None => config::MAIN_NODE.parse().context("the name of a node that was given none")?,
+    };
+    let node = Node::new(role, id, config, header, bus.clone());
     tracing::info!(telescope = %node.config.address(), id = %node.id, "{role} node started");
+    if let Some(why) = wrong {
+        node.alerts.raise(AlertKind::Configuration, "archive.fits_header", &why);
+    }
 
-    let stop = node.stop.clone();
-    tokio::spawn(async move {
-        tokio::select! {
-            () = termination() => {}
-            () = parent_end(), if options.with_parent => {}
+    tokio::spawn(end_when_asked(node.clone()));
+    if options.with_parent && !options.guarded {
+        let node = node.clone();
+        tokio::spawn(async move {
+            parent_end().await;
+            asked_to_end(&node);
+        });
+    }
+    tokio::spawn(async {
+        loop {
+            notify::alive();
+            tokio::time::sleep(Duration::from_secs(5)).await;
         }
-        stop.stop();
     });
     let result = node.clone().live(diary, run(node)).await;
     bus.close().await;
     result
 }
 
+/// The file by which a supervisor lets a node know what it said when it ended last, so that a node that cannot start for
+/// the same reason each time says so once.
+pub const LAST_WORDS: &str = "STARMESH_LAST_WORDS";
+
+fn was_said_before(words: &str) -> bool {
+    let Some(file) = std::env::var_os(LAST_WORDS) else { return false };
+    if std::fs::read_to_string(&file).is_ok_and(|before| before == words) {
+        return true;
+    }
+    // where it cannot be written it is said again
+    let _ = std::fs::write(&file, words);
+    false
+}
+
+/// The first signal asks for an end in good order, the second one ends the process at once.
+async fn end_when_asked(node: Node) {
+    end_asked().await;
+    asked_to_end(&node);
+    termination().await;
+    eprintln!("node-{}: ended at once by a second signal; what this node guarded nobody guards now", node.role);
+    std::process::exit(1);
+}
+
+fn asked_to_end(node: &Node) {
+    node.ending.stop();
+    if !matches!(node.role, Role::Device | Role::Observatory) {
+        node.stop.stop();
+    }
+}
+
+/// Log lines on the console, for a process that is no node.
+pub fn log_to_console() {
+    // a second subscriber is not needed
+    let _ = console_at("info").try_init();
+}
+
 /// Console at the level of `STARMESH_LOG` (default info), and the diary; `None` where a subscriber is set already.
 fn init_tracing() -> Option<mpsc::Receiver<DiaryLine>> {
-    let words = std::env::var("STARMESH_LOG").unwrap_or_else(|_| "info,zenoh=warn,uhlc=error".to_owned());
-    let filter = tracing_subscriber::EnvFilter::new(words).and(Flood::default());
     let (diary, lines) = DiaryLayer::new();
     // what the bus complains of stays off the bus: it would complain of that, too
     let diary_filter = tracing_subscriber::EnvFilter::new("info,zenoh=off,uhlc=off").and(Flood::default());
-    let colour = std::io::stderr().is_terminal();
-    let console = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_ansi(colour).with_filter(filter);
-    let set = tracing_subscriber::registry().with(console).with(diary.with_filter(diary_filter)).try_init();
+    let set = on_console().with(diary.with_filter(diary_filter)).try_init();
     set.is_ok().then_some(lines)
 }
 
+/// Shows what a command does on the console, at the level of `STARMESH_LOG` (default warnings).
+pub fn show_log() {
+    // a second subscriber is not needed
+    let _ = console_at("warn").try_init();
+}
+
+fn on_console() -> impl tracing::Subscriber + for<'a> LookupSpan<'a> + Send + Sync {
+    console_at("info")
+}
+
+/// The console. zenoh's own lines are shown only where `STARMESH_LOG` names zenoh; what they mean is said otherwise.
+fn console_at(level: &str) -> impl tracing::Subscriber + for<'a> LookupSpan<'a> + Send + Sync {
+    let mut words = std::env::var("STARMESH_LOG").unwrap_or_else(|_| level.to_owned());
+    if !words.contains("zenoh") {
+        words.push_str(",zenoh=off,uhlc=off");
+    }
+    let filter = tracing_subscriber::EnvFilter::new(words).and(Flood::default());
+    let colour = std::io::stderr().is_terminal();
+    let console = tracing_subscriber::fmt::layer().fmt_fields(console::fields()).with_writer(std::io::stderr);
+    let console = console.with_ansi(colour).with_filter(filter);
+    let of_zenoh = filter_fn(|metadata| is_zenoh(metadata.target()) && *metadata.level() <= tracing::Level::WARN);
+    tracing_subscriber::registry().with(console).with(ZenohLog::new().with_filter(of_zenoh))
+}
+
 /// Waits until standard input closes; a thread of its own, so that a read without end cannot hold the runtime up.
-async fn parent_end() {
+pub async fn parent_end() {
     let (ended, end) = tokio::sync::oneshot::channel();
     std::thread::spawn(move || {
         // whatever comes is not for us; an error ends the reading as the end of the file does
@@ -283,8 +393,45 @@ async fn parent_end() {
     let _ = end.await;
 }
 
+/// Waits for SIGTERM, Ctrl-C or the end of the terminal, whichever asks first for an end in good order.
+pub async fn end_asked() {
+    tokio::select! {
+        () = termination() => {}
+        () = hangup() => {}
+    }
+}
+
+/// Waits until the terminal ends. A shell may say so twice, so this is never the second signal, which ends at once.
 #[cfg(unix)]
-async fn termination() {
+async fn hangup() {
+    use tokio::signal::unix::{SignalKind, signal};
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    // under `nohup` the end of the terminal means nothing
+    if heeds_hangup(&status)
+        && let Ok(mut hangup) = signal(SignalKind::hangup())
+    {
+        hangup.recv().await;
+        return;
+    }
+    std::future::pending().await
+}
+
+#[cfg(not(unix))]
+async fn hangup() {
+    std::future::pending().await
+}
+
+/// Does a process with this status, as Linux tells it, not ignore SIGHUP? One of which nothing is told does.
+#[cfg(unix)]
+fn heeds_hangup(status: &str) -> bool {
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask & 1 == 0)
+}
+
+/// Waits for SIGTERM or Ctrl-C.
+#[cfg(unix)]
+pub async fn termination() {
     use tokio::signal::unix::{SignalKind, signal};
     let Ok(mut terminate) = signal(SignalKind::terminate()) else {
         let _ = tokio::signal::ctrl_c().await;
@@ -296,7 +443,31 @@ async fn termination() {
     }
 }
 
+/// Waits for Ctrl-C.
 #[cfg(not(unix))]
-async fn termination() {
+pub async fn termination() {
     let _ = tokio::signal::ctrl_c().await;
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_end_of_the_terminal_asks_for_an_end_unless_it_is_to_be_ignored() {
+        assert!(heeds_hangup("Name:\tstarmesh\nSigIgn:\t0000000000001000\nSigCgt:\t0000000000000001\n"));
+        assert!(!heeds_hangup("SigIgn:\t0000000000001001\n"), "nohup");
+        assert!(!heeds_hangup(""), "nothing is told");
+    }
+
+    #[tokio::test]
+    async fn a_hangup_is_an_order_to_end() {
+        if !heeds_hangup(&std::fs::read_to_string("/proc/self/status").unwrap()) {
+            return; // these tests themselves run under nohup
+        }
+        let asked = tokio::spawn(end_asked());
+        tokio::task::yield_now().await;
+        rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::HUP).unwrap();
+        asked.await.unwrap();
+    }
 }

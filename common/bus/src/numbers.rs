@@ -6,6 +6,8 @@ use contract::{BootId, Key};
 
 /// Missing numbers remembered per sender, so that late ones are taken off the count: more than any cache holds.
 const MOST_MISSING: usize = 20_000;
+/// The same of all senders together.
+const MOST_MISSING_OF_ALL: usize = 10 * MOST_MISSING;
 /// Senders remembered; a key with an id in it (a frame's facts) makes one each.
 const MOST_SENDERS: usize = 4_096;
 
@@ -14,6 +16,8 @@ const MOST_SENDERS: usize = 4_096;
 pub struct Numbers {
     senders: HashMap<(BootId, Key), Span>,
     heard: u64,
+    /// How many missing numbers are remembered now.
+    remembered: usize,
     /// Missing numbers of senders that are no longer remembered.
     given_up: u64,
 }
@@ -36,7 +40,10 @@ impl Numbers {
         self.heard += 1;
         if let Some(span) = self.senders.get_mut(&(boot_id.clone(), key.clone())) {
             span.last = self.heard;
-            return span.hear(seq);
+            let before = span.missing.len();
+            let is_new = span.hear(seq, MOST_MISSING_OF_ALL.saturating_sub(self.remembered));
+            self.remembered = self.remembered + span.missing.len() - before;
+            return is_new;
         }
         if self.senders.len() >= MOST_SENDERS {
             self.forget_longest_silent();
@@ -48,25 +55,27 @@ impl Numbers {
 
     /// How many were said between others that were heard, and never came.
     pub fn missing(&self) -> u64 {
-        self.given_up + self.senders.values().map(Span::count).sum::<u64>()
+        self.senders.values().map(Span::count).fold(self.given_up, u64::saturating_add)
     }
 
     fn forget_longest_silent(&mut self) {
         let silent = self.senders.iter().min_by_key(|(_, span)| span.last).map(|(sender, _)| sender.clone());
         if let Some(span) = silent.and_then(|sender| self.senders.remove(&sender)) {
-            self.given_up += span.count();
+            self.given_up = self.given_up.saturating_add(span.count());
+            self.remembered -= span.missing.len();
         }
     }
 }
 
 impl Span {
-    fn hear(&mut self, seq: u64) -> bool {
+    /// Takes a number in; at most `room` more missing ones are remembered.
+    fn hear(&mut self, seq: u64, room: usize) -> bool {
         if seq > self.newest {
-            self.miss(self.newest + 1, seq);
+            self.miss(self.newest + 1, seq, room);
             self.newest = seq;
             true
         } else if seq < self.oldest {
-            self.miss(seq + 1, self.oldest);
+            self.miss(seq + 1, self.oldest, room);
             self.oldest = seq;
             true
         } else {
@@ -75,14 +84,14 @@ impl Span {
     }
 
     /// Notes the numbers from `first` to before `end`.
-    fn miss(&mut self, first: u64, end: u64) {
-        let room = MOST_MISSING.saturating_sub(self.missing.len());
+    fn miss(&mut self, first: u64, end: u64, room: usize) {
+        let room = MOST_MISSING.saturating_sub(self.missing.len()).min(room);
         self.missing.extend((first..end).take(room));
-        self.forgotten += (end - first).saturating_sub(room as u64);
+        self.forgotten = self.forgotten.saturating_add((end - first).saturating_sub(room as u64));
     }
 
     fn count(&self) -> u64 {
-        self.missing.len() as u64 + self.forgotten
+        self.forgotten.saturating_add(self.missing.len() as u64)
     }
 }
 
@@ -120,6 +129,24 @@ mod tests {
         }
         assert!(!numbers.hear(&boot_id, &key, 0) && !numbers.hear(&boot_id, &key, 3));
         assert_eq!(numbers.missing(), 0);
+    }
+
+    #[test]
+    fn what_a_stranger_leaves_out_takes_no_memory() {
+        let mut numbers = Numbers::default();
+        for sender in 0..200 {
+            let boot_id = BootId::fresh();
+            numbers.hear(&boot_id, &key(), sender);
+            numbers.hear(&boot_id, &key(), u64::MAX);
+        }
+        let remembered: usize = numbers.senders.values().map(|span| span.missing.len()).sum();
+        assert_eq!((remembered, numbers.remembered), (MOST_MISSING_OF_ALL, MOST_MISSING_OF_ALL));
+        assert_eq!(numbers.missing(), u64::MAX);
+        let boots: Vec<BootId> = (0..MOST_SENDERS).map(|_| BootId::fresh()).collect();
+        for boot_id in &boots {
+            numbers.hear(boot_id, &key(), 0);
+        }
+        assert_eq!(numbers.remembered, 0, "what is forgotten takes no room");
     }
 
     #[test]

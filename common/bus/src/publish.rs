@@ -10,7 +10,8 @@ use zenoh::bytes::Encoding;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
-use crate::{Bus, BusError};
+use crate::session::MOST_BYTES;
+use crate::{Bus, BusError, MachineTime, transit};
 
 /// How a key is carried; every quality drops rather than blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -36,10 +37,13 @@ pub struct Publisher<T> {
     line: Line,
     seq: AtomicU64,
     bus: Bus,
-    newest: Arc<Mutex<Option<Vec<u8>>>>,
+    newest: Newest,
     _answers: Option<zenoh::query::Queryable<()>>,
     _payload: PhantomData<fn(T)>,
 }
+
+/// The newest payload, and when it was published.
+type Newest = Arc<Mutex<Option<(Vec<u8>, MachineTime)>>>;
 
 enum Line {
     Plain(zenoh::pubsub::Publisher<'static>),
@@ -70,7 +74,7 @@ impl Bus {
                 Line::Advanced(advanced.await.map_err(failed)?)
             }
         };
-        let newest = Arc::new(Mutex::new(None::<Vec<u8>>));
+        let newest = Newest::default();
         let answers = match quality {
             Quality::State { .. } => Some(self.answer_newest(&text, newest.clone()).await.map_err(failed)?),
             Quality::Event { .. } | Quality::Urgent => None,
@@ -86,19 +90,18 @@ impl Bus {
         })
     }
 
-    async fn answer_newest(
-        &self,
-        key: &str,
-        newest: Arc<Mutex<Option<Vec<u8>>>>,
-    ) -> Result<zenoh::query::Queryable<()>, zenoh::Error> {
+    async fn answer_newest(&self, key: &str, newest: Newest) -> Result<zenoh::query::Queryable<()>, zenoh::Error> {
         let runtime = tokio::runtime::Handle::current();
         let own_key = key.to_owned();
         self.session
             .declare_queryable(key.to_owned())
             .callback(move |query| {
-                let Some(bytes) = newest.lock().unwrap_or_else(PoisonError::into_inner).clone() else { return };
-                let key = own_key.clone();
+                let (key, newest) = (own_key.clone(), newest.clone());
                 runtime.spawn(async move {
+                    // looked up by this task and not before it: a runtime that hangs must not answer with what was newest then
+                    let held = newest.lock().unwrap_or_else(PoisonError::into_inner).clone();
+                    let Some((bytes, published)) = held else { return };
+                    let bytes = transit::held(bytes, MachineTime::now().since(published));
                     if let Err(error) = query.reply(key, bytes).encoding(Encoding::APPLICATION_JSON).await {
                         tracing::debug!(%error, "a question left before its answer");
                     }
@@ -111,16 +114,25 @@ impl Bus {
 impl<T: Payload> Publisher<T> {
     /// Says a payload now, stamped with this node's boot id, the next number and sky time.
     pub async fn put(&self, body: T) -> Result<(), BusError> {
+        let now = MachineTime::now();
         let stamped = Stamped {
             boot_id: self.bus.boot_id().clone(),
             seq: self.seq.fetch_add(1, Ordering::Relaxed),
             at_utc: self.bus.clock().utc(),
+            sent_s: Some(transit::sent_s(now)),
+            held_s: None,
             body,
         };
         let failed = |detail: String| BusError::Publish { key: self.key.clone(), detail };
         let bytes = serde_json::to_vec(&stamped).map_err(|error| failed(error.to_string()))?;
+        if bytes.len() > MOST_BYTES {
+            // every receiver would drop it, and the link with it
+            let (key, bytes, most) = (&self.key, bytes.len(), MOST_BYTES);
+            tracing::error!(key, bytes, most, "a payload is too large for the bus and was not sent");
+            return Ok(());
+        }
         if self._answers.is_some() {
-            *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(bytes.clone());
+            *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some((bytes.clone(), now));
         }
         let sent = match &self.line {
             Line::Plain(publisher) => publisher.put(bytes).await,

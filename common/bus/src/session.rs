@@ -1,12 +1,18 @@
 //! One zenoh session per node, with the settings that spec/technology.md measured.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use contract::{BootId, Key};
 use serde_json::json;
 
-use crate::Clock;
+use crate::transit::Transit;
+use crate::writers::Writers;
+use crate::{Clock, listening};
+
+/// The largest payload that is sent; what receivers take has some room for zenoh's own headers.
+pub const MOST_BYTES: usize = 4 << 20;
+const MOST_MESSAGE: usize = MOST_BYTES + (64 << 10);
 
 /// Why the bus could not be joined or used.
 #[derive(Debug, thiserror::Error)]
@@ -41,12 +47,18 @@ pub enum BusError {
     },
 }
 
+/// How often an address is tried that was free when it was looked at and taken when it was used.
+const TRIES: u32 = 5;
+const PAUSE: Duration = Duration::from_millis(200);
+
 /// A node's place on the bus. Cheap to clone.
 #[derive(Clone)]
 pub struct Bus {
     pub(crate) session: zenoh::Session,
+    pub(crate) writers: Writers,
     boot_id: Arc<BootId>,
     clock: Clock,
+    pub(crate) transit: Arc<Mutex<Transit>>,
 }
 
 /// A liveliness token; others see it go when this is dropped or the process dies.
@@ -55,12 +67,28 @@ pub struct Alive {
 }
 
 impl Bus {
-    /// Joins the bus.
+    /// Joins the bus. An address of `listen` that another program holds is met instead of listened on.
     pub async fn open(config: &config::Bus, clock: Clock) -> Result<Self, BusError> {
-        let failed = |source| BusError::Open { listen: config.listen.clone(), connect: config.connect.clone(), source };
-        let settings = zenoh::Config::from_json5(&settings(config).to_string()).map_err(failed)?;
-        let session = zenoh::open(settings).await.map_err(failed)?;
-        Ok(Self { session, boot_id: Arc::new(BootId::fresh()), clock })
+        let mut tries = 0;
+        loop {
+            // roles of one file are started together: an address that was free may be taken a moment later
+            let config = listening::share(config);
+            let opened = match zenoh::Config::from_json5(&settings(&config).to_string()) {
+                Ok(settings) => zenoh::open(settings).await,
+                Err(error) => Err(error),
+            };
+            tries += 1;
+            match opened {
+                Ok(session) => {
+                    let boot_id = Arc::new(BootId::fresh());
+                    return Ok(Self { session, writers: Writers::default(), boot_id, clock, transit: Arc::default() });
+                }
+                Err(_) if tries < TRIES && !config.listen.is_empty() => tokio::time::sleep(PAUSE).await,
+                Err(source) => {
+                    return Err(BusError::Open { listen: config.listen, connect: config.connect, source });
+                }
+            }
+        }
     }
 
     /// The clock of this node.
@@ -119,13 +147,17 @@ fn settings(config: &config::Bus) -> serde_json::Value {
         "queries_default_timeout": 3000,
         "transport": {
             "unicast": { "open_timeout": 3000, "accept_timeout": 3000 },
-            "link": { "tx": {
+            "link": {
+                // zenoh's own limit is 1 GiB: one message of 400 MB took a node from 33 to 854 MB
+                "rx": { "max_message_size": MOST_MESSAGE },
+                "tx": {
                 // no safety decision rests on the lease; each keep-alive wakes both ends of a link, and an idle
                 // node does little else
                 "lease": 4000, "keep_alive": 3,
                 // what blocks (queries, declarations) may stall the others for 0.3 s, not for zenoh's 5 s
-                "queue": { "congestion_control": { "block": { "wait_before_close": 300_000 } } },
-            } },
+                    "queue": { "congestion_control": { "block": { "wait_before_close": 300_000 } } },
+                },
+            },
         },
     })
 }

@@ -7,11 +7,13 @@ use std::time::Duration;
 
 use contract::{Key, Payload, Stamped};
 use tokio::sync::{Notify, watch};
+use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::{Sample, SampleKind};
 use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, RecoveryConfig};
 
 use crate::history::{self, Watch};
 use crate::numbers::Numbers;
+use crate::transit::Transit;
 use crate::{Bus, BusError, MachineTime, Succession};
 
 /// What a subscriber wants to hear.
@@ -31,7 +33,8 @@ pub struct Heard<T> {
     pub key: Key,
     /// What was said.
     pub said: Stamped<T>,
-    /// When it arrived, on this machine's own clock; ages are judged by it.
+    /// When it arrived, on this machine's own clock, less what it was held or on its way longer than others were;
+    /// ages are judged by it.
     pub arrived: MachineTime,
 }
 
@@ -46,15 +49,47 @@ enum Line {
     Advanced { _subscriber: AdvancedSubscriber<()>, _past: Watch },
 }
 
+/// Payloads of one subscriber that wait take at most so much as they came, whatever its capacity.
+const MOST_WAITING_BYTES: usize = 32 << 20;
+
 /// Payloads that wait to be heard.
 pub(crate) struct Queue<T> {
-    waiting: Mutex<VecDeque<Heard<T>>>,
+    waiting: Mutex<Waiting<T>>,
     capacity: usize,
     /// Where each payload counts once: which were heard.
     numbers: Option<Mutex<Numbers>>,
     arrived: Notify,
+    transit: Arc<Mutex<Transit>>,
     lost: AtomicU64,
     malformed: AtomicU64,
+}
+
+/// Payloads with their sizes.
+struct Waiting<T> {
+    payloads: VecDeque<(Heard<T>, usize)>,
+    bytes: usize,
+}
+
+impl<T> Waiting<T> {
+    fn pop(&mut self) -> Option<Heard<T>> {
+        let (heard, bytes) = self.payloads.pop_front()?;
+        self.bytes -= bytes;
+        Some(heard)
+    }
+
+    /// Puts a payload at the end; returns how many older ones gave way to it.
+    fn push(&mut self, heard: Heard<T>, bytes: usize, capacity: usize) -> u64 {
+        let mut lost = 0;
+        while self.payloads.len() >= capacity || (self.bytes + bytes > MOST_WAITING_BYTES && self.bytes > 0) {
+            if self.pop().is_none() {
+                break;
+            }
+            lost += 1;
+        }
+        self.payloads.push_back((heard, bytes));
+        self.bytes += bytes;
+        lost
+    }
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -69,8 +104,12 @@ impl<T: Payload> Queue<T> {
         }
         // keys of other programs and of zenoh itself (`@adv`) are none of ours
         let Some(key) = Key::parse(sample.key_expr().as_str()) else { return };
-        match serde_json::from_slice(&sample.payload().to_bytes()) {
-            Ok(said) => self.push_heard(Heard { key, said, arrived: MachineTime::now() }),
+        let bytes = sample.payload().to_bytes();
+        match serde_json::from_slice(&bytes) {
+            Ok(said) => {
+                let arrived = lock(&self.transit).arrived(&said, MachineTime::now());
+                self.push_heard(Heard { key, said, arrived }, bytes.len());
+            }
             Err(error) => {
                 if self.malformed.fetch_add(1, Ordering::Relaxed) == 0 {
                     tracing::warn!(%key, %error, "a malformed payload was dropped; later ones are only counted");
@@ -79,18 +118,13 @@ impl<T: Payload> Queue<T> {
         }
     }
 
-    fn push_heard(&self, heard: Heard<T>) {
+    fn push_heard(&self, heard: Heard<T>, bytes: usize) {
         let is_new = |numbers: &Mutex<Numbers>| lock(numbers).hear(&heard.said.boot_id, &heard.key, heard.said.seq);
         if !self.numbers.as_ref().is_none_or(is_new) {
             return;
         }
-        let mut waiting = lock(&self.waiting);
-        if waiting.len() >= self.capacity {
-            waiting.pop_front();
-            self.lost.fetch_add(1, Ordering::Relaxed);
-        }
-        waiting.push_back(heard);
-        drop(waiting);
+        let lost = lock(&self.waiting).push(heard, bytes, self.capacity);
+        self.lost.fetch_add(lost, Ordering::Relaxed);
         self.arrived.notify_one();
     }
 }
@@ -104,10 +138,11 @@ impl Bus {
         capacity: usize,
     ) -> Result<Subscriber<T>, BusError> {
         let queue = Arc::new(Queue {
-            waiting: Mutex::new(VecDeque::new()),
+            waiting: Mutex::new(Waiting { payloads: VecDeque::new(), bytes: 0 }),
             capacity,
             numbers: (catch == Catch::All).then(Mutex::default),
             arrived: Notify::new(),
+            transit: self.transit.clone(),
             lost: AtomicU64::new(0),
             malformed: AtomicU64::new(0),
         });
@@ -141,11 +176,17 @@ impl Bus {
             for pause_ms in [0, 300, 1500] {
                 tokio::time::sleep(Duration::from_millis(pause_ms)).await;
                 let into = Arc::downgrade(&queue);
-                let asked = session.get(&expression).timeout(Duration::from_secs(2)).callback(move |reply| {
-                    if let (Ok(sample), Some(into)) = (reply.result(), into.upgrade()) {
-                        into.push(sample);
-                    }
-                });
+                // all that answer, and all that they say: a stranger's answer must not take the place of the writer's
+                let asked = session
+                    .get(&expression)
+                    .target(QueryTarget::All)
+                    .consolidation(ConsolidationMode::None)
+                    .timeout(Duration::from_secs(2))
+                    .callback(move |reply| {
+                        if let (Ok(sample), Some(into)) = (reply.result(), into.upgrade()) {
+                            into.push(sample);
+                        }
+                    });
                 if let Err(error) = asked.await {
                     tracing::debug!(%error, "nobody could be asked for the newest values");
                 }
@@ -157,16 +198,17 @@ impl Bus {
     pub async fn latest<T: Payload>(&self, key: &Key) -> Result<Latest<T>, BusError> {
         let subscriber = self.subscribe::<T>(&key.to_string(), Catch::Newest, 16).await?;
         let (sender, receiver) = watch::channel(None);
+        let succession: Arc<Mutex<Succession>> = Arc::default();
+        let into = succession.clone();
         let task = tokio::spawn(async move {
-            let mut succession = Succession::default();
             loop {
                 let heard: Heard<T> = subscriber.hear().await;
-                if succession.is_newer(&heard.said.boot_id, heard.said.seq, heard.arrived) {
+                if lock(&into).is_newer(&heard.said.boot_id, heard.said.seq, heard.arrived) {
                     sender.send_replace(Some(heard));
                 }
             }
         });
-        Ok(Latest { receiver, _task: Arc::new(AbortOnDrop(task)) })
+        Ok(Latest { receiver, succession, _task: Arc::new(AbortOnDrop(task)) })
     }
 }
 
@@ -176,7 +218,7 @@ impl<T> Subscriber<T> {
         loop {
             // registered before looking, so that an arrival in between is not missed
             let arrived = self.queue.arrived.notified();
-            let next = lock(&self.queue.waiting).pop_front();
+            let next = lock(&self.queue.waiting).pop();
             match next {
                 Some(heard) => return heard,
                 None => arrived.await,
@@ -204,6 +246,7 @@ impl<T> Subscriber<T> {
 #[derive(Clone)]
 pub struct Latest<T> {
     receiver: watch::Receiver<Option<Heard<T>>>,
+    succession: Arc<Mutex<Succession>>,
     _task: Arc<AbortOnDrop>,
 }
 
@@ -224,6 +267,11 @@ impl<T: Clone> Latest<T> {
     /// The newest payload unless it arrived longer ago than `age`.
     pub fn fresh(&self, age: Duration) -> Option<Heard<T>> {
         self.get().filter(|heard| MachineTime::now().since(heard.arrived) <= age)
+    }
+
+    /// Do two nodes speak on the key at the same time? Then neither is to be believed.
+    pub fn has_rivals(&self) -> bool {
+        lock(&self.succession).rivals(MachineTime::now()).is_some()
     }
 
     /// Waits for the next change after the newest payload that this clone has seen.

@@ -128,6 +128,13 @@ async fn a_slow_subscriber_loses_the_oldest_and_stalls_nobody() {
     assert!(slow.lost() > 20, "{}", slow.lost());
 }
 
+/// Commands are answered by the program that publishes the state.
+async fn writer(bus: &Bus, key: &Key) -> bus::Publisher<Permit> {
+    let publisher = bus.publisher(key, Quality::State { cache: 1 }).await.unwrap();
+    publisher.put(permit(0)).await.unwrap();
+    publisher
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_command_is_accepted_or_refused_at_once() {
     let (first, second) = pair().await;
@@ -143,6 +150,7 @@ async fn a_command_is_accepted_or_refused_at_once() {
             Err(detail) => Reply::Refusal(Refusal { id: CommandId(String::new()), reason: Reason::Malformed, detail }),
         }
     };
+    let _state = writer(&first, &Key::State(device.clone())).await;
     let _service = first.serve(&Key::Command(device.clone()), answer).await.unwrap();
     let ask = |action| Command { id: CommandId::fresh(), from: "test".to_owned(), token: None, boot_id: None, action };
     let timeout = Duration::from_secs(3);

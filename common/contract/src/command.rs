@@ -4,12 +4,28 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::stamp::MOST_ID_BYTES;
 use crate::{BootId, Payload};
 
 /// Names one command; a repeat of the same id is answered again and not done again.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
-#[serde(transparent)]
+#[serde(try_from = "String")]
 pub struct CommandId(pub String);
+
+impl TryFrom<String> for CommandId {
+    type Error = String;
+
+    /// An id becomes the name of a file and a part of log lines, and nodes remember many.
+    fn try_from(id: String) -> Result<Self, Self::Error> {
+        if id.len() > MOST_ID_BYTES {
+            return Err(format!("an id of {} bytes; expected at most {MOST_ID_BYTES}", id.len()));
+        }
+        match id.chars().find(|c| c.is_control() || matches!(c, '/' | '\\')) {
+            Some(c) => Err(format!("the id {id:?} holds {c:?}; expected no slash and no control character")),
+            None => Ok(Self(id)),
+        }
+    }
+}
 
 impl CommandId {
     /// A fresh id that sorts by time; the id of an `expose` command is the id of its frame.
@@ -144,7 +160,7 @@ impl fmt::Display for Reason {
 pub struct Order {
     /// Names the order.
     pub id: CommandId,
-    /// Who orders, such as `web/ana` or `starmesh cli`.
+    /// Who orders, as `WAY/OPERATOR` or `WAY/OPERATOR@HOST`: `web/ana`, `cli/ana@dome-pc`.
     pub from: String,
     /// Why, for the diary.
     #[serde(default, skip_serializing_if = "String::is_empty")]
@@ -156,6 +172,19 @@ pub struct Order {
 
 impl Payload for Order {
     const NAME: &'static str = "order";
+}
+
+impl Order {
+    /// The operator's name, without the way and the host that the order came by.
+    pub fn operator(&self) -> &str {
+        operator(&self.from)
+    }
+}
+
+/// The operator's name in who ordered something: `ana` in `web/ana` and in `cli/ana@dome-pc`.
+pub fn operator(from: &str) -> &str {
+    let name = from.split_once('/').map_or(from, |(_, name)| name);
+    name.split('@').next().unwrap_or(name).trim()
 }
 
 /// What a person may order.
@@ -193,4 +222,14 @@ pub enum OrderKind {
         /// The whole file, at most 1000000 bytes.
         text: String,
     },
+    /// Runs a camera's cooler now, whatever the schedule does; the next row that exposes wants its own set point again.
+    Cool {
+        /// Name of the camera.
+        camera: String,
+        /// Set point, degrees Celsius; that of its configuration where absent.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        set_c: Option<f64>,
+    },
+    /// Switches the cooler of the camera of this name off, until a row wants it.
+    Warm(String),
 }

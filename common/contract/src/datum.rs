@@ -154,6 +154,10 @@ pub struct Reading {
     pub outcome: ReadingOutcome,
     /// Sky time of the answer (or of the failure).
     pub at_utc: Utc,
+    /// How long ago the device was asked for this when the state was sent, s of machine time by the device node's boot-time
+    /// clock. A state that repeats an old reading says so. Absent where nothing was read.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub age_s: Option<f64>,
 }
 
 /// The two shapes of a reading.

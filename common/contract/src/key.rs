@@ -61,7 +61,7 @@ macro_rules! chunk {
 
 chunk!(
     /// Name of a site or a telescope: `[a-z0-9][a-z0-9-]*`.
-    Chunk, "site or telescope id", "[a-z0-9][a-z0-9-]*, at most 63 characters",
+    Chunk, "site or telescope id", "small letters, digits and '-', beginning with a letter or digit, at most 63 characters",
     |text| {
         let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit();
         text.starts_with(plain) && text.chars().all(|c| plain(c) || c == '-')

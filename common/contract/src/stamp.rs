@@ -7,8 +7,22 @@ use units::Utc;
 
 /// Names one life of one node process; a restarted node has a new one.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(transparent)]
+#[serde(try_from = "String")]
 pub struct BootId(String);
+
+/// Receivers remember ids by the thousand: a longer one is no id.
+pub(crate) const MOST_ID_BYTES: usize = 128;
+
+impl TryFrom<String> for BootId {
+    type Error = String;
+
+    fn try_from(id: String) -> Result<Self, Self::Error> {
+        match id.len() {
+            0..=MOST_ID_BYTES => Ok(Self(id)),
+            bytes => Err(format!("a boot id of {bytes} bytes; expected at most {MOST_ID_BYTES}")),
+        }
+    }
+}
 
 impl BootId {
     /// A fresh id, never seen before; ids of later starts sort after those of earlier ones.
@@ -37,6 +51,14 @@ pub struct Stamped<T> {
     pub seq: u64,
     /// Sky time of the sender when it sent this; for the record, never for judging an age.
     pub at_utc: Utc,
+    /// The sender's boot-time clock when it sent this, s. Only the difference of two payloads of one boot id means
+    /// something: by it a receiver sees how much longer than others this one was on its way.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sent_s: Option<f64>,
+    /// For so long the sender had held this when it answered a question with it, s by its boot-time clock; absent from
+    /// what is published.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held_s: Option<f64>,
     /// What is said.
     #[serde(flatten)]
     pub body: T,

@@ -1,7 +1,8 @@
 //! Fetches a frame's pixels from the spool of its device node, and proves that they are those announced.
 //!
 //! The archive stores them, the observatory measures them; each fetches for itself, and neither waits for the other. One
-//! buffer is taken, as large as announced; it grows no further, whatever the spool sends.
+//! buffer is taken, as large as announced; it grows no further, whatever the spool sends. A spool that sends a few bytes now
+//! and then ends at the frame's total time ([`longest`]).
 
 use std::time::Duration;
 
@@ -17,6 +18,10 @@ const LARGEST: u64 = 2 << 30;
 const STALL: Duration = Duration::from_secs(10);
 /// So many interruptions without a single new byte, and the attempt is over.
 const PATIENCE: u32 = 5;
+/// The total time of a frame: this, and what its bytes need over the slowest link that is still of use.
+const LEAST_TOTAL: Duration = Duration::from_secs(60);
+/// Bytes per second of that link.
+const SLOWEST_LINK: u64 = 250_000;
 
 /// The pixels could not be had, or are not those announced.
 #[derive(Debug, thiserror::Error)]
@@ -63,6 +68,18 @@ pub enum FetchError {
         /// What happened last.
         cause: String,
     },
+    /// The frame's total time has run out.
+    #[error("frame {id} brought {got} of {bytes} bytes in {limit_s} s; a link that is of use brings 250 kB/s")]
+    Slow {
+        /// Which frame.
+        id: String,
+        /// Bytes that came.
+        got: usize,
+        /// Bytes that were announced.
+        bytes: u64,
+        /// Its total time.
+        limit_s: u64,
+    },
     /// The hash is another one.
     #[error("the pixels of frame {id} have the hash {got}, announced was {announced}")]
     Hash {
@@ -92,22 +109,44 @@ pub fn check(frame: &Frame) -> Result<(), FetchError> {
     }
 }
 
+/// The total time that a frame of so many bytes may take, connection and interruptions included.
+pub fn longest(bytes: u64) -> Duration {
+    LEAST_TOTAL + Duration::from_secs(bytes / SLOWEST_LINK)
+}
+
 /// Fetches the pixels as the spool has them: rows from the first, little endian. A connection that breaks is taken up
-/// where it ended. There is no deadline for the whole; who has one puts it around. Needs a runtime of several threads.
+/// where it ended. The whole takes at most [`longest`]. Needs a runtime of several threads.
 ///
 /// # Errors
-/// [`FetchError`] when the announcement contradicts itself, the spool refuses, the connection breaks again and again, or
-/// the pixels have another hash than announced.
+/// [`FetchError`] when the announcement contradicts itself, the spool refuses or is too slow, the connection breaks again
+/// and again, or the pixels have another hash than announced.
 pub async fn fetch(client: &reqwest::Client, frame: &Frame) -> Result<Vec<u8>, FetchError> {
+    fetch_within(client, frame, longest(frame.bytes)).await
+}
+
+async fn fetch_within(client: &reqwest::Client, frame: &Frame, limit: Duration) -> Result<Vec<u8>, FetchError> {
     check(frame)?;
     let mut pixels: Vec<u8> = pages::with_room(usize::try_from(frame.bytes).unwrap_or(usize::MAX));
     if (pixels.capacity() as u64) < frame.bytes {
         return Err(FetchError::Memory { id: frame.id.0.clone(), bytes: frame.bytes });
     }
+    let fetched = tokio::time::timeout(limit, fetch_all(client, frame, &mut pixels)).await;
+    fetched.unwrap_or_else(|_| {
+        let (id, got) = (frame.id.0.clone(), pixels.len());
+        Err(FetchError::Slow { id, got, bytes: frame.bytes, limit_s: limit.as_secs() })
+    })?;
+    let got = tokio::task::block_in_place(|| hash(&pixels));
+    if !got.eq_ignore_ascii_case(&frame.sha256) {
+        return Err(FetchError::Hash { id: frame.id.0.clone(), got, announced: frame.sha256.clone() });
+    }
+    Ok(pixels)
+}
+
+async fn fetch_all(client: &reqwest::Client, frame: &Frame, pixels: &mut Vec<u8>) -> Result<(), FetchError> {
     let mut interruptions = 0;
     while (pixels.len() as u64) < frame.bytes {
         let before = pixels.len();
-        let cause = match more(client, frame, &mut pixels).await {
+        let cause = match more(client, frame, pixels).await {
             Ok(()) => "the connection ended early".to_owned(),
             Err(More::Status(status)) => return Err(FetchError::Status { id: frame.id.0.clone(), status }),
             Err(More::Broken(cause)) => cause,
@@ -121,11 +160,7 @@ pub async fn fetch(client: &reqwest::Client, frame: &Frame) -> Result<Vec<u8>, F
             tokio::time::sleep(Duration::from_millis(100) * interruptions).await;
         }
     }
-    let got = tokio::task::block_in_place(|| hash(&pixels));
-    if !got.eq_ignore_ascii_case(&frame.sha256) {
-        return Err(FetchError::Hash { id: frame.id.0.clone(), got, announced: frame.sha256.clone() });
-    }
-    Ok(pixels)
+    Ok(())
 }
 
 /// SHA-256 in lower-case hex.
@@ -249,6 +284,34 @@ mod tests {
         .await;
         assert_eq!(fetch(&reqwest::Client::new(), &frame(url)).await.unwrap(), PIXELS);
         assert_eq!(count.load(Ordering::SeqCst), 4);
+    }
+
+    #[test]
+    fn a_frame_has_a_total_time_that_a_usable_link_keeps() {
+        assert_eq!(longest(0), Duration::from_secs(60));
+        // a guide camera's frame, a full frame, and the largest that is taken
+        assert_eq!(longest(600_000), Duration::from_secs(62));
+        assert_eq!(longest(32 << 20), Duration::from_secs(194));
+        assert!(longest(LARGEST) < Duration::from_secs(3 * 3600));
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_spool_that_dribbles_ends_at_the_total_time() {
+        let dribble = || async {
+            let one_byte = futures_util::stream::repeat(()).then(|()| async {
+                tokio::time::sleep(Duration::from_millis(50)).await;
+                Ok::<_, std::io::Error>(axum::body::Bytes::from_static(&[7]))
+            });
+            axum::body::Body::from_stream(one_byte).into_response()
+        };
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let url = format!("http://{}/", listener.local_addr().unwrap());
+        let app = axum::Router::new().route("/", axum::routing::get(dribble));
+        tokio::spawn(async move { axum::serve(listener, app).await });
+        // real clocks: the bytes come through a real socket; 600 of them would take 30 s
+        let (frame, client) = (frame(url), reqwest::Client::new());
+        let slow = fetch_within(&client, &frame, Duration::from_secs(1)).await.unwrap_err();
+        assert!(matches!(slow, FetchError::Slow { bytes: 600, got: ..600, limit_s: 1, .. }), "{slow}");
     }
 
     #[tokio::test(flavor = "multi_thread")]

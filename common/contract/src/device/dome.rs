@@ -108,7 +108,7 @@ impl Payload for Command {
 pub struct Guard {
     /// Counts the guard's own seconds; a permit must carry a recent one to be valid.
     pub number: u64,
-    /// Highest fencing token that this guard has granted or heard.
+    /// Highest fencing token that this guard's node has granted.
     pub token: u64,
     /// A permit is only as old as the guard number in it, s; default 10.
     pub permit_valid_s: f64,
@@ -120,8 +120,27 @@ pub struct Guard {
     pub action: GuardAction,
     /// True after the guard closed: it opens for nobody until the commander sends `resume`.
     pub hold: bool,
-    /// Permits dropped since the start: malformed, replayed, or with an older token.
+    /// Permits dropped since the start: malformed, replayed, or with a token that was not granted or is older.
     pub dropped: u64,
+    /// True while the shutter is proven closed: asked to close, and seen to follow. A status that only says closed is no
+    /// proof. Absent from nodes that do not tell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub verified_closed: Option<bool>,
+    /// Closing waits for the mounts under this dome. Absent from nodes that do not tell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub waits_for_mounts: Option<bool>,
+    /// The newest token that this node granted, by telescope: the arbiter's own word, which other devices follow.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub granted: Vec<GrantedToken>,
+}
+
+/// The newest fencing token of one telescope, as its arbiter granted it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct GrantedToken {
+    /// Which telescope.
+    pub telescope: String,
+    /// Its token.
+    pub token: u64,
 }
 
 impl Payload for Guard {

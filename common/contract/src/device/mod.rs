@@ -195,6 +195,10 @@ pub struct DeviceState<F> {
     pub busy: bool,
     /// How often this state is said, s of machine time, at least; silence of five times that is a loss.
     pub period_s: f64,
+    /// How often the device is asked for what nodes decide with, s of machine time; absent in states of versions that
+    /// did not tell, where it is `period_s`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub poll_s: Option<f64>,
     /// The newest command.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub last_command: Option<LastCommand>,
@@ -210,12 +214,19 @@ impl<F> DeviceState<F> {
         !self.busy && self.last_command.as_ref().is_some_and(|last| last.id == *id && last.outcome == Outcome::Done)
     }
 
+    /// How old a property's reading was when this was sent, s of machine time; `None` where it was not read, or by
+    /// a version that did not tell.
+    pub fn age_s(&self, property: &str) -> Option<f64> {
+        self.readings.get(property)?.age_s
+    }
+
     /// The same state with other fields.
     pub fn map<G>(self, change: impl FnOnce(F) -> G) -> DeviceState<G> {
         DeviceState {
             link: self.link,
             busy: self.busy,
             period_s: self.period_s,
+            poll_s: self.poll_s,
             last_command: self.last_command,
             fields: change(self.fields),
             readings: self.readings,

@@ -68,25 +68,35 @@ impl Payload for Record<Fields> {
     const NAME: &'static str = "observingconditions.record";
 }
 
+/// A property of ASCOM, and its field.
+type Property = (&'static str, fn(&Fields) -> &Datum<f64>);
+
+/// All of them, in the order of their names.
+const PROPERTIES: [Property; 13] = [
+    ("CloudCover", |fields| &fields.cloud_percent),
+    ("DewPoint", |fields| &fields.dew_point_c),
+    ("Humidity", |fields| &fields.humidity_percent),
+    ("Pressure", |fields| &fields.pressure_hpa),
+    ("RainRate", |fields| &fields.rain_mm_per_h),
+    ("SkyBrightness", |fields| &fields.sky_lux),
+    ("SkyQuality", |fields| &fields.sky_mag_per_arcsec2),
+    ("SkyTemperature", |fields| &fields.sky_c),
+    ("StarFWHM", |fields| &fields.star_fwhm_arcsec),
+    ("Temperature", |fields| &fields.air_c),
+    ("WindDirection", |fields| &fields.wind_from_deg),
+    ("WindGust", |fields| &fields.gust_mps),
+    ("WindSpeed", |fields| &fields.wind_mps),
+];
+
+/// ASCOM's names of the properties that a weather station may measure.
+pub fn ascom_names() -> impl Iterator<Item = &'static str> {
+    PROPERTIES.into_iter().map(|(name, _)| name)
+}
+
 impl Fields {
     /// A measured value by its ASCOM name; `None` for a name that ASCOM does not know.
     pub fn by_ascom_name(&self, name: &str) -> Option<&Datum<f64>> {
-        Some(match name {
-            "CloudCover" => &self.cloud_percent,
-            "DewPoint" => &self.dew_point_c,
-            "Humidity" => &self.humidity_percent,
-            "Pressure" => &self.pressure_hpa,
-            "RainRate" => &self.rain_mm_per_h,
-            "SkyBrightness" => &self.sky_lux,
-            "SkyQuality" => &self.sky_mag_per_arcsec2,
-            "SkyTemperature" => &self.sky_c,
-            "StarFWHM" => &self.star_fwhm_arcsec,
-            "Temperature" => &self.air_c,
-            "WindDirection" => &self.wind_from_deg,
-            "WindGust" => &self.gust_mps,
-            "WindSpeed" => &self.wind_mps,
-            _ => return None,
-        })
+        PROPERTIES.into_iter().find(|(known, _)| *known == name).map(|(_, field)| field(self))
     }
 }
 

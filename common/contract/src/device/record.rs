@@ -1,5 +1,7 @@
 //! What a device node keeps of what it said: the evidence that outlives an observatory node.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use super::Link;
@@ -36,6 +38,9 @@ pub struct Entry<F> {
     pub seq: u64,
     /// So long before this answer, s of machine time on the device node's boot-time clock.
     pub age_s: f64,
+    /// How old each reading was when this was said, s of machine time, by its ASCOM name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub reading_ages_s: BTreeMap<String, f64>,
     /// Did the device answer?
     pub link: Link,
     /// What nodes decide with.

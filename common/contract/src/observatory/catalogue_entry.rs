@@ -31,3 +31,6 @@ pub(super) const PLAIN: Entry = Entry {
     on_delay_s: 0,
     hold_s: 0,
 };
+
+/// As [`PLAIN`], of those that need a person within minutes.
+pub(super) const HIGH: Entry = Entry { priority: Priority::High, ..PLAIN };

@@ -33,7 +33,7 @@ pub use guiding::{
     AxisCorrection, CalibrationSource, CameraCalibration, Correction, GuideCalibration, GuideField, GuideMethod,
     GuideReference, GuideStage, GuidingState, PulseWhy, ReferenceStar,
 };
-pub use night::{ActionNow, Lease, NightState, Posture};
+pub use night::{ActionNow, Lease, NightState, OrderTaken, Posture};
 pub use optics::{Optics, OpticsState, ZeroPoint};
 pub use pointing::{PointingCheck, PointingModel, PointingPoint, PointingState};
 pub use safety::{InputState, Interval, Permit, SafetyState, Sector, Unsafe, Verdict};

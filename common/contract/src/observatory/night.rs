@@ -47,6 +47,22 @@ pub struct NightState {
     /// What the newest frames say together; empty while all is well.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub triggers: Vec<Trigger>,
+    /// The newest order that this node accepted: whoever gave it sees here that it arrived.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last_order: Option<OrderTaken>,
+}
+
+/// An order that was accepted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct OrderTaken {
+    /// Its id.
+    pub id: CommandId,
+    /// Who ordered, such as `cli/ana@dome-pc`.
+    pub from: String,
+    /// What, such as `close`.
+    pub verb: String,
+    /// Sky time when it was accepted.
+    pub at_utc: Utc,
 }
 
 impl Payload for NightState {

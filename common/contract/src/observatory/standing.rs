@@ -16,6 +16,9 @@ pub struct StandingOrders {
     /// Nothing opens while this stands.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stay_closed: Option<Ordered>,
+    /// The operator who has taken the telescope from the schedule, until somebody starts it again or takes it over.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub control: Option<Ordered>,
     /// Limits that are done without.
     pub overrides: Vec<Override>,
     /// Alerts that nobody is told of, whether they stand now or not.

@@ -1,0 +1,44 @@
+//! Tells the service manager that this process is up and its loops turn (`sd_notify` of systemd).
+//!
+//! The protocol is one datagram to the socket that `NOTIFY_SOCKET` names; nothing happens where there is none.
+
+/// Says that the process is ready and alive. Whoever stops saying so is ended and started again by the manager's
+/// `WatchdogSec`. Cheap: at most one datagram each second.
+pub fn alive() {
+    #[cfg(target_os = "linux")]
+    linux::send();
+}
+
+#[cfg(target_os = "linux")]
+mod linux {
+    use std::os::linux::net::SocketAddrExt as _;
+    use std::os::unix::net::{SocketAddr, UnixDatagram};
+    use std::sync::{Mutex, OnceLock, PoisonError};
+    use std::time::{Duration, Instant};
+
+    static SOCKET: OnceLock<Option<(UnixDatagram, SocketAddr)>> = OnceLock::new();
+    static LAST: Mutex<Option<Instant>> = Mutex::new(None);
+
+    pub fn send() {
+        let Some((socket, manager)) = SOCKET.get_or_init(open) else { return };
+        let mut last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
+        if last.is_some_and(|at| at.elapsed() < Duration::from_secs(1)) {
+            return;
+        }
+        *last = Some(Instant::now());
+        // a manager that does not listen is no business of this process
+        let _ = socket.send_to_addr(b"READY=1\nWATCHDOG=1\n", manager);
+    }
+
+    fn open() -> Option<(UnixDatagram, SocketAddr)> {
+        let name = std::env::var("NOTIFY_SOCKET").ok()?;
+        let manager = match name.strip_prefix('@') {
+            Some(name) => SocketAddr::from_abstract_name(name).ok()?,
+            None => SocketAddr::from_pathname(&name).ok()?,
+        };
+        let socket = UnixDatagram::unbound().ok()?;
+        // a full queue must not hold the loop up that says it lives
+        socket.set_nonblocking(true).ok()?;
+        Some((socket, manager))
+    }
+}

@@ -1,0 +1,142 @@
+//! Who may read what a node writes: files of the data folder belong to its user alone; images are for everybody whom the
+//! system's own settings (umask) let read them.
+
+use std::fs;
+use std::io;
+use std::path::Path;
+use std::sync::OnceLock;
+
+/// The umask that this process was started with, once [`keep_files_private`] has set another one.
+static STARTED_WITH: OnceLock<u32> = OnceLock::new();
+/// Entries of a data folder that are looked at, so that a wrong `folders.data` costs no minutes.
+const MOST_ENTRIES: usize = 10_000;
+const DEEPEST: usize = 3;
+
+/// From now on, files that this process makes are its user's alone (0600), and folders too (0700).
+pub fn keep_files_private() {
+    #[cfg(unix)]
+    {
+        let before = rustix::process::umask(rustix::fs::Mode::from_raw_mode(0o077));
+        let _ = STARTED_WITH.set(before.as_raw_mode());
+    }
+}
+
+/// Makes a folder for this user alone, with those above it.
+pub fn make_folder(folder: &Path) -> io::Result<()> {
+    let mut builder = fs::DirBuilder::new();
+    builder.recursive(true);
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.create(folder)
+}
+
+/// Makes a folder that others may read, as far as the system's settings let them.
+pub fn make_public_folder(folder: &Path) -> io::Result<()> {
+    match fs::create_dir(folder) {
+        // somebody else made it meanwhile, with rights of their own
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(()),
+        made => made.and_then(|()| make_public(folder, 0o777)),
+    }
+}
+
+/// Lets others read a file, as far as the system's settings let them.
+pub fn make_public_file(file: &Path) -> io::Result<()> {
+    make_public(file, 0o666)
+}
+
+fn make_public(path: &Path, mode: u32) -> io::Result<()> {
+    #[cfg(unix)]
+    if let Some(umask) = STARTED_WITH.get() {
+        use std::os::unix::fs::PermissionsExt as _;
+        return fs::set_permissions(path, fs::Permissions::from_mode(mode & !umask));
+    }
+    let _ = (path, mode);
+    Ok(())
+}
+
+/// Takes from others what they may do with files of a data folder that an older version wrote. What belongs to another
+/// user stays as it is, links are not followed, and `images` within it stays as it is with the folders on the way there.
+pub fn tighten(data: &Path, images: &Path) {
+    #[cfg(unix)]
+    tighten_below(data, images, DEEPEST, &mut MOST_ENTRIES.clone());
+    #[cfg(not(unix))]
+    let _ = (data, images, MOST_ENTRIES, DEEPEST);
+}
+
+#[cfg(unix)]
+fn tighten_below(path: &Path, images: &Path, deep: usize, left: &mut usize) {
+    use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
+    let Ok(found) = fs::symlink_metadata(path) else { return };
+    let is_mine = found.uid() == rustix::process::geteuid().as_raw();
+    if found.is_symlink() || !is_mine || *left == 0 || path == images {
+        return;
+    }
+    *left -= 1;
+    let mode = found.permissions().mode() & 0o777;
+    if mode & 0o077 != 0 && !images.starts_with(path) {
+        // a file system without rights has nothing to take away
+        let _ = fs::set_permissions(path, fs::Permissions::from_mode(mode & 0o700));
+    }
+    if found.is_dir() && deep > 0 {
+        for entry in fs::read_dir(path).into_iter().flatten().flatten() {
+            tighten_below(&entry.path(), images, deep - 1, left);
+        }
+    }
+}
+
+/// Warns of a file with a secret that others may read. Says nothing of one that cannot be looked at.
+pub fn is_open_to_others(file: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        fs::metadata(file).is_ok_and(|found| found.permissions().mode() & 0o077 != 0)
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = file;
+        false
+    }
+}
+
+#[cfg(unix)]
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt as _;
+
+    use super::*;
+
+    fn mode(path: &Path) -> u32 {
+        fs::metadata(path).unwrap().permissions().mode() & 0o777
+    }
+
+    #[test]
+    fn files_of_an_older_version_are_taken_from_others_and_links_are_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let (data, outside) = (folder.path().join("data"), folder.path().join("outside"));
+        fs::create_dir_all(data.join("spool")).unwrap();
+        fs::write(&outside, "").unwrap();
+        fs::write(data.join("spool/tokens.json"), "").unwrap();
+        fs::write(data.join("journal.jsonl"), "").unwrap();
+        for path in ["", "spool", "spool/tokens.json", "journal.jsonl", "../outside"] {
+            fs::set_permissions(data.join(path), fs::Permissions::from_mode(0o755)).unwrap();
+        }
+        std::os::unix::fs::symlink(&outside, data.join("link")).unwrap();
+        assert!(is_open_to_others(&data.join("journal.jsonl")));
+        fs::create_dir(data.join("images")).unwrap();
+        fs::set_permissions(data.join("images"), fs::Permissions::from_mode(0o755)).unwrap();
+        tighten(&data, &data.join("images"));
+        assert_eq!([mode(&data), mode(&data.join("images"))], [0o755; 2], "images within it are for others too");
+        tighten(&data, Path::new("elsewhere"));
+        let modes = ["", "spool", "spool/tokens.json", "journal.jsonl"].map(|path| mode(&data.join(path)));
+        assert_eq!(modes, [0o700; 4], "what was executable stays so for its user");
+        assert_eq!(mode(&outside), 0o755);
+        assert!(!is_open_to_others(&data.join("journal.jsonl")));
+    }
+
+    #[test]
+    fn a_new_folder_belongs_to_its_user_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        make_folder(&folder.path().join("a/b")).unwrap();
+        assert_eq!([mode(&folder.path().join("a")), mode(&folder.path().join("a/b"))], [0o700; 2]);
+    }
+}

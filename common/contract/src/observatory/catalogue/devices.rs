@@ -1,0 +1,66 @@
+//! Alerts of all other devices.
+
+use super::super::Priority;
+use super::super::catalogue_entry::{Entry, HIGH, PLAIN};
+
+pub(super) const ROW_POSTPONED: Entry = Entry {
+    word: "row-postponed",
+    instance: "KIND",
+    priority: Priority::Medium,
+    consequence: "Their frames are not taken meanwhile.",
+    action: "Look at the device that is named. The rows go on by themselves while their windows are open.",
+    ..PLAIN
+};
+
+pub(super) const MOUNT_LIMIT: Entry = Entry {
+    word: "mount-limit",
+    instance: "MOUNT",
+    consequence: "Its device node stops the tracking, and again every 5 s until it obeys.",
+    action: "Look why it was left tracking; a person may have to stop it at the mount.",
+    ..HIGH
+};
+
+pub(super) const MOUNT_NOT_PARKED: Entry = Entry {
+    word: "mount-not-parked",
+    instance: "MOUNT",
+    consequence: "It may move under a closed roof, or hold up a roof that waits for it.",
+    action: "Look at the mount. The parking goes on by itself.",
+    ..HIGH
+};
+
+pub(super) const SLOW_DEVICE: Entry = Entry {
+    word: "slow-device",
+    instance: "KIND/DEVICE",
+    priority: Priority::Medium,
+    consequence: "A bad value closes later than it could; readings that are too old close by themselves.",
+    action: "Look at the device and its server, or poll fewer properties.",
+    on_delay_s: 10,
+    hold_s: 60,
+};
+
+pub(super) const FRAME_LOST: Entry = Entry {
+    word: "frame-lost",
+    instance: "CAMERA",
+    priority: Priority::Medium,
+    consequence: "It may not be on disk.",
+    action: "Look at the device node of the camera and its spool.",
+    ..PLAIN
+};
+
+pub(super) const COOLING_FAILED: Entry = Entry {
+    word: "cooling-failed",
+    instance: "CAMERA",
+    priority: Priority::Medium,
+    consequence: "Rows of this camera fail.",
+    action: "Look at the cooler, or raise temperature_c.",
+    ..PLAIN
+};
+
+pub(super) const COVER_NOT_CLOSED: Entry = Entry {
+    word: "cover-not-closed",
+    instance: "COVER",
+    priority: Priority::Medium,
+    consequence: "Dust and dew reach the mirror.",
+    action: "Look at the cover. The closing goes on by itself.",
+    ..PLAIN
+};

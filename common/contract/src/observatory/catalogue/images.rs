@@ -1,0 +1,81 @@
+//! Alerts of what frames show.
+
+use super::super::Priority;
+use super::super::catalogue_entry::{Entry, PLAIN};
+
+pub(super) const FOCUS_DRIFT: Entry = Entry {
+    word: "focus-drift",
+    instance: "CAMERA",
+    consequence: "The frames are less sharp than they could be.",
+    action: "Compare with the seeing; focus again where the seeing is not worse.",
+    ..PLAIN
+};
+
+pub(super) const FOCUS_FAILED: Entry = Entry {
+    word: "focus-failed",
+    instance: "CAMERA",
+    priority: Priority::Medium,
+    consequence: "Frames are taken at the focus as it was known before.",
+    action: "Look at the plot of the run and at its reason; the next run that succeeds ends this alert.",
+    ..PLAIN
+};
+
+pub(super) const STARS_GONE: Entry = Entry {
+    word: "stars-gone",
+    instance: "CAMERA",
+    consequence: "The frames may be worth nothing; the sensors of the weather decide alone whether the roof closes.",
+    action: "Look at the sky and at the last frame.",
+    ..PLAIN
+};
+
+pub(super) const STARS_TRAILED: Entry = Entry {
+    word: "stars-trailed",
+    instance: "CAMERA",
+    priority: Priority::Medium,
+    consequence: "The frames are smeared.",
+    action: "Look at tracking, guiding and wind.",
+    ..PLAIN
+};
+
+pub(super) const GUIDING_LOST: Entry = Entry {
+    word: "guiding-lost",
+    instance: "CAMERA",
+    priority: Priority::Medium,
+    consequence: "The mount only tracks: the field may drift. Frames go on unless `guiding.when_lost` says otherwise.",
+    action: "Look at the sky, the last frame and the mount; without a calibration run calibrate_guiding.",
+    ..PLAIN
+};
+
+pub(super) const FIELD_TURNS: Entry = Entry {
+    word: "field-turns",
+    instance: "CAMERA",
+    consequence: "Stars far from the middle are drawn out on long exposures.",
+    action: "Look at the polar alignment, or at the rotator.",
+    ..PLAIN
+};
+
+pub(super) const POINTING_UNPROVEN: Entry = Entry {
+    word: "pointing-unproven",
+    instance: "CAMERA",
+    priority: Priority::Medium,
+    consequence: "The row rests or is given up, as `pointing.on_failure` says; no frame counts meanwhile.",
+    action: "Look at the last frame and at the sky; compare the mount's clock, site and alignment.",
+    ..PLAIN
+};
+
+pub(super) const WRONG_FIELD: Entry = Entry {
+    word: "wrong-field",
+    instance: "CAMERA",
+    priority: Priority::Medium,
+    consequence: "The target is not on the frames.",
+    action: "Look at the target's coordinates, the mount's alignment and its frame of coordinates.",
+    ..PLAIN
+};
+
+pub(super) const FRAMES_UNMEASURED: Entry = Entry {
+    word: "frames-unmeasured",
+    instance: "CAMERA",
+    consequence: "Focus drift, clouds and trailing are not noticed on them; the archive stores them all the same.",
+    action: "Look at the reason in the facts of the last frame, and at the way from this node to the spool.",
+    ..PLAIN
+};

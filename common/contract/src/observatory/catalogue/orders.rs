@@ -1,0 +1,35 @@
+//! Alerts of what a person ordered or switched off.
+
+use super::super::Priority;
+use super::super::catalogue_entry::{Entry, HIGH, PLAIN};
+
+pub(super) const SCHEDULE_REFUSED: Entry = Entry {
+    word: "schedule-refused",
+    consequence: "The schedule before it stays in force; without one, nothing is observed.",
+    action: "Correct the file; it is read again by itself.",
+    ..HIGH
+};
+
+pub(super) const DISABLED: Entry = Entry {
+    word: "disabled",
+    instance: "INPUT",
+    priority: Priority::Medium,
+    consequence: "The verdict does without it.",
+    action: "Take `disabled` out of the configuration once it can be relied on again.",
+    ..PLAIN
+};
+
+pub(super) const STAY_CLOSED: Entry = Entry {
+    word: "stay-closed",
+    consequence: "Nothing opens.",
+    action: "Take it back: starmesh order SITE/TELESCOPE open-again.",
+    ..PLAIN
+};
+
+pub(super) const OVERRIDE: Entry = Entry {
+    word: "override",
+    instance: "INPUT",
+    consequence: "It closes nothing.",
+    action: "Heed it again: starmesh order SITE/TELESCOPE heed INPUT.",
+    ..PLAIN
+};

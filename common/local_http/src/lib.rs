@@ -1,0 +1,28 @@
+//! HTTP inside an observatory: a client that uses no proxy, and a server that strangers cannot fill.
+//!
+//! [`client_builder`] makes every client that talks to hardware, to a spool or to another of our own addresses.
+//! [`serve`] serves the page and the spool: it limits connections in all, connections of one address ([`Places`]), and the
+//! time that a request may take.
+
+mod places;
+mod serve;
+
+pub use places::{Place, Places, Room};
+pub use serve::{Limits, Peer, serve};
+
+/// A client for hardware and for our own addresses. It uses no proxy, whatever the environment says: `http_proxy` is meant
+/// for the internet, and a proxy does not know an observatory's network. It follows no redirection either, because none of
+/// these servers has a reason to send a client elsewhere.
+pub fn client_builder() -> reqwest::ClientBuilder {
+    #[allow(clippy::disallowed_methods, reason = "this is the place that all others use")]
+    let builder = reqwest::Client::builder();
+    builder.no_proxy().redirect(reqwest::redirect::Policy::none())
+}
+
+/// The same, ready to use.
+///
+/// # Errors
+/// Only where the system gives no client at all.
+pub fn client() -> reqwest::Result<reqwest::Client> {
+    client_builder().build()
+}

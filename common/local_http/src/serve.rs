@@ -1,0 +1,160 @@
+//! A server with limits on connections, header time and total time.
+
+use std::net::IpAddr;
+use std::time::Duration;
+
+use axum::{Extension, Router};
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+
+use crate::places::{Place, Places, Room};
+
+/// Room for the header of one request; longer ones are refused.
+const HEADER_BYTES: usize = 16 << 10;
+/// What is under way at the end of a connection's time, or of the server's, may take so long.
+const LAST_ANSWER: Duration = Duration::from_secs(2);
+/// After an error of the system, such as too many open files.
+const PAUSE: Duration = Duration::from_millis(100);
+
+/// What one server gives to its clients.
+#[derive(Debug, Clone, Copy)]
+pub struct Limits {
+    /// Connections.
+    pub room: Room,
+    /// For the header of a request, and for a connection that asks nothing.
+    pub header: Duration,
+    /// For a connection with all its answers; a socket that was upgraded is not counted.
+    pub total: Duration,
+}
+
+/// Who asks; an extension of each request.
+#[derive(Debug, Clone, Copy)]
+pub struct Peer(pub IpAddr);
+
+/// Serves until `stop` ends; answers under way then have 2 s.
+pub async fn serve(listener: TcpListener, router: Router, limits: Limits, stop: impl Future<Output = ()>) {
+    let places = Places::new(limits.room);
+    let (ending, ends) = watch::channel(false);
+    let mut connections = JoinSet::new();
+    let mut stop = std::pin::pin!(stop);
+    let mut refused: u64 = 0;
+    loop {
+        let accepted = tokio::select! {
+            () = &mut stop => break,
+            Some(_) = connections.join_next() => continue,
+            accepted = listener.accept() => accepted,
+        };
+        match accepted {
+            Ok((stream, peer)) => match places.take(peer.ip()) {
+                Some(place) => {
+                    let router = router.clone().layer(Extension(Peer(peer.ip())));
+                    connections.spawn(connection(stream, router, limits, place, ends.clone()));
+                }
+                None => {
+                    refused += 1;
+                    // a flood may refuse thousands a second
+                    if refused.is_power_of_two() {
+                        let (peer, room) = (peer.ip(), limits.room.total);
+                        tracing::warn!(%peer, refused, room, "a connection was refused: no place is free for its address");
+                    }
+                }
+            },
+            Err(error) => {
+                tracing::warn!(%error, "a connection could not be accepted");
+                tokio::time::sleep(PAUSE).await;
+            }
+        }
+    }
+    drop(listener);
+    ending.send_replace(true);
+    let _ = tokio::time::timeout(LAST_ANSWER, async { while connections.join_next().await.is_some() {} }).await;
+}
+
+async fn connection(stream: TcpStream, router: Router, limits: Limits, _place: Place, mut ends: watch::Receiver<bool>) {
+    // small answers must not wait for an acknowledgement of the one before
+    let _ = stream.set_nodelay(true);
+    let served = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(limits.header)
+        .max_buf_size(HEADER_BYTES)
+        .serve_connection(TokioIo::new(stream), TowerToHyperService::new(router))
+        .with_upgrades();
+    let mut served = std::pin::pin!(served);
+    let over = async {
+        tokio::select! {
+            () = tokio::time::sleep(limits.total) => {}
+            _ = ends.wait_for(|ended| *ended) => {}
+        }
+    };
+    tokio::select! {
+        // an error is the client's: it left, or sent no HTTP
+        _ = &mut served => return,
+        () = over => {}
+    }
+    served.as_mut().graceful_shutdown();
+    let _ = tokio::time::timeout(LAST_ANSWER, served).await;
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::routing::get;
+    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+
+    use super::*;
+
+    const LIMITS: Limits = Limits {
+        room: Room { total: 20, per_address: 10, trusted: 5 },
+        header: Duration::from_millis(500),
+        total: Duration::from_secs(3),
+    };
+
+    async fn start() -> std::net::SocketAddr {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let endless = || async {
+            // more than the buffers of both ends hold, so that it waits for a reader
+            axum::body::Body::from(vec![0; 64 << 20])
+        };
+        let who = |Extension(Peer(ip)): Extension<Peer>| async move { ip.to_string() };
+        let router = Router::new().route("/", get(who)).route("/large", get(endless));
+        tokio::spawn(serve(listener, router, LIMITS, std::future::pending()));
+        address
+    }
+
+    async fn ask(address: std::net::SocketAddr) -> reqwest::Result<String> {
+        let client = crate::client_builder().timeout(Duration::from_secs(2)).build()?;
+        client.get(format!("http://{address}/")).send().await?.text().await
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn half_requests_give_their_places_back_in_time() {
+        let address = start().await;
+        let mut held = Vec::new();
+        for _ in 0..200 {
+            let mut stream = TcpStream::connect(address).await.unwrap();
+            let _ = stream.write_all(b"GET / HTTP/1.1\r\nHost: x\r\n").await;
+            held.push(stream);
+        }
+        let full = ask(address).await;
+        assert!(full.is_err(), "ten of one address, and not one more: {full:?}");
+        tokio::time::sleep(LIMITS.header * 2).await;
+        assert_eq!(ask(address).await.unwrap(), "127.0.0.1", "those that said half of a request are gone");
+        drop(held);
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn an_answer_that_nobody_takes_ends_in_time() {
+        let address = start().await;
+        let mut stream = TcpStream::connect(address).await.unwrap();
+        stream.write_all(b"GET /large HTTP/1.1\r\nHost: x\r\n\r\n").await.unwrap();
+        tokio::time::sleep(LIMITS.total + LAST_ANSWER + Duration::from_millis(500)).await;
+        let mut got = Vec::new();
+        let _ = tokio::time::timeout(Duration::from_secs(5), stream.read_to_end(&mut got)).await.unwrap();
+        assert!(got.len() < 64 << 20, "{}", got.len());
+        assert_eq!(ask(address).await.unwrap(), "127.0.0.1");
+    }
+}
