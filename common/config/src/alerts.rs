@@ -255,7 +255,7 @@ mod tests {
         let cases = [
             (hook("url = \"chat.example.org\""), "line 9: alerts.webhook.url: expected http://"),
             (hook("url = \"http://x\"\nafter_min = -1"), "line 8: alerts \"chat\": after_min = -1"),
-            (hook("url = \"http://x\"\ntoken = \"secret\""), "unknown field `token`"),
+            (hook("url = \"http://x\"\ntoken = \"secret\""), "there is no key \"token\" in [[alerts.webhook]]"),
             (
                 hook("url = \"http://x\"\n[[alerts.webhook]]\nname = \"chat\"\nurl = \"http://y\""),
                 "names must be unique",

@@ -2,8 +2,10 @@
 //!
 //! A macro spells out the common keys in each block, because serde cannot refuse unknown keys through `flatten`.
 
+use std::collections::BTreeMap;
+
 use contract::{Chunk, Kind, Name};
-use serde::{Deserialize, Deserializer};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::flats::Flats;
 use crate::focusing::Approach;
@@ -23,7 +25,7 @@ pub struct Common {
     pub number: u32,
     /// Poll period, s of machine time.
     pub period_s: f64,
-    /// The device node that serves it; the only one where absent.
+    /// The device node that serves it; where absent [`crate::ENCLOSURE_NODE`] for a dome, else [`crate::MAIN_NODE`].
     pub node: Option<Name>,
     /// False: never send Connected = true, the site does that itself.
     pub connect: bool,
@@ -51,7 +53,7 @@ pub enum EquatorialChoice {
 }
 
 /// How a dome's closing waits for its mounts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CloseWithMount {
     /// Stop the mount and close together.
@@ -219,6 +221,8 @@ devices! {
         slew_timeout_s: f64 = 300.0,
         /// Wait after a slew before exposing, sky s.
         settle_s: f64 = 1.0,
+        /// So many exposure times are waited for after a correction of the pointing, and before each frame of a pointing model.
+        settle_factor: f64 = 0.0,
         /// Turn a German mount over between two frames when the next one would end too far past the meridian.
         meridian_flip: bool = false,
         /// How far past the meridian that is, min.
@@ -250,6 +254,8 @@ devices! {
         flats: Flats = Flats::default(),
         /// What guide pulses do to its stars, until that is learnt here.
         guide_calibration: Option<GuideStart> = None,
+        /// Parameters of its rows that do not give them, by action.
+        defaults: BTreeMap<String, BTreeMap<String, toml::Value>> = BTreeMap::new(),
         /// Paired mount; like each pairing below, the only one of its kind where absent.
         telescope: Option<Name> = None,
         /// Paired filter wheel.
@@ -299,6 +305,9 @@ devices! {
         close_with_mount: CloseWithMount = CloseWithMount::Beside,
         /// For `parked_within_s`: close anyway after so long; for `parked_only`: alert then. Machine s.
         parked_within_s: f64 = 120.0,
+        /// Parked (its azimuth) when it is closed: before the shutter closes where no sky calls for closing and for a short time
+        /// only, else as soon as the shutter is closed.
+        park_at_close: bool = false,
         /// How long a permit lasts, machine s, 3 to 30.
         permit_valid_s: f64 = 10.0,
         /// A shutter that moves longer is stuck, sky s.

@@ -69,6 +69,15 @@ impl Flats {
         if let Some((target, bias)) = self.target_adu.zip(self.bias_adu).filter(|(target, bias)| target <= bias) {
             found.push(format!("flats.target_adu = {target}: expected more than bias_adu = {bias}"));
         }
+        let level = self.target_adu.map(|target| (target, target - self.bias_adu.unwrap_or(0.0)));
+        if let Some(((target, above), tolerance)) =
+            level.zip(self.tolerance_adu).filter(|((_, above), tolerance)| *above > 0.0 && tolerance >= above)
+        {
+            let what = format!(
+                "expected less than {above}, or a frame without light would count beside target_adu = {target}"
+            );
+            found.push(format!("flats.tolerance_adu = {tolerance}: {what}"));
+        }
         found
     }
 }
@@ -98,8 +107,10 @@ mod tests {
             ("sun_max_deg = 5", "flats.sun_max_deg = 5: expected -30 to 0 deg"),
             ("sun_min_deg = -0.5", "flats.sun_min_deg = -0.5: expected less than sun_max_deg = -1"),
             ("target_adu = 100, bias_adu = 300", "flats.target_adu = 100: expected more than bias_adu = 300"),
+            ("target_adu = 30000, tolerance_adu = 40000", "flats.tolerance_adu = 40000: expected less than 30000"),
+            ("target_adu = 30000, bias_adu = 500, tolerance_adu = 29500", "expected less than 29500, or a frame"),
             ("tolerance_adu = nan", "flats.tolerance_adu = NaN"),
-            ("target = 100", "unknown field `target`"),
+            ("target = 100", "there is no key \"target\" in [camera.flats]; did you mean \"target_adu\"?"),
         ] {
             let text = format!("{HEAD}flats = {{ {flats} }}\n");
             let refused = crate::parse(&text, Path::new("/obs")).unwrap_err().to_string();

@@ -49,7 +49,7 @@ impl Default for Focusing {
 
 impl Focusing {
     /// What does not hold, in words.
-    pub(crate) fn faults(&self, focusers: &[Focuser]) -> Vec<String> {
+    pub(crate) fn faults(&self) -> Vec<String> {
         let mut found = Vec::new();
         for (key, value, low, high, unit) in [
             ("refocus_after_min", self.refocus_after_min, 1.0, 1440.0, " min"),
@@ -60,18 +60,20 @@ impl Focusing {
                 found.push(format!("focusing.{key} = {value}: expected {low} to {high}{unit}"));
             }
         }
-        for focuser in focusers {
-            let name = &focuser.common.name;
-            if !(0..=1_000_000).contains(&focuser.backlash_steps) {
-                let steps = focuser.backlash_steps;
-                found.push(format!("focuser {name}: backlash_steps = {steps}: expected 0 to 1000000 steps"));
-            }
-            if let Some(steps) = focuser.search_steps.filter(|steps| !(2..=1_000_000).contains(steps)) {
-                found.push(format!("focuser {name}: search_steps = {steps}: expected 2 to 1000000 steps"));
-            }
-        }
         found
     }
+}
+
+/// What does not hold of a focuser, in words that begin with the key.
+pub(crate) fn focuser_faults(focuser: &Focuser) -> Vec<String> {
+    let mut found = Vec::new();
+    if !(0..=1_000_000).contains(&focuser.backlash_steps) {
+        found.push(format!("backlash_steps = {}: expected 0 to 1000000 steps", focuser.backlash_steps));
+    }
+    if let Some(steps) = focuser.search_steps.filter(|steps| !(2..=1_000_000).contains(steps)) {
+        found.push(format!("search_steps = {steps}: expected 2 to 1000000 steps"));
+    }
+    found
 }
 
 #[cfg(test)]
@@ -86,9 +88,9 @@ mod tests {
         let focuser = "[[focuser]]\nname = \"f\"\nserver = \"h:1\"\n";
         for (rest, said) in [
             ("[focusing]\nfollow_share = 0\n".to_owned(), "focusing.follow_share = 0: expected 0.01 to 1"),
-            ("[focusing]\non_drift = \"pray\"\n".to_owned(), "expected `alert` or `refocus`"),
-            (format!("{focuser}backlash_steps = -1\n"), "focuser f: backlash_steps = -1: expected 0 to"),
-            (format!("{focuser}search_steps = 1\n"), "focuser f: search_steps = 1: expected 2 to"),
+            ("[focusing]\non_drift = \"pray\"\n".to_owned(), "expected \"alert\" or \"refocus\""),
+            (format!("{focuser}backlash_steps = -1\n"), "focuser \"f\": backlash_steps = -1: expected 0 to"),
+            (format!("{focuser}search_steps = 1\n"), "focuser \"f\": search_steps = 1: expected 2 to"),
         ] {
             let refused = crate::parse(&format!("{SITE}{rest}"), Path::new("/x")).unwrap_err().to_string();
             assert!(refused.contains(said), "{refused}");

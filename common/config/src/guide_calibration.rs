@@ -9,8 +9,10 @@ use serde::Deserialize;
 #[serde(deny_unknown_fields)]
 pub struct GuideStart {
     /// During an East pulse at `dec_deg`, px/s.
+    #[serde(deserialize_with = "crate::pair::pair")]
     pub east_px_per_s: [f64; 2],
     /// During a North pulse, px/s.
+    #[serde(deserialize_with = "crate::pair::pair")]
     pub north_px_per_s: [f64; 2],
     /// Declination for which `east_px_per_s` holds, degrees.
     #[serde(default)]

@@ -39,6 +39,8 @@ pub struct Guiding {
     pub patience_s: f64,
     /// Least time between the middles of frames that are guided on, sky s.
     pub interval_min_s: f64,
+    /// From where a field was found to where it is held, px along x and y.
+    pub hold_offset_px: [f64; 2],
     /// After a flip the mount leaves its declination motor as it was: North pulses go south there.
     pub dec_reversed_after_flip: bool,
     /// What becomes of a row whose field is lost for good.
@@ -99,6 +101,7 @@ impl Default for Guiding {
             hold_drift_s: 300.0,
             patience_s: 900.0,
             interval_min_s: 0.0,
+            hold_offset_px: [0.0; 2],
             dec_reversed_after_flip: false,
             when_lost: WhenLost::GoOn,
         }
@@ -127,6 +130,10 @@ impl Guiding {
         within("hold_drift_s", self.hold_drift_s, 0.0, 86_400.0, "s");
         within("patience_s", self.patience_s, 0.0, 86_400.0, "s");
         within("interval_min_s", self.interval_min_s, 0.0, 3600.0, "s");
+        let half_px = 0.5 * self.cap_px.clamp(1.0, 1000.0);
+        for offset_px in self.hold_offset_px {
+            within("hold_offset_px", offset_px, -half_px, half_px, "px: half of cap_px");
+        }
         for (key, Gains { p, i, d }) in [("pid_ra", self.pid_ra), ("pid_dec", self.pid_dec)] {
             for (name, gain) in [("p", p), ("i", i), ("d", d)] {
                 within(&format!("{key}.{name}"), gain, 0.0, 10.0, "");

@@ -63,8 +63,10 @@ pub enum Source {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("FITS-header table, line {line}: {fault}")]
 pub struct HeaderError {
-    line: u64,
-    fault: String,
+    /// Line of the table, from 1; 0 where that is not known.
+    pub line: u64,
+    /// What is wrong with it.
+    pub fault: String,
 }
 
 const COLUMNS: [&str; 6] = ["header", "dtype", "fixed", "device_type", "device_command", "comment"];

@@ -66,7 +66,7 @@ mod tests {
             ("close_wait_s = 11", "hooks.close_wait_s = 11: expected 0 to 10 s"),
             ("close_wait_s = nan", "hooks.close_wait_s = NaN"),
             ("time_limit_s = 0", "hooks.time_limit_s = 0: expected 1 to 3600 s"),
-            ("scirpt = \"x\"", "unknown field"),
+            ("scirpt = \"x\"", "did you mean \"script\"?"),
         ] {
             let told = read(&format!("[hooks]\n{block}\n")).unwrap_err();
             assert!(told.contains(word), "{word}: {told}");

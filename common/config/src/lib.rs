@@ -7,7 +7,13 @@
 mod alerts;
 mod check;
 mod device;
+mod device_nodes;
+mod document;
+mod encoding;
+mod endpoints;
+mod fault;
 mod faults;
+mod findings;
 mod flats;
 mod focusing;
 #[cfg(test)]
@@ -18,18 +24,27 @@ pub mod header;
 mod hooks;
 mod imaging;
 mod names;
+mod nearest;
 mod observatory;
+mod pair;
+mod plausible;
 mod pointing;
+mod read;
+mod relations;
 mod slit;
 mod vendor;
 mod visibility;
+mod words;
 
 pub use alerts::{Alerting, Email, Ping, Security, Smtp, Webhook};
-pub use check::{ConfigError, MOST_BYTES, parse};
+pub use check::{MOST_BYTES, examine, locate, parse};
 pub use device::{
     Camera, CloseWithMount, Common, CoverCalibrator, Device, Dome, EquatorialChoice, FilterWheel, Focuser, Limit,
     Measure, MountLimits, ObservingConditions, Response, Rotator, SafetyMonitor, Switch, Telescope,
 };
+pub use device_nodes::{ENCLOSURE_NODE, MAIN_NODE};
+pub use encoding::{NotUtf8, utf8};
+pub use fault::{ConfigError, Fault};
 pub use faults::{FaultPolicy, Faults};
 pub use flats::Flats;
 pub use focusing::{Approach, Focusing, OnDrift};
@@ -38,6 +53,7 @@ pub use guiding::{Gains, GuideControl, Guiding, WhenLost};
 pub use hooks::Hooks;
 pub use imaging::Imaging;
 pub use names::Names;
+pub use nearest::{distance, meant, nearest};
 pub use observatory::{
     Archive, Bus, ClockSource, Folders, Observatory, Place, Safety, Schedule, Shared, Spool, Web, WindSector,
 };
@@ -45,3 +61,4 @@ pub use pointing::{OnFailure, Pointing};
 pub use slit::{Follow, Slit};
 pub use vendor::VendorPattern;
 pub use visibility::{Horizon, HorizonSource, ScheduleCheck};
+pub use words::sexagesimal;

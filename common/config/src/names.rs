@@ -28,7 +28,9 @@ impl Names {
     /// What does not hold, in words.
     pub(crate) fn faults(&self) -> Vec<String> {
         let urls = [("sesame_url", &self.sesame_url), ("horizons_url", &self.horizons_url)];
-        let is_web = |url: &str| url.starts_with("https://") || url.starts_with("http://");
+        let is_web = |url: &str| {
+            (url.starts_with("https://") || url.starts_with("http://")) && !url.contains(char::is_whitespace)
+        };
         let wrong = urls.into_iter().filter(|(_, url)| !is_web(url));
         wrong.map(|(key, url)| format!("names.{key} = {url:?}: expected https://...")).collect()
     }

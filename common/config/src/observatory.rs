@@ -370,4 +370,7 @@ pub struct Shared {
     /// Dwell time of the shared safety monitors, minutes.
     #[serde(default = "crate::device::default_dwell_min")]
     pub dwell_min: f64,
+    /// Readings of the shared safety monitors that are older than this are unsafe, s; by default five times the period
+    /// at which their node asks them, 5 to 60.
+    pub max_age_s: Option<f64>,
 }

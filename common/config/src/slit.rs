@@ -200,7 +200,7 @@ mod tests {
     fn what_does_not_fit_is_told_with_its_place() {
         let fault = |mount: &str, dome: &str| site(mount, dome).unwrap_err();
         let told = fault("", "slit = { width_m = 1.2, radius_m = 2.5 }");
-        assert!(told.contains("line 12: dome \"d\": slit.width_m: telescope \"m\" needs aperture_m"), "{told}");
+        assert!(told.contains("line 14: dome \"d\": slit.width_m: telescope \"m\" needs aperture_m"), "{told}");
         let told = fault("", "slit = { width_m = 1.2 }");
         assert!(told.contains("width_m and radius_m go together"), "{told}");
         let told = fault("aperture_m = 1.3", "slit = { width_m = 1.2, radius_m = 2.5 }");
@@ -215,17 +215,17 @@ mod tests {
         assert!(told.contains("has no slit to follow"), "{told}");
         let told = fault("", "slit = { tolerance_deg = 3 }\ntelescopes = [\"t\", \"u\"]");
         assert!(told.contains("slit: a dome over several telescopes"), "{told}");
-        assert!(fault("", "follow = \"sometimes\"").contains("unknown variant"));
-        assert!(fault("", "slit = { widht_m = 1.2 }").contains("unknown field"));
+        assert!(fault("", "follow = \"sometimes\"").contains("expected \"auto\" or \"turn\""));
+        assert!(fault("", "slit = { widht_m = 1.2 }").contains("did you mean \"width_m\"?"));
     }
 
     /// Two mounts, and cameras whose `telescope` and `dome` are these.
     fn two_mounts(dome: &str, cameras: &[(&str, &str)]) -> Result<crate::Observatory, String> {
         let camera = |(number, (telescope, dome)): (usize, &(&str, &str))| {
-            format!("[[camera]]\nname = \"c{number}\"\nserver = \"a:1\"\n{telescope}\n{dome}\n")
+            format!("[[camera]]\nname = \"c{number}\"\nserver = \"a:1\"\nnumber = {number}\n{telescope}\n{dome}\n")
         };
         let cameras: String = cameras.iter().enumerate().map(camera).collect();
-        site("", &format!("{dome}\n[[telescope]]\nname = \"n\"\nserver = \"a:1\"\n{cameras}"))
+        site("", &format!("{dome}\n[[telescope]]\nname = \"n\"\nserver = \"a:2\"\n{cameras}"))
     }
 
     #[test]
@@ -240,7 +240,7 @@ mod tests {
         assert!(two_mounts("", &[("", "")]).unwrap_err().contains("no camera tells which"));
         assert!(two_mounts("follow = \"off\"", &[(m, d), (n, d)]).is_ok());
         assert!(two_mounts("telescopes = [\"t\", \"u\"]", &[(m, d), (n, d)]).is_ok());
-        let second = "[[dome]]\nname = \"e\"\nserver = \"a:1\"";
+        let second = "[[dome]]\nname = \"e\"\nserver = \"a:2\"";
         assert!(two_mounts(second, &[(m, d), (n, "dome = \"e\"")]).is_ok(), "each has a dome of its own");
         assert!(two_mounts("", &[(m, d), (m, d)]).is_ok(), "two cameras on one of them");
         assert!(site("", "").is_ok());

@@ -2,10 +2,14 @@
 //!
 //! All of it is told, and refuses no schedule (docs/decisions/0027): what protects the mount are its own `limits`.
 
+use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use serde::Deserialize;
+use serde::de::{self, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer};
+
+use crate::pair::Pair;
 
 /// What rows are held against.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -58,13 +62,40 @@ impl ScheduleCheck {
 }
 
 /// A telescope's horizon as the configuration gives it.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(untagged)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum HorizonSource {
     /// Pairs of azimuth (from north through east) and altitude, degrees.
     Points(Vec<[f64; 2]>),
     /// A text file with one pair per line, separated by white space or a comma; `#` begins a comment.
     File(PathBuf),
+}
+
+impl<'de> Deserialize<'de> for HorizonSource {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(EitherSource)
+    }
+}
+
+struct EitherSource;
+
+impl<'de> Visitor<'de> for EitherSource {
+    type Value = HorizonSource;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("pairs such as [[0, 10], [180, 25]], or a file of such pairs in quotes")
+    }
+
+    fn visit_str<E: de::Error>(self, file: &str) -> Result<HorizonSource, E> {
+        Ok(HorizonSource::File(file.into()))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<HorizonSource, A::Error> {
+        let mut points = Vec::new();
+        while let Some(Pair(point)) = list.next_element()? {
+            points.push(point);
+        }
+        Ok(HorizonSource::Points(points))
+    }
 }
 
 /// What walls, trees and hills leave of the sky: altitude over azimuth, straight lines between the points.

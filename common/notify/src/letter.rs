@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
-use contract::Address;
 use contract::observatory::{Alert, AlertEvent, Priority};
+use contract::{Address, printable};
 use serde_json::{Value, json};
 
 /// Chat services and mail servers refuse what is too long.
@@ -32,7 +32,7 @@ impl Letter {
         match self.news.as_slice() {
             [one] => {
                 // what other nodes say must not become a line of its own in a mail's head
-                let id = one.alert.id.replace(char::is_control, " ");
+                let id = printable(&one.alert.id);
                 format!("[{address}] {} {}: {id}", priority(one.alert.priority), one.event.word())
             }
             all => format!("[{address}] {} alerts", all.len()),
@@ -44,15 +44,16 @@ impl Letter {
         let mut text = String::new();
         for News { event, alert } in self.news.iter().take(MOST_IN_FULL) {
             let Alert { id, cause, consequence, action, raised_utc, .. } = alert;
+            let (id, cause) = (printable(id), printable(cause));
             let (event_word, urgency) = (event.word(), priority(alert.priority));
-            let _ = writeln!(text, "{urgency} {event_word}: {id} at {address}\n{}", cut(cause));
+            let _ = writeln!(text, "{urgency} {event_word}: {id} at {address}\n{}", cut(&cause));
             match event {
                 AlertEvent::Raised => {
                     let _ = writeln!(text, "Consequence: {consequence}\nWhat to do: {action}");
                     let _ = writeln!(text, "Acknowledge: starmesh order {address} ack {id}");
                 }
                 AlertEvent::Acknowledged => {
-                    let _ = writeln!(text, "by {}", alert.acknowledged_by.as_deref().unwrap_or("somebody"));
+                    let _ = writeln!(text, "by {}", printable(alert.acknowledged_by.as_deref().unwrap_or("somebody")));
                 }
                 AlertEvent::Returned => text.push_str("Its cause is gone, and nobody has acknowledged it.\n"),
                 AlertEvent::Cleared => {}
@@ -60,7 +61,7 @@ impl Letter {
             let _ = writeln!(text, "Since {raised_utc}\n");
         }
         for News { event, alert } in self.news.iter().skip(MOST_IN_FULL) {
-            let _ = writeln!(text, "{} {}: {}", priority(alert.priority), event.word(), alert.id);
+            let _ = writeln!(text, "{} {}: {}", priority(alert.priority), event.word(), printable(&alert.id));
         }
         text.truncate(text.trim_end().len());
         text
@@ -123,6 +124,6 @@ mod tests {
         let mut letter = letter(1, "c");
         letter.news[0].alert.id = "x\r\nBcc: all@example.org".to_owned();
         let subject = letter.subject(&Address::new("s", "t").unwrap());
-        assert_eq!(subject, "[s/t] high raised: x  Bcc: all@example.org");
+        assert_eq!(subject, "[s/t] high raised: x\\r\\nBcc: all@example.org");
     }
 }

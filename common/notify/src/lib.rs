@@ -9,6 +9,7 @@ mod letter;
 mod mail;
 pub mod mailbox;
 mod post;
+mod safe;
 mod stand_in;
 mod trust;
 

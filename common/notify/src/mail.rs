@@ -13,7 +13,7 @@ use lettre::transport::smtp::client::{AsyncSmtpConnection, Certificate, TlsParam
 use lettre::transport::smtp::extension::ClientId;
 
 use crate::post::secret;
-use crate::trust;
+use crate::{safe, trust};
 
 /// Connecting and greeting, machine time.
 const STEP: Duration = Duration::from_secs(15);
@@ -49,11 +49,13 @@ pub async fn send(smtp: &Smtp, ca_file: Option<&Path>, mail: Mail<'_>) -> anyhow
     let message = message.body(mail.text).context("the mail cannot be written")?.formatted();
 
     let hand_over = async {
+        let login = login(smtp).await?;
         let mut server = connect(smtp, ca_file).await?;
-        if let Some(user) = &smtp.user {
-            log_in(&mut server, smtp, user).await?;
+        if let Some(login) = &login {
+            log_in(&mut server, login).await?;
         }
-        server.send(&envelope, &message).await.map_err(|error| said("the mail server does not take it", &error))?;
+        let sent = server.send(&envelope, &message).await;
+        sent.map_err(|error| said("the mail server does not take it", &error, login.as_ref()))?;
         // the mail is taken: how they part changes nothing, and waiting for it must not send it twice
         let _ = tokio::time::timeout(Duration::from_secs(1), server.abort()).await;
         Ok(())
@@ -80,7 +82,7 @@ async fn connect(smtp: &Smtp, ca_file: Option<&Path>) -> anyhow::Result<AsyncSmt
     let connected = AsyncSmtpConnection::connect_tokio1(address, Some(STEP), &name, from_start, None);
     let connected =
         tokio::time::timeout(STEP, connected).await.context("the mail server does not greet within 15 s")?;
-    let mut server = connected.map_err(|error| said("the mail server cannot be reached", &error))?;
+    let mut server = connected.map_err(|error| said("the mail server cannot be reached", &error, None))?;
     if let Some(tls) = later {
         if !server.can_starttls() {
             server.abort().await;
@@ -89,7 +91,8 @@ async fn connect(smtp: &Smtp, ca_file: Option<&Path>) -> anyhow::Result<AsyncSmt
                  set security = \"tls\" where it wants TLS from the first byte"
             );
         }
-        server.starttls(tls, &name).await.map_err(|error| said("the mail server cannot be reached by TLS", &error))?;
+        let encrypted = server.starttls(tls, &name).await;
+        encrypted.map_err(|error| said("the mail server cannot be reached by TLS", &error, None))?;
     }
     Ok(server)
 }
@@ -107,25 +110,41 @@ async fn tls(server: String, ca_file: Option<PathBuf>) -> anyhow::Result<TlsPara
     tokio::task::spawn_blocking(prepare).await.context("reading certificates was cut short")?
 }
 
-async fn log_in(server: &mut AsyncSmtpConnection, smtp: &Smtp, user: &str) -> anyhow::Result<()> {
+/// Who logs in, and with what.
+struct Login {
+    user: String,
+    password: String,
+}
+
+async fn login(smtp: &Smtp) -> anyhow::Result<Option<Login>> {
+    let Some(user) = smtp.user.clone() else { return Ok(None) };
     let password = secret(smtp.password_file.as_deref(), smtp.password_env.as_deref()).await?.unwrap_or_default();
+    Ok(Some(Login { user, password }))
+}
+
+async fn log_in(server: &mut AsyncSmtpConnection, login: &Login) -> anyhow::Result<()> {
     let ways = [Mechanism::Plain, Mechanism::Login];
     if server.server_info().get_auth_mechanism(&ways).is_none() {
         server.abort().await;
         bail!("the mail server offers no login by PLAIN or LOGIN here: look at alerts.smtp.security and .port");
     }
-    let logged_in = server.auth(&ways, &Credentials::new(user.to_owned(), password)).await;
+    let logged_in = server.auth(&ways, &Credentials::new(login.user.clone(), login.password.clone())).await;
     logged_in.map_err(|error| {
-        said("the mail server refuses the login: look at alerts.smtp.user and its password", &error)
+        said("the mail server refuses the login: look at alerts.smtp.user and its password", &error, Some(login))
     })?;
     Ok(())
 }
 
-/// The server's own words, once; or what TLS refused.
-fn said(what: &str, error: &lettre::transport::smtp::Error) -> anyhow::Error {
-    match trust::explain(error) {
-        Some(why) => anyhow!("the mail server: {why}"),
-        // it says its source itself
-        None => anyhow!("{what}: {error}"),
+/// The server's own words, once; or what TLS refused. After a login they are told only as far as they cannot hold it: a
+/// server may repeat, as it came or in a code of its own, what it was sent.
+fn said(what: &str, error: &lettre::transport::smtp::Error, login: Option<&Login>) -> anyhow::Error {
+    if let Some(why) = trust::explain(error) {
+        return anyhow!("the mail server: {why}");
+    }
+    // it says its source itself
+    let words = error.to_string();
+    match login {
+        None => anyhow!("{what}: {}", safe::line(&words)),
+        Some(login) => anyhow!("{what}: {}", safe::without(&words, &[&login.password])),
     }
 }

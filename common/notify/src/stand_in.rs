@@ -69,6 +69,9 @@ impl Elders {
     }
 }
 
+/// Nodes of one telescope; more are the invention of some program.
+const MOST_NODES: usize = 64;
+
 async fn keep_watching(node: &Node, patience: Duration, shown: &watch::Sender<Option<Alerts>>) -> anyhow::Result<()> {
     let address = node.config.address();
     let merged = node.bus.latest::<Alerts>(&Key::Observatory(address.clone(), Part::Alerts)).await?;
@@ -106,6 +109,7 @@ async fn keep_watching(node: &Node, patience: Duration, shown: &watch::Sender<Op
             alerts = nodes.hear() => {
                 if let Key::Node(_, role, id, NodeTopic::Alerts) = alerts.key
                     && (role, &id) != (node.role, &node.id)
+                    && (heard.len() < MOST_NODES || heard.contains_key(&(role, id.clone())))
                 {
                     heard.insert((role, id), (alerts.said.body, alerts.arrived));
                 }

@@ -105,6 +105,28 @@ async fn wrong_password(way: &'static str) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_server_that_repeats_the_login_puts_it_nowhere() {
+    let authority = Authority::new("site CA");
+    // as it came, as it is, and in hex and percent codes of the server's own
+    let words = "that is s3cret-Pa55 or s3cret%2DPa55 or 7333637265742d50613535";
+    let rules = Rules {
+        starttls: Some(authority.server(&["localhost"])),
+        login: Some("PLAIN"),
+        repeats: Some(words),
+        ..Rules::default()
+    };
+    let office = PostOffice::open(rules).await;
+    let site = site(&office, &authority, LOGIN, ANA).await;
+    site.raise("dome");
+    let why = site.why_not("night").await;
+    assert!(why.contains("refuses the login: look at alerts.smtp.user and its password"), "{why}");
+    assert!(why.contains("[hidden]"), "{why}");
+    let codes = ["AGNhbGxpc3RvAHMzY3JldC1QYTU1", "czNjcmV0LVBhNTU", "s3cret%2DPa55", "7333637265742d50613535"];
+    site.kept(&["s3cret-Pa55"]);
+    site.kept(&codes);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn an_address_that_is_refused_keeps_the_mail_from_nobody_else() {
     let authority = Authority::new("site CA");
     let rules =

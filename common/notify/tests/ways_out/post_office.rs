@@ -20,6 +20,8 @@ pub struct Rules {
     pub unknown: Vec<&'static str>,
     /// Never answers QUIT.
     pub mute_at_end: bool,
+    /// Refuses each login with these words after what came; the mails of others with them alone.
+    pub repeats: Option<&'static str>,
 }
 
 #[derive(Debug, Clone)]
@@ -102,6 +104,10 @@ impl PostOffice {
                     let tls = TlsAcceptor::from(self.rules.starttls.clone().unwrap());
                     let stream = tls.accept(wire.into_inner()).await?;
                     return Box::pin(self.serve(Box::new(stream), true, false)).await;
+                }
+                "AUTH" if self.rules.repeats.is_some() => {
+                    let words = self.rules.repeats.unwrap_or_default();
+                    format!("535-5.7.8 you sent {line}\r\n535 5.7.8 {words}")
                 }
                 "AUTH" => {
                     logged_in = self.check(&mut wire, &line, encrypted).await?;

@@ -1,0 +1,416 @@
+//! What must hold between the parts of a configuration, beside what each value may be.
+
+use std::collections::{BTreeMap, BTreeSet, HashSet};
+
+use contract::device::observing_conditions;
+use contract::{Address, Kind, Name};
+
+use crate::device::{Limit, Measure};
+use crate::findings::Findings;
+use crate::nearest::nearest;
+use crate::observatory::Observatory;
+use crate::slit;
+use crate::visibility::{Horizon, HorizonSource};
+
+/// Parameters that a limit may name beside ASCOM's own ObservingConditions properties.
+const DERIVED: [&str; 2] = ["RelativeSkyTemp", "DewPointMargin"];
+/// Action types that may have a file name template of their own.
+const TEMPLATES: [&str; 7] =
+    ["object", "calibration", "flats", "autofocus", "calibrate_guiding", "pointing_model", "default"];
+
+/// Path, shown name and block of each device of a list.
+pub(crate) fn blocks<D: crate::Device>(list: &[D]) -> impl Iterator<Item = (String, String, &D)> {
+    list.iter().enumerate().map(|(index, device)| {
+        (format!("{}[{index}]", D::KIND), format!("{} \"{}\": ", D::KIND, device.common().name), device)
+    })
+}
+
+/// Everything; cameras are paired on the way.
+pub(crate) fn prove(observatory: &mut Observatory, findings: &mut Findings<'_>, torn: bool) {
+    sections(observatory, findings);
+    names(observatory, findings);
+    devices(observatory, findings);
+    limits(observatory, findings);
+    pairings(observatory, findings, torn);
+    for (dome, message) in slit::torn(observatory) {
+        let index = observatory.dome.iter().position(|block| block.common.name == dome).unwrap_or(0);
+        findings.error(&format!("dome[{index}].name"), message);
+    }
+    for (quoted, message) in observatory.alerts.faults() {
+        findings.quoted(&quoted, message);
+    }
+}
+
+fn sections(observatory: &Observatory, findings: &mut Findings<'_>) {
+    let mut found = Vec::new();
+    found.extend(observatory.names.faults());
+    found.extend(observatory.schedule.check.faults());
+    found.extend(observatory.pointing.faults());
+    found.extend(observatory.faults.faults());
+    found.extend(observatory.hooks.faults());
+    found.extend(observatory.guiding.faults(observatory.camera.iter().map(|camera| &camera.common.name)));
+    found.extend(observatory.focusing.faults());
+    for fault in found {
+        findings.block("", "", &fault);
+    }
+    let (page, spool) = (observatory.web.listen, observatory.spool.listen);
+    if page.port() != 0 && page.port() == spool.port() && (page.ip() == spool.ip() || spool.ip().is_unspecified()) {
+        findings.error(
+            "spool.listen",
+            format!("spool.listen = \"{spool}\": the page has this port; choose another, or port 0"),
+        );
+    }
+    let nodes: BTreeSet<_> = observatory.camera.iter().map(|camera| &camera.common.node).collect();
+    if nodes.len() > 1 && spool.port() != 0 {
+        let what = format!(
+            "spool.listen = \"{spool}\": the cameras are served by {} device nodes, of which only one can have this port; \
+             choose port 0",
+            nodes.len()
+        );
+        findings.warning("spool.listen", what);
+    }
+    for action in observatory.archive.filename.keys().filter(|action| !TEMPLATES.contains(&action.as_str())) {
+        let help = crate::nearest::meant(action, TEMPLATES);
+        let what = format!("archive.filename.{action}: no frames are named by this; {help}");
+        findings.warning(&format!("archive.filename.{action}"), what);
+    }
+}
+
+fn names(observatory: &Observatory, findings: &mut Findings<'_>) {
+    let (mut seen, mut served) = (HashSet::new(), BTreeMap::new());
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    for (kind, common) in observatory.devices() {
+        let index = counts.entry(kind.to_string()).or_default();
+        let path = format!("{kind}[{index}]");
+        *index += 1;
+        let name = &common.name;
+        if !seen.insert((kind, name.clone())) {
+            let what = format!("two {kind} blocks are named \"{name}\"; names must be unique: give one another name");
+            findings.error(&format!("{path}.name"), what);
+        }
+        if let Err(why) = crate::plausible::host_port(&common.server) {
+            let what = format!(
+                "{kind} \"{name}\": server \"{}\" is no host:port, such as 10.0.0.5:11111; {why}",
+                common.server
+            );
+            findings.error(&format!("{path}.server"), what);
+        }
+        let device = (kind.to_string(), crate::plausible::same_host(&common.server), common.number);
+        if let Some((other, line)) = served.get(&device) {
+            let what = format!(
+                "{kind} \"{name}\" is the same device as {kind} \"{other}\" on line {line}: number {} of {}; give each its \
+                 own number, or leave one block out",
+                common.number, common.server
+            );
+            findings.error(&format!("{path}.number"), what);
+        }
+        let line = findings.line_of(&format!("{path}.name"));
+        served.entry(device).or_insert((name.clone(), line));
+    }
+    let own = |kind: Kind| {
+        let devices = observatory.devices().into_iter();
+        devices.filter(move |(of, _)| *of == kind).map(|(_, common)| common.name.clone()).collect::<BTreeSet<_>>()
+    };
+    let is_shared = observatory.place.telescope.as_str() == Address::SHARED;
+    for (kind, shared) in [
+        (Kind::SafetyMonitor, &observatory.shared.safetymonitor),
+        (Kind::ObservingConditions, &observatory.shared.observingconditions),
+        (Kind::Dome, &observatory.shared.dome),
+    ] {
+        let (path, own) = (format!("shared.{kind}"), own(kind));
+        let mut listed = BTreeSet::new();
+        for name in shared {
+            if !listed.insert(name) {
+                findings.error(&path, format!("shared.{kind}: \"{name}\" stands there twice; keep one"));
+            }
+            if is_shared {
+                let what = format!("shared.{kind}: this is the file of the shared devices itself; leave it out");
+                findings.error(&path, what);
+            } else if own.contains(name) {
+                let what = format!(
+                    "shared.{kind}: \"{name}\" is a [[{kind}]] of this file too; leave one of them out, or rename it"
+                );
+                findings.error(&path, what);
+            }
+        }
+    }
+}
+
+fn devices(observatory: &Observatory, findings: &mut Findings<'_>) {
+    let own = observatory.place.telescope.as_str();
+    let shared = own == Address::SHARED;
+    for (path, shown, dome) in blocks(&observatory.dome) {
+        let name = &dome.common.name;
+        if shared && dome.telescopes.is_empty() {
+            let what = format!("shared dome \"{name}\" lists no telescopes; add telescopes = [\"...\"]");
+            findings.error(&format!("{path}.name"), what);
+        }
+        if !shared && !dome.telescopes.is_empty() && dome.telescopes.iter().all(|one| one.as_str() != own) {
+            let what = format!(
+                "{shown}telescopes does not list \"{own}\", the telescope of this file, so that its permit would open \
+                 nothing; add it, or leave telescopes out"
+            );
+            findings.error(&format!("{path}.telescopes"), what);
+        }
+        let distinct: BTreeSet<&str> = dome.telescopes.iter().map(contract::Chunk::as_str).collect();
+        if distinct.len() < dome.telescopes.len() {
+            findings
+                .error(&format!("{path}.telescopes"), format!("{shown}telescopes lists one of them twice; keep one"));
+        }
+        for fault in slit::faults(dome, &observatory.telescope, shared) {
+            findings.block(&path, &shown, &fault);
+        }
+        if dome.watchdog_action.is_some() && dome.watchdog_s.is_none() {
+            findings.block(&path, &shown, "watchdog_action needs watchdog_s, its time limit");
+        }
+    }
+    for (path, shown, camera) in blocks(&observatory.camera) {
+        let pulses = camera.guide_calibration.iter().flat_map(crate::GuideStart::faults);
+        for fault in crate::imaging::camera_fault(camera).into_iter().chain(camera.flats.faults()).chain(pulses) {
+            findings.block(&path, &shown, &fault);
+        }
+    }
+    for (path, shown, focuser) in blocks(&observatory.focuser) {
+        for fault in crate::focusing::focuser_faults(focuser) {
+            findings.block(&path, &shown, &fault);
+        }
+    }
+    for (path, shown, mount) in blocks(&observatory.telescope) {
+        if let Some(HorizonSource::Points(points)) = &mount.horizon
+            && let Err(fault) = Horizon::new(points)
+        {
+            findings.block(&path, &shown, &format!("horizon: {fault}"));
+        }
+        for fault in slit::mount_faults(mount) {
+            findings.block(&path, &shown, &fault);
+        }
+        let (limits, flip_min) = (&mount.limits, mount.meridian_flip_min);
+        if let Some(past_min) = limits.meridian_past_min.filter(|past_min| mount.meridian_flip && *past_min <= flip_min)
+        {
+            let fault = format!(
+                "meridian_flip_min = {flip_min}: the mount is stopped before, at limits.meridian_past_min = {past_min}; \
+                 make that greater"
+            );
+            findings.block(&path, &shown, &fault);
+        }
+    }
+    for (path, shown, monitor) in blocks(&observatory.safetymonitor) {
+        if monitor.disabled.as_ref().is_some_and(|why| why.trim().is_empty()) {
+            findings.block(&path, &shown, "disabled needs words: say why");
+        }
+    }
+}
+
+fn limits(observatory: &Observatory, findings: &mut Findings<'_>) {
+    for (path, _, station) in blocks(&observatory.observingconditions) {
+        for (index, limit) in station.limit.iter().enumerate() {
+            weather_limit(limit, &format!("{path}.limit[{index}]"), findings);
+        }
+    }
+    for (index, limit) in observatory.shared.limit.iter().enumerate() {
+        weather_limit(limit, &format!("shared.limit[{index}]"), findings);
+    }
+    for (path, _, switch) in blocks(&observatory.switch) {
+        for (index, limit) in switch.limit.iter().enumerate() {
+            let path = format!("{path}.limit[{index}]");
+            if contract::device::switch::number_of(&limit.parameter).is_none() {
+                no_such_parameter(limit, "expected GetSwitchValue0, GetSwitchValue1 and so on", &path, findings);
+            }
+            limit_holds(limit, &path, findings);
+        }
+    }
+}
+
+fn weather_limit(limit: &Limit, path: &str, findings: &mut Findings<'_>) {
+    let mut known = observing_conditions::ascom_names().chain(DERIVED);
+    if !known.any(|name| name == limit.parameter) {
+        let near = nearest(&limit.parameter, observing_conditions::ascom_names().chain(DERIVED));
+        let help = near.map(|near| format!("did you mean \"{near}\"?")).unwrap_or_else(|| {
+            "expected an ASCOM ObservingConditions property (Humidity, WindSpeed ...), RelativeSkyTemp or DewPointMargin"
+                .to_owned()
+        });
+        no_such_parameter(limit, &help, path, findings);
+    }
+    limit_holds(limit, path, findings);
+    crate::plausible::weather(limit, path, findings);
+}
+
+fn no_such_parameter(limit: &Limit, help: &str, path: &str, findings: &mut Findings<'_>) {
+    let name = limit.parameter.as_str();
+    findings.error(&format!("{path}.parameter"), format!("limit on \"{name}\": no such parameter; {help}"));
+}
+
+fn limit_holds(limit: &Limit, path: &str, findings: &mut Findings<'_>) {
+    let name = limit.parameter.as_str();
+    // one of its ends may be what is at fault
+    let is_spoilt = findings.is_spoilt_within(path);
+    let mut fault = |key: &str, why: &str| {
+        let path = if key.is_empty() { path.to_owned() } else { format!("{path}.{key}") };
+        findings.error(&path, format!("limit on \"{name}\": {why}"));
+    };
+    let ends = [
+        ("upper", limit.upper),
+        ("lower", limit.lower),
+        ("reopen_upper", limit.reopen_upper),
+        ("reopen_lower", limit.reopen_lower),
+    ];
+    let wrong = ends.into_iter().find(|(_, end)| end.is_some_and(|end| !end.is_finite()));
+    if let Some((key, end)) = wrong {
+        fault(key, &format!("{key} = {}: expected a number; it must be finite", end.unwrap_or_default()));
+    } else if limit.upper.is_none() && limit.lower.is_none() && is_spoilt {
+    } else if limit.upper.is_none() && limit.lower.is_none() {
+        fault("", "has neither upper nor lower; give one");
+    } else if let Some((upper, lower)) = limit.upper.zip(limit.lower).filter(|(upper, lower)| upper <= lower) {
+        let why = format!(
+            "upper = {upper} is not more than lower = {lower}, so that no value would ever be good; are they the wrong way round?"
+        );
+        fault("upper", &why);
+    } else if limit.reopen_upper.is_some_and(|reopen| limit.upper.is_none_or(|upper| reopen > upper)) {
+        fault("reopen_upper", "reopen_upper needs an upper that is not smaller");
+    } else if limit.reopen_lower.is_some_and(|reopen| limit.lower.is_none_or(|lower| reopen < lower)) {
+        fault("reopen_lower", "reopen_lower needs a lower that is not larger");
+    } else if let Some((upper, lower)) = limit
+        .reopen_upper
+        .or(limit.upper)
+        .zip(limit.reopen_lower.or(limit.lower))
+        .filter(|(upper, lower)| upper < lower)
+    {
+        fault("reopen_upper", &format!("good again only up to {upper} and from {lower} on, which no value is"));
+    }
+    let mut fault =
+        |key: &str, why: String| findings.error(&format!("{path}.{key}"), format!("limit on \"{name}\": {why}"));
+    if !(0.0..=1440.0).contains(&limit.dwell_min) {
+        fault("dwell_min", format!("dwell_min = {}: expected 0 to 1440 min", limit.dwell_min));
+    }
+    if let Some(age) = limit.max_age_s.filter(|age| !(*age > 0.0 && *age <= 86_400.0)) {
+        fault("max_age_s", format!("max_age_s = {age}: expected more than 0, to 86400 s"));
+    }
+    if (limit.of == Measure::Value) != limit.over_min.is_none()
+        || limit.over_min.is_some_and(|min| !(min > 0.0 && min <= 1440.0))
+    {
+        fault(
+            "over_min",
+            "over_min, more than 0 to 1440 min, goes with of = \"max\" or \"rate\", and only with these".into(),
+        );
+    }
+    for (key, words) in [("vote", &limit.vote), ("disabled", &limit.disabled)] {
+        if words.as_ref().is_some_and(|words| words.trim().is_empty()) {
+            fault(key, format!("{key} needs words"));
+        }
+    }
+}
+
+/// Fills each camera's absent pairings with the only device of that kind, and refuses those that name nothing.
+fn pairings(observatory: &mut Observatory, findings: &mut Findings<'_>, torn: bool) {
+    let mut devices: Vec<(Kind, Name)> =
+        observatory.devices().into_iter().map(|(kind, common)| (kind, common.name.clone())).collect();
+    for (kind, shared) in [
+        (Kind::SafetyMonitor, &observatory.shared.safetymonitor),
+        (Kind::ObservingConditions, &observatory.shared.observingconditions),
+        (Kind::Dome, &observatory.shared.dome),
+    ] {
+        devices.extend(shared.iter().map(|name| (kind, name.clone())));
+    }
+    for (index, camera) in observatory.camera.iter_mut().enumerate() {
+        let pairs = [
+            (Kind::Telescope, &mut camera.telescope),
+            (Kind::FilterWheel, &mut camera.filterwheel),
+            (Kind::Focuser, &mut camera.focuser),
+            (Kind::Dome, &mut camera.dome),
+            (Kind::Rotator, &mut camera.rotator),
+            (Kind::CoverCalibrator, &mut camera.covercalibrator),
+            (Kind::SafetyMonitor, &mut camera.safetymonitor),
+            (Kind::ObservingConditions, &mut camera.observingconditions),
+            (Kind::Switch, &mut camera.switch),
+        ];
+        for (kind, pair) in pairs {
+            let of_kind = || devices.iter().filter(move |(k, _)| *k == kind).map(|(_, name)| name);
+            match pair {
+                // what was mended has no name to be found by
+                Some(name)
+                    if !torn && !of_kind().any(|other| other == name || other.as_str().starts_with("stand-in")) =>
+                {
+                    let near = nearest(name.as_str(), of_kind().map(Name::as_str));
+                    let help = near
+                        .map(|near| format!("; did you mean \"{near}\"?"))
+                        .unwrap_or_else(|| format!("; add a [[{kind}]] of this name, or leave the line out"));
+                    let camera = &camera.common.name;
+                    let what = format!("camera \"{camera}\": {kind} = \"{name}\" names no {kind} of this file{help}");
+                    findings.error(&format!("camera[{index}].{kind}"), what);
+                }
+                Some(_) => {}
+                None => {
+                    let mut of_kind = of_kind();
+                    let first = of_kind.next().cloned();
+                    *pair = if of_kind.next().is_none() { first } else { None };
+                }
+            }
+        }
+    }
+}
+
+/// What leaves nothing to run, and what a person should know before the night.
+pub(crate) fn whole(observatory: &Observatory, findings: &mut Findings<'_>) {
+    let shared = observatory.place.telescope.as_str() == Address::SHARED;
+    if observatory.devices().is_empty() {
+        let what = "the file has no device, so that there is nothing to run: add blocks such as [[telescope]] and [[camera]]; \
+                    `starmesh discover` prints them";
+        findings.error("", what.to_owned());
+        return;
+    }
+    // one that a person disabled stands in the alerts
+    let monitors = observatory.safetymonitor.len() + observatory.shared.safetymonitor.len();
+    let closes = |limit: &Limit| limit.response == crate::Response::Close;
+    let limited = observatory.observingconditions.iter().any(|station| station.limit.iter().any(closes))
+        || (!observatory.shared.observingconditions.is_empty() && observatory.shared.limit.iter().any(closes))
+        || observatory.switch.iter().any(|switch| switch.limit.iter().any(closes));
+    let enclosed = !observatory.enclosures().is_empty();
+    match (monitors > 0, limited) {
+        _ if shared => {}
+        (true, _) => {}
+        (false, true) => findings.warning(
+            "",
+            "no safety monitor: whether the sky is safe is told by the weather limits and the Sun alone; add a [[safetymonitor]] \
+             if the site has one"
+                .to_owned(),
+        ),
+        (false, false) if enclosed => findings.warning(
+            "",
+            "no safety monitor and no weather limit: nothing tells whether it rains, so that the dome stays closed; add a \
+             [[safetymonitor]], or an [[observingconditions]] with limits, or name shared ones under [shared]"
+                .to_owned(),
+        ),
+        (false, false) => findings.warning(
+            "",
+            "no safety monitor and no weather limit: only the Sun tells when to observe; add a [[safetymonitor]], or an \
+             [[observingconditions]] with limits"
+                .to_owned(),
+        ),
+    }
+    for (path, shown, station) in blocks(&observatory.observingconditions) {
+        if station.limit.is_empty() && !shared && !findings.is_spoilt_within(&format!("{path}.limit")) {
+            let what = format!("{shown}no limit: its values are kept, and close nothing; add limit = [...]");
+            findings.warning(&format!("{path}.name"), what);
+        }
+    }
+    if !shared && !observatory.shared.observingconditions.is_empty() && observatory.shared.limit.is_empty() {
+        let what = "shared.observingconditions: no [[shared.limit]]: the shared weather closes nothing here".to_owned();
+        findings.warning("shared.observingconditions", what);
+    }
+    if !shared && observatory.telescope.is_empty() && !enclosed {
+        let what =
+            "neither a telescope nor a dome: there is no device node that grants the right to command, so that the \
+                    schedule is not run; add a [[telescope]]"
+                .to_owned();
+        findings.warning("", what);
+    } else if !shared && observatory.camera.is_empty() {
+        findings.warning("", "no camera: nothing can be exposed; add a [[camera]]".to_owned());
+    }
+    for (path, shown, dome) in blocks(&observatory.dome) {
+        if dome.telescopes.len() > 1 && dome.follow == crate::Follow::Auto {
+            let what =
+                format!("{shown}stands over several telescopes: no node turns it; say follow = \"off\" if it can turn");
+            findings.warning(&format!("{path}.telescopes"), what);
+        }
+    }
+}

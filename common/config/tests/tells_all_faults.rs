@@ -1,0 +1,126 @@
+//! Wrong configurations are refused with the line, what was expected, and no word of a programmer; all faults at once.
+
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod wrong;
+
+use std::path::Path;
+
+use contract::observatory::Severity;
+use wrong::{FOREIGN, GOOD, WRONG, changed};
+
+#[test]
+fn each_wrong_file_is_refused_with_its_line_in_words_of_the_field() {
+    let mut failed = Vec::new();
+    for wrong in WRONG {
+        let text = changed(wrong);
+        let said = match config::parse(&text, Path::new("/site")) {
+            Ok(_) => "taken".to_owned(),
+            Err(error) => error.to_string(),
+        };
+        let (_, to, line, words) = wrong;
+        let told = said.lines().find(|told| told.starts_with(&format!("line {line}: ")));
+        let is_right = told.is_some_and(|told| words.iter().all(|word| told.contains(word)));
+        let foreign = FOREIGN.iter().find(|word| said.contains(**word));
+        if !is_right || foreign.is_some() || said.lines().count() > 1 {
+            failed.push(format!("{to:?}, line {line}, {words:?}, {foreign:?}:\n{said}"));
+        }
+    }
+    assert!(failed.is_empty(), "{} of {}:\n\n{}", failed.len(), WRONG.len(), failed.join("\n\n"));
+}
+
+#[test]
+fn a_file_with_ten_faults_tells_ten_with_their_lines_in_order() {
+    let text = GOOD
+        .replace("paranal", "Paranal!")
+        .replace("latitude_deg", "lat_deg")
+        .replace("2518", "2518000")
+        .replace("10.0.0.5:11111\"\nlimits", "10.0.0.5:70000\"\nlimits")
+        .replace("number = 0", "number = \"0\"")
+        .replace("= -60", "= 213")
+        .replace("permit_valid_s", "permit_valid")
+        .replace("dwell_min = 15", "dwell_min = \"long\"")
+        .replace("upper = 80, reopen_upper = 75", "upper = 0.8")
+        .replace("WindSpeed", "WindSpead");
+    let (_, faults) = config::examine(&text, Path::new("/site"));
+    let lines: Vec<usize> =
+        faults.iter().filter(|fault| fault.severity == Severity::Error).map(|fault| fault.line).collect();
+    assert_eq!(lines, [2, 4, 6, 16, 22, 23, 29, 34, 40, 41], "{faults:#?}");
+}
+
+#[test]
+fn a_file_without_devices_has_nothing_to_run_and_one_without_monitor_is_warned_of() {
+    let place = &GOOD[..GOOD.find("[safety]").unwrap()];
+    let (_, faults) = config::examine(place, Path::new("/site"));
+    assert!(faults[0].severity == Severity::Error && faults[0].what.contains("no device"), "{faults:?}");
+    // a page for a whole network needs none
+    config::parse(place, Path::new("/site")).unwrap();
+    let cut = GOOD.find("[[safetymonitor]]").unwrap();
+    let (values, faults) = config::examine(&GOOD[..cut], Path::new("/site"));
+    assert!(values.is_some() && faults.len() == 1, "{faults:?}");
+    assert!(faults[0].what.contains("no safety monitor") && faults[0].what.contains("dome stays closed"), "{faults:?}");
+    let (values, faults) = config::examine(GOOD, Path::new("/site"));
+    assert!(values.is_some() && faults.is_empty(), "{faults:?}");
+}
+
+/// A file with one more block at its end.
+fn with(block: &str) -> Vec<String> {
+    let (_, faults) = config::examine(&format!("{GOOD}{block}"), Path::new("/site"));
+    faults.into_iter().map(|fault| fault.what).collect()
+}
+
+#[test]
+fn one_device_under_two_names_of_its_server_is_one_device() {
+    for (one, other) in [
+        ("localhost:11111", "127.0.0.1:11111"),
+        ("[::1]:11111", "LocalHost:11111"),
+        ("dome-pc.example.org:80", "Dome-PC.example.org.:80"),
+        ("[2001:db8::1]:80", "[2001:db8:0:0::1]:80"),
+    ] {
+        let block = |name: &str, server: &str| format!("[[focuser]]\nname = \"{name}\"\nserver = \"{server}\"\n");
+        let told = with(&(block("a", one) + &block("b", other)));
+        assert!(told.len() == 1 && told[0].contains("is the same device as focuser \"a\""), "{one}, {other}: {told:?}");
+        let told = with(&(block("a", one) + &block("b", "10.9.9.9:11111")));
+        assert!(told.is_empty(), "{one}: {told:?}");
+    }
+}
+
+#[test]
+fn a_limit_from_the_wrong_side_or_that_closes_nothing_is_warned_of() {
+    for (limit, words) in [
+        ("parameter = \"SkyTemperature\", lower = -30", "is upper meant?"),
+        ("parameter = \"RelativeSkyTemp\", lower = -20", "is upper meant?"),
+        ("parameter = \"SkyQuality\", upper = 18", "is lower meant?"),
+        ("parameter = \"DewPointMargin\", upper = 3", "is lower meant?"),
+        ("parameter = \"Humidity\", upper = 100", "closes nothing"),
+    ] {
+        let text = GOOD.replace("parameter = \"WindSpeed\", upper = 12", limit);
+        let (values, faults) = config::examine(&text, Path::new("/site"));
+        assert!(values.is_some() && faults.len() == 1, "{limit}: {faults:?}");
+        assert!(faults[0].severity == Severity::Warning && faults[0].what.contains(words), "{faults:?}");
+    }
+    for limit in ["parameter = \"SkyTemperature\", upper = -30", "parameter = \"Temperature\", lower = -5"] {
+        let (_, faults) =
+            config::examine(&GOOD.replace("parameter = \"WindSpeed\", upper = 12", limit), Path::new("/site"));
+        assert!(faults.is_empty(), "{faults:?}");
+    }
+}
+
+#[test]
+fn what_follows_from_a_fault_is_not_told_as_another_one() {
+    for block in [
+        "[guiding]\ncap_px = -1\n",
+        "[pointing]\nthreshold_arcmin = 90\n",
+        "[[focuser]]\nname = \"f\"\nserver = \"a:1\"\nbest_position = -5\n",
+        "[guiding]\npid_ra = { p = 0.7, d = 0.0 }\n",
+        "[names]\nsesame_url = \"http://a b\"\n",
+    ] {
+        let told = with(block);
+        assert!(told.len() == 1, "{block}: {told:?}");
+        assert!(!told[0].contains("a value"), "{told:?}");
+    }
+    let spoilt = GOOD.replace("  { parameter = \"Humidity\", upper = 80, reopen_upper = 75 },\n", "");
+    let text = spoilt.replace("{ parameter = \"WindSpeed\", upper = 12 }", "\"WindSpeed\"");
+    let (_, faults) = config::examine(&text, Path::new("/site"));
+    assert!(faults.len() == 1 && faults[0].what.contains("expected keys of its own"), "{faults:?}");
+}
