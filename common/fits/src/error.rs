@@ -18,6 +18,9 @@ pub enum Fault {
     /// The operating system does not give it.
     #[error("cannot be read: {0}")]
     Unreadable(#[from] std::io::Error),
+    /// It must not be written to.
+    #[error("is read-only and is left as it is: give yourself the right to write it, or another file for the result")]
+    ReadOnly,
     /// No bytes at all.
     #[error("is empty (0 bytes): copy or fetch it again")]
     Empty,
@@ -67,6 +70,14 @@ pub enum Fault {
         /// The parts of the file.
         found: String,
     },
+    /// The part that was asked for is not there, or is no image.
+    #[error("has no image in HDU {hdu}; {}", images_said(images))]
+    NoSuchImage {
+        /// Part of the file, from 1.
+        hdu: usize,
+        /// The parts that hold images.
+        images: Vec<usize>,
+    },
     /// FITS, but no binary table.
     #[error("holds no binary table, only {found}; give a file with one")]
     NoTable {
@@ -75,8 +86,8 @@ pub enum Fault {
     },
     /// A cube or a spectrum.
     #[error(
-        "holds no flat image: HDU {hdu} has the axes {axes}, expected two; give a plane of it, such as \
-         `imcopy 'FILE[*,*,1]' plane.fits` of cfitsio makes"
+        "holds no flat image: HDU {hdu} has the axes {axes}, expected two, or three with three colour planes; give a plane \
+         of it, such as `imcopy 'FILE[*,*,1]' plane.fits` of cfitsio makes"
     )]
     Axes {
         /// Part of the file, from 1.
@@ -102,4 +113,13 @@ pub enum Fault {
         /// What cfitsio says.
         detail: String,
     },
+}
+
+/// Which HDUs can be asked for.
+fn images_said(images: &[usize]) -> String {
+    if images.is_empty() {
+        return "the file holds none".to_owned();
+    }
+    let numbers: Vec<String> = images.iter().map(usize::to_string).collect();
+    format!("images are in HDU {}; the first header is HDU 1", numbers.join(", "))
 }

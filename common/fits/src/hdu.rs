@@ -3,11 +3,15 @@
 use std::ops::Range;
 use std::path::Path;
 
+use crate::card;
 use crate::error::Fault;
 use crate::header::{Header, KeywordError};
+use crate::unpack::Source;
 
 /// FITS comes in blocks of so many bytes.
 pub(crate) const BLOCK: usize = 2880;
+/// Bytes of a header that are looked at: some 150,000 cards.
+const MOST_HEADER: usize = 4096 * BLOCK;
 /// The standard's limit for NAXIS.
 const MOST_AXES: i64 = 999;
 
@@ -44,31 +48,46 @@ pub struct Hdu {
     pub data: Range<usize>,
 }
 
-/// Reads the part that begins at byte `start`; `None` where the file has ended.
+/// Reads the header of the part that begins at byte `start`; `None` where the file has ended.
 ///
 /// # Errors
 /// [`Fault::Header`] when mandatory keywords are missing or no sense can be made of them, [`Fault::CutShort`] when the
-/// header or the data go on beyond the end of the file.
-pub(crate) fn read(file: &Path, bytes: &[u8], start: usize, number: usize) -> Result<Option<Hdu>, Fault> {
-    let rest = bytes.get(start..).unwrap_or_default();
+/// header goes on beyond the end of the file.
+pub(crate) fn read(file: &Path, source: &mut Source, start: usize, number: usize) -> Result<Option<Hdu>, Fault> {
+    source.fill((start + BLOCK) as u64)?;
     // behind the last part there may be anything (section 3.5)
-    if number > 1 && !rest.starts_with(b"XTENSION") {
+    if number > 1 && !source.bytes().get(start..).unwrap_or_default().starts_with(b"XTENSION") {
         return Ok(None);
     }
     let broken = |problem: String| Fault::Header { hdu: number, problem };
-    let Some((header, length)) = Header::read(file, rest) else {
-        let end = rest.len().div_ceil(BLOCK).max(1) * BLOCK;
-        let cut = Fault::CutShort { hdu: number, expected: (start + end) as u64, found: bytes.len() as u64 };
-        return Err(if rest.len() % BLOCK == 0 { broken("expected a card END".to_owned()) } else { cut });
+    let mut length = 0;
+    let found = loop {
+        let rest = source.bytes().get(start..).unwrap_or_default();
+        if length >= MOST_HEADER {
+            break None;
+        }
+        let block = rest.get(length..).unwrap_or_default();
+        let block = block.get(..BLOCK).unwrap_or(block);
+        let is_end = |card: &[u8]| matches!(card::read(card), card::Card::End);
+        if block.chunks_exact(card::LENGTH).any(is_end) {
+            break Header::read(file, rest.get(..length + block.len()).unwrap_or_default());
+        }
+        if block.len() < BLOCK {
+            break None;
+        }
+        length += BLOCK;
+        source.fill((start + length + BLOCK) as u64)?;
+    };
+    let Some((header, length)) = found else {
+        let (rest, found) = (source.bytes().len() - start, source.bytes().len() as u64);
+        let end = rest.div_ceil(BLOCK).max(1) * BLOCK;
+        let cut = Fault::CutShort { hdu: number, expected: (start + end) as u64, found };
+        return Err(if rest.is_multiple_of(BLOCK) { broken("expected a card END".to_owned()) } else { cut });
     };
     let shape = shape(&header, "").map_err(&broken)?;
     let length_of_data = data_length(&header, &shape).map_err(&broken)?;
     let first = start + length.div_ceil(BLOCK) * BLOCK;
-    let end = first as u64 + length_of_data;
-    if length_of_data > 0 && end > bytes.len() as u64 {
-        return Err(Fault::CutShort { hdu: number, expected: end, found: bytes.len() as u64 });
-    }
-    let data = first..first + length_of_data as usize;
+    let data = first..first.saturating_add(usize::try_from(length_of_data).unwrap_or(usize::MAX));
     let content = content(&header, number, shape).map_err(&broken)?;
     Ok(Some(Hdu { number, header, content, data }))
 }
@@ -76,7 +95,21 @@ pub(crate) fn read(file: &Path, bytes: &[u8], start: usize, number: usize) -> Re
 impl Hdu {
     /// Where the next part begins.
     pub(crate) fn next(&self) -> usize {
-        self.data.start + self.data.len().div_ceil(BLOCK) * BLOCK
+        self.data.start.saturating_add(self.data.len().div_ceil(BLOCK).saturating_mul(BLOCK))
+    }
+
+    /// Reads its data; what fills the last block may be left out of the file.
+    ///
+    /// # Errors
+    /// [`Fault::CutShort`] when they go on beyond the end of the file.
+    pub(crate) fn fill(&self, source: &mut Source) -> Result<(), Fault> {
+        if self.data.is_empty() {
+            return Ok(());
+        }
+        source.fill(self.next() as u64)?;
+        let found = source.bytes().len() as u64;
+        let expected = self.data.end as u64;
+        if expected > found { Err(Fault::CutShort { hdu: self.number, expected, found }) } else { Ok(()) }
     }
 
     /// In words, for people: `a table CATALOGUE`.

@@ -1,13 +1,14 @@
 //! An image out of a file: its header and its pixels.
 
-use std::io::Read as _;
+use std::io::{Cursor, Read};
 use std::path::Path;
 
 use crate::decode::{Scaling, decode};
 use crate::error::{Fault, FitsError};
 use crate::hdu::{self, Content, Hdu, Shape};
 use crate::header::Header;
-use crate::{tiles, tiling, unpack};
+use crate::unpack::Source;
+use crate::{planes, tiles, tiling};
 
 /// More pixels are not taken: some eight times the largest frame of our cameras.
 const MOST_PIXELS: u64 = 1 << 29;
@@ -38,13 +39,17 @@ impl Pixels {
     }
 }
 
-/// A flat image, of at least one pixel.
+/// A flat image, of at least one pixel; of a colour image (three planes) the mean of its planes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Image {
     /// Its keywords; those of the file's first part too, where the image stands in another one.
     pub header: Header,
     /// Part of the file that it stands in, from 1.
     pub hdu: usize,
+    /// The other parts that hold images, as far as they were looked at.
+    pub other_hdus: Vec<usize>,
+    /// Colour planes whose mean it is: 3, or 1.
+    pub planes: usize,
     /// Columns, px.
     pub width_px: usize,
     /// Rows, px.
@@ -55,22 +60,37 @@ pub struct Image {
     pub pixels: Pixels,
 }
 
+/// Which image of a file is meant.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Part {
+    /// The first one with pixels.
+    #[default]
+    First,
+    /// That of the HDU of this number, from 1.
+    Hdu(usize),
+}
+
 /// Reads the first image with pixels of a file.
 ///
 /// # Errors
 /// [`FitsError`] when the file cannot be read, is no FITS, is damaged, or holds no image of two axes.
 pub fn read(file: &Path) -> Result<Image, FitsError> {
-    let bytes = bytes_of(file);
-    let bytes = bytes.map_err(|error| FitsError { file: file.to_owned(), fault: Fault::Unreadable(error) })?;
-    parse(file, bytes)
+    read_part(file, Part::First)
 }
 
-fn bytes_of(file: &Path) -> std::io::Result<Vec<u8>> {
-    let mut file = std::fs::File::open(file)?;
-    // what grows meanwhile is read all the same, and what tells no true length too
-    let mut bytes = pages::with_room(usize::try_from(file.metadata()?.len()).unwrap_or(0));
-    file.read_to_end(&mut bytes)?;
-    Ok(bytes)
+/// Reads an image of a file.
+///
+/// # Errors
+/// As [`read`], and [`Fault::NoSuchImage`] when that part holds none.
+pub fn read_part(file: &Path, part: Part) -> Result<Image, FitsError> {
+    let read = || {
+        let opened = std::fs::File::open(file)?;
+        let length = opened.metadata()?.len();
+        // what is no plain file tells no length
+        let known = opened.metadata()?.is_file().then_some(length);
+        of_source(file, opened, known, part)
+    };
+    read().map_err(|fault| FitsError { file: file.to_owned(), fault })
 }
 
 /// Reads the first image with pixels of a file's bytes; `file` is its name for what is said of it.
@@ -78,51 +98,108 @@ fn bytes_of(file: &Path) -> std::io::Result<Vec<u8>> {
 /// # Errors
 /// As [`read`].
 pub fn parse(file: &Path, bytes: Vec<u8>) -> Result<Image, FitsError> {
-    first_image(file, bytes).map_err(|fault| FitsError { file: file.to_owned(), fault })
+    let length = Some(bytes.len() as u64);
+    of_source(file, Cursor::new(bytes), length, Part::First).map_err(|fault| FitsError { file: file.to_owned(), fault })
 }
 
-fn first_image(file: &Path, bytes: Vec<u8>) -> Result<Image, Fault> {
-    let bytes = unpack::unpack(bytes)?;
+fn has_pixels(hdu: &Hdu) -> Option<Shape> {
+    let shape = match &hdu.content {
+        Content::Image(shape) | Content::Tiles(shape) => shape,
+        Content::Other(_) => return None,
+    };
+    (!shape.axes.is_empty() && shape.axes.iter().all(|length| *length > 0)).then(|| shape.clone())
+}
+
+fn of_source(file: &Path, from: impl Read + 'static, length: Option<u64>, part: Part) -> Result<Image, Fault> {
+    let mut source = Source::new(from, length)?;
     let (mut start, mut passed) = (0, Vec::<Hdu>::new());
+    let mut images = Vec::new();
     for number in 1..=MOST_HDUS {
-        let Some(hdu) = hdu::read(file, &bytes, start, number)? else { break };
-        let shape = match &hdu.content {
-            Content::Image(shape) | Content::Tiles(shape) => Some(shape.clone()),
-            Content::Other(_) => None,
+        let Some(hdu) = hdu::read(file, &mut source, start, number)? else { break };
+        let shape = has_pixels(&hdu);
+        images.extend(shape.is_some().then_some(number));
+        let wanted = match part {
+            Part::First => shape.is_some(),
+            Part::Hdu(wanted) => wanted == number,
         };
-        let has_pixels = |shape: &Shape| !shape.axes.is_empty() && shape.axes.iter().all(|length| *length > 0);
-        if let Some(shape) = shape.filter(has_pixels) {
+        if let Some(shape) = shape.filter(|_| wanted) {
+            let size = size(&hdu, &shape)?;
+            hdu.fill(&mut source)?;
+            let (behind, other_hdus) = (hdu.next(), images);
+            let mut others = others(file, &mut source, behind, number)?;
+            others.splice(0..0, other_hdus.into_iter().filter(|other| *other != number));
+            source.finish(behind as u64)?;
             // only then: scaling and sums of the first part are not this one's
-            let mut image = image(bytes, hdu, &shape)?;
+            let mut image = image(source.into_bytes(), hdu, &shape, size)?;
             if let Some(primary) = passed.first() {
                 image.header.inherit(&primary.header);
             }
+            image.other_hdus = others;
             return Ok(image);
         }
+        hdu.fill(&mut source)?;
         start = hdu.next();
         passed.push(hdu);
     }
-    let found: Vec<String> = passed.iter().map(Hdu::words).collect();
-    Err(Fault::NoImage { found: found.join(", ") })
+    match part {
+        Part::First => {
+            let found: Vec<String> = passed.iter().map(Hdu::words).collect();
+            Err(Fault::NoImage { found: found.join(", ") })
+        }
+        Part::Hdu(hdu) => Err(Fault::NoSuchImage { hdu, images }),
+    }
 }
 
-fn image(bytes: Vec<u8>, hdu: Hdu, shape: &Shape) -> Result<Image, Fault> {
+/// The images behind the one that is taken; nothing where the file has no sound part any more.
+fn others(file: &Path, source: &mut Source, mut start: usize, taken: usize) -> Result<Vec<usize>, Fault> {
+    let mut found = Vec::new();
+    for number in taken + 1..=MOST_HDUS {
+        // what is damaged in the packing is damaged for the part that is taken too
+        let hdu = match hdu::read(file, source, start, number) {
+            Err(fault @ Fault::Packed { .. }) => return Err(fault),
+            Err(_) | Ok(None) => break,
+            Ok(Some(hdu)) => hdu,
+        };
+        found.extend(has_pixels(&hdu).is_some().then_some(number));
+        match hdu.fill(source) {
+            Err(fault @ Fault::Packed { .. }) => return Err(fault),
+            Err(_) => break,
+            Ok(()) => start = hdu.next(),
+        }
+    }
+    Ok(found)
+}
+
+/// Columns, rows and planes of an image, before a byte of it is read.
+fn size(hdu: &Hdu, shape: &Shape) -> Result<(u64, u64, u64), Fault> {
     // axes of one pixel behind the second change nothing
-    let (width, height) = match shape.axes.as_slice() {
-        [width, height, rest @ ..] if rest.iter().all(|length| *length == 1) => (*width, *height),
+    let (width, height, planes) = match shape.axes.as_slice() {
+        [width, height, rest @ ..] if rest.iter().all(|length| *length == 1) => (*width, *height, 1),
+        [width, height, planes::COLOURS, rest @ ..] if rest.iter().all(|length| *length == 1) => {
+            (*width, *height, planes::COLOURS)
+        }
         axes => {
             let axes: Vec<String> = axes.iter().map(u64::to_string).collect();
             return Err(Fault::Axes { hdu: hdu.number, axes: axes.join(" x ") });
         }
     };
-    let count = width.checked_mul(height).filter(|count| *count <= MOST_PIXELS).ok_or_else(|| Fault::TooLarge {
-        what: format!("HDU {} has {width} x {height} px", hdu.number),
-        most: MOST_PIXELS,
-    })?;
+    let count = width.checked_mul(height).and_then(|count| count.checked_mul(planes));
+    let behind = if planes > 1 { format!(" x {planes}") } else { String::new() };
+    match count.filter(|count| *count <= MOST_PIXELS) {
+        Some(_) => Ok((width, height, planes)),
+        None => Err(Fault::TooLarge {
+            what: format!("HDU {} has {width} x {height}{behind} px", hdu.number),
+            most: MOST_PIXELS,
+        }),
+    }
+}
+
+fn image(bytes: Vec<u8>, hdu: Hdu, shape: &Shape, (width, height, planes): (u64, u64, u64)) -> Result<Image, Fault> {
+    let count = width * height * planes;
     let broken = |problem: String| Fault::Header { hdu: hdu.number, problem };
     let scaling = Scaling::of(&hdu.header).map_err(|error| broken(error.to_string()))?;
     let pixels = if matches!(hdu.content, Content::Tiles(_)) {
-        tiling::check(&hdu.header, shape).map_err(&broken)?;
+        tiling::check(&hdu.header, shape, hdu.data.len() as u64).map_err(&broken)?;
         check_sum(&hdu, &bytes)?;
         let tiles = tiles::decode(bytes, hdu.number, count as usize, scaling.are_counts(shape.bitpix));
         tiles.map_err(|detail| Fault::Tiles { hdu: hdu.number, detail })?
@@ -130,11 +207,13 @@ fn image(bytes: Vec<u8>, hdu: Hdu, shape: &Shape) -> Result<Image, Fault> {
         decode(bytes.get(hdu.data.clone()).unwrap_or_default(), shape.bitpix, &scaling)
     };
     if pixels.len() as u64 != count {
-        return Err(broken(format!("{width} x {height} px, but {} values; PCOUNT or GCOUNT is wrong", pixels.len())));
+        return Err(broken(format!("{count} px, but {} values; PCOUNT or GCOUNT is wrong", pixels.len())));
     }
     let Hdu { header, number: hdu, .. } = hdu;
-    let (width_px, height_px) = (width as usize, height as usize);
-    Ok(Image { header, hdu, width_px, height_px, bitpix: shape.bitpix, pixels })
+    let (width_px, height_px, planes) = (width as usize, height as usize, planes as usize);
+    let pixels = if planes > 1 { planes::mean(&pixels, width_px * height_px, shape.bitpix) } else { pixels };
+    let other_hdus = Vec::new();
+    Ok(Image { header, hdu, other_hdus, planes, width_px, height_px, bitpix: shape.bitpix, pixels })
 }
 
 /// Compares the data with DATASUM, where the header has it (FITS Standard 4.0, appendix J): a decoder of damaged

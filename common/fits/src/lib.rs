@@ -7,13 +7,14 @@
 //! ```
 //!
 //! Plain files and those packed by gzip or bzip2 are told by their first bytes, not by their names; images that are
-//! compressed in tiles (`.fz`) are decoded by cfitsio. The first image with pixels is taken. What is wrong with a file
+//! compressed in tiles (`.fz`) are decoded by cfitsio. The first image with pixels is taken, or that of an HDU. What is wrong with a file
 //! is told with its name and what to do ([`FitsError`], [`KeywordError`]); nothing panics, whatever the bytes are.
 //!
 //! - [`image`] is what comes out: header, size, pixels.
 //! - [`header`] answers keywords with the type that was asked for; [`card`] reads one line of it.
 //! - [`hdu`] finds the parts of a file, [`decode`] turns bytes into pixels, [`tiles`] asks cfitsio to where
-//!   [`tiling`] makes sense, [`unpack`] undoes gzip and bzip2.
+//!   [`tiling`] makes sense, [`unpack`] undoes gzip and bzip2 as far as headers ask for, [`planes`] makes one plane of three.
+//! - [`rewrite`] changes a header in its file, whole or not at all.
 //! - [`table`] reads the rows of binary tables, of any length.
 //! - [`cfitsio`] is what all users of that library share: its lock and its words.
 //!
@@ -27,6 +28,8 @@ pub mod error;
 pub mod hdu;
 pub mod header;
 pub mod image;
+mod planes;
+pub mod rewrite;
 pub mod table;
 mod tiles;
 mod tiling;
@@ -34,5 +37,5 @@ mod unpack;
 
 pub use error::{Fault, FitsError};
 pub use header::{Header, KeywordError};
-pub use image::{Image, Pixels, parse, read};
+pub use image::{Image, Part, Pixels, parse, read, read_part};
 pub use table::Table;

@@ -8,11 +8,20 @@ use crate::header::Header;
 /// The ways of compressing that cfitsio knows.
 const KNOWN: [&str; 7] = ["RICE_1", "RICE_ONE", "GZIP_1", "GZIP_2", "PLIO_1", "HCOMPRESS_1", "NOCOMPRESS"];
 
-/// Whether the table's rows are the tiles of an image of this shape. On failure: which keyword, what was expected.
-pub(crate) fn check(header: &Header, shape: &Shape) -> Result<(), String> {
+/// Pixels that a byte holds at most where the way of compressing has such a limit: deflate's 1032 bytes, and of Rice's 32
+/// pixels and more in 3 bits less than that.
+const MOST_PIXELS: u64 = 1032;
+
+/// Whether the table's rows are the tiles of an image of this shape, and its `bytes` enough for them. On failure: which
+/// keyword, what was expected.
+pub(crate) fn check(header: &Header, shape: &Shape, bytes: u64) -> Result<(), String> {
     let how = header.text("ZCMPTYPE").map_err(|error| error.to_string())?;
     if !KNOWN.contains(&how) {
         return Err(format!("ZCMPTYPE is '{how}', expected one of {}", KNOWN.join(", ")));
+    }
+    let pixels = shape.axes.iter().fold(1_u64, |product, length| product.saturating_mul(*length));
+    if !matches!(how, "PLIO_1" | "HCOMPRESS_1") && pixels > bytes.saturating_mul(MOST_PIXELS) {
+        return Err(format!("ZNAXISn announce {pixels} px, too many for {bytes} bytes of tiles"));
     }
     let mut tiles = 1_u64;
     for (n, length) in (1..).zip(&shape.axes) {

@@ -1,38 +1,152 @@
 //! gzip and bzip2, told by their first bytes; and what other first bytes mean.
 
-use std::io::{ErrorKind, Read};
+use std::io::{Cursor, ErrorKind, Read};
 
 use crate::error::Fault;
 
-/// More bytes than this are not unpacked: twice the largest frame of our cameras in doubles, and no bomb fills the
+/// More bytes than this are not read of one file: twice the largest frame of our cameras in doubles, and no bomb fills the
 /// machine.
-const MOST_BYTES: u64 = 2 << 30;
+pub(crate) const MOST_BYTES: u64 = 2 << 30;
+/// What may follow behind the parts that a packed file announces, bytes: other programs fill up to a tape's block.
+const MOST_BEHIND: u64 = 16 << 20;
+/// deflate packs a byte into a 1032nd at most (RFC 1951: 258 bytes take two bits).
+const MOST_DEFLATED: u64 = 1032;
 
-/// The FITS bytes of a file.
-///
-/// # Errors
-/// [`Fault`] when there are none, the packing is damaged, or it is something else than FITS.
-pub(crate) fn unpack(bytes: Vec<u8>) -> Result<Vec<u8>, Fault> {
-    let unpacked = if bytes.starts_with(&[0x1f, 0x8b]) {
-        all("gzip", flate2::read::MultiGzDecoder::new(&bytes[..]))?
-    } else if bytes.starts_with(b"BZh") {
-        all("bzip2", bzip2::read::MultiBzDecoder::new(&bytes[..]))?
-    } else {
-        bytes
-    };
-    if unpacked.starts_with(b"SIMPLE  =") { Ok(unpacked) } else { Err(other(&unpacked)) }
+/// The bytes of a file, unpacked no further than they are asked for: what a header announces, not what a bomb holds.
+pub(crate) struct Source {
+    bytes: Vec<u8>,
+    rest: Option<Rest>,
+    packing: Packing,
 }
 
-fn all(how: &'static str, packed: impl Read) -> Result<Vec<u8>, Fault> {
-    let mut unpacked = Vec::new();
-    packed.take(MOST_BYTES + 1).read_to_end(&mut unpacked).map_err(|error| match error.kind() {
-        ErrorKind::OutOfMemory => Fault::Unreadable(error),
-        _ => Fault::Packed { how, detail: error.to_string() },
-    })?;
-    if unpacked.len() as u64 > MOST_BYTES {
-        return Err(Fault::TooLarge { what: format!("unpacked by {how} it has more bytes"), most: MOST_BYTES });
+/// What is not read yet.
+struct Rest {
+    from: Box<dyn Read>,
+    packing: Packing,
+    /// The most that there can be in all, where that is known.
+    most: Option<u64>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Packing {
+    Plain,
+    Gzip,
+    Bzip2,
+}
+
+impl Packing {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Plain => "reading",
+            Self::Gzip => "gzip",
+            Self::Bzip2 => "bzip2",
+        }
     }
-    Ok(unpacked)
+}
+
+impl Source {
+    /// Begins a file of so many bytes, as far as that is known.
+    ///
+    /// # Errors
+    /// [`Fault`] when there are none, the packing is damaged, or it is something else than FITS.
+    pub(crate) fn new(mut from: impl Read + 'static, length: Option<u64>) -> Result<Self, Fault> {
+        let mut head = Vec::new();
+        (&mut from).take(HEAD).read_to_end(&mut head)?;
+        let packing = match head.as_slice() {
+            [0x1f, 0x8b, ..] => Packing::Gzip,
+            [b'B', b'Z', b'h', ..] => Packing::Bzip2,
+            _ => Packing::Plain,
+        };
+        let room = if packing == Packing::Plain { length.unwrap_or(0).min(MOST_BYTES) } else { 0 };
+        let mut bytes = pages::with_room(usize::try_from(room).unwrap_or(0));
+        let (from, most): (Box<dyn Read>, _) = match packing {
+            Packing::Plain => {
+                bytes.append(&mut head);
+                (Box::new(from), None)
+            }
+            Packing::Gzip => {
+                let most = length.map(|length| length.saturating_mul(MOST_DEFLATED));
+                (Box::new(flate2::read::MultiGzDecoder::new(Cursor::new(head).chain(from))), most)
+            }
+            Packing::Bzip2 => (Box::new(bzip2::read::MultiBzDecoder::new(Cursor::new(head).chain(from))), None),
+        };
+        let mut source = Self { bytes, rest: Some(Rest { from, packing, most }), packing };
+        source.fill(HEAD)?;
+        if source.bytes.starts_with(b"SIMPLE  =") { Ok(source) } else { Err(other(&source.bytes)) }
+    }
+
+    /// What was read so far.
+    pub(crate) fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// What was read, to keep.
+    pub(crate) fn into_bytes(self) -> Vec<u8> {
+        self.bytes
+    }
+
+    /// Reads on until there are so many bytes, or all there are.
+    ///
+    /// # Errors
+    /// [`Fault::TooLarge`] before anything is read, [`Fault::Packed`] when the packing is damaged.
+    pub(crate) fn fill(&mut self, to: u64) -> Result<(), Fault> {
+        let have = self.bytes.len() as u64;
+        let Some(rest) = self.rest.as_mut().filter(|_| to > have) else { return Ok(()) };
+        if to > MOST_BYTES {
+            return Err(Fault::TooLarge { what: format!("its header announces {to} bytes"), most: MOST_BYTES });
+        }
+        if let Some(most) = rest.most.filter(|most| to > *most) {
+            let detail = format!("its header announces {to} bytes, so few packed ones hold {most} at most");
+            return Err(Fault::Packed { how: rest.packing.name(), detail });
+        }
+        let read = (&mut rest.from).take(to - have).read_to_end(&mut self.bytes);
+        let read = read.map_err(|error| fault(&error, rest.packing))?;
+        if (read as u64) < to - have {
+            self.rest = None;
+        }
+        Ok(())
+    }
+
+    /// Reads all there is, and tells how it was packed.
+    ///
+    /// # Errors
+    /// As [`Source::fill`].
+    pub(crate) fn fill_all(&mut self) -> Result<Packing, Fault> {
+        if let Some(mut rest) = self.rest.take() {
+            let room = (MOST_BYTES + 1).saturating_sub(self.bytes.len() as u64);
+            let read = (&mut rest.from).take(room).read_to_end(&mut self.bytes);
+            read.map_err(|error| fault(&error, rest.packing))?;
+        }
+        if self.bytes.len() as u64 > MOST_BYTES {
+            return Err(Fault::TooLarge { what: "it has more bytes".to_owned(), most: MOST_BYTES });
+        }
+        Ok(self.packing)
+    }
+
+    /// Reads what follows the `announced` bytes, without keeping it, and so proves the sums of the packing.
+    ///
+    /// # Errors
+    /// [`Fault::Packed`] when the packing is damaged, [`Fault::TooLarge`] when it goes on and on without announcing it.
+    pub(crate) fn finish(&mut self, announced: u64) -> Result<(), Fault> {
+        let Some(mut rest) = self.rest.take().filter(|rest| rest.packing != Packing::Plain) else { return Ok(()) };
+        let passed = std::io::copy(&mut (&mut rest.from).take(MOST_BEHIND + 1), &mut std::io::sink());
+        if passed.map_err(|error| fault(&error, rest.packing))? <= MOST_BEHIND {
+            return Ok(());
+        }
+        let how = rest.packing.name();
+        let what = format!("unpacked by {how} it goes on behind the {announced} bytes that its headers announce");
+        Err(Fault::TooLarge { what, most: announced + MOST_BEHIND })
+    }
+}
+
+/// Bytes by which a file is told.
+const HEAD: u64 = 2880;
+
+fn fault(error: &std::io::Error, packing: Packing) -> Fault {
+    if packing == Packing::Plain || error.kind() == ErrorKind::OutOfMemory {
+        return Fault::Unreadable(std::io::Error::new(error.kind(), error.to_string()));
+    }
+    Fault::Packed { how: packing.name(), detail: error.to_string() }
 }
 
 /// What bytes are that are no FITS.

@@ -3,10 +3,11 @@
 //! Draws 2048 x 2048 px with 100 stars (u16) in and out of focus, and prints the best and the median of several runs in
 //! ms: all of it (clean, find, size), and the sizes alone, for which 10 ms are asked.
 
-use std::time::Instant;
+mod timing;
 
 use imaging::hfd::{HfdSearch, hfd_at, measure_hfd};
 use imaging::{Camera, Clean, Frame, Pixels};
+use timing::times_ms;
 
 const RUNS: usize = 9;
 const SIDE: usize = 2048;
@@ -30,14 +31,7 @@ fn main() -> anyhow::Result<()> {
 }
 
 fn time<T>(work: impl Fn() -> T) -> String {
-    let mut times: Vec<f64> = (0..RUNS)
-        .map(|_| {
-            let started = Instant::now();
-            std::hint::black_box(work());
-            started.elapsed().as_secs_f64() * 1e3
-        })
-        .collect();
-    times.sort_by(f64::total_cmp);
+    let times = times_ms(RUNS, work);
     format!("{:.1} ({:.1})", times[0], times[RUNS / 2])
 }
 

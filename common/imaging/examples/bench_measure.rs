@@ -5,9 +5,10 @@
 //! other work), beside the figure asked for 2048 x 2048. Memory is what the process held at most. An argument is the
 //! greatest width to be measured.
 
-use std::time::Instant;
+mod timing;
 
 use imaging::{Camera, Clean, Frame, Pixels, Search, measure};
+use timing::times_ms;
 
 const RUNS: usize = 7;
 const FWHM_PX: f32 = 4.0;
@@ -39,14 +40,7 @@ fn main() -> anyhow::Result<()> {
 
 fn time<T>(work: impl Fn() -> T) -> String {
     let before = processor_ms();
-    let mut times: Vec<f64> = (0..RUNS)
-        .map(|_| {
-            let started = Instant::now();
-            std::hint::black_box(work());
-            started.elapsed().as_secs_f64() * 1e3
-        })
-        .collect();
-    times.sort_by(f64::total_cmp);
+    let times = times_ms(RUNS, work);
     let processor = (processor_ms() - before) / RUNS as f64;
     format!("{:.0} ({:.0}) / {processor:.0}", times[0], times[RUNS / 2])
 }

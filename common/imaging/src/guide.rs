@@ -24,9 +24,10 @@ mod reversal;
 mod rotation;
 mod settings;
 mod slack;
+mod watch;
 
 pub use calibration::{Calibration, CalibrationError, Pier};
-pub use decision::{Ask, AxisLog, Decision, Log, Pulses, State, Why};
+pub use decision::{Ask, AxisLog, Decision, Log, Pulses, State, Unstable, Why};
 pub use guider::Guider;
 pub use reference::{Measurement, Reference};
 pub use settings::{Control, Settings};

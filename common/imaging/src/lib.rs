@@ -5,6 +5,7 @@
 //!
 //! - [`frame`] is what comes in: raw counts or floats with their shape.
 //! - [`clean`] takes away sky ([`background`]), bands and defects ([`bad_pixels`]).
+//! - `trails` takes those of satellites and aircraft out.
 //! - [`measure`] finds the [`star`]s, measures them, and says what the frame is worth ([`quality`]);
 //!   [`mosaic`] does so for cameras with colour filters on their pixels.
 //! - [`shift`] tells from two star lists how far the field moved; [`projection`] from two cleaned frames.
@@ -44,6 +45,7 @@ pub mod shift;
 pub mod solve;
 pub mod star;
 pub mod tangent;
+mod trails;
 pub mod wcs;
 mod window;
 

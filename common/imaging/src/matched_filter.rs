@@ -16,6 +16,12 @@ const REACH_SIGMA: f32 = 2.5;
 /// Every n-th pixel of every n-th row tells the scatter of S.
 const SAMPLE_STEP: usize = 8;
 
+/// Wide kernels are run over sums of 2 x 2 or 4 x 4 px, in which they are at least so wide: that loses less than 1 % of S,
+/// and each maximum is looked at in the whole frame again.
+const LEAST_SUMMED_PX: f32 = 5.0;
+/// Sums along the shorter side at least.
+const LEAST_SUMS: usize = 64;
+
 /// Rows for which the noise is evaluated once: an eighth of a cell of the mesh at most.
 const NOISE_ROWS: usize = 4;
 
@@ -114,20 +120,34 @@ impl Kernel {
 
     /// Local maxima of the significance above `threshold`, each at its height between the pixels.
     pub(crate) fn peaks(&self, clean: &Clean, threshold: f32) -> Peaks {
-        let bands = parallel::ranges(clean.height, clean.width, |rows| {
-            let mut filter = Rows::new(self, clean, rows.start);
+        let plane = Plane::of(clean, self.fwhm_px);
+        let (by, coarse) = (plane.by, Self::new(self.fwhm_px / plane.by as f32));
+        let sample_step = SAMPLE_STEP / by;
+        // a place in the sums, as the nearest pixel and how far from its centre
+        let whole = |at: usize, offset: f32, length: usize| {
+            if by == 1 {
+                return (at, offset);
+            }
+            let place = by as f32 * (at as f32 + offset) + 0.5 * (by as f32 - 1.0);
+            let pixel = (place.round().max(0.0) as usize).min(length - 1);
+            (pixel, place - pixel as f32)
+        };
+        let bands = parallel::ranges(plane.height, plane.width * by * by, |rows| {
+            let mut filter = Rows::new(&coarse, &plane, rows.start);
             let (mut peaks, mut sample) = (Vec::new(), Vec::<f32>::new());
             for y in rows {
                 filter.advance(y);
                 let [above, here, below] = &filter.significance;
-                local_maxima(above, here, below, threshold * self.sampling_loss(), |x| {
-                    let dx = self.offset(here[x], at(here, x.wrapping_sub(1)), at(here, x + 1));
-                    let dy = self.offset(here[x], above[x], below[x]);
+                local_maxima(above, here, below, threshold * coarse.sampling_loss(), |x| {
+                    let dx = coarse.offset(here[x], at(here, x.wrapping_sub(1)), at(here, x + 1));
+                    let dy = coarse.offset(here[x], above[x], below[x]);
+                    let ((x, dx), (y, dy), here) = (whole(x, dx, clean.width), whole(y, dy, clean.height), here[x]);
                     let beside = self.significance_beside(clean, x, y, dx, dy);
-                    peaks.push(Peak { x, y, offset: (dx, dy), significance: beside.max(here[x]) });
+                    let significance = if by == 1 { beside.max(here) } else { beside };
+                    peaks.push(Peak { x, y, offset: (dx, dy), significance });
                 });
-                if y % SAMPLE_STEP == SAMPLE_STEP / 2 {
-                    sample.extend(here.iter().skip(SAMPLE_STEP / 2).step_by(SAMPLE_STEP));
+                if y % sample_step == sample_step / 2 {
+                    sample.extend(here.iter().skip(sample_step / 2).step_by(sample_step));
                 }
             }
             (peaks, sample)
@@ -178,10 +198,59 @@ fn local_maxima(above: &[f32], here: &[f32], below: &[f32], threshold: f32, mut 
     }
 }
 
+/// What the filter runs over: the frame, or sums of `by` x `by` of its pixels.
+struct Plane<'a> {
+    clean: &'a Clean,
+    by: usize,
+    width: usize,
+    height: usize,
+    sums: Option<Vec<f32>>,
+}
+
+impl<'a> Plane<'a> {
+    fn of(clean: &'a Clean, fwhm_px: f32) -> Self {
+        let shorter = clean.width.min(clean.height);
+        let fits = |by: &usize| fwhm_px >= LEAST_SUMMED_PX * *by as f32 && shorter / by >= LEAST_SUMS;
+        let by = [4, 2].into_iter().find(fits).unwrap_or(1);
+        let (width, height) = (clean.width / by, clean.height / by);
+        let sums = (by > 1).then(|| {
+            let mut sums = vec![0.0; width * height];
+            parallel::bands_mut(&mut sums, width, |first, band| {
+                for (n, out) in band.chunks_mut(width).enumerate() {
+                    let rows = clean.pixels.chunks(clean.width).skip(by * (first + n)).take(by);
+                    for line in rows {
+                        out.iter_mut()
+                            .zip(line.chunks_exact(by))
+                            .for_each(|(out, few)| *out += few.iter().sum::<f32>());
+                    }
+                }
+            });
+            sums
+        });
+        Self { clean, by, width, height, sums }
+    }
+
+    fn row(&self, y: usize) -> &[f32] {
+        let pixels = self.sums.as_deref().unwrap_or(&self.clean.pixels);
+        &pixels[y * self.width..(y + 1) * self.width]
+    }
+
+    /// Noise of each sum of a row.
+    fn noise(&self, y: usize, out: &mut [f32]) {
+        if self.by == 1 {
+            return self.clean.background.noise.row(y, out);
+        }
+        let mut noise = vec![0.0; self.clean.width];
+        self.clean.background.noise.row(y * self.by + self.by / 2, &mut noise);
+        let middles = noise.iter().skip(self.by / 2).step_by(self.by);
+        out.iter_mut().zip(middles).for_each(|(out, noise)| *out = self.by as f32 * noise);
+    }
+}
+
 /// The filter as it moves down a band of rows.
 struct Rows<'a> {
     kernel: &'a Kernel,
-    clean: &'a Clean,
+    plane: &'a Plane<'a>,
     /// Rows filtered along x, row `y` in place `y % (2 reach + 1)`.
     along_x: Vec<Vec<f32>>,
     /// First row that is not in `along_x` yet.
@@ -197,11 +266,11 @@ struct Rows<'a> {
 
 impl<'a> Rows<'a> {
     /// Ready to `advance` to row `first`.
-    fn new(kernel: &'a Kernel, clean: &'a Clean, first: usize) -> Self {
-        let (reach, width) = (kernel.reach(), clean.width);
+    fn new(kernel: &'a Kernel, plane: &'a Plane<'a>, first: usize) -> Self {
+        let (reach, width) = (kernel.reach(), plane.width);
         let mut rows = Self {
             kernel,
-            clean,
+            plane,
             along_x: vec![vec![0.0; width]; 2 * reach + 1],
             next: first.saturating_sub(reach + 1),
             zeros: vec![0.0; width],
@@ -223,11 +292,11 @@ impl<'a> Rows<'a> {
     /// Moves the three rows up and filters row `y` into the last; a row outside of the image is lower than any.
     fn push(&mut self, y: usize) {
         self.significance.rotate_left(1);
-        if y >= self.clean.height {
+        if y >= self.plane.height {
             self.significance[2].fill(f32::NEG_INFINITY);
             return;
         }
-        let (reach, height) = (self.kernel.reach(), self.clean.height);
+        let (reach, height) = (self.kernel.reach(), self.plane.height);
         while self.next <= (y + reach).min(height - 1) {
             self.filter_along_x(self.next);
             self.next += 1;
@@ -240,7 +309,7 @@ impl<'a> Rows<'a> {
         weigh(out, row(Some(y)), &pairs);
         // the noise hardly changes from row to row
         if self.per_noise_of.is_none_or(|of| y.abs_diff(of) >= NOISE_ROWS) {
-            self.clean.background.noise.row(y, &mut self.per_noise);
+            self.plane.noise(y, &mut self.per_noise);
             self.per_noise.iter_mut().for_each(|noise| *noise = 1.0 / (*noise * self.kernel.norm));
             self.per_noise_of = Some(y);
         }
@@ -248,8 +317,8 @@ impl<'a> Rows<'a> {
     }
 
     fn filter_along_x(&mut self, y: usize) {
-        let (reach, width) = (self.kernel.reach(), self.clean.width);
-        let line = &self.clean.pixels[y * width..(y + 1) * width];
+        let (reach, width) = (self.kernel.reach(), self.plane.width);
+        let line = self.plane.row(y);
         let out = &mut self.along_x[y % (2 * reach + 1)];
         let inner = reach.min(width)..width.saturating_sub(reach).max(reach.min(width));
         let taps = || self.kernel.taps.iter().enumerate().skip(1);

@@ -11,6 +11,7 @@ use crate::parallel;
 use crate::profile::Profile;
 use crate::quality::Quality;
 use crate::star::{Flags, Star};
+use crate::trails;
 use crate::window::{Seen, Window};
 
 /// Width assumed when nobody knows better, px; it is measured and the search repeated if it is wrong.
@@ -25,6 +26,16 @@ const DEFECTS_AGAIN: f64 = 1.2;
 const BEST: usize = 50;
 /// Significance that such stars should have.
 const WELL_SEEN: f32 = 8.0;
+/// Where some of them are as sharp as cosmic rays, so many are looked at ...
+const MOST_LOOKED_AT: usize = 1000;
+/// ... and so many round wider ones, and this share of the sharp ones, are the stars, if they agree within this share of
+/// their width or are within this ratio of the last frame's width.
+const FEWEST_WIDE: usize = 5;
+const WIDE_SHARE: f32 = 0.1;
+const WIDE_SPREAD: f32 = 0.2;
+const WIDER: f32 = 1.5;
+/// A star is longer than wide by no more than this; rays are, at any angle.
+const ROUND: f64 = 2.0;
 
 /// How to look for stars.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -65,18 +76,31 @@ pub(crate) fn measure_and_clean(
     camera: &Camera,
     search: &Search,
 ) -> Result<(Measured, Clean), FrameError> {
+    // what is as sharp as a defect is no guide for telling stars from defects: it must be seen anew on each frame
+    let search = &Search { fwhm_px: search.fwhm_px.filter(|px| px.is_finite() && *px >= SHARPEST_PX), ..*search };
     let mut clean = Clean::new(frame, camera, search.fwhm_px)?;
     let light = Light { frame, saturation: camera.saturation_adu(frame), brightest: clean.brightest_adu };
+    let mut trails = trails::remove(&mut clean, camera, light.saturation);
     let mut found = find(&mut clean, camera, search, &light);
     if let Some(width) = found.width
         && (clean.takes_for_sky(width as f32) || clean.took_for_defects(width as f32, found.objects.len()))
     {
         let again = Search { fwhm_px: Some(width as f32), ..*search };
         clean = Clean::new(frame, camera, again.fwhm_px)?;
+        trails = trails::remove(&mut clean, camera, light.saturation);
         found = find(&mut clean, camera, &again, &light);
     }
-    let stars = describe(&clean, camera, &light, &found);
-    let quality = Quality::of(&clean, &stars, found.width.is_some());
+    let mut stars = describe(&clean, camera, &light, &found);
+    let quality = Quality::of(&clean, &stars, found.width.is_some(), trails);
+    if let Some(trail_px) = quality.trail_px {
+        // the star was anywhere on its trail
+        let (sin, cos) = quality.elongation_deg.unwrap_or_default().to_radians().sin_cos();
+        let along = trail_px / 12.0_f64.sqrt();
+        for star in &mut stars {
+            star.x_error_px = star.x_error_px.hypot(along * cos);
+            star.y_error_px = star.y_error_px.hypot(along * sin);
+        }
+    }
     Ok((Measured { stars, quality }, clean))
 }
 
@@ -122,7 +146,7 @@ fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light) -> F
         let peaks = kernel.peaks(clean, search.threshold);
         let is_saturated = |peak: &Peak| light.peak(peak.x, peak.y, 1).1;
         let mut objects = candidates::objects(clean, &kernel, &peaks, is_saturated);
-        let width = typical_width(clean, camera, light, &objects, kernel_px);
+        let width = typical_width(clean, camera, light, &objects, (kernel_px, search.fwhm_px));
         let factor = width.map_or(1.0, |width| (width / kernel_px).max(kernel_px / width));
         if let Some(width) = width
             && width >= f64::from(SHARPEST_PX)
@@ -141,22 +165,74 @@ fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light) -> F
     }
 }
 
-/// Median width of the best unsaturated stars, px, each seen through a window that grows or shrinks to its size.
-fn typical_width(clean: &Clean, camera: &Camera, light: &Light, objects: &[Peak], kernel_px: f64) -> Option<f64> {
+/// Median width of the best unsaturated stars, px, each seen through a window that grows or shrinks to its size. Known
+/// are the kernel's width and, perhaps, that of the stars on the last frame.
+fn typical_width(
+    clean: &Clean,
+    camera: &Camera,
+    light: &Light,
+    objects: &[Peak],
+    (kernel_px, last_px): (f64, Option<f32>),
+) -> Option<f64> {
     let good = objects.iter().filter(|peak| peak.significance >= WELL_SEEN);
     let unsaturated = good.filter(|peak| !light.peak(peak.x, peak.y, kernel_px as usize).1);
-    let widths = unsaturated.take(4 * BEST).filter_map(|peak| own_width(clean, camera, peak, kernel_px));
-    let mut widths: Vec<f32> = widths.take(BEST).map(|width| width as f32).collect();
-    median_in_place(&mut widths).map(f64::from)
+    let mut looked = unsaturated.take(MOST_LOOKED_AT).map(|peak| own_width(clean, camera, peak, kernel_px));
+    let best: Vec<Width> = looked.by_ref().take(4 * BEST).flatten().take(BEST).collect();
+    let mut widths: Vec<f32> = best.iter().map(|width| width.fwhm as f32).collect();
+    let none_is_sharp = widths.iter().all(|width| *width >= SHARPEST_PX);
+    let all = median_in_place(&mut widths)?;
+    if none_is_sharp {
+        return Some(f64::from(all));
+    }
+    let others = best.into_iter().chain(looked.flatten());
+    let (mut rays, mut wide) = (Vec::new(), Vec::new());
+    for other in others {
+        let width = other.fwhm as f32;
+        if width < SHARPEST_PX {
+            rays.push(width);
+        } else if other.axis_ratio <= ROUND {
+            wide.push(width);
+        }
+        if wide.len() >= BEST {
+            break;
+        }
+    }
+    Some(f64::from(width_beside_rays(&mut rays, &wide, last_px).unwrap_or(all)))
 }
 
-fn own_width(clean: &Clean, camera: &Camera, peak: &Peak, kernel_px: f64) -> Option<f64> {
-    let mut width = kernel_px;
+/// The width of the stars of a frame with rays as well: that of the last frame, if enough have it, or one in which
+/// enough agree. None when the sharp ones may be the stars.
+fn width_beside_rays(rays: &mut [f32], wide: &[f32], last_px: Option<f32>) -> Option<f32> {
+    let rays_px = median_in_place(rays)?;
+    let enough = |some: &[f32]| some.len() >= FEWEST_WIDE && some.len() as f32 >= WIDE_SHARE * rays.len() as f32;
+    let is_last = |width: &f32| last_px.is_some_and(|last| *width < WIDER * last && last < WIDER * *width);
+    let mut as_last: Vec<f32> = wide.iter().copied().filter(is_last).collect();
+    let surely_wider = |width: &f32| *width >= WIDER * rays_px;
+    if enough(&as_last)
+        && let Some(width) = median_in_place(&mut as_last).filter(surely_wider)
+    {
+        return Some(width);
+    }
+    let mut wide = wide.to_vec();
+    let width = median_in_place(&mut wide).filter(surely_wider)?;
+    let mut apart: Vec<f32> = wide.iter().map(|other| (other - width).abs()).collect();
+    let spread = 1.4826 * median_in_place(&mut apart)?;
+    (enough(&wide) && spread <= WIDE_SPREAD * width).then_some(width)
+}
+
+/// The size of one star, px.
+struct Width {
+    fwhm: f64,
+    axis_ratio: f64,
+}
+
+fn own_width(clean: &Clean, camera: &Camera, peak: &Peak, kernel_px: f64) -> Option<Width> {
+    let mut width = Width { fwhm: kernel_px, axis_ratio: 1.0 };
     for _ in 0..8 {
-        let window = Window::new(width, camera.gain_e_per_adu);
-        let seen = window.look(clean, (peak.x as f64, peak.y as f64), width.max(kernel_px))?;
-        let new = seen.fwhm().clamp(WIDTHS_PX.0, WIDTHS_PX.1);
-        if (new / width - 1.0).abs() < 0.02 {
+        let window = Window::new(width.fwhm, camera.gain_e_per_adu);
+        let seen = window.look(clean, (peak.x as f64, peak.y as f64), width.fwhm.max(kernel_px))?;
+        let new = Width { fwhm: seen.fwhm().clamp(WIDTHS_PX.0, WIDTHS_PX.1), axis_ratio: seen.axis_ratio() };
+        if (new.fwhm / width.fwhm - 1.0).abs() < 0.02 {
             return (!seen.cut).then_some(new);
         }
         width = new;
@@ -172,7 +248,8 @@ fn describe(clean: &Clean, camera: &Camera, light: &Light, found: &Found) -> Vec
         let look = |peak: &Peak| {
             let (peak_adu, saturated) = light.peak(peak.x, peak.y, (0.5 * width).ceil() as usize);
             // only a window that reaches over a flat top finds its middle
-            let own = if saturated { own_width(clean, camera, peak, width).unwrap_or(width) } else { width };
+            let own =
+                if saturated { own_width(clean, camera, peak, width).map_or(width, |own| own.fwhm) } else { width };
             let window = if saturated { Window::new(own, camera.gain_e_per_adu) } else { window };
             let seen = window.look(clean, (peak.x as f64, peak.y as f64), own.max(found.kernel_px))?;
             Some(Object { peak: *peak, seen, peak_adu, saturated })
@@ -182,14 +259,16 @@ fn describe(clean: &Clean, camera: &Camera, light: &Light, found: &Found) -> Vec
     let objects = without_doubles(clean, seen.into_iter().flatten(), 0.5 * width);
 
     let stackable = |o: &&Object| !o.saturated && !o.seen.cut && o.peak.significance >= WELL_SEEN;
-    let best: Vec<&Object> = objects.iter().filter(stackable).take(BEST).collect();
+    // rays may be brighter than all stars
+    let is_wide = |o: &&Object| o.seen.variance() > 0.36 * (width / 2.354_82).powi(2);
+    let best: Vec<&Object> = objects.iter().filter(stackable).filter(is_wide).take(BEST).collect();
     let mut variances: Vec<f32> = best.iter().map(|o| o.seen.variance() as f32).collect();
     let variance = median_in_place(&mut variances).map_or((width / 2.354_82).powi(2), f64::from);
     let starlike = best.iter().filter(|o| o.seen.variance() > 0.36 * variance);
-    let stack: Vec<_> = starlike.map(|o| (o.seen.x, o.seen.y, o.seen.flux)).collect();
+    let stack: Vec<_> = starlike.map(|o| (clean, o.seen.x, o.seen.y, o.seen.flux)).collect();
     // a Gaussian under a window of its own size shows half of its flux
     let gaussian = Profile { fwhm_px: width, beta: 30.0 };
-    let profile = Profile::fit(clean, &stack, width).unwrap_or(gaussian);
+    let profile = Profile::fit(&stack, width).unwrap_or(gaussian);
     let stretch = profile.fwhm_px / (2.354_82 * variance.sqrt()).max(0.1);
     let whole = profile.whole_over_window(window.sigma());
 

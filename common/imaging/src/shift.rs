@@ -5,8 +5,11 @@
 //! errors follow from the stars' own centroid errors. dx and dy are *check minus reference*: a star that stood at
 //! x stands at x + dx now. Rotation is positive from +x towards +y.
 
+pub(crate) mod chance;
 mod fit;
 mod pair;
+
+pub(crate) use pair::most_frequent_difference;
 
 use crate::star::Star;
 
@@ -16,6 +19,9 @@ const GREATEST_ERROR_PX: f64 = 0.5;
 const FEW_STARS_PX: f64 = 5.0;
 /// Stars that take part, spread over the frame.
 const STARS: usize = 50;
+
+/// Stars of a pair are this near in the end, px.
+const LAST_REACH_PX: f64 = 3.0;
 
 /// How a shift was measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -90,11 +96,18 @@ pub enum NoShift {
     /// The frames have different shapes.
     #[error("frames of {0} x {1} px and {2} x {3} px cannot be compared")]
     Shapes(usize, usize, usize, usize),
-    /// The correlation of the projections has no clear peak.
-    #[error("the projections have no clear common peak along {axis}")]
+    /// No shift is clearly better than any other.
+    #[error(
+        "no shift is clear: of {reference} bright patches in the reference and {check} in the check frame {agree} agree \
+         on one, as they would by chance or on another shift; give frames of one field with more stars"
+    )]
     NoPeak {
-        /// `x` or `y`.
-        axis: char,
+        /// Patches in the reference.
+        reference: usize,
+        /// Patches in the check frame.
+        check: usize,
+        /// Those that agree on the best shift.
+        agree: usize,
     },
 }
 
@@ -113,20 +126,51 @@ pub fn from_stars(reference: &[Star], check: &[Star], width: usize, height: usiz
         return Err(NoShift::TooFewStars { reference: reference.len(), check: check.len() });
     }
     let centre = (0.5 * (width as f64 - 1.0), 0.5 * (height as f64 - 1.0));
-    let start = pair::most_frequent_difference(&reference, &check);
+    let differences = reference.iter().flat_map(|r| check.iter().map(|c| (c.x_px - r.x_px, c.y_px - r.y_px)));
+    let start = most_frequent_difference(differences).unwrap_or_default();
     let mut motion = fit::Motion::shifted(start, centre);
     let mut pairs = Vec::new();
     // the vote is good to a few px; the fit then closes in
-    for reach in [6.0, 4.0, 3.0, 3.0] {
+    for reach in [6.0, 4.0, LAST_REACH_PX, LAST_REACH_PX] {
         pairs = pair::mutual(&reference, &check, &motion, reach);
         let no_match = NoShift::NoMatch { matched: pairs.len(), dx_px: motion.dx, dy_px: motion.dy };
         motion = fit::fit(pair::moving(&pairs).as_deref().unwrap_or(&pairs), centre).ok_or(no_match)?;
     }
-    // of long lists a few pairs agree by chance
-    if pairs.len() <= reference.len().min(check.len()) / 10 {
+    let (dx, dy) = (motion.dx.abs(), motion.dy.abs());
+    let agreement = chance::Agreement {
+        agree: pairs.len(),
+        pairs: reference.len() * check.len(),
+        area_px2: (width as f64 - dx) * (height as f64 - dy),
+        reach_px: LAST_REACH_PX,
+        shift_px: dx.hypot(dy),
+    };
+    // a field hardly moves from frame to frame: then most of a few stars are enough
+    let stays = dx.hypot(dy) <= FEW_STARS_PX && 2 * pairs.len() > reference.len().max(check.len());
+    if !(stays || agreement.is_sure()) {
         return Err(NoShift::NoMatch { matched: pairs.len(), dx_px: motion.dx, dy_px: motion.dy });
     }
     of_motion(&motion, &pairs)
+}
+
+/// The same for frames that may be upside down to each other, as a German mount leaves them after a meridian flip. Then
+/// the rotation is near 180 degrees, and the shift is that of the middle of the frame after a turn about it.
+///
+/// # Errors
+/// [`NoShift`] as [`from_stars`].
+pub fn from_stars_either_way(
+    reference: &[Star],
+    check: &[Star],
+    width: usize,
+    height: usize,
+) -> Result<Shift, NoShift> {
+    let upright = from_stars(reference, check, width, height);
+    let Err(NoShift::NoMatch { .. }) = upright else { return upright };
+    let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
+    let turn = |star: &Star| Star { x_px: right - star.x_px, y_px: bottom - star.y_px, ..*star };
+    let turned: Vec<Star> = reference.iter().map(turn).collect();
+    let Ok(mut shift) = from_stars(&turned, check, width, height) else { return upright };
+    shift.rotation_deg += if shift.rotation_deg > 0.0 { -180.0 } else { 180.0 };
+    Ok(shift)
 }
 
 /// The shift of stars of which it is known which is which, of `reference` and `check` stars in the two frames. Pairs

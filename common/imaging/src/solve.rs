@@ -27,10 +27,12 @@ mod pattern_table;
 mod refine;
 mod scales;
 mod search;
+mod seen;
 mod similarity;
 mod solution;
 mod source;
 mod tile;
+mod trail;
 mod votes;
 
 pub use all_sky::{AllSky, Blind};
@@ -76,6 +78,7 @@ impl Stars for Any<'_> {
 
 fn searched(detected: &Detected, hint: &Hint, source: &Any<'_>) -> Result<Solution, NoSolution> {
     failure::check(detected, hint)?;
+    failure::check_trails(detected)?;
     let mut search = search::Search::new(detected, hint, source);
     match search.run() {
         Some(solution) => Ok(solution),

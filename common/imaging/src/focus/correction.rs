@@ -56,23 +56,23 @@ const PROVEN: f64 = 4.0;
 /// ... and a line is followed beyond its runs by this share of the span between them: further out it may bend, and a broken
 /// thermometer (85 C, -127 C) must not send the focuser away.
 const BEYOND: f64 = 0.5;
-/// Outliers beyond this many scatters are left out, once.
+/// Outliers beyond this many scatters are left out.
 const FAR: f64 = 4.0;
 
 impl TemperatureModel {
-    /// Fits a line to the runs, weighed with their errors; a run that lies far off is left out.
+    /// Fits a line to the runs, weighed with their errors; runs that lie far off are left out.
     ///
     /// # Errors
-    /// [`NoModel`] until there are 10 runs that span 5 degrees.
+    /// [`NoModel`] until there are 10 such runs that span 5 degrees.
     pub fn fit(runs: &[PastRun]) -> Result<Self, NoModel> {
         let is_finite = |run: &&PastRun| run.temperature.celsius().is_finite() && run.position.is_finite();
         let all: Vec<PastRun> = runs.iter().filter(is_finite).copied().collect();
         check(&all)?;
-        let first = line(&all);
-        let off: Vec<f64> = all.iter().map(|run| first.off(run).abs()).collect();
-        let limit = FAR * 1.4826 * super::median(off.clone()).unwrap_or(0.0).max(LEAST_ERROR);
+        let off = off_most(&all);
+        let limit = FAR * (1.4826 * super::median(off.clone()).unwrap_or(0.0)).max(usual_error(&all));
         let near: Vec<PastRun> = all.iter().zip(&off).filter(|(_, off)| **off <= limit).map(|(run, _)| *run).collect();
-        let used = if check(&near).is_ok() { near } else { all };
+        let used = near;
+        check(&used)?;
         let line = line(&used);
         let squares: f64 = used.iter().map(|run| line.off(run).powi(2)).sum();
         let scatter_steps = (squares / (used.len() - 2) as f64).sqrt();
@@ -116,6 +116,18 @@ fn check(runs: &[PastRun]) -> Result<(), NoModel> {
     }
 }
 
+/// How far each run lies off the line of the median slope between any two (Theil and Sen): a single run, however far off
+/// and whatever its temperature, does not turn it.
+fn off_most(runs: &[PastRun]) -> Vec<f64> {
+    let place = |run: &PastRun| (run.temperature.celsius(), run.position);
+    let pairs = runs.iter().enumerate().flat_map(|(n, a)| runs.iter().skip(n + 1).map(move |b| (place(a), place(b))));
+    let slopes = pairs.map(|(a, b)| (b.1 - a.1) / (b.0 - a.0)).filter(|slope| slope.is_finite());
+    let slope = super::median(slopes.collect()).unwrap_or(0.0);
+    let rest = |run: &PastRun| run.position - slope * run.temperature.celsius();
+    let level = super::median(runs.iter().map(rest).collect()).unwrap_or(0.0);
+    runs.iter().map(|run| (rest(run) - level).abs()).collect()
+}
+
 struct Line {
     middle: (f64, f64),
     slope: f64,
@@ -129,10 +141,15 @@ impl Line {
     }
 }
 
+/// The median error of the runs that know one, steps.
+fn usual_error(runs: &[PastRun]) -> f64 {
+    let known = runs.iter().map(|run| run.position_error).filter(|error| error.is_finite()).collect();
+    super::median(known).unwrap_or(LEAST_ERROR).max(LEAST_ERROR)
+}
+
 fn line(runs: &[PastRun]) -> Line {
     // an error that is not known counts as the usual one
-    let known = runs.iter().map(|run| run.position_error).filter(|error| error.is_finite()).collect();
-    let usual = super::median(known).unwrap_or(LEAST_ERROR).max(LEAST_ERROR);
+    let usual = usual_error(runs);
     let error =
         |run: &PastRun| if run.position_error.is_finite() { run.position_error.max(0.3 * usual) } else { usual };
     let weights: Vec<f64> = runs.iter().map(|run| (usual / error(run)).powi(2)).collect();
@@ -240,6 +257,20 @@ mod tests {
         let model = TemperatureModel::fit(&all).unwrap();
         assert!((model.steps_per_c.value + 12.0).abs() < 1.0 && model.runs == 12, "{model:?}");
         assert_eq!(model.steps(Celsius::new(f64::NAN), Celsius::new(1.0)), 0.0);
+    }
+
+    #[test]
+    fn a_broken_thermometer_or_one_bad_run_at_an_end_turns_no_line() {
+        for (temperature_c, off) in [(85.0, 0.0), (-127.0, 0.0), (-3.0, 700.0), (5.0, -700.0)] {
+            let mut all = runs(12, 8.0);
+            all[11] = run(temperature_c, 5000.0 - 12.0 * temperature_c.clamp(-3.0, 5.0) + off);
+            let model = TemperatureModel::fit(&all).unwrap();
+            assert!((model.steps_per_c.value + 12.0).abs() < 1.0 && model.runs == 11, "{model:?}");
+        }
+        // too few are left
+        let mut all = runs(10, 8.0);
+        all[9].position += 700.0;
+        assert_eq!(TemperatureModel::fit(&all), Err(NoModel::TooFew { runs: 9 }));
     }
 
     #[test]

@@ -3,6 +3,11 @@
 //! Far from focus the size grows linearly with the defocus, near it seeing rounds the V off; the two meet about
 //! c/a from focus, which is called the critical zone here.
 //!
+//! Tilted or pinched optics have another slope on either side of focus: `a (1 - k)` below it and `a (1 + k)` above. A
+//! curve with one slope puts the focus beside it then, and one with two knows it less well. Both are fitted, and each
+//! counts as far as the points demand it (Bayesian averaging; an asymmetry of 0.15 is usual where there is one). So the
+//! error grows where the points leave open which of them is true.
+//!
 //! First the parabola of y^2 that most points agree with is searched among those through three points each, so that
 //! clouds and gusts cannot choose the start; then the hyperbola is fitted with Huber's loss, weighed with the errors;
 //! then once more without what lies 4 sigma off.
@@ -32,6 +37,8 @@ pub struct Hyperbola {
     pub least_size: f64,
     /// Slope far from focus a, unit of the points per step.
     pub slope: f64,
+    /// By which share the slope is greater above the best position, and smaller below; 0 unless the points show it.
+    pub asymmetry: f64,
     /// Points in the order given: whether each was used. Those without finite, positive numbers, and those far off
     /// the curve, are not.
     pub used: Vec<bool>,
@@ -41,7 +48,10 @@ pub struct Hyperbola {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoHyperbola {
     /// Fewer than 4 usable points, or fewer than 4 different positions.
-    #[error("{points} usable points at {positions} different positions, {FEWEST} of either are needed")]
+    #[error(
+        "the stars have a size at {positions} different positions of the focuser, in {points} frames; {FEWEST} positions \
+         are needed: take more frames, from one side of the focus to the other"
+    )]
     TooFew {
         /// Points with finite, positive numbers.
         points: usize,
@@ -64,11 +74,20 @@ const FAR: f64 = 4.0;
 const TRIPLES: usize = 5000;
 /// A start's least size, as a share of the smallest one measured.
 const SHARPEST: f64 = 0.02;
+/// How much slopes differ from their mean where they differ at all: standard deviations of the asymmetry, for a curve with
+/// one slope and for one with two.
+const ONE_SLOPE: f64 = 1e-5;
+const TWO_SLOPES: f64 = 0.15;
+/// Odds of two slopes before any point is seen: for the place few, so that points on one curve are not spread over two; for
+/// its error many, so that what the points do not exclude is allowed for. Tried on drawn runs (tests).
+const ODDS_OF_TWO: (f64, f64) = (0.2, 3.0);
+const GREATEST_ASYMMETRY: f64 = 0.6;
 
 impl Hyperbola {
     /// Size at a position, in the unit of the points.
     pub fn size_at(&self, position: f64) -> f64 {
-        self.least_size.hypot(self.slope * (position - self.best_position))
+        let off = position - self.best_position;
+        self.least_size.hypot(self.slope * (1.0 + self.asymmetry * off.signum()) * off)
     }
 
     /// Half width of the bottom c/a, steps: so far from focus the size is 1.41 of the least.
@@ -83,17 +102,59 @@ impl Hyperbola {
     /// it may be outside of the run.
     pub fn fit(points: &[Size]) -> Result<Self, NoHyperbola> {
         let scaled = Scaled::of(points)?;
-        let start = scaled.start().ok_or(NoHyperbola::NoMinimum)?;
-        let first = scaled.refine(start, &scaled.all()).ok_or(NoHyperbola::NoMinimum)?;
-        let near = scaled.near(first.at);
-        let enough = near.iter().filter(|n| **n).count() >= FEWEST;
-        let (fit, used) = match scaled.refine(first.at, &near).filter(|_| enough) {
-            Some(fit) => (fit, near),
-            None => (first, scaled.all()),
+        let [x0, c, a] = scaled.start().ok_or(NoHyperbola::NoMinimum)?;
+        let start = [x0, c, a, 0.0];
+        let curves = |used: &[bool], inflation: f64| {
+            let fit = |asymmetry| scaled.refine(start, used, inflation, asymmetry);
+            [fit(ONE_SLOPE), fit(TWO_SLOPES)].map(|fit| fit.filter(|fit| fit.covariance.is_some()))
         };
-        scaled.unscaled(points, &fit, &used)
+        let near = curves(&scaled.all(), 1.0).into_iter().flatten().map(|first| scaled.near(first.at));
+        // a point far from the one curve may lie on the other
+        let count = |used: &[bool]| used.iter().filter(|n| **n).count();
+        let used = near.reduce(|one, two| if count(&two) > count(&one) { two } else { one });
+        let used = used.filter(|used| count(used) >= FEWEST).unwrap_or(scaled.all());
+        let scatters =
+            curves(&used, 1.0).into_iter().flatten().map(|fit| scaled.scatter(&scaled.residuals(fit.at), &used));
+        let inflation = scatters.reduce(f64::min).ok_or(NoHyperbola::NoMinimum)?;
+        let [one, two] = curves(&used, inflation);
+        scaled.unscaled(points, &Mixture::of(one, two).ok_or(NoHyperbola::NoMinimum)?, &used)
     }
 }
+
+/// What the curves with one slope and with two say together.
+struct Mixture {
+    x0: f64,
+    variance: f64,
+    /// The more probable one.
+    at: [f64; 4],
+}
+
+impl Mixture {
+    fn of(one: Option<Minimum<4>>, two: Option<Minimum<4>>) -> Option<Self> {
+        let part = |fit: Option<Minimum<4>>, asymmetry: f64| {
+            let fit = fit?;
+            let covariance = fit.covariance?;
+            let [x0, c, a, k] = fit.at;
+            let k = if asymmetry == ONE_SLOPE { 0.0 } else { k };
+            // Laplace's integral over all parameters
+            Some(([x0, c, a, k], covariance[(0, 0)], 0.5 * covariance.determinant().ln() - fit.cost - asymmetry.ln()))
+        };
+        let parts = [part(one, ONE_SLOPE), part(two, TWO_SLOPES)];
+        let parts: Vec<_> = parts.into_iter().flatten().filter(|part| part.2.is_finite()).collect();
+        let best = parts.iter().copied().reduce(|a, b| if b.2 > a.2 { b } else { a })?;
+        // `odds` of two slopes before any point is seen
+        let mean = |odds: f64, of: &dyn Fn(&Part) -> f64| {
+            let weight = |part: &Part| if part.0[3] == 0.0 { 1.0 } else { odds } * (part.2 - best.2).exp();
+            let weights: f64 = parts.iter().map(weight).sum();
+            parts.iter().map(|part| weight(part) * of(part)).sum::<f64>() / weights
+        };
+        let x0 = mean(ODDS_OF_TWO.0, &|part| part.0[0]);
+        Some(Self { x0, variance: mean(ODDS_OF_TWO.1, &|part| part.1 + (part.0[0] - x0).powi(2)), at: best.0 })
+    }
+}
+
+/// Of one curve: its parameters, the variance of the focus, and the logarithm of its evidence.
+type Part = ([f64; 4], f64, f64);
 
 /// The usable points, with positions and sizes brought to the order of 1.
 struct Scaled {
@@ -170,26 +231,32 @@ impl Scaled {
         vertex(fit.at[0], fit.at[1], fit.at[2])
     }
 
-    /// Fits (x0, c, a) to the points in use.
-    fn refine(&self, start: [f64; 3], used: &[bool]) -> Option<Minimum<3>> {
+    /// Fits (x0, c, a, k) to the points in use, their errors inflated; `asymmetry` is how great k usually is.
+    fn refine(&self, start: [f64; 4], used: &[bool], inflation: f64, asymmetry: f64) -> Option<Minimum<4>> {
         // beyond ten half widths of the run a minimum is not worth looking for
-        let bounds = [(-11.0, 11.0), (0.1 * SHARPEST, f64::INFINITY), (1e-6, f64::INFINITY)];
-        least_squares::minimise(start, bounds, |[x0, c, a], sums| {
+        let most = GREATEST_ASYMMETRY;
+        let bounds = [(-11.0, 11.0), (0.1 * SHARPEST, f64::INFINITY), (1e-6, f64::INFINITY), (-most, most)];
+        least_squares::minimise(start, bounds, |[x0, c, a, k], sums| {
+            sums.add(k / asymmetry, [0.0, 0.0, 0.0, 1.0 / asymmetry], f64::INFINITY);
             for (x, y, error) in self.points.iter().zip(used).filter(|(_, used)| **used).map(|(point, _)| point) {
-                let dx = x - x0;
-                let model = c.hypot(a * dx);
-                let derivatives = [-a * a * dx / model, c / model, a * dx * dx / model];
+                let (dx, error) = (x - x0, error * inflation);
+                let side = 1.0 + k * dx.signum();
+                let slope = a * side;
+                let model = c.hypot(slope * dx);
+                let (along, square) = (slope * slope * dx / model, slope * dx * dx / model);
+                let derivatives = [-along, c / model, square * side, square * a * dx.signum()];
                 sums.add((model - y) / error, derivatives.map(|d| d / error), HUBER);
             }
         })
     }
 
-    fn residuals(&self, [x0, c, a]: [f64; 3]) -> Vec<f64> {
-        self.points.iter().map(|(x, y, error)| (c.hypot(a * (x - x0)) - y) / error).collect()
+    fn residuals(&self, [x0, c, a, k]: [f64; 4]) -> Vec<f64> {
+        let model = |x: f64| c.hypot(a * (1.0 + k * (x - x0).signum()) * (x - x0));
+        self.points.iter().map(|(x, y, error)| (model(*x) - y) / error).collect()
     }
 
     /// Which points lie within 4 sigma, sigma being the greater of their errors and of their scatter.
-    fn near(&self, at: [f64; 3]) -> Vec<bool> {
+    fn near(&self, at: [f64; 4]) -> Vec<bool> {
         let residuals = self.residuals(at);
         let limit = FAR * self.scatter(&residuals, &self.all());
         residuals.iter().map(|residual| residual.abs() <= limit).collect()
@@ -204,10 +271,9 @@ impl Scaled {
         (1.4826 * share * super::median(sizes).unwrap_or(0.0)).max(1.0)
     }
 
-    fn unscaled(&self, points: &[Size], fit: &Minimum<3>, used: &[bool]) -> Result<Hyperbola, NoHyperbola> {
-        let [x0, c, a] = fit.at;
-        let variance = fit.covariance.map_or(f64::NAN, |covariance| covariance[(0, 0)]);
-        let error = variance.sqrt() * self.scatter(&self.residuals(fit.at), used) * self.half;
+    fn unscaled(&self, points: &[Size], fit: &Mixture, used: &[bool]) -> Result<Hyperbola, NoHyperbola> {
+        let (x0, [_, c, a, k]) = (fit.x0, fit.at);
+        let error = fit.variance.sqrt() * self.half;
         // a slope that no point shows is none
         let steepest = self.points.iter().map(|(x, ..)| (a * (x - x0)).abs() / c).fold(0.0, f64::max);
         let (least_size, slope) = (c * self.unit, a * self.unit / self.half);
@@ -223,6 +289,7 @@ impl Scaled {
             best_position_error: error,
             least_size,
             slope,
+            asymmetry: k,
             used: used_of_all,
         })
     }

@@ -38,6 +38,8 @@ impl<const N: usize> Sums<N> {
 #[derive(Debug, Clone)]
 pub(super) struct Minimum<const N: usize> {
     pub(super) at: [f64; N],
+    /// Half of the sum of the squared residuals, large ones counting less.
+    pub(super) cost: f64,
     /// Covariance of the parameters for residuals of unit variance; None when the data leave one of them open.
     pub(super) covariance: Option<SMatrix<f64, N, N>>,
 }
@@ -77,7 +79,7 @@ pub(super) fn minimise<const N: usize>(
         }
     }
     let covariance = sums.curvature.try_inverse().filter(|matrix| matrix.iter().all(|value| value.is_finite()));
-    Some(Minimum { at, covariance })
+    Some(Minimum { at, cost: sums.cost, covariance })
 }
 
 /// The damped step; a parameter that stands at its bound and wants to go further keeps its place.

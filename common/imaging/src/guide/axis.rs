@@ -5,11 +5,12 @@
 
 use super::Exposure;
 use super::bank::{Bank, Learnt};
-use super::decision::{AxisLog, Why};
+use super::decision::{AxisLog, Unstable, Why};
 use super::pid::{Gains, Pid};
 use super::reversal::Reversal;
 use super::settings::{Control, Settings};
 use super::slack::Slack;
+use super::watch::Watch;
 
 /// A pulse tells whether the gear takes hold if it moves the star by this many standard deviations of what is expected.
 const TELLING_PULSE: f64 = 3.0;
@@ -18,10 +19,18 @@ const TELLING_PULSE: f64 = 3.0;
 const SEARCH_SIGMA: f64 = 4.0;
 const SEARCH_PX: f64 = 2.0;
 const SEARCH_FRAMES: u32 = 2;
+/// Pulses that look for the flank are longer than they need be by no more than this, px.
+const SEARCH_MORE_PX: f64 = 1.0;
 /// Dec turns round for no less than a multiple of this, px: the least dead band for which the rule was made.
 const REVERSAL_BAND_PX: f64 = 0.15;
 /// A drift known to this many standard errors is taken back without stars.
 const KNOWN_DRIFT: f64 = 3.0;
+/// After an oscillation pulses are for this share of what they should be, for so many frames.
+const GENTLE: f64 = 0.6;
+const GENTLE_FRAMES: u32 = 20;
+/// No mount drifts or errs by its worm faster than this share of its guide speed (0.4 arcsec/s of half the sidereal rate):
+/// what seems faster is not foreseen.
+const MOST_DRIFT: f64 = 0.05;
 /// Weight of the newest pulse in what is known of how late pulses come.
 const NEWEST_LATENESS: f64 = 0.3;
 
@@ -31,6 +40,7 @@ struct Given {
     begun_s: Option<f64>,
     pulse_s: f64,
     moved_px: f64,
+    speed_px_s: f64,
 }
 
 impl Given {
@@ -58,6 +68,12 @@ pub(super) struct Axis {
     late_share: f64,
     /// Where the star shall be, px.
     target_px: f64,
+    watch: Watch,
+    /// Where the last frame was measured, and how far pulses had moved the star in the last one that was, px.
+    last_px: Option<f64>,
+    last_motion_px: f64,
+    /// Frames that pulses stay gentle for.
+    gentle: u32,
 }
 
 impl Axis {
@@ -77,6 +93,10 @@ impl Axis {
             given: Vec::new(),
             late_share: 0.0,
             target_px: 0.0,
+            watch: Watch::default(),
+            last_px: None,
+            last_motion_px: 0.0,
+            gentle: 0,
         }
     }
 
@@ -92,6 +112,10 @@ impl Axis {
             given: Vec::new(),
             late_share: self.late_share,
             target_px: 0.0,
+            watch: Watch::default(),
+            last_px: None,
+            last_motion_px: 0.0,
+            gentle: 0,
         }
     }
 
@@ -104,9 +128,18 @@ impl Axis {
 
     /// Learns from a measured shift along the axis, px, variance px^2.
     pub(super) fn learn(&mut self, exposure: Exposure, place_px: f64, variance: f64, gated: bool) -> Learnt {
+        let motion_px = self.moved_px(exposure) - self.last_motion_px;
+        if let Some(last_px) = self.last_px.replace(place_px) {
+            self.watch.moved(place_px - last_px, motion_px, variance.sqrt());
+        }
         if self.bank.time_s().is_some() {
-            self.blame_gear(exposure, place_px, variance);
+            self.blame_gear(exposure, place_px, variance, motion_px);
             self.note_lateness(exposure);
+        }
+        self.last_motion_px = self.moved_px(exposure);
+        let found = self.watch.observe(place_px - self.target_px, variance.sqrt());
+        if let Some(found) = found {
+            self.doubt(found, place_px - self.moved_px(exposure));
         }
         let learnt = self.bank.learn(exposure.mid_s, place_px - self.moved_px(exposure), variance, gated);
         if learnt == Learnt::Taken
@@ -121,7 +154,22 @@ impl Axis {
     /// A frame showed nothing.
     pub(super) fn pass(&mut self, exposure: Exposure) {
         self.bank.pass(exposure.mid_s);
+        self.last_px = None;
         self.settle(exposure);
+    }
+
+    /// Why the axis is not held, if it is not.
+    pub(super) fn unstable(&self) -> Option<Unstable> {
+        self.watch.unstable()
+    }
+
+    /// What was believed of place, drift and gear keeps the errors going: it is learnt anew, with gentle pulses.
+    fn doubt(&mut self, found: Unstable, alone_px: f64) {
+        self.bank.begin_anew(alone_px);
+        self.slack = self.slack.forgotten();
+        if found == Unstable::Oscillates {
+            self.gentle = GENTLE_FRAMES;
+        }
     }
 
     /// The pulse (s, signed) that brings the star to its place in `ahead_s` from the last frame.
@@ -134,7 +182,7 @@ impl Axis {
         settings: &Settings,
     ) -> (f64, Why) {
         let wanted_px = match self.control {
-            Control::Predict => -self.led_px(ahead_s),
+            Control::Predict => -self.led_px(ahead_s, speed_px_s),
             Control::Pid(_) => -self.pid.output_px(error_px),
         };
         self.pulse(wanted_px, dead_band_px, speed_px_s, settings)
@@ -149,7 +197,7 @@ impl Axis {
         settings: &Settings,
     ) -> (f64, Why) {
         match self.control {
-            Control::Predict => self.pulse(-self.led_px(ahead_s), dead_band_px, speed_px_s, settings),
+            Control::Predict => self.pulse(-self.led_px(ahead_s, speed_px_s), dead_band_px, speed_px_s, settings),
             Control::Pid(_) => (0.0, Why::Outlier),
         }
     }
@@ -160,7 +208,7 @@ impl Axis {
         if drift_px_s.abs() <= KNOWN_DRIFT * error_px_s {
             return (0.0, Why::NotMeasured);
         }
-        match self.pulse(-self.led_px(ahead_s), dead_band_px, speed_px_s, settings) {
+        match self.pulse(-self.led_px(ahead_s, speed_px_s), dead_band_px, speed_px_s, settings) {
             (pulse_s, Why::Corrected | Why::Clipped) => (pulse_s, Why::DriftHeld),
             other => other,
         }
@@ -171,19 +219,27 @@ impl Axis {
     pub(super) fn report(&mut self, begun_s: f64, pulse_s: f64) {
         if let Some(last) = self.given.last_mut().filter(|last| last.begun_s.is_none()) {
             let share = if last.pulse_s == 0.0 { 0.0 } else { (pulse_s / last.pulse_s).clamp(0.0, 1.0) };
-            *last = Given { begun_s: Some(begun_s), pulse_s: last.pulse_s * share, moved_px: last.moved_px * share };
+            *last = Given {
+                begun_s: Some(begun_s),
+                pulse_s: last.pulse_s * share,
+                moved_px: last.moved_px * share,
+                ..*last
+            };
         }
     }
 
     /// The star shall be there from now on, px.
     pub(super) fn aim(&mut self, target_px: f64) {
         self.target_px = target_px;
+        self.watch.forget();
         self.pid = Pid::new(Gains::WHOLE);
     }
 
     /// The place changed by an unknown way; drift, worm and gear stay known.
     pub(super) fn forget_place(&mut self, spread_px: f64) {
         self.bank.forget_place(spread_px);
+        self.slack.moved();
+        self.last_px = None;
         self.aim(0.0);
     }
 
@@ -204,17 +260,14 @@ impl Axis {
         }
     }
 
-    /// Error to be expected in `ahead_s` from the last frame if no pulse is given, px.
-    fn foreseen_px(&self, ahead_s: f64) -> f64 {
+    /// Error to be expected in `ahead_s` from the last frame if no pulse is given, px; and what the next exposure drifts
+    /// before its pulse comes: a steady drift is then seen around the target, not always on one side of it. Being made of
+    /// the drift alone, this does not swing, however late pulses come.
+    fn led_px(&self, ahead_s: f64, speed_px_s: f64) -> f64 {
         let all_px = self.settled_px + self.given.iter().map(|given| given.moved_px).sum::<f64>();
-        self.bank.expected(ahead_s, 0.0).0 + all_px - self.target_px
-    }
-
-    /// The same, and what the next exposure drifts before its pulse comes: a steady drift is then seen around the target,
-    /// not always on one side of it. Being made of the drift alone, this does not swing, however late pulses come.
-    fn led_px(&self, ahead_s: f64) -> f64 {
-        let drift_px = self.bank.expected(ahead_s, 0.0).0 - self.bank.expected(0.0, 0.0).0;
-        self.foreseen_px(ahead_s) + self.late_share * drift_px
+        let (now_px, most_px) = (self.bank.expected(0.0, 0.0).0, MOST_DRIFT * speed_px_s * ahead_s);
+        let drift_px = (self.bank.expected(ahead_s, 0.0).0 - now_px).clamp(-most_px, most_px);
+        now_px + all_px - self.target_px + (1.0 + self.late_share) * drift_px
     }
 
     /// The first exposure after a pulse tells how late it came.
@@ -226,8 +279,10 @@ impl Axis {
     }
 
     fn pulse(&mut self, wanted_px: f64, dead_band_px: f64, speed_px_s: f64, settings: &Settings) -> (f64, Why) {
+        let wanted_px = if self.gentle > 0 { GENTLE * wanted_px } else { wanted_px };
+        self.gentle = self.gentle.saturating_sub(1);
         let mut least_px = dead_band_px;
-        if self.slack.is_searching() {
+        if self.slack.is_searching() || self.slack.turns(wanted_px.signum()) {
             if self.bank.frames() < SEARCH_FRAMES {
                 return (0.0, Why::WithinDeadBand);
             }
@@ -242,14 +297,17 @@ impl Axis {
         }
         let side = wanted_px.signum();
         let longest_s = f64::from(settings.longest_pulse_ms) / 1000.0;
-        let wanted_s = wanted_px.abs() / speed_px_s + self.slack.before(side);
+        // what was lost is likely to be lost again, until the gear takes hold
+        let search_s = if self.slack.turns(side) { 0.0 } else { self.slack.lost_s().min(SEARCH_MORE_PX / speed_px_s) };
+        let wanted_s = wanted_px.abs() / speed_px_s + self.slack.before(side) + search_s;
         // mounts count in ms
         let pulse_s = side * (wanted_s.min(longest_s) * 1000.0).round() / 1000.0;
         if pulse_s == 0.0 {
             return (0.0, Why::WithinDeadBand);
         }
         let moved_px = self.slack.pulse(pulse_s) * speed_px_s;
-        self.given.push(Given { begun_s: None, pulse_s, moved_px });
+        self.watch.asked(moved_px);
+        self.given.push(Given { begun_s: None, pulse_s, moved_px, speed_px_s });
         (pulse_s, if wanted_s > longest_s { Why::Clipped } else { Why::Corrected })
     }
 
@@ -271,17 +329,14 @@ impl Axis {
         self.settled_px = settled_px;
     }
 
-    /// While it is not known where the gear takes hold: what a pulse did not move, the gear lost.
-    fn blame_gear(&mut self, exposure: Exposure, place_px: f64, variance: f64) {
-        let Some(last) = self.given.last().copied().filter(|_| self.slack.is_searching()) else { return };
-        let motion_px = last.moved_px * last.share(exposure);
+    /// What pulses did not move since the last frame, the gear lost, as far as it may have.
+    fn blame_gear(&mut self, exposure: Exposure, place_px: f64, variance: f64, motion_px: f64) {
+        let Some(speed_px_s) = self.given.last().map(|given| given.speed_px_s) else { return };
         let (expected_px, spread_px) = self.expected_px(exposure, variance);
         if motion_px.abs() > TELLING_PULSE * spread_px {
             let share = 1.0 + (place_px - self.target_px - expected_px) / motion_px;
-            let lost_s = self.slack.blame(last.pulse_s, share);
-            if let Some(last) = self.given.last_mut() {
-                last.moved_px *= 1.0 - lost_s / last.pulse_s.abs();
-            }
+            let lost_s = self.slack.blame(motion_px / speed_px_s, share);
+            self.settled_px -= motion_px.signum() * lost_s * speed_px_s;
         }
     }
 }

@@ -114,8 +114,9 @@ impl Bank {
                 self.rejected += 1;
                 return Learnt::Outlier;
             }
-            // twice to the same side: it moved by a way that is not the sky's
-            self.filters.iter_mut().for_each(|(_, filter)| filter.forget(surprise, dt_s));
+            // twice to the same side: it moved by a way that is not the sky's; only then it may be a drift
+            let within_s = if again { dt_s } else { 0.0 };
+            self.filters.iter_mut().for_each(|(_, filter)| filter.forget(surprise, within_s));
         }
         self.frames += 1;
         (self.rejected, self.outlier_side) = (0, 0.0);
@@ -156,6 +157,12 @@ impl Bank {
     /// The place changed by an unknown way, up to `spread_px`; drift and worm go on.
     pub(super) fn forget_place(&mut self, spread_px: f64) {
         self.filters.iter_mut().for_each(|(_, filter)| filter.forget(spread_px, 0.0));
+    }
+
+    /// What was believed of place and drift was wrong: the axis is there now, px.
+    pub(super) fn begin_anew(&mut self, place_px: f64) {
+        self.filters.iter_mut().for_each(|(_, filter)| filter.begin_anew(place_px));
+        (self.rejected, self.outlier_side) = (0, 0.0);
     }
 
     /// Mean over the filters by their likelihood; 0 before the first frame.

@@ -184,6 +184,12 @@ impl Rates {
         self.speeds
     }
 
+    /// Pulses of an axis (0: East, 1: North) go the other way.
+    pub(super) fn turn_round(&mut self, axis: usize) {
+        self.directions.iter_mut().for_each(|row| row[axis] = -row[axis]);
+        self.inverse[axis] = self.inverse[axis].map(|v| -v);
+    }
+
     /// A motion (x, y) on the detector as motions along East and North, px.
     pub fn along_axes(&self, on_detector: [f64; 2]) -> [f64; 2] {
         times(&self.inverse, on_detector)

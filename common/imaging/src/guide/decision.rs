@@ -30,7 +30,7 @@ pub enum Why {
     BeyondCap,
     /// The field is lost: nothing is pulsed until it is found.
     Lost,
-    /// The frame is not after the last one, or its numbers are not finite.
+    /// The frame is not after the last one, repeats it, or its numbers are not finite.
     Unusable,
     /// Guiding has been given up.
     Stopped,
@@ -91,6 +91,17 @@ pub struct AxisLog {
     pub worm_period_s: Option<f64>,
 }
 
+/// Why the field is not held although its stars are seen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unstable {
+    /// Pulses to one side and to the other follow each other, and the errors stay.
+    Oscillates,
+    /// The errors stay, whatever is pulsed.
+    NotHeld,
+    /// Pulses move the stars against their calibration.
+    WrongWay,
+}
+
 /// What the guider thinks, for the log.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Log {
@@ -106,6 +117,8 @@ pub struct Log {
     pub rotation_deg_h: Option<(f64, f64)>,
     /// Whether the field turns beyond doubt by more than 0.05 deg/h: polar misalignment or rotator fault.
     pub rotates: bool,
+    /// Why the field is not held, if it is not.
+    pub unstable: Option<Unstable>,
 }
 
 /// The answer to a frame.

@@ -3,7 +3,7 @@
 use super::axis::Axis;
 use super::bank::Learnt;
 use super::calibration::{Calibration, CalibrationError, Rates};
-use super::decision::{Ask, AxisLog, Decision, Log, Pulses, State, Why};
+use super::decision::{Ask, AxisLog, Decision, Log, Pulses, State, Unstable, Why};
 use super::lost::{Found, Search};
 use super::rotation::Rotation;
 use super::settings::Settings;
@@ -48,6 +48,10 @@ pub struct Guider {
     rotation: Rotation,
     /// Where the field shall be on the detector, px from the reference.
     target_px: [f64; 2],
+    /// Pulses of an axis were seen to move the stars against the calibration, and are given the other way.
+    turned_round: Option<Unstable>,
+    /// The last shift that was seen.
+    last_shift: Option<Shift>,
 }
 
 impl Guider {
@@ -79,6 +83,8 @@ impl Guider {
             search: Search::default(),
             rotation: Rotation::default(),
             target_px: [0.0; 2],
+            turned_round: None,
+            last_shift: None,
         })
     }
 
@@ -101,7 +107,12 @@ impl Guider {
         self.interval_s = self.last_s.map(|last_s| exposure.mid_s - last_s).or(self.interval_s);
         self.last_s = Some(exposure.mid_s);
         match seen.map_err(Clone::clone).and_then(|shift| usable(*shift)) {
-            Ok(shift) => self.measured(exposure, &shift),
+            // two exposures never show the same noise: the camera repeats a frame, which tells nothing of now
+            Ok(shift) if self.last_shift == Some(shift) => self.repeated(exposure),
+            Ok(shift) => {
+                self.last_shift = Some(shift);
+                self.measured(exposure, &shift)
+            }
             Err(why) => self.not_measured(exposure, &why),
         }
     }
@@ -144,7 +155,7 @@ impl Guider {
     /// # Errors
     /// [`CalibrationError`] when the calibration does not hold there; the guider is then as before.
     pub fn recalibrated(&mut self, calibration: &Calibration, dec_deg: f64) -> Result<(), CalibrationError> {
-        *self = Self::new(self.settings, calibration, dec_deg)?;
+        *self = Self { last_shift: self.last_shift, ..Self::new(self.settings, calibration, dec_deg)? };
         Ok(())
     }
 
@@ -192,6 +203,7 @@ impl Guider {
         let variances = self.rates.variances(&shift.covariance);
         let speeds = self.rates.speeds_px_s();
         let (mut pulses, mut why, mut logs) = ([0.0; 2], [Why::Corrected; 2], [AxisLog::default(); 2]);
+        let mut wrong_way = [false; 2];
         for (n, axis) in self.axes.iter_mut().enumerate() {
             let expected = axis.expected_px(exposure, variances[n]);
             let learnt = axis.learn(exposure, place[n], variances[n], gated);
@@ -205,9 +217,19 @@ impl Guider {
                 Learnt::Unusable => (0.0, Why::Unusable),
             };
             logs[n] = axis.log(Some(error[n]), expected);
+            wrong_way[n] = axis.unstable() == Some(Unstable::WrongWay);
+        }
+        for n in (0..2).filter(|n| wrong_way[*n]) {
+            pulses[n] = 0.0;
+            self.turn_round(n);
         }
         let log = Log { transparency: shift.transparency, stars: shift.stars, ..self.log(logs) };
         Decision { log, ..self.pulsed(pulses, why) }
+    }
+
+    fn repeated(&mut self, exposure: Exposure) -> Decision {
+        self.axes.iter_mut().for_each(|axis| axis.pass(exposure));
+        self.nothing(Why::Unusable, None)
     }
 
     fn not_measured(&mut self, exposure: Exposure, why: &NoShift) -> Decision {
@@ -276,6 +298,15 @@ impl Guider {
         }
     }
 
+    /// Pulses of an axis move the stars against the calibration: from now on it is taken the other way round.
+    fn turn_round(&mut self, n: usize) {
+        self.turned_round = Some(Unstable::WrongWay);
+        self.rates.turn_round(n);
+        let period_s = if n == 0 { self.settings.worm_period_s } else { None };
+        self.axes[n] = self.axes[n].anew(period_s);
+        self.axes[n].aim(self.rates.along_axes(self.target_px)[n]);
+    }
+
     /// The clock was set back: nothing that was learnt has a time any more.
     fn restart(&mut self) {
         let [east, north] = &self.axes;
@@ -308,6 +339,7 @@ impl Guider {
 
     fn log(&self, [east, north]: [AxisLog; 2]) -> Log {
         let (rotation_deg_h, rotates) = (self.rotation.rate_deg_h(), self.rotation.is_told());
-        Log { east, north, transparency: None, stars: 0, rotation_deg_h, rotates }
+        let unstable = self.turned_round.or_else(|| self.axes.iter().find_map(Axis::unstable));
+        Log { east, north, transparency: None, stars: 0, rotation_deg_h, rotates, unstable }
     }
 }

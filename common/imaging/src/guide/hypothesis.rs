@@ -111,12 +111,24 @@ impl Hypothesis {
         -0.5 * ((surprise * surprise / variance).min(9.0) + (TAU * variance).ln())
     }
 
-    /// Something moved by an unknown way, by so many px within so many s: the place is less certain, and the drift if
-    /// it may be that. What is too fast for a drift was a jump.
+    /// Something moved by an unknown way, by so many px: the place is less certain; and the drift, if it may be that
+    /// within so many s. What is too fast for a drift was a jump.
     pub(super) fn forget(&mut self, spread_px: f64, within_s: f64) {
         self.covariance[0][0] += spread_px.powi(2);
         if spread_px <= PRIOR[1] * within_s {
             self.covariance[1][1] += (spread_px / within_s).powi(2);
+        }
+    }
+
+    /// Place and drift were false beliefs; the worm stays.
+    pub(super) fn begin_anew(&mut self, place_px: f64) {
+        let sine_px = self.expected_px(0.0) - self.state[0];
+        (self.state[0], self.state[1]) = (place_px - sine_px, 0.0);
+        for (n, prior) in PRIOR.iter().enumerate().take(2) {
+            for other in 0..4 {
+                (self.covariance[n][other], self.covariance[other][n]) = (0.0, 0.0);
+            }
+            self.covariance[n][n] = prior.powi(2);
         }
     }
 

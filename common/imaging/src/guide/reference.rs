@@ -11,6 +11,7 @@ use crate::clean::{Camera, Clean};
 use crate::frame::Frame;
 use crate::matched_filter::Kernel;
 use crate::parallel;
+use crate::profile::Profile;
 use crate::projection::{self, Profiles};
 use crate::shift::{self, NoShift, Shift};
 use crate::star::{Flags, Star, spread_evenly};
@@ -51,6 +52,26 @@ pub struct Reference {
     /// Frames in a row in which each star stayed where it was while the field moved.
     still: Vec<u32>,
     profiles: Option<Profiles>,
+}
+
+/// A star that was seen in its box: through the window, and where in the box.
+struct InBox {
+    star: Star,
+    place: (f64, f64),
+    patch: Patch,
+}
+
+/// The stars with their whole flux, as star lists have it: by the frame's own profile, so that neither the wings of the
+/// stars nor the seeing look like clouds.
+fn whole(seen: Vec<(usize, InBox)>, window: Window) -> Vec<(usize, Star)> {
+    let mut widths: Vec<f32> = seen.iter().map(|(_, seen)| seen.star.fwhm_px as f32).collect();
+    let width = crate::background::median_in_place(&mut widths).map_or(1.0, f64::from).max(1.0);
+    let stack: Vec<_> = seen.iter().map(|(_, s)| (&s.patch.clean, s.place.0, s.place.1, s.star.flux_adu)).collect();
+    // of a Gaussian a window of its own width shows half
+    let whole = Profile::fit(&stack, width).map_or(2.0, |profile| profile.whole_over_window(window.sigma()));
+    let star =
+        |star: Star| Star { flux_adu: whole * star.flux_adu, flux_error_adu: whole * star.flux_error_adu, ..star };
+    seen.into_iter().map(|(n, seen)| (n, star(seen.star))).collect()
 }
 
 impl Reference {
@@ -128,9 +149,9 @@ impl Reference {
         let seen = parallel::ranges(self.stars.len(), 4096, |range| {
             self.stars[range].iter().map(|star| self.look(frame, camera, &kernel, star, expected)).collect::<Vec<_>>()
         });
-        let pairs: Vec<(usize, Star)> =
-            seen.into_iter().flatten().enumerate().filter_map(|(n, star)| Some((n, star?))).collect();
-        self.compare(pairs)
+        let seen: Vec<(usize, InBox)> =
+            seen.into_iter().flatten().enumerate().filter_map(|(n, seen)| Some((n, seen?))).collect();
+        self.compare(whole(seen, Window::new(self.fwhm_px, camera.gain_e_per_adu)))
     }
 
     /// The same from the star list of a whole frame, for a field that moved by any amount.
@@ -154,7 +175,7 @@ impl Reference {
     }
 
     /// Looks for one star.
-    fn look(&self, frame: &Frame, camera: &Camera, kernel: &Kernel, star: &Star, expected: [f64; 2]) -> Option<Star> {
+    fn look(&self, frame: &Frame, camera: &Camera, kernel: &Kernel, star: &Star, expected: [f64; 2]) -> Option<InBox> {
         let centre = (star.x_px + expected[0], star.y_px + expected[1]);
         let half_px = REACH_PX + MARGIN_FWHM * self.fwhm_px;
         let patch = Patch::cut(frame, camera, centre, half_px, self.fwhm_px as f32)?;
@@ -167,15 +188,14 @@ impl Reference {
         let seen = window.look(&patch.clean, (peak.x as f64, peak.y as f64), self.fwhm_px.max(2.0))?;
         let peak_adu = f64::from(frame.value((left + seen.x).round() as usize, (top + seen.y).round() as usize));
         let saturated = peak_adu >= f64::from(camera.saturation_adu(frame));
-        // of a Gaussian a window of its own width shows half
-        let flux_adu = 2.0 * seen.flux;
-        (!saturated && !seen.cut && flux_adu.is_finite()).then(|| Star {
+        let is_good = !saturated && !seen.cut && seen.flux.is_finite();
+        let star = || Star {
             x_px: left + seen.x,
             y_px: top + seen.y,
             x_error_px: seen.error.0,
             y_error_px: seen.error.1,
-            flux_adu,
-            flux_error_adu: 2.0 * seen.flux_error,
+            flux_adu: seen.flux,
+            flux_error_adu: seen.flux_error,
             snr: seen.flux / seen.flux_error,
             significance: f64::from(peak.significance),
             peak_adu,
@@ -183,7 +203,8 @@ impl Reference {
             ellipticity: 1.0 - 1.0 / seen.axis_ratio(),
             angle_deg: seen.angle.to_degrees(),
             flags: Flags::default(),
-        })
+        };
+        is_good.then(|| InBox { star: star(), place: (seen.x, seen.y), patch })
     }
 
     /// The shift of the stars that were found, each with its number in the reference; and who stayed behind.

@@ -12,26 +12,21 @@ const FLUX_FACTOR: f64 = 4.0;
 /// Places that agree better than this, while all others move, belong to the detector, px.
 const STILL_PX: f64 = 0.3;
 
-/// The difference of places (check - reference, px) that most pairs have in common.
+/// The difference of places (check - reference, px) that most pairs have in common; None of none.
 ///
 /// Counted on a grid of points, each pair at the four points around it, so that no peak is cut by a border.
-pub(super) fn most_frequent_difference(reference: &[Star], check: &[Star]) -> (f64, f64) {
-    let mut points: HashMap<(i64, i64), (u32, f64)> = HashMap::new();
-    for r in reference {
-        for c in check {
-            let (dx, dy) = (c.x_px - r.x_px, c.y_px - r.y_px);
-            let corner = ((dx / CELL_PX).floor() as i64, (dy / CELL_PX).floor() as i64);
-            for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-                let place = (corner.0 + i, corner.1 + j);
-                let votes = points.entry(place).or_default();
-                votes.0 += 1;
-                // of equal counts the point nearest to no shift at all wins
-                votes.1 = -(place.0.pow(2) + place.1.pow(2)) as f64;
-            }
+pub(crate) fn most_frequent_difference(differences: impl Iterator<Item = (f64, f64)>) -> Option<(f64, f64)> {
+    let mut points: HashMap<(i64, i64), u32> = HashMap::new();
+    for (dx, dy) in differences {
+        let corner = ((dx / CELL_PX).floor() as i64, (dy / CELL_PX).floor() as i64);
+        for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+            *points.entry((corner.0 + i, corner.1 + j)).or_default() += 1;
         }
     }
-    let best = points.iter().max_by(|(a, va), (b, vb)| va.0.cmp(&vb.0).then(va.1.total_cmp(&vb.1)).then(a.cmp(b)));
-    best.map_or((0.0, 0.0), |((i, j), _)| (*i as f64 * CELL_PX, *j as f64 * CELL_PX))
+    // of equal counts the point nearest to no shift at all wins
+    let far = |(i, j): &(i64, i64)| i.pow(2) + j.pow(2);
+    let best = points.iter().max_by(|(a, va), (b, vb)| va.cmp(vb).then(far(b).cmp(&far(a))).then(a.cmp(b)));
+    best.map(|((i, j), _)| (*i as f64 * CELL_PX, *j as f64 * CELL_PX))
 }
 
 /// The pairs that did not stay in place, if they are at least half of all: then the others are the detector's, and

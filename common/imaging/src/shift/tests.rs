@@ -103,6 +103,44 @@ fn lists_that_have_nothing_in_common_give_no_shift() {
 }
 
 #[test]
+fn a_field_that_a_flip_turned_over_is_found_and_its_turn_is_told() {
+    for seed in 0..100_u64 {
+        let mut rng = StdRng::seed_from_u64(seed);
+        let mut along = || rng.random_range(-600.0..600.0);
+        let (moved, turn) = ((along(), along()), 180.0 + 0.001 * along());
+        let (reference, check) = lists(seed, 25, moved, turn);
+        let shift = from_stars_either_way(&reference, &check, SIDE, SIDE).unwrap();
+        let (off_x, off_y) = (shift.dx_px - moved.0, shift.dy_px - moved.1);
+        assert!(off_x.hypot(off_y) < 0.15, "seed {seed}: {moved:?} {shift:?}");
+        let off_deg = (shift.rotation_deg - turn + 180.0).rem_euclid(360.0) - 180.0;
+        assert!(off_deg.abs() < 0.02 && shift.rotation_deg.abs() <= 180.0, "seed {seed}: {turn} {shift:?}");
+        let (x, y) = shift.apply(reference[0].x_px, reference[0].y_px, SIDE, SIDE);
+        assert!((x - check[0].x_px).hypot(y - check[0].y_px) < 1.5, "seed {seed}: {shift:?}");
+        // what is not turned stays as it is
+        let (reference, check) = lists(seed, 25, (10.0, -20.0), 0.3);
+        let shift = from_stars_either_way(&reference, &check, SIDE, SIDE).unwrap();
+        assert!((shift.rotation_deg - 0.3).abs() < 0.02, "seed {seed}: {shift:?}");
+    }
+}
+
+#[test]
+fn fields_of_any_size_that_have_nothing_in_common_are_not_turned_onto_each_other() {
+    for seed in 0..1500_u64 {
+        let side = [256.0, 512.0, 1024.0, 2048.0][(seed % 4) as usize];
+        let count = 3 + (seed % 40) as usize;
+        let list = |seed| {
+            let mut stars = lists(seed, count, (0.0, 0.0), 0.0).0;
+            stars
+                .iter_mut()
+                .for_each(|s| (s.x_px, s.y_px) = (s.x_px * side / SIDE as f64, s.y_px * side / SIDE as f64));
+            stars
+        };
+        let found = from_stars_either_way(&list(seed), &list(seed + 5000), side as usize, side as usize);
+        assert!(found.is_err(), "seed {seed}: {count} stars on {side} px: {found:?}");
+    }
+}
+
+#[test]
 fn few_stars_are_believed_when_they_moved_little() {
     let one = [star(500.0, 500.0, 1e4, 0.05)];
     let near = from_stars(&one, &[star(502.0, 499.0, 1e4, 0.05)], SIDE, SIDE).unwrap();

@@ -97,6 +97,7 @@ impl<S: Stars + Sync> AllSky<S> {
     /// [`NoSolution::Hint`] when the scales make no sense.
     pub fn solve(&self, detected: &Detected, blind: &Blind) -> Result<Solution, NoSolution> {
         let scales = checked(blind)?;
+        super::failure::check_trails(detected)?;
         let field = Field::new(detected, &Hint::new(Angle::default(), Angle::default(), 1.0));
         let stars = field.spots.len();
         if detected.width.min(detected.height) < 16 || stars < FEWEST_BLIND {

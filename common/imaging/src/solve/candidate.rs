@@ -78,7 +78,10 @@ impl Candidate {
             (at.0 - z.0).powi(2) + (at.1 - z.1).powi(2)
         });
         let rms_px = (squares.sum::<f64>() / matched.max(1) as f64).sqrt();
-        let p = chance::near_one(inside, radius, field.area());
+        // what hides a part of the frame hides the catalogue's stars behind it too; a trail lengthens what counts as near
+        let open = chance::near_one(inside.all, radius, field.area());
+        let seen = chance::near_one(inside.seen, radius, field.seen_share() * field.area());
+        let p = (open.max(seen) * (1.0 + field.along_px / radius)).min(1.0);
         let trials = field.spots.len().checked_sub(by.stars())?;
         let chance = chance::at_least(matched.checked_sub(by.stars())?, trials, p);
         Some(Self { similarity, matched, rms_px, chance, by })
@@ -107,9 +110,17 @@ impl Candidate {
     }
 }
 
+/// How many catalogue stars lie in the frame.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Inside {
+    all: usize,
+    /// Those where the frame shows stars.
+    seen: usize,
+}
+
 /// The pairs within `radius` px, each star in one pair at most, and the number of catalogue stars in the frame.
-pub(super) fn agreeing(field: &Field, tile: &Tile, similarity: &Similarity, radius: f64) -> (Vec<Pair>, usize) {
-    let mut inside = 0;
+pub(super) fn agreeing(field: &Field, tile: &Tile, similarity: &Similarity, radius: f64) -> (Vec<Pair>, Inside) {
+    let mut inside = Inside::default();
     // nearest catalogue star of each star of the frame
     let mut nearest: Vec<Option<(f64, Place)>> = vec![None; field.spots.len()];
     for place in &tile.stars {
@@ -117,7 +128,8 @@ pub(super) fn agreeing(field: &Field, tile: &Tile, similarity: &Similarity, radi
         if !field.holds(x, y) {
             continue;
         }
-        inside += 1;
+        inside.all += 1;
+        inside.seen += usize::from(field.shows(x, y));
         if let Some((spot, squared)) = field.nearest(x, y, radius)
             && nearest[spot].is_none_or(|(other, _)| squared < other)
         {

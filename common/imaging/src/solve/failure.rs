@@ -2,7 +2,7 @@
 
 use super::hint::Hint;
 use super::source::Stars;
-use super::{Detected, field, scales};
+use super::{Detected, field, scales, trail};
 use units::Angle;
 
 /// Fewest stars that can be solved at all: with rotation and scale known.
@@ -48,10 +48,15 @@ pub enum NoSolution {
         limit_mag: f64,
     },
     /// The stars are drawn out in one direction: check tracking and wind.
-    #[error("trailed: the {stars} stars are drawn out in one direction; check tracking and wind")]
+    #[error(
+        "trailed: the {stars} stars are drawn out in one direction{}; check tracking and wind, or expose for a shorter time",
+        length_said(*length_px)
+    )]
     Trailed {
         /// Usable stars in the frame.
         stars: usize,
+        /// Length of the trails, as far as their pieces show it, px.
+        length_px: f64,
     },
     /// Too much of the frame is saturated: expose for a shorter time.
     #[error("saturated: {stars} of the stars and {pixels_percent:.1} % of the pixels; shorten the exposure")]
@@ -125,8 +130,18 @@ pub(super) fn check(detected: &Detected, hint: &Hint) -> Result<(), NoSolution> 
         ("scale, arcsec/px", hint.scale_arcsec_px, hint.scale_arcsec_px > 0.0, "greater than 0"),
         ("scale tolerance", hint.scale_tolerance, (0.0..=0.2).contains(&hint.scale_tolerance), "0 to 0.2"),
         ("frame, px", side, detected.width.min(detected.height) >= 16, "at least 16 in both directions"),
-        ("longer side, deg", field_deg, field_deg <= 60.0, "60 at most"),
-        ("furthest, deg", hint.furthest.degrees(), (0.0..=60.0).contains(&hint.furthest.degrees()), "0 to 60"),
+        (
+            "longer side of the frame, deg",
+            field_deg,
+            field_deg <= 60.0,
+            "60 at most; wider lenses are not solved, or the scale is wrong",
+        ),
+        (
+            "distance from the hint up to which the frame is looked for, deg",
+            hint.furthest.degrees(),
+            (0.0..=60.0).contains(&hint.furthest.degrees()),
+            "0 to 60; solve without a hint where the place is known no better",
+        ),
     ];
     let learnt = hint.learnt.map(|learnt| {
         let ratio = learnt.scale_arcsec_px / hint.scale_arcsec_px;
@@ -135,6 +150,21 @@ pub(super) fn check(detected: &Detected, hint: &Hint) -> Result<(), NoSolution> 
     });
     let broken = rules.into_iter().chain(learnt).find(|(_, _, holds, _)| !holds);
     broken.map_or(Ok(()), |(what, value, _, expected)| Err(NoSolution::Hint { what, value, expected }))
+}
+
+/// Refuses trails that are too long for any place: stars would agree, all off by the same part of a trail.
+pub(super) fn check_trails(detected: &Detected) -> Result<(), NoSolution> {
+    match trail::of(detected) {
+        Some(trail) if trail.is_too_long => {
+            Err(NoSolution::Trailed { stars: field::usable(detected).len(), length_px: trail.length_px })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The length of trails, where there is one.
+fn length_said(length_px: f64) -> String {
+    if length_px >= 1.0 { format!(" by about {length_px:.0} px or more") } else { String::new() }
 }
 
 /// What the search did before it failed.
@@ -158,8 +188,8 @@ pub(super) fn classify(detected: &Detected, hint: &Hint, source: &impl Stars, at
     if pixels > SATURATED || (saturated >= FEWEST && saturated as f64 > 2.0 * SATURATED * stars as f64) {
         return NoSolution::Saturated { stars: saturated, pixels_percent: 100.0 * pixels };
     }
-    if detected.quality.is_some_and(|quality| quality.trailed) {
-        return NoSolution::Trailed { stars };
+    if let Some(trail) = trail::of(detected) {
+        return NoSolution::Trailed { stars, length_px: trail.length_px };
     }
     let sky = Sky::around(detected, hint, source);
     if let Some(limit_mag) = hint.faintest_mag {

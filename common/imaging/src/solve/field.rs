@@ -1,14 +1,18 @@
 //! The stars of the frame, made ready for matching.
 
-use super::Detected;
 use super::hint::Hint;
+use super::seen::Seen;
+use super::{Detected, trail};
 use crate::grid::Grid;
 use crate::star::{Star, spread_evenly};
 
 /// Stars that take part in matching (algorithms.md 6.1, step 8).
 const STARS: usize = 60;
-/// Half the stars flagged as trailed: then it is the frame that is, and they are all there are.
-const TRAILED_SHARE: f64 = 0.5;
+/// Stars of a frame that is hidden in part keep so much of their mean distance: the edge of what hides is full of false
+/// ones.
+const APART: f64 = 0.3;
+/// ... of which so many are looked at.
+const THINNED: usize = 2000;
 /// Greatest reach of a question about neighbours, px.
 const REACH_PX: f32 = 16.0;
 
@@ -27,13 +31,26 @@ pub(super) struct Field {
     pub(super) height: f64,
     /// Width of the stars, px.
     pub(super) fwhm_px: f64,
+    /// The part of the frame in which there are stars.
+    seen: Seen,
+    /// What trails add to the error of a place along them, px.
+    pub(super) along_px: f64,
     grid: Grid,
 }
 
 impl Field {
     pub(super) fn new(detected: &Detected, hint: &Hint) -> Self {
         let (width, height) = (detected.width as f64, detected.height as f64);
-        let mut chosen = spread_evenly(&usable(detected), detected.width, detected.height, STARS);
+        let usable = usable(detected);
+        let middle = (0.5 * (width - 1.0), 0.5 * (height - 1.0));
+        let places: Vec<_> = usable.iter().map(|star| (star.x_px - middle.0, star.y_px - middle.1)).collect();
+        let seen = Seen::new(&places, width, height);
+        let mut chosen = if seen.share < 1.0 {
+            let apart = APART * (seen.share * width * height / STARS as f64).sqrt();
+            spread_evenly(&thinned(&usable, apart), detected.width, detected.height, STARS)
+        } else {
+            spread_evenly(&usable, detected.width, detected.height, STARS)
+        };
         chosen.sort_by(|a, b| b.flux_adu.total_cmp(&a.flux_adu));
         let sip = hint.learnt.and_then(|learnt| learnt.sip);
         let spot = |star: &Star| {
@@ -46,7 +63,18 @@ impl Field {
         spots.iter().for_each(|s| grid.add((s.x + 0.5 * width) as f32, (s.y + 0.5 * height) as f32));
         let mut widths: Vec<f32> = chosen.iter().map(|star| star.fwhm_px as f32).filter(|w| w.is_finite()).collect();
         let fwhm_px = crate::background::median_in_place(&mut widths).map_or(3.0, f64::from);
-        Self { spots, width, height, fwhm_px, grid }
+        let along_px = trail::of(detected).map_or(0.0, |trail| trail.length_px);
+        Self { spots, width, height, fwhm_px, seen, along_px, grid }
+    }
+
+    /// Share of the frame in which there are stars: 1, or less where a part is hidden.
+    pub(super) fn seen_share(&self) -> f64 {
+        self.seen.share
+    }
+
+    /// Whether a place (px from the centre) is inside of the frame where it shows stars.
+    pub(super) fn shows(&self, x: f64, y: f64) -> bool {
+        self.holds(x, y) && self.seen.holds(x, y, self.width, self.height)
     }
 
     pub(super) fn area(&self) -> f64 {
@@ -88,8 +116,23 @@ pub(super) fn usable(detected: &Detected) -> Vec<Star> {
     let sound = |s: &&Star| inside(s.x_px, detected.width) && inside(s.y_px, detected.height) && s.flux_adu.is_finite();
     let stars: Vec<Star> = detected.stars.iter().filter(sound).filter(|s| !s.flags.cosmic).copied().collect();
     let trailed = stars.iter().filter(|star| star.flags.trailed).count();
-    if trailed as f64 >= TRAILED_SHARE * stars.len() as f64 {
+    // then it is the frame that is, and they are all there are
+    if trailed as f64 >= trail::SHARE * stars.len() as f64 {
         return stars;
     }
     stars.into_iter().filter(|star| !star.flags.trailed).collect()
+}
+
+/// The stars without those that have a brighter one nearby.
+fn thinned(stars: &[Star], apart_px: f64) -> Vec<Star> {
+    let mut order: Vec<&Star> = stars.iter().collect();
+    order.sort_by(|a, b| b.flux_adu.total_cmp(&a.flux_adu));
+    let mut kept: Vec<Star> = Vec::new();
+    // the brightest few hundred are all that ever take part
+    for star in order.into_iter().take(THINNED) {
+        if kept.iter().all(|other| (other.x_px - star.x_px).hypot(other.y_px - star.y_px) >= apart_px) {
+            kept.push(*star);
+        }
+    }
+    kept
 }

@@ -9,6 +9,9 @@ pub const FIRST_LIGHT: f64 = 0.05;
 /// Scale error of optics that are known, as a share.
 pub const KNOWN_OPTICS: f64 = 0.02;
 
+/// Work after which a hopeless frame is refused: less than a second also on a slow core that is shared.
+pub const MOST_HYPOTHESES: u64 = 4_500_000;
+
 /// What is known of a frame before it is solved.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Hint {
@@ -31,7 +34,9 @@ pub struct Hint {
     /// camera or reducer), and half, a third, a quarter, twice, three and four times it (binning). It takes about as
     /// long as a level 1 that finds nothing, so it is for frames whose optics no solution has shown yet.
     pub wrong_scales: bool,
-    /// Hypotheses after which the search gives up; some 50 million are tested in a second.
+    /// Work after which the search gives up, in hypotheses; 10 to 50 million are tested in a second, and a piece of the sky
+    /// that is laid out costs some thousands. It is shared out: the hinted field, other scales and the sky around all get
+    /// their part.
     pub most_hypotheses: u64,
     /// Magnitude of the faintest stars that such a frame shows under a clear sky; tells clouds from other failures.
     pub faintest_mag: Option<f64>,
@@ -49,7 +54,7 @@ impl Hint {
             learnt: None,
             furthest: Angle::from_degrees(8.0),
             wrong_scales: false,
-            most_hypotheses: 200_000_000,
+            most_hypotheses: MOST_HYPOTHESES,
             faintest_mag: None,
         }
     }

@@ -48,6 +48,13 @@ const FIELDS: [(Range<usize>, bool, f64, f64, f64); 9] = [
 ];
 /// Those of them that other scales are worth: the quick ones.
 const RANKED_STEPS: usize = 2;
+/// Those of them that come before other scales and places; the last one takes longer than all others together.
+const QUICK_STEPS: usize = FIELDS.len() - 1;
+/// Up to these shares of all work: the quick steps, other scales, the quick step around; then what remains.
+const SHARES: [f64; 3] = [0.3, 0.7, 0.9];
+/// Work of laying out a piece of the sky, in hypotheses: reading it, and so many of its pairs of stars each.
+const TILE_WORK: u64 = 5_000;
+const PAIRS_WORK: u64 = 10;
 /// The steps of level 2: voters, whether by rank.
 const AROUND: [(Range<usize>, bool); 3] = [(RANKED_VOTERS, true), (FIRST_VOTERS, false), (MORE_VOTERS, false)];
 /// Error of a place at the frame's edge that a slightly wrong rotation may cause, px ...
@@ -79,6 +86,9 @@ pub(super) struct Search<'a, S> {
     /// Size of a pixel, rad.
     scale: f64,
     hypotheses: u64,
+    /// Work so far, and at which the present part of the search ends, in hypotheses.
+    work: u64,
+    limit: u64,
     searched: Angle,
     /// Scales that were tried beside the hinted one.
     others_arcsec_px: Vec<f64>,
@@ -99,6 +109,8 @@ impl<'a, S: Stars> Search<'a, S> {
             field,
             scale,
             hypotheses: 0,
+            work: 0,
+            limit: hint.most_hypotheses,
             searched: Angle::default(),
             others_arcsec_px: Vec::new(),
             best: None,
@@ -118,7 +130,31 @@ impl<'a, S: Stars> Search<'a, S> {
         if self.field.spots.len() < FEWEST {
             return None;
         }
-        self.hinted_field(FIELDS.len(), Level::Field).or_else(|| self.other_scales()).or_else(|| self.around())
+        let most = self.hint.most_hypotheses;
+        let [field, mut scales, around] = SHARES.map(|share| (share * most as f64) as u64);
+        // what nobody needs for places around goes to the scales
+        if self.hint.furthest <= self.angle(self.field.longer_side()) {
+            scales = around;
+        }
+        self.limit = field;
+        self.hinted_field(0..QUICK_STEPS, Level::Field)
+            .or_else(|| {
+                self.limit = scales;
+                self.other_scales()
+            })
+            .or_else(|| {
+                self.limit = around;
+                self.around(0..1)
+            })
+            .or_else(|| {
+                self.limit = most;
+                self.hinted_field(QUICK_STEPS..FIELDS.len(), Level::Field)
+            })
+            .or_else(|| self.around(1..AROUND.len()))
+    }
+
+    fn is_spent(&self) -> bool {
+        self.work >= self.limit
     }
 
     /// What there is to say about a search that found nothing.
@@ -177,22 +213,25 @@ impl<'a, S: Stars> Search<'a, S> {
     }
 
     /// Level 1.
-    fn hinted_field(&mut self, steps: usize, level: Level) -> Option<Solution> {
+    fn hinted_field(&mut self, steps: Range<usize>, level: Level) -> Option<Solution> {
         let centre = (self.hint.ra, self.hint.dec);
         let side = self.field.longer_side();
-        for (voters, by_rank, depth, share, tile) in FIELDS.into_iter().take(steps) {
+        for (voters, by_rank, depth, share, tile) in FIELDS.into_iter().take(steps.end).skip(steps.start) {
+            if self.is_spent() {
+                return None;
+            }
             let stars = self.field.spots.len();
             if voters.start >= stars || (tile < share && stars <= ALL_VOTERS.end) {
                 continue;
             }
             let (radius, furthest) = (self.angle(tile * side), self.angle(share * side));
-            self.searched = furthest;
+            self.searched = if furthest > self.searched { furthest } else { self.searched };
             // one plane where it is flat enough, else several
             let flat = tile >= share && radius.degrees() <= FLAT_DEG;
             let small = if radius.degrees() <= FLAT_DEG { radius } else { self.tile_radius() };
             let tiles = if flat { vec![centre] } else { covering(centre, small, furthest) };
             for at in tiles {
-                if self.vote(at, self.pixels(small), voters.clone(), by_rank, depth) {
+                if self.vote(at, self.pixels(small), voters.clone(), by_rank, depth) || self.is_spent() {
                     break;
                 }
             }
@@ -208,7 +247,13 @@ impl<'a, S: Stars> Search<'a, S> {
         if !self.hint.wrong_scales {
             return None;
         }
-        for factor in scales::FACTORS {
+        for (n, factor) in scales::FACTORS.into_iter().enumerate() {
+            if self.is_spent() {
+                break;
+            }
+            // each gets its part of what is left, so that a wide field does not keep the others from being tried
+            let left = (scales::FACTORS.len() - n) as u64;
+            let limit = self.work + (self.limit - self.work).div_ceil(left);
             let hint = Hint {
                 scale_arcsec_px: factor * self.hint.scale_arcsec_px,
                 scale_tolerance: scales::TOLERANCE,
@@ -217,15 +262,13 @@ impl<'a, S: Stars> Search<'a, S> {
             };
             // what was tried before costs belief here too
             let mut search = Search { hypotheses: self.hypotheses, ..Search::new(self.detected, &hint, self.source) };
-            let found = search.hinted_field(RANKED_STEPS, Level::Scale);
-            self.hypotheses = search.hypotheses;
+            (search.work, search.limit) = (self.work, limit);
+            let found = search.hinted_field(0..RANKED_STEPS, Level::Scale);
+            (self.hypotheses, self.work) = (search.hypotheses, search.work);
             if found.is_some() {
                 return found;
             }
             self.others_arcsec_px.push(hint.scale_arcsec_px);
-            if self.hypotheses >= self.hint.most_hypotheses {
-                break;
-            }
         }
         self.others_arcsec_px.sort_by(f64::total_cmp);
         None
@@ -241,23 +284,23 @@ impl<'a, S: Stars> Search<'a, S> {
     }
 
     /// Level 2.
-    fn around(&mut self) -> Option<Solution> {
+    fn around(&mut self, steps: Range<usize>) -> Option<Solution> {
         let radius = self.tile_radius();
-        if self.hint.furthest <= self.searched {
+        if self.hint.furthest <= self.angle(self.field.longer_side()) {
             return None;
         }
         let centre = (self.hint.ra, self.hint.dec);
         let tiles = covering(centre, radius, self.hint.furthest);
-        for (voters, by_rank) in AROUND {
+        for (voters, by_rank) in AROUND.into_iter().take(steps.end).skip(steps.start) {
             for at in &tiles {
+                if self.is_spent() {
+                    return self.believed(Level::Around);
+                }
                 let far = separation(centre, *at);
                 self.searched = if far > self.searched { far } else { self.searched };
                 let certain = self.vote(*at, self.pixels(radius), voters.clone(), by_rank, DEPTHS[0]);
                 if certain && let Some(solution) = self.believed(Level::Around) {
                     return Some(solution);
-                }
-                if self.hypotheses >= self.hint.most_hypotheses {
-                    return self.believed(Level::Around);
                 }
             }
             if let Some(solution) = self.believed(Level::Around) {
@@ -281,7 +324,7 @@ impl<'a, S: Stars> Search<'a, S> {
                 Some(false) => &[false],
                 Some(true) => &[true],
             },
-            most_hypotheses: self.hint.most_hypotheses,
+            most_hypotheses: self.hypotheses + self.limit.saturating_sub(self.work),
         };
         let mut hypotheses = self.hypotheses;
         let (mut best, mut rival) = (self.best, self.rival);
@@ -303,6 +346,8 @@ impl<'a, S: Stars> Search<'a, S> {
             }
             candidate.false_alarm(tested) < CERTAIN && candidate.is_accepted(&self.field, &self.acceptance(tested))
         });
+        let pairs = (tile.stars.len() * tile.stars.len() / 2) as u64;
+        self.work += TILE_WORK + pairs / PAIRS_WORK + (hypotheses - self.hypotheses);
         (self.best, self.rival, self.hypotheses) = (best, rival, hypotheses);
         found
     }

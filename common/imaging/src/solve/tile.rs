@@ -8,6 +8,8 @@ use crate::tangent::TangentPlane;
 
 /// Fewest and most catalogue stars of a tile (algorithms.md 6.2, "Catalogue").
 const STARS: (f64, f64) = (30.0, 300.0);
+/// ... and so many times the most for a frame that is hidden in part.
+const DEEPER: f64 = 3.0;
 
 /// The stars around one direction, px of the hinted scale.
 pub(super) struct Tile {
@@ -35,7 +37,10 @@ impl Tile {
     ) -> Self {
         let reach = radius + 0.5 * field.diagonal();
         let share = share(reach, field);
-        let count = (depth * field.spots.len() as f64 * share).clamp(STARS.0, STARS.1) as usize;
+        // a part of the frame shows as many stars as the whole of it would of brighter ones
+        let deeper = 1.0 / field.seen_share();
+        let most = STARS.1 * deeper.min(DEEPER);
+        let count = (depth * deeper * field.spots.len() as f64 * share).clamp(STARS.0, most) as usize;
         let plane = TangentPlane::new(ra, dec);
         let cone = Angle::from_radians((reach * scale).atan());
         let found = brightest(source, ra, dec, cone, count);
@@ -44,9 +49,9 @@ impl Tile {
         Self { plane, stars: found.iter().filter_map(place).collect(), radius, reach, scale }
     }
 
-    /// Area of the tile in frames.
+    /// Area of the tile in frames, as far as they show stars.
     pub(super) fn share(&self, field: &Field) -> f64 {
-        share(self.reach, field)
+        share(self.reach, field) / field.seen_share()
     }
 
     /// The direction of a place on the tile, px.

@@ -124,7 +124,7 @@ impl Mount {
     }
 
     /// Forgets pulses that are over, so that long nights stay cheap.
-    fn tidy(&mut self, now_s: f64) {
+    pub fn tidy(&mut self, now_s: f64) {
         for (axis, from_s, to_s, speed) in self.moves.extract_if(.., |(_, _, to_s, _)| *to_s < now_s - 300.0) {
             self.before_px[axis] += speed * (to_s - from_s).max(0.0);
         }

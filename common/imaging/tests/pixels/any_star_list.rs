@@ -77,11 +77,13 @@ fn quality() -> Quality {
         ellipticity: None,
         elongation_deg: None,
         trailed: false,
+        trail_px: None,
         background_adu: 100.0,
         noise_adu: 3.0,
         saturated_fraction: 0.0,
         defect_fraction: 0.0,
         banding: false,
+        trails: 0,
     }
 }
 
@@ -108,7 +110,7 @@ fn each_failure_has_its_name_and_its_figures() {
     let clouds = refused(&busy, &scattered(2), &plain, Some(13.0));
     assert!(matches!(clouds, NoSolution::Clouds { stars: 2, expected: 60..200, .. }), "{clouds}");
     let trailed = refused(&busy, &scattered(20), &Quality { trailed: true, ..plain.clone() }, Some(13.0));
-    assert_eq!(trailed, NoSolution::Trailed { stars: 20 });
+    assert_eq!(trailed, NoSolution::Trailed { stars: 20, length_px: 0.0 });
     let saturated = refused(&busy, &scattered(20), &Quality { saturated_fraction: 0.4, ..plain.clone() }, None);
     assert!(matches!(saturated, NoSolution::Saturated { stars: 0, .. }), "{saturated}");
     let mut bright = scattered(20);
@@ -162,7 +164,7 @@ fn hints_that_make_no_sense_are_refused_by_name() {
         (Hint { dec: deg(91.0), ..good.clone() }, "dec, deg"),
         (Hint { scale_arcsec_px: 0.0, ..good.clone() }, "scale, arcsec/px"),
         (Hint { scale_tolerance: 0.5, ..good.clone() }, "scale tolerance"),
-        (Hint { scale_arcsec_px: 1000.0, ..good.clone() }, "longer side, deg"),
+        (Hint { scale_arcsec_px: 1000.0, ..good.clone() }, "longer side of the frame, deg"),
     ] {
         let reason = solve(&detected, &hint, &spiral).unwrap_err();
         assert!(matches!(reason, NoSolution::Hint { what, .. } if what == expected), "{reason}");

@@ -57,7 +57,7 @@ proptest! {
         let settings = Settings { longest_pulse_ms, ..base };
         let calibration = Calibration::from_wcs([[-7e-5, 7e-5], [7e-5, 7e-5]], [2e-3, 2e-3], None).unwrap();
         let mut guider = Guider::new(settings, &calibration, 30.0).unwrap();
-        let clouds = NoShift::NoPeak { axis: 'x' };
+        let clouds = NoShift::NoPeak { reference: 9, check: 0, agree: 0 };
         let mut now_s = 0.0;
         for event in events {
             match event {

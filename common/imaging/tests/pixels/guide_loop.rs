@@ -3,7 +3,7 @@
 
 use crate::mount::{Mount, exposure, guide, guide_late, rms, shift};
 use imaging::NoShift;
-use imaging::guide::{Ask, Calibration, Guider, Pier, Settings, State, calibration};
+use imaging::guide::{Ask, Calibration, Guider, Pier, Settings, State, Unstable, calibration};
 
 /// What is asked for: the predecessor's published median, px.
 const ASKED_PX: f64 = 0.35;
@@ -103,11 +103,14 @@ fn after_a_pier_flip_the_other_sides_calibration_guides() {
         let places = guide(&mut flipped, &mut guider, 10.0, 0..80, |_| true);
         println!("after a flip, Dec reversed {dec_reversed}: {:.3} px", rms(&places[30..]));
         assert!(rms(&places[30..]) < ASKED_PX);
-        // and the wrong matrix would have been noticed: it drives the field away
+        // a wrong matrix is noticed by the motions against it, and turned round
         let mut wrong = Guider::new(Settings::default(), &east, 0.0).unwrap();
         let mut again = Mount::new(210.0, 10);
         (again.drift_px_s, again.dec_reversed) = ([0.01, 0.03], dec_reversed);
-        assert!(rms(&guide(&mut again, &mut wrong, 10.0, 0..80, |_| true)[30..]) > 2.0);
+        let places = guide(&mut again, &mut wrong, 10.0, 0..80, |_| true);
+        let next = wrong.step(exposure(80, 10.0), Ok(&again.measured(exposure(80, 10.0))));
+        assert!(rms(&places[40..]) < ASKED_PX, "{places:?}");
+        assert_eq!(next.log.unstable, Some(Unstable::WrongWay));
     }
 }
 

@@ -143,3 +143,36 @@ fn clusters_of_hot_pixels_that_never_move_are_dropped() {
     let seen = reference.measure(&frame(&counts), &Camera::default(), [0.0, 0.0]).unwrap();
     assert!((seen.shift.dx_px - 0.2).abs() < 0.05 && seen.shift.stars <= 14, "{seen:?}");
 }
+
+/// Real stars have wings, and seeing changes: neither takes light away.
+#[test]
+fn the_reference_frame_has_all_of_its_own_light_whatever_the_wings_and_the_seeing() {
+    let places = Sky::new(SIDE, SIDE, 0.0, 5).places(20, 40.0);
+    let draw = |psf: Psf, light: f64, seed: u64| {
+        let mut sky = Sky::new(SIDE, SIDE, 300.0, seed);
+        places.iter().for_each(|(x, y)| sky.add_star(psf, *x, *y, light * 5.0 * FLUX));
+        sky.counts(300.0, 6.0)
+    };
+    let through = |psf: Psf, now: Option<(Psf, f64)>| {
+        let first = draw(psf, 1.0, 9);
+        let list = measure(&frame(&first), &Camera::default(), &Search::default()).unwrap().stars;
+        let mut reference = Reference::from_lists(&[list], SIDE, SIDE).unwrap();
+        let counts = now.map_or(first, |(psf, light)| draw(psf, light, 10));
+        reference.measure(&frame(&counts), &Camera::default(), [0.0, 0.0]).unwrap().shift.transparency.unwrap()
+    };
+    for beta in [2.2, 2.5, 3.0, 4.5, 20.0] {
+        for fwhm in [2.5, 4.0, 7.0] {
+            let psf = Psf::Moffat(fwhm, beta);
+            let itself = through(psf, None);
+            let (cloudy, wider) =
+                (through(psf, Some((psf, 0.6))), through(psf, Some((Psf::Moffat(1.3 * fwhm, beta), 1.0))));
+            println!("beta {beta}, {fwhm} px: itself {itself:.3}, clouds {cloudy:.3} for 0.6, wider {wider:.3}");
+            // wide wings of wide stars reach out of the box: 0.933 at beta 2.5
+            let most = if fwhm < 5.0 { 0.03 } else { 0.09 };
+            assert!((itself - 1.0).abs() < most, "beta {beta}, {fwhm} px: {itself}");
+            // faint wings drown in the sky of a box
+            assert!((cloudy - 0.6).abs() < 0.07, "beta {beta}, {fwhm} px: {cloudy}");
+            assert!((wider - 1.0).abs() < 0.15, "beta {beta}, {fwhm} px: {wider}");
+        }
+    }
+}

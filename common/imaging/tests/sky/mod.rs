@@ -24,6 +24,41 @@ pub enum Psf {
     Trail(f64, f64, f64),
 }
 
+/// A trail: through (x, y), t px along its direction and d px across it.
+#[derive(Debug, Clone, Copy)]
+pub struct Trail {
+    pub x: f64,
+    pub y: f64,
+    /// From +x towards +y, rad.
+    pub angle: f64,
+    /// ADU over the sky, on the middle.
+    pub peak: f64,
+    /// Of a Moffat profile with beta 3, px.
+    pub fwhm: f64,
+    /// First and last t, px.
+    pub ends: (f64, f64),
+    /// Length of a period, px, and the share of it that shines.
+    pub period: Option<(f64, f64)>,
+    /// How far it bends, d = bend t^2, 1/px.
+    pub bend: f64,
+}
+
+impl Trail {
+    /// From edge to edge.
+    pub fn new(x: f64, y: f64, angle: f64, peak: f64, fwhm: f64) -> Self {
+        Self { x, y, angle, peak, fwhm, ends: (f64::NEG_INFINITY, f64::INFINITY), period: None, bend: 0.0 }
+    }
+
+    /// Distance of a place from the trail, px.
+    pub fn distance(&self, x: f64, y: f64) -> f64 {
+        let (dx, dy) = (x - self.x, y - self.y);
+        let (sin, cos) = self.angle.sin_cos();
+        let t = dx * cos + dy * sin;
+        let beyond = (self.ends.0 - t).max(t - self.ends.1).max(0.0);
+        (dy * cos - dx * sin - self.bend * t * t).hypot(beyond)
+    }
+}
+
 pub struct Sky {
     pub width: usize,
     pub height: usize,
@@ -63,6 +98,25 @@ impl Sky {
         }
     }
 
+    /// Adds the trail of a satellite or an aircraft.
+    pub fn add_trail(&mut self, trail: &Trail) {
+        let (sin, cos) = trail.angle.sin_cos();
+        let light = |x: f64, y: f64| {
+            let (dx, dy) = (x - trail.x, y - trail.y);
+            let (t, d) = (dx * cos + dy * sin, dy * cos - dx * sin - trail.bend * (dx * cos + dy * sin).powi(2));
+            let shines = trail.period.is_none_or(|(period, share)| (t / period).rem_euclid(1.0) < share);
+            let (first, last) = trail.ends;
+            if !shines || d.abs() > 8.0 * trail.fwhm + 2.0 || t < first - 20.0 || t > last + 20.0 {
+                return 0.0;
+            }
+            // the ends are as soft as a star
+            let edge = |t: f64| 0.5 * (1.0 + error_function(t / (std::f64::consts::SQRT_2 * sigma(trail.fwhm))));
+            let across = (1.0 + (2_f64.powf(1.0 / 3.0) - 1.0) * (2.0 * d / trail.fwhm).powi(2)).powi(-3);
+            trail.peak * across * edge(t - first) * edge(last - t)
+        };
+        self.add_light(light);
+    }
+
     /// Random places, at least `apart` px from one another and from the edge.
     pub fn places(&mut self, count: usize, apart: f64) -> Vec<(f64, f64)> {
         let mut places: Vec<(f64, f64)> = Vec::new();
@@ -100,7 +154,7 @@ impl Psf {
         match self {
             Self::Gaussian(sigma) => slice(dx, sigma) * slice(dy, sigma),
             Self::Trail(sigma, along_x, along_y) => {
-                let steps = 40;
+                let steps = (2.0 * along_x.hypot(along_y)).max(40.0) as i32;
                 let at = (0..steps).map(|n| (f64::from(n) + 0.5) / f64::from(steps) - 0.5);
                 at.map(|t| slice(dx - t * along_x, sigma) * slice(dy - t * along_y, sigma)).sum::<f64>()
                     / f64::from(steps)

@@ -38,7 +38,8 @@ fn the_error_is_what_the_scatter_of_many_runs_says() {
         .collect();
     let rms = (pulls.iter().map(|p| p * p).sum::<f64>() / pulls.len() as f64).sqrt();
     println!("rms of the pulls {rms:.3}");
-    assert!((0.75..1.25).contains(&rms), "{rms}");
+    // less than 1: the error allows for two slopes, which these runs have not
+    assert!((0.5..1.25).contains(&rms), "{rms}");
 }
 
 #[test]
@@ -85,6 +86,85 @@ fn a_slope_too_small_for_a_number_is_none() {
     let size = |position: f64, error: f64| Size { position, size: 1e-300, error };
     let points = [size(0.0, f64::NAN), size(40.0, 0.0), size(1e300, f64::NAN), size(-1e300, 0.56)];
     assert_eq!(Hyperbola::fit(&points).unwrap_err(), NoHyperbola::NoMinimum);
+}
+
+/// A run over a curve whose slopes differ, in critical zones.
+struct Drawn {
+    points: Vec<Size>,
+    best: f64,
+}
+
+impl Drawn {
+    fn new(seed: u64, steepest: f64) -> Self {
+        let mut rng = StdRng::seed_from_u64(seed);
+        // slope above over slope below, less one
+        let steeper = if steepest > 0.0 { rng.random_range(-steepest..=steepest) } else { 0.0 };
+        let (half, count) = (rng.random_range(2.5..8.0), rng.random_range(7..25));
+        let best = rng.random_range(-0.6..0.6) * half;
+        let noise_share: f64 = rng.random_range(0.005..0.06);
+        let k = steeper / (2.0 + steeper);
+        // the first positions after a change of direction lag behind
+        let lag = if seed % 5 == 1 { 0.3 } else { 0.0 };
+        let mut points: Vec<Size> = (0..count)
+            .map(|n| {
+                let position = half * (2.0 * f64::from(n) / f64::from(count - 1) - 1.0);
+                let off = position - best + if n == 0 { lag } else { 0.0 };
+                let truth = 1.0_f64.hypot((1.0 + k * off.signum()) * off);
+                let noise: f64 = StandardNormal.sample(&mut rng);
+                let size = truth * (1.0 + noise_share.hypot(SEEING) * noise);
+                Size { position, size, error: noise_share * truth }
+            })
+            .collect();
+        if seed % 3 == 1 {
+            let spoilt = rng.random_range(0..points.len());
+            points[spoilt].size *= rng.random_range(1.3..3.0);
+        }
+        Self { points, best }
+    }
+}
+
+#[test]
+fn the_error_covers_slopes_that_differ_clouds_gusts_and_few_points() {
+    for (steepest, most) in [(0.0, 2.2), (0.15, 2.5), (0.4, 2.5)] {
+        let (mut pulls, mut offs, mut stated) = (Vec::new(), Vec::new(), Vec::new());
+        for seed in 0..1500 {
+            let run = Drawn::new(seed, steepest);
+            let fit = Hyperbola::fit(&run.points).unwrap();
+            let off = (fit.best_position - run.best).abs();
+            pulls.push(off / fit.best_position_error);
+            offs.push(off);
+            stated.push(fit.best_position_error);
+        }
+        let rank = |values: &mut Vec<f64>, share: f64| {
+            values.sort_by(f64::total_cmp);
+            values[(share * values.len() as f64) as usize]
+        };
+        println!(
+            "slopes to {steepest}: 68 % within {:.2} sigma, 95 % {:.2}, 99 % {:.2}; off {:.3} in the median, stated {:.3}",
+            rank(&mut pulls, 0.683),
+            rank(&mut pulls, 0.95),
+            rank(&mut pulls, 0.99),
+            rank(&mut offs, 0.5),
+            rank(&mut stated, 0.5)
+        );
+        assert!(rank(&mut pulls, 0.95) < most, "{steepest}");
+        assert!(rank(&mut pulls, 0.5) > 0.3, "{steepest}: the error is not made up");
+    }
+}
+
+#[test]
+fn symmetric_runs_are_as_good_as_with_one_slope_alone() {
+    let (mut averaged, mut alone) = (0.0, 0.0);
+    for seed in (0..1200).filter(|seed| seed % 3 != 1 && seed % 5 != 1) {
+        let run = Drawn::new(seed, 0.0);
+        averaged += (Hyperbola::fit(&run.points).unwrap().best_position - run.best).powi(2);
+        let scaled = Scaled::of(&run.points).unwrap();
+        let [x0, c, a] = scaled.start().unwrap();
+        let one = scaled.refine([x0, c, a, 0.0], &scaled.all(), 1.0, ONE_SLOPE).unwrap();
+        alone += (scaled.middle + scaled.half * one.at[0] - run.best).powi(2);
+    }
+    println!("rms with two slopes allowed {averaged:.3}, with one {alone:.3} (sums of squares)");
+    assert!(averaged < 1.2 * alone, "{averaged} {alone}");
 }
 
 proptest! {
