@@ -2,11 +2,13 @@
 
 use std::collections::HashSet;
 use std::sync::Arc;
+use std::time::Duration;
 
 use bus::Clock;
 use config::Common;
 use contract::device::Description;
 use contract::{NoData, Payload as _};
+use futures_util::StreamExt as _;
 use serde_json::Value;
 use units::Utc;
 
@@ -18,8 +20,23 @@ use crate::simulated::is_simulated;
 /// So many calls in a row without a whole answer and the link is lost.
 const LOST_AFTER: usize = 2;
 
-/// An answer, under the ASCOM name of its property.
-pub type Answer = (String, Result<Value, AlpacaError>, Utc);
+/// Questions to a slow device that are under way at one time.
+pub const LANES: usize = 6;
+/// An answer that is read so long after it was asked for waited in a process that was stalled.
+const TOO_OLD: Duration = Duration::from_secs(3);
+
+/// An answer.
+#[derive(Debug)]
+pub struct Answer {
+    /// The ASCOM name of its property.
+    pub property: String,
+    /// What came.
+    pub result: Result<Value, AlpacaError>,
+    /// Sky time of the answer.
+    pub at_utc: Utc,
+    /// When it was asked for.
+    pub asked: Now,
+}
 
 /// What connecting brought.
 pub struct Greeting<D: Driver> {
@@ -45,12 +62,30 @@ pub struct Poll {
     pub full: bool,
     /// `devicestate` is answered no more.
     pub device_state: bool,
+    /// Several questions at once were too many for the server.
+    pub crowded: bool,
+    /// What was left unasked, as the answers before took too long: those are published first.
+    pub unasked: Vec<String>,
+}
+
+/// What a poll asks, and how.
+pub struct Wanted {
+    /// These properties.
+    pub properties: Vec<String>,
+    /// They are all that decides.
+    pub full: bool,
+    /// `devicestate` is asked first.
+    pub device_state: bool,
+    /// So many questions at once.
+    pub lanes: usize,
+    /// Once the answers have taken so long, they are published before more is asked.
+    pub told_after: Option<Duration>,
 }
 
 impl Poll {
     /// The server denies, in HTTP's words, every property of the device: there is no such device any more.
     pub fn denied(&self) -> Option<&AlpacaError> {
-        let mut errors = self.answers.iter().map(|(_, answer, _)| answer.as_ref().err());
+        let mut errors = self.answers.iter().map(|answer| answer.result.as_ref().err());
         let denied = |error: Option<&AlpacaError>| matches!(error, Some(AlpacaError::Http { .. }));
         let all = self.full && errors.clone().all(denied);
         errors.next_back().flatten().filter(|_| all)
@@ -82,7 +117,7 @@ impl Questions {
         let mut silent = 0;
         for property in own.iter().chain(fixed.iter().filter(|name| !own.contains(name))) {
             let answer = self.ask(property).await;
-            if let Err(error) = &answer
+            if let Err(error) = &answer.result
                 && (error.is_transport() || error.is_not_connected())
             {
                 silent += 1;
@@ -90,7 +125,7 @@ impl Questions {
                     return Err(error.clone());
                 }
             }
-            answers.push((property.clone(), answer, self.clock.utc()));
+            answers.push(answer);
         }
         let device_state = match self.alpaca.get("devicestate").await {
             Ok(state) => state.is_array(),
@@ -99,8 +134,8 @@ impl Questions {
         };
         let can = driver.capabilities(&self.alpaca).await?;
         let text = |name: &str| {
-            let answer = answers.iter().find(|(property, ..)| property == name).map(|(_, answer, _)| answer);
-            answer.and_then(|answer| value::text(answer.as_ref().ok()?).ok()).unwrap_or_default()
+            let answer = answers.iter().find(|answer| answer.property == name);
+            answer.and_then(|answer| value::text(answer.result.as_ref().ok()?).ok()).unwrap_or_default()
         };
         let version = text("InterfaceVersion").parse().unwrap_or(0);
         let driver = [text("DriverInfo"), text("DriverVersion")].join(" ").trim().to_owned();
@@ -129,22 +164,35 @@ impl Questions {
         }
     }
 
-    /// Reads one property.
-    pub async fn ask(&self, property: &str) -> Result<Value, AlpacaError> {
-        let (member, parameters) = member(property);
-        let parameters: Vec<(&str, &str)> = parameters.iter().map(|(name, value)| (*name, value.as_str())).collect();
-        self.alpaca.get_with(&member, &parameters).await
+    fn now(&self) -> Now {
+        Now { machine: self.clock.machine(), sky: self.clock.sky() }
     }
 
-    /// Polls these properties, `devicestate` first where the device has it.
-    pub async fn poll(self, wanted: Vec<String>, full: bool, device_state: bool) -> Poll {
-        let began = Now { machine: self.clock.machine(), sky: self.clock.sky() };
-        let began_at = tokio::time::Instant::now();
-        let mut poll = Poll { began, began_at, answers: Vec::new(), lost: None, full, device_state };
+    /// Reads one property.
+    pub async fn ask(&self, property: &str) -> Answer {
+        let (member, parameters) = member(property);
+        let parameters: Vec<(&str, &str)> = parameters.iter().map(|(name, value)| (*name, value.as_str())).collect();
+        let mut asked = self.now();
+        let mut result = self.alpaca.get_noting(&member, &parameters, || asked = self.now()).await;
+        let took = self.clock.machine().since(asked.machine);
+        if result.is_ok() && took > TOO_OLD {
+            // timers do not run while a process is stopped or a host sleeps; this clock does
+            let detail = format!("the answer was {:.1} s old when it was read", took.as_secs_f64());
+            result = Err(AlpacaError::Value(NoData::new("stale", detail)));
+        }
+        Answer { property: property.to_owned(), result, at_utc: self.clock.utc(), asked }
+    }
+
+    /// Polls properties, `devicestate` first where the device has it.
+    pub async fn poll(self, wanted: Wanted) -> Poll {
+        let Wanted { properties, full, device_state, lanes, told_after } = wanted;
+        let (began, began_at) = (self.now(), tokio::time::Instant::now());
+        let (answers, unasked) = (Vec::new(), Vec::new());
+        let mut poll = Poll { began, began_at, answers, lost: None, full, device_state, crowded: false, unasked };
         let mut silent = 0;
-        if device_state && wanted.len() > 1 {
+        if device_state && properties.len() > 1 {
             match self.alpaca.get("devicestate").await {
-                Ok(state) => poll.answers = self.matched(&wanted, &state),
+                Ok(state) => poll.answers = self.matched(&properties, &state, began),
                 Err(error) if error.is_transport() => silent = 1,
                 Err(error) if error.is_not_connected() => {
                     poll.lost = Some(error);
@@ -153,11 +201,23 @@ impl Questions {
                 Err(_) => poll.device_state = false,
             }
         }
-        let answered: HashSet<String> = poll.answers.iter().map(|(property, ..)| property.clone()).collect();
+        let answered: HashSet<String> = poll.answers.iter().map(|answer| answer.property.clone()).collect();
         let mut spoke = !answered.is_empty();
-        for property in wanted.into_iter().filter(|property| !answered.contains(property)) {
+        let mut left: Vec<String> = properties.into_iter().filter(|property| !answered.contains(property)).collect();
+        if lanes > 1 && left.len() > 1 {
+            let answers = self.ask_at_once(&left, lanes).await;
+            let timed_out = |answer: &Answer| answer.result.as_ref().is_err_and(AlpacaError::is_transport);
+            // what timed out while others did not may have waited behind them: it is asked again by itself
+            poll.crowded = answers.iter().any(timed_out);
+            let (failed, good): (Vec<Answer>, Vec<Answer>) = answers.into_iter().partition(timed_out);
+            spoke |= !good.is_empty();
+            poll.answers.extend(good);
+            left = failed.into_iter().map(|answer| answer.property).collect();
+        }
+        let mut left = left.into_iter();
+        while let Some(property) = left.next() {
             let answer = self.ask(&property).await;
-            match &answer {
+            match &answer.result {
                 Err(error) if error.is_not_connected() => {
                     poll.lost = Some(error.clone());
                     return poll;
@@ -165,33 +225,50 @@ impl Questions {
                 Err(error) if error.is_transport() => silent += 1,
                 Ok(_) | Err(_) => (silent, spoke) = (0, true),
             }
-            let failed = answer.as_ref().err().filter(|_| silent >= LOST_AFTER).cloned();
-            poll.answers.push((property, answer, self.clock.utc()));
+            let failed = answer.result.as_ref().err().filter(|_| silent >= LOST_AFTER).cloned();
+            poll.answers.push(answer);
             if failed.is_some() {
                 poll.lost = failed;
                 return poll;
             }
+            if told_after.is_some_and(|limit| began_at.elapsed() > limit) {
+                poll.unasked = left.by_ref().collect();
+            }
         }
         if !spoke && silent > 0 {
-            poll.lost = poll.answers.pop().and_then(|(_, answer, _)| answer.err());
+            poll.lost = poll.answers.pop().and_then(|answer| answer.result.err());
         }
         poll
     }
 
-    /// The wanted properties that a `devicestate` answer holds; nulls are asked for singly.
-    fn matched(&self, wanted: &[String], state: &Value) -> Vec<Answer> {
+    /// Asks for several properties at a time, each with a deadline and a connection of its own.
+    async fn ask_at_once(&self, properties: &[String], lanes: usize) -> Vec<Answer> {
+        let own = Self { alpaca: self.alpaca.at_once(), clock: self.clock.clone() };
+        let asking = properties.iter().cloned().map(|property| {
+            let own = own.clone();
+            async move { own.ask(&property).await }
+        });
+        futures_util::stream::iter(asking).buffer_unordered(lanes).collect().await
+    }
+
+    /// The wanted properties that a `devicestate` answer holds; nulls, and what it contains twice, are asked for singly.
+    fn matched(&self, wanted: &[String], state: &Value, asked: Now) -> Vec<Answer> {
         let at_utc = self.clock.utc();
-        let mut answers = Vec::new();
+        let (mut answers, mut twice): (Vec<Answer>, HashSet<String>) = (Vec::new(), HashSet::new());
         for entry in state.as_array().into_iter().flatten().filter_map(Value::as_object) {
             let field = |name: &str| entry.iter().find(|(key, _)| key.eq_ignore_ascii_case(name)).map(|(_, v)| v);
             let (Some(name), Some(value)) = (field("Name").and_then(Value::as_str), field("Value")) else { continue };
             if let Some(property) = wanted.iter().find(|property| property.eq_ignore_ascii_case(name))
                 && !value.is_null()
-                && !answers.iter().any(|(have, ..): &Answer| have == property)
             {
-                answers.push((property.clone(), Ok(value.clone()), at_utc));
+                if answers.iter().any(|answer| answer.property == *property) {
+                    twice.insert(property.clone());
+                }
+                answers.push(Answer { property: property.clone(), result: Ok(value.clone()), at_utc, asked });
             }
         }
+        let too_old = self.clock.machine().since(asked.machine) > TOO_OLD;
+        answers.retain(|answer| !too_old && !twice.contains(&answer.property));
         answers
     }
 }

@@ -10,7 +10,7 @@ use units::Utc;
 
 use crate::accounts::{Accounts, Asked};
 use crate::driver::{Capabilities, Command as Deed, Driver, Fields, Need};
-use crate::gate::{Gate, Turned};
+use crate::gate::{Gate, Hinders, Turned};
 use crate::holder::Claimant;
 
 /// Answers of so many commands are remembered, so that a repeat is answered again and not done again.
@@ -144,7 +144,7 @@ impl<D: Driver> Front<D> {
             if let Some(Reply::Accepted(repeated)) = self.repeat(&id) {
                 return Ok(repeated.token);
             }
-            let granted = self.gate.admit(need, who, token).await?;
+            let granted = self.gate.admit((need, Hinders::No), who, token).await?;
             let asked = Asked { from, id, token };
             match granted {
                 Some(granted) => self.accounts.granted(asked, &action, granted),
@@ -152,8 +152,9 @@ impl<D: Driver> Front<D> {
             }
             return Ok(granted);
         }
+        let hinders = self.driver.hinders(&action);
         let before = self.reserve(&id, &action)?;
-        match self.gate.admit(need, who, token).await {
+        match self.gate.admit((need, hinders), who, token).await {
             Ok(granted) => {
                 let taken_utc = self.gate.clock.utc();
                 let order = Order { id, from, deed: action, token, taken_utc };

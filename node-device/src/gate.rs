@@ -1,5 +1,6 @@
 //! Who may command a device: tokens, permits and leases, looked at before a command is taken.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use bus::Clock;
@@ -28,12 +29,49 @@ pub struct Gate {
     pub guard: Option<Arc<Mutex<Guard>>>,
     /// This device grants the lease.
     pub is_arbiter: bool,
+    /// What the roof over a mount asks of it.
+    pub roof: Arc<RoofCall>,
+}
+
+/// What the roof over a mount asks of it: to be parked, because the roof must close and waits for that.
+#[derive(Debug, Default)]
+pub struct RoofCall {
+    must_park: AtomicBool,
+    /// The telescope's own permit is valid and safe: its commander does not know that the roof must close.
+    unknown_to_commander: AtomicBool,
+}
+
+impl RoofCall {
+    /// What holds from now on.
+    pub fn set(&self, must_park: bool, is_permitted: bool) {
+        self.must_park.store(must_park, Ordering::Relaxed);
+        self.unknown_to_commander.store(must_park && is_permitted, Ordering::Relaxed);
+    }
+}
+
+/// Does a command hinder a closing that is due?
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Hinders {
+    /// No.
+    No,
+    /// Yes, whoever gives it.
+    Yes,
+    /// Yes, unless the commander gives it.
+    FromOthers,
+    /// Yes, where the commander does not know of the closing.
+    FromTheUnaware,
 }
 
 impl Gate {
     /// May this command pass? A claim comes back with its token.
-    pub async fn admit(&self, need: Need, who: Claimant<'_>, token: Option<u64>) -> Result<Option<u64>, Turned> {
+    pub async fn admit(
+        &self,
+        (need, hinders): (Need, Hinders),
+        who: Claimant<'_>,
+        token: Option<u64>,
+    ) -> Result<Option<u64>, Turned> {
         let from = who.name;
+        self.keep_out_of_the_way(hinders, from, token)?;
         match need {
             Need::Nothing => {}
             Need::Close => {
@@ -69,16 +107,40 @@ impl Gate {
         Ok(None)
     }
 
-    /// A token older than the newest is refused; so is none, once there is one.
+    /// Nobody stops, turns or moves what a closing needs, as long as it must close and is not proven closed.
+    fn keep_out_of_the_way(&self, hinders: Hinders, from: &str, token: Option<u64>) -> Result<(), Turned> {
+        let now = self.clock.machine();
+        let dome_closes = self.with_guard(|guard| guard.needs_closing(now)) == Some(true);
+        let must_park = self.roof.must_park.load(Ordering::Relaxed);
+        let stands_in_the_way = match hinders {
+            Hinders::No => false,
+            Hinders::Yes => dome_closes || must_park,
+            Hinders::FromOthers => (dome_closes || must_park) && self.fence(from, token).is_err(),
+            Hinders::FromTheUnaware => self.roof.unknown_to_commander.load(Ordering::Relaxed),
+        };
+        if !stands_in_the_way {
+            return Ok(());
+        }
+        let detail = if dome_closes {
+            "the dome must close and is not verified closed; nothing that stops or turns it is taken until it is"
+        } else {
+            "the roof over this mount must close and waits for its park; nothing else is taken until it is closed"
+        };
+        Err((Reason::WrongState, detail.to_owned()))
+    }
+
+    /// A token older than the newest is refused; so is none, once there is one. A node that grants no leases may receive a
+    /// new one after its holder has used it.
     fn fence(&self, from: &str, token: Option<u64>) -> Result<(), Turned> {
-        let highest = self.tokens.highest(&self.commanded(from)?);
+        let telescope = self.commanded(from)?;
+        let (highest, is_arbiter) = (self.tokens.highest(&telescope), self.tokens.is_arbiter(&telescope));
         match token {
             Some(token) if token == highest => Ok(()),
-            Some(token) if token > highest && !self.is_arbiter => Ok(()),
+            Some(token) if token > highest && !is_arbiter => Ok(()),
             Some(token) if token > highest => {
                 Err((Reason::StaleToken, format!("token {token} was never granted; the newest is {highest}")))
             }
-            None if highest == 0 && !self.is_arbiter => Ok(()),
+            None if highest == 0 && !is_arbiter => Ok(()),
             Some(token) => Err((Reason::StaleToken, format!("token {token} is older than {highest}"))),
             None => Err((Reason::StaleToken, format!("no token; the newest is {highest}"))),
         }
@@ -99,7 +161,7 @@ impl Gate {
         let granted = granted.map_err(std::io::Error::other).and_then(|granted| granted);
         let token = granted.map_err(|error| (Reason::DeviceError, format!("the token cannot be written: {error}")))?;
         self.permits.granted(&telescope, who, self.clock.machine());
-        self.with_guard(|guard| guard.learn_token(&telescope, token));
+        self.with_guard(|guard| guard.grant(&telescope, token, who.life));
         tracing::info!(telescope, from, token, "lease granted");
         Ok(token)
     }

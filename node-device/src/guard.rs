@@ -14,23 +14,27 @@
 //!      └────────────────────────────────────────────────────────┘ commanded
 //! ```
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use bus::MachineTime;
 use config::CloseWithMount;
-use contract::device::dome::{Guard as Said, GuardAction, HeardPermit, Shutter};
-use contract::observatory::{Permit, Verdict};
+use contract::device::dome::{Guard as Said, GuardAction, Shutter};
+use contract::observatory::Permit;
 use contract::{BootId, Chunk, Reason, Stamped};
 
 use crate::gate::Turned;
+use crate::permit_ledger::{Dropped, PermitLedger, Taken};
+use crate::shutter_evidence::{Contradiction, ShutterEvidence};
 
 /// Closing is tried again so often.
 const RETRY: Duration = Duration::from_secs(10);
 /// After so many tries without success all movement is stopped before the next.
 const PATIENCE: u32 = 2;
-/// Numbers that are remembered with the time they were sent; the longest permit lasts 30 s.
-const NUMBERS: usize = 64;
+/// Whoever commands sends the mounts to their park within this time; after it the guard process asks them itself.
+const PARKS_WITHIN: Duration = Duration::from_secs(10);
+/// A shutter reading that is older proves nothing.
+pub const FRESH: Duration = Duration::from_secs(5);
 /// Added to the travel time before a closing counts as failed.
 const GRACE: Duration = Duration::from_secs(5);
 
@@ -75,32 +79,8 @@ pub enum Alarm {
     MountNotParked,
     /// It closed by itself and waits for the commander.
     Hold,
-}
-
-/// Why a permit was dropped; each is counted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Dropped {
-    /// Of a telescope that is not under this dome.
-    Stranger,
-    /// Its number is of another life of this guard.
-    OtherBoot,
-    /// A number that this guard never sent, or so long ago that it does not remember.
-    UnknownNumber,
-    /// Sent before one that was heard already.
-    Replayed,
-    /// Of an older lease.
-    OldToken,
-}
-
-#[derive(Debug, Clone)]
-struct Held {
-    boot_id: BootId,
-    seq: u64,
-    number: u64,
-    sent: MachineTime,
-    token: u64,
-    safe: bool,
-    commander: String,
+    /// The dome's status of its shutter does not fit what was asked of it.
+    Contradicts(Contradiction),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -120,13 +100,12 @@ struct Closing {
     since: MachineTime,
     tries: u32,
     last_try: Option<MachineTime>,
-    moving_since: Option<MachineTime>,
     commanded: bool,
 }
 
 impl Closing {
     fn begun(since: MachineTime, commanded: bool) -> Self {
-        Self { since, tries: 0, last_try: None, moving_since: None, commanded }
+        Self { since, tries: 0, last_try: None, commanded }
     }
 }
 
@@ -134,15 +113,15 @@ impl Closing {
 #[derive(Debug)]
 pub struct Guard {
     settings: Settings,
-    started: MachineTime,
-    next_number: u64,
-    sent: VecDeque<(u64, MachineTime)>,
-    permits: BTreeMap<Chunk, Held>,
-    tokens: BTreeMap<Chunk, u64>,
-    dropped: u64,
+    /// An open dome may wait so long for its first permit.
+    grace_until: MachineTime,
+    /// The node was asked to end: close, and open no more.
+    ending: bool,
+    permits: PermitLedger,
     expected: Expected,
-    /// The shutter was seen other than closed since it was last seen closed.
+    /// The shutter was opened, or seen other than closed, since it was last proven closed.
     was_open: bool,
+    evidence: ShutterEvidence,
     hold: bool,
     closing: Option<Closing>,
     standing: Vec<Alarm>,
@@ -151,20 +130,52 @@ pub struct Guard {
 impl Guard {
     /// A guard that starts now. An open dome has `permit_valid` to be permitted.
     pub fn new(settings: Settings, tokens: BTreeMap<Chunk, u64>, now: MachineTime) -> Self {
+        let Settings { boot_id, telescopes, permit_valid, .. } = &settings;
+        let permits = PermitLedger::new(boot_id.clone(), telescopes.clone(), *permit_valid, tokens);
         Self {
+            evidence: ShutterEvidence::new(settings.travel),
+            grace_until: now.plus(settings.permit_valid),
+            ending: false,
             settings,
-            started: now,
-            next_number: 0,
-            sent: VecDeque::new(),
-            permits: BTreeMap::new(),
-            tokens,
-            dropped: 0,
+            permits,
             expected: Expected::Unknown,
             was_open: false,
             hold: false,
             closing: None,
             standing: Vec::new(),
         }
+    }
+
+    /// The same with another time of grace: until when the dome might have been open, had this guard not been started anew.
+    pub fn with_grace_until(mut self, until: MachineTime) -> Self {
+        self.grace_until = until.min(self.grace_until);
+        self
+    }
+
+    /// The node was asked to end: from now on the dome is closed, and stays so.
+    pub fn end(&mut self) {
+        self.ending = true;
+    }
+
+    /// How long the dome may stay open from `now` on if nothing is received any more.
+    pub fn may_be_open_for(&self, now: MachineTime) -> Duration {
+        if self.ending || self.closing.is_some() {
+            return Duration::ZERO;
+        }
+        if self.permits.none_heard() {
+            return self.grace_until.since(now);
+        }
+        self.permits.are_safe_for(now)
+    }
+
+    /// The active alarms.
+    pub fn standing(&self) -> impl Iterator<Item = Alarm> + '_ {
+        self.standing.iter().copied()
+    }
+
+    /// The highest tokens that were granted.
+    pub fn tokens(&self) -> impl Iterator<Item = (String, u64)> {
+        self.permits.granted().into_iter().map(|granted| (granted.telescope, granted.token))
     }
 
     /// The telescopes under the dome.
@@ -174,86 +185,22 @@ impl Guard {
 
     /// The next number, to be sent now; a permit that carries it is as old as this moment.
     pub fn beat(&mut self, now: MachineTime) -> u64 {
-        let number = self.next_number;
-        self.next_number += 1;
-        self.sent.push_back((number, now));
-        if self.sent.len() > NUMBERS {
-            self.sent.pop_front();
-        }
-        number
+        self.permits.beat(now)
     }
 
     /// Takes a permit, or drops and counts it; a dropped one has no effect on a valid one.
-    pub fn hear(&mut self, telescope: &Chunk, said: &Stamped<Permit>) -> Result<(), Dropped> {
-        let taken = self.weigh(telescope, said);
-        match taken {
-            Ok(held) => {
-                self.learn_token(telescope.as_str(), held.token);
-                self.permits.insert(telescope.clone(), held);
-                Ok(())
-            }
-            Err(why) => {
-                self.dropped += 1;
-                Err(why)
-            }
-        }
+    pub fn hear(&mut self, telescope: &Chunk, said: &Stamped<Permit>) -> Result<Taken, Dropped> {
+        self.permits.hear(telescope, said)
     }
 
-    fn weigh(&self, telescope: &Chunk, said: &Stamped<Permit>) -> Result<Held, Dropped> {
-        let permit = &said.body;
-        if !self.settings.telescopes.contains(telescope) {
-            return Err(Dropped::Stranger);
-        }
-        if permit.guard_boot_id != self.settings.boot_id {
-            return Err(Dropped::OtherBoot);
-        }
-        let sent = self.sent.iter().find(|(number, _)| *number == permit.guard_number).map(|(_, at)| *at);
-        let sent = sent.ok_or(Dropped::UnknownNumber)?;
-        if permit.token < self.tokens.get(telescope).copied().unwrap_or(0) {
-            return Err(Dropped::OldToken);
-        }
-        if let Some(have) = self.permits.get(telescope).filter(|have| have.token == permit.token) {
-            // of one lease nothing goes back: not the number, not the sender's life, not its count
-            let older = match said.boot_id.cmp(&have.boot_id) {
-                std::cmp::Ordering::Less => true,
-                std::cmp::Ordering::Equal => said.seq <= have.seq,
-                std::cmp::Ordering::Greater => false,
-            };
-            if older || permit.guard_number < have.number {
-                return Err(Dropped::Replayed);
-            }
-        }
-        Ok(Held {
-            boot_id: said.boot_id.clone(),
-            seq: said.seq,
-            number: permit.guard_number,
-            sent,
-            token: permit.token,
-            safe: permit.verdict == Verdict::Safe,
-            commander: permit.commander.clone(),
-        })
-    }
-
-    /// A lease was granted or heard of; permits of older ones are dropped from now on.
-    pub fn learn_token(&mut self, telescope: &str, token: u64) {
-        let Some(telescope) = self.settings.telescopes.iter().find(|own| own.as_str() == telescope) else { return };
-        let known = self.tokens.entry(telescope.clone()).or_default();
-        *known = token.max(*known);
-    }
-
-    fn left(&self, held: &Held, now: MachineTime) -> Duration {
-        held.sent.plus(self.settings.permit_valid).since(now)
-    }
-
-    fn valid(&self, telescope: &Chunk, now: MachineTime) -> Option<&Held> {
-        self.permits.get(telescope).filter(|held| !self.left(held, now).is_zero())
+    /// This node granted a lease; permits of older ones, and of other incarnations, are dropped from now on.
+    pub fn grant(&mut self, telescope: &str, token: u64, life: Option<&BootId>) {
+        self.permits.grant(telescope, token, life);
     }
 
     /// True while every telescope's permit is valid and safe.
     pub fn may_be_open(&self, now: MachineTime) -> bool {
-        let telescopes = &self.settings.telescopes;
-        !telescopes.is_empty()
-            && telescopes.iter().all(|telescope| self.valid(telescope, now).is_some_and(|held| held.safe))
+        !self.ending && self.permits.are_safe(now)
     }
 
     /// Is the guard itself closing the dome?
@@ -267,15 +214,71 @@ impl Guard {
         if !self.may_be_open(now) {
             return refused("no valid safe permit from every telescope under this dome");
         }
-        if self.closing.is_some() {
-            return refused("the guard is closing the dome");
+        if self.evidence.speaks_percent() {
+            return refused("whether this dome is closed cannot be known: its ShutterStatus is a percentage");
         }
-        if self.hold {
+        if self.holds() {
             return refused("the guard closed the dome and holds it; the commander must send resume first");
         }
+        // one whose status is closed and that only waits for the proof of it may be opened again
+        if self.closing.is_some() && !self.evidence.says_closed() {
+            return refused("the guard is closing the dome");
+        }
+        self.closing = None;
         self.expected = Expected::Open { since: now };
         self.was_open = true;
         Ok(())
+    }
+
+    /// A request to open leaves for the device: from now on the shutter may be open, whatever its status.
+    pub fn open_sent(&mut self, now: MachineTime) {
+        self.evidence.opening(now);
+    }
+
+    /// The device refused a request to open.
+    pub fn open_refused(&mut self) {
+        self.evidence.opening_refused();
+    }
+
+    /// A request to close leaves for the device.
+    pub fn close_sent(&mut self, now: MachineTime) {
+        self.evidence.close_sent(now);
+    }
+
+    /// The device took a request to close, or refused it.
+    pub fn close_answered(&mut self, accepted: bool, now: MachineTime) {
+        self.evidence.close_answered(accepted, now);
+    }
+
+    /// The shutter was read; `asked` is when that reading was asked for.
+    pub fn read(&mut self, shutter: Shutter, asked: MachineTime) {
+        self.evidence.read(shutter, asked);
+    }
+
+    /// The status was read, and is none of ASCOM's numbers.
+    pub fn odd_status(&mut self, number: i64) {
+        self.evidence.odd_number(number);
+    }
+
+    /// Is the shutter proven closed?
+    pub fn is_closed(&self, now: MachineTime) -> bool {
+        self.evidence.is_closed(now, FRESH)
+    }
+
+    /// It was asked to close, and is on its way.
+    pub fn is_on_its_way(&self, now: MachineTime) -> bool {
+        self.evidence.is_on_its_way(now)
+    }
+
+    /// The dome must close, and is not proven closed: nobody may stop or turn it.
+    pub fn needs_closing(&self, now: MachineTime) -> bool {
+        !self.is_closed(now) && (self.closing.is_some() || self.must_close(now))
+    }
+
+    /// The guard closed by itself, as far as the shutter's status shows, and waits for the commander.
+    fn holds(&self) -> bool {
+        let closed_itself = self.closing.is_some_and(|closing| !closing.commanded) && self.was_open;
+        self.hold || (closed_itself && self.evidence.says_closed())
     }
 
     /// Somebody commanded closing.
@@ -288,10 +291,18 @@ impl Guard {
         }
     }
 
-    /// Over several telescopes a commander knows its own mounts alone: where the shutter must wait for the park, a command
-    /// only begins the guard's own closing, which hears all of them.
+    /// Where the shutter must wait for the park, a command only begins the guard's own closing, which knows all mounts:
+    /// whoever commands may know some of them or none.
     pub fn closes_by_itself(&self) -> bool {
-        self.settings.telescopes.len() > 1 && self.settings.policy != CloseWithMount::Beside
+        self.settings.policy != CloseWithMount::Beside
+    }
+
+    /// It must close, and waits for mounts that are not known to be `parked` and that nobody has sent to their park yet. Of
+    /// one that says closed only the proof is missing, for which no mount need move before this node ends.
+    pub fn needs_help_with_mounts(&self, now: MachineTime, parked: bool) -> bool {
+        let is_late = self.closing.is_some_and(|closing| now.since(closing.since) >= PARKS_WITHIN);
+        let is_open = is_late && !self.evidence.is_credible(now, FRESH);
+        self.closes_by_itself() && !parked && self.needs_closing(now) && (self.ending || is_open)
     }
 
     /// The commander has taken over again.
@@ -307,9 +318,14 @@ impl Guard {
         Ok(())
     }
 
-    /// Looks at the dome: `shutter` is a fresh reading or none, `parked` says that every mount is known to be parked.
-    pub fn look(&mut self, now: MachineTime, shutter: Option<Shutter>, parked: bool) -> Vec<Deed> {
-        let closed = shutter == Some(Shutter::Closed);
+    /// Looks at the dome: `seen` is a fresh reading of the shutter and when it was asked for, or none; `parked` means that
+    /// every mount is known to be parked.
+    pub fn look(&mut self, now: MachineTime, seen: Option<(Shutter, MachineTime)>, parked: bool) -> Vec<Deed> {
+        if let Some((shutter, asked)) = seen {
+            self.evidence.read(shutter, asked);
+        }
+        let shutter = seen.map(|(shutter, _)| shutter);
+        let closed = seen.is_some() && self.is_closed(now);
         let uncommanded = self.compare(now, shutter);
         if self.closing.is_none() && !closed && (uncommanded || self.must_close(now)) {
             let commanded = self.expected == Expected::Closing;
@@ -335,6 +351,9 @@ impl Guard {
         }
         if self.hold {
             alarms.push(Alarm::Hold);
+        }
+        if let Some(contradiction) = self.evidence.contradiction(now) {
+            alarms.push(Alarm::Contradicts(contradiction));
         }
         deeds.extend(self.show(alarms));
         deeds
@@ -365,15 +384,13 @@ impl Guard {
     }
 
     fn must_close(&self, now: MachineTime) -> bool {
-        let telescopes = &self.settings.telescopes;
-        let said_unsafe = telescopes.iter().any(|one| self.valid(one, now).is_some_and(|held| !held.safe));
         // a node that was restarted in the middle of the night gives its commander time to speak
-        let starting = now.since(self.started) < self.settings.permit_valid && self.permits.is_empty();
-        said_unsafe || (!self.may_be_open(now) && !starting)
+        let starting = now < self.grace_until && self.permits.none_heard();
+        self.ending || self.permits.is_said_unsafe(now) || (!self.may_be_open(now) && !starting)
     }
 
     fn close(
-        &self,
+        &mut self,
         closing: &mut Closing,
         now: MachineTime,
         shutter: Option<Shutter>,
@@ -388,26 +405,23 @@ impl Guard {
             CloseWithMount::ParkedWithinS => parked || waited,
             CloseWithMount::ParkedOnly => parked,
         };
+        let says_closed = shutter == Some(Shutter::Closed);
         if !may_move {
-            if waited {
+            // of one whose status is closed, and that nobody is known to have opened since, only the proof is missing
+            if waited && (!says_closed || self.evidence.is_doubted()) {
                 alarms.push(Alarm::MountNotParked);
             }
             return;
         }
-        let moving = shutter == Some(Shutter::Closing);
-        if moving {
-            closing.moving_since.get_or_insert(now);
-        } else {
-            closing.moving_since = None;
-        }
-        // on its way: a second command, let alone a stop, would only disturb it
-        let on_its_way = closing.moving_since.is_some_and(|since| now.since(since) < travel);
         let due = closing.last_try.is_none_or(|last| now.since(last) >= RETRY);
-        if due && !on_its_way {
-            deeds.push(if closing.tries >= PATIENCE { Deed::AbortThenClose } else { Deed::Close });
+        // on its way: a second command, let alone a stop, would only disturb it
+        if due && !self.evidence.is_on_its_way(now) {
+            // what reports that it does not move is not stopped: it may be closing all the same
+            let stops = closing.tries >= PATIENCE && !says_closed;
+            deeds.push(if stops { Deed::AbortThenClose } else { Deed::Close });
             closing.tries += 1;
             closing.last_try = Some(now);
-            closing.moving_since = None;
+            self.evidence.close_sent(now);
         }
         if closing.tries > PATIENCE || now.since(closing.since) >= travel + GRACE {
             alarms.push(Alarm::NotClosed);
@@ -418,31 +432,27 @@ impl Guard {
     fn show(&mut self, alarms: Vec<Alarm>) -> Vec<Deed> {
         let begun = alarms.iter().filter(|alarm| !self.standing.contains(alarm)).map(|alarm| Deed::Raise(*alarm));
         let ended = self.standing.iter().filter(|alarm| !alarms.contains(alarm)).map(|alarm| Deed::Clear(*alarm));
-        let changes = begun.chain(ended).collect();
+        // of two causes of one alarm the new one counts
+        let changes = ended.chain(begun).collect();
         self.standing = alarms;
         changes
     }
 
     /// What the guard publishes with a number; `malformed` permits were dropped before it heard them.
     pub fn says(&self, number: u64, now: MachineTime, malformed: u64) -> Said {
-        let permits = self.permits.iter().map(|(telescope, held)| {
-            let (valid, age) = (self.settings.permit_valid.as_secs_f64(), now.since(held.sent).as_secs_f64());
-            HeardPermit {
-                telescope: telescope.to_string(),
-                commander: held.commander.clone(),
-                safe: held.safe,
-                left_s: valid - age,
-            }
-        });
+        let granted = self.permits.granted();
         Said {
             number,
-            token: self.tokens.values().copied().max().unwrap_or(0),
+            token: granted.iter().map(|granted| granted.token).max().unwrap_or(0),
             permit_valid_s: self.settings.permit_valid.as_secs_f64(),
-            permits: permits.collect(),
+            permits: self.permits.shown(now),
             may_be_open: self.may_be_open(now),
             action: if self.closing.is_some() { GuardAction::Closing } else { GuardAction::Watching },
-            hold: self.hold,
-            dropped: self.dropped + malformed,
+            hold: self.holds(),
+            dropped: self.permits.dropped() + malformed,
+            verified_closed: Some(self.evidence.is_credible(now, FRESH)),
+            waits_for_mounts: Some(self.closes_by_itself()),
+            granted,
         }
     }
 }
@@ -450,3 +460,7 @@ impl Guard {
 #[cfg(test)]
 #[path = "guard_tests.rs"]
 mod tests;
+
+#[cfg(test)]
+#[path = "guard_evidence_tests.rs"]
+mod evidence_tests;

@@ -17,18 +17,20 @@ use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 use crate::accounts::{Accounts, Asked};
 use crate::alpaca::{Alpaca, AlpacaError, value};
 use crate::driver::dome::SHUTTER;
-use crate::guard::{Alarm, Deed, Guard};
+use crate::guard::{Alarm, Deed, FRESH, Guard};
+use crate::guard_process::link::{DomeReport, GuardLink};
+use crate::guard_process::places::nanos;
+use crate::mounts_under::MountsUnder;
+use crate::permit_ledger::{Dropped, Taken};
 use crate::watchdog::Watchdog;
 
 /// The guard looks at least so often; it looks at once when a permit or a shutter reading comes.
 const BEAT: Duration = Duration::from_secs(1);
 const LOOK: Duration = Duration::from_millis(250);
-/// A shutter reading that is older proves nothing.
-const FRESH: Duration = Duration::from_secs(5);
 /// The guard asks the shutter itself when the dome's own loop is silent for so long.
 const SILENT: Duration = Duration::from_millis(2500);
-/// A mount that was not heard for so long is not known to be parked.
-const MOUNT_FRESH: Duration = Duration::from_secs(10);
+/// An impostor that published nothing for so long is gone.
+const GONE: Duration = Duration::from_secs(10);
 
 /// The shutter as it was read, and when.
 pub type Seen = Option<(Shutter, MachineTime)>;
@@ -53,19 +55,23 @@ pub struct GuardTask {
     pub heeds_mounts: bool,
     /// The dome's own watchdog.
     pub watchdog: Watchdog,
+    /// The guard process around this node, where there is one.
+    pub link: Option<GuardLink>,
+    /// Whether the shutter is verified closed.
+    pub closed: watch::Sender<bool>,
 }
 
 /// What the guard's own calls came to.
 enum Hand {
-    Looked(Result<Shutter, AlpacaError>),
+    Looked(Result<(Shutter, MachineTime), AlpacaError>),
     Acted(Result<(), AlpacaError>),
     Fed(Result<(), AlpacaError>),
 }
 
-/// What was heard of the mounts under the dome.
+/// The mounts under the dome, by their states.
 struct Mounts {
     heard: Subscriber<DeviceState<telescope::Fields>>,
-    parked: Vec<(Device, bool, MachineTime)>,
+    under: MountsUnder,
 }
 
 impl GuardTask {
@@ -90,6 +96,8 @@ impl GuardTask {
         // the deed that was done last
         let mut asked = Asked { from: GUARD.to_owned(), id: CommandId::default(), token: None };
         let mut done = "";
+        let mut impostor: Option<MachineTime> = None;
+        let mut was_closed = false;
         loop {
             let beaten = tokio::select! {
                 () = self.node.stop.wait() => return Ok(()),
@@ -100,9 +108,16 @@ impl GuardTask {
                 _ = look.tick() => false,
                 heard = permits.hear() => {
                     if let Key::Permit(Address { telescope, .. }, _) = &heard.key
-                        && let Err(why) = self.guard().hear(telescope, &heard.said)
                     {
-                        tracing::debug!(dome = %self.device.name, %telescope, ?why, "permit dropped");
+                        let taken = self.guard().hear(telescope, &heard.said);
+                        if let Some(why) = suspicion(taken) {
+                            let cause = format!("{why}, for telescope {telescope}; it names itself {}", heard.said.body.commander);
+                            self.node.alerts.raise(AlertKind::Impostor, format!("permit/{}", self.device.name), &cause);
+                            impostor = Some(clock.machine());
+                        }
+                        if let Err(why) = taken {
+                            tracing::debug!(dome = %self.device.name, %telescope, ?why, "permit dropped");
+                        }
                     }
                     false
                 }
@@ -119,10 +134,14 @@ impl GuardTask {
                     match hand {
                         Ok(Hand::Looked(read)) => {
                             looking = false;
-                            own = read.ok().map(|shutter| (shutter, clock.machine())).or(own);
+                            own = read.ok().or(own);
                         }
                         Ok(Hand::Acted(result)) => {
                             acting = false;
+                            // without an answer it may have arrived all the same
+                            if !result.as_ref().is_err_and(AlpacaError::is_unknown_outcome) {
+                                self.guard().close_answered(result.is_ok(), clock.machine());
+                            }
                             let outcome = match result {
                                 Ok(()) => Outcome::Done,
                                 Err(error) => {
@@ -141,9 +160,9 @@ impl GuardTask {
             };
             let now = clock.machine();
             let seen = [*self.seen.borrow_and_update(), own].into_iter().flatten().max_by_key(|(_, at)| *at);
-            let shutter = seen.filter(|(_, at)| now.since(*at) <= FRESH).map(|(shutter, _)| shutter);
-            let parked = mounts.as_ref().is_none_or(|mounts| mounts.all_parked(now));
-            let deeds = self.guard().look(now, shutter, parked);
+            let seen_lately = seen.filter(|(_, at)| now.since(*at) <= FRESH);
+            let parked = mounts.as_ref().is_none_or(|mounts| mounts.under.all_parked(now));
+            let deeds = self.guard().look(now, seen_lately, parked);
             for deed in deeds {
                 match deed {
                     Deed::Raise(alarm) => self.raise(alarm),
@@ -163,12 +182,33 @@ impl GuardTask {
             let silent = seen.is_none_or(|(_, at)| now.since(at) > SILENT);
             if beaten && !looking && silent {
                 looking = true;
-                hands.spawn(read(self.alpaca.at_once()));
+                hands.spawn(read(self.alpaca.at_once(), now));
             }
             // only a beat of this loop with a living permit feeds it: a thread of its own would feed it for the dead
             let lives = beaten && self.guard().may_be_open(now) && !self.guard().is_closing();
             if let Some(feed) = self.watchdog.due(lives, now, &self.alpaca) {
                 hands.spawn(async move { Hand::Fed(feed.await) });
+            }
+            if impostor.is_some_and(|at| now.since(at) > GONE) {
+                impostor = None;
+                self.node.alerts.clear(AlertKind::Impostor, format!("permit/{}", self.device.name));
+            }
+            // what is newly proven, or no longer, is published at once
+            let is_closed = self.guard().is_closed(now);
+            if std::mem::replace(&mut was_closed, is_closed) != is_closed {
+                next_beat = Instant::now();
+            }
+            self.closed.send_if_modified(|closed| std::mem::replace(closed, is_closed) != is_closed);
+            if beaten && let Some(link) = &self.link {
+                let guard = self.guard();
+                let report = DomeReport {
+                    at_ns: nanos(now),
+                    may_be_open_ms: u64::try_from(guard.may_be_open_for(now).as_millis()).unwrap_or(0),
+                    sees: seen_lately.is_some(),
+                    is_closed,
+                    waits_for_mounts: guard.needs_help_with_mounts(now, parked),
+                };
+                link.say(self.device.name.as_str(), report, guard.tokens());
             }
             if beaten {
                 let number = self.guard().beat(clock.machine());
@@ -185,14 +225,11 @@ impl GuardTask {
     async fn mounts(&self) -> anyhow::Result<Mounts> {
         let keys = format!("{}/{}/*/device/telescope/*/state", contract::key::ROOT, self.device.address.site);
         let heard = self.node.bus.subscribe(&keys, Catch::Newest, 64).await?;
-        let telescopes = self.guard().telescopes().to_vec();
-        let never = self.node.bus.clock().machine();
-        // until it is heard, each telescope counts as one mount that is not parked
-        let parked = telescopes.into_iter().filter_map(|telescope| {
-            let address = Address { site: self.device.address.site.clone(), telescope };
-            Some((address.device(Kind::Telescope, &"unheard".parse().ok()?), false, never))
-        });
-        Ok(Mounts { heard, parked: parked.collect() })
+        let (config, telescopes) = (&self.node.config, self.guard().telescopes().to_vec());
+        // its own telescope's mounts are in the same file; those of others are known by their states alone
+        let is_own = telescopes.as_slice() == [config.place.telescope.clone()];
+        let own = || config.telescope.iter().map(|mount| config.address().device(Kind::Telescope, &mount.common.name));
+        Ok(Mounts { heard, under: MountsUnder::new(telescopes, is_own.then(|| own().collect())) })
     }
 
     fn raise(&self, alarm: Alarm) {
@@ -201,6 +238,7 @@ impl GuardTask {
             Alarm::NotClosed => format!("dome {name} should be closed and is not verified closed"),
             Alarm::Uncommanded => format!("dome {name} opened and nobody had commanded it"),
             Alarm::MountNotParked => format!("dome {name} must close and waits for its mount to park"),
+            Alarm::Contradicts(what) => format!("dome {name}: {}", what.cause()),
             Alarm::Hold => format!("the guard closed dome {name} because its permission was not renewed"),
         };
         self.node.alerts.raise(kind(alarm), name, &cause);
@@ -213,25 +251,32 @@ fn kind(alarm: Alarm) -> AlertKind {
         Alarm::Uncommanded => AlertKind::DomeUncommandedOpen,
         Alarm::MountNotParked => AlertKind::DomeWaitsForMount,
         Alarm::Hold => AlertKind::DomeHeld,
+        Alarm::Contradicts(_) => AlertKind::DomeContradicts,
+    }
+}
+
+/// What makes a permit that of an impostor, if anything does.
+fn suspicion(taken: Result<Taken, Dropped>) -> Option<&'static str> {
+    match taken {
+        Ok(Taken::Contested) => Some("permits of one lease and one name contradict each other's numbers"),
+        Err(Dropped::NeverGranted) => Some("a permit carries a token that was never granted"),
+        Err(Dropped::OtherLife) => Some("a permit carries a lease that was granted to another process"),
+        Ok(Taken::Next)
+        | Err(
+            Dropped::Stranger | Dropped::OtherBoot | Dropped::UnknownNumber | Dropped::Replayed | Dropped::OldToken,
+        ) => None,
     }
 }
 
 async fn hear_mounts(mounts: &mut Option<Mounts>) {
     let Some(mounts) = mounts else { return std::future::pending().await };
     let heard = mounts.heard.hear().await;
-    let Key::State(device) = heard.key else { return };
-    let fresh = heard.said.body.fields.at_park.known() == Some(&true);
-    if !mounts.parked.iter().any(|(known, ..)| known.address == device.address) {
-        return;
-    }
-    let unheard = |known: &Device| known.address == device.address && known.name.as_str() == "unheard";
-    mounts.parked.retain(|(known, ..)| *known != device && !unheard(known));
-    mounts.parked.push((device, fresh, heard.arrived));
-}
-
-impl Mounts {
-    fn all_parked(&self, now: MachineTime) -> bool {
-        self.parked.iter().all(|(_, parked, at)| *parked && now.since(*at) <= MOUNT_FRESH)
+    if let Key::State(device) = heard.key {
+        let parked = heard.said.body.fields.at_park.known() == Some(&true);
+        // a state that repeats an old reading is as old as that
+        let age_s = heard.said.body.age_s("AtPark").unwrap_or(0.0);
+        let read = heard.arrived.minus(Duration::try_from_secs_f64(age_s).unwrap_or(Duration::MAX));
+        mounts.under.hear(device, heard.said.boot_id, parked, read);
     }
 }
 
@@ -243,13 +288,13 @@ fn word(deed: &Deed) -> &'static str {
     }
 }
 
-async fn read(alpaca: Alpaca) -> Hand {
+async fn read(alpaca: Alpaca, asked: MachineTime) -> Hand {
     let shutter = alpaca.get("shutterstatus").await.and_then(|answer| {
         let number = value::whole(&answer).map_err(AlpacaError::Value)?;
         let found = SHUTTER.iter().find(|(n, _)| *n == number).map(|(_, shutter)| *shutter);
         found.ok_or_else(|| AlpacaError::Protocol(format!("ShutterStatus is {number}")))
     });
-    Hand::Looked(shutter)
+    Hand::Looked(shutter.map(|shutter| (shutter, asked)))
 }
 
 async fn act(alpaca: Alpaca, deed: Deed, connect: bool) -> Hand {

@@ -1,3 +1,4 @@
+use contract::observatory::Verdict;
 use proptest::prelude::*;
 use units::Utc;
 
@@ -5,19 +6,19 @@ use super::*;
 
 const VALID: u64 = 10;
 
-fn boot(name: &str) -> BootId {
+pub(super) fn boot(name: &str) -> BootId {
     serde_json::from_value(serde_json::json!(name)).unwrap()
 }
 
-fn at(seconds: f64) -> MachineTime {
+pub(super) fn at(seconds: f64) -> MachineTime {
     MachineTime::from_boot(Duration::from_secs_f64(1000.0 + seconds))
 }
 
-fn telescope(name: &str) -> Chunk {
+pub(super) fn telescope(name: &str) -> Chunk {
     name.parse().unwrap()
 }
 
-fn guard_with(policy: CloseWithMount, telescopes: &[&str]) -> Guard {
+pub(super) fn guard_with(policy: CloseWithMount, telescopes: &[&str]) -> Guard {
     let settings = Settings {
         boot_id: boot("guard"),
         telescopes: telescopes.iter().map(|name| telescope(name)).collect(),
@@ -26,18 +27,36 @@ fn guard_with(policy: CloseWithMount, telescopes: &[&str]) -> Guard {
         parked_within: Duration::from_secs(120),
         travel: Duration::from_secs(90),
     };
-    Guard::new(settings, BTreeMap::new(), at(0.0))
+    let granted = telescopes.iter().map(|name| (telescope(name), 1)).collect();
+    Guard::new(settings, granted, at(0.0))
 }
 
-fn guard() -> Guard {
+/// A dome whose status is read as the guard looks, and which takes each request.
+pub(super) trait Sees {
+    fn sees(&mut self, now: MachineTime, shutter: Option<Shutter>, parked: bool) -> Vec<Deed>;
+}
+
+impl Sees for Guard {
+    fn sees(&mut self, now: MachineTime, shutter: Option<Shutter>, parked: bool) -> Vec<Deed> {
+        let deeds = self.look(now, shutter.map(|shutter| (shutter, now)), parked);
+        if closes(&deeds) {
+            self.close_answered(true, now);
+        }
+        deeds
+    }
+}
+
+pub(super) fn guard() -> Guard {
     guard_with(CloseWithMount::Beside, &["alpha"])
 }
 
-fn permit(seq: u64, number: u64, verdict: Verdict) -> Stamped<Permit> {
+pub(super) fn permit(seq: u64, number: u64, verdict: Verdict) -> Stamped<Permit> {
     Stamped {
         boot_id: boot("observatory-1"),
         seq,
         at_utc: Utc::EPOCH,
+        sent_s: None,
+        held_s: None,
         body: Permit {
             verdict,
             commander: "observatory/alpha/main".to_owned(),
@@ -48,22 +67,22 @@ fn permit(seq: u64, number: u64, verdict: Verdict) -> Stamped<Permit> {
     }
 }
 
-fn safe(seq: u64, number: u64) -> Stamped<Permit> {
+pub(super) fn safe(seq: u64, number: u64) -> Stamped<Permit> {
     permit(seq, number, Verdict::Safe)
 }
 
 /// A guard whose dome was opened under a valid safe permit at second 1.
 fn open_guard() -> Guard {
     let mut guard = guard();
-    guard.look(at(0.0), Some(Shutter::Closed), true);
+    guard.sees(at(0.0), Some(Shutter::Closed), true);
     let number = guard.beat(at(0.0));
     guard.hear(&telescope("alpha"), &safe(0, number)).unwrap();
     guard.open_commanded(at(1.0)).unwrap();
-    assert_eq!(guard.look(at(2.0), Some(Shutter::Open), true), []);
+    assert_eq!(guard.sees(at(2.0), Some(Shutter::Open), true), []);
     guard
 }
 
-fn closes(deeds: &[Deed]) -> bool {
+pub(super) fn closes(deeds: &[Deed]) -> bool {
     deeds.iter().any(|deed| matches!(deed, Deed::Close | Deed::AbortThenClose))
 }
 
@@ -81,7 +100,7 @@ fn permits_that_waited_in_a_socket_do_not_come_back_to_life() {
     let mut guard = open_guard();
     let numbers: Vec<u64> = (1..=9).map(|second| guard.beat(at(f64::from(second)))).collect();
     // the observatory was frozen at second 9; its permits arrive all at once at second 30
-    assert!(closes(&guard.look(at(12.0), Some(Shutter::Open), true)));
+    assert!(closes(&guard.sees(at(12.0), Some(Shutter::Open), true)));
     for (seq, number) in numbers.into_iter().enumerate() {
         let _ = guard.hear(&telescope("alpha"), &safe(1 + seq as u64, number));
     }
@@ -92,8 +111,8 @@ fn permits_that_waited_in_a_socket_do_not_come_back_to_life() {
 #[test]
 fn without_a_permit_an_open_dome_closes_when_the_last_one_runs_out() {
     let mut guard = open_guard();
-    assert_eq!(guard.look(at(9.9), Some(Shutter::Open), true), []);
-    assert_eq!(guard.look(at(10.0), Some(Shutter::Open), true), [Deed::Close]);
+    assert_eq!(guard.sees(at(9.9), Some(Shutter::Open), true), []);
+    assert_eq!(guard.sees(at(10.0), Some(Shutter::Open), true), [Deed::Close]);
     assert_eq!(guard.says(0, at(10.0), 0).action, GuardAction::Closing);
 }
 
@@ -102,7 +121,7 @@ fn an_unsafe_permit_closes_at_once() {
     let mut guard = open_guard();
     let number = guard.beat(at(3.0));
     guard.hear(&telescope("alpha"), &permit(1, number, Verdict::Unsafe)).unwrap();
-    assert_eq!(guard.look(at(3.0), Some(Shutter::Open), true), [Deed::Close]);
+    assert_eq!(guard.sees(at(3.0), Some(Shutter::Open), true), [Deed::Close]);
 }
 
 #[test]
@@ -111,7 +130,7 @@ fn closing_is_tried_for_ever_and_never_believed_without_the_shutter() {
     let mut tries = Vec::new();
     for tenth in 100..=1500 {
         let second = f64::from(tenth) / 10.0;
-        let deeds = guard.look(at(second), Some(Shutter::Open), true);
+        let deeds = guard.sees(at(second), Some(Shutter::Open), true);
         tries.extend(deeds.into_iter().map(|deed| (second, deed)));
     }
     let commands: Vec<_> = tries.iter().filter(|(_, deed)| closes(std::slice::from_ref(deed))).collect();
@@ -121,21 +140,21 @@ fn closing_is_tried_for_ever_and_never_believed_without_the_shutter() {
     assert_eq!(*commands[2], (30.0, Deed::AbortThenClose));
     assert!(tries.contains(&(30.0, Deed::Raise(Alarm::NotClosed))));
     // a shutter of which nothing is known is not closed either
-    assert!(closes(&guard.look(at(160.0), None, true)));
-    let deeds = guard.look(at(161.0), Some(Shutter::Closed), true);
+    assert!(closes(&guard.sees(at(160.0), None, true)));
+    let deeds = guard.sees(at(161.0), Some(Shutter::Closed), true);
     assert!(deeds.contains(&Deed::Clear(Alarm::NotClosed)) && !guard.is_closing());
 }
 
 #[test]
 fn a_shutter_on_its_way_is_not_disturbed_until_it_is_stuck() {
     let mut guard = open_guard();
-    assert_eq!(guard.look(at(10.0), Some(Shutter::Open), true), [Deed::Close]);
+    assert_eq!(guard.sees(at(10.0), Some(Shutter::Open), true), [Deed::Close]);
     for second in 11..100 {
-        let deeds = guard.look(at(f64::from(second)), Some(Shutter::Closing), true);
+        let deeds = guard.sees(at(f64::from(second)), Some(Shutter::Closing), true);
         assert!(!closes(&deeds), "second {second}: {deeds:?}");
     }
     let deeds: Vec<Deed> =
-        (100..125).flat_map(|s| guard.look(at(f64::from(s)), Some(Shutter::Closing), true)).collect();
+        (100..125).flat_map(|s| guard.sees(at(f64::from(s)), Some(Shutter::Closing), true)).collect();
     assert!(closes(&deeds), "{deeds:?}");
     assert!(deeds.contains(&Deed::Raise(Alarm::NotClosed)));
 }
@@ -143,8 +162,8 @@ fn a_shutter_on_its_way_is_not_disturbed_until_it_is_stuck() {
 #[test]
 fn after_the_guard_closed_by_itself_only_the_commander_opens_again() {
     let mut guard = open_guard();
-    guard.look(at(10.0), Some(Shutter::Open), true);
-    let deeds = guard.look(at(40.0), Some(Shutter::Closed), true);
+    guard.sees(at(10.0), Some(Shutter::Open), true);
+    let deeds = guard.sees(at(40.0), Some(Shutter::Closed), true);
     assert_eq!(deeds, [Deed::Raise(Alarm::Hold)]);
     assert!(guard.says(0, at(40.0), 0).hold);
     assert!(guard.resume(at(40.0)).is_err(), "resume needs a valid safe permit");
@@ -152,7 +171,7 @@ fn after_the_guard_closed_by_itself_only_the_commander_opens_again() {
     guard.hear(&telescope("alpha"), &safe(1, number)).unwrap();
     assert_eq!(guard.open_commanded(at(41.0)).unwrap_err().0, Reason::NoPermit);
     guard.resume(at(41.0)).unwrap();
-    assert_eq!(guard.look(at(41.0), Some(Shutter::Closed), true), [Deed::Clear(Alarm::Hold)]);
+    assert_eq!(guard.sees(at(41.0), Some(Shutter::Closed), true), [Deed::Clear(Alarm::Hold)]);
     guard.open_commanded(at(41.0)).unwrap();
 }
 
@@ -161,10 +180,10 @@ fn a_closing_that_the_commander_wanted_too_is_no_hold() {
     let mut guard = open_guard();
     let number = guard.beat(at(3.0));
     guard.hear(&telescope("alpha"), &permit(1, number, Verdict::Unsafe)).unwrap();
-    guard.look(at(3.0), Some(Shutter::Open), true);
+    guard.sees(at(3.0), Some(Shutter::Open), true);
     guard.close_commanded(at(4.0));
-    guard.look(at(4.0), Some(Shutter::Closing), true);
-    assert_eq!(guard.look(at(40.0), Some(Shutter::Closed), true), []);
+    guard.sees(at(4.0), Some(Shutter::Closing), true);
+    assert_eq!(guard.sees(at(40.0), Some(Shutter::Closed), true), []);
     assert!(!guard.says(0, at(40.0), 0).hold);
 }
 
@@ -174,30 +193,34 @@ fn a_commanded_closing_of_a_shared_roof_waits_for_all_mounts_under_it() {
         [(CloseWithMount::Beside, false), (CloseWithMount::ParkedWithinS, true), (CloseWithMount::ParkedOnly, true)]
     {
         let mut roof = guard_with(policy, &["alpha", "beta"]);
-        roof.look(at(0.0), Some(Shutter::Closed), true);
+        roof.sees(at(0.0), Some(Shutter::Closed), true);
         let number = roof.beat(at(0.0));
         for name in ["alpha", "beta"] {
             roof.hear(&telescope(name), &safe(0, number)).unwrap();
         }
         roof.open_commanded(at(1.0)).unwrap();
-        assert_eq!(roof.look(at(2.0), Some(Shutter::Open), false), []);
+        assert_eq!(roof.sees(at(2.0), Some(Shutter::Open), false), []);
         assert_eq!(roof.closes_by_itself(), waits);
         roof.close_commanded(at(3.0));
+        if !waits {
+            roof.close_sent(at(3.0));
+            roof.close_answered(true, at(3.0));
+        }
         // the commander's own mount may be parked: the other one is not
-        assert_eq!((roof.is_closing(), roof.look(at(3.0), Some(Shutter::Open), false)), (waits, vec![]));
+        assert_eq!((roof.is_closing(), roof.sees(at(3.0), Some(Shutter::Open), false)), (waits, vec![]));
         // beside the mounts the command itself has moved the shutter
         let closes = if waits { vec![Deed::Close] } else { vec![] };
-        assert_eq!(roof.look(at(8.0), Some(Shutter::Open), true), closes, "{policy:?}");
-        roof.look(at(9.0), Some(Shutter::Closing), true);
-        roof.look(at(20.0), Some(Shutter::Closed), true);
+        assert_eq!(roof.sees(at(8.0), Some(Shutter::Open), true), closes, "{policy:?}");
+        roof.sees(at(9.0), Some(Shutter::Closing), true);
+        roof.sees(at(20.0), Some(Shutter::Closed), true);
         assert!(!roof.is_closing() && !roof.says(0, at(20.0), 0).hold, "it was wanted: {policy:?}");
-        assert!(!guard_with(policy, &["alpha"]).closes_by_itself(), "one telescope's commander knows its mounts");
+        assert_eq!(guard_with(policy, &["alpha"]).closes_by_itself(), waits, "also over one telescope");
     }
     let mut late = guard_with(CloseWithMount::ParkedWithinS, &["alpha", "beta"]);
-    late.look(at(0.0), Some(Shutter::Open), false);
+    late.sees(at(0.0), Some(Shutter::Open), false);
     late.close_commanded(at(1.0));
-    assert_eq!(late.look(at(120.0), Some(Shutter::Open), false), []);
-    assert!(closes(&late.look(at(121.0), Some(Shutter::Open), false)), "and then all the same");
+    assert_eq!(late.sees(at(120.0), Some(Shutter::Open), false), []);
+    assert!(closes(&late.sees(at(121.0), Some(Shutter::Open), false)), "and then all the same");
 }
 
 #[test]
@@ -221,6 +244,8 @@ fn a_permit_of_an_older_lease_has_no_effect_on_a_newer_one() {
     let number = guard.beat(at(0.0));
     let mut newer = safe(0, number);
     newer.body.token = 7;
+    assert_eq!(guard.hear(&telescope("alpha"), &newer), Err(Dropped::NeverGranted));
+    guard.grant("alpha", 7, None);
     guard.hear(&telescope("alpha"), &newer).unwrap();
     let mut older = permit(99, number, Verdict::Unsafe);
     older.body.token = 6;
@@ -244,20 +269,20 @@ fn a_permit_for_another_life_of_the_guard_or_another_dome_is_none() {
 #[test]
 fn a_dome_found_open_at_the_start_has_one_permit_time_to_be_permitted() {
     let mut abandoned = guard();
-    assert_eq!(abandoned.look(at(9.9), Some(Shutter::Open), true), []);
-    assert_eq!(abandoned.look(at(10.0), Some(Shutter::Open), true), [Deed::Close]);
+    assert_eq!(abandoned.sees(at(9.9), Some(Shutter::Open), true), []);
+    assert_eq!(abandoned.sees(at(10.0), Some(Shutter::Open), true), [Deed::Close]);
     let mut resumed = guard();
-    assert_eq!(resumed.look(at(1.0), Some(Shutter::Open), true), []);
+    assert_eq!(resumed.sees(at(1.0), Some(Shutter::Open), true), []);
     let number = resumed.beat(at(5.0));
     resumed.hear(&telescope("alpha"), &safe(0, number)).unwrap();
-    assert_eq!(resumed.look(at(11.0), Some(Shutter::Open), true), []);
+    assert_eq!(resumed.sees(at(11.0), Some(Shutter::Open), true), []);
 }
 
 #[test]
 fn a_dome_that_was_never_seen_open_is_not_held() {
     let mut guard = guard();
-    assert_eq!(guard.look(at(11.0), None, true), [Deed::Close]);
-    assert_eq!(guard.look(at(12.0), Some(Shutter::Closed), true), []);
+    assert_eq!(guard.sees(at(11.0), None, true), [Deed::Close]);
+    assert_eq!(guard.sees(at(12.0), Some(Shutter::Closed), true), []);
     assert!(!guard.says(0, at(12.0), 0).hold);
 }
 
@@ -266,32 +291,33 @@ fn an_opening_that_nobody_commanded_is_closed_although_it_is_safe() {
     let mut guard = guard();
     let number = guard.beat(at(0.0));
     guard.hear(&telescope("alpha"), &safe(0, number)).unwrap();
-    assert_eq!(guard.look(at(1.0), Some(Shutter::Closed), true), []);
-    let deeds = guard.look(at(2.0), Some(Shutter::Opening), true);
+    assert_eq!(guard.sees(at(1.0), Some(Shutter::Closed), true), []);
+    let deeds = guard.sees(at(2.0), Some(Shutter::Opening), true);
     assert_eq!(deeds, [Deed::Close, Deed::Raise(Alarm::Uncommanded)]);
-    guard.look(at(3.0), Some(Shutter::Closing), true);
-    guard.look(at(9.0), Some(Shutter::Closed), true);
+    guard.sees(at(3.0), Some(Shutter::Closing), true);
+    guard.sees(at(9.0), Some(Shutter::Closed), true);
     assert!(guard.open_commanded(at(9.5)).is_err(), "held until the commander resumes");
     guard.resume(at(9.5)).unwrap();
-    assert!(guard.look(at(9.6), Some(Shutter::Closed), true).contains(&Deed::Clear(Alarm::Uncommanded)));
+    assert!(guard.sees(at(9.6), Some(Shutter::Closed), true).contains(&Deed::Clear(Alarm::Uncommanded)));
 }
 
 #[test]
 fn a_dome_over_two_telescopes_opens_for_both_or_not_at_all() {
     let mut guard = guard_with(CloseWithMount::Beside, &["alpha", "beta"]);
-    guard.look(at(0.0), Some(Shutter::Closed), true);
+    guard.sees(at(0.0), Some(Shutter::Closed), true);
     let number = guard.beat(at(0.0));
     guard.hear(&telescope("alpha"), &safe(0, number)).unwrap();
     assert!(guard.open_commanded(at(0.5)).is_err());
     let mut beta = safe(0, number);
     beta.body.token = 40;
+    guard.grant("beta", 40, None);
     guard.hear(&telescope("beta"), &beta).unwrap();
     guard.open_commanded(at(0.5)).unwrap();
     let number = guard.beat(at(1.0));
     guard.hear(&telescope("alpha"), &permit(1, number, Verdict::Unsafe)).unwrap();
-    assert_eq!(guard.look(at(1.0), Some(Shutter::Open), true), [Deed::Close]);
+    assert_eq!(guard.sees(at(1.0), Some(Shutter::Open), true), [Deed::Close]);
     // tokens are kept per telescope
-    assert_eq!(guard.hear(&telescope("alpha"), &safe(2, number)), Ok(()));
+    assert_eq!(guard.hear(&telescope("alpha"), &safe(2, number)), Ok(Taken::Next));
 }
 
 #[test]
@@ -299,7 +325,7 @@ fn a_roof_waits_for_the_park_as_its_policy_says() {
     let run = |policy, until: u32| {
         let mut guard = guard_with(policy, &["alpha"]);
         (10..=until)
-            .flat_map(|second| guard.look(at(f64::from(second)), Some(Shutter::Open), false))
+            .flat_map(|second| guard.sees(at(f64::from(second)), Some(Shutter::Open), false))
             .collect::<Vec<_>>()
     };
     assert!(!closes(&run(CloseWithMount::ParkedWithinS, 129)));
@@ -307,8 +333,27 @@ fn a_roof_waits_for_the_park_as_its_policy_says() {
     let only = run(CloseWithMount::ParkedOnly, 1000);
     assert_eq!(only, [Deed::Raise(Alarm::MountNotParked)]);
     let mut parked = guard_with(CloseWithMount::ParkedOnly, &["alpha"]);
-    parked.look(at(10.0), Some(Shutter::Open), false);
-    assert_eq!(parked.look(at(11.0), Some(Shutter::Open), true), [Deed::Close]);
+    parked.sees(at(10.0), Some(Shutter::Open), false);
+    assert_eq!(parked.sees(at(11.0), Some(Shutter::Open), true), [Deed::Close]);
+}
+
+#[test]
+fn a_roof_whose_mounts_nobody_parks_asks_for_help_after_10_s_and_at_an_end_at_once() {
+    for (policy, helps) in [(CloseWithMount::Beside, false), (CloseWithMount::ParkedOnly, true)] {
+        let mut roof = guard_with(policy, &["alpha"]);
+        roof.sees(at(10.0), Some(Shutter::Open), false);
+        assert!(!roof.needs_help_with_mounts(at(19.0), false), "the observatory may be parking");
+        assert_eq!(roof.needs_help_with_mounts(at(20.0), false), helps, "{policy:?}");
+        assert!(!roof.needs_help_with_mounts(at(20.0), true), "the mounts are parked");
+        let mut ending = guard_with(policy, &["alpha"]);
+        ending.end();
+        ending.sees(at(1.0), Some(Shutter::Open), false);
+        assert_eq!(ending.needs_help_with_mounts(at(1.0), false), helps, "{policy:?}");
+    }
+    let mut closed = guard_with(CloseWithMount::ParkedOnly, &["alpha"]);
+    closed.sees(at(10.0), Some(Shutter::Closed), false);
+    closed.sees(at(30.0), Some(Shutter::Closed), false);
+    assert!(!closed.needs_help_with_mounts(at(30.0), false), "no mount moves under a roof that nobody has opened");
 }
 
 proptest! {
@@ -331,7 +376,7 @@ proptest! {
             prop_assert!(!guard.may_be_open(now));
             prop_assert!(guard.open_commanded(now).is_err());
             now = now.plus(Duration::from_millis(300));
-            guard.look(now, Some(Shutter::Open), true);
+            guard.sees(now, Some(Shutter::Open), true);
             prop_assert!(guard.is_closing());
         }
     }

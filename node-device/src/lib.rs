@@ -11,24 +11,34 @@
 mod accounts;
 pub mod alpaca;
 mod announce;
+mod child;
 mod contact;
 mod deadline;
+mod deciding;
 pub mod driver;
+mod ending;
 mod front;
 mod gate;
 pub mod guard;
+mod guard_process;
 mod guard_task;
+mod guard_words;
 mod has;
 mod holder;
+mod mount_clock;
 mod mount_limits;
 mod mount_watch;
+mod mounts_under;
 mod node_part;
+pub mod permit_ledger;
 mod permits;
 mod readings;
 mod record;
 mod second_writer;
 mod serve;
+mod several;
 mod shared_dome;
+pub mod shutter_evidence;
 mod simulated;
 pub mod spool;
 pub mod spool_http;
@@ -40,16 +50,78 @@ pub use alpaca::discovery::{Found, as_toml, discover};
 
 use anyhow::Context as _;
 use audit::Audit;
-use bus::Node;
+use bus::{Node, NodeOptions};
+use guard_process::link::GuardLink;
 use tokio::task::JoinSet;
+
+/// `starmesh node device`: one node, or without `--id` all device nodes of the file, each as a process of its own.
+///
+/// A node that serves an enclosure runs inside a guard process, which this process then is. `verb` comes before
+/// the options on the command line of this program.
+pub fn main(mut options: NodeOptions, verb: &[&str]) -> std::process::ExitCode {
+    if options.check {
+        return bus::node::main_with(options, contract::Role::Device, run);
+    }
+    if options.guarded {
+        let own = options.clone();
+        return bus::node::main_with(options, contract::Role::Device, |node| run_guarded(node, own));
+    }
+    if options.id.is_none() {
+        match bus::node::read_observatory(&options.config) {
+            Ok(config) if config.device_nodes().len() == 1 => {
+                options.id = config.device_nodes().first().and_then(|id| id.parse().ok());
+            }
+            // a file without devices: the node reports it
+            Ok(config) if config.device_nodes().is_empty() => {}
+            Ok(_) => return several::main(&options, verb),
+            Err(_) if guard_process::is_needed(&options, config::ENCLOSURE_NODE) => {
+                return several::main(&options, verb);
+            }
+            // the node reports what is wrong with the file
+            Err(_) => {}
+        }
+    }
+    if let Some(id) = options.id.clone()
+        && guard_process::is_needed(&options, id.as_str())
+    {
+        return guard_process::main(&options, verb, id.as_str());
+    }
+    let is_enclosure = options.id.as_ref().is_none_or(|id| id.as_str() == config::ENCLOSURE_NODE);
+    if is_enclosure && bus::node::read_observatory(&options.config).is_err() {
+        eprintln!(
+            "NOBODY GUARDS the enclosure of {}: the file cannot be used, and no copy of one that worked exists",
+            options.config.display()
+        );
+    }
+    bus::node::main_with(options, contract::Role::Device, run)
+}
+
+/// Is enough known of the enclosure of a configuration file to close it although the file cannot be used?
+pub fn closes_by_copy(config: &std::path::Path) -> bool {
+    guard_process::places::Places::of(config, config::ENCLOSURE_NODE).copy().is_some()
+}
 
 /// Serves the devices of a node until it is stopped.
 pub async fn run(node: Node) -> anyhow::Result<()> {
+    serve_devices(node, None).await
+}
+
+async fn run_guarded(node: Node, options: NodeOptions) -> anyhow::Result<()> {
+    serve_devices(node, Some((GuardLink::open(), options))).await
+}
+
+async fn serve_devices(node: Node, guarded: Option<(GuardLink, NodeOptions)>) -> anyhow::Result<()> {
     let part = node_part::NodePart::of(&node)?;
     simulated::check_speed(node.bus.clock(), &part.devices).await?;
     let mut tasks = JoinSet::new();
     let audit = Audit::start(&node).await?;
-    let spool = start::all(&node, &part, &audit, &mut tasks).await?;
+    let link = guarded.as_ref().map(|(link, _)| link);
+    let (spool, enclosures) = start::all(&node, &part, &audit, link, &mut tasks).await?;
+    let names = enclosures.iter().map(|enclosure| enclosure.name.to_string()).collect();
+    tasks.spawn(ending::close_first(node.clone(), link.cloned(), enclosures));
+    if let Some((link, options)) = guarded {
+        tasks.spawn(ending::outlive_guard_process(node.clone(), link, options, names));
+    }
     tracing::info!(devices = part.devices.len(), "serving");
     let result = loop {
         match tasks.join_next().await {

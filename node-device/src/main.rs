@@ -2,6 +2,8 @@
 
 use std::process::ExitCode;
 
+use clap::Parser as _;
+
 fn main() -> ExitCode {
-    bus::node::main(contract::Role::Device, node_device::run)
+    node_device::main(bus::NodeOptions::parse(), &[])
 }

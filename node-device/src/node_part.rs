@@ -10,32 +10,31 @@ pub struct NodePart<'a> {
     /// Kinds and blocks.
     pub devices: Vec<(Kind, &'a Common)>,
     id: &'a Name,
-    any_named: bool,
 }
 
 impl<'a> NodePart<'a> {
     /// The part of this node; an error where it has none.
     pub fn of(node: &'a Node) -> anyhow::Result<Self> {
-        let all = node.config.devices();
-        let any_named = all.iter().any(|(_, common)| common.node.is_some());
-        let mut part = Self { devices: Vec::new(), id: &node.id, any_named };
-        part.devices = all.into_iter().filter(|(_, common)| part.serves(common)).collect();
-        if part.devices.is_empty() {
+        let devices = node.config.served_by(node.id.as_str());
+        if devices.is_empty() {
             bail!(
-                "no device is served by the node \"{}\": give devices node = \"{}\", or start the node with another --id",
+                "no device is served by the device node \"{}\"; this file's device nodes are: {}; start one of them with \
+                 --id, or give devices node = \"{}\"",
                 node.id,
+                node.config.device_nodes().join(", "),
                 node.id
             );
         }
-        Ok(part)
+        Ok(Self { devices, id: &node.id })
     }
 
-    /// Devices name their node. Those that name none belong to the only node, or, where other devices name
-    /// theirs, to `main`.
-    pub fn serves(&self, common: &Common) -> bool {
-        match &common.node {
-            Some(node) => node == self.id,
-            None => !self.any_named || self.id.as_str() == "main",
-        }
+    /// Whether this node guards an enclosure.
+    pub fn has_enclosure(&self) -> bool {
+        self.devices.iter().any(|(kind, _)| *kind == Kind::Dome)
+    }
+
+    /// Whether this node serves a device.
+    pub fn serves(&self, kind: Kind, common: &Common) -> bool {
+        common.node_id(kind) == self.id.as_str()
     }
 }

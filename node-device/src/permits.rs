@@ -4,23 +4,28 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use bus::{Bus, BusError, Catch, Heard, MachineTime, Succession};
-use contract::device::dome::Guard;
+use bus::{Bus, BusError, Catch, Heard, MachineTime};
+use contract::device::dome::{GrantedToken, Guard};
 use contract::observatory::{Lease, Permit, Verdict};
-use contract::{BootId, Chunk, Key, Kind, Part};
+use contract::{BootId, Chunk, Device, Key, Kind, Part};
 
+use crate::guard_words::{GuardWords, Roofs};
 use crate::holder::{Claimant, Holding};
 use crate::token::Tokens;
 
 /// How long a permit counts for devices that have no guard of their own.
-const PERMIT_VALID: Duration = Duration::from_secs(10);
+pub const PERMIT_VALID: Duration = Duration::from_secs(10);
+
+/// The arbiter counts one by one; a commander's permit that leaps farther does not count at once.
+const STEP: u64 = 1000;
 
 /// What was heard last, by telescope.
 #[derive(Default)]
 pub struct Permits {
     newest: Mutex<BTreeMap<String, Newest>>,
-    /// By dome: life of its guard, and the newest number that it has said.
-    guards: Mutex<BTreeMap<String, (BootId, u64, MachineTime)>>,
+    guards: Mutex<GuardWords>,
+    /// By telescope, where no guard publishes its lease: the newest token that its commander published.
+    leases: Mutex<BTreeMap<String, (u64, MachineTime)>>,
 }
 
 #[derive(Debug, Clone, Default)]
@@ -33,6 +38,7 @@ struct Newest {
 struct HeardPermit {
     boot_id: BootId,
     seq: u64,
+    number: u64,
     token: u64,
     safe: bool,
     arrived: MachineTime,
@@ -70,38 +76,57 @@ impl Permits {
         }
     }
 
-    /// A dome's guard has said its number.
-    fn guard(&self, dome: &str, boot_id: &BootId, number: u64, arrived: MachineTime) {
-        let mut guards = self.guards.lock().unwrap_or_else(PoisonError::into_inner);
-        guards.insert(dome.to_owned(), (boot_id.clone(), number, arrived));
+    /// What the guards of a telescope's enclosures publish now.
+    pub fn roofs(&self, enclosures: &[Device], now: MachineTime) -> Roofs {
+        self.guards.lock().unwrap_or_else(PoisonError::into_inner).roofs(enclosures, now)
+    }
+
+    /// A dome's guard has spoken.
+    fn guard(&self, dome: Device, life: &BootId, said: &Guard, arrived: MachineTime) {
+        self.guards.lock().unwrap_or_else(PoisonError::into_inner).hear(dome, life, said, arrived);
+    }
+
+    /// The token that the guards of the site publish for a telescope, if any does.
+    fn told_by_guards(&self, telescope: &str, now: MachineTime) -> Option<u64> {
+        self.guards.lock().unwrap_or_else(PoisonError::into_inner).token(telescope, now)
     }
 
     /// Does a permit answer a number that its dome's guard has said lately? The guard itself would drop it otherwise.
     fn is_answer(&self, dome: &str, permit: &Permit, now: MachineTime) -> bool {
-        let guards = self.guards.lock().unwrap_or_else(PoisonError::into_inner);
-        guards.get(dome).is_some_and(|(boot_id, newest, arrived)| {
-            let age_s = newest.saturating_sub(permit.guard_number);
-            let is_young = age_s <= PERMIT_VALID.as_secs() && now.since(*arrived) <= PERMIT_VALID;
-            // on its way here the permit may have overtaken the number that it answers
-            permit.guard_boot_id == *boot_id && permit.guard_number <= newest + 1 && is_young
-        })
+        self.guards.lock().unwrap_or_else(PoisonError::into_inner).is_answered(dome, permit, now)
     }
 
-    /// Takes a permit unless it is old or of an old token.
-    fn hear(&self, telescope: &str, heard: &Heard<Permit>, highest_token: u64) {
+    /// The token of a lease that no guard publishes, by its commander's permits: one step of a count follows another, and a
+    /// larger leap, or a step back, counts only once the one before it is silent.
+    fn told_by_lease(&self, telescope: &str, token: u64, arrived: MachineTime) -> Option<u64> {
+        let mut leases = self.leases.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((known, at)) = leases.get(telescope) {
+            let follows = token >= *known && token - known <= STEP;
+            if !follows && arrived.since(*at) <= PERMIT_VALID {
+                return None;
+            }
+        }
+        leases.insert(telescope.to_owned(), (token, arrived));
+        Some(token)
+    }
+
+    /// Takes a permit unless it is old, or its token is not the one that was granted.
+    fn hear(&self, telescope: &str, heard: &Heard<Permit>, granted: u64) {
         let permit = &heard.said.body;
         let mut newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
         let entry = newest.entry(telescope.to_owned()).or_default();
         let repeats = entry.permit.as_ref().is_some_and(|have| {
-            have.token == permit.token && have.boot_id == heard.said.boot_id && heard.said.seq <= have.seq
+            let is_older = heard.said.seq <= have.seq && permit.guard_number <= have.number;
+            have.token == permit.token && have.boot_id == heard.said.boot_id && is_older
         });
-        if permit.token < highest_token || repeats {
+        if permit.token != granted || repeats {
             return;
         }
         entry.holding.hear(&permit.commander, &heard.said.boot_id, permit.token, heard.arrived);
         entry.permit = Some(HeardPermit {
             boot_id: heard.said.boot_id.clone(),
             seq: heard.said.seq,
+            number: permit.guard_number,
             token: permit.token,
             safe: permit.verdict == Verdict::Safe,
             arrived: heard.arrived,
@@ -117,32 +142,34 @@ pub async fn listen(bus: Bus, site: Chunk, tokens: Arc<Tokens>, permits: Arc<Per
     let lease_keys = format!("{root}/{site}/*/observatory/{word}/state");
     let guard_keys = format!("{root}/{site}/*/device/{}/*/guard", Kind::Dome);
     let heard_guards = bus.subscribe::<Guard>(&guard_keys, Catch::Newest, 64).await?;
-    let mut successions: BTreeMap<String, Succession> = BTreeMap::new();
     let heard_permits = bus.subscribe::<Permit>(&permit_keys, Catch::Newest, 64).await?;
     let heard_leases = bus.subscribe::<Lease>(&lease_keys, Catch::Newest, 64).await?;
     loop {
         tokio::select! {
             heard = heard_guards.hear() => {
                 let Key::Guard(dome) = &heard.key else { continue };
-                let (name, said) = (dome.name.as_str(), &heard.said);
-                if successions.entry(name.to_owned()).or_default().is_newer(&said.boot_id, said.seq, heard.arrived) {
-                    permits.guard(name, &said.boot_id, said.body.number, heard.arrived);
+                permits.guard(dome.clone(), &heard.said.boot_id, &heard.said.body, heard.arrived);
+                for GrantedToken { telescope, .. } in &heard.said.body.granted {
+                    if let Some(token) = permits.told_by_guards(telescope, heard.arrived) {
+                        follow(&tokens, telescope, token).await;
+                    }
                 }
             }
             heard = heard_permits.hear() => {
                 let Key::Permit(address, dome) = &heard.key else { continue };
-                if !permits.is_answer(dome.as_str(), &heard.said.body, heard.arrived) {
-                    continue;
+                if permits.is_answer(dome.as_str(), &heard.said.body, heard.arrived) {
+                    let telescope = address.telescope.as_str();
+                    permits.hear(telescope, &heard, tokens.highest(telescope));
                 }
-                let telescope = address.telescope.as_str();
-                learn(&tokens, telescope, heard.said.body.token).await;
-                permits.hear(telescope, &heard, tokens.highest(telescope));
             }
             heard = heard_leases.hear() => {
                 let Key::Observatory(address, _) = &heard.key else { continue };
                 let telescope = address.telescope.as_str();
                 let token = heard.said.body.token;
-                learn(&tokens, telescope, token).await;
+                let is_told = tokens.is_arbiter(telescope) || permits.told_by_guards(telescope, heard.arrived).is_some();
+                if !is_told && let Some(token) = permits.told_by_lease(telescope, token, heard.arrived) {
+                    follow(&tokens, telescope, token).await;
+                }
                 if token == tokens.highest(telescope) {
                     permits.lease(telescope, &heard);
                 }
@@ -151,12 +178,13 @@ pub async fn listen(bus: Bus, site: Chunk, tokens: Arc<Tokens>, permits: Arc<Per
     }
 }
 
-async fn learn(tokens: &Arc<Tokens>, telescope: &str, token: u64) {
-    if token <= tokens.highest(telescope) {
+/// Takes over what the arbiter, or where it publishes nothing the commander, publishes of a lease.
+async fn follow(tokens: &Arc<Tokens>, telescope: &str, token: u64) {
+    if token == tokens.highest(telescope) || tokens.is_arbiter(telescope) {
         return;
     }
     let (tokens, name) = (tokens.clone(), telescope.to_owned());
-    let written = tokio::task::spawn_blocking(move || tokens.heard(&name, token)).await;
+    let written = tokio::task::spawn_blocking(move || tokens.follow(&name, token)).await;
     if let Ok(Err(error)) = written {
         tracing::error!(telescope, token, %error, "a fencing token could not be written; it holds until this node ends");
     }

@@ -2,36 +2,64 @@
 
 use std::collections::BTreeMap;
 
+use bus::MachineTime;
 use contract::datum::ReadingOutcome;
 use contract::{Datum, Kind, NoData, Reading};
 use serde_json::Value;
 use units::Utc;
 
 use crate::alpaca::value;
+use crate::driver::Now;
 
 /// The newest answers of one device.
 #[derive(Debug, Clone, Default)]
 pub struct Readings {
-    answers: BTreeMap<String, (Result<Value, NoData>, Utc)>,
+    answers: BTreeMap<String, Kept>,
+}
+
+/// One answer.
+#[derive(Debug, Clone)]
+struct Kept {
+    answer: Result<Value, NoData>,
+    at_utc: Utc,
+    /// When the device was asked; the answer is at least as new as that. `None` of what does not change.
+    asked: Option<Now>,
 }
 
 impl Readings {
-    /// Keeps an answer.
+    /// Stores an answer whose age is of no interest.
     pub fn keep(&mut self, property: &str, answer: Result<Value, NoData>, at_utc: Utc) {
-        self.answers.insert(property.to_owned(), (answer, at_utc));
+        self.answers.insert(property.to_owned(), Kept { answer, at_utc, asked: None });
+    }
+
+    /// Stores an answer to a question that was asked then.
+    pub fn keep_asked(&mut self, property: &str, answer: Result<Value, NoData>, at_utc: Utc, asked: Now) {
+        self.answers.insert(property.to_owned(), Kept { answer, at_utc, asked: Some(asked) });
     }
 
     /// Every property is missing now, for one reason.
     pub fn lose(&mut self, reason: &NoData, at_utc: Utc) {
-        for answer in self.answers.values_mut() {
-            *answer = (Err(reason.clone()), at_utc);
+        for kept in self.answers.values_mut() {
+            *kept = Kept { answer: Err(reason.clone()), at_utc, asked: None };
         }
+    }
+
+    /// Every property that is polled is missing now, for one reason; what does not change stays.
+    pub fn drop_polled(&mut self, reason: &NoData, at_utc: Utc) {
+        for kept in self.answers.values_mut().filter(|kept| kept.asked.is_some()) {
+            *kept = Kept { answer: Err(reason.clone()), at_utc, asked: None };
+        }
+    }
+
+    /// When the question of the present answer was asked.
+    pub fn asked(&self, property: &str) -> Option<Now> {
+        self.answers.get(property)?.asked
     }
 
     fn read<T>(&self, property: &str, read: impl Fn(&Value) -> Result<T, NoData>) -> Datum<T> {
         match self.answers.get(property) {
-            Some((Ok(value), _)) => read(value).into(),
-            Some((Err(reason), _)) => Datum::missing(reason.clone()),
+            Some(Kept { answer: Ok(value), .. }) => read(value).into(),
+            Some(Kept { answer: Err(reason), .. }) => Datum::missing(reason.clone()),
             None => Datum::default(),
         }
     }
@@ -72,11 +100,15 @@ impl Readings {
         })
     }
 
-    /// All of it as the contract shows it, in ASCOM's units.
-    pub fn shown(&self, kind: Kind) -> BTreeMap<String, Reading> {
-        let shown = self.answers.iter().map(|(property, (answer, at_utc))| {
+    /// All of it as the contract shows it, in ASCOM's units, with its ages `now`.
+    pub fn shown(&self, kind: Kind, now: MachineTime) -> BTreeMap<String, Reading> {
+        let shown = self.answers.iter().map(|(property, Kept { answer, at_utc, asked })| {
             let unit = unit(kind, property).unwrap_or_default();
-            (property.clone(), Reading { outcome: outcome(answer, unit), at_utc: *at_utc })
+            // whole milliseconds: more exact than any answer
+            let age_s = asked
+                .filter(|_| answer.is_ok())
+                .map(|asked| (now.since(asked.machine).as_secs_f64() * 1e3).round() / 1e3);
+            (property.clone(), Reading { outcome: outcome(answer, unit), at_utc: *at_utc, age_s })
         });
         shown.collect()
     }
@@ -150,7 +182,24 @@ fn unit(kind: Kind, property: &str) -> Option<&'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use bus::SkyTime;
     use serde_json::json;
+    use std::time::Duration;
+
+    #[test]
+    fn a_reading_that_is_shown_again_is_older_and_what_was_never_asked_has_no_age() {
+        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
+        let asked = Now { machine: at(100), sky: SkyTime::from_start(Duration::ZERO) };
+        let mut readings = Readings::default();
+        readings.keep_asked("IsSafe", Ok(json!(true)), Utc::EPOCH, asked);
+        readings.keep("Name", Ok(json!("x")), Utc::EPOCH);
+        let age_s = |readings: &Readings, name: &str, now| readings.shown(Kind::SafetyMonitor, at(now))[name].age_s;
+        assert_eq!((age_s(&readings, "IsSafe", 100), age_s(&readings, "IsSafe", 112)), (Some(0.0), Some(12.0)));
+        assert_eq!(age_s(&readings, "Name", 112), None);
+        readings.drop_polled(&NoData::new("stale", "x"), Utc::EPOCH);
+        assert_eq!((age_s(&readings, "IsSafe", 112), readings.flag("IsSafe").known()), (None, None));
+        assert_eq!(readings.text("Name"), Datum::Known("x".to_owned()));
+    }
 
     #[test]
     fn numbers_keep_ascoms_unit_and_absence_its_reason() {
@@ -158,7 +207,8 @@ mod tests {
         readings.keep("RightAscension", Ok(json!("5.5")), Utc::EPOCH);
         readings.keep("Declination", Ok(json!("NaN")), Utc::EPOCH);
         readings.keep("Tracking", Err(NoData::not_implemented()), Utc::EPOCH);
-        let shown = serde_json::to_value(readings.shown(Kind::Telescope)).unwrap();
+        let shown =
+            serde_json::to_value(readings.shown(Kind::Telescope, MachineTime::from_boot(Duration::ZERO))).unwrap();
         assert_eq!(shown["RightAscension"], json!({"value": 5.5, "unit": "h", "at_utc": Utc::EPOCH}));
         assert_eq!(shown["Declination"]["no_data"], "not a number");
         assert_eq!(shown["Tracking"]["no_data"], "not implemented");

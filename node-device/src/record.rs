@@ -4,7 +4,7 @@
 //! (design.md section 4; a safety monitor's state tells the length of its own record). Ages are told as they are at the
 //! moment of the answer, on this node's own boot-time clock, which counts a suspension: silence shows as a gap.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -19,6 +19,9 @@ const LEAST: Duration = Duration::from_secs(3600);
 const MOST_ENTRIES: usize = 3000;
 /// Kept at most, whatever dwell is configured, sky time.
 const MOST: Duration = Duration::from_secs(86_400);
+
+/// The age of readings that were younger than this when they were published is not noted.
+const LEAST_AGE_S: f64 = 0.5;
 
 /// Says a device's states, and remembers them where limits may be put on them.
 pub struct Voice<F> {
@@ -46,8 +49,11 @@ impl<F: Payload> Voice<F> {
     pub async fn put(&self, state: DeviceState<F>) -> Result<(), BusError> {
         if let Some(memory) = &self.memory {
             let (link, fields, now) = (state.link.clone(), state.fields.clone(), self.clock.machine());
+            let ages = state.readings.iter().filter_map(|(name, reading)| Some((name, reading.age_s?)));
+            let ages_s = ages.filter(|(_, age_s)| *age_s >= LEAST_AGE_S).map(|(name, age_s)| (name.clone(), age_s));
+            let ages_s = ages_s.collect();
             let mut memory = memory.lock().unwrap_or_else(PoisonError::into_inner);
-            memory.keep(Said { seq: self.states.next_seq(), at: now, link, fields });
+            memory.keep(Said { seq: self.states.next_seq(), at: now, link, fields, ages_s });
         }
         self.states.put(state).await
     }
@@ -87,6 +93,8 @@ struct Said<F> {
     at: MachineTime,
     link: Link,
     fields: F,
+    /// How old its readings were, where that matters.
+    ages_s: BTreeMap<String, f64>,
 }
 
 /// What was said, oldest first.
@@ -121,6 +129,7 @@ impl<F: Payload> Memory<F> {
         let entries = self.said.iter().skip(self.said.len().saturating_sub(told)).map(|said| Entry {
             seq: said.seq,
             age_s: now.since(said.at).as_secs_f64(),
+            reading_ages_s: said.ages_s.clone(),
             link: said.link.clone(),
             fields: said.fields.clone(),
         });
@@ -141,7 +150,7 @@ mod tests {
         for seq in numbers {
             let fields = Fields { values: vec![Datum::Known(seq as f64)] };
             let at = MachineTime::from_boot(Duration::from_secs(seq * step));
-            memory.keep(Said { seq, at, link: Link::Connected, fields });
+            memory.keep(Said { seq, at, link: Link::Connected, fields, ages_s: BTreeMap::new() });
         }
         memory
     }
@@ -175,7 +184,7 @@ mod tests {
         let mut memory = memory(0..0, 0);
         for (seq, age_s) in [(7, 50), (8, 30), (9, 10), (10, 0)] {
             let at = MachineTime::from_boot(now.saturating_sub(Duration::from_secs(age_s)));
-            memory.keep(Said { seq, at, link: Link::Connected, fields: Fields::default() });
+            memory.keep(Said { seq, at, link: Link::Connected, fields: Fields::default(), ages_s: BTreeMap::new() });
         }
         assert_eq!(told(&memory, Some(Duration::from_secs(20))), [8, 9, 10]);
         assert_eq!(told(&memory, Some(Duration::from_secs(3600))), [7, 8, 9, 10]);

@@ -5,12 +5,15 @@
 //! that what makes safe is never behind what hangs.
 
 mod command;
+mod slowness;
+mod turns;
 
+use std::collections::VecDeque;
 use std::pin::Pin;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
-use bus::{Node, Publisher, Quality};
+use bus::{MachineTime, Node, Publisher, Quality};
 use config::Common;
 use contract::audit::Outcome as Ended;
 use contract::device::Description;
@@ -89,6 +92,22 @@ struct Loop<D: Driver> {
     busy_since: Option<Instant>,
     failures: i32,
     said: Option<(DeviceState<Fields<D>>, Instant)>,
+    /// What of the rest is still to be asked in this round, where what decides is read apart.
+    rest: VecDeque<String>,
+    /// What is still to be asked singly in this round.
+    parts: VecDeque<String>,
+    /// The rest has its turn before what decides is asked again.
+    rest_is_due: bool,
+    /// So many questions at once; more than one to a slow server.
+    lanes: usize,
+    /// Its server could not answer several questions at once.
+    one_lane: bool,
+    /// Average time of a question in the last poll.
+    each: Duration,
+    /// Nothing is published before this, because what was read is old and is being read again.
+    quiet_until: Option<Instant>,
+    /// When the loop last began to wait, and for how long.
+    waits: (MachineTime, Duration),
 }
 
 impl<D: Driver> Serve<D> {
@@ -128,11 +147,20 @@ impl<D: Driver> Serve<D> {
             busy_since: None,
             failures: 0,
             said: None,
+            rest: VecDeque::new(),
+            parts: VecDeque::new(),
+            rest_is_due: false,
+            lanes: 1,
+            one_lane: false,
+            each: Duration::ZERO,
+            quiet_until: None,
+            waits: (bus.clock().machine(), Duration::ZERO),
         };
         lap.say(true).await;
         loop {
             let wake = lap.wake();
-            tokio::select! {
+            lap.waits.1 += wake.saturating_duration_since(Instant::now());
+            let turn = tokio::select! {
                 biased;
                 () = stop.wait() => {
                     if let Some(running) = &lap.running {
@@ -141,22 +169,39 @@ impl<D: Driver> Serve<D> {
                     }
                     return Ok(());
                 }
-                Some(order) = orders.recv() => lap.start(order),
-                result = finished(&mut lap.job) => lap.obeyed(result),
-                contact = finished(&mut lap.contact) => match contact {
-                    Contact::Greeted(greeting) => lap.greeted(greeting),
-                    Contact::Polled(poll) => {
-                        let full = poll.full;
-                        lap.polled(poll);
-                        lap.say(full).await;
-                    }
-                },
-                () = driver.stirred() => {}
-                () = sleep_until(wake) => lap.due(),
+                Some(order) = orders.recv() => Turn::Order(order),
+                result = finished(&mut lap.job) => Turn::Obeyed(result),
+                contact = finished(&mut lap.contact) => Turn::Contact(contact),
+                () = driver.stirred() => Turn::Stirred,
+                () = sleep_until(wake) => Turn::Due,
+            };
+            let stood_still = lap.stood_still();
+            match turn {
+                Turn::Order(order) => lap.start(order),
+                Turn::Obeyed(result) => lap.obeyed(result),
+                // it was asked before the node was stalled, and means nothing for now
+                Turn::Contact(_) if stood_still => {}
+                Turn::Contact(Contact::Greeted(greeting)) => lap.greeted(greeting),
+                Turn::Contact(Contact::Polled(poll)) => {
+                    let full = poll.full;
+                    lap.polled(poll);
+                    lap.say(full).await;
+                }
+                Turn::Stirred => {}
+                Turn::Due => lap.due(),
             }
             lap.say(false).await;
         }
     }
+}
+
+/// What the loop woke up for.
+enum Turn<D: Driver> {
+    Order(Order<Command<D>>),
+    Obeyed(Result<Obeyed, AlpacaError>),
+    Contact(Contact<D>),
+    Stirred,
+    Due,
 }
 
 /// Waits for a task, if there is one, and forgets it.
@@ -180,6 +225,9 @@ impl<D: Driver> Loop<D> {
 
     fn wake(&self) -> Instant {
         let mut wake = self.said.as_ref().map_or_else(Instant::now, |(_, at)| *at + self.say_period());
+        if let Some(until) = self.quiet_until {
+            wake = wake.max(until);
+        }
         if self.contact.is_none() {
             wake = wake.min(self.next_contact);
         }
@@ -209,15 +257,8 @@ impl<D: Driver> Loop<D> {
             self.contact = Some(Box::pin(greet));
             return;
         }
-        let full = now >= self.next_full || driver.moving().is_empty();
-        if full {
-            self.next_full = now + self.period();
-        }
-        let wanted =
-            if full { self.wanted() } else { self.has.present(driver.moving().iter().map(|&name| name.to_owned())) };
-        let device_state = self.device_state;
-        self.contact =
-            Some(Box::pin(async move { Contact::<D>::Polled(questions.poll(wanted, full, device_state).await) }));
+        let wanted = self.next_wanted(now);
+        self.contact = Some(Box::pin(async move { Contact::<D>::Polled(questions.poll(wanted).await) }));
     }
 
     /// All polled properties that the device has.
@@ -236,7 +277,13 @@ impl<D: Driver> Loop<D> {
             tracing::info!(device = %self.serve.device, name = greeting.description.device_name, "device connected");
         }
         self.has.ask_again();
-        self.keep(greeting.answers);
+        for Answer { property, result, at_utc, .. } in greeting.answers {
+            self.has.learn(&property, &result);
+            self.readings.keep(&property, result.map_err(|error| error.no_data()), at_utc);
+        }
+        (self.lanes, self.one_lane, self.rest_is_due) = (1, false, false);
+        self.rest.clear();
+        self.parts.clear();
         self.device_state = greeting.device_state;
         self.link = Link::Connected;
         self.front().can = Some(greeting.description.can.clone());
@@ -248,23 +295,36 @@ impl<D: Driver> Loop<D> {
     }
 
     fn keep(&mut self, answers: Vec<Answer>) {
-        for (property, answer, at_utc) in answers {
-            self.has.learn(&property, &answer);
-            self.readings.keep(&property, answer.map_err(|error| error.no_data()), at_utc);
+        for Answer { property, result, at_utc, asked } in answers {
+            self.has.learn(&property, &result);
+            self.readings.keep_asked(&property, result.map_err(|error| error.no_data()), at_utc, asked);
         }
     }
 
     fn polled(&mut self, poll: Poll) {
         self.device_state = poll.device_state;
         let denied = poll.denied().filter(|_| self.has.has_spoken()).cloned();
+        self.quiet_until = None;
+        let splits = self.splits();
+        self.pace(&poll);
         self.keep(poll.answers);
-        if let Some(error) = poll.lost.or(denied) {
+        // the rest of a device may hang by itself: what decides shows whether there is a link
+        let lost = poll.lost.filter(|error| poll.full || !splits || !error.is_transport());
+        if let Some(error) = lost.or(denied) {
             return self.lose(&error);
         }
         self.serve.driver.observed(&self.readings, poll.began);
         self.judge(Some(poll.began_at));
         let now = Instant::now();
+        if splits {
+            self.note_slowness(self.each * u32::try_from(self.wanted().len()).unwrap_or(u32::MAX));
+            self.next_contact = if self.rest_is_due || !self.parts.is_empty() { now } else { self.next_full };
+            return;
+        }
         let pause = if self.is_fast(now) { FAST } else { self.period() };
+        if poll.full {
+            self.note_slowness(now.duration_since(poll.began_at));
+        }
         let tick = now + self.serve.node.bus.clock().machine().to_tick(pause);
         // a poll that took longer than its period is followed by the next at once
         self.next_contact = if now.duration_since(poll.began_at) < pause { tick } else { now };
@@ -294,6 +354,7 @@ impl<D: Driver> Loop<D> {
         }
         self.readings.lose(&reason, clock.utc());
         self.device_state = false;
+        self.quiet_until = None;
         self.observe_now();
         self.judge(None);
         let back_off = (0.5 * 2_f64.powi(self.failures)).min(LONGEST_BACK_OFF_S);
@@ -318,9 +379,10 @@ impl<D: Driver> Loop<D> {
             link: self.link.clone(),
             busy: self.running.is_some() || self.serve.driver.is_busy(&fields),
             period_s: self.period().min(SAY).as_secs_f64(),
+            poll_s: Some(self.period().as_secs_f64()),
             last_command: self.last_command.clone(),
             fields,
-            readings: self.readings.shown(D::Kind::KIND),
+            readings: self.readings.shown(D::Kind::KIND, self.serve.node.bus.clock().machine()),
         }
     }
 
@@ -333,6 +395,10 @@ impl<D: Driver> Loop<D> {
             face.link = state.link.clone();
             face.fields = state.fields.clone();
         }
+        if self.contact.is_some() && self.quiet_until.is_some_and(|until| now < until) {
+            return;
+        }
+        self.quiet_until = None;
         let same = |said: &DeviceState<Fields<D>>| {
             let words = |state: &DeviceState<Fields<D>>| serde_json::to_value(&state.fields).ok();
             said.link == state.link

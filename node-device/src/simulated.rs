@@ -19,7 +19,7 @@ struct Served {
 
 /// Does the server say that it is a simulator of ours? An error where it does not answer at all.
 pub async fn is_simulated(server: &str) -> anyhow::Result<bool> {
-    let client = reqwest::Client::builder().no_proxy().timeout(Duration::from_secs(2)).build()?;
+    let client = local_http::client_builder().timeout(Duration::from_secs(2)).build()?;
     let answer = client.get(format!("http://{server}/simulator/v1/clock")).send().await?;
     let text = answer.text().await?;
     Ok(serde_json::from_str::<Served>(&text).is_ok_and(|served| served.simulated))

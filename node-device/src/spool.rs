@@ -121,7 +121,8 @@ impl Spool {
                     let _ = fs::remove_file(&path);
                 }
                 // pixels come before their description, so pixels alone were never announced
-                Some("pixels") if !path.with_extension("json").exists() => {
+                // those of a description that was set aside stay with it
+                Some("pixels") if !path.with_extension("json").exists() && !path.with_extension("bad").exists() => {
                     let _ = fs::remove_file(&path);
                 }
                 _ => {}

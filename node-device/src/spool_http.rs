@@ -2,6 +2,7 @@
 
 use std::io::SeekFrom;
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Router;
 use axum::body::Body;
@@ -10,6 +11,7 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use bus::Stop;
+use local_http::{Limits, Room};
 use serde::Deserialize;
 use tokio::io::{AsyncReadExt as _, AsyncSeekExt as _};
 use tokio::net::TcpListener;
@@ -23,14 +25,18 @@ struct Token {
     token: String,
 }
 
+/// An archive, an observatory and a web node fetch a few frames at a time. Strangers may connect, too, and must not fill
+/// this process, which may hold a guard.
+const LIMITS: Limits = Limits {
+    room: Room { total: 128, per_address: 48, trusted: 48 },
+    header: Duration::from_secs(5),
+    // a download that is cut is asked for again, from where it ended
+    total: Duration::from_secs(900),
+};
+
 /// Serves until the stop is said.
-pub async fn serve(listener: TcpListener, spool: Arc<Spool>, stop: Stop) -> std::io::Result<()> {
-    let stopped = async move { stop.wait().await };
-    tokio::select! {
-        served = async { axum::serve(listener, router(spool)).await } => served,
-        // a download that is cut is asked for again
-        () = stopped => Ok(()),
-    }
+pub async fn serve(listener: TcpListener, spool: Arc<Spool>, stop: Stop) {
+    local_http::serve(listener, router(spool), LIMITS, async move { stop.wait().await }).await;
 }
 
 /// The routes.

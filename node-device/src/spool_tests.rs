@@ -72,7 +72,12 @@ fn what_a_crash_leaves_half_written_is_no_frame() {
     for gone in ["new.pixels.part", "new2.pixels", "new2.json.part"] {
         assert!(!folder.path().join(gone).exists(), "{gone}");
     }
-    assert!(folder.path().join("cut.bad").exists(), "what was announced once is set aside, not removed");
+    for aside in ["cut.bad", "cut.pixels", "broken.bad", "broken.pixels"] {
+        assert!(folder.path().join(aside).exists(), "{aside}: what was announced once is set aside, not removed");
+    }
+    drop(spool);
+    open(folder.path());
+    assert!(folder.path().join("broken.pixels").exists(), "nor at the start after that");
 }
 
 #[test]

@@ -10,7 +10,7 @@ use bus::Node;
 use config::{CloseWithMount, Device as _, MountLimits};
 use contract::device::telescope::Command as MountCommand;
 use contract::observatory::AlertKind;
-use contract::{Chunk, Device, DeviceKind as _, Kind, Name};
+use contract::{Chunk, Device, DeviceKind as _, Kind, Link, Name};
 use sky::{EarthOrientation, Observer, Place};
 use tokio::net::TcpListener;
 use tokio::sync::watch;
@@ -35,9 +35,11 @@ use crate::driver::telescope::Telescope;
 use crate::front::Front;
 use crate::gate::Gate;
 use crate::guard::{Guard, Settings};
+use crate::guard_process::link::{GuardLink, deadline_of};
 use crate::guard_task::GuardTask;
+use crate::mount_clock;
 use crate::mount_limits::{self, Approach, LimitWatch};
-use crate::mount_watch::MountWatch;
+use crate::mount_watch::{Calls, MountWatch};
 use crate::node_part::NodePart;
 use crate::permits::{self, Permits};
 use crate::serve::Serve;
@@ -57,19 +59,35 @@ struct Shared<'a> {
     http: reqwest::Client,
     audit: &'a Audit,
     index: u32,
+    link: Option<&'a GuardLink>,
+    enclosures: Vec<Enclosure>,
 }
 
-/// Starts every device of the node's part; returns the spool where there is a camera.
+/// What must be closed before the node may end.
+pub struct Enclosure {
+    /// The dome's name.
+    pub name: Name,
+    /// Its guard.
+    pub guard: Arc<Mutex<Guard>>,
+    /// Whether it is verified closed.
+    pub closed: watch::Receiver<bool>,
+}
+
+/// Starts every device of the node's part; returns the spool where there is a camera, and the enclosures.
 pub async fn all(
     node: &Node,
     part: &NodePart<'_>,
     audit: &Audit,
+    link: Option<&GuardLink>,
     tasks: &mut Tasks,
-) -> anyhow::Result<Option<Arc<Spool>>> {
+) -> anyhow::Result<(Option<Arc<Spool>>, Vec<Enclosure>)> {
     let data = &node.config.folders.data;
     std::fs::create_dir_all(data).with_context(|| format!("cannot make the folder {}", data.display()))?;
     let tokens =
         Arc::new(Tokens::open(&data.join(format!("tokens-{}-{}.json", node.config.place.telescope, node.id)))?);
+    if part.has_enclosure() {
+        tokens.adopt_from_siblings(data, node.config.place.telescope.as_str())?;
+    }
     let permits = Arc::new(Permits::default());
     let (bus, site) = (node.bus.clone(), node.config.place.site.clone());
     let (heard_tokens, heard_permits, stop) = (tokens.clone(), permits.clone(), node.stop.clone());
@@ -79,37 +97,40 @@ pub async fn all(
         Ok(())
     });
     let http = http_client().context("no HTTP client")?;
-    let mut shared = Shared { node, tokens, permits, tasks, http, audit, index: 0 };
+    let mut shared = Shared { node, tokens, permits, tasks, http, audit, index: 0, link, enclosures: Vec::new() };
     let config = &node.config;
     // enclosures first: what closes must not wait for anything else to start
-    for dome in config.dome.iter().filter(|dome| part.serves(&dome.common)) {
+    for dome in config.dome.iter().filter(|dome| part.serves(Kind::Dome, &dome.common)) {
         shared.dome(dome)?;
     }
-    for monitor in config.safetymonitor.iter().filter(|device| part.serves(&device.common)) {
+    for monitor in config.safetymonitor.iter().filter(|device| part.serves(Kind::SafetyMonitor, &device.common)) {
         shared.plain(&monitor.common, SafetyMonitor::new(monitor.common.period_s))?;
     }
-    for mount in config.telescope.iter().filter(|device| part.serves(&device.common)) {
+    for mount in config.telescope.iter().filter(|device| part.serves(Kind::Telescope, &device.common)) {
         shared.telescope(mount)?;
     }
-    for station in config.observingconditions.iter().filter(|device| part.serves(&device.common)) {
+    for station in
+        config.observingconditions.iter().filter(|device| part.serves(Kind::ObservingConditions, &device.common))
+    {
         shared.plain(&station.common, ObservingConditions)?;
     }
-    for wheel in config.filterwheel.iter().filter(|device| part.serves(&device.common)) {
+    for wheel in config.filterwheel.iter().filter(|device| part.serves(Kind::FilterWheel, &device.common)) {
         shared.plain(&wheel.common, FilterWheel::default())?;
     }
-    for focuser in config.focuser.iter().filter(|device| part.serves(&device.common)) {
+    for focuser in config.focuser.iter().filter(|device| part.serves(Kind::Focuser, &device.common)) {
         shared.plain(&focuser.common, Focuser { settle_s: focuser.settle_s })?;
     }
-    for cover in config.covercalibrator.iter().filter(|device| part.serves(&device.common)) {
+    for cover in config.covercalibrator.iter().filter(|device| part.serves(Kind::CoverCalibrator, &device.common)) {
         shared.plain(&cover.common, CoverCalibrator)?;
     }
-    for switch in config.switch.iter().filter(|device| part.serves(&device.common)) {
+    for switch in config.switch.iter().filter(|device| part.serves(Kind::Switch, &device.common)) {
         shared.plain(&switch.common, Switch::default())?;
     }
-    for rotator in config.rotator.iter().filter(|device| part.serves(&device.common)) {
+    for rotator in config.rotator.iter().filter(|device| part.serves(Kind::Rotator, &device.common)) {
         shared.plain(&rotator.common, Rotator)?;
     }
-    shared.cameras(part).await
+    let spool = shared.cameras(part).await?;
+    Ok((spool, shared.enclosures))
 }
 
 impl Shared<'_> {
@@ -125,6 +146,7 @@ impl Shared<'_> {
             clock: self.node.bus.clock().clone(),
             guard,
             is_arbiter,
+            roof: Arc::default(),
         }
     }
 
@@ -167,6 +189,7 @@ impl Shared<'_> {
         let clock = self.node.bus.clock().clone();
         let own = self.node.config.place.telescope.clone();
         let telescopes = if dome.telescopes.is_empty() { vec![own] } else { dome.telescopes.clone() };
+        telescopes.iter().for_each(|telescope| self.tokens.arbitrate(telescope.as_str()));
         let known: BTreeMap<Chunk, u64> =
             telescopes.iter().map(|one| (one.clone(), self.tokens.highest(one.as_str()))).collect();
         let seconds = |s: f64| Duration::from_secs_f64(s.clamp(0.0, 86_400.0));
@@ -178,7 +201,13 @@ impl Shared<'_> {
             parked_within: seconds(dome.parked_within_s),
             travel: machine_limit(&clock, seconds(dome.travel_timeout_s)),
         };
-        let guard = Arc::new(Mutex::new(Guard::new(settings, known, clock.machine())));
+        let mut guard = Guard::new(settings, known, clock.machine());
+        if self.link.is_some()
+            && let Some(until) = deadline_of(dome.common.name.as_str())
+        {
+            guard = guard.with_grace_until(until);
+        }
+        let guard = Arc::new(Mutex::new(guard));
         let (eye, seen) = watch::channel(None);
         let driver = Dome {
             travel_timeout_s: dome.travel_timeout_s,
@@ -196,8 +225,12 @@ impl Shared<'_> {
             Ok(())
         });
         let device = self.device::<Dome>(&dome.common);
+        let (closed, is_closed) = watch::channel(false);
+        self.enclosures.push(Enclosure { name: dome.common.name.clone(), guard: guard.clone(), closed: is_closed });
         let task = GuardTask {
             guard,
+            link: self.link.cloned(),
+            closed,
             node: self.node.clone(),
             accounts: Accounts::of(&device, self.audit.clone()),
             device,
@@ -214,20 +247,25 @@ impl Shared<'_> {
     fn telescope(&mut self, mount: &config::Telescope) -> anyhow::Result<()> {
         let driver = Telescope::new(mount);
         let enclosures = self.node.config.enclosures();
+        if enclosures.is_empty() {
+            self.tokens.arbitrate(self.node.config.place.telescope.as_str());
+        }
         let gate = self.gate(None, enclosures.is_empty());
-        let (front, _) = self.serve(mount.common(), driver, gate)?;
+        let (front, alpaca) = self.serve(mount.common(), driver, gate)?;
+        let (name, server) = (mount.common().name.clone(), mount.common().server.clone());
+        self.tasks.spawn(mount_clock::watch(self.node.clone(), name, server, alpaca));
         let limits = (mount.common().name.clone(), mount.limits.clone());
         self.tasks.spawn(watch_limits(self.node.clone(), front.clone(), limits));
         if !enclosures.is_empty() {
-            let waits = self.node.config.dome.iter().any(|dome| dome.close_with_mount != CloseWithMount::Beside);
-            self.tasks.spawn(watch_mount(self.node.clone(), self.permits.clone(), front, waits));
+            self.tasks.spawn(watch_mount(self.node.clone(), self.permits.clone(), front, enclosures));
         }
         Ok(())
     }
 
     async fn cameras(&mut self, part: &NodePart<'_>) -> anyhow::Result<Option<Arc<Spool>>> {
         let node = self.node;
-        let cameras: Vec<_> = node.config.camera.iter().filter(|camera| part.serves(&camera.common)).collect();
+        let cameras: Vec<_> =
+            node.config.camera.iter().filter(|camera| part.serves(Kind::Camera, &camera.common)).collect();
         if cameras.is_empty() {
             return Ok(None);
         }
@@ -246,7 +284,10 @@ impl Shared<'_> {
         let names = cameras.iter().map(|camera| camera.common.name.clone()).collect();
         self.tasks.spawn(announce::run(node.clone(), spool.clone(), names, stored));
         let (served, stop) = (spool.clone(), node.stop.clone());
-        self.tasks.spawn(async move { Ok(spool_http::serve(listener, served, stop).await?) });
+        self.tasks.spawn(async move {
+            spool_http::serve(listener, served, stop).await;
+            Ok(())
+        });
         for camera in cameras {
             let fixed = frame_properties(node.header.properties(Kind::Camera, true));
             let clock = node.bus.clock().clone();
@@ -303,30 +344,39 @@ async fn watch_limits(
     }
 }
 
-/// Stops and parks a mount whose enclosure has no permit.
+/// Stops and parks a mount whose enclosure has no permit, or closes and waits for it.
 async fn watch_mount(
     node: Node,
     permits: Arc<Permits>,
     front: Arc<Front<Telescope>>,
-    dome_waits: bool,
+    enclosures: Vec<Device>,
 ) -> anyhow::Result<()> {
     let clock = node.bus.clock().clone();
     let telescope = node.config.place.telescope.to_string();
-    let mut watch = MountWatch::new(dome_waits, clock.machine());
+    // what the roof of the own file does is known, also while its guard has never published
+    let own_waits = node.config.dome.iter().any(|dome| dome.close_with_mount != CloseWithMount::Beside);
+    let mut watch = MountWatch::new(clock.machine());
     let mut second = tokio::time::interval(Duration::from_secs(1));
     loop {
         if node.stop.or(second.tick()).await.is_none() {
             return Ok(());
         }
         let now = clock.machine();
+        let mut roofs = permits.roofs(&enclosures, now);
+        if own_waits && !roofs.waits {
+            (roofs.waits, roofs.closed) = (true, false);
+        }
+        let calls = Calls { permitted: permits.is_safe(&telescope, now), roofs };
+        front.gate.roof.set(calls.must_park(), calls.permitted);
         let command = {
             let face = front.face.lock().unwrap_or_else(PoisonError::into_inner);
             let can_park = face.can.as_ref().is_some_and(|can| can.park);
-            watch.look(now, permits.is_safe(&telescope, now), &face.fields, can_park)
+            watch.look(now, calls, &face.fields, can_park, face.link == Link::Connected)
         };
         if let Some(command) = command {
             let word = if command == MountCommand::Park { "parks" } else { "stops tracking" };
-            tracing::warn!(telescope, "no permit: the mount {word}");
+            let why = if calls.permitted { "the roof over it closes" } else { "no permit" };
+            tracing::warn!(telescope, why, "the mount {word}");
             front.insist(audit::GUARD, command);
         }
     }

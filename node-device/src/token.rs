@@ -1,6 +1,9 @@
-//! Fencing tokens on disk: the highest one of each telescope, which never goes back.
+//! Fencing tokens on disk: the newest one of each telescope.
+//!
+//! The arbiter counts by what it granted itself, and no sample on the bus changes that. All other nodes follow
+//! the arbiter's own count, up and down: a token that somebody invents counts only until the arbiter publishes again.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -10,9 +13,14 @@ use anyhow::Context as _;
 
 use crate::spool::{sync_folder, write_synced};
 
-/// The highest tokens known, by telescope.
+/// A token is one more than the one before. One that is larger than this was never granted by anybody.
+const LARGEST: u64 = 1 << 53;
+
+/// The newest tokens known, by telescope.
 pub struct Tokens {
     file: PathBuf,
+    /// Telescopes whose leases this node grants.
+    arbitrated: Mutex<BTreeSet<String>>,
     known: Mutex<BTreeMap<String, u64>>,
     writing: Mutex<()>,
 }
@@ -20,7 +28,7 @@ pub struct Tokens {
 impl Tokens {
     /// Reads the file; a missing one is empty, an unreadable one is an error, because a token must never go back.
     pub fn open(file: &Path) -> anyhow::Result<Self> {
-        let known = match fs::read(file) {
+        let mut known: BTreeMap<String, u64> = match fs::read(file) {
             Ok(text) => serde_json::from_slice(&text).with_context(|| {
                 let file = file.display();
                 format!("{file} is no token file; make sure that no other node commands, then remove it")
@@ -28,7 +36,53 @@ impl Tokens {
             Err(error) if error.kind() == io::ErrorKind::NotFound => BTreeMap::new(),
             Err(error) => return Err(error).with_context(|| format!("cannot read {}", file.display())),
         };
-        Ok(Self { file: file.to_owned(), known: Mutex::new(known), writing: Mutex::new(()) })
+        known.retain(|telescope, token| {
+            let is_real = *token <= LARGEST;
+            if !is_real {
+                tracing::error!(
+                    telescope,
+                    token,
+                    "a fencing token in the file was never granted; counting begins anew"
+                );
+            }
+            is_real
+        });
+        let (known, arbitrated) = (Mutex::new(known), Mutex::default());
+        Ok(Self { file: file.to_owned(), arbitrated, known, writing: Mutex::new(()) })
+    }
+
+    /// This node grants the leases of a telescope: what the bus carries of them counts no more.
+    pub fn arbitrate(&self, telescope: &str) {
+        self.arbitrated.lock().unwrap_or_else(PoisonError::into_inner).insert(telescope.to_owned());
+    }
+
+    /// Does this node grant the leases of a telescope?
+    pub fn is_arbiter(&self, telescope: &str) -> bool {
+        self.arbitrated.lock().unwrap_or_else(PoisonError::into_inner).contains(telescope)
+    }
+
+    /// Takes over the highest tokens that other device nodes of this host have in the same folder. Until an enclosure had a
+    /// node of its own its tokens were granted by the node `main`, and the mount's node refuses lower ones than it knows.
+    ///
+    /// # Errors
+    /// The disk refuses the higher token.
+    pub fn adopt_from_siblings(&self, folder: &Path, telescope: &str) -> anyhow::Result<()> {
+        let start = format!("tokens-{telescope}-");
+        for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+            let name = entry.file_name();
+            let is_sibling = name.to_str().is_some_and(|name| name.starts_with(&start) && name.ends_with(".json"));
+            if !is_sibling || entry.path() == self.file {
+                continue;
+            }
+            // what another node cannot read is that node's business
+            let read = fs::read(entry.path()).ok();
+            let known: BTreeMap<String, u64> =
+                read.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default();
+            for (telescope, token) in known {
+                self.raise(&telescope, token).with_context(|| format!("cannot write {}", self.file.display()))?;
+            }
+        }
+        Ok(())
     }
 
     /// Highest token of a telescope; 0 where none is known.
@@ -39,16 +93,25 @@ impl Tokens {
     /// Grants the next token, on disk before it is returned. Blocks.
     pub fn grant(&self, telescope: &str) -> io::Result<u64> {
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
-        let token = self.highest(telescope) + 1;
+        let token = self.highest(telescope).saturating_add(1);
         self.write(telescope, token)?;
         self.learn(telescope, token);
         Ok(token)
     }
 
-    /// Remembers a token that was heard, in memory even where the disk refuses. Blocks.
-    pub fn heard(&self, telescope: &str, token: u64) -> io::Result<()> {
+    fn raise(&self, telescope: &str, token: u64) -> io::Result<()> {
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
-        if token <= self.highest(telescope) {
+        if token > LARGEST || token <= self.highest(telescope) {
+            return Ok(());
+        }
+        self.learn(telescope, token);
+        self.write(telescope, token)
+    }
+
+    /// Follows the arbiter's count, in memory even where the disk refuses; the arbiter itself follows nobody. Blocks.
+    pub fn follow(&self, telescope: &str, token: u64) -> io::Result<()> {
+        let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.is_arbiter(telescope) || token > LARGEST || token == self.highest(telescope) {
             return Ok(());
         }
         self.learn(telescope, token);
@@ -82,12 +145,52 @@ mod tests {
         let file = folder.path().join("tokens.json");
         let tokens = Tokens::open(&file).unwrap();
         assert_eq!(tokens.grant("alpha").unwrap(), 1);
-        tokens.heard("alpha", 7).unwrap();
-        tokens.heard("alpha", 3).unwrap();
+        assert_eq!(tokens.grant("alpha").unwrap(), 2);
         assert_eq!(tokens.grant("beta").unwrap(), 1);
         let tokens = Tokens::open(&file).unwrap();
-        assert_eq!(tokens.highest("alpha"), 7);
-        assert_eq!(tokens.grant("alpha").unwrap(), 8);
+        assert_eq!(tokens.highest("alpha"), 2);
+        assert_eq!(tokens.grant("alpha").unwrap(), 3);
+    }
+
+    #[test]
+    fn an_arbiter_learns_no_token_from_anybody_and_others_follow_it_up_and_down() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("tokens.json");
+        let tokens = Tokens::open(&file).unwrap();
+        tokens.arbitrate("alpha");
+        assert_eq!(tokens.grant("alpha").unwrap(), 1);
+        for invented in [2, 7, u64::MAX] {
+            tokens.follow("alpha", invented).unwrap();
+            assert_eq!(tokens.highest("alpha"), 1);
+        }
+        assert_eq!(tokens.grant("alpha").unwrap(), 2);
+        // another node's telescope
+        for (told, known) in [(7, 7), (u64::MAX, 7), (3, 3)] {
+            tokens.follow("beta", told).unwrap();
+            assert_eq!(tokens.highest("beta"), known);
+        }
+        assert_eq!(Tokens::open(&file).unwrap().highest("beta"), 3);
+    }
+
+    #[test]
+    fn a_file_that_was_poisoned_with_the_largest_number_ends_no_night() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("tokens.json");
+        fs::write(&file, r#"{"alpha": 18446744073709551615, "beta": 9}"#).unwrap();
+        let tokens = Tokens::open(&file).unwrap();
+        assert_eq!(tokens.grant("alpha").unwrap(), 1);
+        assert_eq!(tokens.grant("beta").unwrap(), 10);
+    }
+
+    #[test]
+    fn an_enclosure_that_got_a_node_of_its_own_goes_on_from_the_tokens_of_the_node_that_served_it() {
+        let folder = tempfile::tempdir().unwrap();
+        Tokens::open(&folder.path().join("tokens-alpha-main.json")).unwrap().follow("alpha", 41).unwrap();
+        Tokens::open(&folder.path().join("tokens-beta-main.json")).unwrap().follow("alpha", 99).unwrap();
+        fs::write(folder.path().join("tokens-alpha-pc.json"), "{").unwrap();
+        let tokens = Tokens::open(&folder.path().join("tokens-alpha-enclosure.json")).unwrap();
+        tokens.adopt_from_siblings(folder.path(), "alpha").unwrap();
+        assert_eq!(tokens.grant("alpha").unwrap(), 42);
     }
 
     #[test]
@@ -96,8 +199,8 @@ mod tests {
         let tokens = Tokens::open(&folder.path().join("absent").join("tokens.json")).unwrap();
         assert!(tokens.grant("alpha").is_err());
         assert_eq!(tokens.highest("alpha"), 0);
-        // what was heard binds even so
-        assert!(tokens.heard("alpha", 4).is_err());
+        // the arbiter's count binds even so
+        assert!(tokens.follow("alpha", 4).is_err());
         assert_eq!(tokens.highest("alpha"), 4);
     }
 

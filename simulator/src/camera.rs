@@ -78,9 +78,7 @@ const MAX_BIN: u32 = 4;
 const EXPOSURE_MAX_S: f64 = 3600.0;
 const GAIN_MAX: i32 = 300;
 const OFFSET_MAX: i32 = 2000;
-/// The cooler reaches this far below the air at full power, K.
-const COOLER_REACH_K: f64 = 45.0;
-/// ... and changes the temperature no faster than this, K per second.
+/// The cooler changes the temperature no faster than this, K per second.
 const COOLER_K_PER_S: f64 = 0.4;
 
 /// A camera.
@@ -170,7 +168,7 @@ impl Camera {
     /// Lets sky time pass.
     pub fn advance(&mut self, dt: f64, scene: &Scene) {
         let air_c = scene.weather.of(Quantity::Temperature);
-        let target = if self.cooler_on { self.set_c.max(air_c - COOLER_REACH_K) } else { air_c };
+        let target = if self.cooler_on { self.set_c.max(air_c - self.options.cooler_reach_k) } else { air_c };
         let away = target - self.ccd_c;
         self.ccd_c += (away * (1.0 - (-0.2 * dt).exp())).clamp(-COOLER_K_PER_S * dt, COOLER_K_PER_S * dt);
         let (options, focus) = (self.options, self.focus);
@@ -212,7 +210,7 @@ impl Camera {
 
     fn cooler_percent(&self, scene: &Scene) -> f64 {
         let below_k = scene.weather.of(Quantity::Temperature) - self.ccd_c;
-        if self.cooler_on { (below_k / COOLER_REACH_K * 100.0).clamp(0.0, 100.0) } else { 0.0 }
+        if self.cooler_on { (below_k / self.options.cooler_reach_k * 100.0).clamp(0.0, 100.0) } else { 0.0 }
     }
 
     fn image_ready(&self, now: Utc) -> bool {

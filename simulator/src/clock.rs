@@ -10,16 +10,32 @@ pub struct SkyClock {
     start: Utc,
     origin: Instant,
     speed: f64,
+    stands: bool,
 }
 
 impl SkyClock {
     /// A clock that shows `start` now and runs at `speed` (1 is real time).
     pub fn at(start: Utc, speed: f64) -> Self {
-        Self { start, origin: Instant::now(), speed }
+        Self { start, origin: Instant::now(), speed, stands: false }
+    }
+
+    /// A clock that stands at `start` until it is let run.
+    pub fn standing(start: Utc, speed: f64) -> Self {
+        Self { stands: true, ..Self::at(start, speed) }
+    }
+
+    /// Lets a clock that stands run from now on.
+    pub fn run(&mut self) {
+        if std::mem::take(&mut self.stands) {
+            self.origin = Instant::now();
+        }
     }
 
     /// Sky time now.
     pub fn now(&self) -> Utc {
+        if self.stands {
+            return self.start;
+        }
         self.start.plus_seconds(self.origin.elapsed().as_secs_f64() * self.speed)
     }
 

@@ -2,8 +2,9 @@
 //!
 //! | request | does |
 //! |---|---|
-//! | `GET /simulator/v1/clock` | sky time and speed |
+//! | `GET /simulator/v1/clock` | sky time and speed; a clock that stands runs from now on |
 //! | `GET /simulator/v1/world` | the truth about everything |
+//! | `PUT /simulator/v1/world/site` `{"latitude_deg": 47, "longitude_deg": 8, "elevation_m": 500, "start": "2026-11-21T15:00:00Z", "best_focus": 12000, "filters": ["z'"], "coldest_c": -60, "scatter_arcsec": 1, "small_frames": true}` | begins anew as this site; the clock stands until it is asked for ([`crate::site`]) |
 //! | `PUT /simulator/v1/world/rain` `{"on": true}` | rain with clouds and damp |
 //! | `PUT /simulator/v1/world/weather` `{"WindSpeed": 22, "Humidity": null}` | orders values; null: as nature has it |
 //! | `PUT /simulator/v1/world/safety` `{"unsafe": true}` | the safety monitor says unsafe |
@@ -41,6 +42,7 @@ use crate::world::World;
 
 /// `GET /simulator/v1/clock`: what a node's clock is set by.
 pub async fn clock(State(world): State<Arc<World>>) -> Json<Value> {
+    world.run_clock();
     Json(json!({ "utc": world.now(), "speed": world.clock().speed(), "simulated": true }))
 }
 
@@ -60,6 +62,7 @@ pub async fn change(State(world): State<Arc<World>>, Path(thing): Path<String>, 
 fn obey(world: &World, thing: &str, order: &Value) -> Result<(), String> {
     let truth = |name: &str| order[name].as_bool().ok_or(format!("expected {{\"{name}\": true or false}}"));
     match thing {
+        "site" => crate::site::begin(world, order)?,
         "rain" => world.rain(truth("on")?),
         "safety" => world.set_unsafe(truth("unsafe")?),
         "shutter" => world.stick_shutter_half_open(truth("sticks_half_open")?),

@@ -56,6 +56,7 @@ mod rotator;
 mod safety_monitor;
 pub mod scene;
 mod server;
+pub mod site;
 mod slit;
 mod switch;
 mod telescope;

@@ -12,6 +12,8 @@ use crate::options::MountOptions;
 
 /// Sidereal rate, arcsec per second.
 pub const SIDEREAL_ARCSEC_PER_S: f64 = 15.041_067;
+/// Ways of this length and more, deg, end with the whole scatter.
+const SCATTERED_DEG: f64 = 1.0;
 
 /// What happens when a slew arrives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -157,7 +159,11 @@ impl Mount {
         (self.parked, self.home) = (false, false);
         self.axis_rates = [0.0; 2];
         self.pulses = [(0.0, 0.0); 2];
-        self.scatter = std::array::from_fn(|_| self.chance.normal() * self.options.scatter_arcsec);
+        // a short way leaves the error where it was: gears and tube hardly move
+        let share = (way_deg / SCATTERED_DEG).min(1.0);
+        let rest = (1.0 - share * share).sqrt();
+        self.scatter =
+            self.scatter.map(|arcsec| rest * arcsec + share * self.chance.normal() * self.options.scatter_arcsec);
     }
 
     /// Stops all motion but tracking.
@@ -274,4 +280,46 @@ fn run((left_s, arcsec_per_s): &mut (f64, f64), dt: f64) -> f64 {
     let ran_s = left_s.min(dt);
     *left_s -= ran_s;
     *arcsec_per_s * ran_s
+}
+
+#[cfg(test)]
+mod tests {
+    use sky::{EarthOrientation, Place};
+    use units::Utc;
+
+    use super::*;
+
+    fn slewed(mount: &mut Mount, observer: &Observer, to: Icrs) -> Icrs {
+        mount.slew_to(observer, to, Arrival::Target);
+        mount.tracking = true;
+        while mount.is_slewing() {
+            mount.advance(0.1);
+        }
+        mount.looks_at(observer)
+    }
+
+    #[test]
+    fn the_default_mount_is_brought_within_the_default_gate_by_two_corrections() {
+        let place = Place::new(Angle::from_degrees(-24.6), Angle::from_degrees(-70.4), 2600.0).unwrap();
+        let observer = Observer::new(&place, &EarthOrientation::default(), Utc::from_seconds(1.8e9)).unwrap();
+        let gate_deg = 0.1 / 60.0;
+        let mut missed_first = 0;
+        for seed in 0..60_u32 {
+            let target = observer.to_icrs(&Horizontal::from_degrees(60.0, 90.0 + f64::from(seed)));
+            let start = observer.to_icrs(&Horizontal::from_degrees(40.0, 120.0));
+            let mut mount = Mount::parked_at(start, MountOptions::default(), u64::from(seed));
+            let (mut commanded, mut off_deg) = (target, Vec::new());
+            for _ in 0..3 {
+                let seen = slewed(&mut mount, &observer, commanded);
+                let [ra, dec] = [seen.ra.degrees() - target.ra.degrees(), seen.dec.degrees() - target.dec.degrees()];
+                let ra = (ra + 180.0).rem_euclid(360.0) - 180.0;
+                off_deg.push((ra * target.dec.radians().cos()).hypot(dec));
+                commanded =
+                    Icrs::from_degrees((commanded.ra.degrees() - ra).rem_euclid(360.0), commanded.dec.degrees() - dec);
+            }
+            missed_first += usize::from(off_deg.first().is_some_and(|first| *first > gate_deg));
+            assert!(off_deg.last().is_some_and(|last| *last < gate_deg), "{seed}: {off_deg:?} deg");
+        }
+        assert!(missed_first > 50, "without a correction it misses: {missed_first} of 60");
+    }
 }

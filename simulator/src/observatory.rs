@@ -101,6 +101,11 @@ impl Observatory {
         })
     }
 
+    /// What it was made of.
+    pub fn options(&self) -> &Options {
+        &self.options
+    }
+
     /// Lets everything happen until `now`.
     pub fn advance(&mut self, now: Utc) {
         let total_s = now.seconds_since(self.now);

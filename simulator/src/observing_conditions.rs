@@ -7,39 +7,18 @@ use crate::request::Request;
 use crate::weather::{Conditions, Quantity};
 
 /// Properties that are read without parameters, in ASCOM's case.
-pub const PROPERTIES: &[&str] = &[
-    "AveragePeriod",
-    "CloudCover",
-    "DewPoint",
-    "Humidity",
-    "Pressure",
-    "RainRate",
-    "SkyBrightness",
-    "SkyQuality",
-    "SkyTemperature",
-    "StarFWHM",
-    "Temperature",
-    "WindDirection",
-    "WindGust",
-    "WindSpeed",
-];
+pub const PROPERTIES: &[&str] = &{
+    let mut names = ["AveragePeriod"; Quantity::ALL.len() + 1];
+    let mut index = 0;
+    while index < Quantity::ALL.len() {
+        names[index + 1] = Quantity::ALL[index].ascom();
+        index += 1;
+    }
+    names
+};
 
-/// What `DeviceState` tells.
-pub const STATE: &[&str] = &[
-    "CloudCover",
-    "DewPoint",
-    "Humidity",
-    "Pressure",
-    "RainRate",
-    "SkyBrightness",
-    "SkyQuality",
-    "SkyTemperature",
-    "StarFWHM",
-    "Temperature",
-    "WindDirection",
-    "WindGust",
-    "WindSpeed",
-];
+/// The properties in `DeviceState`: all that are measured.
+pub const STATE: &[&str] = PROPERTIES.split_at(1).1;
 
 /// A weather station.
 #[derive(Debug, Default)]

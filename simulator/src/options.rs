@@ -50,7 +50,8 @@ pub struct MountOptions {
     pub settle_s: f64,
     /// Size of the systematic pointing error, arcmin.
     pub pointing_error_arcmin: f64,
-    /// Scatter of repeated slews to one place, arcsec per axis.
+    /// Scatter of repeated slews to one place, arcsec per axis; in full after a way of a degree or more, over a shorter one
+    /// in proportion.
     pub scatter_arcsec: f64,
     /// Half the peak-to-peak periodic error in right ascension, arcsec.
     pub periodic_error_arcsec: f64,
@@ -100,6 +101,8 @@ pub struct CameraOptions {
     pub bias_adu: f64,
     /// Dark current at 0 C, electrons per second and pixel; it doubles every 6.5 K.
     pub dark_e_per_s: f64,
+    /// The cooler reaches this far below the air at full power, K.
+    pub cooler_reach_k: f64,
     /// Hot pixels per million.
     pub hot_per_million: f64,
     /// Electrons that a pixel holds.
@@ -281,6 +284,7 @@ impl Default for CameraOptions {
             electrons_per_adu: 1.3,
             bias_adu: 500.0,
             dark_e_per_s: 4.0,
+            cooler_reach_k: 45.0,
             hot_per_million: 150.0,
             full_well_e: 90_000.0,
             position_angle: Angle::from_degrees(0.0),

@@ -55,7 +55,7 @@ impl Quantity {
     ];
 
     /// ASCOM's name.
-    pub fn ascom(self) -> &'static str {
+    pub const fn ascom(self) -> &'static str {
         match self {
             Self::CloudCover => "CloudCover",
             Self::DewPoint => "DewPoint",

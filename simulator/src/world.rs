@@ -29,7 +29,7 @@ use crate::weather::Quantity;
 pub struct World {
     name: String,
     kinds: Vec<Kind>,
-    clock: SkyClock,
+    clock: Mutex<SkyClock>,
     inner: Mutex<Inner>,
     transactions: AtomicU32,
 }
@@ -68,7 +68,7 @@ impl World {
         Ok(Self {
             name: options.name.clone(),
             kinds: Kind::ALL.into_iter().chain(options.guide_camera.map(|_| Kind::GuideCamera)).collect(),
-            clock: SkyClock::at(options.start, options.speed),
+            clock: Mutex::new(SkyClock::at(options.start, options.speed)),
             inner: Mutex::new(inner),
             transactions: AtomicU32::new(0),
         })
@@ -87,14 +87,36 @@ impl World {
         &self.name
     }
 
-    /// The world's clock.
-    pub fn clock(&self) -> &SkyClock {
-        &self.clock
+    /// The world's clock, as it goes now.
+    pub fn clock(&self) -> SkyClock {
+        *self.clock.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Lets a clock that stands run: somebody goes by it from now on.
+    pub fn run_clock(&self) {
+        self.clock.lock().unwrap_or_else(PoisonError::into_inner).run();
     }
 
     /// Sky time.
     pub fn now(&self) -> Utc {
-        self.clock.now()
+        self.clock().now()
+    }
+
+    /// Begins anew with other options, closed, parked, in fair weather and with nothing connected. The clock stands at its
+    /// start until somebody asks for it. Speed, address, devices and log stay.
+    ///
+    /// # Errors
+    /// When the site or the start is nowhere the sky can be computed for; then nothing has changed.
+    pub fn begin_anew(&self, change: impl FnOnce(&mut Options)) -> Result<(), SkyError> {
+        let mut inner = self.lock();
+        let mut options = inner.observatory.options().clone();
+        change(&mut options);
+        inner.observatory = Observatory::new(&options)?;
+        inner.connected.clear();
+        inner.faults.clear();
+        let mut clock = self.clock.lock().unwrap_or_else(PoisonError::into_inner);
+        *clock = SkyClock::standing(options.start, clock.speed());
+        Ok(())
     }
 
     /// The next server transaction number.
@@ -104,7 +126,7 @@ impl World {
 
     fn lock(&self) -> MutexGuard<'_, Inner> {
         let mut inner = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
-        inner.observatory.advance(self.clock.now());
+        inner.observatory.advance(self.now());
         inner
     }
 
@@ -126,7 +148,7 @@ impl World {
 
     /// Asks a device, faults included.
     pub fn ask(&self, kind: Kind, request: &Request) -> Reply {
-        let now = self.clock.now();
+        let now = self.now();
         let mut guard = self.lock();
         let inner = &mut *guard;
         inner.log.count(kind);
@@ -164,7 +186,7 @@ impl World {
             return Err(Refusal::not_connected());
         }
         let camera = inner.observatory.camera(kind).ok_or_else(Refusal::not_connected)?;
-        camera.image(self.clock.now())
+        camera.image(self.now())
     }
 
     /// The devices that are there: the ten, and the guide camera where one was asked for.
@@ -375,8 +397,15 @@ impl World {
         let observatory = &inner.observatory;
         let scene = observatory.scene();
         let guide = observatory.guide_scene();
+        let site = observatory.options();
         json!({
             "utc": scene.now,
+            "site": {
+                "latitude_deg": site.latitude.degrees(),
+                "longitude_deg": site.longitude.degrees(),
+                "elevation_m": site.elevation_m,
+                "frame_px": site.camera.width,
+            },
             "sun_altitude_deg": observatory.sun().altitude.degrees(),
             "weather": observatory.conditions.told(),
             "safe": observatory.safety_monitor.is_safe(&observatory.conditions),

@@ -1,7 +1,6 @@
 //! One Alpaca device: `get`, `put` and `image`, each with a total deadline, one at a time.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use contract::Kind;
@@ -13,6 +12,7 @@ use tokio::time::timeout;
 
 use super::image::RawImage;
 use super::response::{self, Answer};
+use super::transaction::Transactions;
 use super::{AlpacaError, Fault};
 
 /// Total time for reading a property.
@@ -20,7 +20,7 @@ pub const STATUS_DEADLINE: Duration = Duration::from_secs(2);
 /// Total time for a command to be taken.
 pub const COMMAND_DEADLINE: Duration = Duration::from_secs(5);
 /// Largest JSON answer that is no image.
-const JSON_CAP: usize = 1 << 20;
+pub(super) const JSON_CAP: usize = 1 << 20;
 
 /// Talks to one device of an Alpaca server. Cheap to clone; clones take turns.
 #[derive(Clone)]
@@ -37,7 +37,7 @@ struct Wire {
     server: String,
     kind: Kind,
     number: u32,
-    transactions: AtomicU32,
+    transactions: Transactions,
     turn: Mutex<()>,
 }
 
@@ -53,7 +53,7 @@ impl Alpaca {
             server: server.to_owned(),
             kind,
             number,
-            transactions: AtomicU32::new(1),
+            transactions: Transactions::fresh(),
             turn: Mutex::new(()),
         };
         Ok(Self { wire: Arc::new(wire), waits: true })
@@ -71,7 +71,18 @@ impl Alpaca {
 
     /// Reads a property that takes parameters.
     pub async fn get_with(&self, member: &str, parameters: &[(&str, &str)]) -> Result<Value, AlpacaError> {
+        self.get_noting(member, parameters, || ()).await
+    }
+
+    /// As [`Self::get_with`]; `asks` is called when the request is about to be sent: the answer is at least as new.
+    pub async fn get_noting(
+        &self,
+        member: &str,
+        parameters: &[(&str, &str)],
+        asks: impl FnOnce(),
+    ) -> Result<Value, AlpacaError> {
         let _turn = self.my_turn().await;
+        asks();
         let asking = async {
             match self.ask(member, parameters).await {
                 // nothing was done yet, so one more try is harmless
@@ -110,16 +121,15 @@ impl Alpaca {
     async fn send(&self, member: &str, parameters: &[(&str, &str)], deadline: Duration) -> Result<Answer, AlpacaError> {
         let _turn = self.my_turn().await;
         let asking = async {
-            let (client_id, transaction) = self.ids();
-            let ids = [("ClientID", client_id.as_str()), ("ClientTransactionID", transaction.as_str())];
-            let form = encoded(parameters.iter().chain(&ids));
+            let (asked, ids) = self.ids();
+            let form = encoded(parameters.iter().chain(&ids.pairs()));
             let send = async |client: &Client| {
                 let request = client
                     .put(self.url(member, None))
                     .header(CONTENT_TYPE, "application/x-www-form-urlencoded")
                     .body(form.clone());
                 let response = request.send().await.map_err(|error| AlpacaError::from_http(&error))?;
-                read_answer(response).await
+                self.read(response, asked).await
             };
             match send(self.client()).await {
                 // no new connection could be made, so nothing was done: the polls' own may still stand
@@ -139,14 +149,13 @@ impl Alpaca {
         // 1 MB/s for 4 bytes a pixel and 10 s to begin with (spec/reliability.md D1)
         let deadline = Duration::from_secs(10) + Duration::from_micros(pixels.saturating_mul(4));
         let fetching = async {
-            let (client_id, transaction) = self.ids();
-            let ids = [("ClientID", client_id.as_str()), ("ClientTransactionID", transaction.as_str())];
+            let (asked, ids) = self.ids();
             let request = self
                 .client()
-                .get(self.url("imagearray", Some(&encoded(&ids))))
+                .get(self.url("imagearray", Some(&encoded(&ids.pairs()))))
                 .header(ACCEPT, "application/imagebytes, application/json;q=0.5");
             let response = request.send().await.map_err(|error| AlpacaError::from_http(&error))?;
-            RawImage::receive(response, pixels).await
+            RawImage::receive(response, pixels, &self.wire.transactions, asked).await
         };
         let late = || AlpacaError::timeout(deadline.as_secs_f64());
         timeout(deadline, fetching).await.unwrap_or_else(|_| Err(late()))
@@ -160,9 +169,10 @@ impl Alpaca {
         if self.waits { &self.wire.ordinary } else { &self.wire.urgent }
     }
 
-    fn ids(&self) -> (String, String) {
-        let transaction = self.wire.transactions.fetch_add(1, Ordering::Relaxed).max(1);
-        ((std::process::id() & 0xFFFF).max(1).to_string(), transaction.to_string())
+    fn ids(&self) -> (u32, Ids) {
+        let transaction = self.wire.transactions.next();
+        let client = (std::process::id() & 0xFFFF).max(1);
+        (transaction, Ids { client: client.to_string(), transaction: transaction.to_string() })
     }
 
     fn url(&self, member: &str, query: Option<&str>) -> String {
@@ -172,49 +182,46 @@ impl Alpaca {
     }
 
     async fn ask(&self, member: &str, parameters: &[(&str, &str)]) -> Result<Answer, AlpacaError> {
-        let (client_id, transaction) = self.ids();
-        let ids = [("ClientID", client_id.as_str()), ("ClientTransactionID", transaction.as_str())];
-        let query = encoded(parameters.iter().chain(&ids));
+        let (asked, ids) = self.ids();
+        let query = encoded(parameters.iter().chain(&ids.pairs()));
         let request = self.client().get(self.url(member, Some(&query)));
         let response = request.send().await.map_err(|error| AlpacaError::from_http(&error))?;
-        let answer = read_answer(response).await?;
-        self.is_mine(&answer, &transaction)?;
-        Ok(answer)
+        self.read(response, asked).await
     }
 
-    /// A replayed or cached answer of a safety monitor is none; 0 is what careless servers send in every answer.
-    fn is_mine(&self, answer: &Answer, transaction: &str) -> Result<(), AlpacaError> {
-        let foreign = answer.client_transaction.filter(|id| *id > 0 && id.to_string() != transaction);
-        match (self.wire.kind, foreign, &answer.stray_message) {
-            (Kind::SafetyMonitor, Some(id), _) => {
-                Err(AlpacaError::Protocol(format!("answer to transaction {id}, asked {transaction}")))
-            }
-            (Kind::SafetyMonitor, None, Some(message)) => {
-                Err(AlpacaError::Protocol(format!("an error message without an error: {message}")))
-            }
-            _ => Ok(()),
+    /// Reads the answer to request `asked`: of any device only the answer to this request, of a safety monitor only
+    /// one that is exactly right.
+    async fn read(&self, response: Response, asked: u32) -> Result<Answer, AlpacaError> {
+        let status = response.status().as_u16();
+        let body = read_capped(response, JSON_CAP).await?;
+        match self.wire.kind {
+            Kind::SafetyMonitor => response::parse_exactly(status, &body, &self.wire.transactions, asked),
+            _ => response::parse(status, &body, &self.wire.transactions, asked),
         }
+    }
+}
+
+/// The ids that each request carries.
+struct Ids {
+    client: String,
+    transaction: String,
+}
+
+impl Ids {
+    fn pairs(&self) -> [(&str, &str); 2] {
+        [("ClientID", &self.client), ("ClientTransactionID", &self.transaction)]
     }
 }
 
 /// An HTTP client: no proxy, no redirects, no connection older than servers keep theirs.
 pub(crate) fn http_client() -> Result<Client, AlpacaError> {
-    Client::builder()
-        .no_proxy()
-        .redirect(reqwest::redirect::Policy::none())
+    local_http::client_builder()
         .connect_timeout(Duration::from_secs(2))
         // servers close idle connections after 5 s
         .pool_idle_timeout(Duration::from_secs(4))
         .tcp_nodelay(true)
         .build()
         .map_err(|error| AlpacaError::from_http(&error))
-}
-
-/// Reads the answer to a GET or PUT, at most 1 MiB.
-pub(super) async fn read_answer(response: Response) -> Result<Answer, AlpacaError> {
-    let status = response.status().as_u16();
-    let body = read_capped(response, JSON_CAP).await?;
-    response::parse(status, &body)
 }
 
 /// Reads a body of at most `cap` bytes.
@@ -236,3 +243,7 @@ fn encoded<'a>(pairs: impl IntoIterator<Item = &'a (&'a str, &'a str)>) -> Strin
     url.query_pairs_mut().extend_pairs(pairs.into_iter().copied());
     url.query().unwrap_or_default().to_owned()
 }
+
+#[cfg(test)]
+#[path = "client_tests.rs"]
+mod tests;

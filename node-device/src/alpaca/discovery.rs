@@ -10,7 +10,9 @@ use tokio::net::UdpSocket;
 use tokio::time::{Instant, timeout, timeout_at};
 
 use super::AlpacaError;
-use super::client::{http_client, read_answer};
+use super::client::{JSON_CAP, http_client, read_capped};
+use super::response;
+use super::transaction::Transactions;
 
 /// Where Alpaca servers listen for the question.
 pub const PORT: u16 = 32227;
@@ -78,10 +80,13 @@ fn alpaca_port(answer: &[u8]) -> Option<u16> {
 
 /// The devices of one server, as its management interface lists them.
 pub async fn configured_devices(server: &str) -> Result<Vec<Found>, AlpacaError> {
-    let url = format!("http://{server}/management/v1/configureddevices?ClientID=1&ClientTransactionID=1");
+    let transactions = Transactions::fresh();
+    let asked = transactions.next();
+    let url = format!("http://{server}/management/v1/configureddevices?ClientID=1&ClientTransactionID={asked}");
     let asking = async {
         let response = http_client()?.get(url).send().await.map_err(|error| AlpacaError::from_http(&error))?;
-        read_answer(response).await
+        let status = response.status().as_u16();
+        response::parse(status, &read_capped(response, JSON_CAP).await?, &transactions, asked)
     };
     let answer = timeout(Duration::from_secs(3), asking).await.unwrap_or_else(|_| Err(AlpacaError::timeout(3.0)))?;
     let devices = answer.value.ok_or(AlpacaError::NoValue)?;
@@ -109,7 +114,8 @@ pub fn as_toml(found: &Found) -> String {
         found.name.to_ascii_lowercase().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
     let plain: String = plain.trim_matches('_').chars().take(40).collect();
     let name = plain.parse::<Name>().map_or_else(|_| format!("{kind}_{number}"), |name| name.to_string());
-    let comment = found.name.replace(['\n', '\r'], " ");
+    // a name may hold what ends a line, or what no comment of TOML may hold
+    let comment = contract::printable(&found.name);
     format!("# {comment}\n[[{kind}]]\nname = \"{name}\"\nserver = \"{server}\"\nnumber = {number}\n")
 }
 
@@ -119,20 +125,23 @@ mod tests {
 
     #[test]
     fn a_found_device_becomes_a_block_that_the_configuration_takes() {
-        let found = Found {
+        let found = |name: &str| Found {
             server: "10.0.0.5:11111".to_owned(),
             kind: Kind::Dome,
             number: 2,
-            name: "Baader \"Classic\" Dome".to_owned(),
+            name: name.to_owned(),
             unique_id: "u1".to_owned(),
         };
         let place = "[observatory]\nsite = \"a\"\ntelescope = \"b\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\nelevation_m = 0.0\n";
-        let parsed = config::parse(&format!("{place}{}", as_toml(&found)), std::path::Path::new(".")).unwrap();
-        let dome = &parsed.dome[0].common;
-        assert_eq!(
-            (dome.name.as_str(), dome.server.as_str(), dome.number),
-            ("baader__classic__dome", "10.0.0.5:11111", 2)
-        );
+        for (given, taken) in
+            [("Baader \"Classic\" Dome", "baader__classic__dome"), ("a\u{1b}[2J\u{8}\n[[camera]]", "a__2j____camera")]
+        {
+            let text = as_toml(&found(given));
+            let parsed = config::parse(&format!("{place}{text}"), std::path::Path::new(".")).expect(&text);
+            let dome = &parsed.dome[0].common;
+            assert_eq!((dome.name.as_str(), dome.server.as_str(), dome.number), (taken, "10.0.0.5:11111", 2));
+            assert!(parsed.camera.is_empty(), "{text}");
+        }
     }
 
     #[tokio::test(flavor = "multi_thread")]

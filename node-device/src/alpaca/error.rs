@@ -24,6 +24,14 @@ pub enum AlpacaError {
     /// The answer is no Alpaca answer.
     #[error("unreadable answer: {0}")]
     Protocol(String),
+    /// The answer is the answer to another request.
+    #[error("the answer to another request: ClientTransactionID is {got}, expected {asked}")]
+    Foreign {
+        /// The id of the request.
+        asked: u32,
+        /// The id of the answer, in words.
+        got: String,
+    },
     /// The answer has no value.
     #[error("the answer has no Value")]
     NoValue,
@@ -95,9 +103,23 @@ impl AlpacaError {
         matches!(self, Self::Transport { .. })
     }
 
-    /// Did the call perhaps reach the device, though no answer came?
+    /// Did the call perhaps reach the device, though no answer to it came?
     pub fn is_unknown_outcome(&self) -> bool {
-        matches!(self, Self::Transport { fault: Fault::Timeout | Fault::Reset, .. })
+        matches!(self, Self::Transport { fault: Fault::Timeout | Fault::Reset, .. } | Self::Foreign { .. })
+    }
+
+    /// The answer is the answer to another request.
+    pub fn is_foreign(&self) -> bool {
+        matches!(self, Self::Foreign { .. })
+    }
+
+    /// An answer came and cannot be read; the next one may be readable.
+    pub fn is_unreadable(&self) -> bool {
+        match self {
+            Self::Protocol(_) | Self::NoValue | Self::Value(_) => true,
+            Self::Http { status, .. } => *status >= 500 && !self.is_not_implemented(),
+            Self::Transport { .. } | Self::Foreign { .. } | Self::Ascom { .. } => false,
+        }
     }
 
     /// The device says that it is not connected.
@@ -110,7 +132,7 @@ impl AlpacaError {
         match self {
             Self::Ascom { code, .. } => matches!(*code, Self::NOT_IMPLEMENTED | Self::ACTION_NOT_IMPLEMENTED),
             Self::Http { status, .. } => matches!(status, 400 | 404 | 405 | 501),
-            Self::Transport { .. } | Self::Protocol(_) | Self::NoValue | Self::Value(_) => false,
+            Self::Transport { .. } | Self::Protocol(_) | Self::Foreign { .. } | Self::NoValue | Self::Value(_) => false,
         }
     }
 
@@ -124,6 +146,7 @@ impl AlpacaError {
             Self::Http { status, body } => NoData::new(&format!("http {status}"), body),
             Self::Ascom { code, message } => NoData::new(&format!("ascom 0x{code:X}"), message),
             Self::Protocol(detail) => NoData::new("wrong type", detail),
+            Self::Foreign { .. } => NoData::new("wrong type", self),
             Self::NoValue => NoData::new("missing", "the answer has no Value"),
             Self::Value(reason) => reason.clone(),
         }

@@ -4,7 +4,8 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use units::Utc;
 
-use super::response::parse;
+use super::response::parse_exactly;
+use super::transaction::Transactions;
 use super::value;
 use crate::readings::Readings;
 
@@ -52,7 +53,7 @@ fn spoil(chance: &mut StdRng) -> Vec<u8> {
 }
 
 fn reads_as_safe(readings: &mut Readings, status: u16, body: &[u8]) -> bool {
-    let answer = parse(status, body).map_err(|error| error.no_data());
+    let answer = parse_exactly(status, body, &Transactions::fresh(), 71).map_err(|error| error.no_data());
     let answer =
         answer.and_then(|answer| answer.value.ok_or_else(|| value::strict_flag(&serde_json::Value::Null).unwrap_err()));
     readings.keep("IsSafe", answer, Utc::EPOCH);

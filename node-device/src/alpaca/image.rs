@@ -6,6 +6,7 @@ use reqwest::header::CONTENT_TYPE;
 
 use super::client::read_capped;
 use super::image_bytes::{self, Header};
+use super::transaction::{Echo, Transactions};
 use super::{AlpacaError, image_json, response};
 
 /// More pixels than any camera has; a larger declaration is an error.
@@ -41,8 +42,13 @@ pub enum RawImage {
 }
 
 impl RawImage {
-    /// Receives an answer to `imagearray`.
-    pub(super) async fn receive(mut response: Response, pixels: u64) -> Result<Self, AlpacaError> {
+    /// Receives the answer to request `asked` for `imagearray`.
+    pub(super) async fn receive(
+        mut response: Response,
+        pixels: u64,
+        transactions: &Transactions,
+        asked: u32,
+    ) -> Result<Self, AlpacaError> {
         let status = response.status().as_u16();
         let kind = response.headers().get(CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
         if !kind.to_ascii_lowercase().contains("imagebytes") || status != 200 {
@@ -51,7 +57,7 @@ impl RawImage {
             let body = read_capped(response, cap).await?;
             if status != 200 || body.len() < 4096 {
                 // an error, or an image so small that reading it twice costs nothing
-                response::parse(status, &body)?;
+                response::parse(status, &body, transactions, asked)?;
             }
             return Ok(Self::Json(body));
         }
@@ -61,6 +67,7 @@ impl RawImage {
             body.extend_from_slice(&chunk);
             if header.is_none() && body.len() >= image_bytes::HEADER {
                 let read = Header::read(&body).map_err(AlpacaError::Protocol)?;
+                transactions.check(asked, &Echo::Number(i64::from(read.client_transaction)))?;
                 body.reserve_exact(read.bytes().saturating_sub(body.len()));
                 header = Some(read);
             }

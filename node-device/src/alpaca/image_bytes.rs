@@ -13,6 +13,8 @@ pub const HEADER: usize = 44;
 pub struct Header {
     /// 0, or the ASCOM error whose message stands in place of the elements.
     pub error_number: i32,
+    /// The id of the request that this answers; 0 where the server returns none.
+    pub client_transaction: u32,
     start: usize,
     sent: Element,
     shape: Shape,
@@ -72,15 +74,16 @@ impl Header {
         for (number, word) in numbers.iter_mut().zip(words) {
             *number = i32::from_le_bytes([word[0], word[1], word[2], word[3]]);
         }
-        let [version, error_number, _, _, start, own, sent, rank, d1, d2, d3] = numbers;
+        let [version, error_number, client_transaction, _, start, own, sent, rank, d1, d2, d3] = numbers;
         if version != 1 {
             return Err(format!("ImageBytes version {version}: expected 1"));
         }
         let start = usize::try_from(start).ok().filter(|start| (HEADER..=1 << 20).contains(start));
         let start = start.ok_or("the pixels start outside the image")?;
+        let client_transaction = client_transaction as u32;
         if error_number != 0 {
             let shape = Shape { width: 0, height: 0, planes: 0 };
-            return Ok(Self { error_number, start, sent: Element::Byte, shape, narrow: true });
+            return Ok(Self { error_number, client_transaction, start, sent: Element::Byte, shape, narrow: true });
         }
         let sent = Element::new(sent).ok_or_else(|| format!("element type {sent}: expected 1 to 9"))?;
         let planes = match rank {
@@ -90,7 +93,7 @@ impl Header {
         };
         let shape = Shape::new([d1, d2, planes].map(i64::from))?;
         let narrow = sent.is_narrow() || Element::new(own).is_some_and(Element::is_narrow);
-        Ok(Self { error_number, start, sent, shape, narrow })
+        Ok(Self { error_number, client_transaction, start, sent, shape, narrow })
     }
 
     /// Length that the whole body must have.

@@ -8,7 +8,9 @@ mod fuzz_tests;
 pub mod image;
 mod image_bytes;
 mod image_json;
+mod json;
 mod response;
+mod transaction;
 pub mod value;
 
 pub use client::Alpaca;

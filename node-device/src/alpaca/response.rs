@@ -2,24 +2,30 @@
 
 use serde_json::{Map, Value};
 
-use super::AlpacaError;
+use super::transaction::{Echo, Transactions};
+use super::{AlpacaError, json};
 
 /// One Alpaca answer without an error.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Answer {
     /// `Value`, where there is one.
     pub value: Option<Value>,
-    /// `ClientTransactionID`, where there is a readable one.
-    pub client_transaction: Option<i64>,
-    /// `ErrorMessage` although there is no error number.
-    pub stray_message: Option<String>,
 }
 
-/// Reads an answer from its HTTP status and body; the content type is of no interest.
-pub fn parse(status: u16, body: &[u8]) -> Result<Answer, AlpacaError> {
+/// The members of an answer that mean something; their names as the standard writes them.
+const MEMBERS: [&str; 5] = ["Value", "ClientTransactionID", "ServerTransactionID", "ErrorNumber", "ErrorMessage"];
+/// Other members with such a text in their name may contradict the value.
+const SUSPECT: [&str; 9] = ["error", "exception", "fault", "fail", "warn", "alarm", "alert", "safe", "value"];
+
+/// Reads the answer to request `asked` from its HTTP status and body; the content type is of no interest.
+pub fn parse(status: u16, body: &[u8], transactions: &Transactions, asked: u32) -> Result<Answer, AlpacaError> {
     let text = decode(body);
     let text = text.trim_matches(|c: char| c == '\0' || c == '\u{feff}' || c.is_whitespace());
     let object = object(text);
+    if let Ok(object) = &object {
+        // before its error is read: that would be another request's, too
+        transactions.check(asked, &Echo::of(field(object, "ClientTransactionID"), false))?;
+    }
     if !(200..300).contains(&status) {
         // some servers send an ASCOM error beside HTTP 500
         if let Ok(object) = &object {
@@ -28,15 +34,66 @@ pub fn parse(status: u16, body: &[u8]) -> Result<Answer, AlpacaError> {
         return Err(AlpacaError::Http { status, body: excerpt(text) });
     }
     if text.is_empty() {
-        return Ok(Answer { value: None, client_transaction: None, stray_message: None });
+        return Ok(Answer { value: None });
     }
     let mut object = object.map_err(AlpacaError::Protocol)?;
     ascom_error(&object)?;
-    let client_transaction = field(&object, "ClientTransactionID").and_then(whole);
-    let stray_message = message(&object);
     let key = object.keys().find(|key| key.eq_ignore_ascii_case("Value")).cloned();
     let value = key.and_then(|key| object.shift_remove(&key));
-    Ok(Answer { value, client_transaction, stray_message })
+    Ok(Answer { value })
+}
+
+/// Reads an answer that safety rests on: only one that is exactly as the standard demands has a value. Whatever
+/// [`parse`] refuses is refused for the same reason.
+pub fn parse_exactly(status: u16, body: &[u8], transactions: &Transactions, asked: u32) -> Result<Answer, AlpacaError> {
+    parse(status, body, transactions, asked)?;
+    let odd = |what: String| AlpacaError::Protocol(format!("not exactly an Alpaca answer: {what}"));
+    if status != 200 {
+        return Err(odd(format!("HTTP status {status}")));
+    }
+    let text = std::str::from_utf8(body).map_err(|error| odd(error.to_string()))?;
+    let mut object = match json::read(text) {
+        Ok(Value::Object(object)) => object,
+        Ok(_) => return Err(odd("no JSON object".to_owned())),
+        Err(error) => return Err(odd(error.to_string())),
+    };
+    for (name, value) in &object {
+        let known = MEMBERS.iter().any(|member| member == name);
+        let lower = name.to_ascii_lowercase();
+        if !known && (is_member(name) || SUSPECT.iter().any(|word| lower.contains(word)) && !is_empty(value)) {
+            return Err(odd(format!("it has a member \"{name}\"")));
+        }
+    }
+    if object.get("ErrorNumber").and_then(Value::as_i64) != Some(0) {
+        let got = object.get("ErrorNumber").map_or_else(|| "none".to_owned(), Value::to_string);
+        return Err(odd(format!("ErrorNumber is {got}")));
+    }
+    match object.get("ErrorMessage") {
+        None | Some(Value::Null) => {}
+        Some(Value::String(message)) if message.is_empty() => {}
+        Some(message) => return Err(odd(format!("an error message without an error: {message}"))),
+    }
+    if let Some(server) = object.get("ServerTransactionID").filter(|server| server.as_i64().is_none()) {
+        return Err(odd(format!("ServerTransactionID is {server}")));
+    }
+    transactions.check_exactly(asked, &Echo::of(object.get("ClientTransactionID"), true))?;
+    Ok(Answer { value: object.shift_remove("Value") })
+}
+
+fn is_member(name: &str) -> bool {
+    MEMBERS.iter().any(|member| member.eq_ignore_ascii_case(name))
+}
+
+/// Has no information: what servers send where there is no error.
+fn is_empty(value: &Value) -> bool {
+    match value {
+        Value::Null | Value::Bool(false) => true,
+        Value::Bool(true) => false,
+        Value::Number(number) => number.as_f64() == Some(0.0),
+        Value::String(text) => text.trim().is_empty(),
+        Value::Array(list) => list.is_empty(),
+        Value::Object(object) => object.is_empty(),
+    }
 }
 
 /// UTF-8 with or without its mark, or UTF-16 with its mark.
@@ -53,7 +110,7 @@ fn decode(body: &[u8]) -> String {
 }
 
 fn object(text: &str) -> Result<Map<String, Value>, String> {
-    let parsed = serde_json::from_str::<Value>(text).or_else(|_| serde_json::from_str(&mend(text)));
+    let parsed = json::read(text).or_else(|_| json::read(&mend(text)));
     match parsed {
         Ok(Value::Object(object)) => Ok(object),
         Ok(_) => Err(format!("no JSON object: {}", excerpt(text))),
@@ -109,9 +166,13 @@ fn field<'a>(object: &'a Map<String, Value>, name: &str) -> Option<&'a Value> {
     object.get(name).or_else(|| object.iter().find(|(key, _)| key.eq_ignore_ascii_case(name)).map(|(_, value)| value))
 }
 
-fn whole(value: &Value) -> Option<i64> {
+/// A whole number, also as text; a fraction is none.
+pub(super) fn whole(value: &Value) -> Option<i64> {
     match value {
-        Value::Number(number) => number.as_i64().or_else(|| number.as_f64().map(|n| n as i64)),
+        Value::Number(number) => {
+            let whole = |n: &f64| n.fract() == 0.0 && n.abs() < 9e15;
+            number.as_i64().or_else(|| number.as_f64().filter(whole).map(|n| n as i64))
+        }
         Value::String(text) => {
             let text = text.trim();
             let hex = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"));
@@ -130,14 +191,31 @@ fn ascom_error(object: &Map<String, Value>) -> Result<(), AlpacaError> {
     let number = field(object, "ErrorNumber");
     let said = message(object);
     match number.map(|value| (value, whole(value))) {
-        Some((_, Some(0))) => Ok(()),
-        Some((_, Some(code))) => Err(AlpacaError::Ascom { code: ascom_code(code), message: said.unwrap_or_default() }),
-        Some((Value::Null, None)) | None => match said {
+        Some((_, Some(0))) => {}
+        Some((_, Some(code))) => {
+            return Err(AlpacaError::Ascom { code: ascom_code(code), message: said.unwrap_or_default() });
+        }
+        Some((Value::Null, None)) | None => {
             // an error without its number is still an error
-            Some(text) => Err(AlpacaError::Protocol(format!("an error without a number: {text}"))),
-            None => Ok(()),
-        },
-        Some((value, None)) => Err(AlpacaError::Protocol(format!("ErrorNumber is {value}"))),
+            if let Some(text) = said {
+                return Err(AlpacaError::Protocol(format!("an error without a number: {text}")));
+            }
+        }
+        Some((value, None)) => return Err(AlpacaError::Protocol(format!("ErrorNumber is {value}"))),
+    }
+    // an error in a form of the server's own
+    let own = |name: &str, value: &Value| {
+        let lower = name.to_ascii_lowercase();
+        let named = lower.contains("error") || lower.contains("exception");
+        let plain = is_member(name) && (value.is_string() || value.is_number());
+        named && !plain && !is_empty(value)
+    };
+    match object.iter().find(|(name, value)| own(name, value)) {
+        Some((name, value)) => {
+            let shown: String = value.to_string().chars().take(160).collect();
+            Err(AlpacaError::Protocol(format!("an error in a form that Alpaca does not have: {name} is {shown}")))
+        }
+        None => Ok(()),
     }
 }
 

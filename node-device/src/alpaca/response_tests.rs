@@ -15,9 +15,15 @@ enum Meant {
     Ascom(u32, &'static str),
     Http(u16, &'static str),
     Unreadable,
+    OfAnother,
     NoValue,
 }
 use Meant::*;
+
+/// Reads an answer to request 1.
+fn parse(status: u16, body: &[u8]) -> Result<Answer, AlpacaError> {
+    super::parse(status, body, &Transactions::fresh(), 1)
+}
 
 fn holds(status: u16, body: &[u8], meant: &Meant) -> bool {
     let answer = parse(status, body);
@@ -33,6 +39,7 @@ fn holds(status: u16, body: &[u8], meant: &Meant) -> bool {
         Http(status, said) => {
             matches!(&answer, Err(AlpacaError::Http { status: s, body }) if s == status && body.contains(said))
         }
+        OfAnother => matches!(&answer, Err(AlpacaError::Foreign { .. })),
         Unreadable => matches!(&answer, Err(AlpacaError::Protocol(_))),
         NoValue => answer.as_ref().is_ok_and(|answer| answer.value.is_none()),
     }
@@ -52,8 +59,18 @@ fn what_a_sloppy_server_plainly_means_is_understood() {
         ),
         ("only a value", 200, r#"{"Value": 3}"#, Number(3.0)),
         ("transaction 0", 200, r#"{"Value":2,"ClientTransactionID":0,"ErrorNumber":0}"#, Number(2.0)),
-        ("transaction -1", 200, r#"{"Value":2,"ClientTransactionID":-1,"ErrorNumber":0}"#, Number(2.0)),
-        ("transaction as text", 200, r#"{"Value":2,"ClientTransactionID":"7","ErrorNumber":0}"#, Number(2.0)),
+        ("transaction as text", 200, r#"{"Value":2,"ClientTransactionID":"1","ErrorNumber":0}"#, Number(2.0)),
+        ("transaction -1", 200, r#"{"Value":2,"ClientTransactionID":-1,"ErrorNumber":0}"#, OfAnother),
+        ("another transaction", 200, r#"{"Value":2,"ClientTransactionID":2,"ErrorNumber":0}"#, OfAnother),
+        ("another's error", 200, r#"{"ClientTransactionID":2,"ErrorNumber":1024,"ErrorMessage":"x"}"#, OfAnother),
+        ("another's refusal", 500, r#"{"ClientTransactionID":2,"ErrorNumber":1024,"ErrorMessage":"x"}"#, OfAnother),
+        ("a value twice", 200, r#"{"Value":2,"Value":3,"ErrorNumber":0}"#, Unreadable),
+        ("a value twice, in two cases", 200, r#"{"Value":2,"value":2,"ErrorNumber":0}"#, Unreadable),
+        ("half an error", 200, r#"{"Value":2,"ErrorNumber":0.5}"#, Unreadable),
+        ("an error that is an object", 200, r#"{"Value":2,"ErrorNumber":{"code":1}}"#, Unreadable),
+        ("a message that is an object", 200, r#"{"Value":2,"ErrorNumber":0,"ErrorMessage":{"x":1}}"#, Unreadable),
+        ("an error of another form", 200, r#"{"Value":2,"ErrorNumber":0,"Error":{"code":1}}"#, Unreadable),
+        ("no error of another form", 200, r#"{"Value":2,"ErrorNumber":0,"DriverException":null}"#, Number(2.0)),
         ("ErrorNumber null", 200, r#"{"Value":2,"ErrorNumber":null,"ErrorMessage":null}"#, Number(2.0)),
         ("ErrorNumber as text", 200, r#"{"Value":2,"ErrorNumber":"0","ErrorMessage":""}"#, Number(2.0)),
         ("error as text", 200, r#"{"Value":2,"ErrorNumber":"1025","ErrorMessage":"bad"}"#, Ascom(0x401, "bad")),
@@ -120,6 +137,100 @@ fn errors_become_reasons_that_begin_with_their_class() {
     assert_eq!(AlpacaError::timeout(2.0).no_data().0, "timeout: no answer within 2 s");
 }
 
+/// Is this body of an answer to request 71 read as safe?
+fn is_safe(status: u16, body: &[u8]) -> bool {
+    let answer = parse_exactly(status, body, &Transactions::fresh(), 71);
+    answer.is_ok_and(|answer| answer.value.as_ref().is_some_and(|value| value::strict_flag(value) == Ok(true)))
+}
+
+#[test]
+fn a_safety_answer_is_safe_only_if_it_is_exactly_right() {
+    let right = [
+        r#"{"Value":true,"ClientTransactionID":71,"ServerTransactionID":9,"ErrorNumber":0,"ErrorMessage":""}"#,
+        // servers that return no id, or 0
+        r#"{"Value":true,"ErrorNumber":0,"ErrorMessage":""}"#,
+        "{\r\n \"ErrorMessage\": null, \"ErrorNumber\": 0, \"ClientTransactionID\": 0, \"Value\": true\r\n}\r\n",
+        r#"{"Value":true,"ClientTransactionID":71,"ErrorNumber":0,"ErrorMessage":"","DriverException":null,"Model":"x"}"#,
+    ];
+    for body in right {
+        assert!(is_safe(200, body.as_bytes()), "{body}");
+    }
+    let value = |value: &str| {
+        format!(
+            r#"{{"Value":{value},"ClientTransactionID":71,"ServerTransactionID":9,"ErrorNumber":0,"ErrorMessage":""}}"#
+        )
+    };
+    let with = |members: &str| format!(r#"{{"Value":true,{members}}}"#);
+    let mut odd: Vec<String> = Vec::new();
+    odd.extend(
+        ["True", "TRUE", "\"true\"", "\"True\"", "1", "1.0", "[true]", "{\"Value\":true}", "null", "tru", "-true"]
+            .map(value),
+    );
+    odd.extend(
+        [
+            r#""Value":false,"ErrorNumber":0"#,
+            r#""Value":true,"ErrorNumber":0"#,
+            r#""value":false,"ErrorNumber":0"#,
+            r#""ErrorNumber":0,"ErrorNumber":1"#,
+            r#""ErrorNumber":1,"ErrorNumber":0"#,
+            r#""errornumber":0"#,
+            r#""ErrorNumber":0.5"#,
+            r#""ErrorNumber":0.0"#,
+            r#""ErrorNumber":-1"#,
+            r#""ErrorNumber":1031"#,
+            r#""ErrorNumber":"0""#,
+            r#""ErrorNumber":"","ErrorMessage":"""#,
+            r#""ErrorNumber":false"#,
+            r#""ErrorNumber":null"#,
+            r#""ErrorNumber":[]"#,
+            r#""ErrorNumber":{"code":0}"#,
+            r#""ErrorMessage":"""#,
+            r#""ErrorNumber":0,"ErrorMessage":"Sensor lost""#,
+            r#""ErrorNumber":0,"ErrorMessage":{"code":1}"#,
+            r#""ErrorNumber":0,"ErrorMessage":["x"]"#,
+            r#""ErrorNumber":0,"ErrorMessage":7"#,
+            r#""ErrorNumber":0,"Error":{"code":1031}"#,
+            r#""ErrorNumber":0,"error":"timeout""#,
+            r#""ErrorNumber":0,"Exception":"x""#,
+            r#""ErrorNumber":0,"IsSafe":"no""#,
+            r#""ErrorNumber":0,"ClientTransactionID":70"#,
+            r#""ErrorNumber":0,"ClientTransactionID":-71"#,
+            r#""ErrorNumber":0,"ClientTransactionID":-1"#,
+            r#""ErrorNumber":0,"ClientTransactionID":71.5"#,
+            r#""ErrorNumber":0,"ClientTransactionID":"71""#,
+            r#""ErrorNumber":0,"ClientTransactionID":"x""#,
+            r#""ErrorNumber":0,"ClientTransactionID":4294967367"#,
+            r#""ErrorNumber":0,"clienttransactionid":71"#,
+            r#""ErrorNumber":0,"ClientTransactionID":71,"ClientTransactionID":70"#,
+            r#""ErrorNumber":0,"ServerTransactionID":"x""#,
+        ]
+        .map(with),
+    );
+    odd.extend([r#"{"value":true,"ErrorNumber":0}"#.to_owned(), "true".to_owned(), format!("[{}]", value("true"))]);
+    odd.extend([format!("{}x", value("true")), format!("{}{}", value("true"), value("false"))]);
+    odd.extend([
+        format!("\u{feff}{}", value("true")),
+        format!("{}\0", value("true")),
+        format!("/**/{}", value("true")),
+    ]);
+    for body in odd {
+        assert!(!is_safe(200, body.as_bytes()), "{body}");
+    }
+    for status in [201, 203, 204, 206, 304, 400, 500] {
+        assert!(!is_safe(status, right[0].as_bytes()), "HTTP {status}");
+    }
+}
+
+#[test]
+fn a_monitor_that_returned_ids_and_then_none_is_not_heard() {
+    let transactions = Transactions::fresh();
+    let body = |id: u32| format!(r#"{{"Value":true,"ClientTransactionID":{id},"ErrorNumber":0,"ErrorMessage":""}}"#);
+    let reads = |id: u32, asked: u32| parse_exactly(200, body(id).as_bytes(), &transactions, asked).is_ok();
+    assert!(reads(0, 1) && reads(0, 2), "this server returns none");
+    assert!(reads(3, 3));
+    assert!(!reads(0, 4), "and now it does");
+}
+
 proptest! {
     #[test]
     fn no_bytes_make_it_panic(status in 100_u16..600, body in prop::collection::vec(any::<u8>(), 0..300)) {
@@ -133,10 +244,11 @@ proptest! {
 
     #[test]
     fn only_json_true_is_ever_read_as_safe(body in "\\{\"Value\": ?[a-zA-Z0-9\".]{0,8}\\}") {
-        if let Ok(Answer { value: Some(value), .. }) = parse(200, body.as_bytes())
+        let body = body.replacen('}', r#","ErrorNumber":0}"#, 1);
+        if let Ok(Answer { value: Some(value) }) = parse_exactly(200, body.as_bytes(), &Transactions::fresh(), 1)
             && value::strict_flag(&value) == Ok(true)
         {
-            prop_assert!(body.to_lowercase().contains("true") && !body.contains("\"true") && !body.contains("\"True"));
+            prop_assert!(body.contains("true") && !body.contains("\"true"));
         }
     }
 }

@@ -167,7 +167,7 @@ impl Driver for Camera {
                     return Some((Reason::NotNow, detail));
                 }
                 let too_large = subframe.filter(|part| !fits(part, can, *bin));
-                let bad_part = too_large.map(|part| (Reason::Malformed, format!("{part:?} leaves the sensor")));
+                let bad_part = too_large.map(|part| (Reason::Malformed, leaves(&part)));
                 within("exposure_s", *exposure_s, 0.0, 86_400.0).or(bad_part)
             }
             Command::Cool { .. } | Command::Warm if !can.set_temperature => {
@@ -239,4 +239,9 @@ pub fn frame_properties(header_rows: Vec<String>) -> Vec<String> {
         names.insert(name.to_owned(), ());
     }
     names.into_keys().collect()
+}
+/// A part of the sensor that is not on it.
+fn leaves(part: &Subframe) -> String {
+    let Subframe { x_px, y_px, width_px, height_px } = part;
+    format!("the part of {width_px} x {height_px} px from column {x_px}, row {y_px} on leaves the sensor")
 }

@@ -11,6 +11,7 @@ use tokio::sync::watch;
 
 use super::{Driver, Need, Now, Obeyed, Progress, apart_deg, can, vendor, within};
 use crate::alpaca::{Alpaca, AlpacaError};
+use crate::gate::Hinders;
 use crate::guard::Guard;
 use crate::guard_task::Seen;
 use crate::readings::Readings;
@@ -36,6 +37,25 @@ pub struct Dome {
 }
 
 impl Dome {
+    async fn close(&self, alpaca: &Alpaca, fields: &Fields) -> Result<(), AlpacaError> {
+        match alpaca.put("closeshutter", &[]).await {
+            // there are domes that move no shutter while they turn
+            Err(error) if !error.is_unknown_outcome() && fields.slewing.known() == Some(&true) => {
+                // if it cannot be stopped, the closing itself decides
+                let _ = alpaca.put("abortslew", &[]).await;
+                alpaca.put("closeshutter", &[]).await
+            }
+            closed => closed,
+        }
+    }
+
+    /// Without an answer the request may have arrived all the same.
+    fn close_answered<T>(&self, answer: &Result<T, AlpacaError>) {
+        if !answer.as_ref().is_err_and(AlpacaError::is_unknown_outcome) {
+            self.guard().close_answered(answer.is_ok(), self.clock.machine());
+        }
+    }
+
     fn guard(&self) -> std::sync::MutexGuard<'_, Guard> {
         self.guard.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -63,7 +83,11 @@ impl Driver for Dome {
 
     fn observed(&self, readings: &Readings, now: Now) {
         if let Some(shutter) = readings.choice("ShutterStatus", &SHUTTER).known() {
-            self.eye.send_replace(Some((*shutter, now.machine)));
+            let asked = readings.asked("ShutterStatus").unwrap_or(now);
+            self.guard().read(*shutter, asked.machine);
+            self.eye.send_replace(Some((*shutter, asked.machine)));
+        } else if let Some(number) = readings.whole("ShutterStatus").known() {
+            self.guard().odd_status(*number);
         }
     }
 
@@ -97,6 +121,16 @@ impl Driver for Dome {
             Command::Resume => Need::Resume,
             Command::Vendor(command) if vendor::is_listed(&self.vendor_commands_to_close, command) => Need::Token,
             Command::Vendor(_) => Need::TokenAndPermit,
+        }
+    }
+
+    fn hinders(&self, command: &Command) -> Hinders {
+        match command {
+            Command::Abort | Command::SlewToAzimuth { .. } | Command::Slave { .. } => Hinders::Yes,
+            Command::Park => Hinders::FromOthers,
+            Command::Vendor(command) if vendor::is_listed(&self.vendor_commands_to_close, command) => Hinders::No,
+            Command::Vendor(_) => Hinders::Yes,
+            Command::OpenShutter | Command::CloseShutter | Command::Claim | Command::Resume => Hinders::No,
         }
     }
 
@@ -150,20 +184,22 @@ impl Driver for Dome {
                 if !self.guard().may_be_open(self.clock.machine()) {
                     return Err(AlpacaError::Value(NoData::new("no permit", "it ran out before the shutter moved")));
                 }
-                alpaca.put("openshutter", &[]).await?;
-            }
-            Command::CloseShutter if fields.shutter.known() == Some(&Shutter::Closing) => {}
-            // it has begun to: the shutter moves as soon as all mounts under it are parked
-            Command::CloseShutter if self.guard().closes_by_itself() => {}
-            Command::CloseShutter => match alpaca.put("closeshutter", &[]).await {
-                // there are domes that move no shutter while they turn
-                Err(error) if !error.is_unknown_outcome() && fields.slewing.known() == Some(&true) => {
-                    // if it cannot be stopped, the closing itself decides
-                    let _ = alpaca.put("abortslew", &[]).await;
-                    alpaca.put("closeshutter", &[]).await?
+                self.guard().open_sent(self.clock.machine());
+                let opened = alpaca.put("openshutter", &[]).await;
+                if opened.as_ref().is_err_and(|error| !error.is_unknown_outcome()) {
+                    self.guard().open_refused();
                 }
-                closed => closed?,
-            },
+                opened?;
+            }
+            // the guard has begun to: the shutter moves as soon as its policy about the mounts lets it
+            Command::CloseShutter if self.guard().closes_by_itself() => {}
+            Command::CloseShutter if self.guard().is_on_its_way(self.clock.machine()) => {}
+            Command::CloseShutter => {
+                self.guard().close_sent(self.clock.machine());
+                let closed = self.close(alpaca, fields).await;
+                self.close_answered(&closed);
+                closed?;
+            }
             Command::Abort => alpaca.put("abortslew", &[]).await?,
             Command::Park => alpaca.put("park", &[]).await?,
             Command::SlewToAzimuth { azimuth_deg } => {
@@ -176,7 +212,16 @@ impl Driver for Dome {
                 if needs_permit && !self.guard().may_be_open(self.clock.machine()) {
                     return Err(AlpacaError::Value(NoData::new("no permit", "it ran out before this was sent")));
                 }
-                return vendor::obey(alpaca, words).await;
+                // a site may close by its maker's own command
+                let closes = vendor::is_listed(&self.vendor_commands_to_close, words);
+                if closes {
+                    self.guard().close_sent(self.clock.machine());
+                }
+                let obeyed = vendor::obey(alpaca, words).await;
+                if closes {
+                    self.close_answered(&obeyed);
+                }
+                return obeyed;
             }
             Command::Claim | Command::Resume => return Ok(Obeyed::Done),
         }
@@ -204,7 +249,10 @@ impl Driver for Dome {
                 Progress::Failed("the shutter is in error".to_owned())
             }
             Command::OpenShutter => Progress::done_if(shutter == Some(&Shutter::Open)),
-            Command::CloseShutter => Progress::done_if(shutter == Some(&Shutter::Closed)),
+            // a status of closed is no proof of it
+            Command::CloseShutter => {
+                Progress::done_if(shutter == Some(&Shutter::Closed) && self.guard().is_closed(self.clock.machine()))
+            }
             Command::Abort => {
                 let moves = matches!(shutter, Some(Shutter::Opening | Shutter::Closing));
                 Progress::done_if(still && !moves)

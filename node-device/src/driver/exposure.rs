@@ -104,7 +104,9 @@ impl Camera {
         let size = raw.size_px();
         let part = setting.part;
         if size.is_some_and(|size| part.width_px > 0 && size != (part.width_px, part.height_px)) {
-            return Err(AlpacaError::Protocol(format!("the image is {size:?}, asked for {part:?}")));
+            let (width, height) = size.unwrap_or_default();
+            let asked = format!("asked for {} x {} px", part.width_px, part.height_px);
+            return Err(AlpacaError::Protocol(format!("the image has {width} x {height} px, {asked}")));
         }
         drop(shown);
         self.store(
@@ -118,7 +120,7 @@ impl Camera {
                 origin_px: [part.x_px, part.y_px],
                 started_utc,
                 exposure_s,
-                readings: readings.shown(Kind::Camera),
+                readings: readings.shown(Kind::Camera, self.clock.machine()),
             },
         );
         Ok(())

@@ -20,6 +20,7 @@ use bus::{MachineTime, SkyTime};
 use contract::{CommandId, DeviceKind, NoData, Reason, Reply};
 
 use crate::alpaca::{Alpaca, AlpacaError, value};
+use crate::gate::Hinders;
 use crate::readings::Readings;
 
 /// What the devices of a driver can do.
@@ -135,6 +136,11 @@ pub trait Driver: Send + Sync + 'static {
         false
     }
 
+    /// Does it hinder a closing that is due?
+    fn hinders(&self, _command: &Command<Self>) -> Hinders {
+        Hinders::No
+    }
+
     /// Answers commands that are no deeds of the device, such as a frame's release.
     fn answer(&self, _id: &CommandId, _command: &Command<Self>) -> Option<Reply> {
         None
@@ -171,16 +177,27 @@ pub trait Driver: Send + Sync + 'static {
     }
 }
 
-/// A property whose absence is no fault: `None` unless the server itself is gone.
+/// An answer that cannot be read is asked for so often: its value holds until the device is connected anew.
+const TRIES: u32 = 3;
+
+/// A property whose absence is no fault: `None` unless the server itself is gone or answers other requests.
 pub(crate) async fn optional<T>(
     alpaca: &Alpaca,
     member: &str,
     read: impl Fn(&serde_json::Value) -> Result<T, NoData>,
 ) -> Result<Result<T, NoData>, AlpacaError> {
-    match alpaca.get(member).await {
-        Ok(answer) => Ok(read(&answer)),
-        Err(error) if error.is_transport() || error.is_not_connected() => Err(error),
-        Err(error) => Ok(Err(error.no_data())),
+    let mut tries = 0;
+    loop {
+        tries += 1;
+        let error = match alpaca.get(member).await.and_then(|answer| read(&answer).map_err(AlpacaError::Value)) {
+            Ok(value) => return Ok(Ok(value)),
+            Err(error) => error,
+        };
+        match error {
+            error if error.is_transport() || error.is_not_connected() || error.is_foreign() => return Err(error),
+            error if error.is_unreadable() && tries < TRIES => tokio::time::sleep(Duration::from_millis(100)).await,
+            error => return Ok(Err(error.no_data())),
+        }
     }
 }
 

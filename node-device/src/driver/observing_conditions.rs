@@ -7,22 +7,6 @@ use super::{Driver, Need, Obeyed, optional};
 use crate::alpaca::{Alpaca, AlpacaError, value};
 use crate::readings::Readings;
 
-const SENSORS: [&str; 13] = [
-    "CloudCover",
-    "DewPoint",
-    "Humidity",
-    "Pressure",
-    "RainRate",
-    "SkyBrightness",
-    "SkyQuality",
-    "SkyTemperature",
-    "StarFWHM",
-    "Temperature",
-    "WindDirection",
-    "WindGust",
-    "WindSpeed",
-];
-
 /// Reads a weather station.
 pub struct ObservingConditions;
 
@@ -30,12 +14,12 @@ impl Driver for ObservingConditions {
     type Kind = observing_conditions::ObservingConditions;
 
     fn polled(&self) -> Vec<String> {
-        SENSORS.into_iter().chain(["TimeSinceLastUpdate"]).map(str::to_owned).collect()
+        observing_conditions::ascom_names().chain(["TimeSinceLastUpdate"]).map(str::to_owned).collect()
     }
 
     async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
         let mut measures = Vec::new();
-        for sensor in SENSORS {
+        for sensor in observing_conditions::ascom_names() {
             if optional(alpaca, &sensor.to_ascii_lowercase(), value::number).await?.is_ok() {
                 measures.push(sensor.to_owned());
             }

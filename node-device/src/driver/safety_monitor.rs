@@ -37,8 +37,10 @@ impl Driver for SafetyMonitor {
     }
 
     fn observed(&self, readings: &Readings, now: Now) {
-        let safe = readings.strict_flag("IsSafe").known() == Some(&true);
-        self.record.lock().unwrap_or_else(PoisonError::into_inner).observe(safe, now.machine, now.sky);
+        // a reading counts from when it was asked for, however often it is seen
+        let asked = readings.asked("IsSafe").filter(|_| readings.strict_flag("IsSafe").known() == Some(&true));
+        let at = asked.unwrap_or(now);
+        self.record.lock().unwrap_or_else(PoisonError::into_inner).observe(asked.is_some(), at.machine, at.sky);
     }
 
     fn fields(&self, readings: &Readings) -> Fields {

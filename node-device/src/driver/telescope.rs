@@ -9,6 +9,7 @@ use contract::{CommandId, Datum, Reason};
 
 use super::{Driver, Need, Obeyed, Progress, apart_deg, can, optional, vendor, within};
 use crate::alpaca::{Alpaca, AlpacaError, value};
+use crate::gate::Hinders;
 use crate::readings::Readings;
 
 /// A mount that stands still farther from its target than this has not reached it; generous, because mounts
@@ -143,6 +144,21 @@ impl Driver for Telescope {
             | Command::Sync { .. }
             | Command::Vendor(_) => Need::Token,
             Command::Claim => Need::Claim,
+        }
+    }
+
+    fn hinders(&self, command: &Command) -> Hinders {
+        match command {
+            // the park that a roof waits for is begun by a stop of its own
+            Command::Abort => Hinders::Yes,
+            Command::Track { on: false } => Hinders::FromOthers,
+            Command::Slew { .. } | Command::Track { on: true } | Command::Unpark => Hinders::FromTheUnaware,
+            Command::Park
+            | Command::PulseGuide { .. }
+            | Command::Rates { .. }
+            | Command::Sync { .. }
+            | Command::Vendor(_)
+            | Command::Claim => Hinders::No,
         }
     }
 

@@ -1,10 +1,11 @@
 //! The record of a weather station outlives whoever listens.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use contract::Kind;
 use contract::device::observing_conditions::{Fields, ObservingConditions};
 use contract::device::record::{Question, Record};
+use contract::device::safety_monitor::SafetyMonitor;
 use contract::{Key, Link};
 use serde_json::json;
 
@@ -72,5 +73,82 @@ async fn a_weather_stations_record_is_what_was_heard_of_it() {
     // a safety monitor tells the length of its record with its state
     let other = Key::Record(stage.device(Kind::SafetyMonitor, "monitor"));
     assert!(stage.bus.ask::<_, Record<Fields>>(&other, &Question { back_s: 600.0 }, limit).await.is_err());
+    stage.end().await;
+}
+
+/// How long it takes until the state of a station shows rain, if each of its properties takes 1.2 s.
+async fn rain_is_told_after(one_at_a_time: bool) -> Duration {
+    let sensors = ["cloudcover", "dewpoint", "humidity", "pressure", "rainrate", "skybrightness", "skyquality"];
+    let more =
+        ["skytemperature", "starfwhm", "temperature", "winddirection", "windgust", "windspeed", "timesincelastupdate"];
+    let says: Vec<_> = sensors.into_iter().chain(more).map(|name| (name, json!(0.0))).collect();
+    let hardware = Fake::start(&says).await;
+    let limits = "limit = [{ parameter = \"Humidity\", upper = 80.0 }, { parameter = \"RainRate\", upper = 0.1 }, \
+                  { parameter = \"WindSpeed\", upper = 15.0 }]";
+    let block = format!("[[observingconditions]]\nname = \"wx\"\nserver = \"{}\"\n{limits}\n", hardware.address);
+    let stage = Stage::start(&block).await;
+    stage.until::<ObservingConditions>("wx", |state| state.fields.rain_mm_per_h.known() == Some(&0.0)).await;
+    hardware.slow(Duration::from_millis(1200), one_at_a_time);
+    // until the node has measured how slow it is
+    tokio::time::sleep(Duration::from_secs(25)).await;
+    let states = stage.states::<ObservingConditions>("wx").await;
+    let began = Instant::now();
+    hardware.say("rainrate", Says::Value(json!(5.0)));
+    let raining = async {
+        loop {
+            let state = states.hear().await.said.body;
+            assert_eq!(state.link, Link::Connected);
+            let known = [&state.fields.rain_mm_per_h, &state.fields.humidity_percent, &state.fields.wind_mps];
+            assert!(known.iter().all(|datum| datum.known().is_some()), "slow is not missing: {state:?}");
+            if state.fields.rain_mm_per_h.known() == Some(&5.0) {
+                return began.elapsed();
+            }
+        }
+    };
+    let after = tokio::time::timeout(LIMIT, raining).await.unwrap();
+    stage.end().await;
+    after
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_slow_station_tells_of_rain_in_time_for_the_dome_to_close_within_8_s() {
+    let (several, one) = tokio::join!(rain_is_told_after(false), rain_is_told_after(true));
+    assert!(several < Duration::from_millis(7500) && one < Duration::from_millis(7500), "{several:?}, {one:?}");
+}
+
+/// Real threads: what is stalled here is the runtime of the node itself.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_node_that_stood_still_does_not_go_on_with_what_it_had_read() {
+    let hardware = Fake::start(&[("issafe", json!(true))]).await;
+    let block = format!("[[safetymonitor]]\nname = \"monitor\"\nserver = \"{}\"\nperiod_s = 0.5\n", hardware.address);
+    let stage = Stage::start(&block).await;
+    stage.until::<SafetyMonitor>("monitor", |state| state.fields.gapless_safe_s > 1.5).await;
+    let states = stage.states::<SafetyMonitor>("monitor").await;
+    for _ in 0..8 {
+        tokio::spawn(async { std::thread::sleep(Duration::from_secs(4)) });
+    }
+    std::thread::sleep(Duration::from_millis(500));
+    let turned = stage.bus.clock().machine();
+    hardware.say("issafe", Says::Value(json!(false)));
+    let hearing = async {
+        loop {
+            let heard = states.hear().await;
+            let state = heard.said.body;
+            if state.fields.is_safe.known() == Some(&false) {
+                return;
+            }
+            if state.fields.is_safe.known() == Some(&true) {
+                let age = Duration::from_secs_f64(state.age_s("IsSafe").unwrap());
+                let read = heard.arrived.minus(age);
+                assert!(read <= turned, "read {:?} after it had turned: {state:?}", read.since(turned));
+            }
+            if heard.arrived.since(turned) > Duration::from_secs(3) {
+                assert_eq!(state.fields.gapless_safe_s, 0.0, "the record is broken: {state:?}");
+            }
+        }
+    };
+    tokio::time::timeout(LIMIT, hearing).await.unwrap();
+    let record = stage.until::<SafetyMonitor>("monitor", |state| state.fields.is_safe.known() == Some(&false)).await;
+    assert_eq!(record.fields.gapless_safe_s, 0.0);
     stage.end().await;
 }

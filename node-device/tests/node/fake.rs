@@ -36,6 +36,9 @@ struct World {
     puts: Vec<Put>,
     effects: BTreeMap<String, Effect>,
     gets_hang: bool,
+    gets_take: Duration,
+    /// Where it answers one request at a time.
+    one_at_a_time: Option<Arc<tokio::sync::Mutex<()>>>,
     /// `None`: no exposure; else when it began and how long it takes.
     exposure: Option<(Instant, Duration)>,
     exposure_ends: Vec<Instant>,
@@ -80,6 +83,12 @@ impl Fake {
         self.world.lock().unwrap().gets_hang = on;
     }
 
+    /// Every property takes so long, several at a time or one after another.
+    pub fn slow(&self, takes: Duration, one_at_a_time: bool) {
+        let mut world = self.world.lock().unwrap();
+        (world.gets_take, world.one_at_a_time) = (takes, one_at_a_time.then(Arc::default));
+    }
+
     /// Calls of a method so far.
     pub fn puts(&self, member: &str) -> Vec<Put> {
         self.world.lock().unwrap().puts.iter().filter(|put| put.member == member).cloned().collect()
@@ -113,7 +122,7 @@ impl Fake {
             "camerastate" => Some(value(json!(if world.exposure.is_some() && !ready { 2 } else { 0 }))),
             "imagearray" => {
                 let mut body: Vec<u8> =
-                    [1_i32, 0, 1, 1, 44, 2, 8, 2, 3, 2, 0].into_iter().flat_map(i32::to_le_bytes).collect();
+                    [1_i32, 0, 0, 1, 44, 2, 8, 2, 3, 2, 0].into_iter().flat_map(i32::to_le_bytes).collect();
                 body.extend((1_u16..=6).flat_map(u16::to_le_bytes));
                 Some(([(header::CONTENT_TYPE, "application/imagebytes")], body).into_response())
             }
@@ -133,6 +142,17 @@ async fn answer(
     _: HeaderMap,
     body: Bytes,
 ) -> Response {
+    if method == Method::GET {
+        let (takes, turns) = {
+            let world = fake.world.lock().unwrap();
+            (world.gets_take, world.one_at_a_time.clone())
+        };
+        let _turn = match &turns {
+            Some(turns) => Some(turns.lock().await),
+            None => None,
+        };
+        tokio::time::sleep(takes).await;
+    }
     let says = if method == Method::PUT {
         let form = String::from_utf8_lossy(&body).into_owned();
         let put = Put { member: member.clone(), at: Instant::now() };

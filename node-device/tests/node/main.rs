@@ -3,8 +3,12 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test ends by panicking")]
 
 mod accounts;
+mod closing;
 mod evidence;
 mod fake;
+mod first_start;
+#[path = "../../../tests/support/lateness.rs"]
+mod lateness;
 mod lease;
 mod rates;
 mod stage;
@@ -19,11 +23,13 @@ use contract::device::safety_monitor::SafetyMonitor;
 use contract::device::{filter_wheel, focuser};
 use contract::{Key, Kind, Link, NodeTopic, Reason};
 use fake::{Fake, Says};
+use lateness::Lateness;
 use serde_json::json;
 use stage::{Commander, Stage, accepted, command, refused};
 
+/// A device of the node under test, which is called `main` for all kinds.
 fn block(kind: &str, name: &str, server: &Fake, more: &str) -> String {
-    format!("[[{kind}]]\nname = \"{name}\"\nserver = \"{}\"\n{more}\n", server.address)
+    format!("[[{kind}]]\nname = \"{name}\"\nserver = \"{}\"\nnode = \"main\"\n{more}\n", server.address)
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -194,17 +200,18 @@ async fn a_dome_closes_by_itself_when_its_commander_dies_even_while_its_polls_ha
     let hardware = a_dome().await;
     let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5\npermit_valid_s = 3.0")).await;
     let (token, commander) = open(&stage).await;
-    assert_eq!(hardware.puts("closeshutter").len(), 0);
+    let before = hardware.puts("closeshutter").len();
     hardware.hang(true);
     drop(commander);
-    let died = Instant::now();
-    while hardware.puts("closeshutter").is_empty() {
-        assert!(died.elapsed() < Duration::from_secs(10), "the dome stayed open");
+    let (died, lateness) = (Instant::now(), Lateness::begin());
+    while hardware.puts("closeshutter").len() == before {
+        assert!(died.elapsed() < Duration::from_secs(60), "the dome stayed open");
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
-    let took = hardware.puts("closeshutter")[0].at - died;
+    let took = hardware.puts("closeshutter")[before].at - died;
     // 3 s from the last number, which is at most 1 s old, and one look of the guard
-    assert!(took > Duration::from_millis(1500) && took < Duration::from_millis(4000), "{took:?}");
+    assert!(took > Duration::from_millis(1500), "{took:?}");
+    assert!(took < lateness.bound(Duration::from_millis(4000)), "{took:?}");
     hardware.hang(false);
 
     // it holds the dome until the commander resumes
@@ -217,11 +224,12 @@ async fn a_dome_closes_by_itself_when_its_commander_dies_even_while_its_polls_ha
             break;
         }
     }
+    // the poll that hung has lost the link, and without it every command is refused for that reason
+    stage.until::<dome::Dome>("dome", |state| state.link == Link::Connected).await;
     let go = command("o4", Some(token), dome::Command::OpenShutter);
     assert_eq!(refused(&stage.command(Kind::Dome, "dome", &go).await), Reason::NoPermit);
     let resume = command("r1", Some(token), dome::Command::Resume);
     accepted(&stage.command(Kind::Dome, "dome", &resume).await);
-    stage.until::<dome::Dome>("dome", |state| state.link == Link::Connected).await;
     accepted(&stage.command(Kind::Dome, "dome", &go).await);
     drop(commander);
     stage.end().await;
@@ -232,18 +240,19 @@ async fn a_close_command_waits_for_no_hung_poll_and_needs_no_token() {
     let hardware = a_dome().await;
     let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5\npermit_valid_s = 10.0")).await;
     let (_, _commander) = open(&stage).await;
+    let before = hardware.puts("closeshutter").len();
     hardware.hang(true);
     // a poll is under way now, and hangs
     tokio::time::sleep(Duration::from_millis(700)).await;
-    let asked = Instant::now();
+    let (asked, lateness) = (Instant::now(), Lateness::begin());
     let close = command("c9", None, dome::Command::CloseShutter);
     accepted(&stage.command(Kind::Dome, "dome", &close).await);
-    while hardware.puts("closeshutter").is_empty() {
-        assert!(asked.elapsed() < Duration::from_secs(5), "nothing was closed");
+    while hardware.puts("closeshutter").len() == before {
+        assert!(asked.elapsed() < Duration::from_secs(60), "nothing was closed");
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
-    let took = hardware.puts("closeshutter")[0].at - asked;
-    assert!(took < Duration::from_millis(250), "{took:?}");
+    let took = hardware.puts("closeshutter")[before].at - asked;
+    assert!(took < lateness.bound(Duration::from_millis(250)), "{took:?}");
     hardware.hang(false);
     stage.until::<dome::Dome>("dome", |state| state.has_done(&close.id)).await;
     stage.end().await;
@@ -335,8 +344,8 @@ async fn frames_are_taken_one_after_another_announced_served_and_released() {
     let mut dead: Vec<Duration> = ends.iter().zip(&starts[1..]).map(|(end, start)| start.at - *end).collect();
     dead.sort();
     println!("dead time between exposures: {dead:?}");
-    // the figure of 50 ms is judged by tests/bench on a release build; this catches a lost design
-    assert!(dead[dead.len() / 2] < Duration::from_millis(150), "{dead:?}");
+    // the figure of 50 ms is judged by tests/bench on a release build; this catches a lost design, which every pause shows
+    assert!(dead[0] < Duration::from_millis(150), "{dead:?}");
 
     let mut heard = Vec::new();
     while heard.len() < count {

@@ -11,7 +11,10 @@ use contract::{
 use tokio::task::JoinHandle;
 
 /// Nothing in these tests may take longer.
-pub const LIMIT: Duration = Duration::from_secs(20);
+pub const LIMIT: Duration = Duration::from_secs(60);
+
+/// The place of the tests' telescope.
+pub const PLACE: &str = "[observatory]\nsite = \"site\"\ntelescope = \"alpha\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\nelevation_m = 0.0\n";
 
 pub struct Stage {
     pub bus: Bus,
@@ -21,7 +24,7 @@ pub struct Stage {
     _folder: tempfile::TempDir,
 }
 
-fn private(connect: Vec<String>) -> config::Bus {
+pub fn private(connect: Vec<String>) -> config::Bus {
     config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect, multicast: false }
 }
 
@@ -43,8 +46,7 @@ impl Stage {
     }
 
     async fn start_at(folder: tempfile::TempDir, devices: &str, clock: Clock) -> Self {
-        let place = "[observatory]\nsite = \"site\"\ntelescope = \"alpha\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\nelevation_m = 0.0\n";
-        let config = config::parse(&format!("{place}{devices}"), folder.path()).unwrap();
+        let config = config::parse(&format!("{PLACE}{devices}"), folder.path()).unwrap();
         let bus = Bus::open(&private(Vec::new()), clock.clone()).await.unwrap();
         let header = config::header::HeaderTable::default();
         let node = Node::new(Role::Device, "main".parse().unwrap(), config, header, bus.clone());

@@ -1,0 +1,79 @@
+//! What verdicts are made of, of a device: it is read first, apart from the rest, and on deadlines of its own.
+
+use config::Observatory;
+use contract::device::switch::number_of;
+use contract::{Device, Kind};
+
+/// Sensors whose limits are passed within seconds come first.
+const SWIFT: [&str; 3] = ["RainRate", "WindGust", "WindSpeed"];
+/// How old the station's own measurement is.
+const SENSOR_AGE: &str = "TimeSinceLastUpdate";
+
+/// The properties of a device that decide, the swiftest first; empty where the device is polled as a whole.
+///
+/// `polled` are all that the driver knows. Telescopes that share a station put limits on it that this node does not
+/// know, so that all of its sensors decide.
+pub fn properties(config: &Observatory, device: &Device, polled: &[String]) -> Vec<String> {
+    let limits = match device.kind {
+        Kind::SafetyMonitor => return polled.to_vec(),
+        Kind::ObservingConditions => {
+            let own = config.observingconditions.iter().find(|station| station.common.name == device.name);
+            own.map(|station| station.limit.as_slice()).unwrap_or_default()
+        }
+        Kind::Switch => {
+            let own = config.switch.iter().find(|switch| switch.common.name == device.name);
+            own.map(|switch| switch.limit.as_slice()).unwrap_or_default()
+        }
+        _ => return Vec::new(),
+    };
+    let limited: Vec<&str> = limits.iter().flat_map(|limit| made_of(&limit.parameter)).collect();
+    let decides = |name: &&String| match device.kind {
+        Kind::Switch => limited.iter().any(|limit| *limit == name.as_str() || same_switch(limit, name)),
+        _ => limited.is_empty() || *name == SENSOR_AGE || limited.contains(&name.as_str()),
+    };
+    let mut deciding: Vec<String> = polled.iter().filter(decides).cloned().collect();
+    deciding.sort_by_key(|name| SWIFT.iter().position(|swift| swift == name).unwrap_or(SWIFT.len()));
+    deciding
+}
+
+fn same_switch(limit: &str, property: &str) -> bool {
+    number_of(limit).is_some_and(|number| property == format!("GetSwitchValue{number}"))
+}
+
+/// The ASCOM properties that a parameter of a limit is made of.
+fn made_of(parameter: &str) -> Vec<&str> {
+    match parameter {
+        "RelativeSkyTemp" => vec!["SkyTemperature", "Temperature"],
+        "DewPointMargin" => vec!["Temperature", "DewPoint"],
+        name => vec![name],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn deciding(telescope: &str, limits: &str) -> Vec<String> {
+        let text = format!(
+            "[observatory]\nsite = \"s\"\ntelescope = \"{telescope}\"\nlatitude_deg = 0\nlongitude_deg = 0\nelevation_m = 0\n\
+             [[observingconditions]]\nname = \"wx\"\nserver = \"a:1\"\n{limits}\n"
+        );
+        let config = config::parse(&text, std::path::Path::new("/")).unwrap();
+        let device = config.address().device(Kind::ObservingConditions, &"wx".parse().unwrap());
+        let polled = ["Humidity", "Pressure", "RainRate", "Temperature", "DewPoint", "WindSpeed", SENSOR_AGE];
+        properties(&config, &device, &polled.map(str::to_owned))
+    }
+
+    #[test]
+    fn what_has_a_limit_decides_and_rain_and_wind_come_first() {
+        let limits =
+            "limit = [{ parameter = \"DewPointMargin\", lower = 2.0 }, { parameter = \"RainRate\", upper = 0.1 }]";
+        assert_eq!(deciding("t", limits), ["RainRate", "Temperature", "DewPoint", SENSOR_AGE]);
+    }
+
+    #[test]
+    fn all_of_a_station_decides_where_its_limits_are_others() {
+        let all = deciding("shared", "");
+        assert_eq!((all.len(), all[0].as_str(), all[1].as_str()), (7, "RainRate", "WindSpeed"));
+    }
+}

@@ -1,0 +1,98 @@
+//! How a device node ends: what is open is closed first, unless another guard takes over.
+
+use std::time::Duration;
+
+use anyhow::bail;
+use bus::{Node, NodeOptions};
+use contract::observatory::AlertKind;
+
+use crate::child::END_LIMIT;
+use crate::guard_process::link::GuardLink;
+use crate::guard_process::places::{Deadlines, Places};
+use crate::guard_process::{GUARD_LOCK, NODE_LOCK};
+use crate::start::Enclosure;
+
+/// The guard process waits this much longer than its node, so that the node can still report how it ended.
+const MARGIN: Duration = Duration::from_secs(5);
+/// A node without its guard process looks so often whether there is a new one.
+const LOOK: Duration = Duration::from_millis(500);
+
+/// Waits for the order to end, closes every enclosure, and then ends the node.
+pub async fn close_first(node: Node, link: Option<GuardLink>, enclosures: Vec<Enclosure>) -> anyhow::Result<()> {
+    let asked = async {
+        match &link {
+            Some(link) => link.asked_to_end.wait().await,
+            None => std::future::pending().await,
+        }
+    };
+    tokio::select! {
+        () = node.stop.wait() => return Ok(()),
+        () = node.ending.wait() => {}
+        () = asked => {}
+    }
+    for Enclosure { name, guard, closed } in &enclosures {
+        guard.lock().unwrap_or_else(std::sync::PoisonError::into_inner).end();
+        if !*closed.borrow() {
+            tracing::warn!(dome = %name, "the node was asked to end; the dome is closed first");
+        }
+    }
+    let mut open: Vec<String> = Vec::new();
+    let closing = async {
+        for Enclosure { closed, .. } in &enclosures {
+            // its sender exists as long as the guard's task, whose end ends the node
+            let _ = closed.clone().wait_for(|closed| *closed).await;
+        }
+    };
+    if tokio::time::timeout(END_LIMIT.saturating_sub(MARGIN), closing).await.is_err() {
+        let still = enclosures.iter().filter(|enclosure| !*enclosure.closed.borrow());
+        open.extend(still.map(|enclosure| enclosure.name.to_string()));
+    }
+    node.stop.stop();
+    if !open.is_empty() {
+        bail!("NOBODY GUARDS dome {} now, and it is not verified closed: close it by hand", open.join(", "));
+    }
+    Ok(())
+}
+
+/// Guards on when the guard process has died, raises the alert, and ends when the next guard process runs.
+pub async fn outlive_guard_process(
+    node: Node,
+    link: GuardLink,
+    options: NodeOptions,
+    enclosures: Vec<String>,
+) -> anyhow::Result<()> {
+    let places = Places::of(&options.config, node.id.as_str());
+    // held as long as this process runs; where no file can be locked nobody waits for it
+    let _lock = places.lock(NODE_LOCK).ok();
+    if node.stop.or(link.orphaned.wait()).await.is_none() {
+        return Ok(());
+    }
+    if options.with_parent {
+        node.stop.stop();
+        return Ok(());
+    }
+    for dome in &enclosures {
+        let cause = format!("the guard process of dome {dome} has ended; its device node guards on alone");
+        node.alerts.raise(AlertKind::GuardProcess, dome, &cause);
+    }
+    tracing::error!("the guard process has ended; this node guards on alone and leaves to the next one");
+    loop {
+        if node.stop.or(tokio::time::sleep(LOOK)).await.is_none() {
+            return Ok(());
+        }
+        let (places, now, clock) = (places.clone(), node.bus.clock().machine(), node.bus.clock().clone());
+        let last = link.last();
+        let looking = tokio::task::spawn_blocking(move || {
+            let until = last.domes.iter().map(|(dome, said)| (dome.clone(), said.open_until(now)));
+            // a disk that is full only shortens the time until the dome closes
+            let _ = places.keep_countdown(clock.machine(), &until.collect::<Deadlines>());
+            places.lock(GUARD_LOCK).is_err()
+        });
+        // a disk that hangs is asked again when it answers
+        if looking.await.unwrap_or(false) {
+            tracing::warn!("a new guard process has started; this node leaves to it, and nothing is closed for that");
+            node.stop.stop();
+            return Ok(());
+        }
+    }
+}

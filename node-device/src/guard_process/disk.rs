@@ -1,0 +1,38 @@
+//! Writes for the guard process on a thread of its own: a disk that hangs must not hold its loop up.
+
+use std::sync::mpsc::{SyncSender, sync_channel};
+
+use bus::MachineTime;
+
+use super::copy::Copy;
+use super::places::{Deadlines, Places};
+
+/// What is written.
+pub enum Written {
+    /// Until when each dome may be open.
+    Countdown(MachineTime, Deadlines),
+    /// The last-good copy, and its number.
+    Copy(u64, Box<Copy>),
+}
+
+/// Starts the thread. What finds no room in the queue is left out; the next countdown follows within a second.
+pub fn start(places: Places) -> SyncSender<Written> {
+    let (disk, writes) = sync_channel(4);
+    std::thread::spawn(move || {
+        let mut is_told = false;
+        while let Ok(write) = writes.recv() {
+            let written = match write {
+                Written::Countdown(now, deadlines) => places.keep_countdown(now, &deadlines),
+                Written::Copy(number, copy) => places.keep_copy(number, &copy),
+            };
+            if !written && !is_told {
+                tracing::error!(
+                    "nothing can be written next to the configuration nor in the state folder: a restart of this \
+                     process will close the enclosure at once, and not know how if the configuration is broken"
+                );
+            }
+            is_told = !written;
+        }
+    });
+    disk
+}

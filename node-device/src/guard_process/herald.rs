@@ -1,0 +1,109 @@
+//! Publishes alerts on the bus while the device node cannot: with a session of its own, on threads of its own, so that nothing
+//! that closes waits for it. The session is opened with the first alert and not before.
+
+use std::time::Duration;
+
+use bus::{Bus, Clock, Node, NodeOptions, Quality};
+use contract::observatory::AlertKind;
+use contract::{NodeTopic, Role};
+use tokio::sync::mpsc;
+
+use super::copy::Copy;
+
+/// A bus that could not be joined is tried again so often.
+const AGAIN: Duration = Duration::from_secs(10);
+
+/// Alerts are published again so often.
+const REPEATED: Duration = Duration::from_secs(10);
+
+/// One change of an alert.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Change {
+    kind: AlertKind,
+    instance: String,
+    /// The cause; none where it has gone.
+    cause: Option<String>,
+}
+
+/// Takes the alerts of the guard process.
+pub struct Herald {
+    changes: Option<mpsc::UnboundedSender<Change>>,
+    id: String,
+    options: NodeOptions,
+}
+
+impl Herald {
+    /// For the domes of a device node; silent until something is raised.
+    pub fn new(id: &str, options: &NodeOptions) -> Self {
+        Self { changes: None, id: id.to_owned(), options: options.clone() }
+    }
+
+    /// Raises or clears an alert. `copy` has the address of the bus. Never waits.
+    pub fn tell(&mut self, copy: &Copy, kind: AlertKind, instance: &str, cause: Option<String>) {
+        if self.changes.is_none() && cause.is_some() {
+            let (changes, heard) = mpsc::unbounded_channel();
+            let (id, copy, options) = (self.id.clone(), copy.clone(), self.options.clone());
+            let started =
+                std::thread::Builder::new().name("herald".to_owned()).spawn(move || run(&id, &copy, &options, heard));
+            match started {
+                Ok(_) => self.changes = Some(changes),
+                Err(error) => tracing::error!(%error, "alerts of the guard process cannot be published: no thread"),
+            }
+        }
+        if let Some(changes) = &self.changes {
+            // without its thread the error is in the log
+            let _ = changes.send(Change { kind, instance: instance.to_owned(), cause });
+        }
+    }
+}
+
+fn run(id: &str, copy: &Copy, options: &NodeOptions, heard: mpsc::UnboundedReceiver<Change>) {
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
+    let told = match runtime {
+        Ok(runtime) => runtime.block_on(publish(id, copy, options, heard)),
+        Err(error) => Err(error.into()),
+    };
+    if let Err(error) = told {
+        tracing::error!(%error, "alerts of the guard process cannot be published");
+    }
+}
+
+async fn publish(
+    id: &str,
+    copy: &Copy,
+    options: &NodeOptions,
+    mut heard: mpsc::UnboundedReceiver<Change>,
+) -> anyhow::Result<()> {
+    let connect = copy.connect.iter().chain(&options.connect).cloned().collect();
+    let multicast = copy.multicast && !options.no_multicast;
+    let meeting = config::Bus { listen: Vec::new(), connect, multicast };
+    let place = serde_json::json!({ "observatory": {
+        "site": copy.site, "telescope": copy.telescope, "latitude_deg": 0.0, "longitude_deg": 0.0, "elevation_m": 0.0,
+    }});
+    let config: config::Observatory = serde_json::from_value(place)?;
+    let bus = loop {
+        match Bus::open(&meeting, Clock::machine_clock()).await {
+            Ok(bus) => break bus,
+            Err(error) => tracing::warn!(%error, "the bus cannot be joined for an alert; tried again"),
+        }
+        tokio::time::sleep(AGAIN).await;
+    };
+    let node = Node::new(Role::Device, format!("{id}-guard").parse()?, config, Default::default(), bus);
+    let alerts = node.alerts.clone();
+    // alerts and nothing else: it is no node whose clock and disk anything rests on
+    let line = node.bus.publisher(&node.key(NodeTopic::Alerts), Quality::State { cache: 100 }).await?;
+    let tell = async {
+        while let Some(Change { kind, instance, cause }) = heard.recv().await {
+            match cause {
+                Some(cause) => alerts.raise(kind, instance, &cause),
+                None => alerts.clear(kind, instance),
+            }
+        }
+        Ok(())
+    };
+    tokio::select! {
+        told = tell => told,
+        () = alerts.keep_time() => Ok(()),
+        told = line.follow(alerts.watch(), REPEATED) => Ok(told?),
+    }
+}

@@ -1,0 +1,263 @@
+//! Where the guard process stores its copy, its countdown and its locks, so that they are found without the configuration.
+//!
+//! The files are next to the configuration and in the state folder of the service or user; what can be written is
+//! written, and of what can be read the newest counts.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use bus::MachineTime;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
+
+use super::copy::{Copy, MOST_BYTES};
+use crate::spool::{sync_folder, write_synced};
+
+/// Until when each dome may be open, by this machine's boot-time clock.
+pub type Deadlines = BTreeMap<String, MachineTime>;
+
+/// The places of one device node of one configuration file.
+#[derive(Debug, Clone)]
+pub struct Places {
+    /// Paths without their last ending.
+    stems: Vec<PathBuf>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Countdown {
+    /// The kernel's boot that the times belong to.
+    kernel_boot_id: String,
+    written_ns: u64,
+    open_until_ns: BTreeMap<String, u64>,
+}
+
+/// The countdown as it was found on disk.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Before {
+    /// Nothing: no node ever ran here.
+    Nothing,
+    /// The machine was started since, so that no permit can have lasted.
+    OtherBoot,
+    /// The deadlines of this boot.
+    Deadlines(Deadlines),
+}
+
+impl Places {
+    /// The places for a configuration file, whether that can be read or not.
+    pub fn of(config: &Path, id: &str) -> Self {
+        let whole = std::path::absolute(config).unwrap_or_else(|_| config.to_owned());
+        let folder = whole.parent().map(|folder| folder.canonicalize().unwrap_or_else(|_| folder.to_owned()));
+        let folder = folder.unwrap_or_else(|| PathBuf::from("."));
+        let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let mut stems = vec![folder.join(format!(".{name}.{id}"))];
+        let hash = Sha256::digest(folder.join(&name).to_string_lossy().as_bytes());
+        let short: String = hash.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+        if let Some(state) = state_folder() {
+            stems.push(state.join(format!("{short}-{id}")));
+        }
+        Self { stems }
+    }
+
+    /// The places in one folder, for tests.
+    #[cfg(test)]
+    pub fn in_folders(folders: &[&Path]) -> Self {
+        Self { stems: folders.iter().map(|folder| folder.join("x")).collect() }
+    }
+
+    fn paths(&self, ending: &str) -> impl Iterator<Item = PathBuf> {
+        self.stems.iter().map(move |stem| {
+            let mut path = stem.as_os_str().to_owned();
+            path.push(".");
+            path.push(ending);
+            PathBuf::from(path)
+        })
+    }
+
+    /// The file by which a node that cannot start prints the reason only once.
+    pub fn last_words(&self) -> Option<PathBuf> {
+        self.paths("last-words").next()
+    }
+
+    /// Removes that file: the reason no longer holds.
+    pub fn forget_last_words(&self) {
+        if let Some(file) = self.last_words() {
+            // mostly there is none
+            let _ = fs::remove_file(file);
+        }
+    }
+
+    /// The newest whole copy.
+    pub fn copy(&self) -> Option<(u64, Copy)> {
+        let found = self.paths("guard").filter_map(|path| read(&path)).filter_map(|bytes| Copy::unsealed(&bytes));
+        found.max_by_key(|(number, _)| *number)
+    }
+
+    /// Writes the copy wherever it can be written; false where it can be written nowhere. Blocks.
+    pub fn keep_copy(&self, number: u64, copy: &Copy) -> bool {
+        let Some(bytes) = copy.sealed(number) else { return false };
+        let written = self.paths("guard").filter(|path| write(path, &bytes, true)).count();
+        written > 0
+    }
+
+    /// What was left of the countdown.
+    pub fn countdown(&self) -> Before {
+        let found = self.paths("countdown").filter_map(|path| read(&path));
+        let newest = found
+            .filter_map(|bytes| serde_json::from_slice::<Countdown>(&bytes).ok())
+            .max_by_key(|countdown| (countdown.kernel_boot_id == kernel_boot_id(), countdown.written_ns));
+        match newest {
+            None => Before::Nothing,
+            Some(countdown) if countdown.kernel_boot_id.is_empty() || countdown.kernel_boot_id != kernel_boot_id() => {
+                Before::OtherBoot
+            }
+            Some(countdown) => {
+                let at = |ns| MachineTime::from_boot(Duration::from_nanos(ns));
+                Before::Deadlines(countdown.open_until_ns.into_iter().map(|(dome, ns)| (dome, at(ns))).collect())
+            }
+        }
+    }
+
+    /// Writes the countdown; false where it can be written nowhere. It needs no fsync, because it is of no use after the
+    /// kernel has gone. Blocks.
+    pub fn keep_countdown(&self, now: MachineTime, deadlines: &Deadlines) -> bool {
+        let open_until_ns = deadlines.iter().map(|(dome, at)| (dome.clone(), nanos(*at))).collect();
+        let countdown = Countdown { kernel_boot_id: kernel_boot_id(), written_ns: nanos(now), open_until_ns };
+        let Ok(bytes) = serde_json::to_vec(&countdown) else { return false };
+        self.paths("countdown").filter(|path| write(path, &bytes, false)).count() > 0
+    }
+
+    /// Takes a lock for as long as the file is held. An error where somebody holds it; `None` where no place can be
+    /// written, and so nothing can be locked.
+    pub fn lock(&self, what: &str) -> Result<Option<File>, Taken> {
+        for path in self.paths(what) {
+            if let Some(folder) = path.parent() {
+                // where it cannot be made, the file below cannot either
+                let _ = fs::create_dir_all(folder);
+            }
+            let Ok(file) = File::options().create(true).truncate(false).write(true).open(&path) else { continue };
+            return match file.try_lock() {
+                Ok(()) => Ok(Some(file)),
+                Err(fs::TryLockError::WouldBlock) => Err(Taken { path }),
+                // a file system without locks
+                Err(fs::TryLockError::Error(_)) => continue,
+            };
+        }
+        Ok(None)
+    }
+}
+
+/// Another process holds a lock.
+#[derive(Debug)]
+pub struct Taken {
+    /// The file.
+    pub path: PathBuf,
+}
+
+/// The boot-time clock's reading in nanoseconds.
+pub fn nanos(at: MachineTime) -> u64 {
+    u64::try_from(at.since(MachineTime::from_boot(Duration::ZERO)).as_nanos()).unwrap_or(u64::MAX)
+}
+
+/// systemd's folder for the service, or the user's own.
+fn state_folder() -> Option<PathBuf> {
+    let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
+    if let Some(folders) = set("STATE_DIRECTORY") {
+        // several are separated by colons
+        return std::env::split_paths(&folders).next();
+    }
+    let base = set("XDG_STATE_HOME").or_else(|| set("LOCALAPPDATA")).map(PathBuf::from);
+    let base = base.or_else(|| set("HOME").map(|home| PathBuf::from(home).join(".local").join("state")))?;
+    Some(base.join("starmesh"))
+}
+
+/// Which start of the kernel this is; empty where the system has no such id.
+fn kernel_boot_id() -> String {
+    fs::read_to_string("/proc/sys/kernel/random/boot_id").map(|text| text.trim().to_owned()).unwrap_or_default()
+}
+
+fn read(path: &Path) -> Option<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path).ok()?.take(MOST_BYTES + 1).read_to_end(&mut bytes).ok()?;
+    (bytes.len() as u64 <= MOST_BYTES).then_some(bytes)
+}
+
+fn write(path: &Path, bytes: &[u8], synced: bool) -> bool {
+    let Some(folder) = path.parent() else { return false };
+    let mut part = path.as_os_str().to_owned();
+    part.push(format!(".{}.part", std::process::id()));
+    let part = PathBuf::from(part);
+    let written = fs::create_dir_all(folder)
+        .and_then(|()| if synced { write_synced(&part, bytes) } else { fs::write(&part, bytes) })
+        .and_then(|()| fs::rename(&part, path));
+    if written.is_err() {
+        // half a file on a full disk is in nobody's way but takes room
+        let _ = fs::remove_file(&part);
+    } else if synced {
+        sync_folder(folder);
+    }
+    written.is_ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::copy::tests::copy;
+    use super::*;
+
+    #[test]
+    fn the_newest_whole_copy_counts_wherever_it_stands() {
+        let (one, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let both = Places::in_folders(&[one.path(), other.path()]);
+        assert!(both.copy().is_none());
+        assert!(both.keep_copy(1, &copy()));
+        let newer = Copy { multicast: false, ..copy() };
+        assert!(Places::in_folders(&[other.path()]).keep_copy(2, &newer));
+        assert_eq!(both.copy(), Some((2, newer)));
+        // half a write of the newest leaves the other
+        let file = other.path().join("x.guard");
+        let whole = fs::read(&file).unwrap();
+        fs::write(&file, &whole[..whole.len() / 2]).unwrap();
+        assert_eq!(both.copy(), Some((1, copy())));
+    }
+
+    #[test]
+    fn a_place_that_cannot_be_written_leaves_the_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let in_the_way = folder.path().join("file");
+        fs::write(&in_the_way, "").unwrap();
+        let places = Places::in_folders(&[&in_the_way, folder.path()]);
+        assert!(places.keep_copy(1, &copy()));
+        assert_eq!(places.copy().unwrap().1, copy());
+        assert!(!Places::in_folders(&[&in_the_way]).keep_copy(1, &copy()));
+    }
+
+    #[test]
+    fn the_countdown_is_that_of_this_start_of_the_kernel() {
+        let folder = tempfile::tempdir().unwrap();
+        let places = Places::in_folders(&[folder.path()]);
+        assert_eq!(places.countdown(), Before::Nothing);
+        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
+        let deadlines = Deadlines::from([("d".to_owned(), at(77))]);
+        assert!(places.keep_countdown(at(70), &deadlines));
+        if !kernel_boot_id().is_empty() {
+            assert_eq!(places.countdown(), Before::Deadlines(deadlines));
+        }
+        let other = "{\"kernel_boot_id\":\"another\",\"written_ns\":1,\"open_until_ns\":{\"d\":99}}";
+        fs::write(folder.path().join("x.countdown"), other).unwrap();
+        assert_eq!(places.countdown(), Before::OtherBoot);
+    }
+
+    #[test]
+    fn a_lock_is_held_by_one_at_a_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let places = Places::in_folders(&[folder.path()]);
+        let held = places.lock("lock").unwrap();
+        assert!(held.is_some());
+        assert!(places.lock("lock").is_err());
+        drop(held);
+        assert!(places.lock("lock").unwrap().is_some());
+    }
+}

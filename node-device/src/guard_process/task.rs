@@ -1,0 +1,491 @@
+//! The guard process at work: one loop, four times a second, that waits for nothing.
+
+use std::collections::BTreeMap;
+use std::process::ExitCode;
+use std::sync::mpsc::SyncSender;
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use bus::{Clock, MachineTime, NodeOptions};
+use contract::observatory::AlertKind;
+use tokio::io::{AsyncBufReadExt as _, AsyncWriteExt as _, BufReader};
+use tokio::process::{Child, ChildStdin};
+use tokio::time::{MissedTickBehavior, interval};
+
+use super::NODE_LOCK;
+use super::closer::{Closer, Word, alert};
+use super::copy::Copy;
+use super::disk::{self, Written};
+use super::herald::Herald;
+use super::link::{DEADLINES, END, NodeLines, Report, deadlines_to_text, next_line};
+use super::places::{Before, Deadlines, Places};
+use super::signals::{Asked, Signals, lock};
+use super::watch::{Effect, TICK, Watch, Who};
+use crate::child::{self, END_LIMIT};
+
+/// A complaint is repeated in the log so often while its reason lasts.
+const COMPLAIN: Duration = Duration::from_secs(60);
+/// A configuration that could not be read is read again so often.
+const READ_AGAIN: Duration = Duration::from_secs(2);
+/// A parent that has died is no order: what is open is closed, but nobody waits for it for long.
+const ORPHAN_LIMIT: Duration = Duration::from_secs(30);
+
+/// Guards the enclosures of the device node `id` until a signal; `verb` comes before the options.
+pub fn main(options: &NodeOptions, verb: &[&str], id: &str) -> ExitCode {
+    bus::node::log_to_console();
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_all().build().context("cannot start the runtime");
+    match runtime.and_then(|runtime| runtime.block_on(run(options, verb, id))) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("guard process: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+async fn run(options: &NodeOptions, verb: &[&str], id: &str) -> anyhow::Result<()> {
+    let places = Places::of(&options.config, id);
+    let mut signals = Signals::listen(options.with_parent);
+    let Some(_lock) = lock(&places, id, &mut signals).await else { return Ok(()) };
+    let mut work = Work::new(options, verb, id, places);
+    let mut tick = interval(TICK);
+    tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        tokio::select! {
+            biased;
+            asked = signals.next() => match asked {
+                Asked::End => work.end(END_LIMIT),
+                Asked::ParentDied => work.end(ORPHAN_LIMIT),
+                Asked::EndAtOnce => {
+                    work.kill().await;
+                    anyhow::bail!("ended at once by a second signal; nobody guards {} now", work.names());
+                }
+            },
+            line = next_line(&mut work.lines) => work.heard(line),
+            _ = tick.tick() => {}
+        }
+        if let Some(ended) = work.step().await {
+            return ended;
+        }
+    }
+}
+
+/// What to close by: the last-good copy or, where no node has worked yet, that of the configuration.
+fn known<'a>(good: &'a Option<(u64, Copy)>, tried: &'a Option<Copy>) -> Option<&'a Copy> {
+    good.as_ref().map(|(_, copy)| copy).or(tried.as_ref())
+}
+
+struct Work<'a> {
+    options: &'a NodeOptions,
+    verb: &'a [&'a str],
+    id: &'a str,
+    places: Places,
+    clock: Clock,
+    watch: Watch,
+    /// The last-good copy, and its number.
+    good: Option<(u64, Copy)>,
+    /// The copy of the configuration that the running node was started with.
+    tried: Option<Copy>,
+    closers: BTreeMap<String, Closer>,
+    herald: Herald,
+    node: Option<Child>,
+    orders: Option<ChildStdin>,
+    lines: NodeLines,
+    /// Why the node does not run as it should.
+    trouble: Option<String>,
+    complaint: Option<(String, Instant)>,
+    /// Domes that this process looks after at present.
+    acts_for: Vec<String>,
+    read_at: Option<Instant>,
+    end_by: Option<Instant>,
+    disk: SyncSender<Written>,
+    kept: Option<(Deadlines, Instant)>,
+}
+
+impl<'a> Work<'a> {
+    fn new(options: &'a NodeOptions, verb: &'a [&'a str], id: &'a str, places: Places) -> Self {
+        let clock = Clock::machine_clock();
+        let (good, now) = (places.copy(), clock.machine());
+        let config = bus::node::read_observatory(&options.config).ok().and_then(|config| Copy::of(&config, id));
+        let known = good.as_ref().map(|(_, copy)| copy).or(config.as_ref());
+        let domes: Vec<_> = known
+            .into_iter()
+            .flat_map(|copy| &copy.domes)
+            .map(|dome| (dome.name.to_string(), dome.permit_valid()))
+            .collect();
+        places.forget_last_words();
+        let before = places.countdown();
+        if !matches!(before, Before::Nothing) {
+            tracing::info!(?before, "the countdown goes on with the value on disk");
+        }
+        let disk = disk::start(places.clone());
+        let mut work = Self {
+            options,
+            verb,
+            id,
+            places,
+            watch: Watch::new(now, &domes, &before),
+            clock,
+            good,
+            tried: None,
+            closers: BTreeMap::new(),
+            herald: Herald::new(id, options),
+            node: None,
+            orders: None,
+            lines: None,
+            trouble: None,
+            complaint: None,
+            acts_for: Vec::new(),
+            read_at: None,
+            end_by: None,
+            disk,
+            kept: None,
+        };
+        work.arm();
+        work
+    }
+
+    /// Makes a closer for each dome that is known.
+    fn arm(&mut self) {
+        let now = self.clock.machine();
+        let Some(copy) = known(&self.good, &self.tried) else { return };
+        let mut closers = BTreeMap::new();
+        for dome in &copy.domes {
+            let name = dome.name.to_string();
+            let kept = self.closers.remove(&name).filter(|closer| closer.dome == *dome);
+            match kept.map_or_else(|| Closer::new(dome, &copy.telescope, now), Ok) {
+                Ok(closer) => drop(closers.insert(name, closer)),
+                Err(error) => tracing::error!(dome = name, %error, "no HTTP client"),
+            }
+        }
+        self.closers = closers;
+    }
+
+    fn names(&self) -> String {
+        let names: Vec<&str> = self.watch.deadlines().keys().map(String::as_str).collect();
+        if names.is_empty() { "the enclosures of this file".to_owned() } else { format!("dome {}", names.join(", ")) }
+    }
+
+    fn end(&mut self, limit: Duration) {
+        if self.end_by.is_none() {
+            self.end_by = Some(Instant::now() + limit);
+            self.watch.end();
+            tracing::warn!(
+                within_s = limit.as_secs(),
+                "ending: what is open is closed first; a second signal ends at once"
+            );
+        }
+    }
+
+    async fn kill(&mut self) {
+        if let Some(node) = &mut self.node
+            && let Err(error) = node.kill().await
+        {
+            tracing::warn!(%error, "the device node cannot be killed");
+        }
+    }
+
+    fn heard(&mut self, line: Option<String>) {
+        let Some(line) = line else { return };
+        match serde_json::from_str::<Report>(&line) {
+            Ok(report) => {
+                self.watch.heard(self.clock.machine(), &report);
+                self.learn(report);
+            }
+            Err(error) => tracing::warn!(%error, "the device node sent a line that cannot be read"),
+        }
+    }
+
+    /// What works becomes the last-good copy.
+    fn learn(&mut self, report: Report) {
+        let Some(tried) = &self.tried else { return };
+        if !self.watch.works(tried.domes.iter().map(|dome| dome.name.as_str())) {
+            return;
+        }
+        let mut worked = tried.clone();
+        worked.tokens = self.good.as_ref().map(|(_, copy)| copy.tokens.clone()).unwrap_or_default();
+        worked.tokens.extend(report.tokens);
+        if self.good.as_ref().is_some_and(|(_, good)| *good == worked) {
+            return;
+        }
+        let number = self.good.as_ref().map_or(1, |(number, _)| number + 1);
+        if self.disk.try_send(Written::Copy(number, Box::new(worked.clone()))).is_ok() {
+            let is_new = self.good.as_ref().is_none_or(|(_, good)| !good.closes_as(&worked));
+            self.good = Some((number, worked));
+            if is_new {
+                if let Some((_, good)) = &self.good {
+                    let names: Vec<&str> = good.domes.iter().map(|dome| dome.name.as_str()).collect();
+                    self.watch.keep_only(&names);
+                }
+                tracing::info!(
+                    domes = self.names(),
+                    "what is needed to close was stored for the time when nothing else works"
+                );
+                self.arm();
+            }
+        }
+    }
+
+    /// One round; returns how this process ends.
+    async fn step(&mut self) -> Option<anyhow::Result<()>> {
+        bus::notify::alive();
+        let now = self.clock.machine();
+        self.reap(now).await;
+        match self.watch.tick(now) {
+            Some(Effect::Start) => self.start(now),
+            Some(Effect::Kill(why)) => {
+                self.trouble = Some(format!("the device node was killed: {why}"));
+                self.kill().await;
+            }
+            None => {}
+        }
+        self.guard(now);
+        self.complain();
+        self.keep(now);
+        self.end_by.and_then(|by| self.ending(by, now))
+    }
+
+    async fn reap(&mut self, now: MachineTime) {
+        let Some(node) = &mut self.node else { return };
+        let (ended, well) = match node.try_wait() {
+            Ok(None) => return,
+            Ok(Some(status)) => (status.to_string(), status.success()),
+            Err(error) => (error.to_string(), false),
+        };
+        // its last words
+        while self.lines.is_some() {
+            match tokio::time::timeout(Duration::from_millis(50), next_line(&mut self.lines)).await {
+                Ok(Some(line)) => self.heard(Some(line)),
+                Ok(None) | Err(_) => self.lines = None,
+            }
+        }
+        (self.node, self.orders) = (None, None);
+        if well && self.end_by.is_some() {
+            self.watch.ended_closed(now);
+        } else {
+            self.watch.ended(now);
+        }
+        if self.end_by.is_none() {
+            let why = self.trouble.take().filter(|why| why.contains("killed"));
+            self.trouble = Some(
+                why.unwrap_or_else(|| format!("the device node ended ({ended}); the reason is in its lines above")),
+            );
+        }
+    }
+
+    fn start(&mut self, now: MachineTime) {
+        if self.read_at.is_some_and(|at| at.elapsed() < READ_AGAIN) && self.tried.is_none() {
+            return self.watch.not_yet(now);
+        }
+        self.read_at = Some(Instant::now());
+        let said = bus::node::read_observatory(&self.options.config);
+        let copy = match said.map(|config| Copy::of(&config, self.id)) {
+            Ok(Some(copy)) => copy,
+            Ok(None) => {
+                return self
+                    .cannot_start(now, "the configuration names no dome for this device node any more".to_owned());
+            }
+            Err(error) => return self.cannot_start(now, format!("{error:#}")),
+        };
+        for dome in &copy.domes {
+            self.watch.add(dome.name.as_str(), now.plus(dome.permit_valid()));
+        }
+        // a node that lost its guard process leaves as soon as it sees the new one
+        match self.places.lock(NODE_LOCK) {
+            Ok(lock) => drop(lock),
+            Err(_) => {
+                self.trouble = Some("the device node of the guard process before has not ended yet".to_owned());
+                return self.watch.not_yet(now);
+            }
+        }
+        self.tried = Some(copy.clone());
+        if self.good.is_none() {
+            self.arm();
+        }
+        match self.spawn() {
+            Ok(()) => {
+                let good = self.good.as_ref().map_or(&copy, |(_, good)| good);
+                let same = copy.domes.iter().filter(|dome| {
+                    good.domes.iter().any(|known| known.name == dome.name && known.target == dome.target)
+                });
+                self.watch.started(now, same.map(|dome| dome.name.to_string()).collect());
+            }
+            Err(error) => {
+                self.trouble = Some(format!("{error:#}"));
+                self.watch.ended(now);
+            }
+        }
+    }
+
+    fn cannot_start(&mut self, now: MachineTime, why: String) {
+        self.trouble = Some(why);
+        self.tried = None;
+        self.watch.ended(now);
+    }
+
+    fn spawn(&mut self) -> anyhow::Result<()> {
+        let mut command = child::command(self.verb, self.options, self.id)?;
+        command.arg("--guarded").env(DEADLINES, deadlines_to_text(self.watch.deadlines()));
+        if let Some(file) = self.places.last_words() {
+            command.env(bus::node::LAST_WORDS, file);
+        }
+        command.env_remove("NOTIFY_SOCKET").stdout(std::process::Stdio::piped());
+        let mut node = command.spawn().context("cannot start the device node")?;
+        self.orders = node.stdin.take();
+        self.lines = node.stdout.take().map(|out| BufReader::new(out).lines());
+        self.node = Some(node);
+        Ok(())
+    }
+
+    /// Looks after every dome that nobody else looks after.
+    fn guard(&mut self, now: MachineTime) {
+        let mut acts_for = Vec::new();
+        for (name, closer) in &mut self.closers {
+            let mut words = Vec::new();
+            closer.take_answers(now, &mut words);
+            match self.watch.who(name, now) {
+                // it waits for mounts that maybe nobody else sends to their park, or that it does not hear
+                Who::Both => closer.close(now, &mut words),
+                Who::Node | Who::Permit => closer.rest(now, &mut words),
+                Who::This => {
+                    acts_for.push(name.clone());
+                    closer.close(now, &mut words);
+                }
+            }
+            for word in words {
+                match word {
+                    Word::Sent(what) => tracing::warn!(dome = name, what, "the guard process acts"),
+                    Word::Failed(what, error) => {
+                        tracing::warn!(dome = name, what, error, "the guard process's command failed");
+                    }
+                    Word::Alarm(alarm, is_raised) => {
+                        let (kind, cause) = alert(alarm, name);
+                        if is_raised {
+                            tracing::error!(dome = name, "{cause}");
+                        }
+                        if let Some(copy) = known(&self.good, &self.tried) {
+                            self.herald.tell(copy, kind, name, is_raised.then_some(cause));
+                        }
+                    }
+                }
+            }
+        }
+        for name in acts_for.iter().filter(|name| !self.acts_for.contains(name)) {
+            tracing::info!(
+                dome = name,
+                "no permit, and no device node that guards yet or any more: the guard process looks"
+            );
+        }
+        self.acts_for = acts_for;
+    }
+
+    /// Logs and publishes why the device node does not guard, at once and then each minute, and when it does again.
+    fn complain(&mut self) {
+        let now = self.clock.machine();
+        let names: Vec<String> = self.watch.deadlines().keys().cloned().collect();
+        let guards =
+            !names.is_empty() && names.iter().all(|name| matches!(self.watch.who(name, now), Who::Node | Who::Both));
+        if guards || self.end_by.is_some() {
+            if self.complaint.take().is_some() {
+                self.places.forget_last_words();
+                tracing::info!(domes = self.names(), "the device node guards again");
+                if let Some(copy) = known(&self.good, &self.tried) {
+                    for name in &names {
+                        self.herald.tell(copy, AlertKind::GuardProcess, name, None);
+                    }
+                }
+            }
+            return;
+        }
+        // one short restart is nobody's business
+        let is_known = self.watch.failures() > 1 || self.tried.is_none() || !self.acts_for.is_empty();
+        let Some(trouble) = self.trouble.clone().filter(|_| is_known) else { return };
+        let is_told = self.complaint.as_ref().is_some_and(|(told, at)| *told == trouble && at.elapsed() < COMPLAIN);
+        if is_told {
+            return;
+        }
+        let names_text = self.names();
+        if self.closers.is_empty() {
+            tracing::error!(
+                "NOBODY GUARDS {names_text}: {trouble}; and no copy of a configuration that worked exists: close the dome \
+                 by hand, then mend the configuration"
+            );
+        } else {
+            let what =
+                if self.acts_for.is_empty() { "closes it when its permit has run out" } else { "keeps it closed" };
+            tracing::error!("the device node of {names_text} does not guard: {trouble}; the guard process {what}");
+            if let Some(copy) = known(&self.good, &self.tried) {
+                for name in &names {
+                    let cause =
+                        format!("the device node of dome {name} does not guard: {trouble}; the guard process {what}");
+                    self.herald.tell(copy, AlertKind::GuardProcess, name, Some(cause));
+                }
+            }
+        }
+        self.complaint = Some((trouble, Instant::now()));
+    }
+
+    /// Writes the countdown each second, and at once when it is cut short.
+    fn keep(&mut self, now: MachineTime) {
+        let deadlines = self.watch.deadlines();
+        let is_due = self.kept.as_ref().is_none_or(|(kept, at)| {
+            let is_shorter = kept.iter().any(|(dome, until)| deadlines.get(dome).is_some_and(|new| new < until));
+            kept != deadlines && (is_shorter || at.elapsed() >= Duration::from_secs(1))
+        });
+        if is_due && self.disk.try_send(Written::Countdown(now, deadlines.clone())).is_ok() {
+            self.kept = Some((deadlines.clone(), Instant::now()));
+        }
+    }
+
+    /// An end was asked for: what this round still lacks for it.
+    fn ending(&mut self, by: Instant, now: MachineTime) -> Option<anyhow::Result<()>> {
+        if let Some(mut orders) = self.orders.take() {
+            tokio::spawn(async move {
+                // it may have ended; then it needs no order
+                let _ = orders.write_all(format!("{END}\n").as_bytes()).await;
+                let _ = orders.flush().await;
+                // to the node its end means that this process has died
+                tokio::time::sleep(END_LIMIT * 2).await;
+                drop(orders);
+            });
+        }
+        let is_late = Instant::now() >= by;
+        if let Some(node) = &mut self.node
+            && !is_late
+        {
+            // one that waits for a mount has asked the dome for nothing, and so cannot prove that it is closed
+            let hangs = |name: &String| matches!(self.watch.who(name, now), Who::This | Who::Both);
+            let is_closed = self.closers.iter().all(|(name, closer)| hangs(name) && closer.is_verified_closed(now));
+            if is_closed && !self.closers.is_empty() {
+                tracing::warn!(
+                    "the device node does not answer or waits for a mount, and the enclosure is closed: the node is killed"
+                );
+                if let Err(error) = node.start_kill() {
+                    tracing::warn!(%error, "the device node cannot be killed");
+                }
+            }
+            return None;
+        }
+        let open: Vec<&str> = self
+            .closers
+            .iter()
+            .filter(|(name, closer)| !closer.is_verified_closed(now) && !self.watch.node_says_closed(name))
+            .map(|(name, _)| name.as_str())
+            .collect();
+        if self.closers.is_empty() {
+            return Some(Err(anyhow::anyhow!("nobody guards {} now, and nothing is known of it", self.names())));
+        }
+        match (open.is_empty(), is_late) {
+            (true, _) => {
+                tracing::warn!(domes = self.names(), "closed; the guard process ends");
+                Some(Ok(()))
+            }
+            (false, false) => None,
+            (false, true) => Some(Err(anyhow::anyhow!(
+                "NOBODY GUARDS dome {} now, and it is not verified closed: close it by hand",
+                open.join(", ")
+            ))),
+        }
+    }
+}

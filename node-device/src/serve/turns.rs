@@ -1,0 +1,124 @@
+//! Whose turn it is to be asked, and what becomes of a loop that was stalled.
+
+use std::time::Duration;
+
+use contract::{Link, NoData};
+use tokio::time::Instant;
+
+use super::Loop;
+use crate::contact::{LANES, Poll, Wanted};
+use crate::deciding;
+use crate::driver::Driver;
+
+/// A loop that wakes up so much later than planned was stalled: its process was stopped, its runtime was blocked,
+/// or its host slept.
+const STALL: Duration = Duration::from_secs(2);
+/// What was read before a stall is not published again; the device has so long to answer anew.
+const READ_ANEW: Duration = Duration::from_millis(2500);
+
+impl<D: Driver> Loop<D> {
+    /// What decides is read apart from the rest, where it is not the whole; while a command is done, its progress is.
+    pub(super) fn splits(&self) -> bool {
+        self.running.is_none() && self.serve.driver.moving().is_empty() && !self.deciding().is_empty()
+    }
+
+    fn deciding(&self) -> Vec<String> {
+        let polled = self.has.present(self.serve.driver.polled().into_iter());
+        deciding::properties(&self.serve.node.config, &self.serve.device, &polled)
+    }
+
+    /// What is to be asked now.
+    pub(super) fn next_wanted(&mut self, now: Instant) -> Wanted {
+        let (device_state, lanes) = (self.device_state, self.lanes);
+        let whole = |properties, full| Wanted { properties, full, device_state, lanes: 1, told_after: None };
+        if !self.splits() {
+            let driver = self.serve.driver.clone();
+            let full = now >= self.next_full || driver.moving().is_empty();
+            if !full {
+                return whole(self.has.present(driver.moving().iter().map(|&name| name.to_owned())), false);
+            }
+            self.next_full = now + self.period();
+            return whole(self.wanted(), true);
+        }
+        let deciding = self.deciding();
+        // what is asked in one go is published at its end, so a round that lasts is asked one by one
+        let round = self.each.saturating_mul(u32::try_from(deciding.len()).unwrap_or(u32::MAX));
+        if self.lanes == 1 && (round * 4 > self.period() || !self.parts.is_empty()) {
+            return self.next_part(now, deciding);
+        }
+        let told_after = Some(self.period() / 2);
+        if !self.parts.is_empty() {
+            let properties = self.parts.drain(..).collect();
+            return Wanted { properties, full: true, device_state: false, lanes, told_after };
+        }
+        if self.rest_is_due && !self.rest.is_empty() {
+            // a part of the rest that takes no longer than a quarter of a period, and what decides has its turn again
+            let room = (self.period() / 4).as_secs_f64() / self.each.as_secs_f64().max(1e-3);
+            let count = (room as usize).clamp(lanes, self.rest.len().max(lanes)).min(self.rest.len());
+            let properties = self.rest.drain(..count).collect();
+            self.rest_is_due = false;
+            return Wanted { properties, full: false, device_state: false, lanes, told_after: None };
+        }
+        if self.rest.is_empty() {
+            self.rest = self.wanted().into_iter().filter(|name| !deciding.contains(name)).collect();
+        }
+        self.rest_is_due = !self.rest.is_empty();
+        self.next_full = now + self.serve.node.bus.clock().machine().to_tick(self.period());
+        // a safety monitor is asked itself, whatever its server has cached
+        let device_state = device_state && deciding.len() > 1;
+        Wanted { properties: deciding, full: true, device_state, lanes, told_after }
+    }
+
+    /// A slow device that can answer one question at a time is asked one, and its answer is published, before the next: what
+    /// decides in turn, and one property of the rest in each round.
+    fn next_part(&mut self, now: Instant, deciding: Vec<String>) -> Wanted {
+        self.rest_is_due = false;
+        if self.parts.is_empty() {
+            if self.rest.is_empty() {
+                self.rest = self.wanted().into_iter().filter(|name| !deciding.contains(name)).collect();
+            }
+            self.parts = deciding.into_iter().chain(self.rest.pop_front()).collect();
+            self.next_full = now + self.serve.node.bus.clock().machine().to_tick(self.period());
+        }
+        let properties = self.parts.pop_front().into_iter().collect();
+        Wanted { properties, full: false, device_state: false, lanes: 1, told_after: None }
+    }
+
+    /// Measures by a poll how fast the device is: a slow one is asked several things at once, as long as it can bear that.
+    pub(super) fn pace(&mut self, poll: &Poll) {
+        let took = poll.began_at.elapsed();
+        self.each = took / u32::try_from(poll.answers.len().max(1)).unwrap_or(1);
+        self.one_lane |= poll.crowded;
+        let slow = (poll.answers.len() > 1 || !poll.unasked.is_empty()) && took > self.period() / 2;
+        self.parts.extend(poll.unasked.iter().cloned());
+        if self.one_lane {
+            self.lanes = 1;
+        } else if slow && self.lanes == 1 {
+            tracing::info!(device = %self.serve.device, took_s = took.as_secs_f64(), "slow to answer; asked several things at once");
+            self.lanes = LANES;
+        }
+    }
+
+    /// Was the loop stalled? Then what it had read and asked before is dropped, and the device is asked at once.
+    pub(super) fn stood_still(&mut self) -> bool {
+        let clock = self.serve.node.bus.clock().clone();
+        let now = clock.machine();
+        let (since, meant) = std::mem::replace(&mut self.waits, (now, Duration::ZERO));
+        let stalled = now.since(since).saturating_sub(meant);
+        if stalled < STALL {
+            return false;
+        }
+        let detail = format!("this node was stalled for {:.1} s", stalled.as_secs_f64());
+        tracing::warn!(device = %self.serve.device, "{detail}; what was read before is dropped");
+        self.contact = None;
+        self.readings.drop_polled(&NoData::new("stale", detail), clock.utc());
+        self.observe_now();
+        let at_once = Instant::now();
+        if self.link == Link::Connected {
+            (self.next_full, self.rest_is_due) = (at_once, false);
+            self.quiet_until = Some(at_once + READ_ANEW);
+        }
+        self.next_contact = at_once;
+        true
+    }
+}

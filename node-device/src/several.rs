@@ -1,0 +1,158 @@
+//! `starmesh node device` without `--id`: every device node of the file, each as a process of its own.
+
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, bail};
+use bus::{NodeOptions, Stop};
+use tokio::task::JoinSet;
+
+use crate::child::{self, END_LIMIT};
+
+/// A device node that keeps ending is started again after at most this time; an enclosure has no permit meanwhile.
+const LONGEST_PAUSE: Duration = Duration::from_secs(5);
+/// A process that ran for this time counts as healthy: its next start comes after the shortest pause.
+const HEALTHY: Duration = Duration::from_secs(60);
+/// A file that could not be read is read again so often.
+const READ_AGAIN: Duration = Duration::from_secs(5);
+
+/// Runs all device nodes of the file until a signal; then ends them one after another, enclosures first, because one that
+/// waits for the mount needs the mount's node until it is closed. Of a file that cannot be read the enclosure's node runs,
+/// whose guard process knows what last worked; the others follow when it can be read.
+pub fn main(options: &NodeOptions, verb: &[&str]) -> ExitCode {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    match runtime.context("cannot start the runtime").and_then(|runtime| runtime.block_on(run(options, verb))) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("node-device: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// One node.
+struct Running {
+    id: String,
+    stop: Stop,
+    tasks: JoinSet<anyhow::Result<bool>>,
+}
+
+async fn run(options: &NodeOptions, verb: &[&str]) -> anyhow::Result<()> {
+    let mut nodes: Vec<Running> = Vec::new();
+    let asked = async {
+        tokio::select! {
+            () = bus::node::end_asked() => {}
+            () = bus::node::parent_end(), if options.with_parent => {}
+        }
+    };
+    tokio::pin!(asked);
+    let mut complaint = String::new();
+    loop {
+        let is_whole = match read(options) {
+            Ok(ids) => {
+                start_missing(&mut nodes, options, verb, &ids);
+                true
+            }
+            Err(error) => {
+                start_missing(&mut nodes, options, verb, &[(config::ENCLOSURE_NODE.to_owned(), true)]);
+                if complaint != error {
+                    eprintln!(
+                        "node-device: {error}; what last worked guards the enclosure, and the file is read again"
+                    );
+                    complaint = error;
+                }
+                false
+            }
+        };
+        tokio::select! {
+            () = &mut asked => break,
+            () = alive_for(if is_whole { Duration::MAX } else { READ_AGAIN }) => {}
+        }
+    }
+    eprintln!("node-device: ending; an open enclosure is closed first, which takes up to {} s", END_LIMIT.as_secs());
+    let ending = async {
+        let mut failed = false;
+        for Running { stop, mut tasks, .. } in nodes {
+            stop.stop();
+            while let Some(ended) = tasks.join_next().await {
+                failed |= !matches!(ended, Ok(Ok(true)));
+            }
+        }
+        failed
+    };
+    let alive = async {
+        loop {
+            alive_for(READ_AGAIN).await;
+        }
+    };
+    tokio::select! {
+        failed = ending => if failed {
+            bail!("a device node did not end in good order; the reason is in its lines above")
+        } else {
+            Ok(())
+        },
+        () = bus::node::termination() => bail!("ended at once by a second signal; look whether the enclosures are closed"),
+        () = alive => Ok(()),
+    }
+}
+
+/// Reports to the service manager that this process is alive, for so long.
+async fn alive_for(time: Duration) {
+    let began = Instant::now();
+    while began.elapsed() < time {
+        bus::notify::alive();
+        tokio::time::sleep(time.saturating_sub(began.elapsed()).min(Duration::from_secs(5))).await;
+    }
+}
+
+/// The device nodes of the file, enclosures first; true: it serves an enclosure.
+fn read(options: &NodeOptions) -> Result<Vec<(String, bool)>, String> {
+    let config = bus::node::read_observatory(&options.config).map_err(|error| format!("{error:#}"))?;
+    let is_enclosure = |id: &str| config.served_by(id).iter().any(|(kind, _)| *kind == contract::Kind::Dome);
+    let ids = config.device_nodes().into_iter().map(|id| (id.to_owned(), is_enclosure(id)));
+    let ids: Vec<(String, bool)> = ids.collect();
+    let names = |id: &str| config.served_by(id).iter().map(|(_, common)| common.name.to_string()).collect::<Vec<_>>();
+    let told: Vec<String> = ids.iter().map(|(id, _)| format!("{id} ({})", names(id).join(", "))).collect();
+    eprintln!("node-device: each device node runs as a process of its own: {}; --id starts one alone", told.join(", "));
+    Ok(ids)
+}
+
+fn start_missing(nodes: &mut Vec<Running>, options: &NodeOptions, verb: &[&str], ids: &[(String, bool)]) {
+    for (id, is_enclosure) in ids {
+        if nodes.iter().any(|node| node.id == *id) {
+            continue;
+        }
+        let (stop, mut tasks) = (Stop::default(), JoinSet::new());
+        // an enclosure's node outlives this process, however that ends; the others do not
+        let options = NodeOptions { with_parent: options.with_parent || !is_enclosure, ..options.clone() };
+        let verb: Vec<String> = verb.iter().map(ToString::to_string).collect();
+        let (own_id, stopped) = (id.clone(), stop.clone());
+        tasks.spawn(async move { keep(&options, &verb, &own_id, stopped).await });
+        nodes.push(Running { id: id.clone(), stop, tasks });
+    }
+}
+
+/// Runs one node and starts it again; true where it ended in good order after it was asked to.
+async fn keep(options: &NodeOptions, verb: &[String], id: &str, stop: Stop) -> anyhow::Result<bool> {
+    let verb: Vec<&str> = verb.iter().map(String::as_str).collect();
+    let mut pause = Duration::from_secs(1);
+    loop {
+        let started = Instant::now();
+        let spawned = child::command(&verb, options, id)?.kill_on_drop(options.with_parent).spawn();
+        let mut child = spawned.with_context(|| format!("cannot start the device node {id}"))?;
+        // waiting would close it, and the node would take that for our end
+        let lifeline = child.stdin.take();
+        let Some(ended) = stop.or(child.wait()).await else {
+            child::ask_to_end(&mut child);
+            let ended = tokio::time::timeout(END_LIMIT + Duration::from_secs(10), child.wait()).await;
+            drop(lifeline);
+            return Ok(matches!(ended, Ok(Ok(status)) if status.success()));
+        };
+        let status = ended.map_or_else(|error| error.to_string(), |status| status.to_string());
+        pause = if started.elapsed() > HEALTHY { Duration::from_secs(1) } else { (pause * 2).min(LONGEST_PAUSE) };
+        eprintln!("node-device: the device node {id} ended ({status}); next start in {pause:?}");
+        if stop.or(tokio::time::sleep(pause)).await.is_none() {
+            return Ok(true);
+        }
+    }
+}
