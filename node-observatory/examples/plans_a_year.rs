@@ -12,14 +12,9 @@ use node_observatory::schedule::validate::{Known, accept};
 use serde_json::{Value, json};
 use units::{Angle, Utc};
 
-const SITE: &str = r#"
-[observatory]
-site = "paranal"
-telescope = "callisto"
-latitude_deg = -24.6157
-longitude_deg = -70.3976
-elevation_m = 2518.0
-[[telescope]]
+const SITE: &str = concat!(
+    include_str!("../../common/config/tests/paranal.toml"),
+    r#"[[telescope]]
 name = "mount"
 server = "10.0.0.5:11111"
 meridian_flip = true
@@ -33,7 +28,8 @@ filters = ["B", "V", "R"]
 [[dome]]
 name = "dome"
 server = "10.0.0.5:11111"
-"#;
+"#
+);
 /// Targets of a night.
 const TARGETS: u32 = 30;
 const YEAR: u32 = 365;

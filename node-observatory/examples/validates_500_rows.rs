@@ -10,14 +10,9 @@ use std::time::Instant;
 use node_observatory::schedule::validate::{Known, validate};
 use units::Utc;
 
-const SITE: &str = r#"
-[observatory]
-site = "paranal"
-telescope = "callisto"
-latitude_deg = -24.6157
-longitude_deg = -70.3976
-elevation_m = 2518.0
-[schedule.check]
+const SITE: &str = concat!(
+    include_str!("../../common/config/tests/paranal.toml"),
+    r#"[schedule.check]
 altitude_min_deg = 20.0
 [[telescope]]
 name = "mount"
@@ -30,7 +25,8 @@ server = "10.0.0.5:11111"
 name = "wheel"
 server = "10.0.0.5:11111"
 filters = ["B", "V", "R"]
-"#;
+"#
+);
 
 fn schedule() -> anyhow::Result<String> {
     let dusk: Utc = "2026-11-21T00:30:00Z".parse()?;

@@ -18,6 +18,11 @@ const SILENCE: Duration = Duration::from_secs(60);
 /// A node says how it is every 5 s; the on-delay of the alert comes on top.
 const LOST: Duration = Duration::from_secs(15);
 
+/// Nodes of one telescope whose alerts are merged, and alerts of each: what is more comes from no node of ours, and all
+/// that is merged has to fit into one message.
+const MOST_NODES: usize = 64;
+const MOST_ALERTS_OF_NODE: usize = 100;
+
 /// Publishes the merged alerts at each change and every 10 s.
 pub async fn keep_merging(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let address = room.node.config.address();
@@ -54,8 +59,11 @@ pub async fn keep_merging(room: Arc<ControlRoom>) -> anyhow::Result<()> {
             alerts = others.hear() => {
                 if let Key::Node(_, role, id, NodeTopic::Alerts) = alerts.key
                     && (role, &id) != (room.node.role, &room.node.id)
+                    && (heard.len() < MOST_NODES || heard.contains_key(&(role, id.clone())))
                 {
-                    heard.insert((role, id), (alerts.said.body, alerts.arrived));
+                    let mut said = alerts.said.body;
+                    said.alerts.truncate(MOST_ALERTS_OF_NODE);
+                    heard.insert((role, id), (said, alerts.arrived));
                 }
             }
             changed = own.changed() => changed?,
@@ -101,7 +109,9 @@ pub async fn keep_noticing_silence(room: Arc<ControlRoom>) -> anyhow::Result<()>
             && (role, &id) != (room.node.role, &room.node.id)
         {
             room.node.alerts.clear(AlertKind::NodeSilent, format_args!("{role}/{id}"));
-            heard.insert((role, id), (state.said.body.host, state.arrived));
+            if heard.len() < MOST_NODES || heard.contains_key(&(role, id.clone())) {
+                heard.insert((role, id), (state.said.body.host, state.arrived));
+            }
         }
         let now = clock.machine();
         for ((role, id), (host, _)) in heard.iter().filter(|(_, (_, arrived))| now.since(*arrived) > LOST) {

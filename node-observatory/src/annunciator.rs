@@ -152,7 +152,7 @@ impl Annunciator {
             Err(error) => Err(error.to_string()),
         };
         read.unwrap_or_else(|error| {
-            tracing::warn!(path = %path.display(), error, "what people did about alerts is not known; all stand as new");
+            bus::aside::keep_copy(path, &error, "What people did about alerts is not known; all alerts are new.");
             Self::default()
         })
     }

@@ -1,6 +1,7 @@
 //! What all tasks of the node share: the devices, the verdict, the lease, and the switches that people turn.
 
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use audit::{Audit, Entry};
@@ -111,6 +112,8 @@ pub struct ControlRoom {
     pub hooks: Hooks,
     /// What is shown of the night.
     pub board: Board,
+    /// This node was asked to end and nobody takes over.
+    pub leaves_alone: AtomicBool,
     /// What people ordered, and what became of it.
     pub audit: Audit,
 }
@@ -126,6 +129,8 @@ pub enum Objection {
     NotRobotic,
     /// This node does not command.
     NoLease,
+    /// This node was asked to end.
+    Ending,
 }
 
 impl std::fmt::Display for Objection {
@@ -135,6 +140,7 @@ impl std::fmt::Display for Objection {
             Self::Suspended(why) => write!(f, "suspended: {why}"),
             Self::NotRobotic => f.write_str("the robotic switch is off"),
             Self::NoLease => f.write_str("this node does not command"),
+            Self::Ending => f.write_str("this node was asked to end"),
         }
     }
 }
@@ -179,6 +185,10 @@ impl ControlRoom {
 
     /// What stands against a row's action, or against any where there is none.
     pub fn objection(&self, row: Option<&Row>) -> Option<Objection> {
+        // a row that began now would open again what is closed before the end
+        if self.node.ending.is_stopped() {
+            return Some(Objection::Ending);
+        }
         let commands = self.hold.borrow().token().is_some();
         let needs_safe = row.is_some_and(|row| row.action.needs().safe);
         stands_against(*self.robotic.borrow(), commands, needs_safe, || {

@@ -131,7 +131,7 @@ impl Journal {
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder)?;
         }
-        let book = Book::of(&read(path)?);
+        let book = Book::of(&read(path)?.0);
         Ok(Self { path: path.to_owned(), file: Mutex::new(None), book: Mutex::new(book) })
     }
 
@@ -142,7 +142,15 @@ impl Journal {
 
     /// While the file is held, nothing comes to disk; what waits to is learnt all the same.
     fn read_anew(&self, file: &mut Option<File>) -> io::Result<()> {
-        let mut lines = read(&self.path)?;
+        let (mut lines, damage) = read(&self.path)?;
+        if let Some(damage) = damage {
+            // it is written anew without them
+            bus::aside::keep_copy(
+                &self.path,
+                &damage,
+                "What its other lines say holds; frames of a lost line may be taken again.",
+            );
+        }
         let newest = lines.iter().map(Line::at).max().unwrap_or(Utc::EPOCH);
         lines.retain(|line| newest.seconds_since(line.at()) <= KEPT_S);
         rewrite(&self.path, &lines)?;
@@ -324,21 +332,21 @@ fn append(file: &mut File, text: &str) -> io::Result<()> {
     file.sync_data()
 }
 
-/// All lines that can be read.
-fn read(path: &Path) -> io::Result<Vec<Line>> {
+/// All lines that can be read, and what is wrong with others.
+fn read(path: &Path) -> io::Result<(Vec<Line>, Option<String>)> {
     let text = match std::fs::read(path) {
         Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
         Err(error) if error.kind() == io::ErrorKind::NotFound => String::new(),
         Err(error) => return Err(error),
     };
-    let mut lines: Vec<Line> = Vec::new();
+    let (mut lines, mut damage): (Vec<Line>, Option<String>) = (Vec::new(), None);
     for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         match serde_json::from_str(line) {
             Ok(line) => lines.push(line),
-            Err(error) => tracing::warn!(line = number + 1, %error, "the journal has a line that cannot be read"),
+            Err(error) => damage = damage.or_else(|| Some(format!("line {} cannot be read: {error}", number + 1))),
         }
     }
-    Ok(lines)
+    Ok((lines, damage))
 }
 
 impl Book {

@@ -218,7 +218,7 @@ fn a_frame_that_two_tell_of_at_once_is_counted_and_written_once() {
         assert_eq!(told, 1);
     }
     let lines = read(&path).unwrap();
-    assert_eq!(lines.iter().filter(|line| matches!(line, Line::Taken { .. })).count(), 50);
+    assert_eq!(lines.0.iter().filter(|line| matches!(line, Line::Taken { .. })).count(), 50);
     assert!(journal.book().on_the_way.is_empty());
 }
 
@@ -288,4 +288,32 @@ fn a_journal_that_is_cut_off_at_any_byte_counts_what_was_whole_and_uses_no_numbe
             assert_eq!(Journal::open(&cut_path).unwrap().progress(&row).open.len(), progress.open.len() + 1);
         }
     }
+}
+
+#[test]
+fn a_journal_with_a_spoilt_line_is_kept_aside_before_it_is_written_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("j.jsonl");
+    let row = RowId("a".to_owned());
+    {
+        let journal = own(&path);
+        journal.intend(&row, at(NOW)).unwrap();
+        journal.ended(&row, RowStatus::Finished, "done", at(NOW)).unwrap();
+    }
+    // a disk that lost power gave back zeros in place of a line
+    let mut spoilt = std::fs::read(&path).unwrap();
+    let first_line = spoilt.iter().position(|byte| *byte == b'\n').unwrap();
+    spoilt[..first_line].fill(0);
+    std::fs::write(&path, &spoilt).unwrap();
+    let asides = || {
+        let files = std::fs::read_dir(folder.path()).unwrap().map(|file| file.unwrap().path());
+        files.filter(|file| file.to_string_lossy().contains("j.jsonl.bad-")).collect::<Vec<_>>()
+    };
+    let journal = Journal::open(&path).unwrap();
+    assert_eq!(asides().len(), 0, "who only reads keeps nothing");
+    assert!(journal.progress(&row).ended.is_some(), "the lines around it hold");
+    journal.take_over().unwrap();
+    assert_eq!(std::fs::read(&asides()[0]).unwrap(), spoilt);
+    Journal::open(&path).unwrap().take_over().unwrap();
+    assert_eq!(asides().len(), 1);
 }

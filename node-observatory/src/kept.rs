@@ -12,6 +12,7 @@ use std::time::Duration;
 use contract::Name;
 use contract::observatory::AlertKind;
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 use tokio::sync::{Mutex, OwnedMutexGuard, watch};
 
 use crate::control_room::ControlRoom;
@@ -165,6 +166,21 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
         let put = tokio::task::spawn_blocking(move || (Some(pen), write_whole(&path, &part, &value))).await;
         put.unwrap_or_else(|error| (None, Err(io::Error::other(error))))
     }
+}
+
+/// What an earlier life wrote down; nothing where there is no file. Of one that cannot be read a copy is kept, and what it
+/// held begins anew: nothing that is unsafe hangs on it.
+pub fn read_or_anew<T: Default + DeserializeOwned>(path: &Path, what: &str) -> T {
+    let why = match std::fs::read(path) {
+        Ok(bytes) => match serde_json::from_slice(&bytes) {
+            Ok(value) => return value,
+            Err(error) => error.to_string(),
+        },
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return T::default(),
+        Err(error) => error.to_string(),
+    };
+    bus::aside::keep_copy(path, &why, &format!("Without it, {what} is learned anew."));
+    T::default()
 }
 
 /// The old file or the new one, whatever happens.

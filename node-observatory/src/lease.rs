@@ -12,6 +12,7 @@ use units::Utc;
 
 use crate::claim_note::{self, ClaimNote};
 use crate::control_room::ControlRoom;
+use crate::rig::guards::{self, LeaseKnown};
 use crate::takeover;
 use crate::trouble::Trouble;
 
@@ -45,6 +46,8 @@ impl Hold {
 
 /// An arbiter that is there answers within this time.
 const ASKING: Duration = Duration::from_secs(10);
+/// An arbiter that has lost its memory publishes an older lease for good; right after a grant it does so for a moment.
+const FORGOTTEN: Duration = Duration::from_secs(5);
 /// A commander says its lease every second.
 const RIVAL: Duration = Duration::from_secs(5);
 
@@ -174,19 +177,44 @@ async fn claim(room: &ControlRoom, id: &CommandId) -> Result<u64, Trouble> {
     granted.ok_or_else(|| Trouble::Impossible(format!("{} answered a claim without a token", arbiter(room))))
 }
 
-/// Says the lease every second until the arbiter's guard shows a higher token or a device refuses ours as old.
+/// Publishes the lease every second until the arbiter's guard publishes a newer one, or forgets it, or a device refuses our token
+/// as old.
 async fn until_lost(room: &ControlRoom, token: u64, lease: &Line, clock: &Clock) {
     let since_utc = clock.utc();
-    // a shared dome's guard counts the tokens of several telescopes
-    let guard = room.rig.domes.first().filter(|dome| dome.is_own).map(|dome| &dome.guard);
+    let telescope = room.node.config.place.telescope.as_str();
+    let dome = room.rig.domes.first();
+    let mut unknown_since = None;
+    let mut disputed = false;
     loop {
         lease.say(room, room.node.signature(), token, since_utc).await;
         tokio::select! {
             () = clock.tick(Duration::from_secs(1)) => {}
             () = room.doubt.notified() => return,
         }
-        if guard.and_then(bus::Latest::get).is_some_and(|heard| heard.said.body.token > token) {
+        let Some(dome) = dome else { continue };
+        let now = clock.machine();
+        let found = guards::standing(&dome.guards.living(now), telescope, token);
+        let unknown = unknown_since.filter(|_| found == LeaseKnown::Unknown);
+        unknown_since = (found == LeaseKnown::Unknown).then(|| unknown.unwrap_or(now));
+        let is_forgotten = unknown_since.is_some_and(|since| now.since(since) >= FORGOTTEN);
+        if found == LeaseKnown::Lost || is_forgotten {
             return;
+        }
+        let instance = format!("guard/{}", dome.instrument.device.name);
+        match found {
+            LeaseKnown::Disputed if !disputed => {
+                let cause = format!(
+                    "two programs publish in the name of the guard of {}: one knows the lease {token} of this node, one a newer",
+                    dome.instrument.device.name
+                );
+                room.node.alerts.raise(AlertKind::Impostor, &instance, &cause);
+                disputed = true;
+            }
+            LeaseKnown::Ours | LeaseKnown::Unknown if disputed => {
+                room.node.alerts.clear(AlertKind::Impostor, &instance);
+                disputed = false;
+            }
+            LeaseKnown::Ours | LeaseKnown::Unknown | LeaseKnown::Disputed | LeaseKnown::Lost => {}
         }
     }
 }

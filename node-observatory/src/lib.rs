@@ -21,6 +21,7 @@ pub mod inherit;
 pub mod journal;
 pub mod kept;
 pub mod lease;
+mod leaving;
 mod ledger;
 mod moving;
 mod names;
@@ -28,6 +29,7 @@ mod neighbours;
 mod night;
 mod obey;
 mod opening;
+mod operators;
 mod order;
 mod patience;
 pub mod permit;
@@ -119,6 +121,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     run("ping", Box::pin(notify::keep_pinging(node.clone(), is_well)));
     run("alerts out", Box::pin(notify::keep_sending(node.clone(), alerts)));
     run("silent nodes", Box::pin(alerting::keep_noticing_silence(room.clone())));
+    run("end", Box::pin(leaving::close_first(room.clone())));
     run("alerts", Box::pin(alerting::keep_merging(room)));
 
     let ended = node.stop.or(tasks.join_next()).await;

@@ -16,6 +16,8 @@ pub struct Neighbours {
     nights: Arc<Mutex<BTreeMap<Chunk, (bool, MachineTime)>>>,
 }
 
+/// Telescopes of one site.
+const MOST_NEIGHBOURS: usize = 256;
 /// A neighbour that said nothing for so long does not work.
 const SILENCE: Duration = Duration::from_secs(10);
 
@@ -35,7 +37,9 @@ impl Neighbours {
             if address.telescope != own {
                 let works = heard.said.body.robotic && !heard.said.body.ended;
                 let mut nights = self.nights.lock().unwrap_or_else(PoisonError::into_inner);
-                nights.insert(address.telescope, (works, heard.arrived));
+                if nights.len() < MOST_NEIGHBOURS || nights.contains_key(&address.telescope) {
+                    nights.insert(address.telescope, (works, heard.arrived));
+                }
             }
         }
     }

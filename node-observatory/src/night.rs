@@ -6,12 +6,15 @@ use std::time::Duration;
 
 use bus::{Publisher, Quality};
 use contract::device::dome::Shutter;
-use contract::observatory::{ActionNow, NightState, Posture, RowState, ScheduleState, Trigger, TriggerKind};
+use contract::observatory::{
+    ActionNow, NightState, OrderTaken, Posture, RowState, ScheduleState, Trigger, TriggerKind,
+};
 use contract::{CommandId, Part};
 use tokio::sync::watch;
 use units::Utc;
 
 use crate::control_room::ControlRoom;
+use crate::rig::dome::Dome;
 
 /// What the runner and the actions write and the publishers read.
 #[derive(Debug)]
@@ -30,6 +33,7 @@ struct Tonight {
     last_frame: Option<CommandId>,
     triggers: Vec<Trigger>,
     ended: bool,
+    last_order: Option<OrderTaken>,
 }
 
 impl Board {
@@ -87,6 +91,11 @@ impl Board {
         let mut standing = tonight.triggers.iter();
         let is_it = |t: &&Trigger| t.kind == kind && t.camera == camera && t.filter.as_deref() == filter;
         standing.find(is_it).map(|trigger| trigger.since_utc)
+    }
+
+    /// An order was accepted.
+    pub fn order(&self, taken: OrderTaken) {
+        self.tonight.send_modify(|tonight| tonight.last_order = Some(taken));
     }
 
     /// The last row has ended and everything is closed, or that is over.
@@ -182,6 +191,7 @@ pub async fn keep_telling_night(room: Arc<ControlRoom>) -> anyhow::Result<()> {
                     ended: shown.ended,
                     last_frame: shown.last_frame,
                     triggers: shown.triggers,
+                    last_order: shown.last_order,
                 })
                 .await?;
             said_at = Some(clock.machine());
@@ -206,7 +216,9 @@ pub fn posture(room: &ControlRoom) -> Posture {
             .map(|mount| mount.instrument.fresh().and_then(|state| state.fields.at_park.known().copied()));
         return of_parks(parked);
     }
-    of_shutters(room.rig.domes.iter().map(crate::rig::dome::Dome::shutter))
+    // a dome whose status is closed without proof is not known to be closed
+    let shutter = |dome: &Dome| dome.shutter().filter(|shutter| *shutter != Shutter::Closed || !dome.is_doubted());
+    of_shutters(room.rig.domes.iter().map(shutter))
 }
 
 fn of_shutters(shutters: impl Iterator<Item = Option<Shutter>>) -> Posture {

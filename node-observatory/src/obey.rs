@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use contract::device::camera::Command as Cooler;
 use contract::observatory::AlertKind;
 use contract::{Accepted, CommandId, Order, OrderKind, Reason, Refusal, Reply};
 
@@ -19,6 +20,9 @@ use crate::standing_line;
 
 /// An order that acted at once is answered when it is on disk and on the bus too, or after this.
 const SETTLED: Duration = Duration::from_secs(1);
+
+/// A set point that is corrected at once waits so long for the camera to end the one before it; an exposure may last.
+const COOLER_TURN: Duration = Duration::from_secs(5);
 
 /// Counts the orders that closed or made something stricter: what was ordered before and is still being written must
 /// not undo them.
@@ -50,7 +54,9 @@ pub fn acts_at_once(kind: &OrderKind) -> bool {
         OrderKind::Acknowledge(_)
         | OrderKind::Shelve { .. }
         | OrderKind::Unshelve(_)
-        | OrderKind::PutSchedule { .. } => false,
+        | OrderKind::PutSchedule { .. }
+        | OrderKind::Cool { .. }
+        | OrderKind::Warm(_) => false,
     }
 }
 
@@ -89,7 +95,9 @@ pub fn at_once(room: &Arc<ControlRoom>, tightened: &Tightened, order: &Order) ->
         OrderKind::Acknowledge(_)
         | OrderKind::Shelve { .. }
         | OrderKind::Unshelve(_)
-        | OrderKind::PutSchedule { .. } => {}
+        | OrderKind::PutSchedule { .. }
+        | OrderKind::Cool { .. }
+        | OrderKind::Warm(_) => {}
     }
     accept(&order.id)
 }
@@ -131,6 +139,15 @@ pub async fn when_written(room: &Arc<ControlRoom>, tightened: &Tightened, order:
             let author = Author { name: order.from.clone(), reason: order.reason.clone() };
             schedule::put(room, text, author).await
         }
+        OrderKind::Cool { camera, set_c } => cooler(room, camera, |config| match set_c.or(config.temperature_c) {
+            Some(set_c) if (-273.15..=100.0).contains(&set_c) => Ok(Cooler::Cool { set_c }),
+            Some(set_c) => Err(format!("a set point of {set_c} C: expected -273.15 to 100")),
+            None => Err(format!(
+                "{camera} has no temperature_c in its configuration: add the set point to the order (--temperature-c)"
+            )),
+        })
+        .await,
+        OrderKind::Warm(camera) => cooler(room, camera, |_| Ok(Cooler::Warm)).await,
         OrderKind::Close | OrderKind::ReloadSchedule => Ok(()),
     };
     match done {
@@ -157,6 +174,22 @@ async fn about_alerts(
     does: impl Fn(&mut Annunciator) -> Result<(), String>,
 ) -> Result<(), Unchanged> {
     room.annunciator.change_when_written(does).await
+}
+
+/// Gives a camera's cooler a command, and answers once the camera's node has taken it.
+async fn cooler(
+    room: &ControlRoom,
+    camera: &str,
+    command: impl Fn(&config::Camera) -> Result<Cooler, String>,
+) -> Result<(), Unchanged> {
+    let cameras = &room.rig.cameras;
+    let Some(found) = cameras.iter().find(|known| known.config.common.name.as_str() == camera) else {
+        let names = cameras.iter().map(|known| known.config.common.name.as_str());
+        return Err(Unchanged::Refused(format!("no camera is named {camera:?}: {}", schedule::meant(camera, names))));
+    };
+    let command = command(&found.config).map_err(Unchanged::Refused)?;
+    let taken = found.instrument.ask_within(&CommandId::fresh(), command, COOLER_TURN).await;
+    taken.map_err(|trouble| Unchanged::Refused(trouble.to_string()))
 }
 
 async fn turn_robotic_on(room: &Arc<ControlRoom>, still: impl Fn() -> Result<(), String>) -> Result<(), Unchanged> {
@@ -204,7 +237,8 @@ pub fn brief(kind: &OrderKind) -> OrderKind {
     }
 }
 
-fn said(room: &ControlRoom, order: &Order) -> Said {
+/// Who ordered it, why, and that it was now.
+pub fn said(room: &ControlRoom, order: &Order) -> Said {
     Said { from: order.from.clone(), reason: order.reason.clone(), at_utc: room.node.bus.clock().utc() }
 }
 

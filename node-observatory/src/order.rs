@@ -7,11 +7,13 @@ use std::time::Duration;
 use audit::{Entry, verb_and_parameters};
 use bus::Service;
 use contract::audit::Outcome;
+use contract::observatory::OrderTaken;
 use contract::{CommandId, Key, Order, Reason, Reply};
 
 use crate::action;
 use crate::control_room::ControlRoom;
 use crate::obey::{self, Tightened};
+use crate::operators::{self, Refused, Weighed};
 
 /// Answers of so many orders are remembered.
 const REMEMBERED: usize = 64;
@@ -69,6 +71,9 @@ impl Desk {
         }
         if obey::acts_at_once(&order.kind) {
             let reply = obey::at_once(room, &self.tightened, order);
+            if let Ok(weighed) = self.weigh(room, order) {
+                self.hand_over(room, order, &weighed, &reply);
+            }
             self.remember(room, order, &reply);
             obey::settle(room).await;
             return reply;
@@ -78,9 +83,51 @@ impl Desk {
         if let Some(reply) = self.answered(&order.id) {
             return reply;
         }
-        let reply = obey::when_written(room, &self.tightened, order).await;
+        let reply = match self.weigh(room, order) {
+            Ok(weighed) => {
+                let reply = obey::when_written(room, &self.tightened, order).await;
+                self.hand_over(room, order, &weighed, &reply);
+                reply
+            }
+            Err((reason, why)) => obey::refuse(&order.id, reason, &why),
+        };
         self.remember(room, order, &reply);
         reply
+    }
+
+    fn weigh(&self, room: &ControlRoom, order: &Order) -> Result<Weighed, Refused> {
+        operators::weigh(order, &room.standing.get(), *room.robotic.borrow(), room.node.bus.clock().utc())
+    }
+
+    /// Remembers who has the telescope after an order that was accepted, and whom it was taken from.
+    fn hand_over(&self, room: &ControlRoom, order: &Order, weighed: &Weighed, reply: &Reply) {
+        if matches!(reply, Reply::Refusal(_)) {
+            return;
+        }
+        let said = obey::said(room, order);
+        room.standing.change(|standing| {
+            let before = standing.control.clone();
+            operators::keep(standing, weighed.then, &said);
+            standing.control != before
+        });
+        if let Some(held) = &weighed.from {
+            tracing::warn!(
+                operator = order.operator(),
+                from = held.from,
+                reason = order.reason,
+                "an operator takes over"
+            );
+            room.audit.note(Entry {
+                from: order.from.clone(),
+                id: order.id.clone(),
+                device: String::new(),
+                verb: "takes_over".to_owned(),
+                parameters: held.from.clone(),
+                token: room.hold.borrow().token(),
+                reason: order.reason.clone(),
+                outcome: Outcome::Accepted,
+            });
+        }
     }
 
     fn answered(&self, id: &CommandId) -> Option<Reply> {
@@ -94,6 +141,11 @@ impl Desk {
 
     fn remember(&self, room: &ControlRoom, order: &Order, reply: &Reply) {
         account(room, Some(order), reply);
+        if matches!(reply, Reply::Accepted(_)) {
+            let (verb, _) = verb_and_parameters(&obey::brief(&order.kind));
+            let (id, from, at_utc) = (order.id.clone(), order.from.clone(), room.node.bus.clock().utc());
+            room.board.order(OrderTaken { id, from, verb, at_utc });
+        }
         let mut answered = self.answered.lock().unwrap_or_else(PoisonError::into_inner);
         if answered.len() >= REMEMBERED {
             answered.pop_front();

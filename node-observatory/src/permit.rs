@@ -1,15 +1,17 @@
 //! The permit of each enclosure: renewed every second, so that silence closes.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use bus::{Latest, Publisher, Quality};
-use contract::Key;
+use bus::{Publisher, Quality};
 use contract::device::dome::Guard;
 use contract::observatory::{Permit, Verdict};
+use contract::{BootId, Key};
 
 use crate::control_room::ControlRoom;
 use crate::rig::dome::Dome;
+use crate::rig::guards::Guards;
 
 /// A guard says a number each second, and the permit that answers it is as young as it can be; when no guard is heard,
 /// permits go out all the same.
@@ -22,15 +24,15 @@ pub async fn keep_renewing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         let key = Key::Permit(room.node.config.address(), dome.instrument.device.name.clone());
         lines.push((dome, room.node.bus.publisher(&key, Quality::Urgent).await?));
     }
-    let mut guards: Vec<_> = room.rig.domes.iter().map(|dome| dome.guard.clone()).collect();
+    let mut guards: Vec<_> = room.rig.domes.iter().map(|dome| dome.guards.clone()).collect();
     let (mut ruling, mut hold) = (room.ruling.clone(), room.hold.clone());
     loop {
         let told = verdict(&room);
         for (dome, line) in &lines {
-            if let Some(permit) = permit(&room, dome, told)
-                && let Err(error) = line.put(permit).await
-            {
-                tracing::warn!(%error, dome = %dome.instrument.device.name, "a permit was not sent");
+            for permit in permits(&room, dome, told) {
+                if let Err(error) = line.put(permit).await {
+                    tracing::warn!(%error, dome = %dome.instrument.device.name, "a permit was not sent");
+                }
             }
         }
         let changed = async {
@@ -47,7 +49,7 @@ pub async fn keep_renewing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
 }
 
 /// Waits for the next number of any guard.
-async fn heard(guards: &mut [Latest<Guard>]) {
+async fn heard(guards: &mut [Guards]) {
     if guards.is_empty() {
         std::future::pending::<()>().await;
     }
@@ -55,21 +57,24 @@ async fn heard(guards: &mut [Latest<Guard>]) {
 }
 
 fn verdict(room: &ControlRoom) -> Verdict {
-    if room.is_safe() { Verdict::Safe } else { Verdict::Unsafe }
+    let leaves = room.leaves_alone.load(Ordering::Relaxed);
+    if room.is_safe() && !leaves { Verdict::Safe } else { Verdict::Unsafe }
 }
 
-/// A permit needs a lease, a guard's number to answer to, and a verdict that was formed on heard inputs.
-fn permit(room: &ControlRoom, dome: &Dome, verdict: Verdict) -> Option<Permit> {
-    let token = room.hold.borrow().token()?;
-    if !room.ruling.borrow().settled {
-        return None;
+/// A permit needs a lease, a guard's number to answer to, and a verdict that was formed on heard inputs. Whoever speaks in
+/// a guard's name is answered, each with its own number, so that a stranger takes nothing from the real one.
+fn permits(room: &ControlRoom, dome: &Dome, verdict: Verdict) -> Vec<Permit> {
+    let Some(token) = room.hold.borrow().token().filter(|_| room.ruling.borrow().settled) else { return Vec::new() };
+    let mut guards = dome.guards.living(room.node.bus.clock().machine());
+    if guards.is_empty() {
+        guards.extend(dome.guard.get().map(|heard| (heard.said.boot_id, heard.said.body)));
     }
-    let guard = dome.guard.get()?;
-    Some(Permit {
+    let permit = |(guard_boot_id, said): (BootId, Guard)| Permit {
         verdict,
         commander: room.node.signature(),
         token,
-        guard_number: guard.said.body.number,
-        guard_boot_id: guard.said.boot_id,
-    })
+        guard_number: said.number,
+        guard_boot_id,
+    };
+    guards.into_iter().map(permit).collect()
 }

@@ -5,6 +5,7 @@ pub mod cover_calibrator;
 pub mod dome;
 pub mod filter_wheel;
 pub mod focuser;
+pub mod guards;
 pub mod instrument;
 pub mod outlook;
 pub mod reach;

@@ -59,6 +59,9 @@ pub struct Standing {
     /// Nothing opens while this stands.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stay_closed: Option<Said>,
+    /// The operator who has taken the telescope from the schedule.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub control: Option<Said>,
     /// By input.
     #[serde(default)]
     pub overrides: BTreeMap<String, Override>,
@@ -75,7 +78,8 @@ impl Standing {
             }
         }
         let stay_closed = self.stay_closed.or_else(|| other.stay_closed.clone());
-        Self { token: self.token, stay_closed, overrides }
+        let control = self.control.or_else(|| other.control.clone());
+        Self { token: self.token, stay_closed, control, overrides }
     }
 
     /// Do both say the same, whoever keeps them?
@@ -113,10 +117,16 @@ impl Standing {
         self.overrides.iter().filter(move |(_, order)| holds(order)).map(|(input, order)| (input.as_str(), order))
     }
 
-    /// The rules as they are now.
+    /// The rules at a time that is known.
     pub fn applied_to(&self, rules: &Rules, now: Utc) -> Rules {
+        self.applied_between(rules, now, now)
+    }
+
+    /// The rules at a time that is not known better: an override that may be over is over.
+    pub fn applied_between(&self, rules: &Rules, earliest: Utc, latest: Utc) -> Rules {
         let mut rules = rules.clone();
-        for (input, _) in self.holding(now) {
+        let holds_late: Vec<&str> = self.holding(latest).map(|(input, _)| input).collect();
+        for (input, _) in self.holding(earliest).filter(|(input, _)| holds_late.contains(input)) {
             if input == SUN {
                 rules.sun_altitude_max_deg = None;
             }
@@ -143,7 +153,10 @@ pub enum OnDisk {
 impl OnDisk {
     /// Reads the file.
     pub fn read(path: &Path) -> Self {
-        let unreadable = |why: String| Self::Unreadable(format!("{} cannot be read: {why}", path.display()));
+        let unreadable = |why: String| {
+            bus::aside::keep_copy(path, &why, "The dome stays closed until a person decides anew.");
+            Self::Unreadable(format!("{} cannot be read: {why}", path.display()))
+        };
         match std::fs::read(path) {
             Ok(bytes) => match serde_json::from_slice(&bytes) {
                 Ok(standing) => Self::Found(standing),
@@ -230,6 +243,18 @@ mod tests {
     }
 
     #[test]
+    fn an_override_that_may_be_over_is_over() {
+        let mut standing = Standing::default();
+        standing.do_without(&rules(), SUN, 600.0, said("washing")).unwrap();
+        let overridden = |early_s, late_s| {
+            let (early, late) = (Utc::from_seconds(early_s), Utc::from_seconds(late_s));
+            standing.applied_between(&rules(), early, late).sun_altitude_max_deg.is_none()
+        };
+        assert!(overridden(1000.0, 1599.0) && !overridden(1000.0, 1600.0));
+        assert!(!overridden(1000.0 - 9.0 * 3600.0, 1000.0), "it would last longer than any may");
+    }
+
+    #[test]
     fn the_sun_can_be_overridden_and_heeded_again() {
         let mut standing = Standing::default();
         standing.do_without(&rules(), SUN, 60.0, said("mirror washing")).unwrap();
@@ -276,5 +301,10 @@ mod tests {
         assert_eq!(OnDisk::read(&path), OnDisk::Found(standing));
         std::fs::write(&path, "{").unwrap();
         assert!(OnDisk::read(&path).orders(now).stay_closed.is_some());
+        let kept = std::fs::read_dir(folder.path()).unwrap().map(|file| file.unwrap().file_name());
+        assert!(
+            kept.map(|name| name.to_string_lossy().into_owned()).any(|name| name.starts_with("standing.json.bad-"))
+        );
+        assert!(path.exists(), "without it a restart would know of no order");
     }
 }

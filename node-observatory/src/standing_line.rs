@@ -35,6 +35,7 @@ impl From<&StandingOrders> for Standing {
         Self {
             token: orders.token,
             stay_closed: orders.stay_closed.clone().map(Said::from),
+            control: orders.control.clone().map(Said::from),
             overrides: overrides.collect::<BTreeMap<_, _>>(),
         }
     }
@@ -51,6 +52,7 @@ pub fn orders(room: &ControlRoom) -> StandingOrders {
     StandingOrders {
         token: room.hold.borrow().token(),
         stay_closed: standing.stay_closed.map(Into::into),
+        control: standing.control.map(Into::into),
         overrides: overrides.collect(),
         shelved: room.annunciator.get().shelf(),
     }

@@ -4,12 +4,13 @@ use std::future::Future;
 use std::path::PathBuf;
 use std::pin::Pin;
 use std::sync::Arc;
+use std::time::Duration;
 
-use anyhow::{Context as _, ensure};
+use anyhow::ensure;
 use audit::Audit;
 use bus::Node;
 use contract::Address;
-use contract::observatory::{FocusRun, FocusState, GuidingState, PointingState};
+use contract::observatory::{AlertKind, FocusRun, FocusState, GuidingState, PointingState};
 use tokio::sync::{Notify, OnceCell, mpsc, watch};
 
 use crate::annunciator::{self, Annunciator};
@@ -124,6 +125,7 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
         focus: watch::channel(FocusState::default()).0,
         focus_learnt,
         focus_runs: ended_runs,
+        leaves_alone: Default::default(),
         audit: Audit::start(node).await?,
         hooks: Hooks::load(node).await,
         board: Board::new(config.schedule.file.display().to_string()),
@@ -141,8 +143,21 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
 async fn open_journal(node: &Node) -> anyhow::Result<Journal> {
     let name = format!("journal-{}.jsonl", node.config.place.telescope);
     let path: PathBuf = node.config.folders.data.join(name);
-    let shown = path.display().to_string();
-    tokio::task::spawn_blocking(move || Journal::open(&path))
-        .await?
-        .with_context(|| format!("cannot open the journal {shown}"))
+    loop {
+        let (here, shown) = (path.clone(), path.display());
+        let why = match tokio::task::spawn_blocking(move || Journal::open(&here)).await? {
+            Ok(journal) => {
+                node.alerts.clear(AlertKind::Configuration, "folders.data");
+                return Ok(journal);
+            }
+            Err(error) => format!("folders.data: cannot open the journal {shown}: {error}"),
+        };
+        // without it nothing is opened, and the guards close: that is logged once, and tried again
+        let told = format!("{why}; nothing is opened until it can be, which is tried each 15 s");
+        node.alerts.raise(AlertKind::Configuration, "folders.data", &told);
+        ensure!(node.stop.or(tokio::time::sleep(AGAIN)).await.is_some(), "{why}");
+    }
 }
+
+/// A data folder that cannot be used is tried again after this.
+const AGAIN: Duration = Duration::from_secs(15);

@@ -11,7 +11,7 @@ use units::Angle;
 use self::field::Field;
 use self::search::Search;
 use super::expose::{Series, fits};
-use super::parameters::{LONGEST_S, Readout, yes};
+use super::parameters::{LONGEST_S, Readout, takes_light, yes};
 use super::{Action, Exposures, Needs, Place, Stage, Wrong};
 use crate::focus::run::{Wish, find};
 use crate::focus::{half_range, offset, tell};
@@ -61,6 +61,7 @@ impl Action for Autofocus {
 
     fn check(&self) -> Result<(), Wrong> {
         self.readout.check()?;
+        takes_light(self.exptime)?;
         self.search.check()?;
         self.field.check()
     }

@@ -13,7 +13,7 @@ use serde::Deserialize;
 use sky::{Icrs, Observer};
 
 use super::expose::{Series, Shot, expose, fits};
-use super::parameters::{Defocus, LONGEST_S, Metadata, Readout, both};
+use super::parameters::{Defocus, LONGEST_S, Metadata, Readout, both, takes_light};
 use super::{Action, Needs, Place, Stage, Wrong};
 use crate::frames::looked::Looked;
 use crate::guiding::calibrated::{pier, unbinned};
@@ -72,6 +72,10 @@ const STEPS: f64 = 10.0;
 const FEWEST: u32 = 4;
 /// Half of the sky's speed, to which mounts are usually set, deg/s; for plans, which do not ask the mount.
 const USUAL_RATE_DEG_S: f64 = 0.5 * 15.041_067 / 3600.0;
+/// A run is begun anew so often after the tube has changed its side of the pier; more is no flip.
+const TURNS: u32 = 2;
+/// A mount that turns over is at rest again within this, sky s.
+const TURNS_WITHIN_S: f64 = 300.0;
 const TOO_LATE: &str = "the window ended before the calibration";
 const PULSE_MS: std::ops::RangeInclusive<f64> = 50.0..=5000.0;
 
@@ -162,8 +166,25 @@ impl CalibrateGuiding {
         pulses::Settings { pulse_ms, distance_px, steps, dec_deg, pier: pier(side), expected_px_s, ..plain }
     }
 
-    /// Steps until the run has ended.
+    /// Steps until a run has ended; one during which the tube went to the other side of the pier, or of which the mount told
+    /// that only now, is begun anew where it stands then.
     async fn step(&self, stage: &Stage, series: &Series, mount: &Mount, target: &Icrs) -> Result<String, Trouble> {
+        let mut again = 0;
+        loop {
+            match self.once(stage, series, mount, target).await? {
+                Ended::Calibrated(told) => return Ok(told),
+                Ended::Turned(why) if again < TURNS => {
+                    again += 1;
+                    tracing::info!(mount = %mount.instrument.device.name, why, "the calibration begins anew");
+                    stage.step(format!("calibrating anew: {why}"));
+                    still(stage, mount).await?;
+                }
+                Ended::Turned(why) => return Err(failed(mount, why)),
+            }
+        }
+    }
+
+    async fn once(&self, stage: &Stage, series: &Series, mount: &Mount, target: &Icrs) -> Result<Ended, Trouble> {
         let first = self.frame(stage, series, "exposing the reference".to_owned()).await?;
         let settings = self.settings(&first, mount, target);
         let pier_side = settings.pier;
@@ -175,7 +196,10 @@ impl CalibrateGuiding {
             let words = match &next {
                 Next::Pulse { direction, length_ms } => {
                     if pier(side(mount)) != pier_side {
-                        return Err(failed(mount, "the side of the pier changed".to_owned()));
+                        return Ok(Ended::Turned("the side of the pier changed".to_owned()));
+                    }
+                    if slews(mount) {
+                        return Ok(Ended::Turned("the mount slews".to_owned()));
                     }
                     if let Some(why) = pulse::objection(&stage.room, &stage.row, mount) {
                         return Err(failed(mount, why));
@@ -195,12 +219,38 @@ impl CalibrateGuiding {
                         learnt.keep_calibration(camera, made);
                         true
                     });
-                    return Ok(told);
+                    return Ok(Ended::Calibrated(told));
                 }
             };
             stage.clock().sleep_sky(seconds(self.settle_time)).await;
             let looked = self.frame(stage, series, words).await?;
             (mid_s, place) = (middle_s(&looked), seen(&mut reference, &looked));
+        }
+    }
+}
+
+/// How a run ended.
+enum Ended {
+    /// With what is worth telling.
+    Calibrated(String),
+    /// The tube went elsewhere meanwhile: what was measured so far holds for neither place.
+    Turned(String),
+}
+
+fn slews(mount: &Mount) -> bool {
+    mount.instrument.fresh().is_some_and(|state| state.fields.slewing.known() == Some(&true))
+}
+
+/// Waits until the mount has come to rest.
+async fn still(stage: &Stage, mount: &Mount) -> Result<(), Trouble> {
+    let began = stage.clock().utc();
+    loop {
+        stage.clock().sleep_sky(seconds(2.0)).await;
+        if mount.instrument.fresh().is_some() && !slews(mount) {
+            return Ok(());
+        }
+        if stage.clock().utc().seconds_since(began) > TURNS_WITHIN_S {
+            return Err(failed(mount, format!("it did not come to rest within {TURNS_WITHIN_S} s")));
         }
     }
 }
@@ -263,6 +313,7 @@ impl Action for CalibrateGuiding {
 
     fn check(&self) -> Result<(), Wrong> {
         self.readout.check()?;
+        takes_light(self.exptime)?;
         both("ra", self.ra.is_some(), "dec", self.dec.is_some())
     }
 

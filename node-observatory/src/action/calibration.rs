@@ -18,7 +18,7 @@ pub struct Calibration {
     #[schemars(length(min = 1, max = 1000), inner(range(min = 0, max = LONGEST_S)), extend("unit" = "s"))]
     exptime: Vec<f64>,
     /// Frames of each exposure time; as many numbers as `exptime` has.
-    #[schemars(length(min = 1, max = 1000), inner(range(min = 0, max = 1_000_000)), extend("unit" = "frames"))]
+    #[schemars(length(min = 1, max = 1000), inner(range(min = 1, max = 1_000_000)), extend("unit" = "frames"))]
     n: Vec<u32>,
     /// Filter to turn to first; the one in the beam where absent.
     filter: Option<String>,

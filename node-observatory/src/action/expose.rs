@@ -195,7 +195,8 @@ fn command(stage: &Stage, series: &Series, shot: &Shot, action: &str, sequence: 
 fn roof_is_open(stage: &Stage) -> Result<(), Trouble> {
     for dome in &stage.room.rig.domes {
         if let Some(shutter) = dome.shutter().filter(|shutter| *shutter != Shutter::Open) {
-            let (device, reason) = (dome.instrument.device.to_string(), format!("the shutter is {shutter:?}"));
+            let (device, reason) =
+                (dome.instrument.device.to_string(), format!("the shutter is {shutter:?}").to_lowercase());
             return Err(Trouble::Failed { device, verb: "stay open".to_owned(), reason });
         }
     }

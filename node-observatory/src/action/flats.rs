@@ -32,7 +32,7 @@ pub struct Flats {
     #[schemars(length(min = 1, max = 100))]
     filter: Option<Vec<String>>,
     /// Frames that count, of each filter; as many numbers as `filter` has.
-    #[schemars(length(min = 1, max = 100), inner(range(min = 0, max = 1_000_000)), extend("unit" = "frames"))]
+    #[schemars(length(min = 1, max = 100), inner(range(min = 1, max = 1_000_000)), extend("unit" = "frames"))]
     n: Vec<u32>,
     /// Where the light comes from.
     #[serde(default)]

@@ -6,7 +6,7 @@ use sky::{Body, Horizontal, Icrs, Observer};
 use units::Utc;
 
 use super::expose::{Series, Shot, adopt, expose, fits};
-use super::parameters::{Defocus, LONGEST_S, Metadata, Readout, both, yes};
+use super::parameters::{Defocus, LONGEST_S, Metadata, Readout, both, takes_light, yes};
 use super::{Action, Exposures, Needs, Place, Stage, Wrong};
 use crate::guiding;
 use crate::moving::{self, Asked, Elements, Wish};
@@ -287,6 +287,10 @@ impl Action for Object {
 
     fn check(&self) -> Result<(), Wrong> {
         self.readout.check()?;
+        takes_light(self.exptime)?;
+        if self.n == Some(0) {
+            return Err(Wrong::of("n", "0 frames; expected 1 or more, or leave n out for as many as the window takes"));
+        }
         self.asked().body()?;
         both("ra", self.ra.is_some(), "dec", self.dec.is_some())?;
         both("alt", self.alt.is_some(), "az", self.az.is_some())?;
@@ -459,7 +463,10 @@ mod tests {
         let endless = object(r#", "n": -1"#);
         assert!(endless.shot(5000, now, end).is_some());
         assert_eq!(endless.shot(5000, at("2026-11-21T03:29:01Z"), end), None);
-        assert_eq!(object(r#", "n": 0"#).shot(0, now, end), None);
+        let none = crate::action::read_text::<Object>(r#"{"object": "x", "exptime": 60, "n": 0}"#).unwrap_err();
+        assert!(none.to_string().contains("0 frames"), "{none}");
+        let dark = crate::action::read_text::<Object>(r#"{"object": "x", "exptime": 0}"#).unwrap_err();
+        assert!(dark.to_string().contains("takes no light"), "{dark}");
     }
 
     #[test]

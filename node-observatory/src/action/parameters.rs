@@ -51,6 +51,11 @@ pub struct Readout {
     pub subframe_center_y: f64,
 }
 
+/// Refuses an exposure that takes no light.
+pub fn takes_light(exptime: f64) -> Result<(), Wrong> {
+    if exptime > 0.0 { Ok(()) } else { Err(Wrong::of("exptime", "0 s takes no light; expected more than 0 s")) }
+}
+
 impl Readout {
     /// Refuses half a size.
     pub fn check(&self) -> Result<(), Wrong> {

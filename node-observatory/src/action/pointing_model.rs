@@ -10,7 +10,7 @@ use super::{Action, Exposures, Needs, Stage, Wrong};
 use crate::frames::dark;
 use crate::opening;
 use crate::plan::{Course, Halt};
-use crate::pointing::{forget, grid, learn, look, seen, send, sensor_looks_at};
+use crate::pointing::{calm, forget, grid, learn, look, seen, send, sensor_looks_at};
 use crate::rig::telescope::Mount;
 use crate::slit::Aimed;
 use crate::trouble::Trouble;
@@ -91,6 +91,7 @@ impl PointingModel {
             (taken == before && fits(now, self.exptime, stage.row.end)).then_some(shot)
         };
         let commanded = send(stage, mount, &target).await?;
+        calm(stage, mount, self.exptime).await;
         let series = Series { target_deg: Some((target.ra.degrees(), target.dec.degrees())), ..series.clone() };
         if expose(stage, &series, shot).await? == before {
             return Ok(false);

@@ -4,21 +4,22 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use bus::MachineTime;
-use config::CloseWithMount;
 use contract::device::cover_calibrator::Cover;
 use contract::device::dome::Shutter;
+
+use crate::rig::dome::ParkSight;
 
 /// A dome as it is seen now; `None` where no fresh state over a standing link tells.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DomeSight {
     /// The shutter.
     pub shutter: Option<Shutter>,
-    /// Whether the shutter waits for the mounts.
-    pub policy: CloseWithMount,
-    /// How long it waits, machine time.
-    pub parked_within: Duration,
+    /// It may be open whatever its status: it was opened, and is not proven closed since.
+    pub doubted: bool,
     /// Left alone: a neighbour works under the same roof, and only a wish, not the sky, asks for closing.
     pub spared: bool,
+    /// How far its parking is, for a dome that is parked when it is closed.
+    pub park: Option<ParkSight>,
 }
 
 /// A mount as it is seen now.
@@ -65,12 +66,33 @@ pub enum Step {
     StopMount(usize),
     /// Close a cover.
     CloseCover(usize),
+    /// Turn a dome to its park position.
+    ParkDome(usize),
 }
+
+/// A shutter waits no longer for the park of its dome, machine time.
+pub(super) const PARK_WAIT: Duration = Duration::from_secs(60);
+/// A shutter that has not begun to close after so long under a sky that calls for it may be one that has power at the park
+/// position alone, machine time.
+const PARK_HELPS: Duration = Duration::from_secs(30);
 
 impl DomeSight {
     /// Verified closed.
     pub fn is_closed(&self) -> bool {
-        self.spared || self.shutter == Some(Shutter::Closed)
+        self.spared || (self.shutter == Some(Shutter::Closed) && !self.doubted)
+    }
+
+    /// The shutter waits a little for the park of its dome, where no sky calls for closing.
+    fn waits_for_park(&self, closing_for: Duration) -> bool {
+        self.park.is_some_and(|park| park.may_wait && park.parked != Some(true)) && closing_for < PARK_WAIT
+    }
+
+    /// The dome is to be parked now: before its shutter closes where that may wait; else behind it, or where it may help a
+    /// shutter that does not move.
+    fn is_to_park(&self, closing_for: Duration) -> bool {
+        let Some(park) = self.park.filter(|park| park.parked != Some(true) && !self.spared) else { return false };
+        let stays_open = matches!(self.shutter, Some(Shutter::Open | Shutter::Error)) && closing_for >= PARK_HELPS;
+        park.may_wait || self.is_closed() || stays_open
     }
 }
 
@@ -97,21 +119,17 @@ impl Sight {
             && self.covers.iter().all(CoverSight::is_closed)
     }
 
-    /// What is to be done now, `closing_for` after the closing began.
+    /// What is to be done now. A roof that waits for the mounts is asked at once too: its device node, which knows all
+    /// mounts under it, moves it as soon as its policy allows, and nobody else does.
     pub fn wanted(&self, closing_for: Duration) -> Vec<Step> {
-        // a roll-off roof hits a mount that is not parked, so only the park position itself counts here
-        let all_parked = self.mounts.iter().all(|mount| mount.parked == Some(true));
         let mut steps = Vec::new();
         for (index, dome) in self.domes.iter().enumerate() {
-            let may_move = match dome.policy {
-                CloseWithMount::Beside => true,
-                CloseWithMount::ParkedWithinS => all_parked || closing_for >= dome.parked_within,
-                CloseWithMount::ParkedOnly => all_parked,
-            };
-            if !dome.is_closed() && may_move {
+            if !dome.is_closed() && !dome.waits_for_park(closing_for) {
                 steps.push(Step::CloseShutter(index));
             }
         }
+        let domes = self.domes.iter().enumerate().filter(|(_, dome)| dome.is_to_park(closing_for));
+        steps.extend(domes.map(|(index, _)| Step::ParkDome(index)));
         let mounts = self.mounts.iter().enumerate().filter(|(_, mount)| !mount.is_stopped());
         steps.extend(mounts.map(|(index, _)| Step::StopMount(index)));
         let covers = self.covers.iter().enumerate().filter(|(_, cover)| !cover.is_closed());
@@ -149,7 +167,13 @@ impl Closing {
         let ripe: Vec<Step> =
             wanted.into_iter().filter(|step| self.due.get(step).is_none_or(|due| *due <= now)).collect();
         for step in &ripe {
-            let parks = matches!(step, Step::StopMount(index) if sight.mounts.get(*index).is_some_and(|m| m.parking));
+            let parks = match step {
+                Step::StopMount(index) => sight.mounts.get(*index).is_some_and(|mount| mount.parking),
+                Step::ParkDome(index) => {
+                    sight.domes.get(*index).and_then(|dome| dome.park).is_some_and(|park| park.parking)
+                }
+                Step::CloseShutter(_) | Step::CloseCover(_) => false,
+            };
             self.due.insert(*step, now.plus(if parks { PARKING } else { AGAIN }));
         }
         ripe
@@ -169,8 +193,8 @@ mod tests {
         MachineTime::from_boot(Duration::from_secs(seconds))
     }
 
-    fn dome(shutter: Option<Shutter>, policy: CloseWithMount) -> DomeSight {
-        DomeSight { shutter, policy, parked_within: Duration::from_secs(120), spared: false }
+    fn dome(shutter: Option<Shutter>) -> DomeSight {
+        DomeSight { shutter, doubted: false, spared: false, park: None }
     }
 
     fn mount(parked: Option<bool>) -> MountSight {
@@ -193,7 +217,9 @@ mod tests {
     #[test]
     fn only_a_fresh_closed_is_closed() {
         for shutter in SHUTTERS {
-            assert_eq!(dome(shutter, CloseWithMount::Beside).is_closed(), shutter == Some(Shutter::Closed));
+            assert_eq!(dome(shutter).is_closed(), shutter == Some(Shutter::Closed));
+            let doubted = DomeSight { doubted: true, ..dome(shutter) };
+            assert!(!doubted.is_closed(), "what is not proven is not closed: {shutter:?}");
         }
         assert!(!mount(None).is_stopped() && !mount(Some(false)).is_stopped() && mount(Some(true)).is_stopped());
         assert!(!cover(None).is_closed() && !cover(Some(Cover::Unknown)).is_closed());
@@ -207,7 +233,7 @@ mod tests {
             for mounts in [vec![], vec![None], vec![Some(false)], vec![Some(false), None]] {
                 for covers in [vec![], vec![None], vec![Some(Cover::Open)], vec![Some(Cover::Error)]] {
                     let sight = Sight {
-                        domes: domes.iter().map(|s| dome(*s, CloseWithMount::Beside)).collect(),
+                        domes: domes.iter().map(|s| dome(*s)).collect(),
                         mounts: mounts.iter().map(|p| mount(*p)).collect(),
                         covers: covers.iter().map(|c| cover(*c)).collect(),
                     };
@@ -221,44 +247,26 @@ mod tests {
     }
 
     #[test]
-    fn a_roll_off_roof_waits_for_the_park_position_for_ever() {
-        let mut sight = Sight {
-            domes: vec![dome(Some(Shutter::Open), CloseWithMount::ParkedOnly)],
-            mounts: vec![mount(None)],
-            covers: vec![],
-        };
-        assert_eq!(sight.wanted(Duration::from_secs(100_000)), [Step::StopMount(0)]);
+    fn a_roof_is_asked_at_once_and_its_mount_parked_whatever_the_mount_says() {
+        let mut sight = Sight { domes: vec![dome(Some(Shutter::Open))], mounts: vec![mount(None)], covers: vec![] };
+        assert_eq!(sight.wanted(Duration::ZERO), [Step::CloseShutter(0), Step::StopMount(0)]);
         sight.mounts[0].cannot_park = true;
         sight.mounts[0].tracking = Some(false);
-        assert_eq!(sight.wanted(Duration::from_secs(100_000)), [], "at rest is not parked");
+        assert_eq!(sight.wanted(Duration::ZERO), [Step::CloseShutter(0)]);
         sight.mounts[0].parked = Some(true);
         assert_eq!(sight.wanted(Duration::ZERO), [Step::CloseShutter(0)]);
     }
 
     #[test]
-    fn parked_within_closes_on_the_park_or_at_the_deadline() {
-        let mut sight = Sight {
-            domes: vec![dome(Some(Shutter::Open), CloseWithMount::ParkedWithinS)],
-            mounts: vec![mount(Some(false))],
-            covers: vec![],
-        };
-        assert_eq!(sight.wanted(Duration::from_secs(119)), [Step::StopMount(0)]);
-        assert_eq!(sight.wanted(Duration::from_secs(120)), [Step::CloseShutter(0), Step::StopMount(0)]);
-        sight.mounts[0].parked = Some(true);
+    fn a_dome_that_says_closed_and_may_be_open_is_asked_all_the_same() {
+        let doubted = DomeSight { doubted: true, ..dome(Some(Shutter::Closed)) };
+        let sight = Sight { domes: vec![doubted], ..Sight::default() };
         assert_eq!(sight.wanted(Duration::ZERO), [Step::CloseShutter(0)]);
-    }
-
-    #[test]
-    fn without_a_mount_no_policy_waits() {
-        for policy in [CloseWithMount::Beside, CloseWithMount::ParkedWithinS, CloseWithMount::ParkedOnly] {
-            let sight = Sight { domes: vec![dome(Some(Shutter::Open), policy)], ..Sight::default() };
-            assert_eq!(sight.wanted(Duration::ZERO), [Step::CloseShutter(0)]);
-        }
     }
 
     #[test]
     fn a_stuck_shutter_is_told_again_every_10_s_for_ever() {
-        let sight = Sight { domes: vec![dome(Some(Shutter::Closing), CloseWithMount::Beside)], ..Sight::default() };
+        let sight = Sight { domes: vec![dome(Some(Shutter::Closing))], ..Sight::default() };
         let mut closing = Closing::begin(at(0));
         let told: Vec<u64> = (0..3600).filter(|second| !closing.due(&sight, at(*second)).is_empty()).collect();
         assert_eq!(told, (0..3600).step_by(10).collect::<Vec<u64>>());
@@ -266,7 +274,7 @@ mod tests {
 
     #[test]
     fn a_refused_step_is_told_again_after_2_s() {
-        let sight = Sight { domes: vec![dome(None, CloseWithMount::Beside)], ..Sight::default() };
+        let sight = Sight { domes: vec![dome(None)], ..Sight::default() };
         let mut closing = Closing::begin(at(0));
         assert_eq!(closing.due(&sight, at(0)), [Step::CloseShutter(0)]);
         closing.refused(Step::CloseShutter(0), at(1));
@@ -276,7 +284,7 @@ mod tests {
 
     #[test]
     fn what_opens_again_is_closed_again_at_once() {
-        let sight = |shutter| Sight { domes: vec![dome(Some(shutter), CloseWithMount::Beside)], ..Sight::default() };
+        let sight = |shutter| Sight { domes: vec![dome(Some(shutter))], ..Sight::default() };
         let mut closing = Closing::begin(at(0));
         assert_eq!(closing.due(&sight(Shutter::Open), at(0)).len(), 1);
         assert_eq!(closing.due(&sight(Shutter::Closed), at(1)), []);
@@ -294,8 +302,31 @@ mod tests {
     }
 
     #[test]
+    fn a_dome_is_parked_before_its_shutter_closes_for_a_minute_at_most_and_never_first_under_a_sky_that_calls_for_closing()
+     {
+        let sight = |shutter, parked, may_wait| {
+            let park = Some(ParkSight { parked, parking: false, may_wait });
+            Sight { domes: vec![DomeSight { park, ..dome(Some(shutter)) }], ..Sight::default() }
+        };
+        let wanted = |sight: Sight, second| sight.wanted(Duration::from_secs(second));
+        let (close, park) = (Step::CloseShutter(0), Step::ParkDome(0));
+        for parked in [None, Some(false)] {
+            assert_eq!(wanted(sight(Shutter::Open, parked, true), 0), [park]);
+            assert_eq!(wanted(sight(Shutter::Open, parked, true), 60), [close, park], "the wait is over");
+            for second in [0, 29] {
+                assert_eq!(wanted(sight(Shutter::Open, parked, false), second), [close], "the sky calls: at once");
+            }
+            assert_eq!(wanted(sight(Shutter::Open, parked, false), 30), [close, park], "it may need its park position");
+            assert_eq!(wanted(sight(Shutter::Closing, parked, false), 40), [close], "it is on its way");
+            assert_eq!(wanted(sight(Shutter::Closed, parked, false), 0), [park]);
+        }
+        assert_eq!(wanted(sight(Shutter::Open, Some(true), true), 0), [close]);
+        assert!(sight(Shutter::Closed, Some(false), true).is_closed(), "closed is closed, parked or not");
+    }
+
+    #[test]
     fn a_spared_roof_stays_while_the_mount_parks() {
-        let mut roof = dome(Some(Shutter::Open), CloseWithMount::Beside);
+        let mut roof = dome(Some(Shutter::Open));
         roof.spared = true;
         let sight = Sight { domes: vec![roof], mounts: vec![mount(Some(false))], covers: vec![] };
         assert_eq!(sight.wanted(Duration::ZERO), [Step::StopMount(0)]);

@@ -11,6 +11,7 @@
 //! each step was last sent. A device that hangs or fails holds up no other.
 
 pub mod decide;
+mod often;
 mod task;
 
 pub use task::keep_closed;

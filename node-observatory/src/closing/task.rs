@@ -11,7 +11,8 @@ use contract::device::{cover_calibrator, dome, telescope};
 use contract::observatory::AlertKind;
 use tokio::task::JoinSet;
 
-use super::decide::{Closing, CoverSight, DomeSight, MountSight, Sight, Step};
+use super::decide::{Closing, CoverSight, DomeSight, MountSight, PARK_WAIT, Sight, Step};
+use super::often::Often;
 use crate::action::took_s;
 use crate::control_room::ControlRoom;
 use crate::hooks::AtClosing;
@@ -31,6 +32,7 @@ pub async fn keep_closed(room: Arc<ControlRoom>, neighbours: Neighbours) -> anyh
     let mut sent: JoinSet<(Step, Result<(), Trouble>)> = JoinSet::new();
     let mut under_way: HashSet<Step> = HashSet::new();
     let mut began_open = None;
+    let mut often = Often::default();
     loop {
         let now = clock.machine();
         if let Some(why) = why_close(&room, now) {
@@ -40,6 +42,9 @@ pub async fn keep_closed(room: Arc<ControlRoom>, neighbours: Neighbours) -> anyh
                     began_open = Some(clock.utc());
                     tracing::info!(why, "closing");
                     room.note_closing(&why);
+                    if room.ruling.borrow().calls_for_closing(now) {
+                        often.note(now, &why);
+                    }
                 }
                 script.begin(&room, &sight, now);
                 Closing::begin(now)
@@ -65,6 +70,10 @@ pub async fn keep_closed(room: Arc<ControlRoom>, neighbours: Neighbours) -> anyh
             began_open = None;
             script.end();
             calm(&room);
+        }
+        match often.told(clock.machine()) {
+            Some(cause) => room.node.alerts.raise(AlertKind::ClosesOften, "", &cause),
+            None => room.node.alerts.clear(AlertKind::ClosesOften, ""),
         }
         tokio::select! {
             Some(done) = sent.join_next() => {
@@ -103,12 +112,12 @@ pub(crate) fn look(room: &ControlRoom, neighbours: &Neighbours, now: MachineTime
     let sky_calls = room.ruling.borrow().calls_for_closing(now);
     let domes = room.rig.domes.iter().map(|dome| DomeSight {
         shutter: dome.shutter(),
-        policy: dome.policy,
-        parked_within: dome.parked_within,
+        doubted: dome.is_doubted(),
         spared: !dome.is_own && !sky_calls && neighbours.work_under(dome, now),
+        park: dome.park(!sky_calls),
     });
     let mounts = room.rig.mounts.iter().map(|mount| {
-        let state = mount.instrument.fresh();
+        let state = mount.instrument.fresh_reading("AtPark");
         let fields = state.as_ref().map(|state| &state.fields);
         let last = state.as_ref().and_then(|state| state.last_command.as_ref());
         MountSight {
@@ -131,6 +140,10 @@ async fn send(room: &ControlRoom, step: Step) -> Result<(), Trouble> {
     match step {
         Step::CloseShutter(index) => match rig.domes.get(index) {
             Some(dome) => dome.instrument.ask(dome::Command::CloseShutter).await.map(|_| ()),
+            None => Ok(()),
+        },
+        Step::ParkDome(index) => match rig.domes.get(index) {
+            Some(dome) => dome.instrument.ask(dome::Command::Park).await.map(|_| ()),
             None => Ok(()),
         },
         Step::CloseCover(index) => match rig.covers.get(index) {
@@ -177,11 +190,17 @@ fn escalate(room: &ControlRoom, sight: &Sight, closing_for: Duration) {
             CloseWithMount::ParkedWithinS => patience(clock, dome.travel) + dome.parked_within,
             CloseWithMount::ParkedOnly => dome.parked_within,
         };
+        let most = if seen.park.is_some_and(|park| park.may_wait) { most + PARK_WAIT } else { most };
         if seen.is_closed() {
             alerts.clear(AlertKind::DomeNotClosed, name);
         } else if closing_for >= most {
             let shutter = seen.shutter.map_or("not known".to_owned(), |shutter| format!("{shutter:?}").to_lowercase());
-            let cause = format!("{name} must be closed and is not: its shutter is {shutter}");
+            let cause = match seen.shutter {
+                Some(dome::Shutter::Closed) => {
+                    format!("{name} must be closed, and says so without proof: it was opened since")
+                }
+                _ => format!("{name} must be closed and is not: its shutter is {shutter}"),
+            };
             alerts.raise(AlertKind::DomeNotClosed, name, &cause);
         }
     }

@@ -19,6 +19,10 @@ const NEAR_S: f64 = 2.0 * 3600.0;
 const PAIRS: usize = 2;
 /// An offset gives way to what was learnt when it is off by so many standard errors.
 const SURELY: f64 = 3.0;
+/// Differences further than so many standard errors from their median teach nothing.
+const FAR: f64 = 4.0;
+/// Runs that tell the critical zone.
+const ZONES: usize = 5;
 /// Standard error of a run that knows none, steps.
 const USUAL_ERROR: f64 = 10.0;
 
@@ -34,15 +38,7 @@ pub fn path(config: &config::Observatory) -> PathBuf {
 impl Learnt {
     /// What the life before kept; nothing where there is no file, or none that can be read, which is then told.
     pub fn read(path: &Path) -> Self {
-        let read = match std::fs::read(path) {
-            Ok(bytes) => serde_json::from_slice(&bytes).map_err(|error| error.to_string()),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Self::default(),
-            Err(error) => Err(error.to_string()),
-        };
-        read.unwrap_or_else(|error| {
-            tracing::warn!(path = %path.display(), error, "what was learnt of the focus cannot be read; it is learnt anew");
-            Self::default()
-        })
+        crate::kept::read_or_anew(path, "what is known of the focus")
     }
 
     /// As it is told to who stands by.
@@ -99,9 +95,10 @@ impl Learnt {
         Some(self.base(focuser, newest) + moved)
     }
 
-    /// Half width of the bottom of the last curve, steps.
+    /// Half width of the bottom of the curve, steps: the median of the last runs, so that no single one decides.
     pub fn critical_zone(&self, focuser: &str) -> Option<f64> {
-        self.runs(focuser).iter().rev().find_map(|run| run.critical_zone)
+        let zones = self.runs(focuser).iter().rev().filter_map(|run| run.critical_zone);
+        median(zones.filter(|zone| zone.is_finite() && *zone > 0.0).take(ZONES).collect())
     }
 
     /// How the best position follows the temperature, once enough runs prove that it does.
@@ -151,19 +148,38 @@ impl Learnt {
         let through =
             |name: &str| runs.iter().filter(move |run| run.filter.as_deref() == Some(name)).collect::<Vec<_>>();
         let references = through(reference);
-        let (mut weights, mut sum, mut pairs) = (0.0, 0.0, 0);
+        // difference and its variance
+        let mut pairs: Vec<(f64, f64)> = Vec::new();
         for run in through(filter) {
             let apart_s = |other: &&&Found| run.at_utc.seconds_since(other.at_utc).abs();
             let nearest = references.iter().min_by(|a, b| apart_s(a).total_cmp(&apart_s(b)));
             let Some(other) = nearest.filter(|other| apart_s(other) <= NEAR_S) else { continue };
             let error = |run: &Found| run.error.unwrap_or(USUAL_ERROR).max(1.0);
-            let weight = 1.0 / (error(run).powi(2) + error(other).powi(2));
-            weights += weight;
-            sum += weight * (run.position - other.position);
-            pairs += 1;
+            pairs.push((run.position - other.position, error(run).powi(2) + error(other).powi(2)));
         }
-        (pairs >= PAIRS).then(|| Estimate { value: sum / weights, error: (1.0 / weights).sqrt() })
+        agreed(pairs)
     }
+}
+
+/// The weighted mean of differences (steps, with their variances), without those that the others do not bear out; its
+/// error grows as they scatter. None with too few that agree.
+fn agreed(mut pairs: Vec<(f64, f64)>) -> Option<Estimate> {
+    let middle = median(pairs.iter().map(|(value, _)| *value).collect())?;
+    let spread = 1.4826 * median(pairs.iter().map(|(value, _)| (value - middle).abs()).collect())?;
+    pairs.retain(|(value, variance)| (value - middle).abs() <= FAR * spread.max(variance.sqrt()));
+    let weights: f64 = pairs.iter().map(|(_, variance)| 1.0 / variance).sum();
+    let value = pairs.iter().map(|(value, variance)| value / variance).sum::<f64>() / weights;
+    let squares: f64 = pairs.iter().map(|(of, variance)| (of - value).powi(2) / variance).sum();
+    let scatter = (squares / (pairs.len() as f64 - 1.0).max(1.0)).max(1.0);
+    (pairs.len() >= PAIRS).then(|| Estimate { value, error: (scatter / weights).sqrt() })
+}
+
+/// The median; of an even number the mean of the two in the middle. None of nothing.
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let upper = *values.get(values.len() / 2)?;
+    let lower = *values.get((values.len() - 1) / 2)?;
+    Some(0.5 * (lower + upper))
 }
 
 #[cfg(test)]

@@ -58,18 +58,14 @@ pub async fn find(stage: &Stage, series: &Series, focuser: &Focuser, wish: &Wish
     stage.set_focus_before(Some(i64::from(wish.plan.start)));
     let mut shown = Shown::begin(&stage.room, begun(stage, series, focuser, wish)?);
     let mut camera = Lens { stage, series, wish, exposure_s: wish.exposure_s, halvings: 0 };
-    let (mut expected_px, mut has_moved) = (wish.expected_px, false);
+    let mut expected_px = wish.expected_px;
     let outcome = loop {
         match sweep.next() {
             Step::Move(position) => {
                 stage.small_step(format!("focusing: to {position} steps"));
                 focuser.go(i64::from(position)).await?;
-                has_moved = true;
             }
             Step::Expose(pass) => {
-                if std::mem::take(&mut has_moved) {
-                    focuser.settle().await;
-                }
                 let count = if pass == Pass::Coarse { wish.frames.0 } else { wish.frames.1 };
                 if !fits(stage.clock().utc(), camera.exposure_s * f64::from(count), stage.row.end) {
                     sweep.end("the row's window is over");
@@ -85,9 +81,6 @@ pub async fn find(stage: &Stage, series: &Series, focuser: &Focuser, wish: &Wish
             Step::Done(outcome) => break outcome,
         }
     };
-    if has_moved {
-        focuser.settle().await;
-    }
     stage.set_focus_before(None);
     Ok(match outcome {
         Ok(focused) => shown.focused(&focused, wish.keep),

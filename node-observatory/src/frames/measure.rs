@@ -86,7 +86,7 @@ pub(super) fn told(value: f64) -> Option<f64> {
 }
 
 /// One plane of a frame, in numbers, row by row.
-#[derive(Debug)]
+#[derive(Debug, PartialEq)]
 pub enum Plane {
     /// Counts as the camera gave them.
     Counts(Vec<u16>),
@@ -193,5 +193,31 @@ mod tests {
         assert!(short.reason.unwrap().contains("frame of 100 x 100 px"));
         let nothing = measure(&light(16, 16, Pixel::F64), [f64::NAN.to_le_bytes(); 256].concat(), None);
         assert!(nothing.reason.is_some() && serde_json::to_string(&nothing.sky_adu).unwrap() == "null");
+    }
+
+    #[test]
+    fn bad_frames_between_good_ones_teach_nothing() {
+        use super::super::widths::Widths;
+        let good = drawn(400, 300, 3.9, 40);
+        let mut rays = good.clone();
+        (0..300).for_each(|n| (0..4).for_each(|step| rays[(13 + 397 * n + 401 * step) % good.len()] = 30_000));
+        let mut trail = good.clone();
+        (0..300).for_each(|y| (0..4).for_each(|x| trail[400 * y + 40 + y + x] = 9_000));
+        let bad = [rays, trail, vec![1000; good.len()], vec![65_535; good.len()], drawn(400, 300, 15.0, 6)];
+        let mut widths = Widths::default();
+        let mut look = |counts: &[u16]| {
+            let facts =
+                measure(&light(400, 300, Pixel::U16), bytes(counts), widths.known_px().map(|width| width as f32));
+            widths.observe_facts(&facts);
+            (facts, widths.known_px().unwrap())
+        };
+        for counts in [&good].into_iter().chain(bad.iter().flat_map(|bad| [bad, bad, &good])) {
+            let (facts, known_px) = look(counts);
+            assert!((known_px / 3.9 - 1.0).abs() < 0.1, "{known_px} px is handed on after {facts:?}");
+        }
+        // a focus that is lost is followed at the third frame
+        let lost = drawn(400, 300, 9.0, 20);
+        let known: Vec<f64> = (0..3).map(|_| look(&lost).1).collect();
+        assert!(known[1] < 4.5 && (known[2] / 9.0 - 1.0).abs() < 0.1, "{known:?}");
     }
 }

@@ -24,6 +24,7 @@ pub mod solving;
 pub mod tell;
 pub mod triggers;
 pub mod waiting;
+pub mod widths;
 pub mod zero_point;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -43,6 +44,7 @@ use self::measure::unmeasured;
 use self::optics::{Lesson, Rivals};
 use self::triggers::Triggers;
 use self::waiting::{Announced, Waiting};
+use self::widths::Widths;
 use crate::control_room::ControlRoom;
 
 /// Cameras whose frames are fetched at the same time, at most; pixels are in memory for so many frames.
@@ -117,6 +119,8 @@ struct Desk {
     busy: BTreeSet<String>,
     /// By camera and binning.
     before: HashMap<(String, u32), Before>,
+    /// The same: the widths of the stars.
+    widths: HashMap<(String, u32), Widths>,
     triggers: Triggers,
     /// Solutions that disagree with the optics that are known.
     rivals: Rivals,
@@ -129,12 +133,13 @@ struct Desk {
 impl Desk {
     fn new(room: Arc<ControlRoom>) -> anyhow::Result<Self> {
         Ok(Self {
-            client: reqwest::Client::builder().connect_timeout(Duration::from_secs(5)).build()?,
+            client: local_http::client_builder().connect_timeout(Duration::from_secs(5)).build()?,
             turns: Arc::new(Semaphore::new(MEASURED_AT_ONCE)),
             room,
             waiting: Waiting::default(),
             busy: BTreeSet::new(),
             before: HashMap::new(),
+            widths: HashMap::new(),
             triggers: Triggers::default(),
             rivals: Rivals::default(),
             failures: HashMap::new(),
@@ -217,8 +222,11 @@ impl Desk {
         }
         self.room.looks.looked(looked);
         self.count(&frame, &facts);
-        let before = self.before.entry((frame.camera.clone(), frame.bin)).or_default();
-        before.width = facts.fwhm_px.map(|fwhm_px| fwhm_px as f32).or(before.width);
+        let of = (frame.camera.clone(), frame.bin);
+        let before = self.before.entry(of.clone()).or_default();
+        let widths = self.widths.entry(of).or_default();
+        widths.observe_facts(&facts);
+        before.width = widths.known_px().map(|fwhm_px| fwhm_px as f32);
         match &facts.unsolved {
             None if facts.wcs.is_some() => before.unmatched = 0,
             Some(unsolved) if solving::may_be_scale(unsolved.class) => before.unmatched += 1,

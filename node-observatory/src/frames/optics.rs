@@ -206,18 +206,7 @@ pub fn path(config: &config::Observatory) -> PathBuf {
 
 /// What was learnt before; nothing where there is no file, or none that can be read: it is learnt anew.
 pub fn read(path: &Path) -> OpticsState {
-    let bytes = match std::fs::read(path) {
-        Ok(bytes) => bytes,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return OpticsState::default(),
-        Err(error) => {
-            tracing::warn!(file = %path.display(), %error, "the optics cannot be read; they are learnt anew");
-            return OpticsState::default();
-        }
-    };
-    serde_json::from_slice(&bytes).unwrap_or_else(|error| {
-        tracing::warn!(file = %path.display(), %error, "the optics cannot be read; they are learnt anew");
-        OpticsState::default()
-    })
+    crate::kept::read_or_anew(path, "what is known of the optics")
 }
 
 #[cfg(test)]

@@ -102,6 +102,9 @@ pub fn solve_frame(
         height: frame.height_px as usize,
         quality: Some(&measured.quality),
     };
+    if let Some(streaked) = streaked(measured) {
+        return Ok(Err(streaked));
+    }
     let began = clock.machine();
     let search = |hint: &Hint| {
         let side = f64::from(frame.width_px.max(frame.height_px));
@@ -133,6 +136,11 @@ pub fn solve_frame(
     }
     // another place, or other optics: as on first light
     search(&first_hint(frame, known)?)
+}
+
+/// Why stars that are drawn out so far that each is seen as several are not solved: a solution would fit pieces of them.
+fn streaked(measured: &Measured) -> Option<NoSolution> {
+    measured.quality.trail_px.map(|length_px| NoSolution::Trailed { stars: measured.quality.stars, length_px })
 }
 
 fn learnt_hint(frame: &Frame, known: &Known<'_>, optics: &Optics) -> Result<Hint, Unsolved> {

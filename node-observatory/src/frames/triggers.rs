@@ -10,6 +10,8 @@ use contract::device::camera::Frame;
 use contract::observatory::{FrameFacts, Trigger, TriggerKind};
 use units::Utc;
 
+use super::widths::Widths;
+
 /// Frames whose median width is compared: one frame of bad seeing says nothing.
 const WIDE: usize = 5;
 /// Wider than the best by this ratio is a drift; it ends at the lower one.
@@ -40,8 +42,9 @@ struct Run {
     /// Start of the newest frame.
     newest: Utc,
     exposure_s: f64,
-    /// Widths with the starts of their frames.
+    /// Widths that are believed, with the starts of the frames that made them so.
     widths: VecDeque<(Utc, f64)>,
+    believed: Widths,
     /// Star counts of frames without clouds.
     counts: VecDeque<f64>,
     /// Start of the first of the trailed frames that the run ends with.
@@ -125,6 +128,7 @@ impl Run {
             newest,
             exposure_s: 0.0,
             widths: VecDeque::new(),
+            believed: Widths::default(),
             counts: VecDeque::new(),
             trailed: None,
             astray: None,
@@ -165,15 +169,12 @@ impl Run {
         (first < at).then_some((first, detail))
     }
 
-    /// The median width of the last frames against the least that as many frames had.
+    /// The median width of the last frames that are believed against the least that as many had.
     fn drift(&mut self, at: Utc, facts: &FrameFacts) -> Option<(Utc, String)> {
-        // a trailed star is wide for another reason
-        if let Some(width) = facts.fwhm_px.filter(|_| facts.trailed != Some(true)) {
-            self.widths.push_back((at, width));
-            if self.widths.len() > REACH {
-                self.widths.pop_front();
-            }
-        }
+        let believed = self.believed.observe_facts(facts);
+        self.widths.extend(believed.into_iter().map(|width| (at, width)));
+        let many = self.widths.len().saturating_sub(REACH);
+        self.widths.drain(..many);
         let widths: Vec<f64> = self.widths.iter().map(|(_, width)| *width).collect();
         let now = median(widths.len().checked_sub(WIDE).and_then(|from| widths.get(from..))?)?;
         let best = widths.windows(WIDE).filter_map(median).fold(f64::INFINITY, f64::min);

@@ -62,17 +62,7 @@ pub fn star(kept: &ReferenceStar) -> Star {
 impl Learnt {
     /// Reads the file; one that cannot be read is told and begun anew: nothing that is unsafe hangs on it.
     pub fn read(path: &Path) -> Self {
-        match std::fs::read(path) {
-            Ok(bytes) => serde_json::from_slice(&bytes).unwrap_or_else(|error| {
-                tracing::warn!(path = %path.display(), %error, "what guiding had learnt cannot be read; it begins anew");
-                Self::default()
-            }),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Self::default(),
-            Err(error) => {
-                tracing::warn!(path = %path.display(), %error, "what guiding had learnt cannot be read; it begins anew");
-                Self::default()
-            }
-        }
+        crate::kept::read_or_anew(path, "what guiding knows of the mount")
     }
 
     /// Keeps a calibration in the place of the one of the same camera, side of the pier and source.

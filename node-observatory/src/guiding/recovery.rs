@@ -39,7 +39,7 @@ pub fn offset_to_reference_deg(session: &Session, solution: &Solution) -> Result
     Ok([east, dec - solution.dec.degrees()])
 }
 
-/// Slews by an offset from where the mount says it stands, and lets it settle.
+/// Slews by an offset from where the mount says it stands, which its device node lets settle.
 ///
 /// # Errors
 /// In words, when it may not be moved, the way is too far, or it does not arrive.
@@ -60,7 +60,6 @@ pub async fn slew_by(room: &ControlRoom, row: &Row, mount: &Mount, [ra, dec]: [f
     mount.instrument.obey(slew, most).await.map_err(|trouble| trouble.to_string())?;
     let tracking = Command::Track { on: true };
     mount.instrument.obey(tracking, Duration::from_secs(60)).await.map_err(|trouble| trouble.to_string())?;
-    mount.instrument.clock().sleep_sky(seconds(mount.config.settle_s)).await;
     Ok(())
 }
 

@@ -35,6 +35,12 @@ pub struct Session {
     /// What decides.
     pub guider: Guider,
     reference: Reference,
+    /// Frames in a row that repeated the one before, pixel by pixel.
+    pub repeats: u32,
+    /// The last frame, and what it showed.
+    last: Option<(Arc<Fetched>, Result<Measurement, NoShift>)>,
+    /// From where the field was found to where it is held, px of these frames.
+    hold_px: [f64; 2],
 }
 
 /// What a frame showed of the field.
@@ -74,7 +80,19 @@ impl Session {
         let [width, height] = field.size_px.map(|n| n as usize);
         let reference = Reference::from_lists(&[stars], width, height)?;
         let guider = Guider::new(settings(config), &binned(&calibration, field.bin), dec_deg)?;
-        Ok(Self { field, reference_frame, centre_deg, calibration, dec_deg, guider, reference })
+        let hold_px = config.hold_offset_px;
+        Ok(Self {
+            field,
+            reference_frame,
+            centre_deg,
+            calibration,
+            dec_deg,
+            guider,
+            reference,
+            repeats: 0,
+            last: None,
+            hold_px,
+        })
     }
 
     /// The stars that are compared.
@@ -100,15 +118,36 @@ impl Session {
         Exposure { mid_s: fetched.frame.started_utc.seconds() + 0.5 * length_s, length_s }
     }
 
+    /// Measures how far the field is from where it is held. A camera that repeats its last frame, pixel by pixel, shows
+    /// what it showed then, which the guider knows for no news.
+    pub async fn look(&mut self, room: &ControlRoom, fetched: &Arc<Fetched>) -> Seen {
+        if let Some((last, measured)) = &self.last
+            && last.frame.id != fetched.frame.id
+            && last.plane == fetched.plane
+        {
+            let reason = format!("the frame repeats {}, pixel by pixel: no pulse is given after it", last.frame.id);
+            self.repeats += 1;
+            return Seen { reason: Some(reason), ..Seen::of(measured.clone(), GuideMethod::Boxes) };
+        }
+        let mut seen = self.look_for_shift(room, fetched).await;
+        if let Ok(measured) = &mut seen.measured {
+            measured.shift.dx_px -= self.hold_px[0];
+            measured.shift.dy_px -= self.hold_px[1];
+        }
+        self.repeats = 0;
+        self.last = Some((fetched.clone(), seen.measured.clone()));
+        seen
+    }
+
     /// Measures how far the field moved: in boxes where its stars should be; where it may stand anywhere, or the boxes
     /// are empty, by the list of all stars; and only in fields of few stars by sums over rows and columns, which find a
     /// shift between any two fields.
-    pub async fn look(&mut self, room: &ControlRoom, fetched: &Arc<Fetched>) -> Seen {
+    async fn look_for_shift(&mut self, room: &ControlRoom, fetched: &Arc<Fetched>) -> Seen {
         let is_reference = fetched.frame.id == self.reference_frame;
         let is_anywhere = matches!(self.guider.state(), State::Acquire | State::Lost) && !is_reference;
         if !is_anywhere {
             match self.look_in_boxes(fetched).await {
-                Ok(measured) => return Seen { measured: Ok(measured), method: GuideMethod::Boxes, reason: None },
+                Ok(measured) => return Seen::of(Ok(measured), GuideMethod::Boxes),
                 Err(NoShift::TooFewStars { .. } | NoShift::NoMatch { .. } | NoShift::Uncertain { .. }) => {}
                 Err(why) => return Seen::nothing(why, GuideMethod::Boxes),
             }
@@ -116,16 +155,17 @@ impl Session {
         let listed = self.look_at_all(room, fetched).await;
         match listed {
             Err(_) if self.reference.stars().len() < FEW_STARS => match self.look_at_sums(fetched).await {
-                Ok(measured) => Seen { measured: Ok(measured), method: GuideMethod::Projections, reason: None },
+                Ok(measured) => Seen::of(Ok(measured), GuideMethod::Projections),
                 Err(why) => Seen::nothing(why, GuideMethod::Projections),
             },
-            Ok(measured) => Seen { measured: Ok(measured), method: GuideMethod::StarList, reason: None },
+            Ok(measured) => Seen::of(Ok(measured), GuideMethod::StarList),
             Err(why) => Seen::nothing(why, GuideMethod::StarList),
         }
     }
 
     async fn look_in_boxes(&mut self, fetched: &Arc<Fetched>) -> Result<Measurement, NoShift> {
         let expected_px = self.guider.expected_px(Self::exposure(fetched));
+        let expected_px = [expected_px[0] + self.hold_px[0], expected_px[1] + self.hold_px[1]];
         // a copy of some ten kilobytes, so that nothing is lost when the loop is dropped meanwhile
         let (mut reference, fetched) = (self.reference.clone(), fetched.clone());
         let look = move || {
@@ -167,8 +207,12 @@ impl Session {
 }
 
 impl Seen {
+    fn of(measured: Result<Measurement, NoShift>, method: GuideMethod) -> Self {
+        Self { measured, method, reason: None }
+    }
+
     fn nothing(why: NoShift, method: GuideMethod) -> Self {
-        Self { reason: Some(why.to_string()), measured: Err(why), method }
+        Self { reason: Some(why.to_string()), ..Self::of(Err(why), method) }
     }
 }
 

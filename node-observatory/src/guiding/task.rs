@@ -379,6 +379,10 @@ impl Loop {
         if self.refusals >= FAILURES_BEFORE_ALERT {
             let why = given.refused.as_deref().unwrap_or_default();
             self.complain(&format!("{} pulses in a row were not given; the last: {why}", self.refusals));
+        } else if self.session.as_ref().is_some_and(|session| session.repeats >= FAILURES_BEFORE_ALERT) {
+            self.complain(&format!("{camera} repeats its last frame, pixel by pixel: nothing is seen of the sky"));
+        } else if let Some(unstable) = decision.log.unstable {
+            self.complain(tell::unstable(unstable));
         } else if matches!(decision.state, State::Stabilise | State::Guide) && self.refusals == 0 {
             alerts.clear(AlertKind::GuidingLost, camera);
         }

@@ -6,7 +6,7 @@ use bus::Quality;
 use contract::Key;
 use contract::device::camera::Frame;
 use contract::observatory::{AxisCorrection, Correction, GuideStage, PulseWhy};
-use imaging::guide::{AxisLog, Decision, State, Why};
+use imaging::guide::{AxisLog, Decision, State, Unstable, Why};
 
 use super::pulse::{Given, Taken};
 use super::session::{Seen, Session};
@@ -127,6 +127,24 @@ fn pulse_why(why: Why) -> PulseWhy {
         Why::Lost => PulseWhy::Lost,
         Why::Unusable => PulseWhy::Unusable,
         Why::Stopped => PulseWhy::Stopped,
+    }
+}
+
+/// Why the field is not held although its stars are seen, and what to do.
+pub fn unstable(unstable: Unstable) -> &'static str {
+    match unstable {
+        Unstable::Oscillates => {
+            "pulses throw the field to and fro: drift and play of the gear are learnt anew with gentle pulses; if it stays, \
+             run calibrate_guiding"
+        }
+        Unstable::NotHeld => {
+            "pulses do not bring the field back: drift and play of the gear are learnt anew; look at the wind and the \
+             mount's guide rates, and run calibrate_guiding"
+        }
+        Unstable::WrongWay => {
+            "pulses moved the stars against the calibration, and are given the other way round: run calibrate_guiding, or \
+             set guiding.dec_reversed_after_flip as this mount has it"
+        }
     }
 }
 

@@ -176,7 +176,8 @@ fn flag(line: &Line, device: &str, command: VendorCommand) -> Fallible<bool> {
 }
 
 fn unexpected(reply: &Reply) -> Box<EvalAltResult> {
-    format!("an answer of the wrong sort: {reply:?}").into()
+    tracing::warn!(?reply, "an answer of another sort than was asked for");
+    "the host gave an answer of another sort than was asked for; please report this".into()
 }
 
 /// JSON as the script sees it.

@@ -126,11 +126,7 @@ impl Known {
 
     /// What an earlier life found; nothing where the file is not there or is none.
     pub fn read(path: &Path) -> Self {
-        let Ok(text) = std::fs::read(path) else { return Self::default() };
-        serde_json::from_slice(&text).unwrap_or_else(|error| {
-            tracing::warn!(path = %path.display(), %error, "names that were looked up are forgotten: the file is damaged");
-            Self::default()
-        })
+        crate::kept::read_or_anew(path, "where named targets stand")
     }
 
     /// Where a named target is to be found at an instant.

@@ -136,6 +136,7 @@ async fn frames(stage: &Stage, mount: &Mount, series: &Series, way: &mut Way) ->
                             stage.step(format!("correcting by {off_arcmin:.2} arcmin"));
                             let to = icrs(to);
                             mount.point(&to, &stage.visible(&to)?).await?;
+                            calm(stage, mount, way.exptime_s).await;
                             (way.commanded, way.is_fresh, slews) = (to, true, slews + 1);
                         }
                         continue;
@@ -160,6 +161,15 @@ async fn frames(stage: &Stage, mount: &Mount, series: &Series, way: &mut Way) ->
         last = why;
     }
     Err(unproven(stage, last, true))
+}
+
+/// Waits after a correction by the exposure time, where the mount's block asks for that.
+pub async fn calm(stage: &Stage, mount: &Mount, exposure_s: f64) {
+    let wait_s = mount.config.settle_factor * exposure_s;
+    if wait_s > 0.0 {
+        stage.step(format!("waiting {wait_s:.1} s for the mount to come to rest"));
+        stage.clock().sleep_sky(seconds(wait_s)).await;
+    }
 }
 
 fn unproven(stage: &Stage, why: String, may_pass: bool) -> Trouble {

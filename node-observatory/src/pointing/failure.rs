@@ -70,7 +70,7 @@ mod tests {
             (NoSolution::TooFewStars { stars: 1, needed: 4 }, Deed::Longer),
             (NoSolution::Saturated { stars: 9, pixels_percent: 30.0 }, Deed::Shorter),
             (NoSolution::Clouds { stars: 3, expected: 40, limit_mag: 14.0 }, Deed::Wait),
-            (NoSolution::Trailed { stars: 20 }, Deed::Again),
+            (NoSolution::Trailed { stars: 20, length_px: 30.0 }, Deed::Again),
             (no_match, Deed::Again),
             (NoSolution::Ambiguous { apart: far, matched: 4 }, Deed::Again),
             (NoSolution::CatalogueTooShallow { stars: 1, field: far }, Deed::Nothing),

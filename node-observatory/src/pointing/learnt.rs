@@ -38,20 +38,7 @@ pub struct Book {
 impl Book {
     /// Reads what an earlier life kept; nothing is known where it cannot be read.
     pub fn read(path: &Path) -> Self {
-        let read = std::fs::read(path).map(|bytes| serde_json::from_slice(&bytes));
-        match read {
-            Ok(Ok(book)) => book,
-            Ok(Err(error)) => {
-                tracing::warn!(path = %path.display(), %error, "what was learnt of the pointing cannot be read");
-                Self::default()
-            }
-            Err(error) => {
-                if error.kind() != std::io::ErrorKind::NotFound {
-                    tracing::warn!(path = %path.display(), %error, "what was learnt of the pointing cannot be read");
-                }
-                Self::default()
-            }
-        }
+        crate::kept::read_or_anew(path, "what is known of the pointing")
     }
 
     /// What a camera is expected to miss a place by; on the side of the pier where the nearest point was seen. None while

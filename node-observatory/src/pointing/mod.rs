@@ -26,7 +26,7 @@ use imaging::pointing::Miss;
 use sky::Icrs;
 use units::Angle;
 
-pub use self::acquire::{Way, acquire};
+pub use self::acquire::{Way, acquire, calm};
 pub use self::fix::{forget, learn, look, seen, sensor_looks_at};
 pub use self::flip::Flip;
 pub use self::gate::Gate;

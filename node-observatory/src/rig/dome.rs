@@ -7,8 +7,9 @@ use std::time::Duration;
 use bus::Latest;
 use config::{CloseWithMount, Follow};
 use contract::device::dome::{self, Command, Guard, Shutter};
-use contract::{Device, Key, Reason};
+use contract::{Device, Key, Outcome, Reason};
 
+use super::guards::Guards;
 use super::instrument::{Instrument, Voice};
 use crate::patience::{patience, seconds};
 use crate::trouble::Trouble;
@@ -19,6 +20,8 @@ pub struct Dome {
     pub instrument: Instrument<dome::Dome>,
     /// What its guard says.
     pub guard: Latest<Guard>,
+    /// All that publish in the guard's name.
+    pub guards: Guards,
     /// How closing waits for the mount.
     pub policy: CloseWithMount,
     /// For the two waiting policies, machine time.
@@ -31,8 +34,23 @@ pub struct Dome {
     pub follow: Follow,
     /// Its slit.
     pub slit: config::Slit,
+    /// It is parked when it is closed.
+    parks: bool,
     turning_fails: AtomicBool,
     stands_deg: Mutex<Option<f64>>,
+    /// This node had it opened, and it was not proven closed since.
+    was_opened: AtomicBool,
+}
+
+/// The parking of a dome as it is seen now.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ParkSight {
+    /// At its park position.
+    pub parked: Option<bool>,
+    /// Its newest command is a park that is being done.
+    pub parking: bool,
+    /// No sky calls for closing, so that the shutter may wait for the park a little.
+    pub may_wait: bool,
 }
 
 /// A guard that was not heard for so long is not there.
@@ -42,10 +60,12 @@ impl Dome {
     /// Begins to hear a dome; `own` is its block, where it is of this telescope's own file.
     pub async fn listen(voice: &Voice, device: Device, own: Option<&config::Dome>) -> anyhow::Result<Self> {
         let guard = voice.bus.latest(&Key::Guard(device.clone())).await?;
+        let guards = Guards::listen(&voice.bus, &device).await?;
         let instrument = Instrument::listen(voice, device).await?;
         Ok(Self {
             instrument,
             guard,
+            guards,
             policy: own.map_or(CloseWithMount::Beside, |own| own.close_with_mount),
             parked_within: seconds(own.map_or(120.0, |own| own.parked_within_s)),
             travel: seconds(own.map_or(90.0, |own| own.travel_timeout_s)),
@@ -53,8 +73,24 @@ impl Dome {
             // a dome over several telescopes has no slit for one of them
             follow: own.filter(|own| own.telescopes.len() < 2).map_or(Follow::Off, |own| own.follow),
             slit: own.map(|own| own.slit).unwrap_or_default(),
+            parks: own.is_some_and(|own| own.park_at_close),
             turning_fails: AtomicBool::new(false),
             stands_deg: Mutex::new(None),
+            was_opened: AtomicBool::new(false),
+        })
+    }
+
+    /// How far its parking is, where it is to be parked when it is closed and can be.
+    pub fn park(&self, may_wait: bool) -> Option<ParkSight> {
+        if !self.parks || self.instrument.can().is_some_and(|can| !can.park) {
+            return None;
+        }
+        let state = self.instrument.fresh();
+        let last = state.as_ref().and_then(|state| state.last_command.as_ref());
+        Some(ParkSight {
+            parked: state.as_ref().and_then(|state| state.fields.at_park.known().copied()),
+            parking: last.is_some_and(|last| last.verb == "park" && last.outcome == contract::Outcome::Running),
+            may_wait,
         })
     }
 
@@ -86,7 +122,25 @@ impl Dome {
 
     /// The shutter as the dome itself says now; `None` where that is not known.
     pub fn shutter(&self) -> Option<Shutter> {
-        self.instrument.fresh().and_then(|state| state.fields.shutter.known().copied())
+        self.instrument.fresh_reading("ShutterStatus").and_then(|state| state.fields.shutter.known().copied())
+    }
+
+    /// Is its status closed although that is not proven? Its guard publishes that, which knows what was asked of the shutter and how it
+    /// followed; where no guard publishes, one that this node had opened is not closed until a command has closed it.
+    pub fn is_doubted(&self) -> bool {
+        let living = self.guards.living(self.instrument.clock().machine());
+        let told: Vec<bool> = living.iter().filter_map(|(_, said)| said.verified_closed).collect();
+        let is_proven = if told.is_empty() {
+            let last = self.instrument.fresh().and_then(|state| state.last_command);
+            let closed = last.is_some_and(|last| last.verb == "close_shutter" && last.outcome == Outcome::Done);
+            !self.was_opened.load(Ordering::Relaxed) || closed
+        } else {
+            told.iter().all(|closed| *closed)
+        };
+        if is_proven && self.shutter() == Some(Shutter::Closed) {
+            self.was_opened.store(false, Ordering::Relaxed);
+        }
+        !is_proven
     }
 
     /// Opens the shutter and waits until it is open; ends a hold of the guard first.
@@ -95,6 +149,7 @@ impl Dome {
             return Ok(());
         }
         self.end_hold().await?;
+        self.was_opened.store(true, Ordering::Relaxed);
         let id = self.ask_until_permitted().await?;
         let open = |heard: &bus::Heard<contract::DeviceState<dome::Fields>>| {
             let state = &heard.said.body;

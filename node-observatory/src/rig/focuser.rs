@@ -11,7 +11,6 @@ use tokio::sync::watch;
 
 use super::instrument::{Instrument, Voice};
 use crate::focus::Learnt;
-use crate::patience::seconds;
 use crate::trouble::Trouble;
 
 /// A focuser.
@@ -129,18 +128,16 @@ impl Focuser {
         target(wanted, self.best(), self.instrument.can().map_or(i64::MAX, |can| can.max_step))
     }
 
-    /// Goes to a position from the side that positions are approached from, and settles.
+    /// Goes to a position from the side that positions are approached from.
     pub async fn approach(&self, target: i64, max_step: i64) -> Result<(), Trouble> {
         let (backlash, side) = (self.config.backlash_steps, self.config.approach);
         if let Some(from) = overshoot(self.position(), target, backlash, side, max_step) {
             self.go(from).await?;
         }
-        self.go(target).await?;
-        self.settle().await;
-        Ok(())
+        self.go(target).await
     }
 
-    /// Goes to a position from where it stands.
+    /// Goes to a position from the present one; returns when it has settled there, for which its device node waits.
     pub async fn go(&self, position: i64) -> Result<(), Trouble> {
         self.instrument.obey(Command::Move { position }, TRAVEL).await.map(|_| ())
     }
@@ -148,11 +145,6 @@ impl Focuser {
     /// Sends it to a position, and does not wait until it is there.
     pub async fn send(&self, position: i64) -> Result<(), Trouble> {
         self.instrument.ask_in_turn(&CommandId::fresh(), Command::Move { position }).await
-    }
-
-    /// Rests after a move, as long as configured.
-    pub async fn settle(&self) {
-        self.instrument.clock().sleep_sky(seconds(self.config.settle_s)).await;
     }
 }
 

@@ -72,12 +72,25 @@ impl<K: DeviceKind> Instrument<K> {
         self.state.clone()
     }
 
-    /// The state, if it arrived recently over a link that stands.
+    /// The state, if it arrived recently over a link to the device, and if no second node publishes for the device.
     pub fn fresh(&self) -> Option<DeviceState<K::Fields>> {
+        if self.state.has_rivals() {
+            return None;
+        }
         let heard = self.state.get()?;
         let age = self.clock().machine().since(heard.arrived);
         let state = heard.said.body;
         (age <= freshness(state.period_s) && state.link == Link::Connected).then_some(state)
+    }
+
+    /// As [`Self::fresh`], if this property was read recently too: a state may repeat what was read before its node or
+    /// its server hung.
+    pub fn fresh_reading(&self, property: &str) -> Option<DeviceState<K::Fields>> {
+        let arrived = self.state.get()?.arrived;
+        let state = self.fresh()?;
+        let read = Duration::try_from_secs_f64(state.age_s(property).unwrap_or(0.0)).unwrap_or(Duration::MAX);
+        let age = self.clock().machine().since(arrived).saturating_add(read);
+        (age <= freshness(state.period_s)).then_some(state)
     }
 
     /// What it can do, once that was heard.
@@ -134,7 +147,7 @@ impl<K: DeviceKind> Instrument<K> {
                     let (device, detail) = (self.device.to_string(), refusal.detail);
                     return Err(Trouble::Refused { device, verb, reason: refusal.reason, detail });
                 }
-                Err(AskError::Unknown { .. } | AskError::Unreadable { .. }) => {
+                Err(AskError::Unknown { .. } | AskError::Unreadable { .. } | AskError::Contested { .. }) => {
                     // unknown is not undone: the state tells
                     let taken = self.newest().and_then(|heard| heard.said.body.last_command);
                     if taken.is_some_and(|last| last.id == id) {
@@ -150,10 +163,15 @@ impl<K: DeviceKind> Instrument<K> {
 
     /// As [`Self::ask_as`], but waits a while for a command before it to be done.
     pub async fn ask_in_turn(&self, id: &CommandId, action: K::Command) -> Result<(), Trouble> {
+        self.ask_within(id, action, TURN).await
+    }
+
+    /// As [`Self::ask_in_turn`], for so long.
+    pub async fn ask_within(&self, id: &CommandId, action: K::Command, turn: Duration) -> Result<(), Trouble> {
         let started = self.clock().machine();
         loop {
             match self.ask_as(id.clone(), action.clone()).await {
-                Err(Trouble::Refused { reason: Reason::Busy, .. }) if self.clock().machine().since(started) < TURN => {
+                Err(Trouble::Refused { reason: Reason::Busy, .. }) if self.clock().machine().since(started) < turn => {
                     // the end of a readout is caught at once, that of a slew need not be
                     let long = self.clock().machine().since(started) > Duration::from_secs(5);
                     tokio::time::sleep(Duration::from_millis(if long { 250 } else { 20 })).await;

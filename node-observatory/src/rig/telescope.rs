@@ -42,7 +42,7 @@ impl Mount {
 
     /// Leaves the park position, unless the mount is known to be out of it or to have none.
     pub async fn unpark(&self) -> Result<(), Trouble> {
-        let parked = self.instrument.fresh().and_then(|state| state.fields.at_park.known().copied());
+        let parked = self.instrument.fresh_reading("AtPark").and_then(|state| state.fields.at_park.known().copied());
         let cannot = self.instrument.can().is_some_and(|can| !can.park);
         if parked == Some(false) || cannot {
             return Ok(());
@@ -59,7 +59,7 @@ impl Mount {
         self.instrument.obey(Command::Track { on }, Duration::from_secs(60)).await.map(|_| ())
     }
 
-    /// Slews to a place of the catalogue, tracks it, and settles. Every slew of this node goes through here, and none goes
+    /// Slews to a place of the catalogue, tracks it, and returns when the mount has settled, for which its device node waits. Every slew of this node goes through here, and none goes
     /// beyond the mount's limits.
     pub async fn point(&self, target: &Icrs, observer: &Observer) -> Result<(), Trouble> {
         if let Some(why) = reach::beyond(&self.config.limits, target, observer) {
@@ -76,7 +76,6 @@ impl Mount {
         self.instrument.obey(slew, self.slew_timeout()).await?;
         // some mounts drop tracking with a slew
         self.track(true).await?;
-        self.instrument.clock().sleep_sky(seconds(self.config.settle_s)).await;
         // small corrections come with frames, and would fill the diary
         if let Some(deg) = way_deg.filter(|deg| *deg >= WORTH_TELLING_DEG) {
             let took_s = took_s(self.instrument.clock(), began);
@@ -140,8 +139,9 @@ fn in_mount_frame(target: &Icrs, observer: &Observer, system: EquatorialSystem) 
         }
         EquatorialSystem::J2000 | EquatorialSystem::Other => Ok((target.ra, target.dec)),
         EquatorialSystem::J2050 | EquatorialSystem::B1950 => Err(Trouble::Impossible(format!(
-            "the mount wants coordinates in {system:?}, which is not supported; set equatorial_system to \
-             \"j2000\" or \"topocentric\" in its block"
+            "the mount wants coordinates of {}, which is not supported; set equatorial_system to \
+             \"j2000\" or \"topocentric\" in its block",
+            if system == EquatorialSystem::B1950 { "B1950" } else { "J2050" }
         ))),
     }
 }

@@ -2,6 +2,7 @@
 
 mod one_row;
 mod pick;
+mod postponed;
 mod rests;
 pub(crate) mod sequence;
 
@@ -11,12 +12,13 @@ use std::time::Duration;
 
 use config::FaultPolicy;
 use contract::Kind;
-use contract::observatory::{ActionNow, AlertKind, RowState, RowStatus};
+use contract::observatory::{ActionNow, RowState, RowStatus};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use units::Utc;
 
 use self::one_row::{RowEnd, run_row};
+use self::postponed::Postponed;
 use self::rests::Rests;
 use self::sequence::{Sequence, passed_words};
 use crate::action::Stage;
@@ -43,6 +45,8 @@ struct Runner {
     sequence: Sequence,
     /// Rows that wait for a device to recover.
     rests: Rests,
+    /// The alerts about them.
+    postponed: Postponed,
     at_work: JoinSet<(RowId, RowEnd)>,
     begun: BTreeMap<RowId, Begun>,
     farewell: Farewell,
@@ -71,6 +75,7 @@ pub async fn keep_observing(room: Arc<ControlRoom>, mut loaded: watch::Receiver<
         token: None,
         sequence: Sequence::default(),
         rests: Rests::default(),
+        postponed: Postponed::default(),
         at_work: JoinSet::new(),
         begun: BTreeMap::new(),
         farewell: Farewell::NotYet,
@@ -131,6 +136,7 @@ impl Runner {
         });
         let leaving = self.sequence.take(loaded.rows.clone(), |id| known.get(id).copied());
         self.rests.keep(|id| self.sequence.place_of(id).is_some());
+        self.postponed.keep_only(|id| self.sequence.place_of(id).is_some(), &self.room.node.alerts);
         for (id, begun) in &self.begun {
             let leaves = leaving.contains(id);
             if begun.withdrawn.send_replace(leaves) != leaves && leaves {
@@ -197,7 +203,7 @@ impl Runner {
             self.room.wish_closed.send_if_modified(|wish| wish.is_none() && std::mem::replace(wish, why()).is_none());
         }
         if !matches!(end, RowEnd::Postponed(..)) {
-            self.room.node.alerts.clear(AlertKind::RowPostponed, number);
+            self.postponed.remove(id, &self.room.node.alerts);
         }
         let (status, detail) = match end {
             RowEnd::Finished(detail) => (RowStatus::Finished, detail),
@@ -240,7 +246,7 @@ impl Runner {
             FaultPolicy::Stop => crate::obey::robotic_off(&self.room, &detail),
             FaultPolicy::Postpone | FaultPolicy::Skip | FaultPolicy::Without => {}
         }
-        self.room.node.alerts.raise(AlertKind::RowPostponed, number, &detail);
+        self.postponed.add(id, number, kind, &detail, &self.room.node.alerts);
         format!("{detail}; tried again in {:.0} s", rest.as_secs_f64())
     }
 

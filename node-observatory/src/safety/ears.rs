@@ -9,11 +9,12 @@ use std::pin::Pin;
 use std::time::Duration;
 
 use anyhow::Context as _;
-use bus::{Bus, Catch, Clock, Heard, MachineTime, Node, Subscriber, Succession};
+use bus::{Bus, Catch, Clock, Heard, MachineTime, Node, Subscriber};
 use contract::device::observing_conditions::Fields as Weather;
 use contract::device::record::{Question, Record};
 use contract::device::safety_monitor::Fields as Monitor;
 use contract::device::switch::Fields as Switches;
+use contract::observatory::AlertKind;
 use contract::{Device, DeviceState, Key, Kind, Payload, Stamped};
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
@@ -21,6 +22,7 @@ use tokio::task::JoinSet;
 use super::history::Now;
 use super::recall::{Asked, Recall, Told};
 use super::rules::Rules;
+use super::writers::{self, Manners, Writers};
 
 /// What an ear has to say.
 pub enum Word {
@@ -41,6 +43,7 @@ type Retell<F> = fn(Device, Vec<Told<F>>) -> Word;
 
 /// How an ear speaks of the devices of a kind.
 struct Voice<F> {
+    manners: Manners<F>,
     state: fn(Device, Box<DeviceState<F>>, Now) -> Word,
     before: Option<Retell<F>>,
 }
@@ -60,15 +63,16 @@ pub async fn open(node: &Node, rules: &Rules) -> anyhow::Result<(JoinSet<()>, mp
     let mut monitors: Vec<&Device> = rules.monitors.iter().map(|rule| &rule.device).collect();
     monitors.dedup();
     for device in monitors {
-        let voice = Voice { state: Word::Monitor, before: None };
+        let voice = Voice { manners: writers::MONITOR, state: Word::Monitor, before: None };
         ears.spawn(listen(node, device.clone(), &words, voice, Duration::ZERO).await?);
     }
     for (device, back) in evidence(rules, node.bus.clock().speed()) {
         if device.kind == Kind::Switch {
-            let voice = Voice { state: Word::Switch, before: Some(Word::SwitchBefore) };
+            let voice = Voice { manners: Manners::of_values(), state: Word::Switch, before: Some(Word::SwitchBefore) };
             ears.spawn(listen(node, device, &words, voice, back).await?);
         } else {
-            let voice = Voice { state: Word::Weather, before: Some(Word::WeatherBefore) };
+            let voice =
+                Voice { manners: Manners::of_values(), state: Word::Weather, before: Some(Word::WeatherBefore) };
             ears.spawn(listen(node, device, &words, voice, back).await?);
         }
     }
@@ -99,15 +103,28 @@ async fn listen<F: Payload + PartialEq>(
     let key = Key::State(device.clone()).to_string();
     let subscriber: Subscriber<DeviceState<F>> =
         node.bus.subscribe(&key, Catch::Newest, 256).await.with_context(|| format!("cannot hear {device}"))?;
-    let (words, bus) = (words.clone(), node.bus.clone());
+    let (words, bus, alerts) = (words.clone(), node.bus.clone(), node.alerts.clone());
+    let instance = format!("{}/{}", device.kind, device.name);
     Ok(async move {
-        let mut succession = Succession::default();
+        let (mut writers, mut disputed) = (Writers::new(voice.manners), false);
         let mut before = voice.before.map(|word| (word, Before::new(bus.clone(), device.clone(), back)));
         loop {
             tokio::select! {
                 heard = subscriber.hear() => {
-                    let heard: Heard<DeviceState<F>> = heard;
-                    if !succession.is_newer(&heard.said.boot_id, heard.said.seq, heard.arrived) {
+                    let mut heard: Heard<DeviceState<F>> = heard;
+                    let taken = writers.take(&mut heard.said, heard.arrived);
+                    match writers.dispute(heard.arrived) {
+                        Some(why) if !disputed => {
+                            alerts.raise(AlertKind::SecondWriter, &instance, &format!("{device} is unsafe: {why}"));
+                            disputed = true;
+                        }
+                        None if disputed => {
+                            alerts.clear(AlertKind::SecondWriter, &instance);
+                            disputed = false;
+                        }
+                        Some(_) | None => {}
+                    }
+                    if !taken {
                         continue;
                     }
                     let at = arrival(bus.clock(), heard.arrived);

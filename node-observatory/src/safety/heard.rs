@@ -13,10 +13,17 @@ use super::frozen::Freeze;
 use super::history::{Entry, Now, Record};
 use super::measure::Window;
 use super::nodes::Nodes;
-use super::recall::Told;
-use super::rules::{LimitRule, Rules};
+use super::recall::{self, Told};
+use super::rules::{LimitRule, MonitorRule, Rules};
 use super::wind::Winds;
 use crate::patience::seconds;
+
+/// Readings of a safety monitor may be so old, where the configuration has no other limit and its node asks often.
+const LEAST_ALLOWED: Duration = Duration::from_secs(5);
+/// However seldom a node asks, by its own figure.
+const MOST_ALLOWED: Duration = Duration::from_secs(60);
+/// What answers may take.
+const ANSWERS: Duration = Duration::from_secs(2);
 
 /// What a safety monitor said.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,8 +64,14 @@ pub struct History {
     pub winds: Winds,
     /// How the machines stand.
     pub nodes: Nodes,
+    /// How often each device is asked, as its node publishes, machine time.
+    polls: BTreeMap<Device, Duration>,
+    /// Sky seconds in a machine second.
+    pub speed: f64,
     /// Altitude of the Sun now, degrees, or why it is not known.
     pub sun_altitude_deg: Result<f64, String>,
+    /// Whose clock that is by, where clocks disagree.
+    pub sun_by: Option<String>,
 }
 
 impl History {
@@ -78,15 +91,50 @@ impl History {
             freeze: Freeze::default(),
             winds: Winds::default(),
             nodes: Nodes::default(),
+            polls: BTreeMap::new(),
+            speed: 1.0,
             sun_altitude_deg: Err("not computed yet".to_owned()),
+            sun_by: None,
+        }
+    }
+
+    /// The age at which a monitor's reading is worth nothing any more, machine time.
+    pub fn allowed_of_monitor(&self, rule: &MonitorRule) -> Duration {
+        match self.polls.get(&rule.device).filter(|_| rule.by_period) {
+            // five polls, so that one lost answer is no alarm; whatever a node publishes, no monitor is silent for minutes
+            Some(poll) => (*poll * 5).clamp(LEAST_ALLOWED, MOST_ALLOWED).max(rule.max_age),
+            None => rule.max_age,
+        }
+    }
+
+    /// The same of a value with a limit.
+    pub fn allowed(&self, rule: &LimitRule) -> Duration {
+        match self.polls.get(&rule.device).filter(|_| rule.by_period) {
+            // one lost answer, and the time that answers take
+            Some(poll) => (*poll * 2 + ANSWERS).min(MOST_ALLOWED).max(rule.max_age),
+            None => rule.max_age,
+        }
+    }
+
+    fn note_poll<F>(&mut self, device: &Device, state: &DeviceState<F>) {
+        let poll = Duration::try_from_secs_f64(state.poll_s.unwrap_or(state.period_s));
+        // a state from a record does not contain it
+        if let Ok(poll) = poll
+            && !poll.is_zero()
+        {
+            self.polls.insert(device.clone(), poll);
         }
     }
 
     /// Takes in a state of a safety monitor.
     pub fn hear_monitor(&mut self, rules: &Rules, device: &Device, state: &DeviceState<Monitor>, at: Now) {
+        self.note_poll(device, state);
+        let read_at = aged(at, state.age_s("IsSafe"), self.speed);
         for (rule, record) in rules.monitors.iter().zip(&mut self.monitors) {
             if rule.device == *device {
-                record.push(Entry { at, outcome: monitor_reading(state) });
+                let outcome = read_at.clone().and_then(|_| monitor_reading(state));
+                let at = after(record, read_at.clone().unwrap_or(at));
+                record.push(Entry { at, outcome });
                 record.forget(at, rule.dwell);
             }
         }
@@ -94,20 +142,54 @@ impl History {
 
     /// Takes in a state of a weather station; `speed` turns the station's own age into machine time.
     pub fn hear_weather(&mut self, rules: &Rules, device: &Device, state: &DeviceState<Weather>, speed: f64, at: Now) {
+        self.note_poll(device, state);
+        self.weather(rules, device, state, &recall::ages_s(state), speed, at);
+    }
+
+    fn weather(
+        &mut self,
+        rules: &Rules,
+        device: &Device,
+        state: &DeviceState<Weather>,
+        ages_s: &BTreeMap<String, f64>,
+        speed: f64,
+        at: Now,
+    ) {
         if connected(state).is_ok() {
             self.freeze.hear(device, &state.fields, at.machine);
             self.winds.hear(device, &state.fields, at.machine);
         }
-        self.hear_limits(rules, device, at, |rule| parameter(state, &rule.parameter, rule.max_age, speed));
+        let told_s = ages_s.get("TimeSinceLastUpdate").copied().unwrap_or(0.0);
+        self.hear_limits(rules, device, at, |rule, allowed| {
+            let value = parameter(state, &rule.parameter, allowed, speed, told_s);
+            (value, oldest_s(ages_s, made_of(&rule.parameter)))
+        });
     }
 
     /// Takes in a state of a set of switches.
     pub fn hear_switch(&mut self, rules: &Rules, device: &Device, state: &DeviceState<Switches>, at: Now) {
-        self.hear_limits(rules, device, at, |rule| {
-            connected(state)?;
-            let value = number_of(&rule.parameter).and_then(|number| state.fields.values.get(number));
-            let value = value.ok_or_else(|| format!("there is no {}", rule.parameter))?;
-            value.as_result().copied().map_err(ToString::to_string)
+        self.note_poll(device, state);
+        self.switch(rules, device, state, &recall::ages_s(state), at);
+    }
+
+    fn switch(
+        &mut self,
+        rules: &Rules,
+        device: &Device,
+        state: &DeviceState<Switches>,
+        ages_s: &BTreeMap<String, f64>,
+        at: Now,
+    ) {
+        self.hear_limits(rules, device, at, |rule, _| {
+            let number = number_of(&rule.parameter);
+            let value = || {
+                connected(state)?;
+                let value = number.and_then(|number| state.fields.values.get(number));
+                let value = value.ok_or_else(|| format!("there is no {}", rule.parameter))?;
+                value.as_result().copied().map_err(ToString::to_string)
+            };
+            let property = number.map(|number| format!("GetSwitchValue{number}")).unwrap_or_default();
+            (value(), oldest_s(ages_s, [property.as_str()]))
         });
     }
 
@@ -133,7 +215,7 @@ impl History {
             self.freeze.forget(device);
         }
         for told in told {
-            self.hear_weather(rules, device, &state(told.link, told.fields), speed, told.at);
+            self.weather(rules, device, &state(told.link, told.fields), &told.ages_s, speed, told.at);
         }
         Ok(())
     }
@@ -143,7 +225,7 @@ impl History {
         self.awaited.remove(device);
         self.forget(rules, device, told.first().map(|first| first.at));
         for told in told {
-            self.hear_switch(rules, device, &state(told.link, told.fields), told.at);
+            self.switch(rules, device, &state(told.link, told.fields), &told.ages_s, told.at);
         }
     }
 
@@ -156,22 +238,28 @@ impl History {
         }
     }
 
+    /// `read` makes of a limit, and the age that it allows, the value and the age of its reading, s.
     fn hear_limits(
         &mut self,
         rules: &Rules,
         device: &Device,
         at: Now,
-        value: impl Fn(&LimitRule) -> Result<f64, String>,
+        read: impl Fn(&LimitRule, Duration) -> (Result<f64, String>, Option<f64>),
     ) {
         for (index, rule) in rules.limits.iter().enumerate().filter(|(_, rule)| rule.device == *device) {
-            self.hear_value(rule, index, value(rule), at);
+            let (value, age_s) = read(rule, self.allowed(rule));
+            let read_at = aged(at, age_s, self.speed);
+            let value = read_at.clone().and(value);
+            self.hear_value(rule, index, value, read_at.unwrap_or(at));
         }
     }
 
-    /// Takes in a value for the limit of this index, or why there is none.
+    /// Takes in a value for the limit of this index that was read then, or why there is none.
     pub fn hear_value(&mut self, rule: &LimitRule, index: usize, value: Result<f64, String>, at: Now) {
+        let allowed = self.allowed(rule);
         let (Some(record), Some(window)) = (self.limits.get_mut(index), self.windows.get_mut(index)) else { return };
-        let is_gap = record.newest().is_some_and(|newest| at.machine.since(newest.at.machine) > rule.max_age);
+        let at = after(record, at);
+        let is_gap = record.newest().is_some_and(|newest| at.machine.since(newest.at.machine) > allowed);
         if value.is_err() || is_gap {
             window.miss(rule.measure, rule.needs_each());
         }
@@ -197,7 +285,42 @@ impl History {
 
 /// A state of which no more is known than verdicts need.
 fn state<F>(link: Link, fields: F) -> DeviceState<F> {
-    DeviceState { link, busy: false, period_s: 0.0, last_command: None, fields, readings: BTreeMap::new() }
+    DeviceState {
+        link,
+        busy: false,
+        period_s: 0.0,
+        poll_s: None,
+        last_command: None,
+        fields,
+        readings: BTreeMap::new(),
+    }
+}
+
+/// When a reading was made that was so old at that moment: not when it was published.
+fn aged(at: Now, age_s: Option<f64>, speed: f64) -> Result<Now, String> {
+    let Some(age_s) = age_s else { return Ok(at) };
+    let age = Duration::try_from_secs_f64(age_s).map_err(|_| format!("its age is given as {age_s} s"))?;
+    Ok(Now { machine: at.machine.minus(age), sky: at.sky.minus(age.mul_f64(speed)) })
+}
+
+/// A reading that is published again never comes before the newest one: both ways here took a little time.
+fn after<T: Clone>(record: &Record<T>, at: Now) -> Now {
+    record.newest().map(|newest| newest.at).filter(|newest| newest.machine > at.machine).unwrap_or(at)
+}
+
+/// The age of the oldest reading that something is made of; one that is none decides for all.
+fn oldest_s<'a>(ages_s: &BTreeMap<String, f64>, properties: impl IntoIterator<Item = &'a str>) -> Option<f64> {
+    let ages = properties.into_iter().filter_map(|name| ages_s.get(name).copied());
+    ages.reduce(|a, b| if a.is_nan() || b.is_nan() || a < 0.0 || b < 0.0 { f64::NAN } else { a.max(b) })
+}
+
+/// The ASCOM properties that a parameter is made of.
+fn made_of(parameter: &str) -> Vec<&str> {
+    match parameter {
+        "RelativeSkyTemp" => vec!["SkyTemperature", "Temperature"],
+        "DewPointMargin" => vec!["Temperature", "DewPoint"],
+        name => vec![name],
+    }
 }
 
 fn connected<F>(state: &DeviceState<F>) -> Result<(), String> {
@@ -214,11 +337,22 @@ fn monitor_reading(state: &DeviceState<Monitor>) -> Result<MonitorReading, Strin
     Ok(MonitorReading { is_safe, gapless_safe: seconds(state.fields.gapless_safe_s) })
 }
 
-/// The value of a parameter in a station's state, or why there is none.
-fn parameter(state: &DeviceState<Weather>, name: &str, max_age: Duration, speed: f64) -> Result<f64, String> {
+/// The value of a parameter in a station's state, or why there is none; `told_s` is how long ago the station published how old
+/// its own measurement is.
+fn parameter(
+    state: &DeviceState<Weather>,
+    name: &str,
+    max_age: Duration,
+    speed: f64,
+    told_s: f64,
+) -> Result<f64, String> {
     connected(state)?;
     if let Some(age_s) = state.fields.sensor_age_s.known() {
-        let age_s = age_s / speed;
+        // ASCOM's word for "nothing was ever measured"; what it says beside that is no measurement
+        if *age_s < 0.0 {
+            return Err(format!("never measured: the station says that its own measurement is {age_s} s old"));
+        }
+        let age_s = age_s / speed + told_s;
         if age_s.is_nan() || age_s > max_age.as_secs_f64() {
             return Err(format!("stale: the station's own measurement is {age_s:.0} s old"));
         }
@@ -267,8 +401,8 @@ mod tests {
     #[test]
     fn derived_parameters_need_both_of_their_values() {
         let both = weather(Weather { sky_c: Datum::Known(-20.0), air_c: Datum::Known(5.0), ..Default::default() });
-        assert_eq!(parameter(&both, "RelativeSkyTemp", MAX_AGE, 1.0), Ok(-25.0));
-        assert_eq!(parameter(&both, "DewPointMargin", MAX_AGE, 1.0).unwrap_err(), "DewPoint: never read");
+        assert_eq!(parameter(&both, "RelativeSkyTemp", MAX_AGE, 1.0, 0.0), Ok(-25.0));
+        assert_eq!(parameter(&both, "DewPointMargin", MAX_AGE, 1.0, 0.0).unwrap_err(), "DewPoint: never read");
     }
 
     #[test]
@@ -278,11 +412,13 @@ mod tests {
             sensor_age_s: Datum::Known(age_s),
             ..Default::default()
         };
-        assert_eq!(parameter(&weather(fields(59.0)), "Humidity", MAX_AGE, 1.0), Ok(50.0));
-        assert!(parameter(&weather(fields(61.0)), "Humidity", MAX_AGE, 1.0).is_err());
-        assert!(parameter(&weather(fields(f64::NAN)), "Humidity", MAX_AGE, 1.0).is_err());
+        assert_eq!(parameter(&weather(fields(59.0)), "Humidity", MAX_AGE, 1.0, 0.0), Ok(50.0));
+        assert!(parameter(&weather(fields(61.0)), "Humidity", MAX_AGE, 1.0, 0.0).is_err());
+        assert!(parameter(&weather(fields(f64::NAN)), "Humidity", MAX_AGE, 1.0, 0.0).is_err());
+        let never = parameter(&weather(fields(-1.0)), "Humidity", MAX_AGE, 1.0, 0.0);
+        assert_eq!(never.unwrap_err(), "never measured: the station says that its own measurement is -1 s old");
         // at 100 x speed a sky minute is 0.6 s of the machine
-        assert_eq!(parameter(&weather(fields(5000.0)), "Humidity", MAX_AGE, 100.0), Ok(50.0));
+        assert_eq!(parameter(&weather(fields(5000.0)), "Humidity", MAX_AGE, 100.0, 0.0), Ok(50.0));
     }
 
     #[test]
@@ -290,10 +426,10 @@ mod tests {
         let fields =
             Weather { humidity_percent: Datum::Known(-3.0), wind_mps: Datum::Known(f64::NAN), ..Default::default() };
         let mut state = weather(fields);
-        assert!(parameter(&state, "Humidity", MAX_AGE, 1.0).is_err());
-        assert!(parameter(&state, "WindSpeed", MAX_AGE, 1.0).is_err());
+        assert!(parameter(&state, "Humidity", MAX_AGE, 1.0, 0.0).is_err());
+        assert!(parameter(&state, "WindSpeed", MAX_AGE, 1.0, 0.0).is_err());
         state.fields.humidity_percent = Datum::Known(30.0);
         state.link = Link::Lost { reason: NoData::new("timeout", "2 s") };
-        assert_eq!(parameter(&state, "Humidity", MAX_AGE, 1.0).unwrap_err(), "link lost: timeout: 2 s");
+        assert_eq!(parameter(&state, "Humidity", MAX_AGE, 1.0, 0.0).unwrap_err(), "link lost: timeout: 2 s");
     }
 }

@@ -23,7 +23,8 @@ pub struct Intervals {
 impl Intervals {
     /// Those that ended in earlier lives; lines that cannot be read are passed over, the file is for people.
     pub fn read(path: &Path) -> Self {
-        let text = std::fs::read_to_string(path).unwrap_or_default();
+        // half a line of a crash may end within a character
+        let text = String::from_utf8_lossy(&std::fs::read(path).unwrap_or_default()).into_owned();
         let lines: Vec<&str> = text.lines().collect();
         let kept = lines.get(lines.len().saturating_sub(KEPT)..).unwrap_or_default();
         if kept.len() < lines.len()

@@ -46,20 +46,25 @@ pub fn judge(rules: &Rules, history: &History, now: Now) -> Judgement {
     }
     for (index, rule) in rules.monitors.iter().enumerate() {
         match history.monitors.get(index) {
-            Some(record) => hear_monitor(rule, record, now, &mut hearing),
+            Some(record) => hear_monitor(rule, record, history.allowed_of_monitor(rule), now, &mut hearing),
             None => hearing.closing(&rule.input, "nothing heard yet".to_owned(), None),
         }
     }
     for (rule, record) in limits(rules, history) {
         if rule.needs_each() {
-            hear_required(rule, record, now, &mut hearing);
+            hear_required(rule, record, history.allowed(rule), now, &mut hearing);
         } else {
             hear_optional(rule, record, history, now, &mut hearing);
         }
     }
     hear_votes(rules, history, now, &mut hearing);
+    if rules.nothing_tells {
+        let why = "no safety monitor and no weather limit is configured, so that no input reports whether it rains; add one to \
+                   observatory.toml";
+        hearing.closing("safety inputs", why.to_owned(), None);
+    }
     if let Some(most_deg) = rules.sun_altitude_max_deg {
-        hear_sun(most_deg, &history.sun_altitude_deg, &mut hearing);
+        hear_sun(most_deg, history, &mut hearing);
     }
     if !rules.frozen_after.is_zero() {
         hear_frozen(rules, history, now, &mut hearing);
@@ -166,8 +171,14 @@ fn minutes(duration: Duration) -> f64 {
     duration.as_secs_f64() / 60.0
 }
 
-fn hear_monitor(rule: &MonitorRule, record: &Record<MonitorReading>, now: Now, hearing: &mut Hearing) {
-    let evidence = record.evidence(now, rule.max_age, |reading| reading.is_safe);
+fn hear_monitor(
+    rule: &MonitorRule,
+    record: &Record<MonitorReading>,
+    allowed: Duration,
+    now: Now,
+    hearing: &mut Hearing,
+) {
+    let evidence = record.evidence(now, allowed, |reading| reading.is_safe);
     let good = matches!(evidence, Evidence::Good { .. });
     hearing.input(&rule.input, record, now, good, |reading| {
         if reading.is_safe { "safe".to_owned() } else { "not safe".to_owned() }
@@ -186,8 +197,14 @@ fn hear_monitor(rule: &MonitorRule, record: &Record<MonitorReading>, now: Now, h
 }
 
 /// What a limit's record speaks for, noted among the inputs.
-fn weigh(rule: &LimitRule, record: &Record<Measured>, now: Now, hearing: &mut Hearing) -> Evidence<Measured> {
-    let evidence = record.evidence(now, rule.max_age, |measured| !measured.tripped);
+fn weigh(
+    rule: &LimitRule,
+    record: &Record<Measured>,
+    allowed: Duration,
+    now: Now,
+    hearing: &mut Hearing,
+) -> Evidence<Measured> {
+    let evidence = record.evidence(now, allowed, |measured| !measured.tripped);
     let good = matches!(evidence, Evidence::Good { .. });
     hearing.input(&rule.input, record, now, good, |measured| number(measured.value));
     if let Evidence::Good { newest, .. } = &evidence
@@ -199,8 +216,8 @@ fn weigh(rule: &LimitRule, record: &Record<Measured>, now: Now, hearing: &mut He
     evidence
 }
 
-fn hear_required(rule: &LimitRule, record: &Record<Measured>, now: Now, hearing: &mut Hearing) {
-    match weigh(rule, record, now, hearing) {
+fn hear_required(rule: &LimitRule, record: &Record<Measured>, allowed: Duration, now: Now, hearing: &mut Hearing) {
+    match weigh(rule, record, allowed, now, hearing) {
         Evidence::Missing(reason) => hearing.against(rule.response, &rule.input, reason, None),
         Evidence::Bad(measured) => hearing.violated(rule, measured, ""),
         Evidence::Good { since, .. } => {
@@ -213,7 +230,7 @@ fn hear_required(rule: &LimitRule, record: &Record<Measured>, now: Now, hearing:
 /// one until a good one has come, and the dwell counts from the last bad one or the start of the listening; a record of the
 /// time before counts from the first value that it holds, since a bad one may have come before.
 fn hear_optional(rule: &LimitRule, record: &Record<Measured>, history: &History, now: Now, hearing: &mut Hearing) {
-    weigh(rule, record, now, hearing);
+    weigh(rule, record, history.allowed(rule), now, hearing);
     if let Some(Ok(measured)) = record.last_known().map(|entry| &entry.outcome)
         && measured.tripped
     {
@@ -235,7 +252,7 @@ fn hear_votes(rules: &Rules, history: &History, now: Now, hearing: &mut Hearing)
         let voters = limits(rules, history)
             .filter(|(other, _)| other.vote.as_deref() == Some(vote) && other.response == rule.response);
         let proven = voters.filter_map(|(other, record)| {
-            match record.evidence(now, other.max_age, |measured| !measured.tripped) {
+            match record.evidence(now, history.allowed(other), |measured| !measured.tripped) {
                 Evidence::Good { since, .. } => Some((now.sky.since(since), other.dwell)),
                 Evidence::Missing(_) | Evidence::Bad(_) => None,
             }
@@ -248,12 +265,14 @@ fn hear_votes(rules: &Rules, history: &History, now: Now, hearing: &mut Hearing)
     }
 }
 
-fn hear_sun(most_deg: f64, altitude_deg: &Result<f64, String>, hearing: &mut Hearing) {
+fn hear_sun(most_deg: f64, history: &History, hearing: &mut Hearing) {
+    let altitude_deg = &history.sun_altitude_deg;
     let (input, is_low) = ("sun", altitude_deg.as_ref().is_ok_and(|altitude_deg| *altitude_deg <= most_deg));
     let value = altitude_deg.as_ref().map_or_else(Clone::clone, |altitude_deg| format!("{altitude_deg:.1} deg"));
     if !is_low {
         hearing.speaks_against |= altitude_deg.is_ok();
-        hearing.closing(input, format!("altitude {value}, allowed are {} deg", number(most_deg)), None);
+        let by = history.sun_by.as_ref().map(|by| format!(" if {by}")).unwrap_or_default();
+        hearing.closing(input, format!("altitude {value}{by}, allowed are {} deg", number(most_deg)), None);
     }
     hearing.inputs.push(InputState { input: input.to_owned(), value, age_s: Some(0.0), good: is_low });
 }
@@ -294,3 +313,7 @@ mod tests;
 #[cfg(test)]
 #[path = "judge_site_tests.rs"]
 mod site_tests;
+
+#[cfg(test)]
+#[path = "judge_age_tests.rs"]
+mod age_tests;

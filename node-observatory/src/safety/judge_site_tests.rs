@@ -11,6 +11,7 @@ fn state<F>(fields: F) -> DeviceState<F> {
         link: Link::Connected,
         busy: false,
         period_s: 5.0,
+        poll_s: None,
         last_command: None,
         fields,
         readings: std::collections::BTreeMap::new(),

@@ -16,12 +16,13 @@ pub(super) fn device(kind: Kind, name: &str) -> Device {
     Address::new("site", "scope").unwrap().device(kind, &name.parse().unwrap())
 }
 
-fn monitor(name: &str, dwell_s: u64) -> MonitorRule {
+pub(super) fn monitor(name: &str, dwell_s: u64) -> MonitorRule {
     MonitorRule {
         input: format!("safetymonitor/{name}"),
         device: device(Kind::SafetyMonitor, name),
         dwell: Duration::from_secs(dwell_s),
         max_age: Duration::from_secs(5),
+        by_period: false,
     }
 }
 
@@ -35,6 +36,7 @@ pub(super) fn limit(upper: f64, dwell_s: u64, required: bool) -> LimitRule {
         reopen: Bounds { upper: Some(upper), lower: None },
         dwell: Duration::from_secs(dwell_s),
         max_age: Duration::from_secs(15),
+        by_period: false,
         required,
         response: Response::Close,
         vote: None,
@@ -51,8 +53,8 @@ fn word(is_safe: bool, gapless_s: u64) -> MonitorReading {
 
 /// What one monitor (safe every second from `from` to `to`) and one weather station said.
 pub(super) struct Story {
-    rules: Rules,
-    history: History,
+    pub(super) rules: Rules,
+    pub(super) history: History,
 }
 
 impl Story {
@@ -91,7 +93,7 @@ impl Story {
     }
 }
 
-fn one_monitor(dwell_s: u64) -> Story {
+pub(super) fn one_monitor(dwell_s: u64) -> Story {
     Story::new(Rules { monitors: vec![monitor("m", dwell_s)], ..Rules::default() })
 }
 
@@ -99,7 +101,7 @@ fn one_limit(dwell_s: u64, required: bool) -> Story {
     Story::new(weather(vec![limit(80.0, dwell_s, required)]))
 }
 
-fn why(judgement: &Judgement) -> &str {
+pub(super) fn why(judgement: &Judgement) -> &str {
     &judgement.reasons[0].why
 }
 

@@ -1,5 +1,6 @@
 //! The verdict: what is heard, how it is judged, and the task that never stops doing both.
 
+pub mod clocks;
 mod ears;
 pub mod frozen;
 pub mod heard;
@@ -12,6 +13,7 @@ pub mod recall;
 pub mod rules;
 pub mod task;
 pub mod wind;
+pub mod writers;
 
 use std::time::Duration;
 

@@ -22,8 +22,26 @@ pub struct Nodes {
     heard: BTreeMap<String, Heard>,
 }
 
+/// A clock other than this one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Witness {
+    /// Whose.
+    pub clock: String,
+    /// By how much it is ahead of this node's wall clock, s.
+    pub offset_s: f64,
+    /// It is not the wall clock of this machine.
+    pub of_other_machine: bool,
+    /// It is a mount's.
+    pub is_mount: bool,
+}
+
+/// Figures of a device node's state end so: by how much the clock of the mount of that name is ahead of the node's, s.
+pub const MOUNT_CLOCK: &str = "_clock_offset_s";
+
 #[derive(Debug, Clone, Default)]
 struct Heard {
+    host: String,
+    mounts: Vec<(String, f64)>,
     offsets_s: VecDeque<f64>,
     data_free_gb: Option<f64>,
     at: Option<MachineTime>,
@@ -48,7 +66,30 @@ impl Nodes {
             heard.offsets_s.pop_front();
         }
         heard.data_free_gb = state.figures.get(DATA_FREE).and_then(contract::Scalar::number);
+        heard.host = state.host.clone();
+        let mounts = state.figures.iter().filter_map(|(name, value)| {
+            let offset_s = value.number().filter(|s| s.is_finite())?;
+            Some((name.strip_suffix(MOUNT_CLOCK)?.to_owned(), offset_s))
+        });
+        heard.mounts = mounts.collect();
         heard.at = Some(now);
+    }
+
+    /// The clocks of nodes that published lately, and of their mounts; `host` is this machine.
+    pub fn witnesses(&self, host: &str, now: MachineTime) -> Vec<Witness> {
+        let mut witnesses = Vec::new();
+        for (node, heard) in &self.heard {
+            let lately = heard.at.is_some_and(|at| now.since(at) <= SILENT);
+            let Some(offset_s) = heard.offset_s().filter(|_| lately) else { continue };
+            let of_other_machine = heard.host != host;
+            let clock = format!("the clock of node {node}");
+            witnesses.push(Witness { clock, offset_s, of_other_machine, is_mount: false });
+            for (mount, mount_s) in &heard.mounts {
+                let (clock, offset_s) = (format!("the clock of mount {mount}"), offset_s + mount_s);
+                witnesses.push(Witness { clock, offset_s, of_other_machine: true, is_mount: true });
+            }
+        }
+        witnesses
     }
 
     /// What speaks against exposing, for nodes that were heard lately.

@@ -5,6 +5,7 @@
 //! is told by live states alone; states that the record has and nobody heard after the newest live one are left out.
 //! A record that does not fit is refused as a whole, and the dwell runs as without one.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use bus::MachineTime;
@@ -32,6 +33,13 @@ pub struct Told<F> {
     pub link: Link,
     /// What nodes decide with.
     pub fields: F,
+    /// How old its readings were when it was published, s of machine time; those that are not listed were fresh.
+    pub ages_s: BTreeMap<String, f64>,
+}
+
+/// The ages of a state's readings.
+pub fn ages_s<F>(state: &DeviceState<F>) -> BTreeMap<String, f64> {
+    state.readings.iter().filter_map(|(name, reading)| Some((name.clone(), reading.age_s?))).collect()
 }
 
 /// What was heard live of one device while its node is asked for the time before.
@@ -62,7 +70,8 @@ impl<F: Payload + PartialEq> Recall<F> {
 
     /// Takes in a live state, newer than those before; false if it is of another life, which knows nothing of the first.
     pub fn hear(&mut self, said: &Stamped<DeviceState<F>>, at: Now) -> bool {
-        let told = Told { at, link: said.body.link.clone(), fields: said.body.fields.clone() };
+        let told =
+            Told { at, link: said.body.link.clone(), fields: said.body.fields.clone(), ages_s: ages_s(&said.body) };
         let same_life = said.boot_id == self.boot_id;
         if same_life {
             self.live.push((said.seq, told));
@@ -92,6 +101,7 @@ impl<F: Payload + PartialEq> Recall<F> {
             at: Now { sky: sky.minus(age.mul_f64(asked.speed)), machine: answered.minus(*age) },
             link: entry.link.clone(),
             fields: entry.fields.clone(),
+            ages_s: entry.reading_ages_s.clone(),
         });
         let later = self.live.iter().filter(|(seq, _)| *seq > last.seq).map(|(_, told)| told.clone());
         Ok(placed.chain(later).collect())

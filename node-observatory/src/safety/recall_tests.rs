@@ -57,9 +57,23 @@ impl Station {
 
     fn stamped(&self, index: usize) -> Stamped<DeviceState<Fields>> {
         let (_, link, fields) = self.said[index].clone();
-        let body =
-            DeviceState { link, busy: false, period_s: 5.0, last_command: None, fields, readings: BTreeMap::new() };
-        Stamped { boot_id: self.boot_id.clone(), seq: index as u64, at_utc: units::Utc::EPOCH, body }
+        let body = DeviceState {
+            link,
+            busy: false,
+            period_s: 5.0,
+            poll_s: None,
+            last_command: None,
+            fields,
+            readings: BTreeMap::new(),
+        };
+        Stamped {
+            boot_id: self.boot_id.clone(),
+            seq: index as u64,
+            at_utc: units::Utc::EPOCH,
+            sent_s: None,
+            held_s: None,
+            body,
+        }
     }
 
     /// What its node answers at this moment.
@@ -68,6 +82,7 @@ impl Station {
         let entries = said.map(|(index, (said_ms, link, fields))| Entry {
             seq: index as u64,
             age_s: (at_ms - said_ms) as f64 / 1000.0,
+            reading_ages_s: BTreeMap::new(),
             link: link.clone(),
             fields: fields.clone(),
         });
@@ -173,6 +188,7 @@ fn limit() -> LimitRule {
         reopen: bounds,
         dwell: Duration::from_secs(300),
         max_age: Duration::from_millis(15_500),
+        by_period: false,
         required: true,
         response: Response::Close,
         vote: None,
@@ -359,6 +375,7 @@ fn limits() -> impl Strategy<Value = LimitRule> {
             measure,
             dwell: Duration::from_secs(dwell_s),
             max_age: Duration::from_millis(age_s * 1000 + 500),
+            by_period: false,
             required,
             vote,
             reopen: Bounds { upper: Some(reopen), lower: None },
@@ -415,7 +432,7 @@ proptest! {
         let station = Station::new().says([0, 5, 10], 50.0);
         let recall = heard(&station, 1..3);
         let entries = ages.into_iter().zip(first..).map(|(age_s, seq)| {
-            Entry { seq, age_s, link: Link::Connected, fields: air(5 * seq as i64, Datum::Known(50.0)) }
+            Entry { seq, age_s, reading_ages_s: BTreeMap::new(), link: Link::Connected, fields: air(5 * seq as i64, Datum::Known(50.0)) }
         });
         let record = Record { boot_id: station.boot_id.clone(), speed, entries: entries.collect() };
         for speed in [SPEED, speed] {

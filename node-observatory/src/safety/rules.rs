@@ -17,8 +17,10 @@ pub struct MonitorRule {
     pub device: Device,
     /// Safe only after so long without any other word, sky time.
     pub dwell: Duration,
-    /// Silence longer than this is unsafe, machine time.
+    /// A reading older than this is unsafe, machine time.
     pub max_age: Duration,
+    /// Nobody set that age: a device that is asked less often may be older, as its node publishes (`History::allowed`).
+    pub by_period: bool,
 }
 
 /// A limit on one parameter of one weather station.
@@ -38,8 +40,10 @@ pub struct LimitRule {
     pub reopen: Bounds,
     /// Safe only after so long without a violation, sky time.
     pub dwell: Duration,
-    /// Silence longer than this is a missing value, machine time.
+    /// A reading older than this is a missing value, machine time.
     pub max_age: Duration,
+    /// Nobody set that age: a device that is asked less often may be older, as its node publishes (`History::allowed`).
+    pub by_period: bool,
     /// A missing value is unsafe.
     pub required: bool,
     /// What a violation leads to.
@@ -85,6 +89,8 @@ pub struct Rules {
     pub wind_sector: Option<WindSector>,
     /// Limits that are not heeded, with the reason.
     pub disabled: Vec<(String, String)>,
+    /// There is an enclosure, and no input that decides whether it may be open.
+    pub nothing_tells: bool,
     /// A person wants it closed, in words.
     pub stay_closed: Option<String>,
 }
@@ -100,13 +106,17 @@ impl Rules {
                 .find(|own| device.address == config.address() && own.common.name == device.name);
             let (dwell_min, max_age_s) = match own {
                 // five polls, so that one lost answer is no alarm
-                Some(own) => (own.dwell_min, own.max_age_s.unwrap_or((5.0 * own.common.period_s).max(5.0))),
-                None => (config.shared.dwell_min, 5.0),
+                Some(own) => (own.dwell_min, own.max_age_s),
+                None => (config.shared.dwell_min, config.shared.max_age_s),
             };
+            let period_s = own.map_or(1.0, |own| own.common.period_s);
+            let by_period = max_age_s.is_none();
+            let max_age_s = max_age_s.unwrap_or((5.0 * period_s).max(5.0));
             let input = format!("safetymonitor/{}", device.name);
             match own.and_then(|own| own.disabled.clone()) {
                 None => {
-                    monitors.push(MonitorRule { input, dwell: dwell(dwell_min), max_age: seconds(max_age_s), device })
+                    let (dwell, max_age) = (dwell(dwell_min), seconds(max_age_s));
+                    monitors.push(MonitorRule { input, dwell, max_age, by_period, device });
                 }
                 Some(why) => disabled.push((input, why)),
             }
@@ -132,7 +142,14 @@ impl Rules {
             }
         }
         let safety = &config.safety;
+        let closes = |limit: &LimitRule| limit.response == Response::Close;
+        let nothing_tells = !config.enclosures().is_empty()
+            && monitors.is_empty()
+            && !limits.iter().any(closes)
+            // a person who disables an input answers for it
+            && disabled.is_empty();
         Self {
+            nothing_tells,
             monitors,
             limits,
             sun_altitude_max_deg: Some(safety.sun_altitude_max_deg),
@@ -174,6 +191,7 @@ impl LimitRule {
             reopen: Bounds { upper: limit.reopen_upper.or(limit.upper), lower: limit.reopen_lower.or(limit.lower) },
             dwell: dwell(limit.dwell_min),
             max_age: seconds(limit.max_age_s.unwrap_or(if swift { 15.0 } else { 60.0 })),
+            by_period: limit.max_age_s.is_none(),
             required: limit.required,
             response: limit.response,
             vote: limit.vote.clone(),

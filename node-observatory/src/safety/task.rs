@@ -10,9 +10,10 @@ use contract::observatory::{AlertKind, Interval, SafetyState, Verdict};
 use contract::{Key, NodeTopic, Role};
 use sky::{EarthOrientation, Observer, Place};
 use tokio::sync::watch;
-use units::Angle;
+use units::{Angle, Utc};
 
 use super::Ruling;
+use super::clocks::{self, Clocks, Doubt};
 use super::ears::{self, Word};
 use super::heard::History;
 use super::history::Now;
@@ -32,7 +33,9 @@ pub async fn keep_judging(
     ruling: watch::Sender<Ruling>,
 ) -> anyhow::Result<()> {
     let clock = node.bus.clock().clone();
-    let (_ears, mut heard) = ears::open(&node, &rules).await?;
+    let (ears, mut heard) = ears::open(&node, &rules).await?;
+    // a file without any input has nobody to listen to: the verdict goes on without
+    let is_deaf = ears.is_empty();
     let nodes = listen_to_nodes(&node).await?;
 
     for (input, why) in &rules.disabled {
@@ -40,12 +43,25 @@ pub async fn keep_judging(
     }
     let started = now(&clock);
     let mut history = History::new(&rules, started.sky);
+    history.speed = clock.speed();
+    let (config, of_machine, utc) = (node.config.clone(), !clock.is_simulated(), clock.utc());
+    let (speed, machine) = (clock.speed(), started.machine);
+    let watched = move || {
+        let folder = of_machine.then_some(config.folders.data.as_path());
+        Clocks::new(folder, config.place.telescope.as_str(), speed, utc, machine)
+    };
+    let mut clocks = tokio::task::spawn_blocking(watched).await?;
+    let host = bus::node::host_name();
     let past = intervals::path(&node.config);
     let read = past.clone();
     let mut past_verdicts = tokio::task::spawn_blocking(move || Intervals::read(&read)).await?;
     loop {
-        history.sun_altitude_deg = sun_altitude_deg(&node.config, &clock);
-        let effective = standing.borrow_and_update().applied_to(&rules, clock.utc());
+        let (utc, machine) = (clock.utc(), clock.machine());
+        let doubts = clocks.doubts(utc, machine, &history.nodes.witnesses(&host, machine));
+        tell(&node.alerts, &doubts);
+        (history.sun_altitude_deg, history.sun_by) = highest_sun(&node.config, utc, &doubts);
+        let (earliest, latest) = clocks::between(utc, &doubts);
+        let effective = standing.borrow_and_update().applied_between(&rules, earliest, latest);
         let judgement = judge(&effective, &history, now(&clock));
         let waited = now(&clock).machine.since(started.machine) >= GRACE;
         let settled = waited || history.all_heard() || judgement.speaks_against;
@@ -58,8 +74,8 @@ pub async fn keep_judging(
                 let own = clock.utc();
                 history.nodes.hear(name, &state.said.body, state.said.at_utc, own, state.arrived);
             }
-            word = heard.recv() => {
-                let Some(word) = word else { anyhow::bail!("the ears of the safety loop are gone") };
+            word = heard.recv(), if !is_deaf => {
+                let Some(word) = word else { anyhow::bail!("nothing listens to the safety inputs any more") };
                 take_in(&mut history, &rules, word, clock.speed());
                 // all that waits, before judging once
                 while let Ok(word) = heard.try_recv() {
@@ -72,11 +88,34 @@ pub async fn keep_judging(
     }
 }
 
-fn sun_altitude_deg(config: &config::Observatory, clock: &Clock) -> Result<f64, String> {
+/// An alert names the clocks that disagree, and by how much.
+fn tell(alerts: &bus::AlertBoard, doubts: &[Doubt]) {
+    if doubts.is_empty() {
+        return alerts.clear(AlertKind::ClocksDisagree, "");
+    }
+    let words: Vec<String> = doubts.iter().map(ToString::to_string).collect();
+    alerts.raise(AlertKind::ClocksDisagree, "", &words.join("; "));
+}
+
+/// The highest altitude of the Sun at the times that it may be, and by whose clock.
+fn highest_sun(config: &config::Observatory, utc: Utc, doubts: &[Doubt]) -> (Result<f64, String>, Option<String>) {
+    let mut highest = (sun_altitude_deg(config, utc), None);
+    for doubt in doubts.iter().filter(|doubt| doubt.counts) {
+        let altitude_deg = sun_altitude_deg(config, utc.plus_seconds(doubt.offset_s));
+        match (&highest.0, &altitude_deg) {
+            (Ok(known), Ok(there)) if there <= known => {}
+            (Err(_), _) => {}
+            (Ok(_), _) => highest = (altitude_deg, Some(format!("{doubt} and right"))),
+        }
+    }
+    highest
+}
+
+fn sun_altitude_deg(config: &config::Observatory, utc: Utc) -> Result<f64, String> {
     let place = &config.place;
     let (latitude, longitude) = (Angle::from_degrees(place.latitude_deg), Angle::from_degrees(place.longitude_deg));
     let place = Place::new(latitude, longitude, place.elevation_m);
-    let observer = place.and_then(|place| Observer::new(&place, &EarthOrientation::default(), clock.utc()));
+    let observer = place.and_then(|place| Observer::new(&place, &EarthOrientation::default(), utc));
     observer.map(|observer| observer.sun().altitude.degrees()).map_err(|error| error.to_string())
 }
 
@@ -161,4 +200,25 @@ fn publish(
         ruling.judged = clock.machine();
         ruling.settled |= settled;
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sun_stands_as_high_as_by_any_clock_that_may_be_right() {
+        let text = "[observatory]\nsite = \"s\"\ntelescope = \"t\"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\nelevation_m = 2635\n";
+        let config = config::parse(text, std::path::Path::new("/")).unwrap();
+        // half an hour before sunrise, by a wall clock that was put back by an hour
+        let utc: Utc = "2026-11-21T08:55:00Z".parse().unwrap();
+        let doubt = |offset_s, counts| Doubt { clock: "the clock of mount m".to_owned(), offset_s, counts };
+        let (altitude_deg, by) = highest_sun(&config, utc, &[]);
+        assert!(altitude_deg.is_ok_and(|deg| deg < -5.0) && by.is_none());
+        let (altitude_deg, by) = highest_sun(&config, utc, &[doubt(-3600.0, true), doubt(3600.0, true)]);
+        assert!(altitude_deg.is_ok_and(|deg| deg > 0.0));
+        assert_eq!(by.unwrap(), "the clock of mount m is +3600 s off this node's wall clock and right");
+        let (altitude_deg, by) = highest_sun(&config, utc, &[doubt(3600.0, false)]);
+        assert!(altitude_deg.is_ok_and(|deg| deg < -5.0) && by.is_none(), "what has no clock does not count");
+    }
 }

@@ -1,5 +1,6 @@
 //! One row of a schedule from its JSON object; all that is wrong with it is told.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use contract::Name;
@@ -10,6 +11,7 @@ use units::Utc;
 use super::fault::{Right as _, error};
 use super::nearest::meant;
 use super::row::{Row, RowId};
+use super::times::{self, Read};
 use super::written::{Of, Position, Written};
 use crate::action::{ACTIONS, AnyAction, Entry, Wrong};
 
@@ -25,6 +27,38 @@ const UNKNOWN: &str = "unknown parameter";
 /// No action has so many parameters; a row with more is told of once.
 const MOST_PARAMETERS: usize = 200;
 const DAY_S: f64 = 86_400.0;
+
+/// Parameters of rows that do not give them, by camera and action.
+pub type Defaults = BTreeMap<String, BTreeMap<String, Map<String, Value>>>;
+
+/// The defaults that a configuration's cameras give to their rows.
+pub fn defaults_of(cameras: &[config::Camera]) -> Defaults {
+    let of_camera = |camera: &config::Camera| {
+        let values = serde_json::to_value(&camera.defaults).and_then(serde_json::from_value);
+        // what TOML can hold is JSON
+        (camera.common.name.to_string(), values.unwrap_or_default())
+    };
+    cameras.iter().filter(|camera| !camera.defaults.is_empty()).map(of_camera).collect()
+}
+
+/// A row with the defaults of its camera, and without parameters that are `null`: they are as if they were not there.
+pub(super) fn whole(object: &Map<String, Value>, defaults: &Defaults) -> Map<String, Value> {
+    let mut object = object.clone();
+    let text = |key: &str| object.get(key).and_then(Value::as_str).unwrap_or_default().to_owned();
+    let of_action = defaults.get(&text("device_name")).and_then(|of_camera| of_camera.get(&text("action_type")));
+    if let Some(of_action) = of_action
+        && matches!(object.get("action_value"), None | Some(Value::Null))
+    {
+        object.insert("action_value".to_owned(), Value::Object(of_action.clone()));
+    }
+    if let Some(Value::Object(values)) = object.get_mut("action_value") {
+        values.retain(|_, value| !value.is_null());
+        for (key, value) in of_action.into_iter().flatten() {
+            values.entry(key.as_str()).or_insert_with(|| value.clone());
+        }
+    }
+    object
+}
 
 /// A row's object while it is read.
 struct Source<'a> {
@@ -121,10 +155,22 @@ impl<'a> Source<'a> {
     }
 
     fn time(&mut self, key: &'static str) -> Option<Utc> {
-        match self.text(key)?.parse() {
+        let text = self.text(key)?;
+        match text.parse() {
             Ok(time) => Some(time),
             Err(bad) => {
                 let bad: units::BadTime = bad;
+                let other = times::read(text);
+                if let Some(Read { utc, is_ambiguous: false }) = other {
+                    return Some(utc);
+                }
+                if let Some(Read { utc, .. }) = other {
+                    let at = self.written.field(key);
+                    let found =
+                        error(Check::Time, at, Some(key), format!("{text:?}: day and month can be either way round"));
+                    self.tell(found.right(format!("write it as {}, if the month comes first", when(utc))));
+                    return None;
+                }
                 self.tell(error(Check::Time, self.written.field(key), Some(key), bad.to_string()));
                 None
             }
@@ -175,7 +221,13 @@ impl<'a> Source<'a> {
                 Some(_) => wrong.what,
                 None => format!("{}: {}", entry.name, wrong.what),
             };
-            self.tell(error(Check::Schema, at, field.as_deref(), what));
+            let found = error(Check::Schema, at, field.as_deref(), what);
+            let given = field.as_ref().and_then(|field| value.get(field)).and_then(Value::as_str);
+            let hint = field.as_deref().zip(given).and_then(|(field, given)| as_number(field, given));
+            self.tell(match hint {
+                Some(hint) => found.right(hint),
+                None => found,
+            });
             let name = field.filter(|_| few && mended.len() < MOST_WRONG)?;
             match example(entry).remove(&name) {
                 Some(good) => drop(value.insert(name.clone(), good)),
@@ -193,6 +245,20 @@ impl<'a> Source<'a> {
             Some(name) => self.written.parameter(name),
         }
     }
+}
+
+/// A text where a number belongs: an angle of three parts, or a number in quotes.
+fn as_number(field: &str, given: &str) -> Option<String> {
+    if let Some(number) = given.trim().parse::<f64>().ok().filter(|number| number.is_finite()) {
+        return Some(format!("leave the quotes away: {number}"));
+    }
+    let degrees = config::sexagesimal(given)?;
+    Some(match field {
+        "ra" if given.contains(['d', '\u{b0}']) => format!("in degrees that is {degrees:.5}"),
+        "ra" => format!("ra is in degrees: {:.5} if these are hours, {degrees:.5} if they are degrees", 15.0 * degrees),
+        "dec" | "alt" | "az" => format!("{field} is in degrees: {degrees:.5}"),
+        _ => return None,
+    })
 }
 
 /// Parameters of which a test proves that nothing is wrong with them.

@@ -87,14 +87,14 @@ async fn read_file(path: PathBuf, room: Arc<ControlRoom>) -> Result<(String, Vec
     read.map_err(|why| format!("{shown}: {why}"))
 }
 
-/// A text of at most [`MOST_BYTES`], whatever the file holds or turns into meanwhile.
-fn read_text(path: &Path) -> io::Result<String> {
+/// A text of at most [`MOST_BYTES`] bytes, whatever the file holds or turns into meanwhile.
+pub fn read_text(path: &Path) -> io::Result<String> {
     let mut bytes = Vec::new();
     std::fs::File::open(path)?.take(MOST_BYTES as u64 + 1).read_to_end(&mut bytes)?;
     if bytes.len() > MOST_BYTES {
         return Err(io::Error::other(format!("more than {MOST_BYTES} bytes, which no schedule has")));
     }
-    String::from_utf8(bytes).map_err(|error| io::Error::other(format!("no UTF-8: {}", error.utf8_error())))
+    config::utf8(bytes).map_err(io::Error::other)
 }
 
 /// Puts what was read in force, or tells why not; returns the text that is to be kept.
@@ -158,7 +158,7 @@ mod tests {
         std::fs::write(&path, " ".repeat(5_000_001)).unwrap();
         assert!(read_text(&path).unwrap_err().to_string().contains("more than 5000000 bytes"));
         std::fs::write(&path, b"{\"object\": \"\xff\"}").unwrap();
-        assert!(read_text(&path).unwrap_err().to_string().contains("no UTF-8"));
+        assert!(read_text(&path).unwrap_err().to_string().contains("not UTF-8"));
         // a file that never ends
         #[cfg(unix)]
         assert!(read_text(Path::new("/dev/zero")).unwrap_err().to_string().contains("more than"));

@@ -12,14 +12,16 @@ pub mod nearest;
 mod parse;
 mod put;
 mod row;
+pub mod times;
 pub mod validate;
 pub mod versions;
 mod written;
 
 pub use fault::Fault;
-pub use file::{Loaded, keep_reading};
+pub use fields::{Defaults, defaults_of};
+pub use file::{Loaded, keep_reading, read_text};
 pub use nearest::meant;
-pub use parse::{Reading, parse, read};
+pub use parse::{Reading, parse, read, read_with};
 pub use put::put;
 pub use row::{Row, RowId};
 pub use written::{Position, Written};

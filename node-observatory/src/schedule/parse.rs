@@ -11,7 +11,7 @@ use contract::observatory::{Check, Finding};
 use serde_json::Value;
 
 use super::fault::{Fault, MOST_FINDINGS, Right as _, error, in_order};
-use super::fields;
+use super::fields::{self, Defaults};
 use super::row::{Row, RowId};
 use super::written::{Cursor, Position, Written};
 
@@ -39,6 +39,11 @@ pub fn parse(text: &str, cameras: &[Name]) -> Result<Vec<Row>, Fault> {
 
 /// Reads what can be read.
 pub fn read(text: &str, cameras: &[Name]) -> Reading {
+    read_with(text, cameras, &Defaults::new())
+}
+
+/// Reads what can be read; parameters that a row does not give are those of its camera.
+pub fn read_with(text: &str, cameras: &[Name], defaults: &Defaults) -> Reading {
     let mut reading = Reading::default();
     let begin = Position { line: 1, column: 1 };
     if text.len() > MOST_BYTES {
@@ -47,7 +52,7 @@ pub fn read(text: &str, cameras: &[Name]) -> Reading {
         return reading;
     }
     let text = text.trim_start_matches('\u{feff}');
-    read_rows(text, cameras, &mut reading);
+    read_rows(text, cameras, defaults, &mut reading);
     if reading.rows.is_empty() && reading.findings.is_empty() {
         let nothing = error(Check::Syntax, begin, None, "the file has no rows");
         reading.findings.push(nothing.right("give at least one, such as a row with action_type \"close\""));
@@ -57,7 +62,7 @@ pub fn read(text: &str, cameras: &[Name]) -> Reading {
     reading
 }
 
-fn read_rows(text: &str, cameras: &[Name], reading: &mut Reading) {
+fn read_rows(text: &str, cameras: &[Name], defaults: &Defaults, reading: &mut Reading) {
     let blanked = without_comments(text);
     let mut twins: HashMap<RowId, usize> = HashMap::new();
     let mut cursor = Cursor::new(text);
@@ -94,7 +99,9 @@ fn read_rows(text: &str, cameras: &[Name], reading: &mut Reading) {
             let written = Written::read(cursor, &blanked, end);
             let twin = twins.entry(RowId::of(&value, 0)).and_modify(|count| *count += 1).or_insert(0);
             let id = RowId::of(&value, *twin);
-            reading.rows.extend(fields::row(object, id, Arc::new(written), cameras, &mut reading.findings));
+            // its id is that of the row as it is written: other defaults make no other row
+            let object = fields::whole(object, defaults);
+            reading.rows.extend(fields::row(&object, id, Arc::new(written), cameras, &mut reading.findings));
             if reading.rows.len() > MOST_ROWS {
                 let what = format!("more than {MOST_ROWS} rows");
                 reading.findings.push(error(Check::Syntax, cursor.position, None, what));
@@ -143,7 +150,11 @@ fn no_json(found: &serde_json::Error, text: &str, from: usize, cursor: Cursor<'_
     let said = plain(found);
     if found.is_eof() {
         let what = format!("no JSON: {said}: the row that begins here has no end");
-        return error(Check::Syntax, cursor.position, None, what).right("close its quotes, brackets and braces");
+        let right = match text.get(begin..).is_some_and(|rest| rest.starts_with('[')) {
+            true => "write the rows one after another, without [ ] around them",
+            false => "close its quotes, brackets and braces",
+        };
+        return error(Check::Syntax, cursor.position, None, what).right(right);
     }
     let at = offset_of(text.get(from..).unwrap_or_default(), found).map_or(begin, |at| (from + at).max(begin));
     let rest = text.get(at..).unwrap_or_default();

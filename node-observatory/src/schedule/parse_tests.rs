@@ -166,7 +166,7 @@ fn wrong_calibrations_are_refused() {
         refused(&row_text("main", "calibration", value, START, END), 1, &[word]);
     }
     let negative = row_text("main", "calibration", r#"{"exptime": [1], "n": [-1]}"#, START, END);
-    refused(&negative, 1, &["n: expected a list of whole numbers", "0 to 1000000 frames, found [-1]"]);
+    refused(&negative, 1, &["n: expected a list of whole numbers", "1 to 1000000 frames, found [-1]"]);
     refused(&row_text("main", "open", r#"{"object": "x"}"#, START, END), 1, &["object: unknown parameter"]);
 }
 
@@ -208,4 +208,34 @@ fn each_wrong_parameter_is_told_where_it_stands_and_what_follows_from_it_is_not(
     let stands = |column: u32| text.chars().skip(column as usize - 1).take(4).collect::<String>();
     let there: Vec<_> = fault.findings.iter().map(|finding| stands(finding.column)).collect();
     assert_eq!(there, ["\"10\"", "95, ", "99, ", "\"gui"]);
+}
+
+#[test]
+fn what_a_row_does_not_give_is_its_cameras_default_and_null_is_as_if_it_were_not_there() {
+    let row = |value: &str| {
+        format!(
+            "{{\"device_name\": \"main\", \"action_type\": \"object\", \"action_value\": {value}, \"start_time\": \"2026-11-21 01:00:00 \
+             UTC\", \"end_time\": \"21.11.2026 05:00\"}}\n"
+        )
+    };
+    let toml = "[observatory]\nsite = \"s\"\ntelescope = \"t\"\nlatitude_deg = 0\nlongitude_deg = 0\nelevation_m = 0\n[[camera]]\nname = \"main\"\n\
+                server = \"a:1\"\ndefaults.object = { exptime = 7, n = 4 }\n";
+    let config = config::parse(toml, std::path::Path::new(".")).unwrap();
+    let defaults = crate::schedule::defaults_of(&config.camera);
+    let text = row(r#"{"object": "x", "ra": 1, "dec": 2, "n": 9, "guiding": null, "pointing": null}"#);
+    let of = |defaults| read_with(&text, &cameras(), defaults);
+    let reading = of(&defaults);
+    assert_eq!(reading.findings, [], "{text}");
+    assert_eq!(
+        (reading.rows[0].action.frames_wanted(), reading.rows[0].end.to_string().get(..13)),
+        (Some(9), Some("2026-11-21T05"))
+    );
+    let without = of(&Defaults::new());
+    assert_eq!(without.findings[0].field.as_deref(), Some("exptime"), "{without:?}");
+    // other defaults make no other row: what is done of it stays done
+    let more = row(r#"{"object": "x", "ra": 1, "dec": 2, "exptime": 3, "n": null}"#);
+    let id = |defaults| read_with(&more, &cameras(), defaults).rows[0].id.clone();
+    assert_eq!(id(&defaults), id(&Defaults::new()));
+    let either_way = more.replace("21.11.2026", "03.04.2026");
+    assert!(super::read(&either_way, &cameras()).findings[0].what.contains("either way round"), "{either_way}");
 }

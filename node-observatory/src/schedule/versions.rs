@@ -74,17 +74,29 @@ impl Versions {
     ///
     /// The index cannot be read, or is larger than any index.
     pub fn list(&self) -> io::Result<Vec<Version>> {
+        Ok(self.read_index()?.0)
+    }
+
+    /// The versions, and what is wrong with other lines of the index.
+    fn read_index(&self) -> io::Result<(Vec<Version>, Option<String>)> {
         let index = self.index();
         let length = match fs::metadata(&index) {
             Ok(about) => about.len(),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok((Vec::new(), None)),
             Err(error) => return Err(error),
         };
         if length > MOST_INDEX_BYTES {
             return Err(io::Error::other(format!("{} has {length} bytes, which no index has", index.display())));
         }
         let text = String::from_utf8_lossy(&fs::read(&index)?).into_owned();
-        Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+        let (mut versions, mut damage): (_, Option<String>) = (Vec::new(), None);
+        for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+            match serde_json::from_str(line) {
+                Ok(version) => versions.push(version),
+                Err(error) => damage = damage.or_else(|| Some(format!("line {} cannot be read: {error}", number + 1))),
+            }
+        }
+        Ok((versions, damage))
     }
 
     /// The text of a version, as it was.
@@ -115,12 +127,17 @@ impl Versions {
     pub fn keep(&self, text: &str, rows: usize, author: &Author, at_utc: Utc) -> io::Result<(u64, bool)> {
         let _pen = self.pen.lock().unwrap_or_else(PoisonError::into_inner);
         fs::create_dir_all(&self.folder)?;
-        let mut kept = self.list()?;
+        let (mut kept, damage) = self.read_index()?;
         let sha256 = sha256(text);
         if let Some(newest) = kept.last().filter(|newest| newest.sha256 == sha256) {
             return Ok((newest.version, false));
         }
-        let version = kept.last().map_or(1, |newest| newest.version + 1);
+        let mut version = kept.last().map_or(1, |newest| newest.version + 1);
+        if let Some(damage) = &damage {
+            // the text of a line that is lost keeps its number
+            version = version.max(self.newest_text() + 1);
+            bus::aside::keep_copy(&self.index(), damage, "The texts of its lost lines stay in the folder.");
+        }
         let reason = author.reason.chars().take(MOST_REASON).collect();
         let bytes = text.len() as u64;
         write_whole(&self.path(version), text)?;
@@ -131,8 +148,25 @@ impl Versions {
             let _ = fs::remove_file(self.path(version));
         }
         written?;
-        self.sweep(bounded(&kept));
+        if damage.is_none() && !self.was_damaged() {
+            self.sweep(bounded(&kept));
+        }
         Ok((version, true))
+    }
+
+    /// The highest number of a text in the folder, whether the index names it or not; 0 where there is none.
+    fn newest_text(&self) -> u64 {
+        let numbers = fs::read_dir(&self.folder).into_iter().flatten().flatten().filter_map(|file| {
+            let name = file.file_name().into_string().ok()?;
+            name.strip_suffix(".jsonl")?.parse::<u64>().ok()
+        });
+        numbers.max().unwrap_or(0)
+    }
+
+    /// Has the index lost lines before? Then their texts are all that is left of them.
+    fn was_damaged(&self) -> bool {
+        let mut files = fs::read_dir(&self.folder).into_iter().flatten().flatten();
+        files.any(|file| file.file_name().to_string_lossy().starts_with("index.jsonl.bad-"))
     }
 
     /// Forgets the newest version, where it is this one: it did not come into force. Blocks.

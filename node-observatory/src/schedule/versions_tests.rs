@@ -45,12 +45,19 @@ fn a_crash_that_left_half_a_line_or_a_text_without_its_line_costs_no_version() {
     let versions = versions(folder.path());
     versions.keep("one\n", 1, &ana(""), at(NOW)).unwrap();
     fs::write(versions.path(2), "a text whose line was never written").unwrap();
-    let mut index = fs::OpenOptions::new().append(true).open(versions.index()).unwrap();
-    index.write_all(b"{\"version\": 2, \"at").unwrap();
-    assert_eq!(versions.list().unwrap().len(), 1);
     assert_eq!(versions.keep("two\n", 1, &ana(""), at(NOW)).unwrap(), (2, true));
     assert_eq!(versions.text(2).unwrap(), "two\n");
+    // a line that is lost leaves its text, its number and the whole index as it was found
+    let mut index = fs::OpenOptions::new().append(true).open(versions.index()).unwrap();
+    index.write_all(b"{\"version\": 3, \"at").unwrap();
+    fs::write(versions.path(3), "three\n").unwrap();
     assert_eq!(versions.list().unwrap().len(), 2);
+    assert_eq!(versions.keep("four\n", 1, &ana(""), at(NOW)).unwrap(), (4, true));
+    assert_eq!(versions.keep("five\n", 1, &ana(""), at(NOW)).unwrap(), (5, true));
+    assert_eq!(fs::read_to_string(versions.path(3)).unwrap(), "three\n");
+    assert_eq!(versions.list().unwrap().len(), 4);
+    let mut files = fs::read_dir(&versions.folder).unwrap().map(|file| file.unwrap().file_name());
+    assert!(files.any(|file| file.to_string_lossy().starts_with("index.jsonl.bad-")));
 }
 
 #[test]

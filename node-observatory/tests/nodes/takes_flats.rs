@@ -8,7 +8,7 @@ use crate::sim::{Sim, telescope};
 use bus::{Catch, Subscriber};
 use contract::device::camera::Frame;
 use contract::observatory::{FrameFacts, RowStatus};
-use contract::{CommandId, Key, Order, OrderKind, Reply};
+use contract::{CommandId, Order, OrderKind, Reply};
 use simulator::Options;
 use sky::{EarthOrientation, Place, next_sun_crossing};
 use units::{Angle, Utc};
@@ -57,7 +57,9 @@ impl Ears {
                 self.heard.push(frame);
             }
         }
-        while let Ok(heard) = tokio::time::timeout(quiet, self.facts.hear()).await {
+        // a frame that has just come is still being measured
+        let untold = |ears: &Self| ears.flats().iter().any(|(frame, _)| !ears.told.contains_key(&frame.id.0));
+        while let Ok(heard) = tokio::time::timeout(if untold(self) { MOST } else { quiet }, self.facts.hear()).await {
             self.told.insert(heard.said.body.frame.0.clone(), heard.said.body);
         }
     }
@@ -181,7 +183,7 @@ async fn a_panel_is_lit_behind_its_cover_and_left_dark_also_by_a_row_that_is_sto
         kind: OrderKind::Robotic(false),
     };
     let address = contract::Address::new("test", "alpha").unwrap();
-    let reply: Reply = sim.bus.ask(&Key::Order(address), &order, Duration::from_secs(3)).await.unwrap();
+    let reply = crate::site::ask(&sim.bus, &address, &order).await;
     assert!(matches!(reply, Reply::Accepted(_)), "{reply:?}");
     let dark_again = |sim: &Sim| puts(sim, "covercalibrator")[before.len()..].contains(&"calibratoroff".to_owned());
     sim.until("dark", MOST, dark_again).await;

@@ -18,14 +18,9 @@ use node_observatory::schedule::Row;
 use node_observatory::schedule::validate::{Known, accept};
 
 /// Two cameras on one mount, a dome, a wheel; a slew takes 6 s and a third of a second per degree, a frame 2 s.
-const SITE: &str = r#"
-[observatory]
-site = "paranal"
-telescope = "callisto"
-latitude_deg = -24.6157
-longitude_deg = -70.3976
-elevation_m = 2518.0
-[schedule.check]
+const SITE: &str = concat!(
+    include_str!("../../../common/config/tests/paranal.toml"),
+    r#"[schedule.check]
 frame_overhead_s = 2.0
 [[telescope]]
 name = "mount"
@@ -51,7 +46,8 @@ filters = ["B", "V", "R"]
 [[dome]]
 name = "dome"
 server = "10.0.0.5:11111"
-"#;
+"#
+);
 
 #[test]
 fn a_week_is_planned_in_seconds() {

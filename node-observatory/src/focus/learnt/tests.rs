@@ -83,6 +83,37 @@ fn runs_through_two_filters_teach_what_the_wheel_does_not_say() {
 }
 
 #[test]
+fn one_bad_run_teaches_neither_offset_nor_coefficient_nor_zone() {
+    // the bad run may come first, last or between
+    for bad in 0..12 {
+        let mut learnt = Learnt::default();
+        // one run more than through B, so that offsets count from V
+        learnt.learn(&run(-48.0, Some("V"), 5000.0 - 15.0 * 14.0, 14.0));
+        for n in 0..12 {
+            let (hours, temperature_c) = (24.0 * f64::from(n), 12.0 - f64::from(n));
+            let off = if n == bad { 900.0 } else { f64::from(n % 3) };
+            let best = 5000.0 - 15.0 * temperature_c;
+            learnt.learn(&run(hours, Some("V"), best, temperature_c));
+            let blue = run(hours + 0.3, Some("B"), best + 40.0 + off, temperature_c);
+            let zone = if n == bad { 1e6 } else { 120.0 };
+            learnt.learn(&FocusRun { critical_zone: Some(zone), ..blue });
+        }
+        let offset = learnt.offset("f", "B", 0);
+        assert!((offset - 41).abs() <= 1, "bad {bad}: {offset}");
+        let model = learnt.model("f").unwrap();
+        assert!((model.steps_per_c.value + 15.0).abs() < 0.5, "bad {bad}: {model:?}");
+        assert_eq!(learnt.critical_zone("f"), Some(120.0), "bad {bad}");
+    }
+    // of two pairs that do not agree nobody knows which one is right
+    let mut learnt = Learnt::default();
+    for (hours, filter, position) in [(0.0, "V", 1000.0), (0.3, "B", 1040.0), (24.0, "V", 1000.0), (24.3, "B", 1900.0)]
+    {
+        learnt.learn(&run(hours, Some(filter), position, 10.0));
+    }
+    assert_eq!(learnt.offset("f", "B", 0), 0);
+}
+
+#[test]
 fn what_found_nothing_or_is_not_to_be_kept_teaches_nothing() {
     let mut learnt = Learnt::default();
     assert!(!learnt.learn(&FocusRun { outcome: FocusOutcome::Failed, ..run(0.0, None, 1.0, 1.0) }));

@@ -22,8 +22,10 @@ use units::Utc;
 
 use self::sky_table::SkyTable;
 use super::fault::{Fault, MOST_FINDINGS, in_order};
-use super::parse::{Reading, read};
+use super::fields::defaults_of;
+use super::parse::{Reading, read_with};
 use super::row::Row;
+use crate::names;
 pub use crate::rig::outlook::read as horizon;
 
 /// What rows are held against.
@@ -35,6 +37,8 @@ pub struct Known {
     horizons: BTreeMap<Name, Horizon>,
     /// What could not be read of all this.
     unread: Vec<String>,
+    /// The positions of the names that were looked up.
+    names: names::Known,
     /// Windows that ended before have passed; nothing is said of that where absent.
     now: Option<Utc>,
 }
@@ -53,12 +57,19 @@ impl Known {
                 Some(Err(why)) => unread.push(format!("horizon of {name}: {why}")),
             }
         }
-        Self { config, filters, horizons, unread, now: None }
+        let names = names::Known::read(&names::Known::path(&config));
+        Self { config, filters, horizons, unread, names, now: None }
     }
 
     /// With the filters that a wheel tells, which count before those of the configuration.
     pub fn with_filters(mut self, wheel: &Name, filters: Vec<String>) -> Self {
         self.filters.insert(wheel.clone(), filters);
+        self
+    }
+
+    /// With what is known of names now.
+    pub(crate) fn with_names(mut self, names: names::Known) -> Self {
+        self.names = names;
         self
     }
 
@@ -87,7 +98,7 @@ impl Known {
 /// # Errors
 /// All that refuses the file.
 pub fn accept(text: &str, known: &Known) -> Result<Vec<Row>, Fault> {
-    let Reading { rows, mut findings } = read(text, &known.cameras());
+    let Reading { rows, mut findings } = read_with(text, &known.cameras(), &defaults_of(&known.config.camera));
     findings.extend(device::check(&rows, known));
     in_order(&mut findings, MOST_FINDINGS);
     if findings.is_empty() { Ok(rows) } else { Err(Fault { findings }) }
@@ -95,7 +106,7 @@ pub fn accept(text: &str, known: &Known) -> Result<Vec<Row>, Fault> {
 
 /// All that is to be said of a schedule.
 pub fn validate(text: &str, known: &Known) -> ScheduleFindings {
-    let Reading { rows, mut findings } = read(text, &known.cameras());
+    let Reading { rows, mut findings } = read_with(text, &known.cameras(), &defaults_of(&known.config.camera));
     let (found, unchecked) = survey(&rows, known);
     findings.extend(found);
     let (errors, warnings) = in_order(&mut findings, MOST_FINDINGS);
@@ -107,6 +118,7 @@ pub fn validate(text: &str, known: &Known) -> ScheduleFindings {
 pub fn survey(rows: &[Row], known: &Known) -> (Vec<Finding>, Vec<String>) {
     let mut unchecked = known.unread.clone();
     unchecked.extend(device::unchecked(rows, known));
+    unchecked.extend(visibility::unchecked(rows, known));
     let mut findings = device::check(rows, known);
     findings.extend(window::check(rows, known.now));
     findings.extend(duration::check(rows, known));

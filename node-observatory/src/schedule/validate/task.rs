@@ -21,7 +21,7 @@ const LOOK: Duration = Duration::from_secs(10);
 
 /// What is known now: the configuration with its horizon files, and the filters that the wheels tell. Reads files.
 pub fn known(room: &ControlRoom) -> Known {
-    let mut known = Known::of(room.node.config.clone());
+    let mut known = Known::of(room.node.config.clone()).with_names(room.names.borrow().clone());
     for wheel in &room.rig.wheels {
         if let Some(can) = wheel.instrument.can() {
             known = known.with_filters(&wheel.instrument.device.name, can.names);
@@ -32,7 +32,7 @@ pub fn known(room: &ControlRoom) -> Known {
 
 /// Shows what is found in the active schedule, at each version and whenever other filters are heard.
 pub async fn keep_surveying(room: Arc<ControlRoom>, mut loaded: watch::Receiver<Loaded>) -> anyhow::Result<()> {
-    let (mut revision, mut taken_at, mut filters) = (0, room.node.bus.clock().utc(), None);
+    let (mut revision, mut taken_at, mut held_before) = (0, room.node.bus.clock().utc(), None);
     loop {
         let newest = loaded.borrow_and_update().clone();
         let here = room.clone();
@@ -42,8 +42,10 @@ pub async fn keep_surveying(room: Arc<ControlRoom>, mut loaded: watch::Receiver<
             // windows that pass while it is worked through are no finding
             (revision, taken_at) = (newest.revision, room.node.bus.clock().utc());
         }
-        if newest.revision > 0 && (is_new || filters.as_ref() != Some(&now_known.filters)) {
-            filters = Some(now_known.filters.clone());
+        // filters that a wheel reports later, and names that are found later
+        let changing = (now_known.filters.clone(), now_known.names.clone());
+        if newest.revision > 0 && (is_new || held_before.as_ref() != Some(&changing)) {
+            held_before = Some(changing);
             let held = now_known.at(taken_at);
             let (mut findings, unchecked) = tokio::task::spawn_blocking(move || survey(&newest.rows, &held)).await?;
             let (errors, warnings) = in_order(&mut findings, MOST_SHOWN);

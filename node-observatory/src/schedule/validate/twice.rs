@@ -42,7 +42,7 @@ fn doubled(rows: &[Row]) -> Vec<Finding> {
 }
 
 fn on_two_mounts(rows: &[Row], known: &Known, sky: &mut SkyTable) -> Vec<Finding> {
-    let aimed = |row| Some((row, known.mount(row)?.common.name.clone(), target(row, sky)?));
+    let aimed = |row| Some((row, known.mount(row)?.common.name.clone(), target(row, known, sky)?));
     let aimed: Vec<(&Row, _, _)> = rows.iter().filter_map(aimed).collect();
     let mut findings = Vec::new();
     for (index, (row, mount, place)) in aimed.iter().enumerate() {

@@ -9,6 +9,7 @@ use super::Known;
 use super::duration::{Estimate, estimate, length};
 use super::sky_table::{Eye, Moment, SkyTable, Slot, Vector, angle_deg, chord, dot, slot_of};
 use crate::action::Place as Aim;
+use crate::names::Found;
 use crate::rig::outlook;
 use crate::schedule::fault::{Right as _, warning};
 use crate::schedule::fields::when;
@@ -17,10 +18,42 @@ use crate::schedule::row::Row;
 /// So much of its window a row may lose to the Sun before that is told, s.
 const SLACK_S: f64 = 60.0;
 
-/// Where a row looks when it begins; none where it does not move the telescope.
-pub(super) fn target(row: &Row, sky: &mut SkyTable) -> Option<Vector> {
-    let aim = row.action.looks_at().filter(|_| row.action.needs().mount)?;
-    sky.direction(&aim, row.start)
+/// What a row looks at, by its place or by what is known of its name; none where it does not move the telescope.
+pub(super) fn aim(row: &Row, known: &Known) -> Option<Aim> {
+    if !row.action.needs().mount {
+        return None;
+    }
+    row.action.looks_at().or_else(|| match known.names.find(row.action.lookup_name()?, row.start).ok()? {
+        Found::Place(place) => Some(Aim::Icrs(place)),
+        Found::Body(body) => Some(Aim::Moving(body)),
+    })
+}
+
+/// Where a row looks when it begins.
+pub(super) fn target(row: &Row, known: &Known, sky: &mut SkyTable) -> Option<Vector> {
+    sky.direction(&aim(row, known)?, row.start)
+}
+
+/// Names that nothing is known of yet: the altitude of these targets is checked once it is.
+pub(super) fn unchecked(rows: &[Row], known: &Known) -> Vec<String> {
+    let mut told = Vec::new();
+    for row in rows.iter().filter(|row| row.action.needs().mount) {
+        if let Some(name) = row.action.lookup_name()
+            && let Err(why) = known.names.find(name, row.start)
+        {
+            let line = row.line;
+            told.push(format!("altitude, Sun and Moon of line {line}: {why}; it is checked once the name is known"));
+        }
+    }
+    told
+}
+
+/// The highest that a place that is fixed among the stars gets at this site, degrees.
+fn highest_deg(aim: Option<&Aim>, known: &Known) -> Option<f64> {
+    match aim? {
+        Aim::Icrs(place) => Some(90.0 - (known.config.place.latitude_deg - place.dec.degrees()).abs()),
+        Aim::Moving(_) | Aim::Horizontal(_) => None,
+    }
 }
 
 /// Rows whose targets, or whose sky, cannot be observed over the whole window.
@@ -63,6 +96,22 @@ impl Bad {
         }
     }
 
+    /// Nothing, where it is reported already.
+    fn is_known_otherwise(&self, is_told: bool) -> &Self {
+        const NONE: &Bad = &Bad {
+            moments: 0,
+            bad: 0,
+            begins: false,
+            ends: false,
+            first_bad: None,
+            last_bad: None,
+            first_good: None,
+            last_good: None,
+            worst: None,
+        };
+        if is_told { NONE } else { self }
+    }
+
     fn is_all(&self) -> bool {
         self.bad == self.moments
     }
@@ -102,7 +151,8 @@ fn look(row: &Row, known: &Known, sky: &mut SkyTable) -> Vec<Finding> {
     if !row.action.needs().safe {
         return Vec::new();
     }
-    let begins = target(row, sky);
+    let begins = target(row, known, sky);
+    let aimed = aim(row, known);
     let mount = known.mount(row);
     let check = &known.config.schedule.check;
     let limits = mount.map(|mount| &mount.limits);
@@ -113,7 +163,7 @@ fn look(row: &Row, known: &Known, sky: &mut SkyTable) -> Vec<Finding> {
     let sun_deg = known.config.safety.sun_altitude_max_deg;
     let sun = sun_deg.to_radians().sin();
     let mut looked = Looked::default();
-    let path = Path::of(row, sky);
+    let path = Path::of(aimed.as_ref(), sky);
     let (mut place, mut placed) = (begins, slot_of(row.start));
     let is_known = sky.walk(row.start, row.end, |now, slot| {
         let height = dot(&now.zenith, &slot.sun);
@@ -142,7 +192,11 @@ fn look(row: &Row, known: &Known, sky: &mut SkyTable) -> Vec<Finding> {
     findings.extend(too_sunny(row, &looked.sunlit, known, sun_deg));
     let name = row.action.object().unwrap_or(row.action.name());
     let altitude = |sin: f64| sin.clamp(-1.0, 1.0).asin().to_degrees();
-    findings.extend(told(row, &looked.low, |_, value, _| {
+    // half a degree for refraction and the sky's slow turning
+    let never = highest_deg(aimed.as_ref(), known).filter(|highest_deg| highest_deg + 0.5 < low_deg);
+    findings.extend(never.map(|highest_deg| never_up(row, name, highest_deg, low_deg)));
+    let low = looked.low.is_known_otherwise(never.is_some());
+    findings.extend(told(row, low, |_, value, _| {
         let low = format!("{name} stands below {low_deg:.0} deg");
         (low, format!(", {:.1} deg at the lowest", altitude(value)))
     }));
@@ -179,9 +233,9 @@ struct Path {
 }
 
 impl Path {
-    fn of(row: &Row, sky: &SkyTable) -> Option<Self> {
-        match row.action.looks_at().filter(|_| row.action.needs().mount)? {
-            Aim::Moving(body) => Some(Self { body, eye: sky.eye() }),
+    fn of(aim: Option<&Aim>, sky: &SkyTable) -> Option<Self> {
+        match aim? {
+            Aim::Moving(body) => Some(Self { body: body.clone(), eye: sky.eye() }),
             Aim::Icrs(_) | Aim::Horizontal(_) => None,
         }
     }
@@ -218,6 +272,17 @@ impl Looked {
             self.moon = Some((apart, now.at, slot.moon_lit));
         }
     }
+}
+
+/// A target that is never high enough at this site, whatever the night.
+fn never_up(row: &Row, name: &str, highest_deg: f64, low_deg: f64) -> Finding {
+    let what = if highest_deg < 0.0 {
+        format!("{name} never rises at this site: it stays {:.1} deg or more below the horizon", -highest_deg)
+    } else {
+        format!("{name} never rises above {low_deg:.0} deg at this site: {highest_deg:.1} deg at the highest")
+    };
+    let found = warning(Check::Visibility, row.written.parameter("dec"), Some("dec"), what);
+    found.right("no time helps; is the sign of dec right?")
 }
 
 /// The Sun only delays a row: that is told where it costs it something.

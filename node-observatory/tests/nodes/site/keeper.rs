@@ -51,10 +51,11 @@ impl Keeper {
         let guard = bus.publisher::<Guard>(&Key::Guard(dome.key.clone()), Quality::Urgent).await.unwrap();
         let (numbers, tokens) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
         let Self { hold, lease_held, clock, turn_deg_per_s } = self;
-        let (say, token, held) = (numbers.clone(), tokens.clone(), hold.clone());
+        let (say, token, held, shutter) = (numbers.clone(), tokens.clone(), hold.clone(), dome.clone());
         tokio::spawn(async move {
             loop {
                 let number = say.fetch_add(1, Ordering::Relaxed);
+                let is_closed = shutter.state.borrow().fields.shutter == Datum::Known(Shutter::Closed);
                 let body = Guard {
                     number,
                     token: token.load(Ordering::SeqCst),
@@ -64,6 +65,10 @@ impl Keeper {
                     action: GuardAction::Watching,
                     hold: held.load(Ordering::Relaxed),
                     dropped: 0,
+                    // this shutter never lies: what it says is proven
+                    verified_closed: Some(is_closed),
+                    waits_for_mounts: None,
+                    granted: vec![],
                 };
                 guard.put(body).await.unwrap();
                 tokio::time::sleep(Duration::from_millis(300)).await;

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use bus::{Bus, Clock, Latest, Node, Publisher, Quality, Service};
+use bus::{AskError, Bus, Clock, Latest, Node, Publisher, Quality, Service};
 use contract::device::camera::{self, Activity, Exposure, Frame, Pixel, Purpose};
 use contract::device::dome::{self, Shutter};
 use contract::device::{Description, safety_monitor, telescope};
@@ -33,6 +33,7 @@ impl<K: DeviceKind> Device<K> {
             link: Link::Connected,
             busy: false,
             period_s: 0.2,
+            poll_s: None,
             last_command: None,
             fields,
             readings: Default::default(),
@@ -320,8 +321,21 @@ impl Site {
 
     pub async fn order(&self, kind: OrderKind) -> Reply {
         let order = Order { id: CommandId::fresh(), from: "test".to_owned(), reason: "a test".to_owned(), kind };
-        self.bus.ask(&Key::Order(self.address.clone()), &order, Duration::from_secs(3)).await.unwrap()
+        ask(&self.bus, &self.address, &order).await
     }
+}
+
+/// Gives an order as the command line does: again, under the same id, while nobody answers, as a node that has just
+/// started may not yet.
+pub async fn ask(bus: &Bus, address: &Address, order: &Order) -> Reply {
+    let key = Key::Order(address.clone());
+    for _ in 0..5 {
+        match bus.ask(&key, order, Duration::from_secs(3)).await {
+            Err(AskError::Unknown { .. }) => tokio::time::sleep(Duration::from_millis(500)).await,
+            answered => return answered.unwrap(),
+        }
+    }
+    panic!("nobody answers {key}")
 }
 
 fn bus_config(connect: Vec<String>) -> config::Bus {

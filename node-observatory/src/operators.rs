@@ -1,0 +1,176 @@
+//! Who has the telescope: the schedule, or an operator by name. Closing is everybody's, the rest is taken over with a reason.
+//!
+//! Pure. An operator who closes, stops or keeps the telescope closed has it from then on, until somebody starts it again. To
+//! loosen what another operator ordered, or to start what another one stopped, a reason is needed; the audit records it.
+
+use contract::{Order, OrderKind, Reason, command::operator};
+use units::Utc;
+
+use crate::standing::{Said, Standing};
+
+/// Control that was taken so long ago is nobody's any more, sky s: an operator of last night is asleep.
+const LAPSES_S: f64 = 18.0 * 3600.0;
+
+/// What an order does to who has the telescope.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Weighed {
+    /// The operator that it is taken from, with this order's reason.
+    pub from: Option<Said>,
+    /// Who has it then.
+    pub then: Then,
+}
+
+/// Who has the telescope once an order was followed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Then {
+    /// As before.
+    Same,
+    /// Who gave the order.
+    Orderer,
+    /// The schedule.
+    Schedule,
+}
+
+/// Why an order is refused, for programs and for people.
+pub type Refused = (Reason, String);
+
+/// Weighs an order against who has the telescope; an error names what is missing.
+pub fn weigh(order: &Order, standing: &Standing, is_robotic: bool, now: Utc) -> Result<Weighed, Refused> {
+    let then = match &order.kind {
+        OrderKind::Close | OrderKind::Robotic(false) | OrderKind::StayClosed(true) => Then::Orderer,
+        OrderKind::Robotic(true) => Then::Schedule,
+        OrderKind::StayClosed(false) if is_robotic => Then::Schedule,
+        OrderKind::StayClosed(false) => Then::Orderer,
+        _ => Then::Same,
+    };
+    let holder = holder(order, standing, now).filter(|held| operator(&held.from) != order.operator()).cloned();
+    if loosens(&order.kind) {
+        if order.operator().is_empty() {
+            let what = "an order needs the name of who gives it: starmesh order ... --operator NAME";
+            return Err((Reason::Malformed, what.to_owned()));
+        }
+        if let Some(held) = &holder
+            && order.reason.trim().is_empty()
+        {
+            let (name, why) =
+                (operator(&held.from), if held.reason.is_empty() { "no reason given" } else { &held.reason });
+            return Err((
+                Reason::NotNow,
+                format!(
+                    "{name} has the telescope since {} ({why}); to take it over give a reason: --reason \"...\"",
+                    held.at_utc
+                ),
+            ));
+        }
+    }
+    let touches = then != Then::Same || loosens(&order.kind);
+    Ok(Weighed { from: holder.filter(|_| touches), then })
+}
+
+/// Closing, stopping and being stricter never wait for anybody.
+fn loosens(kind: &OrderKind) -> bool {
+    match kind {
+        OrderKind::Robotic(on) => *on,
+        OrderKind::StayClosed(on) => !on,
+        OrderKind::Override { for_s, .. } => *for_s != 0.0,
+        OrderKind::PutSchedule { .. } => true,
+        OrderKind::Close
+        | OrderKind::ReloadSchedule
+        | OrderKind::Acknowledge(_)
+        | OrderKind::Shelve { .. }
+        | OrderKind::Unshelve(_)
+        | OrderKind::Cool { .. }
+        | OrderKind::Warm(_) => false,
+    }
+}
+
+/// The operator whose order this one would undo: the one who ordered it to stay closed, else the one who has taken it.
+fn holder<'a>(order: &Order, standing: &'a Standing, now: Utc) -> Option<&'a Said> {
+    let closed = standing.stay_closed.as_ref().filter(|_| order.kind == OrderKind::StayClosed(false));
+    // what a node ordered by itself, and what a name without a way to it ordered, is no operator's
+    let control = standing.control.as_ref().filter(|held| now.seconds_since(held.at_utc).abs() < LAPSES_S);
+    closed.or(control).filter(|held| held.from.contains('/'))
+}
+
+/// Remembers who has it after an order was executed.
+pub fn keep(standing: &mut Standing, then: Then, said: &Said) {
+    match then {
+        Then::Same => {}
+        Then::Orderer => standing.control = Some(said.clone()),
+        Then::Schedule => standing.control = None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use contract::CommandId;
+
+    use super::*;
+
+    fn order(from: &str, kind: OrderKind, reason: &str) -> Order {
+        Order { id: CommandId::fresh(), from: from.to_owned(), reason: reason.to_owned(), kind }
+    }
+
+    fn at(hours: f64) -> Utc {
+        Utc::from_seconds(1_000_000.0 + hours * 3600.0)
+    }
+
+    fn of_ana() -> Standing {
+        let said = Said { from: "cli/ana@pc".to_owned(), reason: "a visitor".to_owned(), at_utc: at(0.0) };
+        Standing { control: Some(said), ..Standing::default() }
+    }
+
+    #[test]
+    fn closing_is_everybodys_and_needs_no_reason() {
+        for kind in [OrderKind::Close, OrderKind::Robotic(false), OrderKind::StayClosed(true)] {
+            let weighed = weigh(&order("web/ben", kind.clone(), ""), &of_ana(), true, at(1.0)).unwrap();
+            assert_eq!(weighed.then, Then::Orderer, "{kind:?}");
+            assert_eq!(weighed.from, of_ana().control, "and it is written down whose it was");
+        }
+    }
+
+    #[test]
+    fn what_another_operator_has_is_taken_over_with_a_reason() {
+        let put = OrderKind::PutSchedule { text: String::new() };
+        let softer = OrderKind::Override { input: "sun".to_owned(), for_s: 60.0 };
+        for kind in [OrderKind::Robotic(true), OrderKind::StayClosed(false), put, softer] {
+            let (reason, refused) = weigh(&order("web/ben", kind.clone(), " "), &of_ana(), true, at(1.0)).unwrap_err();
+            assert_eq!(reason, Reason::NotNow, "the order itself was right");
+            assert!(refused.contains("ana has the telescope") && refused.contains("a visitor"), "{refused}");
+            let taken = weigh(&order("web/ben", kind.clone(), "she left"), &of_ana(), true, at(1.0)).unwrap();
+            assert_eq!(taken.from, of_ana().control, "{kind:?}");
+            // her own, from anywhere, a day later, and where nobody has it
+            for (from, standing, now) in [
+                ("web/ana", of_ana(), at(1.0)),
+                ("cli/ana@other", of_ana(), at(1.0)),
+                ("web/ben", of_ana(), at(19.0)),
+                ("web/ben", Standing::default(), at(1.0)),
+            ] {
+                assert_eq!(weigh(&order(from, kind.clone(), ""), &standing, true, now).unwrap().from, None, "{from}");
+            }
+        }
+    }
+
+    #[test]
+    fn who_orders_to_open_needs_a_name_and_what_a_node_decided_is_nobodys() {
+        assert!(weigh(&order("cli/", OrderKind::Robotic(true), "x"), &Standing::default(), true, at(0.0)).is_err());
+        assert!(weigh(&order("", OrderKind::Close, ""), &Standing::default(), true, at(0.0)).is_ok());
+        let by_node = Said::by_node("the disk is away".to_owned(), at(0.0));
+        let standing = Standing { stay_closed: Some(by_node), ..Standing::default() };
+        assert!(weigh(&order("cli/ben@pc", OrderKind::StayClosed(false), ""), &standing, true, at(0.0)).is_ok());
+    }
+
+    #[test]
+    fn starting_gives_the_telescope_back_to_the_schedule() {
+        let mut standing = of_ana();
+        let weighed = weigh(&order("cli/ana@pc", OrderKind::Robotic(true), ""), &standing, false, at(1.0)).unwrap();
+        assert_eq!(weighed, Weighed { from: None, then: Then::Schedule });
+        let ben = Said { from: "web/ben".to_owned(), reason: String::new(), at_utc: at(1.0) };
+        keep(&mut standing, Then::Same, &ben);
+        assert_eq!(standing, of_ana());
+        keep(&mut standing, Then::Orderer, &ben);
+        assert_eq!(standing.control, Some(ben.clone()));
+        keep(&mut standing, weighed.then, &ben);
+        assert_eq!(standing.control, None);
+    }
+}

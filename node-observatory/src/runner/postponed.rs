@@ -1,0 +1,100 @@
+//! The rows that rest for a device's sake, and the alerts about them: one for each kind of device, however many rows it
+//! holds up.
+
+use std::collections::BTreeMap;
+
+use bus::AlertBoard;
+use contract::Kind;
+use contract::observatory::AlertKind;
+
+use crate::schedule::RowId;
+
+/// What the alert is called where no device is to blame.
+const NO_DEVICE: &str = "other";
+
+/// The rows that rest.
+#[derive(Debug, Default)]
+pub(super) struct Postponed(BTreeMap<RowId, Reason>);
+
+#[derive(Debug)]
+struct Reason {
+    number: u32,
+    instance: &'static str,
+    detail: String,
+}
+
+impl Postponed {
+    /// A row rests.
+    pub fn add(&mut self, id: &RowId, number: u32, kind: Option<Kind>, detail: &str, alerts: &AlertBoard) {
+        let instance = kind.map_or(NO_DEVICE, Kind::word);
+        let reason = Reason { number, instance, detail: detail.to_owned() };
+        // it may have rested for another device before
+        let before =
+            self.0.insert(id.clone(), reason).map(|before| before.instance).filter(|before| *before != instance);
+        for instance in before.into_iter().chain([instance]) {
+            self.tell(instance, alerts);
+        }
+    }
+
+    /// A row rests no more.
+    pub fn remove(&mut self, id: &RowId, alerts: &AlertBoard) {
+        if let Some(reason) = self.0.remove(id) {
+            self.tell(reason.instance, alerts);
+        }
+    }
+
+    /// Forgets the rows that the schedule has no longer.
+    pub fn keep_only(&mut self, is_there: impl Fn(&RowId) -> bool, alerts: &AlertBoard) {
+        let gone: Vec<RowId> = self.0.keys().filter(|id| !is_there(id)).cloned().collect();
+        gone.iter().for_each(|id| self.remove(id, alerts));
+    }
+
+    fn tell(&self, instance: &'static str, alerts: &AlertBoard) {
+        let mut rows: Vec<&Reason> = self.0.values().filter(|reason| reason.instance == instance).collect();
+        rows.sort_by_key(|reason| reason.number);
+        match rows.as_slice() {
+            [] => alerts.clear(AlertKind::RowPostponed, instance),
+            [only] => {
+                alerts.raise(AlertKind::RowPostponed, instance, &format!("row {}: {}", only.number, only.detail));
+            }
+            [first, ..] => {
+                let (count, number, detail) = (rows.len(), first.number, &first.detail);
+                let cause = format!("{count} rows rest; the first of them, row {number}: {detail}");
+                alerts.raise(AlertKind::RowPostponed, instance, &cause);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_camera_that_holds_up_a_hundred_rows_is_one_alert() {
+        let alerts = AlertBoard::new(bus::Clock::machine_clock());
+        let active = || -> Vec<(String, String)> {
+            let shown = alerts.watch().borrow().alerts.clone();
+            let active = shown.into_iter().filter(|alert| alert.returned_utc.is_none());
+            active.map(|alert| (alert.id, alert.cause)).collect()
+        };
+        let row = |number: u32| RowId(format!("row-{number:03}"));
+        let mut postponed = Postponed::default();
+        for number in 1..=100 {
+            postponed.add(&row(number), number, Some(Kind::Camera), "the camera hangs", &alerts);
+        }
+        postponed.add(&row(200), 200, Some(Kind::Dome), "the dome does not turn", &alerts);
+        let [(camera, cause), (dome, _)] = &active()[..] else { panic!("{:?}", active()) };
+        assert_eq!((camera.as_str(), dome.as_str()), ("row-postponed/camera", "row-postponed/dome"));
+        assert_eq!(cause, "100 rows rest; the first of them, row 1: the camera hangs");
+        // one goes on, one now waits for another device, and a new schedule has only two of them
+        postponed.remove(&row(1), &alerts);
+        postponed.add(&row(200), 200, Some(Kind::Camera), "the camera hangs", &alerts);
+        postponed.keep_only(|id| [row(7), row(8)].contains(id), &alerts);
+        assert!(active().iter().any(|(_, cause)| cause == "2 rows rest; the first of them, row 7: the camera hangs"));
+        postponed.remove(&row(7), &alerts);
+        postponed.remove(&row(8), &alerts);
+        alerts.watch();
+        assert!(postponed.0.is_empty());
+    }
+}

@@ -1,0 +1,179 @@
+//! Who publishes a safety input. Of two nodes that do so at the same time neither counts, and the value of a new one
+//! does not cancel the warning of the one before.
+
+use bus::{MachineTime, Succession};
+use contract::device::safety_monitor::Fields as Monitor;
+use contract::{BootId, DeviceState, Link, NoData, Stamped};
+
+/// So many times the period of its states a node may be silent before it is dead.
+const SILENT_PERIODS: f64 = 3.0;
+
+/// What is to be known of the fields of a kind.
+pub struct Manners<F> {
+    /// Is this state a warning?
+    pub warns: fn(&DeviceState<F>) -> bool,
+    /// Takes what the sender vouches for of the time before out of a state.
+    pub forget_record: fn(&mut DeviceState<F>),
+}
+
+/// Those of a safety monitor.
+pub const MONITOR: Manners<Monitor> = Manners {
+    warns: |state| state.link != Link::Connected || state.fields.is_safe.known() != Some(&true),
+    forget_record: |state| state.fields.gapless_safe_s = 0.0,
+};
+
+impl<F> Manners<F> {
+    /// Those of an input whose values are held against limits: a dwell separates a warning from its end.
+    pub fn of_values() -> Self {
+        Self { warns: |state| state.link != Link::Connected, forget_record: |_| () }
+    }
+}
+
+/// The nodes that publish one input.
+pub struct Writers<F> {
+    manners: Manners<F>,
+    succession: Succession,
+    first: Option<BootId>,
+    disputed: bool,
+    /// Who gave the last warning, when, and how long such a node may be silent, s.
+    warned: Option<(BootId, MachineTime, f64)>,
+}
+
+impl<F> Writers<F> {
+    /// Nobody has spoken yet.
+    pub fn new(manners: Manners<F>) -> Self {
+        Self { manners, succession: Succession::default(), first: None, disputed: false, warned: None }
+    }
+
+    /// Takes in a state, and changes it where its sender cannot vouch for all of it; false where it is not to be used.
+    pub fn take(&mut self, said: &mut Stamped<DeviceState<F>>, arrived: MachineTime) -> bool {
+        let newer = self.succession.is_newer(&said.boot_id, said.seq, arrived);
+        if let Some(why) = self.dispute(arrived) {
+            self.disputed = true;
+            said.body.link = Link::Lost { reason: NoData::new("two writers", why) };
+            return true;
+        }
+        if !newer {
+            return false;
+        }
+        let first = self.first.get_or_insert_with(|| said.boot_id.clone());
+        if self.disputed || *first != said.boot_id {
+            // what another incarnation, or one of two, publishes of the time before was not received here
+            (self.manners.forget_record)(&mut said.body);
+        }
+        if (self.manners.warns)(&said.body) {
+            let silent_s = SILENT_PERIODS * if said.body.period_s > 0.0 { said.body.period_s.min(5.0) } else { 5.0 };
+            self.warned = Some((said.boot_id.clone(), arrived, silent_s));
+            return true;
+        }
+        match &self.warned {
+            // whether the one that warned is dead or will publish again is not known yet
+            Some((boot_id, at, silent_s))
+                if *boot_id != said.boot_id && arrived.since(*at).as_secs_f64() < *silent_s =>
+            {
+                false
+            }
+            _ => {
+                self.warned = None;
+                true
+            }
+        }
+    }
+
+    /// Why none counts now, if two nodes publish.
+    pub fn dispute(&self, now: MachineTime) -> Option<String> {
+        let (one, other) = self.succession.rivals(now)?;
+        Some(format!("the nodes with boot ids {one} and {other} both publish for this device; stop one of them"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use contract::Datum;
+    use units::Utc;
+
+    use super::*;
+
+    struct Scene {
+        writers: Writers<Monitor>,
+        seqs: std::collections::HashMap<BootId, u64>,
+    }
+
+    /// What becomes of a state: `None` where it is not used, else its value and its record.
+    type Used = Option<(Result<bool, String>, f64)>;
+
+    impl Scene {
+        fn new() -> Self {
+            Self { writers: Writers::new(MONITOR), seqs: Default::default() }
+        }
+
+        fn hear(&mut self, boot_id: &BootId, at_s: f64, is_safe: bool) -> Used {
+            let seq = self.seqs.entry(boot_id.clone()).or_default();
+            *seq += 1;
+            let fields = Monitor { is_safe: Datum::Known(is_safe), gapless_safe_s: 3600.0 };
+            let body = DeviceState {
+                link: Link::Connected,
+                busy: false,
+                period_s: 1.0,
+                poll_s: None,
+                last_command: None,
+                fields,
+                readings: Default::default(),
+            };
+            let stamped = |body| Stamped {
+                boot_id: boot_id.clone(),
+                seq: *seq,
+                at_utc: Utc::EPOCH,
+                sent_s: None,
+                held_s: None,
+                body,
+            };
+            let mut said = stamped(body);
+            let arrived = MachineTime::from_boot(Duration::from_secs_f64(at_s));
+            self.writers.take(&mut said, arrived).then(|| {
+                let word = match said.body.link {
+                    Link::Lost { reason } => Err(reason.0),
+                    _ => Ok(said.body.fields.is_safe.known() == Some(&true)),
+                };
+                (word, said.body.fields.gapless_safe_s)
+            })
+        }
+    }
+
+    #[test]
+    fn two_living_writers_are_unsafe_and_neither_the_newest_nor_a_clock_wins() {
+        let (one, other) = (BootId::fresh(), BootId::fresh());
+        for (real, second) in [(&one, &other), (&other, &one)] {
+            let mut scene = Scene::new();
+            assert_eq!(scene.hear(real, 0.0, true), Some((Ok(true), 3600.0)));
+            assert_eq!(scene.hear(real, 1.0, false), Some((Ok(false), 3600.0)), "it rains");
+            assert_eq!(scene.hear(second, 1.4, true), None, "the second one publishes safe");
+            assert_eq!(scene.hear(second, 1.9, true), None);
+            let (word, _) = scene.hear(real, 2.0, false).unwrap();
+            assert!(word.unwrap_err().starts_with("two writers"));
+            for second_at in [2.4, 3.4, 9.4, 17.9] {
+                assert!(scene.hear(second, second_at, true).unwrap().0.is_err(), "{second_at}");
+            }
+            // the real one is gone: what is left counts, but its record was not received here
+            assert_eq!(scene.hear(second, 18.4, true), Some((Ok(true), 0.0)));
+        }
+    }
+
+    #[test]
+    fn a_restarted_node_is_believed_at_once_except_against_a_warning() {
+        let (before, after) = (BootId::fresh(), BootId::fresh());
+        let mut scene = Scene::new();
+        scene.hear(&before, 0.0, true);
+        assert_eq!(scene.hear(&after, 1.5, true), Some((Ok(true), 0.0)), "the night goes on");
+        let mut scene = Scene::new();
+        scene.hear(&before, 0.0, false);
+        assert_eq!(scene.hear(&after, 1.5, true), None);
+        assert_eq!(scene.hear(&after, 2.5, true), None);
+        assert_eq!(scene.hear(&after, 3.1, true), Some((Ok(true), 0.0)), "it was silent for three periods");
+        let mut scene = Scene::new();
+        scene.hear(&before, 0.0, true);
+        assert_eq!(scene.hear(&after, 1.5, false), Some((Ok(false), 0.0)), "a warning counts at once");
+    }
+}
