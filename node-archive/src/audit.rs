@@ -53,6 +53,16 @@ struct Keeper {
     nodes: HashMap<Who, Follow>,
 }
 
+/// Nodes whose audit is followed; a telescope has some ten.
+const MOST_NODES: usize = 256;
+
+impl Keeper {
+    /// Is this node followed, or is there room for one more?
+    fn has_room(&self, who: &Who) -> bool {
+        self.nodes.len() < MOST_NODES || self.nodes.contains_key(who)
+    }
+}
+
 /// Keeps the audit of all nodes.
 pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
     let (mut records, mut states): (Vec<Subscriber<Said<Value>>>, Vec<Subscriber<NodeState>>) =
@@ -67,12 +77,16 @@ pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
     loop {
         tokio::select! {
             heard = first(&records) => {
-                if let Key::Node(address, role, id, NodeTopic::Audit) = heard.key {
+                if let Key::Node(address, role, id, NodeTopic::Audit) = heard.key
+                    && keeper.has_room(&(address.clone(), role, id.clone()))
+                {
                     keeper.hear((address, role, id), &heard.said.body.record).await?;
                 }
             }
             heard = first(&states) => {
-                if let Key::Node(address, role @ (Role::Device | Role::Observatory), id, NodeTopic::State) = heard.key {
+                if let Key::Node(address, role @ (Role::Device | Role::Observatory), id, NodeTopic::State) = heard.key
+                    && keeper.has_room(&(address.clone(), role, id.clone()))
+                {
                     keeper.look((address, role, id), heard.said.boot_id).await?;
                 }
             }

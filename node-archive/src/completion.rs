@@ -12,9 +12,9 @@ use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
+use crate::folder::{PART_FOLDER, is_taken};
 use crate::header::Plan;
 use crate::solution;
-use crate::store::PART_FOLDER;
 use crate::stored_header::Header;
 
 const MAGIC: &[u8; 16] = b"STARMESH-HEADER1";
@@ -99,6 +99,7 @@ impl Completer {
             moved => moved,
         };
         let written = moved.and_then(|()| {
+            refuse_link(&journal)?;
             let mut file = OpenOptions::new().write(true).create(true).truncate(false).open(&journal)?;
             file.write_all(&entry(path, header))?;
             file.sync_all()
@@ -149,12 +150,19 @@ fn whole<'a>(journal: &'a [u8], path: &Path) -> Option<&'a [u8]> {
     (is_whole && journal[name..header] == *name_of(path)).then(|| &journal[header..end])
 }
 
+/// A link that somebody put in place of a file is not followed: what it leads to is not ours.
+fn refuse_link(path: &Path) -> io::Result<()> {
+    let is_link = fs::symlink_metadata(path).is_ok_and(|found| found.is_symlink());
+    if is_link { Err(io::Error::other("it is a link, and links here are not followed")) } else { Ok(()) }
+}
+
 fn name_of(path: &Path) -> Vec<u8> {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned().into_bytes()
 }
 
 fn write_over(path: &Path, header: &[u8]) -> Result<(), CompletionError> {
-    let written = OpenOptions::new().write(true).open(path).and_then(|mut file| {
+    let opened = refuse_link(path).and_then(|()| OpenOptions::new().write(true).open(path));
+    let written = opened.and_then(|mut file| {
         file.write_all(header)?;
         file.sync_data()
     });
@@ -166,11 +174,16 @@ fn rewrite(path: &Path, header: &[u8], old_length: u64) -> Result<(), Completion
     let mut part = path.as_os_str().to_owned();
     part.push(".part");
     let part = PathBuf::from(part);
-    let written = File::open(path).and_then(|mut old| {
+    let written = refuse_link(path).and_then(|()| File::open(path)).and_then(|mut old| {
         old.seek(SeekFrom::Start(old_length))?;
-        let mut new = File::create(&part)?;
+        // what a kill left, or a link that somebody put there
+        if is_taken(&part) {
+            fs::remove_file(&part)?;
+        }
+        let mut new = OpenOptions::new().write(true).create_new(true).open(&part)?;
         new.write_all(header)?;
         io::copy(&mut old, &mut new)?;
+        bus::private::make_public_file(&part)?;
         new.sync_all()
     });
     written.map_err(|source| failed("write", &part, source))?;

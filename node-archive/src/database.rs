@@ -1,5 +1,6 @@
 //! The archive's SQLite file: one thread writes, in batches, and never loses a row without saying so.
 
+mod damage;
 mod guiding;
 mod rows;
 
@@ -14,7 +15,7 @@ use contract::node::Level;
 use contract::observatory::AlertKind;
 use contract::{BootId, CommandId, Device, Scalar};
 use rusqlite::Connection;
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::{Notify, mpsc, oneshot};
 use units::Utc;
 
 use crate::corrections::StoredCorrection;
@@ -190,6 +191,7 @@ pub struct Database {
     jobs: mpsc::Sender<Job>,
     path: Arc<PathBuf>,
     rows: Arc<AtomicU64>,
+    renewal: Arc<Notify>,
 }
 
 /// The writer's thread.
@@ -212,15 +214,20 @@ impl Database {
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder).map_err(io)?;
         }
-        let connection = prepare(path)?;
+        let (connection, damage) = damage::open(path)?;
+        if let Some(damage) = &damage {
+            alerts.raise(AlertKind::ArchiveDatabase, "", damage);
+        }
         let (jobs, taken) = mpsc::channel(WAITING);
         let rows = Arc::new(AtomicU64::new(0));
-        let (counted, runtime) = (rows.clone(), tokio::runtime::Handle::current());
+        let (counted, runtime, file) = (rows.clone(), tokio::runtime::Handle::current(), path.to_owned());
+        let renewal = Arc::new(Notify::new());
+        let told = renewal.clone();
         let thread = std::thread::Builder::new()
             .name("database".to_owned())
-            .spawn(move || write_all(connection, taken, &runtime, &alerts, &counted))
+            .spawn(move || write_all(connection, &file, taken, &runtime, &alerts, (&counted, &told)))
             .map_err(io)?;
-        Ok((Self { jobs, path: Arc::new(path.to_owned()), rows }, Writer(thread)))
+        Ok((Self { jobs, path: Arc::new(path.to_owned()), rows, renewal }, Writer(thread)))
     }
 
     /// Hands something over to be written soon; waits while the writer is far behind.
@@ -245,6 +252,11 @@ impl Database {
     /// Rows that were new, since the start.
     pub fn rows(&self) -> u64 {
         self.rows.load(Ordering::Relaxed)
+    }
+
+    /// Ends when a damaged file was put aside and a new one has begun, with the one call that waits.
+    pub async fn renewed(&self) {
+        self.renewal.notified().await;
     }
 
     /// Where it lies.
@@ -291,13 +303,14 @@ fn prepare(path: &Path) -> Result<Connection, DatabaseError> {
 /// The writer's life: gathers a batch, commits it, tells those who wait; a batch that fails stays until it succeeds.
 fn write_all(
     mut connection: Connection,
+    path: &Path,
     mut taken: mpsc::Receiver<Job>,
     runtime: &tokio::runtime::Handle,
     alerts: &AlertBoard,
-    rows: &AtomicU64,
+    (rows, renewal): (&AtomicU64, &Notify),
 ) {
     while let Some(batch) = gather(&mut taken, runtime) {
-        let mut last_tries = LAST_TRIES;
+        let (mut last_tries, mut is_renewed) = (LAST_TRIES, false);
         loop {
             match write_batch(&mut connection, &batch) {
                 Ok(count) => {
@@ -306,7 +319,18 @@ fn write_all(
                     break;
                 }
                 Err(error) => {
-                    let cause = format!("the archive's database does not take rows: {error}");
+                    // once for a batch: a disk that spoils what it just took is no case for a third file
+                    let may_renew = damage::is_damage(&error) && !std::mem::replace(&mut is_renewed, true);
+                    let renewed = may_renew.then(|| damage::renew(&mut connection, path, &error));
+                    let cause = match renewed {
+                        Some(Ok(told)) => {
+                            alerts.raise(AlertKind::ArchiveDatabase, "", &told);
+                            renewal.notify_one();
+                            continue;
+                        }
+                        Some(Err(again)) => format!("the archive's database is damaged ({error}), and {again}"),
+                        None => format!("the archive's database does not take rows: {error}"),
+                    };
                     alerts.raise(AlertKind::ArchiveDatabase, "", &cause);
                     if taken.is_closed() {
                         last_tries -= 1;

@@ -4,7 +4,7 @@
 //! away; the plot is drawn from what was told, so that nothing but numbers travels.
 
 use std::io::{self, Write as _};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use bus::{Catch, Node};
 use contract::observatory::{FocusCurve, FocusPass, FocusRun};
@@ -17,6 +17,7 @@ use units::Utc;
 
 use crate::completion::sync_folder;
 use crate::database::{Database, Write};
+use crate::folder::{is_taken, without_links};
 use crate::name::part;
 
 /// Folder of the plots, inside the folder of images.
@@ -49,7 +50,7 @@ pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
         let stored = StoredRun { plot: plot.clone(), at, said: (heard.said.boot_id, heard.said.seq), run: run.clone() };
         database.commit(vec![Write::Focus(Box::new(stored))]).await?;
         let (images, title) = (node.config.folders.images.clone(), node.config.place.telescope.to_string());
-        let drawn = tokio::task::spawn_blocking(move || draw(&images.join(&plot), &svg(&run, &title))).await?;
+        let drawn = tokio::task::spawn_blocking(move || draw(&images, &plot, &svg(&run, &title))).await?;
         if let Err(error) = drawn {
             // the numbers are in the database
             tracing::warn!(%error, "the plot of a focus run could not be written");
@@ -102,6 +103,7 @@ fn fit(curve: &FocusCurve, run: &FocusRun) -> Option<Fit> {
             best_position_error: run.best_position_error.unwrap_or(f64::NAN),
             least_size: curve.best_value,
             slope,
+            asymmetry: 0.0,
             used: of_curve.map(|point| point.used.unwrap_or(false)).collect(),
         }));
     }
@@ -114,18 +116,25 @@ fn fit(curve: &FocusCurve, run: &FocusRun) -> Option<Fit> {
     })
 }
 
-/// Writes a file whole or not at all.
-fn draw(file: &Path, text: &str) -> io::Result<()> {
+/// Writes a file of the folder of images whole or not at all.
+fn draw(images: &Path, plot: &str, text: &str) -> io::Result<()> {
+    let file = images.join(plot);
+    without_links(images, &file)?;
     if let Some(folder) = file.parent() {
-        std::fs::create_dir_all(folder)?;
+        for folder in [folder.parent().unwrap_or(folder), folder] {
+            bus::private::make_public_folder(folder)?;
+        }
     }
-    let mut part: PathBuf = file.to_owned();
-    part.set_extension("svg.part");
-    let mut written = std::fs::File::create(&part)?;
+    let part = file.with_extension("svg.part");
+    if is_taken(&part) {
+        std::fs::remove_file(&part)?;
+    }
+    let mut written = std::fs::File::create_new(&part)?;
     written.write_all(text.as_bytes())?;
+    bus::private::make_public_file(&part)?;
     written.sync_all()?;
-    std::fs::rename(&part, file)?;
-    sync_folder(file)
+    std::fs::rename(&part, &file)?;
+    sync_folder(&file)
 }
 
 #[cfg(test)]

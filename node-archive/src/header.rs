@@ -93,7 +93,13 @@ pub fn check(table: &HeaderTable) -> Vec<String> {
         match &row.source {
             Source::Computed if !known => notes.push(format!("{}: no keyword that Starmesh computes", row.keyword)),
             Source::Static(text) if !text.is_empty() && literal(row.dtype, text).is_none() => {
-                notes.push(format!("{}: {text:?} is no {:?}", row.keyword, row.dtype));
+                let expected = match row.dtype {
+                    Dtype::Str => "text",
+                    Dtype::Int => "whole number",
+                    Dtype::Float => "number",
+                    Dtype::Bool => "true or false",
+                };
+                notes.push(format!("{}: {text:?} is no {expected}", row.keyword));
             }
             _ => {}
         }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use bus::{BusError, Node, Service};
+use bus::{BusError, MOST_BYTES, Node, Service};
 use contract::Key;
 use contract::archive::{Answer, Question};
 use tokio::sync::Semaphore;
@@ -29,7 +29,7 @@ pub async fn serve(node: &Node) -> Result<Service, BusError> {
                 let _turn = turns.acquire().await;
                 let look = move || Reader::open(&file).and_then(|reader| reader.answer(&question));
                 match tokio::task::spawn_blocking(look).await {
-                    Ok(Ok(answer)) => answer,
+                    Ok(Ok(answer)) => within(answer, MOST_BYTES),
                     Ok(Err(fault)) => nothing(&fault.to_string()),
                     Err(fault) => nothing(&fault.to_string()),
                 }
@@ -38,7 +38,52 @@ pub async fn serve(node: &Node) -> Result<Service, BusError> {
         .await
 }
 
+/// The newest rows that fit into one message; the asker sees that there are more, and asks for less at a time.
+fn within(mut answer: Answer, most_bytes: usize) -> Answer {
+    let mut sizes: Vec<usize> = Vec::with_capacity(answer.rows.len());
+    for row in &answer.rows {
+        // a row that cannot be written takes no part
+        sizes.push(serde_json::to_vec(row).map_or(0, |bytes| bytes.len() + 1));
+    }
+    let mut room = most_bytes.saturating_sub(FRAME_BYTES);
+    let fitting = sizes.iter().rev().take_while(|size| {
+        let fits = **size <= room;
+        room = room.saturating_sub(**size);
+        fits
+    });
+    let gone = answer.rows.len() - fitting.count();
+    if gone > 0 {
+        answer.rows.drain(..gone);
+        answer.truncated = true;
+    }
+    answer
+}
+
+/// The bytes of an answer except its rows, and more.
+const FRAME_BYTES: usize = 1024;
+
 fn nothing(fault: &str) -> Answer {
     tracing::warn!(fault, "a question about the past has no answer");
     Answer { rows: Vec::new(), truncated: false }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answer_that_is_too_large_for_the_bus_keeps_its_newest_rows() {
+        let path = format!("{}/../common/contract/golden/v1/archive.answer.json", env!("CARGO_MANIFEST_DIR"));
+        let golden: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+        let golden = golden.as_array().map_or(golden.clone(), |samples| samples[0].clone());
+        let sample: Answer = serde_json::from_value(golden).unwrap();
+        let row = sample.rows[0].clone();
+        let answer = || Answer { rows: vec![row.clone(); 1000], truncated: false };
+        let size = serde_json::to_vec(&row).unwrap().len() + 1;
+        let cut = within(answer(), FRAME_BYTES + 10 * size);
+        assert_eq!((cut.rows.len(), cut.truncated), (10, true));
+        assert!(serde_json::to_vec(&cut).unwrap().len() <= FRAME_BYTES + 10 * size);
+        let whole = within(answer(), MOST_BYTES);
+        assert_eq!((whole.rows.len(), whole.truncated), (1000, false));
+    }
 }

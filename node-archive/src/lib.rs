@@ -8,6 +8,9 @@
 //! are answered ([`history`]) and headers completed ([`pass`], [`completion`]) with what was true when the exposure began
 //! ([`interpolate`], [`astronomy`]).
 //!
+//! One archive of a telescope writes in a folder ([`folder`]); a spool that is slow holds up no other ([`turns`]); files that
+//! an older database does not know are found again ([`rebuild`]).
+//!
 //! Nothing here is in the safety path, and every step may be killed: a frame that was announced is stored once, a header
 //! is the old one or the new one, a row counts once.
 
@@ -21,6 +24,7 @@ mod diary;
 pub mod facts;
 pub mod fits;
 pub mod focus;
+mod folder;
 pub mod header;
 mod history;
 pub mod interpolate;
@@ -28,19 +32,24 @@ pub mod name;
 pub mod pass;
 mod quality;
 pub mod reader;
-mod solution;
+mod rebuild;
+pub mod solution;
 mod store;
 pub mod stored_header;
 pub mod telemetry;
+mod turns;
 
 use std::collections::HashMap;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicI64;
+use std::time::Duration;
 
 use anyhow::Context as _;
 use bus::{Node, Quality};
 use config::Observatory;
 use contract::device::camera::Frame;
+use contract::observatory::AlertKind;
 use contract::{Address, Device, Key, Kind, Scalar};
 use tokio::sync::Notify;
 use tokio::task::JoinSet;
@@ -53,11 +62,19 @@ use crate::telemetry::Newest;
 /// Runs the archive of one telescope until the node is stopped.
 pub async fn run(node: Node) -> anyhow::Result<()> {
     let config = node.config.clone();
-    let namer = Namer::new(&config.archive.filename, config.place.longitude_deg)?;
+    let (namer, wrong) = Namer::with_faults(&config.archive.filename, config.place.longitude_deg);
+    for fault in wrong {
+        // frames under another name are better than none
+        let (key, why) =
+            (format!("archive.filename.{}", fault.action), format!("{fault}; frames get their default names"));
+        node.alerts.raise(AlertKind::Configuration, &key, &why);
+    }
     for note in header::check(&node.header) {
         tracing::warn!(note, "a row of the FITS-header table is left out");
     }
-    let (database, writer) = Database::open(&config.archive.database, node.alerts.clone())?;
+    let (images, file, telescope) = (&config.folders.images, &config.archive.database, config.address());
+    let Some(_claim) = claim_folder(&node, images, file, &telescope).await? else { return Ok(()) };
+    let Some((database, writer)) = open_database(&node).await? else { return Ok(()) };
     let (stored_before, complete_before) = Reader::open(database.path())?.image_counts()?;
     for (figure, count) in
         [("frames_stored", stored_before), ("headers_complete", complete_before), ("rows_written", 0)]
@@ -70,6 +87,8 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     let _history = history::serve(&node).await?;
 
     let mut tasks = JoinSet::new();
+    let (on_disk, found) = rebuild::OnDisk::new(node.bus.clock().utc());
+    tasks.spawn(rebuild::keep(node.clone(), database.clone(), incomplete.clone(), found));
     tasks.spawn(telemetry::keep(node.clone(), database.clone(), newest.clone()));
     tasks.spawn(notify::keep_standing_in(node.clone()));
     tasks.spawn(diary::keep(node.clone(), database.clone()));
@@ -86,6 +105,8 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
         incomplete: incomplete.clone(),
         count: AtomicI64::new(stored_before),
         naming: tokio::sync::Mutex::default(),
+        on_disk,
+        failing: store::Failing::default(),
     }));
     tasks.spawn(pass::keep(pass::Pass {
         node: node.clone(),
@@ -105,6 +126,57 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     tasks.shutdown().await;
     writer.end().await;
     result
+}
+
+/// A database that cannot be opened is tried again after this.
+const AGAIN: Duration = Duration::from_secs(15);
+
+/// Takes the folder of images, again and again while the disk does not let it; absent when the node is stopped before.
+///
+/// # Errors
+/// Another archive has it.
+async fn claim_folder(
+    node: &Node,
+    images: &Path,
+    database: &Path,
+    telescope: &Address,
+) -> anyhow::Result<Option<folder::Claim>> {
+    loop {
+        let why = match folder::claim(images, database, telescope, &node.signature()).await {
+            Ok(claim) => {
+                node.alerts.clear(AlertKind::Configuration, "folders.images");
+                return Ok(Some(claim));
+            }
+            Err(error) if error.chain().any(|cause| cause.is::<std::io::Error>()) => error,
+            Err(taken) => return Err(taken),
+        };
+        let why =
+            format!("folders.images: {why:#}; no frame is archived until it can be used, which is tried each 15 s");
+        node.alerts.raise(AlertKind::Configuration, "folders.images", &why);
+        if node.stop.or(tokio::time::sleep(AGAIN)).await.is_none() {
+            return Ok(None);
+        }
+    }
+}
+
+/// Opens the database, again and again until that succeeds; absent when the node is stopped before.
+async fn open_database(node: &Node) -> anyhow::Result<Option<(Database, database::Writer)>> {
+    loop {
+        let file = node.config.archive.database.clone();
+        let why = match Database::open(&file, node.alerts.clone()) {
+            Ok(open) => {
+                node.alerts.clear(AlertKind::Configuration, "archive.database");
+                return Ok(Some(open));
+            }
+            Err(error) => error,
+        };
+        let why =
+            format!("archive.database: {why}; no frame is archived until it can be opened, which is tried each 15 s");
+        node.alerts.raise(AlertKind::Configuration, "archive.database", &why);
+        if node.stop.or(tokio::time::sleep(AGAIN)).await.is_none() {
+            return Ok(None);
+        }
+    }
 }
 
 /// Keys of this telescope, and of what it shares with its neighbours, below which something is heard.

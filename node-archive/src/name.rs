@@ -37,7 +37,8 @@ const LONGEST_PART: usize = 180;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("archive.filename.{action}: {fault} in {template:?}")]
 pub struct NameError {
-    action: String,
+    /// Whose template it is.
+    pub action: String,
     template: String,
     fault: String,
 }
@@ -62,7 +63,16 @@ pub struct Namer {
 
 impl Namer {
     /// A namer with a site's own templates in place of the defaults; each is tried once.
+    ///
+    /// # Errors
+    /// The first template that cannot be used.
     pub fn new(own: &BTreeMap<String, String>, longitude_deg: f64) -> Result<Self, NameError> {
+        let (namer, mut faults) = Self::with_faults(own, longitude_deg);
+        if faults.is_empty() { Ok(namer) } else { Err(faults.swap_remove(0)) }
+    }
+
+    /// As [`Namer::new`], with the default in the place of each template that cannot be used, and what is wrong with those.
+    pub fn with_faults(own: &BTreeMap<String, String>, longitude_deg: f64) -> (Self, Vec<NameError>) {
         // one Jinja template makes all of a site's own Jinja, as the predecessor reads them
         let is_jinja = own.values().any(|template| template.contains("{{") && template.contains("}}"));
         let mut templates: BTreeMap<String, (String, bool)> =
@@ -70,18 +80,19 @@ impl Namer {
         for (action, template) in own {
             match templates.get_mut(action) {
                 Some(place) => *place = (template.clone(), is_jinja),
-                None => tracing::warn!(action, "archive.filename has a template for an unknown action; it is not used"),
+                None => tracing::warn!(action, "archive.filename: no frames are named by this; it is not used"),
             }
         }
-        let namer = Self { templates, longitude_east: Angle::from_degrees(longitude_deg) };
-        for (action, (template, _)) in &namer.templates {
-            namer.render(action, &trial()).map_err(|fault| NameError {
-                action: action.clone(),
-                template: template.clone(),
-                fault,
-            })?;
+        let mut namer = Self { templates, longitude_east: Angle::from_degrees(longitude_deg) };
+        let mut faults = Vec::new();
+        for (action, default) in DEFAULTS {
+            if let Err(fault) = namer.render(action, &trial()) {
+                let before = namer.templates.insert(action.to_owned(), (default.to_owned(), false));
+                let template = before.map(|(template, _)| template).unwrap_or_default();
+                faults.push(NameError { action: action.to_owned(), template, fault });
+            }
         }
-        Ok(namer)
+        (namer, faults)
     }
 
     /// Where a frame's file goes, relative to the folder of images: folders and name, none of them leading out.
@@ -275,7 +286,7 @@ pub fn other_than(taken: &Path, written: Utc) -> PathBuf {
     let stamp = written.strftime("%Y%m%d_%H%M%S-%6f");
     let mut other = taken.with_file_name(format!("{stem}-v{stamp}{ending}"));
     let mut count = 1;
-    while other.exists() {
+    while crate::folder::is_taken(&other) {
         count += 1;
         other = taken.with_file_name(format!("{stem}-v{stamp}-{count}{ending}"));
     }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
 
+use anyhow::Context as _;
 use bus::{MachineTime, Node, Publisher};
 use config::header::{HeaderTable, Source};
 use config::{EquatorialChoice, Observatory};
@@ -18,6 +19,7 @@ use tokio::sync::Notify;
 use crate::completion::{Completer, read_header};
 use crate::database::{Database, StoredImage, Write};
 use crate::facts::{self, StoredFacts};
+use crate::folder::without_links;
 use crate::header::{Around, Later, Plan, completion, needed};
 use crate::pairing;
 use crate::reader::Reader;
@@ -113,6 +115,7 @@ pub fn complete_image(
         }
         polls.insert((kind, property), around);
     }
+    without_links(&config.folders.images, &image.path).context("the file is not where it was written")?;
     site.completer.recover(&image.path)?;
     let stored = read_header(&image.path)?;
     let present = stored.keywords();
@@ -179,7 +182,9 @@ pub async fn keep(pass: Pass) -> anyhow::Result<()> {
     let mut waiting: HashMap<CommandId, Waiting> = HashMap::new();
     loop {
         pass.amend().await?;
-        let images = pass.look().await?;
+        // those that fail stay; they must not hide the ones behind them
+        let failing = waiting.values().filter(|waiting| waiting.failures > 0).count();
+        let images = pass.look(failing).await?;
         if images.is_empty() {
             waiting.clear();
             pass.node.alerts.clear(AlertKind::ArchiveHeaders, "");
@@ -225,9 +230,10 @@ pub async fn keep(pass: Pass) -> anyhow::Result<()> {
 }
 
 impl Pass {
-    async fn look(&self) -> anyhow::Result<Vec<StoredImage>> {
+    async fn look(&self, failing: usize) -> anyhow::Result<Vec<StoredImage>> {
         let database = self.database.path().to_owned();
-        let look = move || Reader::open(&database).and_then(|reader| reader.incomplete(AT_ONCE * 16));
+        let most = u32::try_from(failing).unwrap_or(u32::MAX).saturating_add(AT_ONCE * 16);
+        let look = move || Reader::open(&database).and_then(|reader| reader.incomplete(most));
         Ok(tokio::task::spawn_blocking(look).await??)
     }
 
@@ -279,10 +285,13 @@ impl Pass {
         let work = move || -> anyhow::Result<Vec<Write>> {
             let late = Reader::open(&database)?.late_facts(AT_ONCE)?;
             let completer = Completer::new(&node.config.folders.images);
+            let images = &node.config.folders.images;
             let amended = late.into_iter().map(|(image, StoredFacts { facts, said, .. })| {
-                let put = completer.recover(&image.path).and_then(|()| {
+                let reached = without_links(images, &image.path).map_err(anyhow::Error::from);
+                let put = reached.and_then(|()| {
+                    completer.recover(&image.path)?;
                     let plan = measured(&node.header, &facts, &image.frame);
-                    completer.complete(&image.path, read_header(&image.path)?, &plan)
+                    Ok(completer.complete(&image.path, read_header(&image.path)?, &plan)?)
                 });
                 if let Err(error) = &put {
                     // the facts are in the database; a file that was moved away or changed is nothing to insist on

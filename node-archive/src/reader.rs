@@ -86,6 +86,19 @@ impl Reader {
         Ok(self.images("WHERE frame_id = ?1", params![frame.0])?.pop())
     }
 
+    /// Hands over the file of each image that is stored, relative to the folder of images.
+    pub fn each_file(&self, mut take: impl FnMut(&str)) -> Result<(), DatabaseError> {
+        let mut look = || -> rusqlite::Result<()> {
+            let mut statement = self.connection.prepare("SELECT file FROM images")?;
+            let mut rows = statement.query([])?;
+            while let Some(row) = rows.next()? {
+                take(row.get_ref(0)?.as_str()?);
+            }
+            Ok(())
+        };
+        look().map_err(|source| self.failed(source))
+    }
+
     /// How many images are stored, and how many of them have complete headers.
     pub fn image_counts(&self) -> Result<(i64, i64), DatabaseError> {
         let counted = self.connection.query_row("SELECT count(*), total(complete_hdr) FROM images", [], |row| {

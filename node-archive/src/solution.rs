@@ -70,7 +70,8 @@ fn wcs(told: &FrameWcs) -> Wcs {
     }
 }
 
-fn card(card: &imaging::wcs::Card) -> Card {
+/// A card of a solution as it is written.
+pub fn card(card: &imaging::wcs::Card) -> Card {
     let value = match &card.value {
         Value::Text(text) => CardValue::Text(text.clone()),
         Value::Integer(number) => CardValue::Int(*number),

@@ -1,9 +1,9 @@
 //! A frame's way from its announcement to a file, a row, and the spool's release.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::Context as _;
@@ -19,15 +19,18 @@ use units::Utc;
 use crate::completion::sync_folder;
 use crate::database::{Database, StoredImage, Write};
 use crate::fits::{FitsFile, Shape};
+use crate::folder::{self, is_taken, make_way, without_links};
 use crate::header;
 use crate::name::{Namer, other_than};
 use crate::pairing;
 use crate::reader::Reader;
+use crate::rebuild::OnDisk;
 use crate::stored_header::Header;
 use crate::telemetry::Newest;
+use crate::turns::Turns;
 
-/// Frames that are fetched and written at the same time: one on the wire while another is on its way to the disk.
-const AT_ONCE: usize = 2;
+/// Files that are written at the same time.
+const WRITTEN_AT_ONCE: usize = 2;
 /// Announcements that wait; the spool keeps the frames, so none is lost with them.
 const WAITING: usize = 4096;
 /// First and longest wait before a failed step is tried again, machine time.
@@ -37,9 +40,6 @@ const LONGEST_WAIT: Duration = Duration::from_secs(30);
 const FAILURES_BEFORE_ALERT: u32 = 5;
 /// A spool that refuses is asked so often; it announces the frame again after its next start.
 const RELEASE_TRIES: u32 = 50;
-/// Folder of files that are being written, inside the folder of images.
-pub const PART_FOLDER: &str = ".part";
-
 /// Everything that storing a frame takes.
 pub struct Store {
     /// The node.
@@ -58,6 +58,34 @@ pub struct Store {
     pub count: AtomicI64,
     /// Held from the choice of a file's name until the file has it: two frames of one moment have names alike.
     pub naming: tokio::sync::Mutex<()>,
+    /// What lies in the folder of images and is not in the database.
+    pub on_disk: OnDisk,
+    /// Frames that failed often, with camera and cause: one alert for all of them.
+    pub failing: Failing,
+}
+
+/// The frames that cannot be stored, by id: one alert reports all of them, whatever their number.
+#[derive(Debug, Default)]
+pub struct Failing(Mutex<BTreeMap<String, String>>);
+
+impl Failing {
+    /// Notes that a frame cannot be stored; returns the alert's cause for all of them.
+    fn add(&self, frame: &CommandId, cause: String) -> String {
+        let mut failing = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        failing.insert(frame.0.clone(), cause.clone());
+        said_of(failing.len(), cause)
+    }
+
+    /// Notes that a frame is stored; returns the alert's cause for the others, if there are any.
+    fn remove(&self, frame: &CommandId) -> Option<String> {
+        let mut failing = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        failing.remove(&frame.0);
+        failing.values().next_back().map(|cause| said_of(failing.len(), cause.clone()))
+    }
+}
+
+fn said_of(count: usize, newest: String) -> String {
+    if count < 2 { newest } else { format!("{count} frames cannot be stored; one of them: {newest}") }
 }
 
 /// What is known of a frame that is announced.
@@ -74,11 +102,14 @@ enum Known {
 /// Stores every frame that the telescope's cameras announce.
 pub async fn keep(store: Store) -> anyhow::Result<()> {
     let images = &store.node.config.folders.images;
-    prepare_folders(images).with_context(|| format!("cannot use the folder of images {}", images.display()))?;
+    let telescope = store.node.config.address();
+    folder::clear_parts(images, &telescope)
+        .with_context(|| format!("cannot use the folder of images {}", images.display()))?;
     let cameras = format!("{}/{}/device/camera/*/frame", contract::key::ROOT, store.node.config.address());
     let frames = store.node.bus.subscribe::<Frame>(&cameras, Catch::All, WAITING).await?;
-    let client = reqwest::Client::builder().connect_timeout(Duration::from_secs(5)).build()?;
-    let (store, turns) = (Arc::new(store), Arc::new(Semaphore::new(AT_ONCE)));
+    let client = local_http::client_builder().connect_timeout(Duration::from_secs(5)).build()?;
+    let (store, turns) = (Arc::new(store), Arc::new(Turns::default()));
+    let disk = Arc::new(Semaphore::new(WRITTEN_AT_ONCE));
     let mut under_way: HashMap<CommandId, watch::Sender<Frame>> = HashMap::new();
     let mut tasks = JoinSet::new();
     loop {
@@ -92,7 +123,8 @@ pub async fn keep(store: Store) -> anyhow::Result<()> {
                     None => {
                         let (sender, newest) = watch::channel(frame.clone());
                         under_way.insert(frame.id, sender);
-                        tasks.spawn(store.clone().see_through(client.clone(), turns.clone(), camera, newest));
+                        let ways = Ways { client: client.clone(), turns: turns.clone(), disk: disk.clone() };
+                        tasks.spawn(store.clone().see_through(ways, camera, newest));
                     }
                 }
             }
@@ -101,57 +133,49 @@ pub async fn keep(store: Store) -> anyhow::Result<()> {
     }
 }
 
-/// Makes the folders and removes what a kill left half written.
-fn prepare_folders(images: &Path) -> std::io::Result<()> {
-    let parts = images.join(PART_FOLDER);
-    std::fs::create_dir_all(&parts)?;
-    for entry in std::fs::read_dir(&parts)? {
-        match std::fs::remove_file(entry?.path()) {
-            // the journal of headers comes and goes
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
-            removed => removed?,
-        }
-    }
-    Ok(())
+/// What all frames share on their way.
+struct Ways {
+    client: reqwest::Client,
+    turns: Arc<Turns>,
+    /// Turns at the disk.
+    disk: Arc<Semaphore>,
 }
 
 impl Store {
     /// Stores one frame, however long it takes, and has the spool release it.
-    async fn see_through(
-        self: Arc<Self>,
-        client: reqwest::Client,
-        turns: Arc<Semaphore>,
-        camera: Device,
-        newest: watch::Receiver<Frame>,
-    ) -> CommandId {
+    async fn see_through(self: Arc<Self>, ways: Ways, camera: Device, newest: watch::Receiver<Frame>) -> CommandId {
         let id = newest.borrow().id.clone();
         let mut failures = 0;
         loop {
             let frame = newest.borrow().clone();
-            let turn = turns.acquire().await;
-            let Err(error) = self.store(&client, &camera, frame).await else { break };
-            drop(turn);
+            let Err(error) = self.store(&ways, &camera, frame).await else { break };
             failures += 1;
             tracing::debug!(frame = %id, error = format!("{error:#}"), failures, "a frame is not stored yet");
-            if failures == FAILURES_BEFORE_ALERT {
+            if failures >= FAILURES_BEFORE_ALERT {
                 let cause = format!("frame {id} of camera {} cannot be stored: {error:#}", camera.name);
-                self.node.alerts.raise(AlertKind::ArchiveFrame, &id, &cause);
+                self.node.alerts.raise(AlertKind::ArchiveFrame, "", &self.failing.add(&id, cause));
             }
             tokio::time::sleep(wait(failures)).await;
         }
-        self.node.alerts.clear(AlertKind::ArchiveFrame, &id);
+        match self.failing.remove(&id) {
+            Some(cause) => self.node.alerts.raise(AlertKind::ArchiveFrame, "", &cause),
+            None => self.node.alerts.clear(AlertKind::ArchiveFrame, ""),
+        }
         let frame = newest.borrow().clone();
         self.release(&camera, &frame).await;
         id
     }
 
-    async fn store(&self, client: &reqwest::Client, camera: &Device, frame: Frame) -> anyhow::Result<()> {
+    async fn store(&self, ways: &Ways, camera: &Device, frame: Frame) -> anyhow::Result<()> {
         if let Some(known) = self.known(&frame).await? {
             let same = known.frame.sha256.eq_ignore_ascii_case(&frame.sha256);
             anyhow::ensure!(same, "frame {} is stored with other pixels than those announced now", frame.id);
             return Ok(());
         }
-        let pixels = download::fetch(client, &frame).await?;
+        let _turn = ways.turns.wait(&frame.url).await;
+        let pixels = download::fetch(&ways.client, &frame).await?;
+        ways.turns.proven(&frame.url);
+        let _at_disk = ways.disk.acquire().await;
         let written = self.node.bus.clock().utc();
         let devices = pairing(&self.node.config, camera, &frame);
         let newest = |kind: Kind, property: &str| {
@@ -162,11 +186,12 @@ impl Store {
         let cards = header::base(&self.node.header, &header::Known { frame: &frame, place, written, newest: &newest });
         let room = header::room(&self.node.header);
         let images = self.node.config.folders.images.clone();
-        let part = images.join(PART_FOLDER).join(format!("{}.fits", part_name(&frame.id)));
+        let parts = folder::parts(&images, &self.node.config.address());
+        let part = parts.join(format!("{}.fits", part_name(&frame.id)));
 
         let (shape, part_path) = (Shape::of(&frame), part.clone());
         let write = move || -> anyhow::Result<u64> {
-            if part_path.exists() {
+            if is_taken(&part_path) {
                 std::fs::remove_file(&part_path)?;
             }
             let mut fits = FitsFile::create(&part_path, &shape)?;
@@ -179,6 +204,7 @@ impl Store {
             fits.close()?;
             let file = std::fs::OpenOptions::new().write(true).open(&part_path)?;
             file.sync_all()?;
+            bus::private::make_public_file(&part_path)?;
             Ok(file.metadata()?.len())
         };
         let bytes = tokio::task::spawn_blocking(write).await?.context("cannot write the file")?;
@@ -205,10 +231,19 @@ impl Store {
                 return Ok(Known::Stored(Box::new(image)));
             }
             let file = reader.writing(&id)?;
-            let whole = file.and_then(|file| Some((length_if_whole(&images.join(&file), &id)?, file)));
+            let whole = file.and_then(|file| Some((length_if_whole(&images, &file, &id)?, file)));
             Ok(whole.map_or(Known::Not, |(bytes, file)| Known::Named { file, bytes }))
         };
-        match tokio::task::spawn_blocking(look).await?? {
+        let found = match tokio::task::spawn_blocking(look).await?? {
+            // a database that is older than the files does not know all of them
+            Known::Not => self
+                .on_disk
+                .find(frame, &self.node.config.folders.images)
+                .await
+                .map_or(Known::Not, |(file, bytes)| Known::Named { file, bytes }),
+            found => found,
+        };
+        match found {
             Known::Stored(image) => Ok(Some(*image)),
             Known::Not => Ok(None),
             Known::Named { file, bytes } => {
@@ -270,18 +305,18 @@ fn part_name(id: &CommandId) -> String {
 }
 
 /// Length of a file, if it is the whole file of this frame.
-fn length_if_whole(path: &Path, id: &CommandId) -> Option<u64> {
-    let header = Header::read(path).ok()??;
+fn length_if_whole(images: &Path, file: &str, id: &CommandId) -> Option<u64> {
+    let path = images.join(file);
+    without_links(images, &path).ok()?;
+    let header = Header::read(&path).ok()??;
     (header.value("FRAMEID").as_deref() == Some(id.0.as_str())).then(|| std::fs::metadata(path).ok())?.map(|m| m.len())
 }
 
 /// Where the file goes: its folders are made, and a name that is taken is changed.
 fn free_path(images: &Path, relative: &Path, written: Utc) -> anyhow::Result<PathBuf> {
-    let path = images.join(relative);
-    if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    }
-    if !path.exists() {
+    let path = make_way(images, relative)
+        .with_context(|| format!("cannot make the folder of {} in {}", relative.display(), images.display()))?;
+    if !is_taken(&path) {
         return Ok(path);
     }
     let other = other_than(&path, written);
@@ -289,7 +324,8 @@ fn free_path(images: &Path, relative: &Path, written: Utc) -> anyhow::Result<Pat
     Ok(other)
 }
 
-fn relative_text(images: &Path, path: &Path) -> String {
+/// A path relative to the folder of images, with `/` on every system.
+pub fn relative_text(images: &Path, path: &Path) -> String {
     let relative = path.strip_prefix(images).unwrap_or(path);
     relative.iter().map(|part| part.to_string_lossy()).collect::<Vec<_>>().join("/")
 }

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::Read as _;
+use std::io::Read;
 use std::path::Path;
 
 use crate::card::{Card, printable};
@@ -31,7 +31,11 @@ pub struct Header {
 impl Header {
     /// Reads the header of a file; `None` if it has none with an end.
     pub fn read(path: &Path) -> std::io::Result<Option<Self>> {
-        let mut file = File::open(path)?;
+        Self::read_from(File::open(path)?)
+    }
+
+    /// Reads the header with which these bytes begin; `None` if it has no end.
+    pub fn read_from(mut file: impl Read) -> std::io::Result<Option<Self>> {
         let (mut cards, mut block) = (Vec::<[u8; CARD]>::new(), [0; BLOCK]);
         for blocks in 1..=MOST_BLOCKS {
             match file.read_exact(&mut block) {

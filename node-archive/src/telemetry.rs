@@ -1,9 +1,10 @@
 //! Everything that devices say, into the database, and the newest of it at hand for new headers.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use bus::{Catch, Heard, Node};
+use config::Observatory;
 use contract::device::Description;
 use contract::device::telescope::EquatorialSystem;
 use contract::{Device, DeviceState, Key, NoData, Reading, Scalar};
@@ -67,6 +68,9 @@ impl Newest {
         let have = &mut devices.entry(device.clone()).or_default().readings;
         let mut new = Vec::new();
         for (property, reading) in readings {
+            if have.len() >= MOST_PROPERTIES && !have.contains_key(&property) {
+                continue;
+            }
             let known = have.get(&property).map(|known| known.at_utc);
             if known == Some(reading.at_utc) {
                 continue;
@@ -86,6 +90,9 @@ impl Newest {
     }
 }
 
+/// Properties of one device; ASCOM knows some sixty, and the header table may add some.
+const MOST_PROPERTIES: usize = 512;
+
 /// Keeps what the devices of this telescope, and those it shares with its neighbours, say.
 pub async fn keep(node: Node, database: Database, newest: Newest) -> anyhow::Result<()> {
     let mut states = Vec::new();
@@ -97,11 +104,18 @@ pub async fn keep(node: Node, database: Database, newest: Newest) -> anyhow::Res
         capabilities.push(node.bus.subscribe::<Description<Value>>(&keys, Catch::Newest, 256).await?);
     }
     let mut told = (0, 0, 0);
+    let mut known = KnownDevices::of(&node.config);
     loop {
         tokio::select! {
-            heard = first(&states) => keep_state(heard, &database, &newest).await?,
+            heard = first(&states) => {
+                if matches!(&heard.key, Key::State(device) if known.admits(device)) {
+                    keep_state(heard, &database, &newest).await?;
+                }
+            }
             heard = first(&capabilities) => {
-                if let Key::Capabilities(device) = &heard.key {
+                if let Key::Capabilities(device) = &heard.key
+                    && known.admits(device)
+                {
                     newest.take_capabilities(device, serde_json::to_value(&heard.said.body)?);
                 }
             }
@@ -115,6 +129,39 @@ pub async fn keep(node: Node, database: Database, newest: Newest) -> anyhow::Res
                 node.figure(figure, Scalar::Int(value as i64));
             }
         }
+    }
+}
+
+/// Devices whose telemetry is stored: those that the file names, and a few more, such as other shared ones of the site. Any
+/// program on the bus can invent more, and each would stay in memory and in the database.
+struct KnownDevices {
+    named: BTreeSet<Device>,
+    others: BTreeSet<Device>,
+}
+
+/// Devices that are not in the file.
+const MOST_OTHERS: usize = 128;
+
+impl KnownDevices {
+    fn of(config: &Observatory) -> Self {
+        let own = config.devices().into_iter().map(|(kind, common)| config.address().device(kind, &common.name));
+        let shared = config.heeded_safety_monitors().into_iter().chain(config.heeded_weather());
+        Self { named: own.chain(shared).chain(config.enclosures()).collect(), others: BTreeSet::new() }
+    }
+
+    fn admits(&mut self, device: &Device) -> bool {
+        if self.named.contains(device) || self.others.contains(device) {
+            return true;
+        }
+        if self.others.len() >= MOST_OTHERS {
+            return false;
+        }
+        self.others.insert(device.clone());
+        if self.others.len() == MOST_OTHERS {
+            let most = MOST_OTHERS;
+            tracing::warn!(most, "devices that no file names publish their states; no more of them are stored");
+        }
+        true
     }
 }
 
@@ -160,6 +207,20 @@ mod tests {
             "value": value, "at_utc": Utc::from_micros(second * 1_000_000),
         }))
         .unwrap()
+    }
+
+    #[test]
+    fn a_million_invented_devices_take_no_room_and_those_of_the_file_are_kept() {
+        let text = "[observatory]\nsite = \"paranal\"\ntelescope = \"callisto\"\nlatitude_deg = -24.6\n\
+                    longitude_deg = -70.4\nelevation_m = 2500\n[[telescope]]\nname = \"mount\"\nserver = \"127.0.0.1:1\"\n";
+        let mut known = KnownDevices::of(&config::parse(text, std::path::Path::new(".")).unwrap());
+        let address = Address::new("paranal", "callisto").unwrap();
+        let invented = |i: u32| address.device(Kind::Switch, &format!("n{i}").parse().unwrap());
+        assert_eq!((0..1_000_000).filter(|i| known.admits(&invented(*i))).count(), MOST_OTHERS);
+        assert!(known.admits(&device()));
+        let newest = Newest::default();
+        let readings = (0..10_000).map(|i| (format!("p{i}"), reading(1, 1.0))).collect();
+        assert_eq!(newest.take(&device(), readings).len(), MOST_PROPERTIES);
     }
 
     #[test]

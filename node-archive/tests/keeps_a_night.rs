@@ -1,6 +1,9 @@
 //! An archive node on a real bus: frames from a spool that fails now and then, telemetry, questions, a restart.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends at the first surprise")]
 
+#[path = "keeps_a_night/what_goes_wrong.rs"]
+mod what_goes_wrong;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -51,6 +54,8 @@ struct Spool {
     requests: Arc<AtomicUsize>,
     released: Arc<Mutex<Vec<Command<camera::Command>>>>,
     frames: bus::Publisher<Frame>,
+    /// Commands are answered by the program that publishes the state.
+    _state: bus::Publisher<DeviceState<camera::Fields>>,
     _commands: Service,
 }
 
@@ -83,7 +88,12 @@ impl Spool {
         });
         let commands = commands.await.unwrap();
         let frames = bus.publisher(&Key::Frame(camera()), Quality::Event { cache: 100 }).await.unwrap();
-        Self { bus, url, requests, released, frames, _commands: commands }
+        let state = bus.publisher(&Key::State(camera()), Quality::State { cache: 1 }).await.unwrap();
+        let (fields, readings) = (camera::Fields::default(), Default::default());
+        let (link, period_s) = (Link::Connecting, 1.0);
+        let said = DeviceState { link, busy: false, period_s, poll_s: None, last_command: None, fields, readings };
+        state.put(said).await.unwrap();
+        Self { bus, url, requests, released, frames, _state: state, _commands: commands }
     }
 
     fn frame(&self, id: &str, started_utc: Utc) -> Frame {
@@ -227,6 +237,7 @@ async fn poll_mount(bus: Bus, start: Utc) {
             link: Link::Connected,
             busy: false,
             period_s: 0.1,
+            poll_s: None,
             last_command: None,
             fields: serde_json::Value::Null,
             readings: serde_json::from_value(readings).unwrap(),
@@ -245,7 +256,7 @@ async fn hear_stored(stored: &Subscriber<Stored>, complete: bool) -> Stored {
             }
         }
     };
-    tokio::time::timeout(Duration::from_secs(20), wait).await.unwrap()
+    tokio::time::timeout(Duration::from_secs(90), wait).await.unwrap()
 }
 
 async fn ask(bus: &Bus, ask: Ask) -> Vec<Row> {
@@ -255,13 +266,13 @@ async fn ask(bus: &Bus, ask: Ask) -> Vec<Row> {
 }
 
 async fn until(what: &str, mut is_so: impl FnMut() -> bool) {
-    for _ in 0..200 {
+    for _ in 0..900 {
         if is_so() {
             return;
         }
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
-    panic!("not within 20 s: {what}");
+    panic!("not within 90 s: {what}");
 }
 
 fn files(folder: &Path) -> Vec<PathBuf> {
@@ -269,8 +280,9 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in entries {
         let path = entry.unwrap().path();
-        if path.file_name().unwrap() == "spare.header" {
-            continue; // the journal of headers, kept for the next one
+        // the journal of headers, which the next archive uses, and the lock
+        if path.file_name().unwrap() == "spare.header" || path.extension().is_some_and(|ending| ending == "lock") {
+            continue;
         }
         if path.is_dir() { found.extend(files(&path)) } else { found.push(path) }
     }
@@ -281,8 +293,8 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 async fn a_frame_is_stored_once_released_completed_and_found_again_after_a_restart() {
     let folder = tempfile::tempdir().unwrap();
     let images = folder.path().join("images");
-    std::fs::create_dir_all(images.join(".part")).unwrap();
-    std::fs::write(images.join(".part/left-by-a-kill.fits"), "half").unwrap();
+    std::fs::create_dir_all(images.join(".part/paranal-callisto")).unwrap();
+    std::fs::write(images.join(".part/paranal-callisto/left-by-a-kill.fits"), "half").unwrap();
     let (device_bus, archive_bus) = two_buses().await;
     let spool = Spool::start(device_bus.clone()).await;
     let stored = spool.bus.subscribe::<Stored>(&Key::Stored(address()).to_string(), Catch::All, 100).await.unwrap();

@@ -8,7 +8,7 @@ use bus::{Bus, Clock, Node, Quality};
 use contract::observatory::FocusRun;
 use contract::{Address, CommandId, Key, Role};
 
-const MOST: Duration = Duration::from_secs(20);
+const MOST: Duration = Duration::from_secs(90);
 
 async fn bus(connect: Vec<String>) -> Bus {
     let settings = config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect, multicast: false };

@@ -15,7 +15,7 @@ use contract::{Address, CommandId, Key, Kind, Role};
 use node_archive::stored_header::Header;
 use sha2::{Digest, Sha256};
 
-const MOST: Duration = Duration::from_secs(20);
+const MOST: Duration = Duration::from_secs(90);
 const PIXELS: [u8; 64 * 32 * 2] = [3; 64 * 32 * 2];
 
 fn address() -> Address {

@@ -10,6 +10,9 @@ use units::Utc;
 /// So many lines are kept per telescope.
 const KEPT: usize = 500;
 
+/// Nodes of one telescope; more are the invention of some program.
+const MOST_NODES: usize = 256;
+
 /// One line with who wrote it.
 #[derive(Debug, Clone, Serialize)]
 pub struct Line {
@@ -42,6 +45,9 @@ impl Diary {
     pub fn write(&mut self, line: Line) -> bool {
         let seen = self.newest.get(&line.node);
         if seen.is_some_and(|(boot_id, seq)| *boot_id == line.boot_id && line.seq <= *seq) {
+            return false;
+        }
+        if seen.is_none() && self.newest.len() >= MOST_NODES {
             return false;
         }
         self.newest.insert(line.node.clone(), (line.boot_id.clone(), line.seq));

@@ -9,6 +9,7 @@ use serde::Deserialize as _;
 use serde_json::Value;
 use tokio::task::JoinSet;
 
+use crate::edge;
 use crate::network::Network;
 use crate::preview::Previews;
 
@@ -53,6 +54,10 @@ async fn hear(subscriber: Subscriber<Value>, network: Arc<Network>, previews: Ar
             body.remove("url");
         }
         let arrived = heard.arrived;
+        if let Err(why) = edge::check(&heard.key, &heard.said.body) {
+            network.refuse(&heard.key, why, arrived);
+            continue;
+        }
         if network.accept(heard)
             && let Some((device, Stamped { body, .. })) = frame
         {

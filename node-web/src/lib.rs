@@ -10,6 +10,7 @@
 
 mod alerts;
 mod diary;
+mod edge;
 mod freshness;
 mod gate;
 mod hear;
@@ -29,22 +30,29 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context as _;
-use axum::serve::ListenerExt as _;
 use contract::Scalar;
+use contract::observatory::AlertKind;
+use local_http::{Limits, Places, Room};
 use tokio::net::TcpListener;
 use tokio::task::JoinSet;
 
 use crate::gate::Gate;
 use crate::server::Server;
 
-/// Answers under way when the node is told to stop may take so long.
-const LAST_ANSWERS: Duration = Duration::from_secs(2);
+/// Sockets of pages that are open are counted apart (`ws`).
+const LIMITS: Limits = Limits {
+    room: Room { total: 400, per_address: 64, trusted: 80 },
+    header: Duration::from_secs(5),
+    total: Duration::from_secs(120),
+};
+/// An address that is taken is tried again after this.
+const LISTEN_AGAIN: Duration = Duration::from_secs(5);
 const FORGET_EVERY: Duration = Duration::from_secs(600);
 
 /// Serves the page until the node is told to stop.
 pub async fn run(node: bus::Node) -> anyhow::Result<()> {
     let listen = node.config.web.listen;
-    let listener = TcpListener::bind(listen).await.with_context(|| format!("cannot serve the page on {listen}"))?;
+    let Some(listener) = listen_on(&node, listen).await else { return Ok(()) };
     let address = listener.local_addr()?;
 
     let network = Arc::new(network::Network::new(node.bus.clock().clone(), node.config.address()));
@@ -64,25 +72,36 @@ pub async fn run(node: bus::Node) -> anyhow::Result<()> {
         bus: node.bus.clone(),
         stop: node.stop.clone(),
         heartbeats: Default::default(),
-        sockets: Default::default(),
+        sockets: Places::new(ws::ROOM),
     };
     let app = server::router(Arc::new(server), Gate::new(address, host_name()));
     let url = format!("http://{}/", reachable(address));
     node.figure("page_url", Scalar::Text(url.clone()));
     tracing::info!("page: {url}");
 
-    // small answers must not wait for an acknowledgement of the one before
-    let listener = listener.tap_io(|stream| drop(stream.set_nodelay(true)));
     let stop = node.stop.clone();
-    let serve = axum::serve(listener, app).with_graceful_shutdown(async move { stop.wait().await });
-    let ending = async {
-        node.stop.wait().await;
-        tokio::time::sleep(LAST_ANSWERS).await;
-    };
     tokio::select! {
-        result = serve => result.context("the server ended"),
-        () = ending => Ok(()),
+        () = local_http::serve(listener, app, LIMITS, async move { stop.wait().await }) => Ok(()),
         Some(ended) = tasks.join_next() => ended.context("a task of the web node failed")?,
+    }
+}
+
+/// Takes the page's address, again and again until it is free; absent when the node is stopped before.
+async fn listen_on(node: &bus::Node, listen: SocketAddr) -> Option<TcpListener> {
+    loop {
+        let why = match TcpListener::bind(listen).await {
+            Ok(listener) => {
+                node.alerts.clear(AlertKind::Configuration, "web.listen");
+                return Some(listener);
+            }
+            Err(error) => error,
+        };
+        let why = format!(
+            "web.listen: the page cannot be served on {listen}: {why}; end the program that has this address, or choose \
+             another port; it is tried again each 5 s"
+        );
+        node.alerts.raise(AlertKind::Configuration, "web.listen", &why);
+        node.stop.or(tokio::time::sleep(LISTEN_AGAIN)).await?;
     }
 }
 

@@ -12,18 +12,29 @@ use bus::{Clock, Heard, MachineTime};
 use contract::key::ROOT;
 use contract::node::DiaryLine;
 use contract::{Address, BootId, CommandId, Key, NodeTopic};
-use serde::Deserialize as _;
+use serde::{Deserialize as _, Serialize};
 use serde_json::Value;
 use std::sync::Arc;
 use units::Utc;
 
 use crate::diary::{Diary, Line};
+use crate::edge::weight;
 use crate::freshness::{Quality, period};
 use crate::summary::Summary;
 
 /// A broken or hostile publisher must not fill the memory.
 const MOST_KEYS: usize = 2000;
 const MOST_TELESCOPES: usize = 200;
+/// What payloads may take in memory: those of one telescope, and all.
+const MOST_WEIGHT: usize = 32 << 20;
+const MOST_WEIGHT_OF_ALL: usize = 256 << 20;
+/// What has been silent for so long gives way when there is no room for something new.
+const GIVES_WAY_AFTER: Duration = Duration::from_secs(60);
+/// Looking for what is silent takes time, and a flood asks for room thousands of times a second.
+const LOOK_EVERY: Duration = Duration::from_secs(5);
+/// Keys of one telescope whose payloads could not be read; they are told for a minute.
+const MOST_UNREADABLE: usize = 20;
+const UNREADABLE_FOR: Duration = Duration::from_secs(60);
 /// A telescope or node that has been silent for so long was taken away.
 const FORGET_AFTER: Duration = Duration::from_secs(24 * 3600);
 /// Two writers of one key: the younger one counts while it has spoken within this time.
@@ -45,6 +56,11 @@ pub struct Model {
     pub telescopes: BTreeMap<Address, Telescope>,
     /// Counts what was accepted.
     pub revision: u64,
+    /// The telescope of this node's own file: there is always room for it.
+    expected: Option<Address>,
+    weight: usize,
+    /// When everything was seen to be in use.
+    full: Option<MachineTime>,
 }
 
 /// What was heard at one address.
@@ -56,6 +72,18 @@ pub struct Telescope {
     pub diary: Diary,
     /// The newest frame that could be turned into an image, or why it could not.
     pub image: Option<Image>,
+    unreadable: BTreeMap<String, (String, MachineTime)>,
+    weight: usize,
+    full: Option<MachineTime>,
+}
+
+/// A key whose newest payload is not what the contract promises.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Unreadable {
+    /// The key without its root.
+    pub key: String,
+    /// What is wrong.
+    pub why: String,
 }
 
 /// One payload as it was heard.
@@ -75,6 +103,7 @@ pub struct Entry {
     pub changed: u64,
     boot_id: BootId,
     seq: u64,
+    weight: usize,
 }
 
 /// The image that the page shows.
@@ -108,6 +137,12 @@ impl Entry {
 }
 
 impl Telescope {
+    /// Keys whose payloads were refused within the last minute and have not been readable since.
+    pub fn unreadable(&self, now: MachineTime) -> Vec<Unreadable> {
+        let recent = self.unreadable.iter().filter(|(_, (_, at))| now.since(*at) < UNREADABLE_FOR);
+        recent.map(|(key, (why, _))| Unreadable { key: key.clone(), why: why.clone() }).collect()
+    }
+
     /// The newest payload of a key, read as its type; `None` where it never came or cannot be read.
     pub fn read<T: serde::de::DeserializeOwned>(&self, key: &Key) -> Option<(&Entry, T)> {
         let entry = self.states.get(&short(key))?;
@@ -118,8 +153,9 @@ impl Telescope {
 impl Network {
     /// An empty network, with a telescope that is expected though it may never speak.
     pub fn new(clock: Clock, expected: Address) -> Self {
-        let telescopes = BTreeMap::from([(expected, Telescope::default())]);
-        Self { clock, model: RwLock::new(Model { telescopes, revision: 0 }), summaries: Mutex::default() }
+        let telescopes = BTreeMap::from([(expected.clone(), Telescope::default())]);
+        let model = Model { telescopes, expected: Some(expected), ..Model::default() };
+        Self { clock, model: RwLock::new(model), summaries: Mutex::default() }
     }
 
     /// The clock that ages are judged by.
@@ -139,6 +175,21 @@ impl Network {
     /// Takes a payload in; true when it is new.
     pub fn accept(&self, heard: Heard<Value>) -> bool {
         self.write().accept(heard)
+    }
+
+    /// Notes that a payload was not taken, and why.
+    pub fn refuse(&self, key: &Key, why: String, arrived: MachineTime) {
+        let mut model = self.write();
+        // a stranger's telescope does not come into being by nonsense
+        let Some(telescope) = model.telescopes.get_mut(key.address()) else { return };
+        telescope.unreadable.retain(|_, (_, at)| arrived.since(*at) < UNREADABLE_FOR);
+        let name = short(key);
+        if telescope.unreadable.len() < MOST_UNREADABLE || telescope.unreadable.contains_key(&name) {
+            if telescope.unreadable.insert(name, (why.clone(), arrived)).is_none() {
+                tracing::warn!(%key, why, "a payload is not what its key promises; it is not shown");
+            }
+            model.revision += 1;
+        }
     }
 
     /// Notes the image of a frame, or why there is none.
@@ -162,11 +213,14 @@ impl Network {
     /// Drops what has been silent for a day.
     pub fn forget(&self) {
         let now = self.clock.machine();
-        self.write().telescopes.retain(|_, telescope| {
+        let mut model = self.write();
+        model.telescopes.retain(|_, telescope| {
             let gone = |entry: &Entry| entry.age(now) > FORGET_AFTER;
             telescope.states.retain(|_, entry| !(matches!(entry.key, Key::Node(..)) && gone(entry)));
+            telescope.weight = telescope.states.values().map(|entry| entry.weight).sum();
             telescope.states.is_empty() || !telescope.states.values().all(gone)
         });
+        model.weight = model.telescopes.values().map(|telescope| telescope.weight).sum();
     }
 
     /// One summary per telescope, `shared` included, at most 200 ms old.
@@ -189,10 +243,16 @@ impl Network {
 impl Model {
     fn accept(&mut self, heard: Heard<Value>) -> bool {
         let address = heard.key.address().clone();
-        if self.telescopes.len() >= MOST_TELESCOPES && !self.telescopes.contains_key(&address) {
+        if self.telescopes.len() >= MOST_TELESCOPES
+            && !self.telescopes.contains_key(&address)
+            && !self.give_way(heard.arrived)
+        {
             return false;
         }
+        let is_expected = self.expected.as_ref() == Some(&address);
+        let room = if is_expected { usize::MAX } else { MOST_WEIGHT_OF_ALL.saturating_sub(self.weight) };
         let telescope = self.telescopes.entry(address).or_default();
+        let before = telescope.weight;
         let revision = self.revision + 1;
         let taken = match &heard.key {
             Key::Node(_, role, id, NodeTopic::Diary) => match DiaryLine::deserialize(&heard.said.body) {
@@ -206,8 +266,9 @@ impl Model {
                 }),
                 Err(_) => false,
             },
-            _ => telescope.keep(heard, revision),
+            _ => telescope.keep(heard, revision, room),
         };
+        self.weight = (self.weight + telescope.weight).saturating_sub(before);
         if taken {
             self.revision = revision;
         }
@@ -215,11 +276,59 @@ impl Model {
     }
 }
 
+impl Model {
+    /// Forgets the telescope that has been silent the longest, if any has.
+    fn give_way(&mut self, now: MachineTime) -> bool {
+        if self.full.is_some_and(|at| now.since(at) < LOOK_EVERY) {
+            return false;
+        }
+        let newest = |telescope: &Telescope| telescope.states.values().map(|entry| entry.arrived).max();
+        let others = self.telescopes.iter().filter(|(address, _)| self.expected.as_ref() != Some(*address));
+        let silent = others.filter(|(_, t)| newest(t).is_none_or(|at| now.since(at) > GIVES_WAY_AFTER));
+        let Some(address) = silent.min_by_key(|(_, t)| newest(t)).map(|(address, _)| address.clone()) else {
+            self.full = Some(now);
+            return false;
+        };
+        if let Some(gone) = self.telescopes.remove(&address) {
+            self.weight = self.weight.saturating_sub(gone.weight);
+        }
+        true
+    }
+}
+
 impl Telescope {
-    fn keep(&mut self, heard: Heard<Value>, revision: u64) -> bool {
+    /// Forgets the key that has been silent the longest, if one has.
+    fn give_way(&mut self, now: MachineTime) -> bool {
+        if self.full.is_some_and(|at| now.since(at) < LOOK_EVERY) {
+            return false;
+        }
+        let silent = self.states.iter().filter(|(_, entry)| now.since(entry.arrived) > GIVES_WAY_AFTER);
+        let Some(name) = silent.min_by_key(|(_, entry)| entry.arrived).map(|(name, _)| name.clone()) else {
+            self.full = Some(now);
+            return false;
+        };
+        if let Some(gone) = self.states.remove(&name) {
+            self.weight = self.weight.saturating_sub(gone.weight);
+        }
+        true
+    }
+
+    /// Keeps a payload unless it is old or there is no room for it; all others may weigh `room` more.
+    fn keep(&mut self, heard: Heard<Value>, revision: u64, room: usize) -> bool {
         let name = short(&heard.key);
-        let full = self.states.len() >= MOST_KEYS;
+        // of some keys a telescope has only one: a flood of others must not keep them out
+        let is_single = matches!(heard.key, Key::Observatory(..) | Key::Facts(..) | Key::Stored(_));
         let Heard { key, said, arrived } = heard;
+        let weight = weight(&said.body);
+        let had = self.states.get(&name).map_or(0, |have| have.weight);
+        let room = room.min(MOST_WEIGHT.saturating_sub(self.weight));
+        if weight > had && weight - had > room {
+            return false;
+        }
+        let is_new = !self.states.contains_key(&name);
+        if is_new && !is_single && self.states.len() >= MOST_KEYS && !self.give_way(arrived) {
+            return false;
+        }
         let mut entry = Entry {
             key,
             body: Arc::new(said.body),
@@ -229,6 +338,7 @@ impl Telescope {
             changed: revision,
             boot_id: said.boot_id,
             seq: said.seq,
+            weight,
         };
         match self.states.get_mut(&name) {
             Some(have) if is_older(&entry, have) => return false,
@@ -239,11 +349,12 @@ impl Telescope {
                 }
                 *have = entry;
             }
-            None if full => return false,
             None => {
-                self.states.insert(name, entry);
+                self.states.insert(name.clone(), entry);
             }
         }
+        self.weight = (self.weight + weight).saturating_sub(had);
+        self.unreadable.remove(&name);
         true
     }
 }
@@ -283,6 +394,8 @@ pub(crate) mod tests {
                 boot_id: serde_json::from_value(json!(boot)).unwrap(),
                 seq,
                 at_utc: Utc::from_seconds(1.8e9 + at_s as f64),
+                sent_s: None,
+                held_s: None,
                 body,
             },
             arrived: MachineTime::from_boot(Duration::from_secs(at_s)),
@@ -337,6 +450,42 @@ pub(crate) mod tests {
         let found: Vec<String> = model.telescopes.keys().map(ToString::to_string).collect();
         assert_eq!(found, ["paranal/callisto", "paranal/io", "teide/artemis"]);
         assert!(model.telescopes.values().all(|telescope| telescope.states.len() <= 1));
+    }
+
+    #[test]
+    fn a_million_keys_of_a_stranger_leave_room_for_the_telescope_of_the_file() {
+        let network = network();
+        for i in 0..1_000_000 {
+            let (site, name) = (i % 1000, i / 1000);
+            let body = json!({"text": "x".repeat(200)});
+            network.accept(heard(&format!("s{site}/t/device/switch/n{name}/state"), "b", 0, 1, body));
+        }
+        let model = network.read();
+        assert!(model.telescopes.len() <= MOST_TELESCOPES && model.weight <= MOST_WEIGHT_OF_ALL, "{}", model.weight);
+        let weighed: usize = model.telescopes.values().flat_map(|t| t.states.values()).map(|entry| entry.weight).sum();
+        assert_eq!(weighed, model.weight);
+        drop(model);
+        assert!(network.accept(heard(NIGHT, "b", 0, 2, json!({"frames": 1}))));
+        let late = "teide/artemis/observatory/night/state";
+        assert!(!network.accept(heard(late, "b", 0, 30, json!({}))), "all others were heard a moment ago");
+        assert!(network.accept(heard(late, "b", 0, 90, json!({}))), "what has fallen silent gives way");
+    }
+
+    #[test]
+    fn what_cannot_be_read_is_told_until_it_can_be_read_again() {
+        let network = network();
+        network.accept(heard(NIGHT, "b1", 0, 10, json!({"frames": 1})));
+        let key = Key::parse(&format!("{ROOT}/{NIGHT}")).unwrap();
+        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
+        network.refuse(&key, "frames is a text".to_owned(), at(11));
+        let told = |s| {
+            let model = network.read();
+            model.telescopes[&Address::new("paranal", "callisto").unwrap()].unreadable(at(s)).len()
+        };
+        assert_eq!([told(12), told(72)], [1, 0]);
+        assert_eq!(*entry(&network).body, json!({"frames": 1}), "the last good one stays, and grows old");
+        network.accept(heard(NIGHT, "b1", 1, 13, json!({"frames": 2})));
+        assert_eq!(told(14), 0);
     }
 
     #[test]

@@ -24,6 +24,8 @@ const LONGEST_SIDE_PX: usize = 1024;
 const QUALITY_PERCENT: u8 = 82;
 /// A frame of more pixels is a mistake or an attack.
 const MOST_PIXELS: u64 = 500_000_000;
+/// Cameras of all telescopes whose images are kept.
+const MOST_CAMERAS: usize = 256;
 const WATCHED_EVERY: Duration = Duration::from_secs(1);
 const UNWATCHED_EVERY: Duration = Duration::from_secs(10);
 const FETCH_TIMEOUT: Duration = Duration::from_secs(60);
@@ -82,7 +84,7 @@ impl Previews {
     /// None yet.
     pub fn new(network: Arc<Network>) -> Result<Self, reqwest::Error> {
         // spools are hosts of the observatory's own network, never behind a proxy
-        let client = reqwest::Client::builder().no_proxy().connect_timeout(Duration::from_secs(5));
+        let client = local_http::client_builder().connect_timeout(Duration::from_secs(5));
         Ok(Self {
             network,
             client: client.timeout(FETCH_TIMEOUT).build()?,
@@ -107,7 +109,13 @@ impl Previews {
 
     /// A frame was announced; it takes the place of an older one of its camera that still waits.
     pub fn want(&self, camera: Device, frame: Frame, arrived: MachineTime) {
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner).insert(camera, (frame, arrived));
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        if waiting.len() >= MOST_CAMERAS && !waiting.contains_key(&camera) {
+            tracing::debug!(%camera, "too many cameras announce frames; this one is passed over");
+            return;
+        }
+        waiting.insert(camera, (frame, arrived));
+        drop(waiting);
         self.wake.notify_one();
     }
 
@@ -155,6 +163,10 @@ impl Previews {
                 frame.url.clear();
                 let jpeg = Jpeg { frame: id.clone(), bytes: bytes.into() };
                 let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+                let is_known = made.get(&camera.address).is_some_and(|cameras| cameras.contains_key(&camera.name));
+                if !is_known && made.values().map(BTreeMap::len).sum::<usize>() >= MOST_CAMERAS {
+                    return;
+                }
                 made.entry(camera.address.clone()).or_default().insert(camera.name.clone(), jpeg);
                 drop(made);
                 let body = serde_json::to_value(&frame).unwrap_or_default();

@@ -1,7 +1,6 @@
 //! The routes, and what they share.
 
 use std::collections::BTreeMap;
-use std::sync::atomic::AtomicUsize;
 use std::sync::{Arc, Mutex};
 
 use axum::Router;
@@ -10,6 +9,7 @@ use axum::http::{StatusCode, Uri};
 use axum::routing::get;
 use bus::{Bus, MachineTime, Stop};
 use contract::Address;
+use local_http::Places;
 
 use crate::gate::{Gate, guard};
 use crate::host::Host;
@@ -34,7 +34,7 @@ pub struct Server {
     /// Heartbeat documents that were made a moment ago.
     pub heartbeats: Mutex<BTreeMap<Option<Address>, (MachineTime, Bytes)>>,
     /// Sockets open now.
-    pub sockets: AtomicUsize,
+    pub sockets: Arc<Places>,
 }
 
 /// All routes, behind the gate.

@@ -15,7 +15,7 @@ use units::Utc;
 
 use crate::alerts::{Counts, standing};
 use crate::freshness::Quality;
-use crate::network::{Entry, Telescope};
+use crate::network::{Entry, Telescope, Unreadable};
 
 /// A tile of the overview, and the head of the telescope page.
 #[derive(Debug, Clone, Serialize)]
@@ -71,6 +71,9 @@ pub struct Face {
     pub device_count: Heads,
     /// Nodes heard, and those that fell silent.
     pub node_count: Heads,
+    /// Keys whose newest payload cannot be read; what stands here of them is older.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub unreadable: Vec<Unreadable>,
     /// The newest image.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub image: Option<ImageCaption>,
@@ -244,6 +247,7 @@ impl Summary {
             alerts,
             device_count: devices(telescope, now),
             node_count: heads(nodes(telescope, now).iter().map(|node| node.quality >= Quality::Lost)),
+            unreadable: telescope.unreadable(now),
             image: image.and_then(|image| {
                 let frame = Frame::deserialize(image.frame.as_ref()).ok()?;
                 Some(ImageCaption {

@@ -5,14 +5,14 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use axum::extract::ws::{Message, Utf8Bytes, WebSocket, WebSocketUpgrade};
-use axum::extract::{Query, State};
+use axum::extract::{Extension, Query, State};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use contract::Address;
+use local_http::{Peer, Room};
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
@@ -26,7 +26,8 @@ use crate::summary::Face;
 const TICK: Duration = Duration::from_millis(250);
 const TICKS_PER_BEAT: u32 = 4;
 const STALLED_AFTER: Duration = Duration::from_secs(10);
-const MOST_SOCKETS: usize = 200;
+/// Pages that may be open: those of one address cannot take all, and there is room left for operators on this host.
+pub const ROOM: Room = Room { total: 200, per_address: 40, trusted: 40 };
 
 /// Which telescope the page shows; `site/telescope`, or none for the overview.
 #[derive(Debug, Default, Deserialize)]
@@ -44,6 +45,7 @@ enum Said {
 /// Opens the socket for a page of ours.
 pub async fn open(
     State(server): State<Arc<Server>>,
+    Extension(Peer(peer)): Extension<Peer>,
     Query(wanted): Query<Wanted>,
     headers: HeaderMap,
     upgrade: WebSocketUpgrade,
@@ -52,28 +54,17 @@ pub async fn open(
         let detail = "A page from elsewhere may not read this telescope network.";
         return Problem::new(StatusCode::FORBIDDEN, "forbidden", "Foreign page", detail).into_response();
     }
-    if server.sockets.fetch_add(1, Ordering::Relaxed) >= MOST_SOCKETS {
-        server.sockets.fetch_sub(1, Ordering::Relaxed);
-        let detail = format!("{MOST_SOCKETS} pages are open already.");
+    let Some(place) = server.sockets.take(peer) else {
+        let Room { total, per_address, .. } = ROOM;
+        let detail = format!("{per_address} pages of one address may be open, and {total} of all.");
         return Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "Too many pages", detail).into_response();
-    }
-    let counted = Counted(server);
+    };
     upgrade.max_message_size(4096).on_upgrade(move |socket| async move {
-        let server = counted.0.clone();
         let _watching = server.previews.watch();
         let view = View::of(wanted.telescope.as_deref());
         server.stop.or(serve(socket, &server, view)).await;
-        drop(counted);
+        drop(place);
     })
-}
-
-/// Gives its place back however the socket ends.
-struct Counted(Arc<Server>);
-
-impl Drop for Counted {
-    fn drop(&mut self) {
-        self.0.sockets.fetch_sub(1, Ordering::Relaxed);
-    }
 }
 
 async fn serve(mut socket: WebSocket, server: &Server, mut view: View) {

@@ -35,6 +35,7 @@ fn night(robotic: bool, posture: Posture) -> NightState {
         ended: false,
         last_frame: None,
         triggers: Vec::new(),
+        last_order: None,
     }
 }
 
@@ -79,13 +80,14 @@ async fn one_telescope_answers_with_every_old_key() {
         link: Link::Connected,
         busy: false,
         period_s: 1.0,
+        poll_s: None,
         last_command: None,
         fields: safety_monitor::Fields { is_safe: Datum::Known(true), gapless_safe_s: 5.0 },
         readings: [
             ("IsSafe", ReadingOutcome::Value { value: Scalar::Bool(true), unit: String::new() }),
             ("Description", ReadingOutcome::Missing { no_data: contract::NoData::not_implemented() }),
         ]
-        .map(|(name, outcome)| (name.to_owned(), Reading { outcome, at_utc: now() }))
+        .map(|(name, outcome)| (name.to_owned(), Reading { outcome, at_utc: now(), age_s: None }))
         .into(),
     };
     let device = address("callisto").shared().device(Kind::SafetyMonitor, &"monitor".parse().unwrap());

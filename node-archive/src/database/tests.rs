@@ -369,3 +369,43 @@ async fn a_correction_of_the_guiding_is_a_row_and_counts_once() {
     drop(database);
     writer.end().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_damaged_database_is_put_aside_and_a_new_one_takes_rows() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("deep/archive.db");
+    let (database, writer) = open(folder.path());
+    let objects = (0..400).map(|number| image(&format!("f{number}"), &"x".repeat(200)));
+    database.commit(objects.map(|image| Write::Stored(Box::new(image))).collect()).await.unwrap();
+    drop(database);
+    writer.end().await;
+    let whole = std::fs::read(&path).unwrap();
+    assert!(whole.len() > 8 * 4096);
+    let mut holes = whole.clone();
+    holes[4096..].fill(0);
+    let damaged = [
+        ("no database", b"half a page of something else".to_vec()),
+        ("cut off", whole[..whole.len() / 2].to_vec()),
+        ("cut within its first page", whole[..1000].to_vec()),
+        ("filled with zeros from its second page on", holes),
+    ];
+    for (number, (what, bytes)) in damaged.into_iter().enumerate() {
+        std::fs::write(&path, &bytes).unwrap();
+        let alerts = AlertBoard::new(Clock::machine_clock());
+        let (database, writer) = Database::open(&path, alerts.clone()).unwrap();
+        let written = database.commit(vec![Write::Stored(Box::new(image("new", "M31")))]);
+        tokio::time::timeout(Duration::from_secs(20), written).await.unwrap_or_else(|_| panic!("{what}")).unwrap();
+        assert!(Reader::open(&path).unwrap().image(&CommandId("new".to_owned())).unwrap().is_some(), "{what}");
+        let aside = path.with_file_name(format!("archive.db.bad-{}", number + 1));
+        assert_eq!(std::fs::read(aside).unwrap(), bytes, "{what}");
+        drop(database);
+        writer.end().await;
+    }
+    // half of a write-ahead log is SQLite's own business
+    std::fs::write(path.with_file_name("archive.db-wal"), &whole[..5000]).unwrap();
+    let (database, writer) = open(folder.path());
+    database.commit(vec![Write::Stored(Box::new(image("newer", "M31")))]).await.unwrap();
+    assert!(Reader::open(&path).unwrap().image(&CommandId("new".to_owned())).unwrap().is_some());
+    drop(database);
+    writer.end().await;
+}

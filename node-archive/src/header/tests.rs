@@ -155,7 +155,7 @@ fn the_schedules_own_values_are_typed_or_left_out() {
 fn rows_that_leave_no_trace_are_told_at_the_start() {
     assert_eq!(check(&HeaderTable::default()), Vec::<String>::new());
     let notes = check(&table("MOONALT,float,false,astra,,\nEPOCH,float,true,static,soon,\nGOOD,bool,true,static,1,\n"));
-    assert_eq!(notes, ["MOONALT: no keyword that Starmesh computes", "EPOCH: \"soon\" is no Float"]);
+    assert_eq!(notes, ["MOONALT: no keyword that Starmesh computes", "EPOCH: \"soon\" is no number"]);
 }
 
 #[test]

@@ -1,5 +1,5 @@
 // Start, routes, and the frame around each page.
-import { show, h } from "./dom.js";
+import { guarded, show, h } from "./dom.js";
 import { clock, duration } from "./format.js";
 import { skyNow, start, store, watch } from "./link.js";
 import { alertCounts, overview, standing } from "./overview.js";
@@ -17,14 +17,15 @@ function shown() {
 function total() {
   const sum = { p1: 0, p2: 0, p3: 0, p4: 0 };
   for (const summary of store.net.values()) {
-    for (const priority in sum) sum[priority] += summary.alert_counts[priority];
+    for (const priority in sum) sum[priority] += summary.alert_counts?.[priority] ?? 0;
     // a telescope whose two words are alarming counts, alert or no alert
     const { concern } = standing(summary);
-    if (concern) sum[`p${concern}`] += 1;
+    if (concern) sum[`p${concern}`] = (sum[`p${concern}`] ?? 0) + 1;
   }
   return sum;
 }
 
+/** The frame of the page; its own failure is shown by the watch in theme.js, because `drawn` is not noted then. */
 function draw() {
   drawing = false;
   const address = shown();
@@ -33,28 +34,40 @@ function draw() {
   document.body.dataset.link = store.link;
   const summary = address && store.net.get(address);
   const urgent = sums.p1 ? ` (P1 × ${sums.p1})` : "";
-  document.title = `${lost ? "LINK LOST – " : ""}${address ? `${address.split("/")[1]} – ` : ""}Starmesh${urgent}`;
   const sky = skyNow();
   show(at("where"), address && [" › ", address.replace("/", " › ")]);
   show(at("clock"), sky ? `UTC ${lost ? "?" : clock(sky)}` : "", store.sky && store.sky.speed !== 1 && h("span", { class: "word sim" }, ` × ${store.sky.speed}`));
-  show(at("link"), h("span", { class: `link-word ${store.link}` }, { live: "live", lost: "LINK LOST", connecting: "connecting" }[store.link]), store.net.size > 0 && [" ", alertCounts(sums)]);
+  show(at("link"), h("span", { class: `link-word ${store.link}` }, { live: "live", lost: "LINK LOST", connecting: "connecting" }[store.link]), store.net.size > 0 && [" ", guarded("alerts", () => alertCounts(sums))]);
   show(at("banner"), lost && h("p", { class: "link-lost", "data-link-lost": true }, h("strong", {}, "LINK LOST "),
-    store.lostAt ? `since ${clock(store.lostAt)}: what you see is old. Trying again …` : "to the server. Trying again …"));
-  show(at("main"), address ? telescope(address, plan) : overview());
+    store.lostAt ? `since ${clock(store.lostAt)}: what you see is old. Trying again …` : "to the server. Trying again …",
+    store.fault && ` ${store.fault}`));
+  show(at("main"), address ? guarded("telescope", () => telescope(address, plan)) : guarded("network", overview));
   const telescopes = [...store.net.values()].filter((s) => !s.shared);
   const age = summary && standing(summary).age;
   show(at("foot"), `Starmesh ${store.version} · ${telescopes.filter((s) => standing(s).fresh).length} of ${telescopes.length} telescopes live`, summary && age !== null && ` · heard ${duration(age)} ago`);
+  document.title = `${lost ? "LINK LOST – " : ""}${address ? `${address.split("/")[1]} – ` : ""}Starmesh${urgent}`;
+  document.body.dataset.drawn = String(performance.now());
 }
 
 function plan() {
   if (drawing) return;
   drawing = true;
-  requestAnimationFrame(draw);
+  requestAnimationFrame(drawOrFail);
+}
+
+/** A page that cannot be drawn is said to be broken: by the watch in theme.js, which needs nothing of what failed here. */
+function drawOrFail() {
+  try {
+    draw();
+  } catch (error) {
+    console.warn("the page cannot be drawn", error);
+    document.body.dataset.drawn = "-Infinity";
+  }
 }
 
 function go() {
   watch(shown());
-  draw();
+  drawOrFail();
 }
 
 document.addEventListener("click", (event) => {
@@ -70,4 +83,4 @@ addEventListener("popstate", go);
 
 watch(shown());
 start(plan);
-draw();
+drawOrFail();

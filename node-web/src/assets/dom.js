@@ -1,8 +1,26 @@
 // Shows a tree of wanted elements by changing only what differs, so that focus, selection and scroll stay.
 
+/** What `h` made; no other object becomes an element, whatever fields a payload has. */
+class Wanted {
+  constructor(tag, attrs, children) {
+    Object.assign(this, { tag, attrs, children });
+  }
+}
+
 /** A wanted element. `key` keeps its identity among its siblings; `on*` are listeners; `null` attributes are left out. */
 export function h(tag, attrs, ...children) {
-  return { tag, attrs: attrs ?? {}, children };
+  return new Wanted(tag, attrs ?? {}, children);
+}
+
+/** What a part of the page shows, or, where it cannot be drawn, a red box that says so; other parts are not concerned. */
+export function guarded(name, draw) {
+  try {
+    return draw();
+  } catch (error) {
+    console.warn(`${name} cannot be drawn`, error);
+    return h("section", { key: `broken-${name}`, class: "panel broken", role: "alert", "data-broken": name },
+      h("p", {}, h("strong", {}, `▲ ${name}: this part cannot be shown. `), "What it said before is not relied on here. ", String(error?.message ?? error).slice(0, 200)));
+  }
 }
 
 /** Makes the children of `parent` be `wanted` (elements, texts, nothing, or lists of these). */
@@ -12,7 +30,7 @@ export function show(parent, ...wanted) {
   let at = parent.firstChild;
   for (const want of wanted.flat(Infinity)) {
     if (want === null || want === undefined || want === false || want === "") continue;
-    const node = typeof want === "object" ? element(want, at, kept) : text(String(want), at);
+    const node = want instanceof Wanted ? element(want, at, kept) : text(typeof want === "object" ? JSON.stringify(want) : String(want), at);
     if (node === at) at = at.nextSibling;
     else parent.insertBefore(node, at);
   }

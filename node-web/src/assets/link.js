@@ -12,6 +12,8 @@ export const store = {
   watch: null,
   /** True once the watched telescope's snapshot is here. */
   whole: false,
+  /** Why the last message could not be read, while the page waits for a whole new one. */
+  fault: "",
   states: new Map(),
   log: [],
 };
@@ -72,11 +74,21 @@ function connect() {
   };
   opened.onmessage = (event) => {
     if (opened !== socket) return;
-    heard = performance.now();
+    const now = performance.now();
+    try {
+      take(JSON.parse(event.data), now);
+    } catch (error) {
+      // what was taken in may be half of it: begin anew with a whole picture, and let nothing old look live
+      console.warn("a message cannot be read", error);
+      store.fault = "What the server sent cannot be read.";
+      lose();
+      return;
+    }
+    heard = now;
     tries = 0;
     if (store.link !== "live") store.lostAt = null;
     store.link = "live";
-    take(JSON.parse(event.data), heard);
+    store.fault = "";
     changed();
   };
   opened.onclose = () => {

@@ -1,5 +1,5 @@
 // The network: one tile per telescope, the ones that need someone first.
-import { h } from "./dom.js";
+import { guarded, h } from "./dom.js";
 import { clock, duration, hourMinute, PRIORITY } from "./format.js";
 import { quality, store, touch } from "./link.js";
 
@@ -13,7 +13,7 @@ export function standing(summary) {
     age,
     worth,
     concern: concern ?? null,
-    safety: fresh ? summary.safety.state : "unknown",
+    safety: fresh ? summary.safety?.state ?? "unknown" : "unknown",
     posture: fresh ? summary.posture : "unknown",
     mode: fresh ? summary.mode : "unknown",
     fresh,
@@ -80,6 +80,14 @@ export function activity(summary, fresh) {
   return summary.mode === "robotic" ? `waiting: ${row}` : `not robotic: ${row} will not start by itself`;
 }
 
+/** Says that some of what is sent for a telescope cannot be read, so that what stands here of it is older. */
+export function unreadable(summary) {
+  const found = summary.unreadable ?? [];
+  if (!found.length) return null;
+  return h("p", { key: "unreadable", class: "why", "data-unreadable": found.length }, h("span", { class: "tag p2" }, `◆ ${found.length} not readable`),
+    ` ${found[0].key}: ${found[0].why}`, found.length > 1 && ` (and ${found.length - 1} more)`);
+}
+
 function tile(summary) {
   const now = standing(summary);
   const top = summary.alerts[0];
@@ -94,6 +102,7 @@ function tile(summary) {
     h("p", { class: "doing" }, now.worth === "never" ? "no observatory node heard yet" : activity(summary, now.fresh)),
     summary.schedule && h("p", { class: "muted" }, `${summary.schedule.finished} of ${summary.schedule.rows} rows done`, summary.schedule.failed ? `, ${summary.schedule.failed} failed or skipped` : "", ` · ${summary.frames} frames`),
     !navigator.connection?.saveData && picture(arrived(summary), "thumb"),
+    unreadable(summary),
     top && h("p", { class: "top-alert" }, top.cause),
     summary.device_count.lost > 0 && h("p", {}, h("span", { class: "tag p3" }, `▼ ${summary.device_count.lost} of ${summary.device_count.known} devices silent`)),
     h("div", { class: "tile-foot" }, h("span", {}, alertCounts(summary.alert_counts)), ageMark(now.age, now.worth, " ago")));
@@ -131,7 +140,7 @@ export function overview() {
         h("div", { class: "site" }, h("h2", {}, site), shared && h("p", {},
           h("a", { href: `/t/${shared.id}`, "data-go": true }, "shared equipment"), " ",
           h("span", { class: shared.device_count.lost ? "tag p3" : "muted" }, `${shared.device_count.known - shared.device_count.lost} of ${shared.device_count.known} devices`))),
-        h("div", { class: "tiles" }, here.map(tile)));
+        h("div", { class: "tiles" }, here.map((summary) => guarded(summary.telescope_id, () => tile(summary)))));
     }),
   ];
 }

@@ -1,9 +1,9 @@
 // One telescope: may it be open, what does it do, what does each part say, and how old is that.
-import { h } from "./dom.js";
+import { guarded, h } from "./dom.js";
 import { devices, exposure } from "./devices.js";
 import { clock, day, duration, hourMinute, number, plain, PRIORITY } from "./format.js";
 import { ageOf, quality, skyNow, store } from "./link.js";
-import { activity, ageCell, ageMark, arrived, picture, standing, words } from "./overview.js";
+import { activity, ageCell, ageMark, arrived, picture, standing, unreadable, words } from "./overview.js";
 
 const LEVELS = ["error", "warn", "info"];
 const SHAPES = { pending: "·", running: "▶", interrupted: "‖", finished: "✓", failed: "✕", skipped: "–" };
@@ -11,7 +11,7 @@ let level = "info";
 let redraw = () => {};
 
 const section = (name, title, ...inside) => h("section", { key: name, class: `panel ${name}`, "aria-labelledby": `h-${name}` }, h("h2", { id: `h-${name}` }, title), inside);
-const part = (address, name) => store.states.get(`${address}/observatory/${name}/state`);
+const stateOf = (address, name) => store.states.get(`${address}/observatory/${name}/state`);
 const utcRange = (from, to) => `${hourMinute(from)}–${hourMinute(to)}`;
 const entryAge = (entry) => ageMark(ageOf(entry), quality(ageOf(entry), entry.period_s));
 
@@ -78,7 +78,7 @@ function image(summary) {
 }
 
 function schedule(address) {
-  const entry = part(address, "schedule");
+  const entry = stateOf(address, "schedule");
   if (!entry) return section("schedule", "Schedule", h("p", { class: "muted" }, "no schedule heard yet"));
   const { rows, file, revision, refused } = entry.body;
   return section("schedule", "Schedule",
@@ -93,7 +93,7 @@ function schedule(address) {
 }
 
 function verdict(address) {
-  const entry = part(address, "safety");
+  const entry = stateOf(address, "safety");
   if (!entry?.body.inputs?.length) return null;
   const since = ageOf(entry);
   return section("inputs", "What the verdict rests on", h("table", {},
@@ -105,7 +105,7 @@ function verdict(address) {
 }
 
 function command(address) {
-  const lease = part(address, "lease");
+  const lease = stateOf(address, "lease");
   const guards = [...store.states].filter(([key]) => key.endsWith("/guard"));
   if (!lease && !guards.length) return null;
   const fact = (name, ...value) => [h("dt", { key: `t${name}` }, name), h("dd", { key: `d${name}` }, value)];
@@ -158,9 +158,11 @@ export function telescope(address, again) {
   }
   const now = standing(summary);
   const head = h("div", { class: "title", key: "title" }, h("h1", { tabindex: "-1" }, summary.telescope_id), h("p", { class: "muted" }, summary.site_id, skyNow() ? ` · ${day(skyNow())}` : ""));
-  const own = section("devices", "Devices", devices(redraw));
-  if (summary.shared) return [head, h("div", { class: "page shared", key: "page" }, alerts(summary), own, log(), nodes())];
-  return [head, h("div", { class: "page", key: "page" }, banner(summary, now), alerts(summary),
-    h("div", { class: "column", key: "left" }, doing(summary, now), own, schedule(address), log()),
-    h("div", { class: "column", key: "right" }, image(summary), verdict(address), command(address), nodes()))];
+  const part = (name, draw) => guarded(name, draw);
+  const own = part("devices", () => section("devices", "Devices", devices(redraw)));
+  const common = { alerts: part("alerts", () => alerts(summary)), log: part("log", log), nodes: part("nodes", nodes), odd: part("unreadable", () => unreadable(summary)) };
+  if (summary.shared) return [head, h("div", { class: "page shared", key: "page" }, common.odd, common.alerts, own, common.log, common.nodes)];
+  return [head, h("div", { class: "page", key: "page" }, part("safety and posture", () => banner(summary, now)), common.odd, common.alerts,
+    h("div", { class: "column", key: "left" }, part("now", () => doing(summary, now)), own, part("schedule", () => schedule(address)), common.log),
+    h("div", { class: "column", key: "right" }, part("image", () => image(summary)), part("verdict", () => verdict(address)), part("command", () => command(address)), common.nodes))];
 }

@@ -1,0 +1,173 @@
+//! The folder of images: one archive of a telescope writes in it, and nothing outside it is ever written.
+//!
+//! The folder itself may be a link to another disk, as the site configured it. Below it no link is followed: names of
+//! folders come from schedules and templates, and whoever can put a link there must not choose what is written elsewhere.
+
+use std::fs::{self, File, TryLockError};
+use std::io::{self, Seek as _, Write as _};
+use std::path::{Component, Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context as _, bail};
+use contract::Address;
+
+/// Folder of files that are being written, inside the folder of images.
+pub const PART_FOLDER: &str = ".part";
+/// An archive that is being restarted leaves its locks within this time, machine time.
+const LEAVES_WITHIN: Duration = Duration::from_secs(5);
+/// Names that are tried for a folder whose own name is taken by something else.
+const MOST_NAMES: u32 = 100;
+
+/// The right to write a telescope's files; it ends when this is dropped, or with the process.
+#[derive(Debug)]
+pub struct Claim {
+    _locks: Vec<File>,
+}
+
+/// Takes the folder of images and the database for this archive; `who` names it to others.
+///
+/// # Errors
+/// Another archive of this telescope writes there, or a lock file cannot be made.
+pub async fn claim(images: &Path, database: &Path, telescope: &Address, who: &str) -> anyhow::Result<Claim> {
+    prepare(images, telescope).with_context(|| format!("cannot use the folder of images {}", images.display()))?;
+    let name = format!("{}-{}.lock", telescope.site, telescope.telescope);
+    let mut of_database = database.as_os_str().to_owned();
+    of_database.push(format!(".{name}"));
+    let places = [
+        ("the folder of images", images, images.join(PART_FOLDER).join(&name)),
+        ("the database", database, PathBuf::from(of_database)),
+    ];
+    let mut locks = Vec::new();
+    for (what, place, file) in places {
+        locks.extend(lock(what, place, &file, who).await?);
+    }
+    Ok(Claim { _locks: locks })
+}
+
+/// `None` where the file system knows no locks.
+async fn lock(what: &str, place: &Path, file: &Path, who: &str) -> anyhow::Result<Option<File>> {
+    let cannot = || format!("cannot make the lock file {}", file.display());
+    if let Some(folder) = file.parent() {
+        fs::create_dir_all(folder).with_context(cannot)?;
+    }
+    let mut opened = File::options().read(true).write(true).create(true).truncate(false).open(file);
+    let lock = opened.as_mut().map_err(|error| io::Error::new(error.kind(), error.to_string())).with_context(cannot)?;
+    let began = tokio::time::Instant::now();
+    loop {
+        match lock.try_lock() {
+            Ok(()) => break,
+            Err(TryLockError::WouldBlock) if began.elapsed() < LEAVES_WITHIN => {
+                tokio::time::sleep(Duration::from_millis(200)).await;
+            }
+            Err(TryLockError::WouldBlock) => {
+                let holder = fs::read_to_string(file).unwrap_or_default();
+                let holder = if holder.trim().is_empty() { "another process".to_owned() } else { one_line(&holder) };
+                bail!(
+                    "{what} {} is in use by {holder}. Two archives of one telescope would store every frame twice. Stop \
+                     one of them, or give this one its own [folders] images and [archive] database",
+                    place.display()
+                );
+            }
+            Err(TryLockError::Error(error)) => {
+                tracing::warn!(file = %file.display(), %error, "this file system has no locks; nothing prevents a second archive");
+                return Ok(None);
+            }
+        }
+    }
+    // its text is for people only
+    let note = format!("archive node {who}, process {} on host {}\n", std::process::id(), bus::host_name());
+    let _ = lock.set_len(0).and_then(|()| lock.rewind()).and_then(|()| lock.write_all(note.as_bytes()));
+    Ok(opened.ok())
+}
+
+fn one_line(text: &str) -> String {
+    text.trim().chars().map(|c| if c.is_control() { ' ' } else { c }).take(200).collect()
+}
+
+/// Where a telescope's files lie while they are written; telescopes that share a folder of images have one each.
+pub fn parts(images: &Path, telescope: &Address) -> PathBuf {
+    images.join(PART_FOLDER).join(format!("{}-{}", telescope.site, telescope.telescope))
+}
+
+/// Makes the folders; a link in the place of one is replaced.
+fn prepare(images: &Path, telescope: &Address) -> io::Result<()> {
+    fs::create_dir_all(images)?;
+    for folder in [images.join(PART_FOLDER), parts(images, telescope)] {
+        if fs::symlink_metadata(&folder).is_ok_and(|found| !found.is_dir()) {
+            tracing::warn!(path = %folder.display(), "a link or file is in the place of the archive's own folder; it is removed");
+            fs::remove_file(&folder)?;
+        }
+        bus::private::make_public_folder(&folder)?;
+    }
+    Ok(())
+}
+
+/// Removes what a kill left half written by this telescope's archive. Only under a [`Claim`].
+pub fn clear_parts(images: &Path, telescope: &Address) -> io::Result<()> {
+    for entry in fs::read_dir(parts(images, telescope))? {
+        match fs::remove_file(entry?.path()) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            removed => removed?,
+        }
+    }
+    Ok(())
+}
+
+/// Makes the folders of a path relative to the folder of images, and returns where the file goes: a part that a link or
+/// a file has taken gets another name.
+///
+/// # Errors
+/// The file system refuses, or the path leads out of the folder.
+pub fn make_way(images: &Path, relative: &Path) -> io::Result<PathBuf> {
+    let name = relative.file_name().ok_or_else(|| io::Error::other("the path has no file name"))?;
+    let mut folder = images.to_owned();
+    for part in relative.parent().unwrap_or(Path::new("")).components() {
+        let Component::Normal(part) = part else {
+            return Err(io::Error::other(format!("{} leads out of the folder of images", relative.display())));
+        };
+        folder = real_folder(&folder, &part.to_string_lossy())?;
+    }
+    Ok(folder.join(name))
+}
+
+/// A folder of this name, or of the next free one like it, that is no link.
+fn real_folder(inside: &Path, name: &str) -> io::Result<PathBuf> {
+    for number in 1..=MOST_NAMES {
+        let folder = if number == 1 { inside.join(name) } else { inside.join(format!("{name}-v{number}")) };
+        match fs::symlink_metadata(&folder) {
+            Ok(found) if found.is_dir() => return Ok(folder),
+            Ok(_) => {
+                tracing::warn!(taken = %folder.display(), "a link or a file is in the place of a folder; it is not followed");
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                return bus::private::make_public_folder(&folder).map(|()| folder);
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    Err(io::Error::other(format!("no name like {name:?} is free in {}", inside.display())))
+}
+
+/// Proves that no part of a path below the folder of images is a link; a path elsewhere is not looked at.
+///
+/// # Errors
+/// A part is a link, and its name.
+pub fn without_links(images: &Path, path: &Path) -> io::Result<()> {
+    let Ok(relative) = path.strip_prefix(images) else { return Ok(()) };
+    let mut place = images.to_owned();
+    for part in relative.components() {
+        place.push(part);
+        if fs::symlink_metadata(&place).is_ok_and(|found| found.is_symlink()) {
+            return Err(io::Error::other(format!("{} is a link, and links here are not followed", place.display())));
+        }
+    }
+    Ok(())
+}
+
+/// Is there anything of this name, a link that leads nowhere included?
+pub fn is_taken(path: &Path) -> bool {
+    fs::symlink_metadata(path).is_ok()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,64 @@
+use super::*;
+
+fn telescope(name: &str) -> Address {
+    Address::new("paranal", name).unwrap()
+}
+
+#[tokio::test]
+async fn a_second_archive_of_one_telescope_is_refused_and_told_by_whom() {
+    let folder = tempfile::tempdir().unwrap();
+    let (images, database) = (folder.path().join("images"), folder.path().join("data/archive.db"));
+    let first = claim(&images, &database, &telescope("callisto"), "archive/callisto/main").await.unwrap();
+    let other_data = folder.path().join("other/archive.db");
+    let refused = claim(&images, &other_data, &telescope("callisto"), "archive/callisto/two").await.unwrap_err();
+    let refused = refused.to_string();
+    assert!(refused.contains("archive node archive/callisto/main, process"), "{refused}");
+    assert!(refused.contains("store every frame twice") && refused.contains("[folders] images"), "{refused}");
+    let other_images = folder.path().join("elsewhere");
+    let refused = claim(&other_images, &database, &telescope("callisto"), "two").await.unwrap_err().to_string();
+    assert!(refused.starts_with("the database "), "{refused}");
+    // telescopes of one site may share both
+    claim(&images, &database, &telescope("europa"), "archive/europa/main").await.unwrap();
+    drop(first);
+    claim(&images, &database, &telescope("callisto"), "archive/callisto/two").await.unwrap();
+}
+
+#[cfg(unix)]
+#[tokio::test]
+async fn a_link_in_place_of_the_archives_own_folder_is_never_swept() {
+    let folder = tempfile::tempdir().unwrap();
+    let (images, victim) = (folder.path().join("images"), folder.path().join("home"));
+    fs::create_dir_all(&images).unwrap();
+    fs::create_dir_all(victim.join("paranal-callisto")).unwrap();
+    fs::write(victim.join("paranal-callisto/letter"), "dear").unwrap();
+    std::os::unix::fs::symlink(&victim, images.join(PART_FOLDER)).unwrap();
+    let _claim = claim(&images, &folder.path().join("a.db"), &telescope("callisto"), "main").await.unwrap();
+    clear_parts(&images, &telescope("callisto")).unwrap();
+    assert!(victim.join("paranal-callisto/letter").exists());
+    assert!(fs::symlink_metadata(images.join(PART_FOLDER)).unwrap().is_dir());
+}
+
+#[cfg(unix)]
+#[test]
+fn no_link_below_the_folder_of_images_is_followed() {
+    let folder = tempfile::tempdir().unwrap();
+    let (images, outside) = (folder.path().join("images"), folder.path().join("outside"));
+    fs::create_dir_all(images.join("real")).unwrap();
+    fs::create_dir_all(&outside).unwrap();
+    std::os::unix::fs::symlink(&outside, images.join("20261120")).unwrap();
+    fs::write(images.join("file"), "").unwrap();
+    let way = |relative: &str| make_way(&images, Path::new(relative)).unwrap();
+    assert_eq!(way("real/a.fits"), images.join("real/a.fits"));
+    assert_eq!(way("a.fits"), images.join("a.fits"));
+    assert_eq!(way("20261120/deep/a.fits"), images.join("20261120-v2/deep/a.fits"));
+    assert_eq!(way("file/a.fits"), images.join("file-v2/a.fits"));
+    assert!(images.join("20261120-v2/deep").is_dir());
+    assert!(make_way(&images, Path::new("../a.fits")).is_err());
+    assert_eq!(fs::read_dir(&outside).unwrap().count(), 0);
+    assert!(without_links(&images, &images.join("real/a.fits")).is_ok());
+    let told = without_links(&images, &images.join("20261120/a.fits")).unwrap_err().to_string();
+    assert!(told.contains("20261120 is a link"), "{told}");
+    // one that leads nowhere is there all the same
+    std::os::unix::fs::symlink(folder.path().join("nowhere"), images.join("real/b.fits")).unwrap();
+    assert!(is_taken(&images.join("real/b.fits")) && !images.join("real/b.fits").exists());
+}

@@ -1,0 +1,281 @@
+//! Frames that lie in the folder of images and are not in the database, as after an older database was put back: they are
+//! found by their FRAMEID and recorded, and what is announced again is not written twice.
+
+use std::collections::{HashMap, HashSet};
+use std::fs::{self, File};
+use std::hash::{DefaultHasher, Hash as _, Hasher as _};
+use std::io::{self, Read as _, Seek as _, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use bus::Node;
+use config::Observatory;
+use contract::CommandId;
+use contract::device::camera::{Frame, Pixel, Purpose};
+use sha2::{Digest as _, Sha256};
+use tokio::sync::{Notify, watch};
+use units::{Angle, Utc};
+
+use crate::astronomy;
+use crate::database::{Database, StoredImage, Write};
+use crate::fits::Shape;
+use crate::folder::PART_FOLDER;
+use crate::reader::Reader;
+use crate::store::relative_text as relative;
+use crate::stored_header::Header;
+
+/// Folders within folders that are looked into.
+const DEEPEST: usize = 16;
+/// Bytes of pixels that are hashed in one go.
+const CHUNK: usize = 1 << 20;
+
+type Files = HashMap<CommandId, PathBuf>;
+
+/// The files that the database did not know when this archive began, once they are found.
+#[derive(Debug)]
+pub struct OnDisk {
+    images_of_before: Utc,
+    found: watch::Receiver<Option<Arc<Files>>>,
+}
+
+impl OnDisk {
+    /// Nothing is known yet; `began` is the sky time of the archive's start.
+    pub fn new(began: Utc) -> (Self, watch::Sender<Option<Arc<Files>>>) {
+        let (sender, found) = watch::channel(None);
+        (Self { images_of_before: began, found }, sender)
+    }
+
+    /// The file of a frame that the database does not know, relative to the folder of images, and its length. A frame that
+    /// began after this archive did has none, and is not waited for.
+    pub async fn find(&self, frame: &Frame, images: &Path) -> Option<(String, u64)> {
+        if frame.started_utc >= self.images_of_before {
+            return None;
+        }
+        let mut found = self.found.clone();
+        let files = found.wait_for(Option::is_some).await.ok()?.clone()?;
+        let path = files.get(&frame.id)?.clone();
+        let (images, frame) = (images.to_owned(), frame.clone());
+        let prove = move || -> io::Result<Option<(String, u64)>> {
+            let Some(image) = read(&images, &path)? else { return Ok(None) };
+            let is_same = image.shape == Shape::of(&frame) && image.sha256.eq_ignore_ascii_case(&frame.sha256);
+            Ok(is_same.then(|| (relative(&images, &path), image.bytes)))
+        };
+        match tokio::task::spawn_blocking(prove).await {
+            Ok(Ok(proven)) => proven,
+            Ok(Err(error)) => {
+                tracing::warn!(%error, "a file that seems to hold a frame cannot be read; the frame is written anew");
+                None
+            }
+            Err(_) => None,
+        }
+    }
+}
+
+/// Looks through the folder of images, and records what belongs to this telescope; again where a new database has begun.
+pub async fn keep(
+    node: Node,
+    database: Database,
+    incomplete: Arc<Notify>,
+    found: watch::Sender<Option<Arc<Files>>>,
+) -> anyhow::Result<()> {
+    loop {
+        let (images, path) = (node.config.folders.images.clone(), database.path().to_owned());
+        let files = tokio::task::spawn_blocking(move || unknown(&images, &path)).await?;
+        // frames wait for the answer: one that cannot be had is an empty one
+        let files = Arc::new(files.unwrap_or_else(|error| {
+            tracing::warn!(error = format!("{error:#}"), "files that the database does not know are not looked for");
+            Files::new()
+        }));
+        found.send_replace(Some(files.clone()));
+        let mut recorded = 0;
+        for (id, path) in files.iter() {
+            let (config, id, path, file) = (node.config.clone(), id.clone(), path.clone(), database.path().to_owned());
+            let work = move || -> anyhow::Result<Option<(StoredImage, bool)>> {
+                // a copy of a file that is known has another name and the same frame
+                if Reader::open(&file)?.image(&id)?.is_some() {
+                    return Ok(None);
+                }
+                let Some(image) = read(&config.folders.images, &path)? else { return Ok(None) };
+                Ok(image.row(&config, id, path))
+            };
+            match tokio::task::spawn_blocking(work).await? {
+                Ok(Some((image, is_complete))) => {
+                    let id = image.frame.id.clone();
+                    let mut writes = vec![Write::Stored(Box::new(image))];
+                    writes.extend(is_complete.then_some(Write::Complete(id)));
+                    database.commit(writes).await?;
+                    recorded += 1;
+                }
+                Ok(None) => {}
+                Err(error) => tracing::warn!(error = format!("{error:#}"), "a file is not recorded"),
+            }
+        }
+        if recorded > 0 {
+            tracing::warn!(
+                frames = recorded,
+                "the database did not know frames in the folder of images; they are recorded"
+            );
+            incomplete.notify_one();
+        }
+        database.renewed().await;
+    }
+}
+
+/// The files of frames that the database does not know. Blocks.
+fn unknown(images: &Path, database: &Path) -> anyhow::Result<Files> {
+    let mut known = HashSet::new();
+    Reader::open(database)?.each_file(|file| {
+        known.insert(short(file));
+    })?;
+    let mut files = Files::new();
+    walk(images, images, DEEPEST, &mut |path| {
+        if known.contains(&short(&relative(images, &path))) {
+            return;
+        }
+        if let Ok(Some(id)) = Header::read(&path).map(|header| header?.value("FRAMEID")) {
+            files.insert(CommandId(id), path);
+        }
+    });
+    Ok(files)
+}
+
+/// What a file's header contains of its frame.
+struct Found {
+    header: Header,
+    shape: Shape,
+    /// Of the pixels as they lay in the spool.
+    sha256: String,
+    bytes: u64,
+}
+
+impl Found {
+    /// The row of this telescope's frame, and whether its header is complete; `None` for a frame of somebody else.
+    fn row(self, config: &Observatory, id: CommandId, path: PathBuf) -> Option<(StoredImage, bool)> {
+        let text = |keyword: &str| self.header.value(keyword).filter(|text| !text.is_empty());
+        let number = |keyword: &str| text(keyword)?.parse::<f64>().ok();
+        let time = |keyword: &str| format!("{}Z", text(keyword)?.trim_end_matches('Z')).parse::<Utc>().ok();
+        let own = config.place.telescope.as_str();
+        let telescope = text("TELESCOP");
+        if telescope.as_deref().is_some_and(|telescope| telescope != own) {
+            return None;
+        }
+        let named =
+            config.camera.iter().find(|camera| Some(camera.common.name.as_str()) == text("INSTRUME").as_deref());
+        let camera = match (named, config.camera.as_slice()) {
+            (Some(camera), _) => camera,
+            // a site's own table may write something else under INSTRUME
+            (None, [only]) if telescope.is_some() => only,
+            _ => return None,
+        };
+        let started_utc = time("DATE-OBS")?;
+        let night = sky::night_date(Angle::from_degrees(config.place.longitude_deg), started_utc).to_string();
+        let purpose = Purpose {
+            action: text("ASTRATYP").unwrap_or_default(),
+            object: text("OBJECT"),
+            image_type: text("IMAGETYP").unwrap_or_default(),
+            filter: text("FILTER"),
+            ra_deg: number("OBJALT").and_then(|_| number("RA")),
+            dec_deg: number("OBJALT").and_then(|_| number("DEC")),
+            night,
+            ..Purpose::default()
+        };
+        let frame = Frame {
+            id,
+            camera: camera.common.name.to_string(),
+            purpose,
+            width_px: self.shape.width_px,
+            height_px: self.shape.height_px,
+            planes: self.shape.planes,
+            pixel: self.shape.pixel,
+            bin: number("XBINNING").map_or(1, |bin| bin as u32),
+            origin_px: [0, 0],
+            started_utc,
+            exposure_s: number("EXPTIME").unwrap_or_default(),
+            url: String::new(),
+            bytes: self.shape.bytes()? as u64,
+            sha256: self.sha256,
+            readings: std::collections::BTreeMap::new(),
+        };
+        let present = self.header.keywords();
+        let is_complete = astronomy::KEYWORDS.iter().any(|keyword| present.contains(*keyword))
+            || present.contains("OBJALT")
+            || self.header.cards().any(|card| card.starts_with("HISTORY not known at DATE-OBS"));
+        let stored = time("DATE").unwrap_or(started_utc);
+        let file = relative(&config.folders.images, &path);
+        Some((StoredImage { frame, path, file, bytes: self.bytes, stored }, is_complete))
+    }
+}
+
+/// Reads a file that this archive may have written; `None` where its shape is not one of ours.
+fn read(images: &Path, path: &Path) -> io::Result<Option<Found>> {
+    crate::folder::without_links(images, path)?;
+    let Some(header) = Header::read(path)? else { return Ok(None) };
+    let Some(shape) = shape(&header) else { return Ok(None) };
+    let (Some(length), mut file) = (shape.bytes(), File::open(path)?) else { return Ok(None) };
+    let bytes = file.metadata()?.len();
+    if bytes < (header.length() + length) as u64 {
+        return Ok(None);
+    }
+    file.seek(SeekFrom::Start(header.length() as u64))?;
+    let sha256 = hash(&mut file, shape.pixel, length)?;
+    Ok(Some(Found { header, shape, sha256, bytes }))
+}
+
+fn shape(header: &Header) -> Option<Shape> {
+    let number = |keyword: &str| header.value(keyword)?.parse::<f64>().ok();
+    let count = |keyword: &str| header.value(keyword)?.parse::<u32>().ok().filter(|count| *count > 0);
+    let offset = number("BZERO").unwrap_or(0.0);
+    let pixel = match (header.value("BITPIX")?.parse::<i64>().ok()?, offset) {
+        (16, 32768.0) => Pixel::U16,
+        (32, 0.0) => Pixel::I32,
+        (-64, 0.0) => Pixel::F64,
+        _ => return None,
+    };
+    let planes = match count("NAXIS")? {
+        2 => 1,
+        3 => count("NAXIS3")?,
+        _ => return None,
+    };
+    Some(Shape { pixel, width_px: count("NAXIS1")?, height_px: count("NAXIS2")?, planes })
+}
+
+/// The hash of the pixels as they lay in the spool, little endian, from those of a FITS file, most significant byte first.
+fn hash(file: &mut File, pixel: Pixel, length: usize) -> io::Result<String> {
+    let (mut hasher, mut chunk, mut left) = (Sha256::new(), vec![0; CHUNK], length);
+    while left > 0 {
+        let part = &mut chunk[..left.min(CHUNK)];
+        file.read_exact(part)?;
+        for value in part.chunks_exact_mut(pixel.bytes()) {
+            if pixel == Pixel::U16 {
+                // BZERO 32768: counts without sign are stored as numbers with one
+                value[0] ^= 0x80;
+            }
+            value.reverse();
+        }
+        hasher.update(&*part);
+        left -= part.len();
+    }
+    Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// Hands over every FITS file in a folder, without following links.
+fn walk(images: &Path, folder: &Path, deep: usize, take: &mut impl FnMut(PathBuf)) {
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    for entry in entries.flatten() {
+        let Ok(kind) = entry.file_type() else { continue };
+        let path = entry.path();
+        let is_parts = folder == images && entry.file_name() == PART_FOLDER;
+        if kind.is_dir() && deep > 0 && !is_parts {
+            walk(images, &path, deep - 1, take);
+        } else if kind.is_file() && path.extension().is_some_and(|extension| extension == "fits") {
+            take(path);
+        }
+    }
+}
+
+/// A name in eight bytes: a folder may hold a million.
+fn short(file: &str) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    file.hash(&mut hasher);
+    hasher.finish()
+}

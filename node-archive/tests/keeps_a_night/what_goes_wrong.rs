@@ -1,0 +1,138 @@
+//! What goes wrong around an archive: spools that dribble, a database that is older than the files, a disk that is full.
+
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use axum::body::{Body, Bytes};
+use axum::routing::get;
+use bus::{Bus, Catch, Clock};
+use contract::Key;
+use contract::archive::Stored;
+use futures_util::StreamExt as _;
+
+use crate::{Spool, address, archive, files, hear_stored, two_buses, until};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_spools_that_dribble_do_not_stop_a_third() {
+    let folder = tempfile::tempdir().unwrap();
+    let (device_bus, archive_bus) = two_buses().await;
+    let spool = Spool::start(device_bus.clone()).await;
+    let mut slow = Vec::new();
+    for _ in 0..2 {
+        // one byte a second, for ever
+        let dribble = || async {
+            let bytes = futures_util::stream::repeat(()).then(|()| async {
+                tokio::time::sleep(Duration::from_secs(1)).await;
+                Ok::<_, std::io::Error>(Bytes::from_static(&[7]))
+            });
+            Body::from_stream(bytes)
+        };
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        slow.push(format!("http://{}/frame", listener.local_addr().unwrap()));
+        let app = axum::Router::new().route("/frame", get(dribble));
+        tokio::spawn(async move { axum::serve(listener, app).await });
+    }
+    let node = archive(folder.path(), archive_bus);
+    let stop = node.stop.clone();
+    let running = tokio::spawn(node_archive::run(node));
+    let stored = spool.bus.subscribe::<Stored>(&Key::Stored(address()).to_string(), Catch::All, 100).await.unwrap();
+    for number in 0..20 {
+        let mut frame = spool.frame(&format!("slow-{number}"), device_bus.clock().utc());
+        frame.url = slow[number % 2].clone();
+        spool.frames.put(frame).await.unwrap();
+    }
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    spool.frames.put(spool.frame("frame-1", device_bus.clock().utc())).await.unwrap();
+    assert_eq!(hear_stored(&stored, false).await.frame.0, "frame-1");
+    stop.stop();
+    running.await.unwrap().unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn frames_that_an_older_database_does_not_know_are_recorded_from_their_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let (images, database) = (folder.path().join("images"), folder.path().join("data/archive.db"));
+    let (device_bus, archive_bus) = two_buses().await;
+    let spool = Spool::start(device_bus.clone()).await;
+    let stored = spool.bus.subscribe::<Stored>(&Key::Stored(address()).to_string(), Catch::All, 100).await.unwrap();
+    let node = archive(folder.path(), archive_bus.clone());
+    let stop = node.stop.clone();
+    let running = tokio::spawn(node_archive::run(node));
+    let taken = device_bus.clock().utc();
+    for id in ["frame-1", "frame-2"] {
+        spool.frames.put(spool.frame(id, taken)).await.unwrap();
+        hear_stored(&stored, false).await;
+    }
+    stop.stop();
+    running.await.unwrap().unwrap();
+    archive_bus.close().await;
+    // the database of an evening on which nothing was stored yet is put back
+    for ending in ["", "-wal", "-shm"] {
+        let file = folder.path().join(format!("data/archive.db{ending}"));
+        if file.exists() {
+            std::fs::remove_file(file).unwrap();
+        }
+    }
+    let requests = spool.requests.load(Ordering::SeqCst);
+    let settings = config::Bus {
+        listen: vec!["tcp/127.0.0.1:0".to_owned()],
+        connect: device_bus.locators().await,
+        multicast: false,
+    };
+    let node = archive(folder.path(), Bus::open(&settings, Clock::machine_clock()).await.unwrap());
+    let stop = node.stop.clone();
+    let running = tokio::spawn(node_archive::run(node));
+    let rows = || {
+        let open = rusqlite::Connection::open(&database);
+        let rows = open.and_then(|open| {
+            let mut ask =
+                open.prepare("SELECT frame_id, sha256, camera_name, complete_hdr FROM images ORDER BY frame_id")?;
+            let rows =
+                ask.query_map([], |row| Ok((row.get::<_, String>(0)?, row.get::<_, String>(1)?, row.get(2)?)))?;
+            rows.collect::<rusqlite::Result<Vec<(String, String, String)>>>()
+        });
+        rows.unwrap_or_default()
+    };
+    until("both are recorded", || rows().len() == 2).await;
+    let wanted = spool.frame("frame-1", taken).sha256;
+    let row = |id: &str| (id.to_owned(), wanted.clone(), "andor".to_owned());
+    assert_eq!(rows(), [row("frame-1"), row("frame-2")]);
+    // the spool still has one, and is told to delete it; nothing is fetched or written again
+    let releases = spool.releases("frame-2");
+    spool.frames.put(spool.frame("frame-2", taken)).await.unwrap();
+    until("released", || spool.releases("frame-2") > releases).await;
+    assert_eq!(files(&images).len(), 2);
+    assert_eq!(spool.requests.load(Ordering::SeqCst), requests);
+    stop.stop();
+    running.await.unwrap().unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn many_frames_that_cannot_be_written_are_one_alert() {
+    let folder = tempfile::tempdir().unwrap();
+    let (device_bus, archive_bus) = two_buses().await;
+    let spool = Spool::start(device_bus.clone()).await;
+    let node = archive(folder.path(), archive_bus);
+    let (stop, alerts) = (node.stop.clone(), node.alerts.watch());
+    let running = tokio::spawn(node_archive::run(node));
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    // as a disk that takes nothing: a file is in the place of the folder
+    let parts = folder.path().join("images/.part/paranal-callisto");
+    std::fs::remove_dir(&parts).unwrap();
+    std::fs::write(&parts, "").unwrap();
+    for number in 0..6 {
+        spool.frames.put(spool.frame(&format!("frame-{number}"), device_bus.clock().utc())).await.unwrap();
+    }
+    until("all six are told", || {
+        alerts.borrow().alerts.iter().any(|alert| alert.cause.starts_with("6 frames cannot be stored"))
+    })
+    .await;
+    let frames = |alert: &&contract::observatory::Alert| alert.id.starts_with("archive/frame");
+    assert_eq!(alerts.borrow().alerts.iter().filter(frames).count(), 1);
+    std::fs::remove_file(&parts).unwrap();
+    std::fs::create_dir(&parts).unwrap();
+    until("it is over", || alerts.borrow().alerts.iter().all(|alert| !frames(&alert) || alert.returned_utc.is_some()))
+        .await;
+    stop.stop();
+    running.await.unwrap().unwrap();
+}
