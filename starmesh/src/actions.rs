@@ -1,11 +1,15 @@
 //! `starmesh actions`: what a schedule may ask for, with every parameter's unit, default, range and what it does.
 
 use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use clap::Args;
+use config::Observatory;
 use node_observatory::action::{ACTIONS, Entry, Needs, Parameter};
 use node_observatory::schedule::meant;
+use serde_json::{Value, json};
+use units::Utc;
 
 use crate::console::line;
 
@@ -14,6 +18,9 @@ use crate::console::line;
 pub struct Options {
     /// Only this one, such as object.
     action: Option<String>,
+    /// The configuration whose camera and filters the example rows name; observatory.toml of this folder where absent.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
     /// One JSON object a line, as the bus tells it, with the JSON Schema of the parameters.
     #[arg(long)]
     json: bool,
@@ -21,11 +28,16 @@ pub struct Options {
 
 /// Prints all actions, or one.
 pub fn run(options: &Options) -> anyhow::Result<()> {
+    let site = site(options.config.as_deref())?;
     for entry in wanted(options.action.as_deref())? {
         if options.json {
             line(format_args!("{}", serde_json::to_string(&entry.told())?))?;
         } else {
             line(format_args!("{}", text(entry)))?;
+            line(format_args!(
+                "  Example:\n    {}\n",
+                example(entry, site.as_ref(), bus::Clock::machine_clock().utc())
+            ))?;
         }
     }
     Ok(())
@@ -37,6 +49,55 @@ fn wanted(name: Option<&str>) -> anyhow::Result<Vec<&'static Entry>> {
         Some(entry) => Ok(vec![entry]),
         None => bail!("no action is called {name:?}; {}", meant(name, ACTIONS.iter().map(|entry| entry.name))),
     }
+}
+
+/// The configuration that was named, or that of this folder if there is one.
+fn site(named: Option<&Path>) -> anyhow::Result<Option<Observatory>> {
+    let here = Path::new("observatory.toml");
+    match named {
+        Some(file) => Ok(Some(bus::node::read_observatory(file)?)),
+        None if here.exists() => Ok(bus::node::read_observatory(here).ok()),
+        None => Ok(None),
+    }
+}
+
+/// A row for the coming night, of the site's first camera.
+fn example(entry: &Entry, site: Option<&Observatory>, now: Utc) -> String {
+    let camera = site.and_then(|site| site.camera.first());
+    let name = camera.map_or("camera", |camera| camera.common.name.as_str());
+    let mut value: Value = serde_json::from_str(entry.example).unwrap_or_default();
+    let wheel = camera.map(|camera| camera.filterwheel.as_ref());
+    let wheel = wheel.map(|name| site.and_then(|site| site.filterwheel.iter().find(|w| Some(&w.common.name) == name)));
+    match (wheel, value.as_object_mut()) {
+        // a camera without a wheel
+        (Some(None), Some(value)) => {
+            let was_list = value.shift_remove("filter").is_some_and(|filter| filter.is_array());
+            if let Some(Value::Array(n)) = value.get_mut("n").filter(|_| was_list) {
+                n.truncate(1);
+            }
+        }
+        (Some(Some(wheel)), Some(value)) => {
+            if let (Some(filter), Some(first)) = (value.get_mut("filter"), wheel.filters.first()) {
+                let was_list = filter.is_array();
+                *filter = if was_list { json!([first]) } else { json!(first) };
+                if let Some(Value::Array(n)) = value.get_mut("n").filter(|_| was_list) {
+                    n.truncate(1);
+                }
+            }
+        }
+        _ => {}
+    }
+    // ten in the evening by the Sun
+    let longitude_deg = site.map_or(0.0, |site| site.place.longitude_deg);
+    let local_s = now.seconds() + longitude_deg * 240.0;
+    let start_s = (local_s / 86_400.0).floor() * 86_400.0 + 22.0 * 3600.0 - longitude_deg * 240.0;
+    let start_s = (if start_s < now.seconds() { start_s + 86_400.0 } else { start_s } / 600.0).round() * 600.0;
+    let at = |seconds: f64| Utc::from_micros((seconds * 1e6) as i64).strftime("%Y-%m-%d %H:%M:%S");
+    let row = json!({
+        "device_name": name, "action_type": entry.name, "action_value": value,
+        "start_time": at(start_s), "end_time": at(start_s + 7200.0),
+    });
+    row.to_string()
 }
 
 fn text(entry: &Entry) -> String {
@@ -59,6 +120,8 @@ fn text(entry: &Entry) -> String {
 
 #[cfg(test)]
 mod tests {
+    use node_observatory::schedule::validate::{Known, validate};
+
     use super::*;
 
     #[test]
@@ -69,6 +132,24 @@ mod tests {
         assert!(told.contains(settle), "{told}");
         assert!(text(wanted(Some("object")).unwrap()[0]).contains("\n  object: text; required\n    OBJECT keyword"));
         assert!(text(wanted(Some("open")).unwrap()[0]).contains("No parameters."));
+    }
+
+    #[test]
+    fn every_example_is_a_row_that_passes_the_check() {
+        let place = "[observatory]\nsite = \"p\"\ntelescope = \"t\"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\n\
+                     elevation_m = 2518\n[[telescope]]\nname = \"mount\"\nserver = \"a:1\"\n[[camera]]\nname = \"main\"\n\
+                     server = \"a:1\"\ntemperature_c = -20\n";
+        let wheel = "[[filterwheel]]\nname = \"wheel\"\nserver = \"a:1\"\nfilters = [\"g\", \"r\"]\n";
+        let now: Utc = "2026-11-21T12:00:00Z".parse().unwrap();
+        for text in [place.to_owned(), format!("{place}{wheel}")] {
+            let site = config::parse(&text, Path::new("/none")).unwrap();
+            let known = Known::of(std::sync::Arc::new(site.clone())).at(now);
+            for entry in ACTIONS.iter() {
+                let row = example(entry, Some(&site), now);
+                let found = validate(&row, &known);
+                assert!(found.valid, "{row}: {:?}", found.findings);
+            }
+        }
     }
 
     #[test]

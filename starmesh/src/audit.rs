@@ -9,10 +9,11 @@ use audit::book::{BROKEN, Examined, examine};
 use audit::chain::prove;
 use clap::{Args, Subcommand};
 use contract::audit::{Outcome, Record};
+use contract::printable;
 use node_archive::reader::Reader;
 use units::Utc;
 
-use crate::console::line;
+use crate::console::foreign_line;
 
 /// Options of `starmesh audit`.
 #[derive(Debug, Args)]
@@ -110,14 +111,17 @@ fn verify(books: &[Book]) -> anyhow::Result<()> {
                 places.entry((chain.clone(), *number)).or_insert_with(|| (sha256.clone(), book.name.as_str()));
             if same != sha256 {
                 broken += 1;
-                line(format_args!("{}: number {number} of chain {chain} is another one in {other}", book.name))?;
+                foreign_line(format_args!(
+                    "{}: number {number} of chain {chain} is another one in {other}",
+                    book.name
+                ))?;
             }
         }
     }
     if broken > 0 {
         bail!("{broken} of {} chains are broken or differ", books.len());
     }
-    line(format_args!("{} records, {} of them different ones: every chain is whole", records, places.len()))?;
+    foreign_line(format_args!("{} records, {} of them different ones: every chain is whole", records, places.len()))?;
     Ok(())
 }
 
@@ -126,7 +130,7 @@ fn tell(book: &Book, found: &Examined) -> anyhow::Result<usize> {
     let name = &book.name;
     if let (Some(first), Some(last)) = (found.good.first(), found.good.last()) {
         let (first, last) = (&first.record, &last.record);
-        line(format_args!(
+        foreign_line(format_args!(
             "{name}: {} records of {}, {} to {}, numbers {} to {}, the last with sha256 {}",
             found.good.len(),
             first.node,
@@ -137,26 +141,26 @@ fn tell(book: &Book, found: &Examined) -> anyhow::Result<usize> {
             last.sha256
         ))?;
     } else {
-        line(format_args!("{name}: no records"))?;
+        foreign_line(format_args!("{name}: no records"))?;
     }
     for (index, record) in found.good.iter().map(|proven| &proven.record).enumerate() {
         match &record.outcome {
             Outcome::Noted { detail } if record.verb == BROKEN => {
-                line(format_args!("{name}: a new chain begins in line {}: {detail}", index + 1))?;
+                foreign_line(format_args!("{name}: a new chain begins in line {}: {detail}", index + 1))?;
             }
             Outcome::Lost { missing } => {
-                line(format_args!("{name}: line {}: {missing} records were lost before it", index + 1))?;
+                foreign_line(format_args!("{name}: line {}: {missing} records were lost before it", index + 1))?;
             }
             _ => {}
         }
     }
     if let Some((number, broken)) = &found.broken {
-        line(format_args!("{name}: line {number} is broken: {broken}"))?;
+        foreign_line(format_args!("{name}: line {number} is broken: {broken}"))?;
         return Ok(1);
     }
     if !found.half.is_empty() {
         let number = found.good.len() + 1;
-        line(format_args!("{name}: line {number} is broken: expected the end of the line, found half a line"))?;
+        foreign_line(format_args!("{name}: line {number} is broken: expected the end of the line, found half a line"))?;
         return Ok(1);
     }
     Ok(0)
@@ -168,7 +172,10 @@ fn show(books: &[Book], since: Option<Utc>, device: Option<&str>) -> anyhow::Res
         for (index, text) in book.text.split(|byte| *byte == b'\n').enumerate().filter(|(_, text)| !text.is_empty()) {
             match prove(&String::from_utf8_lossy(text)) {
                 Ok(proven) => records.push(proven.record),
-                Err(broken) => eprintln!("{}: line {} is broken: {broken}", book.name, index + 1),
+                Err(broken) => {
+                    let broken = broken.to_string();
+                    eprintln!("{}: line {} is broken: {}", book.name, index + 1, printable(&broken));
+                }
             }
         }
     }
@@ -182,7 +189,7 @@ fn show(books: &[Book], since: Option<Utc>, device: Option<&str>) -> anyhow::Res
             })
     };
     for record in records.iter().filter(wanted) {
-        line(format_args!("{}", sentence(record)))?;
+        foreign_line(format_args!("{}", sentence(record)))?;
     }
     Ok(())
 }

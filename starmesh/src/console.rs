@@ -1,11 +1,24 @@
 //! Lines for people and pipes: who reads only the first of them ends us quietly, not with a panic.
 
 use std::fmt;
-use std::io::{ErrorKind, Write as _};
+use std::io::{ErrorKind, IsTerminal as _, Write as _};
 
-/// Writes one line to standard output.
+use contract::printable;
+
+/// Writes to standard output.
 pub fn line(text: fmt::Arguments<'_>) -> anyhow::Result<()> {
     Ok(writeln!(std::io::stdout(), "{text}")?)
+}
+
+/// Writes a line with text from elsewhere: from the bus, a device or a file. Nothing in it can end the line, so that it
+/// forges no other one, and nothing steers the terminal.
+pub fn foreign_line(text: fmt::Arguments<'_>) -> anyhow::Result<()> {
+    line(format_args!("{}", printable(&text.to_string())))
+}
+
+/// Writes a line of a document as it is, for a file or another program; on a terminal as [`foreign_line`].
+pub fn document_line(text: &str) -> anyhow::Result<()> {
+    if std::io::stdout().is_terminal() { foreign_line(format_args!("{text}")) } else { line(format_args!("{text}")) }
 }
 
 /// Is this error only a reader that has gone, such as `head`?

@@ -2,14 +2,20 @@
 
 mod actions;
 mod audit;
+mod bus_address;
 mod catalogues;
 mod check;
+mod compress;
 mod console;
 mod demo;
 mod discover;
+#[cfg(test)]
+mod documents_tests;
 mod images;
 mod import;
+mod init;
 mod join;
+mod left;
 mod order;
 mod plan;
 mod schedules;
@@ -17,6 +23,7 @@ mod simulate;
 mod status;
 mod supervise;
 mod tail;
+mod telescopes;
 mod up;
 
 use std::process::ExitCode;
@@ -36,6 +43,8 @@ struct Arguments {
 enum Command {
     /// A whole simulated night: simulator, all four nodes as processes, and the page.
     Demo(demo::Options),
+    /// Write the first files of a telescope: configuration, header table and example schedule, from the devices that answer.
+    Init(init::Options),
     /// Start and supervise the nodes of one telescope.
     Up(up::Options),
     /// Prove a configuration and say what is wrong with it.
@@ -93,6 +102,7 @@ fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Node { role, options } => return node(role, options),
         Command::Demo(options) => block_on(demo::run(options)),
+        Command::Init(options) => block_on(init::run(options)),
         Command::Up(options) => block_on(up::run(options)),
         Command::Check(options) => check::run(&options),
         Command::Plan(options) => plan::run(&options),
@@ -123,7 +133,7 @@ fn main() -> ExitCode {
 
 fn node(role: NodeRole, options: bus::NodeOptions) -> ExitCode {
     match role {
-        NodeRole::Device => bus::node::main_with(options, Role::Device, node_device::run),
+        NodeRole::Device => node_device::main(options, &["node", "device"]),
         NodeRole::Observatory => bus::node::main_with(options, Role::Observatory, node_observatory::run),
         NodeRole::Archive => bus::node::main_with(options, Role::Archive, node_archive::run),
         NodeRole::Web => bus::node::main_with(options, Role::Web, node_web::run),

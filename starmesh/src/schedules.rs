@@ -1,22 +1,34 @@
 //! `starmesh schedule`: puts another schedule in force, from any machine on the bus, and looks at those that were, where the
 //! observatory node keeps them.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use std::time::Duration;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use clap::{Args, Subcommand};
-use contract::OrderKind;
+use contract::observatory::{RowStatus, ScheduleDraft, ScheduleFindings, ScheduleState};
+use contract::{Key, OrderKind, Part};
+use node_observatory::schedule::read_text;
 use node_observatory::schedule::versions::Versions;
 
-use crate::console::line;
+use crate::console::{document_line, foreign_line};
 use crate::join::Join;
-use crate::order;
+use crate::order::By;
+use crate::{check, order, telescopes};
+
+/// A session that has just opened does not know all its peers.
+const TRIES: u32 = 5;
+const ASKED: u32 = 3;
 
 /// What `starmesh schedule` does.
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Put a file in the place of the schedule in force; a bad one is refused, and nothing changes.
     Put(Put),
+    /// Make a short night of a long one, to try it.
+    Compress(crate::compress::Options),
+    /// The rows of the schedule in force and how far each is, from any machine on the bus.
+    Rows(Rows),
     /// Every schedule that was in force: number, time, author, rows, reason.
     List(Kept),
     /// Print one of them.
@@ -38,6 +50,18 @@ pub struct Put {
     /// Why, for the list of versions and the log.
     #[arg(long)]
     reason: String,
+    /// Who puts it, by name; by default $STARMESH_OPERATOR, else the name of the account.
+    #[arg(long, value_name = "NAME")]
+    operator: Option<String>,
+    #[command(flatten)]
+    join: Join,
+}
+
+/// Options of `starmesh schedule rows`.
+#[derive(Debug, Args)]
+pub struct Rows {
+    /// Which telescope, as SITE/TELESCOPE.
+    telescope: String,
     #[command(flatten)]
     join: Join,
 }
@@ -53,9 +77,8 @@ pub struct Kept {
 impl Kept {
     fn versions(&self) -> anyhow::Result<Versions> {
         let shown = self.config.display();
-        let text = std::fs::read_to_string(&self.config).with_context(|| format!("cannot read {shown}"))?;
-        let folder = self.config.parent().unwrap_or(Path::new("."));
-        let config = config::parse(&text, folder).with_context(|| format!("{shown} is not taken"))?;
+        let (config, _) = bus::node::read_config(&self.config)
+            .with_context(|| format!("{shown} names the folder of the versions; name the configuration by --config"))?;
         Ok(Versions::of(&config))
     }
 }
@@ -65,18 +88,116 @@ pub async fn run(command: Command) -> anyhow::Result<()> {
     match command {
         Command::Put(put) => {
             let shown = put.file.display();
-            let text = std::fs::read_to_string(&put.file).with_context(|| format!("cannot read {shown}"))?;
-            order::give(&put.telescope, OrderKind::PutSchedule { text }, put.reason, put.join).await
+            let text = read_text(&put.file).with_context(|| format!("cannot read {shown}"))?;
+            if let Some(ScheduleFindings { valid: false, errors, warnings, .. }) = findings(&put, &text).await? {
+                bail!(
+                    "refused: {shown} is not a valid schedule: {errors} errors, {warnings} warnings; nothing was changed"
+                );
+            }
+            let by = By { operator: put.operator, reason: put.reason };
+            order::give(&put.telescope, OrderKind::PutSchedule { text }, by, Duration::ZERO, put.join).await
         }
+        Command::Compress(options) => crate::compress::run(&options),
+        Command::Rows(rows) => show_rows(rows).await,
         Command::List(kept) => list(&kept.versions()?),
         Command::Show { kept, version } => show(&kept.versions()?, version),
+    }
+}
+
+/// Asks the telescope's own observatory node for the findings of a schedule, and prints them; nothing where it does not
+/// answer, which the order then reports.
+async fn findings(put: &Put, text: &str) -> anyhow::Result<Option<ScheduleFindings>> {
+    let bus = put.join.open().await?;
+    let address = telescopes::read(&put.telescope, &bus).await?;
+    let (key, draft) = (Key::ScheduleCheck(address), ScheduleDraft { text: text.to_owned() });
+    let mut found = None;
+    for _ in 0..ASKED {
+        found = bus.ask::<_, ScheduleFindings>(&key, &draft, Duration::from_secs(5)).await.ok();
+        if found.is_some() {
+            break;
+        }
+    }
+    bus.close().await;
+    if let Some(found) = &found {
+        check::say(&put.file, text, &found.findings)?;
+        for what in &found.unchecked {
+            foreign_line(format_args!("{}: not checked: {what}", put.file.display()))?;
+        }
+    }
+    Ok(found)
+}
+
+/// The rows of the schedule in force, as the observatory node publishes them.
+async fn show_rows(rows: Rows) -> anyhow::Result<()> {
+    let bus = rows.join.open().await?;
+    let address = telescopes::read(&rows.telescope, &bus).await?;
+    let key = Key::Observatory(address.clone(), Part::Schedule).to_string();
+    let mut told = None;
+    for _ in 0..TRIES {
+        told = bus.get_all::<ScheduleState>(&key, Duration::from_secs(1)).await.into_iter().next();
+        if told.is_some() {
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(300)).await;
+    }
+    let Some((_, said)) = told else { return Err(telescopes::unanswered(&address, &bus).await) };
+    bus.close().await;
+    for text in row_lines(&said.body) {
+        foreign_line(format_args!("{text}"))?;
+    }
+    Ok(())
+}
+
+fn row_lines(schedule: &ScheduleState) -> Vec<String> {
+    let mut lines = vec![format!(
+        "{} ({} rows, version {} since the node started)",
+        schedule.file,
+        schedule.rows.len(),
+        schedule.revision
+    )];
+    if let Some(why) = &schedule.refused {
+        lines.push(format!("the newest file was not taken: {why}"));
+    }
+    let head = ["row", "status", "action", "object", "camera", "start", "end", "frames", "note"];
+    let mut cells: Vec<Vec<String>> = vec![head.map(str::to_owned).to_vec()];
+    cells.extend(schedule.rows.iter().map(|row| {
+        let wanted = row.frames_wanted.map(|wanted| format!("/{wanted}")).unwrap_or_default();
+        vec![
+            row.row.to_string(),
+            status_word(row.status).to_owned(),
+            row.action.clone(),
+            row.object.clone().unwrap_or_default(),
+            row.camera.clone(),
+            row.start_utc.strftime("%m-%d %H:%M:%S"),
+            row.end_utc.strftime("%m-%d %H:%M:%S"),
+            format!("{}{wanted}", row.frames),
+            row.detail.clone(),
+        ]
+    }));
+    let width = |column: usize| cells.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).max();
+    let widths: Vec<usize> = (0..head.len()).map(|column| width(column).unwrap_or(0)).collect();
+    lines.extend(cells.iter().map(|row| {
+        let padded = row.iter().zip(&widths).map(|(cell, width)| format!("{cell:width$}"));
+        padded.collect::<Vec<_>>().join("  ").trim_end().to_owned()
+    }));
+    lines
+}
+
+fn status_word(status: RowStatus) -> &'static str {
+    match status {
+        RowStatus::Pending => "pending",
+        RowStatus::Running => "running",
+        RowStatus::Interrupted => "interrupted",
+        RowStatus::Finished => "finished",
+        RowStatus::Failed => "failed",
+        RowStatus::Skipped => "skipped",
     }
 }
 
 fn list(versions: &Versions) -> anyhow::Result<()> {
     for kept in versions.list().context("the versions cannot be read")? {
         let (version, at_utc, author, rows) = (kept.version, kept.at_utc, kept.author, kept.rows);
-        line(format_args!("{version:6}  {at_utc}  {rows:5} rows  {author}  {}", kept.reason))?;
+        foreign_line(format_args!("{version:6}  {at_utc}  {rows:5} rows  {author}  {}", kept.reason))?;
     }
     Ok(())
 }
@@ -86,7 +207,7 @@ fn show(versions: &Versions, version: Option<u64>) -> anyhow::Result<()> {
     let version = version.map_or_else(newest, Ok)?;
     let text = versions.text(version)?;
     for row in text.lines() {
-        line(format_args!("{row}"))?;
+        document_line(row)?;
     }
     Ok(())
 }

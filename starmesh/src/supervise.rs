@@ -2,12 +2,15 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use bus::Stop;
 use contract::Role;
 use tokio::process::{Child, Command};
+
+use crate::left::Left;
 
 /// How one node is started.
 #[derive(Debug, Clone)]
@@ -24,12 +27,18 @@ pub struct NodeProcess {
     pub log: Option<PathBuf>,
     /// It ends with this process; an enclosure's device node must not, for its guard outlives everybody.
     pub with_parent: bool,
+    /// Where it is noted what was started, for the next `up`.
+    pub left: Option<Arc<Left>>,
 }
 
 /// A process that lived so long is healthy again: the next restart comes at once.
 const HEALTHY: Duration = Duration::from_secs(60);
 /// A node that keeps ending waits at most so long for its next start.
 const MOST: Duration = Duration::from_secs(60);
+/// An observatory node closes first, at most 15 s.
+const END: Duration = Duration::from_secs(25);
+/// Longer than a guard process takes at most.
+const END_DEVICE: Duration = Duration::from_secs(310);
 /// An enclosure has no guard meanwhile (docs/reliability.md).
 const MOST_DEVICE: Duration = Duration::from_secs(5);
 
@@ -38,8 +47,17 @@ impl NodeProcess {
         if self.role == Role::Device { MOST_DEVICE } else { MOST }
     }
 
+    /// A node that was asked to end does so within this time: one that closes an enclosure may wait for a park.
+    pub fn end_within(&self) -> Duration {
+        if self.role == Role::Device { END_DEVICE } else { END }
+    }
+
     /// Starts it.
     pub fn spawn(&self) -> anyhow::Result<Child> {
+        self.spawn_with(None)
+    }
+
+    fn spawn_with(&self, last_words: Option<&Path>) -> anyhow::Result<Child> {
         let program = std::env::current_exe().context("cannot find this program's own file")?;
         let mut command = Command::new(program);
         command.args(["node", self.role.word(), "--id", &self.id, "--config"]).arg(&self.config);
@@ -49,32 +67,59 @@ impl NodeProcess {
         } else {
             command.stdin(Stdio::null());
         }
+        if let Some(file) = last_words {
+            command.env(bus::node::LAST_WORDS, file);
+        }
+        // Ctrl-C in a terminal is for the supervisor alone, which ends its nodes in order
+        #[cfg(unix)]
+        command.process_group(0);
         if let Some(log) = &self.log {
             let file = append(log)?;
             command.stdout(file.try_clone()?).stderr(file);
         }
-        command.spawn().with_context(|| format!("cannot start the {} node", self.role))
+        let child = command.spawn().with_context(|| format!("cannot start the {} node", self.role))?;
+        if let (Some(left), Some(pid)) = (&self.left, child.id()) {
+            left.started(self.role, &self.id, pid);
+        }
+        Ok(child)
     }
 
     /// Keeps it running until the stop is said: restarted after 1 s, with back-off while it keeps ending.
     pub async fn keep(&self, stop: Stop) -> anyhow::Result<()> {
         let mut pause = Duration::from_secs(1);
+        let words = tempfile::NamedTempFile::new().context("no temporary file")?.into_temp_path();
+        let mut said_before = String::new();
         loop {
             let started = Instant::now();
-            let mut child = self.spawn()?;
+            let mut child = self.spawn_with(Some(&words))?;
             // waiting would close it, and the node would take that for our end
             let lifeline = child.stdin.take();
             let Some(ended) = stop.or(child.wait()).await else {
                 drop(lifeline);
-                return end(child).await;
+                return end(child, self.end_within()).await;
             };
+            // what has run for a while, or was killed, prints again what ends it
+            let is_known_failure = ended.as_ref().is_ok_and(|status| status.code() == Some(1));
+            if !is_known_failure || started.elapsed() > HEALTHY {
+                said_before.clear();
+                // where it cannot be emptied a line is left out at most
+                let _ = std::fs::write(&words, "");
+            }
             let status = ended.map_or_else(|error| error.to_string(), |status| status.to_string());
             pause = if started.elapsed() > HEALTHY {
                 Duration::from_secs(1)
             } else {
                 (pause * 2).min(self.longest_pause())
             };
-            eprintln!("starmesh: the {} node {} ended ({status}); next start in {pause:?}", self.role, self.id);
+            let said = std::fs::read_to_string(&words).unwrap_or_default();
+            if said.is_empty() || said != said_before {
+                eprintln!(
+                    "starmesh: the {} node {} ended ({status}); next start in {pause:?}, and again without a further word \
+                     while it ends for the same reason",
+                    self.role, self.id
+                );
+            }
+            said_before = said;
             if stop.or(tokio::time::sleep(pause)).await.is_none() {
                 return Ok(());
             }
@@ -82,24 +127,25 @@ impl NodeProcess {
     }
 }
 
-/// Ends a node: closes its standard input, asks it by signal where there are signals, and after 20 s kills it.
-pub async fn end(mut child: Child) -> anyhow::Result<()> {
+/// Ends a node: closes its standard input, asks it by signal where there are signals, and after its time has passed kills it.
+pub async fn end(mut child: Child, within: Duration) -> anyhow::Result<()> {
     drop(child.stdin.take());
     #[cfg(unix)]
     if let Some(pid) = child.id().and_then(|id| i32::try_from(id).ok()).and_then(rustix::process::Pid::from_raw) {
         // it may have ended just now; then there is nobody to ask
         let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
     }
-    if tokio::time::timeout(Duration::from_secs(20), child.wait()).await.is_err() {
+    if tokio::time::timeout(within, child.wait()).await.is_err() {
         child.kill().await.context("cannot end a node that does not stop by itself")?;
     }
     Ok(())
 }
 
 fn append(log: &Path) -> anyhow::Result<std::fs::File> {
-    std::fs::OpenOptions::new()
-        .create(true)
-        .append(true)
-        .open(log)
-        .with_context(|| format!("cannot write the log {}", log.display()))
+    let mut options = std::fs::OpenOptions::new();
+    options.create(true).append(true);
+    // what nodes log of the site is its user's alone, as their data is
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    options.open(log).with_context(|| format!("cannot write the log {}", log.display()))
 }

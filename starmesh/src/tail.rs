@@ -2,7 +2,7 @@
 
 use clap::Args;
 
-use crate::console::line;
+use crate::console::foreign_line;
 use crate::join::Join;
 
 /// Options of `starmesh tail`.
@@ -21,6 +21,6 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     let heard = bus.subscribe::<serde_json::Value>(&options.expression, bus::Catch::Newest, 4096).await?;
     loop {
         let sample = heard.hear().await;
-        line(format_args!("{} {} {}", sample.said.at_utc, sample.key, sample.said.body))?;
+        foreign_line(format_args!("{} {} {}", sample.said.at_utc, sample.key, sample.said.body))?;
     }
 }

@@ -1,15 +1,23 @@
 //! `starmesh up`: starts and supervises the nodes of one telescope, one process per role.
 
-use std::collections::BTreeSet;
 use std::path::PathBuf;
-use std::time::Duration;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use bus::{Bus, Clock, Stop};
 use clap::Args;
-use contract::device::dome::{Fields, Shutter};
-use contract::{DeviceState, Key, Kind, Role};
+use contract::Role;
+use tokio::task::JoinSet;
 
+use crate::bus_address;
+use crate::left::Left;
 use crate::supervise::NodeProcess;
+
+/// So often it is printed what is waited for.
+const TELL: Duration = Duration::from_secs(10);
+
+/// A file that cannot be used is read again so often.
+const READ_AGAIN: Duration = Duration::from_secs(2);
 
 /// Options of `starmesh up`.
 #[derive(Debug, Args)]
@@ -21,16 +29,24 @@ pub struct Options {
     node_arguments: Vec<String>,
 }
 
-/// Runs until Ctrl-C; then the device nodes stay until their guards have closed the enclosures.
+/// Runs until Ctrl-C or SIGTERM; then enclosures are closed before their device nodes end.
 pub async fn run(options: Options) -> anyhow::Result<()> {
-    let (config, _) = bus::node::read_config(&options.file)?;
+    let left = Arc::new(Left::find(&options.file).await?);
+    let config = match bus::node::read_observatory(&options.file) {
+        Ok(config) => config,
+        Err(error) => match guarded_until_readable(&options, error, &left).await? {
+            Some(config) => config,
+            None => {
+                left.nothing();
+                return Ok(());
+            }
+        },
+    };
     // the nodes of one host meet here even where multicast does not work, and are introduced to each other by gossip
-    let meeting = config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], ..config.bus.clone() };
-    let bus = Bus::open(&meeting, Clock::machine_clock()).await?;
+    bus::node::show_log();
+    let bus = Bus::open(&bus_address::of_supervisor(&config.bus), Clock::machine_clock()).await?;
     let mut arguments = options.node_arguments.clone();
-    for locator in bus.locators().await {
-        arguments.extend(["--connect".to_owned(), locator]);
-    }
+    arguments.extend(bus_address::of_nodes(&config.bus, &bus).await);
     let node = |role, id: &str| NodeProcess {
         role,
         id: id.to_owned(),
@@ -38,59 +54,105 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         arguments: arguments.clone(),
         log: None,
         with_parent: role != Role::Device,
+        left: Some(left.clone()),
     };
-    let ids: BTreeSet<String> = config
-        .devices()
-        .iter()
-        .map(|(_, common)| common.node.as_ref().map_or("main".to_owned(), ToString::to_string))
-        .collect();
-    let (brains, hands) = (Stop::default(), Stop::default());
-    let mut devices = tokio::task::JoinSet::new();
-    for id in ids {
-        let (node, stop) = (node(Role::Device, &id), hands.clone());
-        devices.spawn(async move { node.keep(stop).await });
+    let page = page(config.web.listen);
+    let brains = Stop::default();
+    let mut devices: Vec<(String, Stop, JoinSet<anyhow::Result<()>>)> = Vec::new();
+    // enclosures first, at the start and at the end: one that waits for the mount needs the mount's node until it is closed
+    for id in config.device_nodes() {
+        let (node, stop) = (node(Role::Device, id), Stop::default());
+        let (stopped, mut task) = (stop.clone(), JoinSet::new());
+        task.spawn(async move { node.keep(stopped).await });
+        devices.push((id.to_owned(), stop, task));
     }
-    let mut others = tokio::task::JoinSet::new();
+    let mut others = JoinSet::new();
     let shared = config.place.telescope.as_str() == contract::Address::SHARED;
     let roles = [Role::Observatory, Role::Archive, Role::Web];
     for role in roles.into_iter().filter(|role| !(shared && *role == Role::Observatory)) {
-        let (node, stop) = (node(role, "main"), brains.clone());
+        let (node, stop) = (node(role, config::MAIN_NODE), brains.clone());
         others.spawn(async move { node.keep(stop).await });
     }
-    println!("{}: nodes started; the page is at http://{}/ ; Ctrl-C stops", config.address(), config.web.listen);
-    tokio::select! {
-        interrupted = tokio::signal::ctrl_c() => interrupted?,
-        // a node that cannot even be started ends the whole, with its reason
-        Some(ended) = devices.join_next() => ended??,
-        Some(ended) = others.join_next() => ended??,
-    }
-    println!("stopping; without an observatory node the guards close the enclosures");
+    println!("{}: nodes started; {page}; Ctrl-C stops", config.address());
+    bus::node::end_asked().await;
+    println!(
+        "stopping: the observatory node closes first (at most 15 s), then each enclosure's device node (at most 300 s)"
+    );
     brains.stop();
-    while others.join_next().await.is_some() {}
-    wait_closed(&config, &bus).await?;
-    hands.stop();
-    while devices.join_next().await.is_some() {}
+    let ending = async {
+        while others.join_next().await.is_some() {}
+        for (id, stop, mut task) in devices {
+            stop.stop();
+            let began = Instant::now();
+            while tokio::time::timeout(TELL, task.join_next()).await.is_err() {
+                println!(
+                    "waiting for the device node {id} to close its enclosure, since {} s, at most 300 s; Ctrl-C again leaves \
+                     it: it goes on closing until then, and the next `starmesh up` of this file waits for it",
+                    began.elapsed().as_secs()
+                );
+            }
+        }
+    };
+    let in_good_order = tokio::select! {
+        () = ending => true,
+        () = bus::node::termination() => false,
+    };
     bus.close().await;
+    anyhow::ensure!(in_good_order, "ended by a second signal; what still runs: {}", left.names());
+    left.nothing();
+    println!("stopped: every node has ended");
     Ok(())
 }
 
-/// Waits until every enclosure of this telescope is closed, at most five minutes.
-async fn wait_closed(config: &config::Observatory, bus: &Bus) -> anyhow::Result<()> {
-    let mut domes = Vec::new();
-    for dome in &config.dome {
-        let key = Key::State(config.address().device(Kind::Dome, &dome.common.name));
-        domes.push((dome.common.name.clone(), bus.latest::<DeviceState<Fields>>(&key).await?));
+/// Where the page will be, before the web node has taken the address.
+fn page(listen: std::net::SocketAddr) -> String {
+    match std::net::TcpListener::bind(listen) {
+        Ok(_) => format!("the page is at http://{listen}/ "),
+        Err(error) => format!(
+            "the page cannot be served at http://{listen}/ now ({error}); a page that is there is of another program"
+        ),
     }
-    for _ in 0..300 {
-        let fresh = Duration::from_secs(5);
-        let open = domes.iter().find(|(_, dome)| {
-            let shutter = dome.fresh(fresh).and_then(|heard| heard.said.body.fields.shutter.known().copied());
-            shutter != Some(Shutter::Closed)
-        });
-        let Some((name, _)) = open else { return Ok(()) };
-        println!("waiting for {name} to close");
-        tokio::time::sleep(Duration::from_secs(1)).await;
+}
+
+/// The file cannot be used, and the enclosure may be open: its guard process runs by what last worked, until the file can
+/// be used (and is returned) or an end is asked for. An error where nothing is known of an enclosure.
+async fn guarded_until_readable(
+    options: &Options,
+    error: anyhow::Error,
+    left: &Arc<Left>,
+) -> anyhow::Result<Option<config::Observatory>> {
+    if !node_device::closes_by_copy(&options.file) {
+        return Err(error);
     }
-    eprintln!("starmesh: an enclosure is still not verified closed; look at it");
-    Ok(())
+    eprintln!(
+        "starmesh: {error:#}\nstarmesh: until this file can be used, the enclosure is guarded and kept closed by what last \
+         worked, and nothing else runs"
+    );
+    let node = NodeProcess {
+        role: Role::Device,
+        id: config::ENCLOSURE_NODE.to_owned(),
+        config: options.file.clone(),
+        arguments: options.node_arguments.clone(),
+        log: None,
+        with_parent: false,
+        left: Some(left.clone()),
+    };
+    let (stop, mut task) = (Stop::default(), JoinSet::new());
+    let stopped = stop.clone();
+    task.spawn(async move { node.keep(stopped).await });
+    let readable = async {
+        loop {
+            tokio::time::sleep(READ_AGAIN).await;
+            if let Ok(config) = bus::node::read_observatory(&options.file) {
+                return config;
+            }
+        }
+    };
+    let config = tokio::select! {
+        config = readable => Some(config),
+        () = bus::node::end_asked() => None,
+    };
+    stop.stop();
+    while task.join_next().await.is_some() {}
+    Ok(config)
 }

@@ -8,14 +8,9 @@ use std::fs;
 
 use command::starmesh;
 
-const SITE: &str = r#"
-[observatory]
-site = "paranal"
-telescope = "callisto"
-latitude_deg = -24.6157
-longitude_deg = -70.3976
-elevation_m = 2518.0
-[[telescope]]
+const SITE: &str = concat!(
+    include_str!("../../common/config/tests/paranal.toml"),
+    r#"[[telescope]]
 name = "mount"
 server = "10.0.0.5:11111"
 horizon = "wall.txt"
@@ -25,7 +20,8 @@ server = "10.0.0.5:11111"
 [[filterwheel]]
 name = "wheel"
 server = "10.0.0.5:11111"
-"#;
+"#
+);
 
 fn row(value: &str, end: &str) -> String {
     format!(
@@ -84,8 +80,9 @@ fn findings_are_printed_with_their_places_and_only_errors_fail() {
     fs::write(file("wall.txt"), "0 ten\n").unwrap();
     let said = check("observatory.toml");
     assert!(
-        !said.success && said.err.contains("telescope \"mount\": horizon") && said.err.contains("line 1"),
-        "{}",
+        !said.success && said.out.contains("telescope \"mount\": horizon") && said.out.contains("line 1"),
+        "{}{}",
+        said.out,
         said.err
     );
 }

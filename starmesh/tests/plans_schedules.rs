@@ -8,14 +8,9 @@ use std::fs;
 
 use command::{number, starmesh};
 
-const SITE: &str = r#"
-[observatory]
-site = "paranal"
-telescope = "callisto"
-latitude_deg = -24.6157
-longitude_deg = -70.3976
-elevation_m = 2518.0
-[[telescope]]
+const SITE: &str = concat!(
+    include_str!("../../common/config/tests/paranal.toml"),
+    r#"[[telescope]]
 name = "mount"
 server = "10.0.0.5:11111"
 [[camera]]
@@ -24,7 +19,8 @@ server = "10.0.0.5:11111"
 [[dome]]
 name = "dome"
 server = "10.0.0.5:11111"
-"#;
+"#
+);
 
 fn row(value: &str, hours: [&str; 2], day: u32) -> String {
     let [start, end] = hours;

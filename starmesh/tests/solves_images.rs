@@ -134,7 +134,7 @@ fn golden_frames_are_solved_with_any_kind_of_catalogue() {
     }
 }
 
-const PROMISED: [&str; 11] = [
+const PROMISED: [&str; 13] = [
     "file",
     "solved",
     "ra_deg",
@@ -146,6 +146,8 @@ const PROMISED: [&str; 11] = [
     "rms_px",
     "false_alarm",
     "reason",
+    "hdu",
+    "wcs",
 ];
 
 #[test]
@@ -200,6 +202,7 @@ fn hints_come_from_options_or_from_many_a_header_and_a_missing_one_is_named() {
         assert!(!said.success);
         let answer = &said.json()[0];
         assert_eq!(fields(answer), PROMISED);
+        assert!(answer["wcs"].is_null(), "{answer}");
         assert!(answer["reason"].as_str().unwrap().starts_with(words), "{words:?}: {answer}");
     }
     let said = solve(&[], &place[..1]);

@@ -1,6 +1,6 @@
 //! `starmesh catalogue build`: one file in Starmesh's format of any number of sources.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context as _, bail, ensure};
@@ -65,6 +65,14 @@ fn year(word: &str) -> Result<f64, String> {
 /// Reads all sources, then writes.
 pub async fn run(options: &Options) -> anyhow::Result<()> {
     let sources = sources(options).await?;
+    for source in &sources {
+        ensure!(
+            !is_same_file(source, &options.out)?,
+            "--out {} is the same file as the source {}: it would be replaced by what is made of it; give another --out",
+            options.out.display(),
+            source.display()
+        );
+    }
     let reading = Reading { band: options.magnitude, epoch_year: options.epoch };
     let mut sorter = Sorter::new(&options.out)?;
     let mut all = Tally::default();
@@ -103,6 +111,20 @@ pub async fn run(options: &Options) -> anyhow::Result<()> {
         built.order,
         built.bytes as f64 * 1e-6
     ))
+}
+
+/// Whether two names stand for one file: by links, too. A name without a file is none.
+fn is_same_file(one: &Path, other: &Path) -> anyhow::Result<bool> {
+    let (Ok(one), Ok(other)) = (std::fs::canonicalize(one), std::fs::canonicalize(other)) else { return Ok(false) };
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt as _;
+        let number = |file: &Path| std::fs::metadata(file).map(|of| (of.dev(), of.ino()));
+        if number(&one)? == number(&other)? {
+            return Ok(true);
+        }
+    }
+    Ok(one == other)
 }
 
 /// The files given, and those that Gaia's answers are kept in.

@@ -46,13 +46,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     anyhow::ensure!((64..=8192).contains(&options.size_px), "--size-px {}: expected 64 to 8192", options.size_px);
     let port = page_port(options.port)?;
     let folder = Folder::new(options.keep.as_deref())?;
-    tokio::select! {
-        done = observe(&options, port, &folder) => done?,
-        interrupted = tokio::signal::ctrl_c() => {
-            interrupted?;
-            println!("\ninterrupted; the nodes are stopped");
-        }
-    }
+    observe(&options, port, &folder).await?;
     folder.end();
     Ok(())
 }
@@ -79,7 +73,7 @@ async fn observe(options: &Options, port: u16, folder: &Folder) -> anyhow::Resul
     let endpoint = bus.locators().await.into_iter().find(|locator| locator.contains("127.0.0.1"));
     let endpoint = endpoint.context("the demo's own bus listens nowhere")?;
     let mut story = Story::listen(&bus, &config.address()).await?;
-    let nodes = Nodes::start(folder, &config_file, &endpoint)?;
+    let nodes = Nodes::start(folder, &config_file, &config, &endpoint)?;
 
     let total_s = night.dawn.seconds_since(night.start) / options.speed;
     println!("one night of {} at speed {}, about {:.0} s", config.address(), options.speed, total_s);
@@ -89,16 +83,24 @@ async fn observe(options: &Options, port: u16, folder: &Folder) -> anyhow::Resul
     println!("  logs      {}", folder.path.display());
     println!("  bus       {endpoint}");
     let shower = shower(&simulator, &clock, night.shower());
-    tokio::select! {
-        told = story.tell(night.start, night.dawn) => told?,
-        () = shower => {}
-    }
-    let (summary, well) = story.summary();
-    println!("{summary}");
-    if options.stay {
-        println!("the page stays at http://127.0.0.1:{port}/ ; Ctrl-C ends");
-        std::future::pending::<()>().await;
-    }
+    let well = tokio::select! {
+        told = story.tell(night.start, night.dawn) => {
+            told?;
+            let (summary, well) = story.summary();
+            println!("{summary}");
+            if options.stay {
+                println!("the page stays at http://127.0.0.1:{port}/ ; Ctrl-C ends");
+                tokio::signal::ctrl_c().await?;
+            }
+            well
+        }
+        () = shower => true,
+        interrupted = tokio::signal::ctrl_c() => {
+            interrupted?;
+            println!("\ninterrupted; the nodes close what is open, and end");
+            true
+        }
+    };
     nodes.stop().await?;
     simulator.stop().await;
     bus.close().await;
@@ -116,32 +118,36 @@ async fn shower(simulator: &Simulator, clock: &Clock, at: Utc) {
     std::future::pending::<()>().await;
 }
 
-/// The four node processes; dropping them ends them through their standard input.
+/// The node processes, device nodes first; dropping them ends them through their standard input.
 struct Nodes {
     children: Vec<tokio::process::Child>,
 }
 
 impl Nodes {
-    fn start(folder: &Folder, config: &Path, endpoint: &str) -> anyhow::Result<Self> {
-        let roles = [Role::Device, Role::Archive, Role::Web, Role::Observatory];
-        let start = |role: Role| {
+    fn start(folder: &Folder, file: &Path, config: &config::Observatory, endpoint: &str) -> anyhow::Result<Self> {
+        let mut nodes: Vec<_> = config.device_nodes().into_iter().map(|id| (Role::Device, id)).collect();
+        nodes.reverse();
+        nodes.extend([Role::Archive, Role::Web, Role::Observatory].map(|role| (role, config::MAIN_NODE)));
+        let start = |(role, id): (Role, &str)| {
+            let log = if role == Role::Device { format!("{role}-{id}.log") } else { format!("{role}.log") };
             let process = NodeProcess {
                 role,
-                id: "main".to_owned(),
-                config: config.to_owned(),
+                id: id.to_owned(),
+                config: file.to_owned(),
                 arguments: vec!["--connect".to_owned(), endpoint.to_owned()],
-                log: Some(folder.path.join(format!("{role}.log"))),
+                log: Some(folder.path.join(log)),
                 with_parent: true,
+                left: None,
             };
             process.spawn()
         };
-        Ok(Self { children: roles.into_iter().map(start).collect::<anyhow::Result<_>>()? })
+        Ok(Self { children: nodes.into_iter().map(start).collect::<anyhow::Result<_>>()? })
     }
 
     /// Stops them, the observatory first.
     async fn stop(self) -> anyhow::Result<()> {
         for child in self.children.into_iter().rev() {
-            end(child).await?;
+            end(child, Duration::from_secs(25)).await?;
         }
         Ok(())
     }

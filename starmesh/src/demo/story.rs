@@ -8,7 +8,7 @@ use bus::{Bus, Catch, Subscriber};
 use contract::archive::Stored;
 use contract::node::{DiaryLine, Level};
 use contract::observatory::{Alerts, GuidingState, NightState, RowStatus, SafetyState, ScheduleState, Verdict};
-use contract::{Address, Key, Part};
+use contract::{Address, Key, Part, printable};
 use units::Utc;
 
 use crate::status::posture_word;
@@ -199,14 +199,14 @@ impl Story {
     /// The progress line stays at the bottom of a terminal; into a file it is not written.
     fn show(&self, line: &str) {
         if self.live_line {
-            print!("\r\x1b[2K{}", line.chars().take(110).collect::<String>());
+            print!("\r\x1b[2K{}", printable(line).chars().take(110).collect::<String>());
             let _ = std::io::stdout().flush();
         }
     }
 
     fn print(&self, at: Utc, line: &str) {
         let clear = if self.live_line { "\r\x1b[2K" } else { "" };
-        println!("{clear}{}  {line}", at.strftime("%H:%M:%S"));
+        println!("{clear}{}  {}", at.strftime("%H:%M:%S"), printable(line));
     }
 
     /// The summary, and whether the night went well.
@@ -218,7 +218,9 @@ impl Story {
             .rows
             .iter()
             .filter(|(_, status, _)| *status != RowStatus::Finished)
-            .map(|(name, status, detail)| format!("    {name}: {status:?} {detail}"))
+            .map(|(name, status, detail)| {
+                format!("    {}: {} {}", printable(name), format!("{status:?}").to_lowercase(), printable(detail))
+            })
             .collect();
         let text = format!(
             "\nsummary\n  frames taken      {}\n  files stored      {}\n  headers complete  {}\n  dome open         {:.1} h, closed {} times, {} now\n  fields guided     {}\n  rows finished     {} of {}\n  alerts            {}\n  errors            {}\n{}",

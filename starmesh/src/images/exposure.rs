@@ -3,8 +3,21 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use fits::{Header, Image};
+use clap::Args;
+use fits::{Header, Image, Part};
 use imaging::{Camera, Frame, Measured, Pixels, Search, is_mosaic, measure, measure_mosaic};
+
+/// Which image of a file is meant.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct Chosen {
+    /// Take the image of this HDU, counted from 1 (the primary header); without it the first image with pixels.
+    #[arg(long, value_parser = hdu)]
+    hdu: Option<usize>,
+}
+
+fn hdu(word: &str) -> Result<usize, String> {
+    word.parse().ok().filter(|number| *number > 0).ok_or_else(|| "expected a number of 1 and more".to_owned())
+}
 
 /// A frame and what its file says of it.
 pub struct Exposure {
@@ -16,12 +29,35 @@ pub struct Exposure {
 }
 
 impl Exposure {
-    /// Reads the first image of a file.
-    pub fn open(file: &Path) -> anyhow::Result<Self> {
-        let image = fits::read(file)?;
+    /// Reads an image of a file: the first one, or that of an HDU.
+    pub fn open(file: &Path, chosen: Chosen) -> anyhow::Result<Self> {
+        let image = fits::read_part(file, chosen.hdu.map_or(Part::First, Part::Hdu))?;
         let mut exposure = Self { file: file.to_owned(), image, mosaic: false };
+        exposure.say_choice(chosen);
         exposure.mosaic = says_mosaic(exposure.header()) || is_mosaic(&exposure.frame()?);
         Ok(exposure)
+    }
+
+    /// Part of the file that it stands in, from 1.
+    pub fn hdu(&self) -> usize {
+        self.image.hdu
+    }
+
+    /// Says what was taken where there was a choice: which of several images, how many planes. On standard error: answers
+    /// on standard output are for programs too.
+    fn say_choice(&self, chosen: Chosen) {
+        let file = self.file.display();
+        if chosen.hdu.is_none() && !self.image.other_hdus.is_empty() {
+            let others: Vec<String> = self.image.other_hdus.iter().map(usize::to_string).collect();
+            let others = others.join(", ");
+            eprintln!(
+                "starmesh: {file}: the image of HDU {} is taken; --hdu takes that of HDU {others}",
+                self.image.hdu
+            );
+        }
+        if self.image.planes > 1 {
+            eprintln!("starmesh: {file}: a colour image; the mean of its {} planes is taken", self.image.planes);
+        }
     }
 
     /// What the file says.

@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail, ensure};
 use clap::Args;
+use fits::KeywordError;
 use imaging::focus::{Hyperbola, Size};
 use imaging::hfd::{HfdSearch, measure_hfd};
 use serde_json::{Value, json};
 
-use super::exposure::Exposure;
+use super::exposure::{Chosen, Exposure};
 use super::{Output, each, rounded};
 
 /// Options of `starmesh focus`.
@@ -17,6 +18,8 @@ pub struct Options {
     /// FITS images of one field at different positions of the focuser (FOCUSPOS in their headers), in any order.
     #[arg(required = true)]
     files: Vec<PathBuf>,
+    #[command(flatten)]
+    chosen: Chosen,
     #[command(flatten)]
     output: Output,
 }
@@ -33,7 +36,7 @@ struct Point {
 pub fn run(options: &Options) -> anyhow::Result<()> {
     let mut points = Vec::new();
     each(&options.files, |file| {
-        points.push(point(file)?);
+        points.push(point(file, options.chosen)?);
         Ok(())
     })?;
     points.sort_by(|a, b| a.position.total_cmp(&b.position));
@@ -62,10 +65,16 @@ fn fitted(sizes: &[Size]) -> anyhow::Result<Hyperbola> {
     Ok(curve)
 }
 
-fn point(file: &Path) -> anyhow::Result<Point> {
-    let exposure = Exposure::open(file)?;
-    let position = ["FOCUSPOS", "FOCPOS"].iter().find_map(|keyword| exposure.header().number(keyword).ok());
+fn point(file: &Path, chosen: Chosen) -> anyhow::Result<Point> {
+    let exposure = Exposure::open(file, chosen)?;
+    let told = ["FOCUSPOS", "FOCPOS"].map(|keyword| exposure.header().number(keyword));
+    let position = told.iter().flatten().copied().find(|position| position.is_finite());
     let Some(position) = position else {
+        // a value of another kind says more than a keyword that is not there
+        let odd = told.into_iter().filter_map(Result::err).find(|why| matches!(why, KeywordError::Kind { .. }));
+        if let Some(why) = odd {
+            bail!("{why}: the focuser's position in steps")
+        }
         bail!("{} has no FOCUSPOS in its header; expected the focuser's position in steps", file.display())
     };
     let size = if exposure.mosaic {

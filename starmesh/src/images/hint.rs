@@ -35,9 +35,9 @@ pub fn place(header: &Header, size_px: (usize, usize)) -> anyhow::Result<Place> 
     for (ra, dec) in PAIRS {
         if let Some((ra, dec)) = header.value(ra).zip(header.value(dec)) {
             let place = angle(ra, 15.0).zip(angle(dec, 1.0)).filter(|(_, dec)| dec.degrees().abs() <= 90.0);
-            return place.with_context(|| {
-                format!("the header's place ({ra:?}, {dec:?}) makes no sense; give --ra-deg and --dec-deg")
-            });
+            return place.context(
+                "the header's place is no direction (right ascension and declination); give --ra-deg and --dec-deg",
+            );
         }
     }
     let pairs: Vec<String> = PAIRS.iter().map(|(ra, dec)| format!("{ra}/{dec}")).collect();

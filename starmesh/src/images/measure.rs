@@ -7,7 +7,7 @@ use clap::Args;
 use imaging::{Measured, Star};
 use serde_json::{Value, json};
 
-use super::exposure::Exposure;
+use super::exposure::{Chosen, Exposure};
 use super::{Output, each, rounded, significant};
 
 /// Stars in the text; JSON has all.
@@ -20,13 +20,15 @@ pub struct Options {
     #[arg(required = true)]
     files: Vec<PathBuf>,
     #[command(flatten)]
+    chosen: Chosen,
+    #[command(flatten)]
     output: Output,
 }
 
 /// Measures one file after the other.
 pub fn run(options: &Options) -> anyhow::Result<()> {
     each(&options.files, |file| {
-        let exposure = Exposure::open(file)?;
+        let exposure = Exposure::open(file, options.chosen)?;
         let measured = exposure.measure()?;
         options.output.print(&answer(&exposure, &measured), || sentences(&exposure, &measured))
     })

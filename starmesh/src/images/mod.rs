@@ -8,6 +8,7 @@ mod hint;
 pub mod measure;
 pub mod shift;
 pub mod solve;
+mod write_wcs;
 
 use std::path::PathBuf;
 

@@ -5,11 +5,11 @@ use std::path::PathBuf;
 use anyhow::{Context as _, ensure};
 use clap::Args;
 use imaging::projection::from_projections;
-use imaging::shift::{Method, from_stars};
+use imaging::shift::{Method, from_stars_either_way};
 use imaging::{Clean, NoShift, Shift};
 use serde_json::{Value, json};
 
-use super::exposure::Exposure;
+use super::exposure::{Chosen, Exposure};
 use super::{Output, rounded};
 
 /// Options of `starmesh shift`.
@@ -20,12 +20,15 @@ pub struct Options {
     /// The one whose stars may have moved.
     check: PathBuf,
     #[command(flatten)]
+    chosen: Chosen,
+    #[command(flatten)]
     output: Output,
 }
 
 /// Compares the two.
 pub fn run(options: &Options) -> anyhow::Result<()> {
-    let (mut reference, mut check) = (Exposure::open(&options.reference)?, Exposure::open(&options.check)?);
+    let (mut reference, mut check) =
+        (Exposure::open(&options.reference, options.chosen)?, Exposure::open(&options.check, options.chosen)?);
     let shape = |exposure: &Exposure| (exposure.width_px(), exposure.height_px());
     ensure!(
         shape(&reference) == shape(&check),
@@ -49,7 +52,8 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
 /// overruled: projections of two different fields may agree by chance.
 fn between(reference: &Exposure, check: &Exposure) -> anyhow::Result<Shift> {
     let measured = [reference.measure()?, check.measure()?];
-    let by_stars = from_stars(&measured[0].stars, &measured[1].stars, reference.width_px(), reference.height_px());
+    let (width, height) = (reference.width_px(), reference.height_px());
+    let by_stars = from_stars_either_way(&measured[0].stars, &measured[1].stars, width, height);
     match by_stars {
         // projections of a mosaic would show its pattern
         Err(reason @ (NoShift::TooFewStars { .. } | NoShift::Uncertain { .. })) if !reference.mosaic => {
@@ -94,7 +98,10 @@ fn answer(shift: &Shift) -> Value {
 }
 
 fn sentence(shift: &Shift) -> String {
-    let rotation = rotation_deg(shift).map_or("not measured".to_owned(), |angle| format!("{angle:.4} deg"));
+    let rotation = rotation_deg(shift).map_or("not measured".to_owned(), |angle| {
+        let turned = if angle.abs() > 90.0 { " (upside down, as after a meridian flip)" } else { "" };
+        format!("{angle:.4} deg{turned}")
+    });
     let by = match shift.method {
         Method::Stars => format!("{} stars", shift.stars),
         Method::Projections => "projections".to_owned(),

@@ -7,12 +7,12 @@ use anyhow::{Context as _, bail, ensure};
 use catalogue::{Catalogue, EPOCH_YEAR, Reading};
 use clap::Args;
 use imaging::solve::{AllSky, Blind, Detected, Hint, KNOWN_OPTICS, Stars, at_epoch, solve};
-use imaging::{Measured, NoSolution, Solution};
+use imaging::{Measured, NoSolution, Solution, Wcs};
 use serde_json::{Value, json};
 use units::Angle;
 
-use super::exposure::Exposure;
-use super::{Output, blind, each, hint, rounded, significant};
+use super::exposure::{Chosen, Exposure};
+use super::{Output, blind, each, hint, rounded, significant, write_wcs};
 
 /// Options of `starmesh solve`.
 #[derive(Debug, Args)]
@@ -33,10 +33,19 @@ pub struct Options {
     /// Starmesh ships, to about magnitude 11 to 12.5.
     #[arg(long)]
     catalogue: Option<PathBuf>,
-    /// Where there is no hint or nothing fits, the whole sky is looked through (fields of 1 deg and more), and then an
-    /// installed `solve-field` is asked, for this time at most, seconds; 0 for neither.
-    #[arg(long, default_value_t = 30.0)]
-    blind_s: f64,
+    /// Where there is no hint, the whole sky is looked through (fields of 1 deg and more), and then an installed
+    /// `solve-field` is asked, for this time at most, seconds; 0 for neither. Without this option 30 s; and where a hint of
+    /// place and scale fits nothing, only with it.
+    #[arg(long)]
+    blind_s: Option<f64>,
+    /// Write the solution into the file itself: its WCS keywords are replaced, all others stay; whole or not at all.
+    #[arg(long)]
+    write: bool,
+    /// Write the solution into this file, a FITS header without data as astrometry.net's .wcs; for one frame.
+    #[arg(long, value_name = "FILE")]
+    wcs: Option<PathBuf>,
+    #[command(flatten)]
+    chosen: Chosen,
     #[command(flatten)]
     output: Output,
 }
@@ -47,26 +56,58 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     if let Some(scale) = options.scale_arcsec_px {
         ensure!(scale > 0.0 && scale.is_finite(), "--scale-arcsec-px is {scale}, expected more than 0");
     }
+    if let Some(file) = &options.wcs {
+        ensure!(options.files.len() == 1, "--wcs takes the solution of one frame; give one, or --write");
+        for frame in &options.files {
+            let same =
+                std::fs::canonicalize(frame).ok().zip(std::fs::canonicalize(file).ok()).is_some_and(|(a, b)| a == b);
+            ensure!(!same, "--wcs {} is the frame itself; --write puts the solution into it", file.display());
+        }
+    }
     let catalogue = match &options.catalogue {
         Some(file) => Catalogue::open(file, &Reading::default())?,
         None => Catalogue::of_program(),
     };
-    let limit = Duration::try_from_secs_f64(options.blind_s).context("--blind-s is a time in seconds, 0 for never")?;
+    let limit = options.blind_s.map(Duration::try_from_secs_f64).transpose();
+    let limit = limit.context("--blind-s is a time in seconds, 0 for never")?;
     // bright stars stand where they stood: one epoch serves all files
     let sky = AllSky::new(at_epoch(simulator::catalogue::default(), EPOCH_YEAR + SINCE_YEARS));
-    let task = Task { asked, scale_arcsec_px: options.scale_arcsec_px, catalogue: &catalogue, sky: &sky, limit };
+    let is_shipped = options.catalogue.is_none();
+    let scale_arcsec_px = options.scale_arcsec_px;
+    let task = Task { asked, scale_arcsec_px, catalogue: &catalogue, is_shipped, sky: &sky, limit };
     let mut unsolved = 0;
     let done = each(&options.files, |file| {
-        let exposure = Exposure::open(file)?;
+        let exposure = Exposure::open(file, options.chosen)?;
         let answer = task.answer(&exposure)?;
         unsolved += usize::from(answer.is_err());
-        options.output.print(&object(&exposure, &answer), || sentence(&exposure, &answer))
+        options.output.print(&object(&exposure, &answer), || sentence(&exposure, &answer))?;
+        match &answer {
+            Ok(solved) => written(options, &exposure, solved),
+            Err(_) => Ok(()),
+        }
     });
     done?;
     if unsolved > 0 {
         bail!("{unsolved} of {} files are not solved", options.files.len());
     }
     Ok(())
+}
+
+/// Writes the solution where it was asked for.
+fn written(options: &Options, exposure: &Exposure, solved: &Solved) -> anyhow::Result<()> {
+    if !options.write && options.wcs.is_none() {
+        return Ok(());
+    }
+    let file = exposure.file.display();
+    ensure!(solved.verified.is_some(), "{file}: the solution is not written: it is known {BLIND}");
+    let size_px = (exposure.width_px(), exposure.height_px());
+    if options.write {
+        write_wcs::into_frame(&exposure.file, exposure.hdu(), &solved.wcs, size_px)?;
+    }
+    match &options.wcs {
+        Some(file) => write_wcs::into_file(file, &solved.wcs, size_px),
+        None => Ok(()),
+    }
 }
 
 /// Where a frame points, and how well that is known.
@@ -79,18 +120,22 @@ struct Solved {
     /// Stars that agree with the catalogue, their rms (px) and the probability that it is false; none where only
     /// `solve-field` knows the field.
     verified: Option<(usize, f64, f64)>,
+    /// Pixels to sky.
+    wcs: Wcs,
 }
 
 impl From<Solution> for Solved {
     fn from(s: Solution) -> Self {
         let verified = Some((s.matched, s.rms_px, s.false_alarm));
-        let Solution { ra, dec, scale_arcsec_px, rotation_deg, mirrored, .. } = s;
-        Self { ra, dec, scale_arcsec_px, rotation_deg, mirrored, verified }
+        let Solution { ra, dec, scale_arcsec_px, rotation_deg, mirrored, wcs, .. } = s;
+        Self { ra, dec, scale_arcsec_px, rotation_deg, mirrored, verified, wcs }
     }
 }
 
 /// Years from the catalogues' epoch to frames that are solved without a hint.
 const SINCE_YEARS: f64 = 10.0;
+/// Time for `solve-field` where none is told.
+const BLIND_FOR: Duration = Duration::from_secs(30);
 /// A known scale as a blind search takes it, as a share to either side: it may be what was wrong.
 const SCALE_SHARE: f64 = 0.15;
 /// Longest side of a frame that a blind search has patterns for, deg.
@@ -101,10 +146,22 @@ struct Task<'a, S> {
     asked: Option<hint::Place>,
     scale_arcsec_px: Option<f64>,
     catalogue: &'a Catalogue,
+    /// Whether that is the shipped one.
+    is_shipped: bool,
     /// The shipped catalogue, in which frames are found without a hint.
     sky: &'a AllSky<S>,
-    /// Time for `solve-field`.
-    limit: Duration,
+    /// Time for `solve-field`, where it was told.
+    limit: Option<Duration>,
+}
+
+/// Why there is no solution, and whether another search may have more.
+struct Refused {
+    reason: String,
+    elsewhere: bool,
+    /// A hint of place and scale was there and fits nothing.
+    hint_denied: bool,
+    /// The catalogue is too shallow, and so is the one of the whole sky.
+    too_shallow: bool,
 }
 
 impl<S: Stars + Sync> Task<'_, S> {
@@ -115,25 +172,41 @@ impl<S: Stars + Sync> Task<'_, S> {
         let hint = known(exposure, self.asked, self.scale_arcsec_px);
         let found = match &hint {
             Ok(hint) => self.hinted(exposure, &measured, hint)?.map_err(|reason| {
+                let hint_denied = matches!(reason, NoSolution::NoMatch { .. });
+                let too_shallow = matches!(reason, NoSolution::CatalogueTooShallow { .. });
                 // more light is needed where these are not the reason; another solver has no more
-                let elsewhere = matches!(reason, NoSolution::NoMatch { .. } | NoSolution::CatalogueTooShallow { .. });
-                (reason.to_string(), elsewhere)
+                let elsewhere = hint_denied || too_shallow;
+                Refused { reason: reason.to_string(), elsewhere, hint_denied, too_shallow }
             }),
-            Err(error) => Err((format!("no hint: {error:#}"), true)),
+            Err(error) => {
+                let reason = format!("no hint: {error:#}");
+                Err(Refused { reason, elsewhere: true, hint_denied: false, too_shallow: false })
+            }
         };
-        let (reason, elsewhere) = match found {
+        let refused = match found {
             Ok(solution) => return Ok(Ok(solution.into())),
-            Err(reason) => reason,
+            Err(refused) => refused,
         };
-        if !elsewhere || self.limit.is_zero() {
-            return Ok(Err(reason));
+        let limit = match self.limit {
+            // what fits nothing is refused at once; more than a second is for those who ask for it
+            None if refused.hint_denied => {
+                return Ok(Err(format!("{}; --blind-s 30 looks through the whole sky too", refused.reason)));
+            }
+            limit => limit.unwrap_or(BLIND_FOR),
+        };
+        if !refused.elsewhere || limit.is_zero() {
+            return Ok(Err(refused.reason));
         }
-        let reason = match self.anywhere(exposure, &measured)? {
-            Ok(solution) => return Ok(Ok(solution.into())),
-            Err(nowhere) => format!("{reason}; {nowhere}"),
-        };
+        let mut reason = refused.reason;
+        // the whole sky is that of the shipped catalogue
+        if !(refused.too_shallow && self.is_shipped) {
+            match self.anywhere(exposure, &measured)? {
+                Ok(solution) => return Ok(Ok(solution.into())),
+                Err(nowhere) => reason = format!("{reason}; {nowhere}"),
+            }
+        }
         match blind::installed() {
-            Some(program) => self.blindly(exposure, &measured, &program, reason),
+            Some(program) => self.blindly(exposure, &measured, (&program, limit), reason),
             None => Ok(Err(format!("{reason}; solve-field is not installed"))),
         }
     }
@@ -183,13 +256,13 @@ impl<S: Stars + Sync> Task<'_, S> {
         &self,
         exposure: &Exposure,
         measured: &Measured,
-        program: &Path,
+        (program, limit): (&Path, Duration),
         reason: String,
     ) -> anyhow::Result<Result<Solved, String>> {
         let size_px = (exposure.width_px(), exposure.height_px());
         let told = self.told_scale(exposure);
         let field = blind::Field { stars: &measured.stars, size_px, scale_arcsec_px: told };
-        let wcs = match blind::solve(program, &field, self.limit) {
+        let wcs = match blind::solve(program, &field, limit) {
             Ok(Some(wcs)) => wcs,
             Ok(None) => return Ok(Err(format!("{reason}; solve-field found nothing either"))),
             Err(error) => return Ok(Err(format!("{reason}; solve-field failed: {error:#}"))),
@@ -207,7 +280,7 @@ impl<S: Stars + Sync> Task<'_, S> {
             }
         }
         let (rotation_deg, mirrored) = (wcs.rotation_deg(), wcs.mirrored());
-        Ok(Ok(Solved { ra, dec, scale_arcsec_px, rotation_deg, mirrored, verified: None }))
+        Ok(Ok(Solved { ra, dec, scale_arcsec_px, rotation_deg, mirrored, verified: None, wcs }))
     }
 }
 
@@ -252,6 +325,8 @@ fn object(exposure: &Exposure, answer: &Result<Solved, String>) -> Value {
         "rms_px": verified.and_then(|(_, rms, _)| rounded(rms, 4)),
         "false_alarm": verified.and_then(|(.., chance)| significant(chance, 3)),
         "reason": answer.as_ref().err().map(String::as_str).or(blind),
+        "hdu": exposure.hdu(),
+        "wcs": solved.map(|s| write_wcs::object(&s.wcs)),
     })
 }
 
@@ -267,8 +342,9 @@ fn sentence(exposure: &Exposure, answer: &Result<Solved, String>) -> String {
     let known = s.verified.map_or(BLIND.to_owned(), |(matched, rms_px, false_alarm)| {
         format!("{matched} stars, rms {rms_px:.2} px, false alarm {false_alarm:.0e}")
     });
+    let wcs = write_wcs::sentence(&s.wcs);
     format!(
-        "{file}: centre RA {:.6} Dec {:+.6} deg, {:.4} arcsec/px, +y {:.3} deg from north{}, {known}",
+        "{file}: centre RA {:.6} Dec {:+.6} deg, {:.4} arcsec/px, +y {:.3} deg from north{}, {known}\n{wcs}",
         s.ra.degrees(),
         s.dec.degrees(),
         s.scale_arcsec_px,

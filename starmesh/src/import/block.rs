@@ -1,20 +1,28 @@
 //! The text of `observatory.toml`, block by block.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 
 use contract::Kind;
 
 /// A table of the file, as lines.
 #[derive(Debug, Clone, Default)]
-pub struct Lines(pub String);
+pub struct Lines {
+    /// Each line, and the line of the old file that it was made of; 0 for none.
+    pub all: Vec<(usize, String)>,
+    old: usize,
+}
 
 impl Lines {
+    /// What follows is made of this line of the old file.
+    pub fn of(&mut self, old: usize) -> &mut Self {
+        self.old = old;
+        self
+    }
+
     /// `key = value`, with a comment where there is something to say.
     pub fn key(&mut self, key: &str, value: impl std::fmt::Display, comment: &str) {
         let comment = if comment.is_empty() { String::new() } else { format!("  # {comment}") };
-        // writing to a string cannot fail
-        let _ = writeln!(self.0, "{key} = {value}{comment}");
+        self.all.push((self.old, format!("{key} = {value}{comment}")));
     }
 
     /// The same, where there is a value.
@@ -26,7 +34,36 @@ impl Lines {
 
     /// A comment of its own.
     pub fn comment(&mut self, text: &str) {
-        let _ = writeln!(self.0, "# {text}");
+        self.all.push((self.old, format!("# {text}")));
+    }
+
+    /// The head of a table.
+    pub fn table(&mut self, name: &str) {
+        self.all.push((0, format!("\n[{name}]")));
+    }
+
+    /// Takes out the line of a key.
+    pub fn without(&mut self, key: &str) {
+        let of_key = |line: &str| line.split_once('=').is_some_and(|(known, _)| known.trim() == key);
+        self.all.retain(|(_, line)| !of_key(line));
+    }
+
+    /// The value of a key, as it is written.
+    pub fn value(&self, key: &str) -> Option<&str> {
+        let value = |line: &'_ str| -> bool { line.split_once('=').is_some_and(|(known, _)| known.trim() == key) };
+        let (_, line) = self.all.iter().find(|(_, line)| value(line))?;
+        let (_, value) = line.split_once('=')?;
+        Some(value.split("  #").next()?.trim())
+    }
+
+    /// Whether there is no line.
+    pub fn is_empty(&self) -> bool {
+        self.all.is_empty()
+    }
+
+    /// All of it.
+    pub fn text(&self) -> String {
+        self.all.iter().map(|(_, line)| format!("{line}\n")).collect()
     }
 }
 
@@ -59,8 +96,8 @@ pub struct Block {
     pub number: i64,
     /// The keys of its block.
     pub lines: Lines,
-    /// Lists of tables within its block (`limit`), as inline tables.
-    pub limits: Vec<String>,
+    /// Lists of tables within its block (`limit`), as inline tables, each with its line of the old file.
+    pub limits: Vec<(usize, String)>,
     /// Of a safety monitor: min.
     pub dwell_min: Option<f64>,
     /// Of a camera: old names of what works with it, by kind.
@@ -71,6 +108,10 @@ pub struct Block {
     pub tables: BTreeMap<&'static str, Lines>,
     /// Of a mount: what its pulses did to the stars of its camera.
     pub guide_start: Option<GuideStart>,
+    /// Of a focuser: the focus in the old file, steps.
+    pub focus_position: Option<i64>,
+    /// Of a camera: defaults of its actions, by action.
+    pub defaults: BTreeMap<String, serde_json::Map<String, serde_json::Value>>,
 }
 
 /// What the pulses of a mount did, on its way to the block of a camera.
@@ -83,23 +124,38 @@ pub struct GuideStart {
 }
 
 impl Block {
+    /// The block without any key but those that every block has.
+    pub fn head(&self) -> String {
+        let (kind, name, server) = (self.kind.ascom().to_lowercase(), quoted(&self.name), quoted(&self.server));
+        format!("\n[[{kind}]]\nname = {name}\nserver = {server}\nnumber = {}\n", self.number)
+    }
+
     /// The block's text in a telescope's file, where `pairs` are the names to write for a camera.
     pub fn text(&self, pairs: &[(Kind, String)]) -> String {
-        let kind = self.kind.ascom().to_lowercase();
-        let mut lines = Lines(format!("\n[[{kind}]]\n"));
-        lines.key("name", quoted(&self.name), "");
-        lines.key("server", quoted(&self.server), "");
-        lines.key("number", self.number, "");
-        lines.0 += &self.lines.0;
+        let mut lines = self.lines.clone();
         for (kind, name) in pairs {
             lines.key(&kind.ascom().to_lowercase(), quoted(name), "");
         }
         lines.maybe("dwell_min", self.dwell_min, "safe again only after so long without an unsafe reading");
-        if !self.limits.is_empty() {
-            lines.0 += &format!("limit = [\n    {},\n]\n", self.limits.join(",\n    "));
-        }
-        lines.0
+        let limits = limits(self.limits.iter().map(|(_, limit)| limit));
+        format!("{}{}{limits}", self.head(), lines.text())
     }
+
+    /// Of a camera: its set point, degrees Celsius.
+    pub fn temperature_c(&self) -> Option<f64> {
+        self.lines.value("temperature_c")?.parse().ok()
+    }
+
+    /// What it is, for messages.
+    pub fn place(&self) -> String {
+        format!("{} {}", self.kind.ascom(), self.old_name)
+    }
+}
+
+/// The key `limit`, where there is one.
+pub fn limits<'a>(limits: impl Iterator<Item = &'a String>) -> String {
+    let limits: Vec<&str> = limits.map(String::as_str).collect();
+    if limits.is_empty() { String::new() } else { format!("limit = [\n    {},\n]\n", limits.join(",\n    ")) }
 }
 
 /// A name that devices may have here: letters, digits, `_`, `-` and `.`.

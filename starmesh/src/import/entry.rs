@@ -23,6 +23,8 @@ pub struct Entry<'a> {
     pub place: String,
     /// Its first line.
     pub line: usize,
+    /// Line of the key that was asked for last.
+    pub last: usize,
     /// What nobody has asked for.
     left: Vec<(&'a str, &'a Node)>,
 }
@@ -33,7 +35,7 @@ impl<'a> Entry<'a> {
         match &node.value {
             Value::Map(map) => {
                 let left = map.iter().map(|(key, node)| (key.as_str(), node)).collect();
-                Some(Self { place: place.to_owned(), line: node.line, left })
+                Some(Self { place: place.to_owned(), line: node.line, last: node.line, left })
             }
             Value::Null => None,
             other => {
@@ -47,7 +49,20 @@ impl<'a> Entry<'a> {
     pub fn take(&mut self, key: &str) -> Option<&'a Node> {
         let at = self.left.iter().position(|(known, _)| *known == key)?;
         let (_, node) = self.left.remove(at);
+        self.last = node.line;
         (node.value != Value::Null).then_some(node)
+    }
+
+    /// Whether a key is there, be it without a value.
+    pub fn has(&self, key: &str) -> bool {
+        self.left.iter().any(|(known, _)| *known == key)
+    }
+
+    /// Notes a key without a value.
+    fn note_empty(&mut self, key: &str, notes: &mut Notes) {
+        if let Some((_, node)) = self.left.iter().find(|(known, node)| *known == key && node.value == Value::Null) {
+            notes.add(node.line, format!("{}: {key}: has no value; it is taken as if it were not there", self.place));
+        }
     }
 
     /// A number.
@@ -64,6 +79,7 @@ impl<'a> Entry<'a> {
         self.typed(key, "a whole number", notes, |value| match value {
             // beyond 2^53 no number of a device is written
             Value::Number(number) if number.fract() == 0.0 && number.abs() < 9e15 => Some(*number as i64),
+            Value::Text(text) => text.trim().parse().ok(),
             _ => None,
         })
     }
@@ -78,12 +94,26 @@ impl<'a> Entry<'a> {
         })
     }
 
-    /// `true` or `false`.
+    /// `true` or `false`; words and numbers that mean one of them are taken for it, and noted.
     pub fn flag(&mut self, key: &str, notes: &mut Notes) -> Option<bool> {
-        self.typed(key, "true or false", notes, |value| match value {
+        let is_plain = |node: &Node| matches!(node.value, Value::Bool(_) | Value::Null);
+        let odd = self.left.iter().find(|(known, node)| *known == key && !is_plain(node)).map(|(_, node)| *node);
+        let flag = self.typed(key, "true or false", notes, |value| match value {
             Value::Bool(flag) => Some(*flag),
+            Value::Number(number) if *number == 0.0 || *number == 1.0 => Some(*number == 1.0),
+            Value::Text(text) => match text.trim().to_ascii_lowercase().as_str() {
+                "true" | "yes" | "on" | "y" => Some(true),
+                "false" | "no" | "off" | "n" => Some(false),
+                _ => None,
+            },
             _ => None,
-        })
+        });
+        if let (Some(flag), Some(node)) = (flag, odd) {
+            let found = told(&node.value);
+            let what = format!("{found} is taken for {flag}; Astra takes every text that is not empty for true");
+            notes.add(node.line, format!("{}: {key}: {what}", self.place));
+        }
+        flag
     }
 
     /// A list of texts.
@@ -93,9 +123,12 @@ impl<'a> Entry<'a> {
                 .iter()
                 .map(|node| match &node.value {
                     Value::Text(text) => Some(text.clone()),
+                    Value::Number(number) => Some(number.to_string()),
                     _ => None,
                 })
                 .collect::<Option<Vec<String>>>(),
+            // one name that is not in a list
+            Value::Text(text) => Some(vec![text.clone()]),
             _ => None,
         });
         texts.unwrap_or_default()
@@ -103,6 +136,7 @@ impl<'a> Entry<'a> {
 
     /// A map within.
     pub fn entry(&mut self, key: &str, notes: &mut Notes) -> Option<Entry<'a>> {
+        self.note_empty(key, notes);
         let node = self.take(key)?;
         Entry::of(&format!("{}: {key}", self.place), node, notes)
     }
@@ -110,9 +144,18 @@ impl<'a> Entry<'a> {
     /// A list of maps within; a single map counts as a list of one.
     pub fn entries(&mut self, key: &str, notes: &mut Notes) -> Vec<Entry<'a>> {
         let place = format!("{}: {key}", self.place);
+        self.note_empty(key, notes);
         let Some(node) = self.take(key) else { return Vec::new() };
         match &node.value {
-            Value::List(list) => list.iter().filter_map(|node| Entry::of(&place, node, notes)).collect(),
+            Value::List(list) => list
+                .iter()
+                .filter_map(|node| {
+                    if node.value == Value::Null {
+                        notes.add(node.line, format!("{place}: an entry without keys; not carried over"));
+                    }
+                    Entry::of(&place, node, notes)
+                })
+                .collect(),
             _ => Entry::of(&place, node, notes).into_iter().collect(),
         }
     }
@@ -136,6 +179,7 @@ impl<'a> Entry<'a> {
         notes: &mut Notes,
         read: impl Fn(&'a Value) -> Option<T>,
     ) -> Option<T> {
+        self.note_empty(key, notes);
         let node = self.take(key)?;
         let value = read(&node.value);
         if value.is_none() {
@@ -159,5 +203,6 @@ fn told(value: &Value) -> String {
             let keys: Vec<&str> = map.iter().map(|(key, _)| key.as_str()).collect();
             format!("{{{}}}", keys.join(", "))
         }
+        Value::Unclear(what) => what.clone(),
     }
 }

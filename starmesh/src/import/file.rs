@@ -5,7 +5,8 @@ use std::path::Path;
 use anyhow::Context as _;
 use contract::{Address, Kind};
 
-use super::block::{Lines, list, quoted};
+use super::block::{Block, Lines, limits, list, quoted};
+use super::entry::Notes;
 use super::site::Location;
 use super::telescopes::File;
 
@@ -37,11 +38,11 @@ pub struct About<'a> {
 }
 
 /// The whole text.
-pub fn text(file: &File, about: &About<'_>) -> String {
+pub fn text(file: &File, about: &About<'_>, notes: &mut Notes) -> String {
     let is_shared = file.telescope == Address::SHARED;
     let mut lines = Lines::default();
     lines.comment("Made by `starmesh import-astra`. Every key is explained in docs/operator/config.md.");
-    lines.0 += "\n[observatory]\n";
+    lines.table("observatory");
     lines.key("site", quoted(about.site), "");
     lines.key("telescope", quoted(&file.telescope), "");
     match about.location {
@@ -53,7 +54,7 @@ pub fn text(file: &File, about: &About<'_>) -> String {
         None => PLACE.iter().for_each(|key| lines.comment(&format!("{key} = {UNKNOWN}"))),
     }
     if let Some(server) = about.simulator {
-        lines.0 += "\n[clock]\n";
+        lines.table("clock");
         lines.key(
             "simulator",
             quoted(&format!("http://{server}")),
@@ -61,50 +62,60 @@ pub fn text(file: &File, about: &About<'_>) -> String {
         );
     }
     if !is_shared {
-        lines.0 += "\n[schedule]\n";
+        lines.table("schedule");
         lines.key("file", quoted("schedule.jsonl"), "");
-        lines.key("robotic", false, "nothing opens before a person switches it on");
+        match about.simulator {
+            Some(_) => {
+                lines.key("robotic", true, "nothing real moves here; false at a real site until a person changes it")
+            }
+            None => lines.key("robotic", false, "nothing opens before a person switches it on"),
+        }
     }
-    lines.0 += "\n[web]\n";
+    lines.table("web");
     lines.key("listen", quoted(&format!("127.0.0.1:{}", PORT + about.index)), "the page");
     if about.header {
-        lines.0 += "\n[archive]\n";
+        lines.table("archive");
         lines.key("fits_header", quoted(HEADER), "as it was");
     }
     if let Some(catalogue) = about.catalogue.filter(|_| !is_shared) {
-        lines.0 += "\n[imaging]\n";
+        lines.table("imaging");
         lines.key("catalogue", quoted(&catalogue.display().to_string()), "gaia_db");
     }
     if !about.templates.is_empty() && !is_shared {
-        lines.0 += "\n[archive.filename]\n";
+        lines.table("archive.filename");
         for (action, template) in about.templates {
             lines.key(action, quoted(template), "");
         }
     }
+    let mut text = lines.text();
     if !file.shared.is_empty() {
-        lines.0 += "\n[shared]\n";
+        let mut lines = Lines::default();
+        lines.table("shared");
         lines.comment("devices of the file of telescope \"shared\" that this one heeds");
         for (kind, names) in &file.shared {
             lines.key(&kind.ascom().to_lowercase(), list(names), "");
         }
         lines.maybe("dwell_min", file.dwell_min, "of the shared safety monitors");
-        if !file.limits.is_empty() {
-            lines.0 += &format!("limit = [\n    {},\n]\n", file.limits.join(",\n    "));
-        }
+        text += &lines.text();
+        text += &limits(file.limits.iter());
     }
     for (table, about_it) in file.blocks.iter().flat_map(|block| &block.tables) {
-        if !about_it.0.is_empty() {
-            lines.0 += &format!("\n[{table}]\n{}", about_it.0);
+        if !about_it.is_empty() {
+            text += &format!("\n[{table}]\n{}", about_it.text());
         }
     }
     for block in &file.blocks {
-        lines.0 += &block.text(&pairs(file, &block.pairs));
+        text += &block.text(&pairs(file, block, notes));
     }
-    lines.0
+    text
 }
 
-/// What a camera is paired with, by the names of this file; a camera is no pair of itself.
-fn pairs(file: &File, old: &std::collections::BTreeMap<Kind, String>) -> Vec<(Kind, String)> {
+/// Kinds whose only device of a telescope would be moved for a camera that names none.
+const MOVED: [Kind; 4] = [Kind::Telescope, Kind::Focuser, Kind::FilterWheel, Kind::Rotator];
+
+/// What a camera is paired with, by the names of this file; a camera is no pair of itself. Here the only device of a kind
+/// is a camera's where it names none, which is noted.
+fn pairs(file: &File, camera: &Block, notes: &mut Notes) -> Vec<(Kind, String)> {
     let name_of = |kind: &Kind, old_name: &String| {
         let own = file.blocks.iter().find(|block| block.kind == *kind && block.old_name == *old_name);
         let own = own.map(|block| block.name.clone());
@@ -113,8 +124,33 @@ fn pairs(file: &File, old: &std::collections::BTreeMap<Kind, String>) -> Vec<(Ki
             file.shared.get(kind).filter(|names| names.contains(&name)).map(|_| name)
         })
     };
-    let pairs = old.iter().filter(|(kind, _)| **kind != Kind::Camera);
-    pairs.filter_map(|(kind, old_name)| Some((*kind, name_of(kind, old_name)?))).collect()
+    let only = |kind: Kind| {
+        let mut of_kind = file.blocks.iter().filter(|block| block.kind == kind);
+        of_kind.next().filter(|_| of_kind.next().is_none())
+    };
+    let mut pairs = Vec::new();
+    for (kind, old_name) in camera.pairs.iter().filter(|(kind, _)| **kind != Kind::Camera) {
+        match name_of(kind, old_name) {
+            Some(name) => pairs.push((*kind, name)),
+            None => {
+                let what = format!("is paired with {} {old_name:?}, which is not in this file", kind.ascom());
+                let instead =
+                    only(*kind).map_or(String::new(), |device| format!(", and works with {:?} now", device.name));
+                notes.add(camera.line, format!("{}: {what}{instead}", camera.place()));
+            }
+        }
+    }
+    if camera.kind == Kind::Camera {
+        for device in MOVED.iter().filter(|kind| !camera.pairs.contains_key(kind)).filter_map(|kind| only(*kind)) {
+            let what = format!(
+                "names no {0}: here the only {0} of its telescope, {1:?}, works with it",
+                device.kind.ascom(),
+                device.name
+            );
+            notes.add(camera.line, format!("{}: {what}; Astra moved none for it", camera.place()));
+        }
+    }
+    pairs
 }
 
 /// Proves the text as every node will read it; a place that is not known is taken for some other.

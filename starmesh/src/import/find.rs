@@ -19,6 +19,8 @@ pub struct Found {
     pub schedule: Option<PathBuf>,
     /// The star catalogue that `astra_config.yml` names, if that lies there.
     pub catalogue: Option<PathBuf>,
+    /// The one that it names and that is not there.
+    pub lost_catalogue: Option<PathBuf>,
     /// Classes of the site's own, in Python.
     pub classes: Vec<PathBuf>,
 }
@@ -83,6 +85,7 @@ pub fn find(folder: &Path, name: Option<&str>, home: Option<&Path>) -> anyhow::R
             folder.join("schedules").join(format!("{name}.jsonl")),
             beside.join(format!("{name}.jsonl")),
         ]),
+        lost_catalogue: base.catalogue.clone().filter(|file| !file.is_file()),
         catalogue: base.catalogue.filter(|file| file.is_file()),
         classes: classes(&folder.join("custom_observatories")),
     })
@@ -99,8 +102,8 @@ struct Base {
 impl Base {
     /// Reads it, if it is there and is one; `~` is the home folder.
     fn read(file: &Path, home: Option<&Path>) -> Option<Self> {
-        let node = super::yaml::read(&std::fs::read_to_string(file).ok()?).ok()?;
         let mut ignored = Notes::default();
+        let node = super::salvage::read(&super::text::read(file, &mut ignored).ok()?, &mut ignored).ok()?;
         let mut entry = Entry::of(BASE, &node, &mut ignored)?;
         let mut text = |key: &str| entry.text(key, &mut ignored).filter(|text| !text.is_empty());
         let path = |text: String| match text.strip_prefix("~/").zip(home) {

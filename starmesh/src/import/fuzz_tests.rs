@@ -126,7 +126,7 @@ proptest! {
                 prop_assert_eq!(all, text);
                 let mut notes = Notes::default();
                 let camera: contract::Name = "c1".parse().unwrap();
-                let new = schedule::of_telescope(&pieces, &[("c1".to_owned(), camera.clone())], &mut notes);
+                let new = schedule::of_telescope(&pieces, &[schedule::Camera { old: "c1".to_owned(), new: camera.clone(), has_wheel: false }], &mut notes);
                 // what is written is taken: comments, and rows without a fault
                 let read = node_observatory::schedule::read(&new, &[camera]);
                 let is_empty = new.lines().all(|line| line.trim().is_empty() || line.trim_start().starts_with("//"));

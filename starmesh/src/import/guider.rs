@@ -14,7 +14,11 @@ const WAYS: [(&str, [f64; 2]); 4] = [("+x", [1.0, 0.0]), ("-x", [-1.0, 0.0]), ("
 pub fn guider(block: &mut Block, guider: &mut Entry<'_>, notes: &mut Notes) {
     let lines = block.tables.entry("guiding").or_default();
     let interval_s = guider.number("MIN_GUIDE_INTERVAL", notes).unwrap_or(INTERVAL_S);
-    lines.key("interval_min_s", interval_s, "between the frames that are guided on; 0: on every one, the default here");
+    lines.of(guider.last).key(
+        "interval_min_s",
+        interval_s,
+        "between the frames that are guided on; 0: on every one, the default here",
+    );
     let ra_axis = guider.text("RA_AXIS", notes).unwrap_or_else(|| "x".to_owned());
     if let Some(mut gains) = guider.entry("PID_COEFFS", notes) {
         for axis in ["x", "y"] {
@@ -22,13 +26,17 @@ pub fn guider(block: &mut Block, guider: &mut Entry<'_>, notes: &mut Notes) {
             let gain = ["p", "i", "d"].map(|key| of_axis.number(key, notes).unwrap_or(0.0));
             let key = if axis == ra_axis { "pid_ra" } else { "pid_dec" };
             let value = format!("{{ p = {}, i = {}, d = {} }}", gain[0], gain[1], gain[2]);
-            lines.key(key, value, "for control_ra, control_dec = \"pid\"; by default drift and worm are foreseen");
+            lines.of(of_axis.line).key(
+                key,
+                value,
+                "for control_ra, control_dec = \"pid\"; by default drift and worm are foreseen",
+            );
         }
-        for set in ["set_x", "set_y"] {
-            if gains.number(set, notes).is_some_and(|set_px| set_px != 0.0) {
-                let what = "is not 0; a field is held where it was found";
-                notes.add(gains.line, format!("{}: {set} {what}", gains.place));
-            }
+        let [x, y] = ["set_x", "set_y"].map(|set| gains.number(set, notes).unwrap_or(0.0));
+        if [x, y] != [0.0, 0.0] {
+            // there a shift is how far the stars must go, here how far they went
+            let what = format!("set_x = {x}, set_y = {y}: from where the field was found to where it is held");
+            lines.of(gains.last).key("hold_offset_px", format!("[{:?}, {:?}]", 0.0 - x, 0.0 - y), &what);
         }
     }
     let anew = "it is learnt from the first solved frame, or by calibrate_guiding";
@@ -43,7 +51,7 @@ pub fn guider(block: &mut Block, guider: &mut Entry<'_>, notes: &mut Notes) {
     let line = lengths.line;
     match calibration(&mut lengths, &mut directions, notes) {
         Ok(text) => {
-            let lines = block.tables.entry("guiding").or_default();
+            let lines = block.tables.entry("guiding").or_default().of(line);
             let why = "Astra turned East and West round beyond the pier, and never North and South";
             lines.key("dec_reversed_after_flip", true, why);
             block.guide_start = Some(GuideStart { line, text });

@@ -3,28 +3,33 @@
 //! - [`find`] knows where the files lie, [`yaml`] and [`entry`] read them with their lines.
 //! - [`devices`] and [`guider`] say what each key is here; [`telescopes`] distributes the devices of one observatory.
 //! - [`schedule`] gives each row to the telescope of its camera; [`site`] asks the mount where it stands.
-//! - [`block`] and [`file`](mod@file) write our text.
+//! - [`prove`] takes out what is not valid here; [`block`] and [`file`](mod@file) write our text.
+//! - [`trial`] makes a simulator what the site is; [`differences`] lists what a night does otherwise.
 //!
 //! What cannot be carried over is listed with its line, and nothing is overwritten.
 
 mod block;
 mod devices;
+mod differences;
 mod entry;
+mod fair;
 mod file;
 mod find;
 mod guider;
-mod schedule;
-mod site;
+mod prove;
+mod salvage;
+pub mod schedule;
+pub mod site;
 mod telescopes;
+mod text;
+mod trial;
 mod yaml;
 
-use std::collections::BTreeSet;
-use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail, ensure};
 use clap::Args;
-use contract::{Chunk, Kind, Name};
+use contract::{Chunk, Kind};
 
 use self::block::Block;
 use self::entry::{Entry, Notes};
@@ -73,12 +78,19 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         let what = "a site's own class is no part of this; steps around opening and closing: docs/operator/hooks.md";
         notes.add(0, format!("{}: {what}", class.display()));
     }
-    let (mut blocks, templates) = read_config(&found.config, &mut notes)?;
-    if let Some(server) = &options.simulator {
-        simulate(&mut blocks, server)?;
+    if let Some(lost) = &found.lost_catalogue {
+        let what = "gaia_db is not there; the catalogue that is shipped is taken";
+        notes.add(0, format!("{}: {what}", lost.display()));
     }
+    let (mut blocks, templates) = read_config(&found.config, &mut notes)?;
+    let mut schedule_notes = Notes::default();
+    let (pieces, mut rest) = match &found.schedule {
+        Some(path) => schedule::pieces(&text::read(path, &mut schedule_notes)?)
+            .with_context(|| format!("{} cannot be taken apart", path.display()))?,
+        None => (Vec::new(), String::new()),
+    };
     let site = options.site.as_ref().map_or_else(|| block::chunk(&found.name), ToString::to_string);
-    let location = match (options.latitude_deg, options.longitude_deg, options.elevation_m) {
+    let mut location = match (options.latitude_deg, options.longitude_deg, options.elevation_m) {
         (Some(latitude_deg), Some(longitude_deg), Some(elevation_m)) => {
             Some(Location { latitude_deg, longitude_deg, elevation_m })
         }
@@ -88,20 +100,21 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     if !options.offline {
         site::spare_absent(&mut blocks, &mut notes).await;
     }
-    let header = found.header.as_deref().map(|path| read_header(path, &mut notes)).transpose()?;
-    let (pieces, mut rest) = match &found.schedule {
-        Some(path) => {
-            let text = read(path)?;
-            let about = || format!("{} cannot be taken apart", path.display());
-            schedule::pieces(&text).with_context(about)?
-        }
-        None => (Vec::new(), String::new()),
-    };
+    let mut said = Vec::new();
+    if let Some(server) = &options.simulator {
+        let wanted = trial::Wanted::of(&blocks, &pieces, location);
+        let ready = if options.offline { None } else { Some(trial::prepare(server, &wanted).await?) };
+        location = ready.as_ref().map(|ready| ready.location).or(location);
+        said = trial::replace(&mut blocks, server, ready.as_ref())?;
+    }
+    let header = found.header.as_deref().map(|path| read_header(path, &mut notes)).transpose()?.flatten();
 
-    let mut schedule_notes = Notes::default();
     let mut new: Vec<(PathBuf, String)> = Vec::new();
     telescopes::give_calibrations(&mut blocks, &mut notes);
     let files = telescopes::distribute(blocks, &site, &mut notes);
+    let with_rows = files.iter().position(|file| file.cameras().next().is_some());
+    let known: Vec<String> = files.iter().flat_map(File::cameras).map(|camera| camera.old_name.clone()).collect();
+    let strays = schedule::strays(&pieces, &known, &mut schedule_notes);
     for (index, file) in files.iter().enumerate() {
         let folder = if files.len() > 1 { options.out.join(&file.telescope) } else { options.out.clone() };
         let about = file::About {
@@ -113,23 +126,20 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
             simulator: options.simulator.as_deref(),
             index,
         };
-        let text = file::text(file, &about);
+        let text = file::text(file, &about, &mut notes);
         file::prove(&text, location, &folder)
             .with_context(|| format!("what was made of {}", found.config.display()))?;
         new.push((folder.join("observatory.toml"), text));
         new.extend(header.clone().map(|table| (folder.join(file::HEADER), table)));
-        let cameras = cameras(file)?;
-        if !cameras.is_empty() && !pieces.is_empty() {
+        let cameras = schedule::cameras(file)?;
+        if !cameras.is_empty() && found.schedule.is_some() {
             let mut text = schedule::of_telescope(&pieces, &cameras, &mut schedule_notes);
-            text += std::mem::take(&mut rest).trim_start_matches(['\n', '\r']);
+            if Some(index) == with_rows {
+                text += &strays;
+                text += std::mem::take(&mut rest).trim_start_matches(['\n', '\r']);
+            }
             new.push((folder.join("schedule.jsonl"), text));
         }
-    }
-    let known: Vec<String> = files.iter().flat_map(File::cameras).map(|camera| camera.old_name.clone()).collect();
-    for piece in pieces.iter().filter(|piece| !piece.camera.as_ref().is_some_and(|camera| known.contains(camera))) {
-        let camera = piece.camera.as_deref().unwrap_or("nothing");
-        schedule_notes
-            .add(piece.line, format!("a row for {camera}, which is no camera of the configuration; left out"));
     }
     write(&new)?;
 
@@ -142,26 +152,33 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
             "\nTo be filled in: latitude_deg, longitude_deg, elevation_m of [observatory]: no mount told where it stands."
         ))?;
     }
-    tell("To be looked at, by line of the old configuration:", &notes)?;
-    tell("Rows of the old schedule:", &schedule_notes)?;
-    let first = new.first().map(|(path, _)| path.display().to_string()).unwrap_or_default();
-    line(format_args!("\nNow: starmesh check {first}"))
-}
-
-/// Puts a simulator in the place of every device.
-fn simulate(blocks: &mut [Block], server: &str) -> anyhow::Result<()> {
-    let mut kinds = BTreeSet::new();
-    for block in blocks {
-        let place = format!("line {}: {} {}", block.line, block.kind.ascom(), block.old_name);
-        ensure!(
-            kinds.insert(block.kind),
-            "{place} is a second one, and a simulator has one device of each kind: import without --simulator and give \
-             each telescope's devices the address of a simulator of its own"
-        );
-        (block.server, block.number) = (server.to_owned(), 0);
-        // nobody else turns the simulated dome
-        let others = block.lines.0.lines().filter(|line| !line.starts_with(devices::FOLLOW));
-        block.lines.0 = others.map(|line| format!("{line}\n")).collect();
+    let config = found.config.display();
+    tell(&format!("To be looked at, by line of {config}:"), &notes)?;
+    if let Some(schedule) = &found.schedule {
+        tell(&format!("Rows, by line of {}:", schedule.display()), &schedule_notes)?;
+    }
+    let other = differences::of(&files, &pieces);
+    if !other.is_empty() {
+        line(format_args!("\nWhat will go otherwise than with Astra, and the key that brings its way back:"))?;
+    }
+    for what in other.iter().chain(&said) {
+        line(format_args!("  - {what}"))?;
+    }
+    let configurations: Vec<_> =
+        new.iter().map(|(path, _)| path).filter(|path| path.ends_with("observatory.toml")).collect();
+    for (index, path) in configurations.iter().enumerate() {
+        let begin = if index == 0 { "\nNow:" } else { "    " };
+        line(format_args!("{begin} starmesh check {}", path.display()))?;
+    }
+    // what follows a trial is in the document of imports
+    for path in configurations.iter().filter(|_| options.simulator.is_none()) {
+        line(format_args!("     starmesh up {}", path.display()))?;
+    }
+    for file in files.iter().filter(|file| file.telescope != contract::Address::SHARED && options.simulator.is_none()) {
+        line(format_args!(
+            "     starmesh order {site}/{} start     once it is up and you want it to observe",
+            file.telescope
+        ))?;
     }
     Ok(())
 }
@@ -177,23 +194,15 @@ fn tell(title: &str, notes: &Notes) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// No more of a file is read: what takes it apart refuses one that is so large.
-const MOST_BYTES: u64 = 5_000_001;
-
-fn read(path: &Path) -> anyhow::Result<String> {
-    let mut text = String::new();
-    let read = std::fs::File::open(path).and_then(|file| file.take(MOST_BYTES).read_to_string(&mut text));
-    read.with_context(|| format!("cannot read {}", path.display()))?;
-    Ok(text)
-}
-
 /// File-name templates by action.
 type Templates = Vec<(String, String)>;
 
 /// The devices and the templates of a configuration.
 fn read_config(path: &Path, notes: &mut Notes) -> anyhow::Result<(Vec<Block>, Templates)> {
-    let node = yaml::read(&read(path)?).with_context(|| format!("{} is not taken", path.display()))?;
-    devices_of(&node, notes).with_context(|| format!("{} is not taken", path.display()))
+    let about = || format!("{} is not taken", path.display());
+    let text = text::read(path, notes)?;
+    let node = salvage::read(&text, notes).with_context(about)?;
+    devices_of(&node, notes).with_context(about)
 }
 
 fn devices_of(node: &yaml::Node, notes: &mut Notes) -> anyhow::Result<(Vec<Block>, Templates)> {
@@ -204,41 +213,58 @@ fn devices_of(node: &yaml::Node, notes: &mut Notes) -> anyhow::Result<(Vec<Block
         misc.take("backup_time");
         if let Some(mut map) = misc.entry("filename_templates", notes) {
             for action in map.keys() {
-                templates.extend(map.text(&action, notes).map(|template| (action, template)));
+                templates.extend(map.text(&action, notes).map(|template| (map.last, action, template)));
             }
         }
         misc.rest("the page has no such thing yet; not carried over", notes);
     }
-    let mut blocks = Vec::new();
+    let (mut blocks, mut refused) = (Vec::new(), Vec::new());
     for key in top.keys() {
         let Ok(kind) = key.parse::<Kind>() else { continue };
         for (index, mut entry) in top.entries(&key, notes).into_iter().enumerate() {
             entry.place = kind.ascom().to_owned();
-            let block = devices::device(kind, entry, notes)?;
+            let block = match devices::device(kind, entry, notes) {
+                Ok(block) => block,
+                Err(bad) => {
+                    notes.add(bad.line, format!("{bad}; THE DEVICE IS LEFT OUT"));
+                    refused.push(format!("line {}: {bad}", bad.line));
+                    continue;
+                }
+            };
             if index > 0 && matches!(kind, Kind::SafetyMonitor | Kind::ObservingConditions) {
                 let what = "Astra heeded only the first of its kind; this one counts too, with its limits";
-                notes.add(block.line, format!("{} {}: {what}", kind.ascom(), block.old_name));
+                notes.add(block.line, format!("{}: {what}", block.place()));
             }
             blocks.push(block);
         }
     }
     top.rest("expected an ASCOM device type or Misc; not carried over", notes);
-    ensure!(!blocks.is_empty(), "it holds no devices");
-    Ok((blocks, templates))
+    let devices = prove::prune(blocks, notes);
+    ensure!(!devices.is_empty(), "it holds no devices that can be taken\n{}", refused.join("\n"));
+    Ok((devices, prove::templates(templates, notes)))
 }
 
-/// The FITS-header table as it is, if it can be read here.
-fn read_header(path: &Path, notes: &mut Notes) -> anyhow::Result<String> {
-    let text = read(path)?;
-    if let Err(error) = text.parse::<config::header::HeaderTable>() {
-        notes.add(0, format!("{}: copied, but not taken as it stands: {error}", path.display()));
+/// A table has some hundred rows; of one with more mistakes than this none is taken.
+const MOST_BAD_ROWS: usize = 100;
+
+/// The FITS-header table without the rows that cannot be read; `None` where nothing of it can be.
+fn read_header(path: &Path, notes: &mut Notes) -> anyhow::Result<Option<String>> {
+    let text = text::read(path, notes)?;
+    let mut lines: Vec<(usize, &str)> = text.split_inclusive('\n').enumerate().collect();
+    for _ in 0..MOST_BAD_ROWS {
+        let table: String = lines.iter().map(|(_, line)| *line).collect();
+        let Err(error) = table.parse::<config::header::HeaderTable>() else { return Ok(Some(table)) };
+        let at = usize::try_from(error.line).unwrap_or(usize::MAX);
+        // the first line names the columns
+        if at < 2 || at > lines.len() {
+            notes.add(0, format!("{}: {}; the usual table is taken", path.display(), error.fault));
+            return Ok(None);
+        }
+        let (number, _) = lines.remove(at - 1);
+        notes.add(0, format!("{}, line {}: {}; the row is left out", path.display(), number + 1, error.fault));
     }
-    Ok(text)
-}
-
-/// Old and new names of a file's cameras.
-fn cameras(file: &File) -> anyhow::Result<Vec<(String, Name)>> {
-    file.cameras().map(|camera| Ok((camera.old_name.clone(), camera.name.parse::<Name>()?))).collect()
+    notes.add(0, format!("{}: too many rows cannot be read; the usual table is taken", path.display()));
+    Ok(None)
 }
 
 /// Writes all files, or none: a name that is taken is refused before anything is written.
@@ -256,5 +282,7 @@ fn write(new: &[(PathBuf, String)]) -> anyhow::Result<()> {
 
 #[cfg(test)]
 mod fuzz_tests;
+#[cfg(test)]
+mod strict_tests;
 #[cfg(test)]
 mod tests;

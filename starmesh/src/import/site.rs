@@ -26,46 +26,56 @@ const NOT_IMPLEMENTED: i64 = 0x400;
 
 /// Asks the mounts, one after the other, without connecting or moving anything; `None` where none answers.
 pub async fn ask(blocks: &[Block]) -> Option<Location> {
-    let client = reqwest::Client::builder().timeout(PATIENCE).build().ok()?;
     for mount in blocks.iter().filter(|block| block.kind == Kind::Telescope) {
-        let number = async |property: &str| -> Option<f64> {
-            let answer = get(&client, mount, property).await?;
-            let is_good = answer.get("ErrorNumber").and_then(Value::as_i64).unwrap_or(0) == 0;
-            answer.get("Value").and_then(Value::as_f64).filter(|value| is_good && value.is_finite())
-        };
-        let Some(latitude_deg) = number("sitelatitude").await else { continue };
-        let (longitude_deg, elevation_m) = (number("sitelongitude").await, number("siteelevation").await);
-        // 0, 0 is what drivers say before anybody told them
-        if let (Some(longitude_deg), Some(elevation_m)) = (longitude_deg, elevation_m)
-            && (latitude_deg, longitude_deg) != (0.0, 0.0)
-        {
-            return Some(Location { latitude_deg, longitude_deg, elevation_m });
+        if let Some(location) = location(&mount.server, mount.number).await {
+            return Some(location);
         }
     }
     None
 }
 
+/// The place that a mount reports.
+pub async fn location(server: &str, number: i64) -> Option<Location> {
+    let client = client()?;
+    let number = async |property: &str| -> Option<f64> {
+        let answer = get(&client, Kind::Telescope, (server, number), property).await?;
+        let is_good = answer.get("ErrorNumber").and_then(Value::as_i64).unwrap_or(0) == 0;
+        answer.get("Value").and_then(Value::as_f64).filter(|value| is_good && value.is_finite())
+    };
+    let latitude_deg = number("sitelatitude").await?;
+    let (longitude_deg, elevation_m) = (number("sitelongitude").await?, number("siteelevation").await?);
+    // 0, 0 is what drivers report before anybody has set it
+    let is_told =
+        (latitude_deg, longitude_deg) != (0.0, 0.0) && latitude_deg.abs() <= 90.0 && longitude_deg.abs() <= 360.0;
+    is_told.then_some(Location { latitude_deg, longitude_deg, elevation_m })
+}
+
+fn client() -> Option<reqwest::Client> {
+    local_http::client_builder().timeout(PATIENCE).build().ok()
+}
+
 /// Limits on what a station says that it does not measure: the predecessor passed over them, and here they would keep the
 /// dome closed for ever. They hold as soon as there is a value.
 pub async fn spare_absent(blocks: &mut [Block], notes: &mut Notes) {
-    let Ok(client) = reqwest::Client::builder().timeout(PATIENCE).build() else { return };
+    let Some(client) = client() else { return };
     for station in blocks.iter_mut().filter(|block| block.kind == Kind::ObservingConditions) {
         for index in 0..station.limits.len() {
-            let Some(parameter) = station.limits.get(index).and_then(|limit| parameter(limit)) else { continue };
+            let Some(parameter) = station.limits.get(index).and_then(|(_, limit)| parameter(limit)) else { continue };
             let measured = match parameter.as_str() {
                 "RelativeSkyTemp" => vec!["SkyTemperature", "Temperature"],
                 other => vec![other],
             };
             for property in measured {
-                let answer = get(&client, station, &property.to_ascii_lowercase()).await;
+                let answer =
+                    get(&client, station.kind, (&station.server, station.number), &property.to_ascii_lowercase()).await;
                 let error = answer.as_ref().and_then(|answer| answer.get("ErrorNumber")).and_then(Value::as_i64);
                 if error != Some(NOT_IMPLEMENTED) {
                     continue;
                 }
-                let place = format!("{} {}", station.kind.ascom(), station.old_name);
+                let place = station.place();
                 let what = format!("the station has no {property}, so Astra passed over it; required = false");
-                notes.add(station.line, format!("{place}: limit on {parameter}: {what}"));
-                if let Some(limit) = station.limits.get_mut(index) {
+                if let Some((line, limit)) = station.limits.get_mut(index) {
+                    notes.add(*line, format!("{place}: limit on {parameter}: {what}"));
                     *limit = limit.trim_end_matches(" }").to_owned() + ", required = false }";
                 }
                 break;
@@ -81,9 +91,9 @@ fn parameter(limit: &str) -> Option<String> {
 }
 
 /// A property of a device, as its server answers.
-async fn get(client: &reqwest::Client, block: &Block, property: &str) -> Option<Value> {
-    let kind = block.kind.ascom().to_lowercase();
-    let device = format!("http://{}/api/v1/{kind}/{}", block.server, block.number);
+async fn get(client: &reqwest::Client, kind: Kind, (server, number): (&str, i64), property: &str) -> Option<Value> {
+    let kind = kind.ascom().to_lowercase();
+    let device = format!("http://{server}/api/v1/{kind}/{number}");
     let address = format!("{device}/{property}?ClientID=1&ClientTransactionID=1");
     let answer = client.get(address).send().await.ok()?;
     serde_json::from_slice(&answer.bytes().await.ok()?).ok()

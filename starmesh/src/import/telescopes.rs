@@ -86,7 +86,7 @@ pub fn give_calibrations(blocks: &mut [Block], notes: &mut Notes) {
         match blocks.iter_mut().find(|block| is_on(block)) {
             Some(camera) if cameras == 1 => {
                 let from = "PIX2TIME and DIRECTIONS, until pulses or a solved frame tell better";
-                camera.lines.key("guide_calibration", start.text, from);
+                camera.lines.of(start.line).key("guide_calibration", start.text, from);
             }
             _ => notes.add(
                 start.line,
@@ -103,7 +103,7 @@ pub fn give_calibrations(blocks: &mut [Block], notes: &mut Notes) {
 fn share(mut block: Block, owners: &BTreeSet<usize>, files: &mut [File], shared: &mut File) {
     // weather and monitors hold for all: the predecessor knew one verdict per observatory
     let of_all = block.kind != Kind::Dome;
-    let limits = std::mem::take(&mut block.limits);
+    let limits: Vec<String> = std::mem::take(&mut block.limits).into_iter().map(|(_, limit)| limit).collect();
     let dwell_min = block.dwell_min.take();
     let under = |index: &usize| of_all || owners.contains(index);
     let mut chunks = Vec::new();
@@ -115,7 +115,9 @@ fn share(mut block: Block, owners: &BTreeSet<usize>, files: &mut [File], shared:
         chunks.push(file.telescope.clone());
     }
     if block.kind == Kind::Dome {
-        block.lines.0 += &super::devices::telescopes_under(&chunks);
+        // one telescope's closing does not turn what others are under
+        block.lines.without(super::devices::PARK_AT_CLOSE);
+        super::devices::telescopes_under(&mut block.lines, &chunks);
     }
     shared.blocks.push(block);
 }

@@ -1,5 +1,7 @@
 use std::fs;
 
+use contract::Name;
+
 use super::*;
 
 const CONFIG: &str = r#"
@@ -101,6 +103,7 @@ async fn an_observatory_of_two_telescopes_becomes_a_file_for_each_and_one_for_wh
     assert_eq!(b.focuser.len(), 0);
     assert_eq!((b.pointing.threshold_arcmin, b.guiding.interval_min_s), (0.2, 30.0));
     assert_eq!((b.guiding.pid_ra.p, b.guiding.pid_dec.p), (0.7, 0.6), "right ascension lies along y");
+    assert_eq!((b.telescope[0].settle_factor, a.telescope[0].settle_factor), (0.5, 0.0));
     assert_eq!((b.telescope[0].meridian_flip, b.telescope[0].meridian_flip_min), (true, 12.0));
     let pulses = b.camera[0].guide_calibration.unwrap();
     assert!((pulses.east_px_per_s[1] - 12.62).abs() < 0.01 && pulses.north_px_per_s[0] > 12.0, "{pulses:?}");
@@ -133,7 +136,6 @@ fn what_is_not_carried_over_is_listed_with_its_line() {
         assert!(notes.lines.iter().any(|(at, what)| *at == line && what.contains(words)), "{words}: {notes:#?}");
     };
     told(3, "pointing_treshold");
-    told(4, "settle_factor = 0.5");
     told(6, "is named \"cam_a\" here");
     told(21, "parked_only");
     told(29, "max_safe_duration");

@@ -13,6 +13,18 @@ pub struct Node {
     pub value: Value,
 }
 
+impl Node {
+    /// The same in another place: each line is changed by `moved`.
+    pub fn moved(self, moved: &dyn Fn(usize) -> usize) -> Self {
+        let value = match self.value {
+            Value::List(list) => Value::List(list.into_iter().map(|node| node.moved(moved)).collect()),
+            Value::Map(map) => Value::Map(map.into_iter().map(|(key, node)| (key, node.moved(moved))).collect()),
+            other => other,
+        };
+        Self { line: moved(self.line), value }
+    }
+}
+
 /// What may stand in a YAML file of a site.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Value {
@@ -28,6 +40,8 @@ pub enum Value {
     List(Vec<Node>),
     /// A map, in the order of the file.
     Map(Vec<(String, Node)>),
+    /// There are two values under one key, and nothing decides which one holds; the text has their lines.
+    Unclear(String),
 }
 
 /// Why a text is not taken.
@@ -50,8 +64,8 @@ const MOST_VALUES: usize = 100_000;
 /// Reads the one document of a text; an empty text is [`Value::Null`].
 ///
 /// # Errors
-/// [`YamlError`] for what is no YAML, has two documents, a key twice, a key that is no plain word, or is nested or
-/// repeated without end.
+/// [`YamlError`] for what is no YAML, has two documents, a key that is no plain word, or is nested or repeated without end.
+/// A key that occurs twice costs that key alone: [`Value::Unclear`].
 pub fn read(text: &str) -> Result<Node, YamlError> {
     if text.len() > MOST_BYTES {
         let what = format!("{} bytes; a configuration has at most {MOST_BYTES}", text.len());
@@ -106,7 +120,7 @@ impl Reader {
                 };
                 let value = match inside {
                     Inside::List(list) => Value::List(list),
-                    Inside::Map(map, _) => Value::Map(map),
+                    Inside::Map(map, _) => Value::Map(merged(map)),
                 };
                 self.put(anchor, Node { line, value })
             }
@@ -149,7 +163,7 @@ impl Reader {
             None => self.done = Some(node),
             Some(Inside::List(list)) => list.push(node),
             Some(Inside::Map(map, key)) => match key.take() {
-                Some(key) => map.push((key, node)),
+                Some(key) => add(map, key, node),
                 None => {
                     let word = match node.value {
                         Value::Text(text) => text,
@@ -157,15 +171,69 @@ impl Reader {
                         Value::Bool(word) => word.to_string(),
                         _ => return Err(YamlError { line, what: "expected a word as key".to_owned() }),
                     };
-                    if map.iter().any(|(known, _)| *known == word) {
-                        return Err(YamlError { line, what: format!("the key {word:?} stands here twice") });
-                    }
                     *key = Some(word);
                 }
             },
         }
         Ok(())
     }
+}
+
+/// YAML 1.1's key for values that are taken over from another map.
+const MERGE: &str = "<<";
+
+/// Adds a value to a map. Two lists under one key become one; of two other values that differ nobody knows which one holds.
+fn add(map: &mut Vec<(String, Node)>, key: String, node: Node) {
+    let Some((_, known)) = map.iter_mut().find(|(known, _)| *known == key && key != MERGE) else {
+        return map.push((key, node));
+    };
+    match (&mut known.value, node.value) {
+        (Value::List(list), Value::List(more)) => list.extend(more),
+        (known, new) if is_same(known, &new) => {}
+        (known_value, _) => {
+            let what = format!("two values, in lines {} and {}", known.line, node.line);
+            *known_value = Value::Unclear(what);
+        }
+    }
+}
+
+/// Whether two values are equal, wherever they are.
+fn is_same(a: &Value, b: &Value) -> bool {
+    match (a, b) {
+        (Value::List(a), Value::List(b)) => {
+            a.len() == b.len() && a.iter().zip(b).all(|(a, b)| is_same(&a.value, &b.value))
+        }
+        (Value::Map(a), Value::Map(b)) => {
+            a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.0 == b.0 && is_same(&a.1.value, &b.1.value))
+        }
+        _ => a == b,
+    }
+}
+
+/// A map with what it takes over by `<<`; its own values hold before those.
+fn merged(map: Vec<(String, Node)>) -> Vec<(String, Node)> {
+    let (sources, mut own): (Vec<_>, Vec<_>) = map.into_iter().partition(|(key, _)| key == MERGE);
+    for (key, source) in sources {
+        let maps = match source.value {
+            Value::List(list) => list,
+            _ => vec![source],
+        };
+        for node in maps {
+            match node.value {
+                Value::Map(values) => {
+                    for (key, value) in values {
+                        if !own.iter().any(|(known, _)| *known == key) {
+                            own.push((key, value));
+                        }
+                    }
+                }
+                Value::Null => {}
+                // stored under its own name, so that it is listed
+                _ => own.push((key.clone(), node)),
+            }
+        }
+    }
+    own
 }
 
 fn size(node: &Node) -> usize {
@@ -183,6 +251,11 @@ fn plain_value(text: &str) -> Value {
         "true" | "True" | "TRUE" => return Value::Bool(true),
         "false" | "False" | "FALSE" => return Value::Bool(false),
         _ => {}
+    }
+    for (prefix, radix) in [("0x", 16), ("0o", 8)] {
+        if let Some(number) = text.strip_prefix(prefix).and_then(|digits| u32::from_str_radix(digits, radix).ok()) {
+            return Value::Number(f64::from(number));
+        }
     }
     // Rust also takes "inf" and "nan"
     let looks = text.trim_start_matches(['+', '-']).starts_with(|c: char| c.is_ascii_digit() || c == '.');
@@ -225,9 +298,27 @@ mod tests {
     }
 
     #[test]
+    fn a_map_takes_over_what_it_does_not_say_itself() {
+        let text = "base: &b {ip: h, n: 1}\nother: &o {n: 5, m: 6}\na:\n  <<: *b\n  n: 2\nb: {<<: [*b, *o], x: 3}\n";
+        let node = read(text).unwrap();
+        let a = get(&node, "a");
+        assert_eq!(get(a, "ip").value, Value::Text("h".to_owned()));
+        assert_eq!(get(a, "n").value, Value::Number(2.0), "its own value holds");
+        let b = get(&node, "b");
+        assert_eq!((&get(b, "n").value, &get(b, "m").value), (&Value::Number(1.0), &Value::Number(6.0)));
+    }
+
+    #[test]
+    fn of_two_values_under_one_key_none_is_taken_unless_they_say_the_same() {
+        let node = read("a: 1\nb: 2\na: 3\nb: 2\nc: [1]\nc: [2]\n").unwrap();
+        assert_eq!(get(&node, "a").value, Value::Unclear("two values, in lines 1 and 3".to_owned()));
+        assert_eq!(get(&node, "b").value, Value::Number(2.0));
+        assert!(matches!(&get(&node, "c").value, Value::List(list) if list.len() == 2));
+    }
+
+    #[test]
     fn what_is_wrong_is_told_with_its_line() {
         for (text, line, what) in [
-            ("a: 1\na: 2\n", 2, "twice"),
             ("a: [1, 2\nb: 3\n", 2, "no YAML"),
             ("a: 1\n---\nb: 2\n", 2, "second document"),
             ("? [1]\n: 2\n", 1, "key"),

@@ -12,6 +12,7 @@ use config::Observatory;
 use node_archive::reader::Reader;
 use node_observatory::plan::overheads::TOOK;
 use node_observatory::plan::{Evidence, PlannedNight, Site, forecast};
+use node_observatory::schedule::read_text;
 use node_observatory::schedule::validate::{Known, accept};
 use units::Utc;
 
@@ -67,7 +68,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     let mut planned = Vec::new();
     for file in files {
         let shown = file.display();
-        let text = std::fs::read_to_string(&file).with_context(|| format!("cannot read {shown}"))?;
+        let text = read_text(&file).with_context(|| format!("cannot read {shown}"))?;
         let rows = match accept(&text, &known) {
             Ok(rows) => rows,
             Err(fault) => {

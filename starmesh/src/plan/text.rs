@@ -50,6 +50,9 @@ fn table(rows: &[PlannedRow]) -> Vec<String> {
     let mut cells: Vec<Vec<String>> = vec![head.map(str::to_owned).to_vec()];
     cells.extend(rows.iter().map(|row| {
         let (start, end) = match row.span() {
+            Some((start, end)) if end.seconds_since(start) >= 86_400.0 => {
+                (start.strftime("%m-%d %H:%M:%S"), end.strftime("%m-%d %H:%M:%S"))
+            }
             Some((start, end)) => (start.strftime("%m-%d %H:%M:%S"), end.strftime("%H:%M:%S")),
             None => ("-".to_owned(), "-".to_owned()),
         };
@@ -100,7 +103,7 @@ fn curves(rows: &[PlannedRow]) -> Vec<String> {
         lines.push(format!("{:label$}  {curve}  {min_deg:.0}..{max_deg:.0} deg", name(row)));
     }
     if !shown.is_empty() {
-        lines.push(format!("{:label$}  {}", "", hours(from, step_s)));
+        lines.extend(axis(from, step_s).iter().map(|axis| format!("{:label$}  {axis}", "")));
     }
     lines
 }
@@ -120,15 +123,39 @@ fn block(heights: &Heights, row: &PlannedRow, at: Utc, half_s: f64) -> char {
     }
 }
 
-/// The hours under the columns, each where it begins.
-fn hours(from: Utc, step_s: f64) -> String {
+/// Hours between two ticks, the first that leaves room for its labels is taken.
+const TICKS_H: [i64; 12] = [1, 2, 3, 6, 12, 24, 48, 96, 168, 336, 672, 2688];
+const HOUR_US: i64 = 3_600_000_000;
+
+/// The text under the columns: hours where there is room for them, each where it begins, and under them the days where there
+/// is more than one.
+fn axis(from: Utc, step_s: f64) -> Vec<String> {
+    let every = |most_columns: f64| TICKS_H.into_iter().find(|hours| *hours as f64 * 3600.0 / step_s >= most_columns);
+    let mut lines = Vec::new();
+    if let Some(hours) = every(3.0).filter(|hours| *hours < 24) {
+        lines.push(ticks(from, step_s, hours, "%H"));
+    }
+    let last = from.plus_seconds(f64::from(WIDTH) * step_s);
+    let day = |at: Utc| at.micros().div_euclid(24 * HOUR_US);
+    if day(last) > day(from) {
+        // a label of five characters and a space
+        let hours = every(6.0).unwrap_or(2688).max(24);
+        lines.push(ticks(from, step_s, hours, "%m-%d"));
+    }
+    lines.retain(|line| !line.is_empty());
+    lines
+}
+
+/// A label in the column in which each multiple of so many hours begins.
+fn ticks(from: Utc, step_s: f64, hours: i64, label: &str) -> String {
     let mut line = String::new();
-    let hour = |at: Utc| at.micros().div_euclid(3_600_000_000);
+    let tick = |at: Utc| at.micros().div_euclid(hours * HOUR_US);
     for n in 0..WIDTH {
         let (at, before) = (from.plus_seconds(f64::from(n + 1) * step_s), from.plus_seconds(f64::from(n) * step_s));
-        let column = n as usize;
-        if hour(at) != hour(before) && line.chars().count() <= column {
-            line.push_str(&format!("{:width$}{}", "", at.strftime("%H"), width = column - line.chars().count()));
+        let (column, length) = (n as usize, line.chars().count());
+        let begins = Utc::from_micros(tick(at) * hours * HOUR_US);
+        if tick(at) != tick(before) && (length < column || length == 0) {
+            line.push_str(&format!("{:width$}{}", "", begins.strftime(label), width = column - length));
         }
     }
     line
@@ -215,4 +242,30 @@ fn origin(planned: &[Planned], site: &Site) -> Vec<String> {
         format!("{what}: {}", if of.is_empty() { none() } else { of.join(", ") })
     };
     [vec![list("measured, medians", measured), list("assumed", assumed)], cameras.collect()].concat()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn under(from: &str, hours: f64) -> Vec<String> {
+        axis(from.parse().unwrap(), hours * 3600.0 / f64::from(WIDTH))
+    }
+
+    #[test]
+    fn a_night_has_hours_under_it_and_a_week_has_days() {
+        let night = under("2026-11-21T22:30:00Z", 12.0);
+        assert!(night[0].starts_with("  23    00    01    02"), "{night:?}");
+        assert!(night[1].trim_start().starts_with("11-22") && night.len() == 2, "{night:?}");
+        let three_days = under("2026-11-21T18:00:00Z", 72.0);
+        assert!(three_days[0].starts_with("  21 00 03 06 09 12 15 18 21 00 03"), "{three_days:?}");
+        assert_eq!(three_days[1].split_whitespace().collect::<Vec<_>>(), ["11-22", "11-23", "11-24"]);
+        let month = under("2026-11-21T18:00:00Z", 720.0);
+        assert_eq!(month.len(), 1, "{month:?}");
+        let days: Vec<&str> = month[0].split_whitespace().collect();
+        assert!(days.len() >= 5 && days.iter().all(|day| day.len() == 5), "{month:?}");
+        // two years: few labels, and none runs into another
+        let years = under("2026-11-21T18:00:00Z", 17_520.0);
+        assert!(years[0].split_whitespace().all(|day| day.len() == 5), "{years:?}");
+    }
 }

@@ -1,0 +1,74 @@
+//! Who of the programs that `starmesh up` starts has which address on the bus.
+//!
+//! The supervisor itself has the addresses of `[bus] listen`: it runs as long as the whole does, and nodes come and go.
+//! Each node listens on a free port of the same interface, and meets the supervisor on this host.
+
+use bus::Bus;
+
+/// Where the supervisor listens: as the file has it, and on this host.
+pub fn of_supervisor(file: &config::Bus) -> config::Bus {
+    let mut listen = file.listen.clone();
+    listen.push(HERE.to_owned());
+    config::Bus { listen, ..file.clone() }
+}
+
+/// A free port of this host.
+const HERE: &str = "tcp/127.0.0.1:0";
+
+/// The arguments of a node with its addresses to listen on and to connect to.
+pub async fn of_nodes(file: &config::Bus, supervisor: &Bus) -> Vec<String> {
+    let mut arguments = Vec::new();
+    for endpoint in &file.listen {
+        arguments.extend(["--listen".to_owned(), with_free_port(endpoint)]);
+    }
+    let locators = supervisor.locators().await;
+    for locator in locators.iter().filter(|locator| locator.starts_with("tcp/127.0.0.1:")) {
+        arguments.extend(["--connect".to_owned(), locator.clone()]);
+    }
+    for endpoint in file.listen.iter().filter(|endpoint| is_elsewhere(endpoint, &locators)) {
+        eprintln!(
+            "starmesh: {endpoint} of [bus] listen is held by another program, or is no address of this host; \
+             the nodes go on without it and meet the others where they can"
+        );
+    }
+    arguments
+}
+
+/// The same interface with a port that the system chooses.
+fn with_free_port(endpoint: &str) -> String {
+    let end = endpoint.find(['?', '#']).unwrap_or(endpoint.len());
+    match endpoint.get(..end).and_then(|address| address.rsplit_once(':')) {
+        Some((host, _)) => format!("{host}:0{}", endpoint.get(end..).unwrap_or_default()),
+        None => endpoint.to_owned(),
+    }
+}
+
+/// Does nothing of this session listen on the port that was asked for?
+fn is_elsewhere(endpoint: &str, locators: &[String]) -> bool {
+    let port = |text: &str| text.split(['?', '#']).next().and_then(|a| a.rsplit_once(':')).map(|(_, p)| p.to_owned());
+    let asked = port(endpoint).filter(|port| port != "0");
+    asked.is_some() && !locators.iter().any(|locator| port(locator) == asked)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nodes_listen_on_the_interface_that_the_file_names() {
+        for (endpoint, node) in [
+            ("tcp/10.0.0.5:7447", "tcp/10.0.0.5:0"),
+            ("tcp/[::1]:7447", "tcp/[::1]:0"),
+            ("tcp/0.0.0.0:7447#iface=eth0", "tcp/0.0.0.0:0#iface=eth0"),
+        ] {
+            assert_eq!(with_free_port(endpoint), node);
+        }
+    }
+
+    #[test]
+    fn an_address_that_the_supervisor_did_not_get_is_told() {
+        let locators = ["tcp/10.0.0.5:7447".to_owned(), "tcp/127.0.0.1:40001".to_owned()];
+        assert!(!is_elsewhere("tcp/0.0.0.0:7447", &locators) && !is_elsewhere("tcp/0.0.0.0:0", &locators));
+        assert!(is_elsewhere("tcp/10.0.0.5:7448", &locators));
+    }
+}

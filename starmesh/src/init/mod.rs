@@ -1,0 +1,121 @@
+//! `starmesh init`: the first files of a telescope, from the devices that answer: configuration, FITS-header table and an example
+//! schedule.
+//!
+//! [`place`] asks where the telescope is; [`text`](mod@text) writes the configuration, [`night`] the schedule. Nothing is
+//! overwritten, and no device is connected or moved.
+
+mod night;
+mod place;
+mod text;
+
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context as _, bail, ensure};
+use clap::Args;
+use contract::Chunk;
+use node_device::alpaca::discovery::{self, Found};
+
+use self::place::Surroundings;
+use crate::console::{foreign_line, line};
+
+/// Options of `starmesh init`.
+#[derive(Debug, Args)]
+pub struct Options {
+    /// Where the files go; nothing there is overwritten.
+    #[arg(default_value = ".")]
+    folder: PathBuf,
+    /// Name of the site in the key tree: small letters, digits, '-'.
+    #[arg(long, default_value = "my-site")]
+    site: Chunk,
+    /// Name of the telescope in the key tree.
+    #[arg(long, default_value = "my-telescope")]
+    telescope: Chunk,
+    /// An Alpaca server that answers no discovery, HOST:PORT; may be given several times.
+    #[arg(long, value_name = "HOST:PORT")]
+    server: Vec<String>,
+    /// How long to wait for answers, s.
+    #[arg(long, default_value_t = 2.0)]
+    seconds: f64,
+}
+
+const CONFIG: &str = "observatory.toml";
+const HEADER: &str = "fits_header.csv";
+const SCHEDULE: &str = "schedule.jsonl";
+
+/// Asks what is there and writes the files.
+pub async fn run(options: Options) -> anyhow::Result<()> {
+    ensure!((0.1..=60.0).contains(&options.seconds), "--seconds {}: expected 0.1 to 60", options.seconds);
+    for name in [CONFIG, HEADER, SCHEDULE] {
+        let path = options.folder.join(name);
+        ensure!(!path.exists(), "{} is there already and stays as it is; choose another folder", path.display());
+    }
+    let mut found: Vec<Found> = Vec::new();
+    for server in &options.server {
+        match discovery::configured_devices(server).await {
+            Ok(devices) => found.extend(devices),
+            Err(error) => bail!("--server {server}: it does not list its devices: {error}"),
+        }
+    }
+    for device in discovery::discover(Duration::from_secs_f64(options.seconds)).await? {
+        let is_new = |old: &Found| (old.kind, old.number, &old.server) != (device.kind, device.number, &device.server);
+        let is_other = |old: &Found| device.unique_id.is_empty() || old.unique_id != device.unique_id;
+        if found.iter().all(|old| is_new(old) && is_other(old)) {
+            found.push(device);
+        }
+    }
+    let around = place::ask(&found).await;
+    let config = text::text(&options, &found, &around);
+    let observatory = text::prove(&config, around.place, &options.folder).context("the new configuration")?;
+    let schedule = night::schedule(&observatory, &around)?;
+    std::fs::create_dir_all(&options.folder).with_context(|| format!("cannot make {}", options.folder.display()))?;
+    for (name, text) in
+        [(CONFIG, config.as_str()), (HEADER, config::header::DEFAULT_CSV), (SCHEDULE, schedule.as_str())]
+    {
+        let path = options.folder.join(name);
+        write(&path, text)?;
+        line(format_args!("wrote {}", path.display()))?;
+    }
+    tell(&options, &found, &around)
+}
+
+/// Writes a new file.
+fn write(path: &Path, text: &str) -> anyhow::Result<()> {
+    let new = std::fs::OpenOptions::new().write(true).create_new(true).open(path);
+    new.and_then(|mut file| file.write_all(text.as_bytes())).with_context(|| format!("cannot write {}", path.display()))
+}
+
+fn tell(options: &Options, found: &[Found], around: &Surroundings) -> anyhow::Result<()> {
+    let file = options.folder.join(CONFIG);
+    let file = file.display();
+    if found.is_empty() {
+        line(format_args!(
+            "\nNo Alpaca device answered within {} s on UDP port {}: the devices in {file} are examples, each behind a #.\n\
+             Servers in another subnet, or without discovery: starmesh init --server HOST:PORT, or write them by hand.",
+            options.seconds,
+            discovery::PORT
+        ))?;
+    } else {
+        line(format_args!("\n{} devices answered:", found.len()))?;
+        for device in found {
+            foreign_line(format_args!(
+                "  {:20} {} number {}  {}",
+                device.kind, device.server, device.number, device.name
+            ))?;
+        }
+    }
+    if around.place.is_none() {
+        line(format_args!(
+            "\nTo be filled in: latitude_deg, longitude_deg and elevation_m, as no mount told where it stands."
+        ))?;
+    }
+    line(format_args!(
+        "\nNow: read {file}, then\n     starmesh check {file}\n     starmesh up {file}\n     starmesh order {}/{} start\n\
+         Nothing opens before the last of them.",
+        options.site, options.telescope
+    ))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,145 @@
+//! An example schedule for the coming night of a place.
+
+use contract::Kind;
+use serde_json::{Value, json};
+use sky::{EarthOrientation, Icrs, Place};
+use units::{Angle, Utc};
+
+use super::place::Surroundings;
+
+/// Fields without a crowd, ICRS degrees: name, right ascension, declination.
+const FIELDS: [(&str, f64, f64); 12] = [
+    ("M 31", 10.68, 41.27),
+    ("NGC 253", 11.89, -25.29),
+    ("WASP-18", 24.35, -45.68),
+    ("Pleiades", 56.75, 24.12),
+    ("WASP-79", 66.37, -30.60),
+    ("HATS-6", 84.39, -19.03),
+    ("Praesepe", 130.10, 19.67),
+    ("WASP-43", 154.91, -9.81),
+    ("M 104", 189.99, -11.62),
+    ("NGC 5460", 211.90, -48.30),
+    ("HAT-P-11", 297.71, 48.08),
+    ("TRAPPIST-1", 346.62, -5.04),
+];
+/// Of the row that is not only an example: from the beginning of the night on.
+const LENGTH_S: f64 = 2.5 * 3600.0;
+const EXAMPLE_CAMERA: &str = "my_camera";
+
+/// The text of the schedule, for the first camera of a configuration.
+pub fn schedule(config: &config::Observatory, around: &Surroundings) -> anyhow::Result<String> {
+    let camera = config.camera.first().map_or(EXAMPLE_CAMERA, |camera| camera.common.name.as_str());
+    let now = around.simulated.unwrap_or_else(|| bus::Clock::machine_clock().utc());
+    let night =
+        around.place.and_then(|place| Dark::next(place.latitude_deg, place.longitude_deg, place.elevation_m, now));
+    let mut text = String::from(
+        "// The night that `starmesh init` wrote as an example. All actions and their parameters: docs/operator/schedule.md, or\n\
+         // `starmesh actions`. Times are UTC. A row runs when its start has come and the rows before it have ended.\n\
+         // `starmesh check schedule.jsonl` says what is wrong with it, `starmesh plan schedule.jsonl` when each row will run.\n",
+    );
+    let Some(Dark { place, dusk, dawn }) = night else {
+        text +=
+            "// Where the telescope stands is not known yet, or the Sun does not set there: these rows are comments.\n";
+        let start = now.plus_seconds(3600.0);
+        for line in rows(config, camera, ("M 42", 83.82, -5.39), start, start.plus_seconds(LENGTH_S)) {
+            text += &format!("// {line}\n");
+        }
+        return Ok(text);
+    };
+    let end = dawn;
+    let highest = |start: Utc, end: Utc| {
+        let lowest = |(_, ra, dec): &(&str, f64, f64)| {
+            let field = Icrs::from_degrees(*ra, *dec);
+            let lowest = sky::lowest_altitude(&place, &EarthOrientation::default(), &field, start, end);
+            lowest.map_or(-90.0, |lowest| lowest.altitude.degrees())
+        };
+        FIELDS.iter().copied().max_by(|a, b| lowest(a).total_cmp(&lowest(b))).unwrap_or(("M 42", 83.82, -5.39))
+    };
+    let field = highest(dusk, dusk.plus_seconds(LENGTH_S).min(end));
+    for line in rows(config, camera, field, dusk, end) {
+        text += &line;
+        text.push('\n');
+    }
+    Ok(text)
+}
+
+/// The rows of a night from dusk to dawn, each with what it is for.
+fn rows(config: &config::Observatory, camera: &str, field: (&str, f64, f64), dusk: Utc, dawn: Utc) -> Vec<String> {
+    let mut lines = Vec::new();
+    let mut row = |about: &str, action: &str, value: Value, start: Utc, end: Utc| {
+        let row = json!({
+            "device_name": camera, "action_type": action, "action_value": value,
+            "start_time": start.to_string(), "end_time": end.to_string(),
+        });
+        lines.push(format!("// {about}"));
+        lines.push(row.to_string());
+    };
+    let has = |kind: Kind| config.devices().iter().any(|(known, _)| *known == kind);
+    let (name, ra_deg, dec_deg) = field;
+    let later = |seconds: f64| dusk.plus_seconds(seconds);
+    // the field was chosen for its altitude in this time; later it may set
+    let observed = later(LENGTH_S).min(dawn);
+    if config.camera.first().is_some_and(|camera| camera.temperature_c.is_some()) {
+        row("The camera is cooled to camera.temperature_c.", "cool_camera", json!({}), later(-1800.0), dawn);
+    }
+    if has(Kind::Dome) {
+        row("The dome opens at nautical dusk, if the sky allows it.", "open", json!({}), dusk, dawn);
+    }
+    let mut value = json!({ "object": name, "exptime": 20.0, "n": 5 });
+    if has(Kind::Telescope)
+        && let Value::Object(value) = &mut value
+    {
+        value.insert("ra".to_owned(), json!(ra_deg));
+        value.insert("dec".to_owned(), json!(dec_deg));
+    }
+    row(
+        "Five frames of a field high in the sky. ra and dec are ICRS, in degrees; exptime in seconds.",
+        "object",
+        value.clone(),
+        later(1.0),
+        observed,
+    );
+    if has(Kind::Telescope)
+        && let Value::Object(value) = &mut value
+    {
+        value.insert("pointing".to_owned(), json!(true));
+        value.insert("guiding".to_owned(), json!(true));
+        let about = "The same, once a solved frame has shown that the telescope looks there, and held by guide pulses.";
+        row(about, "object", json!(value), later(2.0), observed);
+    }
+    row("Everything is closed and parked.", "close", json!({}), later(3.0), dawn.plus_seconds(3600.0));
+    let dark = json!({ "exptime": [0.0, 20.0], "n": [5, 3] });
+    row("Five bias frames, and three darks of 20 s.", "calibration", dark, later(4.0), dawn.plus_seconds(7200.0));
+    row(
+        "Headers are completed with what was measured meanwhile.",
+        "complete_headers",
+        json!({}),
+        later(5.0),
+        dawn.plus_seconds(43_200.0),
+    );
+    lines
+}
+
+/// The dark part of the coming night.
+struct Dark {
+    place: Place,
+    dusk: Utc,
+    dawn: Utc,
+}
+
+impl Dark {
+    /// This night, if its dusk is yet to come, else the next.
+    fn next(latitude_deg: f64, longitude_deg: f64, elevation_m: f64, now: Utc) -> Option<Self> {
+        let (latitude, longitude) = (Angle::from_degrees(latitude_deg), Angle::from_degrees(longitude_deg));
+        let place = Place::new(latitude, longitude, elevation_m).ok()?;
+        let orientation = EarthOrientation::default();
+        let tonight = sky::night(&place, &orientation, now).ok()?;
+        let is_to_come = tonight.nautical_dusk.is_some_and(|dusk| dusk > now.plus_seconds(600.0));
+        let night = if is_to_come {
+            tonight
+        } else {
+            sky::night(&place, &orientation, tonight.ends.plus_seconds(60.0)).ok()?
+        };
+        Some(Self { place, dusk: night.nautical_dusk?, dawn: night.nautical_dawn? })
+    }
+}

@@ -1,0 +1,56 @@
+use std::fs;
+
+use super::*;
+
+fn options(folder: &Path, server: Vec<String>) -> Options {
+    let [site, telescope] = ["hill", "one"].map(|name| name.parse().unwrap());
+    Options { folder: folder.join("new"), site, telescope, server, seconds: 0.1 }
+}
+
+#[tokio::test]
+async fn the_first_files_are_made_of_the_devices_that_answer_and_are_valid() {
+    let simulator = simulator::Simulator::start(simulator::Options::default()).await.unwrap();
+    let home = tempfile::tempdir().unwrap();
+    run(options(home.path(), vec![simulator.address().to_string()])).await.unwrap();
+    let folder = home.path().join("new");
+    let text = fs::read_to_string(folder.join(CONFIG)).unwrap();
+    let config = config::parse(&text, &folder).unwrap();
+    assert_eq!(config.devices().len(), 10, "{text}");
+    assert!(config.clock.simulator.is_some() && !config.schedule.robotic, "{text}");
+    assert!((config.place.latitude_deg - simulator::Options::default().latitude.degrees()).abs() < 1e-6);
+    assert!(fs::read_to_string(folder.join(HEADER)).unwrap().parse::<config::header::HeaderTable>().is_ok());
+    let schedule = fs::read_to_string(folder.join(SCHEDULE)).unwrap();
+    let cameras = [config.camera[0].common.name.clone()];
+    let rows = node_observatory::schedule::parse(&schedule, &cameras).unwrap();
+    let told: Vec<&str> = rows.iter().map(|row| row.action.name()).collect();
+    assert_eq!(told, ["open", "object", "object", "close", "calibration", "complete_headers"], "{schedule}");
+    let again = run(options(home.path(), Vec::new())).await.unwrap_err().to_string();
+    assert!(again.contains("stays as it is"), "{again}");
+    assert_eq!(fs::read_to_string(folder.join(CONFIG)).unwrap(), text);
+    simulator.stop().await;
+}
+
+#[test]
+fn without_any_device_there_are_examples_behind_a_hash_and_the_place_is_to_be_filled_in() {
+    let options = options(Path::new("x"), Vec::new());
+    let around = Surroundings::default();
+    let text = text::text(&options, &[], &around);
+    assert!(text.contains("# [[dome]]") && text.contains("# latitude_deg = ?"), "{text}");
+    let config = text::prove(&text, None, Path::new("x")).unwrap();
+    assert!(config.devices().is_empty());
+    let schedule = night::schedule(&config, &around).unwrap();
+    assert!(schedule.lines().all(|line| line.starts_with("//")), "{schedule}");
+    // with every # before a key taken away it is a telescope with all its devices
+    let whole: Vec<&str> =
+        text.lines().map(|line| line.strip_prefix("# ").filter(|rest| is_toml(rest)).unwrap_or(line)).collect();
+    let whole = whole.join("\n").replace("= ?", "= 1");
+    let config = config::parse(&whole, Path::new("x")).unwrap_or_else(|error| panic!("{error}\n{whole}"));
+    assert_eq!(config.devices().len(), 10);
+}
+
+fn is_toml(line: &str) -> bool {
+    line.starts_with("[[")
+        || line.starts_with(']')
+        || line.starts_with("    {")
+        || line.contains(" = ") && !line.contains("only\"")
+}

@@ -1,0 +1,185 @@
+//! What `starmesh up` started, in a file next to the configuration, so that the next one knows what an earlier one left.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context as _, bail};
+use contract::Role;
+use serde::{Deserialize, Serialize};
+use sysinfo::{Pid, ProcessesToUpdate, System};
+
+/// A device node without an enclosure ends within this time.
+const END: Duration = Duration::from_secs(15);
+
+/// A process; its start distinguishes it from a later one of the same number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+struct Process {
+    pid: u32,
+    /// Seconds since 1970.
+    started_s: u64,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+struct Started {
+    role: Role,
+    id: String,
+    #[serde(flatten)]
+    process: Process,
+}
+
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct Told {
+    up: Option<Process>,
+    nodes: Vec<Started>,
+}
+
+/// The file of one configuration.
+#[derive(Debug)]
+pub struct Left {
+    path: PathBuf,
+    told: std::sync::Mutex<Told>,
+}
+
+impl Left {
+    /// Looks what an earlier `up` left, asks it to end, and names it. An error where an earlier one still runs.
+    pub async fn find(config: &Path) -> anyhow::Result<Self> {
+        let name = config.file_name().unwrap_or_default().to_string_lossy();
+        let path = config.with_file_name(format!(".{name}.up"));
+        // a file that is not whole names nobody
+        let before: Told =
+            std::fs::read(&path).ok().and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default();
+        if let Some(up) = before.up.filter(|up| is_alive(*up)) {
+            bail!(
+                "another `starmesh up` runs this file already, as process {0}; one is enough. To end that one press Ctrl-C in its \
+                 terminal, or type kill {0}: it closes the enclosure first, which takes some seconds",
+                up.pid
+            );
+        }
+        for Started { role, id, process } in before.nodes.into_iter().filter(|node| is_alive(node.process)) {
+            let pid = process.pid;
+            println!("an earlier `starmesh up` left the {role} node {id} as process {pid}: it is asked to end");
+            ask_to_end(pid);
+            let began = std::time::Instant::now();
+            while is_alive(process) && began.elapsed() < END {
+                tokio::time::sleep(Duration::from_millis(200)).await;
+            }
+            if is_alive(process) {
+                println!(
+                    "process {pid} still closes its enclosure; the new {role} node {id} waits for it and then takes over \
+                     (kill -9 {pid} ends it at once, and nobody closes meanwhile)"
+                );
+            }
+        }
+        let left = Self { path, told: std::sync::Mutex::default() };
+        left.change(|told| told.up = process(std::process::id()));
+        Ok(left)
+    }
+
+    /// A node was started.
+    pub fn started(&self, role: Role, id: &str, pid: u32) {
+        let Some(process) = process(pid) else { return };
+        self.change(|told| {
+            told.nodes.retain(|node| (node.role, node.id.as_str()) != (role, id));
+            told.nodes.push(Started { role, id: id.to_owned(), process });
+        });
+    }
+
+    /// What was started and still runs.
+    pub fn names(&self) -> String {
+        let told = self.told.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let alive = told.nodes.iter().filter(|node| is_alive(node.process));
+        let each = alive.map(|node| format!("the {} node {} as process {}", node.role, node.id, node.process.pid));
+        let each: Vec<String> = each.collect();
+        if each.is_empty() { "nothing".to_owned() } else { each.join(", ") }
+    }
+
+    /// Everything has ended in good order.
+    pub fn nothing(&self) {
+        // a file that cannot be removed names processes that are not there
+        let _ = std::fs::remove_file(&self.path);
+    }
+
+    fn change(&self, change: impl FnOnce(&mut Told)) {
+        let mut told = self.told.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        change(&mut told);
+        if let Err(error) = write(&self.path, &told) {
+            eprintln!("starmesh: {error:#}; a later `starmesh up` will not know what this one left");
+        }
+    }
+}
+
+fn write(path: &Path, told: &Told) -> anyhow::Result<()> {
+    let part = path.with_extension("up-part");
+    std::fs::write(&part, serde_json::to_vec(told)?)
+        .and_then(|()| std::fs::rename(&part, path))
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
+fn process(pid: u32) -> Option<Process> {
+    let pid = Pid::from_u32(pid);
+    let mut system = System::new().ok()?;
+    system.refresh_processes(ProcessesToUpdate::Some(&[pid]), true);
+    system.process(pid).map(|found| Process { pid: pid.as_u32(), started_s: found.start_time() })
+}
+
+fn is_alive(known: Process) -> bool {
+    // the start is rounded to seconds and depends on the wall clock, which may have been set
+    process(known.pid).is_some_and(|found| found.started_s.abs_diff(known.started_s) <= 2)
+}
+
+#[cfg(unix)]
+fn ask_to_end(pid: u32) {
+    if let Some(pid) = i32::try_from(pid).ok().and_then(rustix::process::Pid::from_raw) {
+        // it may have ended just now
+        let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
+    }
+}
+
+#[cfg(not(unix))]
+fn ask_to_end(pid: u32) {
+    println!("end process {pid} by hand: this system has no signal for it");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_living_up_is_named_and_a_dead_one_is_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = folder.path().join("observatory.toml");
+        let left = Left::find(&config).await.unwrap();
+        let refused = Left::find(&config).await.unwrap_err().to_string();
+        assert!(refused.contains(&format!("process {}", std::process::id())), "{refused}");
+        left.nothing();
+        assert!(Left::find(&config).await.is_ok());
+    }
+
+    #[tokio::test]
+    async fn a_number_that_another_process_has_now_is_nobody_and_half_a_file_names_nobody() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = folder.path().join("observatory.toml");
+        let other = r#"{"up":{"pid":1,"started_s":7},"nodes":[{"role":"device","id":"main","pid":1,"started_s":7}]}"#;
+        std::fs::write(folder.path().join(".observatory.toml.up"), other).unwrap();
+        Left::find(&config).await.unwrap().nothing();
+        std::fs::write(folder.path().join(".observatory.toml.up"), &other[..40]).unwrap();
+        assert!(Left::find(&config).await.is_ok());
+    }
+
+    #[cfg(unix)]
+    #[tokio::test]
+    async fn a_node_that_an_earlier_up_left_is_asked_to_end() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = folder.path().join("observatory.toml");
+        let left = Left::find(&config).await.unwrap();
+        let mut node = tokio::process::Command::new("sleep").arg("60").spawn().unwrap();
+        left.started(Role::Device, "main", node.id().unwrap());
+        // the earlier one has died
+        let text = std::fs::read_to_string(&left.path).unwrap();
+        let mut told: Told = serde_json::from_str(&text).unwrap();
+        told.up = None;
+        write(&left.path, &told).unwrap();
+        let (found, ended) = tokio::join!(Left::find(&config), node.wait());
+        assert!(found.is_ok() && !ended.unwrap().success());
+    }
+}
