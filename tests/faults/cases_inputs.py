@@ -180,7 +180,7 @@ BAD = bad_values()
 def none_reads_safe(rig):
     relay, served = rig.relays["safetymonitor"], [0]
     key = f"{PREFIX}/device/safetymonitor/monitor/state"
-    config = rig.folder / "observatory.toml"
+    config = rig.configuration
     text = config.read_text()
     # ten polls a second, so that each value is asked for
     config.write_text(text.replace(f"dwell_min = {DWELL_MIN}\n", f"dwell_min = {DWELL_MIN}\nperiod_s = 0.1\n", 1))

@@ -2,9 +2,10 @@
 
 import json
 import signal
+import threading
 import time
 
-from case import DOME_NODE, HANDS, ISSAFE, SILENCE, UNCOMMANDED, Bound, case, watchdog
+from case import DOME_NODE, GUARD_PROCESS, HANDS, ISSAFE, SILENCE, UNCOMMANDED, Bound, case, watchdog
 from freeze import Frozen
 from rig import PREFIX, WATCHDOG_S, Late, arrived_s, free_port, wait
 
@@ -24,7 +25,7 @@ def deadlocked(node: str, arm: bool = False):
         if arm:
             rig.wire.change("watchdog", limit_s=WATCHDOG_S)
         rig.mark()
-        frozen = Frozen(rig.processes[node].pid, *LOOPS)
+        frozen = Frozen(rig.loops(node), *LOOPS)
         try:
             yield
         finally:
@@ -36,6 +37,8 @@ case("observatory's loops deadlock while its session lives", "N2 N3", SILENCE)(d
 case("other device node's loops deadlock while its session lives", "N5 S2", HANDS)(deadlocked("hands"))
 case("loops of the dome's device node deadlock while its session lives: its hardware closes", "N5",
      watchdog(WATCHDOG_S), members=())(deadlocked("dome", arm=True))
+case("loops of the dome's device node deadlock while its session lives: the guard process closes", "N5",
+     GUARD_PROCESS)(deadlocked("dome"))
 
 
 @case("the runner waits for a camera that never answers, then it is unsafe", "N3 D10", ISSAFE)
@@ -74,17 +77,32 @@ def suspended(rig):
     yield
 
 
-@case("dome's device node killed five times in a row, and nobody permits", "N15 N4", DOME_NODE)
-def crash_loop(rig):
-    rig.kill("observatory", "dome")
-    for _ in range(4):
-        time.sleep(1.0)
-        rig.restart("dome")
-        time.sleep(1.0)
-        rig.kill("dome")
-    time.sleep(5.0)  # the longest pause of the supervisor before a device node
-    rig.restart("dome")
-    yield
+def crash_loop(life_s: float, pause_s: float):
+    """It starts and is killed for ever; it is judged meanwhile. No life is long enough for a permit to run out in it."""
+    def run(rig):
+        healed = threading.Event()
+
+        def loop():
+            while not healed.wait(pause_s):
+                rig.start("dome")
+                healed.wait(life_s)
+                rig.processes["dome"].kill()
+                rig.processes["dome"].wait()
+        rig.kill("observatory", "dome")
+        looping = threading.Thread(target=loop, daemon=True)
+        looping.start()
+        try:
+            yield
+        finally:
+            healed.set()
+            looping.join(30.0)
+    return run
+
+
+# the pauses of systemd and of `starmesh up` before a device node
+for life_s, pause_s in [(8.0, 2.0), (8.0, 0.2), (3.0, 5.0)]:
+    case(f"dome's device node killed every {life_s:.0f} s, started again after {pause_s:g} s, and nobody permits", "N15 N4",
+         DOME_NODE)(crash_loop(life_s, pause_s))
 
 
 @case("under `starmesh up`: dome's device node killed again and again", "N15 N4", group=RESTARTED, may_close=True,
@@ -107,7 +125,12 @@ def twice(node: str):
         ear = rig.fresh_ear()
         endpoint = f"tcp/127.0.0.1:{free_port()}"
         rig.mark()  # what the other says while it connects may close already
-        rig.spawn("twin", rig.command(node, node, endpoint) + ["--connect", rig.endpoint("observatory")])
+        # a file of its own, as on another host: a second guard process of one file waits for the first one's lock
+        other = rig.folder / "other.toml"
+        other.write_text(rig.configuration.read_text())
+        command = [str(other) if node == "dome" and word.endswith("observatory.toml") else word
+                   for word in rig.command(node, node, endpoint)]
+        rig.spawn("twin", command + ["--connect", rig.endpoint("observatory")])
         time.sleep(TWICE_S)
         rig.wire.change("safety", unsafe=True)
         yield

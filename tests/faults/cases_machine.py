@@ -133,7 +133,7 @@ def locked(rig):
 
 def exhausted(node: str):
     def run(rig):
-        with exhaust.files(rig.processes[node].pid):
+        with exhaust.files(rig.loops(node)):
             time.sleep(1.0)
             rig.mark()
             rig.wire.change("safety", unsafe=True)

@@ -1,8 +1,15 @@
 """Roofs that wait for the mount, and the real supervisor."""
 
-from case import SILENCE, WAITING_ROOF, case
+import contextlib
+import os
+import signal
 
-UP, ROOF = {"flavour": "up"}, {"flavour": "roof"}
+from case import END_CLOSES, SILENCE, WAITING_ROOF, Bound, case
+from rig import NODES, descendants
+
+UP, ROOF, ONLY = {"flavour": "up"}, {"flavour": "roof"}, {"flavour": "only"}
+# the monitor's age, then the guard process gives the commander 10 s to park the mount
+UNPARKED = Bound("roof waits for the park, and the mount's node is dead: first stop or park", 7.0 + 12.0)
 STOPS = ("park", "abortslew", "tracking")
 
 
@@ -47,4 +54,22 @@ def up_killed(rig):
       short=False, **UP)
 def up_others(rig):
     rig.kill_nodes("node archive", "node web")
+    yield
+
+
+@case("roof that closes over a parked mount only: the mount's device node dies for good", "D7 N5", UNPARKED, members=STOPS,
+      close_within_s=20.0, **ONLY)
+def mount_node_gone(rig):
+    rig.kill("hands")
+    yield
+
+
+@case("roof that closes over a parked mount only: SIGTERM to every process at once", "D7 N1", END_CLOSES, members=STOPS,
+      close_within_s=20.0, goes_on=False, leave=True, **ONLY)
+def all_ended_at_once(rig):
+    everybody = {node: [rig.processes[node].pid, *descendants(rig.processes[node].pid)] for node in NODES}
+    rig.mark()
+    for pid in [pid for pids in everybody.values() for pid in pids]:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGTERM)
     yield

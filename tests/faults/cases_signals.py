@@ -3,7 +3,7 @@
 import signal
 import time
 
-from case import DOME_NODE, HANDS, SILENCE, case, watchdog
+from case import DOME_NODE, END_CLOSES, HANDS, SILENCE, case, watchdog
 from rig import WATCHDOG_S, Late, free_port, wait
 
 NOTHING = "archive or web dead: nothing closes"
@@ -36,6 +36,17 @@ def ended(*nodes):
     return run
 
 
+def signalled(*nodes):
+    """An order to end, and what comes of it before the process has ended counts."""
+    def run(rig):
+        rig.mark()
+        rig.signal(signal.SIGTERM, *nodes)
+        yield
+        for node in nodes:
+            rig.processes[node].wait(timeout=30)
+    return run
+
+
 def restarted(how, *nodes):
     """The supervisor is quick: within 2 s, as `starmesh up` and systemd are."""
     def run(rig):
@@ -50,7 +61,8 @@ for phase in PHASES:
     case(f"observatory killed while {phase}", "N1", SILENCE, phase=phase)(killed("observatory"))
 for phase in ["exposing", "slewing"]:
     case(f"observatory stopped while {phase}", "N2", SILENCE, phase=phase)(stopped("observatory"))
-case("observatory ended by SIGTERM", "N1", SILENCE)(ended("observatory"))
+case("observatory ended by SIGTERM", "N1", END_CLOSES)(signalled("observatory"))
+case("dome's device node ended by SIGTERM", "N4", END_CLOSES)(signalled("dome"))
 for phase in ["exposing", "downloading"]:
     case(f"other device node killed while {phase}", "S2 S3 N4", HANDS, phase=phase)(killed("hands"))
 case("other device node stopped", "S2 N5", HANDS)(stopped("hands"))

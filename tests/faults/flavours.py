@@ -1,14 +1,18 @@
 """The kinds of rig that cases ask for."""
 
+import datetime
 import pathlib
 import shutil
 import subprocess
 import tempfile
+import time
 
-from rig import NODES, Rig
+from rig import DWELL_MIN, NODES, SITE, Rig, free_port
 from wall_clock import WallClock
 
 DISK_MIB = 48
+# how often a site's own monitor is asked
+SHARED_PERIOD_S = 5.0
 
 
 class WallRig(Rig):
@@ -42,6 +46,87 @@ class WallRig(Rig):
             shutil.rmtree(folder, ignore_errors=True)
 
 
+class SunRig(WallRig):
+    """A wall rig whose whole world, simulator included, lives in the morning of the site, where the Sun rises."""
+
+    MORNING_UTC_H = 12.0
+
+    def __init__(self, binary: str, name: str):
+        now = time.gmtime()
+        self.behind_s = int((now.tm_hour + now.tm_min / 60 - self.MORNING_UTC_H) * 3600)
+        super().__init__(binary, name)
+        for node in NODES:
+            self.jump(node, 0)
+
+    def spawn(self, name: str, command: list[str], env: dict | None = None):
+        if name == "simulator":
+            clock = WallClock(self.shifts / "simulator")
+            clock.jump(-self.behind_s)
+            env = clock.environment
+        super().spawn(name, command, env)
+
+    def start_simulator(self):
+        super().start_simulator()
+        behind = datetime.timedelta(seconds=self.behind_s)
+        told = self.wire.puts
+
+        def puts(since: int = 0):
+            """What the simulator noted, at the times of this host."""
+            return [{**put, "wall_utc": (datetime.datetime.fromisoformat(put["wall_utc"]) + behind).isoformat()}
+                    for put in told(since)]
+        self.wire.puts = puts
+
+    def jump(self, node: str, seconds: int):
+        self.clocks[node].jump(seconds - self.behind_s)
+
+
+class SiteRig(Rig):
+    """The safety monitor belongs to the site: a device node of the telescope `shared` asks it each 5 s."""
+
+    def __init__(self, binary: str, name: str):
+        self.shared_port = free_port()
+        super().__init__(binary, name)
+
+    def write_config(self):
+        super().write_config()
+        file = self.configuration
+        head, *blocks = file.read_text().split("\n[[")
+        blocks = [block for block in blocks if not block.startswith("safetymonitor")]
+        (self.folder / "shared.toml").write_text(f"""[observatory]
+site = "{SITE}"
+telescope = "shared"
+latitude_deg = -24.6272
+longitude_deg = -70.4042
+elevation_m = 2635
+[folders]
+data = "{self.folder / 'shared-data'}"
+[bus]
+multicast = false
+[clock]
+simulator = "http://{self.wire.address}"
+[[safetymonitor]]
+name = "monitor"
+server = "{self.relays['safetymonitor'].address}"
+period_s = {SHARED_PERIOD_S}
+""")
+        shared = f'[shared]\nsafetymonitor = ["monitor"]\ndwell_min = {DWELL_MIN}\n'
+        file.write_text("\n[[".join([head + "\n" + shared, *blocks]))
+
+    def start_shared(self):
+        connect = [word for node in NODES for word in ("--connect", self.endpoint(node))]
+        self.spawn("shared", [self.binary, "node", "device", "--id", "main", "--config", str(self.folder / "shared.toml"),
+                              "--listen", f"tcp/127.0.0.1:{self.shared_port}", *connect])
+
+    def start_all(self):
+        self.start_shared()
+        super().start_all()
+
+    def heal(self):
+        if self.processes["shared"].poll() is not None:
+            self.start_shared()
+        super().heal()
+
+
 def make(flavour: str, binary: str, name: str) -> Rig:
     """A rig that has not started its nodes yet."""
     if flavour == "plain":
@@ -50,11 +135,17 @@ def make(flavour: str, binary: str, name: str) -> Rig:
         return WallRig(binary, name)
     if flavour == "roof":
         return Rig(binary, name, dome='close_with_mount = "parked_within_s"\nparked_within_s = 6.0\n')
+    if flavour == "only":
+        return Rig(binary, name, dome='close_with_mount = "parked_only"\nparked_within_s = 6.0\n')
     if flavour == "slave":
         return Rig(binary, name, dome='follow = "slave"\n')
     if flavour == "long":
         # a turn is given up after 20 s, the least that a simulated sky allows
         return Rig(binary, name, dome="slit = { timeout_s = 10.0 }\n", exposure_s=12.0)
+    if flavour == "sun":
+        return SunRig(binary, name)
+    if flavour == "site":
+        return SiteRig(binary, name)
     if flavour == "up":
         from upright import UpRig
         return UpRig(binary, name)

@@ -49,7 +49,7 @@ class Night(Rig):
 
     def write_config(self):
         super().write_config()
-        with open(self.folder / "observatory.toml", "a") as file:
+        with open(self.configuration, "a") as file:
             # a killed device node is back within a second
             file.write("[faults]\npause_s = 0.5\nrest_s = 1.0\nretries = 20\n")
 

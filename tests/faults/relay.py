@@ -20,6 +20,8 @@ class AlpacaRelay:
     def __init__(self, host: str, server: str):
         self.server, self.spoil, self.gone = server, None, False
         self.renumber: dict[int, int] = {}
+        # `before(member)` is called before the server is asked, `after(member)` when it has answered; both may take their time
+        self.before = self.after = lambda member: None
         # cleared while the server hangs: requests are taken, and answered when it goes on
         self.awake = threading.Event()
         self.awake.set()
@@ -63,13 +65,15 @@ class AlpacaRelay:
         path = asked.path
         for shown, real in self.renumber.items():
             path = path.replace(f"/{shown}/", f"/{real}/", 1)
+        member = path.split("?")[0].rsplit("/", 1)[-1]
+        self.before(member)
         connection = http.client.HTTPConnection(self.server, timeout=60)
         headers = {"Content-Type": asked.headers["Content-Type"]} if body is not None else {}
         connection.request(asked.command, path, body, headers)
         answer = connection.getresponse()
         raw = answer.read()
         connection.close()
-        member = path.split("?")[0].rsplit("/", 1)[-1]
+        self.after(member)
         spoilt = self.spoil(member, raw) if self.spoil else None
         if spoilt is RESET:
             asked.connection.shutdown(socket.SHUT_RDWR)
@@ -112,6 +116,7 @@ class AlpacaRelay:
 
     def honest(self):
         self.spoil, self.gone, self.renumber = None, False, {}
+        self.before = self.after = lambda member: None
         self.awake.set()
         if self.http is None:
             self.accept(int(self.address.rsplit(":", 1)[1]))

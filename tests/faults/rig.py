@@ -41,6 +41,7 @@ class Rig:
                  exposure_s: float = EXPOSURE_S):
         self.binary, self.name, self.real_clock = binary, name, real_clock
         self.folder = pathlib.Path(tempfile.mkdtemp(prefix=f"starmesh-faults-{name}-"))
+        self.configuration = self.folder / "observatory.toml"
         self.data = data or self.folder / "data"
         self.hosts, self.enter, self.connect = hosts or {}, enter or {}, connect
         self.dome, self.sun_max_deg, self.disk_min_gb, self.exposure_s = dome, 90.0, disk_min_gb, exposure_s
@@ -98,7 +99,7 @@ listen = "127.0.0.1:{self.web_port}"
         ]
         for kind, name, server, extra, node in blocks:
             text += f'[[{kind}]]\nname = "{name}"\nserver = "{server}"\nnode = "{node}"\n{extra}\n'
-        (self.folder / "observatory.toml").write_text(text)
+        self.configuration.write_text(text)
 
     def limits(self) -> str:
         each = [("Humidity", 80.0), ("RainRate", 0.1), ("WindSpeed", 15.0)]
@@ -146,7 +147,7 @@ listen = "127.0.0.1:{self.web_port}"
         others = self.connect[node] if self.connect else [self.endpoint(n) for n in NODES if n != node]
         connect = [word for endpoint in others for word in ("--connect", endpoint)]
         return [self.binary, "node", ROLE.get(node, node), "--id", id, "--config",
-                str(self.folder / "observatory.toml"), "--listen", listen or self.endpoint(node), *connect]
+                str(self.configuration), "--listen", listen or self.endpoint(node), *connect]
 
     def start(self, node: str, env: dict | None = None, limits: list[str] | None = None):
         self.spawn(node, [*(limits or []), *self.command(node)], env)
@@ -159,9 +160,23 @@ listen = "127.0.0.1:{self.web_port}"
         """The moment of the injection."""
         self.t0 = time.time()
 
+    def guarded(self, node: str) -> list[int]:
+        """The device node inside the guard process that was started as `node`; empty for nodes without one."""
+        process = self.processes[node]
+        return [pid for pid in descendants(process.pid) if b"--guarded" in command_line(pid)]
+
+    def loops(self, node: str) -> int:
+        """The process whose loops do a node's work."""
+        return (self.guarded(node) or [self.processes[node].pid])[0]
+
     def signal(self, number: signal.Signals, *nodes: str):
+        """To all processes of these nodes; an order to end goes to the one that was started."""
         for node in nodes:
+            inner = [] if number == signal.SIGTERM else self.guarded(node)
             self.processes[node].send_signal(number)
+            for pid in inner:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, number)
             if number == signal.SIGSTOP:
                 self.stopped.add(node)
             if number == signal.SIGCONT:
@@ -174,6 +189,18 @@ listen = "127.0.0.1:{self.web_port}"
         for node in nodes:
             self.stopped.discard(node)
             self.processes[node].wait()
+
+    def kill_guard_process(self, node: str = "dome"):
+        """The guard process alone: the device node in it lives on."""
+        self.processes[node].kill()
+        self.mark()
+        self.processes[node].wait()
+
+    def kill_guarded(self, node: str = "dome"):
+        """The device node alone: the guard process around it lives on."""
+        for pid in wait(f"the device node in {node} runs", lambda: self.guarded(node), 20):
+            os.kill(pid, signal.SIGKILL)
+        self.mark()
 
     def term(self, *nodes: str):
         self.signal(signal.SIGTERM, *nodes)
@@ -192,12 +219,17 @@ listen = "127.0.0.1:{self.web_port}"
             if name in self.stopped:
                 process.send_signal(signal.SIGCONT)
                 self.stopped.discard(name)
+            inner = self.guarded(name)
             process.send_signal(signal.SIGINT if name == "simulator" else signal.SIGTERM)
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(timeout=8)
+                process.wait(timeout=15)
             if process.poll() is None:
                 process.kill()
                 process.wait()
+            for pid in inner:
+                with contextlib.suppress(ProcessLookupError):
+                    if b"--guarded" in command_line(pid):
+                        os.kill(pid, signal.SIGKILL)
 
     def heal(self):
         """Honest devices and all nodes alive: what every case ends with, whatever happened in it."""
@@ -217,7 +249,8 @@ listen = "127.0.0.1:{self.web_port}"
     def stop(self):
         if self._ear:
             self._ear.close()
-        for name in sorted(self.processes, key=lambda n: n == "simulator"):
+        # an observatory that ends closes first, for which it needs the device nodes
+        for name in sorted(self.processes, key=lambda n: ("observatory", n, "simulator").index(n)):
             self.end(name)
         for relay in self.relays.values():
             relay.stop()
@@ -282,6 +315,29 @@ listen = "127.0.0.1:{self.web_port}"
             if path.exists():
                 words.append(f"--- {path}\n" + "\n".join(path.read_text(errors="replace").splitlines()[-lines:]))
         return "\n".join(words)
+
+
+def command_line(pid: int) -> bytes:
+    """Empty for a process that has ended."""
+    with contextlib.suppress(OSError):
+        return pathlib.Path(f"/proc/{pid}/cmdline").read_bytes()
+    return b""
+
+
+def descendants(pid: int) -> list[int]:
+    """Children, their children, and so on."""
+    parents: dict[int, list[int]] = {}
+    for entry in pathlib.Path("/proc").iterdir():
+        if entry.name.isdigit():
+            with contextlib.suppress(OSError, IndexError, ValueError):
+                parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
+                parents.setdefault(parent, []).append(int(entry.name))
+    found, todo = [], [pid]
+    while todo:
+        children = parents.get(todo.pop(), [])
+        found += children
+        todo += children
+    return found
 
 
 def free_port() -> int:

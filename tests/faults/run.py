@@ -146,20 +146,6 @@ def chosen(arguments, cases):
     return picked[:arguments.count]
 
 
-def second_try(first: Runner, cases, binary: str, allowance_s: float) -> Runner:
-    """What failed, was late or was not run, once more and alone; the first tries stay in the words of this run."""
-    from table import is_late
-    good = [result for result in first.results if result.passed and not is_late(result, allowance_s) or result.case.known]
-    rest = [case for case in cases if not any(result.case is case for result in good)]
-    if not rest:
-        return first
-    print(f"\n{len(rest)} of {len(cases)} are tried once more:", *first.failed, sep="\n", flush=True)
-    again = Runner(binary, rest, 1, allowance_s, True)
-    again.run()
-    again.results += good
-    return again
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=0, help="so many injections, at random; 0: the short form")
@@ -169,8 +155,6 @@ def main() -> int:
     parser.add_argument("--allowance", type=float, default=None, metavar="S",
                         help="added to each bound for a busy machine; 1 in the short form, else 0")
     parser.add_argument("--list", action="store_true", help="print the cases and stop")
-    parser.add_argument("--again", action="store_true",
-                        help="what fails or is late is tried once more, by itself, on a machine that has nothing else to do")
     parser.add_argument("--quiet", action="store_true", help="without the nodes' last words after a failure")
     arguments = parser.parse_args()
     binary = pathlib.Path(os.environ.get("STARMESH_BIN", PROJECT / "target" / "debug" / "starmesh"))
@@ -193,8 +177,6 @@ def main() -> int:
     began = time.monotonic()
     runner = Runner(str(binary), cases, arguments.rigs, allowance_s, not arguments.quiet)
     runner.run()
-    if arguments.again:
-        runner = second_try(runner, cases, str(binary), allowance_s)
     results = runner.results
     minutes = (time.monotonic() - began) / 60
     unexpected = [r for r in results if not r.passed and not r.case.known]

@@ -12,7 +12,7 @@ class UpRig(Rig):
     """The nodes are children of `up`; device nodes outlive it."""
 
     def start_all(self):
-        self.spawn("up", [self.binary, "up", str(self.folder / "observatory.toml")])
+        self.spawn("up", [self.binary, "up", str(self.configuration)])
 
     def pids(self, words: str = " node ") -> list[int]:
         """Processes of this rig's nodes: what was started with its configuration."""

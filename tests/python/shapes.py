@@ -138,10 +138,24 @@ def check_payload(name, payload):
     if name not in names():
         return [f"{name}: no payload of the contract"]
     complaints = []
+    payload = without_ages(name, payload, complaints)
     compare(shape_of(name), payload, name, "", complaints)
     if not complaints and "seq" in payload and (isinstance(payload["seq"], float) or payload["seq"] < 0):
         complaints.append(f"{name} seq: {payload['seq']!r} is no count")
     return complaints
+
+
+def without_ages(name, payload, complaints):
+    """The payload without what every envelope (`sent_s`, `held_s`) and every device's state (`poll_s`) may have, once that is looked at."""
+    if not isinstance(payload, dict):
+        return payload
+    may = {"sent_s", "held_s"} if "seq" in payload else set()
+    may |= {"poll_s"} if "period_s" in payload and "link" in payload else set()
+    for key in may & set(payload):
+        value = payload[key]
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < math.inf:
+            complaints.append(f"{name} {key}: {short(value)} is no number of seconds")
+    return {key: value for key, value in payload.items() if key not in may}
 
 
 def compare(shape, value, name, place, complaints):
@@ -219,7 +233,10 @@ def check_reading(value, complain):
     if not isinstance(value, dict):
         return complain(f"{short(value)} is no reading")
     check_time(value.get("at_utc"), complain)
-    rest = {key: inner for key, inner in value.items() if key != "at_utc"}
+    rest = {key: inner for key, inner in value.items() if key not in ("at_utc", "age_s")}
+    age_s = value.get("age_s", 0.0)
+    if isinstance(age_s, bool) or not isinstance(age_s, (int, float)) or not 0 <= age_s < math.inf:
+        complain(f"its age_s {short(age_s)} is no age in seconds")
     if "no_data" in rest:
         return check_no_data(rest, complain)
     if "value" not in rest:

@@ -5,9 +5,12 @@
 //! asserted on topics, as an operator would see it. Run `cargo build --workspace` first (scripts/test does).
 
 mod header;
+#[path = "../support/lateness.rs"]
+mod lateness;
 mod night;
 mod rig;
 
 pub use header::header;
+pub use lateness::Lateness;
 pub use night::{Rows, example, long_row, object, row};
 pub use rig::{Rig, RigOptions, SITE, TELESCOPE};

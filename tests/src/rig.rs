@@ -15,6 +15,7 @@ use contract::{Address, DeviceState, Key, Kind, Part, Payload, Role};
 use simulator::Simulator;
 use tempfile::TempDir;
 
+use crate::lateness::Lateness;
 use crate::night::{Rows, configuration, jsonl, long_row};
 
 /// A rig is five processes, which together take some 0.05 of a core (27 s for five tests of 185 s, 2026-11): many more at once
@@ -81,7 +82,8 @@ pub struct Rig {
     pub bus: Bus,
     folder: TempDir,
     endpoint: String,
-    nodes: HashMap<Role, Child>,
+    device_nodes: Vec<String>,
+    nodes: HashMap<Role, Vec<Child>>,
     standby: Option<Child>,
     _seat: tokio::sync::SemaphorePermit<'static>,
     /// The dome's state.
@@ -126,7 +128,9 @@ impl Rig {
         let simulator = Simulator::start(world.clone()).await?;
         let folder = tempfile::tempdir()?;
         let (text, rows) = files(&simulator);
-        let address = config::parse(&text, folder.path())?.address();
+        let config = config::parse(&text, folder.path())?;
+        let device_nodes = config.device_nodes().into_iter().map(str::to_owned).collect();
+        let address = config.address();
         std::fs::write(folder.path().join("observatory.toml"), text)?;
         std::fs::write(folder.path().join("schedule.jsonl"), rows)?;
         let clock = Clock::of_simulator(&format!("http://{}", simulator.address())).await?;
@@ -149,6 +153,7 @@ impl Rig {
             bus,
             folder,
             endpoint,
+            device_nodes,
             nodes: HashMap::new(),
             standby: None,
             _seat: seat,
@@ -175,10 +180,13 @@ impl Rig {
         Role::ALL.into_iter().try_for_each(|role| self.start(role))
     }
 
-    /// Starts one node as a process that ends with this one.
+    /// Starts one node as a process that ends with this one; of device nodes all that the configuration has.
     pub fn start(&mut self, role: Role) -> anyhow::Result<()> {
-        let child = self.spawn(role, "main")?;
-        self.nodes.insert(role, child);
+        let ids = if role == Role::Device { self.device_nodes.clone() } else { vec!["main".to_owned()] };
+        for id in ids {
+            let child = self.spawn(role, &id)?;
+            self.nodes.entry(role).or_default().push(child);
+        }
         Ok(())
     }
 
@@ -269,25 +277,54 @@ impl Rig {
         Ok(printed)
     }
 
-    /// Kills one node as a power cut would: at once, without a word.
+    /// Kills one node, or all device nodes, as a power cut would: at once, without a word.
     pub fn kill(&mut self, role: Role) -> anyhow::Result<()> {
-        let mut child = self.nodes.remove(&role).context("this node does not run")?;
-        child.kill()?;
-        child.wait()?;
+        let mut children = self.nodes.remove(&role).context("this node does not run")?;
+        for child in &mut children {
+            child.kill()?;
+        }
+        for child in &mut children {
+            child.wait()?;
+        }
         Ok(())
+    }
+
+    /// Asks one node, or all device nodes, to end, as `systemctl stop` does; returns whether all ended in good order.
+    #[cfg(unix)]
+    pub async fn ask_to_end(&mut self, role: Role, limit: Duration) -> anyhow::Result<bool> {
+        let mut children = self.nodes.remove(&role).context("this node does not run")?;
+        children.iter().try_for_each(|child| signal(child, "-TERM"))?;
+        let (began, mut well) = (Instant::now(), true);
+        for child in &mut children {
+            let ended = loop {
+                match child.try_wait()? {
+                    None if began.elapsed() < limit => tokio::time::sleep(Duration::from_millis(20)).await,
+                    ended => break ended,
+                }
+            };
+            well &= ended.is_some_and(|status| status.success());
+            // one that is late is no other test's business
+            let _ = child.kill();
+            child.wait()?;
+        }
+        Ok(well)
     }
 
     /// Stops one node without ending it: its sessions live, its loops do not.
     #[cfg(unix)]
     pub fn stop_in_its_tracks(&self, role: Role) -> anyhow::Result<()> {
-        let child = self.nodes.get(&role).context("this node does not run")?;
-        signal(child, "-STOP")
+        self.signal(role, "-STOP")
     }
 
     /// Lets a stopped node go on.
     #[cfg(unix)]
     pub fn go_on(&self, role: Role) -> anyhow::Result<()> {
-        signal(self.nodes.get(&role).context("this node does not run")?, "-CONT")
+        self.signal(role, "-CONT")
+    }
+
+    #[cfg(unix)]
+    fn signal(&self, role: Role, name: &str) -> anyhow::Result<()> {
+        self.nodes.get(&role).context("this node does not run")?.iter().try_for_each(|child| signal(child, name))
     }
 
     /// A file of this test.
@@ -320,8 +357,8 @@ impl Rig {
 
     /// Waits until something holds, at most so long; the error shows the nodes' last words.
     pub async fn until(&self, what: &str, limit_s: f64, holds: impl Fn(&Self) -> bool) -> anyhow::Result<Duration> {
-        let began = Instant::now();
-        while began.elapsed().as_secs_f64() < limit_s {
+        let (began, lateness) = (Instant::now(), Lateness::begin());
+        while began.elapsed() < lateness.bound(Duration::from_secs_f64(limit_s)) {
             if holds(self) {
                 return Ok(began.elapsed());
             }
@@ -396,7 +433,7 @@ fn debug<T: Payload + std::fmt::Debug>(latest: &Latest<T>) -> String {
 
 impl Drop for Rig {
     fn drop(&mut self) {
-        for child in self.nodes.values_mut().chain(&mut self.standby) {
+        for child in self.nodes.values_mut().flatten().chain(&mut self.standby) {
             // it may have ended by itself; the wait reaps it either way
             let _ = child.kill();
             let _ = child.wait();

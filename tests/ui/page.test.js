@@ -3,42 +3,25 @@ import { test, before, after } from "node:test";
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { mkdtempSync, rmSync } from "node:fs";
-import { createServer } from "node:net";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { chromium } from "playwright-core";
+import { binary, comesUp, end, freePort, launch } from "./browser.js";
 
-const binary = process.env.STARMESH_BIN ?? join(import.meta.dirname, "../../target/debug/starmesh");
 let demo, browser, page, port, folder;
 let output = "";
 const problems = [];
 
-const freePort = () =>
-  new Promise((resolve) => {
-    const server = createServer().listen(0, "127.0.0.1", () => {
-      const { port } = server.address();
-      server.close(() => resolve(port));
-    });
-  });
-
 before(async () => {
   port = await freePort();
   folder = mkdtempSync(join(tmpdir(), "starmesh-ui-"));
-  demo = spawn(binary, ["demo", "--speed", "120", "--port", String(port), "--keep", join(folder, "demo")]);
+  // a proxy that is not there: hardware, frames and the simulator's clock are never asked through one
+  const proxy = "http://127.0.0.1:9";
+  const env = { ...process.env, http_proxy: proxy, HTTP_PROXY: proxy, https_proxy: proxy, all_proxy: proxy, ALL_PROXY: proxy };
+  demo = spawn(binary, ["demo", "--speed", "120", "--port", String(port), "--keep", join(folder, "demo")], { env });
   demo.stdout.on("data", (data) => (output += data));
   demo.stderr.on("data", (data) => (output += data));
-  const until = Date.now() + 60_000;
-  for (;;) {
-    const answers = await fetch(`http://127.0.0.1:${port}/healthz`).then((r) => r.ok, () => false);
-    if (answers) break;
-    assert.ok(Date.now() < until && demo.exitCode === null, `the demo's page did not come up:\n${output}`);
-    await new Promise((resolve) => setTimeout(resolve, 200));
-  }
-  browser = await chromium.launch({
-    executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
-    args: ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-      "--disable-component-update", "--disable-sync"],
-  });
+  await comesUp(demo, port, () => `:\n${output}`);
+  browser = await launch();
   page = await browser.newPage({ viewport: { width: 1280, height: 900 } });
   page.on("console", (message) => message.type() === "error" && problems.push(message.text()));
   page.on("pageerror", (error) => problems.push(String(error)));
@@ -47,10 +30,7 @@ before(async () => {
 
 after(async () => {
   await browser?.close();
-  if (demo && demo.exitCode === null) {
-    demo.kill("SIGINT");
-    await new Promise((resolve) => demo.once("exit", resolve));
-  }
+  await end(demo, "SIGINT");
   if (process.env.KEEP_UI) console.log(output);
   rmSync(folder, { recursive: true, force: true });
 }, { timeout: 60_000 });

@@ -1,5 +1,7 @@
 //! Whoever dies, the dome closes.
 
+use std::time::Duration;
+
 use contract::Role;
 use tests::Rig;
 
@@ -39,5 +41,41 @@ async fn a_new_observatory_takes_over_and_opens_again() -> anyhow::Result<()> {
     rig.until("the guard lets the newest commander open", 60.0, Rig::is_open).await?;
     rig.simulator.world().set_unsafe(true);
     rig.until("the dome ends shut", 30.0, Rig::is_shut).await?;
+    Ok(())
+}
+
+#[cfg(unix)]
+#[tokio::test(flavor = "multi_thread")]
+async fn an_observatory_that_is_asked_to_end_closes_first() -> anyhow::Result<()> {
+    let mut rig = Rig::at_open_dome().await?;
+    let well = rig.ask_to_end(Role::Observatory, Duration::from_secs(20)).await?;
+    assert_eq!(rig.simulator.world().dome_open(), 0.0, "{}", rig.last_words());
+    assert!(well, "{}", rig.last_words());
+    Ok(())
+}
+
+#[cfg(unix)]
+#[tokio::test(flavor = "multi_thread")]
+async fn a_device_node_that_is_asked_to_end_closes_first() -> anyhow::Result<()> {
+    let mut rig = Rig::at_open_dome().await?;
+    let well = rig.ask_to_end(Role::Device, Duration::from_secs(60)).await?;
+    assert_eq!(rig.simulator.world().dome_open(), 0.0, "{}", rig.last_words());
+    assert!(well, "{}", rig.last_words());
+    Ok(())
+}
+
+#[cfg(unix)]
+#[tokio::test(flavor = "multi_thread")]
+async fn an_observatory_that_is_asked_to_end_beside_a_standby_leaves_the_roof_open() -> anyhow::Result<()> {
+    let mut rig = Rig::at_open_dome().await?;
+    rig.start_standby()?;
+    // the standby says that it is there every 5 s
+    tokio::time::sleep(Duration::from_secs(7)).await;
+    assert!(rig.ask_to_end(Role::Observatory, Duration::from_secs(20)).await?, "{}", rig.last_words());
+    let ended = std::time::Instant::now();
+    while ended.elapsed() < Duration::from_secs(10) {
+        assert!(rig.simulator.world().dome_open() > 0.0, "it closed\n{}", rig.last_words());
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
     Ok(())
 }

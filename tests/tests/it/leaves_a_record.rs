@@ -11,28 +11,33 @@ use contract::{Address, Command, CommandId, Kind, OrderKind, Reason, Reply, Role
 use serde_json::json;
 use tests::{Rig, RigOptions, SITE, TELESCOPE, object, row};
 
-const NODES: [&str; 2] = ["device", "observatory"];
+/// Role and id of each node that keeps a file of its own.
+type Writer = [&'static str; 2];
+const ENCLOSURE: Writer = ["device", "enclosure"];
+const MAIN: Writer = ["device", "main"];
+const OBSERVATORY: Writer = ["observatory", "main"];
+const NODES: [Writer; 3] = [ENCLOSURE, MAIN, OBSERVATORY];
 /// A PUT follows its record, or the record the PUT, within so many sky seconds: 3 s on the machine.
 const NEAR_S: f64 = 30.0;
 
-fn file(rig: &Rig, role: &str) -> std::path::PathBuf {
-    rig.path(&format!("data/audit-{role}-{TELESCOPE}-main.jsonl"))
+fn file(rig: &Rig, [role, id]: Writer) -> std::path::PathBuf {
+    rig.path(&format!("data/audit-{role}-{TELESCOPE}-{id}.jsonl"))
 }
 
-fn lines(rig: &Rig, role: &str) -> Vec<String> {
-    std::fs::read_to_string(file(rig, role)).unwrap_or_default().lines().map(str::to_owned).collect()
+fn lines(rig: &Rig, node: Writer) -> Vec<String> {
+    std::fs::read_to_string(file(rig, node)).unwrap_or_default().lines().map(str::to_owned).collect()
 }
 
-fn stored(rig: &Rig, role: &str) -> anyhow::Result<Vec<String>> {
+fn stored(rig: &Rig, [role, id]: Writer) -> anyhow::Result<Vec<String>> {
     let database = rusqlite::Connection::open(rig.path("data/archive.db"))?;
     let mut statement = database.prepare("SELECT line FROM audit WHERE node = ? AND fault IS NULL ORDER BY rowid")?;
-    let rows = statement.query_map([format!("{role}/{TELESCOPE}/main")], |row| row.get(0))?;
+    let rows = statement.query_map([format!("{role}/{TELESCOPE}/{id}")], |row| row.get(0))?;
     Ok(rows.collect::<Result<_, _>>()?)
 }
 
-fn records(rig: &Rig, role: &str) -> anyhow::Result<Vec<Record>> {
-    let found = examine(&std::fs::read(file(rig, role))?, None);
-    anyhow::ensure!(found.broken.is_none() && found.half.is_empty(), "{role}: {:?}", found.broken);
+fn records(rig: &Rig, node: Writer) -> anyhow::Result<Vec<Record>> {
+    let found = examine(&std::fs::read(file(rig, node))?, None);
+    anyhow::ensure!(found.broken.is_none() && found.half.is_empty(), "{node:?}: {:?}", found.broken);
     Ok(found.good.into_iter().map(|proven| proven.record).collect())
 }
 
@@ -109,20 +114,20 @@ async fn every_order_and_every_movement_of_a_night_leaves_a_record() -> anyhow::
     rig.order(&["close", "--reason", "good night"]).await?;
 
     let same = |rig: &Rig| {
-        NODES.iter().all(|role| stored(rig, role).is_ok_and(|stored| stored.len() > 3 && stored == lines(rig, role)))
+        NODES.iter().all(|node| stored(rig, *node).is_ok_and(|stored| stored.len() > 3 && stored == lines(rig, *node)))
     };
     // what was ordered last is synced and told within seconds, and asked for each minute if it was lost on the way
     tokio::time::sleep(Duration::from_secs(3)).await;
     rig.until("the archive has what the nodes have, record for record", 90.0, same).await?;
 
-    let ordered = records(&rig, "observatory")?;
+    let ordered = records(&rig, OBSERVATORY)?;
     for (kind, reason) in [(OrderKind::ReloadSchedule, "a new target"), (OrderKind::Close, "good night")] {
         let verb = audit::verb_and_parameters(&kind).0;
         let found = ordered.iter().find(|record| record.verb == verb && record.reason == reason);
         let found = found.ok_or_else(|| anyhow::anyhow!("no record of {verb}: {ordered:#?}"))?;
-        assert!(found.from.starts_with("starmesh cli") && found.outcome == Outcome::Accepted, "{found:?}");
+        assert!(found.from.starts_with("cli/") && found.outcome == Outcome::Accepted, "{found:?}");
     }
-    let moved = records(&rig, "device")?;
+    let moved: Vec<Record> = [records(&rig, ENCLOSURE)?, records(&rig, MAIN)?].concat();
     for id in &bad {
         let found: Vec<_> = moved.iter().filter(|record| record.id == *id).collect();
         assert!(
@@ -166,19 +171,19 @@ async fn every_order_and_every_movement_of_a_night_leaves_a_record() -> anyhow::
         assert!(ended, "{record:?}");
     }
 
-    let (device, observatory) = (file(&rig, "device"), file(&rig, "observatory"));
+    let [enclosure, main, observatory] = NODES.map(|node| file(&rig, node));
     let archive = rig.path("data/archive.db");
     let text = |path: &std::path::Path| path.display().to_string();
-    let files = [text(&device), text(&observatory), text(&archive)];
-    let proven = rig.starmesh(&["audit", "verify", &files[0], &files[1], &files[2]]).await?;
-    let distinct = lines(&rig, "device").len() + lines(&rig, "observatory").len();
+    let files = [text(&enclosure), text(&main), text(&observatory), text(&archive)];
+    let proven = rig.starmesh(&["audit", "verify", &files[0], &files[1], &files[2], &files[3]]).await?;
+    let distinct: usize = NODES.iter().map(|node| lines(&rig, *node).len()).sum();
     assert!(proven.contains(&format!("{} records, {distinct} of them different ones", 2 * distinct)), "{proven}");
-    let shown = rig.starmesh(&["audit", "show", "--device", "dome", &files[0], &files[2]]).await?;
+    let shown = rig.starmesh(&["audit", "show", "--device", "dome", &files[0], &files[3]]).await?;
     assert!(shown.contains("dome/dome open_shutter") && shown.contains("web/mallory"), "{shown}");
     assert!(!shown.contains("expose"), "{shown}");
 
     // one byte, and the command line finds the line
-    let mut bytes = std::fs::read(&device)?;
+    let mut bytes = std::fs::read(&enclosure)?;
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     let line = bytes[..middle].iter().filter(|byte| **byte == b'\n').count() + 1;

@@ -10,7 +10,7 @@ use contract::device::camera::Frame;
 use contract::observatory::FrameFacts;
 use contract::{Payload, Role};
 use serde_json::json;
-use tests::{Rig, RigOptions, header, object, row};
+use tests::{Lateness, Rig, RigOptions, header, object, row};
 
 /// Frames of the row.
 const FRAMES: usize = 6;
@@ -55,6 +55,7 @@ async fn stars_and_fwhm_of_every_frame_are_on_the_bus_in_the_header_and_in_the_d
     for role in [Role::Device, Role::Observatory] {
         rig.start(role)?;
     }
+    let lateness = Lateness::begin();
     let announced = so_many(&frames, |frame| &frame.id.0).await?;
     let measured = so_many(&facts, |facts| &facts.frame.0).await?;
     let fwhm_px = FWHM_ARCSEC / rig.world.camera.pixel_scale().arcseconds();
@@ -70,8 +71,8 @@ async fn stars_and_fwhm_of_every_frame_are_on_the_bus_in_the_header_and_in_the_d
         assert!(!facts.trailed.unwrap() && facts.ellipticity.unwrap() < 0.15, "{facts:?}");
     }
     println!("facts at most {slowest:?} after the frame; {:?}", measured.values().next().map(|heard| &heard.said.body));
-    // 1 s is promised; eight rigs on two cores get more
-    assert!(slowest < Duration::from_secs(5), "{slowest:?}");
+    // 1 s is promised of a release build
+    assert!(slowest < lateness.bound(Duration::from_secs(5)), "{slowest:?}");
 
     rig.start(Role::Archive)?;
     let stored = rig.stored().await?;

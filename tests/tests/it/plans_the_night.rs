@@ -96,7 +96,8 @@ async fn until_ended(rig: &Rig, rows: usize) -> anyhow::Result<()> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_next_night_goes_as_planned_from_the_telemetry_of_the_last_one() -> anyhow::Result<()> {
-    under(None, 1.0).await
+    // wide enough for a machine that adds half a second to each frame, which is 10 s of this sky
+    under(None, 1.6).await
 }
 
 #[tokio::test(flavor = "multi_thread")]

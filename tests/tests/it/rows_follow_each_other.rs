@@ -78,8 +78,8 @@ async fn the_next_row_on_the_same_target_begins_within_half_a_second() -> anyhow
         }
     }
     assert_eq!(between.len(), ROWS - 1);
-    // half of them: a test machine is late now and then
-    assert!(between[between.len() / 2] <= MOST, "{between:?}");
+    // a test machine with other things to do lengthens some; a lost design lengthens all of them
+    assert!(between[between.len() / 4] <= MOST, "{between:?}");
     rig.until("the dome ends shut", 60.0, Rig::is_shut).await?;
     Ok(())
 }

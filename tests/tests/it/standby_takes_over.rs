@@ -7,7 +7,7 @@ use contract::device::dome;
 use contract::node::NodeState;
 use contract::observatory::{Permit, StandingOrders};
 use contract::{Address, BootId, Command, CommandId, Key, Kind, NodeTopic, Part, Role};
-use tests::{Rig, RigOptions, SITE, TELESCOPE, long_row};
+use tests::{Lateness, Rig, RigOptions, SITE, TELESCOPE, long_row};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hot_standby_takes_over_and_the_dome_stays_open() -> anyhow::Result<()> {
@@ -17,7 +17,7 @@ async fn a_hot_standby_takes_over_and_the_dome_stays_open() -> anyhow::Result<()
         |rig: &Rig| guard(rig).and_then(|guard| guard.permits.first().map(|permit| permit.commander.clone()));
     rig.start_standby()?;
     // it must hear everything and fill its dwell before it can be of use
-    tokio::time::sleep(Duration::from_secs(12)).await;
+    tokio::time::sleep(Duration::from_secs(20)).await;
     assert_eq!(commander(&rig).as_deref(), Some("observatory/alpha/main"), "the first goes on commanding");
     assert!(rig.is_open());
     let token = guard(&rig).map_or(0, |guard| guard.token);
@@ -26,10 +26,11 @@ async fn a_hot_standby_takes_over_and_the_dome_stays_open() -> anyhow::Result<()
 
     rig.kill(Role::Observatory)?;
     let taken = |rig: &Rig| guard(rig).is_some_and(|guard| guard.token > token);
+    let lateness = Lateness::begin();
     let took = rig.until("the standby has the next token", 12.0, taken).await?;
     rig.until("its permits reach the guard", 5.0, |rig| commander(rig).as_deref() == Some("observatory/alpha/second"))
         .await?;
-    assert!(took < Duration::from_secs(9), "{took:?}: 8 s, and a noisy machine");
+    assert!(took < lateness.bound(Duration::from_millis(8500)), "{took:?}: 8 s, and a look of the test");
     tokio::time::sleep(Duration::from_secs(8)).await;
     assert!(rig.is_open(), "the roof need not close");
     let puts = rig.simulator.world().puts_since(before);

@@ -21,7 +21,8 @@ const FRAMES: u32 = 30;
 
 fn options() -> RigOptions {
     let mut options = RigOptions::default();
-    options.world.speed = 20.0;
+    // the sky does not wait while the nodes start: the first target must still stand before the meridian then
+    options.world.speed = 10.0;
     options.world.dome.slit = None;
     let camera = &mut options.world.camera;
     (camera.width, camera.height, camera.pixel_um) = (512, 512, 13.5 * 4.0);

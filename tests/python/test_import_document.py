@@ -1,0 +1,56 @@
+"""The documents that lead to a first night, literally: their shell lines are typed as they stand."""
+
+import json
+import pathlib
+import shutil
+import subprocess
+import sys
+
+import pytest
+from conftest import PROJECT
+from test_imported_sites import templates  # noqa: F401: a fixture
+
+
+def type_lines(section: str, document: str, starmesh: str, home: pathlib.Path) -> dict:
+    assert shutil.which("ip"), "iproute2 is missing: apt-get install iproute2 (scripts/test does)"
+    script = pathlib.Path(__file__).with_name("import_document.py")
+    done = subprocess.run(["unshare", "--net", sys.executable, "-B", str(script), section, starmesh, str(PROJECT / document), str(home)],
+                          capture_output=True, text=True, timeout=600)
+    if done.returncode != 0:
+        logs = "\n".join(f"--- {p.name}\n" + "\n".join(p.read_text(errors="replace").splitlines()[-30:]) for p in sorted(home.glob("*.log")))
+        pytest.fail(f"{done.stdout}{done.stderr}\n{logs}")
+    return json.loads(done.stdout)
+
+
+def old_site(templates: dict[str, str], home: pathlib.Path):
+    config = home / "Documents/Astra/observatory_config"
+    config.mkdir(parents=True)
+    for name, text in templates.items():
+        (config / f"template_{name}").write_text(text.replace("observatoryname", "template"))
+
+
+def test_the_lines_that_bring_a_site_over_are_taken_as_they_stand(starmesh, templates, tmp_path):  # noqa: F811
+    old_site(templates, tmp_path)
+    told = type_lines("Coming from Astra", "docs/operator/import.md", starmesh, tmp_path)
+    imported, checked, ordered = told["said"]
+    assert "starmesh order template/telescope-template start" in imported, imported
+    assert "valid" in checked and "accepted" in ordered, told
+    assert told["rows"] == 10 and told["codes"][0] == 0, told
+
+
+def test_the_documented_trial_runs_the_whole_night_of_a_template_site(starmesh, templates, tmp_path):  # noqa: F811
+    old_site(templates, tmp_path)
+    told = type_lines("Trying it first", "docs/operator/import.md", starmesh, tmp_path)
+    assert len(told["rows"]) == 10 and all(status == "finished" for _, status, _ in told["rows"]), told["rows"]
+    said = told["said"][0]
+    for words in ["300 min", "\"guiding\" = null", "pointing_model", "its clock stands at"]:
+        assert words in said, (words, said)
+    # the predecessor's order: the dome is parked, then closed
+    last = len(told["dome"]) - told["dome"][::-1].index("openshutter")
+    assert told["dome"][last:last + 2] == ["park", "closeshutter"], told["dome"]
+    assert told["codes"][0] == 0, told
+
+
+def test_the_first_night_on_what_init_writes_has_every_row_finished(starmesh, tmp_path):
+    told = type_lines("A first night", "docs/operator/first-night.md", starmesh, tmp_path)
+    assert len(told["rows"]) == 6 and all(status == "finished" for _, status, _ in told["rows"]), told["rows"]
