@@ -4,15 +4,14 @@ use config::Observatory;
 use contract::device::switch::number_of;
 use contract::{Device, Kind};
 
+use crate::readings::aged_sensor;
+
 /// Sensors whose limits are passed within seconds come first.
 const SWIFT: [&str; 3] = ["RainRate", "WindGust", "WindSpeed"];
-/// How old the station's own measurement is.
-const SENSOR_AGE: &str = "TimeSinceLastUpdate";
-
 /// The properties of a device that decide, the swiftest first; empty where the device is polled as a whole.
 ///
 /// `polled` are all that the driver knows. Telescopes that share a station put limits on it that this node does not
-/// know, so that all of its sensors decide.
+/// know, so that all of its sensors decide. Ages of single sensors grow with the clock, so that they may be asked later.
 pub fn properties(config: &Observatory, device: &Device, polled: &[String]) -> Vec<String> {
     let limits = match device.kind {
         Kind::SafetyMonitor => return polled.to_vec(),
@@ -29,7 +28,10 @@ pub fn properties(config: &Observatory, device: &Device, polled: &[String]) -> V
     let limited: Vec<&str> = limits.iter().flat_map(|limit| made_of(&limit.parameter)).collect();
     let decides = |name: &&String| match device.kind {
         Kind::Switch => limited.iter().any(|limit| *limit == name.as_str() || same_switch(limit, name)),
-        _ => limited.is_empty() || *name == SENSOR_AGE || limited.contains(&name.as_str()),
+        _ => match aged_sensor(name) {
+            Some(sensor) => sensor.is_empty(),
+            None => limited.is_empty() || limited.contains(&name.as_str()),
+        },
     };
     let mut deciding: Vec<String> = polled.iter().filter(decides).cloned().collect();
     deciding.sort_by_key(|name| SWIFT.iter().position(|swift| swift == name).unwrap_or(SWIFT.len()));
@@ -52,6 +54,7 @@ fn made_of(parameter: &str) -> Vec<&str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::readings::{AGE, age_of};
 
     fn deciding(telescope: &str, limits: &str) -> Vec<String> {
         let text = format!(
@@ -60,7 +63,8 @@ mod tests {
         );
         let config = config::parse(&text, std::path::Path::new("/")).unwrap();
         let device = config.address().device(Kind::ObservingConditions, &"wx".parse().unwrap());
-        let polled = ["Humidity", "Pressure", "RainRate", "Temperature", "DewPoint", "WindSpeed", SENSOR_AGE];
+        let rain_age = age_of("RainRate");
+        let polled = ["Humidity", "Pressure", "RainRate", "Temperature", "DewPoint", "WindSpeed", AGE, &rain_age];
         properties(&config, &device, &polled.map(str::to_owned))
     }
 
@@ -68,7 +72,7 @@ mod tests {
     fn what_has_a_limit_decides_and_rain_and_wind_come_first() {
         let limits =
             "limit = [{ parameter = \"DewPointMargin\", lower = 2.0 }, { parameter = \"RainRate\", upper = 0.1 }]";
-        assert_eq!(deciding("t", limits), ["RainRate", "Temperature", "DewPoint", SENSOR_AGE]);
+        assert_eq!(deciding("t", limits), ["RainRate", "Temperature", "DewPoint", AGE]);
     }
 
     #[test]

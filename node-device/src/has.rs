@@ -5,6 +5,7 @@ use std::collections::HashSet;
 use serde_json::Value;
 
 use crate::alpaca::AlpacaError;
+use crate::readings::aged_sensor;
 
 /// What a device was found to have and not to have.
 #[derive(Debug, Default)]
@@ -20,7 +21,7 @@ impl Has {
         match answer {
             Ok(_) => drop(self.answered.insert(property.to_owned())),
             // what it had once it has: a server that is restarted denies everything for a while
-            Err(error) if error.is_not_implemented() && !self.answered.contains(property) => {
+            Err(error) if lacks(property, error) && !self.answered.contains(property) => {
                 self.absent.insert(property.to_owned());
             }
             Err(_) => {}
@@ -41,4 +42,10 @@ impl Has {
     pub fn has_spoken(&self) -> bool {
         !self.answered.is_empty()
     }
+}
+
+/// Does an error say that a device does not have a property? Drivers that know only the newest of all ages call the name of a
+/// sensor an invalid value.
+fn lacks(property: &str, error: &AlpacaError) -> bool {
+    error.is_not_implemented() || (error.is_invalid_value() && aged_sensor(property).is_some_and(|sensor| !sensor.is_empty()))
 }

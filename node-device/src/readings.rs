@@ -69,6 +69,12 @@ impl Readings {
         self.read(property, value::number)
     }
 
+    /// A finite number, or why the answer is none; `None` where there is no answer.
+    pub fn answered_number(&self, property: &str) -> Option<Datum<f64>> {
+        self.answers.get(property)?.answer.as_ref().ok()?;
+        Some(self.number(property))
+    }
+
     /// A whole number.
     pub fn whole(&self, property: &str) -> Datum<i64> {
         self.read(property, value::whole)
@@ -127,11 +133,24 @@ fn outcome(answer: &Result<Value, NoData>, unit: &str) -> ReadingOutcome {
     }
 }
 
+/// How old a weather station's own measurement is: of its newest sensor, or of the one in brackets behind it.
+pub const AGE: &str = "TimeSinceLastUpdate";
+
+/// The property that tells the age of one sensor.
+pub fn age_of(sensor: &str) -> String {
+    format!("{AGE}({sensor})")
+}
+
+/// The sensor whose age a property tells; empty for the newest of all.
+pub fn aged_sensor(property: &str) -> Option<&str> {
+    let rest = property.strip_prefix(AGE)?;
+    if rest.is_empty() { Some(rest) } else { rest.strip_prefix('(')?.strip_suffix(')') }
+}
+
 /// The Alpaca member and parameters that a property is read by; some properties are methods with a parameter.
 pub fn member(property: &str) -> (String, Vec<(&'static str, String)>) {
-    if property == "TimeSinceLastUpdate" {
-        // of the newest of all sensors
-        return ("timesincelastupdate".to_owned(), vec![("SensorName", String::new())]);
+    if let Some(sensor) = aged_sensor(property) {
+        return (AGE.to_ascii_lowercase(), vec![("SensorName", sensor.to_owned())]);
     }
     match property.strip_prefix("GetSwitchValue") {
         Some(number) if number.parse::<u32>().is_ok() => ("getswitchvalue".to_owned(), vec![("Id", number.to_owned())]),
@@ -173,7 +192,7 @@ fn unit(kind: Kind, property: &str) -> Option<&'static str> {
         (Kind::ObservingConditions, "StarFWHM") => "arcsec",
         (Kind::ObservingConditions, "WindDirection") => "deg",
         (Kind::ObservingConditions, "WindGust" | "WindSpeed") => "m/s",
-        (Kind::ObservingConditions, "TimeSinceLastUpdate") => "s",
+        (Kind::ObservingConditions, name) if aged_sensor(name).is_some() => "s",
         (Kind::ObservingConditions, "AveragePeriod") => "h",
         _ => return None,
     })

@@ -142,7 +142,10 @@ def judge_closing(case: Case, rig: Rig, since: int, result: Result, allowance_s:
         def told():
             puts = rig.wire.puts(since)
             return [put for put in puts if put["member"] in case.members and arrived_s(put) >= rig.t0 - 0.02]
-        first = wait("the first request that closes", told, bound.max_s + 30.0 - (time.time() - rig.t0))[0]
+        try:
+            first = wait("the first request that closes", told, bound.max_s + 30.0 - (time.time() - rig.t0))[0]
+        except Late as late:
+            raise Late(f"{late}{closed_before(rig)}") from late
         result.took_s = arrived_s(first) - rig.t0
     else:
         wait("the hardware closes", lambda: rig.wire.open_fraction() < 1.0, bound.max_s + 30.0, 0.02)
@@ -156,6 +159,14 @@ def judge_closing(case: Case, rig: Rig, since: int, result: Result, allowance_s:
     result.closed = True
     if result.took_s > bound.max_s + allowance_s:
         result.why = f"first closing request after {result.took_s:.2f} s, bound {bound.max_s} s + {allowance_s} s"
+
+
+def closed_before(rig: Rig) -> str:
+    """A dome that closed before the fault was not open to be closed: that is a finding of its own, and says so."""
+    before = [put for put in rig.puts("closeshutter", 0) if arrived_s(put) < rig.t0 - 0.02]
+    if rig.wire.open_fraction() > 0.0 or not before:
+        return ""
+    return f"; it is closed, and was asked to {rig.t0 - arrived_s(before[-1]):.1f} s before the fault"
 
 
 def judge_staying(case: Case, rig: Rig, since: int, result: Result):

@@ -105,6 +105,9 @@ def commands(rig):
                     accepted.append((sort, payload[:200], said))
     time.sleep(0.5)
     moved = [put for put in rig.wire.puts(since) if put["member"] in MOVED]
+    # without a safe permit some commands need no token; then the dome closes, too
+    if any(put["member"] == "closeshutter" for put in moved):
+        raise Late(f"the dome closed under a safe sky, after which {len(accepted)} commands were taken: {accepted[:2]}")
     if accepted or moved:
         raise Late(f"{len(accepted)} of {ATTACKS} bad commands accepted, {len(moved)} arrived: {accepted[:2]} {moved[:2]}")
     if answered < ATTACKS * 0.95:

@@ -103,6 +103,17 @@ def old_weather(rig):
     yield
 
 
+def old_sensor(age: str):
+    def run(rig):
+        rig.mark()
+        rig.relays["observingconditions"].say_value("timesincelastupdate(RainRate)", age)
+        yield
+    return run
+
+
+case("the rain sensor alone measured 25 minutes ago; its station is alive", "S3", WEATHER_SILENT)(old_sensor("1500.0"))
+case("the rain sensor alone never measured anything", "S3", WEATHER_SILENT)(old_sensor("-1.0"))
+case("the rain sensor's age is NaN", "S3 S4", WEATHER_SILENT, short=False)(old_sensor("NaN"))
 case("predecessor D: every value is NaN", "S4", WEATHER_SILENT)(weather_fault(nan=True))
 
 

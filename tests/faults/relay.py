@@ -10,12 +10,13 @@ import json
 import socket
 import threading
 import time
+import urllib.parse
 
 RESET = object()
 
 
 class AlpacaRelay:
-    """Passes Alpaca on; `spoil(member, raw)` may return other bytes, RESET, or None to pass the answer on."""
+    """Passes Alpaca on; `spoil(member, raw)` (`issafe`, `timesincelastupdate(RainRate)`) may return other bytes, RESET, or None to pass the answer on."""
 
     def __init__(self, host: str, server: str):
         self.server, self.spoil, self.gone = server, None, False
@@ -65,7 +66,10 @@ class AlpacaRelay:
         path = asked.path
         for shown, real in self.renumber.items():
             path = path.replace(f"/{shown}/", f"/{real}/", 1)
-        member = path.split("?")[0].rsplit("/", 1)[-1]
+        member, _, query = path.rpartition("/")[2].partition("?")
+        # the age of one sensor is a value of its own
+        if sensor := urllib.parse.parse_qs(query).get("SensorName"):
+            member = f"{member}({sensor[0]})"
         self.before(member)
         connection = http.client.HTTPConnection(self.server, timeout=60)
         headers = {"Content-Type": asked.headers["Content-Type"]} if body is not None else {}

@@ -22,7 +22,7 @@ pub(crate) fn share(config: &config::Bus) -> config::Bus {
                 tracing::warn!(
                     endpoint,
                     %why,
-                    "this node cannot listen here, and nobody can meet it there; it goes on without"
+                    "this node cannot listen here, and nobody can meet it there; it goes on without, until it is started anew"
                 );
                 shared.listen.push(here(protocol));
                 continue;
@@ -51,7 +51,7 @@ pub(crate) fn share(config: &config::Bus) -> config::Bus {
                 tracing::warn!(
                     endpoint,
                     %why,
-                    "this node cannot listen here, and nobody can meet it there; it goes on without"
+                    "this node cannot listen here, and nobody can meet it there; it goes on without, until it is started anew"
                 );
                 shared.listen.push(here(protocol));
                 // whoever has that address is met there

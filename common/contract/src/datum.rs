@@ -25,6 +25,11 @@ impl NoData {
         Self("never read".to_owned())
     }
 
+    /// The answer came, and is no number.
+    pub fn is_no_number(&self) -> bool {
+        ["not a number", "wrong type"].iter().any(|class| self.0.starts_with(class))
+    }
+
     /// The device has no link.
     pub fn not_connected() -> Self {
         Self("not connected".to_owned())

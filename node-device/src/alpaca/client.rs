@@ -3,8 +3,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use contract::Kind;
-use reqwest::header::{ACCEPT, CONTENT_TYPE};
+use contract::{Kind, NoData};
+use reqwest::header::{ACCEPT, AGE, CACHE_CONTROL, CONTENT_TYPE};
 use reqwest::{Client, Response, Url};
 use serde_json::Value;
 use tokio::sync::{Mutex, MutexGuard};
@@ -184,9 +184,19 @@ impl Alpaca {
     async fn ask(&self, member: &str, parameters: &[(&str, &str)]) -> Result<Answer, AlpacaError> {
         let (asked, ids) = self.ids();
         let query = encoded(parameters.iter().chain(&ids.pairs()));
-        let request = self.client().get(self.url(member, Some(&query)));
+        let request = self.client().get(self.url(member, Some(&query))).header(CACHE_CONTROL, "no-cache");
         let response = request.send().await.map_err(|error| AlpacaError::from_http(&error))?;
-        self.read(response, asked).await
+        let age = response.headers().get(AGE).map(|age| age.to_str().unwrap_or_default().trim().to_owned());
+        let answer = self.read(response, asked).await?;
+        match age {
+            // what was read from the device just now
+            None => Ok(answer),
+            Some(age) if age.parse() == Ok(0_u32) => Ok(answer),
+            Some(age) => {
+                let detail = format!("a cache between here and the device says that its answer is {age:?} s old");
+                Err(AlpacaError::Value(NoData::new("stale", detail)))
+            }
+        }
     }
 
     /// Reads the answer to request `asked`: of any device only the answer to this request, of a safety monitor only

@@ -33,6 +33,33 @@ async fn server(mut answer: impl FnMut(&str, u32) -> String + Send + 'static) ->
     address
 }
 
+/// A server whose one answer comes with this header.
+async fn server_with(header: &'static str) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    tokio::spawn(async move {
+        let (mut stream, _) = listener.accept().await.unwrap();
+        let mut buffer = [0; 4096];
+        let length = stream.read(&mut buffer).await.unwrap();
+        let request = std::str::from_utf8(&buffer[..length]).unwrap().to_ascii_lowercase();
+        assert!(request.contains("cache-control: no-cache"), "{request}");
+        let body = envelope(&json!(true), 0);
+        let head = format!("HTTP/1.1 200 OK\r\nContent-Length: {}\r\n{header}Connection: close\r\n\r\n", body.len());
+        stream.write_all(format!("{head}{body}").as_bytes()).await.unwrap();
+    });
+    address
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_cache_kept_is_no_answer() {
+    for (header, is_taken) in [("", true), ("Age: 0\r\n", true), ("Age: 12\r\n", false), ("Age: soon\r\n", false)] {
+        let address = server_with(header).await;
+        let answer = device(&address, Kind::SafetyMonitor).get("issafe").await;
+        assert_eq!(answer.is_ok(), is_taken, "{header:?}: {answer:?}");
+        assert!(is_taken || answer.unwrap_err().to_string().starts_with("stale: "));
+    }
+}
+
 fn envelope(value: &Value, id: i64) -> String {
     json!({"Value": value, "ClientTransactionID": id, "ServerTransactionID": 1, "ErrorNumber": 0, "ErrorMessage": ""})
         .to_string()

@@ -72,6 +72,8 @@ impl std::fmt::Display for Fault {
 impl AlpacaError {
     /// ASCOM NotImplemented.
     pub const NOT_IMPLEMENTED: u32 = 0x400;
+    /// ASCOM InvalidValue.
+    const INVALID_VALUE: u32 = 0x401;
     /// ASCOM NotConnected.
     pub const NOT_CONNECTED: u32 = 0x407;
     /// ASCOM ActionNotImplemented.
@@ -120,6 +122,11 @@ impl AlpacaError {
             Self::Http { status, .. } => *status >= 500 && !self.is_not_implemented(),
             Self::Transport { .. } | Self::Foreign { .. } | Self::Ascom { .. } => false,
         }
+    }
+
+    /// The device knows no such parameter.
+    pub fn is_invalid_value(&self) -> bool {
+        matches!(self, Self::Ascom { code: Self::INVALID_VALUE, .. })
     }
 
     /// The device says that it is not connected.

@@ -5,7 +5,7 @@ use contract::device::observing_conditions::{self, Capabilities, Command, Fields
 
 use super::{Driver, Need, Obeyed, optional};
 use crate::alpaca::{Alpaca, AlpacaError, value};
-use crate::readings::Readings;
+use crate::readings::{AGE, Readings, age_of};
 
 /// Reads a weather station.
 pub struct ObservingConditions;
@@ -14,7 +14,8 @@ impl Driver for ObservingConditions {
     type Kind = observing_conditions::ObservingConditions;
 
     fn polled(&self) -> Vec<String> {
-        observing_conditions::ascom_names().chain(["TimeSinceLastUpdate"]).map(str::to_owned).collect()
+        let ages = observing_conditions::ascom_names().map(age_of);
+        observing_conditions::ascom_names().chain([AGE]).map(str::to_owned).chain(ages).collect()
     }
 
     async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
@@ -42,7 +43,10 @@ impl Driver for ObservingConditions {
             wind_from_deg: readings.number("WindDirection"),
             gust_mps: readings.number("WindGust"),
             wind_mps: readings.number("WindSpeed"),
-            sensor_age_s: readings.number("TimeSinceLastUpdate"),
+            sensor_age_s: readings.number(AGE),
+            sensor_ages_s: observing_conditions::ascom_names()
+                .filter_map(|sensor| Some((sensor.to_owned(), readings.answered_number(&age_of(sensor))?)))
+                .collect(),
         }
     }
 

@@ -7,7 +7,7 @@ use bus::SkyTime;
 use contract::device::observing_conditions::Fields as Weather;
 use contract::device::safety_monitor::Fields as Monitor;
 use contract::device::switch::{Fields as Switches, number_of};
-use contract::{Device, DeviceState, Link};
+use contract::{Datum, Device, DeviceState, Link};
 
 use super::frozen::Freeze;
 use super::history::{Entry, Now, Record};
@@ -347,14 +347,11 @@ fn parameter(
     told_s: f64,
 ) -> Result<f64, String> {
     connected(state)?;
-    if let Some(age_s) = state.fields.sensor_age_s.known() {
-        // ASCOM's word for "nothing was ever measured"; what it says beside that is no measurement
-        if *age_s < 0.0 {
-            return Err(format!("never measured: the station says that its own measurement is {age_s} s old"));
-        }
-        let age_s = age_s / speed + told_s;
-        if age_s.is_nan() || age_s > max_age.as_secs_f64() {
-            return Err(format!("stale: the station's own measurement is {age_s:.0} s old"));
+    measured_lately(&state.fields.sensor_age_s, "its own measurement", told_s, max_age, speed)?;
+    for sensor in made_of(name) {
+        if let Some(age_s) = state.fields.sensor_ages_s.get(sensor) {
+            // the sensor may have measured since it was asked, so that the time since then counts for nothing
+            measured_lately(age_s, &format!("{sensor}'s measurement"), 0.0, max_age, speed)?;
         }
     }
     let measured = |name: &str| -> Result<f64, String> {
@@ -367,6 +364,33 @@ fn parameter(
         "DewPointMargin" => Ok(measured("Temperature")? - measured("DewPoint")?),
         name => measured(name),
     }
+}
+
+/// Refuses a measurement that the station calls old; `told_s` is how long ago it said so, s of machine time.
+fn measured_lately(
+    age_s: &Datum<f64>,
+    what: &str,
+    told_s: f64,
+    max_age: Duration,
+    speed: f64,
+) -> Result<(), String> {
+    let age_s = match age_s {
+        Datum::Known(age_s) => *age_s,
+        // an answer, and no age; where none came nothing is said
+        Datum::Missing { no_data } if no_data.is_no_number() => {
+            return Err(format!("the station's word for the age of {what} is no age: {no_data}"));
+        }
+        Datum::Missing { .. } => return Ok(()),
+    };
+    // ASCOM's word for "nothing was ever measured"; what it says beside that is no measurement
+    if age_s < 0.0 {
+        return Err(format!("never measured: the station says that {what} is {age_s} s old"));
+    }
+    let age_s = age_s / speed + told_s;
+    if age_s.is_nan() || age_s > max_age.as_secs_f64() {
+        return Err(format!("stale: the station says that {what} is {age_s:.0} s old"));
+    }
+    Ok(())
 }
 
 /// Refuses what no weather on Earth does: a broken sensor is a missing sensor.
@@ -388,7 +412,7 @@ fn plausible(name: &str, value: f64) -> Result<f64, String> {
 
 #[cfg(test)]
 mod tests {
-    use contract::{Datum, NoData};
+    use contract::NoData;
 
     use super::*;
 
@@ -419,6 +443,27 @@ mod tests {
         assert_eq!(never.unwrap_err(), "never measured: the station says that its own measurement is -1 s old");
         // at 100 x speed a sky minute is 0.6 s of the machine
         assert_eq!(parameter(&weather(fields(5000.0)), "Humidity", MAX_AGE, 100.0, 0.0), Ok(50.0));
+    }
+
+    #[test]
+    fn a_dead_sensor_beside_living_ones_has_no_value() {
+        let mut fields = Weather {
+            rain_mm_per_h: Datum::Known(0.0),
+            humidity_percent: Datum::Known(50.0),
+            sensor_age_s: Datum::Known(1.0),
+            ..Default::default()
+        };
+        let mut rain = |age_s: Datum<f64>| {
+            fields.sensor_ages_s.insert("RainRate".to_owned(), age_s);
+            assert_eq!(parameter(&weather(fields.clone()), "Humidity", MAX_AGE, 1.0, 0.0), Ok(50.0));
+            parameter(&weather(fields.clone()), "RainRate", MAX_AGE, 1.0, 50.0)
+        };
+        assert_eq!(rain(Datum::Known(20.0)), Ok(0.0));
+        let stale = rain(Datum::Known(1500.0)).unwrap_err();
+        assert_eq!(stale, "stale: the station says that RainRate's measurement is 1500 s old");
+        assert!(rain(Datum::Known(-1.0)).unwrap_err().starts_with("never measured"));
+        assert!(rain(Datum::missing(NoData::new("not a number", ""))).unwrap_err().contains("no age"));
+        assert_eq!(rain(Datum::missing(NoData::new("timeout", "2 s"))), Ok(0.0));
     }
 
     #[test]

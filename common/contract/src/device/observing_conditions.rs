@@ -1,5 +1,7 @@
 //! A weather station.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use super::record::Record;
@@ -58,6 +60,9 @@ pub struct Fields {
     pub wind_mps: Datum<f64>,
     /// Age of the station's own newest measurement, s of sky time.
     pub sensor_age_s: Datum<f64>,
+    /// The same of single sensors when the station was asked, by ASCOM name; only of those whose age it tells.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub sensor_ages_s: BTreeMap<String, Datum<f64>>,
 }
 
 impl Payload for Fields {
