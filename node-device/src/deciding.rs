@@ -1,6 +1,7 @@
 //! What verdicts are made of, of a device: it is read first, apart from the rest, and on deadlines of its own.
 
 use config::Observatory;
+use contract::device::observing_conditions::made_of;
 use contract::device::switch::number_of;
 use contract::{Device, Kind};
 
@@ -27,7 +28,9 @@ pub fn properties(config: &Observatory, device: &Device, polled: &[String]) -> V
     };
     let limited: Vec<&str> = limits.iter().flat_map(|limit| made_of(&limit.parameter)).collect();
     let decides = |name: &&String| match device.kind {
-        Kind::Switch => limited.iter().any(|limit| *limit == name.as_str() || same_switch(limit, name)),
+        Kind::Switch => {
+            limits.iter().any(|limit| limit.parameter == name.as_str() || same_switch(&limit.parameter, name))
+        }
         _ => match aged_sensor(name) {
             Some(sensor) => sensor.is_empty(),
             None => limited.is_empty() || limited.contains(&name.as_str()),
@@ -40,15 +43,6 @@ pub fn properties(config: &Observatory, device: &Device, polled: &[String]) -> V
 
 fn same_switch(limit: &str, property: &str) -> bool {
     number_of(limit).is_some_and(|number| property == format!("GetSwitchValue{number}"))
-}
-
-/// The ASCOM properties that a parameter of a limit is made of.
-fn made_of(parameter: &str) -> Vec<&str> {
-    match parameter {
-        "RelativeSkyTemp" => vec!["SkyTemperature", "Temperature"],
-        "DewPointMargin" => vec!["Temperature", "DewPoint"],
-        name => vec![name],
-    }
 }
 
 #[cfg(test)]

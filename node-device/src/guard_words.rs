@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use bus::MachineTime;
+use bus::{Lives, MachineTime};
 use contract::device::dome::{Guard, GuardAction};
 use contract::observatory::Permit;
 use contract::{BootId, Device};
@@ -15,8 +15,6 @@ use crate::permits::PERMIT_VALID;
 
 /// A guard publishes each second; one that was silent for so long is not there.
 const LIVING: Duration = Duration::from_secs(5);
-/// Incarnations of one guard that are remembered; those that are known keep their places.
-const LIVES: usize = 8;
 
 /// What one incarnation of a guard published last.
 #[derive(Debug, Clone)]
@@ -26,7 +24,6 @@ struct Word {
     is_closing: bool,
     waits_for_mounts: bool,
     is_closed: bool,
-    arrived: MachineTime,
 }
 
 /// What the roofs over a mount ask of it.
@@ -43,7 +40,7 @@ pub struct Roofs {
 /// What was received from all guards.
 #[derive(Debug, Default)]
 pub struct GuardWords {
-    by_dome: BTreeMap<Device, BTreeMap<BootId, Word>>,
+    by_dome: BTreeMap<Device, Lives<Word>>,
     /// Whether a roof waits for its mounts does not change while its guard is silent.
     waits: BTreeMap<Device, bool>,
 }
@@ -54,28 +51,23 @@ impl GuardWords {
         if let Some(waits) = said.waits_for_mounts {
             self.waits.insert(dome.clone(), waits);
         }
-        let lives = self.by_dome.entry(dome).or_default();
-        lives.retain(|known, word| known == life || arrived.since(word.arrived) <= PERMIT_VALID);
-        if lives.len() >= LIVES && !lives.contains_key(life) {
-            return;
-        }
+        let lives = self.by_dome.entry(dome).or_insert_with(|| Lives::new(PERMIT_VALID));
         let word = Word {
             number: said.number,
             granted: said.granted.iter().map(|granted| (granted.telescope.clone(), granted.token)).collect(),
             is_closing: said.action == GuardAction::Closing,
             waits_for_mounts: said.waits_for_mounts == Some(true),
             is_closed: said.verified_closed == Some(true),
-            arrived,
         };
-        lives.insert(life.clone(), word);
+        lives.hear(life, word, arrived);
     }
 
     /// Does a permit answer a number that a guard of this dome has published lately?
     pub fn is_answered(&self, dome: &str, permit: &Permit, now: MachineTime) -> bool {
         let of_name = self.by_dome.iter().filter(|(device, _)| device.name.as_str() == dome);
-        of_name.filter_map(|(_, lives)| lives.get(&permit.guard_boot_id)).any(|word| {
+        of_name.filter_map(|(_, lives)| lives.get(&permit.guard_boot_id)).any(|(word, arrived)| {
             let age_s = word.number.saturating_sub(permit.guard_number);
-            let is_young = age_s <= PERMIT_VALID.as_secs() && now.since(word.arrived) <= PERMIT_VALID;
+            let is_young = age_s <= PERMIT_VALID.as_secs() && now.since(*arrived) <= PERMIT_VALID;
             // on its way here the permit may have overtaken the number that it answers
             permit.guard_number <= word.number.saturating_add(1) && is_young
         })
@@ -83,16 +75,16 @@ impl GuardWords {
 
     /// The newest token of a telescope, as running guards publish it: the smallest, where they contradict each other.
     pub fn token(&self, telescope: &str, now: MachineTime) -> Option<u64> {
-        let living = self.by_dome.values().flat_map(BTreeMap::values).filter(|word| now.since(word.arrived) <= LIVING);
-        living.filter_map(|word| word.granted.get(telescope).copied()).min()
+        let living = self.by_dome.values().flat_map(|lives| lives.within(LIVING, now));
+        living.filter_map(|(_, word)| word.granted.get(telescope).copied()).min()
     }
 
     /// What these roofs ask of the mount under them.
     pub fn roofs(&self, enclosures: &[Device], now: MachineTime) -> Roofs {
         let mut roofs = Roofs { closed: true, ..Roofs::default() };
         for dome in enclosures.iter().filter(|dome| self.waits.get(dome) == Some(&true)) {
-            let words = self.by_dome.get(dome).into_iter().flat_map(BTreeMap::values);
-            let living: Vec<&Word> = words.filter(|word| now.since(word.arrived) <= LIVING).collect();
+            let living = self.by_dome.get(dome).into_iter().flat_map(|lives| lives.within(LIVING, now));
+            let living: Vec<&Word> = living.map(|(_, word)| word).collect();
             roofs.waits = true;
             roofs.closing |= living.iter().any(|word| word.is_closing && word.waits_for_mounts);
             roofs.closed &= !living.is_empty() && living.iter().all(|word| word.is_closed);

@@ -47,5 +47,6 @@ impl Has {
 /// Does an error say that a device does not have a property? Drivers that know only the newest of all ages call the name of a
 /// sensor an invalid value.
 fn lacks(property: &str, error: &AlpacaError) -> bool {
-    error.is_not_implemented() || (error.is_invalid_value() && aged_sensor(property).is_some_and(|sensor| !sensor.is_empty()))
+    error.is_not_implemented()
+        || (error.is_invalid_value() && aged_sensor(property).is_some_and(|sensor| !sensor.is_empty()))
 }

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use bus::{MachineTime, Node};
+use contract::node::MOUNT_CLOCK_OFFSET_S;
 use contract::{Name, Scalar};
 use units::Utc;
 
@@ -34,7 +35,7 @@ impl MountClock {
 
 /// Publishes, as a figure of the node's state, by how much `UTCDate` is ahead of this node's clock, s, until the node is stopped.
 pub async fn watch(node: Node, mount: Name, server: String, alpaca: Alpaca) -> anyhow::Result<()> {
-    let (clock, figure) = (node.bus.clock().clone(), format!("{mount}_clock_offset_s"));
+    let (clock, figure) = (node.bus.clock().clone(), format!("{mount}{MOUNT_CLOCK_OFFSET_S}"));
     let mut known = MountClock::default();
     loop {
         // under a simulated sky only a simulator knows the time

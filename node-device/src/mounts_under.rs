@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use bus::MachineTime;
+use bus::{Lives, MachineTime};
 use contract::{Address, BootId, Chunk, Device};
 
 /// A mount that was silent for so long is not known to be parked.
@@ -20,7 +20,7 @@ pub struct MountsUnder {
     telescopes: Vec<Chunk>,
     /// The mounts of the configuration, where it names them all; those of other telescopes are known by their states.
     known: Option<Vec<Device>>,
-    heard: BTreeMap<Device, BTreeMap<BootId, (bool, MachineTime)>>,
+    heard: BTreeMap<Device, Lives<bool>>,
 }
 
 impl MountsUnder {
@@ -38,16 +38,16 @@ impl MountsUnder {
         if !is_ours {
             return;
         }
-        let lives = self.heard.entry(device).or_default();
-        lives.retain(|_, (_, at)| arrived.since(*at) <= FRESH);
-        lives.insert(life, (is_parked, arrived));
+        self.heard.entry(device).or_insert_with(|| Lives::new(FRESH)).hear(&life, is_parked, arrived);
     }
 
     /// Is every mount known to be parked?
     pub fn all_parked(&self, now: MachineTime) -> bool {
-        let parked = |lives: &BTreeMap<BootId, (bool, MachineTime)>| {
-            let mut fresh = lives.values().filter(|(_, at)| now.since(*at) <= FRESH).peekable();
-            fresh.peek().is_some() && fresh.all(|(is_parked, _)| *is_parked)
+        let parked = |lives: &Lives<bool>| {
+            let mut fresh = lives.within(FRESH, now).peekable();
+            let all = fresh.peek().is_some() && fresh.all(|(_, is_parked)| *is_parked);
+            // the one that found no room may be the mount itself
+            all && !lives.had_no_room_within(FRESH, now)
         };
         if let Some(known) = &self.known {
             return known.iter().all(|device| self.heard.get(device).is_some_and(parked));
@@ -55,8 +55,7 @@ impl MountsUnder {
         self.telescopes.iter().all(|telescope| {
             let of_it = |address: &Address| address.telescope == *telescope;
             let mut there = self.heard.iter().filter(|(device, _)| of_it(&device.address)).peekable();
-            let is_there =
-                |lives: &BTreeMap<BootId, (bool, MachineTime)>| lives.values().any(|(_, at)| now.since(*at) <= GONE);
+            let is_there = |lives: &Lives<bool>| lives.within(GONE, now).next().is_some();
             // until its state is received, a telescope counts as one mount that is not parked
             let mut some = false;
             let all = there.all(|(_, lives)| {

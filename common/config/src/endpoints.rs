@@ -25,8 +25,8 @@ fn reason(endpoint: &str, is_peer: bool) -> Option<String> {
     }
     let address = rest.split(['?', '#']).next().unwrap_or_default();
     let Some((host, port)) = address.rsplit_once(':') else { return Some("has no port".to_owned()) };
-    if host.is_empty() || (host.contains(':') && !(host.starts_with('[') && host.ends_with(']'))) {
-        return Some("names no host".to_owned());
+    if let Err(why) = crate::plausible::host_name(host) {
+        return Some(format!("names no host: {why}"));
     }
     match port.parse::<u16>() {
         Ok(0) if is_peer => Some("has port 0, at which nobody can be met".to_owned()),
@@ -51,6 +51,8 @@ mod tests {
             ("tcp/10.0.0.5:70000", "70000"),
             ("tcp/:7447", "host"),
             ("tcp/fe80::1:7447", "host"),
+            ("tcp/999.1.1.1:7447", "host"),
+            ("tcp/dome pc:7447", "host"),
             ("tcp/10.0.0.5:0", "port 0"),
         ] {
             assert!(reason(bad, true).is_some_and(|reason| reason.contains(why)), "{bad}: {:?}", reason(bad, true));

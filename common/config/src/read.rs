@@ -200,9 +200,17 @@ impl Reading<'_> {
         let have = self.document.keys(table);
         let near =
             crate::nearest::nearest(key, known.iter().copied()).filter(|near| !have.iter().any(|key| key == near));
-        match near {
-            Some(near) => self.document.rename(&place.steps, near),
-            None => self.document.remove(&place.steps),
+        let Some(near) = near else { return self.document.remove(&place.steps) };
+        self.document.rename(&place.steps, near);
+        let mut renamed = table.to_vec();
+        renamed.push(Step::Key(near.to_owned()));
+        // a list under the name of one table, or the other way round, was meant to be something else; and a value may be in
+        // another unit, so that it is kept only where one must be
+        let misshapen = self.document.misshapen(words::is_one_table, words::is_list_of_tables);
+        let has_keys = !self.document.keys(&renamed).is_empty() || words::is_list_of_blocks(near);
+        let is_needed = has_keys || words::stand_in(near, 0).is_some();
+        if !is_needed || misshapen.iter().any(|wrong| wrong.steps == renamed) {
+            self.spoil(&renamed);
         }
     }
 }

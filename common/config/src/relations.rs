@@ -12,8 +12,6 @@ use crate::observatory::Observatory;
 use crate::slit;
 use crate::visibility::{Horizon, HorizonSource};
 
-/// Parameters that a limit may name beside ASCOM's own ObservingConditions properties.
-const DERIVED: [&str; 2] = ["RelativeSkyTemp", "DewPointMargin"];
 /// Action types that may have a file name template of their own.
 const TEMPLATES: [&str; 7] =
     ["object", "calibration", "flats", "autofocus", "calibrate_guiding", "pointing_model", "default"];
@@ -222,9 +220,8 @@ fn limits(observatory: &Observatory, findings: &mut Findings<'_>) {
 }
 
 fn weather_limit(limit: &Limit, path: &str, findings: &mut Findings<'_>) {
-    let mut known = observing_conditions::ascom_names().chain(DERIVED);
-    if !known.any(|name| name == limit.parameter) {
-        let near = nearest(&limit.parameter, observing_conditions::ascom_names().chain(DERIVED));
+    if observing_conditions::made_of(&limit.parameter).is_empty() {
+        let near = nearest(&limit.parameter, observing_conditions::parameters());
         let help = near.map(|near| format!("did you mean \"{near}\"?")).unwrap_or_else(|| {
             "expected an ASCOM ObservingConditions property (Humidity, WindSpeed ...), RelativeSkyTemp or DewPointMargin"
                 .to_owned()

@@ -44,7 +44,12 @@ pub const TORN: &str = "this line cannot be read";
 pub fn syntax(message: &str, line: &str) -> String {
     let line: String = line.chars().take(60).collect();
     let key_alone = line.split_once('=').is_some_and(|(_, value)| value.trim().is_empty());
-    let help = if key_alone {
+    let help = if message.contains("carriage return") {
+        let first = line.split('\r').next().unwrap_or_default();
+        return format!(
+            "{TORN}: {first:?}: lines end in CR alone here, which many programs cannot read; save the file with LF"
+        );
+    } else if key_alone {
         "give the key a value after the \"=\"".to_owned()
     } else if let Some(kind) = one_bracket(&line).filter(|_| message.contains("duplicate key")) {
         return format!(

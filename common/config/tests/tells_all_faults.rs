@@ -114,6 +114,8 @@ fn what_follows_from_a_fault_is_not_told_as_another_one() {
         "[[focuser]]\nname = \"f\"\nserver = \"a:1\"\nbest_position = -5\n",
         "[guiding]\npid_ra = { p = 0.7, d = 0.0 }\n",
         "[names]\nsesame_url = \"http://a b\"\n",
+        "[pointing]\nthreshold_arcsec = 3\n",
+        "[[guider]]\nname = \"g\"\nthreshold_arcsec = 3\n",
     ] {
         let told = with(block);
         assert!(told.len() == 1, "{block}: {told:?}");
@@ -123,4 +125,11 @@ fn what_follows_from_a_fault_is_not_told_as_another_one() {
     let text = spoilt.replace("{ parameter = \"WindSpeed\", upper = 12 }", "\"WindSpeed\"");
     let (_, faults) = config::examine(&text, Path::new("/site"));
     assert!(faults.len() == 1 && faults[0].what.contains("expected keys of its own"), "{faults:?}");
+}
+
+#[test]
+fn lines_that_end_in_cr_alone_are_named_as_what_they_are() {
+    let (_, faults) = config::examine(&GOOD.replace('\n', "\r"), Path::new("/site"));
+    assert!(faults.len() == 1 && faults[0].what.contains("lines end in CR alone"), "{faults:?}");
+    assert!(!faults[0].what.contains('\r'), "{faults:?}");
 }

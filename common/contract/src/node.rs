@@ -26,6 +26,9 @@ pub struct NodeState {
     pub figures: BTreeMap<String, Scalar>,
 }
 
+/// Figures of a device node end so: by how much the clock of the mount of that name is ahead of the node's, s.
+pub const MOUNT_CLOCK_OFFSET_S: &str = "_clock_offset_s";
+
 impl Payload for NodeState {
     const NAME: &'static str = "node.state";
 }

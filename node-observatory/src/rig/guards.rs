@@ -1,29 +1,23 @@
 //! What publishes in the name of a dome's guard: each incarnation for itself, since a stranger may use that name too.
 
-use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use bus::{Bus, Catch, MachineTime};
+use bus::{Bus, Catch, Lives, MachineTime};
 use contract::device::dome::Guard;
 use contract::{BootId, Device, Key};
 use tokio::sync::watch;
 
 /// A guard publishes each second; one that was silent for so long is not there.
 const LIVING: Duration = Duration::from_secs(5);
-/// Incarnations that are answered; those that are known keep their places.
-const LIVES: usize = 8;
 
 /// The guards of one dome: one, unless something is wrong. Cheap to clone.
 #[derive(Clone)]
 pub struct Guards {
-    words: Arc<Mutex<Words>>,
+    words: Arc<Mutex<Lives<Guard>>>,
     heard: watch::Receiver<u64>,
     _listening: Arc<Listening>,
 }
-
-#[derive(Debug, Default)]
-struct Words(BTreeMap<BootId, (Guard, MachineTime)>);
 
 struct Listening(tokio::task::JoinHandle<()>);
 
@@ -33,32 +27,18 @@ impl Drop for Listening {
     }
 }
 
-impl Words {
-    fn hear(&mut self, life: BootId, said: Guard, arrived: MachineTime) {
-        self.0.retain(|known, (_, at)| *known == life || arrived.since(*at) <= LIVING);
-        if self.0.len() < LIVES || self.0.contains_key(&life) {
-            self.0.insert(life, (said, arrived));
-        }
-    }
-
-    fn living(&self, now: MachineTime) -> Vec<(BootId, Guard)> {
-        let living = self.0.iter().filter(|(_, (_, at))| now.since(*at) <= LIVING);
-        living.map(|(life, (said, _))| (life.clone(), said.clone())).collect()
-    }
-}
-
 impl Guards {
     /// Subscribes to the guards of a dome.
     pub async fn listen(bus: &Bus, dome: &Device) -> anyhow::Result<Self> {
         let subscriber = bus.subscribe::<Guard>(&Key::Guard(dome.clone()).to_string(), Catch::Newest, 32).await?;
-        let words = Arc::new(Mutex::new(Words::default()));
+        let words = Arc::new(Mutex::new(Lives::new(LIVING)));
         let (stir, heard) = watch::channel(0_u64);
         let into = words.clone();
         let listening = tokio::spawn(async move {
             loop {
                 let heard = subscriber.hear().await;
                 let mut words = into.lock().unwrap_or_else(PoisonError::into_inner);
-                words.hear(heard.said.boot_id, heard.said.body, heard.arrived);
+                words.hear(&heard.said.boot_id, heard.said.body, heard.arrived);
                 stir.send_modify(|count| *count = count.wrapping_add(1));
             }
         });
@@ -67,7 +47,8 @@ impl Guards {
 
     /// What was published within the last 5 s, by incarnation.
     pub fn living(&self, now: MachineTime) -> Vec<(BootId, Guard)> {
-        self.words.lock().unwrap_or_else(PoisonError::into_inner).living(now)
+        let words = self.words.lock().unwrap_or_else(PoisonError::into_inner);
+        words.within(LIVING, now).map(|(life, said)| (life.clone(), said.clone())).collect()
     }
 
     /// Waits for the next sample.
@@ -148,19 +129,5 @@ mod tests {
         ] {
             assert_eq!(standing(&words, "alpha", 7), expected, "{words:?}");
         }
-    }
-
-    #[test]
-    fn many_strangers_push_no_known_guard_out() {
-        let at = |seconds| MachineTime::from_boot(Duration::from_secs(seconds));
-        let (mut words, (real, said)) = (Words::default(), says(7));
-        words.hear(real.clone(), said.clone(), at(100));
-        for _ in 0..30 {
-            let (life, said) = says(1);
-            words.hear(life, said, at(101));
-        }
-        assert!(words.living(at(101)).len() == LIVES && words.living(at(101)).iter().any(|(life, _)| *life == real));
-        words.hear(real.clone(), said, at(106));
-        assert_eq!(words.living(at(107)).len(), 1);
     }
 }

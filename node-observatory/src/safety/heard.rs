@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use bus::SkyTime;
-use contract::device::observing_conditions::Fields as Weather;
+use contract::device::observing_conditions::{Fields as Weather, made_of};
 use contract::device::safety_monitor::Fields as Monitor;
 use contract::device::switch::{Fields as Switches, number_of};
 use contract::{Datum, Device, DeviceState, Link};
@@ -314,15 +314,6 @@ fn oldest_s<'a>(ages_s: &BTreeMap<String, f64>, properties: impl IntoIterator<It
     ages.reduce(|a, b| if a.is_nan() || b.is_nan() || a < 0.0 || b < 0.0 { f64::NAN } else { a.max(b) })
 }
 
-/// The ASCOM properties that a parameter is made of.
-fn made_of(parameter: &str) -> Vec<&str> {
-    match parameter {
-        "RelativeSkyTemp" => vec!["SkyTemperature", "Temperature"],
-        "DewPointMargin" => vec!["Temperature", "DewPoint"],
-        name => vec![name],
-    }
-}
-
 fn connected<F>(state: &DeviceState<F>) -> Result<(), String> {
     match &state.link {
         Link::Connected => Ok(()),
@@ -359,21 +350,14 @@ fn parameter(
         let value = *datum.as_result().map_err(|reason| format!("{name}: {reason}"))?;
         plausible(name, value)
     };
-    match name {
-        "RelativeSkyTemp" => Ok(measured("SkyTemperature")? - measured("Temperature")?),
-        "DewPointMargin" => Ok(measured("Temperature")? - measured("DewPoint")?),
-        name => measured(name),
+    match made_of(name).as_slice() {
+        [from, what] => Ok(measured(from)? - measured(what)?),
+        _ => measured(name),
     }
 }
 
 /// Refuses a measurement that the station calls old; `told_s` is how long ago it said so, s of machine time.
-fn measured_lately(
-    age_s: &Datum<f64>,
-    what: &str,
-    told_s: f64,
-    max_age: Duration,
-    speed: f64,
-) -> Result<(), String> {
+fn measured_lately(age_s: &Datum<f64>, what: &str, told_s: f64, max_age: Duration, speed: f64) -> Result<(), String> {
     let age_s = match age_s {
         Datum::Known(age_s) => *age_s,
         // an answer, and no age; where none came nothing is said

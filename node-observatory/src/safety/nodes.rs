@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use bus::MachineTime;
-use contract::node::NodeState;
+use contract::node::{MOUNT_CLOCK_OFFSET_S, NodeState};
 use units::Utc;
 
 /// A node that was silent for so long has no say, machine time.
@@ -34,9 +34,6 @@ pub struct Witness {
     /// It is a mount's.
     pub is_mount: bool,
 }
-
-/// Figures of a device node's state end so: by how much the clock of the mount of that name is ahead of the node's, s.
-pub const MOUNT_CLOCK: &str = "_clock_offset_s";
 
 #[derive(Debug, Clone, Default)]
 struct Heard {
@@ -69,7 +66,7 @@ impl Nodes {
         heard.host = state.host.clone();
         let mounts = state.figures.iter().filter_map(|(name, value)| {
             let offset_s = value.number().filter(|s| s.is_finite())?;
-            Some((name.strip_suffix(MOUNT_CLOCK)?.to_owned(), offset_s))
+            Some((name.strip_suffix(MOUNT_CLOCK_OFFSET_S)?.to_owned(), offset_s))
         });
         heard.mounts = mounts.collect();
         heard.at = Some(now);

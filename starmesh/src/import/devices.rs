@@ -1,6 +1,7 @@
 //! Each kind of device: what the predecessor's keys are here.
 
 use contract::Kind;
+use contract::device::observing_conditions::made_of;
 
 use super::block::{Block, Lines, list, name, quoted};
 use super::entry::{Entry, Notes};
@@ -327,7 +328,7 @@ fn weather(block: &mut Block, entry: &mut Entry<'_>, notes: &mut Notes) {
             }
             if is_torn {
                 notes.add(limit.line, format!("{}: holds only as far as it could be read; please look", limit.place));
-            } else if dwell_min.is_none() {
+            } else if dwell_min.is_none() && !made_of(&parameter).is_empty() {
                 let what = "without max_safe_duration this limit did nothing; it counts now, with a dwell of 15 min";
                 notes.add(limit.line, format!("{}: {what}", limit.place));
             }

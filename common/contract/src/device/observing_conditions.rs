@@ -98,6 +98,21 @@ pub fn ascom_names() -> impl Iterator<Item = &'static str> {
     PROPERTIES.into_iter().map(|(name, _)| name)
 }
 
+/// What limits can be put on beside the properties, and the two properties of which each is the difference.
+const DIFFERENCES: [(&str, [&str; 2]); 2] =
+    [("RelativeSkyTemp", ["SkyTemperature", "Temperature"]), ("DewPointMargin", ["Temperature", "DewPoint"])];
+
+/// Everything that a limit can be put on.
+pub fn parameters() -> impl Iterator<Item = &'static str> {
+    ascom_names().chain(DIFFERENCES.into_iter().map(|(name, _)| name))
+}
+
+/// The properties that such a parameter is made of; none for a name that is no parameter.
+pub fn made_of(parameter: &str) -> Vec<&'static str> {
+    let difference = DIFFERENCES.into_iter().find(|(name, _)| *name == parameter);
+    difference.map_or_else(|| ascom_names().filter(|name| *name == parameter).collect(), |(_, of)| of.to_vec())
+}
+
 impl Fields {
     /// A measured value by its ASCOM name; `None` for a name that ASCOM does not know.
     pub fn by_ascom_name(&self, name: &str) -> Option<&Datum<f64>> {
