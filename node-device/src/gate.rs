@@ -156,8 +156,8 @@ impl Gate {
             let whose = if holder == from { "another process, or another life, of " } else { "" };
             return Err((Reason::LeaseHeld, format!("{whose}{holder} holds the lease and was heard within 5 s")));
         }
-        let (tokens, name) = (self.tokens.clone(), telescope.clone());
-        let granted = tokio::task::spawn_blocking(move || tokens.grant(&name)).await;
+        let (tokens, name, life) = (self.tokens.clone(), telescope.clone(), who.life.cloned());
+        let granted = tokio::task::spawn_blocking(move || tokens.grant(&name, life.as_ref())).await;
         let granted = granted.map_err(std::io::Error::other).and_then(|granted| granted);
         let token = granted.map_err(|error| (Reason::DeviceError, format!("the token cannot be written: {error}")))?;
         self.permits.granted(&telescope, who, self.clock.machine());

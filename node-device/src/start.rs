@@ -201,7 +201,12 @@ impl Shared<'_> {
             parked_within: seconds(dome.parked_within_s),
             travel: machine_limit(&clock, seconds(dome.travel_timeout_s)),
         };
+        let holders: Vec<_> =
+            known.iter().map(|(one, token)| (one.clone(), *token, self.tokens.holder(one.as_str()))).collect();
         let mut guard = Guard::new(settings, known, clock.machine());
+        for (telescope, token, holder) in holders {
+            guard.grant(telescope.as_str(), token, holder.as_ref());
+        }
         if self.link.is_some()
             && let Some(until) = deadline_of(dome.common.name.as_str())
         {

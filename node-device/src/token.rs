@@ -1,4 +1,4 @@
-//! Fencing tokens on disk: the newest one of each telescope.
+//! Fencing tokens on disk: the newest one of each telescope, and beside them who was granted it.
 //!
 //! The arbiter counts by what it granted itself, and no sample on the bus changes that. All other nodes follow
 //! the arbiter's own count, up and down: a token that somebody invents counts only until the arbiter publishes again.
@@ -10,11 +10,23 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use anyhow::Context as _;
+use contract::BootId;
+use serde::{Deserialize, Serialize};
 
 use crate::spool::{sync_folder, write_synced};
 
 /// A token is one more than the one before. One that is larger than this was never granted by anybody.
 const LARGEST: u64 = 1 << 53;
+
+/// Extension of the file beside the tokens that tells who holds them.
+const HOLDERS: &str = "holders";
+
+/// Who was granted a token.
+#[derive(Serialize, Deserialize)]
+struct Holder {
+    token: u64,
+    life: BootId,
+}
 
 /// The newest tokens known, by telescope.
 pub struct Tokens {
@@ -90,13 +102,37 @@ impl Tokens {
         self.known.lock().unwrap_or_else(PoisonError::into_inner).get(telescope).copied().unwrap_or(0)
     }
 
-    /// Grants the next token, on disk before it is returned. Blocks.
-    pub fn grant(&self, telescope: &str) -> io::Result<u64> {
+    /// Grants the next token to an incarnation, on disk before it is returned. Blocks.
+    pub fn grant(&self, telescope: &str, life: Option<&BootId>) -> io::Result<u64> {
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
         let token = self.highest(telescope).saturating_add(1);
+        // without this file a token is as good, and only a forged permit is not told from a true one
+        if let Err(error) = self.note_holder(telescope, token, life) {
+            tracing::warn!(telescope, token, %error, "who holds the lease could not be written");
+        }
         self.write(telescope, token)?;
         self.learn(telescope, token);
         Ok(token)
+    }
+
+    /// Who was granted the newest token of a telescope; not known where the file tells of another token, or nothing.
+    pub fn holder(&self, telescope: &str) -> Option<BootId> {
+        let holder = self.holders().remove(telescope)?;
+        (holder.token == self.highest(telescope)).then_some(holder.life)
+    }
+
+    fn holders(&self) -> BTreeMap<String, Holder> {
+        let read = fs::read(self.file.with_extension(HOLDERS)).ok();
+        read.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default()
+    }
+
+    fn note_holder(&self, telescope: &str, token: u64, life: Option<&BootId>) -> io::Result<()> {
+        let mut holders = self.holders();
+        holders.remove(telescope);
+        if let Some(life) = life {
+            holders.insert(telescope.to_owned(), Holder { token, life: life.clone() });
+        }
+        self.replace(&self.file.with_extension(HOLDERS), &serde_json::to_vec_pretty(&holders)?)
     }
 
     fn raise(&self, telescope: &str, token: u64) -> io::Result<()> {
@@ -125,9 +161,14 @@ impl Tokens {
     fn write(&self, telescope: &str, token: u64) -> io::Result<()> {
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner).clone();
         known.insert(telescope.to_owned(), token);
+        self.replace(&self.file, &serde_json::to_vec_pretty(&known)?)
+    }
+
+    /// Replaces a file as a whole, so that it is never half-written.
+    fn replace(&self, file: &Path, text: &[u8]) -> io::Result<()> {
         let part = self.file.with_extension("part");
-        write_synced(&part, &serde_json::to_vec_pretty(&known)?)?;
-        fs::rename(&part, &self.file)?;
+        write_synced(&part, text)?;
+        fs::rename(&part, file)?;
         if let Some(folder) = self.file.parent() {
             sync_folder(folder);
         }
@@ -144,12 +185,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("tokens.json");
         let tokens = Tokens::open(&file).unwrap();
-        assert_eq!(tokens.grant("alpha").unwrap(), 1);
-        assert_eq!(tokens.grant("alpha").unwrap(), 2);
-        assert_eq!(tokens.grant("beta").unwrap(), 1);
+        assert_eq!(tokens.grant("alpha", None).unwrap(), 1);
+        assert_eq!(tokens.grant("alpha", None).unwrap(), 2);
+        assert_eq!(tokens.grant("beta", None).unwrap(), 1);
         let tokens = Tokens::open(&file).unwrap();
         assert_eq!(tokens.highest("alpha"), 2);
-        assert_eq!(tokens.grant("alpha").unwrap(), 3);
+        assert_eq!(tokens.grant("alpha", None).unwrap(), 3);
     }
 
     #[test]
@@ -158,12 +199,12 @@ mod tests {
         let file = folder.path().join("tokens.json");
         let tokens = Tokens::open(&file).unwrap();
         tokens.arbitrate("alpha");
-        assert_eq!(tokens.grant("alpha").unwrap(), 1);
+        assert_eq!(tokens.grant("alpha", None).unwrap(), 1);
         for invented in [2, 7, u64::MAX] {
             tokens.follow("alpha", invented).unwrap();
             assert_eq!(tokens.highest("alpha"), 1);
         }
-        assert_eq!(tokens.grant("alpha").unwrap(), 2);
+        assert_eq!(tokens.grant("alpha", None).unwrap(), 2);
         // another node's telescope
         for (told, known) in [(7, 7), (u64::MAX, 7), (3, 3)] {
             tokens.follow("beta", told).unwrap();
@@ -178,8 +219,8 @@ mod tests {
         let file = folder.path().join("tokens.json");
         fs::write(&file, r#"{"alpha": 18446744073709551615, "beta": 9}"#).unwrap();
         let tokens = Tokens::open(&file).unwrap();
-        assert_eq!(tokens.grant("alpha").unwrap(), 1);
-        assert_eq!(tokens.grant("beta").unwrap(), 10);
+        assert_eq!(tokens.grant("alpha", None).unwrap(), 1);
+        assert_eq!(tokens.grant("beta", None).unwrap(), 10);
     }
 
     #[test]
@@ -190,14 +231,31 @@ mod tests {
         fs::write(folder.path().join("tokens-alpha-pc.json"), "{").unwrap();
         let tokens = Tokens::open(&folder.path().join("tokens-alpha-enclosure.json")).unwrap();
         tokens.adopt_from_siblings(folder.path(), "alpha").unwrap();
-        assert_eq!(tokens.grant("alpha").unwrap(), 42);
+        assert_eq!(tokens.grant("alpha", None).unwrap(), 42);
+    }
+
+    #[test]
+    fn who_holds_a_lease_is_known_after_a_restart_and_only_of_that_lease() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, life) = (folder.path().join("tokens.json"), BootId::fresh());
+        let tokens = Tokens::open(&file).unwrap();
+        tokens.grant("alpha", Some(&life)).unwrap();
+        tokens.grant("beta", None).unwrap();
+        let tokens = Tokens::open(&file).unwrap();
+        assert_eq!((tokens.holder("alpha"), tokens.holder("beta")), (Some(life), None));
+        // killed between the two files, or the newer one lost
+        fs::write(&file, r#"{"alpha": 5}"#).unwrap();
+        assert_eq!(Tokens::open(&file).unwrap().holder("alpha"), None);
+        fs::write(file.with_extension(HOLDERS), "{\"al").unwrap();
+        let tokens = Tokens::open(&file).unwrap();
+        assert_eq!((tokens.holder("alpha"), tokens.grant("alpha", None).unwrap()), (None, 6));
     }
 
     #[test]
     fn a_token_that_cannot_be_written_is_not_granted() {
         let folder = tempfile::tempdir().unwrap();
         let tokens = Tokens::open(&folder.path().join("absent").join("tokens.json")).unwrap();
-        assert!(tokens.grant("alpha").is_err());
+        assert!(tokens.grant("alpha", None).is_err());
         assert_eq!(tokens.highest("alpha"), 0);
         // the arbiter's count binds even so
         assert!(tokens.follow("alpha", 4).is_err());

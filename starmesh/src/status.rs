@@ -1,4 +1,4 @@
-//! `starmesh status`: all telescopes on the bus, what each does or waits for, and why it is not safe.
+//! `starmesh status`: all telescopes on the bus, what each does or waits for, why it is not safe, and what is wrong.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -6,13 +6,17 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use contract::command::operator;
 use contract::observatory::{
-    Alerts, NightState, Posture, RowState, RowStatus, SafetyState, ScheduleState, StandingOrders, Unsafe, Verdict,
+    Alert, Alerts, NightState, Posture, RowState, RowStatus, SafetyState, ScheduleState, StandingOrders, Unsafe,
+    Verdict,
 };
 use contract::{Address, Key, Part};
 use units::Utc;
 
 use crate::console::{foreign_line, line};
 use crate::join::Join;
+
+/// So many alerts of a telescope are shown: the most urgent ones.
+const MOST_ALERTS: usize = 5;
 
 /// Options of `starmesh status`.
 #[derive(Debug, Args)]
@@ -32,7 +36,8 @@ struct Told {
     at: Option<Utc>,
     safety: Option<SafetyState>,
     schedule: Option<ScheduleState>,
-    alerts: usize,
+    /// The alerts that stand, the most urgent first.
+    alerts: Vec<Alert>,
     /// Who has taken it over, if somebody has.
     held: Option<String>,
     /// Who ordered that it stays closed, if somebody did.
@@ -103,7 +108,7 @@ async fn ask(bus: &bus::Bus, telescopes: &mut BTreeMap<Address, Told>) {
     }
     for (key, said) in bus.get_all::<Alerts>(&part(Part::Alerts), timeout).await {
         if matches!(key, Key::Observatory(..)) {
-            telescopes.entry(key.address().clone()).or_default().alerts = said.body.alerts.len();
+            telescopes.entry(key.address().clone()).or_default().alerts = said.body.alerts;
         }
     }
 }
@@ -119,7 +124,7 @@ impl Told {
         let posture = night.map_or("-", |night| posture_word(night.posture));
         let mode = night.map_or("-", |night| if night.robotic { "ROBOTIC" } else { "MANUAL" });
         let sky = night.map_or_else(|| "-".to_owned(), sky_word);
-        let (alerts, now) = (self.alerts, self.now(address));
+        let (alerts, now) = (self.alerts.len(), self.now(address));
         let now = match &self.held {
             Some(held) if now.is_empty() => held.clone(),
             Some(held) => format!("{held}; {now}"),
@@ -141,6 +146,13 @@ impl Told {
                 };
                 lines.push(all);
             }
+        }
+        lines.extend(self.alerts.iter().take(MOST_ALERTS).map(alert_words));
+        if let Some(more) = alerts.checked_sub(MOST_ALERTS).filter(|more| *more > 0) {
+            lines.push(format!(
+                "    {more} more alerts: starmesh tail '{}'",
+                Key::Observatory(address.clone(), Part::Alerts)
+            ));
         }
         lines
     }
@@ -190,6 +202,13 @@ impl Told {
     }
 }
 
+/// What happened and what a person should do.
+fn alert_words(alert: &Alert) -> String {
+    let who = alert.acknowledged_by.as_ref().map(|who| format!(" ({who} sees to it)")).unwrap_or_default();
+    let gone = if alert.returned_utc.is_some() { " (its cause is gone)" } else { "" };
+    format!("    {} {}: {}{gone}{who}; {}", alert.priority.word(), alert.id, alert.cause, alert.action)
+}
+
 /// A reason with the time at which it can end.
 fn reason_words(reason: &Unsafe) -> String {
     let clears = match reason.clears_in_s {
@@ -235,6 +254,8 @@ pub fn posture_word(posture: Posture) -> &'static str {
 
 #[cfg(test)]
 mod tests {
+    use contract::observatory::AlertKind;
+
     use super::*;
 
     fn told(night: &str, safety: &str, rows: &str) -> Told {
@@ -245,7 +266,7 @@ mod tests {
             schedule: Some(
                 serde_json::from_str(&format!(r#"{{"file": "s", "revision": 1, "rows": [{rows}]}}"#)).unwrap(),
             ),
-            alerts: 1,
+            alerts: vec![AlertKind::DomeNotClosed.alert("dome", Utc::from_seconds(1.0), "it says open")],
             held: None,
             stay_closed: None,
         }
@@ -274,6 +295,11 @@ mod tests {
         assert_eq!(lines[1], "    not safe: wx/Humidity: 91 is above 80; when it clears cannot be known");
         assert_eq!(lines[2], "    not safe: wx/WindSpeed: good for 3.0 of 15.0 min; can clear in 12 min");
         assert_eq!(lines[3], "    when it will be safe again cannot be known yet");
+        assert!(lines[4].starts_with("    CRITICAL dome-not-closed/dome: it says open; "), "{lines:#?}");
+        let six =
+            Told { alerts: vec![told(&night(true), SAFE, "").alerts.remove(0); 7], ..told(&night(true), SAFE, "") };
+        let last = six.lines(&address).pop().unwrap();
+        assert_eq!(last, "    2 more alerts: starmesh tail 'starmesh/v1/paranal/io/observatory/alerts/state'");
     }
 
     #[test]

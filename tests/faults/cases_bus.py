@@ -128,6 +128,15 @@ def unsafe_permits(rig):
     yield
 
 
+@case("the dome's device node restarts, then bad permits that say unsafe: the valid one counts", "B3 N2", group=GROUP, watch_s=3.0)
+def unsafe_permits_after_a_restart(rig):
+    # the guard's new life must know who holds the lease
+    ear = rig.fresh_ear()
+    second_token(rig, ear)
+    rig.restart("dome")
+    yield from unsafe_permits(rig)
+
+
 @case("bad permits that say safe while it is unsafe: nothing opens", "B3 N2", ISSAFE, takes_frames_first=True)
 def safe_permits(rig):
     ear = rig.fresh_ear()

@@ -130,12 +130,17 @@ def closings() -> list[str]:
     return [put["member"] for put in puts if put["device"] == "dome" and put["member"] in ("openshutter", "park", "closeshutter")]
 
 
+def opened() -> float:
+    """How far the dome is open: 0 is closed, 1 is open."""
+    return get(PORT, "simulator/v1/world")["dome"]["open"]
+
+
 def main(section: str, starmesh: str, document: str, home: str):
     for words in ["link set lo up", "link set lo multicast on", "route add 224.0.0.0/4 dev lo"]:
         subprocess.run(["ip", *words.split()], check=True)
     folder = pathlib.Path(home)
     os.environ["HOME"], os.environ["PATH"] = home, f"{pathlib.Path(starmesh).parent}:{os.environ['PATH']}"
-    is_old = section != "A first night"
+    is_old = section not in ("A first night", "Make it rain")
     telescope = "template/telescope-template" if is_old else "my-site/my-telescope"
     shell = Shell(folder, telescope)
     try:
@@ -146,14 +151,26 @@ def main(section: str, starmesh: str, document: str, home: str):
             shell.type("starmesh simulator &")
             connect(PORT, "telescope")
             connect(PORT, "observingconditions")
+        if section == "Make it rain":
+            for line in lines_of(pathlib.Path(document), "A first night"):
+                shell.type(line)
         for line in lines_of(pathlib.Path(document), section):
+            # a person looks first: whether it is open, and whether the rain has closed it
+            if line.startswith("curl") and "true" in line:
+                wait("the dome is open", lambda: opened() > 0.9, 120)
+            elif line == "starmesh status":
+                wait("the dome is closed", lambda: opened() == 0, 60)
             shell.type(line.replace("SITE/TELESCOPE", telescope))
+        if section == "Make it rain":
+            wait("the dome is open again", lambda: opened() > 0.9, 120)
+            print(json.dumps({"dome": closings(), "said": shell.said, "codes": shell.end()}))
+            return
         if section == "Coming from Astra":
             rows = find(state(telescope), "rows")
             print(json.dumps({"rows": len(rows), "said": shell.said, "codes": shell.end()}))
             return
         ended = follow(telescope)
-        wait("the dome is closed", lambda: get(PORT, "simulator/v1/world")["dome"]["open"] == 0, 60)
+        wait("the dome is closed", lambda: opened() == 0, 60)
         told = {"rows": [(row["action"], row["status"], row.get("detail", "")) for row in ended], "said": shell.said, "dome": closings()}
         print(json.dumps(told | {"codes": shell.end()}))
     finally:

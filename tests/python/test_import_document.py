@@ -54,3 +54,11 @@ def test_the_documented_trial_runs_the_whole_night_of_a_template_site(starmesh, 
 def test_the_first_night_on_what_init_writes_has_every_row_finished(starmesh, tmp_path):
     told = type_lines("A first night", "docs/operator/first-night.md", starmesh, tmp_path)
     assert len(told["rows"]) == 6 and all(status == "finished" for _, status, _ in told["rows"]), told["rows"]
+
+
+def test_rain_on_the_first_night_closes_the_dome_and_the_night_goes_on_after_it(starmesh, tmp_path):
+    told = type_lines("Make it rain", "docs/operator/first-night.md", starmesh, tmp_path)
+    assert told["dome"][:3] == ["openshutter", "closeshutter", "openshutter"], told
+    status = told["said"][-2]
+    assert "UNSAFE" in status and "RainRate" in status and "can clear in" in status, status
+    assert told["codes"][0] == 0, told

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use contract::observatory::{Alert, AlertEvent, Priority};
+use contract::observatory::{Alert, AlertEvent};
 use contract::{Address, printable};
 use serde_json::{Value, json};
 
@@ -33,7 +33,7 @@ impl Letter {
             [one] => {
                 // what other nodes say must not become a line of its own in a mail's head
                 let id = printable(&one.alert.id);
-                format!("[{address}] {} {}: {id}", priority(one.alert.priority), one.event.word())
+                format!("[{address}] {} {}: {id}", one.alert.priority.word(), one.event.word())
             }
             all => format!("[{address}] {} alerts", all.len()),
         }
@@ -45,7 +45,7 @@ impl Letter {
         for News { event, alert } in self.news.iter().take(MOST_IN_FULL) {
             let Alert { id, cause, consequence, action, raised_utc, .. } = alert;
             let (id, cause) = (printable(id), printable(cause));
-            let (event_word, urgency) = (event.word(), priority(alert.priority));
+            let (event_word, urgency) = (event.word(), alert.priority.word());
             let _ = writeln!(text, "{urgency} {event_word}: {id} at {address}\n{}", cut(&cause));
             match event {
                 AlertEvent::Raised => {
@@ -61,7 +61,7 @@ impl Letter {
             let _ = writeln!(text, "Since {raised_utc}\n");
         }
         for News { event, alert } in self.news.iter().skip(MOST_IN_FULL) {
-            let _ = writeln!(text, "{} {}: {}", priority(alert.priority), event.word(), printable(&alert.id));
+            let _ = writeln!(text, "{} {}: {}", alert.priority.word(), event.word(), printable(&alert.id));
         }
         text.truncate(text.trim_end().len());
         text
@@ -86,15 +86,6 @@ fn cut(cause: &str) -> String {
     match cause.char_indices().nth(MOST_CHARS) {
         Some((end, _)) => format!("{} ...", &cause[..end]),
         None => cause.to_owned(),
-    }
-}
-
-fn priority(priority: Priority) -> &'static str {
-    match priority {
-        Priority::Critical => "CRITICAL",
-        Priority::High => "high",
-        Priority::Medium => "medium",
-        Priority::Advisory => "advisory",
     }
 }
 

@@ -1,4 +1,4 @@
-//! An example schedule for the coming night of a place.
+//! An example schedule for this night of a place, or the coming one.
 
 use contract::Kind;
 use serde_json::{Value, json};
@@ -24,6 +24,8 @@ const FIELDS: [(&str, f64, f64); 12] = [
 ];
 /// Of the row that is not only an example: from the beginning of the night on.
 const LENGTH_S: f64 = 2.5 * 3600.0;
+/// Left for starting the nodes, s of sky time.
+const START_S: f64 = 600.0;
 const EXAMPLE_CAMERA: &str = "my_camera";
 
 /// The text of the schedule, for the first camera of a configuration.
@@ -83,7 +85,7 @@ fn rows(config: &config::Observatory, camera: &str, field: (&str, f64, f64), dus
         row("The camera is cooled to camera.temperature_c.", "cool_camera", json!({}), later(-1800.0), dawn);
     }
     if has(Kind::Dome) {
-        row("The dome opens at nautical dusk, if the sky allows it.", "open", json!({}), dusk, dawn);
+        row("The dome opens once it is dark (nautical dusk), if the sky allows it.", "open", json!({}), dusk, dawn);
     }
     let mut value = json!({ "object": name, "exptime": 20.0, "n": 5 });
     if has(Kind::Telescope)
@@ -120,7 +122,7 @@ fn rows(config: &config::Observatory, camera: &str, field: (&str, f64, f64), dus
     lines
 }
 
-/// The dark part of the coming night.
+/// The dark part of a night, as far as it is yet to come.
 struct Dark {
     place: Place,
     dusk: Utc,
@@ -128,18 +130,19 @@ struct Dark {
 }
 
 impl Dark {
-    /// This night, if its dusk is yet to come, else the next.
+    /// This night, from now on where it has begun, if what is left of it is long enough; else the next.
     fn next(latitude_deg: f64, longitude_deg: f64, elevation_m: f64, now: Utc) -> Option<Self> {
         let (latitude, longitude) = (Angle::from_degrees(latitude_deg), Angle::from_degrees(longitude_deg));
         let place = Place::new(latitude, longitude, elevation_m).ok()?;
         let orientation = EarthOrientation::default();
         let tonight = sky::night(&place, &orientation, now).ok()?;
-        let is_to_come = tonight.nautical_dusk.is_some_and(|dusk| dusk > now.plus_seconds(600.0));
-        let night = if is_to_come {
-            tonight
-        } else {
-            sky::night(&place, &orientation, tonight.ends.plus_seconds(60.0)).ok()?
-        };
-        Some(Self { place, dusk: night.nautical_dusk?, dawn: night.nautical_dawn? })
+        let soon = now.plus_seconds(START_S);
+        if let (Some(dusk), Some(dawn)) = (tonight.nautical_dusk, tonight.nautical_dawn)
+            && dusk.max(soon).plus_seconds(LENGTH_S) <= dawn
+        {
+            return Some(Self { place, dusk: dusk.max(soon), dawn });
+        }
+        let next = sky::night(&place, &orientation, tonight.ends.plus_seconds(60.0)).ok()?;
+        Some(Self { place, dusk: next.nautical_dusk?, dawn: next.nautical_dawn? })
     }
 }

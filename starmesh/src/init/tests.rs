@@ -48,6 +48,31 @@ fn without_any_device_there_are_examples_behind_a_hash_and_the_place_is_to_be_fi
     assert_eq!(config.devices().len(), 10);
 }
 
+#[test]
+fn in_the_dark_the_example_begins_at_once_and_near_dawn_with_the_next_night() {
+    let config = text::prove(
+        &text::text(&options(Path::new("x"), Vec::new()), &[], &Surroundings::default()),
+        None,
+        Path::new("x"),
+    )
+    .unwrap();
+    let start_after_h = |now: &str| {
+        let now: units::Utc = now.parse().unwrap();
+        let place =
+            Some(crate::import::site::Location { latitude_deg: -24.6, longitude_deg: -70.4, elevation_m: 2500.0 });
+        let schedule = night::schedule(&config, &Surroundings { place, simulated: Some(now) }).unwrap();
+        let row: serde_json::Value =
+            serde_json::from_str(schedule.lines().find(|line| !line.starts_with("//")).unwrap()).unwrap();
+        row["start_time"].as_str().unwrap().parse::<units::Utc>().unwrap().seconds_since(now) / 3600.0
+    };
+    for (now, hours) in
+        [("2026-11-23T20:00:00Z", 3.0..6.0), ("2026-11-24T02:00:00Z", 0.1..0.2), ("2026-11-24T08:30:00Z", 14.0..18.0)]
+    {
+        let after_h = start_after_h(now);
+        assert!(hours.contains(&after_h), "{now}: {after_h} h");
+    }
+}
+
 fn is_toml(line: &str) -> bool {
     line.starts_with("[[")
         || line.starts_with(']')

@@ -19,6 +19,18 @@ pub enum Priority {
     Advisory,
 }
 
+impl Priority {
+    /// The priority as messages and tables show it.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Critical => "CRITICAL",
+            Self::High => "high",
+            Self::Medium => "medium",
+            Self::Advisory => "advisory",
+        }
+    }
+}
+
 /// The alerts that stand, at each change and every 10 s.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Alerts {
