@@ -58,7 +58,9 @@ def test_the_first_night_on_what_init_writes_has_every_row_finished(starmesh, tm
 
 def test_rain_on_the_first_night_closes_the_dome_and_the_night_goes_on_after_it(starmesh, tmp_path):
     told = type_lines("Make it rain", "docs/operator/first-night.md", starmesh, tmp_path)
-    assert told["dome"][:3] == ["openshutter", "closeshutter", "openshutter"], told
+    later = told["dome"][told["dome"].index("openshutter") + 1:]
+    assert later[0] == "closeshutter" and "openshutter" in later[1:], told
     status = told["said"][-2]
-    assert "UNSAFE" in status and "RainRate" in status and "can clear in" in status, status
+    # the monitor reports the rain first, the station at its next poll
+    assert "UNSAFE" in status and "not safe: safetymonitor/simulated_safetymonitor" in status, status
     assert told["codes"][0] == 0, told
