@@ -29,6 +29,10 @@ use crate::shutter_evidence::{Contradiction, ShutterEvidence};
 
 /// Closing is tried again so often.
 const RETRY: Duration = Duration::from_secs(10);
+/// A shutter that opens again while it must close is asked again so soon.
+const AGAIN: Duration = Duration::from_secs(2);
+/// Between two tries at most so often: a status that sticks at opening proves nothing.
+const MOST_AGAIN: u32 = 3;
 /// After so many tries without success all movement is stopped before the next.
 const PATIENCE: u32 = 2;
 /// Whoever commands sends the mounts to their park within this time; after it the guard process asks them itself.
@@ -100,12 +104,31 @@ struct Closing {
     since: MachineTime,
     tries: u32,
     last_try: Option<MachineTime>,
+    /// The last request beyond the tries, because the shutter opened again, and their number since the last try.
+    last_again: Option<MachineTime>,
+    agains: u32,
+    /// Since the last request the shutter was seen to close, or to be closed.
+    went: bool,
     commanded: bool,
 }
 
 impl Closing {
     fn begun(since: MachineTime, commanded: bool) -> Self {
-        Self { since, tries: 0, last_try: None, commanded }
+        Self { since, tries: 0, last_try: None, last_again: None, agains: 0, went: false, commanded }
+    }
+
+    /// Has the shutter turned round since the last request? By what it was asked for later.
+    fn opens_again(&mut self, seen: Option<(Shutter, MachineTime)>) -> bool {
+        let Some((shutter, asked)) = seen else { return false };
+        if self.last_request().is_none_or(|at| asked <= at) {
+            return false;
+        }
+        self.went |= matches!(shutter, Shutter::Closing | Shutter::Closed);
+        shutter == Shutter::Opening || (shutter == Shutter::Open && self.went)
+    }
+
+    fn last_request(&self) -> Option<MachineTime> {
+        self.last_try.max(self.last_again)
     }
 }
 
@@ -343,7 +366,7 @@ impl Guard {
                 self.expected = Expected::Closed;
             }
             Some(mut closing) => {
-                self.close(&mut closing, now, shutter, parked, &mut deeds, &mut alarms);
+                self.close(&mut closing, now, seen, parked, &mut deeds, &mut alarms);
                 self.closing = Some(closing);
             }
             None if closed => self.was_open = false,
@@ -393,7 +416,7 @@ impl Guard {
         &mut self,
         closing: &mut Closing,
         now: MachineTime,
-        shutter: Option<Shutter>,
+        seen: Option<(Shutter, MachineTime)>,
         parked: bool,
         deeds: &mut Vec<Deed>,
         alarms: &mut Vec<Alarm>,
@@ -405,7 +428,7 @@ impl Guard {
             CloseWithMount::ParkedWithinS => parked || waited,
             CloseWithMount::ParkedOnly => parked,
         };
-        let says_closed = shutter == Some(Shutter::Closed);
+        let says_closed = seen.is_some_and(|(shutter, _)| shutter == Shutter::Closed);
         if !may_move {
             // of one whose status is closed, and that nobody is known to have opened since, only the proof is missing
             if waited && (!says_closed || self.evidence.is_doubted()) {
@@ -420,7 +443,16 @@ impl Guard {
             let stops = closing.tries >= PATIENCE && !says_closed;
             deeds.push(if stops { Deed::AbortThenClose } else { Deed::Close });
             closing.tries += 1;
-            closing.last_try = Some(now);
+            (closing.last_try, closing.agains, closing.went) = (Some(now), 0, false);
+            self.evidence.close_sent(now);
+        } else if closing.opens_again(seen)
+            && closing.agains < MOST_AGAIN
+            && closing.last_request().is_none_or(|at| now.since(at) >= AGAIN)
+        {
+            // a request to open that came late, or another client: what it shows is no reason to wait for the next try
+            deeds.push(Deed::Close);
+            (closing.last_again, closing.went) = (Some(now), false);
+            closing.agains += 1;
             self.evidence.close_sent(now);
         }
         if closing.tries > PATIENCE || now.since(closing.since) >= travel + GRACE {

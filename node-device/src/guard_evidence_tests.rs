@@ -45,6 +45,30 @@ fn a_status_that_sticks_at_closed_suppresses_no_close_request_and_is_told() {
 }
 
 #[test]
+fn a_shutter_that_opens_again_while_it_must_close_is_asked_at_once() {
+    use Shutter::{Closing, Open, Opening};
+    // by the half second from the first request on: what is seen
+    for (seen, asked_at) in [
+        // a request to open that the server carried out late
+        (vec![Open, Open, Opening, Opening, Opening, Opening], 5.0),
+        // another client, while it closes
+        (vec![Closing, Closing, Closing, Closing, Opening, Opening], 5.0),
+        (vec![Closing, Closing, Closing, Closing, Open, Open], 5.0),
+    ] {
+        let mut guard = opened(Open);
+        let mut requests = Vec::new();
+        for (step, shutter) in [Open].into_iter().chain(seen.clone()).enumerate() {
+            let now = 3.0 + 0.5 * step as f64;
+            unsafe_at(&mut guard, now);
+            if closes(&guard.sees(at(now), Some(shutter), true)) {
+                requests.push(now);
+            }
+        }
+        assert_eq!(requests, [3.0, asked_at], "{seen:?}");
+    }
+}
+
+#[test]
 fn a_status_that_sticks_at_anything_else_is_asked_to_close_for_ever() {
     for stuck in [Shutter::Open, Shutter::Opening, Shutter::Closing, Shutter::Error] {
         let mut guard = opened(Shutter::Open);

@@ -88,10 +88,10 @@ pub fn main(mut options: NodeOptions, verb: &[&str]) -> std::process::ExitCode {
     }
     let is_enclosure = options.id.as_ref().is_none_or(|id| id.as_str() == config::ENCLOSURE_NODE);
     if is_enclosure && bus::node::read_observatory(&options.config).is_err() {
-        eprintln!(
+        bus::lines::complain(format_args!(
             "NOBODY GUARDS the enclosure of {}: the file cannot be used, and no copy of one that worked exists",
             options.config.display()
-        );
+        ));
     }
     bus::node::main_with(options, contract::Role::Device, run)
 }

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
-use bus::{NodeOptions, Stop};
+use bus::{NodeOptions, Stop, lines};
 use tokio::task::JoinSet;
 
 use crate::child::{self, END_LIMIT};
@@ -21,13 +21,12 @@ const READ_AGAIN: Duration = Duration::from_secs(5);
 /// whose guard process knows what last worked; the others follow when it can be read.
 pub fn main(options: &NodeOptions, verb: &[&str]) -> ExitCode {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    match runtime.context("cannot start the runtime").and_then(|runtime| runtime.block_on(run(options, verb))) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("node-device: {error:#}");
-            ExitCode::FAILURE
-        }
+    let ended = runtime.context("cannot start the runtime").and_then(|runtime| runtime.block_on(run(options, verb)));
+    if let Err(error) = &ended {
+        lines::complain(format_args!("node-device: {error:#}"));
     }
+    lines::flush();
+    if ended.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
 /// One node.
@@ -56,9 +55,9 @@ async fn run(options: &NodeOptions, verb: &[&str]) -> anyhow::Result<()> {
             Err(error) => {
                 start_missing(&mut nodes, options, verb, &[(config::ENCLOSURE_NODE.to_owned(), true)]);
                 if complaint != error {
-                    eprintln!(
+                    lines::complain(format_args!(
                         "node-device: {error}; what last worked guards the enclosure, and the file is read again"
-                    );
+                    ));
                     complaint = error;
                 }
                 false
@@ -69,7 +68,10 @@ async fn run(options: &NodeOptions, verb: &[&str]) -> anyhow::Result<()> {
             () = alive_for(if is_whole { Duration::MAX } else { READ_AGAIN }) => {}
         }
     }
-    eprintln!("node-device: ending; an open enclosure is closed first, which takes up to {} s", END_LIMIT.as_secs());
+    lines::complain(format_args!(
+        "node-device: ending; an open enclosure is closed first, which takes up to {} s",
+        END_LIMIT.as_secs()
+    ));
     let ending = async {
         let mut failed = false;
         for Running { stop, mut tasks, .. } in nodes {
@@ -113,7 +115,10 @@ fn read(options: &NodeOptions) -> Result<Vec<(String, bool)>, String> {
     let ids: Vec<(String, bool)> = ids.collect();
     let names = |id: &str| config.served_by(id).iter().map(|(_, common)| common.name.to_string()).collect::<Vec<_>>();
     let told: Vec<String> = ids.iter().map(|(id, _)| format!("{id} ({})", names(id).join(", "))).collect();
-    eprintln!("node-device: each device node runs as a process of its own: {}; --id starts one alone", told.join(", "));
+    lines::complain(format_args!(
+        "node-device: each device node runs as a process of its own: {}; --id starts one alone",
+        told.join(", ")
+    ));
     Ok(ids)
 }
 
@@ -150,7 +155,7 @@ async fn keep(options: &NodeOptions, verb: &[String], id: &str, stop: Stop) -> a
         };
         let status = ended.map_or_else(|error| error.to_string(), |status| status.to_string());
         pause = if started.elapsed() > HEALTHY { Duration::from_secs(1) } else { (pause * 2).min(LONGEST_PAUSE) };
-        eprintln!("node-device: the device node {id} ended ({status}); next start in {pause:?}");
+        lines::complain(format_args!("node-device: the device node {id} ended ({status}); next start in {pause:?}"));
         if stop.or(tokio::time::sleep(pause)).await.is_none() {
             return Ok(true);
         }

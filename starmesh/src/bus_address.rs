@@ -3,7 +3,9 @@
 //! The supervisor itself has the addresses of `[bus] listen`: it runs as long as the whole does, and nodes come and go.
 //! Each node listens on a free port of the same interface, and meets the supervisor on this host.
 
-use bus::Bus;
+use std::net::UdpSocket;
+
+use bus::{Bus, lines};
 
 /// Where the supervisor listens: as the file has it, and on this host.
 pub fn of_supervisor(file: &config::Bus) -> config::Bus {
@@ -21,17 +23,29 @@ pub async fn of_nodes(file: &config::Bus, supervisor: &Bus) -> Vec<String> {
     for endpoint in &file.listen {
         arguments.extend(["--listen".to_owned(), with_free_port(endpoint)]);
     }
+    if file.listen.is_empty() && file.multicast && !has_network() {
+        // zenoh tells others no address of this host's own where it has no other one
+        for endpoint in ["tcp/0.0.0.0:0", HERE] {
+            arguments.extend(["--listen".to_owned(), endpoint.to_owned()]);
+        }
+    }
     let locators = supervisor.locators().await;
     for locator in locators.iter().filter(|locator| locator.starts_with("tcp/127.0.0.1:")) {
         arguments.extend(["--connect".to_owned(), locator.clone()]);
     }
     for endpoint in file.listen.iter().filter(|endpoint| is_elsewhere(endpoint, &locators)) {
-        eprintln!(
+        lines::complain(format_args!(
             "starmesh: {endpoint} of [bus] listen is held by another program, or is no address of this host; \
              the nodes go on without it and meet the others where they can"
-        );
+        ));
     }
     arguments
+}
+
+/// Has this host a way to any other? A computer may start before its switch does, or work without a network.
+fn has_network() -> bool {
+    // nothing is sent: an address for documents is looked up in the table of routes
+    UdpSocket::bind("0.0.0.0:0").and_then(|socket| socket.connect("192.0.2.1:9")).is_ok()
 }
 
 /// The same interface with a port that the system chooses.

@@ -57,17 +57,19 @@ impl Left {
         }
         for Started { role, id, process } in before.nodes.into_iter().filter(|node| is_alive(node.process)) {
             let pid = process.pid;
-            println!("an earlier `starmesh up` left the {role} node {id} as process {pid}: it is asked to end");
+            bus::lines::say(format_args!(
+                "an earlier `starmesh up` left the {role} node {id} as process {pid}: it is asked to end"
+            ));
             ask_to_end(pid);
             let began = std::time::Instant::now();
             while is_alive(process) && began.elapsed() < END {
                 tokio::time::sleep(Duration::from_millis(200)).await;
             }
             if is_alive(process) {
-                println!(
+                bus::lines::say(format_args!(
                     "process {pid} still closes its enclosure; the new {role} node {id} waits for it and then takes over \
                      (kill -9 {pid} ends it at once, and nobody closes meanwhile)"
-                );
+                ));
             }
         }
         let left = Self { path, told: std::sync::Mutex::default() };
@@ -103,7 +105,9 @@ impl Left {
         let mut told = self.told.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         change(&mut told);
         if let Err(error) = write(&self.path, &told) {
-            eprintln!("starmesh: {error:#}; a later `starmesh up` will not know what this one left");
+            bus::lines::complain(format_args!(
+                "starmesh: {error:#}; a later `starmesh up` will not know what this one left"
+            ));
         }
     }
 }
@@ -137,7 +141,7 @@ fn ask_to_end(pid: u32) {
 
 #[cfg(not(unix))]
 fn ask_to_end(pid: u32) {
-    println!("end process {pid} by hand: this system has no signal for it");
+    bus::lines::say(format_args!("end process {pid} by hand: this system has no signal for it"));
 }
 
 #[cfg(test)]

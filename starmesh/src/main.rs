@@ -121,14 +121,12 @@ fn main() -> ExitCode {
         Command::Discover(options) => block_on(discover::run(options)),
         Command::Simulator(options) => block_on(simulate::run(options)),
     };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) if console::reader_has_gone(&error) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("starmesh: {error:#}");
-            ExitCode::FAILURE
-        }
+    let failed = result.err().filter(|error| !console::reader_has_gone(error));
+    if let Some(error) = &failed {
+        bus::lines::complain(format_args!("starmesh: {error:#}"));
     }
+    bus::lines::flush();
+    if failed.is_some() { ExitCode::FAILURE } else { ExitCode::SUCCESS }
 }
 
 fn node(role: NodeRole, options: bus::NodeOptions) -> ExitCode {

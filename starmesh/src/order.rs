@@ -47,7 +47,7 @@ enum What {
     Reload,
     /// Close, and open for nobody until `open-again`. Waits until it is verified closed.
     StayClosed,
-    /// Take `stay-closed` back; opens nothing by itself.
+    /// Take `stay-closed` back; the schedule goes on once the sky is safe, where somebody has ordered `start`.
     OpenAgain,
     /// Do without one limit of the weather, or the Sun's, for a while.
     Override {

@@ -1,15 +1,16 @@
 //! `starmesh status`: all telescopes on the bus, what each does or waits for, why it is not safe, and what is wrong.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use clap::Args;
 use contract::command::operator;
+use contract::node::NodeState;
 use contract::observatory::{
     Alert, Alerts, NightState, Posture, RowState, RowStatus, SafetyState, ScheduleState, StandingOrders, Unsafe,
     Verdict,
 };
-use contract::{Address, Key, Part};
+use contract::{Address, Key, NodeTopic, Part};
 use units::Utc;
 
 use crate::console::{foreign_line, line};
@@ -38,6 +39,8 @@ struct Told {
     schedule: Option<ScheduleState>,
     /// The alerts that stand, the most urgent first.
     alerts: Vec<Alert>,
+    /// Its nodes that answer, of whatever role.
+    nodes: BTreeSet<String>,
     /// Who has taken it over, if somebody has.
     held: Option<String>,
     /// Who ordered that it stays closed, if somebody did.
@@ -54,7 +57,8 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     let mut known = 0;
     while Instant::now() < until {
         ask(&bus, &mut telescopes).await;
-        if !telescopes.is_empty() && telescopes.len() == known {
+        let all_tell = telescopes.values().all(|told| told.night.is_some());
+        if all_tell && !telescopes.is_empty() && telescopes.len() == known {
             break;
         }
         known = telescopes.len();
@@ -82,6 +86,15 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
 async fn ask(bus: &bus::Bus, telescopes: &mut BTreeMap<Address, Told>) {
     let timeout = Duration::from_secs(1);
     let part = |part: Part| format!("{}/*/*/observatory/{}/state", contract::key::ROOT, part.word());
+    // a telescope whose observatory node is dead or hangs is the one that must not be absent here
+    let nodes = format!("{}/*/*/node/*/*/{}", contract::key::ROOT, NodeTopic::State.word());
+    for (key, _) in bus.get_all::<NodeState>(&nodes, timeout).await {
+        if let Key::Node(address, role, id, _) = &key
+            && address.telescope.as_str() != Address::SHARED
+        {
+            telescopes.entry(address.clone()).or_default().nodes.insert(format!("{}/{id}", role.word()));
+        }
+    }
     for (key, said) in bus.get_all::<NightState>(&part(Part::Night), timeout).await {
         let told = telescopes.entry(key.address().clone()).or_default();
         told.at = Some(said.at_utc);
@@ -159,7 +172,10 @@ impl Told {
 
     /// What it does, or what it waits for.
     fn now(&self, address: &Address) -> String {
-        let Some(night) = &self.night else { return String::new() };
+        let Some(night) = &self.night else {
+            let nodes: Vec<&str> = self.nodes.iter().map(String::as_str).collect();
+            return format!("NO OBSERVATORY NODE ANSWERS; of this telescope there answer: {}", nodes.join(", "));
+        };
         if !night.actions.is_empty() {
             let actions = night.actions.iter().map(|action| {
                 let object = action.object.as_ref().map(|object| format!(" {object}")).unwrap_or_default();
@@ -267,6 +283,7 @@ mod tests {
                 serde_json::from_str(&format!(r#"{{"file": "s", "revision": 1, "rows": [{rows}]}}"#)).unwrap(),
             ),
             alerts: vec![AlertKind::DomeNotClosed.alert("dome", Utc::from_seconds(1.0), "it says open")],
+            nodes: BTreeSet::new(),
             held: None,
             stay_closed: None,
         }
@@ -300,6 +317,17 @@ mod tests {
             Told { alerts: vec![told(&night(true), SAFE, "").alerts.remove(0); 7], ..told(&night(true), SAFE, "") };
         let last = six.lines(&address).pop().unwrap();
         assert_eq!(last, "    2 more alerts: starmesh tail 'starmesh/v1/paranal/io/observatory/alerts/state'");
+    }
+
+    #[test]
+    fn a_telescope_whose_observatory_node_is_silent_is_not_left_out() {
+        let nodes = ["device/main", "archive/main"].map(str::to_owned).into();
+        let lines = Told { nodes, ..Told::default() }.lines(&Address::new("paranal", "europa").unwrap());
+        assert!(lines[0].starts_with("paranal/europa               -        -"), "{lines:#?}");
+        assert!(
+            lines[0]
+                .ends_with("NO OBSERVATORY NODE ANSWERS; of this telescope there answer: archive/main, device/main")
+        );
     }
 
     #[test]

@@ -113,11 +113,11 @@ impl NodeProcess {
             };
             let said = std::fs::read_to_string(&words).unwrap_or_default();
             if said.is_empty() || said != said_before {
-                eprintln!(
+                bus::lines::complain(format_args!(
                     "starmesh: the {} node {} ended ({status}); next start in {pause:?}, and again without a further word \
                      while it ends for the same reason",
                     self.role, self.id
-                );
+                ));
             }
             said_before = said;
             if stop.or(tokio::time::sleep(pause)).await.is_none() {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use bus::{Bus, Clock, Stop};
+use bus::{Bus, Clock, Stop, lines};
 use clap::Args;
 use contract::Role;
 use tokio::task::JoinSet;
@@ -73,10 +73,10 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         let (node, stop) = (node(role, config::MAIN_NODE), brains.clone());
         others.spawn(async move { node.keep(stop).await });
     }
-    println!("{}: nodes started; {page}; Ctrl-C stops", config.address());
+    lines::say(format_args!("{}: nodes started; {page}; Ctrl-C stops", config.address()));
     bus::node::end_asked().await;
-    println!(
-        "stopping: the observatory node closes first (at most 15 s), then each enclosure's device node (at most 300 s)"
+    lines::say(
+        "stopping: the observatory node closes first (at most 15 s), then each enclosure's device node (at most 300 s)",
     );
     brains.stop();
     let ending = async {
@@ -85,11 +85,11 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
             stop.stop();
             let began = Instant::now();
             while tokio::time::timeout(TELL, task.join_next()).await.is_err() {
-                println!(
+                lines::say(format_args!(
                     "waiting for the device node {id} to close its enclosure, since {} s, at most 300 s; Ctrl-C again leaves \
                      it: it goes on closing until then, and the next `starmesh up` of this file waits for it",
                     began.elapsed().as_secs()
-                );
+                ));
             }
         }
     };
@@ -100,7 +100,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     bus.close().await;
     anyhow::ensure!(in_good_order, "ended by a second signal; what still runs: {}", left.names());
     left.nothing();
-    println!("stopped: every node has ended");
+    lines::say("stopped: every node has ended");
     Ok(())
 }
 
@@ -124,10 +124,10 @@ async fn guarded_until_readable(
     if !node_device::closes_by_copy(&options.file) {
         return Err(error);
     }
-    eprintln!(
+    lines::complain(format_args!(
         "starmesh: {error:#}\nstarmesh: until this file can be used, the enclosure is guarded and kept closed by what last \
          worked, and nothing else runs"
-    );
+    ));
     let node = NodeProcess {
         role: Role::Device,
         id: config::ENCLOSURE_NODE.to_owned(),

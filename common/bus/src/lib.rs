@@ -14,6 +14,7 @@ mod diary;
 mod disk;
 mod flood;
 mod history;
+pub mod lines;
 mod links;
 mod listening;
 mod lives;

@@ -23,6 +23,7 @@ use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::diary::DiaryLayer;
 use crate::flood::{self, Flood};
+use crate::lines::{self, LogLine};
 use crate::zenoh_log::{ZenohLog, is_zenoh};
 use crate::{AlertBoard, Bus, Clock, Quality, Stop, console, disk, links, notify, private, threads, twin};
 
@@ -240,6 +241,7 @@ where
 {
     threads::ensure();
     private::keep_files_private();
+    lines::take_panics();
     let started = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .enable_all()
@@ -247,12 +249,16 @@ where
         .context("cannot start the runtime")
         .and_then(|runtime| runtime.block_on(start(options, role, run)));
     match started {
-        Ok(()) => std::process::ExitCode::SUCCESS,
+        Ok(()) => {
+            lines::flush();
+            std::process::ExitCode::SUCCESS
+        }
         Err(error) => {
             let words = format!("node-{role}: {error:#}");
             if !was_said_before(&words) {
-                eprintln!("{words}");
+                lines::complain(words);
             }
+            lines::flush();
             std::process::ExitCode::FAILURE
         }
     }
@@ -267,7 +273,7 @@ where
     let (mut config, header, wrong) = read_config_of_node(&options.config)?;
     if options.check {
         anyhow::ensure!(wrong.is_none(), "{}", wrong.unwrap_or_default());
-        println!("{}: valid ({} devices)", options.config.display(), config.devices().len());
+        lines::say(format_args!("{}: valid ({} devices)", options.config.display(), config.devices().len()));
         return Ok(());
     }
     if !options.listen.is_empty() {
@@ -332,7 +338,11 @@ async fn end_when_asked(node: Node) {
     end_asked().await;
     asked_to_end(&node);
     termination().await;
-    eprintln!("node-{}: ended at once by a second signal; what this node guarded nobody guards now", node.role);
+    let role = node.role;
+    lines::complain(format_args!(
+        "node-{role}: ended at once by a second signal; what this node guarded nobody guards now"
+    ));
+    lines::flush();
     std::process::exit(1);
 }
 
@@ -376,7 +386,7 @@ fn console_at(level: &str) -> impl tracing::Subscriber + for<'a> LookupSpan<'a> 
     }
     let filter = tracing_subscriber::EnvFilter::new(words).and(Flood::default());
     let colour = std::io::stderr().is_terminal();
-    let console = tracing_subscriber::fmt::layer().fmt_fields(console::fields()).with_writer(std::io::stderr);
+    let console = tracing_subscriber::fmt::layer().fmt_fields(console::fields()).with_writer(|| LogLine);
     let console = console.with_ansi(colour).with_filter(filter);
     let of_zenoh = filter_fn(|metadata| is_zenoh(metadata.target()) && *metadata.level() <= tracing::Level::WARN);
     tracing_subscriber::registry().with(console).with(ZenohLog::new().with_filter(of_zenoh))

@@ -17,6 +17,8 @@ const SILENT: Duration = Duration::from_secs(2);
 
 /// A life that speaks on its own of a key does so at least each 15 s.
 const GONE: Duration = Duration::from_secs(16);
+/// Numbers of one life that are so far apart are not of one count.
+const LEAP: u64 = 1000;
 /// What one life said may arrive so much later than the first words of the next one.
 const CROSSING: Duration = Duration::from_millis(500);
 
@@ -35,9 +37,65 @@ pub struct Succession {
 #[derive(Debug, Clone)]
 struct Life {
     boot_id: BootId,
+    high: Count,
+    /// What it counted before its number leapt ahead; somebody else may have said the greater one in its name.
+    low: Option<Count>,
+}
+
+/// Numbers that follow each other.
+#[derive(Debug, Clone, Copy)]
+struct Count {
     seq: u64,
     first: MachineTime,
     last: MachineTime,
+}
+
+impl Count {
+    fn follow(&mut self, seq: u64, arrived: MachineTime) {
+        (self.seq, self.last) = (seq, self.last.max(arrived));
+    }
+}
+
+impl Life {
+    fn new(boot_id: &BootId, seq: u64, arrived: MachineTime) -> Self {
+        Self { boot_id: boot_id.clone(), high: Count { seq, first: arrived, last: arrived }, low: None }
+    }
+
+    /// Takes in a number; false if it is an old one.
+    fn hear(&mut self, seq: u64, arrived: MachineTime) -> bool {
+        if seq > self.high.seq {
+            if seq - self.high.seq > 1 && self.low.is_none() {
+                self.low = Some(self.high);
+                self.high = Count { seq, first: arrived, last: arrived };
+            } else {
+                self.high.follow(seq, arrived);
+            }
+            return true;
+        }
+        let Some(low) = self.low.as_mut().filter(|low| seq > low.seq) else { return false };
+        low.follow(seq, arrived);
+        if arrived.since(self.high.last) >= SILENT {
+            // the greater number was one alone
+            (self.high, self.low) = (*low, None);
+        }
+        true
+    }
+
+    /// It counts at two heights at once, far from each other: two publish in its name.
+    fn is_two(&self) -> bool {
+        self.low.is_some_and(|low| {
+            let leapt = self.high.first.plus(CROSSING);
+            self.high.seq - low.seq > LEAP && self.high.last > leapt && low.last > leapt
+        })
+    }
+
+    fn first(&self) -> MachineTime {
+        self.low.map_or(self.high.first, |low| low.first)
+    }
+
+    fn last(&self) -> MachineTime {
+        self.low.map_or(self.high.last, |low| low.last.max(self.high.last))
+    }
 }
 
 impl Succession {
@@ -74,34 +132,39 @@ impl Succession {
     }
 
     /// Two lives that speak at the same time: each has said something new after the other began, and both within the
-    /// last 16 s. A restart is none: an earlier life says nothing new after the next one has begun.
+    /// last 16 s. A restart is none: an earlier life says nothing new after the next one has begun. Twice the same life is one
+    /// that counts at two heights.
     pub fn rivals(&self, now: MachineTime) -> Option<(&BootId, &BootId)> {
         let (one, other) = self.rivals.as_ref()?;
         let lives =
-            |boot_id: &BootId| self.lives.iter().any(|life| life.boot_id == *boot_id && now.since(life.last) <= GONE);
+            |boot_id: &BootId| self.lives.iter().any(|life| life.boot_id == *boot_id && now.since(life.last()) <= GONE);
         (lives(one) && lives(other)).then_some((one, other))
     }
 
     fn note(&mut self, boot_id: &BootId, seq: u64, arrived: MachineTime) {
-        let (first, last) = match self.lives.iter_mut().find(|life| life.boot_id == *boot_id) {
-            Some(life) if seq <= life.seq => return,
+        let life = match self.lives.iter_mut().find(|life| life.boot_id == *boot_id) {
             Some(life) => {
-                (life.seq, life.last) = (seq, life.last.max(arrived));
-                (life.first, life.last)
+                if !life.hear(seq, arrived) {
+                    return;
+                }
+                life.clone()
             }
             None => {
                 if self.lives.len() >= REMEMBERED {
                     self.lives.pop_front();
                 }
-                self.lives.push_back(Life { boot_id: boot_id.clone(), seq, first: arrived, last: arrived });
-                (arrived, arrived)
+                let life = Life::new(boot_id, seq, arrived);
+                self.lives.push_back(life.clone());
+                life
             }
         };
         let rival = |other: &&Life| {
-            let at_once = other.last > first.plus(CROSSING) && last > other.first.plus(CROSSING);
-            other.boot_id != *boot_id && at_once && arrived.since(other.last) <= GONE
+            let at_once = other.last() > life.first().plus(CROSSING) && life.last() > other.first().plus(CROSSING);
+            other.boot_id != *boot_id && at_once && arrived.since(other.last()) <= GONE
         };
-        if let Some(rival) = self.lives.iter().find(rival) {
+        if life.is_two() {
+            self.rivals = Some((boot_id.clone(), boot_id.clone()));
+        } else if let Some(rival) = self.lives.iter().find(rival) {
             self.rivals = Some((rival.boot_id.clone(), boot_id.clone()));
         }
     }
@@ -148,6 +211,47 @@ mod tests {
         assert!(succession.is_newer(&own, 8, at(2200)));
         assert!(!succession.is_newer(&twin, 1, at(2300)), "and the other way round");
     }
+
+    #[test]
+    fn one_forged_number_hides_no_second_writer_and_a_count_at_two_heights_is_one() {
+        let (own, other) = (BootId::fresh(), BootId::fresh());
+        for leap in [2, 500, u64::MAX - 20] {
+            let mut succession = Succession::default();
+            for second in 0..4 {
+                succession.is_newer(&own, second, at(second * 1000));
+            }
+            succession.is_newer(&own, 3 + leap, at(3100));
+            let mut rivals = Vec::new();
+            for second in 4..12 {
+                succession.is_newer(&own, second, at(second * 1000));
+                if second >= 7 {
+                    succession.is_newer(&other, second, at(second * 1000 + 300));
+                }
+                rivals.push(succession.rivals(at(second * 1000 + 300)).is_some());
+            }
+            assert_eq!(rivals, [false, false, false, false, true, true, true, true], "{leap}");
+        }
+        let mut succession = Succession::default();
+        for second in 0..6 {
+            succession.is_newer(&own, second, at(second * 1000));
+            if second >= 2 {
+                succession.is_newer(&own, 1 << (40 + second), at(second * 1000 + 100));
+            }
+        }
+        assert!(succession.rivals(at(5200)).is_some(), "somebody speaks on in its name");
+    }
+
+    #[test]
+    fn what_was_lost_and_comes_late_is_no_second_voice() {
+        let (own, mut succession) = (BootId::fresh(), Succession::default());
+        succession.is_newer(&own, 5, at(0));
+        for second in 3..9 {
+            succession.is_newer(&own, 20 + second, at(second * 1000));
+            succession.is_newer(&own, 3 + second, at(second * 1000 + 700));
+        }
+        assert!(succession.rivals(at(9000)).is_none());
+    }
+
     #[test]
     fn a_restart_is_no_rival_and_who_goes_on_speaking_is_one() {
         let (one, other) = (BootId::fresh(), BootId::fresh());

@@ -93,6 +93,11 @@ impl Closer {
         self.guard.is_closed(now)
     }
 
+    /// Its server has told where the shutter is, at least once.
+    pub fn has_answered(&self) -> bool {
+        self.shutter.is_some()
+    }
+
     /// Takes what the servers have answered since.
     pub fn take_answers(&mut self, now: MachineTime, words: &mut Vec<Word>) {
         while let Some(answer) = self.answers.try_join_next() {

@@ -13,6 +13,8 @@ pub enum Written {
     Countdown(MachineTime, Deadlines),
     /// The last-good copy, and its number.
     Copy(u64, Box<Copy>),
+    /// The reason why the node did not start holds no longer.
+    NoLastWords,
 }
 
 /// Starts the thread. What finds no room in the queue is left out; the next countdown follows within a second.
@@ -24,6 +26,10 @@ pub fn start(places: Places) -> SyncSender<Written> {
             let written = match write {
                 Written::Countdown(now, deadlines) => places.keep_countdown(now, &deadlines),
                 Written::Copy(number, copy) => places.keep_copy(number, &copy),
+                Written::NoLastWords => {
+                    places.forget_last_words();
+                    continue;
+                }
             };
             if !written && !is_told {
                 tracing::error!(

@@ -14,6 +14,7 @@ pub mod places;
 mod closer;
 mod disk;
 mod herald;
+mod leaving;
 mod signals;
 mod task;
 mod watch;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::process::ExitCode;
-use std::sync::mpsc::SyncSender;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
@@ -17,6 +17,7 @@ use super::closer::{Closer, Word, alert};
 use super::copy::Copy;
 use super::disk::{self, Written};
 use super::herald::Herald;
+use super::leaving::Leaving;
 use super::link::{DEADLINES, END, NodeLines, Report, deadlines_to_text, next_line};
 use super::places::{Before, Deadlines, Places};
 use super::signals::{Asked, Signals, lock};
@@ -35,13 +36,12 @@ pub fn main(options: &NodeOptions, verb: &[&str], id: &str) -> ExitCode {
     bus::node::log_to_console();
     let runtime =
         tokio::runtime::Builder::new_current_thread().enable_all().build().context("cannot start the runtime");
-    match runtime.and_then(|runtime| runtime.block_on(run(options, verb, id))) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("guard process: {error:#}");
-            ExitCode::FAILURE
-        }
+    let ended = runtime.and_then(|runtime| runtime.block_on(run(options, verb, id)));
+    if let Err(error) = &ended {
+        bus::lines::complain(format_args!("guard process: {error:#}"));
     }
+    bus::lines::flush();
+    if ended.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
 async fn run(options: &NodeOptions, verb: &[&str], id: &str) -> anyhow::Result<()> {
@@ -76,6 +76,31 @@ fn known<'a>(good: &'a Option<(u64, Copy)>, tried: &'a Option<Copy>) -> Option<&
     good.as_ref().map(|(_, copy)| copy).or(tried.as_ref())
 }
 
+/// What the disk has for a start of the device node.
+struct Ready {
+    /// The copy of the configuration, or why there is none.
+    copy: Result<Copy, String>,
+    /// The node, or why it could not be started; none where another one has not ended yet.
+    node: Option<anyhow::Result<Child>>,
+}
+
+fn spawn(
+    verb: &[String],
+    options: &NodeOptions,
+    id: &str,
+    places: &Places,
+    deadlines: &Deadlines,
+) -> anyhow::Result<Child> {
+    let verb: Vec<&str> = verb.iter().map(String::as_str).collect();
+    let mut command = child::command(&verb, options, id)?;
+    command.arg("--guarded").env(DEADLINES, deadlines_to_text(deadlines));
+    if let Some(file) = places.last_words() {
+        command.env(bus::node::LAST_WORDS, file);
+    }
+    command.env_remove("NOTIFY_SOCKET").stdout(std::process::Stdio::piped());
+    command.spawn().context("cannot start the device node")
+}
+
 struct Work<'a> {
     options: &'a NodeOptions,
     verb: &'a [&'a str],
@@ -88,6 +113,12 @@ struct Work<'a> {
     /// The copy of the configuration that the running node was started with.
     tried: Option<Copy>,
     closers: BTreeMap<String, Closer>,
+    /// Domes that the configuration named until now, at their old addresses: closed before they are let go.
+    leaving: Vec<Leaving>,
+    /// The last-good copy is not on disk yet.
+    unsaved: bool,
+    /// What a thread finds on disk for the next start of the node.
+    asking: Option<Receiver<Ready>>,
     herald: Herald,
     node: Option<Child>,
     orders: Option<ChildStdin>,
@@ -130,6 +161,9 @@ impl<'a> Work<'a> {
             good,
             tried: None,
             closers: BTreeMap::new(),
+            leaving: Vec::new(),
+            unsaved: false,
+            asking: None,
             herald: Herald::new(id, options),
             node: None,
             orders: None,
@@ -153,12 +187,16 @@ impl<'a> Work<'a> {
         let mut closers = BTreeMap::new();
         for dome in &copy.domes {
             let name = dome.name.to_string();
-            let kept = self.closers.remove(&name).filter(|closer| closer.dome == *dome);
+            let is_kept = self.closers.get(&name).is_some_and(|closer| closer.dome == *dome);
+            let kept = if is_kept { self.closers.remove(&name) } else { None };
             match kept.map_or_else(|| Closer::new(dome, &copy.telescope, now), Ok) {
                 Ok(closer) => drop(closers.insert(name, closer)),
                 Err(error) => tracing::error!(dome = name, %error, "no HTTP client"),
             }
         }
+        let now_served = |old: &Closer| closers.values().any(|new: &Closer| new.dome.target == old.dome.target);
+        let gone = std::mem::take(&mut self.closers).into_iter().filter(|(_, old)| !now_served(old));
+        self.leaving.extend(gone.map(|(name, closer)| Leaving::new(&name, closer)));
         self.closers = closers;
     }
 
@@ -210,21 +248,69 @@ impl<'a> Work<'a> {
             return;
         }
         let number = self.good.as_ref().map_or(1, |(number, _)| number + 1);
-        if self.disk.try_send(Written::Copy(number, Box::new(worked.clone()))).is_ok() {
-            let is_new = self.good.as_ref().is_none_or(|(_, good)| !good.closes_as(&worked));
-            self.good = Some((number, worked));
-            if is_new {
-                if let Some((_, good)) = &self.good {
-                    let names: Vec<&str> = good.domes.iter().map(|dome| dome.name.as_str()).collect();
-                    self.watch.keep_only(&names);
-                }
-                tracing::info!(
-                    domes = self.names(),
-                    "what is needed to close was stored for the time when nothing else works"
+        let is_new = self.good.as_ref().is_none_or(|(_, good)| !good.closes_as(&worked));
+        self.good = Some((number, worked));
+        self.unsaved = true;
+        if is_new {
+            if let Some((_, good)) = &self.good {
+                let names: Vec<&str> = good.domes.iter().map(|dome| dome.name.as_str()).collect();
+                self.watch.keep_only(&names);
+            }
+            self.arm();
+            for leaving in &self.leaving {
+                tracing::warn!(
+                    dome = leaving.name,
+                    "the configuration does not name this dome any more; it is closed there, and looked after until then"
                 );
-                self.arm();
             }
         }
+    }
+
+    /// Stores the last-good copy. A restart of this process must still know a dome that is not let go yet.
+    fn save(&mut self) {
+        let Some((number, good)) = self.good.as_ref().filter(|_| self.unsaved && self.leaving.is_empty()) else {
+            return;
+        };
+        if self.disk.try_send(Written::Copy(*number, Box::new(good.clone()))).is_ok() {
+            self.unsaved = false;
+            tracing::debug!(
+                domes = self.names(),
+                number,
+                "what is needed to close was stored for the time when nothing else works"
+            );
+        }
+    }
+
+    /// Closes the domes that the configuration names no more.
+    fn let_go(&mut self, now: MachineTime) {
+        for leaving in &mut self.leaving {
+            for word in leaving.close(now) {
+                match word {
+                    Word::Sent(what) => tracing::warn!(dome = leaving.name, what, "the guard process acts"),
+                    Word::Failed(what, error) => {
+                        tracing::warn!(dome = leaving.name, what, error, "the guard process's command failed");
+                    }
+                    Word::Alarm(alarm, is_raised) => {
+                        let (kind, cause) = alert(alarm, &leaving.name);
+                        if let Some((_, copy)) = &self.good {
+                            self.herald.tell(copy, kind, &leaving.name, is_raised.then_some(cause));
+                        }
+                    }
+                }
+            }
+        }
+        let herald = &mut self.herald;
+        let good = &self.good;
+        self.leaving.retain_mut(|leaving| {
+            let Some(why) = leaving.is_let_go(now) else { return true };
+            tracing::warn!(dome = leaving.name, why, "the dome that the configuration named before is let go");
+            if let Some((_, copy)) = good {
+                for kind in leaving.told() {
+                    herald.tell(copy, kind, &leaving.name, None);
+                }
+            }
+            false
+        });
     }
 
     /// One round; returns how this process ends.
@@ -234,6 +320,7 @@ impl<'a> Work<'a> {
         self.reap(now).await;
         match self.watch.tick(now) {
             Some(Effect::Start) => self.start(now),
+            _ if self.asking.is_some() => self.start(now),
             Some(Effect::Kill(why)) => {
                 self.trouble = Some(format!("the device node was killed: {why}"));
                 self.kill().await;
@@ -241,6 +328,8 @@ impl<'a> Work<'a> {
             None => {}
         }
         self.guard(now);
+        self.let_go(now);
+        self.save();
         self.complain();
         self.keep(now);
         self.end_by.and_then(|by| self.ending(by, now))
@@ -275,36 +364,38 @@ impl<'a> Work<'a> {
     }
 
     fn start(&mut self, now: MachineTime) {
-        if self.read_at.is_some_and(|at| at.elapsed() < READ_AGAIN) && self.tried.is_none() {
-            return self.watch.not_yet(now);
-        }
-        self.read_at = Some(Instant::now());
-        let said = bus::node::read_observatory(&self.options.config);
-        let copy = match said.map(|config| Copy::of(&config, self.id)) {
-            Ok(Some(copy)) => copy,
-            Ok(None) => {
-                return self
-                    .cannot_start(now, "the configuration names no dome for this device node any more".to_owned());
+        if self.asking.is_none() {
+            if self.read_at.is_some_and(|at| at.elapsed() < READ_AGAIN) && self.tried.is_none() {
+                return self.watch.not_yet(now);
             }
-            Err(error) => return self.cannot_start(now, format!("{error:#}")),
+            self.read_at = Some(Instant::now());
+            self.asking = Some(self.ask_the_disk(now));
+            return;
+        }
+        // while the disk says nothing this process guards alone
+        let Some(ready) = self.asking.as_ref().and_then(|asking| asking.try_recv().ok()) else { return };
+        self.asking = None;
+        let Ready { copy, node } = ready;
+        let copy = match copy {
+            Ok(copy) => copy,
+            Err(why) => return self.cannot_start(now, why),
         };
         for dome in &copy.domes {
             self.watch.add(dome.name.as_str(), now.plus(dome.permit_valid()));
         }
-        // a node that lost its guard process leaves as soon as it sees the new one
-        match self.places.lock(NODE_LOCK) {
-            Ok(lock) => drop(lock),
-            Err(_) => {
-                self.trouble = Some("the device node of the guard process before has not ended yet".to_owned());
-                return self.watch.not_yet(now);
-            }
-        }
+        let Some(node) = node else {
+            self.trouble = Some("the device node of the guard process before has not ended yet".to_owned());
+            return self.watch.not_yet(now);
+        };
         self.tried = Some(copy.clone());
         if self.good.is_none() {
             self.arm();
         }
-        match self.spawn() {
-            Ok(()) => {
+        match node {
+            Ok(mut node) => {
+                self.orders = node.stdin.take();
+                self.lines = node.stdout.take().map(|out| BufReader::new(out).lines());
+                self.node = Some(node);
                 let good = self.good.as_ref().map_or(&copy, |(_, good)| good);
                 let same = copy.domes.iter().filter(|dome| {
                     good.domes.iter().any(|known| known.name == dome.name && known.target == dome.target)
@@ -318,24 +409,39 @@ impl<'a> Work<'a> {
         }
     }
 
+    /// Reads the configuration and starts the node on a thread: a disk that hangs must not hold up what closes.
+    fn ask_the_disk(&self, now: MachineTime) -> Receiver<Ready> {
+        let (tell, told) = sync_channel(1);
+        let (options, id, places) = (self.options.clone(), self.id.to_owned(), self.places.clone());
+        let verb: Vec<String> = self.verb.iter().map(|word| (*word).to_owned()).collect();
+        let mut deadlines = self.watch.deadlines().clone();
+        let runtime = tokio::runtime::Handle::current();
+        std::thread::spawn(move || {
+            let copy = match bus::node::read_observatory(&options.config).map(|config| Copy::of(&config, &id)) {
+                Ok(Some(copy)) => copy,
+                Ok(None) => {
+                    let why = "the configuration names no dome for this device node any more".to_owned();
+                    return drop(tell.send(Ready { copy: Err(why), node: None }));
+                }
+                Err(error) => return drop(tell.send(Ready { copy: Err(format!("{error:#}")), node: None })),
+            };
+            for dome in &copy.domes {
+                deadlines.entry(dome.name.to_string()).or_insert_with(|| now.plus(dome.permit_valid()));
+            }
+            // a node that lost its guard process leaves as soon as it sees the new one
+            let is_free = places.lock(NODE_LOCK).is_ok();
+            let _within = runtime.enter();
+            let node = is_free.then(|| spawn(&verb, &options, &id, &places, &deadlines));
+            // nobody waits any more where this process ends
+            let _ = tell.send(Ready { copy: Ok(copy), node });
+        });
+        told
+    }
+
     fn cannot_start(&mut self, now: MachineTime, why: String) {
         self.trouble = Some(why);
         self.tried = None;
         self.watch.ended(now);
-    }
-
-    fn spawn(&mut self) -> anyhow::Result<()> {
-        let mut command = child::command(self.verb, self.options, self.id)?;
-        command.arg("--guarded").env(DEADLINES, deadlines_to_text(self.watch.deadlines()));
-        if let Some(file) = self.places.last_words() {
-            command.env(bus::node::LAST_WORDS, file);
-        }
-        command.env_remove("NOTIFY_SOCKET").stdout(std::process::Stdio::piped());
-        let mut node = command.spawn().context("cannot start the device node")?;
-        self.orders = node.stdin.take();
-        self.lines = node.stdout.take().map(|out| BufReader::new(out).lines());
-        self.node = Some(node);
-        Ok(())
     }
 
     /// Looks after every dome that nobody else looks after.
@@ -388,7 +494,8 @@ impl<'a> Work<'a> {
             !names.is_empty() && names.iter().all(|name| matches!(self.watch.who(name, now), Who::Node | Who::Both));
         if guards || self.end_by.is_some() {
             if self.complaint.take().is_some() {
-                self.places.forget_last_words();
+                // no room in the queue: the file is removed at the next start
+                let _ = self.disk.try_send(Written::NoLastWords);
                 tracing::info!(domes = self.names(), "the device node guards again");
                 if let Some(copy) = known(&self.good, &self.tried) {
                     for name in &names {

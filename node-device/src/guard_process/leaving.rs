@@ -1,0 +1,61 @@
+//! A dome that the configuration does not name any more: another address stands there, or none. It may be open, and nobody else
+//! closes it, so this process does, until it is verified closed.
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use bus::MachineTime;
+use contract::observatory::AlertKind;
+
+use super::closer::{Closer, Word, alert};
+
+/// An address at which nobody has answered for so long has no dome any more.
+const NOBODY: Duration = Duration::from_secs(3600);
+
+/// One such dome.
+pub struct Leaving {
+    /// Its name with its old address: `dome at 10.0.0.5:11111 number 0`.
+    pub name: String,
+    closer: Closer,
+    since: Option<MachineTime>,
+    has_answered: bool,
+    told: BTreeSet<AlertKind>,
+}
+
+impl Leaving {
+    /// A dome by its closer.
+    pub fn new(name: &str, closer: Closer) -> Self {
+        let target = &closer.dome.target;
+        let name = format!("{name} at {} number {}", target.server, target.number);
+        Self { name, closer, since: None, has_answered: false, told: BTreeSet::new() }
+    }
+
+    /// Closes it, and closes it again.
+    pub fn close(&mut self, now: MachineTime) -> Vec<Word> {
+        self.since.get_or_insert(now);
+        let mut words = Vec::new();
+        self.closer.take_answers(now, &mut words);
+        self.closer.close(now, &mut words);
+        self.has_answered |= self.closer.has_answered();
+        for word in &words {
+            if let Word::Alarm(alarm, true) = word {
+                self.told.insert(alert(*alarm, &self.name).0);
+            }
+        }
+        words
+    }
+
+    /// Why it need not be looked after any more, if so.
+    pub fn is_let_go(&self, now: MachineTime) -> Option<&'static str> {
+        if self.closer.is_verified_closed(now) {
+            return Some("it is verified closed");
+        }
+        let nobody = !self.has_answered && self.since.is_some_and(|since| now.since(since) >= NOBODY);
+        nobody.then_some("nobody has answered at its old address for an hour")
+    }
+
+    /// The alerts that were raised for it.
+    pub fn told(&self) -> impl Iterator<Item = AlertKind> + '_ {
+        self.told.iter().copied()
+    }
+}
