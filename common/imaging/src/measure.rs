@@ -20,6 +20,9 @@ const FIRST_FWHM_PX: f64 = 4.0;
 const WIDTHS_PX: (f64, f64) = (1.0, 40.0);
 /// A kernel that is wrong by more than this is replaced (algorithms.md 6.1, step 5).
 const KERNEL_TOLERANCE: f64 = 1.3;
+/// ... and one so wide that it runs over sums of 2 x 2 px or more, px, by more than this: to search again costs little, and
+/// the width that is handed on is too great for doughnuts.
+const WIDE_KERNEL: (f64, f64) = (10.0, 1.2);
 /// Defects are looked for again when the stars are wider than was known by this factor: then more can be told.
 const DEFECTS_AGAIN: f64 = 1.2;
 /// Stars that tell the width.
@@ -28,6 +31,8 @@ const BEST: usize = 50;
 const WELL_SEEN: f32 = 8.0;
 /// Where some of them are as sharp as cosmic rays, so many are looked at ...
 const MOST_LOOKED_AT: usize = 1000;
+/// ... (the work for one of them is that on so many pixels) ...
+const PIXELS_OF_WINDOWS: usize = 1 << 13;
 /// ... and so many round wider ones, and this share of the sharp ones, are the stars, if they agree within this share of
 /// their width or are within this ratio of the last frame's width.
 const FEWEST_WIDE: usize = 5;
@@ -80,15 +85,15 @@ pub(crate) fn measure_and_clean(
     let search = &Search { fwhm_px: search.fwhm_px.filter(|px| px.is_finite() && *px >= SHARPEST_PX), ..*search };
     let mut clean = Clean::new(frame, camera, search.fwhm_px)?;
     let light = Light { frame, saturation: camera.saturation_adu(frame), brightest: clean.brightest_adu };
-    let mut trails = trails::remove(&mut clean, camera, light.saturation);
-    let mut found = find(&mut clean, camera, search, &light);
+    let mut trails = trails::remove(&mut clean, camera, light.saturation, search.fwhm_px);
+    let mut found = find(&mut clean, camera, search, &light, true);
     if let Some(width) = found.width
         && (clean.takes_for_sky(width as f32) || clean.took_for_defects(width as f32, found.objects.len()))
     {
         let again = Search { fwhm_px: Some(width as f32), ..*search };
         clean = Clean::new(frame, camera, again.fwhm_px)?;
-        trails = trails::remove(&mut clean, camera, light.saturation);
-        found = find(&mut clean, camera, &again, &light);
+        trails = trails::remove(&mut clean, camera, light.saturation, again.fwhm_px);
+        found = find(&mut clean, camera, &again, &light, false);
     }
     let mut stars = describe(&clean, camera, &light, &found);
     let quality = Quality::of(&clean, &stars, found.width.is_some(), trails);
@@ -136,8 +141,9 @@ struct Found {
     width: Option<f64>,
 }
 
-/// Searches with the expected width, measures the true one, and searches again if they differ too much.
-fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light) -> Found {
+/// Searches with the expected width, measures the true one, and searches again if they differ too much. Where the frame
+/// `may_be_cleaned_again`, a width for which it has to be is the answer: what else is found will be found anew.
+fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light, may_be_cleaned_again: bool) -> Found {
     let expected = search.fwhm_px.map_or(FIRST_FWHM_PX, f64::from);
     let mut kernel_px = if expected.is_finite() { expected.clamp(WIDTHS_PX.0, WIDTHS_PX.1) } else { FIRST_FWHM_PX };
     let mut left = 2;
@@ -147,6 +153,9 @@ fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light) -> F
         let is_saturated = |peak: &Peak| light.peak(peak.x, peak.y, 1).1;
         let mut objects = candidates::objects(clean, &kernel, &peaks, is_saturated);
         let width = typical_width(clean, camera, light, &objects, (kernel_px, search.fwhm_px));
+        if may_be_cleaned_again && width.is_some_and(|width| clean.takes_for_sky(width as f32)) {
+            return Found { objects, kernel_px, width };
+        }
         let factor = width.map_or(1.0, |width| (width / kernel_px).max(kernel_px / width));
         if let Some(width) = width
             && width >= f64::from(SHARPEST_PX)
@@ -157,7 +166,8 @@ fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light) -> F
             let least = search.threshold * kernel.sampling_loss() * peaks.scatter;
             objects.retain(|peak| kernel.significance(clean, peak.x, peak.y) > least);
         }
-        if factor <= KERNEL_TOLERANCE || left == 0 {
+        let tolerance = if kernel_px >= WIDE_KERNEL.0 { WIDE_KERNEL.1 } else { KERNEL_TOLERANCE };
+        if factor <= tolerance || left == 0 {
             return Found { objects, kernel_px, width };
         }
         kernel_px = width.map_or(kernel_px, |width| width.clamp(WIDTHS_PX.0, WIDTHS_PX.1));
@@ -176,7 +186,13 @@ fn typical_width(
 ) -> Option<f64> {
     let good = objects.iter().filter(|peak| peak.significance >= WELL_SEEN);
     let unsaturated = good.filter(|peak| !light.peak(peak.x, peak.y, kernel_px as usize).1);
-    let mut looked = unsaturated.take(MOST_LOOKED_AT).map(|peak| own_width(clean, camera, peak, kernel_px));
+    let looked_at: Vec<&Peak> = unsaturated.take(MOST_LOOKED_AT).collect();
+    let look = |peak: &&Peak| own_width(clean, camera, peak, kernel_px);
+    // the first ones are always needed; the others seldom
+    let (first, others) = looked_at.split_at(BEST.min(looked_at.len()));
+    let first =
+        parallel::ranges(first.len(), PIXELS_OF_WINDOWS, |range| first[range].iter().map(look).collect::<Vec<_>>());
+    let mut looked = first.into_iter().flatten().chain(others.iter().map(look));
     let best: Vec<Width> = looked.by_ref().take(4 * BEST).flatten().take(BEST).collect();
     let mut widths: Vec<f32> = best.iter().map(|width| width.fwhm as f32).collect();
     let none_is_sharp = widths.iter().all(|width| *width >= SHARPEST_PX);
@@ -228,9 +244,14 @@ struct Width {
 
 fn own_width(clean: &Clean, camera: &Camera, peak: &Peak, kernel_px: f64) -> Option<Width> {
     let mut width = Width { fwhm: kernel_px, axis_ratio: 1.0 };
+    let peak = (peak.x as f64, peak.y as f64);
+    let mut near = peak;
     for _ in 0..8 {
         let window = Window::new(width.fwhm, camera.gain_e_per_adu);
-        let seen = window.look(clean, (peak.x as f64, peak.y as f64), width.fwhm.max(kernel_px))?;
+        let reach = width.fwhm.max(kernel_px);
+        // the window before has come near to the middle already
+        let seen = window.look(clean, near, reach).filter(|seen| (seen.x - peak.0).hypot(seen.y - peak.1) <= reach)?;
+        near = (seen.x, seen.y);
         let new = Width { fwhm: seen.fwhm().clamp(WIDTHS_PX.0, WIDTHS_PX.1), axis_ratio: seen.axis_ratio() };
         if (new.fwhm / width.fwhm - 1.0).abs() < 0.02 {
             return (!seen.cut).then_some(new);

@@ -16,11 +16,18 @@ mod trail;
 
 use crate::background::median_in_place;
 use crate::clean::{Camera, Clean};
+use crate::parallel;
 use map::Map;
+use ridge::Line;
 use trail::Trail;
 
 /// Lines that are looked at in one map, at most.
 const MOST_LINES: usize = 16;
+/// A dash of a trail is at least so many widths of the stars long: it is as wide as they are, or wider ([`trail`] asks for
+/// five of its own widths; stars may be a little narrower than was known). Wide doughnuts in a row are shorter.
+const SHORTEST_DASH: f32 = 3.0;
+/// The work of looking along one line, as that on so many pixels.
+const PIXELS_OF_LINE: usize = 1 << 18;
 /// Trails of one direction (rad) that are not satellites any more, of any length ...
 const MANY: usize = 8;
 const SAME_DIRECTION: f32 = 0.05;
@@ -37,9 +44,9 @@ pub(crate) struct Found {
     pub(crate) stars_px: Option<f32>,
 }
 
-/// Takes the trails out of a frame.
-pub(crate) fn remove(clean: &mut Clean, camera: &Camera, saturation: f32) -> Found {
-    let trails = find(clean, saturation);
+/// Takes the trails out of a frame whose stars are `fwhm_px` wide, if that is known.
+pub(crate) fn remove(clean: &mut Clean, camera: &Camera, saturation: f32, fwhm_px: Option<f32>) -> Found {
+    let trails = find(clean, saturation, fwhm_px);
     if trails.is_empty() {
         return Found::default();
     }
@@ -53,22 +60,31 @@ pub(crate) fn remove(clean: &mut Clean, camera: &Camera, saturation: f32) -> Fou
 }
 
 /// The trails of a frame, each once.
-fn find(clean: &Clean, saturation: f32) -> Vec<Trail> {
+fn find(clean: &Clean, saturation: f32, fwhm_px: Option<f32>) -> Vec<Trail> {
+    let lines = lines(clean, SHORTEST_DASH * fwhm_px.unwrap_or(0.0));
+    let proven = parallel::ranges(lines.len(), PIXELS_OF_LINE, |range| {
+        lines[range].iter().map(|line| Trail::along(clean, *line, saturation)).collect::<Vec<_>>()
+    });
     let mut trails: Vec<Trail> = Vec::new();
+    for trail in proven.into_iter().flatten().flatten() {
+        if !trails.iter().any(|known| is_same(known, &trail)) {
+            trails.push(trail);
+        }
+    }
+    trails
+}
+
+/// Lines that may be trails, from the finest map to the coarsest; each has a dash of light of at least `dash_px`.
+fn lines(clean: &Clean, dash_px: f32) -> Vec<Line> {
+    let mut lines = Vec::new();
     let mut map = Some(Map::new(clean));
     while let Some(here) = map {
         let mut ridges = ridge::ridges(&here);
-        for _ in 0..MOST_LINES {
-            let Some(line) = ridge::best_line(&here, &mut ridges) else { break };
-            if let Some(trail) = Trail::along(clean, line, saturation)
-                && !trails.iter().any(|known| is_same(known, &trail))
-            {
-                trails.push(trail);
-            }
-        }
+        let voted = (0..MOST_LINES).map_while(|_| ridge::best_line(&here, &mut ridges));
+        lines.extend(voted.filter(|line| ridge::longest_dash_px(&here, line) >= dash_px));
         map = here.coarser();
     }
-    trails
+    lines
 }
 
 /// Whether two trails lie on one line, as one that is seen in two maps does.

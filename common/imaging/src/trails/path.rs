@@ -126,6 +126,7 @@ impl Strip {
         let columns = 2 * reach + 1;
         let (mut light, mut noise) = (vec![f32::NAN; stations * columns], Vec::with_capacity(stations));
         let mut counts = vec![0_u32; columns];
+        let (width, height) = (clean.width as f32, clean.height as f32);
         for (station, sums) in light.chunks_mut(columns).enumerate() {
             counts.fill(0);
             sums.fill(0.0);
@@ -133,10 +134,12 @@ impl Strip {
             for t in 0..step {
                 let t = begin + t as f32;
                 let ((x, y), (cos, sin)) = (path.place(t, aside - reach as f32), path.line.along);
+                // half a pixel more, cut off: rounding itself is a call of a library here
+                let (x, y) = (x + 0.5, y + 0.5);
                 for (n, (sum, count)) in sums.iter_mut().zip(&mut counts).enumerate() {
-                    let (column, row) = ((x - n as f32 * sin).round(), (y + n as f32 * cos).round());
-                    let inside = column >= 0.0 && row >= 0.0;
-                    if inside && (column as usize) < clean.width && (row as usize) < clean.height {
+                    let (column, row) = (x - n as f32 * sin, y + n as f32 * cos);
+                    if (0.0..width).contains(&column) && (0.0..height).contains(&row) {
+                        let (column, row) = (column as i32, row as i32);
                         *sum += clean.pixels[row as usize * clean.width + column as usize];
                         *count += 1;
                     }

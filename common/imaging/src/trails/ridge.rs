@@ -7,6 +7,7 @@
 use std::f32::consts::PI;
 
 use super::map::Map;
+use crate::parallel;
 
 /// Significance of a coarse pixel from which on a ridge is looked for, and that of the pixels along it; along it they are
 /// also not below, and beside it below, this share of it.
@@ -15,6 +16,8 @@ const LIT: f32 = 1.5;
 const SHARE: f32 = 0.3;
 /// Pixels that are looked at, at most.
 const MOST_SEEDS: usize = 6000;
+/// The work of looking around one of them, as that on so many pixels.
+const PIXELS_OF_SEED: usize = 512;
 /// Directions tried.
 const DIRECTIONS: usize = 24;
 /// How far along the ridge is looked, px; so many of the pixels may be dark.
@@ -32,6 +35,8 @@ const APART: f32 = 8.0;
 /// Cells of the vote: directions, and px across.
 const ANGLES: usize = 180;
 const ACROSS: f32 = 1.5;
+/// A dash goes on after a dark way of less than this, px.
+const DASH_GAP: f32 = 3.0;
 /// Ridge pixels within this of a line belong to it, px.
 const NEAR: f32 = 2.0;
 
@@ -80,11 +85,12 @@ impl Steps {
 /// The pixels of a map that lie on ridges; of too many each so manyth.
 pub(super) fn ridges(map: &Map) -> Vec<Ridge> {
     let steps: Vec<Steps> = (0..DIRECTIONS).map(Steps::new).collect();
-    let found: Vec<Ridge> = map
-        .above(SEED, MOST_SEEDS)
-        .into_iter()
-        .filter_map(|(x, y)| ridge(map, &steps, x as isize, y as isize))
-        .collect();
+    let seeds = map.above(SEED, MOST_SEEDS);
+    let found = parallel::ranges(seeds.len(), PIXELS_OF_SEED, |range| {
+        let ridges = seeds[range].iter().filter_map(|(x, y)| ridge(map, &steps, *x as isize, *y as isize));
+        ridges.collect::<Vec<Ridge>>()
+    });
+    let found = found.concat();
     let step = found.len().div_ceil(MOST).max(1);
     found.into_iter().step_by(step).collect()
 }
@@ -129,6 +135,27 @@ pub(super) fn best_line(map: &Map, ridges: &mut Vec<Ridge>) -> Option<Line> {
     // the middle of coarse pixel 0 lies half a pixel from the middle of fine pixel 0 for each further fine one
     let whole = |at: f32| map.bin as f32 * at + 0.5 * (map.bin as f32 - 1.0);
     Some(Line { at: (whole(-offset * sin), whole(offset * cos)), along: (cos, sin), bin: map.bin })
+}
+
+/// The longest way along a line that is lit, px, small gaps included.
+pub(super) fn longest_dash_px(map: &Map, line: &Line) -> f32 {
+    let bin = map.bin as f32;
+    let coarse = |at: f32| (at - 0.5 * (bin - 1.0)) / bin;
+    let (x, y, (cos, sin)) = (coarse(line.at.0), coarse(line.at.1), line.along);
+    let light =
+        |t: f32, d: f32| map.at((x + t * cos - d * sin).round() as isize, (y + t * sin + d * cos).round() as isize);
+    let half = (map.width as f32).hypot(map.height as f32);
+    let (mut longest, mut first, mut last) = (0.0_f32, f32::NAN, f32::NEG_INFINITY);
+    for t in (-half as i32..=half as i32).map(|t| t as f32) {
+        if [-1.0, 0.0, 1.0].into_iter().any(|d| light(t, d) > LIT) {
+            if t - last > DASH_GAP {
+                first = t;
+            }
+            last = t;
+            longest = longest.max(t + 1.0 - first);
+        }
+    }
+    bin * longest
 }
 
 impl Ridge {

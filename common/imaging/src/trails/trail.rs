@@ -58,6 +58,10 @@ impl Trail {
             if !profile.goes_on || 2 * reach > WIDEST {
                 break (strip, profile);
             }
+            // a wide trail shines here too; of doughnuts beside the line no more need be seen
+            if Dashes::of(&strip, profile.fwhm).length <= 0.0 {
+                return None;
+            }
             reach *= 2;
         };
         let fwhm = profile.fwhm;
