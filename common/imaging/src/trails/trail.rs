@@ -17,6 +17,8 @@ const LONG: (f32, f32) = (15.0, 40.0);
 /// them everywhere.
 const CONTRAST: f32 = 2.5;
 const ASIDE: [(f32, f32); 2] = [(5.0, 12.0), (9.0, 20.0)];
+/// The middle of a trail is looked for within so many widths of the path.
+const CENTRED: f32 = 1.0;
 /// The profile ends where it is less than this share of a pixel's noise.
 const FLOOR: f32 = 0.15;
 /// Greatest distance from the path at which a profile is looked at, px.
@@ -51,32 +53,15 @@ impl Trail {
     pub(super) fn along(clean: &Clean, line: Line, saturation: f32) -> Option<Self> {
         let step = (line.bin / 2).max(4);
         let path = middle_path(clean, line, step)?;
-        let mut reach = 6 * line.bin + 6;
-        let (strip, profile) = loop {
-            let strip = Strip::new(clean, &path, step, reach, 0.0);
-            let profile = Profile::of(&strip, line.bin)?;
-            if !profile.goes_on || 2 * reach > WIDEST {
-                break (strip, profile);
-            }
-            // a wide trail shines here too; of doughnuts beside the line no more need be seen
-            if Dashes::of(&strip, profile.fwhm).length <= 0.0 {
-                return None;
-            }
-            reach *= 2;
-        };
-        let fwhm = profile.fwhm;
-        let dashes = Dashes::of(&strip, fwhm);
-        let proven = dashes.is_trail && {
-            let aside = |(widths, px): (f32, f32)| (widths * fwhm).max(px);
-            let beside = ASIDE.into_iter().map(aside).flat_map(|d| [d, -d]).map(|d| {
-                let reach = (3.0 * fwhm) as usize + 4;
-                Dashes::of(&Strip::new(clean, &path, step, reach, d), fwhm).length
-            });
-            let mut beside: Vec<f32> = beside.collect();
-            beside.sort_unstable_by(f32::total_cmp);
-            beside.get(1).is_some_and(|length| dashes.length > CONTRAST * length)
-        };
-        if !proven {
+        let (strip, profile) = look_across(clean, &path, line.bin, step)?;
+        let dashes = Dashes::of(&strip, profile.fwhm);
+        if !(dashes.is_trail && dashes.stand_out(clean, &path, step, profile.fwhm)) {
+            return None;
+        }
+        let path = centred(clean, path, step, profile.fwhm, strip.reach)?;
+        let (strip, profile) = look_across(clean, &path, line.bin, step)?;
+        let (fwhm, reach, dashes) = (profile.fwhm, strip.reach, Dashes::of(&strip, profile.fwhm));
+        if !dashes.is_trail {
             return None;
         }
         let stations = dashes.ends;
@@ -157,26 +142,59 @@ impl Trail {
     }
 }
 
+/// The light along and across a path, as far from it as it shines.
+fn look_across(clean: &Clean, path: &Path, bin: usize, step: usize) -> Option<(Strip, Profile)> {
+    let mut reach = 6 * bin + 6;
+    loop {
+        let strip = Strip::new(clean, path, step, reach, 0.0);
+        let profile = Profile::of(&strip, bin)?;
+        if !profile.goes_on || 2 * reach > WIDEST {
+            return Some((strip, profile));
+        }
+        // a wide trail shines here too; of doughnuts beside the line no more need be seen
+        if Dashes::of(&strip, profile.fwhm).length <= 0.0 {
+            return None;
+        }
+        reach *= 2;
+    }
+}
+
 /// The path bent through the middles of what is lit.
 fn middle_path(clean: &Clean, line: Line, step: usize) -> Option<Path> {
     let mut path = Path::new(clean, line)?;
     for (near, core) in [(2 * line.bin, line.bin), (line.bin + 1, line.bin.div_ceil(2))] {
         let strip = Strip::new(clean, &path, step, 6 * line.bin + 6, 0.0);
         let lit = lit(&strip, core, 3 * line.bin + 2..usize::MAX).0;
-        let middle = |(station, light): (usize, &f32)| {
-            (*light > 0.0).then_some(())?;
-            let across = &strip.across(station)[strip.reach - near..=strip.reach + near];
-            // what is above a quarter of the light: wings and noise pull everything to the middle
-            let above = across.iter().map(|value| (value - 0.25 * light).max(0.0));
-            let (sum, moment) = above
-                .enumerate()
-                .fold((0.0, 0.0), |(sum, moment), (n, value)| (sum + value, moment + value * (n as f32 - near as f32)));
-            (sum > 0.0).then_some((strip.t(station), moment / sum))
-        };
-        let middles: Vec<(f32, f32)> = lit.iter().enumerate().filter_map(middle).collect();
-        path = path.bent_through(&middles)?;
+        path = path.bent_through(&middles(&strip, &lit, near))?;
     }
     Some(path)
+}
+
+/// The path of a trail of a width that is known, through its middles once more: what saturates is wider and flatter than
+/// the few pixels in which it was looked for, and seemed to lie in the middle wherever the path ran over it.
+fn centred(clean: &Clean, mut path: Path, step: usize, fwhm: f32, reach: usize) -> Option<Path> {
+    let near = (CENTRED * fwhm + 1.0).ceil() as usize;
+    for _ in 0..2 {
+        let strip = Strip::new(clean, &path, step, reach, 0.0);
+        let lit = lit(&strip, core_of(fwhm, reach), aside_of(fwhm)).0;
+        path = path.bent_through(&middles(&strip, &lit, near.min(reach)))?;
+    }
+    Some(path)
+}
+
+/// The middle of each lit station, within `near` px of the path: its place along and across.
+fn middles(strip: &Strip, lit: &[f32], near: usize) -> Vec<(f32, f32)> {
+    let middle = |(station, light): (usize, &f32)| {
+        (*light > 0.0).then_some(())?;
+        let across = &strip.across(station)[strip.reach - near..=strip.reach + near];
+        // what is above a quarter of the light: wings and noise pull everything to the middle
+        let above = across.iter().map(|value| (value - 0.25 * light).max(0.0));
+        let (sum, moment) = above
+            .enumerate()
+            .fold((0.0, 0.0), |(sum, moment), (n, value)| (sum + value, moment + value * (n as f32 - near as f32)));
+        (sum > 0.0).then_some((strip.t(station), moment / sum))
+    };
+    lit.iter().enumerate().filter_map(middle).collect()
 }
 
 /// Light of the stations that are lit, 0 of the others; and that of all.
@@ -294,6 +312,17 @@ impl Dashes {
         // a blinking trail goes on beyond its last whole dash
         let ends = if dashes > 1 { (0, strip.len() - 1) } else { (first, last) };
         Self { length, is_trail: is_long && is_even, ends }
+    }
+
+    /// Whether they are much longer than those on the lines beside the trail.
+    fn stand_out(&self, clean: &Clean, path: &Path, step: usize, fwhm: f32) -> bool {
+        let aside = |(widths, px): (f32, f32)| (widths * fwhm).max(px);
+        let reach = (3.0 * fwhm) as usize + 4;
+        let beside = ASIDE.into_iter().map(aside).flat_map(|d| [d, -d]);
+        let mut beside: Vec<f32> =
+            beside.map(|d| Dashes::of(&Strip::new(clean, path, step, reach, d), fwhm).length).collect();
+        beside.sort_unstable_by(f32::total_cmp);
+        beside.get(1).is_some_and(|length| self.length > CONTRAST * length)
     }
 }
 

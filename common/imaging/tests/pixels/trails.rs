@@ -55,6 +55,8 @@ struct Harm {
     /// Ellipticity with the trail less that without.
     ellipticity: f64,
     trails: usize,
+    /// Whether the stars pass for trails.
+    trailed: bool,
 }
 
 fn harm(field: &Field, trails: &[Trail]) -> Harm {
@@ -63,10 +65,8 @@ fn harm(field: &Field, trails: &[Trail]) -> Harm {
     let near = |x: f64, y: f64, measured: &Measured| {
         measured.stars.iter().any(|s| !s.flags.cosmic && (s.x_px - x).hypot(s.y_px - y) < field.fwhm.max(2.0))
     };
-    let spurious = |measured: &Measured| {
-        let drawn = |x: f64, y: f64| sky.stars.iter().any(|s| (s.x - x).hypot(s.y - y) < 2.0 * field.fwhm.max(2.0));
-        measured.stars.iter().filter(|s| !drawn(s.x_px, s.y_px)).count()
-    };
+    let drawn = |x: f64, y: f64| sky.stars.iter().any(|s| (s.x - x).hypot(s.y - y) < 2.0 * field.fwhm.max(2.0));
+    let spurious = |measured: &Measured| measured.stars.iter().filter(|s| !drawn(s.x_px, s.y_px)).count();
     let beside = |x: f64, y: f64| trails.iter().all(|t| t.distance(x, y) > 3.0 * t.fwhm + 2.0 * field.fwhm);
     let mut harm = Harm { trails: spoilt.quality.trails, ..Harm::default() };
     for star in sky.stars.iter().filter(|star| beside(star.x, star.y)) {
@@ -74,18 +74,30 @@ fn harm(field: &Field, trails: &[Trail]) -> Harm {
         harm.with += usize::from(near(star.x, star.y, &plain) && near(star.x, star.y, &spoilt));
     }
     harm.spurious = spurious(&spoilt).saturating_sub(spurious(&plain));
+    if harm.spurious > 2 {
+        for star in spoilt.stars.iter().filter(|s| !drawn(s.x_px, s.y_px)) {
+            let places = trails.iter().map(|trail| trail.along_and_across(star.x_px, star.y_px));
+            println!(
+                "  ({:.0}, {:.0}) significance {:.1} {:?}",
+                star.x_px,
+                star.y_px,
+                star.significance,
+                places.collect::<Vec<_>>()
+            );
+        }
+    }
     let fwhm = |measured: &Measured| measured.quality.fwhm_px.unwrap().value;
     let ellipticity = |measured: &Measured| measured.quality.ellipticity.unwrap().value;
     harm.width = fwhm(&spoilt) / fwhm(&plain);
     harm.ellipticity = ellipticity(&spoilt) - ellipticity(&plain);
-    assert!(!spoilt.quality.trailed, "{field:?} {trails:?}");
+    harm.trailed = spoilt.quality.trailed;
     harm
 }
 
-/// What trails may do at most: spurious detections in a frame, in the mean, and the share of the stars that is left.
-struct Most(f64, f64);
+/// What trails may do at most: spurious detections in each frame, and the share of the stars that is left.
+struct Most(usize, f64);
 
-const MOST: Most = Most(2.0, 0.98);
+const MOST: Most = Most(2, 0.98);
 
 /// Looks at many frames of a kind; each draws its trails with its own dice.
 fn judge(kind: &str, frames: u64, Most(spurious, left): Most, draw: impl Fn(&mut StdRng) -> (Field, Vec<Trail>)) {
@@ -104,6 +116,7 @@ fn judge(kind: &str, frames: u64, Most(spurious, left): Most, draw: impl Fn(&mut
             (sum.without + harm.without, sum.with + harm.with, sum.trails + harm.trails);
         worst.spurious = worst.spurious.max(harm.spurious);
         worst.width = if (harm.width - 1.0).abs() > (worst.width - 1.0).abs() { harm.width } else { worst.width };
+        worst.trailed |= harm.trailed;
         worst.ellipticity = worst.ellipticity.max(harm.ellipticity);
     }
     println!(
@@ -116,7 +129,8 @@ fn judge(kind: &str, frames: u64, Most(spurious, left): Most, draw: impl Fn(&mut
         worst.width,
         worst.ellipticity
     );
-    assert!(sum.spurious as f64 <= spurious * frames as f64, "{kind}: {sum:?}");
+    assert!(!worst.trailed, "{kind}");
+    assert!(worst.spurious <= spurious, "{kind}: {sum:?}, at most {}", worst.spurious);
     assert!(sum.with as f64 >= left * sum.without as f64, "{kind}: {sum:?}");
     assert!((worst.width - 1.0).abs() < 0.1 && worst.ellipticity < 0.05, "{kind}: {worst:?}");
 }
@@ -132,13 +146,13 @@ fn anywhere(rng: &mut StdRng, field: &Field, peak: f64, fwhm: f64) -> Trail {
 #[test]
 fn a_trail_as_wide_as_the_stars() {
     for peak in [200.0, 2000.0, 200_000.0] {
-        judge(&format!("peak {peak}"), 6, MOST, |rng| (FIELD, vec![anywhere(rng, &FIELD, peak, FIELD.fwhm)]));
+        judge(&format!("peak {peak}"), 12, MOST, |rng| (FIELD, vec![anywhere(rng, &FIELD, peak, FIELD.fwhm)]));
     }
 }
 
 #[test]
 fn a_trail_that_begins_or_ends_within_the_frame() {
-    judge("ends", 8, Most(4.0, 0.98), |rng| {
+    judge("ends", 16, MOST, |rng| {
         let field = Field { width: 768, height: 768, stars: 90, ..FIELD };
         let mut trail = anywhere(rng, &field, 2000.0, field.fwhm);
         trail.ends.0 = rng.random_range(-300.0..-60.0);
@@ -151,15 +165,46 @@ fn a_trail_that_begins_or_ends_within_the_frame() {
 
 #[test]
 fn two_trails_that_cross() {
-    judge("crossing", 6, MOST, |rng| (FIELD, (0..2).map(|_| anywhere(rng, &FIELD, 2000.0, FIELD.fwhm)).collect()));
+    judge("crossing", 12, MOST, |rng| (FIELD, (0..2).map(|_| anywhere(rng, &FIELD, 2000.0, FIELD.fwhm)).collect()));
 }
 
 #[test]
 fn a_trail_that_blinks() {
-    judge("blinking", 6, Most(8.0, 0.97), |rng| {
+    judge("blinking", 16, MOST, |rng| {
         let field = Field { width: 768, height: 768, stars: 90, ..FIELD };
         let trail = anywhere(rng, &field, 2000.0, field.fwhm);
         let period = (rng.random_range(60.0..200.0), rng.random_range(0.4..0.8));
         (field, vec![Trail { period: Some(period), ..trail }])
+    });
+}
+
+#[test]
+fn a_trail_that_is_bent() {
+    judge("bent", 8, MOST, |rng| {
+        let field = Field { width: 768, height: 768, stars: 90, ..FIELD };
+        let trail = anywhere(rng, &field, 2000.0, field.fwhm);
+        (field, vec![Trail { bend: rng.random_range(-1e-4..1e-4), ..trail }])
+    });
+}
+
+#[test]
+#[ignore = "not reached yet: docs/imaging.md"]
+fn four_trails_side_by_side() {
+    judge("side by side", 12, MOST, |rng| {
+        let field = Field { width: 768, height: 768, stars: 90, ..FIELD };
+        let (first, apart) = (anywhere(rng, &field, 2000.0, field.fwhm), rng.random_range(12.0..40.0));
+        let (sin, cos) = first.angle.sin_cos();
+        let beside = |n: f64| Trail { x: first.x - n * apart * sin, y: first.y + n * apart * cos, ..first };
+        (field, [0.0, 1.0, 2.0, 3.0].map(beside).to_vec())
+    });
+}
+
+#[test]
+#[ignore = "not reached yet: docs/imaging.md"]
+fn a_trail_out_of_focus() {
+    judge("wide", 8, MOST, |rng| {
+        let field = Field { width: 1024, height: 1024, stars: 120, ..FIELD };
+        let fwhm = rng.random_range(8.0..30.0);
+        (field, vec![anywhere(rng, &field, 1000.0, fwhm)])
     });
 }

@@ -49,6 +49,14 @@ impl Trail {
         Self { x, y, angle, peak, fwhm, ends: (f64::NEG_INFINITY, f64::INFINITY), period: None, bend: 0.0 }
     }
 
+    /// How far a place lies along the trail and across it, px.
+    pub fn along_and_across(&self, x: f64, y: f64) -> (f64, f64) {
+        let (dx, dy) = (x - self.x, y - self.y);
+        let (sin, cos) = self.angle.sin_cos();
+        let t = dx * cos + dy * sin;
+        (t, dy * cos - dx * sin - self.bend * t * t)
+    }
+
     /// Distance of a place from the trail, px.
     pub fn distance(&self, x: f64, y: f64) -> f64 {
         let (dx, dy) = (x - self.x, y - self.y);
