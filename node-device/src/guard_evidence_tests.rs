@@ -52,8 +52,8 @@ fn a_shutter_that_opens_again_while_it_must_close_is_asked_at_once() {
         // a request to open that the server carried out late
         (vec![Open, Open, Opening, Opening, Opening, Opening], 5.0),
         // another client, while it closes
-        (vec![Closing, Closing, Closing, Closing, Opening, Opening], 5.0),
-        (vec![Closing, Closing, Closing, Closing, Open, Open], 5.0),
+        (vec![Closing, Closing, Closing, Closing, Opening, Opening], 5.5),
+        (vec![Closing, Closing, Closing, Closing, Open, Open], 5.5),
     ] {
         let mut guard = opened(Open);
         let mut requests = Vec::new();

@@ -121,7 +121,8 @@ def inject(case: Case, rig: Rig, allowance_s: float) -> Result:
         rig.heal()
         healed = time.time()
         if case.goes_on:
-            rig.exposes(90.0)
+            # a shutter that closed unseen is proven closed once the time of its travel, 90 s, is over
+            rig.exposes(120.0)
             result.went_on = True
             result.lost_s = time.time() - healed
     except Exception as error:
