@@ -149,3 +149,13 @@ def hindered_park(rig):
     rig.wire.change("safety", unsafe=True)
     closes_although(rig, hinder, 30)
     yield
+
+
+@case("somebody opens the shutter while it closes for an unsafe sky", "B3 D4", ISSAFE)
+def opened_while_it_closes(rig):
+    since = rig.wire.last()
+    rig.wire.change("safety", unsafe=True)
+    wait("the shutter closes", lambda: rig.puts("closeshutter", since) and rig.wire.open_fraction() < 0.7, 10, 0.02)
+    rig.wire.ask_alpaca("dome", "openshutter")
+    rig.mark()
+    yield

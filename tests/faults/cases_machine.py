@@ -1,5 +1,7 @@
 """The machine under the nodes: clocks that jump, disks that are full or read-only, locks, no more files."""
 
+import fcntl
+import os
 import pathlib
 import sqlite3
 import threading
@@ -144,3 +146,30 @@ def exhausted(node: str):
 case("dome's device node out of files, then it is unsafe", "N23", MACHINE)(exhausted("dome"))
 case("observatory out of files, then it is unsafe", "N23", MACHINE)(exhausted("observatory"))
 case("other device node out of files, then it is unsafe", "N23 S2", MONITOR_SILENT)(exhausted("hands"))
+
+
+def nobody_reads(*nodes: str):
+    """Their lines go into a pipe that is full: a stopped terminal (Ctrl-S), `| less`, a log collector that stands still."""
+    def run(rig):
+        read, write = os.pipe()
+        fcntl.fcntl(write, fcntl.F_SETPIPE_SZ, 4096)
+        os.write(write, b"." * 4096)
+        try:
+            for node in nodes:
+                rig.end(node)
+                rig.spawn(node, rig.command(node), out=write)
+            rig.exposes(90.0)
+            rig.mark()
+            rig.wire.change("safety", unsafe=True)
+            yield
+            rig.wire.change("safety", unsafe=False)
+            for node in nodes:
+                rig.restart(node)
+        finally:
+            os.close(read)
+            os.close(write)
+    return run
+
+
+case("nobody takes the lines of the observatory and of the dome's processes, and it is unsafe", "F1 F2", MACHINE)(
+    nobody_reads("observatory", "dome"))

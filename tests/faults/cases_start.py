@@ -8,7 +8,7 @@ import threading
 import time
 
 from case import DOME_NODE, GUARD_PROCESS, case
-from rig import Late, command_line, wait
+from rig import Late, command_line, free_port, wait
 
 START = "a slip in the configuration or on disk, and a restart: the guard process closes"
 HARMLESS = "a slip that is another node's, and a restart of the dome's: nothing closes"
@@ -239,3 +239,35 @@ def copies_spoilt(rig):
     with changed(rig.configuration, half):
         rig.kill_guarded()
         yield
+
+
+@case("the disk of the configuration hangs, and the dome's device node is killed", "F1 N4", GUARD_PROCESS, group=START)
+def hanging_disk(rig):
+    # who opens a pipe that nobody writes to waits as long as on a disk that hangs
+    away = rig.configuration.with_suffix(".away")
+    rig.configuration.rename(away)
+    os.mkfifo(rig.configuration)
+    try:
+        rig.kill_guarded()
+        rig.mark()
+        yield
+    finally:
+        # whoever waits reads the end of an empty file
+        with contextlib.suppress(OSError):
+            os.close(os.open(rig.configuration, os.O_WRONLY | os.O_NONBLOCK))
+        away.replace(rig.configuration)
+
+
+@case("the configuration names another dome that answers, and the dome's processes restart: the old one is closed", "F1 D9",
+      DOME_NODE, group=START)
+def another_dome(rig):
+    port = free_port()
+    rig.spawn("neighbour", [rig.binary, "simulator", "--bind", f"127.0.0.1:{port}", "--size-px", "64"])
+    ours = f'name = "dome"\nserver = "{rig.wire.address}"'
+    try:
+        with changed(rig.configuration, lambda text: text.replace(ours, f'name = "dome"\nserver = "127.0.0.1:{port}"')):
+            restart_both(rig)
+            yield
+        restart_both(rig)
+    finally:
+        rig.end("neighbour")

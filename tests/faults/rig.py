@@ -118,12 +118,14 @@ listen = "127.0.0.1:{self.web_port}"
 
     # -- processes
 
-    def spawn(self, name: str, command: list[str], env: dict | None = None):
+    def spawn(self, name: str, command: list[str], env: dict | None = None, out: int | None = None):
+        """`out` takes its lines in the place of its log."""
         with open(self.folder / f"{name}.log", "a") as log:
             log.write(f"=== {time.strftime('%H:%M:%S')} start\n")
             log.flush()
+            to = log if out is None else out
             self.processes[name] = subprocess.Popen(
-                [*self.enter.get(name, []), *command], stdout=log, stderr=log, stdin=subprocess.DEVNULL,
+                [*self.enter.get(name, []), *command], stdout=to, stderr=to, stdin=subprocess.DEVNULL,
                 env={**os.environ, **(env or {})})
 
     def start_simulator(self):
