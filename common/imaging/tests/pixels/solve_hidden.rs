@@ -209,3 +209,47 @@ fn long_trails_are_refused_and_short_ones_solved() {
         assert!(!must_solve || near == FRAMES, "trails of {length} px: {others:?}");
     }
 }
+
+/// Two chips side by side in one image, without the gap that is between them on the sky, and the second a little turned.
+#[test]
+fn a_frame_of_two_chips_is_placed_by_one_of_them() {
+    let kind = Kind { field_deg: (0.4, 2.0), stars: (60, 160), offset_fields: 0.3, ..PLAIN };
+    let (mut right, mut wrong, mut missed) = (0, 0, Vec::new());
+    for seed in 0..40_u64 {
+        let mut frame = draw(&kind, 4_200 + seed);
+        let gap = [10.0, 30.0, 80.0, 150.0][seed as usize % 4];
+        let turn = (0.05 * (seed % 3) as f64).to_radians();
+        let (middle, height) = (0.5 * frame.shape.0 as f64, 0.5 * frame.shape.1 as f64);
+        frame.stars.retain_mut(|star| {
+            if star.x_px < middle {
+                return true;
+            }
+            let (x, y) = (star.x_px - middle, star.y_px - height);
+            star.x_px = middle - gap + x * turn.cos() - y * turn.sin();
+            star.y_px = height + x * turn.sin() + y * turn.cos();
+            x > gap && (0.0..2.0 * height - 1.0).contains(&star.y_px)
+        });
+        match solved(&frame, &frame.detected()) {
+            Ok(solution) => {
+                // one chip, or the other, is where it says
+                let off_px = |shifted: bool| {
+                    let (x, y) = if shifted { (1.5 * middle, height) } else { (0.5 * middle, height) };
+                    let (ra, dec) = solution.wcs.pixel_to_sky(if shifted { x - gap } else { x }, y);
+                    frame.truth.sky_to_pixel(ra, dec).map_or(f64::INFINITY, |(tx, ty)| (tx - x).hypot(ty - y))
+                };
+                let off = off_px(false).min(off_px(true));
+                if off < 3.0 {
+                    right += 1
+                } else {
+                    wrong += 1
+                }
+                if off >= 3.0 {
+                    println!("seed {seed} gap {gap}: {off:.1} px off, {} matched", solution.matched);
+                }
+            }
+            Err(reason) => missed.push(format!("{seed} gap {gap} turn {turn:.4}: {reason}")),
+        }
+    }
+    println!("two chips: {right} right, {wrong} wrong, missed {missed:#?}");
+    assert!(wrong == 0 && right >= 36, "{right} right, {wrong} wrong: {missed:#?}");
+}
