@@ -91,7 +91,12 @@ impl Standing {
     pub fn do_without(&mut self, rules: &Rules, input: &str, for_s: f64, said: Said) -> Result<(), String> {
         let known: Vec<&str> = rules.limits.iter().map(|rule| rule.input.as_str()).chain([SUN]).collect();
         if !known.contains(&input) {
-            return Err(format!("no limit is called \"{input}\"; expected one of {}", known.join(", ")));
+            let why = if input.starts_with("safetymonitor/") {
+                "a safety monitor cannot be overridden"
+            } else {
+                "no limit is called so"
+            };
+            return Err(format!("\"{input}\": {why}; expected one of {}", known.join(", ")));
         }
         if for_s != 0.0 && said.reason.trim().is_empty() {
             return Err("an override needs a reason".to_owned());

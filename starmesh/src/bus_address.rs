@@ -20,6 +20,7 @@ const HERE: &str = "tcp/127.0.0.1:0";
 /// The arguments of a node with its addresses to listen on and to connect to.
 pub async fn of_nodes(file: &config::Bus, supervisor: &Bus) -> Vec<String> {
     let mut arguments = Vec::new();
+    let locators = supervisor.locators().await;
     for endpoint in &file.listen {
         arguments.extend(["--listen".to_owned(), with_free_port(endpoint)]);
     }
@@ -28,8 +29,12 @@ pub async fn of_nodes(file: &config::Bus, supervisor: &Bus) -> Vec<String> {
         for endpoint in ["tcp/0.0.0.0:0", HERE] {
             arguments.extend(["--listen".to_owned(), endpoint.to_owned()]);
         }
+        let here = locators.first().map(String::as_str).unwrap_or_default();
+        lines::complain(format_args!(
+            "starmesh: this host has no network; its own nodes meet all the same, and commands such as `starmesh status` need \
+             --connect {here}"
+        ));
     }
-    let locators = supervisor.locators().await;
     for locator in locators.iter().filter(|locator| locator.starts_with("tcp/127.0.0.1:")) {
         arguments.extend(["--connect".to_owned(), locator.clone()]);
     }

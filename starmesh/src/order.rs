@@ -6,11 +6,12 @@ use std::time::{Duration, Instant};
 use anyhow::{anyhow, bail};
 use bus::{AskError, Catch, Subscriber};
 use clap::{Args, Subcommand};
+use contract::command::operator;
 use contract::device::dome::Guard;
-use contract::observatory::{NightState, Posture};
+use contract::observatory::{NightState, Posture, StandingOrders};
 use contract::{Address, CommandId, Device, Key, Kind, Order, OrderKind, Part, Reply, printable};
 
-use crate::console::line;
+use crate::console::{foreign_line, line};
 use crate::join::Join;
 use crate::status::posture_word;
 use crate::telescopes;
@@ -170,10 +171,32 @@ pub async fn give(telescope: &str, kind: OrderKind, by: By, wait: Duration, join
             sight.until_closed(&order.id, wait).await?;
             line(format_args!("verified closed"))?;
         }
-        Reply::Accepted(_) => line(format_args!("accepted"))?,
+        Reply::Accepted(_) => {
+            line(format_args!("accepted"))?;
+            if matches!(order.kind, OrderKind::Robotic(true)) {
+                tell_of_hold(&bus, &address).await?;
+            }
+        }
         Reply::Refusal(refusal) => bail!("refused, {}: {}", refusal.reason, printable(&refusal.detail)),
     }
     bus.close().await;
+    Ok(())
+}
+
+/// Prints who ordered that the telescope stays closed, if somebody did: starting it opens nothing then.
+async fn tell_of_hold(bus: &bus::Bus, address: &Address) -> anyhow::Result<()> {
+    let key = Key::Observatory(address.clone(), Part::Standing).to_string();
+    for (_, said) in bus.get_all::<StandingOrders>(&key, Duration::from_secs(1)).await {
+        if let Some(hold) = said.body.stay_closed {
+            let reason = if hold.reason.is_empty() { "no reason given" } else { &hold.reason };
+            foreign_line(format_args!(
+                "it stays closed all the same: {} ordered so at {} ({reason}). `starmesh order {address} open-again` takes that back, \
+                 and then it opens",
+                operator(&hold.from),
+                hold.at_utc
+            ))?;
+        }
+    }
     Ok(())
 }
 

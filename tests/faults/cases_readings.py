@@ -114,6 +114,20 @@ def slow_and_safe(rig):
     yield
 
 
+@case("the weather station becomes slow in the midst of what decides nothing: the dome stays open", "D1 S3", group=HEALTHY,
+      watch_s=20.0)
+def slow_in_the_rest(rig):
+    is_slow = threading.Event()
+
+    def before(member):
+        if member == "pressure":
+            is_slow.set()
+        if is_slow.is_set():
+            time.sleep(PER_PROPERTY_S)
+    rig.relays["observingconditions"].before = before
+    yield
+
+
 @case(f"the weather station needs {PER_PROPERTY_S} s per property, and it rains", "D1 S3 S7", WEATHER_SILENT)
 def slow_and_rain(rig):
     no_device_state = slow_station(rig)

@@ -259,6 +259,23 @@ async fn parked(mount: Alpaca, connect: bool, orders: bool) -> bool {
     false
 }
 
+impl Word {
+    /// Logs it; `tell` publishes the alert of an alarm, or that it is over.
+    pub fn report(self, dome: &str, mut tell: impl FnMut(AlertKind, Option<String>)) {
+        match self {
+            Self::Sent(what) => tracing::warn!(dome, what, "the guard process acts"),
+            Self::Failed(what, error) => tracing::warn!(dome, what, error, "the guard process's command failed"),
+            Self::Alarm(alarm, is_raised) => {
+                let (kind, cause) = alert(alarm, dome);
+                if is_raised {
+                    tracing::error!(dome, "{cause}");
+                }
+                tell(kind, is_raised.then_some(cause));
+            }
+        }
+    }
+}
+
 /// The alert of an alarm.
 pub fn alert(alarm: Alarm, name: &str) -> (AlertKind, String) {
     match alarm {

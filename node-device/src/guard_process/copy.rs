@@ -112,6 +112,12 @@ impl Copy {
         self.domes == other.domes
     }
 
+    /// The names of the domes that are at the same address in the other copy.
+    pub fn at_the_same_server(&self, other: &Self) -> Vec<String> {
+        let is_known = |dome: &&DomeCopy| other.domes.iter().any(|o| o.name == dome.name && o.target == dome.target);
+        self.domes.iter().filter(is_known).map(|dome| dome.name.to_string()).collect()
+    }
+
     /// The bytes of a file.
     pub fn sealed(&self, number: u64) -> Option<Vec<u8>> {
         let copy = serde_json::to_string(self).ok()?;

@@ -12,6 +12,21 @@ use super::closer::{Closer, Word, alert};
 /// An address at which nobody has answered for so long has no dome any more.
 const NOBODY: Duration = Duration::from_secs(3600);
 
+/// Closes all such domes, and lets go those that are closed; `tell` publishes an alert of a dome, or that it is over.
+pub fn close_all(domes: &mut Vec<Leaving>, now: MachineTime, mut tell: impl FnMut(AlertKind, &str, Option<String>)) {
+    for dome in domes.iter_mut() {
+        for word in dome.close(now) {
+            word.report(&dome.name, |kind, cause| tell(kind, &dome.name, cause));
+        }
+    }
+    domes.retain(|dome| {
+        let Some(why) = dome.is_let_go(now) else { return true };
+        tracing::warn!(dome = dome.name, why, "the dome that the configuration named before is let go");
+        dome.told.iter().for_each(|kind| tell(*kind, &dome.name, None));
+        false
+    });
+}
+
 /// One such dome.
 pub struct Leaving {
     /// Its name with its old address: `dome at 10.0.0.5:11111 number 0`.
@@ -31,7 +46,7 @@ impl Leaving {
     }
 
     /// Closes it, and closes it again.
-    pub fn close(&mut self, now: MachineTime) -> Vec<Word> {
+    fn close(&mut self, now: MachineTime) -> Vec<Word> {
         self.since.get_or_insert(now);
         let mut words = Vec::new();
         self.closer.take_answers(now, &mut words);
@@ -46,16 +61,11 @@ impl Leaving {
     }
 
     /// Why it need not be looked after any more, if so.
-    pub fn is_let_go(&self, now: MachineTime) -> Option<&'static str> {
+    fn is_let_go(&self, now: MachineTime) -> Option<&'static str> {
         if self.closer.is_verified_closed(now) {
             return Some("it is verified closed");
         }
         let nobody = !self.has_answered && self.since.is_some_and(|since| now.since(since) >= NOBODY);
         nobody.then_some("nobody has answered at its old address for an hour")
-    }
-
-    /// The alerts that were raised for it.
-    pub fn told(&self) -> impl Iterator<Item = AlertKind> + '_ {
-        self.told.iter().copied()
     }
 }

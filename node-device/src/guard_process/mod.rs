@@ -5,7 +5,8 @@
 //! ends, hangs or never sees its shutter), the dome is closed when its last permit has run out, by Alpaca and verified, for
 //! ever, and an alert is raised. The node needs this process as little: without it, it guards on and raises an alert.
 //!
-//! `watch` decides (pure), `closer` does, `copy` and `places` remember, `link` is the line between both processes.
+//! `watch` decides (pure), `closer` does, `leaving` closes what the configuration names no more, `starting` asks the disk, `copy` and `places`
+//! remember, `link` is the line between both processes.
 
 pub mod copy;
 pub mod link;
@@ -16,6 +17,7 @@ mod disk;
 mod herald;
 mod leaving;
 mod signals;
+mod starting;
 mod task;
 mod watch;
 

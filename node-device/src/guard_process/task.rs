@@ -2,27 +2,27 @@
 
 use std::collections::BTreeMap;
 use std::process::ExitCode;
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use bus::{Clock, MachineTime, NodeOptions};
 use contract::observatory::AlertKind;
-use tokio::io::{AsyncBufReadExt as _, AsyncWriteExt as _, BufReader};
+use tokio::io::{AsyncBufReadExt as _, BufReader};
 use tokio::process::{Child, ChildStdin};
 use tokio::time::{MissedTickBehavior, interval};
 
-use super::NODE_LOCK;
-use super::closer::{Closer, Word, alert};
+use super::closer::Closer;
 use super::copy::Copy;
 use super::disk::{self, Written};
 use super::herald::Herald;
-use super::leaving::Leaving;
-use super::link::{DEADLINES, END, NodeLines, Report, deadlines_to_text, next_line};
+use super::leaving::{self, Leaving};
+use super::link::{self, NodeLines, Report, next_line};
 use super::places::{Before, Deadlines, Places};
 use super::signals::{Asked, Signals, lock};
+use super::starting::{self, Ready};
 use super::watch::{Effect, TICK, Watch, Who};
-use crate::child::{self, END_LIMIT};
+use crate::child::END_LIMIT;
 
 /// A complaint is repeated in the log so often while its reason lasts.
 const COMPLAIN: Duration = Duration::from_secs(60);
@@ -74,31 +74,6 @@ async fn run(options: &NodeOptions, verb: &[&str], id: &str) -> anyhow::Result<(
 /// What to close by: the last-good copy or, where no node has worked yet, that of the configuration.
 fn known<'a>(good: &'a Option<(u64, Copy)>, tried: &'a Option<Copy>) -> Option<&'a Copy> {
     good.as_ref().map(|(_, copy)| copy).or(tried.as_ref())
-}
-
-/// What the disk has for a start of the device node.
-struct Ready {
-    /// The copy of the configuration, or why there is none.
-    copy: Result<Copy, String>,
-    /// The node, or why it could not be started; none where another one has not ended yet.
-    node: Option<anyhow::Result<Child>>,
-}
-
-fn spawn(
-    verb: &[String],
-    options: &NodeOptions,
-    id: &str,
-    places: &Places,
-    deadlines: &Deadlines,
-) -> anyhow::Result<Child> {
-    let verb: Vec<&str> = verb.iter().map(String::as_str).collect();
-    let mut command = child::command(&verb, options, id)?;
-    command.arg("--guarded").env(DEADLINES, deadlines_to_text(deadlines));
-    if let Some(file) = places.last_words() {
-        command.env(bus::node::LAST_WORDS, file);
-    }
-    command.env_remove("NOTIFY_SOCKET").stdout(std::process::Stdio::piped());
-    command.spawn().context("cannot start the device node")
 }
 
 struct Work<'a> {
@@ -252,10 +227,8 @@ impl<'a> Work<'a> {
         self.good = Some((number, worked));
         self.unsaved = true;
         if is_new {
-            if let Some((_, good)) = &self.good {
-                let names: Vec<&str> = good.domes.iter().map(|dome| dome.name.as_str()).collect();
-                self.watch.keep_only(&names);
-            }
+            let names = tried.domes.iter().map(|dome| dome.name.as_str()).collect::<Vec<_>>();
+            self.watch.keep_only(&names);
             self.arm();
             for leaving in &self.leaving {
                 tracing::warn!(
@@ -283,33 +256,11 @@ impl<'a> Work<'a> {
 
     /// Closes the domes that the configuration names no more.
     fn let_go(&mut self, now: MachineTime) {
-        for leaving in &mut self.leaving {
-            for word in leaving.close(now) {
-                match word {
-                    Word::Sent(what) => tracing::warn!(dome = leaving.name, what, "the guard process acts"),
-                    Word::Failed(what, error) => {
-                        tracing::warn!(dome = leaving.name, what, error, "the guard process's command failed");
-                    }
-                    Word::Alarm(alarm, is_raised) => {
-                        let (kind, cause) = alert(alarm, &leaving.name);
-                        if let Some((_, copy)) = &self.good {
-                            self.herald.tell(copy, kind, &leaving.name, is_raised.then_some(cause));
-                        }
-                    }
-                }
-            }
-        }
-        let herald = &mut self.herald;
-        let good = &self.good;
-        self.leaving.retain_mut(|leaving| {
-            let Some(why) = leaving.is_let_go(now) else { return true };
-            tracing::warn!(dome = leaving.name, why, "the dome that the configuration named before is let go");
+        let (herald, good) = (&mut self.herald, &self.good);
+        leaving::close_all(&mut self.leaving, now, |kind, name, cause| {
             if let Some((_, copy)) = good {
-                for kind in leaving.told() {
-                    herald.tell(copy, kind, &leaving.name, None);
-                }
+                herald.tell(copy, kind, name, cause);
             }
-            false
         });
     }
 
@@ -369,7 +320,8 @@ impl<'a> Work<'a> {
                 return self.watch.not_yet(now);
             }
             self.read_at = Some(Instant::now());
-            self.asking = Some(self.ask_the_disk(now));
+            let deadlines = self.watch.deadlines().clone();
+            self.asking = Some(starting::ask(self.options, self.verb, self.id, &self.places, deadlines, now));
             return;
         }
         // while the disk says nothing this process guards alone
@@ -396,46 +348,14 @@ impl<'a> Work<'a> {
                 self.orders = node.stdin.take();
                 self.lines = node.stdout.take().map(|out| BufReader::new(out).lines());
                 self.node = Some(node);
-                let good = self.good.as_ref().map_or(&copy, |(_, good)| good);
-                let same = copy.domes.iter().filter(|dome| {
-                    good.domes.iter().any(|known| known.name == dome.name && known.target == dome.target)
-                });
-                self.watch.started(now, same.map(|dome| dome.name.to_string()).collect());
+                let same = copy.at_the_same_server(self.good.as_ref().map_or(&copy, |(_, good)| good));
+                self.watch.started(now, same);
             }
             Err(error) => {
                 self.trouble = Some(format!("{error:#}"));
                 self.watch.ended(now);
             }
         }
-    }
-
-    /// Reads the configuration and starts the node on a thread: a disk that hangs must not hold up what closes.
-    fn ask_the_disk(&self, now: MachineTime) -> Receiver<Ready> {
-        let (tell, told) = sync_channel(1);
-        let (options, id, places) = (self.options.clone(), self.id.to_owned(), self.places.clone());
-        let verb: Vec<String> = self.verb.iter().map(|word| (*word).to_owned()).collect();
-        let mut deadlines = self.watch.deadlines().clone();
-        let runtime = tokio::runtime::Handle::current();
-        std::thread::spawn(move || {
-            let copy = match bus::node::read_observatory(&options.config).map(|config| Copy::of(&config, &id)) {
-                Ok(Some(copy)) => copy,
-                Ok(None) => {
-                    let why = "the configuration names no dome for this device node any more".to_owned();
-                    return drop(tell.send(Ready { copy: Err(why), node: None }));
-                }
-                Err(error) => return drop(tell.send(Ready { copy: Err(format!("{error:#}")), node: None })),
-            };
-            for dome in &copy.domes {
-                deadlines.entry(dome.name.to_string()).or_insert_with(|| now.plus(dome.permit_valid()));
-            }
-            // a node that lost its guard process leaves as soon as it sees the new one
-            let is_free = places.lock(NODE_LOCK).is_ok();
-            let _within = runtime.enter();
-            let node = is_free.then(|| spawn(&verb, &options, &id, &places, &deadlines));
-            // nobody waits any more where this process ends
-            let _ = tell.send(Ready { copy: Ok(copy), node });
-        });
-        told
     }
 
     fn cannot_start(&mut self, now: MachineTime, why: String) {
@@ -460,21 +380,11 @@ impl<'a> Work<'a> {
                 }
             }
             for word in words {
-                match word {
-                    Word::Sent(what) => tracing::warn!(dome = name, what, "the guard process acts"),
-                    Word::Failed(what, error) => {
-                        tracing::warn!(dome = name, what, error, "the guard process's command failed");
+                word.report(name, |kind, cause| {
+                    if let Some(copy) = known(&self.good, &self.tried) {
+                        self.herald.tell(copy, kind, name, cause);
                     }
-                    Word::Alarm(alarm, is_raised) => {
-                        let (kind, cause) = alert(alarm, name);
-                        if is_raised {
-                            tracing::error!(dome = name, "{cause}");
-                        }
-                        if let Some(copy) = known(&self.good, &self.tried) {
-                            self.herald.tell(copy, kind, name, is_raised.then_some(cause));
-                        }
-                    }
-                }
+                });
             }
         }
         for name in acts_for.iter().filter(|name| !self.acts_for.contains(name)) {
@@ -547,15 +457,8 @@ impl<'a> Work<'a> {
 
     /// An end was asked for: what this round still lacks for it.
     fn ending(&mut self, by: Instant, now: MachineTime) -> Option<anyhow::Result<()>> {
-        if let Some(mut orders) = self.orders.take() {
-            tokio::spawn(async move {
-                // it may have ended; then it needs no order
-                let _ = orders.write_all(format!("{END}\n").as_bytes()).await;
-                let _ = orders.flush().await;
-                // to the node its end means that this process has died
-                tokio::time::sleep(END_LIMIT * 2).await;
-                drop(orders);
-            });
+        if let Some(orders) = self.orders.take() {
+            tokio::spawn(link::ask_to_end(orders, END_LIMIT * 2));
         }
         let is_late = Instant::now() >= by;
         if let Some(node) = &mut self.node
@@ -579,6 +482,7 @@ impl<'a> Work<'a> {
             .iter()
             .filter(|(name, closer)| !closer.is_verified_closed(now) && !self.watch.node_says_closed(name))
             .map(|(name, _)| name.as_str())
+            .chain(self.leaving.iter().map(|dome| dome.name.as_str()))
             .collect();
         if self.closers.is_empty() {
             return Some(Err(anyhow::anyhow!("nobody guards {} now, and nothing is known of it", self.names())));

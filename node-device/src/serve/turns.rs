@@ -57,7 +57,9 @@ impl<D: Driver> Loop<D> {
             let count = (room as usize).clamp(lanes, self.rest.len().max(lanes)).min(self.rest.len());
             let properties = self.rest.drain(..count).collect();
             self.rest_is_due = false;
-            return Wanted { properties, full: false, device_state: false, lanes, told_after: None };
+            // a device that becomes slow meanwhile does not keep what decides waiting for all of it
+            let told_after = Some(self.period() / 4);
+            return Wanted { properties, full: false, device_state: false, lanes, told_after };
         }
         if self.rest.is_empty() {
             self.rest = self.wanted().into_iter().filter(|name| !deciding.contains(name)).collect();
@@ -90,7 +92,12 @@ impl<D: Driver> Loop<D> {
         self.each = took / u32::try_from(poll.answers.len().max(1)).unwrap_or(1);
         self.one_lane |= poll.crowded;
         let slow = (poll.answers.len() > 1 || !poll.unasked.is_empty()) && took > self.period() / 2;
-        self.parts.extend(poll.unasked.iter().cloned());
+        if poll.full {
+            self.parts.extend(poll.unasked.iter().cloned());
+        } else {
+            // of the rest: what decides has its turn before
+            poll.unasked.iter().rev().for_each(|property| self.rest.push_front(property.clone()));
+        }
         if self.one_lane {
             self.lanes = 1;
         } else if slow && self.lanes == 1 {
