@@ -113,8 +113,10 @@ pub enum Write {
         /// Path relative to the folder of images.
         file: String,
     },
-    /// A frame's file is safe under its name.
+    /// A frame's file is safe under its name; a row that is there already stays.
     Stored(Box<StoredImage>),
+    /// What the camera's node announces of a frame whose row is there.
+    Announced(Box<Frame>),
     /// A header is complete.
     Complete(CommandId),
     /// A record of a node's audit.

@@ -170,6 +170,10 @@ impl Store {
         if let Some(known) = self.known(&frame).await? {
             let same = known.frame.sha256.eq_ignore_ascii_case(&frame.sha256);
             anyhow::ensure!(same, "frame {} is stored with other pixels than those announced now", frame.id);
+            if known.frame.purpose != frame.purpose {
+                // what was found as a file alone, after a kill or in an older database, lacks what no header has
+                self.database.commit(vec![Write::Announced(Box::new(frame))]).await?;
+            }
             return Ok(());
         }
         let _turn = ways.turns.wait(&frame.url).await;
@@ -259,7 +263,9 @@ impl Store {
     async fn record(&self, image: StoredImage) -> anyhow::Result<()> {
         let (frame, camera) = (image.frame.id.clone(), image.frame.camera.clone());
         let (file, bytes) = (image.file.clone(), image.bytes);
-        self.database.commit(vec![Write::Stored(Box::new(image))]).await?;
+        // a row that was made of the file alone knows less than what is announced
+        let announced = Write::Announced(Box::new(image.frame.clone()));
+        self.database.commit(vec![Write::Stored(Box::new(image)), announced]).await?;
         let count = self.count.fetch_add(1, Ordering::Relaxed) + 1;
         self.node.figure("frames_stored", Scalar::Int(count));
         tracing::info!(file, camera, "stored");

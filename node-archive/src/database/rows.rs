@@ -154,11 +154,14 @@ pub(super) fn write(transaction: &Transaction<'_>, write: &Write) -> rusqlite::R
             .prepare_cached("INSERT OR REPLACE INTO writing VALUES (?,?)")?
             .execute(params![frame.0, file])
             .map(|_| 0),
+        Write::Announced(frame) => {
+            let (frame, json) = without_url(frame)?;
+            transaction
+                .prepare_cached("UPDATE images SET frame = ? WHERE frame_id = ?")?
+                .execute(params![json, frame.id.0])
+        }
         Write::Stored(image) => {
-            // the token in the URL opens the frame in the spool and is nobody else's business
-            let frame = Frame { url: String::new(), ..image.frame.clone() };
-            let json =
-                serde_json::to_string(&frame).map_err(|e| rusqlite::Error::ToSqlConversionFailure(Box::new(e)))?;
+            let (frame, json) = without_url(&image.frame)?;
             transaction.prepare_cached("DELETE FROM writing WHERE frame_id = ?")?.execute([&frame.id.0])?;
             transaction
                 .prepare_cached("INSERT INTO images VALUES (?,?,0,?,?,?,?,?,?,?) ON CONFLICT DO NOTHING")?
@@ -331,4 +334,11 @@ fn to_text(value: &Scalar) -> String {
         Scalar::Int(_) | Scalar::Text(_) => value.to_string(),
         Scalar::List(_) => serde_json::to_string(value).unwrap_or_default(),
     }
+}
+
+/// A frame as the database keeps it: the token in its URL opens the frame in the spool and is nobody else's business.
+fn without_url(frame: &Frame) -> Result<(Frame, String), rusqlite::Error> {
+    let frame = Frame { url: String::new(), ..frame.clone() };
+    let json = serde_json::to_string(&frame).map_err(|e| rusqlite::Error::ToSqlConversionFailure(Box::new(e)))?;
+    Ok((frame, json))
 }

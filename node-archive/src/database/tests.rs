@@ -165,6 +165,12 @@ async fn an_image_is_stored_once_and_completed_once() {
     assert_eq!(found.frame.purpose, image_a.frame.purpose);
     assert_eq!(found.frame.url, "", "the token is nobody's business");
     assert_eq!((found.path, found.bytes, found.stored), (image_a.path, 5760, at(2)));
+    // a row that was made of the file alone learns what is announced
+    let mut announced = image_a.frame.clone();
+    announced.purpose.metadata.insert("visit".to_owned(), "7".into());
+    database.commit(vec![Write::Announced(Box::new(announced.clone()))]).await.unwrap();
+    let found = reader.image(&image_a.frame.id).unwrap().unwrap();
+    assert_eq!((found.frame.purpose, found.frame.url.as_str(), found.bytes), (announced.purpose, "", 5760));
     database.commit(vec![Write::Complete(image_a.frame.id.clone())]).await.unwrap();
     assert_eq!(reader.incomplete(10).unwrap().len(), 1);
     assert_eq!(reader.image_counts().unwrap(), (2, 1));
