@@ -73,5 +73,5 @@ fn only_while_safe(room: &ControlRoom) -> Result<(), Trouble> {
     if room.is_safe() {
         return Ok(());
     }
-    Err(Trouble::Impossible(format!("nothing is opened: {}", room.ruling.borrow().why())))
+    Err(Trouble::NotSafe(room.ruling.borrow().why()))
 }

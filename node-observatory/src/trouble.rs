@@ -69,6 +69,9 @@ pub enum Trouble {
     /// The row asks for what this telescope or this sky does not offer.
     #[error("{0}")]
     Impossible(String),
+    /// The sky became unsafe a moment before the row was stopped for it.
+    #[error("nothing is opened: {0}")]
+    NotSafe(String),
     /// Where the telescope looks could not be proven.
     #[error("{why}")]
     Unproven {
@@ -118,6 +121,7 @@ impl Trouble {
                 Kind::ALL.iter().copied().find(|kind| kind.to_string() == named)
             }
             Self::Impossible(_)
+            | Self::NotSafe(_)
             | Self::Unproven { .. }
             | Self::Script { .. }
             | Self::Unnamed(_)
@@ -134,6 +138,7 @@ impl Trouble {
             | Self::Failed { .. }
             | Self::Deadline { .. }
             | Self::Restarted { .. }
+            | Self::NotSafe(_)
             | Self::Unnamed(_)
             | Self::Hidden { .. }
             | Self::Script { .. }
@@ -141,5 +146,18 @@ impl Trouble {
             Self::Unproven { again, .. } => *again,
             Self::Cooling { .. } | Self::Impossible(_) | Self::Sky(_) => false,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sky_that_turns_as_a_row_opens_is_no_reason_to_give_the_row_up() {
+        let trouble = Trouble::NotSafe("monitor: not connected yet".to_owned());
+        assert!(trouble.may_pass() && trouble.kind().is_none());
+        assert_eq!(trouble.to_string(), "nothing is opened: monitor: not connected yet");
+        assert!(!Trouble::Impossible("no filter wheel".to_owned()).may_pass());
     }
 }
