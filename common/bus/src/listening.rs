@@ -19,12 +19,7 @@ pub(crate) fn share(config: &config::Bus) -> config::Bus {
         let address = match usable(endpoint) {
             Ok(address) => address,
             Err(why) => {
-                tracing::warn!(
-                    endpoint,
-                    %why,
-                    "this node cannot listen here, and nobody can meet it there; it goes on without, until it is started anew"
-                );
-                shared.listen.push(here(protocol));
+                shared.listen.push(instead(endpoint, protocol, &why));
                 continue;
             }
         };
@@ -48,12 +43,7 @@ pub(crate) fn share(config: &config::Bus) -> config::Bus {
                 } else {
                     error.to_string()
                 };
-                tracing::warn!(
-                    endpoint,
-                    %why,
-                    "this node cannot listen here, and nobody can meet it there; it goes on without, until it is started anew"
-                );
-                shared.listen.push(here(protocol));
+                shared.listen.push(instead(endpoint, protocol, &why));
                 // whoever has that address is met there
                 if address.port() != 0 {
                     shared.connect.push(format!("{protocol}/{}", reachable(address)));
@@ -70,8 +60,13 @@ enum Held {
     Udp { _socket: UdpSocket },
 }
 
-/// A free port of this host.
-fn here(protocol: &str) -> String {
+/// A free port of this host in the place of an address that cannot be had, which is logged.
+fn instead(endpoint: &str, protocol: &str, why: &str) -> String {
+    tracing::warn!(
+        endpoint,
+        why,
+        "this node cannot listen here, and nobody can meet it there; it goes on without, until it is started anew"
+    );
     format!("{protocol}/127.0.0.1:0")
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::process::ExitCode;
-use std::sync::mpsc::{Receiver, SyncSender};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
@@ -241,16 +241,11 @@ impl<'a> Work<'a> {
 
     /// Stores the last-good copy. A restart of this process must still know a dome that is not let go yet.
     fn save(&mut self) {
-        let Some((number, good)) = self.good.as_ref().filter(|_| self.unsaved && self.leaving.is_empty()) else {
-            return;
-        };
-        if self.disk.try_send(Written::Copy(*number, Box::new(good.clone()))).is_ok() {
+        if let Some((number, good)) = self.good.as_ref().filter(|_| self.unsaved && self.leaving.is_empty())
+            && self.disk.try_send(Written::Copy(*number, Box::new(good.clone()))).is_ok()
+        {
             self.unsaved = false;
-            tracing::debug!(
-                domes = self.names(),
-                number,
-                "what is needed to close was stored for the time when nothing else works"
-            );
+            tracing::debug!(number, "what is needed to close was stored for the time when nothing else works");
         }
     }
 
@@ -324,10 +319,13 @@ impl<'a> Work<'a> {
             self.asking = Some(starting::ask(self.options, self.verb, self.id, &self.places, deadlines, now));
             return;
         }
+        let told = self.asking.as_ref().map(Receiver::try_recv);
         // while the disk says nothing this process guards alone
-        let Some(ready) = self.asking.as_ref().and_then(|asking| asking.try_recv().ok()) else { return };
+        if matches!(told, Some(Err(TryRecvError::Empty))) {
+            return;
+        }
         self.asking = None;
-        let Ready { copy, node } = ready;
+        let Some(Ok(Ready { copy, node })) = told else { return self.watch.not_yet(now) };
         let copy = match copy {
             Ok(copy) => copy,
             Err(why) => return self.cannot_start(now, why),
