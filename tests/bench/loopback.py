@@ -2,15 +2,16 @@
 
 import contextlib
 import json
-import socket
+import pathlib
+import sys
 import time
 import urllib.request
 
+sys.path.append(str(pathlib.Path(__file__).resolve().parents[1] / "python"))
 
-def free_port() -> int:
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
+from ports import free_port
+
+__all__ = ["fetch", "free_port", "put", "wait"]
 
 
 def fetch(url: str):

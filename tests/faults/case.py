@@ -125,6 +125,7 @@ def inject(case: Case, rig: Rig, allowance_s: float) -> Result:
             rig.exposes(120.0)
             result.went_on = True
             result.lost_s = time.time() - healed
+            rig.everybody_is_met()
     except Exception as error:
         result.went_on = False
         if not result.why:

@@ -14,10 +14,11 @@ import sys
 import tempfile
 import time
 
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "python"))
+
+from ports import free_port
 from relay import AlpacaRelay
 from wire import Late, Wire, arrived_s, wait
-
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "python"))
 
 SITE, TELESCOPE = "faults", "alpha"
 PREFIX = f"starmesh/v1/{SITE}/{TELESCOPE}"
@@ -248,6 +249,16 @@ listen = "127.0.0.1:{self.web_port}"
             if self.processes[node].poll() is not None:
                 self.start(node)
 
+    def everybody_is_met(self):
+        """Each node listens where the others were told: one that found its address taken at a start has it again."""
+        def met(node: str) -> bool:
+            with contextlib.suppress(OSError), socket.create_connection((self.host(node), self.ports[node]), timeout=1.0):
+                return True
+            return False
+        # those of `up` listen on free ports
+        for node in (node for node in NODES if node in self.processes):
+            wait(f"{node} listens at {self.endpoint(node)}", lambda node=node: met(node), 15)
+
     def stop(self):
         if self._ear:
             self._ear.close()
@@ -342,10 +353,4 @@ def descendants(pid: int) -> list[int]:
     return found
 
 
-def free_port() -> int:
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
-
-
-__all__ = ["Rig", "Late", "Wire", "arrived_s", "wait"]
+__all__ = ["Rig", "Late", "Wire", "arrived_s", "free_port", "wait"]

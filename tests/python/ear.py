@@ -49,7 +49,8 @@ class Ear:
                 self._news.wait(left)
         brief = {k: str(v.get("fields", v))[:300] for k, v in self.newest.items()
                  if k.endswith(("/state", "/guard")) and ("dome" in k or "observatory" in k)}
-        raise AssertionError(f"{what}: not within {timeout_s} s; last heard {json.dumps(brief, indent=1)}")
+        met = len(self.session.info.peers_zid())
+        raise AssertionError(f"{what}: not within {timeout_s} s, with {met} peers met; last heard {json.dumps(brief, indent=1)}")
 
     def ask(self, key: str, question: dict, timeout_s: float = 5.0) -> list[dict]:
         """Asks a queryable and returns its answers."""

@@ -6,7 +6,6 @@ import json
 import os
 import pathlib
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -16,18 +15,13 @@ import urllib.request
 import alpaca_simulators
 import yaml
 from ear import Ear
+from ports import free_port
 
 LATITUDE, LONGITUDE, ELEVATION = 48.0, 8.0, 1000.0  # alpaca-simulators' own site
 SITE, TELESCOPE = "black-forest", "alpha"
 PREFIX = f"starmesh/v1/{SITE}/{TELESCOPE}"
 KINDS = ["telescope", "camera", "filterwheel", "focuser", "dome", "safetymonitor", "observingconditions",
          "covercalibrator", "switch", "rotator"]
-
-
-def free_port() -> int:
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
 
 
 def overridden(template: dict, changed: dict) -> dict:

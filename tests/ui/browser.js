@@ -6,12 +6,13 @@ import { chromium } from "playwright-core";
 
 export const binary = process.env.STARMESH_BIN ?? join(import.meta.dirname, "../../target/debug/starmesh");
 
+// below the range from which the kernel gives ports to whoever connects: a server that is started again finds its own
 export const freePort = () =>
   new Promise((resolve) => {
-    const server = createServer().listen(0, "127.0.0.1", () => {
-      const { port } = server.address();
-      server.close(() => resolve(port));
-    });
+    const port = 20_000 + Math.floor(Math.random() * 12_000);
+    const server = createServer()
+      .listen(port, "127.0.0.1", () => server.close(() => resolve(port)))
+      .once("error", () => resolve(freePort()));
   });
 
 export const launch = () =>
