@@ -1,13 +1,17 @@
 //! Where a session listens when several programs of one host were told the same address.
 //!
 //! The roles of one `observatory.toml` read the same `[bus] listen`, and only one of them can have it. The others listen
-//! on a free port of the same interface and meet the one that has it, which introduces them to everybody.
+//! on a free port of the same interface and meet the one that has it, which introduces them to everybody. They go on
+//! asking for the address: who was told to connect to it must find somebody there when that one has ended.
 
 use std::io::ErrorKind;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, ToSocketAddrs as _, UdpSocket};
 use std::path::Path;
 
-/// The same settings with each address that cannot be had replaced by a free port, and met instead.
+/// How often an address is tried again that could not be had.
+const AGAIN_MS: u32 = 3000;
+
+/// The same settings with a free port beside each address that cannot be had yet, and whoever has it met.
 pub(crate) fn share(config: &config::Bus) -> config::Bus {
     let mut shared = config::Bus { listen: Vec::new(), ..config.clone() };
     // an address of one's own is nobody to meet
@@ -19,7 +23,7 @@ pub(crate) fn share(config: &config::Bus) -> config::Bus {
         let address = match usable(endpoint) {
             Ok(address) => address,
             Err(why) => {
-                shared.listen.push(instead(endpoint, protocol, &why));
+                shared.listen.extend(instead(endpoint, protocol, &why));
                 continue;
             }
         };
@@ -35,6 +39,7 @@ pub(crate) fn share(config: &config::Bus) -> config::Bus {
             Err(error) if error.kind() == ErrorKind::AddrInUse => {
                 tracing::info!(endpoint, "another program listens here already; it is met, and a free port is used");
                 shared.listen.push(format!("{protocol}/{}", SocketAddr::new(address.ip(), 0)));
+                shared.listen.push(when_it_can_be_had(endpoint));
                 shared.connect.push(format!("{protocol}/{}", reachable(address)));
             }
             Err(error) => {
@@ -43,7 +48,7 @@ pub(crate) fn share(config: &config::Bus) -> config::Bus {
                 } else {
                     error.to_string()
                 };
-                shared.listen.push(instead(endpoint, protocol, &why));
+                shared.listen.extend(instead(endpoint, protocol, &why));
                 // whoever has that address is met there
                 if address.port() != 0 {
                     shared.connect.push(format!("{protocol}/{}", reachable(address)));
@@ -60,14 +65,23 @@ enum Held {
     Udp { _socket: UdpSocket },
 }
 
-/// A free port of this host in the place of an address that cannot be had, which is logged.
-fn instead(endpoint: &str, protocol: &str, why: &str) -> String {
+/// A free port of this host while an address cannot be had, which is logged.
+fn instead(endpoint: &str, protocol: &str, why: &str) -> [String; 2] {
     tracing::warn!(
         endpoint,
         why,
-        "this node cannot listen here, and nobody can meet it there; it goes on without, until it is started anew"
+        "this node cannot listen here, and nobody can meet it there; it goes on without, and tries again every few seconds"
     );
-    format!("{protocol}/127.0.0.1:0")
+    [format!("{protocol}/127.0.0.1:0"), when_it_can_be_had(endpoint)]
+}
+
+/// The endpoint, with what makes zenoh try it again and again beside its other work.
+fn when_it_can_be_had(endpoint: &str) -> String {
+    let joint = if endpoint.contains('#') { ';' } else { '#' };
+    format!(
+        "{endpoint}{joint}exit_on_failure=false;retry_period_init_ms={AGAIN_MS};retry_period_max_ms={AGAIN_MS};\
+         retry_period_increase_factor=1"
+    )
 }
 
 /// Those on all interfaces first, since they hold the port of all others.
@@ -118,7 +132,8 @@ mod tests {
         let config =
             config::Bus { listen: vec![taken.clone(), free.clone()], connect: vec![taken.clone()], multicast: false };
         let shared = share(&config);
-        assert_eq!((shared.listen, shared.connect), (vec![free.clone(), free], vec![taken.clone()]));
+        let later = when_it_can_be_had(&taken);
+        assert_eq!((shared.listen, shared.connect), (vec![free.clone(), later, free], vec![taken.clone()]));
         drop(holder);
         let shared = share(&config);
         assert_eq!((shared.listen[0].as_str(), shared.connect.len()), (taken.as_str(), 0));
@@ -126,10 +141,13 @@ mod tests {
         let udp = format!("udp/{}", socket.local_addr().unwrap());
         let config = config::Bus { listen: vec![udp.clone()], connect: Vec::new(), multicast: false };
         let shared = share(&config);
-        assert_eq!((shared.listen, shared.connect), (vec!["udp/127.0.0.1:0".to_owned()], vec![udp]));
+        assert_eq!(
+            (shared.listen, shared.connect),
+            (vec!["udp/127.0.0.1:0".to_owned(), when_it_can_be_had(&udp)], vec![udp])
+        );
         // 192.0.2.0/24 is of no host: an interface that is not up yet must not keep a node from its start
         let away = config::Bus { listen: vec!["tcp/192.0.2.1:7447".to_owned()], connect: Vec::new(), multicast: true };
-        assert_eq!(share(&away).listen, ["tcp/127.0.0.1:0"]);
+        assert_eq!(share(&away).listen, ["tcp/127.0.0.1:0".to_owned(), when_it_can_be_had("tcp/192.0.2.1:7447")]);
     }
 
     fn listened(listen: &[&str]) -> (Vec<String>, Vec<String>) {
@@ -140,18 +158,19 @@ mod tests {
 
     #[test]
     fn what_this_host_has_not_is_gone_without_also_on_a_free_port() {
-        let here = vec!["tcp/127.0.0.1:0".to_owned()];
         // the nodes of `up` get the interface of the file with a port of their own
-        assert_eq!(listened(&["tcp/192.0.2.1:0"]), (here.clone(), Vec::new()));
-        assert_eq!(listened(&["tcp/no-such-host.invalid:7447"]), (here.clone(), Vec::new()));
-        assert_eq!(listened(&["tcp/*:7447"]), (here, Vec::new()));
-        assert_eq!(listened(&["udp/192.0.2.1:0"]), (vec!["udp/127.0.0.1:0".to_owned()], Vec::new()));
+        for endpoint in ["tcp/192.0.2.1:0", "tcp/no-such-host.invalid:7447", "tcp/*:7447", "udp/192.0.2.1:0"] {
+            let here = format!("{}/127.0.0.1:0", &endpoint[..3]);
+            assert_eq!(listened(&[endpoint]), (vec![here, when_it_can_be_had(endpoint)], Vec::new()));
+        }
     }
 
     #[test]
     #[cfg(target_os = "linux")]
     fn an_interface_that_is_not_there_is_gone_without() {
-        assert_eq!(listened(&["tcp/0.0.0.0:7447#iface=none9"]), (vec!["tcp/127.0.0.1:0".to_owned()], Vec::new()));
+        let absent = listened(&["tcp/0.0.0.0:7447#iface=none9"]).0;
+        assert_eq!(absent[0], "tcp/127.0.0.1:0");
+        assert!(absent[1].starts_with("tcp/0.0.0.0:7447#iface=none9;exit_on_failure=false;"), "{absent:?}");
         assert_eq!(listened(&["tcp/127.0.0.1:0#iface=lo"]).0, ["tcp/127.0.0.1:0#iface=lo"]);
     }
 

@@ -134,7 +134,8 @@ fn settings(config: &config::Bus) -> serde_json::Value {
     };
     json!({
         "mode": "peer",
-        "listen": { "endpoints": listen },
+        // without a time zenoh tries no address twice, also none that is to be tried again
+        "listen": { "endpoints": listen, "timeout_ms": 300 },
         "connect": {
             "endpoints": config.connect,
             // -1: never give a peer up; zenoh tries in the background, so opening does not wait (0 would try just once)

@@ -258,15 +258,33 @@ async fn nodes_that_were_told_the_same_address_all_start_and_all_meet() {
         nodes.push(opened.unwrap());
     }
     let visitor = open(vec![format!("tcp/{free}")]).await;
+    all_know_each_other(nodes.iter().chain([&visitor]), 5, "five nodes and a visitor").await;
+    // who has the address ends: one of the others has it now
+    let holder = bus_that_listens(&nodes, &free.to_string()).await.unwrap();
+    nodes.remove(holder).close().await;
+    let late = open(vec![format!("tcp/{free}")]).await;
+    all_know_each_other(nodes.iter().chain([&visitor, &late]), 5, "four nodes and two visitors").await;
+}
+
+async fn bus_that_listens(nodes: &[Bus], address: &str) -> Option<usize> {
+    for (at, bus) in nodes.iter().enumerate() {
+        if bus.locators().await.iter().any(|locator| locator.contains(address)) {
+            return Some(at);
+        }
+    }
+    None
+}
+
+async fn all_know_each_other(nodes: impl Iterator<Item = &Bus> + Clone, peers: usize, who: &str) {
     for _ in 0..300 {
         let mut known = Vec::new();
-        for bus in nodes.iter().chain([&visitor]) {
+        for bus in nodes.clone() {
             known.push(bus.peers().await);
         }
-        if known.iter().all(|peers| *peers == 5) {
+        if known.iter().all(|count| *count == peers) {
             return;
         }
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
-    panic!("five nodes and a visitor do not all know each other within 15 s");
+    panic!("{who} do not all know each other within 15 s");
 }
