@@ -6,7 +6,7 @@ use crate::clean::{Camera, Clean};
 use crate::defect::SHARPEST_PX;
 use crate::frame::{Frame, FrameError};
 use crate::grid::Grid;
-use crate::matched_filter::{Kernel, Peak};
+use crate::matched_filter::{Kernel, Peak, Peaks};
 use crate::parallel;
 use crate::profile::Profile;
 use crate::quality::Quality;
@@ -85,8 +85,13 @@ pub(crate) fn measure_and_clean(
     let search = &Search { fwhm_px: search.fwhm_px.filter(|px| px.is_finite() && *px >= SHARPEST_PX), ..*search };
     let mut clean = Clean::new(frame, camera, search.fwhm_px)?;
     let light = Light { frame, saturation: camera.saturation_adu(frame), brightest: clean.brightest_adu };
-    let mut trails = trails::remove(&mut clean, camera, light.saturation, search.fwhm_px);
-    let mut found = find(&mut clean, camera, search, &light, true);
+    let (mut trails, mut found);
+    if let Some((as_doughnuts, doughnuts)) = doughnuts(&clean, camera, search, &light)? {
+        (clean, trails, found) = (as_doughnuts, trails::Found::default(), doughnuts);
+    } else {
+        trails = trails::remove(&mut clean, camera, light.saturation, search.fwhm_px);
+        found = find(&mut clean, camera, search, &light, true);
+    }
     if let Some(width) = found.width
         && (clean.takes_for_sky(width as f32) || clean.took_for_defects(width as f32, found.objects.len()))
     {
@@ -107,6 +112,33 @@ pub(crate) fn measure_and_clean(
         }
     }
     Ok((Measured { stars, quality }, clean))
+}
+
+/// The stars of a frame that shows, at first sight, wide doughnuts and no trail, by a camera of which nothing is known.
+/// Doughnuts in a row look like trails: to know their width first saves looking along all these rows.
+fn doughnuts(
+    clean: &Clean,
+    camera: &Camera,
+    search: &Search,
+    light: &Light,
+) -> Result<Option<(Clean, Found)>, FrameError> {
+    if search.fwhm_px.is_some() {
+        return Ok(None);
+    }
+    let kernel = Kernel::new(FIRST_FWHM_PX as f32);
+    let objects = objects(clean, &kernel, &kernel.peaks(clean, search.threshold), light);
+    let width = typical_width(clean, camera, light, &objects, (FIRST_FWHM_PX, None)).map(|width| width as f32);
+    let Some(width) = width.filter(|width| clean.takes_for_sky(*width)) else {
+        return Ok(None);
+    };
+    let search = Search { fwhm_px: Some(width), ..*search };
+    let mut clean = Clean::new(light.frame, camera, search.fwhm_px)?;
+    if trails::remove(&mut clean, camera, light.saturation, search.fwhm_px) != trails::Found::default() {
+        // a wide trail may be what the width was measured of
+        return Ok(None);
+    }
+    let found = find(&mut clean, camera, &search, light, false);
+    Ok(Some((clean, found)))
 }
 
 /// The raw pixels, asked about saturation.
@@ -150,8 +182,7 @@ fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light, may_
     loop {
         let kernel = Kernel::new(kernel_px as f32);
         let peaks = kernel.peaks(clean, search.threshold);
-        let is_saturated = |peak: &Peak| light.peak(peak.x, peak.y, 1).1;
-        let mut objects = candidates::objects(clean, &kernel, &peaks, is_saturated);
+        let mut objects = objects(clean, &kernel, &peaks, light);
         let width = typical_width(clean, camera, light, &objects, (kernel_px, search.fwhm_px));
         if may_be_cleaned_again && width.is_some_and(|width| clean.takes_for_sky(width as f32)) {
             return Found { objects, kernel_px, width };
@@ -173,6 +204,10 @@ fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light, may_
         kernel_px = width.map_or(kernel_px, |width| width.clamp(WIDTHS_PX.0, WIDTHS_PX.1));
         left -= 1;
     }
+}
+
+fn objects(clean: &Clean, kernel: &Kernel, peaks: &Peaks, light: &Light) -> Vec<Peak> {
+    candidates::objects(clean, kernel, peaks, |peak| light.peak(peak.x, peak.y, 1).1)
 }
 
 /// Median width of the best unsaturated stars, px, each seen through a window that grows or shrinks to its size. Known
