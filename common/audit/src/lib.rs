@@ -9,9 +9,11 @@ pub mod book;
 pub mod chain;
 mod entry;
 mod past;
+mod queue;
 mod voice;
 mod whereabouts;
 mod writer;
 
 pub use chain::{Broken, Link, Proven};
-pub use entry::{Audit, Entry, GUARD, verb_and_parameters};
+pub use entry::{Entry, GUARD, verb_and_parameters};
+pub use queue::Audit;

@@ -16,6 +16,7 @@ pub mod device;
 pub mod key;
 pub mod node;
 pub mod observatory;
+mod payload;
 mod printable;
 pub mod stamp;
 pub mod table;
@@ -24,11 +25,6 @@ pub use command::{Accepted, Command, CommandId, Order, OrderKind, Reason, Refusa
 pub use datum::{Datum, NoData, Reading, Scalar};
 pub use device::{DeviceKind, DeviceState, Kind, LastCommand, Link, Outcome};
 pub use key::{Address, BadKey, Chunk, Device, Key, Name, NodeTopic, Part, Role};
+pub use payload::Payload;
 pub use printable::printable;
 pub use stamp::{BootId, Stamped};
-
-/// A value that travels on the bus: plain data with a name that the contract's table and golden samples use.
-pub trait Payload: serde::Serialize + serde::de::DeserializeOwned + Send + Sync + Clone + 'static {
-    /// Name of the payload in `docs/bus.md` and of its golden sample.
-    const NAME: &'static str;
-}

@@ -12,7 +12,7 @@ use lettre::transport::smtp::authentication::{Credentials, Mechanism};
 use lettre::transport::smtp::client::{AsyncSmtpConnection, Certificate, TlsParameters};
 use lettre::transport::smtp::extension::ClientId;
 
-use crate::post::secret;
+use crate::secret::secret;
 use crate::{safe, trust};
 
 /// Connecting and greeting, machine time.

@@ -1,11 +1,7 @@
 //! One receiver's task: follows the alerts, sends what is due, tries again.
 
-use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use anyhow::Context as _;
 use bus::{MachineTime, Node};
 use config::{Alerting, Ping, Smtp, Webhook};
 use contract::observatory::{AlertKind, Alerts, Priority};
@@ -16,6 +12,7 @@ use crate::http::{Ask, Http};
 use crate::letter::Letter;
 use crate::mail::{self, Mail};
 use crate::mailbox::{Mailbox, Wish};
+use crate::secret::secret;
 
 /// What the ping is called in the alert about it.
 pub const PING: &str = "ping";
@@ -178,31 +175,4 @@ pub async fn keep_pinging(node: Node, ping: Ping, is_well: impl Fn() -> bool) ->
         }
         tokio::time::sleep(period.min(Duration::from_secs(1))).await;
     }
-}
-
-/// Tells once of a secret file that other users of this host can read.
-fn warn_if_open(file: &Path) {
-    static TOLD: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
-    if bus::private::is_open_to_others(file)
-        && TOLD.lock().unwrap_or_else(PoisonError::into_inner).insert(file.to_owned())
-    {
-        let file = file.display();
-        tracing::warn!(%file, "other users of this host can read a file with a secret: chmod 600 {file}");
-    }
-}
-
-/// A secret from its file or its environment variable, read anew each time: it may have been renewed.
-pub async fn secret(file: Option<&Path>, variable: Option<&str>) -> anyhow::Result<Option<String>> {
-    let text = match (file, variable) {
-        (Some(file), _) => {
-            warn_if_open(file);
-            let read = tokio::fs::read_to_string(file).await;
-            read.with_context(|| format!("the secret file {} cannot be read", file.display()))?
-        }
-        (None, Some(variable)) => {
-            std::env::var(variable).with_context(|| format!("the environment variable {variable} holds no secret"))?
-        }
-        (None, None) => return Ok(None),
-    };
-    Ok(Some(text.trim().to_owned()))
 }

@@ -10,6 +10,8 @@ use contract::{Key, Name, NodeTopic, Part, Role, Scalar};
 use tokio::sync::watch;
 use units::Utc;
 
+use crate::sending::keep_sending;
+
 /// Alerts are said every 10 s; a node that is silent for longer than this has no say any more.
 const SILENCE: Duration = Duration::from_secs(60);
 
@@ -36,7 +38,7 @@ pub async fn keep_standing_in(node: Node) -> anyhow::Result<()> {
     node.figure(FIGURE, Scalar::Float(patience_s));
     let (shown, alerts) = watch::channel(None);
     tokio::select! {
-        result = crate::keep_sending(node.clone(), alerts) => result,
+        result = keep_sending(node.clone(), alerts) => result,
         result = keep_watching(&node, Duration::from_secs_f64(patience_s), &shown) => result,
     }
 }
