@@ -1,55 +1,10 @@
 //! Which column of a table is what.
 
-use crate::error::CatalogueError;
-use crate::reading::Reading;
 use std::path::Path;
 
-/// A magnitude of Gaia or 2MASS.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Band {
-    /// Gaia G.
-    G,
-    /// Gaia BP.
-    Bp,
-    /// Gaia RP.
-    Rp,
-    /// 2MASS J.
-    J,
-    /// 2MASS H.
-    H,
-    /// 2MASS Ks.
-    Ks,
-}
-
-impl Band {
-    /// All of them, in the order in which one stands in for another that a star does not have.
-    pub const ALL: [Self; 6] = [Self::G, Self::J, Self::Rp, Self::Bp, Self::H, Self::Ks];
-
-    /// The band of a word such as `G`, `BP` or `Ks`, whatever its case.
-    pub fn named(word: &str) -> Option<Self> {
-        Some(match word.trim().to_ascii_lowercase().as_str() {
-            "g" => Self::G,
-            "bp" => Self::Bp,
-            "rp" => Self::Rp,
-            "j" => Self::J,
-            "h" => Self::H,
-            "k" | "ks" => Self::Ks,
-            _ => return None,
-        })
-    }
-
-    /// What columns of this magnitude are called: by the Gaia archive, the Gaia-2MASS files, VizieR and 2MASS.
-    pub fn names(self) -> &'static [&'static str] {
-        match self {
-            Self::G => &["phot_g_mean_mag", "gmag", "g_mag"],
-            Self::Bp => &["phot_bp_mean_mag", "bpmag", "bp_mag"],
-            Self::Rp => &["phot_rp_mean_mag", "rpmag", "rp_mag"],
-            Self::J => &["j_m", "jmag", "j_mag"],
-            Self::H => &["h_m", "hmag", "h_mag"],
-            Self::Ks => &["ks_m", "k_m", "kmag", "ksmag", "ks_mag"],
-        }
-    }
-}
+use crate::band::Band;
+use crate::error::CatalogueError;
+use crate::reading::{EPOCH_YEAR, Reading, Row};
 
 const RA: &[&str] = &["ra", "ra_deg", "ra_icrs", "raj2000", "ra_j2000", "_ra"];
 const DEC: &[&str] = &["dec", "dec_deg", "de_icrs", "dec_icrs", "dej2000", "decj2000", "dec_j2000", "_de"];
@@ -125,5 +80,22 @@ impl Columns {
             return Err(refuse("pair of proper motions: one of pmra and pmdec is missing".to_owned()));
         }
         Ok(columns)
+    }
+}
+
+/// The row of a table whose cells are answered by `cell`.
+pub(crate) fn row(columns: &Columns, reading: &Reading, cell: impl Fn(usize) -> Option<f64>) -> Row {
+    let told = columns.epoch.and_then(&cell);
+    // the table that Starmesh's own catalogue is made of: Gaia's stars at 2016.0, Tycho's at 2000.0
+    let by_source = columns.gaia.and_then(&cell).map(|gaia| if gaia > 0.0 { EPOCH_YEAR } else { 2000.0 });
+    let moves = columns.pm_known.and_then(&cell).is_none_or(|known| known > 0.0);
+    let motion = |column: Option<usize>| column.filter(|_| moves).and_then(&cell);
+    Row {
+        ra_deg: cell(columns.ra),
+        dec_deg: cell(columns.dec),
+        pm_ra_mas: motion(columns.pm_ra),
+        pm_dec_mas: motion(columns.pm_dec),
+        mag: columns.mags.iter().find_map(|column| cell(*column)),
+        epoch_year: told.or(reading.epoch_year).or(by_source),
     }
 }

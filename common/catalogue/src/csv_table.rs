@@ -6,10 +6,10 @@ use std::path::Path;
 use csv::{ReaderBuilder, Trim};
 use imaging::catalogue::Entry;
 
-use crate::columns::Columns;
+use crate::columns::{Columns, row};
 use crate::error::CatalogueError;
 use crate::kind::text;
-use crate::reading::{EPOCH_YEAR, Reading, Tally, row};
+use crate::reading::{EPOCH_YEAR, Reading, Tally};
 
 /// Calls `take` for each star.
 pub(crate) fn each_star(

@@ -12,9 +12,9 @@ use rusqlite::types::ValueRef;
 use rusqlite::{Connection, OpenFlags, Params};
 use units::Angle;
 
-use crate::columns::Columns;
+use crate::columns::{Columns, row};
 use crate::error::CatalogueError;
-use crate::reading::{EPOCH_YEAR, Reading, Tally, row};
+use crate::reading::{EPOCH_YEAR, Reading, Tally};
 
 /// Epoch of Gaia DR2, Julian year.
 const DR2_EPOCH_YEAR: f64 = 2015.5;

@@ -18,8 +18,10 @@
 //! Positions are ICRS, degrees; proper motions mas/yr, that in right ascension with cos(dec); epochs Julian years. A
 //! star without proper motion is kept, with none: stars must not vanish because something about them is not known.
 
+mod band;
 pub mod columns;
 mod csv_table;
+mod each_star;
 mod error;
 mod fits_table;
 pub mod gaia_tmass;
@@ -29,10 +31,11 @@ mod reading;
 mod shipped;
 mod sort;
 
-pub use columns::Band;
+pub use band::Band;
+pub use each_star::each_star;
 pub use error::CatalogueError;
 pub use kind::Kind;
 pub use open::{At, Catalogue};
-pub use reading::{EPOCH_YEAR, Reading, Row, Tally, each_star};
+pub use reading::{EPOCH_YEAR, Reading, Row, Tally};
 pub use shipped::shipped;
 pub use sort::{Built, Sorter};

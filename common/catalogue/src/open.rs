@@ -9,10 +9,11 @@ use imaging::solve::Stars;
 use memmap2::Mmap;
 use units::Angle;
 
+use crate::each_star::each_star;
 use crate::error::CatalogueError;
 use crate::gaia_tmass::GaiaTmass;
 use crate::kind::Kind;
-use crate::reading::{EPOCH_YEAR, Reading, each_star};
+use crate::reading::{EPOCH_YEAR, Reading};
 
 /// Barnard's star moves by 10.4" a year.
 const FASTEST_ARCSEC_PER_YEAR: f64 = 10.5;

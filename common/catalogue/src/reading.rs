@@ -1,15 +1,9 @@
-//! Stars out of any kind of file, one after the other, all at one epoch.
-
-use std::path::Path;
+//! How a file is read, and what it says of one star.
 
 use imaging::catalogue::Entry;
 use units::Angle;
 
-use crate::columns::{Band, Columns};
-use crate::error::CatalogueError;
-use crate::gaia_tmass::GaiaTmass;
-use crate::kind::Kind;
-use crate::{csv_table, fits_table};
+use crate::band::Band;
 
 /// Epoch that stars are brought to, Julian year: that of Gaia DR3.
 pub const EPOCH_YEAR: f64 = 2016.0;
@@ -87,40 +81,3 @@ impl Tally {
 
 /// No star moves faster than Barnard's, 10.4" a year; greater numbers stand for "unknown" somewhere.
 const FASTEST_MAS: f64 = 11_000.0;
-
-/// Calls `take` for each star of a file, at [`EPOCH_YEAR`], and counts them. Memory does not grow with the file.
-///
-/// # Errors
-/// [`CatalogueError`] when the file cannot be read as a catalogue, and what `take` answers.
-pub fn each_star(
-    file: &Path,
-    reading: &Reading,
-    take: &mut dyn FnMut(Entry) -> Result<(), CatalogueError>,
-) -> Result<Tally, CatalogueError> {
-    match Kind::of(file)? {
-        Kind::Packed => Err(CatalogueError::content(
-            file,
-            "is in Starmesh's own format already; give what it is to be built from, or use it as it is",
-        )),
-        Kind::Sqlite => GaiaTmass::open(file, reading)?.each_star(take),
-        Kind::Fits => fits_table::each_star(file, reading, take),
-        Kind::Csv => csv_table::each_star(file, reading, take),
-    }
-}
-
-/// The row of a table whose cells are answered by `cell`.
-pub(crate) fn row(columns: &Columns, reading: &Reading, cell: impl Fn(usize) -> Option<f64>) -> Row {
-    let told = columns.epoch.and_then(&cell);
-    // the table that Starmesh's own catalogue is made of: Gaia's stars at 2016.0, Tycho's at 2000.0
-    let by_source = columns.gaia.and_then(&cell).map(|gaia| if gaia > 0.0 { EPOCH_YEAR } else { 2000.0 });
-    let moves = columns.pm_known.and_then(&cell).is_none_or(|known| known > 0.0);
-    let motion = |column: Option<usize>| column.filter(|_| moves).and_then(&cell);
-    Row {
-        ra_deg: cell(columns.ra),
-        dec_deg: cell(columns.dec),
-        pm_ra_mas: motion(columns.pm_ra),
-        pm_dec_mas: motion(columns.pm_dec),
-        mag: columns.mags.iter().find_map(|column| cell(*column)),
-        epoch_year: told.or(reading.epoch_year).or(by_source),
-    }
-}

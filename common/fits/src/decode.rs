@@ -1,7 +1,7 @@
 //! Bytes of a plain image turned into pixels (FITS Standard 4.0, sections 4.4.2.5 and 5): big endian, scaled.
 
 use crate::header::{Header, KeywordError};
-use crate::image::Pixels;
+use crate::pixels::Pixels;
 
 /// From the numbers in the file to values: `zero + scale * number`.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -7,6 +7,7 @@ use crate::decode::{Scaling, decode};
 use crate::error::{Fault, FitsError};
 use crate::hdu::{self, Content, Hdu, Shape};
 use crate::header::Header;
+use crate::pixels::Pixels;
 use crate::unpack::Source;
 use crate::{planes, tiles, tiling};
 
@@ -14,30 +15,6 @@ use crate::{planes, tiles, tiling};
 const MOST_PIXELS: u64 = 1 << 29;
 /// Parts of a file that are looked at.
 const MOST_HDUS: usize = 10_000;
-
-/// Pixels in row order, the first row of the file first, scaled by BSCALE and BZERO.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Pixels {
-    /// Counts of 0 to 65535, without loss: 16 bits with BZERO 32768, and 8 bits.
-    U16(Vec<u16>),
-    /// All else. NaN where there is no value (BLANK). 32 and 64 bits are rounded to the 24 that a float keeps.
-    F32(Vec<f32>),
-}
-
-impl Pixels {
-    /// How many there are.
-    pub fn len(&self) -> usize {
-        match self {
-            Self::U16(counts) => counts.len(),
-            Self::F32(floats) => floats.len(),
-        }
-    }
-
-    /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-}
 
 /// A flat image, of at least one pixel; of a colour image (three planes) the mean of its planes.
 #[derive(Debug, Clone, PartialEq)]

@@ -28,6 +28,7 @@ pub mod error;
 pub mod hdu;
 pub mod header;
 pub mod image;
+mod pixels;
 mod planes;
 pub mod rewrite;
 pub mod table;
@@ -37,5 +38,6 @@ mod unpack;
 
 pub use error::{Fault, FitsError};
 pub use header::{Header, KeywordError};
-pub use image::{Image, Part, Pixels, parse, read, read_part};
+pub use image::{Image, Part, parse, read, read_part};
+pub use pixels::Pixels;
 pub use table::Table;

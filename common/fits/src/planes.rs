@@ -1,6 +1,6 @@
 //! One plane out of the three of a colour image.
 
-use crate::image::Pixels;
+use crate::pixels::Pixels;
 
 /// Planes of a colour image.
 pub(crate) const COLOURS: u64 = 3;

@@ -9,7 +9,7 @@ use std::ptr;
 
 use crate::cfitsio::Turn;
 use crate::hdu::BLOCK;
-use crate::image::Pixels;
+use crate::pixels::Pixels;
 
 /// cfitsio's numbers of types.
 const TUSHORT: c_int = 20;

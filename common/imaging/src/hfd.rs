@@ -7,7 +7,8 @@
 
 mod aperture;
 
-use crate::clean::{Camera, Clean};
+use crate::camera::Camera;
+use crate::clean::Clean;
 use crate::frame::{Frame, FrameError, Pixels};
 use crate::measure::{Search, measure_and_clean};
 use crate::parallel;

@@ -19,8 +19,10 @@
 //! The work on pixels runs on all cores, in plain loops over rows that the compiler turns into vector instructions.
 
 pub mod background;
-pub mod bad_pixels;
+mod bad_pixel_votes;
+mod bad_pixels;
 mod banding;
+mod camera;
 mod candidates;
 pub mod catalogue;
 pub mod clean;
@@ -49,7 +51,10 @@ mod trails;
 pub mod wcs;
 mod window;
 
-pub use clean::{Camera, Clean};
+pub use bad_pixel_votes::BadPixelVotes;
+pub use bad_pixels::BadPixelMap;
+pub use camera::Camera;
+pub use clean::Clean;
 pub use frame::{Frame, FrameError, Pixels};
 pub use measure::{Measured, Search, measure};
 pub use mosaic::{is_mosaic, measure_mosaic};

@@ -1,8 +1,9 @@
 //! From a frame to its stars and its quality, in one call.
 
 use crate::background::median_in_place;
+use crate::camera::Camera;
 use crate::candidates;
-use crate::clean::{Camera, Clean};
+use crate::clean::Clean;
 use crate::defect::SHARPEST_PX;
 use crate::frame::{Frame, FrameError};
 use crate::grid::Grid;

@@ -6,7 +6,7 @@
 
 use crate::background::median_in_place;
 use crate::bad_pixels::BadPixelMap;
-use crate::clean::Camera;
+use crate::camera::Camera;
 use crate::frame::{Frame, FrameError, Pixels};
 use crate::measure::{Measured, Search, measure};
 use crate::quality::Estimate;

@@ -4,7 +4,7 @@
 //! that are still in the cache, and the cleaned image is the only one that is written.
 
 use crate::bad_pixels::BadPixelMap;
-use crate::clean::Camera;
+use crate::camera::Camera;
 use crate::frame::{Frame, FrameError, Pixels};
 
 /// A frame with what is known of its camera.

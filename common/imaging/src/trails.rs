@@ -15,7 +15,8 @@ mod ridge;
 mod trail;
 
 use crate::background::median_in_place;
-use crate::clean::{Camera, Clean};
+use crate::camera::Camera;
+use crate::clean::Clean;
 use crate::parallel;
 use map::Map;
 use ridge::Line;

@@ -1,6 +1,7 @@
 //! A frame in f64 for the focus operators: nothing wraps, and the sky can be taken off.
 
-use crate::clean::{Camera, Clean};
+use crate::camera::Camera;
+use crate::clean::Clean;
 use crate::frame::{Frame, FrameError};
 
 /// Pixels in row order, ADU; all finite.

@@ -3,7 +3,8 @@
 //! Guiding looks at fifty such pieces and not at the other four million pixels.
 
 use crate::background::{Background, Mesh, median_in_place};
-use crate::clean::{Camera, Clean};
+use crate::camera::Camera;
+use crate::clean::Clean;
 use crate::frame::Frame;
 
 /// MAD of a Gaussian, in sigma.

@@ -7,7 +7,8 @@
 
 use super::patch::Patch;
 use super::usable;
-use crate::clean::{Camera, Clean};
+use crate::camera::Camera;
+use crate::clean::Clean;
 use crate::frame::Frame;
 use crate::matched_filter::Kernel;
 use crate::parallel;

@@ -4,7 +4,7 @@ use rand::{SeedableRng, rngs::StdRng};
 use rand_distr::{Distribution, StandardNormal};
 
 use super::*;
-use crate::clean::Camera;
+use crate::camera::Camera;
 use crate::frame::{Frame, Pixels};
 
 fn clean(width: usize, height: usize, seed: u64) -> Clean {

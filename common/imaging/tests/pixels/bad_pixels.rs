@@ -1,7 +1,7 @@
 //! Clusters of hot pixels look like stars in one frame; three pointings, or a dark, tell them apart.
 
 use crate::sky::{Psf, Sky, sigma};
-use imaging::bad_pixels::{BadPixelMap, BadPixelVotes};
+use imaging::{BadPixelMap, BadPixelVotes};
 use imaging::{Camera, Clean, Frame, Pixels, Search, measure};
 
 const SIDE: usize = 300;

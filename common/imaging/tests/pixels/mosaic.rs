@@ -101,7 +101,7 @@ fn saturation_bad_pixels_and_darks_are_seen_through_the_mosaic() {
     assert!(plain[0].flags.saturated && (plain[0].x_px - x).hypot(plain[0].y_px - y) < 0.5, "{:?}", plain[0]);
     assert!(false_stars(&plain) > 5, "without a dark the warm pixels should show: {}", false_stars(&plain));
     assert_eq!(false_stars(&found(&Camera { dark: Some(dark), ..Camera::default() })), 0);
-    let map = imaging::bad_pixels::BadPixelMap::from_dark(&dark).unwrap();
+    let map = imaging::BadPixelMap::from_dark(&dark).unwrap();
     assert_eq!(false_stars(&found(&Camera { bad_pixels: Some(&map), ..Camera::default() })), 0);
     let small = Frame::new(2, 2, Pixels::U16(&[0; 4])).unwrap();
     assert!(measure_mosaic(&frame, &Camera { dark: Some(small), ..Camera::default() }, &Search::default()).is_err());
