@@ -15,6 +15,7 @@ use super::measure::Window;
 use super::nodes::Nodes;
 use super::recall::{self, Told};
 use super::rules::{LimitRule, MonitorRule, Rules};
+use super::sun::SunNow;
 use super::wind::Winds;
 use crate::patience::seconds;
 
@@ -68,10 +69,8 @@ pub struct History {
     polls: BTreeMap<Device, Duration>,
     /// Sky seconds in a machine second.
     pub speed: f64,
-    /// Altitude of the Sun now, degrees, or why it is not known.
-    pub sun_altitude_deg: Result<f64, String>,
-    /// Whose clock that is by, where clocks disagree.
-    pub sun_by: Option<String>,
+    /// Where the Sun stands.
+    pub sun: SunNow,
 }
 
 impl History {
@@ -93,8 +92,7 @@ impl History {
             nodes: Nodes::default(),
             polls: BTreeMap::new(),
             speed: 1.0,
-            sun_altitude_deg: Err("not computed yet".to_owned()),
-            sun_by: None,
+            sun: SunNow::default(),
         }
     }
 

@@ -266,13 +266,17 @@ fn hear_votes(rules: &Rules, history: &History, now: Now, hearing: &mut Hearing)
 }
 
 fn hear_sun(most_deg: f64, history: &History, hearing: &mut Hearing) {
-    let altitude_deg = &history.sun_altitude_deg;
+    let altitude_deg = &history.sun.altitude_deg;
     let (input, is_low) = ("sun", altitude_deg.as_ref().is_ok_and(|altitude_deg| *altitude_deg <= most_deg));
     let value = altitude_deg.as_ref().map_or_else(Clone::clone, |altitude_deg| format!("{altitude_deg:.1} deg"));
     if !is_low {
         hearing.speaks_against |= altitude_deg.is_ok();
-        let by = history.sun_by.as_ref().map(|by| format!(" if {by}")).unwrap_or_default();
-        hearing.closing(input, format!("altitude {value}{by}, allowed are {} deg", number(most_deg)), None);
+        let by = history.sun.by.as_ref().map(|by| format!(" if {by}")).unwrap_or_default();
+        hearing.closing(
+            input,
+            format!("altitude {value}{by}, allowed are {} deg", number(most_deg)),
+            history.sun.low_in,
+        );
     }
     hearing.inputs.push(InputState { input: input.to_owned(), value, age_s: Some(0.0), good: is_low });
 }

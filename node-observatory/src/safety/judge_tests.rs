@@ -343,11 +343,14 @@ fn the_sun_closes() {
     for (altitude_deg, expected) in
         [(-1.0, Verdict::Safe), (-0.9, Verdict::Unsafe), (f64::NAN, Verdict::Unsafe), (-40.0, Verdict::Safe)]
     {
-        story.history.sun_altitude_deg = Ok(altitude_deg);
+        story.history.sun.altitude_deg = Ok(altitude_deg);
         assert_eq!(story.judged(10).verdict, expected, "{altitude_deg}");
     }
-    story.history.sun_altitude_deg = Ok(3.21);
+    story.history.sun.altitude_deg = Ok(3.21);
     assert_eq!(why(&story.judged(10)), "altitude 3.2 deg, allowed are -1 deg");
+    assert_eq!(story.judged(10).time_to_safe_s, None);
+    story.history.sun.low_in = Some(Duration::from_secs(600));
+    assert_eq!(story.judged(10).time_to_safe_s, Some(600.0));
 }
 
 /// A random history of two monitors and three limits (the last optional), and a moment to judge it.

@@ -11,6 +11,7 @@ pub mod measure;
 pub mod nodes;
 pub mod recall;
 pub mod rules;
+pub mod sun;
 pub mod task;
 pub mod wind;
 pub mod writers;

@@ -8,9 +8,7 @@ use bus::{Catch, Clock, Heard, Node, Subscriber};
 use contract::node::NodeState;
 use contract::observatory::{AlertKind, Interval, SafetyState, Verdict};
 use contract::{Key, NodeTopic, Role};
-use sky::{EarthOrientation, Observer, Place};
 use tokio::sync::watch;
-use units::{Angle, Utc};
 
 use super::Ruling;
 use super::clocks::{self, Clocks, Doubt};
@@ -20,6 +18,7 @@ use super::history::Now;
 use super::intervals::{self, Intervals};
 use super::judge::{Judgement, judge};
 use super::rules::Rules;
+use super::sun::Sun;
 use crate::standing::Standing;
 
 /// So long after its start a node may be without a word from an input before that counts.
@@ -50,6 +49,7 @@ pub async fn keep_judging(
         let folder = of_machine.then_some(config.folders.data.as_path());
         Clocks::new(folder, config.place.telescope.as_str(), speed, utc, machine)
     };
+    let mut sun = Sun::of(&node.config, rules.sun_altitude_max_deg);
     let mut clocks = tokio::task::spawn_blocking(watched).await?;
     let host = bus::node::host_name();
     let past = intervals::path(&node.config);
@@ -59,7 +59,7 @@ pub async fn keep_judging(
         let (utc, machine) = (clock.utc(), clock.machine());
         let doubts = clocks.doubts(utc, machine, &history.nodes.witnesses(&host, machine));
         tell(&node.alerts, &doubts);
-        (history.sun_altitude_deg, history.sun_by) = highest_sun(&node.config, utc, &doubts);
+        history.sun = sun.stands(utc, &doubts);
         let (earliest, latest) = clocks::between(utc, &doubts);
         let effective = standing.borrow_and_update().applied_between(&rules, earliest, latest);
         let judgement = judge(&effective, &history, now(&clock));
@@ -95,28 +95,6 @@ fn tell(alerts: &bus::AlertBoard, doubts: &[Doubt]) {
     }
     let words: Vec<String> = doubts.iter().map(ToString::to_string).collect();
     alerts.raise(AlertKind::ClocksDisagree, "", &words.join("; "));
-}
-
-/// The highest altitude of the Sun at the times that it may be, and by whose clock.
-fn highest_sun(config: &config::Observatory, utc: Utc, doubts: &[Doubt]) -> (Result<f64, String>, Option<String>) {
-    let mut highest = (sun_altitude_deg(config, utc), None);
-    for doubt in doubts.iter().filter(|doubt| doubt.counts) {
-        let altitude_deg = sun_altitude_deg(config, utc.plus_seconds(doubt.offset_s));
-        match (&highest.0, &altitude_deg) {
-            (Ok(known), Ok(there)) if there <= known => {}
-            (Err(_), _) => {}
-            (Ok(_), _) => highest = (altitude_deg, Some(format!("{doubt} and right"))),
-        }
-    }
-    highest
-}
-
-fn sun_altitude_deg(config: &config::Observatory, utc: Utc) -> Result<f64, String> {
-    let place = &config.place;
-    let (latitude, longitude) = (Angle::from_degrees(place.latitude_deg), Angle::from_degrees(place.longitude_deg));
-    let place = Place::new(latitude, longitude, place.elevation_m);
-    let observer = place.and_then(|place| Observer::new(&place, &EarthOrientation::default(), utc));
-    observer.map(|observer| observer.sun().altitude.degrees()).map_err(|error| error.to_string())
 }
 
 fn now(clock: &Clock) -> Now {
@@ -200,25 +178,4 @@ fn publish(
         ruling.judged = clock.machine();
         ruling.settled |= settled;
     });
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_sun_stands_as_high_as_by_any_clock_that_may_be_right() {
-        let text = "[observatory]\nsite = \"s\"\ntelescope = \"t\"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\nelevation_m = 2635\n";
-        let config = config::parse(text, std::path::Path::new("/")).unwrap();
-        // half an hour before sunrise, by a wall clock that was put back by an hour
-        let utc: Utc = "2026-11-21T08:55:00Z".parse().unwrap();
-        let doubt = |offset_s, counts| Doubt { clock: "the clock of mount m".to_owned(), offset_s, counts };
-        let (altitude_deg, by) = highest_sun(&config, utc, &[]);
-        assert!(altitude_deg.is_ok_and(|deg| deg < -5.0) && by.is_none());
-        let (altitude_deg, by) = highest_sun(&config, utc, &[doubt(-3600.0, true), doubt(3600.0, true)]);
-        assert!(altitude_deg.is_ok_and(|deg| deg > 0.0));
-        assert_eq!(by.unwrap(), "the clock of mount m is +3600 s off this node's wall clock and right");
-        let (altitude_deg, by) = highest_sun(&config, utc, &[doubt(3600.0, false)]);
-        assert!(altitude_deg.is_ok_and(|deg| deg < -5.0) && by.is_none(), "what has no clock does not count");
-    }
 }
