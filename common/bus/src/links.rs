@@ -39,11 +39,11 @@ pub async fn keep_mending(node: &Node) -> anyhow::Result<()> {
     let mut looks = tokio::time::interval(LOOK);
     loop {
         tokio::select! {
-            Some(peer) = told.recv() => silence.hear(peer, MachineTime::now()),
+            Some(peer) = told.recv() => silence.hear(peer, crate::machine::now()),
             _ = looks.tick() => {
                 let links: Vec<_> = session.info().links().await.collect();
                 let connected: Vec<ZenohId> = links.iter().map(|link| *link.zid()).collect();
-                for peer in silence.look(&connected, MachineTime::now()) {
+                for peer in silence.look(&connected, crate::machine::now()) {
                     let of_peer = links.iter().filter(|link| *link.zid() == peer);
                     let ends = of_peer.filter_map(|link| Some((address(link.src())?, address(link.dst())?))).collect();
                     mend(peer, ends).await;

@@ -107,7 +107,7 @@ impl<T: Payload> Queue<T> {
         let bytes = sample.payload().to_bytes();
         match serde_json::from_slice(&bytes) {
             Ok(said) => {
-                let arrived = lock(&self.transit).arrived(&said, MachineTime::now());
+                let arrived = lock(&self.transit).arrived(&said, crate::machine::now());
                 self.push_heard(Heard { key, said, arrived }, bytes.len());
             }
             Err(error) => {
@@ -266,12 +266,12 @@ impl<T: Clone> Latest<T> {
 
     /// The newest payload unless it arrived longer ago than `age`.
     pub fn fresh(&self, age: Duration) -> Option<Heard<T>> {
-        self.get().filter(|heard| MachineTime::now().since(heard.arrived) <= age)
+        self.get().filter(|heard| crate::machine::now().since(heard.arrived) <= age)
     }
 
     /// Do two nodes speak on the key at the same time? Then neither is to be believed.
     pub fn has_rivals(&self) -> bool {
-        lock(&self.succession).rivals(MachineTime::now()).is_some()
+        lock(&self.succession).rivals(crate::machine::now()).is_some()
     }
 
     /// Waits for the next change after the newest payload that this clone has seen.

@@ -4,9 +4,11 @@
 //! with the unit as the suffix of their name (`wind_mps`, `exposure_s`).
 
 mod angle;
+mod monotonic;
 mod temperature;
 mod utc;
 
 pub use angle::Angle;
+pub use monotonic::{MachineTime, SkyTime};
 pub use temperature::Celsius;
 pub use utc::{BadTime, Utc};
