@@ -4,11 +4,6 @@ use std::time::Duration;
 
 use bus::Clock;
 
-/// A duration from seconds of a configuration; nonsense (negative, NaN) is no time at all.
-pub fn seconds(seconds: f64) -> Duration {
-    Duration::try_from_secs_f64(seconds).unwrap_or(Duration::ZERO)
-}
-
 /// Machine time after which something that should take `sky` of sky time has failed.
 ///
 /// At 1000 x speed a shutter needs 30 ms, but HTTP and polls still take as long as ever: hence the floor.
@@ -27,11 +22,5 @@ mod tests {
         assert_eq!(patience(&fast, Duration::from_secs(90)), Duration::from_secs(20));
         assert_eq!(patience(&fast, Duration::from_secs(90_000)), Duration::from_secs(90));
         assert_eq!(patience(&Clock::machine_clock(), Duration::from_secs(9)), Duration::from_secs(9));
-    }
-
-    #[test]
-    fn a_nonsense_duration_is_none() {
-        assert_eq!(seconds(f64::NAN), Duration::ZERO);
-        assert_eq!(seconds(-1.0), Duration::ZERO);
     }
 }

@@ -173,5 +173,5 @@ fn find<'a, T>(list: &'a [T], device: impl Fn(&T) -> &Device, name: Option<&Name
 
 /// State older than this says nothing about what is true now: 5 s, or 2.5 of its periods where those are longer.
 pub fn freshness(period_s: f64) -> Duration {
-    crate::patience::seconds((2.5 * period_s).clamp(5.0, 60.0))
+    units::seconds((2.5 * period_s).clamp(5.0, 60.0))
 }

@@ -11,6 +11,7 @@ use imaging::guide::calibration::pulses::{self, Next, Run, Warning};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use sky::{Icrs, Observer};
+use units::seconds;
 
 use super::expose::{Series, Shot, expose, fits};
 use super::parameters::{Defocus, LONGEST_S, Metadata, Readout, both, takes_light};
@@ -19,7 +20,6 @@ use crate::frames::looked::Looked;
 use crate::guiding::calibrated::{pier, unbinned};
 use crate::guiding::{guide_rates, pulse};
 use crate::opening;
-use crate::patience::seconds;
 use crate::plan::{Course, Halt};
 use crate::rig::telescope::Mount;
 use crate::slit::Aimed;

@@ -30,7 +30,7 @@ impl Action for Close {
     async fn run(&self, stage: &Stage) -> Result<String, Trouble> {
         stage.step("closing");
         let left_s = stage.row.end.seconds_since(stage.clock().utc());
-        let most = crate::patience::patience(stage.clock(), crate::patience::seconds(left_s));
+        let most = crate::patience::patience(stage.clock(), units::seconds(left_s));
         // past its window the row has failed; the closing itself goes on
         tokio::time::timeout(most, stage.room.close("the schedule says so"))
             .await

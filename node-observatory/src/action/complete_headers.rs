@@ -54,9 +54,7 @@ impl Action for CompleteHeaders {
                 ask_archive(stage).await;
                 continue;
             }
-            let left = stage
-                .clock()
-                .machine_duration(crate::patience::seconds(stage.row.end.seconds_since(stage.clock().utc())));
+            let left = stage.clock().machine_duration(units::seconds(stage.row.end.seconds_since(stage.clock().utc())));
             tokio::select! {
                 _ = frames.changed() => {}
                 () = tokio::time::sleep(left.clamp(Duration::from_millis(20), ASK)) => {}

@@ -10,6 +10,7 @@ use contract::Outcome;
 use contract::device::{cover_calibrator, dome, telescope};
 use contract::observatory::AlertKind;
 use tokio::task::JoinSet;
+use units::seconds;
 
 use super::decide::{Closing, CoverSight, DomeSight, MountSight, PARK_WAIT, Sight, Step};
 use super::often::Often;
@@ -17,7 +18,7 @@ use crate::action::took_s;
 use crate::control_room::ControlRoom;
 use crate::hooks::AtClosing;
 use crate::neighbours::Neighbours;
-use crate::patience::{patience, seconds};
+use crate::patience::patience;
 use crate::plan::overheads::{Span, TOOK};
 use crate::rig::cover_calibrator::TRAVEL;
 use crate::rig::telescope::Mount;

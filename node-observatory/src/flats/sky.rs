@@ -1,6 +1,7 @@
 //! Flats of the twilight sky, as an observer would tell it.
 
 use ::sky::{Horizontal, Icrs, separation};
+use units::seconds;
 
 use super::exposure::Light;
 use super::order::{Next, Trend, next};
@@ -9,7 +10,6 @@ use super::twilight::{Window, antisolar, dithered, is_clear_of_sun, slope_per_s}
 use crate::action::Stage;
 use crate::action::expose::fits;
 use crate::opening;
-use crate::patience::seconds;
 use crate::rig::telescope::Mount;
 use crate::slit::Aimed;
 use crate::trouble::Trouble;

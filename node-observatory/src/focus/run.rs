@@ -8,6 +8,7 @@ use contract::observatory::{FocusOutcome, FocusRun};
 use imaging::focus::sweep::{Fit, Pass, Plan, Step, Sweep};
 use imaging::quality::Estimate;
 use tokio::sync::broadcast;
+use units::seconds;
 
 use super::meter::{Meter, Read, together};
 use super::shown::{About, Shown};
@@ -15,7 +16,7 @@ use crate::action::Stage;
 use crate::action::expose::{Series, Shot, fits, intend, single};
 use crate::frames::looked::Fetched;
 use crate::frames::stepped_back;
-use crate::patience::{patience, seconds};
+use crate::patience::patience;
 use crate::rig::focuser::Focuser;
 use crate::trouble::Trouble;
 

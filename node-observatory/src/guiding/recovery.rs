@@ -4,12 +4,12 @@ use std::time::Duration;
 
 use contract::device::telescope::{Capabilities, Command};
 use imaging::Solution;
+use units::seconds;
 
 use super::calibrated::binned;
 use super::pulse;
 use super::session::Session;
 use crate::control_room::ControlRoom;
-use crate::patience::seconds;
 use crate::rig::telescope::Mount;
 use crate::schedule::Row;
 

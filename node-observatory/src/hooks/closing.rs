@@ -8,13 +8,14 @@ use std::sync::Arc;
 use bus::MachineTime;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
+use units::seconds;
 
 use super::host;
 use super::line::{Answer, Host, Reply, Request};
 use super::script::{Function, Script};
 use crate::closing::decide::Sight;
 use crate::control_room::ControlRoom;
-use crate::patience::{patience, seconds};
+use crate::patience::patience;
 
 /// The script at a closing.
 #[derive(Default)]

@@ -7,12 +7,12 @@ use contract::device::vendor::VendorCommand;
 use contract::device::{dome, telescope};
 use contract::observatory::AlertKind;
 use contract::{Device, DeviceKind};
+use units::seconds;
 
 use super::call::CallError;
 use super::line::{Answer, Reply, Request};
 use super::script::Function;
 use crate::control_room::ControlRoom;
-use crate::patience::seconds;
 use crate::rig::instrument::Instrument;
 use crate::trouble::Trouble;
 

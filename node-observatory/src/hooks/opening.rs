@@ -5,6 +5,7 @@ use std::time::Duration;
 use contract::device::cover_calibrator::Cover;
 use contract::device::dome::Shutter;
 use rhai::Dynamic;
+use units::seconds;
 
 use super::call::CallError;
 use super::host;
@@ -12,7 +13,7 @@ use super::line::{Answer, Host, Reply, Request};
 use super::script::{Function, Script};
 use crate::control_room::ControlRoom;
 use crate::opening;
-use crate::patience::{patience, seconds};
+use crate::patience::patience;
 use crate::rig::Chain;
 use crate::trouble::Trouble;
 

@@ -3,13 +3,12 @@
 use std::time::Duration;
 
 use sky::{Body, Icrs, Rates, separation};
-use units::{Angle, Utc};
+use units::{Angle, Utc, seconds};
 
 use super::course::Course;
 use super::path::Path;
 use crate::action::Stage;
 use crate::action::expose::{Series, Shot, expose};
-use crate::patience::seconds;
 use crate::pointing::{self, Flip};
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;

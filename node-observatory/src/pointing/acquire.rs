@@ -3,7 +3,7 @@
 use contract::observatory::AlertKind;
 use imaging::pointing::{Approach, Step};
 use sky::Icrs;
-use units::Angle;
+use units::{Angle, seconds};
 
 use super::failure::{Deed, exposure_s, first_exposure_s};
 use super::fix::{learn, look, seen};
@@ -11,7 +11,6 @@ use super::gate::round;
 use super::{icrs, pair};
 use crate::action::Stage;
 use crate::action::expose::{Series, Shot, aside};
-use crate::patience::seconds;
 use crate::plan::overheads::Span;
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;

@@ -4,9 +4,10 @@ use std::time::Duration;
 
 use contract::device::camera::{self, Command, Subframe};
 use contract::{CommandId, Device};
+use units::seconds;
 
 use super::instrument::{Instrument, Voice};
-use crate::patience::{patience, seconds};
+use crate::patience::patience;
 use crate::trouble::Trouble;
 
 /// A camera.

@@ -8,10 +8,11 @@ use bus::Latest;
 use config::{CloseWithMount, Follow};
 use contract::device::dome::{self, Command, Guard, Shutter};
 use contract::{Device, Key, Outcome, Reason};
+use units::seconds;
 
 use super::guards::Guards;
 use super::instrument::{Instrument, Voice};
-use crate::patience::{patience, seconds};
+use crate::patience::patience;
 use crate::trouble::Trouble;
 
 /// A dome.

@@ -6,13 +6,13 @@ use config::EquatorialChoice;
 use contract::device::telescope::{self, Command, EquatorialSystem};
 use contract::{CommandId, Device};
 use sky::{Icrs, Observer, Rates, separation};
-use units::{Angle, Utc};
+use units::{Angle, Utc, seconds};
 
 use super::instrument::{Instrument, Voice};
 use super::outlook::Outlook;
 use super::reach;
 use crate::action::took_s;
-use crate::patience::{patience, seconds};
+use crate::patience::patience;
 use crate::plan::overheads::{Span, TOOK};
 use crate::trouble::Trouble;
 

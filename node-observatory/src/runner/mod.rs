@@ -15,15 +15,15 @@ use contract::Kind;
 use contract::observatory::{ActionNow, RowState, RowStatus};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
-use units::Utc;
 
 use self::one_row::{RowEnd, run_row};
 use self::postponed::Postponed;
 use self::rests::Rests;
 use self::sequence::{Sequence, passed_words};
+use units::{Utc, seconds};
+
 use crate::action::Stage;
 use crate::control_room::{ControlRoom, Objection};
-use crate::patience::seconds;
 use crate::schedule::{Loaded, Row, RowId};
 
 /// How the night's end stands.
@@ -285,7 +285,7 @@ impl Runner {
         let each = self.sequence.rows().iter().zip(self.sequence.statuses());
         let waiting = each.filter(|(row, status)| **status == RowStatus::Pending && row.start > now);
         let next: Option<Utc> = waiting.map(|(row, _)| row.start).min();
-        let left = next.map(|start| clock.machine_duration(crate::patience::seconds(start.seconds_since(now))));
+        let left = next.map(|start| clock.machine_duration(units::seconds(start.seconds_since(now))));
         left.unwrap_or(Duration::MAX).clamp(Duration::from_millis(1), Duration::from_secs(1))
     }
 }

@@ -6,11 +6,10 @@ use std::task::Poll;
 use config::FaultPolicy;
 use contract::Kind;
 use tokio::sync::watch;
-use units::Utc;
+use units::{Utc, seconds};
 
 use crate::action::Stage;
 use crate::control_room::Objection;
-use crate::patience::seconds;
 use crate::trouble::Trouble;
 
 /// How a row ended.

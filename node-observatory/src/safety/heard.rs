@@ -8,6 +8,7 @@ use contract::device::observing_conditions::{Fields as Weather, made_of};
 use contract::device::safety_monitor::Fields as Monitor;
 use contract::device::switch::{Fields as Switches, number_of};
 use contract::{Datum, Device, DeviceState, Link};
+use units::seconds;
 
 use super::frozen::Freeze;
 use super::history::{Entry, Now, Record};
@@ -17,7 +18,6 @@ use super::recall::{self, Told};
 use super::rules::{LimitRule, MonitorRule, Rules};
 use super::sun::SunNow;
 use super::wind::Winds;
-use crate::patience::seconds;
 
 /// Readings of a safety monitor may be so old, where the configuration has no other limit and its node asks often.
 const LEAST_ALLOWED: Duration = Duration::from_secs(5);

@@ -4,9 +4,9 @@ use std::time::Duration;
 
 use config::{Limit, Observatory, Response, WindSector};
 use contract::{Device, Kind};
+use units::seconds;
 
 use super::measure::Measure;
-use crate::patience::seconds;
 
 /// A safety monitor that is heeded.
 #[derive(Debug, Clone, PartialEq)]

@@ -5,12 +5,12 @@ use std::time::Duration;
 use bus::SkyTime;
 use contract::CommandId;
 use contract::observatory::AlertKind;
+use units::seconds;
 
 use super::light::{Light, Worth};
 use super::view::View;
 use super::views_of;
 use crate::action::Stage;
-use crate::patience::seconds;
 use crate::rig::camera::Camera;
 use crate::rig::dome::Dome;
 use crate::trouble::Trouble;

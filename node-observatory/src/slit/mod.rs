@@ -28,9 +28,11 @@ use sky::Icrs;
 pub use self::exposure::{Seen, through_the_slit};
 pub use self::follower::keep_following;
 use self::view::{View, Way};
+use units::seconds;
+
 use crate::action::Stage;
 use crate::control_room::ControlRoom;
-use crate::patience::{patience, seconds};
+use crate::patience::patience;
 use crate::plan::overheads::Span;
 use crate::rig::dome::Dome;
 use crate::rig::telescope::Mount;

@@ -5,11 +5,10 @@ use contract::device::dome::{Capabilities, Command, Fields};
 use contract::device::telescope::{EquatorialSystem, PierSide};
 use sky::slit::{Aim, Slit, TubeSide};
 use sky::{Horizontal, Icrs, Observer, OfDate};
-use units::Angle;
+use units::{Angle, seconds};
 
 use super::SLAVING;
 use crate::control_room::ControlRoom;
-use crate::patience::seconds;
 use crate::rig::dome::Dome;
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
