@@ -27,18 +27,18 @@ use crate::journal::Journal;
 use crate::kept::Kept;
 use crate::lease::Hold;
 use crate::ledger::Ledger;
-use crate::names::Known;
 use crate::night::Board;
 use crate::pointing::learnt::Book;
 use crate::rig::Rig;
 use crate::safety::Ruling;
 use crate::safety::rules::Rules;
-use crate::schedule::Row;
-use crate::schedule::versions::Versions;
+use crate::schedule_file::versions::Versions;
 use crate::standing::Standing;
 use crate::star_catalogue::StarCatalogue;
 use crate::takeover::Before;
 use crate::trouble::Trouble;
+use schedule::Row;
+use schedule::names::Known;
 
 /// The control room.
 pub struct ControlRoom {

@@ -11,7 +11,7 @@ use contract::observatory::RowStatus;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
-use crate::schedule::RowId;
+use schedule::RowId;
 
 /// One line of the file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

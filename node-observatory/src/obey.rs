@@ -14,7 +14,8 @@ use contract::{Accepted, CommandId, Order, OrderKind, Reason, Refusal, Reply};
 use crate::annunciator::Annunciator;
 use crate::control_room::ControlRoom;
 use crate::kept::Unchanged;
-use crate::schedule::{self, versions::Author};
+use crate::schedule_file;
+use crate::schedule_file::versions::Author;
 use crate::standing::{Said, Standing};
 use crate::standing_line;
 
@@ -137,7 +138,7 @@ pub async fn when_written(room: &Arc<ControlRoom>, tightened: &Tightened, order:
         OrderKind::Unshelve(id) => about_alerts(room, |alerts| alerts.unshelve(id)).await,
         OrderKind::PutSchedule { text } => {
             let author = Author { name: order.from.clone(), reason: order.reason.clone() };
-            schedule::put(room, text, author).await
+            schedule_file::put(room, text, author).await
         }
         OrderKind::Cool { camera, set_c } => cooler(room, camera, |config| match set_c.or(config.temperature_c) {
             Some(set_c) if (-273.15..=100.0).contains(&set_c) => Ok(Cooler::Cool { set_c }),

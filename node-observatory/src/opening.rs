@@ -7,10 +7,10 @@ use contract::device::dome::Shutter::Open;
 use crate::action::took_s;
 use crate::control_room::ControlRoom;
 use crate::hooks;
-use crate::plan::overheads::{Span, TOOK};
 use crate::rig::Chain;
 use crate::slit;
 use crate::trouble::Trouble;
+use schedule::plan::overheads::{Span, TOOK};
 
 /// Opens as the site's script has it, or by default where it says nothing.
 ///

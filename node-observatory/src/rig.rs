@@ -7,8 +7,6 @@ pub mod filter_wheel;
 pub mod focuser;
 pub mod guards;
 pub mod instrument;
-pub mod outlook;
-pub mod reach;
 pub mod telescope;
 
 use std::time::Duration;
@@ -24,10 +22,10 @@ use self::dome::Dome;
 use self::filter_wheel::FilterWheel;
 use self::focuser::Focuser;
 use self::instrument::{Instrument, Voice};
-use self::outlook::Outlook;
 use self::telescope::Mount;
 use crate::focus::Learnt;
 use crate::trouble::Trouble;
+use schedule::horizon_limits::HorizonLimits;
 
 /// All devices that this telescope moves.
 pub struct Rig {
@@ -81,12 +79,12 @@ impl Rig {
         }
         let own = |kind: Kind, name: &Name| config.address().device(kind, name);
         for block in &config.telescope {
-            let outlook = Outlook::of(config, block).unwrap_or_else(|(without, why)| {
+            let horizon_limits = HorizonLimits::of(config, block).unwrap_or_else(|(without, why)| {
                 tracing::error!(mount = %block.common.name, why, "the horizon of the site cannot be read; its rows are not held against it");
                 without
             });
             let device = own(Kind::Telescope, &block.common.name);
-            rig.mounts.push(Mount::listen(voice, device, block.clone(), outlook).await?);
+            rig.mounts.push(Mount::listen(voice, device, block.clone(), horizon_limits).await?);
         }
         for block in &config.covercalibrator {
             let device = own(Kind::CoverCalibrator, &block.common.name);

@@ -27,7 +27,6 @@ use crate::journal::Journal;
 use crate::kept::Kept;
 use crate::lease::Hold;
 use crate::ledger::Ledger;
-use crate::names::Known;
 use crate::neighbours::Neighbours;
 use crate::night::Board;
 use crate::pointing::learnt::{self as pointing_learnt, Book};
@@ -35,11 +34,12 @@ use crate::rig::Rig;
 use crate::rig::instrument::Voice;
 use crate::safety::Ruling;
 use crate::safety::rules::Rules;
-use crate::schedule::Loaded;
-use crate::schedule::versions::Versions;
+use crate::schedule_file::Loaded;
+use crate::schedule_file::versions::Versions;
 use crate::standing::{self, OnDisk};
 use crate::star_catalogue::StarCatalogue;
 use crate::takeover::{self, Before};
+use schedule::names::Known;
 
 /// A task of the node.
 pub type Task = Pin<Box<dyn Future<Output = anyhow::Result<()>> + Send>>;
@@ -78,7 +78,10 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
     let learnt = optics::path(config);
     let learnt = tokio::task::spawn_blocking(move || optics::read(&learnt)).await?;
     let names = Known::path(config);
-    let names = tokio::task::spawn_blocking(move || Known::read(&names)).await?;
+    let names = tokio::task::spawn_blocking(move || -> Known {
+        crate::kept::read_or_anew(&names, "where named targets stand")
+    })
+    .await?;
     let pointing = pointing_learnt::path(config);
     let pointing_book = tokio::task::spawn_blocking(move || Book::read(&pointing)).await?;
     let pointing_state = PointingState { models: pointing_book.models.clone(), ..PointingState::default() };

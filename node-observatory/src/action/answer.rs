@@ -3,10 +3,9 @@
 
 use bus::{BusError, Node, Service};
 use contract::Key;
-use contract::observatory::{ActionAnswer, ActionKind, ActionQuestion};
-use serde_json::Value;
+use contract::observatory::{ActionAnswer, ActionQuestion};
 
-use super::{ACTIONS, Entry};
+use schedule::action::{ACTIONS, Entry};
 
 /// Answers until the service is dropped; a plain `get`, and a question that cannot be read, with all actions.
 pub async fn serve(node: &Node) -> Result<Service, BusError> {
@@ -18,22 +17,6 @@ pub async fn serve(node: &Node) -> Result<Service, BusError> {
 fn answer(question: &ActionQuestion) -> ActionAnswer {
     let is_wanted = |entry: &&Entry| question.action.as_ref().is_none_or(|name| name == entry.name);
     ActionAnswer { actions: ACTIONS.iter().filter(is_wanted).map(Entry::told).collect() }
-}
-
-impl Entry {
-    /// As it is told on the bus, and by `starmesh actions --json`.
-    pub fn told(&self) -> ActionKind {
-        let needs = self.needs();
-        ActionKind {
-            name: self.name.to_owned(),
-            help: self.help().to_owned(),
-            needs_safe_sky: needs.is_some_and(|needs| needs.safe),
-            moves_mount: needs.is_some_and(|needs| needs.mount),
-            // a test reads every example
-            example: serde_json::from_str(self.example).unwrap_or(Value::Null),
-            schema: self.schema().clone(),
-        }
-    }
 }
 
 #[cfg(test)]

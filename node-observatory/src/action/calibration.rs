@@ -1,115 +1,21 @@
 //! `calibration`: bias and dark frames, whatever the sky does.
 
-use schemars::JsonSchema;
-use serde::Deserialize;
-use units::Utc;
+use schedule::action::Calibration;
+use schedule::action::parameters::FocusWanted;
 
-use super::expose::{Series, Shot, expose, fits};
-use super::parameters::{LONGEST_S, Metadata, Readout};
-use super::{Action, Exposures, Needs, Stage, Wrong};
-use crate::plan::{Course, Halt};
-use crate::rig::focuser::Wanted;
+use super::expose::{Series, expose};
+use super::{Execute, Stage, read_out};
 use crate::trouble::Trouble;
 
-/// Takes bias and dark frames: so many of each exposure time, with the shutter shut.
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
-pub struct Calibration {
-    /// Exposure times, one after another; 0 is a bias, anything longer a dark.
-    #[schemars(length(min = 1, max = 1000), inner(range(min = 0, max = LONGEST_S)), extend("unit" = "s"))]
-    exptime: Vec<f64>,
-    /// Frames of each exposure time; as many numbers as `exptime` has.
-    #[schemars(length(min = 1, max = 1000), inner(range(min = 1, max = 1_000_000)), extend("unit" = "frames"))]
-    n: Vec<u32>,
-    /// Filter to turn to first; the one in the beam where absent.
-    filter: Option<String>,
-    /// Folder for the files, inside the folder of images.
-    dir: Option<String>,
-    /// The next rows need not wait for this one.
-    #[serde(default)]
-    execute_parallel: bool,
-    #[serde(flatten)]
-    readout: Readout,
-    /// For `action_metadata` rows of the FITS-header table.
-    #[serde(default)]
-    metadata: Metadata,
-}
-
-impl Calibration {
-    /// The frame that follows `taken` others, if there is one.
-    fn shot(&self, taken: u32) -> Option<Shot> {
-        let mut before = 0_u32;
-        for (exptime, n) in self.exptime.iter().zip(&self.n) {
-            before = before.saturating_add(*n);
-            if taken < before {
-                let (image_type, word) = if *exptime == 0.0 { ("Bias Frame", "bias") } else { ("Dark Frame", "dark") };
-                let (nth, all) = (taken + 1, self.frames());
-                let words = format!("exposing {nth} of {all}, {word} {exptime} s");
-                return Some(Shot { exposure_s: *exptime, image_type, words });
-            }
-        }
-        None
-    }
-
-    /// ... if it fits into the window.
-    fn shot_within(&self, taken: u32, now: Utc, end: Utc) -> Option<Shot> {
-        self.shot(taken).filter(|shot| fits(now, shot.exposure_s, end))
-    }
-
-    /// How it went: nothing where all was taken.
-    fn told(&self, taken: u32) -> String {
-        if taken < self.frames() { format!("the window ended after {taken} frames") } else { String::new() }
-    }
-
-    fn frames(&self) -> u32 {
-        self.n.iter().fold(0, |all, n| all.saturating_add(*n))
-    }
-}
-
-impl Action for Calibration {
-    const NAME: &'static str = "calibration";
-    const EXAMPLE: &'static str = r#"{"exptime": [0, 30], "n": [10, 5]}"#;
-
-    fn check(&self) -> Result<(), Wrong> {
-        let (exptime, n) = (self.exptime.len(), self.n.len());
-        if exptime != n {
-            return Err(Wrong::of("n", format!("exptime has {exptime} and n has {n} values; expected as many")));
-        }
-        self.readout.check()
-    }
-
-    fn needs(&self) -> Needs {
-        Needs { safe: false, mount: false, parallel: self.execute_parallel, all_before: false }
-    }
-
-    fn frames_wanted(&self) -> Option<u32> {
-        Some(self.frames())
-    }
-
-    fn exposures(&self) -> Vec<Exposures> {
-        self.exptime.iter().zip(&self.n).map(|(exptime, n)| Exposures::of(*exptime, Some(*n))).collect()
-    }
-
-    fn filters(&self) -> Vec<&str> {
-        self.filter.as_deref().into_iter().collect()
-    }
-
-    fn foresee(&self, course: &mut Course<'_>) -> Result<(), Halt> {
-        course.begin(None, self.filter.as_deref())?;
-        course.reads(&self.readout);
-        let end = course.row.end;
-        course.expose(|course| self.shot_within(course.taken, course.now, end))?;
-        course.tell(self.told(course.taken));
-        Ok(())
-    }
-
+impl Execute for Calibration {
     async fn run(&self, stage: &Stage) -> Result<String, Trouble> {
         stage.step("cooling, filter and focus");
-        let ready = stage.filter_and_focus(self.filter.as_deref(), Wanted::default());
+        let ready = stage.filter_and_focus(self.filter.as_deref(), FocusWanted::default());
         tokio::try_join!(stage.cool(), ready)?;
         let series = Series {
             filter: self.filter.clone(),
             bin: self.readout.bin,
-            subframe: self.readout.on(stage.chain()?.camera).await?,
+            subframe: read_out(&self.readout, stage.chain()?.camera).await?,
             folder: self.dir.clone(),
             metadata: self.metadata.texts(),
             ..Series::default()
@@ -117,20 +23,5 @@ impl Action for Calibration {
         let end = stage.row.end;
         let taken = expose(stage, &series, |taken, now| self.shot_within(taken, now, end)).await?;
         Ok(self.told(taken))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_lists_are_worked_through_in_order_from_wherever_a_restart_finds_them() {
-        let calibration: Calibration = serde_json::from_str(r#"{"exptime": [0, 5.5], "n": [2, 1]}"#).unwrap();
-        let plan: Vec<(f64, &str)> =
-            (0..).map_while(|taken| calibration.shot(taken)).map(|s| (s.exposure_s, s.image_type)).collect();
-        assert_eq!(plan, [(0.0, "Bias Frame"), (0.0, "Bias Frame"), (5.5, "Dark Frame")]);
-        assert_eq!(calibration.shot(2).unwrap().words, "exposing 3 of 3, dark 5.5 s");
-        assert_eq!(calibration.frames_wanted(), Some(3));
     }
 }

@@ -1,32 +1,11 @@
 //! `close`: parks the mount, closes roof and covers, and waits until that is verified.
 
-use schemars::JsonSchema;
-use serde::Deserialize;
+use schedule::action::close::{Close, TOO_LATE};
 
-use super::{Action, Needs, Stage};
-use crate::plan::{Course, Halt};
+use super::{Execute, Stage};
 use crate::trouble::Trouble;
 
-/// Parks the mount, closes the roof and the covers, and waits until that is verified.
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
-pub struct Close {}
-
-/// What is said of a row that ends before everything is closed.
-const TOO_LATE: &str = "not verified closed before end_time; the closing goes on";
-
-impl Action for Close {
-    const NAME: &'static str = "close";
-    const EXAMPLE: &'static str = "{}";
-
-    fn needs(&self) -> Needs {
-        Needs { safe: false, mount: true, parallel: false, all_before: false }
-    }
-
-    fn foresee(&self, course: &mut Course<'_>) -> Result<(), Halt> {
-        course.ends_at(course.row.end, Halt::Failed(TOO_LATE.to_owned()));
-        course.close()
-    }
-
+impl Execute for Close {
     async fn run(&self, stage: &Stage) -> Result<String, Trouble> {
         stage.step("closing");
         let left_s = stage.row.end.seconds_since(stage.clock().utc());

@@ -4,37 +4,16 @@ use std::time::Duration;
 
 use contract::archive::{Answer, Ask, Question, Row};
 use contract::{CommandId, Key};
-use schemars::JsonSchema;
-use serde::Deserialize;
+use schedule::action::CompleteHeaders;
 use units::Angle;
 
-use super::{Action, Needs, Stage};
-use crate::plan::{Course, Halt};
+use super::{Execute, Stage};
 use crate::trouble::Trouble;
-
-/// Waits until the archive has stored every frame of this night with a whole header; the archive completes headers by
-/// itself, and nothing is commanded.
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
-pub struct CompleteHeaders {}
 
 /// How often the archive is asked about files whose word was missed.
 const ASK: Duration = Duration::from_secs(15);
 
-impl Action for CompleteHeaders {
-    const NAME: &'static str = "complete_headers";
-    const EXAMPLE: &'static str = "{}";
-
-    fn needs(&self) -> Needs {
-        Needs { safe: false, mount: false, parallel: false, all_before: true }
-    }
-
-    fn foresee(&self, course: &mut Course<'_>) -> Result<(), Halt> {
-        match course.headers_whole() {
-            Some(whole) => course.wait_until(whole.min(course.row.end)),
-            None => Ok(()),
-        }
-    }
-
+impl Execute for CompleteHeaders {
     async fn run(&self, stage: &Stage) -> Result<String, Trouble> {
         let night = stage.night().to_string();
         let mut frames = stage.room.ledger.watch();

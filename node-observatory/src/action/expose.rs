@@ -8,26 +8,17 @@ use contract::device::camera::{Command, Purpose, Subframe};
 use contract::device::dome::Shutter;
 use units::Utc;
 
+use schedule::shot::Shot;
+
 use super::spooled::Unspooled;
 use super::stage::Stage;
 use crate::focus;
 use crate::journal::Intent;
-use crate::plan::overheads::Span;
 use crate::rig::camera::Camera;
-use crate::rig::focuser::Wanted;
 use crate::slit::{self, Seen};
 use crate::trouble::Trouble;
-
-/// One frame to take.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Shot {
-    /// Seconds.
-    pub exposure_s: f64,
-    /// IMAGETYP.
-    pub image_type: &'static str,
-    /// What is done, in words: `exposing 3 of 10, 30 s, V`.
-    pub words: String,
-}
+use schedule::action::parameters::FocusWanted;
+use schedule::plan::overheads::Span;
 
 /// What all frames of a row have in common.
 #[derive(Debug, Clone, Default)]
@@ -35,7 +26,7 @@ pub struct Series {
     /// What the frames are for; where absent, the row's action.
     pub action: Option<&'static str>,
     /// What the row asks of the focus, which is looked after between frames; where absent, it is left alone.
-    pub focus: Option<Wanted>,
+    pub focus: Option<FocusWanted>,
     /// OBJECT.
     pub object: Option<String>,
     /// Target, ICRS degrees.
@@ -53,11 +44,6 @@ pub struct Series {
     pub open_sky: bool,
     /// For the header.
     pub metadata: BTreeMap<String, String>,
-}
-
-/// May an exposure start now? Only if it ends within the row's window.
-pub fn fits(now: Utc, exposure_s: f64, end: Utc) -> bool {
-    now.plus_seconds(exposure_s) <= end
 }
 
 /// Takes frames until `next` has none left; it is told how many the row has, those of before a restart included.

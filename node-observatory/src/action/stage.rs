@@ -12,11 +12,11 @@ use units::{Angle, Utc};
 
 use crate::control_room::ControlRoom;
 use crate::flats::panel;
-use crate::plan::overheads::{Span, TOOK};
 use crate::rig::Chain;
-use crate::rig::focuser::Wanted;
-use crate::schedule::Row;
 use crate::trouble::Trouble;
+use schedule::Row;
+use schedule::action::parameters::FocusWanted;
+use schedule::plan::overheads::{Span, TOOK};
 
 /// A sensor that needs less was cold, s.
 const COOLED_S: f64 = 10.0;
@@ -173,9 +173,9 @@ impl Stage {
         let now = self.clock().utc();
         let observer = self.observer(now)?;
         let mount = self.chain()?.mount;
-        let outlook = mount.map(|mount| mount.outlook.clone()).unwrap_or_default();
-        let Some(why) = outlook.hides(target, &observer) else { return Ok(observer) };
-        let clear = outlook.clear_from(target, now, self.row.end, |at| self.observer(at).ok());
+        let horizon_limits = mount.map(|mount| mount.horizon_limits.clone()).unwrap_or_default();
+        let Some(why) = horizon_limits.hides(target, &observer) else { return Ok(observer) };
+        let clear = horizon_limits.clear_from(target, now, self.row.end, |at| self.observer(at).ok());
         Err(match clear {
             Some(clear) => Trouble::Hidden { why, clear },
             None => Trouble::Impossible(why),
@@ -183,7 +183,7 @@ impl Stage {
     }
 
     /// Brings the wanted filter into the beam and the focuser to where it belongs.
-    pub async fn filter_and_focus(&self, filter: Option<&str>, focus: Wanted) -> Result<(), Trouble> {
+    pub async fn filter_and_focus(&self, filter: Option<&str>, focus: FocusWanted) -> Result<(), Trouble> {
         let chain = self.chain()?;
         let (began, before) = (self.clock().utc(), chain.wheel.and_then(|wheel| wheel.filter()));
         let done = self.filter_and_focus_of(&chain, filter, focus).await;
@@ -193,7 +193,12 @@ impl Stage {
         done
     }
 
-    async fn filter_and_focus_of(&self, chain: &Chain<'_>, filter: Option<&str>, focus: Wanted) -> Result<(), Trouble> {
+    async fn filter_and_focus_of(
+        &self,
+        chain: &Chain<'_>,
+        filter: Option<&str>,
+        focus: FocusWanted,
+    ) -> Result<(), Trouble> {
         let filter_offset = match (filter, chain.wheel) {
             (None, _) => 0,
             (Some(filter), Some(wheel)) => {
@@ -207,7 +212,7 @@ impl Stage {
         };
         match chain.focuser {
             Some(focuser) => {
-                let wanted = Wanted { filter_offset, ..focus };
+                let wanted = FocusWanted { filter_offset, ..focus };
                 let is_left_to_us = !self.room.node.config.faults.is_chosen(Kind::Focuser);
                 match focuser.focus(wanted).await {
                     Err(trouble) if trouble.kind().is_some() && is_left_to_us && focuser.may_stay(wanted) => {

@@ -19,10 +19,10 @@ use crate::control_room::ControlRoom;
 use crate::hooks::AtClosing;
 use crate::neighbours::Neighbours;
 use crate::patience::patience;
-use crate::plan::overheads::{Span, TOOK};
 use crate::rig::cover_calibrator::TRAVEL;
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
+use schedule::plan::overheads::{Span, TOOK};
 
 /// Closes whenever it must, until the node ends.
 pub async fn keep_closed(room: Arc<ControlRoom>, neighbours: Neighbours) -> anyhow::Result<()> {

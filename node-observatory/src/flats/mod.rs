@@ -9,14 +9,10 @@
 //!                                                                               v
 //!                              kept and not counted <-- out of tolerance -- take a frame, learn from its level
 //! ```
-//! What is computed is pure: [`exposure`] (how long), [`order`] (which filter), [`twilight`] (when and where). [`run`]
+//! What is computed is pure: `schedule::flats`. [`run`]
 //! takes frames and judges them, [`sky`] and [`panel`] tell the two stories. Levels are what every frame is measured for
 //! anyway ([`crate::frames`]). Decision 0028.
 
-pub mod exposure;
-pub mod forecast;
-pub mod order;
 pub mod panel;
 pub mod run;
 pub mod sky;
-pub mod twilight;

@@ -3,13 +3,14 @@
 use contract::device::cover_calibrator::Cover as Shut;
 use contract::device::dome::Shutter;
 
-use super::exposure::{Light, Want};
-use super::order::{Candidate, Next, Order, Trend, next};
-use super::run::{Run, WINDOW_ENDED, to_ms};
+use super::run::Run;
 use crate::action::Stage;
-use crate::action::expose::fits;
 use crate::rig::cover_calibrator::Cover;
 use crate::trouble::Trouble;
+use schedule::flats::exposure::{Light, Want};
+use schedule::flats::filter::{GOOD_S, WINDOW_ENDED, to_ms};
+use schedule::flats::order::{Candidate, Next, Order, Trend, next};
+use schedule::shot::fits;
 
 /// How a panel was found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -17,8 +18,6 @@ pub struct Found {
     was_open: bool,
 }
 
-/// An exposure that a panel's brightness is chosen for, s, within the camera's limits: long enough that no shutter shows.
-pub const GOOD_S: f64 = 5.0;
 /// Changes of the brightness for one filter, at most.
 const CHANGES: u32 = 4;
 

@@ -7,17 +7,18 @@ use std::time::Duration;
 
 use contract::CommandId;
 use contract::device::camera::Subframe;
-use units::Utc;
+use schedule::flats::filter::{Filter, LOOKS, MAX_ADU, candidate, to_ms, told};
 
-use super::exposure::{Level, Light, Seen, Want};
-use super::order::{Candidate, Order};
 use crate::action::Stage;
-use crate::action::expose::{Series, Shot, adopt, aside, fits, intend, single};
+use crate::action::expose::{Series, adopt, aside, intend, single};
 use crate::frames::looked::Looked;
 use crate::pointing::look;
 use crate::rig::camera::subframe;
-use crate::rig::focuser::Wanted as Focus;
 use crate::trouble::Trouble;
+use schedule::action::parameters::FocusWanted as Focus;
+use schedule::flats::exposure::{Level, Light, Seen, Want};
+use schedule::flats::order::{Candidate, Order};
+use schedule::shot::{Shot, fits};
 
 /// ASTRATYP of the frames that only tell how bright it is.
 const ACTION: &str = "flats_level";
@@ -27,54 +28,14 @@ const FLAT: &str = "Flat Frame";
 const TEST: &str = "Test Frame";
 /// Side of the part of the sensor that a look reads, binned px: enough for a median, and quickly read.
 const PART_PX: u32 = 256;
-/// Why a row ends before its frames are taken, where nothing else is wrong.
-pub const WINDOW_ENDED: &str = "the row's window ended";
-/// Looks at one filter at a moment, at most.
-pub const LOOKS: u32 = 3;
 /// So many frames of a filter in a row that do not count, and it is given up: something else than the light is wrong.
 const REFUSED_MOST: u32 = 5;
 /// A frame of before a restart that is not measured within this time has left the spool, machine time.
 const LATE: Duration = Duration::from_secs(20);
-/// What was seen so long ago is a guess, sky s.
-const FRESH_S: f64 = 90.0;
-/// Largest value of a camera that does not tell its own, ADU.
-pub const MAX_ADU: f64 = 65_535.0;
 /// Frames count as saturated from 0.9 of the largest value on; nobody aims so high.
 const HIGHEST: f64 = 0.8;
 /// A frame with more saturated pixels than this is no flat.
 const SATURATED: f64 = 0.01;
-
-/// One filter of a row.
-#[derive(Debug, Clone)]
-pub struct Filter {
-    /// Its name; where absent, whatever is in the beam.
-    pub name: Option<String>,
-    /// Frames wanted.
-    pub wanted: u32,
-    /// Frames that count.
-    pub taken: u32,
-    /// Frames since the last that counted.
-    refused: u32,
-    /// Why no more of it are taken.
-    pub given_up: Option<&'static str>,
-}
-
-impl Filter {
-    /// Of so many frames.
-    pub fn new(name: Option<String>, wanted: u32) -> Self {
-        Self { name, wanted, taken: 0, refused: 0, given_up: None }
-    }
-
-    /// Are more of it wanted, and to be had?
-    pub fn is_wanted(&self) -> bool {
-        self.taken < self.wanted && self.given_up.is_none()
-    }
-
-    /// Its name for people.
-    pub fn words(&self) -> String {
-        self.name.clone().unwrap_or_else(|| "the filter in the beam".to_owned())
-    }
-}
 
 /// What a row asks for.
 #[derive(Debug, Clone)]
@@ -304,34 +265,6 @@ impl<'a> Run<'a> {
         let taken = self.stage.room.journal.progress(&self.stage.row.id).taken;
         self.stage.room.board.row(self.stage.index, |row| row.frames = taken);
     }
-}
-
-/// How a row went, and why it ended: nothing where all was taken.
-pub fn told(filters: &[Filter], why: Option<&str>) -> String {
-    if filters.iter().all(|filter| filter.taken >= filter.wanted) {
-        return String::new();
-    }
-    let each = filters.iter().map(|filter| {
-        let why = filter.given_up.map(|why| format!(" ({why})")).unwrap_or_default();
-        format!("{} {} of {}{why}", filter.words(), filter.taken, filter.wanted)
-    });
-    let each = each.collect::<Vec<_>>().join(", ");
-    why.map_or(each.clone(), |why| format!("{each}; {why}"))
-}
-
-/// What is known of one filter now.
-pub fn candidate(is_wanted: bool, light: &Light, index: usize, now: Utc) -> Candidate {
-    Candidate {
-        is_wanted,
-        ready: light.ready(index, now),
-        is_fresh: light.age_s(index, now).is_some_and(|age_s| age_s <= FRESH_S),
-        wait_s: light.wait_s(index, now),
-    }
-}
-
-/// An exposure as cameras take it, s.
-pub fn to_ms(exposure_s: f64) -> f64 {
-    (1000.0 * exposure_s).round() / 1000.0
 }
 
 /// The middle of a part, no larger than a look needs.

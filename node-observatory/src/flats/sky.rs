@@ -3,19 +3,18 @@
 use ::sky::{Horizontal, Icrs, separation};
 use units::seconds;
 
-use super::exposure::Light;
-use super::order::{Next, Trend, next};
-use super::run::{Run, WINDOW_ENDED, to_ms};
-use super::twilight::{Window, antisolar, dithered, is_clear_of_sun, slope_per_s};
+use super::run::Run;
 use crate::action::Stage;
-use crate::action::expose::fits;
 use crate::opening;
 use crate::rig::telescope::Mount;
 use crate::slit::Aimed;
 use crate::trouble::Trouble;
+use schedule::flats::exposure::Light;
+use schedule::flats::filter::{AHEAD_S, WINDOW_ENDED, to_ms};
+use schedule::flats::order::{Next, Trend, next};
+use schedule::flats::twilight::{Window, antisolar, dithered, is_clear_of_sun, slope_per_s};
+use schedule::shot::fits;
 
-/// The Sun's way is taken over so long, s.
-pub const AHEAD_S: f64 = 300.0;
 /// The place opposite to the Sun is gone to again when it is further off than this, deg.
 const ASTRAY_DEG: f64 = 10.0;
 

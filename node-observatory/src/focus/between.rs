@@ -4,12 +4,13 @@ use contract::observatory::{AlertKind, FocusOutcome, TriggerKind};
 use imaging::focus::sweep::Plan;
 use units::Utc;
 
-use super::meter::Meter;
 use super::run::{Wish, find};
 use crate::action::Stage;
 use crate::action::expose::Series;
-use crate::rig::focuser::{Focuser, Wanted};
+use crate::rig::focuser::Focuser;
 use crate::trouble::Trouble;
+use schedule::action::parameters::FocusWanted;
+use schedule::focus_meter::Meter;
 
 /// Of the travel, where nothing is known of the critical zone.
 const SHARE_OF_TRAVEL: i64 = 50;
@@ -21,7 +22,8 @@ const LEAST_STEPS: i64 = 10;
 /// Looks after the focus of a series between two of its frames; nothing where it asks for nothing.
 pub async fn between_frames(stage: &Stage, series: &Series) -> Result<(), Trouble> {
     let (Some(wanted), Some(focuser)) = (series.focus, stage.chain()?.focuser) else { return Ok(()) };
-    let wanted = Wanted { filter_offset: offset(stage, series, focuser).map_or(0, |(_, offset, _)| offset), ..wanted };
+    let wanted =
+        FocusWanted { filter_offset: offset(stage, series, focuser).map_or(0, |(_, offset, _)| offset), ..wanted };
     if wants_a_run(stage, series, wanted) {
         return refocus(stage, series, focuser).await;
     }
@@ -64,7 +66,7 @@ pub fn plan(focuser: &Focuser, start: i64, centre: i64, half_range: i64, max_ste
 }
 
 /// Do the stars of this row grow wide, and may that be helped by a run? Not where the row wants them wide.
-fn wants_a_run(stage: &Stage, series: &Series, wanted: Wanted) -> bool {
+fn wants_a_run(stage: &Stage, series: &Series, wanted: FocusWanted) -> bool {
     let focusing = &stage.room.node.config.focusing;
     let is_sharp = wanted.position.is_none() && wanted.shift.unwrap_or(0) == 0;
     if focusing.on_drift != config::OnDrift::Refocus || !is_sharp {
@@ -126,7 +128,7 @@ pub fn tell(stage: &Stage, run: &contract::observatory::FocusRun) {
 
 /// Moves the focuser as the temperature asks, once that is known and more than a trifle. What fails is told: the row goes
 /// on at the focus as it is.
-async fn follow_temperature(stage: &Stage, focuser: &Focuser, wanted: Wanted) {
+async fn follow_temperature(stage: &Stage, focuser: &Focuser, wanted: FocusWanted) {
     let learnt = stage.room.focus_learnt.get();
     let (Some(zone), true) = (learnt.critical_zone(focuser.name()), learnt.model(focuser.name()).is_some()) else {
         return;

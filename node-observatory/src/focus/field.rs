@@ -1,6 +1,7 @@
 //! Where a focus run looks: a star near the zenith from the catalogue, the zenith itself where there is none.
 
-use imaging::focus::field::{Field, Wanted, choose, field_of_view};
+use imaging::focus::field::{Field, Wanted, choose, field_of_view, zenith_limit};
+use schedule::action::autofocus::field::Field as FieldParameters;
 use sky::{Horizontal, Icrs};
 use units::{Angle, Utc};
 
@@ -19,6 +20,24 @@ pub struct Chosen {
     pub place: Icrs,
     /// Why there.
     pub words: String,
+}
+
+/// Chooses the field of a run, as its row asks.
+pub async fn for_run(asked: &FieldParameters, stage: &Stage) -> Result<Chosen, Trouble> {
+    if let Some(place) = asked.place() {
+        let place = place.checked()?;
+        return Ok(Chosen { place, words: "as the row says".to_owned() });
+    }
+    let own_field = of_camera(stage).await?;
+    let along = |given_deg: f64, own: Angle| if given_deg > 0.0 { Angle::from_degrees(given_deg) } else { own };
+    let wanted = asked.use_gaia.then(|| Wanted {
+        zenith_limit: asked.maximal_zenith_angle.map_or(zenith_limit(asked.airmass_threshold), Angle::from_degrees),
+        magnitudes: asked.g_mag_range[0]..=asked.g_mag_range[1],
+        field: (along(asked.fov_width, own_field.0), along(asked.fov_height, own_field.1)),
+        selection: asked.selection().unwrap_or_default(),
+        most_stars: asked.maximal_number_of_stars,
+    });
+    near_zenith(stage, asked.observation_time.unwrap_or(stage.clock().utc()), wanted).await
 }
 
 /// Chooses a field near the zenith of an instant. Whatever the catalogue cannot tell ends at the zenith.

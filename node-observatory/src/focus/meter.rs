@@ -2,33 +2,18 @@
 
 use contract::device::camera::Frame;
 use contract::observatory::FocusValue;
-use imaging::focus::sweep::Curve;
-use imaging::focus::{Better, Image, Operator, Smoother};
+use imaging::focus::{Image, Operator};
 use imaging::hfd::{HfdSearch, measure_hfd};
 use imaging::quality::Estimate;
 use imaging::{Search, Star};
+use schedule::focus_meter::Meter;
 
 use crate::frames::measure::{Plane, camera};
 
-/// Name of the half-flux diameter among the operators; it is the usual one.
-pub const HFD: &str = "hfd";
 /// Stars that are measured, the brightest.
 const STARS: usize = 100;
 /// Stars whose peaks tell that an exposure is too long.
 const BRIGHTEST: usize = 5;
-
-/// How frames are measured.
-#[derive(Debug, Clone)]
-pub struct Meter {
-    /// Of the predecessor; the half-flux diameter where absent.
-    pub operator: Option<&'static Operator>,
-    /// Least signal-to-noise of a star that counts.
-    pub least_snr: f64,
-    /// What else is computed of each frame.
-    pub others: Vec<&'static Operator>,
-    /// Whether saturated stars are to be told.
-    pub looks_for_saturation: bool,
-}
 
 /// What a frame says.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -45,63 +30,43 @@ pub struct Read {
     pub others: Vec<FocusValue>,
 }
 
-impl Meter {
-    /// The operator's name.
-    pub fn name(&self) -> &'static str {
-        self.operator.map_or(HFD, |operator| operator.name)
-    }
-
-    /// What the values are, with their unit.
-    pub fn label(&self) -> &'static str {
-        self.operator.map_or("HFD, px", |operator| operator.what)
-    }
-
-    /// What is drawn through the values: a hyperbola through sizes of stars, the smoother through anything else.
-    pub fn curve(&self, smoother: &'static Smoother) -> Curve {
-        match self.operator {
-            Some(operator) if operator.better == Better::Larger => Curve::Smoothed(smoother, operator.better),
-            _ => Curve::Hyperbola,
+/// Measures a frame; `expected_px` is the size of the stars as far as it is known. Takes a while.
+pub fn measure(meter: &Meter, frame: &Frame, plane: &Plane, expected_px: Option<f64>) -> Read {
+    let camera = camera(frame);
+    let pixels = match plane.frame(frame) {
+        Ok(pixels) => pixels,
+        Err(error) => return Read::nothing(error.to_string()),
+    };
+    let needs_stars = |operator: &&Operator| operator.needs_stars;
+    let wants_stars = meter.looks_for_saturation || meter.operator.iter().chain(&meter.others).any(needs_stars);
+    let search = Search { fwhm_px: expected_px.map(|px| px as f32), ..Search::default() };
+    let stars = match wants_stars.then(|| imaging::measure(&pixels, &camera, &search)).transpose() {
+        Ok(measured) => measured.map(|measured| measured.stars).unwrap_or_default(),
+        Err(error) => return Read::nothing(error.to_string()),
+    };
+    let places = places(&stars, meter.least_snr);
+    let needs_image = meter.operator.is_some() || !meter.others.is_empty();
+    let image = match needs_image.then(|| Image::without_sky(&pixels, &camera)).transpose() {
+        Ok(image) => image,
+        Err(error) => return Read::nothing(error.to_string()),
+    };
+    let others = meter.others.iter().zip(image.iter().cycle()).filter_map(|(operator, image)| {
+        let value = operator.measure(image, &places)?;
+        Some(FocusValue { operator: operator.name.to_owned(), value })
+    });
+    let saturated = stars.iter().filter(|star| !star.flags.cosmic).take(BRIGHTEST).any(|star| star.flags.saturated);
+    let others = others.collect();
+    let found = match (meter.operator, &image) {
+        (Some(operator), Some(image)) => by_operator(operator, image, &places),
+        _ => {
+            let search = HfdSearch { expected_px, most_stars: STARS, least_snr: meter.least_snr };
+            let sized = measure_hfd(&pixels, &camera, &search).map_err(|error| error.to_string());
+            sized.map(|sized| (sized.hfd_px, u32::try_from(sized.stars.len()).ok()))
         }
-    }
-
-    /// Measures a frame; `expected_px` is the size of the stars as far as it is known. Takes a while.
-    pub fn read(&self, frame: &Frame, plane: &Plane, expected_px: Option<f64>) -> Read {
-        let camera = camera(frame);
-        let pixels = match plane.frame(frame) {
-            Ok(pixels) => pixels,
-            Err(error) => return Read::nothing(error.to_string()),
-        };
-        let needs_stars = |operator: &&Operator| operator.needs_stars;
-        let wants_stars = self.looks_for_saturation || self.operator.iter().chain(&self.others).any(needs_stars);
-        let search = Search { fwhm_px: expected_px.map(|px| px as f32), ..Search::default() };
-        let stars = match wants_stars.then(|| imaging::measure(&pixels, &camera, &search)).transpose() {
-            Ok(measured) => measured.map(|measured| measured.stars).unwrap_or_default(),
-            Err(error) => return Read::nothing(error.to_string()),
-        };
-        let places = places(&stars, self.least_snr);
-        let needs_image = self.operator.is_some() || !self.others.is_empty();
-        let image = match needs_image.then(|| Image::without_sky(&pixels, &camera)).transpose() {
-            Ok(image) => image,
-            Err(error) => return Read::nothing(error.to_string()),
-        };
-        let others = self.others.iter().zip(image.iter().cycle()).filter_map(|(operator, image)| {
-            let value = operator.measure(image, &places)?;
-            Some(FocusValue { operator: operator.name.to_owned(), value })
-        });
-        let saturated = stars.iter().filter(|star| !star.flags.cosmic).take(BRIGHTEST).any(|star| star.flags.saturated);
-        let others = others.collect();
-        let found = match (self.operator, &image) {
-            (Some(operator), Some(image)) => by_operator(operator, image, &places),
-            _ => {
-                let search = HfdSearch { expected_px, most_stars: STARS, least_snr: self.least_snr };
-                let sized = measure_hfd(&pixels, &camera, &search).map_err(|error| error.to_string());
-                sized.map(|sized| (sized.hfd_px, u32::try_from(sized.stars.len()).ok()))
-            }
-        };
-        match found {
-            Ok((value, stars)) => Read { value: Some(value), reason: None, stars, saturated, others },
-            Err(reason) => Read { saturated, others, ..Read::nothing(reason) },
-        }
+    };
+    match found {
+        Ok((value, stars)) => Read { value: Some(value), reason: None, stars, saturated, others },
+        Err(reason) => Read { saturated, others, ..Read::nothing(reason) },
     }
 }
 
@@ -154,6 +119,8 @@ pub fn together(values: &[Estimate]) -> Option<Estimate> {
 
 #[cfg(test)]
 mod tests {
+    use imaging::focus::Better;
+
     use super::*;
     use crate::frames::tests::{drawn, frame};
 
@@ -171,7 +138,7 @@ mod tests {
         };
         let mut light = Frame { width_px: 400, height_px: 300, ..frame("f") };
         light.purpose.image_type = "Light Frame".to_owned();
-        meter.read(&light, &Plane::Counts(pixels), None)
+        measure(&meter, &light, &Plane::Counts(pixels), None)
     }
 
     #[test]
@@ -202,9 +169,9 @@ mod tests {
         let meter = Meter { operator: None, least_snr: 10.0, others: vec![], looks_for_saturation: false };
         let mut light = Frame { width_px: 100, height_px: 80, ..frame("f") };
         light.purpose.image_type = "Light Frame".to_owned();
-        let empty = meter.read(&light, &Plane::Counts(drawn(100, 80, 3.0, 0)), None);
+        let empty = measure(&meter, &light, &Plane::Counts(drawn(100, 80, 3.0, 0)), None);
         assert!(empty.value.is_none() && empty.reason.unwrap().contains("none can be sized"));
-        let short = meter.read(&light, &Plane::Counts(vec![7; 10]), None);
+        let short = measure(&meter, &light, &Plane::Counts(vec![7; 10]), None);
         assert!(short.value.is_none() && short.reason.is_some());
     }
 

@@ -10,15 +10,17 @@ use imaging::quality::Estimate;
 use tokio::sync::broadcast;
 use units::seconds;
 
-use super::meter::{Meter, Read, together};
+use super::meter::{Read, measure, together};
 use super::shown::{About, Shown};
 use crate::action::Stage;
-use crate::action::expose::{Series, Shot, fits, intend, single};
+use crate::action::expose::{Series, intend, single};
 use crate::frames::looked::Fetched;
 use crate::frames::stepped_back;
 use crate::patience::patience;
 use crate::rig::focuser::Focuser;
 use crate::trouble::Trouble;
+use schedule::focus_meter::Meter;
+use schedule::shot::{Shot, fits};
 
 /// Pixels are here so long after the exposure, or the frame counts as one without stars; machine time.
 const PIXELS: Duration = Duration::from_secs(60);
@@ -213,7 +215,7 @@ impl Lens<'_> {
             return Ok((intent.frame, Read::nothing("the frame's pixels did not arrive".to_owned())));
         };
         let meter = self.wish.meter.clone();
-        let read = stepped_back(move || meter.read(&fetched.frame, &fetched.plane, expected_px)).await;
+        let read = stepped_back(move || measure(&meter, &fetched.frame, &fetched.plane, expected_px)).await;
         Ok((intent.frame, read.unwrap_or_else(Read::nothing)))
     }
 }

@@ -12,9 +12,10 @@ use super::looked::Fetched;
 use super::measure::{self, Plane};
 use super::stepped_back;
 use crate::action::Stage;
-use crate::action::expose::{Series, Shot, aside};
+use crate::action::expose::{Series, aside};
 use crate::focus::run::caught;
 use crate::trouble::Trouble;
+use schedule::shot::Shot;
 
 /// Pixels of a dark are here so long after its exposure, or frames are measured without it; machine time.
 const PIXELS: Duration = Duration::from_secs(60);

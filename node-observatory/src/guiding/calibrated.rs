@@ -6,21 +6,13 @@ use contract::device::telescope::PierSide;
 use contract::observatory::{CalibrationSource, GuideCalibration};
 use imaging::guide::calibration::for_side;
 use imaging::guide::{Calibration, CalibrationError, Pier};
+use schedule::action::calibrate_guiding::pier;
 use units::Utc;
 
 use super::learnt::Learnt;
 
 /// Directions of the two sources that differ by more than this mean that the camera was turned, degrees.
 const TURNED_DEG: f64 = 20.0;
-
-/// The side of the pier as `imaging` has it.
-pub fn pier(side: Option<PierSide>) -> Option<Pier> {
-    match side {
-        Some(PierSide::East) => Some(Pier::East),
-        Some(PierSide::West) => Some(Pier::West),
-        Some(PierSide::Unknown) | None => None,
-    }
-}
 
 fn side(pier: Option<Pier>) -> Option<PierSide> {
     pier.map(|pier| match pier {

@@ -9,8 +9,8 @@ use contract::device::camera::{Command, Purpose};
 use super::Wanted;
 use crate::control_room::ControlRoom;
 use crate::rig::camera::Camera;
-use crate::schedule::Row;
 use crate::trouble::Trouble;
+use schedule::Row;
 
 /// A camera that failed rests so long, machine time.
 const REST: Duration = Duration::from_secs(5);

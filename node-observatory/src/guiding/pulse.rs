@@ -8,8 +8,8 @@ use imaging::guide::Pulses;
 use crate::control_room::ControlRoom;
 use crate::patience::patience;
 use crate::rig::telescope::Mount;
-use crate::schedule::Row;
 use crate::trouble::Trouble;
+use schedule::Row;
 
 /// What the mount took of a pulse: when it began, sky s, and how long it was, ms.
 pub type Taken = Option<(f64, i32)>;

@@ -11,7 +11,7 @@ use super::pulse;
 use super::session::Session;
 use crate::control_room::ControlRoom;
 use crate::rig::telescope::Mount;
-use crate::schedule::Row;
+use schedule::Row;
 
 /// Guiding slews no further than this: what is further off is another field, and pointing's business, degrees.
 const FURTHEST_DEG: f64 = 2.0;

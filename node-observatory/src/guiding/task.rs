@@ -23,8 +23,8 @@ use crate::control_room::ControlRoom;
 use crate::frames::looked::{Fetched, Looked};
 use crate::frames::measure::shows_stars;
 use crate::rig::telescope::Mount;
-use crate::schedule::Row;
 use crate::trouble::Trouble;
+use schedule::Row;
 
 /// So many frames in a row that could not be guided on, or that the mount took no pulse after, and a person is told.
 const FAILURES_BEFORE_ALERT: u32 = 3;

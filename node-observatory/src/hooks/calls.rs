@@ -4,7 +4,7 @@
 //! of the names of [`engine::CALLS`] is found here instead.
 
 use super::engine;
-use crate::schedule::nearest::{distance, nearest};
+use config::{distance, nearest};
 
 /// What is called in a text, as `(line, name)`, lines from 1; methods (`x.len()`) and definitions are not calls.
 fn called(text: &str) -> Vec<(usize, &str)> {

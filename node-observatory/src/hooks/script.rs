@@ -9,7 +9,7 @@ use std::sync::Arc;
 use rhai::{AST, FnAccess};
 
 use super::{calls, engine};
-use crate::schedule::nearest::nearest;
+use config::nearest;
 
 /// Bytes of a script's text: a site's own steps are some pages, and reading must not take long.
 pub(super) const LONGEST: usize = 64 * 1024;

@@ -9,11 +9,8 @@
 //! row: at its end and after a fault by this node, and by the mount's device node before the next slew, whatever became of
 //! this one. Decision 0029.
 
-mod asked;
 mod course;
 mod observe;
 mod path;
 
-pub use self::asked::{Asked, Elements};
 pub use self::observe::{Wish, can_follow, observe};
-pub use self::path::up_until;

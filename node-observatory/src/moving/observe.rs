@@ -8,10 +8,11 @@ use units::{Angle, Utc, seconds};
 use super::course::Course;
 use super::path::Path;
 use crate::action::Stage;
-use crate::action::expose::{Series, Shot, expose};
+use crate::action::expose::{Series, expose};
 use crate::pointing::{self, Flip};
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
+use schedule::shot::Shot;
 
 /// A body that has moved less than this during a slew is still met, arcsec (spec core.md 7.4).
 const MET_ARCSEC: f64 = 1.0;

@@ -1,11 +1,11 @@
 //! The path of a body over this site, as one mount counts it.
 
+use schedule::moving_target;
 use sky::{Body, Icrs, Observer};
 use units::Utc;
 
 use super::course::{Spot, TRAIL_ARCSEC};
 use crate::action::Stage;
-use crate::rig::outlook::Outlook;
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
 
@@ -13,10 +13,6 @@ use crate::trouble::Trouble;
 const INTERVAL_S: f64 = 10.0;
 /// Where a path bends faster than straight pieces of that length can follow, shorter ones are tried.
 const SHORTER_S: [f64; 3] = [5.0, 2.0, 1.0];
-/// Whether it is hidden is looked at along a path so often, s, unless the window is long.
-const STEP_S: f64 = 30.0;
-const MOST_STEPS: f64 = 500.0;
-
 /// A body's path.
 pub struct Path<'a> {
     stage: &'a Stage,
@@ -72,34 +68,12 @@ impl<'a> Path<'a> {
     /// # Errors
     /// [`Trouble::Impossible`] where it does not at `from`.
     pub fn up_until(&self, from: Utc, to: Utc) -> Result<Utc, Trouble> {
-        up_until(self.body, (from, to), &self.mount.outlook, |at| self.stage.observer(at), Trouble::Impossible)
-    }
-}
-
-/// Until when a body stands in an outlook within a span, from its begin on, under the sky that `observer` gives.
-///
-/// # Errors
-/// What `impossible` makes of the words, where it does not at the begin, or its path is not known.
-pub fn up_until<E>(
-    body: &Body,
-    (from, to): (Utc, Utc),
-    outlook: &Outlook,
-    mut observer: impl FnMut(Utc) -> Result<Observer, E>,
-    impossible: impl Fn(String) -> E,
-) -> Result<Utc, E> {
-    let step_s = STEP_S.max(to.seconds_since(from) / MOST_STEPS);
-    let mut up = None;
-    let mut at = from;
-    loop {
-        let observer = observer(at)?;
-        let seen = body.seen(&observer).map_err(|error| impossible(error.to_string()))?;
-        if let Some(why) = outlook.hides(&seen.icrs, &observer) {
-            return up.ok_or_else(|| impossible(why));
-        }
-        up = Some(at);
-        if at >= to {
-            return Ok(to);
-        }
-        at = at.plus_seconds(step_s).min(to);
+        moving_target::up_until(
+            self.body,
+            (from, to),
+            &self.mount.horizon_limits,
+            |at| self.stage.observer(at),
+            Trouble::Impossible,
+        )
     }
 }

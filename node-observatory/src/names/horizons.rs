@@ -1,8 +1,8 @@
 //! JPL's Horizons: osculating elements of asteroids and comets for a day.
 
+use schedule::names::Meaning;
 use units::Utc;
 
-use super::Meaning;
 use super::http::encoded;
 
 /// The question for a small body's elements about the Sun at an instant. The semicolon asks for small bodies only.

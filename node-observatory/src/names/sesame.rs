@@ -1,6 +1,7 @@
 //! Sesame, the name service of the CDS in Strasbourg: stars and everything beyond them.
 
-use super::Meaning;
+use schedule::names::Meaning;
+
 use super::http::encoded;
 
 /// The question for a name. `-oI` asks for everything as lines, `A` for the first of SIMBAD, NED and VizieR that knows it.

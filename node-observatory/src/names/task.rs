@@ -5,13 +5,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use config::Names;
+use schedule::names::{Known, Meaning, key};
 use tokio::sync::watch;
 use units::Utc;
 
-use super::{Known, Meaning, horizons, http, key, sesame};
+use super::{horizons, http, sesame};
 use crate::control_room::ControlRoom;
 use crate::kept::write_whole;
-use crate::schedule::Loaded;
+use crate::schedule_file::Loaded;
 
 /// What was not found, or could not be asked for, is asked for again after this, machine time.
 const AGAIN: Duration = Duration::from_secs(60);

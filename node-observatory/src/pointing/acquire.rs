@@ -10,10 +10,11 @@ use super::fix::{learn, look, seen};
 use super::gate::round;
 use super::{icrs, pair};
 use crate::action::Stage;
-use crate::action::expose::{Series, Shot, aside};
-use crate::plan::overheads::Span;
+use crate::action::expose::{Series, aside};
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
+use schedule::plan::overheads::Span;
+use schedule::shot::Shot;
 
 /// ASTRATYP of the frames that show where the telescope looks.
 pub const ACTION: &str = "pointing";

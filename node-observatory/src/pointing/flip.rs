@@ -6,15 +6,13 @@
 use std::time::Duration;
 
 use contract::device::telescope::PierSide;
+use schedule::meridian_flip::is_past;
 use sky::Icrs;
-use units::{Angle, Utc};
+use units::Utc;
 
 use super::fix::pier_side;
 use crate::action::Stage;
 use crate::rig::telescope::Mount;
-
-/// Past the pole below it a mount that looks east moves away from its pier: nothing is to be turned over there.
-const HIGHEST_H: f64 = 6.0;
 
 /// A mount that has turned over tells its other side within this, machine time: some drivers are late with it.
 const TOLD_WITHIN: Duration = Duration::from_secs(10);
@@ -66,35 +64,13 @@ async fn stays(within: Duration, side: impl Fn() -> Option<PierSide> + Send + Sy
     tokio::time::timeout(within, told_otherwise).await.is_err()
 }
 
-/// Looks a mount on this side over its pier, so long past the meridian, min?
-pub fn is_past(side: Option<PierSide>, hour_angle: Angle, margin_min: f64) -> bool {
-    let past_h = hour_angle.wrapped_signed().hours();
-    side == Some(PierSide::West) && past_h * 60.0 > margin_min && past_h < HIGHEST_H
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    use super::*;
+    use units::Angle;
 
-    #[test]
-    fn only_a_mount_that_looks_east_is_turned_over_and_only_past_the_margin() {
-        let at = |minutes: f64| Angle::from_hours(minutes / 60.0);
-        for (side, minutes, due) in [
-            (Some(PierSide::West), 5.1, true),
-            (Some(PierSide::West), 4.9, false),
-            (Some(PierSide::West), -30.0, false),
-            (Some(PierSide::West), 359.0, true),
-            (Some(PierSide::West), 400.0, false),
-            (Some(PierSide::East), 30.0, false),
-            (Some(PierSide::Unknown), 30.0, false),
-            // a fork, or a mount that tells nothing: it is never slewed for this
-            (None, 30.0, false),
-        ] {
-            assert_eq!(is_past(side, at(minutes), 5.0), due, "{side:?} {minutes} min");
-        }
-    }
+    use super::*;
 
     /// What is concluded of a mount that tells this at one look after the other, and the last for ever.
     async fn concluded(told: &[Option<PierSide>]) -> bool {

@@ -18,7 +18,6 @@ mod failure;
 mod fix;
 pub(crate) mod flip;
 mod gate;
-pub mod grid;
 pub mod learnt;
 pub mod line;
 

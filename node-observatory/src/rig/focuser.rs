@@ -7,6 +7,7 @@ use config::Approach;
 use contract::device::focuser::{self, Command};
 use contract::{CommandId, Device};
 
+use schedule::action::parameters::FocusWanted;
 use tokio::sync::watch;
 
 use super::instrument::{Instrument, Voice};
@@ -21,25 +22,6 @@ pub struct Focuser {
     pub config: config::Focuser,
     learnt: watch::Receiver<Learnt>,
     found_at_start: OnceLock<i64>,
-}
-
-/// What a row asks of the focus, steps.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Wanted {
-    /// An absolute position; wins over the shift.
-    pub position: Option<i64>,
-    /// From the best position.
-    pub shift: Option<i64>,
-    /// Of the filter in the beam.
-    pub filter_offset: i64,
-}
-
-impl Wanted {
-    /// As rows write it, in numbers that may have a fraction; steps are whole. What is not finite was refused before.
-    pub fn of_row(position: Option<f64>, shift: Option<f64>) -> Self {
-        let whole = |steps: Option<f64>| steps.map(|steps| steps.round() as i64);
-        Self { position: whole(position), shift: whole(shift), filter_offset: 0 }
-    }
 }
 
 /// The slowest focuser needs less for its whole range, sky time.
@@ -96,17 +78,17 @@ impl Focuser {
 
     /// Whether a row can do with the focus as it stands: it asks for nothing of its own, and as far as is known the
     /// focuser is where it belongs.
-    pub fn may_stay(&self, wanted: Wanted) -> bool {
+    pub fn may_stay(&self, wanted: FocusWanted) -> bool {
         let last_heard = self.instrument.newest().and_then(|heard| heard.said.body.fields.position.known().copied());
         stays(wanted, self.best(), last_heard, self.config.tolerance_steps)
     }
 
     /// Moves to where a row wants it, and settles.
-    pub async fn focus(&self, wanted: Wanted) -> Result<(), Trouble> {
+    pub async fn focus(&self, wanted: FocusWanted) -> Result<(), Trouble> {
         let can = self.instrument.capabilities().await?;
         if !can.absolute {
             return match wanted {
-                Wanted { position: None, shift: None, .. } => Ok(()),
+                FocusWanted { position: None, shift: None, .. } => Ok(()),
                 _ => Err(Trouble::Impossible(format!("{} does not know its position", self.instrument.device))),
             };
         }
@@ -124,7 +106,7 @@ impl Focuser {
     }
 
     /// Where the focuser belongs for a row, steps.
-    pub fn target(&self, wanted: Wanted) -> Result<i64, Trouble> {
+    pub fn target(&self, wanted: FocusWanted) -> Result<i64, Trouble> {
         target(wanted, self.best(), self.instrument.can().map_or(i64::MAX, |can| can.max_step))
     }
 
@@ -166,12 +148,12 @@ fn near(position: i64, target: i64, tolerance_steps: i64) -> bool {
     position.abs_diff(target) <= tolerance_steps.unsigned_abs()
 }
 
-fn stays(wanted: Wanted, best: Option<i64>, last_heard: Option<i64>, tolerance_steps: i64) -> bool {
+fn stays(wanted: FocusWanted, best: Option<i64>, last_heard: Option<i64>, tolerance_steps: i64) -> bool {
     let is_away = best.zip(last_heard).is_some_and(|(best, position)| !near(position, best, tolerance_steps));
-    wanted == Wanted::default() && !is_away
+    wanted == FocusWanted::default() && !is_away
 }
 
-fn target(wanted: Wanted, best: Option<i64>, max_step: i64) -> Result<i64, Trouble> {
+fn target(wanted: FocusWanted, best: Option<i64>, max_step: i64) -> Result<i64, Trouble> {
     let from = match (wanted.position, best) {
         (Some(position), _) => position,
         (None, Some(best)) => best.saturating_add(wanted.shift.unwrap_or(0)),
@@ -191,15 +173,15 @@ mod tests {
 
     #[test]
     fn a_row_that_asks_nothing_needs_no_focuser_that_stands_where_it_belongs_or_says_nothing() {
-        let nothing = Wanted::default();
+        let nothing = FocusWanted::default();
         assert!(stays(nothing, Some(1000), Some(1003), 5));
         assert!(stays(nothing, Some(1000), None, 5));
         assert!(stays(nothing, None, None, 5));
         assert!(!stays(nothing, Some(1000), Some(1500), 5), "left defocused by another row");
         for wanted in [
-            Wanted { shift: Some(0), ..nothing },
-            Wanted { position: Some(1000), ..nothing },
-            Wanted { filter_offset: 12, ..nothing },
+            FocusWanted { shift: Some(0), ..nothing },
+            FocusWanted { position: Some(1000), ..nothing },
+            FocusWanted { filter_offset: 12, ..nothing },
         ] {
             assert!(!stays(wanted, Some(1000), Some(1000), 5), "{wanted:?}");
         }
@@ -220,7 +202,7 @@ mod tests {
 
     #[test]
     fn a_position_wins_over_a_shift_and_the_filter_adds_its_offset() {
-        let wanted = |position, shift, filter_offset| Wanted { position, shift, filter_offset };
+        let wanted = |position, shift, filter_offset| FocusWanted { position, shift, filter_offset };
         assert_eq!(target(wanted(Some(100), Some(50), 7), Some(1000), 5000).unwrap(), 107);
         assert_eq!(target(wanted(None, Some(-50), 7), Some(1000), 5000).unwrap(), 957);
         assert_eq!(target(wanted(None, None, 0), Some(1000), 5000).unwrap(), 1000);

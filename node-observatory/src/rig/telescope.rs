@@ -9,12 +9,12 @@ use sky::{Icrs, Observer, Rates, separation};
 use units::{Angle, Utc, seconds};
 
 use super::instrument::{Instrument, Voice};
-use super::outlook::Outlook;
-use super::reach;
 use crate::action::took_s;
 use crate::patience::patience;
-use crate::plan::overheads::{Span, TOOK};
 use crate::trouble::Trouble;
+use schedule::horizon_limits::HorizonLimits;
+use schedule::plan::overheads::{Span, TOOK};
+use schedule::slew_limits;
 
 /// Slews over less than this are not told, deg.
 const WORTH_TELLING_DEG: f64 = 1.0;
@@ -26,7 +26,7 @@ pub struct Mount {
     /// Its configuration.
     pub config: config::Telescope,
     /// What its site leaves of the sky.
-    pub outlook: Outlook,
+    pub horizon_limits: HorizonLimits,
 }
 
 impl Mount {
@@ -35,9 +35,9 @@ impl Mount {
         voice: &Voice,
         device: Device,
         config: config::Telescope,
-        outlook: Outlook,
+        horizon_limits: HorizonLimits,
     ) -> anyhow::Result<Self> {
-        Ok(Self { instrument: Instrument::listen(voice, device).await?, config, outlook })
+        Ok(Self { instrument: Instrument::listen(voice, device).await?, config, horizon_limits })
     }
 
     /// Leaves the park position, unless the mount is known to be out of it or to have none.
@@ -62,7 +62,7 @@ impl Mount {
     /// Slews to a place of the catalogue, tracks it, and returns when the mount has settled, for which its device node waits. Every slew of this node goes through here, and none goes
     /// beyond the mount's limits.
     pub async fn point(&self, target: &Icrs, observer: &Observer) -> Result<(), Trouble> {
-        if let Some(why) = reach::beyond(&self.config.limits, target, observer) {
+        if let Some(why) = slew_limits::beyond(&self.config.limits, target, observer) {
             return Err(Trouble::Impossible(why));
         }
         if self.config.equatorial_system == EquatorialChoice::Auto {

@@ -1,10 +1,7 @@
 //! Works through the schedule: starts each row in its window, and races it against the verdict.
 
 mod one_row;
-mod pick;
 mod postponed;
-mod rests;
-pub(crate) mod sequence;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -18,13 +15,14 @@ use tokio::task::JoinSet;
 
 use self::one_row::{RowEnd, run_row};
 use self::postponed::Postponed;
-use self::rests::Rests;
-use self::sequence::{Sequence, passed_words};
+use schedule::rests::Rests;
+use schedule::sequence::{Sequence, passed_words};
 use units::{Utc, seconds};
 
 use crate::action::Stage;
 use crate::control_room::{ControlRoom, Objection};
-use crate::schedule::{Loaded, Row, RowId};
+use crate::schedule_file::Loaded;
+use schedule::{Row, RowId};
 
 /// How the night's end stands.
 #[derive(Debug, Clone, Copy, PartialEq)]

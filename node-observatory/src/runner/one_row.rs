@@ -8,7 +8,7 @@ use contract::Kind;
 use tokio::sync::watch;
 use units::{Utc, seconds};
 
-use crate::action::Stage;
+use crate::action::{self, Stage};
 use crate::control_room::Objection;
 use crate::trouble::Trouble;
 
@@ -40,7 +40,7 @@ pub async fn run_row(stage: &Stage, withdrawn: watch::Receiver<bool>) -> RowEnd 
             biased;
             objection = stage.room.objected(&stage.row) => Err(RowEnd::Interrupted(objection)),
             () = withdrawn_between_frames(stage, withdrawn.clone()) => Err(RowEnd::Withdrawn),
-            result = stage.row.action.run(stage) => Ok(result),
+            result = action::run(&stage.row.action, stage) => Ok(result),
         };
         let trouble = match tried {
             Ok(Ok(detail)) => return RowEnd::Finished(detail),

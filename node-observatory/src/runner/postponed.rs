@@ -7,7 +7,7 @@ use bus::AlertBoard;
 use contract::Kind;
 use contract::observatory::AlertKind;
 
-use crate::schedule::RowId;
+use schedule::RowId;
 
 /// What the alert is called where no device is to blame.
 const NO_DEVICE: &str = "other";

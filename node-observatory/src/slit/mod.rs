@@ -33,10 +33,10 @@ use units::seconds;
 use crate::action::Stage;
 use crate::control_room::ControlRoom;
 use crate::patience::patience;
-use crate::plan::overheads::Span;
 use crate::rig::dome::Dome;
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
+use schedule::plan::overheads::Span;
 
 /// A mount on its way to a target, as long as this lives.
 pub struct Aimed<'a> {

@@ -1,0 +1,85 @@
+//! Why a schedule is not taken, and the making of findings.
+
+use contract::observatory::{Check, Finding, Severity};
+
+use crate::written::Position;
+
+/// So many findings of a file are told; nobody reads more.
+pub(super) const MOST_FINDINGS: usize = 200;
+/// So many stand in one message.
+const IN_WORDS: usize = 5;
+
+/// Why a schedule is not taken: all that is wrong with it, in the order of the file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Fault {
+    /// At least one.
+    pub findings: Vec<Finding>,
+}
+
+impl Fault {
+    /// What is wrong, without places.
+    pub fn words(&self) -> String {
+        self.findings.iter().map(Finding::words).collect::<Vec<_>>().join("; ")
+    }
+}
+
+impl std::fmt::Display for Fault {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        for (index, finding) in self.findings.iter().take(IN_WORDS).enumerate() {
+            write!(f, "{}{finding}", if index == 0 { "" } else { "; " })?;
+        }
+        match self.findings.len().saturating_sub(IN_WORDS) {
+            0 => Ok(()),
+            more => write!(f, "; and {more} more"),
+        }
+    }
+}
+
+impl std::error::Error for Fault {}
+
+/// What refuses a file.
+pub fn error(check: Check, at: Position, field: Option<&str>, what: impl Into<String>) -> Finding {
+    let Position { line, column } = at;
+    let (field, what) = (field.map(|field| cut(field.to_owned(), 64)), cut(what.into(), 400));
+    Finding { severity: Severity::Error, check, line, column, field, what, right: None }
+}
+
+/// What people write may be of any length; what they are told is not.
+fn cut(mut text: String, most_chars: usize) -> String {
+    if let Some((end, _)) = text.char_indices().nth(most_chars) {
+        text.truncate(end);
+        text.push_str(" ...");
+    }
+    text
+}
+
+/// What puts a row at risk.
+pub fn warning(check: Check, at: Position, field: Option<&str>, what: impl Into<String>) -> Finding {
+    Finding { severity: Severity::Warning, ..error(check, at, field, what) }
+}
+
+/// With what would be right.
+pub(super) trait Right {
+    /// Says it.
+    fn right(self, right: impl Into<String>) -> Self;
+}
+
+impl Right for Finding {
+    fn right(self, right: impl Into<String>) -> Self {
+        Self { right: Some(right.into()), ..self }
+    }
+}
+
+/// In the order of the file; where there are more than `most`, errors go before warnings. Returns how many errors and
+/// warnings there were.
+pub fn in_order(findings: &mut Vec<Finding>, most: usize) -> (u32, u32) {
+    let errors = findings.iter().filter(|finding| finding.severity == Severity::Error).count();
+    let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+    let counts = (count(errors), count(findings.len() - errors));
+    if findings.len() > most {
+        findings.sort_by_key(|finding| (finding.severity, finding.line, finding.column));
+        findings.truncate(most);
+    }
+    findings.sort_by_key(|finding| (finding.line, finding.column, finding.severity));
+    counts
+}

@@ -1,0 +1,300 @@
+//! One row of a schedule from its JSON object; all that is wrong with it is told.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use contract::Name;
+use contract::observatory::{Check, Finding};
+use serde_json::{Map, Value};
+use units::Utc;
+
+use crate::action::{ACTIONS, Action, Entry};
+use crate::fault::{Right as _, error};
+use crate::row::{Row, RowId};
+use crate::times::{self, Read};
+use crate::written::{Of, Position, Written};
+use crate::wrong::Wrong;
+use config::meant;
+
+const FIELDS: [&str; 5] = ["device_name", "action_type", "action_value", "start_time", "end_time"];
+/// Written by Astra into its own output, meaningless on reading.
+const IGNORED: [&str; 2] = ["completed", "status"];
+/// Parameters that are sometimes written beside `action_value`.
+const PARAMETERS: [&str; 4] = ["execute_parallel", "exptime", "filter", "object"];
+/// So many fields of one row are told of.
+const MOST_WRONG: usize = 16;
+/// How an unknown parameter is told.
+const UNKNOWN: &str = "unknown parameter";
+/// No action has so many parameters; a row with more is told of once.
+const MOST_PARAMETERS: usize = 200;
+const DAY_S: f64 = 86_400.0;
+
+/// Parameters of rows that do not give them, by camera and action.
+pub type Defaults = BTreeMap<String, BTreeMap<String, Map<String, Value>>>;
+
+/// The defaults that a configuration's cameras give to their rows.
+pub fn defaults_of(cameras: &[config::Camera]) -> Defaults {
+    let of_camera = |camera: &config::Camera| {
+        let values = serde_json::to_value(&camera.defaults).and_then(serde_json::from_value);
+        // what TOML can hold is JSON
+        (camera.common.name.to_string(), values.unwrap_or_default())
+    };
+    cameras.iter().filter(|camera| !camera.defaults.is_empty()).map(of_camera).collect()
+}
+
+/// A row with the defaults of its camera, and without parameters that are `null`: they are as if they were not there.
+pub(super) fn whole(object: &Map<String, Value>, defaults: &Defaults) -> Map<String, Value> {
+    let mut object = object.clone();
+    let text = |key: &str| object.get(key).and_then(Value::as_str).unwrap_or_default().to_owned();
+    let of_action = defaults.get(&text("device_name")).and_then(|of_camera| of_camera.get(&text("action_type")));
+    if let Some(of_action) = of_action
+        && matches!(object.get("action_value"), None | Some(Value::Null))
+    {
+        object.insert("action_value".to_owned(), Value::Object(of_action.clone()));
+    }
+    if let Some(Value::Object(values)) = object.get_mut("action_value") {
+        values.retain(|_, value| !value.is_null());
+        for (key, value) in of_action.into_iter().flatten() {
+            values.entry(key.as_str()).or_insert_with(|| value.clone());
+        }
+    }
+    object
+}
+
+/// A row's object while it is read.
+struct Source<'a> {
+    object: &'a Map<String, Value>,
+    written: &'a Written,
+    findings: &'a mut Vec<Finding>,
+}
+
+/// The row, if nothing is wrong with it.
+pub(super) fn row(
+    object: &Map<String, Value>,
+    id: RowId,
+    written: Arc<Written>,
+    cameras: &[Name],
+    findings: &mut Vec<Finding>,
+) -> Option<Row> {
+    let before = findings.len();
+    let mut source = Source { object, written: &written, findings: &mut *findings };
+    source.names();
+    let camera = source.camera(cameras);
+    let action = source.action();
+    let window = source.window();
+    let is_whole = findings.len() == before;
+    let (camera, action, (start, end)) = (camera?, action?, window?);
+    let line = usize::try_from(written.begin.line).unwrap_or(usize::MAX);
+    is_whole.then_some(Row { id, line, written, camera, action, start, end })
+}
+
+impl<'a> Source<'a> {
+    fn tell(&mut self, finding: Finding) {
+        self.findings.push(finding);
+    }
+
+    /// Unknown names, and known ones that stand twice.
+    fn names(&mut self) {
+        let object = self.object;
+        let is_known = |key: &str| FIELDS.contains(&key) || IGNORED.contains(&key);
+        for key in object.keys().filter(|key| !is_known(key.as_str())).take(MOST_WRONG) {
+            let at = self.written.key(Of::Row, key);
+            let found = error(Check::Schema, at, Some(key), format!("unknown key {key:?}"));
+            self.tell(match PARAMETERS.contains(&key.as_str()) {
+                true => found.right("it belongs into action_value"),
+                false => found.right(meant(key, FIELDS)),
+            });
+        }
+        for (name, at) in self.written.doubled().take(MOST_WRONG) {
+            self.findings.push(error(Check::Schema, at, Some(name), "stands twice in this row").right("leave one"));
+        }
+    }
+
+    /// A field that holds a text.
+    fn text(&mut self, key: &'static str) -> Option<&'a str> {
+        let object = self.object;
+        match object.get(key) {
+            Some(Value::String(text)) => Some(text),
+            Some(other) => {
+                let at = self.written.value(Of::Row, key);
+                self.tell(error(Check::Schema, at, Some(key), format!("expected a text, found {}", short(other))));
+                None
+            }
+            None => {
+                self.tell(error(Check::Schema, self.written.begin, Some(key), format!("{key} is missing")));
+                None
+            }
+        }
+    }
+
+    fn camera(&mut self, cameras: &[Name]) -> Option<Name> {
+        let wanted = self.text("device_name")?.to_owned();
+        let found = cameras.iter().find(|known| known.as_str() == wanted).cloned();
+        if found.is_none() {
+            let at = self.written.field("device_name");
+            let known = cameras.iter().map(Name::as_str);
+            let found = error(Check::Device, at, Some("device_name"), format!("no camera is named {wanted:?}"));
+            self.tell(found.right(meant(&wanted, known)));
+        }
+        found
+    }
+
+    fn window(&mut self) -> Option<(Utc, Utc)> {
+        let (start, end) = (self.time("start_time"), self.time("end_time"));
+        let (start, end) = (start?, end?);
+        if start < end {
+            return Some((start, end));
+        }
+        let at = self.written.field("end_time");
+        let what = format!("end_time {} is not after start_time {}", when(end), when(start));
+        let found = error(Check::Time, at, Some("end_time"), what);
+        // an hour after midnight with the date of the evening
+        let next_day = end.plus_seconds(DAY_S);
+        let is_next_day = next_day > start && next_day.seconds_since(start) <= 0.75 * DAY_S;
+        self.tell(if is_next_day { found.right(format!("did you mean {}?", when(next_day))) } else { found });
+        None
+    }
+
+    fn time(&mut self, key: &'static str) -> Option<Utc> {
+        let text = self.text(key)?;
+        match text.parse() {
+            Ok(time) => Some(time),
+            Err(bad) => {
+                let bad: units::BadTime = bad;
+                let other = times::read(text);
+                if let Some(Read { utc, is_ambiguous: false }) = other {
+                    return Some(utc);
+                }
+                if let Some(Read { utc, .. }) = other {
+                    let at = self.written.field(key);
+                    let found =
+                        error(Check::Time, at, Some(key), format!("{text:?}: day and month can be either way round"));
+                    self.tell(found.right(format!("write it as {}, if the month comes first", when(utc))));
+                    return None;
+                }
+                self.tell(error(Check::Time, self.written.field(key), Some(key), bad.to_string()));
+                None
+            }
+        }
+    }
+
+    fn action(&mut self) -> Option<Arc<Action>> {
+        let name = self.text("action_type")?.to_owned();
+        let Some(entry) = ACTIONS.iter().find(|entry| entry.name == name) else {
+            let at = self.written.field("action_type");
+            let found = error(Check::Schema, at, Some("action_type"), format!("unknown action_type {name:?}"));
+            self.tell(found.right(meant(&name, ACTIONS.iter().map(|entry| entry.name))));
+            return None;
+        };
+        let object = self.object;
+        match object.get("action_value") {
+            None | Some(Value::Null) => self.parameters(entry, Map::new()),
+            Some(Value::Object(value)) => self.parameters(entry, value.clone()),
+            Some(other) => {
+                let at = self.written.field("action_value");
+                let what = format!("expected an object, found {}", short(other));
+                self.tell(error(Check::Schema, at, Some("action_value"), what));
+                None
+            }
+        }
+    }
+
+    /// Reads the parameters again with each one that is wrong as in the action's example, or without it, so that all are
+    /// found.
+    fn parameters(&mut self, entry: &Entry, mut value: Map<String, Value>) -> Option<Arc<Action>> {
+        let mut mended: Vec<String> = Vec::new();
+        loop {
+            let wrong = match entry.read(Value::Object(value.clone())) {
+                Ok(action) => return mended.is_empty().then(|| Arc::new(action)),
+                Err(wrong) => wrong,
+            };
+            let few = value.len() <= MOST_PARAMETERS;
+            let found = || if few { culprit(entry, &value, &wrong) } else { None };
+            let field = wrong.field.clone().or_else(|| missing(&wrong.what)).or_else(found);
+            let is_unknown = wrong.what.starts_with(UNKNOWN);
+            let is_about = |name: &String| field.as_ref() == Some(name) || (!is_unknown && mentions(&wrong.what, name));
+            if mended.iter().any(is_about) {
+                // it may not be wrong beside what should have stood there
+                return None;
+            }
+            let at = self.place(&wrong, field.as_deref());
+            let what = match &field {
+                Some(_) => wrong.what,
+                None => format!("{}: {}", entry.name, wrong.what),
+            };
+            let found = error(Check::Schema, at, field.as_deref(), what);
+            let given = field.as_ref().and_then(|field| value.get(field)).and_then(Value::as_str);
+            let hint = field.as_deref().zip(given).and_then(|(field, given)| as_number(field, given));
+            self.tell(match hint {
+                Some(hint) => found.right(hint),
+                None => found,
+            });
+            let name = field.filter(|_| few && mended.len() < MOST_WRONG)?;
+            match example(entry).remove(&name) {
+                Some(good) => drop(value.insert(name.clone(), good)),
+                None => drop(value.remove(&name)),
+            }
+            mended.push(name);
+        }
+    }
+
+    /// An unknown parameter's name, a wrong one's value.
+    fn place(&self, wrong: &Wrong, field: Option<&str>) -> Position {
+        match field {
+            None => self.written.field("action_value"),
+            Some(name) if wrong.what.starts_with(UNKNOWN) => self.written.parameter_key(name),
+            Some(name) => self.written.parameter(name),
+        }
+    }
+}
+
+/// A text where a number belongs: an angle of three parts, or a number in quotes.
+fn as_number(field: &str, given: &str) -> Option<String> {
+    if let Some(number) = given.trim().parse::<f64>().ok().filter(|number| number.is_finite()) {
+        return Some(format!("leave the quotes away: {number}"));
+    }
+    let degrees = config::sexagesimal(given)?;
+    Some(match field {
+        "ra" if given.contains(['d', '\u{b0}']) => format!("in degrees that is {degrees:.5}"),
+        "ra" => format!("ra is in degrees: {:.5} if these are hours, {degrees:.5} if they are degrees", 15.0 * degrees),
+        "dec" | "alt" | "az" => format!("{field} is in degrees: {degrees:.5}"),
+        _ => return None,
+    })
+}
+
+/// Parameters of which a test proves that nothing is wrong with them.
+fn example(entry: &Entry) -> Map<String, Value> {
+    serde_json::from_str(entry.example).unwrap_or_default()
+}
+
+/// Is a parameter named in a message?
+fn mentions(what: &str, name: &str) -> bool {
+    what.split(|c: char| !c.is_alphanumeric() && c != '_').any(|word| word == name)
+}
+
+/// The name in serde's "missing field `x`".
+fn missing(what: &str) -> Option<String> {
+    what.strip_prefix("missing field `")?.split('`').next().map(str::to_owned)
+}
+
+/// The parameter that is wrong in this way also by itself.
+fn culprit(entry: &Entry, value: &Map<String, Value>, wrong: &Wrong) -> Option<String> {
+    value.iter().take(MOST_PARAMETERS).find_map(|(name, value)| {
+        let alone = entry.read(Value::Object(Map::from_iter([(name.clone(), value.clone())]))).err();
+        (alone.as_ref() == Some(wrong)).then(|| name.clone())
+    })
+}
+
+/// A value in a message.
+fn short(value: &Value) -> String {
+    let text = value.to_string();
+    match text.char_indices().nth(60) {
+        Some((end, _)) => format!("{} ...", text.get(..end).unwrap_or_default()),
+        None => text,
+    }
+}
+
+/// An instant as people read it, to the second.
+pub(super) fn when(at: Utc) -> String {
+    at.strftime("%Y-%m-%dT%H:%M:%SZ")
+}

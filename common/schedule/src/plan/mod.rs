@@ -1,0 +1,66 @@
+//! The forecast of a night: a schedule worked through on a clock that jumps from event to event, before anything moves.
+//!
+//! ```text
+//!   rows --> Sequence (the runner's own) --which row now?--> its action tells its story on paper (Course)
+//!                 ^                                                  |
+//!                 '--- ended, interrupted, passed <--- now = the next event: an end, a start, the Sun
+//! ```
+//! What decides is what decides live: which row goes next ([`crate::sequence`]), what stands against it
+//! ([`stands_against`]), each action's own choice of the next frame, when a mount is turned over, where it may be sent. Only
+//! what devices take is replaced, by [`Overheads`], which are measured from telemetry ([`evidence`]) where there is some.
+//!
+//! Pure but for the horizon files that the configuration names: rows and configuration in, [`PlannedNight`] out. The weather is
+//! taken for good, but for spans that are said to be unsafe; the Sun is not. Decision 0032.
+
+pub mod course;
+pub mod evidence;
+mod forecast;
+pub mod overheads;
+mod planned;
+pub mod sky;
+mod steps;
+mod world;
+
+pub use self::course::{Course, Halt};
+pub use self::evidence::Evidence;
+pub use self::forecast::forecast;
+pub use self::overheads::{Figure, Overheads, Span};
+pub use self::planned::{Heights, PlannedNight, PlannedRow};
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use ::sky::SkyError;
+use config::Observatory;
+use contract::Name;
+use units::Utc;
+
+use self::sky::Sky;
+use crate::horizon_limits::HorizonLimits;
+
+/// What a schedule is planned for.
+#[derive(Debug, Clone)]
+pub struct Site {
+    /// Its configuration.
+    pub config: Arc<Observatory>,
+    /// What its devices take.
+    pub overheads: Overheads,
+    /// Spans during which the weather closes it, sorted or not.
+    pub unsafe_spans: Vec<(Utc, Utc)>,
+    /// What the site leaves of the sky to each mount; a horizon that cannot be read hides nothing, as live.
+    horizon_limits: BTreeMap<Name, HorizonLimits>,
+    sky: Sky,
+}
+
+impl Site {
+    /// A site under a good sky.
+    ///
+    /// # Errors
+    /// The place is none on Earth.
+    pub fn new(config: Arc<Observatory>, overheads: Overheads) -> Result<Self, SkyError> {
+        let sky = Sky::of(&config.place)?;
+        let limits = |mount| HorizonLimits::of(&config, mount).unwrap_or_else(|(without, _)| without);
+        let horizon_limits = config.telescope.iter().map(|mount| (mount.common.name.clone(), limits(mount))).collect();
+        Ok(Self { config, overheads, unsafe_spans: Vec::new(), horizon_limits, sky })
+    }
+}

@@ -1,0 +1,109 @@
+//! The rows in force and how far each is: pure, so that what may run beside what is proven here for any schedule.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use contract::observatory::RowStatus;
+use units::Utc;
+
+use crate::pick::{has_ended, pick};
+use crate::row::{Row, RowId};
+
+/// The rows of the schedule in force, and those of an older one that are still at work.
+#[derive(Debug, Default)]
+pub struct Sequence {
+    rows: Arc<Vec<Row>>,
+    statuses: Vec<RowStatus>,
+    at_work: BTreeMap<RowId, Row>,
+}
+
+impl Sequence {
+    /// The rows, in order of their start.
+    pub fn rows(&self) -> &[Row] {
+        &self.rows
+    }
+
+    /// How far each row is.
+    pub fn statuses(&self) -> &[RowStatus] {
+        &self.statuses
+    }
+
+    /// Does nothing run, not even a row that the schedule no longer has?
+    pub fn is_idle(&self) -> bool {
+        self.at_work.is_empty()
+    }
+
+    /// The row to be started now, if there is one. None while a row that was taken from the schedule is still ending:
+    /// what it holds, it holds until then.
+    pub fn next(&self, now: Utc, may: impl Fn(usize, &Row) -> bool) -> Option<usize> {
+        let ends = self.at_work.keys().any(|id| self.place_of(id).is_none());
+        if ends { None } else { pick(&self.rows, &self.statuses, now, may) }
+    }
+
+    /// A row begins.
+    pub fn begin(&mut self, index: usize) -> Option<Row> {
+        let row = self.rows.get(index)?.clone();
+        self.set(index, RowStatus::Running);
+        self.at_work.insert(row.id.clone(), row.clone());
+        Some(row)
+    }
+
+    /// A row has ended; returns its place in the schedule in force, if it has one.
+    pub fn end(&mut self, id: &RowId, status: RowStatus) -> Option<usize> {
+        self.at_work.remove(id)?;
+        let index = self.place_of(id)?;
+        self.set(index, status);
+        Some(index)
+    }
+
+    /// Changes the status of a row that is not at work.
+    pub fn set(&mut self, index: usize, status: RowStatus) {
+        if let Some(known) = self.statuses.get_mut(index) {
+            *known = status;
+        }
+    }
+
+    /// Takes another schedule: rows that it has unchanged keep what is `known` of them, and go on where they are at
+    /// work. Returns those at work that it no longer has.
+    pub fn take(&mut self, rows: Arc<Vec<Row>>, known: impl Fn(&RowId) -> Option<RowStatus>) -> Vec<RowId> {
+        let status = |row: &Row| match known(&row.id) {
+            _ if self.at_work.contains_key(&row.id) => RowStatus::Running,
+            // nobody works at it any more
+            None | Some(RowStatus::Running) => RowStatus::Pending,
+            Some(status) => status,
+        };
+        self.statuses = rows.iter().map(status).collect();
+        self.rows = rows;
+        self.at_work.keys().filter(|id| self.place_of(id).is_none()).cloned().collect()
+    }
+
+    /// Have all rows ended, and is there one?
+    pub fn is_over(&self) -> bool {
+        !self.rows.is_empty() && self.is_idle() && self.statuses.iter().all(|status| has_ended(*status))
+    }
+
+    /// Rows that wait although their window has passed.
+    pub fn passed(&self, now: Utc) -> Vec<usize> {
+        let waits = |status| matches!(status, RowStatus::Pending | RowStatus::Interrupted);
+        let each = self.rows.iter().zip(&self.statuses).enumerate();
+        each.filter(|(_, (row, status))| waits(**status) && row.end < now).map(|(index, _)| index).collect()
+    }
+
+    /// Where a row stands.
+    pub fn place_of(&self, id: &RowId) -> Option<usize> {
+        self.rows.iter().position(|row| row.id == *id)
+    }
+}
+
+/// What is said of a row whose window has passed, with the frames that it took.
+pub fn passed_words(status: RowStatus, taken: u32) -> String {
+    match (status, taken) {
+        (RowStatus::Interrupted, taken) => format!("interrupted; its window closed after {taken} frames"),
+        (_, 0) => "its window passed".to_owned(),
+        (_, taken) => format!("its window closed after {taken} frames"),
+    }
+}
+
+#[cfg(test)]
+#[path = "sequence_tests.rs"]
+mod tests;

@@ -1,0 +1,19 @@
+//! One exposure, and whether it fits into the window of its row.
+
+use units::Utc;
+
+/// One frame to take.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shot {
+    /// Seconds.
+    pub exposure_s: f64,
+    /// IMAGETYP.
+    pub image_type: &'static str,
+    /// What is done, in words: `exposing 3 of 10, 30 s, V`.
+    pub words: String,
+}
+
+/// May an exposure start now? Only if it ends within the row's window.
+pub fn fits(now: Utc, exposure_s: f64, end: Utc) -> bool {
+    now.plus_seconds(exposure_s) <= end
+}

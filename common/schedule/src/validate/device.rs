@@ -1,0 +1,54 @@
+//! What a row asks of the devices of its camera: filters of the wheel, a mount, a focuser.
+
+use std::collections::BTreeSet;
+
+use contract::Name;
+use contract::observatory::{Check, Finding};
+
+use super::Known;
+use crate::fault::{Right as _, error};
+use crate::row::Row;
+use config::meant;
+
+/// Filters that no wheel of the camera has; mounts that are not there.
+pub(super) fn check(rows: &[Row], known: &Known) -> Vec<Finding> {
+    rows.iter().flat_map(|row| filters(row, known).into_iter().chain(mount(row, known))).collect()
+}
+
+fn filters(row: &Row, known: &Known) -> Vec<Finding> {
+    let wanted = row.action.filters();
+    let (false, Some(camera)) = (wanted.is_empty(), known.camera(row)) else { return Vec::new() };
+    let at = row.written.parameter("filter");
+    let Some(wheel) = &camera.filterwheel else {
+        let what = format!("{} has no filter wheel, and {:?} is asked for", row.camera, wanted.join(", "));
+        return vec![
+            error(Check::Filter, at, Some("filter"), what).right("leave the filter out, or pair a wheel with it"),
+        ];
+    };
+    let Some(filters) = known.filters.get(wheel) else { return Vec::new() };
+    let each: BTreeSet<&str> = wanted.into_iter().filter(|wanted| !filters.iter().any(|has| has == wanted)).collect();
+    let told = |wanted: &str| {
+        let found = error(Check::Filter, at, Some("filter"), format!("{wheel} has no filter {wanted:?}"));
+        found.right(meant(wanted, filters.iter().map(String::as_str)))
+    };
+    each.into_iter().map(told).collect()
+}
+
+fn mount(row: &Row, known: &Known) -> Option<Finding> {
+    let needs = row.action.needs();
+    // opening is of the roof, too, and a focus is found without a mount, where the telescope looks
+    let points = needs.mount && needs.safe && !["open", "autofocus"].contains(&row.action.name());
+    let camera = known.camera(row).filter(|camera| points && camera.telescope.is_none())?;
+    let what = format!("{} has no mount that {} could point", camera.common.name, row.action.name());
+    let found = error(Check::Device, row.written.field("device_name"), Some("device_name"), what);
+    Some(found.right("name the camera's telescope in the configuration"))
+}
+
+/// Wheels whose filters are asked for and not known.
+pub(super) fn unchecked(rows: &[Row], known: &Known) -> Vec<String> {
+    let asks = |row: &&Row| !row.action.filters().is_empty();
+    let wheels = rows.iter().filter(asks).filter_map(|row| known.camera(row)?.filterwheel.as_ref());
+    let wheels: BTreeSet<&Name> = wheels.filter(|wheel| !known.filters.contains_key(*wheel)).collect();
+    let told = |wheel: &Name| format!("filters of {wheel}: it has not been heard, and filterwheel.filters is not set");
+    wheels.into_iter().map(told).collect()
+}

@@ -1,0 +1,135 @@
+//! Holds the rows of a schedule against the devices, the clock and the sky, before anything moves.
+//!
+//! Pure: text and configuration in, findings out; `now` is given. What refuses a file and what is only told:
+//! docs/decisions/0027-what-refuses-a-schedule.md.
+
+mod device;
+mod duration;
+mod overlap;
+mod sky_table;
+mod twice;
+mod visibility;
+mod window;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use config::{Horizon, Observatory};
+use contract::Name;
+use contract::observatory::{Finding, ScheduleFindings};
+use units::Utc;
+
+use self::sky_table::SkyTable;
+use crate::fault::{Fault, MOST_FINDINGS, in_order};
+use crate::fields::defaults_of;
+pub use crate::horizon_limits::read as horizon;
+use crate::names;
+use crate::parse::{Reading, read_with};
+use crate::row::Row;
+
+/// What rows are held against.
+#[derive(Debug, Clone)]
+pub struct Known {
+    config: Arc<Observatory>,
+    /// Filters of each wheel that are known.
+    pub filters: BTreeMap<Name, Vec<String>>,
+    horizons: BTreeMap<Name, Horizon>,
+    /// What could not be read of all this.
+    unread: Vec<String>,
+    /// The positions of the names that were looked up.
+    pub names: names::Known,
+    /// Windows that ended before have passed; nothing is said of that where absent.
+    now: Option<Utc>,
+}
+
+impl Known {
+    /// From the configuration alone; reads the horizon files that it names.
+    pub fn of(config: Arc<Observatory>) -> Self {
+        let named = |wheel: &config::FilterWheel| (wheel.common.name.clone(), wheel.filters.clone());
+        let filters = config.filterwheel.iter().filter(|wheel| !wheel.filters.is_empty()).map(named).collect();
+        let (mut horizons, mut unread) = (BTreeMap::new(), Vec::new());
+        for mount in &config.telescope {
+            let name = &mount.common.name;
+            match mount.horizon.as_ref().map(horizon) {
+                None => {}
+                Some(Ok(horizon)) => drop(horizons.insert(name.clone(), horizon)),
+                Some(Err(why)) => unread.push(format!("horizon of {name}: {why}")),
+            }
+        }
+        let names = names::Known::read(&names::Known::path(&config));
+        Self { config, filters, horizons, unread, names, now: None }
+    }
+
+    /// With the filters that a wheel tells, which count before those of the configuration.
+    pub fn with_filters(mut self, wheel: &Name, filters: Vec<String>) -> Self {
+        self.filters.insert(wheel.clone(), filters);
+        self
+    }
+
+    /// With what is known of names now.
+    pub fn with_names(mut self, names: names::Known) -> Self {
+        self.names = names;
+        self
+    }
+
+    /// With an instant before which windows have passed.
+    pub fn at(mut self, now: Utc) -> Self {
+        self.now = Some(now);
+        self
+    }
+
+    fn cameras(&self) -> Vec<Name> {
+        self.config.camera.iter().map(|camera| camera.common.name.clone()).collect()
+    }
+
+    fn camera(&self, row: &Row) -> Option<&config::Camera> {
+        self.config.camera.iter().find(|camera| camera.common.name == row.camera)
+    }
+
+    fn mount(&self, row: &Row) -> Option<&config::Telescope> {
+        let name = self.camera(row)?.telescope.as_ref();
+        self.config.telescope.iter().find(|mount| Some(&mount.common.name) == name)
+    }
+}
+
+/// Reads a schedule and refuses it if it does not say what is to be done; the sky is not asked.
+///
+/// # Errors
+/// All that refuses the file.
+pub fn accept(text: &str, known: &Known) -> Result<Vec<Row>, Fault> {
+    let Reading { rows, mut findings } = read_with(text, &known.cameras(), &defaults_of(&known.config.camera));
+    findings.extend(device::check(&rows, known));
+    in_order(&mut findings, MOST_FINDINGS);
+    if findings.is_empty() { Ok(rows) } else { Err(Fault { findings }) }
+}
+
+/// All that is to be said of a schedule.
+pub fn validate(text: &str, known: &Known) -> ScheduleFindings {
+    let Reading { rows, mut findings } = read_with(text, &known.cameras(), &defaults_of(&known.config.camera));
+    let (found, unchecked) = survey(&rows, known);
+    findings.extend(found);
+    let (errors, warnings) = in_order(&mut findings, MOST_FINDINGS);
+    let rows = u32::try_from(rows.len()).unwrap_or(u32::MAX);
+    ScheduleFindings { valid: errors == 0, rows, errors, warnings, findings, unchecked }
+}
+
+/// What is to be said of rows that were read, in the order of the file, and what could not be checked.
+pub fn survey(rows: &[Row], known: &Known) -> (Vec<Finding>, Vec<String>) {
+    let mut unchecked = known.unread.clone();
+    unchecked.extend(device::unchecked(rows, known));
+    unchecked.extend(visibility::unchecked(rows, known));
+    let mut findings = device::check(rows, known);
+    findings.extend(window::check(rows, known.now));
+    findings.extend(duration::check(rows, known));
+    findings.extend(overlap::check(rows, known));
+    match SkyTable::new(&known.config.place) {
+        Ok(mut sky) => {
+            findings.extend(visibility::check(rows, known, &mut sky));
+            findings.extend(twice::check(rows, known, &mut sky));
+            unchecked.extend(sky.unchecked());
+        }
+        Err(error) => unchecked.push(format!("the sky: {error}")),
+    }
+    in_order(&mut findings, usize::MAX);
+    (findings, unchecked)
+}

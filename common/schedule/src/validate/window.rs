@@ -1,0 +1,36 @@
+//! Windows that have passed, and such as no sky is known of.
+
+use contract::observatory::{Check, Finding};
+use units::Utc;
+
+use crate::fault::{Right as _, warning};
+use crate::fields::when;
+use crate::row::Row;
+
+/// Nobody observes one row for longer; a slip in the year does.
+const LONGEST_S: f64 = 2.0 * 86_400.0;
+
+/// What is odd about the rows' windows.
+pub(super) fn check(rows: &[Row], now: Option<Utc>) -> Vec<Finding> {
+    let mut findings: Vec<Finding> = rows.iter().filter_map(long).collect();
+    let Some(now) = now else { return findings };
+    let passed: Vec<&Row> = rows.iter().filter(|row| row.end < now).collect();
+    // the schedule of another night is told once
+    let told = if passed.len() == rows.len() { passed.get(..1).unwrap_or_default() } else { &passed };
+    for row in told {
+        let what = match passed.len() == rows.len() && rows.len() > 1 {
+            true => format!("the windows of all {} rows have passed: nothing will be done", rows.len()),
+            false => format!("its window passed at {}: it will be skipped", when(row.end)),
+        };
+        findings.push(warning(Check::Time, row.written.field("end_time"), Some("end_time"), what));
+    }
+    findings
+}
+
+fn long(row: &Row) -> Option<Finding> {
+    let span_s = row.end.seconds_since(row.start);
+    let days = span_s / 86_400.0;
+    let what = format!("its window lasts {days:.1} days; the sky is checked for the first two");
+    let found = warning(Check::Time, row.written.field("end_time"), Some("end_time"), what);
+    (span_s > LONGEST_S).then(|| found.right("is the date right?"))
+}

@@ -1,0 +1,11 @@
+//! The schedule file of the telescope: read when it changes, replaced by order, and its findings published.
+//!
+//! What a schedule is stands in the crate `schedule`.
+
+mod file;
+pub mod findings;
+mod put;
+pub mod versions;
+
+pub use file::{Loaded, keep_reading};
+pub use put::put;
