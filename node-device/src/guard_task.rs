@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use alpaca::{Alpaca, AlpacaError, value};
 use audit::GUARD;
 use bus::{Catch, MachineTime, Node, Quality, Subscriber};
 use contract::audit::Outcome;
@@ -15,7 +16,6 @@ use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
 use crate::accounts::{Accounts, Asked};
-use crate::alpaca::{Alpaca, AlpacaError, value};
 use crate::driver::dome::SHUTTER;
 use crate::guard::{Alarm, Deed, FRESH, Guard};
 use crate::guard_process::link::{DomeReport, GuardLink};

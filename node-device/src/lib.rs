@@ -9,7 +9,6 @@
 //! The dome's `guard` stands beside all this: a pure state machine with a task and a connection of its own.
 
 mod accounts;
-pub mod alpaca;
 mod announce;
 mod child;
 mod contact;
@@ -45,8 +44,6 @@ pub mod spool_http;
 mod start;
 mod token;
 mod watchdog;
-
-pub use alpaca::discovery::{Found, as_toml, discover};
 
 use anyhow::Context as _;
 use audit::Audit;

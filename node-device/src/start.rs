@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use alpaca::{Alpaca, http_client};
 use anyhow::Context as _;
 use audit::Audit;
 use bus::Node;
@@ -18,8 +19,6 @@ use tokio::task::JoinSet;
 use units::Angle;
 
 use crate::accounts::Accounts;
-use crate::alpaca::Alpaca;
-use crate::alpaca::http_client;
 use crate::deadline::machine_limit;
 use crate::driver::Driver;
 use crate::driver::camera::{Camera, frame_properties};

@@ -3,14 +3,14 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use alpaca::{Alpaca, AlpacaError, can};
 use bus::Clock;
 use config::VendorPattern;
 use contract::device::dome::{self, Capabilities, Command, Fields, Shutter};
 use contract::{CommandId, NoData, Reason};
 use tokio::sync::watch;
 
-use super::{Driver, Need, Now, Obeyed, Progress, apart_deg, can, vendor, within};
-use crate::alpaca::{Alpaca, AlpacaError};
+use super::{Driver, Need, Now, Obeyed, Progress, apart_deg, vendor, within};
 use crate::gate::Hinders;
 use crate::guard::Guard;
 use crate::guard_task::Seen;

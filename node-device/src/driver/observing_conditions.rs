@@ -1,10 +1,10 @@
 //! The weather station.
 
+use alpaca::{Alpaca, AlpacaError, optional, value};
 use contract::CommandId;
 use contract::device::observing_conditions::{self, Capabilities, Command, Fields};
 
-use super::{Driver, Need, Obeyed, optional};
-use crate::alpaca::{Alpaca, AlpacaError, value};
+use super::{Driver, Need, Obeyed};
 use crate::readings::{AGE, Readings, age_of};
 
 /// Reads a weather station.

@@ -3,12 +3,12 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use alpaca::{Alpaca, AlpacaError, can, optional, value};
 use config::VendorPattern;
 use contract::device::telescope::{self, Capabilities, Command, Direction, EquatorialSystem, Fields, PierSide};
 use contract::{CommandId, Datum, Reason};
 
-use super::{Driver, Need, Obeyed, Progress, apart_deg, can, optional, vendor, within};
-use crate::alpaca::{Alpaca, AlpacaError, value};
+use super::{Driver, Need, Obeyed, Progress, apart_deg, vendor, within};
 use crate::gate::Hinders;
 use crate::readings::Readings;
 

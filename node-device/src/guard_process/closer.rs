@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use alpaca::{Alpaca, AlpacaError, http_client, value};
 use bus::MachineTime;
 use config::CloseWithMount;
 use contract::device::dome::Shutter;
@@ -12,7 +13,6 @@ use futures_util::future::join_all;
 use tokio::task::JoinSet;
 
 use super::copy::{DomeCopy, Target, seconds};
-use crate::alpaca::{Alpaca, AlpacaError, http_client, value};
 use crate::driver::dome::SHUTTER;
 use crate::guard::{Alarm, Deed, Guard, Settings};
 

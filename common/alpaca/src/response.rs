@@ -2,8 +2,9 @@
 
 use serde_json::{Map, Value};
 
-use super::transaction::{Echo, Transactions};
-use super::{AlpacaError, json};
+use crate::envelope_number::envelope_number;
+use crate::transaction::{Echo, Transactions};
+use crate::{AlpacaError, json};
 
 /// One Alpaca answer without an error.
 #[derive(Debug, Clone, PartialEq)]
@@ -166,22 +167,6 @@ fn field<'a>(object: &'a Map<String, Value>, name: &str) -> Option<&'a Value> {
     object.get(name).or_else(|| object.iter().find(|(key, _)| key.eq_ignore_ascii_case(name)).map(|(_, value)| value))
 }
 
-/// A whole number, also as text; a fraction is none.
-pub(super) fn whole(value: &Value) -> Option<i64> {
-    match value {
-        Value::Number(number) => {
-            let whole = |n: &f64| n.fract() == 0.0 && n.abs() < 9e15;
-            number.as_i64().or_else(|| number.as_f64().filter(whole).map(|n| n as i64))
-        }
-        Value::String(text) => {
-            let text = text.trim();
-            let hex = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"));
-            hex.map_or_else(|| text.parse().ok(), |digits| i64::from_str_radix(digits, 16).ok())
-        }
-        _ => None,
-    }
-}
-
 fn message(object: &Map<String, Value>) -> Option<String> {
     let text = field(object, "ErrorMessage")?.as_str()?.trim();
     (!text.is_empty()).then(|| text.to_owned())
@@ -190,7 +175,7 @@ fn message(object: &Map<String, Value>) -> Option<String> {
 fn ascom_error(object: &Map<String, Value>) -> Result<(), AlpacaError> {
     let number = field(object, "ErrorNumber");
     let said = message(object);
-    match number.map(|value| (value, whole(value))) {
+    match number.map(|value| (value, envelope_number(value))) {
         Some((_, Some(0))) => {}
         Some((_, Some(code))) => {
             return Err(AlpacaError::Ascom { code: ascom_code(code), message: said.unwrap_or_default() });

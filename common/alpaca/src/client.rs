@@ -10,17 +10,16 @@ use serde_json::Value;
 use tokio::sync::{Mutex, MutexGuard};
 use tokio::time::timeout;
 
-use super::image::RawImage;
-use super::response::{self, Answer};
-use super::transaction::Transactions;
-use super::{AlpacaError, Fault};
+use crate::body::{JSON_CAP, read_capped};
+use crate::raw_image::RawImage;
+use crate::response::{self, Answer};
+use crate::transaction::Transactions;
+use crate::{AlpacaError, Fault};
 
 /// Total time for reading a property.
 pub const STATUS_DEADLINE: Duration = Duration::from_secs(2);
 /// Total time for a command to be taken.
 pub const COMMAND_DEADLINE: Duration = Duration::from_secs(5);
-/// Largest JSON answer that is no image.
-pub(super) const JSON_CAP: usize = 1 << 20;
 
 /// Talks to one device of an Alpaca server. Cheap to clone; clones take turns.
 #[derive(Clone)]
@@ -224,7 +223,7 @@ impl Ids {
 }
 
 /// An HTTP client: no proxy, no redirects, no connection older than servers keep theirs.
-pub(crate) fn http_client() -> Result<Client, AlpacaError> {
+pub fn http_client() -> Result<Client, AlpacaError> {
     local_http::client_builder()
         .connect_timeout(Duration::from_secs(2))
         // servers close idle connections after 5 s
@@ -232,18 +231,6 @@ pub(crate) fn http_client() -> Result<Client, AlpacaError> {
         .tcp_nodelay(true)
         .build()
         .map_err(|error| AlpacaError::from_http(&error))
-}
-
-/// Reads a body of at most `cap` bytes.
-pub(super) async fn read_capped(mut response: Response, cap: usize) -> Result<Vec<u8>, AlpacaError> {
-    let mut body = Vec::new();
-    while let Some(chunk) = response.chunk().await.map_err(|error| AlpacaError::from_http(&error))? {
-        if body.len() + chunk.len() > cap {
-            return Err(AlpacaError::Protocol(format!("the answer is longer than {cap} bytes")));
-        }
-        body.extend_from_slice(&chunk);
-    }
-    Ok(body)
 }
 
 /// Name-value pairs as a query or a form writes them.

@@ -3,7 +3,7 @@ use proptest::prelude::*;
 use serde_json::json;
 
 use super::*;
-use crate::alpaca::value;
+use crate::value;
 
 /// What a sloppy answer must come to.
 enum Meant {

@@ -2,8 +2,8 @@
 
 use contract::device::camera::Pixel;
 
-use super::AlpacaError;
-use super::image::{Image, Shape};
+use crate::AlpacaError;
+use crate::image::{Image, Shape};
 
 /// Length of the header, bytes.
 pub const HEADER: usize = 44;

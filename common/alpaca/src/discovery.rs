@@ -9,10 +9,10 @@ use serde_json::Value;
 use tokio::net::UdpSocket;
 use tokio::time::{Instant, timeout, timeout_at};
 
-use super::AlpacaError;
-use super::client::{JSON_CAP, http_client, read_capped};
-use super::response;
-use super::transaction::Transactions;
+use crate::body::{JSON_CAP, read_capped};
+use crate::client::http_client;
+use crate::transaction::Transactions;
+use crate::{AlpacaError, response, value};
 
 /// Where Alpaca servers listen for the question.
 pub const PORT: u16 = 32227;
@@ -75,7 +75,7 @@ pub async fn servers(targets: &[SocketAddr], wait: Duration) -> std::io::Result<
 fn alpaca_port(answer: &[u8]) -> Option<u16> {
     let answer: Value = serde_json::from_slice(answer).ok()?;
     let port = answer.as_object()?.iter().find(|(key, _)| key.eq_ignore_ascii_case("AlpacaPort"))?.1;
-    u16::try_from(super::value::whole(port).ok()?).ok()
+    u16::try_from(value::whole(port).ok()?).ok()
 }
 
 /// The devices of one server, as its management interface lists them.
@@ -101,7 +101,7 @@ fn found(server: &str, device: &Value) -> Option<Found> {
     Some(Found {
         server: server.to_owned(),
         kind: text("DeviceType").parse().ok()?,
-        number: u32::try_from(super::value::whole(field("DeviceNumber")?).ok()?).ok()?,
+        number: u32::try_from(value::whole(field("DeviceNumber")?).ok()?).ok()?,
         name: text("DeviceName"),
         unique_id: text("UniqueID"),
     })

@@ -3,7 +3,7 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpListener;
 
 use super::*;
-use crate::driver::can;
+use crate::can;
 
 /// A server that answers request after request with what `answer` makes of its text and its transaction id.
 async fn server(mut answer: impl FnMut(&str, u32) -> String + Send + 'static) -> String {

@@ -1,13 +1,11 @@
-//! Spoilt answers to "is it safe?", on their way into a reading.
+//! Spoilt answers to "is it safe?", on their way to a value.
 
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
-use units::Utc;
 
-use super::response::parse_exactly;
-use super::transaction::Transactions;
-use super::value;
-use crate::readings::Readings;
+use crate::response::parse_exactly;
+use crate::transaction::Transactions;
+use crate::value;
 
 /// In the short form; `scripts/soak` asks for a million.
 const ANSWERS: usize = 100_000;
@@ -52,12 +50,9 @@ fn spoil(chance: &mut StdRng) -> Vec<u8> {
     body
 }
 
-fn reads_as_safe(readings: &mut Readings, status: u16, body: &[u8]) -> bool {
-    let answer = parse_exactly(status, body, &Transactions::fresh(), 71).map_err(|error| error.no_data());
-    let answer =
-        answer.and_then(|answer| answer.value.ok_or_else(|| value::strict_flag(&serde_json::Value::Null).unwrap_err()));
-    readings.keep("IsSafe", answer, Utc::EPOCH);
-    readings.strict_flag("IsSafe").known() == Some(&true)
+fn reads_as_safe(status: u16, body: &[u8]) -> bool {
+    let answer = parse_exactly(status, body, &Transactions::fresh(), 71).ok().and_then(|answer| answer.value);
+    answer.is_some_and(|answer| value::strict_flag(&answer) == Ok(true))
 }
 
 #[test]
@@ -67,14 +62,14 @@ fn no_spoilt_answer_reads_as_safe() {
         let workers: Vec<_> = (0..4_u64)
             .map(|seed| {
                 scope.spawn(move || {
-                    let (mut chance, mut readings) = (StdRng::seed_from_u64(seed), Readings::default());
-                    assert!(reads_as_safe(&mut readings, 200, SAFE.as_bytes()), "a safe monitor is heard");
+                    let mut chance = StdRng::seed_from_u64(seed);
+                    assert!(reads_as_safe(200, SAFE.as_bytes()), "a safe monitor is heard");
                     let spoilt = (0..answers / 4).map(|number| match number % 10 {
                         0 => (200, (0..chance.random_range(0..80)).map(|_| chance.random()).collect()),
                         1 => (chance.random_range(300..600), SAFE.as_bytes().to_vec()),
                         _ => (200, spoil(&mut chance)),
                     });
-                    spoilt.filter(|(status, body)| reads_as_safe(&mut readings, *status, body)).collect::<Vec<_>>()
+                    spoilt.filter(|(status, body)| reads_as_safe(*status, body)).collect::<Vec<_>>()
                 })
             })
             .collect();

@@ -1,7 +1,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::alpaca::image_json;
+use crate::image_json;
 
 fn header(error: i32, own: i32, sent: i32, rank: i32, dimensions: [i32; 3]) -> Vec<u8> {
     let [d1, d2, d3] = dimensions;

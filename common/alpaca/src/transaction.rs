@@ -8,7 +8,8 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use serde_json::Value;
 
-use super::AlpacaError;
+use crate::AlpacaError;
+use crate::envelope_number::envelope_number;
 
 /// The `ClientTransactionID` of an answer.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,7 +28,7 @@ impl Echo {
         match member {
             None | Some(Value::Null) => Self::Absent,
             Some(value) => {
-                let number = if exact { value.as_i64() } else { super::response::whole(value) };
+                let number = if exact { value.as_i64() } else { envelope_number(value) };
                 number.map_or_else(|| Self::Unreadable(value.to_string().chars().take(60).collect()), Self::Number)
             }
         }

@@ -5,7 +5,7 @@ use std::fmt;
 use contract::device::camera::Pixel;
 use serde::de::{self, DeserializeSeed, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
-use super::image::{Image, MAX_PIXELS, Shape};
+use crate::image::{Image, MAX_PIXELS, Shape};
 
 /// Turns an `imagearray` answer into rows.
 pub fn decode(body: &[u8], max_adu: Option<f64>) -> Result<Image, String> {
