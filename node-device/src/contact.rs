@@ -13,7 +13,8 @@ use futures_util::StreamExt as _;
 use serde_json::Value;
 use units::Utc;
 
-use crate::driver::{Capabilities, Driver, Now};
+use crate::driver::{Capabilities, Driver};
+use crate::now::Now;
 use crate::readings::member;
 use crate::simulated::is_simulated;
 

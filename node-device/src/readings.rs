@@ -9,7 +9,7 @@ use contract::{Datum, Kind, NoData, Reading};
 use serde_json::Value;
 use units::Utc;
 
-use crate::driver::Now;
+use crate::now::Now;
 
 /// The newest answers of one device.
 #[derive(Debug, Clone, Default)]

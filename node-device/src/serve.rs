@@ -24,9 +24,10 @@ use tokio::time::{Instant, sleep_until};
 
 use self::command::Running;
 use crate::contact::{Answer, Greeting, Poll, Questions, lost_reason};
-use crate::driver::{Capabilities, Command, Driver, Fields, Now, Obeyed};
+use crate::driver::{Capabilities, Command, Driver, Fields, Obeyed};
 use crate::front::{Front, Order};
 use crate::has::Has;
+use crate::now::Now;
 use crate::readings::Readings;
 use crate::record::Voice;
 

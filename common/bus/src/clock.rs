@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use serde::Deserialize;
 use units::Utc;
 
-use crate::{MachineTime, SkyTime};
+use crate::{MachineTime, SkyTime, machine};
 
 /// Reads both times. Cheap to clone; all clones agree.
 #[derive(Debug, Clone)]
@@ -59,19 +59,19 @@ impl Clock {
 
     /// A clock that stands at `utc` now and runs `speed` times as fast as the machine's.
     pub fn simulated(utc: Utc, speed: f64) -> Self {
-        Self { source: Arc::new(Source::Simulated { origin: MachineTime::now(), origin_utc: utc, speed }) }
+        Self { source: Arc::new(Source::Simulated { origin: machine::now(), origin_utc: utc, speed }) }
     }
 
     /// Follows the clock that a Starmesh simulator serves at `base` (`http://host:port`).
     pub async fn of_simulator(base: &str) -> Result<Self, ClockError> {
         let url = format!("{base}/simulator/v1/clock");
-        let asked = MachineTime::now();
+        let asked = machine::now();
         let answer = async {
             let client = local_http::client_builder().timeout(Duration::from_secs(5)).build()?;
             client.get(&url).send().await?.error_for_status()?.text().await
         };
         let text = answer.await.map_err(|source| ClockError::NoAnswer { url: url.clone(), source })?;
-        let half_way = MachineTime::now().since(asked) / 2;
+        let half_way = machine::now().since(asked) / 2;
         match serde_json::from_str::<Served>(&text) {
             Ok(Served { utc, speed, simulated: true }) if speed.is_finite() && speed > 0.0 => Ok(Self {
                 source: Arc::new(Source::Simulated { origin: asked.plus(half_way), origin_utc: utc, speed }),
@@ -82,12 +82,12 @@ impl Clock {
 
     /// Machine time now.
     pub fn machine(&self) -> MachineTime {
-        MachineTime::now()
+        machine::now()
     }
 
     /// The monotonic side of sky time now.
     pub fn sky(&self) -> SkyTime {
-        let machine = MachineTime::now().since(MachineTime::from_boot(Duration::ZERO));
+        let machine = machine::now().since(MachineTime::from_boot(Duration::ZERO));
         SkyTime::from_start(machine.mul_f64(self.speed()))
     }
 
@@ -99,7 +99,7 @@ impl Clock {
                 Utc::EPOCH.plus(since_epoch)
             }
             Source::Simulated { origin, origin_utc, speed } => {
-                origin_utc.plus(MachineTime::now().since(origin).mul_f64(speed))
+                origin_utc.plus(machine::now().since(origin).mul_f64(speed))
             }
         }
     }

@@ -12,7 +12,7 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use zenoh::session::ZenohId;
 
-use crate::{MachineTime, Node};
+use crate::{MachineTime, Node, machine};
 
 /// A node says how it is every 5 s; three are missed by then.
 const SILENT: Duration = Duration::from_secs(17);
@@ -39,11 +39,11 @@ pub async fn keep_mending(node: &Node) -> anyhow::Result<()> {
     let mut looks = tokio::time::interval(LOOK);
     loop {
         tokio::select! {
-            Some(peer) = told.recv() => silence.hear(peer, MachineTime::now()),
+            Some(peer) = told.recv() => silence.hear(peer, machine::now()),
             _ = looks.tick() => {
                 let links: Vec<_> = session.info().links().await.collect();
                 let connected: Vec<ZenohId> = links.iter().map(|link| *link.zid()).collect();
-                for peer in silence.look(&connected, MachineTime::now()) {
+                for peer in silence.look(&connected, machine::now()) {
                     let of_peer = links.iter().filter(|link| *link.zid() == peer);
                     let ends = of_peer.filter_map(|link| Some((address(link.src())?, address(link.dst())?))).collect();
                     mend(peer, ends).await;

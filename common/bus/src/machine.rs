@@ -1,72 +1,12 @@
-//! The two monotonic times, as two types that cannot be mixed.
+//! Reads the boot-time clock of this machine.
 
 use std::time::Duration;
 
-/// Machine time: time since the machine booted, suspend included, never accelerated.
-///
-/// Permits, leases, ages, poll periods and deadlines are judged by it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub struct MachineTime(Duration);
+use units::MachineTime;
 
-impl MachineTime {
-    /// From the time since boot; for pure code under test.
-    pub const fn from_boot(since_boot: Duration) -> Self {
-        Self(since_boot)
-    }
-
-    /// Time from `earlier` to this; zero when `earlier` is later.
-    pub fn since(self, earlier: Self) -> Duration {
-        self.0.saturating_sub(earlier.0)
-    }
-
-    /// This moved forward.
-    pub fn plus(self, duration: Duration) -> Self {
-        Self(self.0.saturating_add(duration))
-    }
-
-    /// This moved back, to the zero of the clock at most: what is older is as old as the clock.
-    pub fn minus(self, duration: Duration) -> Self {
-        Self(self.0.saturating_sub(duration))
-    }
-
-    /// Time left to the next whole multiple of a period since boot; what recurs shares these ticks, so that an idle
-    /// machine wakes once for all of it.
-    pub fn to_tick(self, period: Duration) -> Duration {
-        let period = period.max(Duration::from_millis(1));
-        let passed = self.0.as_nanos() % period.as_nanos();
-        period.saturating_sub(Duration::from_nanos(u64::try_from(passed).unwrap_or(0)))
-    }
-
-    /// Reads the machine's boot-time clock.
-    pub(crate) fn now() -> Self {
-        Self(boot_time())
-    }
-}
-
-/// The monotonic side of sky time: machine time x speed. Dwell, exposure and slew durations are judged by it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub struct SkyTime(Duration);
-
-impl SkyTime {
-    /// From a duration since an arbitrary start; for pure code under test.
-    pub const fn from_start(since_start: Duration) -> Self {
-        Self(since_start)
-    }
-
-    /// Time from `earlier` to this; zero when `earlier` is later.
-    pub fn since(self, earlier: Self) -> Duration {
-        self.0.saturating_sub(earlier.0)
-    }
-
-    /// This moved forward.
-    pub fn plus(self, duration: Duration) -> Self {
-        Self(self.0.saturating_add(duration))
-    }
-
-    /// This moved back, to the zero of the clock at most: what is older is as old as the clock.
-    pub fn minus(self, duration: Duration) -> Self {
-        Self(self.0.saturating_sub(duration))
-    }
+/// Reads the clock.
+pub(crate) fn now() -> MachineTime {
+    MachineTime::from_boot(boot_time())
 }
 
 #[cfg(target_os = "linux")]
@@ -84,19 +24,4 @@ fn boot_time() -> Duration {
     use std::time::Instant;
     static START: OnceLock<Instant> = OnceLock::new();
     START.get_or_init(Instant::now).elapsed()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_recurs_shares_its_ticks() {
-        let at = |ms| MachineTime::from_boot(Duration::from_millis(ms));
-        let second = Duration::from_secs(1);
-        assert_eq!(at(41_250).to_tick(second), Duration::from_millis(750));
-        assert_eq!(at(41_000).to_tick(second), second, "on the tick, the next one");
-        assert_eq!(at(41_250).to_tick(second * 5), Duration::from_millis(3_750));
-        assert_eq!(at(5).to_tick(Duration::ZERO), Duration::from_millis(1), "never zero");
-    }
 }

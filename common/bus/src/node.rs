@@ -173,7 +173,7 @@ pub fn host_name() -> String {
 
 fn started() -> crate::MachineTime {
     static STARTED: std::sync::OnceLock<crate::MachineTime> = std::sync::OnceLock::new();
-    *STARTED.get_or_init(crate::MachineTime::now)
+    *STARTED.get_or_init(crate::machine::now)
 }
 
 /// The text of a file, and no more of it than shows that it is too large.

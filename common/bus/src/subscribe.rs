@@ -14,7 +14,7 @@ use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, RecoveryConfig
 use crate::history::{self, Watch};
 use crate::numbers::Numbers;
 use crate::transit::Transit;
-use crate::{Bus, BusError, MachineTime, Succession};
+use crate::{Bus, BusError, MachineTime, Succession, machine};
 
 /// What a subscriber wants to hear.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -107,7 +107,7 @@ impl<T: Payload> Queue<T> {
         let bytes = sample.payload().to_bytes();
         match serde_json::from_slice(&bytes) {
             Ok(said) => {
-                let arrived = lock(&self.transit).arrived(&said, MachineTime::now());
+                let arrived = lock(&self.transit).arrived(&said, machine::now());
                 self.push_heard(Heard { key, said, arrived }, bytes.len());
             }
             Err(error) => {
@@ -266,12 +266,12 @@ impl<T: Clone> Latest<T> {
 
     /// The newest payload unless it arrived longer ago than `age`.
     pub fn fresh(&self, age: Duration) -> Option<Heard<T>> {
-        self.get().filter(|heard| MachineTime::now().since(heard.arrived) <= age)
+        self.get().filter(|heard| machine::now().since(heard.arrived) <= age)
     }
 
     /// Do two nodes speak on the key at the same time? Then neither is to be believed.
     pub fn has_rivals(&self) -> bool {
-        lock(&self.succession).rivals(MachineTime::now()).is_some()
+        lock(&self.succession).rivals(machine::now()).is_some()
     }
 
     /// Waits for the next change after the newest payload that this clone has seen.

@@ -8,9 +8,10 @@ use alpaca::{Alpaca, AlpacaError, can, optional, value};
 use bus::Clock;
 use contract::device::camera::{self, Activity, Capabilities, Command, Exposure, Fields, Subframe};
 use contract::{Accepted, CommandId, Datum, Name, Reason, Refusal, Reply};
+use interlock::Need;
 
 use super::exposure::Setting;
-use super::{Driver, Need, Obeyed, Progress, within};
+use super::{Driver, Obeyed, Progress, within};
 use crate::readings::Readings;
 use crate::spool::Spool;
 

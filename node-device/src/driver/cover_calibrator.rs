@@ -3,8 +3,9 @@
 use alpaca::{Alpaca, AlpacaError, optional, value};
 use contract::device::cover_calibrator::{self, Calibrator, Capabilities, Command, Cover, Fields};
 use contract::{CommandId, Reason};
+use interlock::Need;
 
-use super::{Driver, Need, Obeyed, Progress};
+use super::{Driver, Obeyed, Progress};
 use crate::readings::Readings;
 
 const COVER: [(i64, Cover); 6] = [

@@ -6,8 +6,9 @@ use std::time::Duration;
 use alpaca::{Alpaca, AlpacaError, optional, value};
 use contract::device::filter_wheel::{self, Capabilities, Command, Fields};
 use contract::{CommandId, Datum, NoData, Reason};
+use interlock::Need;
 
-use super::{Driver, Need, Obeyed, Progress};
+use super::{Driver, Obeyed, Progress};
 use crate::readings::Readings;
 
 /// Drives a filter wheel.

@@ -3,8 +3,9 @@
 use alpaca::{Alpaca, AlpacaError, can, optional, value};
 use contract::device::focuser::{self, Capabilities, Command, Fields};
 use contract::{CommandId, Reason};
+use interlock::Need;
 
-use super::{Driver, Need, Obeyed, Progress};
+use super::{Driver, Obeyed, Progress};
 use crate::readings::Readings;
 
 /// Drives a focuser.

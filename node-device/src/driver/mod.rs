@@ -17,10 +17,10 @@ use std::future::Future;
 use std::time::Duration;
 
 use alpaca::{Alpaca, AlpacaError};
-use bus::{MachineTime, SkyTime};
 use contract::{CommandId, DeviceKind, Reason, Reply};
+use interlock::{Hinders, Need};
 
-use crate::gate::Hinders;
+use crate::now::Now;
 use crate::readings::Readings;
 
 /// What the devices of a driver can do.
@@ -29,36 +29,6 @@ pub type Capabilities<D> = <<D as Driver>::Kind as DeviceKind>::Capabilities;
 pub type Fields<D> = <<D as Driver>::Kind as DeviceKind>::Fields;
 /// What they may be asked.
 pub type Command<D> = <<D as Driver>::Kind as DeviceKind>::Command;
-
-/// Both monotonic times of one moment.
-#[derive(Debug, Clone, Copy)]
-pub struct Now {
-    /// Machine time.
-    pub machine: MachineTime,
-    /// Sky time.
-    pub sky: SkyTime,
-}
-
-/// What a command needs before it is taken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Need {
-    /// Nothing: anyone who may speak at all may stop and close.
-    Nothing,
-    /// The newest token, but only while a valid safe permit exists: park and tracking off.
-    TokenWhileSafe,
-    /// The newest token: everything that moves.
-    Token,
-    /// The newest token and every permit.
-    TokenAndPermit,
-    /// The newest token, every permit, and no hold: opening an enclosure.
-    Open,
-    /// Nothing, and the guard must know: closing an enclosure.
-    Close,
-    /// To be granted a lease.
-    Claim,
-    /// To end a hold of the guard.
-    Resume,
-}
 
 /// How far a command is, judged by the device's own state.
 #[derive(Debug, Clone, PartialEq)]

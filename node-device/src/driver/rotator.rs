@@ -3,8 +3,9 @@
 use alpaca::{Alpaca, AlpacaError, can};
 use contract::device::rotator::{self, Capabilities, Command, Fields};
 use contract::{CommandId, Reason};
+use interlock::Need;
 
-use super::{Driver, Need, Obeyed, Progress, apart_deg, within};
+use super::{Driver, Obeyed, Progress, apart_deg, within};
 use crate::readings::Readings;
 
 /// A rotator that stands this close to its target has reached it.

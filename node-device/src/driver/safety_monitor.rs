@@ -7,8 +7,10 @@ use alpaca::{Alpaca, AlpacaError};
 use bus::{MachineTime, SkyTime};
 use contract::CommandId;
 use contract::device::safety_monitor::{self, Capabilities, Command, Fields};
+use interlock::Need;
 
-use super::{Driver, Need, Now, Obeyed};
+use super::{Driver, Obeyed};
+use crate::now::Now;
 use crate::readings::Readings;
 
 /// Reads a safety monitor.

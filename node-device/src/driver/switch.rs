@@ -5,8 +5,9 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use alpaca::{Alpaca, AlpacaError, optional, value};
 use contract::device::switch::{self, Capabilities, Command, Description, Fields};
 use contract::{CommandId, Reason};
+use interlock::Need;
 
-use super::{Driver, Need, Obeyed, within};
+use super::{Driver, Obeyed, within};
 use crate::readings::Readings;
 
 /// More switches than this are a server's mistake.

@@ -8,6 +8,8 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use bus::{Clock, MachineTime, NodeOptions};
 use contract::observatory::AlertKind;
+use interlock::watch::{Effect, TICK, Watch, Who};
+use interlock::{Before, Deadlines, Report};
 use tokio::io::{AsyncBufReadExt as _, BufReader};
 use tokio::process::{Child, ChildStdin};
 use tokio::time::{MissedTickBehavior, interval};
@@ -17,11 +19,10 @@ use super::copy::Copy;
 use super::disk::{self, Written};
 use super::herald::Herald;
 use super::leaving::{self, Leaving};
-use super::link::{self, NodeLines, Report, next_line};
-use super::places::{Before, Deadlines, Places};
+use super::link::{self, NodeLines, next_line};
+use super::places::Places;
 use super::signals::{Asked, Signals, lock};
 use super::starting::{self, Ready};
-use super::watch::{Effect, TICK, Watch, Who};
 use crate::child::END_LIMIT;
 
 /// A complaint is repeated in the log so often while its reason lasts.

@@ -6,8 +6,10 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use bus::{Lives, MachineTime};
 use contract::{Address, BootId, Chunk, Device};
+use units::MachineTime;
+
+use crate::lives::Lives;
 
 /// A mount that was silent for so long is not known to be parked.
 const FRESH: Duration = Duration::from_secs(10);
@@ -15,7 +17,7 @@ const FRESH: Duration = Duration::from_secs(10);
 const GONE: Duration = Duration::from_secs(600);
 
 /// The mounts under one roof.
-#[derive(Debug)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct MountsUnder {
     telescopes: Vec<Chunk>,
     /// The mounts of the configuration, where it names them all; those of other telescopes are known by their states.

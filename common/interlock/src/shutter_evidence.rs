@@ -12,8 +12,8 @@
 use std::collections::{BTreeSet, VecDeque};
 use std::time::Duration;
 
-use bus::MachineTime;
 use contract::device::dome::Shutter;
+use units::MachineTime;
 
 /// A status that changed from closed to something else, by itself, is watched for so long.
 const FLIPS_WITHIN: Duration = Duration::from_secs(60);
@@ -31,7 +31,7 @@ const ANSWERS: Duration = Duration::from_secs(5);
 const PERCENT: std::ops::RangeInclusive<i64> = 5..=100;
 
 /// What does not fit together.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Contradiction {
     /// An opening was accepted, and the status has been closed ever since.
     StuckAtClosed,
@@ -61,7 +61,7 @@ impl Contradiction {
 }
 
 /// What may have opened it since it was last proven closed.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 enum Doubt {
     /// Nothing is known of the time before.
     Birth,
@@ -74,14 +74,14 @@ enum Doubt {
 }
 
 /// A reading of the status, and when it was asked for.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 struct Reading {
     shutter: Shutter,
     asked: MachineTime,
 }
 
 /// Requests to close since the doubt began.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 struct Requests {
     first: MachineTime,
     last: MachineTime,
@@ -90,7 +90,7 @@ struct Requests {
 }
 
 /// All that is known of one shutter.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct ShutterEvidence {
     travel: Duration,
     doubt: Doubt,

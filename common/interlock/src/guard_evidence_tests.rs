@@ -1,9 +1,10 @@
 //! The guard before a status that lies, a roof that waits, and a lease that nobody granted.
 
+use contract::observatory::Verdict;
+
 use super::tests::{Sees as _, at, boot, closes, guard, guard_with, permit, safe, telescope};
 use super::*;
 use crate::shutter_evidence::Contradiction;
-use contract::observatory::Verdict;
 
 /// A guard whose dome was opened by its own request, and whose status has been open ever since.
 fn opened(says: Shutter) -> Guard {

@@ -7,8 +7,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use contract::BootId;
-
-use crate::MachineTime;
+use units::MachineTime;
 
 /// Earlier lives that are remembered.
 const REMEMBERED: usize = 8;
@@ -23,7 +22,7 @@ const LEAP: u64 = 1000;
 const CROSSING: Duration = Duration::from_millis(500);
 
 /// What was said last on one key, and by which life.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Default)]
 pub struct Succession {
     newest: Option<(BootId, u64, MachineTime)>,
     /// The newest life counts lower than it did, while what it counted before is silent.
@@ -34,7 +33,7 @@ pub struct Succession {
 }
 
 /// One life, by what it said on this key.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Life {
     boot_id: BootId,
     high: Count,
@@ -43,7 +42,7 @@ struct Life {
 }
 
 /// Numbers that follow each other.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 struct Count {
     seq: u64,
     first: MachineTime,

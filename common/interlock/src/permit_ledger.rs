@@ -7,13 +7,14 @@ use std::cmp::Ordering;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-use bus::MachineTime;
 use contract::device::dome::{GrantedToken, HeardPermit};
 use contract::observatory::{Permit, Verdict};
 use contract::{BootId, Chunk, Stamped};
+use units::MachineTime;
 
 /// Numbers that are remembered with the time they were sent; the longest permit lasts 30 s.
 const NUMBERS: usize = 64;
+
 /// Why a permit was dropped; each is counted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Dropped {
@@ -43,14 +44,14 @@ pub enum Taken {
 }
 
 /// A lease as it was granted.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Default)]
 struct Granted {
     token: u64,
     /// The incarnation that it was granted to; not known of one that was granted before this node started.
     life: Option<BootId>,
 }
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Held {
     life: BootId,
     seq: u64,
@@ -62,7 +63,7 @@ struct Held {
 }
 
 /// The permits of one dome.
-#[derive(Debug)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct PermitLedger {
     boot_id: BootId,
     telescopes: Vec<Chunk>,

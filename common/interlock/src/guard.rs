@@ -1,7 +1,7 @@
 //! The guard: permission to be open must be renewed; without it the dome closes, whoever is dead.
 //!
 //! A pure state machine: everything it knows comes in as an argument, everything it wants goes out as a
-//! [`Deed`]. `guard_task` gives it eyes and hands. Two facts are kept apart: *may it be open* (permits), and
+//! [`Deed`]. The device node's `guard_task` gives it eyes and hands. Two facts are kept apart: *may it be open* (permits), and
 //! *is it closed* (fresh readings of the shutter; nothing else proves it).
 //!
 //! ```text
@@ -17,15 +17,14 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use bus::MachineTime;
-use config::CloseWithMount;
-use contract::device::dome::{Guard as Said, GuardAction, Shutter};
+use contract::device::dome::{CloseWithMount, Guard as Said, GuardAction, Shutter};
 use contract::observatory::Permit;
 use contract::{BootId, Chunk, Reason, Stamped};
+use units::MachineTime;
 
-use crate::gate::Turned;
 use crate::permit_ledger::{Dropped, PermitLedger, Taken};
 use crate::shutter_evidence::{Contradiction, ShutterEvidence};
+use crate::turned::Turned;
 
 /// Closing is tried again so often.
 const RETRY: Duration = Duration::from_secs(10);
@@ -43,7 +42,7 @@ pub const FRESH: Duration = Duration::from_secs(5);
 const GRACE: Duration = Duration::from_secs(5);
 
 /// What a guard is told at its birth.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Settings {
     /// Life of this guard.
     pub boot_id: BootId,
@@ -60,7 +59,7 @@ pub struct Settings {
 }
 
 /// What a guard wants done.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub enum Deed {
     /// Close the shutter.
     Close,
@@ -73,7 +72,7 @@ pub enum Deed {
 }
 
 /// What a person must know.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Alarm {
     /// It should be closed and is not, or nobody can tell.
     NotClosed,
@@ -87,7 +86,7 @@ pub enum Alarm {
     Contradicts(Contradiction),
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 enum Expected {
     /// Nothing is known yet: an open dome may be this night's.
     Unknown,
@@ -99,7 +98,7 @@ enum Expected {
     Closed,
 }
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 struct Closing {
     since: MachineTime,
     tries: u32,
@@ -132,8 +131,8 @@ impl Closing {
     }
 }
 
-/// The guard of one dome.
-#[derive(Debug)]
+/// The guard of one dome: plain data, so that states can be compared and copied.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Guard {
     settings: Settings,
     /// An open dome may wait so long for its first permit.

@@ -2,21 +2,21 @@
 
 use std::time::Duration;
 
-use bus::MachineTime;
 use contract::BootId;
+use units::MachineTime;
 
 /// A holder that was silent for so long has lost its claim to the lease.
 pub const SILENT: Duration = Duration::from_secs(5);
 
 /// The holder of one lease.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Default)]
 pub struct Holding {
     holder: Option<Holder>,
     /// What was said with this token, or an older one, holds nothing any more: its life has released the lease.
     released_token: u64,
 }
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Holder {
     name: String,
     /// Its life, as it claimed or as its permits tell.

@@ -6,18 +6,21 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use bus::{Lives, MachineTime};
 use contract::device::dome::{Guard, GuardAction};
 use contract::observatory::Permit;
 use contract::{BootId, Device};
+use units::MachineTime;
 
-use crate::permits::PERMIT_VALID;
+use crate::lives::Lives;
+
+/// How long a permit counts for devices that have no guard of their own.
+pub const PERMIT_VALID: Duration = Duration::from_secs(10);
 
 /// A guard publishes each second; one that was silent for so long is not there.
 const LIVING: Duration = Duration::from_secs(5);
 
 /// What one incarnation of a guard published last.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Word {
     number: u64,
     granted: BTreeMap<String, u64>,
@@ -27,7 +30,7 @@ struct Word {
 }
 
 /// What the roofs over a mount ask of it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct Roofs {
     /// One of them closes, and moves only once the mount is parked.
     pub waits: bool,
@@ -38,7 +41,7 @@ pub struct Roofs {
 }
 
 /// What was received from all guards.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Default)]
 pub struct GuardWords {
     by_dome: BTreeMap<Device, Lives<Word>>,
     /// Whether a roof waits for its mounts does not change while its guard is silent.

@@ -5,14 +5,13 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use contract::BootId;
-
-use crate::MachineTime;
+use units::MachineTime;
 
 /// So many incarnations are kept; those that are known keep their places, however many strangers come.
 const MOST: usize = 8;
 
 /// What each incarnation published last.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Lives<T> {
     /// One that was silent for longer makes room.
     kept_for: Duration,

@@ -11,10 +11,10 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use bus::MachineTime;
+use units::MachineTime;
 
-use super::link::{DomeReport, Report};
-use super::places::{Before, Deadlines};
+use crate::deadlines::{Before, Deadlines};
+use crate::report::{DomeReport, Report};
 
 /// How often [`Watch::tick`] is called.
 pub const TICK: Duration = Duration::from_millis(250);
@@ -32,7 +32,7 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 const HEALTHY: Duration = Duration::from_secs(60);
 
 /// What must be done about the node.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Effect {
     /// Start it.
     Start,
@@ -53,13 +53,13 @@ pub enum Who {
     This,
 }
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 enum Node {
     Away { start_at: MachineTime },
     Runs { since: MachineTime, silent: u32, has_spoken: bool },
 }
 
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 struct Seen {
     sees: bool,
     is_closed: bool,
@@ -67,7 +67,7 @@ struct Seen {
 }
 
 /// The watch over one device node and its domes.
-#[derive(Debug)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Watch {
     node: Node,
     failures: u32,

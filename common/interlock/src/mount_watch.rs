@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use bus::MachineTime;
 use contract::device::telescope::{Command, Fields};
+use units::MachineTime;
 
 use crate::guard_words::Roofs;
 
@@ -18,7 +18,7 @@ const TRIES: u32 = 5;
 const RARELY: Duration = Duration::from_secs(300);
 
 /// What a mount is known to be allowed, now.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Calls {
     /// Its own telescope's permit is valid and safe.
     pub permitted: bool,
@@ -35,7 +35,7 @@ impl Calls {
 }
 
 /// Watches one mount; pure.
-#[derive(Debug)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct MountWatch {
     lost_since: MachineTime,
     last_deed: Option<MachineTime>,
