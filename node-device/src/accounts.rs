@@ -6,9 +6,8 @@ use std::sync::{Mutex, PoisonError};
 use audit::{Audit, Entry, verb_and_parameters};
 use contract::audit::Outcome;
 use contract::{Command, CommandId, Device, Reason};
+use interlock::Turned;
 use serde::Serialize;
-
-use crate::gate::Turned;
 
 /// Refusals remembered, so that a sender that asks again and again leaves one record and not thousands.
 const REMEMBERED: usize = 200;

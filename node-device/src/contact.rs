@@ -4,6 +4,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Duration;
 
+use alpaca::{Alpaca, AlpacaError, value};
 use bus::Clock;
 use config::Common;
 use contract::device::Description;
@@ -12,8 +13,8 @@ use futures_util::StreamExt as _;
 use serde_json::Value;
 use units::Utc;
 
-use crate::alpaca::{Alpaca, AlpacaError, value};
-use crate::driver::{Capabilities, Driver, Now};
+use crate::driver::{Capabilities, Driver};
+use crate::now::Now;
 use crate::readings::member;
 use crate::simulated::is_simulated;
 

@@ -5,10 +5,11 @@ use std::time::Duration;
 use anyhow::bail;
 use bus::{Node, NodeOptions};
 use contract::observatory::AlertKind;
+use interlock::Deadlines;
 
 use crate::child::END_LIMIT;
 use crate::guard_process::link::GuardLink;
-use crate::guard_process::places::{Deadlines, Places};
+use crate::guard_process::places::Places;
 use crate::guard_process::{GUARD_LOCK, NODE_LOCK};
 use crate::start::Enclosure;
 

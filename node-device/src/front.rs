@@ -5,13 +5,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use contract::audit::Outcome;
 use contract::{Accepted, Command, CommandId, Link, Reason, Refusal, Reply};
+use interlock::{Claimant, Hinders, Need, Turned};
 use tokio::sync::mpsc;
 use units::Utc;
 
 use crate::accounts::{Accounts, Asked};
-use crate::driver::{Capabilities, Command as Deed, Driver, Fields, Need};
-use crate::gate::{Gate, Hinders, Turned};
-use crate::holder::Claimant;
+use crate::driver::{Capabilities, Command as Deed, Driver, Fields};
+use crate::gate::Gate;
 
 /// Answers of so many commands are remembered, so that a repeat is answered again and not done again.
 const REMEMBERED: usize = 200;

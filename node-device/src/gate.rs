@@ -5,15 +5,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use bus::Clock;
 use contract::Reason;
+use interlock::{Claimant, DueClosing, Guard, Hinders, Need, Turned, commanded, fence};
 
-use crate::driver::Need;
-use crate::guard::Guard;
-use crate::holder::Claimant;
 use crate::permits::Permits;
 use crate::token::Tokens;
-
-/// Why a command is not taken: for programs, and for people.
-pub type Turned = (Reason, String);
 
 /// The gate before one device.
 pub struct Gate {
@@ -47,19 +42,6 @@ impl RoofCall {
         self.must_park.store(must_park, Ordering::Relaxed);
         self.unknown_to_commander.store(must_park && is_permitted, Ordering::Relaxed);
     }
-}
-
-/// Does a command hinder a closing that is due?
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Hinders {
-    /// No.
-    No,
-    /// Yes, whoever gives it.
-    Yes,
-    /// Yes, unless the commander gives it.
-    FromOthers,
-    /// Yes, where the commander does not know of the closing.
-    FromTheUnaware,
 }
 
 impl Gate {
@@ -107,43 +89,19 @@ impl Gate {
         Ok(None)
     }
 
-    /// Nobody stops, turns or moves what a closing needs, as long as it must close and is not proven closed.
     fn keep_out_of_the_way(&self, hinders: Hinders, from: &str, token: Option<u64>) -> Result<(), Turned> {
         let now = self.clock.machine();
-        let dome_closes = self.with_guard(|guard| guard.needs_closing(now)) == Some(true);
-        let must_park = self.roof.must_park.load(Ordering::Relaxed);
-        let stands_in_the_way = match hinders {
-            Hinders::No => false,
-            Hinders::Yes => dome_closes || must_park,
-            Hinders::FromOthers => (dome_closes || must_park) && self.fence(from, token).is_err(),
-            Hinders::FromTheUnaware => self.roof.unknown_to_commander.load(Ordering::Relaxed),
+        let due = DueClosing {
+            dome_closes: self.with_guard(|guard| guard.needs_closing(now)) == Some(true),
+            must_park: self.roof.must_park.load(Ordering::Relaxed),
+            unknown_to_commander: self.roof.unknown_to_commander.load(Ordering::Relaxed),
         };
-        if !stands_in_the_way {
-            return Ok(());
-        }
-        let detail = if dome_closes {
-            "the dome must close and is not verified closed; nothing that stops or turns it is taken until it is"
-        } else {
-            "the roof over this mount must close and waits for its park; nothing else is taken until it is closed"
-        };
-        Err((Reason::WrongState, detail.to_owned()))
+        hinders.keep_out_of_the_way(due, || self.fence(from, token).is_ok())
     }
 
-    /// A token older than the newest is refused; so is none, once there is one. A node that grants no leases may receive a
-    /// new one after its holder has used it.
     fn fence(&self, from: &str, token: Option<u64>) -> Result<(), Turned> {
         let telescope = self.commanded(from)?;
-        let (highest, is_arbiter) = (self.tokens.highest(&telescope), self.tokens.is_arbiter(&telescope));
-        match token {
-            Some(token) if token == highest => Ok(()),
-            Some(token) if token > highest && !is_arbiter => Ok(()),
-            Some(token) if token > highest => {
-                Err((Reason::StaleToken, format!("token {token} was never granted; the newest is {highest}")))
-            }
-            None if highest == 0 && !is_arbiter => Ok(()),
-            Some(token) => Err((Reason::StaleToken, format!("token {token} is older than {highest}"))),
-            None => Err((Reason::StaleToken, format!("no token; the newest is {highest}"))),
-        }
+        fence(token, self.tokens.highest(&telescope), self.tokens.is_arbiter(&telescope))
     }
 
     async fn claim(&self, who: Claimant<'_>) -> Result<u64, Turned> {
@@ -166,22 +124,9 @@ impl Gate {
         Ok(token)
     }
 
-    /// Which telescope's lease counts for a command from `from` (`observatory/alpha/main`): its own where this
-    /// device serves several.
     fn commanded(&self, from: &str) -> Result<String, Turned> {
         let served = self.with_guard(|guard| guard.telescopes().to_vec()).unwrap_or_default();
-        match served.as_slice() {
-            [] => Ok(self.telescope.clone()),
-            [only] => Ok(only.to_string()),
-            several => {
-                let named = from.split('/').nth(1).unwrap_or_default();
-                let found = several.iter().find(|telescope| telescope.as_str() == named).map(ToString::to_string);
-                found.ok_or_else(|| {
-                    let detail = format!("{from:?} names none of this dome's telescopes; expected role/telescope/id");
-                    (Reason::Malformed, detail)
-                })
-            }
-        }
+        commanded(from, &served, &self.telescope)
     }
 
     fn with_guard<T>(&self, use_it: impl FnOnce(&mut Guard) -> T) -> Option<T> {

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use alpaca::{Alpaca, AlpacaError};
 use audit::GUARD;
 use bus::{Catch, MachineTime, Node, Quality, Subscriber};
 use contract::audit::Outcome;
@@ -10,18 +11,16 @@ use contract::device::dome::{Guard as Said, Shutter};
 use contract::device::telescope;
 use contract::observatory::{AlertKind, Permit};
 use contract::{Address, CommandId, Device, DeviceState, Key, Kind};
+use interlock::guard::{Alarm, Deed, FRESH};
+use interlock::{DomeReport, Dropped, Guard, MountsUnder, Taken};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
 use crate::accounts::{Accounts, Asked};
-use crate::alpaca::{Alpaca, AlpacaError, value};
-use crate::driver::dome::SHUTTER;
-use crate::guard::{Alarm, Deed, FRESH, Guard};
-use crate::guard_process::link::{DomeReport, GuardLink};
+use crate::guard_process::link::GuardLink;
 use crate::guard_process::places::nanos;
-use crate::mounts_under::MountsUnder;
-use crate::permit_ledger::{Dropped, Taken};
+use crate::shutter_status::shutter_status;
 use crate::watchdog::Watchdog;
 
 /// The guard looks at least so often; it looks at once when a permit or a shutter reading comes.
@@ -289,11 +288,7 @@ fn word(deed: &Deed) -> &'static str {
 }
 
 async fn read(alpaca: Alpaca, asked: MachineTime) -> Hand {
-    let shutter = alpaca.get("shutterstatus").await.and_then(|answer| {
-        let number = value::whole(&answer).map_err(AlpacaError::Value)?;
-        let found = SHUTTER.iter().find(|(n, _)| *n == number).map(|(_, shutter)| *shutter);
-        found.ok_or_else(|| AlpacaError::Protocol(format!("ShutterStatus is {number}")))
-    });
+    let shutter = alpaca.get("shutterstatus").await.and_then(|answer| shutter_status(&answer));
     Hand::Looked(shutter.map(|shutter| (shutter, asked)))
 }
 

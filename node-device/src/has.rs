@@ -2,9 +2,9 @@
 
 use std::collections::HashSet;
 
+use alpaca::AlpacaError;
 use serde_json::Value;
 
-use crate::alpaca::AlpacaError;
 use crate::readings::aged_sensor;
 
 /// What a device was found to have and not to have.

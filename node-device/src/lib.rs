@@ -3,13 +3,12 @@
 //! One reading's way: `alpaca` asks the server and forgives what is sloppy; a `driver` (one file per ASCOM kind,
 //! pure mapping) says which properties matter and what they mean; `serve`, the one loop for all kinds, polls,
 //! publishes, obeys and reconnects. One command's way: `front` answers it at once, after `gate` has looked at its
-//! token and `guard` at the permits; the loop does it, and the device's own state shows when it is done.
+//! token and the guard at the permits; the loop does it, and the device's own state shows when it is done.
 //!
 //! Frames go to the `spool` on disk, are announced, served by HTTP, and removed when the archive releases them.
-//! The dome's `guard` stands beside all this: a pure state machine with a task and a connection of its own.
+//! The dome's guard (`interlock::Guard`, a pure state machine) has a task and a connection of its own: `guard_task`.
 
 mod accounts;
-pub mod alpaca;
 mod announce;
 mod child;
 mod contact;
@@ -19,18 +18,13 @@ pub mod driver;
 mod ending;
 mod front;
 mod gate;
-pub mod guard;
 mod guard_process;
 mod guard_task;
-mod guard_words;
 mod has;
-mod holder;
 mod mount_clock;
 mod mount_limits;
-mod mount_watch;
-mod mounts_under;
 mod node_part;
-pub mod permit_ledger;
+mod now;
 mod permits;
 mod readings;
 mod record;
@@ -38,15 +32,13 @@ mod second_writer;
 mod serve;
 mod several;
 mod shared_dome;
-pub mod shutter_evidence;
+mod shutter_status;
 mod simulated;
 pub mod spool;
 pub mod spool_http;
 mod start;
 mod token;
 mod watchdog;
-
-pub use alpaca::discovery::{Found, as_toml, discover};
 
 use anyhow::Context as _;
 use audit::Audit;

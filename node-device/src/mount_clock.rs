@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
+use alpaca::{Alpaca, value};
 use bus::{MachineTime, Node};
 use contract::node::MOUNT_CLOCK_OFFSET_S;
 use contract::{Name, Scalar};
 use units::Utc;
 
-use crate::alpaca::{Alpaca, value};
 use crate::simulated::is_simulated;
 
 /// Asked so often, machine time.

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 
+use alpaca::value;
 use bus::MachineTime;
 use contract::datum::ReadingOutcome;
 use contract::{Datum, Kind, NoData, Reading};
 use serde_json::Value;
 use units::Utc;
 
-use crate::alpaca::value;
-use crate::driver::Now;
+use crate::now::Now;
 
 /// The newest answers of one device.
 #[derive(Debug, Clone, Default)]

@@ -13,6 +13,7 @@ use std::pin::Pin;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
+use alpaca::{Alpaca, AlpacaError};
 use bus::{MachineTime, Node, Publisher, Quality};
 use config::Common;
 use contract::audit::Outcome as Ended;
@@ -22,11 +23,11 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 
 use self::command::Running;
-use crate::alpaca::{Alpaca, AlpacaError};
 use crate::contact::{Answer, Greeting, Poll, Questions, lost_reason};
-use crate::driver::{Capabilities, Command, Driver, Fields, Now, Obeyed};
+use crate::driver::{Capabilities, Command, Driver, Fields, Obeyed};
 use crate::front::{Front, Order};
 use crate::has::Has;
+use crate::now::Now;
 use crate::readings::Readings;
 use crate::record::Voice;
 

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use alpaca::{Image, RawImage};
 use bus::MachineTime;
 use contract::device::camera::{Frame, Purpose};
 use contract::{CommandId, Datum, Name, NoData, Reading};
@@ -14,8 +15,6 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore, mpsc};
 use units::Utc;
-
-use crate::alpaca::image::{Image, RawImage};
 
 /// A frame is kept at least so long after it was first announced: guiding and measuring fetch it too.
 pub const KEEP: Duration = Duration::from_secs(60);
@@ -27,7 +26,7 @@ const WAITING_FOR_DISK: usize = 3;
 pub enum SpoolError {
     /// The image makes no sense.
     #[error("the image cannot be decoded: {0}")]
-    Image(#[from] crate::alpaca::AlpacaError),
+    Image(#[from] alpaca::AlpacaError),
     /// The disk refused.
     #[error("cannot write {path}: {source}")]
     Disk {

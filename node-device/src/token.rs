@@ -1,22 +1,19 @@
 //! Fencing tokens on disk: the newest one of each telescope, and beside them who was granted it.
 //!
-//! The arbiter counts by what it granted itself, and no sample on the bus changes that. All other nodes follow
-//! the arbiter's own count, up and down: a token that somebody invents counts only until the arbiter publishes again.
+//! Which tokens count is decided in `interlock::KnownTokens`.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::Context as _;
 use contract::BootId;
+use interlock::KnownTokens;
 use serde::{Deserialize, Serialize};
 
 use crate::spool::{sync_folder, write_synced};
-
-/// A token is one more than the one before. One that is larger than this was never granted by anybody.
-const LARGEST: u64 = 1 << 53;
 
 /// Extension of the file beside the tokens that tells who holds them.
 const HOLDERS: &str = "holders";
@@ -31,16 +28,14 @@ struct Holder {
 /// The newest tokens known, by telescope.
 pub struct Tokens {
     file: PathBuf,
-    /// Telescopes whose leases this node grants.
-    arbitrated: Mutex<BTreeSet<String>>,
-    known: Mutex<BTreeMap<String, u64>>,
+    known: Mutex<KnownTokens>,
     writing: Mutex<()>,
 }
 
 impl Tokens {
     /// Reads the file; a missing one is empty, an unreadable one is an error, because a token must never go back.
     pub fn open(file: &Path) -> anyhow::Result<Self> {
-        let mut known: BTreeMap<String, u64> = match fs::read(file) {
+        let newest: BTreeMap<String, u64> = match fs::read(file) {
             Ok(text) => serde_json::from_slice(&text).with_context(|| {
                 let file = file.display();
                 format!("{file} is no token file; make sure that no other node commands, then remove it")
@@ -48,29 +43,21 @@ impl Tokens {
             Err(error) if error.kind() == io::ErrorKind::NotFound => BTreeMap::new(),
             Err(error) => return Err(error).with_context(|| format!("cannot read {}", file.display())),
         };
-        known.retain(|telescope, token| {
-            let is_real = *token <= LARGEST;
-            if !is_real {
-                tracing::error!(
-                    telescope,
-                    token,
-                    "a fencing token in the file was never granted; counting begins anew"
-                );
-            }
-            is_real
-        });
-        let (known, arbitrated) = (Mutex::new(known), Mutex::default());
-        Ok(Self { file: file.to_owned(), arbitrated, known, writing: Mutex::new(()) })
+        let (known, never_granted) = KnownTokens::of(newest);
+        for (telescope, token) in &never_granted {
+            tracing::error!(telescope, token, "a fencing token in the file was never granted; counting begins anew");
+        }
+        Ok(Self { file: file.to_owned(), known: Mutex::new(known), writing: Mutex::new(()) })
     }
 
     /// This node grants the leases of a telescope: what the bus carries of them counts no more.
     pub fn arbitrate(&self, telescope: &str) {
-        self.arbitrated.lock().unwrap_or_else(PoisonError::into_inner).insert(telescope.to_owned());
+        self.known().arbitrate(telescope);
     }
 
     /// Does this node grant the leases of a telescope?
     pub fn is_arbiter(&self, telescope: &str) -> bool {
-        self.arbitrated.lock().unwrap_or_else(PoisonError::into_inner).contains(telescope)
+        self.known().is_arbiter(telescope)
     }
 
     /// Takes over the highest tokens that other device nodes of this host have in the same folder. Until an enclosure had a
@@ -99,13 +86,13 @@ impl Tokens {
 
     /// Highest token of a telescope; 0 where none is known.
     pub fn highest(&self, telescope: &str) -> u64 {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner).get(telescope).copied().unwrap_or(0)
+        self.known().highest(telescope)
     }
 
     /// Grants the next token to an incarnation, on disk before it is returned. Blocks.
     pub fn grant(&self, telescope: &str, life: Option<&BootId>) -> io::Result<u64> {
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
-        let token = self.highest(telescope).saturating_add(1);
+        let token = self.known().next(telescope);
         // without this file a token is as good, and only a forged permit is not told from a true one
         if let Err(error) = self.note_holder(telescope, token, life) {
             tracing::warn!(telescope, token, %error, "who holds the lease could not be written");
@@ -137,7 +124,7 @@ impl Tokens {
 
     fn raise(&self, telescope: &str, token: u64) -> io::Result<()> {
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
-        if token > LARGEST || token <= self.highest(telescope) {
+        if !self.known().is_raised_by(telescope, token) {
             return Ok(());
         }
         self.learn(telescope, token);
@@ -147,21 +134,24 @@ impl Tokens {
     /// Follows the arbiter's count, in memory even where the disk refuses; the arbiter itself follows nobody. Blocks.
     pub fn follow(&self, telescope: &str, token: u64) -> io::Result<()> {
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
-        if self.is_arbiter(telescope) || token > LARGEST || token == self.highest(telescope) {
+        if !self.known().follows(telescope, token) {
             return Ok(());
         }
         self.learn(telescope, token);
         self.write(telescope, token)
     }
 
+    fn known(&self) -> MutexGuard<'_, KnownTokens> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn learn(&self, telescope: &str, token: u64) {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner).insert(telescope.to_owned(), token);
+        self.known().learn(telescope, token);
     }
 
     fn write(&self, telescope: &str, token: u64) -> io::Result<()> {
-        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        known.insert(telescope.to_owned(), token);
-        self.replace(&self.file, &serde_json::to_vec_pretty(&known)?)
+        let newest = self.known().with(telescope, token);
+        self.replace(&self.file, &serde_json::to_vec_pretty(&newest)?)
     }
 
     /// Replaces a file as a whole, so that it is never half-written.

@@ -5,11 +5,10 @@
 
 use std::time::Duration;
 
+use alpaca::{Alpaca, AlpacaError};
 use bus::{MachineTime, Node};
 use contract::Device;
 use contract::observatory::AlertKind;
-
-use crate::alpaca::{Alpaca, AlpacaError};
 
 /// Feedings within the watchdog's time limit, so that a few may be lost.
 const PER_LIMIT: f64 = 4.0;

@@ -17,11 +17,11 @@ pub struct Options {
 /// Asks the network and prints what answered.
 pub async fn run(options: Options) -> anyhow::Result<()> {
     anyhow::ensure!((0.1..=60.0).contains(&options.seconds), "--seconds {}: expected 0.1 to 60", options.seconds);
-    let found = node_device::alpaca::discovery::discover(Duration::from_secs_f64(options.seconds)).await?;
+    let found = alpaca::discovery::discover(Duration::from_secs_f64(options.seconds)).await?;
     if found.is_empty() {
         line(format_args!(
             "# no Alpaca server answered on UDP port {} within {} s",
-            node_device::alpaca::discovery::PORT,
+            alpaca::discovery::PORT,
             options.seconds
         ))?;
         line(format_args!(
@@ -29,7 +29,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         ))?;
     }
     for device in &found {
-        line(format_args!("{}", node_device::alpaca::discovery::as_toml(device)))?;
+        line(format_args!("{}", alpaca::discovery::as_toml(device)))?;
     }
     Ok(())
 }

@@ -3,18 +3,26 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use config::Observatory;
 use contract::observatory::AlertKind;
 use contract::{Role, Scalar};
 
-use crate::Node;
+use crate::figures::Figures;
+use crate::{AlertBoard, Clock};
 
 const PERIOD: Duration = Duration::from_secs(15);
 
 /// Tells it until the node ends.
-pub(crate) async fn keep_telling(node: &Node) -> anyhow::Result<()> {
-    let folders = &node.config.folders;
+pub(crate) async fn keep_telling(
+    config: &Observatory,
+    role: Role,
+    figures: &Figures,
+    alerts: &AlertBoard,
+    clock: &Clock,
+) -> anyhow::Result<()> {
+    let folders = &config.folders;
     let mut watched = vec![("data", folders.data.clone())];
-    if node.role == Role::Archive {
+    if role == Role::Archive {
         watched.push(("images", folders.images.clone()));
     }
     loop {
@@ -22,20 +30,19 @@ pub(crate) async fn keep_telling(node: &Node) -> anyhow::Result<()> {
             let asked = folder.clone();
             let Some(free_gb) = tokio::task::spawn_blocking(move || free_gb(asked)).await? else { continue };
             // hundredths: a state that changes with every byte would say nothing more
-            node.figure(&format!("{name}_free_gb"), Scalar::Float((free_gb * 100.0).floor() / 100.0));
-            tell(node, name, folder, free_gb);
+            figures.set(&format!("{name}_free_gb"), Scalar::Float((free_gb * 100.0).floor() / 100.0));
+            tell(config.safety.disk_free_min_gb, alerts, name, folder, free_gb);
         }
-        node.bus.clock().tick(PERIOD).await;
+        clock.tick(PERIOD).await;
     }
 }
 
-fn tell(node: &Node, name: &str, folder: &Path, free_gb: f64) {
-    let least_gb = node.config.safety.disk_free_min_gb;
+fn tell(least_gb: f64, alerts: &AlertBoard, name: &str, folder: &Path, free_gb: f64) {
     if free_gb >= least_gb {
-        return node.alerts.clear(AlertKind::Disk, name);
+        return alerts.clear(AlertKind::Disk, name);
     }
     let cause = format!("{} has {free_gb:.2} GB left, needed are {least_gb} GB", folder.display());
-    node.alerts.raise(AlertKind::Disk, name, &cause);
+    alerts.raise(AlertKind::Disk, name, &cause);
 }
 
 /// Room for this process in a folder, or in the nearest one above it that exists, GB (1e9 bytes); `None` where the

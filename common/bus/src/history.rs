@@ -14,7 +14,7 @@ use zenoh::key_expr::KeyExpr;
 use zenoh::query::{ConsolidationMode, QueryTarget, ReplyKeyExpr};
 use zenoh::sample::{Sample, SampleKind};
 
-use crate::subscribe::Queue;
+use crate::queue::Queue;
 
 /// How much of the past is asked for.
 const PAST: &str = "_time=[now(-600s)..]";

@@ -12,7 +12,7 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use zenoh::session::ZenohId;
 
-use crate::{MachineTime, Node};
+use crate::{Bus, MachineTime, machine};
 
 /// A node says how it is every 5 s; three are missed by then.
 const SILENT: Duration = Duration::from_secs(17);
@@ -24,9 +24,9 @@ const FORGET: Duration = Duration::from_secs(3600);
 const LOOK: Duration = Duration::from_secs(5);
 
 /// Watches and mends for ever.
-pub async fn keep_mending(node: &Node) -> anyhow::Result<()> {
+pub async fn keep_mending(bus: &Bus) -> anyhow::Result<()> {
     let (tell, mut told) = mpsc::channel(64);
-    let session = &node.bus.session;
+    let session = &bus.session;
     let states = "starmesh/v1/*/*/node/*/*/state";
     let subscriber = session.declare_subscriber(states).callback(move |sample| {
         if let Some(source) = sample.source_info() {
@@ -39,11 +39,11 @@ pub async fn keep_mending(node: &Node) -> anyhow::Result<()> {
     let mut looks = tokio::time::interval(LOOK);
     loop {
         tokio::select! {
-            Some(peer) = told.recv() => silence.hear(peer, crate::machine::now()),
+            Some(peer) = told.recv() => silence.hear(peer, machine::now()),
             _ = looks.tick() => {
                 let links: Vec<_> = session.info().links().await.collect();
                 let connected: Vec<ZenohId> = links.iter().map(|link| *link.zid()).collect();
-                for peer in silence.look(&connected, crate::machine::now()) {
+                for peer in silence.look(&connected, machine::now()) {
                     let of_peer = links.iter().filter(|link| *link.zid() == peer);
                     let ends = of_peer.filter_map(|link| Some((address(link.src())?, address(link.dst())?))).collect();
                     mend(peer, ends).await;
@@ -148,7 +148,7 @@ mod tests {
     use zenoh::sample::SampleKind;
 
     use super::*;
-    use crate::{Bus, Clock, Quality};
+    use crate::{Clock, Node, Quality};
 
     fn at(seconds: u64) -> MachineTime {
         MachineTime::from_boot(Duration::from_secs(seconds))
@@ -209,7 +209,8 @@ mod tests {
         let tokens = own.session.liveliness().declare_subscriber(alive.to_string()).history(true);
         let _ear = tokens.callback(move |token| tell.send(token.kind()).unwrap_or_default()).await.unwrap();
         let _alive = silent.show_alive(&alive).await.unwrap();
-        let mending = tokio::spawn(async move { keep_mending(&node).await });
+        let mended = own.clone();
+        let mending = tokio::spawn(async move { keep_mending(&mended).await });
         let mut next = async || tokio::time::timeout(Duration::from_secs(60), told.recv()).await.unwrap().unwrap();
         assert_eq!(next().await, SampleKind::Put);
 

@@ -1,10 +1,10 @@
-//! Reads the boot-time clock of the machine. Only [`crate::Clock`] does.
+//! Reads the boot-time clock of this machine.
 
 use std::time::Duration;
 
-use crate::MachineTime;
+use units::MachineTime;
 
-/// Machine time now.
+/// Reads the clock.
 pub(crate) fn now() -> MachineTime {
     MachineTime::from_boot(boot_time())
 }

@@ -1,10 +1,9 @@
 //! How every node starts, lives and stops.
 
-use std::collections::BTreeMap;
 use std::future::Future;
 use std::io::{IsTerminal as _, Read as _};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context as _;
@@ -22,7 +21,9 @@ use tracing_subscriber::registry::LookupSpan;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::diary::DiaryLayer;
+use crate::figures::Figures;
 use crate::flood::{self, Flood};
+pub use crate::host::host_name;
 use crate::lines::{self, LogLine};
 use crate::zenoh_log::{ZenohLog, is_zenoh};
 use crate::{AlertBoard, Bus, Clock, Quality, Stop, console, disk, links, notify, private, threads, twin};
@@ -78,7 +79,7 @@ pub struct Node {
     pub ending: Stop,
     /// Said when it is time to end, at once.
     pub stop: Stop,
-    figures: Arc<Mutex<BTreeMap<String, Scalar>>>,
+    figures: Figures,
 }
 
 impl Node {
@@ -94,7 +95,7 @@ impl Node {
             alerts,
             ending: Stop::default(),
             stop: Stop::default(),
-            figures: Arc::default(),
+            figures: Figures::default(),
         }
     }
 
@@ -110,7 +111,7 @@ impl Node {
 
     /// Sets a figure of this node's published state; its name ends in its unit.
     pub fn figure(&self, name: &str, value: Scalar) {
-        self.figures.lock().unwrap_or_else(PoisonError::into_inner).insert(name.to_owned(), value);
+        self.figures.set(name, value);
     }
 
     /// Runs a node's work beside its own voice (presence, health, alerts, diary) until it is stopped.
@@ -122,12 +123,13 @@ impl Node {
         let states = self.bus.publisher::<NodeState>(&self.key(NodeTopic::State), Quality::State { cache: 1 }).await?;
         let alerts = self.bus.publisher(&self.key(NodeTopic::Alerts), Quality::State { cache: 100 }).await?;
         let lines = self.bus.publisher(&self.key(NodeTopic::Diary), Quality::Event { cache: 1000 }).await?;
+        let (clock, state_key) = (self.bus.clock(), self.key(NodeTopic::State));
         let health = async {
             loop {
                 let left_out = i64::try_from(flood::left_out()).unwrap_or(i64::MAX);
                 self.figure("log_lines_left_out_count", Scalar::Int(left_out));
                 states.put(self.state()).await?;
-                self.bus.clock().tick(Duration::from_secs(5)).await;
+                clock.tick(Duration::from_secs(5)).await;
             }
         };
         let write = async {
@@ -141,9 +143,9 @@ impl Node {
         tokio::select! {
             result = work => result,
             result = health => result,
-            result = twin::leave_to_older(&self) => result,
-            result = disk::keep_telling(&self) => result,
-            result = links::keep_mending(&self) => result,
+            result = twin::leave_to_older(&state_key, &self.id, &self.bus, &self.alerts) => result,
+            result = disk::keep_telling(&self.config, self.role, &self.figures, &self.alerts, clock) => result,
+            result = links::keep_mending(&self.bus) => result,
             result = write => result,
             () = self.alerts.keep_time() => Ok(()),
             result = alerts.follow(self.alerts.watch(), Duration::from_secs(10)) => Ok(result?),
@@ -159,16 +161,9 @@ impl Node {
             pid: std::process::id(),
             uptime_s: now.since(started()).as_secs_f64(),
             speed: self.bus.clock().speed(),
-            figures: self.figures.lock().unwrap_or_else(PoisonError::into_inner).clone(),
+            figures: self.figures.all(),
         }
     }
-}
-
-/// This host's name, as its shell, Windows or the Linux kernel tells it; empty where none does.
-pub fn host_name() -> String {
-    let told = std::env::var("HOSTNAME").or_else(|_| std::env::var("COMPUTERNAME"));
-    let name = told.or_else(|_| std::fs::read_to_string("/proc/sys/kernel/hostname")).unwrap_or_default();
-    name.trim().to_owned()
 }
 
 fn started() -> crate::MachineTime {

@@ -11,7 +11,7 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
 use crate::session::MOST_BYTES;
-use crate::{Bus, BusError, MachineTime, transit};
+use crate::{Bus, BusError, MachineTime, machine, transit};
 
 /// How a key is carried; every quality drops rather than blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -101,7 +101,7 @@ impl Bus {
                     // looked up by this task and not before it: a runtime that hangs must not answer with what was newest then
                     let held = newest.lock().unwrap_or_else(PoisonError::into_inner).clone();
                     let Some((bytes, published)) = held else { return };
-                    let bytes = transit::held(bytes, crate::machine::now().since(published));
+                    let bytes = transit::held(bytes, machine::now().since(published));
                     if let Err(error) = query.reply(key, bytes).encoding(Encoding::APPLICATION_JSON).await {
                         tracing::debug!(%error, "a question left before its answer");
                     }
@@ -114,7 +114,7 @@ impl Bus {
 impl<T: Payload> Publisher<T> {
     /// Says a payload now, stamped with this node's boot id, the next number and sky time.
     pub async fn put(&self, body: T) -> Result<(), BusError> {
-        let now = crate::machine::now();
+        let now = machine::now();
         let stamped = Stamped {
             boot_id: self.bus.boot_id().clone(),
             seq: self.seq.fetch_add(1, Ordering::Relaxed),

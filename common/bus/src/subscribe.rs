@@ -1,20 +1,16 @@
-//! Hearing typed payloads: bounded queues that overwrite, and the newest value with its age.
+//! Hearing typed payloads: each as it comes, or the newest value with its age.
 
-use std::collections::VecDeque;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use contract::{Key, Payload, Stamped};
-use tokio::sync::{Notify, watch};
+use contract::{Key, Payload};
+use tokio::sync::watch;
 use zenoh::query::{ConsolidationMode, QueryTarget};
-use zenoh::sample::{Sample, SampleKind};
 use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, RecoveryConfig};
 
 use crate::history::{self, Watch};
-use crate::numbers::Numbers;
-use crate::transit::Transit;
-use crate::{Bus, BusError, MachineTime, Succession};
+use crate::queue::Queue;
+use crate::{Bus, BusError, Heard, Succession, machine};
 
 /// What a subscriber wants to hear.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,18 +20,6 @@ pub enum Catch {
     /// Everything of the last ten minutes and all that follows, each once, with recovery after a cut. What is
     /// recovered is in order, and may come after the first newer payloads.
     All,
-}
-
-/// One payload as it was heard.
-#[derive(Debug, Clone)]
-pub struct Heard<T> {
-    /// On which key.
-    pub key: Key,
-    /// What was said.
-    pub said: Stamped<T>,
-    /// When it arrived, on this machine's own clock, less what it was held or on its way longer than others were;
-    /// ages are judged by it.
-    pub arrived: MachineTime,
 }
 
 /// Hears payloads of one type on the keys of an expression.
@@ -49,86 +33,6 @@ enum Line {
     Advanced { _subscriber: AdvancedSubscriber<()>, _past: Watch },
 }
 
-/// Payloads of one subscriber that wait take at most so much as they came, whatever its capacity.
-const MOST_WAITING_BYTES: usize = 32 << 20;
-
-/// Payloads that wait to be heard.
-pub(crate) struct Queue<T> {
-    waiting: Mutex<Waiting<T>>,
-    capacity: usize,
-    /// Where each payload counts once: which were heard.
-    numbers: Option<Mutex<Numbers>>,
-    arrived: Notify,
-    transit: Arc<Mutex<Transit>>,
-    lost: AtomicU64,
-    malformed: AtomicU64,
-}
-
-/// Payloads with their sizes.
-struct Waiting<T> {
-    payloads: VecDeque<(Heard<T>, usize)>,
-    bytes: usize,
-}
-
-impl<T> Waiting<T> {
-    fn pop(&mut self) -> Option<Heard<T>> {
-        let (heard, bytes) = self.payloads.pop_front()?;
-        self.bytes -= bytes;
-        Some(heard)
-    }
-
-    /// Puts a payload at the end; returns how many older ones gave way to it.
-    fn push(&mut self, heard: Heard<T>, bytes: usize, capacity: usize) -> u64 {
-        let mut lost = 0;
-        while self.payloads.len() >= capacity || (self.bytes + bytes > MOST_WAITING_BYTES && self.bytes > 0) {
-            if self.pop().is_none() {
-                break;
-            }
-            lost += 1;
-        }
-        self.payloads.push_back((heard, bytes));
-        self.bytes += bytes;
-        lost
-    }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-impl<T: Payload> Queue<T> {
-    /// Takes a sample in; one that cannot be read is counted.
-    pub(crate) fn push(&self, sample: &Sample) {
-        if sample.kind() != SampleKind::Put {
-            return;
-        }
-        // keys of other programs and of zenoh itself (`@adv`) are none of ours
-        let Some(key) = Key::parse(sample.key_expr().as_str()) else { return };
-        let bytes = sample.payload().to_bytes();
-        match serde_json::from_slice(&bytes) {
-            Ok(said) => {
-                let arrived = lock(&self.transit).arrived(&said, crate::machine::now());
-                self.push_heard(Heard { key, said, arrived }, bytes.len());
-            }
-            Err(error) => {
-                if self.malformed.fetch_add(1, Ordering::Relaxed) == 0 {
-                    tracing::warn!(%key, %error, "a malformed payload was dropped; later ones are only counted");
-                }
-            }
-        }
-    }
-
-    fn push_heard(&self, heard: Heard<T>, bytes: usize) {
-        let is_new = |numbers: &Mutex<Numbers>| lock(numbers).hear(&heard.said.boot_id, &heard.key, heard.said.seq);
-        if !self.numbers.as_ref().is_none_or(is_new) {
-            return;
-        }
-        let lost = lock(&self.waiting).push(heard, bytes, self.capacity);
-        self.lost.fetch_add(lost, Ordering::Relaxed);
-        self.arrived.notify_one();
-    }
-}
-
 impl Bus {
     /// Subscribes to a key expression; at most `capacity` payloads wait, the oldest give way.
     pub async fn subscribe<T: Payload>(
@@ -137,15 +41,7 @@ impl Bus {
         catch: Catch,
         capacity: usize,
     ) -> Result<Subscriber<T>, BusError> {
-        let queue = Arc::new(Queue {
-            waiting: Mutex::new(Waiting { payloads: VecDeque::new(), bytes: 0 }),
-            capacity,
-            numbers: (catch == Catch::All).then(Mutex::default),
-            arrived: Notify::new(),
-            transit: self.transit.clone(),
-            lost: AtomicU64::new(0),
-            malformed: AtomicU64::new(0),
-        });
+        let queue = Arc::new(Queue::new(capacity, catch == Catch::All, self.transit.clone()));
         let failed = |source| BusError::Declare { what: "a subscriber", key: expression.to_owned(), source };
         let builder = self.session.declare_subscriber(expression.to_owned());
         let into = queue.clone();
@@ -215,31 +111,27 @@ impl Bus {
 impl<T> Subscriber<T> {
     /// Waits for the next payload.
     pub async fn hear(&self) -> Heard<T> {
-        loop {
-            // registered before looking, so that an arrival in between is not missed
-            let arrived = self.queue.arrived.notified();
-            let next = lock(&self.queue.waiting).pop();
-            match next {
-                Some(heard) => return heard,
-                None => arrived.await,
-            }
-        }
+        self.queue.next().await
     }
 
     /// Payloads that gave way to newer ones.
     pub fn lost(&self) -> u64 {
-        self.queue.lost.load(Ordering::Relaxed)
+        self.queue.lost()
     }
 
     /// Payloads that were said between others that were heard, and never came; [`Catch::All`] only.
     pub fn missing(&self) -> u64 {
-        self.queue.numbers.as_ref().map_or(0, |numbers| lock(numbers).missing())
+        self.queue.missing()
     }
 
     /// Payloads that could not be read.
     pub fn malformed(&self) -> u64 {
-        self.queue.malformed.load(Ordering::Relaxed)
+        self.queue.malformed()
     }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The newest payload of one key. Cheap to clone.
@@ -266,12 +158,12 @@ impl<T: Clone> Latest<T> {
 
     /// The newest payload unless it arrived longer ago than `age`.
     pub fn fresh(&self, age: Duration) -> Option<Heard<T>> {
-        self.get().filter(|heard| crate::machine::now().since(heard.arrived) <= age)
+        self.get().filter(|heard| machine::now().since(heard.arrived) <= age)
     }
 
     /// Do two nodes speak on the key at the same time? Then neither is to be believed.
     pub fn has_rivals(&self) -> bool {
-        lock(&self.succession).rivals(crate::machine::now()).is_some()
+        lock(&self.succession).rivals(machine::now()).is_some()
     }
 
     /// Waits for the next change after the newest payload that this clone has seen.

@@ -7,37 +7,37 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::bail;
-use contract::NodeTopic;
 use contract::node::NodeState;
 use contract::observatory::AlertKind;
+use contract::{Key, Name};
 
-use crate::node::host_name;
-use crate::{Catch, Node};
+use crate::host::host_name;
+use crate::{AlertBoard, Bus, Catch};
 
 /// A node says how it is every 5 s; a twin that was silent for three of them is gone.
 const GONE: Duration = Duration::from_secs(15);
 
-/// Listens for a twin for ever; ends with an error when an older one runs on this host.
-pub async fn leave_to_older(node: &Node) -> anyhow::Result<()> {
-    let key = node.key(NodeTopic::State);
-    let heard = node.bus.subscribe::<NodeState>(&key.to_string(), Catch::Newest, 8).await?;
-    let (own, clock) = (node.bus.boot_id(), node.bus.clock());
+/// Listens for a twin for ever; ends with an error when an older one runs on this host. `key` is that of the state of this
+/// node, `id` its name.
+pub async fn leave_to_older(key: &Key, id: &Name, bus: &Bus, alerts: &AlertBoard) -> anyhow::Result<()> {
+    let heard = bus.subscribe::<NodeState>(&key.to_string(), Catch::Newest, 8).await?;
+    let (own, clock) = (bus.boot_id(), bus.clock());
     let mut foreign = None;
     loop {
         if let Ok(heard) = tokio::time::timeout(GONE, heard.hear()).await
             && heard.said.boot_id != *own
         {
             let NodeState { role, host, pid, .. } = &heard.said.body;
-            let cause = format!("another {role} node with id \"{}\" runs on host \"{host}\" as process {pid}", node.id);
+            let cause = format!("another {role} node with id \"{id}\" runs on host \"{host}\" as process {pid}");
             if *host == host_name() && is_older_twin(Path::new("/proc"), std::process::id(), *pid) {
                 bail!("{cause}; end it, or give this one another name with --id");
             }
             foreign = Some(clock.machine());
-            node.alerts.raise(AlertKind::Twin, "", &cause);
+            alerts.raise(AlertKind::Twin, "", &cause);
         }
         if foreign.is_some_and(|at| clock.machine().since(at) > GONE) {
             foreign = None;
-            node.alerts.clear(AlertKind::Twin, "");
+            alerts.clear(AlertKind::Twin, "");
         }
     }
 }

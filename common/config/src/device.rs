@@ -4,8 +4,9 @@
 
 use std::collections::BTreeMap;
 
+use contract::device::dome::CloseWithMount;
 use contract::{Chunk, Kind, Name};
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Deserializer};
 
 use crate::flats::Flats;
 use crate::focusing::Approach;
@@ -50,19 +51,6 @@ pub enum EquatorialChoice {
     J2000,
     /// True equator and equinox of date.
     Topocentric,
-}
-
-/// How a dome's closing waits for its mounts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum CloseWithMount {
-    /// Stop the mount and close together.
-    #[default]
-    Beside,
-    /// Wait for the park, at most `parked_within_s`, then close anyway.
-    ParkedWithinS,
-    /// Close only on a parked mount; alert when it takes longer than `parked_within_s`.
-    ParkedOnly,
 }
 
 /// `[[telescope]] limits`: where a mount stops tracking, whatever the schedule says.

@@ -38,9 +38,10 @@ mod words;
 
 pub use alerts::{Alerting, Email, Ping, Security, Smtp, Webhook};
 pub use check::{MOST_BYTES, examine, locate, parse};
+pub use contract::device::dome::CloseWithMount;
 pub use device::{
-    Camera, CloseWithMount, Common, CoverCalibrator, Device, Dome, EquatorialChoice, FilterWheel, Focuser, Limit,
-    Measure, MountLimits, ObservingConditions, Response, Rotator, SafetyMonitor, Switch, Telescope,
+    Camera, Common, CoverCalibrator, Device, Dome, EquatorialChoice, FilterWheel, Focuser, Limit, Measure, MountLimits,
+    ObservingConditions, Response, Rotator, SafetyMonitor, Switch, Telescope,
 };
 pub use device_nodes::{ENCLOSURE_NODE, MAIN_NODE};
 pub use encoding::{NotUtf8, utf8};

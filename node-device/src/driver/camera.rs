@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use alpaca::{Alpaca, AlpacaError, can, optional, value};
 use bus::Clock;
 use contract::device::camera::{self, Activity, Capabilities, Command, Exposure, Fields, Subframe};
 use contract::{Accepted, CommandId, Datum, Name, Reason, Refusal, Reply};
+use interlock::Need;
 
 use super::exposure::Setting;
-use super::{Driver, Need, Obeyed, Progress, can, optional, within};
-use crate::alpaca::{Alpaca, AlpacaError, value};
+use super::{Driver, Obeyed, Progress, within};
 use crate::readings::Readings;
 use crate::spool::Spool;
 

@@ -1,10 +1,11 @@
 //! The mirror cover, flat panel, or both.
 
+use alpaca::{Alpaca, AlpacaError, optional, value};
 use contract::device::cover_calibrator::{self, Calibrator, Capabilities, Command, Cover, Fields};
 use contract::{CommandId, Reason};
+use interlock::Need;
 
-use super::{Driver, Need, Obeyed, Progress, optional};
-use crate::alpaca::{Alpaca, AlpacaError, value};
+use super::{Driver, Obeyed, Progress};
 use crate::readings::Readings;
 
 const COVER: [(i64, Cover); 6] = [

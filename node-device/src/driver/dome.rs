@@ -3,22 +3,19 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use alpaca::{Alpaca, AlpacaError, can};
 use bus::Clock;
 use config::VendorPattern;
 use contract::device::dome::{self, Capabilities, Command, Fields, Shutter};
 use contract::{CommandId, NoData, Reason};
+use interlock::{Guard, Hinders, Need};
 use tokio::sync::watch;
 
-use super::{Driver, Need, Now, Obeyed, Progress, apart_deg, can, vendor, within};
-use crate::alpaca::{Alpaca, AlpacaError};
-use crate::gate::Hinders;
-use crate::guard::Guard;
+use super::{Driver, Obeyed, Progress, apart_deg, vendor, within};
 use crate::guard_task::Seen;
+use crate::now::Now;
 use crate::readings::Readings;
-
-/// ASCOM ShutterStatus by number.
-pub const SHUTTER: [(i64, Shutter); 5] =
-    [(0, Shutter::Open), (1, Shutter::Closed), (2, Shutter::Opening), (3, Shutter::Closing), (4, Shutter::Error)];
+use crate::shutter_status::SHUTTER;
 
 /// Drives a dome.
 pub struct Dome {

@@ -2,14 +2,13 @@
 
 use std::time::Duration;
 
+use alpaca::{Alpaca, AlpacaError, RawImage, value};
 use contract::device::camera::{Exposure, Purpose, Subframe};
 use contract::{CommandId, Kind, NoData};
 use tokio::time::{Instant, sleep, sleep_until};
 use units::Utc;
 
 use super::camera::Camera;
-use crate::alpaca::image::RawImage;
-use crate::alpaca::{Alpaca, AlpacaError, value};
 use crate::deadline::machine_limit;
 use crate::readings::{Readings, member};
 use crate::spool::About;

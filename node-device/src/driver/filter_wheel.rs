@@ -3,11 +3,12 @@
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
+use alpaca::{Alpaca, AlpacaError, optional, value};
 use contract::device::filter_wheel::{self, Capabilities, Command, Fields};
 use contract::{CommandId, Datum, NoData, Reason};
+use interlock::Need;
 
-use super::{Driver, Need, Obeyed, Progress, optional};
-use crate::alpaca::{Alpaca, AlpacaError, value};
+use super::{Driver, Obeyed, Progress};
 use crate::readings::Readings;
 
 /// Drives a filter wheel.

@@ -1,10 +1,11 @@
 //! The focuser.
 
+use alpaca::{Alpaca, AlpacaError, can, optional, value};
 use contract::device::focuser::{self, Capabilities, Command, Fields};
 use contract::{CommandId, Reason};
+use interlock::Need;
 
-use super::{Driver, Need, Obeyed, Progress, can, optional};
-use crate::alpaca::{Alpaca, AlpacaError, value};
+use super::{Driver, Obeyed, Progress};
 use crate::readings::Readings;
 
 /// Drives a focuser.

@@ -16,11 +16,11 @@ mod vendor;
 use std::future::Future;
 use std::time::Duration;
 
-use bus::{MachineTime, SkyTime};
-use contract::{CommandId, DeviceKind, NoData, Reason, Reply};
+use alpaca::{Alpaca, AlpacaError};
+use contract::{CommandId, DeviceKind, Reason, Reply};
+use interlock::{Hinders, Need};
 
-use crate::alpaca::{Alpaca, AlpacaError, value};
-use crate::gate::Hinders;
+use crate::now::Now;
 use crate::readings::Readings;
 
 /// What the devices of a driver can do.
@@ -29,36 +29,6 @@ pub type Capabilities<D> = <<D as Driver>::Kind as DeviceKind>::Capabilities;
 pub type Fields<D> = <<D as Driver>::Kind as DeviceKind>::Fields;
 /// What they may be asked.
 pub type Command<D> = <<D as Driver>::Kind as DeviceKind>::Command;
-
-/// Both monotonic times of one moment.
-#[derive(Debug, Clone, Copy)]
-pub struct Now {
-    /// Machine time.
-    pub machine: MachineTime,
-    /// Sky time.
-    pub sky: SkyTime,
-}
-
-/// What a command needs before it is taken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Need {
-    /// Nothing: anyone who may speak at all may stop and close.
-    Nothing,
-    /// The newest token, but only while a valid safe permit exists: park and tracking off.
-    TokenWhileSafe,
-    /// The newest token: everything that moves.
-    Token,
-    /// The newest token and every permit.
-    TokenAndPermit,
-    /// The newest token, every permit, and no hold: opening an enclosure.
-    Open,
-    /// Nothing, and the guard must know: closing an enclosure.
-    Close,
-    /// To be granted a lease.
-    Claim,
-    /// To end a hold of the guard.
-    Resume,
-}
 
 /// How far a command is, judged by the device's own state.
 #[derive(Debug, Clone, PartialEq)]
@@ -175,35 +145,6 @@ pub trait Driver: Send + Sync + 'static {
     fn progress(&self, _command: &Command<Self>, _fields: &Fields<Self>) -> Progress {
         Progress::Done
     }
-}
-
-/// An answer that cannot be read is asked for so often: its value holds until the device is connected anew.
-const TRIES: u32 = 3;
-
-/// A property whose absence is no fault: `None` unless the server itself is gone or answers other requests.
-pub(crate) async fn optional<T>(
-    alpaca: &Alpaca,
-    member: &str,
-    read: impl Fn(&serde_json::Value) -> Result<T, NoData>,
-) -> Result<Result<T, NoData>, AlpacaError> {
-    let mut tries = 0;
-    loop {
-        tries += 1;
-        let error = match alpaca.get(member).await.and_then(|answer| read(&answer).map_err(AlpacaError::Value)) {
-            Ok(value) => return Ok(Ok(value)),
-            Err(error) => error,
-        };
-        match error {
-            error if error.is_transport() || error.is_not_connected() || error.is_foreign() => return Err(error),
-            error if error.is_unreadable() && tries < TRIES => tokio::time::sleep(Duration::from_millis(100)).await,
-            error => return Ok(Err(error.no_data())),
-        }
-    }
-}
-
-/// A capability flag; false where the device does not tell.
-pub(crate) async fn can(alpaca: &Alpaca, member: &str) -> Result<bool, AlpacaError> {
-    Ok(optional(alpaca, member, value::flag).await?.unwrap_or(false))
 }
 
 /// Is a number one that a device may be sent?

@@ -1,10 +1,11 @@
 //! The weather station.
 
+use alpaca::{Alpaca, AlpacaError, optional, value};
 use contract::CommandId;
 use contract::device::observing_conditions::{self, Capabilities, Command, Fields};
+use interlock::Need;
 
-use super::{Driver, Need, Obeyed, optional};
-use crate::alpaca::{Alpaca, AlpacaError, value};
+use super::{Driver, Obeyed};
 use crate::readings::{AGE, Readings, age_of};
 
 /// Reads a weather station.

@@ -1,10 +1,11 @@
 //! The field rotator.
 
+use alpaca::{Alpaca, AlpacaError, can};
 use contract::device::rotator::{self, Capabilities, Command, Fields};
 use contract::{CommandId, Reason};
+use interlock::Need;
 
-use super::{Driver, Need, Obeyed, Progress, apart_deg, can, within};
-use crate::alpaca::{Alpaca, AlpacaError};
+use super::{Driver, Obeyed, Progress, apart_deg, within};
 use crate::readings::Readings;
 
 /// A rotator that stands this close to its target has reached it.

@@ -3,12 +3,14 @@
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
+use alpaca::{Alpaca, AlpacaError};
 use bus::{MachineTime, SkyTime};
 use contract::CommandId;
 use contract::device::safety_monitor::{self, Capabilities, Command, Fields};
+use interlock::Need;
 
-use super::{Driver, Need, Now, Obeyed};
-use crate::alpaca::{Alpaca, AlpacaError};
+use super::{Driver, Obeyed};
+use crate::now::Now;
 use crate::readings::Readings;
 
 /// Reads a safety monitor.

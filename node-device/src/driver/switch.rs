@@ -2,11 +2,12 @@
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use alpaca::{Alpaca, AlpacaError, optional, value};
 use contract::device::switch::{self, Capabilities, Command, Description, Fields};
 use contract::{CommandId, Reason};
+use interlock::Need;
 
-use super::{Driver, Need, Obeyed, optional, within};
-use crate::alpaca::{Alpaca, AlpacaError, value};
+use super::{Driver, Obeyed, within};
 use crate::readings::Readings;
 
 /// More switches than this are a server's mistake.

@@ -3,13 +3,13 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use alpaca::{Alpaca, AlpacaError, can, optional, value};
 use config::VendorPattern;
 use contract::device::telescope::{self, Capabilities, Command, Direction, EquatorialSystem, Fields, PierSide};
 use contract::{CommandId, Datum, Reason};
+use interlock::{Hinders, Need};
 
-use super::{Driver, Need, Obeyed, Progress, apart_deg, can, optional, vendor, within};
-use crate::alpaca::{Alpaca, AlpacaError, value};
-use crate::gate::Hinders;
+use super::{Driver, Obeyed, Progress, apart_deg, vendor, within};
 use crate::readings::Readings;
 
 /// A mount that stands still farther from its target than this has not reached it; generous, because mounts

@@ -1,12 +1,12 @@
 //! Commands of a maker's own: checked against what the device's block lists, sent, and their answer told.
 
+use alpaca::{Alpaca, AlpacaError};
 use config::VendorPattern;
 use contract::device::vendor::{LONGEST_ANSWER, VendorCommand, Words};
 use contract::{NoData, Reason};
 use serde_json::Value;
 
 use super::Obeyed;
-use crate::alpaca::{Alpaca, AlpacaError};
 
 /// No state shows whether such a command was done: without an answer it has failed.
 pub const UNANSWERED: &str = "no answer came, so that it is not known whether the device heard it";

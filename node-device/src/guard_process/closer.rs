@@ -3,18 +3,18 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use alpaca::{Alpaca, AlpacaError, http_client};
 use bus::MachineTime;
 use config::CloseWithMount;
 use contract::device::dome::Shutter;
 use contract::observatory::AlertKind;
 use contract::{BootId, Chunk, Kind};
 use futures_util::future::join_all;
+use interlock::guard::{Alarm, Deed, Guard, Settings};
 use tokio::task::JoinSet;
 
 use super::copy::{DomeCopy, Target, seconds};
-use crate::alpaca::{Alpaca, AlpacaError, http_client, value};
-use crate::driver::dome::SHUTTER;
-use crate::guard::{Alarm, Deed, Guard, Settings};
+use crate::shutter_status::shutter_status;
 
 /// A reading that is older proves nothing.
 const FRESH: Duration = Duration::from_secs(5);
@@ -234,10 +234,7 @@ async fn put(alpaca: &Alpaca, connect: bool, member: &str) -> Result<(), AlpacaE
 }
 
 async fn shutter(alpaca: &Alpaca, connect: bool) -> Result<Shutter, AlpacaError> {
-    let answer = get(alpaca, connect, "shutterstatus").await?;
-    let number = value::whole(&answer).map_err(AlpacaError::Value)?;
-    let found = SHUTTER.iter().find(|(n, _)| *n == number).map(|(_, shutter)| *shutter);
-    found.ok_or_else(|| AlpacaError::Protocol(format!("ShutterStatus is {number}")))
+    shutter_status(&get(alpaca, connect, "shutterstatus").await?)
 }
 
 async fn close(alpaca: &Alpaca, stop_first: bool, connect: bool) -> Result<(), AlpacaError> {

@@ -3,9 +3,10 @@
 use std::sync::mpsc::{SyncSender, sync_channel};
 
 use bus::MachineTime;
+use interlock::Deadlines;
 
 use super::copy::Copy;
-use super::places::{Deadlines, Places};
+use super::places::Places;
 
 /// What is written.
 pub enum Written {

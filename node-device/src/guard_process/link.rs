@@ -4,13 +4,12 @@
 //! does not read holds nothing up. The guard process writes `end` when the node is to close and leave; the end of the input
 //! means that the guard process has died.
 
-use std::collections::BTreeMap;
 use std::io::{BufRead as _, Write as _};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 use bus::{MachineTime, Stop};
-use serde::{Deserialize, Serialize};
+use interlock::{Deadlines, DomeReport, Report};
 use tokio::io::{AsyncWriteExt as _, BufReader, Lines};
 use tokio::process::{ChildStdin, ChildStdout};
 
@@ -21,43 +20,8 @@ pub const END: &str = "end";
 /// The variable with the times until which the node's domes may be open.
 pub const DEADLINES: &str = "STARMESH_OPEN_UNTIL_NS";
 
-/// How the guard of one dome is.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct DomeReport {
-    /// When the guard's loop sent this, by the boot-time clock, ns.
-    pub at_ns: u64,
-    /// The dome may stay open for this time from then on, ms.
-    pub may_be_open_ms: u64,
-    /// The shutter was read within the last seconds.
-    pub sees: bool,
-    /// And it was closed.
-    pub is_closed: bool,
-    /// It must close, and waits for a mount that nobody is known to have parked.
-    #[serde(default)]
-    pub waits_for_mounts: bool,
-}
-
-/// All domes of a node, by name, and the highest tokens.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Report {
-    /// By name.
-    pub domes: BTreeMap<String, DomeReport>,
-    /// By telescope.
-    pub tokens: BTreeMap<String, u64>,
-}
-
-impl DomeReport {
-    /// Until when the dome may be open, as far as this machine's processes share one boot-time clock.
-    pub fn open_until(&self, now: MachineTime) -> MachineTime {
-        let said = MachineTime::from_boot(Duration::from_nanos(self.at_ns));
-        // a stamp of the future is of another clock
-        let from = if cfg!(target_os = "linux") && said <= now { said } else { now };
-        from.plus(Duration::from_millis(self.may_be_open_ms.min(60_000)))
-    }
-}
-
 /// The deadlines as the variable has them.
-pub fn deadlines_to_text(deadlines: &super::places::Deadlines) -> String {
+pub fn deadlines_to_text(deadlines: &Deadlines) -> String {
     let each = deadlines.iter().map(|(dome, at)| format!("{dome}={}", nanos(*at)));
     each.collect::<Vec<_>>().join(",")
 }
@@ -165,25 +129,6 @@ pub async fn ask_to_end(mut orders: ChildStdin, open_for: Duration) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_report_that_was_read_late_grants_nothing_anew() {
-        let at = |ms| MachineTime::from_boot(Duration::from_millis(ms));
-        let report = DomeReport {
-            at_ns: 5_000_000_000,
-            may_be_open_ms: 8_000,
-            sees: true,
-            is_closed: false,
-            waits_for_mounts: false,
-        };
-        if cfg!(target_os = "linux") {
-            assert_eq!(report.open_until(at(5_100)), at(13_000));
-            assert_eq!(report.open_until(at(30_000)), at(13_000));
-        }
-        assert_eq!(report.open_until(at(1_000)), at(9_000), "a stamp of another clock counts from its arrival");
-        let endless = DomeReport { may_be_open_ms: u64::MAX, ..report };
-        assert_eq!(endless.open_until(at(1_000)), at(61_000), "no permit lasts longer than 30 s");
-    }
 
     #[test]
     fn deadlines_pass_through_the_environment() {

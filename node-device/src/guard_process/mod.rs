@@ -5,7 +5,7 @@
 //! ends, hangs or never sees its shutter), the dome is closed when its last permit has run out, by Alpaca and verified, for
 //! ever, and an alert is raised. The node needs this process as little: without it, it guards on and raises an alert.
 //!
-//! `watch` decides (pure), `closer` does, `leaving` closes what the configuration names no more, `starting` asks the disk, `copy` and `places`
+//! `interlock::watch` decides (pure), `closer` does, `leaving` closes what the configuration names no more, `starting` asks the disk, `copy` and `places`
 //! remember, `link` is the line between both processes.
 
 pub mod copy;
@@ -19,7 +19,6 @@ mod leaving;
 mod signals;
 mod starting;
 mod task;
-mod watch;
 
 pub use task::main;
 

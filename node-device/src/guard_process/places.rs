@@ -10,14 +10,12 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use bus::MachineTime;
+use interlock::{Before, Deadlines};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::copy::{Copy, MOST_BYTES};
 use crate::spool::{sync_folder, write_synced};
-
-/// Until when each dome may be open, by this machine's boot-time clock.
-pub type Deadlines = BTreeMap<String, MachineTime>;
 
 /// The places of one device node of one configuration file.
 #[derive(Debug, Clone)]
@@ -33,17 +31,6 @@ struct Countdown {
     kernel_boot_id: String,
     written_ns: u64,
     open_until_ns: BTreeMap<String, u64>,
-}
-
-/// The countdown as it was found on disk.
-#[derive(Debug, PartialEq, Eq)]
-pub enum Before {
-    /// Nothing: no node ever ran here.
-    Nothing,
-    /// The machine was started since, so that no permit can have lasted.
-    OtherBoot,
-    /// The deadlines of this boot.
-    Deadlines(Deadlines),
 }
 
 impl Places {

@@ -4,12 +4,13 @@ use std::sync::mpsc::{Receiver, sync_channel};
 
 use anyhow::Context as _;
 use bus::{MachineTime, NodeOptions};
+use interlock::Deadlines;
 use tokio::process::Child;
 
 use super::NODE_LOCK;
 use super::copy::Copy;
 use super::link::{DEADLINES, deadlines_to_text};
-use super::places::{Deadlines, Places};
+use super::places::Places;
 use crate::child;
 
 /// What came of it.

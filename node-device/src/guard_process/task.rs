@@ -8,6 +8,8 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use bus::{Clock, MachineTime, NodeOptions};
 use contract::observatory::AlertKind;
+use interlock::watch::{Effect, TICK, Watch, Who};
+use interlock::{Before, Deadlines, Report};
 use tokio::io::{AsyncBufReadExt as _, BufReader};
 use tokio::process::{Child, ChildStdin};
 use tokio::time::{MissedTickBehavior, interval};
@@ -17,12 +19,10 @@ use super::copy::Copy;
 use super::disk::{self, Written};
 use super::herald::Herald;
 use super::leaving::{self, Leaving};
-use super::link::{self, NodeLines, Report, next_line};
-use super::places::{Before, Deadlines, Places};
+use super::link::{self, NodeLines, next_line};
+use super::places::Places;
 use super::signals::{Asked, Signals, lock};
 use super::starting::{self, Ready};
-use super::watch::{Effect, TICK, Watch, Who};
-use crate::child::END_LIMIT;
 
 /// A complaint is repeated in the log so often while its reason lasts.
 const COMPLAIN: Duration = Duration::from_secs(60);
@@ -55,7 +55,7 @@ async fn run(options: &NodeOptions, verb: &[&str], id: &str) -> anyhow::Result<(
         tokio::select! {
             biased;
             asked = signals.next() => match asked {
-                Asked::End => work.end(END_LIMIT),
+                Asked::End => work.end(crate::child::END_LIMIT),
                 Asked::ParentDied => work.end(ORPHAN_LIMIT),
                 Asked::EndAtOnce => {
                     work.kill().await;
@@ -456,7 +456,7 @@ impl<'a> Work<'a> {
     /// An end was asked for: what this round still lacks for it.
     fn ending(&mut self, by: Instant, now: MachineTime) -> Option<anyhow::Result<()>> {
         if let Some(orders) = self.orders.take() {
-            tokio::spawn(link::ask_to_end(orders, END_LIMIT * 2));
+            tokio::spawn(link::ask_to_end(orders, crate::child::END_LIMIT * 2));
         }
         let is_late = Instant::now() >= by;
         if let Some(node) = &mut self.node

@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
+use alpaca::AlpacaError;
 use contract::audit::Outcome as Ended;
 use contract::{LastCommand, Link, Outcome};
 use tokio::time::Instant;
 
 use super::Loop;
-use crate::alpaca::AlpacaError;
 use crate::deadline::machine_limit;
 use crate::driver::{Command, Driver, Obeyed, Progress};
 use crate::front::Order;

@@ -12,10 +12,10 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use alpaca::discovery::{self, Found};
 use anyhow::{Context as _, bail, ensure};
 use clap::Args;
 use contract::Chunk;
-use node_device::alpaca::discovery::{self, Found};
 
 use self::place::Surroundings;
 use crate::console::{foreign_line, line};

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
+use alpaca::discovery::Found;
 use contract::Kind;
-use node_device::alpaca::discovery::Found;
 use serde_json::Value;
 use units::Utc;
 

@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
+use alpaca::discovery::{Found, as_toml};
 use contract::Kind;
-use node_device::alpaca::discovery::{Found, as_toml};
 
 use super::place::Surroundings;
 use super::{HEADER, Options, SCHEDULE};

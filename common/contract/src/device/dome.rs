@@ -53,7 +53,7 @@ impl Payload for Fields {
 }
 
 /// ASCOM ShutterStatus.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Shutter {
     /// Open.
@@ -66,6 +66,19 @@ pub enum Shutter {
     Closing,
     /// Stuck or unknown.
     Error,
+}
+
+/// How a dome's closing waits for its mounts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CloseWithMount {
+    /// Stop the mount and close together.
+    #[default]
+    Beside,
+    /// Wait for the park, at most `parked_within_s`, then close anyway.
+    ParkedWithinS,
+    /// Close only on a parked mount; alert when it takes longer than `parked_within_s`.
+    ParkedOnly,
 }
 
 /// What a dome may be asked.

@@ -1,0 +1,17 @@
+//! One payload as it was heard.
+
+use contract::{Key, Stamped};
+
+use crate::MachineTime;
+
+/// One payload as it was heard.
+#[derive(Debug, Clone)]
+pub struct Heard<T> {
+    /// On which key.
+    pub key: Key,
+    /// What was said.
+    pub said: Stamped<T>,
+    /// When it arrived, on this machine's own clock, less what it was held or on its way longer than others were;
+    /// ages are judged by it.
+    pub arrived: MachineTime,
+}
