@@ -12,6 +12,8 @@ use contract::observatory::{
     Alerts, Correction, FocusRun, FocusState, GuidingState, OpticsState, PointingState, Sector, StandingOrders,
 };
 use contract::{CommandId, Key, Name, Part};
+use safety::rules::Rules;
+use safety::ruling::Ruling;
 use sky::{EarthOrientation, Icrs, Observer, Place, SkyError};
 use tokio::sync::{Notify, OnceCell, mpsc, watch};
 use units::Utc;
@@ -31,8 +33,6 @@ use crate::names::Known;
 use crate::night::Board;
 use crate::pointing::learnt::Book;
 use crate::rig::Rig;
-use crate::safety::Ruling;
-use crate::safety::rules::Rules;
 use crate::schedule::Row;
 use crate::schedule::versions::Versions;
 use crate::standing::Standing;

@@ -37,7 +37,7 @@ pub mod plan;
 pub mod pointing;
 pub mod rig;
 pub mod runner;
-pub mod safety;
+mod safety;
 pub mod schedule;
 mod slit;
 pub mod standing;

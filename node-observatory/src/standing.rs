@@ -11,11 +11,11 @@ use std::time::Duration;
 
 use config::Response;
 use contract::observatory::AlertKind;
+use safety::rules::Rules;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
 use crate::control_room::ControlRoom;
-use crate::safety::rules::Rules;
 
 /// The longest that one order can do without a limit, sky s.
 pub const LONGEST_OVERRIDE_S: f64 = 8.0 * 3600.0;

@@ -11,6 +11,8 @@ use audit::Audit;
 use bus::Node;
 use contract::Address;
 use contract::observatory::{AlertKind, FocusRun, FocusState, GuidingState, PointingState};
+use safety::rules::Rules;
+use safety::ruling::Ruling;
 use tokio::sync::{Notify, OnceCell, mpsc, watch};
 
 use crate::annunciator::{self, Annunciator};
@@ -33,8 +35,6 @@ use crate::night::Board;
 use crate::pointing::learnt::{self as pointing_learnt, Book};
 use crate::rig::Rig;
 use crate::rig::instrument::Voice;
-use crate::safety::Ruling;
-use crate::safety::rules::Rules;
 use crate::schedule::Loaded;
 use crate::schedule::versions::Versions;
 use crate::standing::{self, OnDisk};
