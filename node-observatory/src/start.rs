@@ -15,7 +15,7 @@ use safety::rules::Rules;
 use safety::ruling::Ruling;
 use tokio::sync::{Notify, OnceCell, mpsc, watch};
 
-use crate::annunciator::{self, Annunciator};
+use crate::annunciator;
 use crate::control_room::ControlRoom;
 use crate::focus;
 use crate::frames::dark::Darks;
@@ -37,7 +37,7 @@ use crate::rig::Rig;
 use crate::rig::instrument::Voice;
 use crate::schedule::Loaded;
 use crate::schedule::versions::Versions;
-use crate::standing::{self, OnDisk};
+use crate::standing;
 use crate::star_catalogue::StarCatalogue;
 use crate::takeover::{self, Before};
 
@@ -70,9 +70,9 @@ pub async fn start(node: &Node) -> anyhow::Result<Start> {
     let journal = open_journal(node).await?;
     let robotic = takeover::robotic(&journal, config.schedule.robotic, clock.utc());
     let (orders, now) = (standing::path(config), clock.utc());
-    let standing = tokio::task::spawn_blocking(move || OnDisk::read(&orders).orders(now)).await?;
+    let standing = tokio::task::spawn_blocking(move || standing::read(&orders).orders(now)).await?;
     let alerts = annunciator::path(config);
-    let annunciator = tokio::task::spawn_blocking(move || Annunciator::read(&alerts)).await?;
+    let annunciator = tokio::task::spawn_blocking(move || annunciator::read(&alerts)).await?;
     let guiding = learnt::path(config);
     let guide_learnt = tokio::task::spawn_blocking(move || Learnt::read(&guiding)).await?;
     let learnt = optics::path(config);

@@ -1,4 +1,4 @@
-//! The decisions about safety: whether the sky is safe, and why not.
+//! The decisions about safety: whether the sky is safe, and what people have ordered of that.
 //!
 //! Everything here is a value or a function of values. Time comes in as a value too ([`history::Now`]); nothing here reads a
 //! clock, a file or the bus. The observatory node (`node-observatory/src/safety`) receives the inputs, calls [`judge::judge`] at
@@ -8,7 +8,7 @@
 //! start; each input must have been good, without a gap, for its whole dwell.
 //!
 //! ```text
-//!   configuration --> Rules ----------------------------------------------------------------.
+//!   configuration --> Rules --- people's orders (Standing) ---> the rules as they hold now --.
 //!                                                                                             v
 //!   states of devices --> History <-- records of the time before (recall)               judge(rules, history, now)
 //!   clocks --> Doubts --> Sun -----^                                                          |
@@ -30,17 +30,30 @@
 //!
 //! - [`judge`]: the verdict with its reasons; [`ruling`]: the newest one, and whether it still counts.
 //! - [`intervals`]: the verdicts of the last day.
+//!
+//! What people order:
+//!
+//! - [`said`]: who ordered something, and why; [`standing`]: the orders that hold until they end or are taken back.
+//! - [`on_disk`]: what the file of these orders holds; [`inherit`]: what holds for a node that becomes the commander.
+//! - [`operators`]: who has the telescope.
+//! - [`annunciator`]: what people did about alerts.
 
+pub mod annunciator;
 pub mod clocks;
 pub mod frozen;
 pub mod heard;
 pub mod history;
+pub mod inherit;
 pub mod intervals;
 pub mod judge;
 pub mod measure;
 pub mod nodes;
+pub mod on_disk;
+pub mod operators;
 pub mod recall;
 pub mod rules;
 pub mod ruling;
+pub mod said;
+pub mod standing;
 pub mod sun;
 pub mod wind;

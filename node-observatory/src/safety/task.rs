@@ -14,13 +14,13 @@ use safety::history::Now;
 use safety::judge::{Judgement, judge};
 use safety::rules::Rules;
 use safety::ruling::Ruling;
+use safety::standing::Standing;
 use safety::sun::Sun;
 use tokio::sync::watch;
 
 use super::clock_file::ClockFile;
 use super::ears::{self, Word};
 use super::verdict_file;
-use crate::standing::Standing;
 
 /// So long after its start a node may be without a word from an input before that counts.
 const GRACE: Duration = Duration::from_secs(5);
