@@ -9,7 +9,6 @@ use contract::node::NodeState;
 use contract::observatory::{AlertKind, Alerts};
 use contract::{Key, Name, NodeTopic, Part, Role};
 
-use crate::annunciator::Annunciator;
 use crate::control_room::ControlRoom;
 
 /// Alerts are said every 10 s; a node that is silent for longer than this is away. It is also how long nothing is taken
@@ -39,7 +38,7 @@ pub async fn keep_merging(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         let now = clock.machine();
         let known = room.annunciator.get();
         for (alerts, _) in heard.values_mut().filter(|(_, arrived)| now.since(*arrived) > SILENCE) {
-            stand_on(alerts, &known);
+            known.stand_on(alerts);
         }
         let nodes = std::iter::once(own.borrow_and_update().clone());
         let standing = contract::observatory::merge(nodes.chain(heard.values().map(|(alerts, _)| alerts.clone())));
@@ -71,12 +70,6 @@ pub async fn keep_merging(room: Arc<ControlRoom>) -> anyhow::Result<()> {
             () = tokio::time::sleep(Duration::from_secs(5)) => {}
         }
     }
-}
-
-/// Silence takes nothing back: the shutter that a dead node could not close is still open. Of what a node that is away said
-/// last, only what a person has acknowledged goes.
-fn stand_on(said_last: &mut Alerts, known: &Annunciator) {
-    said_last.alerts.retain(|alert| !known.is_acknowledged(&alert.id));
 }
 
 /// Takes what stands, and returns what is shown.
@@ -118,28 +111,5 @@ pub async fn keep_noticing_silence(room: Arc<ControlRoom>) -> anyhow::Result<()>
             let cause = format!("the {role} node {id} on host \"{host}\" has fallen silent");
             room.node.alerts.raise(AlertKind::NodeSilent, format_args!("{role}/{id}"), &cause);
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::standing::Said;
-
-    #[test]
-    fn silence_takes_nothing_back_but_what_a_person_knows_of() {
-        let now = "2026-11-21T03:00:00Z".parse().unwrap();
-        let alert = AlertKind::DomeNotClosed.alert("dome", now, "the shutter sticks");
-        let mut alerts = Alerts { alerts: vec![alert.clone()], ..Alerts::default() };
-        let mut known = Annunciator::default();
-        known.hear(&alerts, true, now);
-        stand_on(&mut alerts, &known);
-        assert_eq!(alerts.alerts.len(), 1);
-        known
-            .acknowledge(&alert.id, &Said { from: "operator".to_owned(), reason: String::new(), at_utc: now })
-            .unwrap();
-        stand_on(&mut alerts, &known);
-        known.hear(&alerts, true, now);
-        assert_eq!((alerts.alerts.len(), known.shown(now).alerts.len()), (0, 0));
     }
 }

@@ -12,11 +12,14 @@ use contract::observatory::{
     Alerts, Correction, FocusRun, FocusState, GuidingState, OpticsState, PointingState, Sector, StandingOrders,
 };
 use contract::{CommandId, Key, Name, Part};
+use safety::annunciator::Annunciator;
+use safety::rules::Rules;
+use safety::ruling::Ruling;
+use safety::standing::Standing;
 use sky::{EarthOrientation, Icrs, Observer, Place, SkyError};
 use tokio::sync::{Notify, OnceCell, mpsc, watch};
 use units::Utc;
 
-use crate::annunciator::Annunciator;
 use crate::frames::dark::Darks;
 use crate::frames::looked::Looks;
 use crate::frames::mounts::Mounts;
@@ -30,10 +33,8 @@ use crate::ledger::Ledger;
 use crate::night::Board;
 use crate::pointing::learnt::Book;
 use crate::rig::Rig;
-use crate::safety::Ruling;
-use crate::safety::rules::Rules;
 use crate::schedule_file::versions::Versions;
-use crate::standing::Standing;
+use schedule::Row;
 use crate::star_catalogue::StarCatalogue;
 use crate::takeover::Before;
 use crate::trouble::Trouble;

@@ -10,13 +10,14 @@ use std::time::Duration;
 use contract::device::camera::Command as Cooler;
 use contract::observatory::AlertKind;
 use contract::{Accepted, CommandId, Order, OrderKind, Reason, Refusal, Reply};
+use safety::annunciator::Annunciator;
+use safety::said::Said;
+use safety::standing::Standing;
 
-use crate::annunciator::Annunciator;
 use crate::control_room::ControlRoom;
 use crate::kept::Unchanged;
 use crate::schedule_file;
 use crate::schedule_file::versions::Author;
-use crate::standing::{Said, Standing};
 use crate::standing_line;
 
 /// An order that acted at once is answered when it is on disk and on the bus too, or after this.

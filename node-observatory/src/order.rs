@@ -9,11 +9,11 @@ use bus::Service;
 use contract::audit::Outcome;
 use contract::observatory::OrderTaken;
 use contract::{CommandId, Key, Order, Reason, Reply};
+use safety::operators::{self, Refused, Weighed};
 
 use crate::action;
 use crate::control_room::ControlRoom;
 use crate::obey::{self, Tightened};
-use crate::operators::{self, Refused, Weighed};
 
 /// Answers of so many orders are remembered.
 const REMEMBERED: usize = 64;

@@ -1,61 +1,20 @@
 //! The standing orders on the bus: said by whoever commands, heard by whoever stands by.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
 use bus::Quality;
 use contract::Part;
-use contract::observatory as said;
 use contract::observatory::StandingOrders;
+use safety::standing::Standing;
 
 use crate::control_room::ControlRoom;
-use crate::standing::{Override, Said, Standing};
 
 const SECOND: Duration = Duration::from_secs(1);
 
-impl From<Said> for said::Ordered {
-    fn from(Said { from, reason, at_utc }: Said) -> Self {
-        Self { from, reason, at_utc }
-    }
-}
-
-impl From<said::Ordered> for Said {
-    fn from(said::Ordered { from, reason, at_utc }: said::Ordered) -> Self {
-        Self { from, reason, at_utc }
-    }
-}
-
-impl From<&StandingOrders> for Standing {
-    fn from(orders: &StandingOrders) -> Self {
-        let overrides = orders.overrides.iter().cloned().map(|said::Override { input, until_utc, ordered }| {
-            let order = Override { said: ordered.into(), until_utc };
-            (input, order)
-        });
-        Self {
-            token: orders.token,
-            stay_closed: orders.stay_closed.clone().map(Said::from),
-            control: orders.control.clone().map(Said::from),
-            overrides: overrides.collect::<BTreeMap<_, _>>(),
-        }
-    }
-}
-
 /// What this node says now.
 pub fn orders(room: &ControlRoom) -> StandingOrders {
-    let standing = room.standing.get();
-    let overrides = standing.overrides.into_iter().map(|(input, Override { said, until_utc })| said::Override {
-        input,
-        until_utc,
-        ordered: said.into(),
-    });
-    StandingOrders {
-        token: room.hold.borrow().token(),
-        stay_closed: standing.stay_closed.map(Into::into),
-        control: standing.control.map(Into::into),
-        overrides: overrides.collect(),
-        shelved: room.annunciator.get().shelf(),
-    }
+    room.standing.get().published(room.hold.borrow().token(), room.annunciator.get().shelf())
 }
 
 /// Publishes them at each change and every second, while this node speaks for the telescope.

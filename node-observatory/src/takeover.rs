@@ -7,13 +7,16 @@ use std::time::Duration;
 use bus::{Bus, BusError, Heard, Latest};
 use contract::observatory::{AlertKind, Alerts, NightState, StandingOrders};
 use contract::{Address, Key, Part, Payload};
+use safety::annunciator::Annunciator;
+use safety::inherit::{Known, Source, Word};
+use safety::on_disk::OnDisk;
+use safety::said::Said;
+use safety::standing::Standing;
 use units::Utc;
 
-use crate::annunciator::{self, Annunciator};
 use crate::control_room::ControlRoom;
-use crate::inherit::{Known, Source, Word};
 use crate::journal::Journal;
-use crate::standing::{self, OnDisk, Said, Standing};
+use crate::{annunciator, standing};
 
 /// An order from last night is no order for this one, sky s.
 const ORDER_HOLDS_S: f64 = 18.0 * 3600.0;
@@ -105,7 +108,7 @@ async fn read(room: &Arc<ControlRoom>) -> (OnDisk, bool) {
     let at = room.clone();
     let reading = tokio::task::spawn_blocking(move || {
         let is_older_version = at.journal.is_there();
-        let disk = OnDisk::read(&standing::path(&at.node.config));
+        let disk = standing::read(&standing::path(&at.node.config));
         (disk, is_older_version, at.journal.take_over())
     });
     let (disk, is_older_version, taken) = match tokio::time::timeout(DISK, reading).await {
@@ -137,7 +140,7 @@ async fn learn_alerts(room: &Arc<ControlRoom>, source: Source, orders: Option<&H
         Source::Own => {}
         Source::Disk => {
             let path = annunciator::path(&room.node.config);
-            let reading = tokio::task::spawn_blocking(move || Annunciator::read(&path));
+            let reading = tokio::task::spawn_blocking(move || annunciator::read(&path));
             if let Ok(Ok(read)) = tokio::time::timeout(DISK, reading).await {
                 room.annunciator.adopt(|known| {
                     *known = read;

@@ -3,7 +3,6 @@
 //! Live states go on at once. Beside them an ear asks the device node, when it hears it first, for the record of the
 //! time before, so that a restarted observatory need not wait again for what is known.
 
-use std::collections::BTreeMap;
 use std::future::Future;
 use std::pin::Pin;
 use std::time::Duration;
@@ -16,12 +15,12 @@ use contract::device::safety_monitor::Fields as Monitor;
 use contract::device::switch::Fields as Switches;
 use contract::observatory::AlertKind;
 use contract::{Device, DeviceState, Key, Kind, Payload, Stamped};
+use safety::history::Now;
+use safety::recall::{Asked, Recall, Told};
+use safety::rules::Rules;
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 
-use super::history::Now;
-use super::recall::{Asked, Recall, Told};
-use super::rules::Rules;
 use super::writers::{self, Manners, Writers};
 
 /// What an ear has to say.
@@ -53,8 +52,6 @@ struct Voice<F> {
 const TRIES_MS: [u64; 3] = [0, 300, 800];
 /// An answer that takes longer is none; with the pauses before the end of the safety loop's grace.
 const TIMEOUT: Duration = Duration::from_millis(1200);
-/// No record reaches farther back, sky time.
-const LONGEST: Duration = Duration::from_secs(86_400);
 
 /// Opens an ear for each device of the rules; what they hear comes out of the channel.
 pub async fn open(node: &Node, rules: &Rules) -> anyhow::Result<(JoinSet<()>, mpsc::Receiver<Word>)> {
@@ -66,7 +63,7 @@ pub async fn open(node: &Node, rules: &Rules) -> anyhow::Result<(JoinSet<()>, mp
         let voice = Voice { manners: writers::MONITOR, state: Word::Monitor, before: None };
         ears.spawn(listen(node, device.clone(), &words, voice, Duration::ZERO).await?);
     }
-    for (device, back) in evidence(rules, node.bus.clock().speed()) {
+    for (device, back) in rules.look_back(node.bus.clock().speed()) {
         if device.kind == Kind::Switch {
             let voice = Voice { manners: Manners::of_values(), state: Word::Switch, before: Some(Word::SwitchBefore) };
             ears.spawn(listen(node, device, &words, voice, back).await?);
@@ -77,19 +74,6 @@ pub async fn open(node: &Node, rules: &Rules) -> anyhow::Result<(JoinSet<()>, mp
         }
     }
     Ok((ears, heard))
-}
-
-/// How far back the limits on each device look, sky time: the dwell, before it the window of a measure, and a state
-/// more, by which the window began.
-fn evidence(rules: &Rules, speed: f64) -> BTreeMap<Device, Duration> {
-    let mut longest = BTreeMap::new();
-    for rule in &rules.limits {
-        let window = rule.measure.over().min(LONGEST) + rule.max_age.min(LONGEST).mul_f64(speed);
-        let looks = rule.dwell.min(LONGEST) + window;
-        let back: &mut Duration = longest.entry(rule.device.clone()).or_default();
-        *back = (*back).max(looks.min(LONGEST));
-    }
-    longest
 }
 
 /// Subscribes to a device's state and forwards each new one, with both times of its arrival.

@@ -6,20 +6,21 @@ use std::time::Duration;
 
 use bus::{Catch, Clock, Heard, Node, Subscriber};
 use contract::node::NodeState;
-use contract::observatory::{AlertKind, Interval, SafetyState, Verdict};
+use contract::observatory::{AlertKind, Interval, Verdict};
 use contract::{Key, NodeTopic, Role};
+use safety::clocks::{self, Doubt};
+use safety::heard::History;
+use safety::history::Now;
+use safety::judge::{Judgement, judge};
+use safety::rules::Rules;
+use safety::ruling::Ruling;
+use safety::standing::Standing;
+use safety::sun::Sun;
 use tokio::sync::watch;
 
-use super::Ruling;
-use super::clocks::{self, Clocks, Doubt};
+use super::clock_file::ClockFile;
 use super::ears::{self, Word};
-use super::heard::History;
-use super::history::Now;
-use super::intervals::{self, Intervals};
-use super::judge::{Judgement, judge};
-use super::rules::Rules;
-use super::sun::Sun;
-use crate::standing::Standing;
+use super::verdict_file;
 
 /// So long after its start a node may be without a word from an input before that counts.
 const GRACE: Duration = Duration::from_secs(5);
@@ -47,17 +48,21 @@ pub async fn keep_judging(
     let (speed, machine) = (clock.speed(), started.machine);
     let watched = move || {
         let folder = of_machine.then_some(config.folders.data.as_path());
-        Clocks::new(folder, config.place.telescope.as_str(), speed, utc, machine)
+        let file = ClockFile::new(folder, config.place.telescope.as_str());
+        (file.watch(speed, utc, machine), file)
     };
     let mut sun = Sun::of(&node.config, rules.sun_altitude_max_deg);
-    let mut clocks = tokio::task::spawn_blocking(watched).await?;
+    let (mut clocks, clock_file) = tokio::task::spawn_blocking(watched).await?;
     let host = bus::node::host_name();
-    let past = intervals::path(&node.config);
+    let past = verdict_file::path(&node.config);
     let read = past.clone();
-    let mut past_verdicts = tokio::task::spawn_blocking(move || Intervals::read(&read)).await?;
+    let mut past_verdicts = tokio::task::spawn_blocking(move || verdict_file::read(&read)).await?;
     loop {
         let (utc, machine) = (clock.utc(), clock.machine());
         let doubts = clocks.doubts(utc, machine, &history.nodes.witnesses(&host, machine));
+        if let Some(anchor) = clocks.to_persist() {
+            clock_file.write_beside(anchor);
+        }
         tell(&node.alerts, &doubts);
         history.sun = sun.stands(utc, &doubts);
         let (earliest, latest) = clocks::between(utc, &doubts);
@@ -118,7 +123,7 @@ fn take_in(history: &mut History, rules: &Rules, word: Word, speed: f64) {
 /// Keeps a verdict that ended, beside the loop: no disk delays the next one.
 fn keep(path: PathBuf, ended: Interval) {
     tokio::task::spawn_blocking(move || {
-        if let Err(error) = intervals::append(&path, &ended) {
+        if let Err(error) = verdict_file::append(&path, &ended) {
             tracing::warn!(file = %path.display(), %error, "a verdict that ended is not on disk");
         }
     });
@@ -162,20 +167,7 @@ fn publish(
                     tracing::warn!(why = first.unwrap_or_default(), "the sky is not safe");
                 }
             }
-            ruling.state.since_utc = clock.utc();
         }
-        ruling.state = SafetyState {
-            verdict: judgement.verdict,
-            since_utc: ruling.state.since_utc,
-            reasons: judgement.reasons,
-            suspended: judgement.suspended,
-            advisories: judgement.advisories,
-            time_to_safe_s: judgement.time_to_safe_s,
-            inputs: judgement.inputs,
-            avoid: judgement.avoid,
-            intervals,
-        };
-        ruling.judged = clock.machine();
-        ruling.settled |= settled;
+        ruling.renew(judgement, intervals, settled, clock.utc(), clock.machine());
     });
 }

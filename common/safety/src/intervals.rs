@@ -1,16 +1,12 @@
-//! The verdicts of the last day, each with when it began, when it ended, and why: kept on disk over restarts.
+//! The verdicts of the last day, each with when it began, when it ended, and why.
 
 use std::collections::VecDeque;
-use std::io::Write as _;
-use std::path::{Path, PathBuf};
 
 use contract::observatory::{Interval, Unsafe, Verdict};
 use units::Utc;
 
 /// So many are shown.
 const SHOWN: usize = 20;
-/// Lines of the file that are read back, and beyond which it is written anew at the next start.
-const KEPT: usize = 1000;
 
 /// The intervals, the newest last.
 #[derive(Debug, Default)]
@@ -21,18 +17,9 @@ pub struct Intervals {
 }
 
 impl Intervals {
-    /// Those that ended in earlier lives; lines that cannot be read are passed over, the file is for people.
-    pub fn read(path: &Path) -> Self {
-        // half a line of a crash may end within a character
-        let text = String::from_utf8_lossy(&std::fs::read(path).unwrap_or_default()).into_owned();
-        let lines: Vec<&str> = text.lines().collect();
-        let kept = lines.get(lines.len().saturating_sub(KEPT)..).unwrap_or_default();
-        if kept.len() < lines.len()
-            && let Err(error) = std::fs::write(path, format!("{}\n", kept.join("\n")))
-        {
-            tracing::warn!(file = %path.display(), %error, "the old verdicts could not be cut down");
-        }
-        let shown = kept.iter().filter_map(|line| serde_json::from_str(line).ok()).collect::<Vec<Interval>>();
+    /// Those that ended in earlier lives, one in each line; lines that cannot be read are passed over, the file is for people.
+    pub fn of_lines(lines: &[&str]) -> Self {
+        let shown = lines.iter().filter_map(|line| serde_json::from_str(line).ok()).collect::<Vec<Interval>>();
         let shown = shown.into_iter().rev().take(SHOWN).rev().collect();
         Self { shown, now: None }
     }
@@ -70,17 +57,6 @@ impl Intervals {
     }
 }
 
-/// Keeps an interval that ended.
-pub fn append(path: &Path, interval: &Interval) -> std::io::Result<()> {
-    let mut file = std::fs::OpenOptions::new().create(true).append(true).open(path)?;
-    file.write_all(format!("{}\n", serde_json::to_string(interval)?).as_bytes())
-}
-
-/// Where the verdicts of a telescope are kept.
-pub fn path(config: &config::Observatory) -> PathBuf {
-    config.folders.data.join(format!("verdicts-{}.jsonl", config.place.telescope))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -91,9 +67,7 @@ mod tests {
 
     #[test]
     fn intervals_are_told_with_all_their_reasons_and_outlive_a_restart() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("verdicts.jsonl");
-        let mut intervals = Intervals::read(&path);
+        let mut intervals = Intervals::default();
         let at = Utc::from_seconds;
         assert_eq!(intervals.judge(Verdict::Unsafe, &[reason("wx/Humidity", "91 is above 80")], at(0.0)), None);
         let later = [reason("wx/Humidity", "92 is above 80"), reason("wx/RainRate", "2 is above 0")];
@@ -101,9 +75,8 @@ mod tests {
         let ended = intervals.judge(Verdict::Safe, &[], at(900.0)).unwrap();
         assert_eq!(ended.reasons, ["wx/Humidity: 91 is above 80", "wx/RainRate: 2 is above 0"]);
         assert_eq!((ended.from_utc, ended.until_utc), (at(0.0), Some(at(900.0))));
-        append(&path, &ended).unwrap();
-        std::fs::OpenOptions::new().append(true).open(&path).unwrap().write_all(b"{half a li").unwrap();
-        assert_eq!(Intervals::read(&path).shown(), std::slice::from_ref(&ended));
+        let line = serde_json::to_string(&ended).unwrap();
+        assert_eq!(Intervals::of_lines(&[&line, "{half a li"]).shown(), std::slice::from_ref(&ended));
         assert_eq!(intervals.shown().len(), 2);
         assert_eq!(intervals.shown()[1].until_utc, None);
     }

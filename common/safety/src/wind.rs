@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use bus::MachineTime;
 use config::WindSector;
 use contract::Device;
 use contract::device::observing_conditions::Fields;
 use contract::observatory::Sector;
+use units::MachineTime;
 
 /// A wind older than this is none, machine time.
 const MOST_AGE: Duration = Duration::from_secs(60);

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use bus::SkyTime;
+use units::SkyTime;
 
 /// What is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -4,7 +4,7 @@ use contract::{Datum, DeviceState, Kind, Link, NoData};
 
 use super::tests::{Story, at, device, limit, weather};
 use super::*;
-use crate::safety::rules::Bounds;
+use crate::rules::Bounds;
 
 fn state<F>(fields: F) -> DeviceState<F> {
     DeviceState {

@@ -1,12 +1,13 @@
 //! Who has the telescope: the schedule, or an operator by name. Closing is everybody's, the rest is taken over with a reason.
 //!
-//! Pure. An operator who closes, stops or keeps the telescope closed has it from then on, until somebody starts it again. To
+//! An operator who closes, stops or keeps the telescope closed has it from then on, until somebody starts it again. To
 //! loosen what another operator ordered, or to start what another one stopped, a reason is needed; the audit records it.
 
 use contract::{Order, OrderKind, Reason, command::operator};
 use units::Utc;
 
-use crate::standing::{Said, Standing};
+use crate::said::Said;
+use crate::standing::Standing;
 
 /// Control that was taken so long ago is nobody's any more, sky s: an operator of last night is asleep.
 const LAPSES_S: f64 = 18.0 * 3600.0;

@@ -2,18 +2,18 @@
 
 use std::collections::BTreeMap;
 
-use bus::SkyTime;
 use config::Response;
 use contract::device::observing_conditions::Fields;
 use contract::observatory::Verdict;
 use contract::{Address, Datum, Device, Kind, NoData};
 use proptest::prelude::*;
+use units::SkyTime;
 
 use super::*;
-use crate::safety::heard::History;
-use crate::safety::judge::{Judgement, judge};
-use crate::safety::measure::Measure;
-use crate::safety::rules::{Bounds, LimitRule, Rules};
+use crate::heard::History;
+use crate::judge::{Judgement, judge};
+use crate::measure::Measure;
+use crate::rules::{Bounds, LimitRule, Rules};
 
 /// Sky seconds in a machine second, in all stories.
 const SPEED: f64 = 10.0;

@@ -5,8 +5,8 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-use bus::MachineTime;
 use contract::node::{MOUNT_CLOCK_OFFSET_S, NodeState};
+use units::MachineTime;
 use units::Utc;
 
 /// A node that was silent for so long has no say, machine time.

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use bus::{MachineTime, SkyTime};
+use units::{MachineTime, SkyTime};
 
 /// Both monotonic times of one instant: dwell is judged in sky time, age in machine time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

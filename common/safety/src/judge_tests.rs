@@ -1,11 +1,11 @@
-use bus::{MachineTime, SkyTime};
 use contract::{Address, Device, Kind};
 use proptest::prelude::*;
+use units::{MachineTime, SkyTime};
 
 use super::*;
-use crate::safety::history::Entry;
-use crate::safety::measure::Measure;
-use crate::safety::rules::Bounds;
+use crate::history::Entry;
+use crate::measure::Measure;
+use crate::rules::Bounds;
 
 pub(super) fn at(seconds: u64) -> Now {
     let since = Duration::from_secs(seconds);

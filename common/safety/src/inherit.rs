@@ -3,13 +3,15 @@
 //! Who commanded last wrote its token beside its orders, and said it with them on the bus. The arbiter grants tokens
 //! one after another: whoever is granted token n knows everything if it has the last word of token n - 1. Where nobody
 //! has it, an order to stay closed may stand, and so it stands. Tokens whose holders were ended before they commanded
-//! ([`crate::claim_note`]) are passed over.
+//! (`node-observatory/src/claim_note.rs`) are passed over.
 
 use std::collections::BTreeSet;
 
 use units::Utc;
 
-use crate::standing::{OnDisk, Said, Standing};
+use crate::on_disk::OnDisk;
+use crate::said::Said;
+use crate::standing::Standing;
 
 /// What a node knows when it is granted the lease.
 #[derive(Debug, Clone)]

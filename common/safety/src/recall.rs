@@ -8,9 +8,9 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use bus::MachineTime;
 use contract::device::record::{Entry, Record};
 use contract::{BootId, DeviceState, Link, Payload, Stamped};
+use units::MachineTime;
 
 use super::history::Now;
 

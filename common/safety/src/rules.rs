@@ -1,5 +1,6 @@
 //! The configured safety inputs and their limits.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use config::{Limit, Observatory, Response, WindSector};
@@ -7,6 +8,9 @@ use contract::{Device, Kind};
 use units::seconds;
 
 use super::measure::Measure;
+
+/// No record of the time before reaches farther back, sky time.
+const LONGEST: Duration = Duration::from_secs(86_400);
 
 /// A safety monitor that is heeded.
 #[derive(Debug, Clone, PartialEq)]
@@ -160,6 +164,19 @@ impl Rules {
             disabled,
             stay_closed: None,
         }
+    }
+
+    /// How far back the limits on each device look, sky time: the dwell, before it the window of a measure, and a state
+    /// more, by which the window began.
+    pub fn look_back(&self, speed: f64) -> BTreeMap<Device, Duration> {
+        let mut longest = BTreeMap::new();
+        for rule in &self.limits {
+            let window = rule.measure.over().min(LONGEST) + rule.max_age.min(LONGEST).mul_f64(speed);
+            let looks = rule.dwell.min(LONGEST) + window;
+            let back: &mut Duration = longest.entry(rule.device.clone()).or_default();
+            *back = (*back).max(looks.min(LONGEST));
+        }
+        longest
     }
 }
 

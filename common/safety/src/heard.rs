@@ -3,11 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use bus::SkyTime;
 use contract::device::observing_conditions::{Fields as Weather, made_of};
 use contract::device::safety_monitor::Fields as Monitor;
 use contract::device::switch::{Fields as Switches, number_of};
 use contract::{Datum, Device, DeviceState, Link};
+use units::SkyTime;
 use units::seconds;
 
 use super::frozen::Freeze;

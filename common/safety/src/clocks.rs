@@ -4,12 +4,10 @@
 //! a dome open. Nobody here decides which clock is right: while they disagree, each of them may be, and what is the worst of
 //! them counts.
 
-use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use bus::MachineTime;
 use serde::{Deserialize, Serialize};
-use units::Utc;
+use units::{MachineTime, Utc};
 
 use super::nodes::Witness;
 
@@ -39,7 +37,7 @@ impl std::fmt::Display for Doubt {
 
 /// The wall clock at one moment of the boot-time clock.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Anchor {
+pub struct Anchor {
     /// Which boot of the machine, as its kernel names it.
     boot: String,
     utc: Utc,
@@ -53,27 +51,25 @@ pub struct Clocks {
     speed: f64,
     anchor: Anchor,
     right_since: Option<MachineTime>,
-    /// Where the anchor is persisted, so that a restart of this node does not forget a step; nowhere in a simulation.
-    file: Option<PathBuf>,
+    /// The anchor is a new one, which was not persisted yet.
+    is_new: bool,
 }
 
 impl Clocks {
-    /// Begins to watch; reads a file. `folder` is the data folder; `None` for a clock that follows a simulator.
-    pub fn new(folder: Option<&Path>, telescope: &str, speed: f64, utc: Utc, now: MachineTime) -> Self {
-        let file = folder.map(|folder| folder.join(format!("clock-{telescope}.json")));
-        let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default().trim().to_owned();
+    /// Begins to watch. `boot` is which boot of the machine this is, empty where nobody knows; `kept` is the anchor that was
+    /// persisted before, so that a restart of the node does not forget a step.
+    pub fn new(kept: Option<Anchor>, boot: String, speed: f64, utc: Utc, now: MachineTime) -> Self {
         let fresh = Anchor { boot, utc, machine_s: seconds(now) };
-        let kept = file.as_ref().and_then(|file| std::fs::read(file).ok());
-        let kept = kept.and_then(|bytes| serde_json::from_slice::<Anchor>(&bytes).ok());
         // it means nothing for another boot of the machine
         let kept =
             kept.filter(|kept| !kept.boot.is_empty() && kept.boot == fresh.boot && kept.machine_s <= fresh.machine_s);
         let is_new = kept.is_none();
-        let clocks = Self { speed, anchor: kept.unwrap_or(fresh), right_since: None, file };
-        if let Some(file) = clocks.file.as_ref().filter(|_| is_new) {
-            write(file, &clocks.anchor);
-        }
-        clocks
+        Self { speed, anchor: kept.unwrap_or(fresh), right_since: None, is_new }
+    }
+
+    /// The anchor, where it is to be persisted now: it is new, and was not taken by this before.
+    pub fn to_persist(&mut self) -> Option<Anchor> {
+        std::mem::take(&mut self.is_new).then(|| self.anchor.clone())
     }
 
     /// By how much the wall clock would be ahead, had it only run since it was first seen, s.
@@ -93,11 +89,7 @@ impl Clocks {
             if now.since(since) >= SET_RIGHT {
                 tracing::info!(step_s = -own_s, "the wall clock was set right, as the other clocks confirm");
                 (self.anchor.utc, self.anchor.machine_s, self.right_since) = (utc, seconds(now), None);
-                if let Some(file) = self.file.clone() {
-                    let anchor = self.anchor.clone();
-                    // outside the safety loop: no disk delays the next verdict
-                    std::thread::spawn(move || write(&file, &anchor));
-                }
+                self.is_new = true;
             }
         } else {
             self.right_since = None;
@@ -110,12 +102,6 @@ impl Clocks {
             counts: witness.offset_s.abs() <= NO_CLOCK_S || !witness.is_mount,
         });
         (own_s.abs() > AGREE_S).then_some(own).into_iter().chain(told).collect()
-    }
-}
-
-fn write(file: &Path, anchor: &Anchor) {
-    if let Err(error) = crate::kept::write_whole(file, &file.with_extension("json.part"), anchor) {
-        tracing::warn!(file = %file.display(), %error, "after a restart a step of the wall clock would not be noticed");
     }
 }
 
@@ -152,7 +138,7 @@ mod tests {
 
     #[test]
     fn a_step_of_the_wall_clock_is_seen_and_both_times_may_be_right() {
-        let mut clocks = Clocks::new(None, "t", 1.0, utc(0.0), at(100.0));
+        let mut clocks = Clocks::new(None, String::new(), 1.0, utc(0.0), at(100.0));
         assert!(clocks.doubts(utc(3600.0), at(3700.0), &[]).is_empty());
         // an hour back, as the Sun rises
         let doubts = clocks.doubts(utc(1.0), at(3701.0), &[]);
@@ -165,7 +151,7 @@ mod tests {
 
     #[test]
     fn a_clock_that_was_set_right_is_believed_when_other_machines_confirm_it() {
-        let mut clocks = Clocks::new(None, "t", 1.0, utc(0.0), at(0.0));
+        let mut clocks = Clocks::new(None, String::new(), 1.0, utc(0.0), at(0.0));
         let doubts = |clocks: &mut Clocks, second: f64, witnesses: &[Witness]| {
             offsets(&clocks.doubts(utc(second + 500.0), at(second), witnesses))
         };
@@ -179,7 +165,7 @@ mod tests {
 
     #[test]
     fn a_mount_that_has_no_clock_is_told_and_does_not_count() {
-        let mut clocks = Clocks::new(None, "t", 1.0, utc(0.0), at(0.0));
+        let mut clocks = Clocks::new(None, String::new(), 1.0, utc(0.0), at(0.0));
         let doubts =
             clocks.doubts(utc(1.0), at(1.0), &[witness("mount m", -9e8, true), witness("mount n", 5000.0, true)]);
         assert_eq!(doubts.iter().map(|doubt| doubt.counts).collect::<Vec<_>>(), [false, true]);
@@ -187,12 +173,29 @@ mod tests {
     }
 
     #[test]
-    fn a_restart_of_the_node_does_not_forget_a_step() {
-        let folder = tempfile::tempdir().unwrap();
-        Clocks::new(Some(folder.path()), "t", 1.0, utc(0.0), at(0.0));
-        let mut again = Clocks::new(Some(folder.path()), "t", 1.0, utc(100.0 - 3600.0), at(100.0));
-        let known = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").is_ok();
-        let doubts = offsets(&again.doubts(utc(101.0 - 3600.0), at(101.0), &[]));
-        assert_eq!(doubts, if known { vec![3600] } else { Vec::new() });
+    fn a_restart_of_the_node_does_not_forget_a_step_and_a_boot_of_the_machine_does() {
+        let watched = |boot: &str, kept, second: f64, step_s: f64| {
+            Clocks::new(kept, boot.to_owned(), 1.0, utc(second + step_s), at(second))
+        };
+        let kept = watched("b", None, 0.0, 0.0).to_persist();
+        let doubts = |mut clocks: Clocks| {
+            let is_new = clocks.to_persist().is_some();
+            (offsets(&clocks.doubts(utc(101.0 - 3600.0), at(101.0), &[])), is_new)
+        };
+        assert!(kept.is_some());
+        assert_eq!(doubts(watched("b", kept.clone(), 100.0, -3600.0)), (vec![3600], false));
+        assert_eq!(doubts(watched("c", kept.clone(), 100.0, -3600.0)), (vec![], true));
+        assert_eq!(doubts(watched("", kept, 100.0, -3600.0)), (vec![], true), "which boot this is is not known");
+    }
+
+    #[test]
+    fn a_clock_that_was_set_right_is_persisted_once() {
+        let mut clocks = Clocks::new(None, "b".to_owned(), 1.0, utc(0.0), at(0.0));
+        assert!(clocks.to_persist().is_some() && clocks.to_persist().is_none());
+        let other = [witness("mount m", 0.0, true)];
+        clocks.doubts(utc(510.0), at(10.0), &other);
+        assert_eq!(clocks.to_persist(), None);
+        clocks.doubts(utc(571.0), at(71.0), &other);
+        assert!(clocks.to_persist().is_some_and(|anchor| anchor.utc == utc(571.0)) && clocks.to_persist().is_none());
     }
 }

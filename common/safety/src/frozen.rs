@@ -5,9 +5,9 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use bus::MachineTime;
 use contract::Device;
 use contract::device::observing_conditions::Fields;
+use units::MachineTime;
 
 /// What moves with the air; the rest (rain, clouds, brightness) may stand still by nature.
 const ANALOGUE: [&str; 7] =

@@ -28,7 +28,7 @@ impl Default for SunNow {
 }
 
 /// The Sun of a site.
-pub(super) struct Sun {
+pub struct Sun {
     place: Result<Place, SkyError>,
     most_deg: Option<f64>,
     /// When it was asked when the Sun will be low, and the answer.
@@ -36,14 +36,15 @@ pub(super) struct Sun {
 }
 
 impl Sun {
-    pub(super) fn of(config: &config::Observatory, most_deg: Option<f64>) -> Self {
+    /// The Sun over the site of a configuration; above `most_deg` it is too high, degrees.
+    pub fn of(config: &config::Observatory, most_deg: Option<f64>) -> Self {
         let place = &config.place;
         let (latitude, longitude) = (Angle::from_degrees(place.latitude_deg), Angle::from_degrees(place.longitude_deg));
         Self { place: Place::new(latitude, longitude, place.elevation_m), most_deg, low: None }
     }
 
     /// The highest that it stands at the times that it may be.
-    pub(super) fn stands(&mut self, utc: Utc, doubts: &[Doubt]) -> SunNow {
+    pub fn stands(&mut self, utc: Utc, doubts: &[Doubt]) -> SunNow {
         let mut highest = SunNow { altitude_deg: self.altitude_deg(utc), ..SunNow::default() };
         for doubt in doubts.iter().filter(|doubt| doubt.counts) {
             let altitude_deg = self.altitude_deg(utc.plus_seconds(doubt.offset_s));

@@ -1,0 +1,59 @@
+//! The decisions about safety: whether the sky is safe, and what people have ordered of that.
+//!
+//! Everything here is a value or a function of values. Time comes in as a value too ([`history::Now`]); nothing here reads a
+//! clock, a file or the bus. The observatory node (`node-observatory/src/safety`) receives the inputs, calls [`judge::judge`] at
+//! each arrival and each second, and publishes the result.
+//!
+//! One rule holds everywhere: what is missing, stale, unknown or no number is unsafe, and has a reason. Nothing is safe at the
+//! start; each input must have been good, without a gap, for its whole dwell.
+//!
+//! ```text
+//!   configuration --> Rules --- people's orders (Standing) ---> the rules as they hold now --.
+//!                                                                                             v
+//!   states of devices --> History <-- records of the time before (recall)               judge(rules, history, now)
+//!   clocks --> Doubts --> Sun -----^                                                          |
+//!                                                                                             v
+//!                                                            Ruling (with its age) <-- Judgement (with its reasons)
+//! ```
+//!
+//! # Contents
+//!
+//! What the verdict rests on:
+//!
+//! - [`rules`]: the configured inputs and limits; [`measure`]: what of a parameter a limit is put on.
+//! - [`history`]: what one input said, as far back as its dwell looks; [`heard`]: what all inputs said.
+//! - [`recall`]: what a device node recorded before this node listened, placed on this node's clocks.
+//! - [`frozen`]: a weather station whose values do not move; [`wind`]: directions to avoid.
+//! - [`nodes`]: clocks and disks of the other machines; [`clocks`]: what time it may be; [`sun`]: where the Sun stands then.
+//!
+//! The verdict:
+//!
+//! - [`judge`]: the verdict with its reasons; [`ruling`]: the newest one, and whether it still counts.
+//! - [`intervals`]: the verdicts of the last day.
+//!
+//! What people order:
+//!
+//! - [`said`]: who ordered something, and why; [`standing`]: the orders that hold until they end or are taken back.
+//! - [`on_disk`]: what the file of these orders holds; [`inherit`]: what holds for a node that becomes the commander.
+//! - [`operators`]: who has the telescope.
+//! - [`annunciator`]: what people did about alerts.
+
+pub mod annunciator;
+pub mod clocks;
+pub mod frozen;
+pub mod heard;
+pub mod history;
+pub mod inherit;
+pub mod intervals;
+pub mod judge;
+pub mod measure;
+pub mod nodes;
+pub mod on_disk;
+pub mod operators;
+pub mod recall;
+pub mod rules;
+pub mod ruling;
+pub mod said;
+pub mod standing;
+pub mod sun;
+pub mod wind;

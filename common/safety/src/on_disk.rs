@@ -1,0 +1,28 @@
+//! What the file of the standing orders holds, and what holds by it.
+
+use units::Utc;
+
+use crate::said::Said;
+use crate::standing::Standing;
+
+/// What stands in the file of the standing orders.
+#[derive(Debug, Clone, PartialEq)]
+pub enum OnDisk {
+    /// There is no file.
+    Absent,
+    /// It cannot be read, and why.
+    Unreadable(String),
+    /// What was ordered before.
+    Found(Standing),
+}
+
+impl OnDisk {
+    /// What holds by it; one that cannot be read keeps the dome closed until a person decides anew.
+    pub fn orders(self, now: Utc) -> Standing {
+        match self {
+            Self::Absent => Standing::default(),
+            Self::Unreadable(why) => Standing { stay_closed: Some(Said::by_node(why, now)), ..Standing::default() },
+            Self::Found(standing) => standing,
+        }
+    }
+}

@@ -1,0 +1,35 @@
+//! Who ordered something, why, and when.
+
+use contract::observatory::Ordered;
+use serde::{Deserialize, Serialize};
+use units::Utc;
+
+/// Who ordered something, and why.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Said {
+    /// Who.
+    pub from: String,
+    /// Why.
+    pub reason: String,
+    /// When, sky time.
+    pub at_utc: Utc,
+}
+
+impl Said {
+    /// What this node decides itself, because it cannot know what people want.
+    pub fn by_node(reason: String, at_utc: Utc) -> Self {
+        Self { from: "observatory node".to_owned(), reason, at_utc }
+    }
+}
+
+impl From<Said> for Ordered {
+    fn from(Said { from, reason, at_utc }: Said) -> Self {
+        Self { from, reason, at_utc }
+    }
+}
+
+impl From<Ordered> for Said {
+    fn from(Ordered { from, reason, at_utc }: Ordered) -> Self {
+        Self { from, reason, at_utc }
+    }
+}
