@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use ::sky::{SkyError, night_date};
 use contract::observatory::RowStatus;
+use safety::objection::{Objection, stands_against};
 use units::{Angle, Utc};
 
 use super::Site;
@@ -12,7 +13,6 @@ use super::course::{Course, Halt};
 use super::overheads::Span;
 use super::planned::{PlannedNight, PlannedRow, heights};
 use super::world::World;
-use crate::control_room::{Objection, stands_against};
 use crate::runner::sequence::{Sequence, passed_words};
 use crate::schedule::{Row, RowId};
 

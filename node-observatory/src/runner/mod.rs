@@ -13,6 +13,7 @@ use std::time::Duration;
 use config::FaultPolicy;
 use contract::Kind;
 use contract::observatory::{ActionNow, RowState, RowStatus};
+use safety::objection::Objection;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
@@ -23,7 +24,7 @@ use self::sequence::{Sequence, passed_words};
 use units::{Utc, seconds};
 
 use crate::action::Stage;
-use crate::control_room::{ControlRoom, Objection};
+use crate::control_room::ControlRoom;
 use crate::schedule::{Loaded, Row, RowId};
 
 /// How the night's end stands.

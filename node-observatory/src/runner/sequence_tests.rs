@@ -7,12 +7,12 @@ use bus::MachineTime;
 use contract::observatory::{Sector, Unsafe, Verdict};
 use proptest::prelude::*;
 use proptest::test_runner::Config;
+use safety::objection::{sky_stands_against, stands_against};
 use safety::ruling::Ruling;
 use sky::{EarthOrientation, Observer, Place};
 use units::Angle;
 
 use super::*;
-use crate::control_room::{sky_stands_against, stands_against};
 use crate::schedule::parse;
 
 const OBJECT: &str = r#"{"object": "x", "exptime": 1, "ra": 1, "dec": 1, "execute_parallel": PARALLEL}"#;
