@@ -5,14 +5,15 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use audit::{Audit, Entry};
-use bus::{MachineTime, Node, Publisher};
+use bus::{Node, Publisher};
 use config::FaultPolicy;
 use contract::audit::Outcome;
 use contract::observatory::{
-    Alerts, Correction, FocusRun, FocusState, GuidingState, OpticsState, PointingState, Sector, StandingOrders,
+    Alerts, Correction, FocusRun, FocusState, GuidingState, OpticsState, PointingState, StandingOrders,
 };
 use contract::{CommandId, Key, Name, Part};
 use safety::annunciator::Annunciator;
+use safety::objection::{Objection, sky_stands_against, stands_against};
 use safety::rules::Rules;
 use safety::ruling::Ruling;
 use safety::standing::Standing;
@@ -119,33 +120,6 @@ pub struct ControlRoom {
     pub audit: Audit,
 }
 
-/// Why an action may not go on.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Objection {
-    /// The sky is not safe.
-    Unsafe(String),
-    /// Nothing needs to close, but the sky is not to be exposed.
-    Suspended(String),
-    /// The robotic switch is off.
-    NotRobotic,
-    /// This node does not command.
-    NoLease,
-    /// This node was asked to end.
-    Ending,
-}
-
-impl std::fmt::Display for Objection {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Unsafe(why) => write!(f, "not safe: {why}"),
-            Self::Suspended(why) => write!(f, "suspended: {why}"),
-            Self::NotRobotic => f.write_str("the robotic switch is off"),
-            Self::NoLease => f.write_str("this node does not command"),
-            Self::Ending => f.write_str("this node was asked to end"),
-        }
-    }
-}
-
 impl ControlRoom {
     /// Tells the audit why everything is closed; the commands that follow from it are recorded by the device nodes.
     pub fn note_closing(&self, why: &str) {
@@ -246,45 +220,4 @@ impl ControlRoom {
         // the sender lives in self, so waiting cannot fail
         let _ = wish.wait_for(Option::is_none).await;
     }
-}
-
-/// What stands against an action: the robotic switch, that another node commands, and, where it needs a safe sky, what
-/// `sky` has against it. Pure.
-pub fn stands_against(
-    is_robotic: bool,
-    commands: bool,
-    needs_safe: bool,
-    sky: impl FnOnce() -> Option<Objection>,
-) -> Option<Objection> {
-    if !is_robotic {
-        return Some(Objection::NotRobotic);
-    }
-    if !commands {
-        return Some(Objection::NoLease);
-    }
-    if needs_safe { sky() } else { None }
-}
-
-/// What the newest ruling has against the sky, or against the direction in which an action looks. Pure.
-pub fn sky_stands_against(
-    ruling: &Ruling,
-    now: MachineTime,
-    azimuth_deg: impl FnOnce() -> Option<f64>,
-) -> Option<Objection> {
-    if !ruling.is_safe(now) {
-        return Some(Objection::Unsafe(ruling.why()));
-    }
-    let avoided = || avoided(&ruling.state.avoid, azimuth_deg);
-    ruling.suspension().or_else(avoided).map(Objection::Suspended)
-}
-
-/// Why an action's direction is to be avoided now, if it is; where it looks is asked only if any is.
-fn avoided(sectors: &[Sector], azimuth_deg: impl FnOnce() -> Option<f64>) -> Option<String> {
-    if sectors.is_empty() {
-        return None;
-    }
-    let azimuth_deg = azimuth_deg()?;
-    let sector = sectors.iter().find(|sector| sector.contains(azimuth_deg))?;
-    let (why, half_width_deg) = (&sector.why, sector.half_width_deg);
-    Some(format!("{why}; azimuth {azimuth_deg:.0} deg is within {half_width_deg:.0} deg of it"))
 }

@@ -1,4 +1,4 @@
-//! The decisions about safety: whether the sky is safe, and what people have ordered of that.
+//! The decisions about safety: whether the sky is safe, what people have ordered of that, and what stands against an action.
 //!
 //! Everything here is a value or a function of values. Time comes in as a value too ([`history::Now`]); nothing here reads a
 //! clock, a file or the bus. The observatory node (`node-observatory/src/safety`) receives the inputs, calls [`judge::judge`] at
@@ -13,7 +13,7 @@
 //!   states of devices --> History <-- records of the time before (recall)               judge(rules, history, now)
 //!   clocks --> Doubts --> Sun -----^                                                          |
 //!                                                                                             v
-//!                                                            Ruling (with its age) <-- Judgement (with its reasons)
+//!                                 Objection to an action <-- Ruling (with its age) <-- Judgement (with its reasons)
 //! ```
 //!
 //! # Contents
@@ -30,6 +30,7 @@
 //!
 //! - [`judge`]: the verdict with its reasons; [`ruling`]: the newest one, and whether it still counts.
 //! - [`intervals`]: the verdicts of the last day.
+//! - [`objection`]: what stands against an action.
 //!
 //! What people order:
 //!
@@ -48,6 +49,7 @@ pub mod intervals;
 pub mod judge;
 pub mod measure;
 pub mod nodes;
+pub mod objection;
 pub mod on_disk;
 pub mod operators;
 pub mod recall;

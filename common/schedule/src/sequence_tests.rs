@@ -6,6 +6,7 @@ use std::time::Duration;
 use contract::observatory::{Sector, Unsafe, Verdict};
 use proptest::prelude::*;
 use proptest::test_runner::Config;
+use safety::objection::{sky_stands_against, stands_against};
 use safety::ruling::Ruling;
 use sky::{EarthOrientation, Observer, Place};
 use units::Angle;
@@ -13,7 +14,6 @@ use units::MachineTime;
 
 use super::*;
 use crate::parse::parse;
-use safety::objection::{sky_stands_against, stands_against};
 
 const OBJECT: &str = r#"{"object": "x", "exptime": 1, "ra": 1, "dec": 1, "execute_parallel": PARALLEL}"#;
 const STARING: &str =

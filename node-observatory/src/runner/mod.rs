@@ -10,6 +10,7 @@ use std::time::Duration;
 use config::FaultPolicy;
 use contract::Kind;
 use contract::observatory::{ActionNow, RowState, RowStatus};
+use safety::objection::Objection;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
@@ -20,7 +21,7 @@ use schedule::sequence::{Sequence, passed_words};
 use units::{Utc, seconds};
 
 use crate::action::Stage;
-use crate::control_room::{ControlRoom, Objection};
+use crate::control_room::ControlRoom;
 use crate::schedule_file::Loaded;
 use schedule::{Row, RowId};
 

@@ -5,11 +5,11 @@ use std::task::Poll;
 
 use config::FaultPolicy;
 use contract::Kind;
+use safety::objection::Objection;
 use tokio::sync::watch;
 use units::{Utc, seconds};
 
 use crate::action::{self, Stage};
-use crate::control_room::Objection;
 use crate::trouble::Trouble;
 
 /// How a row ended.

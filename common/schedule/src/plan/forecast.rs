@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use ::sky::{SkyError, night_date};
 use contract::observatory::RowStatus;
+use safety::objection::{Objection, stands_against};
 use units::{Angle, Utc};
 
 use super::course::{Course, Halt};
@@ -14,7 +15,6 @@ use super::world::World;
 use super::{Site, steps};
 use crate::row::{Row, RowId};
 use crate::sequence::{Sequence, passed_words};
-use safety::objection::{Objection, stands_against};
 
 /// A plan of more days is none; the year of issue 5 is one file a night.
 const LONGEST_S: f64 = 400.0 * 86_400.0;

@@ -1,0 +1,128 @@
+//! What stands against an action: the robotic switch, the lease, the verdict, and the direction in which the action looks.
+
+use contract::observatory::Sector;
+use units::MachineTime;
+
+use crate::ruling::Ruling;
+
+/// Why an action may not go on.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Objection {
+    /// The sky is not safe.
+    Unsafe(String),
+    /// Nothing needs to close, but the sky is not to be exposed.
+    Suspended(String),
+    /// The robotic switch is off.
+    NotRobotic,
+    /// This node does not command.
+    NoLease,
+    /// This node was asked to end.
+    Ending,
+}
+
+impl std::fmt::Display for Objection {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Unsafe(why) => write!(f, "not safe: {why}"),
+            Self::Suspended(why) => write!(f, "suspended: {why}"),
+            Self::NotRobotic => f.write_str("the robotic switch is off"),
+            Self::NoLease => f.write_str("this node does not command"),
+            Self::Ending => f.write_str("this node was asked to end"),
+        }
+    }
+}
+
+/// What stands against an action: the robotic switch, that another node commands, and, where it needs a safe sky, what
+/// `sky` has against it.
+pub fn stands_against(
+    is_robotic: bool,
+    commands: bool,
+    needs_safe: bool,
+    sky: impl FnOnce() -> Option<Objection>,
+) -> Option<Objection> {
+    if !is_robotic {
+        return Some(Objection::NotRobotic);
+    }
+    if !commands {
+        return Some(Objection::NoLease);
+    }
+    if needs_safe { sky() } else { None }
+}
+
+/// What the newest ruling has against the sky, or against the direction in which an action looks.
+pub fn sky_stands_against(
+    ruling: &Ruling,
+    now: MachineTime,
+    azimuth_deg: impl FnOnce() -> Option<f64>,
+) -> Option<Objection> {
+    if !ruling.is_safe(now) {
+        return Some(Objection::Unsafe(ruling.why()));
+    }
+    let avoided = || avoided(&ruling.state.avoid, azimuth_deg);
+    ruling.suspension().or_else(avoided).map(Objection::Suspended)
+}
+
+/// Why an action's direction is to be avoided now, if it is; where it looks is asked only if any is.
+fn avoided(sectors: &[Sector], azimuth_deg: impl FnOnce() -> Option<f64>) -> Option<String> {
+    if sectors.is_empty() {
+        return None;
+    }
+    let azimuth_deg = azimuth_deg()?;
+    let sector = sectors.iter().find(|sector| sector.contains(azimuth_deg))?;
+    let (why, half_width_deg) = (&sector.why, sector.half_width_deg);
+    Some(format!("{why}; azimuth {azimuth_deg:.0} deg is within {half_width_deg:.0} deg of it"))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use contract::observatory::{Unsafe, Verdict};
+    use units::Utc;
+
+    use super::*;
+
+    fn at(second: u64) -> MachineTime {
+        MachineTime::from_boot(Duration::from_secs(second))
+    }
+
+    fn safe() -> Ruling {
+        let mut ruling = Ruling::none(at(100), Utc::EPOCH);
+        ruling.state.verdict = Verdict::Safe;
+        ruling
+    }
+
+    #[test]
+    fn the_switch_and_the_lease_come_before_the_sky_and_only_some_actions_ask_it() {
+        let sky = || Some(Objection::Unsafe("rain".to_owned()));
+        assert_eq!(stands_against(false, false, true, sky), Some(Objection::NotRobotic));
+        assert_eq!(stands_against(true, false, true, sky), Some(Objection::NoLease));
+        assert_eq!(stands_against(true, true, true, sky), sky());
+        assert_eq!(stands_against(true, true, false, sky), None);
+    }
+
+    #[test]
+    fn an_unsafe_an_old_and_a_suspending_ruling_stand_against_every_direction() {
+        let nowhere = || None;
+        assert_eq!(sky_stands_against(&safe(), at(101), nowhere), None);
+        assert!(matches!(sky_stands_against(&safe(), at(106), nowhere), Some(Objection::Unsafe(_))), "old");
+        let none = Ruling::none(at(100), Utc::EPOCH);
+        assert!(matches!(sky_stands_against(&none, at(101), nowhere), Some(Objection::Unsafe(_))));
+        let mut ruling = safe();
+        let (input, why) = ("node/s/device/main".to_owned(), "its clock is off".to_owned());
+        ruling.state.suspended = vec![Unsafe { input, why, clears_in_s: None }];
+        let words = "node/s/device/main: its clock is off".to_owned();
+        assert_eq!(sky_stands_against(&ruling, at(101), nowhere), Some(Objection::Suspended(words)));
+    }
+
+    #[test]
+    fn a_direction_to_avoid_stands_against_who_looks_there() {
+        let mut ruling = safe();
+        let why = "wx: wind 12.0 m/s from 350 deg".to_owned();
+        ruling.state.avoid = vec![Sector { azimuth_deg: 350.0, half_width_deg: 45.0, why }];
+        let objection = |azimuth_deg| sky_stands_against(&ruling, at(101), || azimuth_deg);
+        let words = "wx: wind 12.0 m/s from 350 deg; azimuth 20 deg is within 45 deg of it".to_owned();
+        assert_eq!(objection(Some(20.0)), Some(Objection::Suspended(words)));
+        assert_eq!((objection(Some(60.0)), objection(None)), (None, None));
+    }
+}
