@@ -35,7 +35,6 @@ use crate::night::Board;
 use crate::pointing::learnt::Book;
 use crate::rig::Rig;
 use crate::schedule_file::versions::Versions;
-use schedule::Row;
 use crate::star_catalogue::StarCatalogue;
 use crate::takeover::Before;
 use crate::trouble::Trouble;

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use anyhow::bail;
 use clap::Args;
 use config::Observatory;
-use node_observatory::action::{ACTIONS, Entry, Needs, Parameter};
-use node_observatory::schedule::meant;
+use schedule::action::{ACTIONS, Entry, Needs, Parameter};
+use schedule::meant;
 use serde_json::{Value, json};
 use units::Utc;
 
@@ -120,7 +120,7 @@ fn text(entry: &Entry) -> String {
 
 #[cfg(test)]
 mod tests {
-    use node_observatory::schedule::validate::{Known, validate};
+    use schedule::validate::{Known, validate};
 
     use super::*;
 

@@ -9,8 +9,8 @@ use anyhow::{Context as _, bail};
 use clap::Args;
 use config::Observatory;
 use contract::observatory::{Finding, ScheduleFindings, Severity};
-use node_observatory::schedule::read_text;
-use node_observatory::schedule::validate::{self, Known};
+use schedule::read_text;
+use schedule::validate::{self, Known};
 use units::Utc;
 
 use crate::console::{foreign_line, line};

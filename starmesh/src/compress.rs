@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, ensure};
 use clap::Args;
-use node_observatory::schedule::times;
+use schedule::times;
 use serde_json::Value;
 use units::Utc;
 

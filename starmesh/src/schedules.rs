@@ -8,8 +8,8 @@ use anyhow::{Context as _, bail};
 use clap::{Args, Subcommand};
 use contract::observatory::{RowStatus, ScheduleDraft, ScheduleFindings, ScheduleState};
 use contract::{Key, OrderKind, Part};
-use node_observatory::schedule::read_text;
-use node_observatory::schedule::versions::Versions;
+use node_observatory::schedule_file::versions::Versions;
+use schedule::read_text;
 
 use crate::console::{document_line, foreign_line};
 use crate::join::Join;

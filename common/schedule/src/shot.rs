@@ -17,3 +17,16 @@ pub struct Shot {
 pub fn fits(now: Utc, exposure_s: f64, end: Utc) -> bool {
     now.plus_seconds(exposure_s) <= end
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_exposure_starts_only_if_it_ends_within_the_window() {
+        let at = |text: &str| -> Utc { text.parse().unwrap() };
+        let end = at("2026-11-21T04:00:00Z");
+        assert!(fits(at("2026-11-21T03:59:00Z"), 60.0, end));
+        assert!(!fits(at("2026-11-21T03:59:00.001Z"), 60.0, end));
+    }
+}

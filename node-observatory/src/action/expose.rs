@@ -276,16 +276,3 @@ pub async fn intend(stage: &Stage) -> Result<Intent, Trouble> {
     let intent = tokio::task::spawn_blocking(move || room.journal.intend(&row, room.node.bus.clock().utc()));
     Ok(intent.await.map_err(io::Error::other)??)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_exposure_starts_only_if_it_ends_within_the_window() {
-        let at = |text: &str| -> Utc { text.parse().unwrap() };
-        let end = at("2026-11-21T04:00:00Z");
-        assert!(fits(at("2026-11-21T03:59:00Z"), 60.0, end));
-        assert!(!fits(at("2026-11-21T03:59:00.001Z"), 60.0, end));
-    }
-}

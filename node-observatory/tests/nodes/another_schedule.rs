@@ -8,7 +8,7 @@ use crate::site::Site;
 use contract::device::camera::Command as Camera;
 use contract::observatory::{RowState, RowStatus};
 use contract::{OrderKind, Reason, Reply};
-use node_observatory::schedule::versions::Versions;
+use node_observatory::schedule_file::versions::Versions;
 
 const MOST: Duration = Duration::from_secs(90);
 /// A change is seen and active within this time while nothing runs; the machine of a test may be busy with others.

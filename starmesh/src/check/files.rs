@@ -9,7 +9,7 @@ use config::Observatory;
 use config::header::HeaderTable;
 use contract::observatory::Severity;
 use node_archive::name::Namer;
-use node_observatory::schedule::validate;
+use schedule::validate;
 
 /// How much it weighs, the key that it is about, and what was found.
 type Found = (Severity, String, String);

@@ -187,7 +187,7 @@ mod tests {
         let night = DemoNight::next(options.latitude, options.longitude, options.elevation_m, now).unwrap();
         assert!(night.start < night.dusk && night.dusk < night.dawn);
         let cameras = [config.camera[0].common.name.clone()];
-        let rows = node_observatory::schedule::parse(&night.schedule().unwrap(), &cameras).unwrap();
+        let rows = schedule::parse(&night.schedule().unwrap(), &cameras).unwrap();
         assert_eq!(rows.len(), 10);
     }
 

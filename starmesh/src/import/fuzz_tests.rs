@@ -128,7 +128,7 @@ proptest! {
                 let camera: contract::Name = "c1".parse().unwrap();
                 let new = schedule::of_telescope(&pieces, &[schedule::Camera { old: "c1".to_owned(), new: camera.clone(), has_wheel: false }], &mut notes);
                 // what is written is taken: comments, and rows without a fault
-                let read = node_observatory::schedule::read(&new, &[camera]);
+                let read = ::schedule::read(&new, &[camera]);
                 let is_empty = new.lines().all(|line| line.trim().is_empty() || line.trim_start().starts_with("//"));
                 prop_assert!(is_empty || read.findings.is_empty(), "{}: {:?}", new, read.findings);
             }

@@ -1,8 +1,8 @@
 //! The predecessor's schedule: rows go to the telescope of their camera, comments with the row that they stand before.
 
 use contract::{Kind, Name};
-use node_observatory::action::ACTIONS;
-use node_observatory::schedule::times;
+use schedule::action::ACTIONS;
+use schedule::times;
 use serde_json::{Map, Value};
 
 use super::block::Block;
@@ -183,7 +183,7 @@ pub fn of_telescope(pieces: &[Piece], cameras: &[Camera], notes: &mut Notes) -> 
             }
             None => row,
         };
-        match node_observatory::schedule::parse(&row, &names) {
+        match schedule::parse(&row, &names) {
             Ok(_) => text += &row,
             Err(fault) => {
                 notes.add(piece.line, format!("row for {old}: {}; left out", fault.words()));
@@ -333,7 +333,7 @@ mod tests {
         let cameras = [camera("c", "c")];
         let mut notes = Notes::default();
         let new = of_telescope(&pieces(&text).unwrap().0, &cameras, &mut notes);
-        let rows = node_observatory::schedule::parse(&new, &[cameras[0].new.clone()]).unwrap();
+        let rows = ::schedule::parse(&new, &[cameras[0].new.clone()]).unwrap();
         assert_eq!((rows.len(), rows[0].action.name()), (1, "object"), "{new}");
         for key in ["\"execute_parallel\"", "\"n\"", "\"guidng\""] {
             assert!(
@@ -354,7 +354,7 @@ mod tests {
         assert_eq!(rest.trim(), "// end");
         let mut notes = Notes::default();
         let new = of_telescope(&pieces, &[camera("c", "c")], &mut notes);
-        assert_eq!(node_observatory::schedule::parse(&new, &["c".parse().unwrap()]).unwrap().len(), 2, "{new}");
+        assert_eq!(schedule::parse(&new, &["c".parse().unwrap()]).unwrap().len(), 2, "{new}");
         assert_eq!(notes.lines.len(), 1, "{notes:?}");
         assert!(notes.lines[0].0 == 4 && notes.lines[0].1.contains("in line 5"), "{notes:?}");
         assert!(new.contains("// why\n// not taken over: no JSON"), "{new}");
@@ -387,7 +387,7 @@ mod tests {
             let camera = Camera { has_wheel, ..camera("c", "c") };
             let mut notes = Notes::default();
             let new = of_telescope(&pieces, std::slice::from_ref(&camera), &mut notes);
-            let rows = node_observatory::schedule::parse(&new, &[camera.new]).unwrap();
+            let rows = ::schedule::parse(&new, &[camera.new]).unwrap();
             assert_eq!(rows[0].end.seconds_since(rows[0].start), 7200.0, "{new}");
             assert_eq!(rows[0].action.filters().is_empty(), !has_wheel, "{new}");
             let told = &notes.lines[0].1;

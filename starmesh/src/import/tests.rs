@@ -119,7 +119,7 @@ async fn an_observatory_of_two_telescopes_becomes_a_file_for_each_and_one_for_wh
 
     let schedule = fs::read_to_string(old.path().join("new/mount-a/schedule.jsonl")).unwrap();
     let cameras = ["cam_a".parse().unwrap()];
-    assert_eq!(node_observatory::schedule::parse(&schedule, &cameras).unwrap().len(), 1);
+    assert_eq!(::schedule::parse(&schedule, &cameras).unwrap().len(), 1);
     assert!(schedule.starts_with("// first night\n"), "{schedule}");
     assert!(a.archive.fits_header.is_some_and(|table| table.exists()));
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, bail, ensure};
 use contract::Kind;
-use node_observatory::schedule::times;
+use schedule::times;
 use serde_json::{Map, Value, json};
 use units::Utc;
 

@@ -1,7 +1,7 @@
 //! A plan for programs: one JSON object a line.
 
 use contract::observatory::RowStatus;
-use node_observatory::plan::{PlannedNight, PlannedRow, Site};
+use schedule::plan::{PlannedNight, PlannedRow, Site};
 use serde_json::{Map, Value, json};
 use units::Utc;
 

@@ -10,10 +10,10 @@ use anyhow::{Context as _, bail};
 use clap::Args;
 use config::Observatory;
 use node_archive::reader::Reader;
-use node_observatory::plan::overheads::TOOK;
-use node_observatory::plan::{Evidence, PlannedNight, Site, forecast};
-use node_observatory::schedule::read_text;
-use node_observatory::schedule::validate::{Known, accept};
+use schedule::plan::overheads::TOOK;
+use schedule::plan::{Evidence, PlannedNight, Site, forecast};
+use schedule::read_text;
+use schedule::validate::{Known, accept};
 use units::Utc;
 
 use crate::check;

@@ -1,7 +1,7 @@
 //! A plan for people: rows, altitude curves, what will not run, totals, and where the figures come from.
 
 use contract::observatory::RowStatus;
-use node_observatory::plan::{Figure, Heights, PlannedNight, PlannedRow, Site};
+use schedule::plan::{Figure, Heights, PlannedNight, PlannedRow, Site};
 use units::Utc;
 
 use super::Planned;

@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use node_observatory::plan::{PlannedNight, PlannedRow, forecast};
+use schedule::plan::{PlannedNight, PlannedRow, forecast};
 use units::Utc;
 
 /// Times of a file are as good as this, s: directions of slews are written to the hundredth of a degree.

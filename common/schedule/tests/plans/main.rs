@@ -13,13 +13,13 @@ mod year;
 use std::path::Path;
 use std::sync::Arc;
 
-use node_observatory::plan::{Evidence, Site};
-use node_observatory::schedule::Row;
-use node_observatory::schedule::validate::{Known, accept};
+use schedule::Row;
+use schedule::plan::{Evidence, Site};
+use schedule::validate::{Known, accept};
 
 /// Two cameras on one mount, a dome, a wheel; a slew takes 6 s and a third of a second per degree, a frame 2 s.
 const SITE: &str = concat!(
-    include_str!("../../../common/config/tests/paranal.toml"),
+    include_str!("../../../config/tests/paranal.toml"),
     r#"[schedule.check]
 frame_overhead_s = 2.0
 [[telescope]]

@@ -2,9 +2,9 @@
 //! goes on beyond what its action allows live.
 
 use contract::observatory::RowStatus;
-use node_observatory::action::ACTIONS;
-use node_observatory::plan::{PlannedRow, forecast};
 use proptest::prelude::*;
+use schedule::action::ACTIONS;
+use schedule::plan::{PlannedRow, forecast};
 use units::Utc;
 
 const OBJECT: &str = r#"{"object": "x", "exptime": EXPTIME, "ra": RA, "dec": -30, "execute_parallel": PARALLEL}"#;
@@ -93,5 +93,5 @@ proptest! {
 /// The Sun's altitude, deg.
 fn site_sun(at: Utc) -> f64 {
     let config = config::parse(super::SITE, std::path::Path::new(".")).unwrap();
-    node_observatory::plan::sky::Sky::of(&config.place).unwrap().sun_deg(at).unwrap()
+    schedule::plan::sky::Sky::of(&config.place).unwrap().sun_deg(at).unwrap()
 }

@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use contract::observatory::{Finding, Severity};
-use node_observatory::schedule::validate::{Known, accept, validate};
 use proptest::prelude::*;
+use schedule::validate::{Known, accept, validate};
 
 /// What is to be found.
 #[derive(Debug)]

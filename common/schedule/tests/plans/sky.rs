@@ -1,6 +1,6 @@
 //! The Sun of a plan beside the almanac's.
 
-use node_observatory::plan::sky::Sky;
+use schedule::plan::sky::Sky;
 use sky::next_sun_crossing;
 use units::{Angle, Utc};
 

@@ -1,4 +1,4 @@
-//! How long the plans of a year take: `cargo run --release -p node-observatory --example plans_a_year [NIGHTS]`.
+//! How long the plans of a year take: `cargo run --release -p schedule --example plans_a_year [NIGHTS]`.
 //!
 //! A night has some 40 rows: opening, flats at dusk and at dawn, a focus run, thirty targets through the night, one of them
 //! until its window ends, a planet, closing, calibrations and headers. Issue 5 asks for a year in under ten minutes.
@@ -7,13 +7,13 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use node_observatory::plan::{Evidence, Site, forecast};
-use node_observatory::schedule::validate::{Known, accept};
+use schedule::plan::{Evidence, Site, forecast};
+use schedule::validate::{Known, accept};
 use serde_json::{Value, json};
 use units::{Angle, Utc};
 
 const SITE: &str = concat!(
-    include_str!("../../common/config/tests/paranal.toml"),
+    include_str!("../../config/tests/paranal.toml"),
     r#"[[telescope]]
 name = "mount"
 server = "10.0.0.5:11111"

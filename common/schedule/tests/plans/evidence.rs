@@ -2,11 +2,11 @@
 
 use config::Observatory;
 use contract::device::camera::Frame;
-use node_observatory::plan::{Evidence, Figure, Overheads, Span};
+use schedule::plan::{Evidence, Figure, Overheads, Span};
 use units::Utc;
 
 /// Any frame: that of the contract's golden sample.
-const FRAME: &str = include_str!("../../../common/contract/golden/v1/camera.frame.json");
+const FRAME: &str = include_str!("../../../contract/golden/v1/camera.frame.json");
 
 fn config() -> Observatory {
     let text = "[observatory]\nsite = \"a\"\ntelescope = \"b\"\nlatitude_deg = 0\nlongitude_deg = 0\nelevation_m = 0\n\

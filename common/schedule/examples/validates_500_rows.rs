@@ -1,4 +1,4 @@
-//! How long the validation of 500 rows takes: `cargo run --release -p node-observatory --example validates_500_rows`.
+//! How long the validation of 500 rows takes: `cargo run --release -p schedule --example validates_500_rows`.
 //!
 //! Half of the rows follow each other through one night, the other half may run all night long, which is the most that
 //! visibility has to look at. Issue 5 asks for less than 50 ms.
@@ -7,11 +7,11 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use node_observatory::schedule::validate::{Known, validate};
+use schedule::validate::{Known, validate};
 use units::Utc;
 
 const SITE: &str = concat!(
-    include_str!("../../common/config/tests/paranal.toml"),
+    include_str!("../../config/tests/paranal.toml"),
     r#"[schedule.check]
 altitude_min_deg = 20.0
 [[telescope]]
