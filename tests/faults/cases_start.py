@@ -87,6 +87,32 @@ def half_tokens(rig):
         yield
 
 
+@case("the dome has moved to another address and nobody answers at the old one, then a half-written token file and a restart",
+      "N4 F1 F2", GUARD_PROCESS, group=START)
+def moved_and_half_tokens(rig):
+    port = free_port()
+    rig.spawn("neighbour", [rig.binary, "simulator", "--bind", f"127.0.0.1:{port}", "--size-px", "64"])
+    ours = f'name = "dome"\nserver = "{rig.wire.address}"'
+    try:
+        with changed(rig.configuration, lambda text: text.replace(ours, f'name = "dome"\nserver = "127.0.0.1:{port}"')):
+            restart_both(rig)
+            wait("the last-good copy names the old address", lambda: str(port) in copy_of(rig), 30)
+    finally:
+        rig.end("neighbour")
+    restart_both(rig)
+    rig.exposes(120.0)
+    with changed(rig.data / "tokens-alpha-dome.json", half):
+        rig.mark()
+        restart_both(rig)
+        yield
+
+
+def copy_of(rig) -> str:
+    """What the guard process needs to close the dome, as it is on disk."""
+    path = rig.configuration.with_name(f".{rig.configuration.name}.dome.guard")
+    return path.read_text() if path.exists() else ""
+
+
 @case("data folder gone and its place taken, and the dome's processes restart", "N4 F2", GUARD_PROCESS, group=START)
 def no_data(rig):
     away = rig.data.with_name("data-away")

@@ -57,6 +57,9 @@ pub struct Copy {
     pub telescope: Chunk,
     /// The domes of the node.
     pub domes: Vec<DomeCopy>,
+    /// Domes that the configuration does not name any more, at their old addresses, until they are let go.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub leaving: Vec<DomeCopy>,
     /// Peers on the bus, for alerts.
     pub connect: Vec<String>,
     /// Whether peers are looked for by multicast.
@@ -101,6 +104,7 @@ impl Copy {
             site: config.place.site.clone(),
             telescope: config.place.telescope.clone(),
             domes,
+            leaving: Vec::new(),
             connect: config.bus.connect.clone(),
             multicast: config.bus.multicast,
             tokens: BTreeMap::new(),
@@ -136,7 +140,7 @@ impl Copy {
             let all = [dome.parked_within_s, dome.permit_valid_s, dome.travel_timeout_s];
             all.iter().all(|seconds| seconds.is_finite() && *seconds >= 0.0) && !dome.target.server.is_empty()
         };
-        (!copy.domes.is_empty() && copy.domes.iter().all(sane)).then_some((sealed.number, copy))
+        (!copy.domes.is_empty() && copy.domes.iter().chain(&copy.leaving).all(sane)).then_some((sealed.number, copy))
     }
 }
 
@@ -178,6 +182,18 @@ pub mod tests {
         let copy = copy();
         assert_eq!((copy.domes[0].target.number, copy.domes[0].mounts.len()), (3, 1));
         assert_eq!(Copy::unsealed(&copy.sealed(7).unwrap()), Some((7, copy)));
+    }
+
+    #[test]
+    fn a_copy_knows_the_dome_of_today_and_the_one_that_is_not_let_go_yet() {
+        let mut now = copy();
+        let mut before = now.domes[0].clone();
+        before.target.server = "old:1".to_owned();
+        now.leaving = vec![before];
+        assert_eq!(Copy::unsealed(&now.sealed(8).unwrap()), Some((8, now.clone())));
+        // a copy of a version that knew no such domes
+        let text = String::from_utf8(copy().sealed(7).unwrap()).unwrap();
+        assert!(!text.contains("leaving") && Copy::unsealed(text.as_bytes()).is_some());
     }
 
     #[test]

@@ -8,6 +8,7 @@ use bus::MachineTime;
 use contract::observatory::AlertKind;
 
 use super::closer::{Closer, Word, alert};
+use super::copy::{Copy, DomeCopy};
 
 /// An address at which nobody has answered for so long has no dome any more.
 const NOBODY: Duration = Duration::from_secs(3600);
@@ -38,10 +39,32 @@ pub struct Leaving {
 }
 
 impl Leaving {
+    /// The domes of a copy that were not let go when it was stored.
+    pub fn of(copy: &mut Copy, now: MachineTime) -> Vec<Self> {
+        let domes = std::mem::take(&mut copy.leaving);
+        let closers = domes.into_iter().filter_map(|dome| match Closer::new(&dome, &copy.telescope, now) {
+            Ok(closer) => Some(Self::new(dome.name.as_str(), closer)),
+            Err(error) => {
+                tracing::error!(dome = %dome.name, %error, "no HTTP client");
+                None
+            }
+        });
+        closers.collect()
+    }
+
+    /// What is needed to close it.
+    pub fn dome(&self) -> &DomeCopy {
+        &self.closer.dome
+    }
+
     /// A dome by its closer.
     pub fn new(name: &str, closer: Closer) -> Self {
         let target = &closer.dome.target;
         let name = format!("{name} at {} number {}", target.server, target.number);
+        tracing::warn!(
+            dome = name,
+            "the configuration does not name this dome any more; it is closed there, and looked after until then"
+        );
         Self { name, closer, since: None, has_answered: false, told: BTreeSet::new() }
     }
 

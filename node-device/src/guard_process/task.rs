@@ -15,7 +15,7 @@ use tokio::process::{Child, ChildStdin};
 use tokio::time::{MissedTickBehavior, interval};
 
 use super::closer::Closer;
-use super::copy::Copy;
+use super::copy::{Copy, DomeCopy};
 use super::disk::{self, Written};
 use super::herald::Herald;
 use super::leaving::{self, Leaving};
@@ -83,7 +83,7 @@ struct Work<'a> {
     places: Places,
     clock: Clock,
     watch: Watch,
-    /// The last-good copy, and its number.
+    /// The last-good copy, and the number under which it was last stored.
     good: Option<(u64, Copy)>,
     /// The copy of the configuration that the running node was started with.
     tried: Option<Copy>,
@@ -112,7 +112,8 @@ struct Work<'a> {
 impl<'a> Work<'a> {
     fn new(options: &'a NodeOptions, verb: &'a [&'a str], id: &'a str, places: Places) -> Self {
         let clock = Clock::machine_clock();
-        let (good, now) = (places.copy(), clock.machine());
+        let (mut good, now) = (places.copy(), clock.machine());
+        let leaving = good.as_mut().map(|(_, copy)| Leaving::of(copy, now)).unwrap_or_default();
         let config = bus::node::read_observatory(&options.config).ok().and_then(|config| Copy::of(&config, id));
         let known = good.as_ref().map(|(_, copy)| copy).or(config.as_ref());
         let domes: Vec<_> = known
@@ -136,7 +137,7 @@ impl<'a> Work<'a> {
             good,
             tried: None,
             closers: BTreeMap::new(),
-            leaving: Vec::new(),
+            leaving,
             unsaved: false,
             asking: None,
             herald: Herald::new(id, options),
@@ -169,8 +170,9 @@ impl<'a> Work<'a> {
                 Err(error) => tracing::error!(dome = name, %error, "no HTTP client"),
             }
         }
-        let now_served = |old: &Closer| closers.values().any(|new: &Closer| new.dome.target == old.dome.target);
-        let gone = std::mem::take(&mut self.closers).into_iter().filter(|(_, old)| !now_served(old));
+        let is_gone = |old: &DomeCopy| closers.values().all(|new: &Closer| new.dome.target != old.target);
+        let gone = std::mem::take(&mut self.closers).into_iter().filter(|(_, old)| is_gone(&old.dome));
+        self.leaving.retain(|old| is_gone(old.dome()));
         self.leaving.extend(gone.map(|(name, closer)| Leaving::new(&name, closer)));
         self.closers = closers;
     }
@@ -222,7 +224,7 @@ impl<'a> Work<'a> {
         if self.good.as_ref().is_some_and(|(_, good)| *good == worked) {
             return;
         }
-        let number = self.good.as_ref().map_or(1, |(number, _)| number + 1);
+        let number = self.good.as_ref().map_or(0, |(number, _)| *number);
         let is_new = self.good.as_ref().is_none_or(|(_, good)| !good.closes_as(&worked));
         self.good = Some((number, worked));
         self.unsaved = true;
@@ -230,20 +232,17 @@ impl<'a> Work<'a> {
             let names = tried.domes.iter().map(|dome| dome.name.as_str()).collect::<Vec<_>>();
             self.watch.keep_only(&names);
             self.arm();
-            for leaving in &self.leaving {
-                tracing::warn!(
-                    dome = leaving.name,
-                    "the configuration does not name this dome any more; it is closed there, and looked after until then"
-                );
-            }
         }
     }
 
-    /// Stores the last-good copy. A restart of this process must still know a dome that is not let go yet.
+    /// Stores the last-good copy with the domes that are not let go yet: a restart of this process must still know both.
     fn save(&mut self) {
-        if let Some((number, good)) = self.good.as_ref().filter(|_| self.unsaved && self.leaving.is_empty())
-            && self.disk.try_send(Written::Copy(*number, Box::new(good.clone()))).is_ok()
-        {
+        if let Some((number, good)) = self.good.as_mut().filter(|_| self.unsaved) {
+            let copy = Copy { leaving: self.leaving.iter().map(|old| old.dome().clone()).collect(), ..good.clone() };
+            if self.disk.try_send(Written::Copy(*number + 1, Box::new(copy))).is_err() {
+                return;
+            }
+            *number += 1;
             self.unsaved = false;
             tracing::debug!(number, "what is needed to close was stored for the time when nothing else works");
         }
@@ -251,12 +250,13 @@ impl<'a> Work<'a> {
 
     /// Closes the domes that the configuration names no more.
     fn let_go(&mut self, now: MachineTime) {
-        let (herald, good) = (&mut self.herald, &self.good);
+        let (herald, good, before) = (&mut self.herald, &self.good, self.leaving.len());
         leaving::close_all(&mut self.leaving, now, |kind, name, cause| {
             if let Some((_, copy)) = good {
                 herald.tell(copy, kind, name, cause);
             }
         });
+        self.unsaved |= self.leaving.len() < before;
     }
 
     /// One round; returns how this process ends.
@@ -328,7 +328,10 @@ impl<'a> Work<'a> {
         let Some(Ok(Ready { copy, node })) = told else { return self.watch.not_yet(now) };
         let copy = match copy {
             Ok(copy) => copy,
-            Err(why) => return self.cannot_start(now, why),
+            Err(why) => {
+                (self.trouble, self.tried) = (Some(why), None);
+                return self.watch.ended(now);
+            }
         };
         for dome in &copy.domes {
             self.watch.add(dome.name.as_str(), now.plus(dome.permit_valid()));
@@ -354,12 +357,6 @@ impl<'a> Work<'a> {
                 self.watch.ended(now);
             }
         }
-    }
-
-    fn cannot_start(&mut self, now: MachineTime, why: String) {
-        self.trouble = Some(why);
-        self.tried = None;
-        self.watch.ended(now);
     }
 
     /// Looks after every dome that nobody else looks after.
