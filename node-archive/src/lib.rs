@@ -30,6 +30,7 @@ mod history;
 pub mod interpolate;
 pub mod name;
 pub mod pass;
+pub mod plan;
 mod quality;
 pub mod reader;
 mod rebuild;
