@@ -7,8 +7,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bus::{Catch, Node};
-use contract::observatory::FrameFacts;
 use contract::Scalar;
+use contract::observatory::FrameFacts;
 use tokio::sync::Notify;
 
 use crate::database::{Database, StoredFacts, Write};

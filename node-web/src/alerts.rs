@@ -73,8 +73,8 @@ mod tests {
     use serde_json::{Value, json};
 
     use super::*;
-    use crate::network::Network;
     use crate::model::tests::heard;
+    use crate::network::Network;
 
     fn ids(said: &[(&str, Value)], now_s: u64) -> Vec<String> {
         let address = Address::new("paranal", "callisto").unwrap();
