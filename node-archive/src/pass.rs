@@ -21,7 +21,7 @@ use crate::database::{Database, StoredFacts, StoredImage, Write};
 use crate::facts;
 use crate::folder::without_links;
 use crate::header::{Around, Later, completion, needed};
-use crate::pairing;
+use crate::pairing::pairing;
 use crate::plan::Plan;
 use crate::reader::Reader;
 use crate::telemetry::Newest;

@@ -22,7 +22,7 @@ use crate::fits::{FitsFile, Shape};
 use crate::folder::{self, is_taken, make_way, relative_text, without_links};
 use crate::header;
 use crate::name::{Namer, other_than};
-use crate::pairing;
+use crate::pairing::pairing;
 use crate::reader::Reader;
 use crate::rebuild::OnDisk;
 use crate::stored_header::Header;
