@@ -18,8 +18,7 @@ use serde_json::Value;
 
 use crate::database::{Database, StoredRecord, Write};
 use crate::reader::Reader;
-use crate::telemetry::first;
-use crate::watch_keys;
+use crate::telemetry::{first, watch_keys};
 
 /// Records that wait here; those that give way are asked for.
 const WAITING: usize = 4096;

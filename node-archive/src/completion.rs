@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 use crate::folder::{PART_FOLDER, is_taken};
-use crate::header::Plan;
+use crate::plan::Plan;
 use crate::solution;
 use crate::stored_header::Header;
 

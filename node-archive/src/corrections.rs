@@ -2,23 +2,12 @@
 
 use bus::{Catch, Node};
 use contract::observatory::Correction;
-use contract::{BootId, Key, Scalar};
+use contract::{Key, Scalar};
 
-use crate::database::{Database, Write};
+use crate::database::{Database, StoredCorrection, Write};
 
 /// Corrections that wait here when the database is slow.
 const WAITING: usize = 4096;
-
-/// A correction with the message that brought it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct StoredCorrection {
-    /// What was done.
-    pub correction: Correction,
-    /// Of which telescope.
-    pub telescope: String,
-    /// Life of the node that said it, and its number.
-    pub said: (BootId, u64),
-}
 
 /// Keeps the corrections of this telescope.
 pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {

@@ -5,8 +5,7 @@ use contract::Key;
 use contract::node::DiaryLine;
 
 use crate::database::{Database, Write};
-use crate::telemetry::first;
-use crate::watch_keys;
+use crate::telemetry::{first, watch_keys};
 
 /// Lines that wait here when the database is slow.
 const WAITING: usize = 16_384;

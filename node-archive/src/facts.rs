@@ -7,29 +7,17 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bus::{Catch, Node};
+use contract::Scalar;
 use contract::observatory::FrameFacts;
-use contract::{BootId, Scalar};
 use tokio::sync::Notify;
-use units::Utc;
 
-use crate::database::{Database, Write};
+use crate::database::{Database, StoredFacts, Write};
 
 /// A header waits so long for facts, machine time: they come within a second of the frame. Those that come later are put
 /// into the complete header.
 pub const PATIENCE: Duration = Duration::from_secs(3);
 /// Facts that wait here when the database is slow.
 const WAITING: usize = 4096;
-
-/// Facts with the message that brought them.
-#[derive(Debug, Clone, PartialEq)]
-pub struct StoredFacts {
-    /// What was measured, or why not.
-    pub facts: FrameFacts,
-    /// Sky time when it was said.
-    pub at: Utc,
-    /// Life of the node that said it, and number on the frame's key.
-    pub said: (BootId, u64),
-}
 
 /// Keeps the facts of all frames of this telescope.
 pub async fn keep(node: Node, database: Database, incomplete: Arc<Notify>) -> anyhow::Result<()> {

@@ -8,15 +8,14 @@ use std::path::Path;
 
 use bus::{Catch, Node};
 use contract::observatory::{FocusCurve, FocusPass, FocusRun};
-use contract::{BootId, Key, Scalar};
+use contract::{Key, Scalar};
 use imaging::focus::plot::Plot;
 use imaging::focus::sweep::{Fit, Pass, Point};
 use imaging::focus::{Better, Hyperbola, SMOOTHERS};
 use imaging::quality::Estimate;
-use units::Utc;
 
 use crate::completion::sync_folder;
-use crate::database::{Database, Write};
+use crate::database::{Database, StoredRun, Write};
 use crate::folder::{is_taken, without_links};
 use crate::name::part;
 
@@ -24,19 +23,6 @@ use crate::name::part;
 const FOLDER: &str = "autofocus";
 /// Runs that wait here when the database is slow.
 const WAITING: usize = 256;
-
-/// A run with the message that brought it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct StoredRun {
-    /// The run.
-    pub run: FocusRun,
-    /// Its plot, relative to the folder of images, with `/` on every system.
-    pub plot: String,
-    /// Sky time when it was said.
-    pub at: Utc,
-    /// Life of the node that said it, and number on its key.
-    pub said: (BootId, u64),
-}
 
 /// Keeps the focus runs of this telescope.
 pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {

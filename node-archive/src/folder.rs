@@ -169,5 +169,11 @@ pub fn is_taken(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok()
 }
 
+/// A path relative to the folder of images, with `/` on every system.
+pub fn relative_text(images: &Path, path: &Path) -> String {
+    let relative = path.strip_prefix(images).unwrap_or(path);
+    relative.iter().map(|part| part.to_string_lossy()).collect::<Vec<_>>().join("/")
+}
+
 #[cfg(test)]
 mod tests;

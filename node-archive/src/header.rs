@@ -17,6 +17,7 @@ use units::{Angle, Utc};
 use crate::astronomy::{self, Exposure, fits_date};
 use crate::card::{Card, CardValue};
 use crate::interpolate::{Rule, Sample, value_at};
+use crate::plan::Plan;
 use crate::{quality, solution};
 
 /// What the ASTRA keyword says.
@@ -202,15 +203,6 @@ fn typed(dtype: Dtype, value: &Scalar) -> CardValue {
         (Dtype::Str, _) => CardValue::Text(value.to_string()),
         (_, None) => CardValue::of(value),
     }
-}
-
-/// What is added to a header once the telemetry is there.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Plan {
-    /// Keywords to set.
-    pub cards: Vec<Card>,
-    /// Lines for the history: what is missing.
-    pub history: Vec<String>,
 }
 
 /// The polls around an instant.

@@ -29,7 +29,9 @@ pub mod header;
 mod history;
 pub mod interpolate;
 pub mod name;
+mod pairing;
 pub mod pass;
+pub mod plan;
 mod quality;
 pub mod reader;
 mod rebuild;
@@ -39,7 +41,6 @@ pub mod stored_header;
 pub mod telemetry;
 mod turns;
 
-use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicI64;
@@ -47,10 +48,8 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use bus::{Node, Quality};
-use config::Observatory;
-use contract::device::camera::Frame;
 use contract::observatory::AlertKind;
-use contract::{Address, Device, Key, Kind, Scalar};
+use contract::{Address, Key, Scalar};
 use tokio::sync::Notify;
 use tokio::task::JoinSet;
 
@@ -177,41 +176,4 @@ async fn open_database(node: &Node) -> anyhow::Result<Option<(Database, database
             return Ok(None);
         }
     }
-}
-
-/// Keys of this telescope, and of what it shares with its neighbours, below which something is heard.
-fn watch_keys(config: &Observatory, below: &str) -> Vec<String> {
-    let own = config.address();
-    let mut addresses = vec![own.clone(), own.shared()];
-    addresses.dedup();
-    addresses.iter().map(|address: &Address| format!("{}/{address}/{below}", contract::key::ROOT)).collect()
-}
-
-/// The camera and the devices that belong to a frame: as the frame says, else as the configuration pairs them.
-fn pairing(config: &Observatory, camera: &Device, frame: &Frame) -> HashMap<Kind, Device> {
-    let mut devices = HashMap::from([(Kind::Camera, camera.clone())]);
-    for (kind, name) in &frame.purpose.paired {
-        match (kind.parse::<Kind>(), name.parse()) {
-            (Ok(kind), Ok(name)) if kind != Kind::Camera => drop(devices.insert(kind, config.device(kind, &name))),
-            (Ok(_), Ok(_)) => {}
-            _ => tracing::warn!(kind, name, frame = %frame.id, "a pairing that names nothing"),
-        }
-    }
-    let block = config.camera.iter().find(|block| block.common.name == camera.name);
-    if let (true, Some(block)) = (frame.purpose.paired.is_empty(), block) {
-        let pairs = [
-            (Kind::Telescope, &block.telescope),
-            (Kind::FilterWheel, &block.filterwheel),
-            (Kind::Focuser, &block.focuser),
-            (Kind::Dome, &block.dome),
-            (Kind::Rotator, &block.rotator),
-            (Kind::CoverCalibrator, &block.covercalibrator),
-            (Kind::SafetyMonitor, &block.safetymonitor),
-            (Kind::ObservingConditions, &block.observingconditions),
-            (Kind::Switch, &block.switch),
-        ];
-        let named = pairs.into_iter().filter_map(|(kind, name)| Some((kind, name.as_ref()?)));
-        devices.extend(named.map(|(kind, name)| (kind, config.device(kind, name))));
-    }
-    devices
 }

@@ -17,11 +17,12 @@ use contract::{BootId, CommandId, Device, Kind, Scalar};
 use tokio::sync::Notify;
 
 use crate::completion::{Completer, read_header};
-use crate::database::{Database, StoredImage, Write};
-use crate::facts::{self, StoredFacts};
+use crate::database::{Database, StoredFacts, StoredImage, Write};
+use crate::facts;
 use crate::folder::without_links;
-use crate::header::{Around, Later, Plan, completion, needed};
-use crate::pairing;
+use crate::header::{Around, Later, completion, needed};
+use crate::pairing::pairing;
+use crate::plan::Plan;
 use crate::reader::Reader;
 use crate::telemetry::Newest;
 use crate::{quality, solution};

@@ -7,7 +7,7 @@ use config::header::{HeaderTable, Source};
 use contract::observatory::FrameFacts;
 
 use crate::card::{Card, CardValue};
-use crate::header::Plan;
+use crate::plan::Plan;
 
 type Value = fn(&FrameFacts) -> Option<CardValue>;
 

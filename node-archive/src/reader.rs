@@ -10,8 +10,7 @@ use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags, OptionalExtension as _, params};
 use units::Utc;
 
-use crate::database::{DatabaseError, StoredImage, stamp};
-use crate::facts::StoredFacts;
+use crate::database::{DatabaseError, StoredFacts, StoredImage, stamp};
 use crate::header::Around;
 use crate::interpolate::Sample;
 

@@ -19,9 +19,8 @@ use units::{Angle, Utc};
 use crate::astronomy;
 use crate::database::{Database, StoredImage, Write};
 use crate::fits::Shape;
-use crate::folder::PART_FOLDER;
+use crate::folder::{PART_FOLDER, relative_text as relative};
 use crate::reader::Reader;
-use crate::store::relative_text as relative;
 use crate::stored_header::Header;
 
 /// Folders within folders that are looked into.

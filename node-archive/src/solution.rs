@@ -13,7 +13,7 @@ use imaging::wcs::{Sip, Value};
 use units::Angle;
 
 use crate::card::{Card, CardValue};
-use crate::header::Plan;
+use crate::plan::Plan;
 
 /// Keywords of the frame of coordinates, which a table may list as well: RA and DEC have the same one.
 const FRAME: [&str; 2] = ["RADESYS", "EQUINOX"];

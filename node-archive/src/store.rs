@@ -19,10 +19,10 @@ use units::Utc;
 use crate::completion::sync_folder;
 use crate::database::{Database, StoredImage, Write};
 use crate::fits::{FitsFile, Shape};
-use crate::folder::{self, is_taken, make_way, without_links};
+use crate::folder::{self, is_taken, make_way, relative_text, without_links};
 use crate::header;
 use crate::name::{Namer, other_than};
-use crate::pairing;
+use crate::pairing::pairing;
 use crate::reader::Reader;
 use crate::rebuild::OnDisk;
 use crate::stored_header::Header;
@@ -328,10 +328,4 @@ fn free_path(images: &Path, relative: &Path, written: Utc) -> anyhow::Result<Pat
     let other = other_than(&path, written);
     tracing::warn!(taken = %path.display(), instead = %other.display(), "a file of this name exists");
     Ok(other)
-}
-
-/// A path relative to the folder of images, with `/` on every system.
-pub fn relative_text(images: &Path, path: &Path) -> String {
-    let relative = path.strip_prefix(images).unwrap_or(path);
-    relative.iter().map(|part| part.to_string_lossy()).collect::<Vec<_>>().join("/")
 }

@@ -7,12 +7,11 @@ use bus::{Catch, Heard, Node};
 use config::Observatory;
 use contract::device::Description;
 use contract::device::telescope::EquatorialSystem;
-use contract::{Device, DeviceState, Key, NoData, Reading, Scalar};
+use contract::{Address, Device, DeviceState, Key, NoData, Reading, Scalar};
 use serde_json::Value;
 use units::Utc;
 
 use crate::database::{Database, Write};
-use crate::watch_keys;
 
 /// States that wait here when the database is slow: at ten devices and 10 Hz, ten minutes.
 const WAITING_STATES: usize = 65_536;
@@ -190,6 +189,14 @@ fn reason(reading: &Reading) -> String {
 pub(crate) async fn first<T: contract::Payload>(subscribers: &[bus::Subscriber<T>]) -> Heard<T> {
     let waits = subscribers.iter().map(|subscriber| Box::pin(subscriber.hear()));
     futures_util::future::select_all(waits).await.0
+}
+
+/// Keys of this telescope, and of what it shares with its neighbours, below which something is heard.
+pub fn watch_keys(config: &Observatory, below: &str) -> Vec<String> {
+    let own = config.address();
+    let mut addresses = vec![own.clone(), own.shared()];
+    addresses.dedup();
+    addresses.iter().map(|address: &Address| format!("{}/{address}/{below}", contract::key::ROOT)).collect()
 }
 
 #[cfg(test)]

@@ -27,6 +27,7 @@ use node_archive::database::{Database, Write};
 use node_archive::fits::{FitsFile, Shape};
 use node_archive::stored_header::Header;
 use sha2::{Digest, Sha256};
+use test_support::{LIMIT, PARANAL, RunningNode, block, join, private_bus, serve, until};
 use units::Utc;
 
 const SHAPE: Shape = Shape { pixel: Pixel::U16, width_px: 64, height_px: 32, planes: 1 };
@@ -64,14 +65,11 @@ impl Spool {
     async fn start(bus: Bus) -> Self {
         let requests = Arc::new(AtomicUsize::new(0));
         let counted = requests.clone();
-        let serve = move |headers: HeaderMap| {
+        let answers = move |headers: HeaderMap| {
             let count = counted.fetch_add(1, Ordering::SeqCst);
             async move { answer(count, &headers) }
         };
-        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let url = format!("http://{}/frame?token=t", listener.local_addr().unwrap());
-        let app = axum::Router::new().route("/frame", get(serve));
-        tokio::spawn(async move { axum::serve(listener, app).await });
+        let url = format!("http://{}/frame?token=t", serve(axum::Router::new().route("/frame", get(answers))).await);
         let released: Arc<Mutex<Vec<Command<camera::Command>>>> = Arc::default();
         let heard = released.clone();
         let key = Key::Command(camera());
@@ -169,29 +167,15 @@ fn answer(count: usize, headers: &HeaderMap) -> Response<Body> {
 }
 
 fn observatory(folder: &Path) -> config::Observatory {
-    let text = r#"
-        [observatory]
-        site = "paranal"
-        telescope = "callisto"
-        latitude_deg = -24.6
-        longitude_deg = -70.4
-        elevation_m = 2500
-        [[telescope]]
-        name = "mount"
-        server = "localhost:1"
-        equatorial_system = "j2000"
-        [[camera]]
-        name = "andor"
-        server = "localhost:1"
-    "#;
-    config::parse(text, folder).unwrap()
+    let mount = block("telescope", "mount", "localhost:1", "equatorial_system = \"j2000\"");
+    let camera = block("camera", "andor", "localhost:1", "");
+    config::parse(&format!("{PARANAL}{mount}{camera}"), folder).unwrap()
 }
 
+/// The session of the device nodes, and one of an archive.
 async fn two_buses() -> (Bus, Bus) {
-    let settings =
-        |connect: Vec<String>| config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect, multicast: false };
-    let first = Bus::open(&settings(Vec::new()), Clock::machine_clock()).await.unwrap();
-    let second = Bus::open(&settings(first.locators().await), Clock::machine_clock()).await.unwrap();
+    let first = private_bus(Clock::machine_clock()).await;
+    let second = join(&first).await;
     (first, second)
 }
 
@@ -213,6 +197,10 @@ HUMIDITY,float,false,ObservingConditions,Humidity,not paired
     .parse()
     .unwrap();
     Node::new(Role::Archive, "main".parse().unwrap(), observatory(folder), table, bus)
+}
+
+fn run(node: Node) -> RunningNode {
+    RunningNode::work(node, node_archive::run)
 }
 
 /// Where the mount points at an instant: 0.01 deg/s up, and over north.
@@ -256,23 +244,13 @@ async fn hear_stored(stored: &Subscriber<Stored>, complete: bool) -> Stored {
             }
         }
     };
-    tokio::time::timeout(Duration::from_secs(90), wait).await.unwrap()
+    tokio::time::timeout(LIMIT, wait).await.unwrap()
 }
 
 async fn ask(bus: &Bus, ask: Ask) -> Vec<Row> {
     let question = Question { ask, from_utc: None, to_utc: None, limit: None };
     let answer: Answer = bus.ask(&Key::History(address()), &question, Duration::from_secs(5)).await.unwrap();
     answer.rows
-}
-
-async fn until(what: &str, mut is_so: impl FnMut() -> bool) {
-    for _ in 0..900 {
-        if is_so() {
-            return;
-        }
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
-    panic!("not within 90 s: {what}");
 }
 
 fn files(folder: &Path) -> Vec<PathBuf> {
@@ -303,9 +281,7 @@ async fn a_frame_is_stored_once_released_completed_and_found_again_after_a_resta
     let start = device_bus.clock().utc();
     let polling = tokio::spawn(poll_mount(device_bus.clone(), start));
 
-    let node = archive(folder.path(), archive_bus.clone());
-    let stop = node.stop.clone();
-    let running = tokio::spawn(node_archive::run(node));
+    let running = run(archive(folder.path(), archive_bus));
     tokio::time::sleep(Duration::from_secs(1)).await;
     let line = DiaryLine {
         level: Level::Warn,
@@ -363,19 +339,9 @@ async fn a_frame_is_stored_once_released_completed_and_found_again_after_a_resta
     assert!(log.iter().any(told), "{log:?}");
 
     // an archive that was away misses nothing, and knows what it has
-    stop.stop();
-    running.await.unwrap().unwrap();
-    archive_bus.close().await;
+    running.stop().await;
     tokio::time::sleep(Duration::from_secs(2)).await;
-    let settings = config::Bus {
-        listen: vec!["tcp/127.0.0.1:0".to_owned()],
-        connect: device_bus.locators().await,
-        multicast: false,
-    };
-    let again = Bus::open(&settings, Clock::machine_clock()).await.unwrap();
-    let node = archive(folder.path(), again.clone());
-    let stop = node.stop.clone();
-    let running = tokio::spawn(node_archive::run(node));
+    let running = run(archive(folder.path(), join(&device_bus).await));
     let releases = spool.releases("frame-1");
     until("released after the restart", || spool.releases("frame-1") > releases).await;
     tokio::time::sleep(Duration::from_secs(2)).await;
@@ -394,8 +360,7 @@ async fn a_frame_is_stored_once_released_completed_and_found_again_after_a_resta
     assert!(longest < 1.0, "a hole of {longest} s in the telemetry");
     let frames = ask(&spool.bus, Ask::Frames).await;
     assert!(matches!(&frames[..], [Row::Frame { header_complete: true, .. }]), "{frames:?}");
-    stop.stop();
-    running.await.unwrap().unwrap();
+    running.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -409,8 +374,7 @@ async fn frames_of_one_moment_have_files_of_their_own() {
     let mut config = (*node.config).clone();
     config.archive.filename.insert("object".to_owned(), "{sequence_counter}".to_owned());
     node.config = config.into();
-    let stop = node.stop.clone();
-    let running = tokio::spawn(node_archive::run(node));
+    let running = run(node);
     tokio::time::sleep(Duration::from_millis(500)).await;
     let ids: Vec<String> = (10..70).map(|index| format!("frame-{index}")).collect();
     for (id, index) in ids.iter().zip(0..) {
@@ -423,8 +387,7 @@ async fn frames_of_one_moment_have_files_of_their_own() {
         files(&images).iter().map(|file| Header::read(file).unwrap().unwrap().value("FRAMEID").unwrap()).collect();
     found.sort();
     assert_eq!(found, ids);
-    stop.stop();
-    running.await.unwrap().unwrap();
+    running.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -449,8 +412,7 @@ async fn a_file_that_was_named_just_before_a_kill_is_adopted() {
     writer.end().await;
 
     let stored = spool.bus.subscribe::<Stored>(&Key::Stored(address()).to_string(), Catch::All, 100).await.unwrap();
-    let stop = node.stop.clone();
-    let running = tokio::spawn(node_archive::run(node));
+    let running = run(node);
     tokio::time::sleep(Duration::from_millis(500)).await;
     let taken = device_bus.clock().utc();
     spool.frames.put(spool.frame("frame-2", taken)).await.unwrap();
@@ -469,6 +431,5 @@ async fn a_file_that_was_named_just_before_a_kill_is_adopted() {
         );
     }
     assert_eq!(files(&images).len(), 2);
-    stop.stop();
-    running.await.unwrap().unwrap();
+    running.stop().await;
 }

@@ -2,26 +2,17 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends at the first surprise")]
 
-use std::time::{Duration, Instant};
-
-use bus::{Bus, Clock, Node, Quality};
+use bus::{Clock, Node, Quality};
 use contract::observatory::FocusRun;
 use contract::{Address, CommandId, Key, Role};
-
-const MOST: Duration = Duration::from_secs(90);
-
-async fn bus(connect: Vec<String>) -> Bus {
-    let settings = config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect, multicast: false };
-    Bus::open(&settings, Clock::machine_clock()).await.unwrap()
-}
+use test_support::{PARANAL, RunningNode, block, join, private_bus, until};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn runs_are_kept_once_with_their_points_and_a_plot() {
     let folder = tempfile::tempdir().unwrap();
-    let observatory = bus(Vec::new()).await;
-    let text = "[observatory]\nsite = \"paranal\"\ntelescope = \"callisto\"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\n\
-                elevation_m = 2500\n[[camera]]\nname = \"andor\"\nserver = \"localhost:1\"\n";
-    let config = config::parse(text, folder.path()).unwrap();
+    let observatory = private_bus(Clock::machine_clock()).await;
+    let text = PARANAL.to_owned() + &block("camera", "andor", "localhost:1", "");
+    let config = config::parse(&text, folder.path()).unwrap();
     let (address, database) = (Address::new("paranal", "callisto").unwrap(), config.archive.database.clone());
     let line = observatory.publisher::<FocusRun>(&Key::FocusRun(address), Quality::Event { cache: 10 }).await.unwrap();
     let sample: FocusRun =
@@ -32,21 +23,17 @@ async fn runs_are_kept_once_with_their_points_and_a_plot() {
 
     let table: config::header::HeaderTable =
         "header,dtype,fixed,device_type,device_command,comment\nDATE,str,false,astra,,written\n".parse().unwrap();
-    let own = bus(observatory.locators().await).await;
-    let node = Node::new(Role::Archive, "main".parse().unwrap(), config, table, own);
-    let stop = node.stop.clone();
-    let running = tokio::spawn(node_archive::run(node));
+    let node = Node::new(Role::Archive, "main".parse().unwrap(), config, table, join(&observatory).await);
+    let running = RunningNode::work(node, node_archive::run);
     let second = FocusRun { id: CommandId("second".to_owned()), filter: None, ..sample.clone() };
     line.put(second).await.unwrap();
 
     let plots = folder.path().join("images/autofocus/20261120");
-    let began = Instant::now();
-    while std::fs::read_dir(&plots).map_or(0, |files| files.flatten().count()) < 2 {
-        assert!(began.elapsed() < MOST, "no plots in {}", plots.display());
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
-    stop.stop();
-    running.await.unwrap().unwrap();
+    // a plot that is being written has another ending, and the first one is written twice
+    let is_plot = |file: &std::fs::DirEntry| file.path().extension().is_some_and(|ending| ending == "svg");
+    until("two plots", || std::fs::read_dir(&plots).is_ok_and(|files| files.flatten().filter(is_plot).count() == 2))
+        .await;
+    running.stop().await;
     let svg = std::fs::read_to_string(plots.join("andor_focuser_V_20261121_030800.svg")).unwrap();
     assert!(svg.contains("callisto andor, V") && svg.ends_with("</svg>\n"), "{svg}");
     let database = rusqlite::Connection::open(database).unwrap();

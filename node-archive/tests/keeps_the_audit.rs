@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test ends by panicking")]
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use audit::{Audit, Entry};
 use bus::{Bus, Clock, Node, Quality};
@@ -12,33 +12,32 @@ use contract::archive::{Answer, Ask, Question, Row};
 use contract::audit::{Outcome, Record, Said};
 use contract::{CommandId, Key, NodeTopic, Role};
 use node_archive::reader::Reader;
-use tokio::task::JoinHandle;
+use test_support::{ALPHA, RunningNode, block, join, private_bus, until};
 
-fn private(connect: Vec<String>) -> config::Bus {
-    config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect, multicast: false }
-}
-
-async fn node(role: Role, folder: &Path, connect: Vec<String>) -> Node {
-    let text = "[observatory]\nsite = \"site\"\ntelescope = \"alpha\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\n\
-        elevation_m = 0.0\n[[camera]]\nname = \"cam\"\nserver = \"localhost:1\"\n";
-    let config = config::parse(text, folder).unwrap();
-    let bus = Bus::open(&private(connect), Clock::machine_clock()).await.unwrap();
-    Node::new(role, "main".parse().unwrap(), config, config::header::HeaderTable::default(), bus)
+async fn node(role: Role, folder: &Path, meet: Option<&Bus>) -> Node {
+    let config = config::parse(&(ALPHA.to_owned() + &block("camera", "cam", "localhost:1", "")), folder).unwrap();
+    let bus = match meet {
+        Some(bus) => join(bus).await,
+        None => private_bus(Clock::machine_clock()).await,
+    };
+    Node::new(role, "main".parse().unwrap(), config, Default::default(), bus)
 }
 
 /// A device node that does nothing but say that it lives, and notes what it is told.
 struct Noter {
-    node: Node,
+    running: RunningNode,
     audit: Audit,
-    life: JoinHandle<anyhow::Result<()>>,
 }
 
 impl Noter {
-    async fn start(folder: &Path, connect: Vec<String>) -> Self {
-        let node = node(Role::Device, folder, connect).await;
+    async fn start(folder: &Path, meet: Option<&Bus>) -> Self {
+        let node = node(Role::Device, folder, meet).await;
         let audit = Audit::start(&node).await.unwrap();
-        let life = tokio::spawn(node.clone().live(None, std::future::pending()));
-        Self { node, audit, life }
+        Self { running: RunningNode::live(node, |_| std::future::pending()), audit }
+    }
+
+    fn bus(&self) -> &Bus {
+        &self.running.node.bus
     }
 
     fn note(&self, count: usize) {
@@ -58,31 +57,31 @@ impl Noter {
 
     async fn end(self) {
         self.audit.end().await;
-        self.life.abort();
-        self.node.bus.close().await;
+        self.running.kill().await;
     }
 }
 
-struct Archive {
-    node: Node,
-    running: JoinHandle<anyhow::Result<()>>,
-}
+struct Archive(RunningNode);
 
 impl Archive {
-    async fn start(folder: &Path, connect: Vec<String>) -> Self {
-        let node = node(Role::Archive, folder, connect).await;
-        let running = tokio::spawn(node_archive::run(node.clone()));
-        Self { node, running }
+    async fn start(folder: &Path, meet: &Bus) -> Self {
+        Self(RunningNode::work(node(Role::Archive, folder, Some(meet)).await, node_archive::run))
     }
 
     async fn end(self) {
-        self.node.stop.stop();
-        self.running.await.unwrap().unwrap();
-        self.node.bus.close().await;
+        self.0.stop().await;
     }
 
     fn alerts(&self) -> Vec<String> {
-        self.node.alerts.watch().borrow().alerts.iter().map(|alert| format!("{}: {}", alert.id, alert.cause)).collect()
+        self.0
+            .node
+            .alerts
+            .watch()
+            .borrow()
+            .alerts
+            .iter()
+            .map(|alert| format!("{}: {}", alert.id, alert.cause))
+            .collect()
     }
 }
 
@@ -101,25 +100,20 @@ fn stored(folder: &Path) -> Vec<String> {
 }
 
 async fn until_the_same(node: &Path, archive: &Path, count: usize) {
-    let began = Instant::now();
-    loop {
-        let (told, kept) = (lines(node), stored(archive));
-        if told.len() >= count && told == kept {
-            return;
-        }
-        assert!(began.elapsed() < Duration::from_secs(90), "{} lines, {} of them stored", told.len(), kept.len());
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
+    until(&format!("{count} lines, all of them stored"), || {
+        let told = lines(node);
+        told.len() >= count && told == stored(archive)
+    })
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_archive_that_was_away_has_every_record_in_its_order_afterwards() {
     let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let noter = Noter::start(here.path(), Vec::new()).await;
+    let noter = Noter::start(here.path(), None).await;
     // more than two portions, before any archive was there
     noter.note(1200);
-    let meet = noter.node.bus.locators().await;
-    let archive = Archive::start(there.path(), meet.clone()).await;
+    let archive = Archive::start(there.path(), noter.bus()).await;
     until_the_same(here.path(), there.path(), 1202).await;
     noter.note(3);
     until_the_same(here.path(), there.path(), 1205).await;
@@ -127,20 +121,20 @@ async fn an_archive_that_was_away_has_every_record_in_its_order_afterwards() {
 
     // more than any publisher's cache holds
     noter.note(1500);
-    let archive = Archive::start(there.path(), meet.clone()).await;
+    let archive = Archive::start(there.path(), noter.bus()).await;
     until_the_same(here.path(), there.path(), 2705).await;
     assert!(archive.alerts().is_empty(), "{:?}", archive.alerts());
 
     // a new life of the node goes on with the chain
     noter.end().await;
-    let noter = Noter::start(here.path(), archive.node.bus.locators().await).await;
+    let noter = Noter::start(here.path(), Some(&archive.0.node.bus)).await;
     noter.note(5);
     until_the_same(here.path(), there.path(), 2711).await;
     assert!(archive.alerts().is_empty(), "{:?}", archive.alerts());
 
     let question = Question { ask: Ask::Audit, from_utc: None, to_utc: None, limit: Some(4) };
-    let key = Key::History(noter.node.config.address());
-    let answer: Answer = noter.node.bus.ask(&key, &question, Duration::from_secs(5)).await.unwrap();
+    let key = Key::History(noter.running.node.config.address());
+    let answer: Answer = noter.bus().ask(&key, &question, Duration::from_secs(5)).await.unwrap();
     assert!(answer.truncated && answer.rows.len() == 4);
     assert!(answer.rows.iter().all(|row| matches!(row, Row::Audit(record) if record.verb == "close_shutter")));
     archive.end().await;
@@ -150,14 +144,14 @@ async fn an_archive_that_was_away_has_every_record_in_its_order_afterwards() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_record_that_was_cut_off_changed_or_forged_is_told() {
     let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let noter = Noter::start(here.path(), Vec::new()).await;
+    let noter = Noter::start(here.path(), None).await;
     noter.note(10);
-    let archive = Archive::start(there.path(), noter.node.bus.locators().await).await;
+    let archive = Archive::start(there.path(), noter.bus()).await;
     until_the_same(here.path(), there.path(), 12).await;
 
     // somebody says a record in the node's name: the node's own file does not have it
-    let liar = Bus::open(&private(noter.node.bus.locators().await), Clock::machine_clock()).await.unwrap();
-    let voice = liar.publisher(&noter.node.key(NodeTopic::Audit), Quality::Event { cache: 1 }).await.unwrap();
+    let liar = join(noter.bus()).await;
+    let voice = liar.publisher(&noter.running.node.key(NodeTopic::Audit), Quality::Event { cache: 1 }).await.unwrap();
     let last: Record = serde_json::from_str(lines(here.path()).last().unwrap()).unwrap();
     let forged = Record { number: last.number + 2, verb: "open_shutter".to_owned(), ..last };
     tokio::time::sleep(Duration::from_millis(500)).await;
@@ -171,18 +165,13 @@ async fn a_record_that_was_cut_off_changed_or_forged_is_told() {
     let before = stored(there.path());
     let all = lines(here.path());
     std::fs::write(file(here.path()), all[..all.len() - 1].join("\n") + "\n").unwrap();
-    let noter = Noter::start(here.path(), archive.node.bus.locators().await).await;
+    let noter = Noter::start(here.path(), Some(&archive.0.node.bus)).await;
     noter.note(2);
-    let began = Instant::now();
-    loop {
+    until("what was stored stays, and what the node writes now is stored too", || {
         let kept = stored(there.path());
-        // what was stored stays, and what the node writes now is stored too
-        if kept.len() == before.len() + 3 && kept.starts_with(&before) {
-            break;
-        }
-        assert!(began.elapsed() < Duration::from_secs(90), "{} stored", kept.len());
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
+        kept.len() == before.len() + 3 && kept.starts_with(&before)
+    })
+    .await;
     let alerts = archive.alerts();
     let told = |word: &str| {
         alerts.iter().any(|alert| alert.contains("audit-broken/device/alpha/main") && alert.contains(word))
@@ -197,16 +186,14 @@ async fn a_record_that_was_cut_off_changed_or_forged_is_told() {
     all[changed] = all[changed].replace("close_shutter", "open_shutter!");
     std::fs::write(file(here.path()), all.join("\n") + "\n").unwrap();
     std::fs::remove_dir_all(there.path().join("data")).unwrap();
-    let noter = Noter::start(here.path(), Vec::new()).await;
-    let archive = Archive::start(there.path(), noter.node.bus.locators().await).await;
-    let began = Instant::now();
+    let noter = Noter::start(here.path(), None).await;
+    let archive = Archive::start(there.path(), noter.bus()).await;
     // the alert may come before the database has the record, which is stored as evidence
-    while !archive.alerts().iter().any(|alert| alert.contains("expected sha256"))
-        || !stored(there.path()).iter().any(|line| line.contains("open_shutter!"))
-    {
-        assert!(began.elapsed() < Duration::from_secs(90), "{:?}", archive.alerts());
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
+    until("the changed record is told and stored", || {
+        archive.alerts().iter().any(|alert| alert.contains("expected sha256"))
+            && stored(there.path()).iter().any(|line| line.contains("open_shutter!"))
+    })
+    .await;
     archive.end().await;
     noter.end().await;
 }

@@ -14,8 +14,8 @@ use contract::observatory::{Distortion, FrameFacts, FrameWcs};
 use contract::{Address, CommandId, Key, Kind, Role};
 use node_archive::stored_header::Header;
 use sha2::{Digest, Sha256};
+use test_support::{LIMIT, PARANAL, RunningNode, block, join, private_bus, serve, until};
 
-const MOST: Duration = Duration::from_secs(90);
 const PIXELS: [u8; 64 * 32 * 2] = [3; 64 * 32 * 2];
 
 fn address() -> Address {
@@ -24,24 +24,14 @@ fn address() -> Address {
 
 /// An archive whose table asks for nothing that is polled.
 fn archive(folder: &Path, bus: Bus) -> Node {
-    let text = "[observatory]\nsite = \"paranal\"\ntelescope = \"callisto\"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\n\
-                elevation_m = 2500\n[[camera]]\nname = \"andor\"\nserver = \"localhost:1\"\n";
+    let config = config::parse(&(PARANAL.to_owned() + &block("camera", "andor", "localhost:1", "")), folder).unwrap();
     let table: HeaderTable =
         "header,dtype,fixed,device_type,device_command,comment\nDATE,str,false,astra,,written\n".parse().unwrap();
-    Node::new(Role::Archive, "main".parse().unwrap(), config::parse(text, folder).unwrap(), table, bus)
-}
-
-async fn bus(connect: Vec<String>) -> Bus {
-    let settings = config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect, multicast: false };
-    Bus::open(&settings, Clock::machine_clock()).await.unwrap()
+    Node::new(Role::Archive, "main".parse().unwrap(), config, table, bus)
 }
 
 async fn spool() -> String {
-    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-    let url = format!("http://{}/frame", listener.local_addr().unwrap());
-    let app = axum::Router::new().route("/frame", get(async || PIXELS.to_vec()));
-    tokio::spawn(async move { axum::serve(listener, app).await });
-    url
+    format!("http://{}/frame", serve(axum::Router::new().route("/frame", get(async || PIXELS.to_vec()))).await)
 }
 
 fn frame(id: &str, url: &str, bus: &Bus) -> Frame {
@@ -103,7 +93,7 @@ async fn complete(stored: &Subscriber<Stored>, id: &str) -> Stored {
             }
         }
     };
-    tokio::time::timeout(MOST, heard).await.unwrap()
+    tokio::time::timeout(LIMIT, heard).await.unwrap()
 }
 
 fn value(folder: &Path, file: &str, keyword: &str) -> Option<String> {
@@ -113,13 +103,12 @@ fn value(folder: &Path, file: &str, keyword: &str) -> Option<String> {
 #[tokio::test(flavor = "multi_thread")]
 async fn facts_stand_in_the_header_early_or_late_and_a_header_waits_for_none_that_never_come() {
     let folder = tempfile::tempdir().unwrap();
-    let devices = bus(Vec::new()).await;
-    let node = archive(folder.path(), bus(devices.locators().await).await);
+    let devices = private_bus(Clock::machine_clock()).await;
+    let node = archive(folder.path(), join(&devices).await);
     let stored = devices.subscribe::<Stored>(&Key::Stored(address()).to_string(), Catch::All, 100).await.unwrap();
     let camera = address().device(Kind::Camera, &"andor".parse().unwrap());
     let frames = devices.publisher::<Frame>(&Key::Frame(camera), Quality::Event { cache: 10 }).await.unwrap();
-    let (url, stop) = (spool().await, node.stop.clone());
-    let running = tokio::spawn(node_archive::run(node));
+    let (url, running) = (spool().await, RunningNode::work(node, node_archive::run));
 
     // said before the archive lives, of a frame that is not announced yet
     let _early = say(&devices, "early", 2.25).await;
@@ -141,15 +130,10 @@ async fn facts_stand_in_the_header_early_or_late_and_a_header_waits_for_none_tha
     let waited = began.elapsed();
     assert!(waited >= node_archive::facts::PATIENCE && value(folder.path(), &file, "FWHM").is_none(), "{waited:?}");
     let _late = say(&devices, "late", 3.5).await;
-    let began = Instant::now();
-    while value(folder.path(), &file, "FWHM").as_deref() != Some("3.5") {
-        assert!(began.elapsed() < MOST, "the late facts are not in the header");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    until("the late facts are in the header", || value(folder.path(), &file, "FWHM").as_deref() == Some("3.5")).await;
     assert_eq!(solution(&file), expected("3.5"));
     let mut fits = fitsio::FitsFile::open(folder.path().join("images").join(&file)).unwrap();
     let image: Vec<u16> = fits.primary_hdu().unwrap().read_image(&mut fits).unwrap();
     assert_eq!(image, [0x0303; 64 * 32], "the pixels are where they were");
-    stop.stop();
-    running.await.unwrap().unwrap();
+    running.stop().await;
 }

@@ -8,7 +8,7 @@ use contract::{Key, NodeTopic, Part};
 use serde::{Deserialize as _, Serialize};
 
 use crate::freshness::Quality;
-use crate::network::Telescope;
+use crate::model::Telescope;
 
 /// Alerts by priority.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
@@ -73,8 +73,8 @@ mod tests {
     use serde_json::{Value, json};
 
     use super::*;
+    use crate::model::tests::heard;
     use crate::network::Network;
-    use crate::network::tests::heard;
 
     fn ids(said: &[(&str, Value)], now_s: u64) -> Vec<String> {
         let address = Address::new("paranal", "callisto").unwrap();

@@ -1,7 +1,7 @@
 //! The web node: the whole telescope network on one page, and the same as JSON.
 //!
 //! It hears every site and telescope on the bus (`hear`), keeps the newest payload of each key with its time of
-//! arrival (`network`), and shows that: a page with everything it needs built in (`routes::page`), kept live
+//! arrival (`model`), and shows that: a page with everything it needs built in (`routes::page`), kept live
 //! over one WebSocket (`ws`), the newest image of each telescope (`preview`), the heartbeat document that
 //! monitoring scripts know (`routes::heartbeat`), and native JSON (`routes::network`). Ages are judged by this
 //! machine's clock at arrival (`freshness`), so a silent node is seen to be silent.
@@ -15,9 +15,11 @@ mod freshness;
 mod gate;
 mod hear;
 mod host;
+mod model;
 mod network;
 mod preview;
 mod problem;
+mod router;
 mod routes;
 mod server;
 mod shrink;
@@ -74,7 +76,7 @@ pub async fn run(node: bus::Node) -> anyhow::Result<()> {
         heartbeats: Default::default(),
         sockets: Places::new(ws::ROOM),
     };
-    let app = server::router(Arc::new(server), Gate::new(address, host_name()));
+    let app = router::router(Arc::new(server), Gate::new(address, host_name()));
     let url = format!("http://{}/", reachable(address));
     node.figure("page_url", Scalar::Text(url.clone()));
     tracing::info!("page: {url}");

@@ -1,44 +1,15 @@
-//! Everything heard of all telescopes: the newest payload of each key with its arrival, and the last log lines.
-//!
-//! Payloads are kept as the JSON they came as, so that what a newer node says beyond our contract still reaches the
-//! page. Each accepted payload gets the next revision; a client that remembers the revision it has seen needs no
-//! queue of its own: what is newer is what it lacks, and however slow it is, it gets each key once.
+//! What is known of all telescopes, shared by those who hear and those who show.
 
-use std::collections::BTreeMap;
-use std::sync::{Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::Duration;
 
 use bus::{Clock, Heard, MachineTime};
-use contract::key::ROOT;
-use contract::node::DiaryLine;
-use contract::{Address, BootId, CommandId, Key, NodeTopic};
-use serde::{Deserialize as _, Serialize};
+use contract::{Address, Key};
 use serde_json::Value;
-use std::sync::Arc;
-use units::Utc;
 
-use crate::diary::{Diary, Line};
-use crate::edge::weight;
-use crate::freshness::{Quality, period};
+use crate::model::{Image, Model};
 use crate::summary::Summary;
 
-/// A broken or hostile publisher must not fill the memory.
-const MOST_KEYS: usize = 2000;
-const MOST_TELESCOPES: usize = 200;
-/// What payloads may take in memory: those of one telescope, and all.
-const MOST_WEIGHT: usize = 32 << 20;
-const MOST_WEIGHT_OF_ALL: usize = 256 << 20;
-/// What has been silent for so long gives way when there is no room for something new.
-const GIVES_WAY_AFTER: Duration = Duration::from_secs(60);
-/// Looking for what is silent takes time, and a flood asks for room thousands of times a second.
-const LOOK_EVERY: Duration = Duration::from_secs(5);
-/// Keys of one telescope whose payloads could not be read; they are told for a minute.
-const MOST_UNREADABLE: usize = 20;
-const UNREADABLE_FOR: Duration = Duration::from_secs(60);
-/// A telescope or node that has been silent for so long was taken away.
-const FORGET_AFTER: Duration = Duration::from_secs(24 * 3600);
-/// Two writers of one key: the younger one counts while it has spoken within this time.
-const YOUNGER_HOLDS: Duration = Duration::from_secs(3);
 /// Several clients and scripts share one summary for so long.
 const SUMMARY_KEPT: Duration = Duration::from_millis(200);
 
@@ -49,113 +20,10 @@ pub struct Network {
     summaries: Mutex<Option<(MachineTime, Arc<Vec<Summary>>)>>,
 }
 
-/// What is known; readers hold it for one expression.
-#[derive(Default)]
-pub struct Model {
-    /// All telescopes, and `shared` of each site.
-    pub telescopes: BTreeMap<Address, Telescope>,
-    /// Counts what was accepted.
-    pub revision: u64,
-    /// The telescope of this node's own file: there is always room for it.
-    expected: Option<Address>,
-    weight: usize,
-    /// When everything was seen to be in use.
-    full: Option<MachineTime>,
-}
-
-/// What was heard at one address.
-#[derive(Default)]
-pub struct Telescope {
-    /// The newest payload of each key, under the key without its root.
-    pub states: BTreeMap<String, Entry>,
-    /// The last log lines.
-    pub diary: Diary,
-    /// The newest frame that could be turned into an image, or why it could not.
-    pub image: Option<Image>,
-    unreadable: BTreeMap<String, (String, MachineTime)>,
-    weight: usize,
-    full: Option<MachineTime>,
-}
-
-/// A key whose newest payload is not what the contract promises.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Unreadable {
-    /// The key without its root.
-    pub key: String,
-    /// What is wrong.
-    pub why: String,
-}
-
-/// One payload as it was heard.
-#[derive(Debug, Clone)]
-pub struct Entry {
-    /// Its key.
-    pub key: Key,
-    /// What was said.
-    pub body: Arc<Value>,
-    /// Sky time of the sender.
-    pub at_utc: Utc,
-    /// When it arrived here.
-    pub arrived: MachineTime,
-    /// Revision of the newest arrival.
-    pub revision: u64,
-    /// Revision at which the body last differed.
-    pub changed: u64,
-    boot_id: BootId,
-    seq: u64,
-    weight: usize,
-}
-
-/// The image that the page shows.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Image {
-    /// The announced frame, without its URL.
-    pub frame: Arc<Value>,
-    /// Which frame.
-    pub id: CommandId,
-    /// When the frame was announced here.
-    pub arrived: MachineTime,
-    /// Why a newer frame has no image; absent when the newest one has.
-    pub problem: Option<String>,
-}
-
-impl Entry {
-    /// Time since it arrived.
-    pub fn age(&self, now: MachineTime) -> Duration {
-        now.since(self.arrived)
-    }
-
-    /// How often it is said again.
-    pub fn period(&self) -> Option<Duration> {
-        period(&self.key, &self.body)
-    }
-
-    /// What it is worth now.
-    pub fn quality(&self, now: MachineTime) -> Quality {
-        Quality::of(self.age(now), self.period())
-    }
-}
-
-impl Telescope {
-    /// Keys whose payloads were refused within the last minute and have not been readable since.
-    pub fn unreadable(&self, now: MachineTime) -> Vec<Unreadable> {
-        let recent = self.unreadable.iter().filter(|(_, (_, at))| now.since(*at) < UNREADABLE_FOR);
-        recent.map(|(key, (why, _))| Unreadable { key: key.clone(), why: why.clone() }).collect()
-    }
-
-    /// The newest payload of a key, read as its type; `None` where it never came or cannot be read.
-    pub fn read<T: serde::de::DeserializeOwned>(&self, key: &Key) -> Option<(&Entry, T)> {
-        let entry = self.states.get(&short(key))?;
-        Some((entry, T::deserialize(entry.body.as_ref()).ok()?))
-    }
-}
-
 impl Network {
     /// An empty network, with a telescope that is expected though it may never speak.
     pub fn new(clock: Clock, expected: Address) -> Self {
-        let telescopes = BTreeMap::from([(expected.clone(), Telescope::default())]);
-        let model = Model { telescopes, expected: Some(expected), ..Model::default() };
-        Self { clock, model: RwLock::new(model), summaries: Mutex::default() }
+        Self { clock, model: RwLock::new(Model::new(expected)), summaries: Mutex::default() }
     }
 
     /// The clock that ages are judged by.
@@ -179,17 +47,7 @@ impl Network {
 
     /// Notes that a payload was not taken, and why.
     pub fn refuse(&self, key: &Key, why: String, arrived: MachineTime) {
-        let mut model = self.write();
-        // a stranger's telescope does not come into being by nonsense
-        let Some(telescope) = model.telescopes.get_mut(key.address()) else { return };
-        telescope.unreadable.retain(|_, (_, at)| arrived.since(*at) < UNREADABLE_FOR);
-        let name = short(key);
-        if telescope.unreadable.len() < MOST_UNREADABLE || telescope.unreadable.contains_key(&name) {
-            if telescope.unreadable.insert(name, (why.clone(), arrived)).is_none() {
-                tracing::warn!(%key, why, "a payload is not what its key promises; it is not shown");
-            }
-            model.revision += 1;
-        }
+        self.write().refuse(key, why, arrived);
     }
 
     /// Notes the image of a frame, or why there is none.
@@ -212,15 +70,7 @@ impl Network {
 
     /// Drops what has been silent for a day.
     pub fn forget(&self) {
-        let now = self.clock.machine();
-        let mut model = self.write();
-        model.telescopes.retain(|_, telescope| {
-            let gone = |entry: &Entry| entry.age(now) > FORGET_AFTER;
-            telescope.states.retain(|_, entry| !(matches!(entry.key, Key::Node(..)) && gone(entry)));
-            telescope.weight = telescope.states.values().map(|entry| entry.weight).sum();
-            telescope.states.is_empty() || !telescope.states.values().all(gone)
-        });
-        model.weight = model.telescopes.values().map(|telescope| telescope.weight).sum();
+        self.write().forget(self.clock.machine());
     }
 
     /// One summary per telescope, `shared` included, at most 200 ms old.
@@ -237,264 +87,5 @@ impl Network {
                 made
             }
         }
-    }
-}
-
-impl Model {
-    fn accept(&mut self, heard: Heard<Value>) -> bool {
-        let address = heard.key.address().clone();
-        if self.telescopes.len() >= MOST_TELESCOPES
-            && !self.telescopes.contains_key(&address)
-            && !self.give_way(heard.arrived)
-        {
-            return false;
-        }
-        let is_expected = self.expected.as_ref() == Some(&address);
-        let room = if is_expected { usize::MAX } else { MOST_WEIGHT_OF_ALL.saturating_sub(self.weight) };
-        let telescope = self.telescopes.entry(address).or_default();
-        let before = telescope.weight;
-        let revision = self.revision + 1;
-        let taken = match &heard.key {
-            Key::Node(_, role, id, NodeTopic::Diary) => match DiaryLine::deserialize(&heard.said.body) {
-                Ok(line) => telescope.diary.write(Line {
-                    number: revision,
-                    node: format!("{role}/{id}"),
-                    at_utc: heard.said.at_utc,
-                    boot_id: heard.said.boot_id.clone(),
-                    seq: heard.said.seq,
-                    line,
-                }),
-                Err(_) => false,
-            },
-            _ => telescope.keep(heard, revision, room),
-        };
-        self.weight = (self.weight + telescope.weight).saturating_sub(before);
-        if taken {
-            self.revision = revision;
-        }
-        taken
-    }
-}
-
-impl Model {
-    /// Forgets the telescope that has been silent the longest, if any has.
-    fn give_way(&mut self, now: MachineTime) -> bool {
-        if self.full.is_some_and(|at| now.since(at) < LOOK_EVERY) {
-            return false;
-        }
-        let newest = |telescope: &Telescope| telescope.states.values().map(|entry| entry.arrived).max();
-        let others = self.telescopes.iter().filter(|(address, _)| self.expected.as_ref() != Some(*address));
-        let silent = others.filter(|(_, t)| newest(t).is_none_or(|at| now.since(at) > GIVES_WAY_AFTER));
-        let Some(address) = silent.min_by_key(|(_, t)| newest(t)).map(|(address, _)| address.clone()) else {
-            self.full = Some(now);
-            return false;
-        };
-        if let Some(gone) = self.telescopes.remove(&address) {
-            self.weight = self.weight.saturating_sub(gone.weight);
-        }
-        true
-    }
-}
-
-impl Telescope {
-    /// Forgets the key that has been silent the longest, if one has.
-    fn give_way(&mut self, now: MachineTime) -> bool {
-        if self.full.is_some_and(|at| now.since(at) < LOOK_EVERY) {
-            return false;
-        }
-        let silent = self.states.iter().filter(|(_, entry)| now.since(entry.arrived) > GIVES_WAY_AFTER);
-        let Some(name) = silent.min_by_key(|(_, entry)| entry.arrived).map(|(name, _)| name.clone()) else {
-            self.full = Some(now);
-            return false;
-        };
-        if let Some(gone) = self.states.remove(&name) {
-            self.weight = self.weight.saturating_sub(gone.weight);
-        }
-        true
-    }
-
-    /// Keeps a payload unless it is old or there is no room for it; all others may weigh `room` more.
-    fn keep(&mut self, heard: Heard<Value>, revision: u64, room: usize) -> bool {
-        let name = short(&heard.key);
-        // of some keys a telescope has only one: a flood of others must not keep them out
-        let is_single = matches!(heard.key, Key::Observatory(..) | Key::Facts(..) | Key::Stored(_));
-        let Heard { key, said, arrived } = heard;
-        let weight = weight(&said.body);
-        let had = self.states.get(&name).map_or(0, |have| have.weight);
-        let room = room.min(MOST_WEIGHT.saturating_sub(self.weight));
-        if weight > had && weight - had > room {
-            return false;
-        }
-        let is_new = !self.states.contains_key(&name);
-        if is_new && !is_single && self.states.len() >= MOST_KEYS && !self.give_way(arrived) {
-            return false;
-        }
-        let mut entry = Entry {
-            key,
-            body: Arc::new(said.body),
-            at_utc: said.at_utc,
-            arrived,
-            revision,
-            changed: revision,
-            boot_id: said.boot_id,
-            seq: said.seq,
-            weight,
-        };
-        match self.states.get_mut(&name) {
-            Some(have) if is_older(&entry, have) => return false,
-            Some(have) => {
-                if have.body == entry.body {
-                    entry.body = have.body.clone();
-                    entry.changed = have.changed;
-                }
-                *have = entry;
-            }
-            None => {
-                self.states.insert(name.clone(), entry);
-            }
-        }
-        self.weight = (self.weight + weight).saturating_sub(had);
-        self.unreadable.remove(&name);
-        true
-    }
-}
-
-/// A key without its root; the facts of all frames share one, because only the newest are shown.
-pub fn short(key: &Key) -> String {
-    match key {
-        Key::Facts(address, _) => format!("{address}/observatory/frame/facts"),
-        _ => {
-            let text = key.to_string();
-            text.strip_prefix(ROOT).and_then(|rest| rest.strip_prefix('/')).unwrap_or(&text).to_owned()
-        }
-    }
-}
-
-/// Is `new` from before `have`? The answers to the question at start may cross the first published samples.
-fn is_older(new: &Entry, have: &Entry) -> bool {
-    if new.boot_id == have.boot_id {
-        // the facts of two frames share an entry but not a counter
-        new.seq <= have.seq && new.key == have.key
-    } else {
-        new.boot_id < have.boot_id && new.arrived.since(have.arrived) < YOUNGER_HOLDS
-    }
-}
-
-#[cfg(test)]
-pub(crate) mod tests {
-    use contract::Stamped;
-    use serde_json::json;
-
-    use super::*;
-
-    pub fn heard(key: &str, boot: &str, seq: u64, at_s: u64, body: Value) -> Heard<Value> {
-        Heard {
-            key: Key::parse(&format!("{ROOT}/{key}")).unwrap(),
-            said: Stamped {
-                boot_id: serde_json::from_value(json!(boot)).unwrap(),
-                seq,
-                at_utc: Utc::from_seconds(1.8e9 + at_s as f64),
-                sent_s: None,
-                held_s: None,
-                body,
-            },
-            arrived: MachineTime::from_boot(Duration::from_secs(at_s)),
-        }
-    }
-
-    fn network() -> Network {
-        Network::new(Clock::machine_clock(), Address::new("paranal", "callisto").unwrap())
-    }
-
-    const NIGHT: &str = "paranal/callisto/observatory/night/state";
-
-    fn entry(network: &Network) -> Entry {
-        network.read().telescopes[&Address::new("paranal", "callisto").unwrap()].states[NIGHT].clone()
-    }
-
-    #[test]
-    fn a_repeat_refreshes_the_arrival_but_is_no_change() {
-        let network = network();
-        assert!(network.accept(heard(NIGHT, "b1", 0, 10, json!({"frames": 1}))));
-        assert!(network.accept(heard(NIGHT, "b1", 1, 11, json!({"frames": 1}))));
-        let repeated = entry(&network);
-        assert_eq!((repeated.revision, repeated.changed), (2, 1));
-        assert_eq!(repeated.age(MachineTime::from_boot(Duration::from_secs(12))), Duration::from_secs(1));
-        assert!(network.accept(heard(NIGHT, "b1", 2, 12, json!({"frames": 2}))));
-        assert_eq!(entry(&network).changed, 3);
-    }
-
-    #[test]
-    fn an_answer_that_crossed_a_newer_sample_is_dropped() {
-        let network = network();
-        assert!(network.accept(heard(NIGHT, "b1", 5, 10, json!({"frames": 5}))));
-        assert!(!network.accept(heard(NIGHT, "b1", 4, 10, json!({"frames": 4}))));
-        assert!(!network.accept(heard(NIGHT, "b0", 99, 10, json!({"frames": 9}))), "an older life of the node");
-        assert_eq!(*entry(&network).body, json!({"frames": 5}));
-    }
-
-    #[test]
-    fn an_older_life_counts_again_when_the_younger_one_has_gone_silent() {
-        let network = network();
-        network.accept(heard(NIGHT, "b2", 5, 10, json!({"frames": 5})));
-        assert!(network.accept(heard(NIGHT, "b1", 700, 14, json!({"frames": 9}))));
-    }
-
-    #[test]
-    fn telescopes_of_all_sites_are_found_and_never_mixed() {
-        let network = network();
-        for (i, address) in ["paranal/io", "teide/artemis"].iter().enumerate() {
-            network.accept(heard(&format!("{address}/observatory/night/state"), "b", 0, 1, json!({ "frames": i })));
-        }
-        let model = network.read();
-        let found: Vec<String> = model.telescopes.keys().map(ToString::to_string).collect();
-        assert_eq!(found, ["paranal/callisto", "paranal/io", "teide/artemis"]);
-        assert!(model.telescopes.values().all(|telescope| telescope.states.len() <= 1));
-    }
-
-    #[test]
-    fn a_million_keys_of_a_stranger_leave_room_for_the_telescope_of_the_file() {
-        let network = network();
-        for i in 0..1_000_000 {
-            let (site, name) = (i % 1000, i / 1000);
-            let body = json!({"text": "x".repeat(200)});
-            network.accept(heard(&format!("s{site}/t/device/switch/n{name}/state"), "b", 0, 1, body));
-        }
-        let model = network.read();
-        assert!(model.telescopes.len() <= MOST_TELESCOPES && model.weight <= MOST_WEIGHT_OF_ALL, "{}", model.weight);
-        let weighed: usize = model.telescopes.values().flat_map(|t| t.states.values()).map(|entry| entry.weight).sum();
-        assert_eq!(weighed, model.weight);
-        drop(model);
-        assert!(network.accept(heard(NIGHT, "b", 0, 2, json!({"frames": 1}))));
-        let late = "teide/artemis/observatory/night/state";
-        assert!(!network.accept(heard(late, "b", 0, 30, json!({}))), "all others were heard a moment ago");
-        assert!(network.accept(heard(late, "b", 0, 90, json!({}))), "what has fallen silent gives way");
-    }
-
-    #[test]
-    fn what_cannot_be_read_is_told_until_it_can_be_read_again() {
-        let network = network();
-        network.accept(heard(NIGHT, "b1", 0, 10, json!({"frames": 1})));
-        let key = Key::parse(&format!("{ROOT}/{NIGHT}")).unwrap();
-        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
-        network.refuse(&key, "frames is a text".to_owned(), at(11));
-        let told = |s| {
-            let model = network.read();
-            model.telescopes[&Address::new("paranal", "callisto").unwrap()].unreadable(at(s)).len()
-        };
-        assert_eq!([told(12), told(72)], [1, 0]);
-        assert_eq!(*entry(&network).body, json!({"frames": 1}), "the last good one stays, and grows old");
-        network.accept(heard(NIGHT, "b1", 1, 13, json!({"frames": 2})));
-        assert_eq!(told(14), 0);
-    }
-
-    #[test]
-    fn the_memory_for_one_telescope_is_bounded() {
-        let network = network();
-        for i in 0..MOST_KEYS + 50 {
-            network.accept(heard(&format!("paranal/callisto/device/switch/s{i}/state"), "b", 0, 1, json!({})));
-        }
-        let model = network.read();
-        assert_eq!(model.telescopes[&Address::new("paranal", "callisto").unwrap()].states.len(), MOST_KEYS);
     }
 }

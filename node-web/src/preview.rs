@@ -15,7 +15,8 @@ use contract::{Address, CommandId, Device, Name};
 use futures_util::StreamExt as _;
 use tokio::sync::{Notify, mpsc};
 
-use crate::network::{Image, Network};
+use crate::model::Image;
+use crate::network::Network;
 use crate::shrink::{Shrink, Small};
 use crate::stretch::stretch;
 

@@ -15,7 +15,7 @@ use units::Utc;
 
 use crate::alerts::{Counts, standing};
 use crate::freshness::Quality;
-use crate::network::{Entry, Telescope, Unreadable};
+use crate::model::{Entry, Telescope, Unreadable};
 
 /// A tile of the overview, and the head of the telescope page.
 #[derive(Debug, Clone, Serialize)]

@@ -189,7 +189,7 @@ mod tests {
     use bus::Clock;
 
     use super::*;
-    use crate::network::tests::heard;
+    use crate::model::tests::heard;
 
     fn network() -> Network {
         Network::new(Clock::machine_clock(), Address::new("paranal", "callisto").unwrap())

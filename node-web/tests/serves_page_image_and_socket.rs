@@ -13,6 +13,7 @@ use contract::node::{DiaryLine, Level};
 use contract::{CommandId, Key, Kind, NodeTopic, Part, Role};
 use serde_json::{Value, json};
 use stage::{Stage, address, sample};
+use test_support::serve;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 
@@ -91,11 +92,8 @@ async fn spool(width: u32, height: u32) -> String {
     let pixels: Vec<u8> = (0..width * height)
         .flat_map(|i| if i == width * 5 + 5 { u16::MAX } else { (i % width) as u16 + 500 }.to_le_bytes())
         .collect();
-    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-    let url = format!("http://{}/frame/x?token=y", listener.local_addr().unwrap());
     let app = axum::Router::new().route("/frame/x", get(move || std::future::ready(pixels.clone())));
-    tokio::spawn(async move { axum::serve(listener, app).await });
-    url
+    format!("http://{}/frame/x?token=y", serve(app).await)
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -30,8 +30,7 @@ struct Telescope {
 
 impl Telescope {
     async fn start() -> Self {
-        let config = config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect: Vec::new(), multicast: false };
-        let bus = Bus::open(&config, Clock::machine_clock()).await.unwrap();
+        let bus = test_support::private_bus(Clock::machine_clock()).await;
         let connect = bus.locators().await.first().unwrap().clone();
         let address = Address::new("paranal", "callisto").unwrap();
         let (order, check) = (Key::Order(address.clone()), Key::ScheduleCheck(address));

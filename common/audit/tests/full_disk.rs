@@ -9,9 +9,10 @@ use std::time::{Duration, Instant};
 
 use audit::book::examine;
 use audit::{Audit, Entry};
-use bus::{Bus, Clock, Node};
+use bus::{Clock, Node};
 use contract::audit::{Outcome, Record};
 use contract::{CommandId, Role};
+use test_support::{ALPHA, block, private_bus, until};
 
 const INSIDE: &str = "STARMESH_TEST_SMALL_DISK";
 
@@ -56,23 +57,13 @@ fn records(folder: &Path) -> Vec<Record> {
 }
 
 async fn on_a_small_disk(folder: &Path) {
-    let text = "[observatory]\nsite = \"site\"\ntelescope = \"alpha\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\n\
-        elevation_m = 0.0\n[[camera]]\nname = \"cam\"\nserver = \"localhost:1\"\n";
-    let config = config::parse(text, folder).unwrap();
-    let private = config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect: Vec::new(), multicast: false };
-    let bus = Bus::open(&private, Clock::machine_clock()).await.unwrap();
-    let node = Node::new(Role::Device, "main".parse().unwrap(), config, config::header::HeaderTable::default(), bus);
+    let config = config::parse(&(ALPHA.to_owned() + &block("camera", "cam", "localhost:1", "")), folder).unwrap();
+    let bus = private_bus(Clock::machine_clock()).await;
+    let node = Node::new(Role::Device, "main".parse().unwrap(), config, Default::default(), bus);
     let audit = Audit::start(&node).await.unwrap();
     let stands = |id: &str| node.alerts.watch().borrow().alerts.iter().any(|alert| alert.id == id);
-    let until = async |what: &str, is_so: &dyn Fn() -> bool| {
-        let began = Instant::now();
-        while !is_so() {
-            assert!(began.elapsed() < Duration::from_secs(20), "{what}");
-            tokio::time::sleep(Duration::from_millis(50)).await;
-        }
-    };
     audit.note(entry("before".to_owned()));
-    until("a first record is written", &|| {
+    until("a first record is written", || {
         fs::read_to_string(folder.join("data/audit-device-alpha-main.jsonl"))
             .is_ok_and(|text| text.contains("\"verb\":\"before\""))
     })
@@ -99,14 +90,14 @@ async fn on_a_small_disk(folder: &Path) {
         audit.note(entry(format!("v{n}")));
     }
     assert!(began.elapsed() < Duration::from_secs(2), "{:?}", began.elapsed());
-    until("the full disk is told", &|| stands("audit")).await;
+    until("the full disk is told", || stands("audit")).await;
     assert!(records(folder).iter().any(|record| record.verb == "before"), "what was written stays proven");
 
     // 6000 records would not fit even now; the disk grows, as when a person adds room
     fs::remove_file(&filler).unwrap();
     let grown = Command::new("mount").args(["-o", "remount,size=16m"]).arg(folder).status().unwrap();
     assert!(grown.success());
-    until("the alert is cleared", &|| !stands("audit")).await;
+    until("the alert is cleared", || !stands("audit")).await;
     audit.note(entry("after".to_owned()));
     audit.end().await;
     let all = records(folder);

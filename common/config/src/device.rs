@@ -40,6 +40,13 @@ pub trait Device {
     fn common(&self) -> &Common;
 }
 
+/// Path, shown name and block of each device of a list.
+pub(crate) fn blocks<D: Device>(list: &[D]) -> impl Iterator<Item = (String, String, &D)> {
+    list.iter().enumerate().map(|(index, device)| {
+        (format!("{}[{index}]", D::KIND), format!("{} \"{}\": ", D::KIND, device.common().name), device)
+    })
+}
+
 /// Frame that a mount wants its coordinates in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]

@@ -25,7 +25,7 @@ fn reason(endpoint: &str, is_peer: bool) -> Option<String> {
     }
     let address = rest.split(['?', '#']).next().unwrap_or_default();
     let Some((host, port)) = address.rsplit_once(':') else { return Some("has no port".to_owned()) };
-    if let Err(why) = crate::plausible::host_name(host) {
+    if let Err(why) = crate::host::host_name(host) {
         return Some(format!("names no host: {why}"));
     }
     match port.parse::<u16>() {

@@ -2,8 +2,6 @@
 
 use serde::Deserialize;
 
-use crate::device::Focuser;
-
 /// From which side a focuser approaches its positions, so that the play of its gears is always taken up in the same way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -62,18 +60,6 @@ impl Focusing {
         }
         found
     }
-}
-
-/// What does not hold of a focuser, in words that begin with the key.
-pub(crate) fn focuser_faults(focuser: &Focuser) -> Vec<String> {
-    let mut found = Vec::new();
-    if !(0..=1_000_000).contains(&focuser.backlash_steps) {
-        found.push(format!("backlash_steps = {}: expected 0 to 1000000 steps", focuser.backlash_steps));
-    }
-    if let Some(steps) = focuser.search_steps.filter(|steps| !(2..=1_000_000).contains(steps)) {
-        found.push(format!("search_steps = {steps}: expected 2 to 1000000 steps"));
-    }
-    found
 }
 
 #[cfg(test)]

@@ -4,8 +4,6 @@ use std::path::PathBuf;
 
 use serde::Deserialize;
 
-use crate::device::Camera;
-
 /// `[imaging]`: what frames are solved with.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -21,15 +19,6 @@ impl Default for Imaging {
     fn default() -> Self {
         Self { solve: true, catalogue: None }
     }
-}
-
-/// Finest and coarsest size of a pixel that a camera may be given, arcsec: a planetary camera, a fish-eye.
-const SCALES_ARCSEC_PX: std::ops::RangeInclusive<f64> = 0.01..=600.0;
-
-/// What is wrong with a camera's block, as far as its frames are solved.
-pub(crate) fn camera_fault(camera: &Camera) -> Option<String> {
-    let scale = camera.scale_arcsec_px.filter(|scale| !SCALES_ARCSEC_PX.contains(scale))?;
-    Some(format!("scale_arcsec_px = {scale}: expected 0.01 to 600, arcsec of an unbinned pixel"))
 }
 
 #[cfg(test)]

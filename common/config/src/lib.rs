@@ -7,6 +7,7 @@
 mod alerts;
 mod check;
 mod device;
+mod device_faults;
 mod device_nodes;
 mod document;
 mod encoding;
@@ -22,6 +23,7 @@ mod guide_calibration;
 mod guiding;
 pub mod header;
 mod hooks;
+mod host;
 mod imaging;
 mod names;
 mod nearest;

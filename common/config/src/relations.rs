@@ -5,23 +5,18 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 use contract::device::observing_conditions;
 use contract::{Address, Kind, Name};
 
-use crate::device::{Limit, Measure};
+use crate::device::{Limit, Measure, blocks};
+use crate::device_faults;
 use crate::findings::Findings;
+use crate::host::{host_port, same_host};
 use crate::nearest::nearest;
 use crate::observatory::Observatory;
-use crate::slit;
+use crate::plausible;
 use crate::visibility::{Horizon, HorizonSource};
 
 /// Action types that may have a file name template of their own.
 const TEMPLATES: [&str; 7] =
     ["object", "calibration", "flats", "autofocus", "calibrate_guiding", "pointing_model", "default"];
-
-/// Path, shown name and block of each device of a list.
-pub(crate) fn blocks<D: crate::Device>(list: &[D]) -> impl Iterator<Item = (String, String, &D)> {
-    list.iter().enumerate().map(|(index, device)| {
-        (format!("{}[{index}]", D::KIND), format!("{} \"{}\": ", D::KIND, device.common().name), device)
-    })
-}
 
 /// Everything; cameras are paired on the way.
 pub(crate) fn prove(observatory: &mut Observatory, findings: &mut Findings<'_>, torn: bool) {
@@ -30,7 +25,7 @@ pub(crate) fn prove(observatory: &mut Observatory, findings: &mut Findings<'_>, 
     devices(observatory, findings);
     limits(observatory, findings);
     pairings(observatory, findings, torn);
-    for (dome, message) in slit::torn(observatory) {
+    for (dome, message) in device_faults::torn_slits(observatory) {
         let index = observatory.dome.iter().position(|block| block.common.name == dome).unwrap_or(0);
         findings.error(&format!("dome[{index}].name"), message);
     }
@@ -86,14 +81,14 @@ fn names(observatory: &Observatory, findings: &mut Findings<'_>) {
             let what = format!("two {kind} blocks are named \"{name}\"; names must be unique: give one another name");
             findings.error(&format!("{path}.name"), what);
         }
-        if let Err(why) = crate::plausible::host_port(&common.server) {
+        if let Err(why) = host_port(&common.server) {
             let what = format!(
                 "{kind} \"{name}\": server \"{}\" is no host:port, such as 10.0.0.5:11111; {why}",
                 common.server
             );
             findings.error(&format!("{path}.server"), what);
         }
-        let device = (kind.to_string(), crate::plausible::same_host(&common.server), common.number);
+        let device = (kind.to_string(), same_host(&common.server), common.number);
         if let Some((other, line)) = served.get(&device) {
             let what = format!(
                 "{kind} \"{name}\" is the same device as {kind} \"{other}\" on line {line}: number {} of {}; give each its \
@@ -155,7 +150,7 @@ fn devices(observatory: &Observatory, findings: &mut Findings<'_>) {
             findings
                 .error(&format!("{path}.telescopes"), format!("{shown}telescopes lists one of them twice; keep one"));
         }
-        for fault in slit::faults(dome, &observatory.telescope, shared) {
+        for fault in device_faults::dome(dome, &observatory.telescope, shared) {
             findings.block(&path, &shown, &fault);
         }
         if dome.watchdog_action.is_some() && dome.watchdog_s.is_none() {
@@ -164,12 +159,12 @@ fn devices(observatory: &Observatory, findings: &mut Findings<'_>) {
     }
     for (path, shown, camera) in blocks(&observatory.camera) {
         let pulses = camera.guide_calibration.iter().flat_map(crate::GuideStart::faults);
-        for fault in crate::imaging::camera_fault(camera).into_iter().chain(camera.flats.faults()).chain(pulses) {
+        for fault in device_faults::camera(camera).into_iter().chain(camera.flats.faults()).chain(pulses) {
             findings.block(&path, &shown, &fault);
         }
     }
     for (path, shown, focuser) in blocks(&observatory.focuser) {
-        for fault in crate::focusing::focuser_faults(focuser) {
+        for fault in device_faults::focuser(focuser) {
             findings.block(&path, &shown, &fault);
         }
     }
@@ -179,7 +174,7 @@ fn devices(observatory: &Observatory, findings: &mut Findings<'_>) {
         {
             findings.block(&path, &shown, &format!("horizon: {fault}"));
         }
-        for fault in slit::mount_faults(mount) {
+        for fault in device_faults::mount(mount) {
             findings.block(&path, &shown, &fault);
         }
         let (limits, flip_min) = (&mount.limits, mount.meridian_flip_min);
@@ -229,7 +224,7 @@ fn weather_limit(limit: &Limit, path: &str, findings: &mut Findings<'_>) {
         no_such_parameter(limit, &help, path, findings);
     }
     limit_holds(limit, path, findings);
-    crate::plausible::weather(limit, path, findings);
+    plausible::weather(limit, path, findings);
 }
 
 fn no_such_parameter(limit: &Limit, help: &str, path: &str, findings: &mut Findings<'_>) {

@@ -1,12 +1,6 @@
 //! `[[dome]] follow` and `slit`: how the dome's slit comes to stand where the telescope looks.
 
-use std::collections::BTreeSet;
-
-use contract::Name;
 use serde::Deserialize;
-
-use crate::device::{Dome, Telescope};
-use crate::observatory::Observatory;
 
 /// Who turns a dome.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
@@ -61,110 +55,6 @@ impl Default for Slit {
             timeout_s: 300.0,
         }
     }
-}
-
-impl Slit {
-    /// What does not hold, in words that begin with the key; `mounts` are those that may stand in this dome.
-    fn faults(&self, mounts: &[Telescope]) -> Vec<String> {
-        let mut found = Vec::new();
-        for (key, value, low, high) in [
-            ("width_m", self.width_m, 0.05, 50.0),
-            ("radius_m", self.radius_m, 0.3, 50.0),
-            ("past_zenith_m", self.past_zenith_m, 0.0, 50.0),
-            ("east_m", Some(self.east_m), -50.0, 50.0),
-            ("north_m", Some(self.north_m), -50.0, 50.0),
-            ("up_m", Some(self.up_m), -50.0, 50.0),
-            ("tolerance_deg", Some(self.tolerance_deg), 0.5, 45.0),
-            ("error_deg", Some(self.error_deg), 0.0, 10.0),
-            ("timeout_s", Some(self.timeout_s), 10.0, 3600.0),
-        ] {
-            if let Some(value) = value.filter(|value| !(low..=high).contains(value)) {
-                found.push(format!("{key} = {value}: expected {low} to {high}"));
-            }
-        }
-        if !found.is_empty() {
-            return found;
-        }
-        match (self.width_m, self.radius_m) {
-            (Some(width_m), Some(radius_m)) => found.extend(self.misfits(width_m, radius_m, mounts)),
-            (None, None) => {}
-            _ => found.push("width_m and radius_m go together; give both or neither".to_owned()),
-        }
-        found
-    }
-
-    /// What does not fit into a dome of this size.
-    fn misfits(&self, width_m: f64, radius_m: f64, mounts: &[Telescope]) -> Vec<String> {
-        let mut found = Vec::new();
-        if width_m >= 2.0 * radius_m {
-            found.push(format!("width_m = {width_m}: is wider than the dome of radius_m = {radius_m}"));
-        }
-        let away_m = self.east_m.hypot(self.north_m).hypot(self.up_m);
-        for mount in mounts {
-            let name = &mount.common.name;
-            let Some(aperture_m) = mount.aperture_m else {
-                found.push(format!("width_m: telescope \"{name}\" needs aperture_m, to know when it looks out free"));
-                continue;
-            };
-            if aperture_m >= width_m {
-                let why = format!("telescope \"{name}\" with aperture_m = {aperture_m} cannot look out");
-                found.push(format!("width_m = {width_m}: {why}"));
-            }
-            if away_m + mount.arm_m + 0.5 * aperture_m >= radius_m {
-                let why = format!("telescope \"{name}\" would look from outside: east_m, north_m, up_m, arm_m");
-                found.push(format!("radius_m = {radius_m}: {why}"));
-            }
-        }
-        found
-    }
-}
-
-/// What does not hold of a dome's following, in words; `shared` in the file of a site's shared devices.
-pub(crate) fn faults(dome: &Dome, mounts: &[Telescope], shared: bool) -> Vec<String> {
-    let slit = dome.slit.faults(mounts).into_iter().map(|fault| format!("slit.{fault}"));
-    let mut found: Vec<String> = slit.collect();
-    let over_several = shared || dome.telescopes.len() > 1;
-    if over_several && matches!(dome.follow, Follow::Turn | Follow::Slave) {
-        found.push("follow: a dome over several telescopes has no slit to follow; leave it out".to_owned());
-    }
-    if over_several && dome.slit != Slit::default() {
-        found.push("slit: a dome over several telescopes has no slit to follow; leave it out".to_owned());
-    }
-    found
-}
-
-/// Domes whose slit would have to stand in two places, or nobody knows where, with the words for it; cameras are paired
-/// by then.
-pub(crate) fn torn(observatory: &Observatory) -> Vec<(Name, String)> {
-    let (mounts, cameras) = (&observatory.telescope, &observatory.camera);
-    let followed = observatory.dome.iter().filter(|dome| dome.follow != Follow::Off && dome.telescopes.len() < 2);
-    let torn = |dome: &Dome| {
-        let name = &dome.common.name;
-        let under = cameras.iter().filter(|camera| camera.dome.as_ref() == Some(name));
-        let under: BTreeSet<&Name> = under.filter_map(|camera| camera.telescope.as_ref()).collect();
-        let list: Vec<String> = under.iter().map(|mount| format!("\"{mount}\"")).collect();
-        let why = match under.len() {
-            1 => return None,
-            0 => format!("{} mounts, and no camera tells which of them looks out of it", mounts.len()),
-            _ => format!("telescopes {} look out of one slit, which cannot stand where each looks", list.join(" and ")),
-        };
-        let mend = "name its one mount by `dome` and `telescope` of the cameras, or set follow = \"off\" where it is a \
-                    roof or the site turns it";
-        Some((name.clone(), format!("dome \"{name}\": {why}; {mend}")))
-    };
-    if mounts.len() < 2 || cameras.is_empty() { Vec::new() } else { followed.filter_map(torn).collect() }
-}
-
-/// What does not hold of a mount's sizes, in words.
-pub(crate) fn mount_faults(mount: &Telescope) -> Vec<String> {
-    let mut found = Vec::new();
-    if let Some(aperture_m) = mount.aperture_m.filter(|aperture_m| !(0.01..=20.0).contains(aperture_m)) {
-        found.push(format!("aperture_m = {aperture_m}: expected 0.01 to 20"));
-    }
-    if !(0.0..=20.0).contains(&mount.arm_m) {
-        found.push(format!("arm_m = {}: expected 0 to 20", mount.arm_m));
-    }
-    found
 }
 
 #[cfg(test)]

@@ -3,8 +3,8 @@
 use contract::observatory::AxisCorrection;
 use rusqlite::{Transaction, params};
 
+use super::StoredCorrection;
 use super::rows::stamp;
-use crate::corrections::StoredCorrection;
 
 /// A frame is guided on once, so a correction that is heard again is the same correction. Lengths are px of the frame.
 pub(super) const SCHEMA: &str = "

@@ -6,9 +6,7 @@ use contract::node::Level;
 use rusqlite::{Transaction, params};
 use units::Utc;
 
-use super::Write;
-use crate::facts::StoredFacts;
-use crate::focus::StoredRun;
+use super::{StoredFacts, StoredRun, Write};
 
 /// The predecessor's tables with its columns first. Uniqueness makes a repeated message harmless.
 pub(super) const SCHEMA: &str = "

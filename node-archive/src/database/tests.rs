@@ -4,9 +4,11 @@ use std::collections::BTreeMap;
 
 use bus::Clock;
 use contract::archive::{Ask, Question, Row};
-use contract::device::camera::{Pixel, Purpose};
+use contract::device::camera::{Frame, Pixel, Purpose};
+use contract::node::Level;
 use contract::observatory::{FrameFacts, Unsolved, UnsolvedClass};
-use contract::{Address, Kind};
+use contract::{Address, BootId, CommandId, Device, Kind, Scalar};
+use units::Utc;
 
 use super::*;
 use crate::reader::Reader;

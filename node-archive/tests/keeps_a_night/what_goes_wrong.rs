@@ -5,12 +5,13 @@ use std::time::Duration;
 
 use axum::body::{Body, Bytes};
 use axum::routing::get;
-use bus::{Bus, Catch, Clock};
+use bus::Catch;
 use contract::Key;
 use contract::archive::Stored;
 use futures_util::StreamExt as _;
+use test_support::{join, serve, until};
 
-use crate::{Spool, address, archive, files, hear_stored, two_buses, until};
+use crate::{Spool, address, archive, files, hear_stored, run, two_buses};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn two_spools_that_dribble_do_not_stop_a_third() {
@@ -27,14 +28,9 @@ async fn two_spools_that_dribble_do_not_stop_a_third() {
             });
             Body::from_stream(bytes)
         };
-        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        slow.push(format!("http://{}/frame", listener.local_addr().unwrap()));
-        let app = axum::Router::new().route("/frame", get(dribble));
-        tokio::spawn(async move { axum::serve(listener, app).await });
+        slow.push(format!("http://{}/frame", serve(axum::Router::new().route("/frame", get(dribble))).await));
     }
-    let node = archive(folder.path(), archive_bus);
-    let stop = node.stop.clone();
-    let running = tokio::spawn(node_archive::run(node));
+    let running = run(archive(folder.path(), archive_bus));
     let stored = spool.bus.subscribe::<Stored>(&Key::Stored(address()).to_string(), Catch::All, 100).await.unwrap();
     for number in 0..20 {
         let mut frame = spool.frame(&format!("slow-{number}"), device_bus.clock().utc());
@@ -44,8 +40,7 @@ async fn two_spools_that_dribble_do_not_stop_a_third() {
     tokio::time::sleep(Duration::from_millis(500)).await;
     spool.frames.put(spool.frame("frame-1", device_bus.clock().utc())).await.unwrap();
     assert_eq!(hear_stored(&stored, false).await.frame.0, "frame-1");
-    stop.stop();
-    running.await.unwrap().unwrap();
+    running.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -55,17 +50,13 @@ async fn frames_that_an_older_database_does_not_know_are_recorded_from_their_fil
     let (device_bus, archive_bus) = two_buses().await;
     let spool = Spool::start(device_bus.clone()).await;
     let stored = spool.bus.subscribe::<Stored>(&Key::Stored(address()).to_string(), Catch::All, 100).await.unwrap();
-    let node = archive(folder.path(), archive_bus.clone());
-    let stop = node.stop.clone();
-    let running = tokio::spawn(node_archive::run(node));
+    let running = run(archive(folder.path(), archive_bus));
     let taken = device_bus.clock().utc();
     for id in ["frame-1", "frame-2"] {
         spool.frames.put(spool.frame(id, taken)).await.unwrap();
         hear_stored(&stored, false).await;
     }
-    stop.stop();
-    running.await.unwrap().unwrap();
-    archive_bus.close().await;
+    running.stop().await;
     // the database of an evening on which nothing was stored yet is put back
     for ending in ["", "-wal", "-shm"] {
         let file = folder.path().join(format!("data/archive.db{ending}"));
@@ -74,14 +65,7 @@ async fn frames_that_an_older_database_does_not_know_are_recorded_from_their_fil
         }
     }
     let requests = spool.requests.load(Ordering::SeqCst);
-    let settings = config::Bus {
-        listen: vec!["tcp/127.0.0.1:0".to_owned()],
-        connect: device_bus.locators().await,
-        multicast: false,
-    };
-    let node = archive(folder.path(), Bus::open(&settings, Clock::machine_clock()).await.unwrap());
-    let stop = node.stop.clone();
-    let running = tokio::spawn(node_archive::run(node));
+    let running = run(archive(folder.path(), join(&device_bus).await));
     let rows = || {
         let open = rusqlite::Connection::open(&database);
         let rows = open.and_then(|open| {
@@ -103,8 +87,7 @@ async fn frames_that_an_older_database_does_not_know_are_recorded_from_their_fil
     until("released", || spool.releases("frame-2") > releases).await;
     assert_eq!(files(&images).len(), 2);
     assert_eq!(spool.requests.load(Ordering::SeqCst), requests);
-    stop.stop();
-    running.await.unwrap().unwrap();
+    running.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -113,8 +96,8 @@ async fn many_frames_that_cannot_be_written_are_one_alert() {
     let (device_bus, archive_bus) = two_buses().await;
     let spool = Spool::start(device_bus.clone()).await;
     let node = archive(folder.path(), archive_bus);
-    let (stop, alerts) = (node.stop.clone(), node.alerts.watch());
-    let running = tokio::spawn(node_archive::run(node));
+    let alerts = node.alerts.watch();
+    let running = run(node);
     tokio::time::sleep(Duration::from_secs(1)).await;
     // as a disk that takes nothing: a file is in the place of the folder
     let parts = folder.path().join("images/.part/paranal-callisto");
@@ -133,6 +116,5 @@ async fn many_frames_that_cannot_be_written_are_one_alert() {
     std::fs::create_dir(&parts).unwrap();
     until("it is over", || alerts.borrow().alerts.iter().all(|alert| !frames(&alert) || alert.returned_utc.is_some()))
         .await;
-    stop.stop();
-    running.await.unwrap().unwrap();
+    running.stop().await;
 }

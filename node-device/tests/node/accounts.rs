@@ -10,13 +10,14 @@ use contract::audit::{Answer, Outcome, Question, Record, Said};
 use contract::device::{dome, focuser};
 use contract::{Key, Kind, NodeTopic, Reason};
 use serde_json::{Value, json};
+use test_support::{LIMIT, within};
 
 use crate::fake::Fake;
-use crate::stage::{Commander, LIMIT, Stage, accepted, command, refused};
+use crate::stage::{Commander, Stage, accepted, command, refused};
 use crate::{a_dome, block, open};
 
 fn file(stage: &Stage) -> PathBuf {
-    stage.node.config.folders.data.join("audit-device-alpha-main.jsonl")
+    stage.node().config.folders.data.join("audit-device-alpha-main.jsonl")
 }
 
 /// The records in the file, proven.
@@ -27,22 +28,15 @@ fn records(stage: &Stage) -> Vec<Record> {
 }
 
 async fn until_recorded(stage: &Stage, what: &str, is_there: impl Fn(&Record) -> bool) -> Record {
-    let began = Instant::now();
-    loop {
-        let all = records(stage);
-        if let Some(found) = all.iter().find(|record| is_there(record)) {
-            return found.clone();
-        }
-        assert!(began.elapsed() < LIMIT, "{what} is not in the audit: {all:#?}");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    let found = within(LIMIT, || records(stage).into_iter().find(&is_there)).await;
+    found.unwrap_or_else(|| panic!("{what} is not in the audit: {:#?}", records(stage)))
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_domes_night_stands_in_the_audit_from_the_claim_to_the_guards_closing() {
     let hardware = a_dome().await;
     let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5\npermit_valid_s = 3.0")).await;
-    let key = stage.node.key(NodeTopic::Audit).to_string();
+    let key = stage.node().key(NodeTopic::Audit).to_string();
     let heard = stage.bus.subscribe::<Said<Value>>(&key, Catch::All, 1000).await.unwrap();
     let (token, commander) = open(&stage).await;
     let rival =
@@ -69,7 +63,10 @@ async fn a_domes_night_stands_in_the_audit_from_the_claim_to_the_guards_closing(
     assert_eq!(told("o3"), ["dome/dome open_shutter accepted", "dome/dome open_shutter done"]);
     let opened = all.iter().find(|record| record.id.0 == "o3").unwrap();
     assert_eq!((opened.from.as_str(), opened.token), ("observatory/alpha/main", Some(token)));
-    assert_eq!((opened.node.as_str(), opened.boot_id.clone()), ("device/alpha/main", stage.node.bus.boot_id().clone()));
+    assert_eq!(
+        (opened.node.as_str(), opened.boot_id.clone()),
+        ("device/alpha/main", stage.node().bus.boot_id().clone())
+    );
     let stale = all.iter().find(|record| record.id.0 == "o2").unwrap();
     assert!(matches!(&stale.outcome, Outcome::Refused { reason: Reason::StaleToken, .. }), "{stale:?}");
     let rivals = all.iter().filter(|record| record.from == "observatory/alpha/second").count();
@@ -87,7 +84,7 @@ async fn a_domes_night_stands_in_the_audit_from_the_claim_to_the_guards_closing(
     assert_eq!(said[..all.len()], all[..]);
 
     // and so does the node when it is asked, in portions
-    let key = stage.node.key(NodeTopic::AuditSince);
+    let key = stage.node().key(NodeTopic::AuditSince);
     let (mut after, mut asked) = (None, Vec::new());
     loop {
         let question = Question { after_sha256: after.clone(), limit: Some(3) };
@@ -155,7 +152,7 @@ async fn a_disk_that_takes_no_audit_is_an_alert_and_delays_no_closing() {
     accepted(&stage.command(Kind::Dome, "dome", &close).await);
     stage.until::<dome::Dome>("dome", |state| state.has_done(&close.id)).await;
     assert!(asked.elapsed() < Duration::from_secs(3), "{:?}", asked.elapsed());
-    let alerts = stage.node.alerts.watch().borrow().clone();
+    let alerts = stage.node().alerts.watch().borrow().clone();
     assert!(alerts.alerts.iter().any(|alert| alert.id == "audit"), "{alerts:?}");
 
     // the disk is repaired: nothing was lost

@@ -7,22 +7,15 @@ use contract::device::{dome, telescope};
 use contract::observatory::{AlertKind, Lease, Permit, Verdict};
 use contract::{Address, Key, Kind, Part, Reason};
 use serde_json::json;
+use test_support::{LIMIT, until};
 use units::Utc;
 
 use crate::fake::{Fake, Says};
-use crate::stage::{Commander, LIMIT, Stage, accepted, command, refused};
+use crate::stage::{Commander, Stage, accepted, command, refused};
 use crate::{a_dome, block, open};
 
-async fn until(what: &str, holds: impl Fn() -> bool) {
-    let began = Instant::now();
-    while !holds() {
-        assert!(began.elapsed() < LIMIT, "{what}: not within {LIMIT:?}");
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
-}
-
 async fn until_alert(stage: &Stage, kind: AlertKind) {
-    let mut alerts = stage.node.alerts.watch();
+    let mut alerts = stage.node().alerts.watch();
     let stands = alerts.wait_for(|all| all.alerts.iter().any(|alert| alert.id.starts_with(kind.entry().word)));
     tokio::time::timeout(LIMIT, stands).await.unwrap_or_else(|_| panic!("{kind:?} was never raised")).unwrap();
 }

@@ -8,17 +8,16 @@ use contract::device::record::{Question, Record};
 use contract::device::safety_monitor::SafetyMonitor;
 use contract::{Key, Link};
 use serde_json::json;
+use test_support::{LIMIT, block};
 
 use crate::fake::{Fake, Says};
-use crate::stage::{LIMIT, Stage};
+use crate::stage::Stage;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_weather_stations_record_is_what_was_heard_of_it() {
     let hardware = Fake::start(&[("humidity", json!(50.0)), ("temperature", json!(5.0))]).await;
-    let block = |kind: &str, name: &str, more: &str| {
-        format!("[[{kind}]]\nname = \"{name}\"\nserver = \"{}\"\nperiod_s = 0.2\n{more}\n", hardware.address)
-    };
-    let stage = Stage::start(&(block("observingconditions", "wx", "") + &block("safetymonitor", "monitor", ""))).await;
+    let device = |kind: &str, name: &str| block(kind, name, hardware.address, "period_s = 0.2");
+    let stage = Stage::start(&(device("observingconditions", "wx") + &device("safetymonitor", "monitor"))).await;
     let states = stage.states::<ObservingConditions>("wx").await;
     let mut heard = Vec::new();
     let mut hear_until = async |wanted: fn(&Link, &Fields) -> bool| {
@@ -85,8 +84,7 @@ async fn rain_is_told_after(one_at_a_time: bool) -> Duration {
     let hardware = Fake::start(&says).await;
     let limits = "limit = [{ parameter = \"Humidity\", upper = 80.0 }, { parameter = \"RainRate\", upper = 0.1 }, \
                   { parameter = \"WindSpeed\", upper = 15.0 }]";
-    let block = format!("[[observingconditions]]\nname = \"wx\"\nserver = \"{}\"\n{limits}\n", hardware.address);
-    let stage = Stage::start(&block).await;
+    let stage = Stage::start(&block("observingconditions", "wx", hardware.address, limits)).await;
     stage.until::<ObservingConditions>("wx", |state| state.fields.rain_mm_per_h.known() == Some(&0.0)).await;
     hardware.slow(Duration::from_millis(1200), one_at_a_time);
     // until the node has measured how slow it is
@@ -120,8 +118,7 @@ async fn a_slow_station_tells_of_rain_in_time_for_the_dome_to_close_within_8_s()
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_node_that_stood_still_does_not_go_on_with_what_it_had_read() {
     let hardware = Fake::start(&[("issafe", json!(true))]).await;
-    let block = format!("[[safetymonitor]]\nname = \"monitor\"\nserver = \"{}\"\nperiod_s = 0.5\n", hardware.address);
-    let stage = Stage::start(&block).await;
+    let stage = Stage::start(&block("safetymonitor", "monitor", hardware.address, "period_s = 0.5")).await;
     stage.until::<SafetyMonitor>("monitor", |state| state.fields.gapless_safe_s > 1.5).await;
     let states = stage.states::<SafetyMonitor>("monitor").await;
     for _ in 0..8 {

@@ -3,14 +3,14 @@
 use std::fs;
 use std::process::Stdio;
 
-use bus::{Bus, Catch, Clock};
+use bus::{Catch, Clock};
 use contract::observatory::Alerts;
 use contract::{Address, Key, NodeTopic, Role};
 use serde_json::json;
+use test_support::{ALPHA, LIMIT, private_bus};
 
 use crate::block;
 use crate::fake::Fake;
-use crate::stage::{LIMIT, PLACE, private};
 
 /// Nothing has worked yet, so there is no copy of a configuration that worked; the alert needs only one that can be read.
 #[tokio::test(flavor = "multi_thread")]
@@ -19,10 +19,10 @@ async fn a_device_node_that_fails_from_its_first_start_on_raises_guard_process()
     let folder = tempfile::tempdir().unwrap();
     // a file takes the place of the data folder
     fs::write(folder.path().join("data"), "").unwrap();
-    let bus = Bus::open(&private(Vec::new()), Clock::machine_clock()).await.unwrap();
+    let bus = private_bus(Clock::machine_clock()).await;
     let meeting = format!("[bus]\nconnect = {:?}\nmulticast = false\n", bus.locators().await);
     let file = folder.path().join("observatory.toml");
-    fs::write(&file, format!("{PLACE}{meeting}{}", block("dome", "dome", &hardware, ""))).unwrap();
+    fs::write(&file, format!("{ALPHA}{meeting}{}", block("dome", "dome", &hardware, ""))).unwrap();
     let key = Key::Node(
         Address::new("site", "alpha").unwrap(),
         Role::Device,

@@ -6,10 +6,10 @@ use bus::Quality;
 use contract::device::dome;
 use contract::observatory::Lease;
 use contract::{Address, BootId, Command, Key, Kind, Part, Reason};
+use test_support::{LIMIT, Lateness};
 use units::Utc;
 
-use crate::lateness::Lateness;
-use crate::stage::{Commander, LIMIT, Stage, accepted, command, refused};
+use crate::stage::{Commander, Stage, accepted, command, refused};
 use crate::{a_dome, block};
 
 fn claim(id: &str, life: Option<&BootId>) -> Command<dome::Command> {

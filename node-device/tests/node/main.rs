@@ -7,8 +7,6 @@ mod closing;
 mod evidence;
 mod fake;
 mod first_start;
-#[path = "../../../tests/support/lateness.rs"]
-mod lateness;
 mod lease;
 mod rates;
 mod stage;
@@ -23,13 +21,13 @@ use contract::device::safety_monitor::SafetyMonitor;
 use contract::device::{filter_wheel, focuser};
 use contract::{Key, Kind, Link, NodeTopic, Reason};
 use fake::{Fake, Says};
-use lateness::Lateness;
 use serde_json::json;
 use stage::{Commander, Stage, accepted, command, refused};
+use test_support::{LIMIT, Lateness};
 
 /// A device of the node under test, which is called `main` for all kinds.
 fn block(kind: &str, name: &str, server: &Fake, more: &str) -> String {
-    format!("[[{kind}]]\nname = \"{name}\"\nserver = \"{}\"\nnode = \"main\"\n{more}\n", server.address)
+    test_support::block(kind, name, server.address, &format!("node = \"main\"\n{more}"))
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -349,7 +347,7 @@ async fn frames_are_taken_one_after_another_announced_served_and_released() {
 
     let mut heard = Vec::new();
     while heard.len() < count {
-        let frame = tokio::time::timeout(stage::LIMIT, frames.hear()).await.unwrap().said.body;
+        let frame = tokio::time::timeout(LIMIT, frames.hear()).await.unwrap().said.body;
         heard.push(frame);
     }
     let frame = heard.iter().find(|frame| frame.id.0 == "f0").unwrap();
@@ -405,7 +403,7 @@ async fn real_devices_refuse_another_speed_than_1() {
     let hardware = Fake::start(&[("issafe", json!(true))]).await;
     let clock = Clock::simulated("2026-11-21T03:00:00Z".parse().unwrap(), 100.0);
     let stage = Stage::start_with(&block("safetymonitor", "real", &hardware, ""), clock).await;
-    let error = tokio::time::timeout(stage::LIMIT, stage.run).await.unwrap().unwrap().unwrap_err().to_string();
+    let error = stage.running.ended().await.unwrap_err().to_string();
     assert!(error.contains("\"real\"") && error.contains("speed 100"), "{error}");
 }
 
@@ -427,9 +425,9 @@ async fn a_second_node_on_the_same_device_is_an_alert() {
         can: json!({}),
     };
     intruder.put(description).await.unwrap();
-    let mut alerts = stage.node.alerts.watch();
+    let mut alerts = stage.node().alerts.watch();
     let raised = alerts.wait_for(|alerts| alerts.alerts.iter().any(|alert| alert.id.starts_with("second-writer/")));
-    tokio::time::timeout(stage::LIMIT, raised).await.unwrap().unwrap();
-    assert_eq!(stage.node.key(NodeTopic::Alerts).address(), &stage.node.config.address());
+    tokio::time::timeout(LIMIT, raised).await.unwrap().unwrap();
+    assert_eq!(stage.node().key(NodeTopic::Alerts).address(), &stage.node().config.address());
     stage.end().await;
 }

@@ -2,30 +2,19 @@
 
 use std::time::{Duration, Instant};
 
-use bus::{Bus, Catch, Clock, Node, Stop, Subscriber};
+use bus::{Bus, Catch, Clock, Node, Subscriber};
 use contract::device::dome;
 use contract::observatory::{Permit, Verdict};
 use contract::{
     Address, Command, CommandId, Device, DeviceKind, DeviceState, Key, Kind, Payload, Reason, Refusal, Reply, Role,
 };
+use test_support::{ALPHA, LIMIT, RunningNode, join, private_bus};
 use tokio::task::JoinHandle;
-
-/// Nothing in these tests may take longer.
-pub const LIMIT: Duration = Duration::from_secs(60);
-
-/// The place of the tests' telescope.
-pub const PLACE: &str = "[observatory]\nsite = \"site\"\ntelescope = \"alpha\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\nelevation_m = 0.0\n";
 
 pub struct Stage {
     pub bus: Bus,
-    pub node: Node,
-    pub stop: Stop,
-    pub run: JoinHandle<anyhow::Result<()>>,
+    pub running: RunningNode,
     _folder: tempfile::TempDir,
-}
-
-pub fn private(connect: Vec<String>) -> config::Bus {
-    config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect, multicast: false }
 }
 
 impl Stage {
@@ -46,14 +35,15 @@ impl Stage {
     }
 
     async fn start_at(folder: tempfile::TempDir, devices: &str, clock: Clock) -> Self {
-        let config = config::parse(&format!("{PLACE}{devices}"), folder.path()).unwrap();
-        let bus = Bus::open(&private(Vec::new()), clock.clone()).await.unwrap();
-        let header = config::header::HeaderTable::default();
-        let node = Node::new(Role::Device, "main".parse().unwrap(), config, header, bus.clone());
-        let stop = node.stop.clone();
-        let run = tokio::spawn(node_device::run(node.clone()));
-        let second = Bus::open(&private(bus.locators().await), clock).await.unwrap();
-        Self { bus: second, node, stop, run, _folder: folder }
+        let config = config::parse(&format!("{ALPHA}{devices}"), folder.path()).unwrap();
+        let bus = private_bus(clock).await;
+        let node = Node::new(Role::Device, "main".parse().unwrap(), config, Default::default(), bus.clone());
+        let running = RunningNode::work(node, node_device::run);
+        Self { bus: join(&bus).await, running, _folder: folder }
+    }
+
+    pub fn node(&self) -> &Node {
+        &self.running.node
     }
 
     pub fn device(&self, kind: Kind, name: &str) -> Device {
@@ -99,8 +89,7 @@ impl Stage {
     }
 
     pub async fn end(self) {
-        self.stop.stop();
-        tokio::time::timeout(LIMIT, self.run).await.unwrap().unwrap().unwrap();
+        self.running.stop().await;
     }
 }
 

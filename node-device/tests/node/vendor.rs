@@ -46,7 +46,7 @@ async fn a_command_of_the_makers_own_needs_the_token_and_the_permit_and_to_be_li
     let began = std::time::Instant::now();
     while let Reply::Refusal(refusal) = ask(&stage, &format!("f{:?}", began.elapsed()), token, "STATUS").await {
         assert_eq!(refusal.reason, Reason::NoPermit);
-        assert!(began.elapsed() < crate::stage::LIMIT, "{refusal}");
+        assert!(began.elapsed() < test_support::LIMIT, "{refusal}");
         tokio::time::sleep(std::time::Duration::from_millis(200)).await;
     }
     assert_eq!(refused(&ask(&stage, "g", token, "OPEN").await), Reason::NotImplemented);

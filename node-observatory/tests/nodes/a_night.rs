@@ -4,13 +4,13 @@
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use crate::lateness::Lateness;
 use crate::site::Site;
 use contract::OrderKind;
 use contract::device::camera::Command as Camera;
 use contract::device::dome::{Command as Dome, Shutter};
 use contract::device::telescope::Command as Mount;
 use contract::observatory::{Posture, RowStatus};
+use test_support::Lateness;
 
 const MOST: Duration = Duration::from_secs(90);
 /// Near the zenith of the site at the start of the stories.

@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime};
 
-use crate::lateness::Lateness;
 use crate::site::Site;
 use contract::device::camera::Command as Camera;
 use contract::observatory::{RowState, RowStatus};
 use contract::{OrderKind, Reason, Reply};
 use node_observatory::schedule_file::versions::Versions;
+use test_support::Lateness;
 
 const MOST: Duration = Duration::from_secs(90);
 /// A change is seen and active within this time while nothing runs; the machine of a test may be busy with others.

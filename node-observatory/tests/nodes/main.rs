@@ -3,8 +3,6 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends by panicking")]
 
-#[path = "../../../tests/support/lateness.rs"]
-mod lateness;
 mod sim;
 mod site;
 mod starfield;

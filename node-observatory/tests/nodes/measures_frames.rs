@@ -5,7 +5,6 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use crate::lateness::Lateness;
 use crate::site::Site;
 use axum::extract::Path;
 use axum::http::StatusCode;
@@ -16,6 +15,7 @@ use contract::{CommandId, Key, Kind};
 use rand::SeedableRng as _;
 use rand_distr::{Distribution as _, Normal};
 use sha2::{Digest as _, Sha256};
+use test_support::{Lateness, serve};
 
 const MOST: Duration = Duration::from_secs(90);
 const SIDE_PX: u32 = 320;
@@ -46,7 +46,7 @@ struct Spool {
 impl Spool {
     async fn start(site: &Site) -> Self {
         let (stars, empty) = (sky(STARS), sky(0));
-        let serve = move |Path(what): Path<String>| {
+        let answer = move |Path(what): Path<String>| {
             let answer = match what.as_str() {
                 "stars" => Ok(stars.clone()),
                 "empty" => Ok(empty.clone()),
@@ -54,10 +54,7 @@ impl Spool {
             };
             async move { answer }
         };
-        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let url = format!("http://{}", listener.local_addr().unwrap());
-        let app = axum::Router::new().route("/{what}", axum::routing::get(serve));
-        tokio::spawn(async move { axum::serve(listener, app).await });
+        let url = format!("http://{}", serve(axum::Router::new().route("/{what}", axum::routing::get(answer))).await);
         let bus: &Bus = &site.bus;
         let camera = site.address.device(Kind::Camera, &"guider".parse().unwrap());
         let frames = bus.publisher(&Key::Frame(camera), Quality::Event { cache: 100 }).await.unwrap();

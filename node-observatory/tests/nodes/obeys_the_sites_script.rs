@@ -4,12 +4,12 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use crate::lateness::Lateness;
 use crate::sim::{Sim, telescope};
 use bus::Latest;
 use contract::observatory::{Alerts, RowStatus};
 use contract::{Address, Key, Part};
 use serde_json::json;
+use test_support::Lateness;
 
 const MOST: Duration = Duration::from_secs(60);
 /// A minute of the night in a second.

@@ -4,11 +4,11 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use crate::lateness::Lateness;
 use crate::site::Site;
 use contract::device::dome::{Command as Dome, Shutter};
 use contract::observatory::{Alert, StandingOrders};
 use contract::{Key, OrderKind, Part, Reason, Reply};
+use test_support::Lateness;
 
 const MOST: Duration = Duration::from_secs(40);
 const SEEN: &str = "stay-closed";

@@ -3,13 +3,13 @@
 #[allow(dead_code, reason = "shared with the other stories of the site")]
 use std::time::{Duration, Instant};
 
-use crate::lateness::Lateness;
 use crate::site::Site;
 use bus::Catch;
 use contract::Datum;
 use contract::device::camera::Command as Camera;
 use contract::device::dome::{Command as Dome, Shutter};
 use contract::observatory::{FrameFacts, RowStatus};
+use test_support::Lateness;
 
 const MOST: Duration = Duration::from_secs(120);
 /// Some 45 deg high in the east, and in the west, at the start of the stories.

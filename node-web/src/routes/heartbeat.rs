@@ -19,7 +19,7 @@ use units::Utc;
 
 use crate::freshness::Quality;
 use crate::host::Usage;
-use crate::network::{Model, Telescope};
+use crate::model::{Model, Telescope};
 use crate::problem::Problem;
 use crate::server::Server;
 use crate::summary::{Mode, SafetyWord, Summary};

@@ -9,7 +9,8 @@ use axum::response::{IntoResponse, Response};
 use contract::Address;
 use serde_json::{Map, Value, json};
 
-use crate::network::{Entry, Network};
+use crate::model::Entry;
+use crate::network::Network;
 use crate::problem::Problem;
 use crate::server::Server;
 use crate::summary::{Summary, nodes};

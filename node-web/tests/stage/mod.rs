@@ -5,21 +5,17 @@
 use std::path::Path;
 use std::time::Duration;
 
-use bus::{Bus, Clock, Node, Publisher, Quality, Stop};
+use bus::{Bus, Clock, Node, Publisher, Quality};
 use contract::node::NodeState;
 use contract::{Address, Key, NodeTopic, Payload, Role};
 use serde_json::Value;
+use test_support::{LIMIT, PARANAL, RunningNode, block, join, private_bus, within};
 
 pub struct Stage {
     pub bus: Bus,
     pub url: String,
     pub http: reqwest::Client,
-    stop: Stop,
-    node: tokio::task::JoinHandle<anyhow::Result<()>>,
-}
-
-pub fn private(connect: Vec<String>) -> config::Bus {
-    config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect, multicast: false }
+    node: RunningNode,
 }
 
 impl Stage {
@@ -28,36 +24,17 @@ impl Stage {
     }
 
     pub async fn start_at(listen: &str) -> Self {
-        let bus = Bus::open(&private(Vec::new()), Clock::machine_clock()).await.unwrap();
-        let text = format!(
-            r#"
-            [observatory]
-            site = "paranal"
-            telescope = "callisto"
-            latitude_deg = -24.6
-            longitude_deg = -70.4
-            elevation_m = 2500.0
-            [web]
-            listen = "{listen}"
-            [[safetymonitor]]
-            name = "monitor"
-            server = "127.0.0.1:1"
-            "#
-        );
+        let bus = private_bus(Clock::machine_clock()).await;
+        let monitor = block("safetymonitor", "monitor", "127.0.0.1:1", "");
+        let text = format!("{PARANAL}[web]\nlisten = \"{listen}\"\n{monitor}");
         let config = config::parse(&text, Path::new(".")).unwrap();
-        let joined = Bus::open(&private(bus.locators().await), Clock::machine_clock()).await.unwrap();
-        let node = Node::new(Role::Web, "main".parse().unwrap(), config, Default::default(), joined);
-        let stop = node.stop.clone();
-        let address = node.config.address();
-        let running = tokio::spawn(async move { node.clone().live(None, node_web::run(node)).await });
-        let key = Key::Node(address, Role::Web, "main".parse().unwrap(), NodeTopic::State);
+        let key = Key::Node(config.address(), Role::Web, "main".parse().unwrap(), NodeTopic::State);
+        let node = Node::new(Role::Web, "main".parse().unwrap(), config, Default::default(), join(&bus).await);
+        let node = RunningNode::live(node, node_web::run);
         let states = bus.latest::<NodeState>(&key).await.unwrap();
-        let url = eventually("the node tells its page's address", || {
-            let said = states.get()?.said.body;
-            Some(said.figures.get("page_url")?.to_string())
-        });
-        let url = url.await;
-        Self { bus, url: url.trim_end_matches('/').to_owned(), http: reqwest::Client::new(), stop, node: running }
+        let url = within(LIMIT, || Some(states.get()?.said.body.figures.get("page_url")?.to_string())).await;
+        let url = url.unwrap_or_else(|| panic!("the node did not tell its page's address"));
+        Self { bus, url: url.trim_end_matches('/').to_owned(), http: reqwest::Client::new(), node }
     }
 
     pub fn authority(&self) -> &str {
@@ -91,19 +68,8 @@ impl Stage {
 
     /// Ends the node; it must end well and soon.
     pub async fn end(self) {
-        self.stop.stop();
-        tokio::time::timeout(Duration::from_secs(10), self.node).await.unwrap().unwrap().unwrap();
+        tokio::time::timeout(Duration::from_secs(10), self.node.stop()).await.unwrap();
     }
-}
-
-pub async fn eventually<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
-    for _ in 0..200 {
-        if let Some(found) = look() {
-            return found;
-        }
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
-    panic!("not within 20 s: {what}");
 }
 
 pub fn address(telescope: &str) -> Address {

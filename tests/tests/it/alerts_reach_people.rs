@@ -12,7 +12,7 @@ use contract::node::NodeState;
 use contract::observatory::Alerts;
 use contract::{Address, Key, NodeTopic, Part, Role};
 use serde_json::Value;
-use tests::{Rig, RigOptions, SITE, TELESCOPE, long_row};
+use test_support::{Rig, RigOptions, SITE, TELESCOPE, long_row, serve};
 use tokio::io::{AsyncBufReadExt as _, AsyncWriteExt as _, BufReader};
 use tokio::net::{TcpListener, TcpStream};
 
@@ -47,10 +47,8 @@ impl Outside {
                     std::future::ready("ok")
                 }),
             );
-        let http = TcpListener::bind("127.0.0.1:0").await?;
         let smtp = TcpListener::bind("127.0.0.1:0").await?;
-        let ports = (http.local_addr()?.port(), smtp.local_addr()?.port());
-        tokio::spawn(async move { axum::serve(http, app).await });
+        let ports = (serve(app).await.port(), smtp.local_addr()?.port());
         let mails = self.mails.clone();
         tokio::spawn(async move {
             while let Ok((stream, _)) = smtp.accept().await {

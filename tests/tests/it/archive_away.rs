@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use contract::Role;
 use serde_json::json;
-use tests::{Rig, RigOptions, object, row};
+use test_support::{Rig, RigOptions, object, row};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_archive_that_was_away_stores_every_frame_once() -> anyhow::Result<()> {

@@ -1,7 +1,7 @@
 //! Rain closes the dome, and a dry dwell opens it again.
 
 use serde_json::json;
-use tests::{Rig, RigOptions, object, row};
+use test_support::{Rig, RigOptions, object, row};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn closes_when_it_rains_and_opens_again() -> anyhow::Result<()> {

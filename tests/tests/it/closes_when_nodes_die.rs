@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use contract::Role;
-use tests::Rig;
+use test_support::Rig;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_guard_closes_when_the_observatory_is_killed() -> anyhow::Result<()> {

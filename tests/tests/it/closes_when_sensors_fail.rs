@@ -1,7 +1,7 @@
 //! A sensor that is silent, lies or answers nonsense is unsafe.
 
 use simulator::{Fault, Kind};
-use tests::Rig;
+use test_support::Rig;
 
 async fn closes_on(fault: Fault, kind: Kind) -> anyhow::Result<()> {
     let rig = Rig::at_open_dome().await?;

@@ -13,7 +13,7 @@ use contract::observatory::{
 };
 use contract::{Address, Key, Part};
 use simulator::Simulator;
-use tests::{Rig, example, header};
+use test_support::{Rig, example, header};
 
 /// Sky seconds per machine second. On two slow and busy cores a frame takes 0.8 s from one to the next, and so long the light of
 /// this slow twilight is the same within a tenth.

@@ -8,7 +8,7 @@ use bus::{Catch, Subscriber};
 use contract::observatory::{Alerts, FocusOutcome, FocusRun, FocusState, RowStatus};
 use contract::{Address, DeviceState, Key, Kind, Part, Role, device::focuser};
 use serde_json::json;
-use tests::{Rig, RigOptions, row};
+use test_support::{Rig, RigOptions, row};
 
 /// Where the simulated focus is at 10 C through V, steps.
 const TRUTH: f64 = 25_000.0;
@@ -46,7 +46,7 @@ async fn a_run_ends_at_the_focus_from_near_and_far_and_where_it_began_under_clou
     .await?;
     rig.simulator.world().set_weather(simulator::Quantity::Temperature, Some(10.0));
     rig.simulator.world().set_weather(simulator::Quantity::StarFwhm, Some(1.0));
-    let address = Address::new(tests::SITE, tests::TELESCOPE)?;
+    let address = Address::new(test_support::SITE, test_support::TELESCOPE)?;
     let key = Key::FocusRun(address.clone()).to_string();
     let runs = rig.bus.subscribe::<FocusRun>(&key, Catch::All, 100).await?;
     let state = rig.bus.latest::<FocusState>(&Key::Observatory(address.clone(), Part::Focus)).await?;

@@ -1,7 +1,7 @@
 //! A person's word outlives the sky, the schedule and a restart.
 
 use contract::Role;
-use tests::{Rig, RigOptions, long_row};
+use test_support::{Rig, RigOptions, long_row};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_ordered_to_stay_closed_stays_closed_until_it_is_taken_back() -> anyhow::Result<()> {

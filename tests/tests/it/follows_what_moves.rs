@@ -9,7 +9,7 @@ use contract::observatory::RowStatus;
 use serde_json::{Value, json};
 use sky::moving::{Orbit, Satellite, Shape, When};
 use sky::{Body, EarthOrientation, Observer, Place, separation};
-use tests::{Rig, RigOptions, row};
+use test_support::{Rig, RigOptions, row};
 use units::{Angle, Utc};
 
 /// Each body is followed for so long, sky s.

@@ -2,7 +2,7 @@
 
 use contract::Role;
 use serde_json::json;
-use tests::{Rig, RigOptions, object, row};
+use test_support::{Rig, RigOptions, object, row};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_restarted_observatory_counts_the_frames_that_were_taken() -> anyhow::Result<()> {

@@ -9,7 +9,7 @@ use contract::audit::{Outcome, Record};
 use contract::device::{dome, focuser};
 use contract::{Address, Command, CommandId, Kind, OrderKind, Reason, Reply, Role};
 use serde_json::json;
-use tests::{Rig, RigOptions, SITE, TELESCOPE, object, row};
+use test_support::{Rig, RigOptions, SITE, TELESCOPE, object, row};
 
 /// Role and id of each node that keeps a file of its own.
 type Writer = [&'static str; 2];

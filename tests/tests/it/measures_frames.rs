@@ -10,7 +10,7 @@ use contract::device::camera::Frame;
 use contract::observatory::FrameFacts;
 use contract::{Payload, Role};
 use serde_json::json;
-use tests::{Lateness, Rig, RigOptions, header, object, row};
+use test_support::{Lateness, Rig, RigOptions, header, object, row};
 
 /// Frames of the row.
 const FRAMES: usize = 6;
@@ -28,7 +28,7 @@ fn options() -> RigOptions {
 }
 
 async fn all<T: Payload>(rig: &Rig, below: &str) -> anyhow::Result<Subscriber<T>> {
-    let expression = format!("{}/{}/{}/{below}", contract::key::ROOT, tests::SITE, tests::TELESCOPE);
+    let expression = format!("{}/{}/{}/{below}", contract::key::ROOT, test_support::SITE, test_support::TELESCOPE);
     Ok(rig.bus.subscribe(&expression, Catch::All, 1000).await?)
 }
 

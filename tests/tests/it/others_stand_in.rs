@@ -9,8 +9,7 @@ use axum::routing::post;
 use contract::observatory::Alerts;
 use contract::{Address, Key, NodeTopic, Part, Role};
 use serde_json::Value;
-use tests::{Rig, RigOptions, SITE, TELESCOPE, long_row};
-use tokio::net::TcpListener;
+use test_support::{Rig, RigOptions, SITE, TELESCOPE, long_row, serve};
 
 const SILENT: &str = "node-silent/observatory/alpha";
 /// What is told before the observatory node dies and stands all the time: a full disk, that each node tells, and a
@@ -22,9 +21,8 @@ const BEFORE: [&str; 2] = ["disk/data", "alert-not-sent/dead"];
 struct Chat(Arc<Mutex<Vec<Value>>>);
 
 impl Chat {
-    async fn open(&self) -> anyhow::Result<u16> {
-        let (listener, letters) = (TcpListener::bind("127.0.0.1:0").await?, self.0.clone());
-        let port = listener.local_addr()?.port();
+    async fn open(&self) -> u16 {
+        let letters = self.0.clone();
         let take = move |body: String| {
             letters
                 .lock()
@@ -32,8 +30,7 @@ impl Chat {
                 .push(serde_json::from_str(&body).unwrap_or_default());
             std::future::ready("thanks")
         };
-        tokio::spawn(async move { axum::serve(listener, Router::new().route("/", post(take))).await });
-        Ok(port)
+        serve(Router::new().route("/", post(take))).await.port()
     }
 
     /// Every event so far, in order, such as `raised no-lease`.
@@ -61,7 +58,7 @@ async fn once(rig: &Rig, chat: &Chat, event: &str, limit_s: f64) -> anyhow::Resu
 
 async fn story(role: Role, ids: &[&str]) -> anyhow::Result<()> {
     let chat = Chat::default();
-    let port = chat.open().await?;
+    let port = chat.open().await;
     let more = format!(
         "[safety]\ndisk_free_min_gb = 1000000\n[alerts]\nsend_when_observatory_silent_s = 20\nstand_in = \"{}\"\n\
          [[alerts.webhook]]\nname = \"chat\"\nurl = \"http://127.0.0.1:{port}/\"\n\

@@ -9,7 +9,7 @@ use contract::observatory::RowStatus;
 use serde_json::{Value, json};
 use simulator::SlitOptions;
 use sky::{EarthOrientation, Horizontal, Observer, Place};
-use tests::{Rig, RigOptions};
+use test_support::{Rig, RigOptions};
 use units::Utc;
 
 /// Sky seconds per machine second.

@@ -12,7 +12,7 @@ use contract::observatory::{FrameFacts, PointingState, RowStatus};
 use contract::{Address, Key, Part, Payload, Role};
 use serde_json::{Value, json};
 use sky::Icrs;
-use tests::{Rig, RigOptions, row};
+use test_support::{Rig, RigOptions, row};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 
@@ -70,7 +70,7 @@ async fn nudge(rig: &Rig) -> anyhow::Result<()> {
 }
 
 async fn all<T: Payload>(rig: &Rig, below: &str) -> anyhow::Result<Subscriber<T>> {
-    let expression = format!("{}/{}/{}/{below}", contract::key::ROOT, tests::SITE, tests::TELESCOPE);
+    let expression = format!("{}/{}/{}/{below}", contract::key::ROOT, test_support::SITE, test_support::TELESCOPE);
     Ok(rig.bus.subscribe(&expression, Catch::All, 1000).await?)
 }
 
@@ -98,7 +98,7 @@ async fn a_mount_that_misses_by_5_arcmin_is_brought_within_a_tenth_and_learns_to
     rig.simulator.world().set_weather(simulator::Quantity::StarFwhm, Some(0.1));
     let frames = all::<Frame>(&rig, "device/camera/*/frame").await?;
     let facts = all::<FrameFacts>(&rig, "observatory/frame/*/facts").await?;
-    let key = Key::Observatory(Address::new(tests::SITE, tests::TELESCOPE)?, Part::Pointing);
+    let key = Key::Observatory(Address::new(test_support::SITE, test_support::TELESCOPE)?, Part::Pointing);
     let pointing = rig.bus.latest::<PointingState>(&key).await?;
     for role in [Role::Device, Role::Observatory] {
         rig.start(role)?;

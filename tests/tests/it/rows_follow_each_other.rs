@@ -7,7 +7,7 @@ use std::time::Duration;
 use contract::Role;
 use serde_json::json;
 use simulator::{MountOptions, Simulator};
-use tests::{Rig, example};
+use test_support::{Rig, example};
 
 const ROWS: usize = 6;
 const FRAMES: u32 = 2;

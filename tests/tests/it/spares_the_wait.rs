@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use contract::Role;
 use contract::observatory::Verdict;
 use simulator::Quantity;
-use tests::{Lateness, Rig, RigOptions};
+use test_support::{Lateness, Rig, RigOptions};
 
 /// Five minutes of the sky, half a minute of the machine.
 const DWELL_MIN: f64 = 5.0;
@@ -22,7 +22,7 @@ fn verdict(rig: &Rig) -> Option<Verdict> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_restarted_observatory_under_a_good_sky_closes_nothing() -> anyhow::Result<()> {
-    let mut rig = Rig::new(options(), tests::long_row).await?;
+    let mut rig = Rig::new(options(), test_support::long_row).await?;
     rig.start(Role::Device)?;
     rig.start(Role::Observatory)?;
     rig.until("the dome opens on a safe sky", 120.0, Rig::is_open).await?;
@@ -45,7 +45,7 @@ async fn a_restarted_observatory_under_a_good_sky_closes_nothing() -> anyhow::Re
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_sky_that_was_bad_within_the_dwell_keeps_a_restarted_observatory_waiting() -> anyhow::Result<()> {
-    let mut rig = Rig::new(options(), tests::long_row).await?;
+    let mut rig = Rig::new(options(), test_support::long_row).await?;
     rig.start(Role::Device)?;
     rig.start(Role::Observatory)?;
     rig.until("the dome opens on a safe sky", 120.0, Rig::is_open).await?;

@@ -7,7 +7,7 @@ use contract::device::dome;
 use contract::node::NodeState;
 use contract::observatory::{Permit, StandingOrders};
 use contract::{Address, BootId, Command, CommandId, Key, Kind, NodeTopic, Part, Role};
-use tests::{Lateness, Rig, RigOptions, SITE, TELESCOPE, long_row};
+use test_support::{Lateness, Rig, RigOptions, SITE, TELESCOPE, long_row};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hot_standby_takes_over_and_the_dome_stays_open() -> anyhow::Result<()> {

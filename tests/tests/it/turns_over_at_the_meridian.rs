@@ -11,7 +11,7 @@ use contract::device::telescope::PierSide;
 use contract::observatory::{ActionNow, RowStatus};
 use serde_json::{Value, json};
 use sky::{EarthOrientation, Icrs, Observer, OfDate, Place};
-use tests::{Rig, RigOptions, row};
+use test_support::{Rig, RigOptions, row};
 use units::Angle;
 
 /// How long before the meridian the targets stand when the night begins, min: of the mount that ignores flips, and of the
@@ -55,7 +55,8 @@ async fn a_mount_is_turned_over_once_and_one_that_ignores_it_is_not_asked_again(
     };
     let mut rig = Rig::new(options(), rows).await?;
     rig.simulator.world().set_weather(simulator::Quantity::StarFwhm, Some(0.1));
-    let expression = format!("{}/{}/{}/device/camera/*/frame", contract::key::ROOT, tests::SITE, tests::TELESCOPE);
+    let expression =
+        format!("{}/{}/{}/device/camera/*/frame", contract::key::ROOT, test_support::SITE, test_support::TELESCOPE);
     let frames = rig.bus.subscribe::<Frame>(&expression, Catch::All, 1000).await?;
     for role in [contract::Role::Device, contract::Role::Observatory] {
         rig.start(role)?;

@@ -5,7 +5,7 @@
 use serde_json::json;
 use simulator::SlitOptions;
 use sky::{EarthOrientation, Horizontal, Observer, Place};
-use tests::{Rig, RigOptions, Rows, row};
+use test_support::{Rig, RigOptions, Rows, row};
 
 /// A target at this altitude and azimuth at the start.
 fn field(

@@ -4,7 +4,7 @@
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use tests::{Rig, RigOptions, long_row};
+use test_support::{Rig, RigOptions, long_row};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn up_runs_a_telescope_and_closes_it_when_it_is_stopped() -> anyhow::Result<()> {

@@ -3,20 +3,17 @@
 use std::io::Write;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
-use std::time::{Duration, Instant};
 
-use bus::{Bus, Clock, Node};
+use bus::{Clock, Node};
 use contract::Role;
 use contract::observatory::{Alert, AlertKind, Alerts, merge};
 use tempfile::TempDir;
+use test_support::{ALPHA, LIMIT, private_bus, within};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
-
-/// Nothing in these tests may take longer, on a busy machine.
-const LIMIT: Duration = Duration::from_secs(60);
 
 pub struct Site {
     pub node: Node,
@@ -33,13 +30,9 @@ impl Site {
         for (name, text) in files {
             std::fs::write(folder.path().join(name), text).unwrap();
         }
-        let place = "[observatory]\nsite = \"s\"\ntelescope = \"t\"\nlatitude_deg = 0\nlongitude_deg = 0\n\
-            elevation_m = 0\n";
-        let config = config::parse(&format!("{place}{more}"), folder.path()).unwrap();
-        let private = config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect: vec![], multicast: false };
-        let bus = Bus::open(&private, Clock::machine_clock()).await.unwrap();
-        let header = config::header::HeaderTable::default();
-        let node = Node::new(Role::Observatory, "main".parse().unwrap(), config, header, bus);
+        let config = config::parse(&format!("{ALPHA}{more}"), folder.path()).unwrap();
+        let bus = private_bus(Clock::machine_clock()).await;
+        let node = Node::new(Role::Observatory, "main".parse().unwrap(), config, Default::default(), bus);
         let (raised, mut given) = watch::channel(Alerts::default());
         let (shown, alerts) = watch::channel(None);
         let (mut tasks, mut own) = (JoinSet::new(), node.alerts.watch());
@@ -88,11 +81,8 @@ impl Site {
     }
 
     pub async fn until(&self, what: &str, holds: impl Fn() -> bool) {
-        let began = Instant::now();
-        while !holds() {
-            assert!(began.elapsed() < LIMIT, "{what}: not within {LIMIT:?}; {:?}", *self.node.alerts.watch().borrow());
-            tokio::time::sleep(Duration::from_millis(20)).await;
-        }
+        let held = within(LIMIT, || holds().then_some(())).await;
+        assert!(held.is_some(), "{what}: not within {LIMIT:?}; {:?}", *self.node.alerts.watch().borrow());
     }
 
     /// Neither log nor bus holds any of these words.

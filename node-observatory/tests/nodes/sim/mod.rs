@@ -2,7 +2,7 @@
 //! observatory node, on a bus of their own.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use bus::{Bus, Catch, Clock, Latest, Node, Subscriber};
 use contract::device::telescope::PierSide;
@@ -15,7 +15,7 @@ use node_observatory::guiding::learnt::{Learnt, path};
 use node_observatory::pointing::learnt::Book;
 use simulator::Simulator;
 use tempfile::TempDir;
-use tokio::task::JoinHandle;
+use test_support::{RunningNode, block, join, private, private_bus, schedule_line, section, within};
 use units::Utc;
 
 /// An hour after nautical dusk on Paranal.
@@ -40,7 +40,7 @@ pub struct Sim {
     pub guiding: Latest<GuidingState>,
     pub corrections: Subscriber<Correction>,
     config: config::Observatory,
-    nodes: Vec<(Node, JoinHandle<anyhow::Result<()>>)>,
+    nodes: Vec<RunningNode>,
     _seat: tokio::sync::SemaphorePermit<'static>,
 }
 
@@ -124,13 +124,9 @@ impl Sim {
         let at = simulator.address();
         let clock = Clock::of_simulator(&format!("http://{at}")).await.unwrap();
         let folder = tempfile::tempdir().unwrap();
-        let (latitude, longitude) = (options.latitude.degrees(), options.longitude.degrees());
+        let address = Address::new("test", "alpha").unwrap();
         let more = more.replace("@simulator", &at.to_string());
-        let mut text = format!(
-            "[observatory]\nsite = \"test\"\ntelescope = \"alpha\"\nlatitude_deg = {latitude}\n\
-             longitude_deg = {longitude}\nelevation_m = {}\n[schedule]\nrobotic = true\n{more}\n",
-            options.elevation_m
-        );
+        let mut text = format!("{}[schedule]\nrobotic = true\n{more}\n", section(&address, &options));
         let scale = options.camera.pixel_scale().arcseconds();
         let camera = &format!("telescope = \"mount\"\nscale_arcsec_px = {scale:?}\n{more_of_camera}");
         let mount = &format!("settle_s = 1.0\n{more_of_mount}");
@@ -142,17 +138,14 @@ impl Sim {
             ("safetymonitor", "monitor", "dwell_min = 0.0\n"),
         ];
         for (kind, name, extra) in devices.into_iter().chain(more_devices) {
-            text.push_str(&format!("[[{kind}]]\nname = \"{name}\"\nserver = \"{at}\"\n{extra}"));
+            text.push_str(&block(kind, name, at, extra));
         }
         if options.guide_camera.is_some() {
-            let guider = "[[camera]]\nname = \"guider\"\nnumber = 1\ntelescope = \"mount\"\n";
-            text.push_str(&format!("{guider}server = \"{at}\"\n"));
+            text.push_str(&block("camera", "guider", at, "number = 1\ntelescope = \"mount\""));
         }
         let mut config = config::parse(&text, folder.path()).unwrap();
-        let private = |connect| config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect, multicast: false };
-        let bus = Bus::open(&private(vec![]), clock.clone()).await.unwrap();
+        let bus = private_bus(clock.clone()).await;
         config.bus = private(bus.locators().await);
-        let address = Address::new("test", "alpha").unwrap();
         let part = |part| Key::Observatory(address.clone(), part);
         let corrections = Key::Correction(address.clone()).to_string();
         Self {
@@ -184,11 +177,7 @@ impl Sim {
     pub fn write_schedule(&self, rows: &[(&str, &str)], length_s: f64) {
         let start = self.clock.utc();
         let line = |(index, (action, value)): (usize, &(&str, &str))| {
-            let (start, end) = (start.plus_seconds(index as f64), start.plus_seconds(length_s));
-            format!(
-                "{{\"device_name\": \"camera\", \"action_type\": \"{action}\", \"action_value\": {value}, \
-                 \"start_time\": \"{start}\", \"end_time\": \"{end}\"}}\n"
-            )
+            schedule_line("camera", action, value, [&start.plus_seconds(index as f64), &start.plus_seconds(length_s)])
         };
         let text: String = rows.iter().enumerate().map(line).collect();
         std::fs::write(self.folder.path().join("schedule.jsonl"), text).unwrap();
@@ -235,11 +224,8 @@ impl Sim {
 
     /// Ends the first observatory node as a power cut would: without a word.
     pub async fn kill_commander(&mut self) {
-        let is_it = |(node, _): &(Node, _)| node.role == Role::Observatory && node.id.as_str() == "main";
-        let (node, task) = self.nodes.remove(self.nodes.iter().position(is_it).unwrap());
-        task.abort();
-        let _ = task.await;
-        node.bus.close().await;
+        let is_it = |it: &RunningNode| it.node.role == Role::Observatory && it.node.id.as_str() == "main";
+        self.nodes.remove(self.nodes.iter().position(is_it).unwrap()).kill().await;
     }
 
     /// Data folder of the first observatory node.
@@ -307,13 +293,11 @@ impl Sim {
     }
 
     async fn start_one(&mut self, role: Role, id: &str, config: config::Observatory) {
-        let bus = Bus::open(&config.bus, self.clock.clone()).await.unwrap();
-        let node = Node::new(role, id.parse().unwrap(), config, Default::default(), bus);
-        let task = match role {
-            Role::Device => tokio::spawn(node.clone().live(None, node_device::run(node.clone()))),
-            _ => tokio::spawn(node.clone().live(None, node_observatory::run(node.clone()))),
-        };
-        self.nodes.push((node, task));
+        let node = Node::new(role, id.parse().unwrap(), config, Default::default(), join(&self.bus).await);
+        self.nodes.push(match role {
+            Role::Device => RunningNode::live(node, node_device::run),
+            _ => RunningNode::live(node, node_observatory::run),
+        });
     }
 
     /// Starts the observatory node again.
@@ -323,15 +307,11 @@ impl Sim {
 
     /// Waits until something is seen to be true.
     pub async fn until(&self, what: &str, most: Duration, mut holds: impl FnMut(&Self) -> bool) {
-        let started = Instant::now();
-        while !holds(self) {
-            if started.elapsed() > most {
-                let rows = self.schedule.get().map(|heard| heard.said.body);
-                let night = self.night.get().map(|heard| heard.said.body);
-                let guiding = self.guiding.get().map(|heard| heard.said.body);
-                panic!("not {what} within {most:?}\n{night:#?}\n{rows:#?}\n{guiding:#?}");
-            }
-            tokio::time::sleep(Duration::from_millis(20)).await;
+        if within(most, || holds(self).then_some(())).await.is_none() {
+            let rows = self.schedule.get().map(|heard| heard.said.body);
+            let night = self.night.get().map(|heard| heard.said.body);
+            let guiding = self.guiding.get().map(|heard| heard.said.body);
+            panic!("not {what} within {most:?}\n{night:#?}\n{rows:#?}\n{guiding:#?}");
         }
     }
 
@@ -345,10 +325,8 @@ impl Sim {
 
     /// Ends the nodes.
     pub async fn stop(self) {
-        for (node, task) in self.nodes.into_iter().rev() {
-            node.stop.stop();
-            task.await.unwrap().unwrap();
-            node.bus.close().await;
+        for node in self.nodes.into_iter().rev() {
+            node.stop().await;
         }
         self.simulator.stop().await;
     }

@@ -12,11 +12,12 @@ use contract::device::dome::{self, Shutter};
 use contract::device::{Description, safety_monitor, telescope};
 use contract::observatory::{Alerts, NightState, SafetyState, ScheduleState};
 use contract::{
-    Accepted, Address, Command, CommandId, Datum, DeviceKind, DeviceState, Key, Kind, LastCommand, Link, Name, Order,
+    Accepted, Address, Command, CommandId, Datum, DeviceKind, DeviceState, Key, Kind, LastCommand, Link, Order,
     OrderKind, Outcome, Part, Payload, Reply, Role,
 };
 use keeper::Keeper;
 use tempfile::TempDir;
+use test_support::{PARANAL, RunningNode, block, join, private, private_bus, schedule_line, within};
 use tokio::sync::watch;
 
 /// One make-believe device.
@@ -132,27 +133,6 @@ pub struct Site {
     _services: Vec<Service>,
 }
 
-/// A node that runs, and how it is stopped.
-pub struct Running {
-    node: Node,
-    task: tokio::task::JoinHandle<anyhow::Result<()>>,
-}
-
-impl Running {
-    /// Ends it as a power cut would: it says no last word.
-    pub async fn kill(self) {
-        self.task.abort();
-        let _ = self.task.await;
-        self.node.bus.close().await;
-    }
-
-    pub async fn stop(self) {
-        self.node.stop.stop();
-        self.task.await.unwrap().unwrap();
-        self.node.bus.close().await;
-    }
-}
-
 impl Site {
     /// A site with a roof, whose sky is safe and whose sky time runs `speed` times as fast.
     pub async fn new(speed: f64) -> Self {
@@ -163,8 +143,7 @@ impl Site {
     pub async fn with_dome(speed: f64, turns: Option<f64>) -> Self {
         let clock = Clock::simulated("2026-11-21T03:00:00Z".parse().unwrap(), speed);
         let address = Address::new("paranal", "callisto").unwrap();
-        let config = bus_config(vec![]);
-        let bus = Bus::open(&config, clock.clone()).await.unwrap();
+        let bus = private_bus(clock.clone()).await;
         let mut dome_fields = dome::Fields { shutter: Datum::Known(Shutter::Closed), ..Default::default() };
         if turns.is_some() {
             (dome_fields.azimuth_deg, dome_fields.slewing) = (Datum::Known(0.0), Datum::Known(false));
@@ -232,71 +211,45 @@ impl Site {
 
     /// Writes the schedule.
     pub fn write_schedule(&self, rows: &[(&str, &str, &str, &str)]) {
-        let text: String = rows
-            .iter()
-            .map(|(action, value, start, end)| {
-                format!(
-                    "{{\"device_name\": \"cam\", \"action_type\": \"{action}\", \"action_value\": {value}, \
-                     \"start_time\": \"2026-11-21 {start}\", \"end_time\": \"2026-11-21 {end}\"}}\n"
-                )
-            })
-            .collect();
+        let line = |(action, value, start, end): &(&str, &str, &str, &str)| {
+            let [start, end] = [start, end].map(|time| format!("2026-11-21 {time}"));
+            schedule_line("cam", action, value, [&start, &end])
+        };
+        let text: String = rows.iter().map(line).collect();
         std::fs::write(self.folder.path().join("schedule.jsonl"), text).unwrap();
     }
 
     /// Starts an observatory node.
-    pub async fn start(&self) -> Running {
+    pub async fn start(&self) -> RunningNode {
         self.start_as("main", "data").await
     }
 
     /// Starts one by another name, or with a data folder of its own.
-    pub async fn start_as(&self, id: &str, data: &str) -> Running {
-        let text = r#"
-            [observatory]
-            site = "paranal"
-            telescope = "callisto"
-            latitude_deg = -24.6
-            longitude_deg = -70.4
-            elevation_m = 2500
-            [schedule]
-            robotic = true
-            [[telescope]]
-            name = "mount"
-            server = "a:1"
-            [[camera]]
-            name = "cam"
-            server = "a:1"
-            temperature_c = -30
-            [[dome]]
-            name = "dome"
-            server = "a:1"
-            # the rest of the dome
-            [[safetymonitor]]
-            name = "monitor"
-            server = "a:1"
-        "#;
-        let text = text.replace("# the rest of the dome", self.dome_block) + self.more;
-        let mut config = config::parse(&text, self.folder.path()).unwrap();
-        config.bus = bus_config(self.bus.locators().await);
+    pub async fn start_as(&self, id: &str, data: &str) -> RunningNode {
+        let mut text = PARANAL.to_owned() + "[schedule]\nrobotic = true\n";
+        for (kind, name, more) in [
+            ("telescope", "mount", ""),
+            ("camera", "cam", "temperature_c = -30"),
+            ("dome", "dome", self.dome_block),
+            ("safetymonitor", "monitor", ""),
+        ] {
+            text += &block(kind, name, "a:1", more);
+        }
+        let mut config = config::parse(&(text + self.more), self.folder.path()).unwrap();
+        config.bus = private(self.bus.locators().await);
         config.folders.data = self.folder.path().join(data);
-        let bus = Bus::open(&config.bus, self.clock.clone()).await.unwrap();
-        let id: Name = id.parse().unwrap();
-        let node = Node::new(Role::Observatory, id, config, Default::default(), bus);
-        let task = tokio::spawn(node.clone().live(None, node_observatory::run(node.clone())));
-        Running { node, task }
+        let bus = join(&self.bus).await;
+        let node = Node::new(Role::Observatory, id.parse().unwrap(), config, Default::default(), bus);
+        RunningNode::live(node, node_observatory::run)
     }
 
     /// Waits until something is seen to be true.
     pub async fn until(&self, what: &str, most: Duration, mut holds: impl FnMut(&Self) -> bool) {
-        let started = Instant::now();
-        while !holds(self) {
-            if started.elapsed() > most {
-                let night = self.night.get().map(|heard| heard.said.body);
-                let rows = self.schedule.get().map(|heard| heard.said.body);
-                let safety = self.safety.get().map(|heard| heard.said.body);
-                panic!("not {what} within {most:?}\nnight: {night:#?}\nschedule: {rows:#?}\nsafety: {safety:#?}");
-            }
-            tokio::time::sleep(Duration::from_millis(5)).await;
+        if within(most, || holds(self).then_some(())).await.is_none() {
+            let night = self.night.get().map(|heard| heard.said.body);
+            let rows = self.schedule.get().map(|heard| heard.said.body);
+            let safety = self.safety.get().map(|heard| heard.said.body);
+            panic!("not {what} within {most:?}\nnight: {night:#?}\nschedule: {rows:#?}\nsafety: {safety:#?}");
         }
     }
 
@@ -336,10 +289,6 @@ pub async fn ask(bus: &Bus, address: &Address, order: &Order) -> Reply {
         }
     }
     panic!("nobody answers {key}")
-}
-
-fn bus_config(connect: Vec<String>) -> config::Bus {
-    config::Bus { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect, multicast: false }
 }
 
 async fn serve<C: Payload>(

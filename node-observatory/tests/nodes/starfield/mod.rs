@@ -14,6 +14,7 @@ use imaging::Wcs;
 use rand::SeedableRng as _;
 use rand_distr::{Distribution as _, Normal};
 use sha2::{Digest as _, Sha256};
+use test_support::serve;
 use units::Angle;
 
 use crate::site::{Device, Site};
@@ -111,14 +112,11 @@ impl Camera {
     pub async fn start(site: &Site) -> Self {
         let spool: Arc<Mutex<HashMap<String, Vec<u8>>>> = Arc::default();
         let served = spool.clone();
-        let serve = move |Path(frame): Path<String>| {
+        let answer = move |Path(frame): Path<String>| {
             let answer = served.lock().unwrap().get(&frame).cloned().ok_or(StatusCode::NOT_FOUND);
             async move { answer }
         };
-        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let url = format!("http://{}", listener.local_addr().unwrap());
-        let app = axum::Router::new().route("/{frame}", axum::routing::get(serve));
-        tokio::spawn(async move { axum::serve(listener, app).await });
+        let url = format!("http://{}", serve(axum::Router::new().route("/{frame}", axum::routing::get(answer))).await);
         let device: Arc<Device<camera::Camera>> = Device::new(&site.address, "guider", camera::Fields::default());
         let can = camera::Capabilities { width_px: SIDE_PX, height_px: SIDE_PX, ..Default::default() };
         device.appear(&site.bus, can).await;

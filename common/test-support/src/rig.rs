@@ -17,6 +17,7 @@ use tempfile::TempDir;
 
 use crate::lateness::Lateness;
 use crate::night::{Rows, configuration, jsonl, long_row};
+use crate::private_bus::private_bus;
 
 /// A rig is five processes, which together take some 0.05 of a core (27 s for five tests of 185 s, 2026-11): many more at once
 /// would measure the machine at their start, not Starmesh.
@@ -134,8 +135,7 @@ impl Rig {
         std::fs::write(folder.path().join("observatory.toml"), text)?;
         std::fs::write(folder.path().join("schedule.jsonl"), rows)?;
         let clock = Clock::of_simulator(&format!("http://{}", simulator.address())).await?;
-        let private = config::Bus { listen: vec![], connect: vec![], multicast: false };
-        let bus = Bus::open(&private, clock).await?;
+        let bus = private_bus(clock).await;
         let endpoint = bus.locators().await.into_iter().find(|locator| locator.contains("127.0.0.1"));
         let endpoint = endpoint.context("the private bus listens nowhere")?;
         let device =

@@ -1,11 +1,14 @@
 //! Schedules for tests: rows that start one after another from a given sky time on.
 
+use std::fmt::Display;
 use std::path::Path;
 
 use contract::Address;
 use serde_json::{Value, json};
 use sky::{EarthOrientation, Horizontal, Observer, Place};
 use units::{Angle, Utc};
+
+use crate::site::{block, section};
 
 /// Rows of one schedule.
 pub type Rows = Vec<(&'static str, Value)>;
@@ -38,23 +41,26 @@ pub fn long_row(options: &simulator::Options) -> Rows {
 ///
 /// # Panics
 /// When there is no such file.
-#[allow(clippy::expect_used, reason = "a test ends by panicking")]
 pub fn example(name: &str) -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples").join(name);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples").join(name);
     std::fs::read_to_string(path).expect("tests ask for examples that are there")
+}
+
+/// One line of a schedule.
+pub fn schedule_line(camera: &str, action: &str, value: impl Display, [start, end]: [&dyn Display; 2]) -> String {
+    format!(
+        "{{\"device_name\": \"{camera}\", \"action_type\": \"{action}\", \"action_value\": {value}, \
+         \"start_time\": \"{start}\", \"end_time\": \"{end}\"}}\n"
+    )
 }
 
 /// The schedule's text.
 pub(crate) fn jsonl(rows: &[(&'static str, Value)], start: Utc, length_s: f64) -> String {
-    let lines = rows.iter().enumerate().map(|(index, (action, value))| {
-        let row = json!({
-            "device_name": "camera", "action_type": action, "action_value": value,
-            "start_time": start.plus_seconds(index as f64).to_string(),
-            "end_time": start.plus_seconds(length_s).to_string(),
-        });
-        row.to_string() + "\n"
-    });
-    lines.collect()
+    let end = start.plus_seconds(length_s);
+    let line = |(index, (action, value)): (usize, &(&'static str, Value))| {
+        schedule_line("camera", action, value, [&start.plus_seconds(index as f64), &end])
+    };
+    rows.iter().enumerate().map(line).collect()
 }
 
 /// The configuration of all ten simulated devices, with more of the mount, the focuser, the dome and the weather station.
@@ -64,17 +70,12 @@ pub(crate) fn configuration(
     options: &simulator::Options,
     [mount, focuser, dome, weather]: [&str; 4],
 ) -> String {
-    let mut text = format!(
-        "[observatory]\nsite = \"{}\"\ntelescope = \"{}\"\nlatitude_deg = {}\nlongitude_deg = {}\nelevation_m = {}\n\
-         [bus]\nmulticast = false\n[clock]\nsimulator = \"http://{simulator}\"\n[schedule]\nrobotic = true\n\
-         [web]\nlisten = \"127.0.0.1:0\"\n",
-        address.site,
-        address.telescope,
-        options.latitude.degrees(),
-        options.longitude.degrees(),
-        options.elevation_m,
-    );
-    let blocks = [
+    let mut text = section(address, options)
+        + &format!(
+            "[bus]\nmulticast = false\n[clock]\nsimulator = \"http://{simulator}\"\n[schedule]\nrobotic = true\n\
+             [web]\nlisten = \"127.0.0.1:0\"\n"
+        );
+    for (kind, name, more) in [
         ("telescope", "mount", mount),
         ("camera", "camera", "temperature_c = -10.0\ntemperature_tolerance_c = 2.0\n"),
         ("filterwheel", "wheel", ""),
@@ -85,9 +86,8 @@ pub(crate) fn configuration(
         ("covercalibrator", "cover", ""),
         ("switch", "power", ""),
         ("rotator", "rotator", ""),
-    ];
-    for (kind, name, extra) in blocks {
-        text.push_str(&format!("[[{kind}]]\nname = \"{name}\"\nserver = \"{simulator}\"\n{extra}"));
+    ] {
+        text += &block(kind, name, simulator, more);
     }
     text
 }

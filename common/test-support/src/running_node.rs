@@ -1,0 +1,53 @@
+//! A node that runs in the process of the test.
+
+use bus::Node;
+use tokio::task::JoinHandle;
+
+use crate::wait::LIMIT;
+
+/// A node and its task.
+pub struct RunningNode {
+    /// The node.
+    pub node: Node,
+    task: JoinHandle<anyhow::Result<()>>,
+}
+
+impl RunningNode {
+    /// Runs a node with all that each node publishes about itself.
+    pub fn live<F>(node: Node, run: impl FnOnce(Node) -> F) -> Self
+    where
+        F: Future<Output = anyhow::Result<()>> + Send + 'static,
+    {
+        let task = tokio::spawn(node.clone().live(None, run(node.clone())));
+        Self { node, task }
+    }
+
+    /// Runs the work of a node alone.
+    pub fn work<F>(node: Node, run: impl FnOnce(Node) -> F) -> Self
+    where
+        F: Future<Output = anyhow::Result<()>> + Send + 'static,
+    {
+        let task = tokio::spawn(run(node.clone()));
+        Self { node, task }
+    }
+
+    /// Waits until the node ends by itself, and returns its result.
+    pub async fn ended(self) -> anyhow::Result<()> {
+        tokio::time::timeout(LIMIT, self.task).await.unwrap().unwrap()
+    }
+
+    /// Asks the node to end; it must end well.
+    pub async fn stop(self) {
+        self.node.stop.stop();
+        let bus = self.node.bus.clone();
+        self.ended().await.unwrap();
+        bus.close().await;
+    }
+
+    /// Ends the node as a power cut would: it publishes nothing more.
+    pub async fn kill(self) {
+        self.task.abort();
+        let _ = self.task.await;
+        self.node.bus.close().await;
+    }
+}
