@@ -7,6 +7,16 @@
 //! machine's clock at arrival (`freshness`), so a silent node is seen to be silent.
 //!
 //! It is never in the safety path: it decides nothing, and nothing waits for it.
+//!
+//! # Invariants
+//!
+//! - What is shown was decoded as the type of its key: `a_required_field_of_a_wrong_type_is_not_taken`,
+//!   `a_field_of_a_wrong_type_is_told_and_never_shown`.
+//! - A silent node is shown as silent: `a_value_grows_stale_after_two_periods_and_is_lost_after_five`,
+//!   `a_silent_observatory_is_an_error_and_never_safe`.
+//! - What strangers send pushes no telescope of the configuration off the page (decision 0050):
+//!   `a_million_keys_of_a_stranger_leave_room_for_the_telescope_of_the_file`.
+//! - A slow page delays nobody: `a_slow_page_gets_the_newest_value_of_each_key_once`.
 
 mod alerts;
 mod diary;

@@ -140,31 +140,17 @@ def main(section: str, starmesh: str, document: str, home: str):
         subprocess.run(["ip", *words.split()], check=True)
     folder = pathlib.Path(home)
     os.environ["HOME"], os.environ["PATH"] = home, f"{pathlib.Path(starmesh).parent}:{os.environ['PATH']}"
-    is_old = section not in ("A first night", "Make it rain")
-    telescope = "template/telescope-template" if is_old else "my-site/my-telescope"
+    telescope = "template/telescope-template"
     shell = Shell(folder, telescope)
     try:
-        if is_old:
-            write_night(folder / "Documents/Astra")
+        write_night(folder / "Documents/Astra")
         if section == "Coming from Astra":
             # in the place of the site's devices, which the predecessor leaves connected
             shell.type("starmesh simulator &")
             connect(PORT, "telescope")
             connect(PORT, "observingconditions")
-        if section == "Make it rain":
-            for line in lines_of(pathlib.Path(document), "A first night"):
-                shell.type(line)
         for line in lines_of(pathlib.Path(document), section):
-            # a person looks first: whether it is open, and whether the rain has closed it
-            if line.startswith("curl") and "true" in line:
-                wait("the dome is open", lambda: opened() > 0.9, 120)
-            elif line == "starmesh status":
-                wait("the dome is closed", lambda: opened() == 0, 60)
             shell.type(line.replace("SITE/TELESCOPE", telescope))
-        if section == "Make it rain":
-            wait("the dome is open again", lambda: opened() > 0.9, 120)
-            print(json.dumps({"dome": closings(), "said": shell.said, "codes": shell.end()}))
-            return
         if section == "Coming from Astra":
             rows = find(state(telescope), "rows")
             print(json.dumps({"rows": len(rows), "said": shell.said, "codes": shell.end()}))

@@ -3,6 +3,15 @@
 //! Every node takes the same file and reads its own parts. Unknown keys are refused, relations between
 //! devices are proven here once, and the rest of the code sees only [`Observatory`]. Pure: text in, values
 //! out; relative paths are resolved against a folder that the caller names.
+//!
+//! # Invariants
+//!
+//! - All faults that refuse a configuration are reported together, with their lines (decision 0055):
+//!   `a_file_with_ten_faults_tells_ten_with_their_lines_in_order`.
+//! - A configuration that this crate accepts can run; a part of it that turns out to be unusable stops only itself (decision 0056).
+//! - Any text is a configuration or is refused with a reason: `any_text_is_a_configuration_or_refused_with_a_reason`.
+//! - An enclosure has a device node of its own unless its block names one (decision 0043):
+//!   `an_enclosure_has_a_node_of_its_own_where_no_block_names_one`.
 
 mod alerts;
 mod check;

@@ -1,12 +1,22 @@
-//! The words of the bus: every key and every payload that Starmesh nodes exchange.
+//! The contract of the bus: every key and every payload that Starmesh nodes exchange.
 //!
-//! Nodes never import nodes; they meet on the keys of [`key`] and speak the payloads below. Each payload
+//! Nodes never import nodes; they meet on the keys of [`key`] and exchange the payloads below. Each payload
 //! travels in a [`Stamped`] envelope as JSON. Times are RFC 3339 UTC with `Z`, angles are degrees (right
 //! ascension too), a number's field name ends in its unit, and a missing value carries its reason
 //! ([`NoData`]): a NaN never leaves a node.
 //!
 //! Growing within `v1` means optional fields and new keys. `golden/v1/*.json` holds one frozen sample of each
-//! payload; when its test speaks up, change the code. `docs/bus.md` is made from the table in `table.rs`.
+//! payload; when its test fails, change the code. `docs/bus.md` is generated from the table in `table.rs`.
+//!
+//! # Invariants
+//!
+//! - Every key has exactly one row in the table, and reads back as itself: `every_key_has_exactly_one_row`,
+//!   `every_key_reads_back_as_itself`.
+//! - No bytes from the bus make a decoder panic: `a_damaged_sample_never_panics`, `random_bytes_never_panic`.
+//! - Only kinds of alerts that are in the table of alerts can be raised, and each has sentences for people; shelving an alert never
+//!   changes safety: `every_id_names_its_kind`, `every_row_has_words_that_are_sentences`.
+//! - Text from outside appears in a log, a diary, an alert, an e-mail or a line on a terminal only as [`printable`] spells it (decision
+//!   0065): `nothing_in_a_text_ends_its_line_or_steers_a_terminal`.
 
 pub mod archive;
 pub mod audit;

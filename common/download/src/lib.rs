@@ -3,6 +3,11 @@
 //! The archive stores them, the observatory measures them; each fetches for itself, and neither waits for the other. One
 //! buffer is taken, as large as announced; it grows no further, whatever the spool sends. A spool that sends a few bytes now
 //! and then ends at the frame's total time ([`longest`]).
+//!
+//! # Invariants
+//!
+//! - Pixels whose hash is not the announced one are never returned: `wrong_pixels_are_never_taken`.
+//! - A download ends within the frame's total time, however slow the spool is: `a_spool_that_dribbles_ends_at_the_total_time`.
 
 use std::time::Duration;
 

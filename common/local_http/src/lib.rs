@@ -3,6 +3,13 @@
 //! [`client_builder`] makes every client that talks to hardware, to a spool or to another of our own addresses.
 //! [`serve`] serves the page and the spool: it limits connections in all, connections of one address ([`Places`]), and the
 //! time that a request may take.
+//!
+//! # Invariants
+//!
+//! - What a stranger can fill is limited where it comes in (decision 0050): `one_address_has_its_share_and_strangers_leave_room_for_the_trusted`,
+//!   `half_requests_give_their_places_back_in_time`.
+//! - No other place in the workspace makes an HTTP client for hardware or for our own addresses:
+//!   `clients_for_hardware_and_our_own_addresses_are_made_in_one_place`.
 
 mod places;
 mod serve;

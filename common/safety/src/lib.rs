@@ -38,6 +38,18 @@
 //! - [`on_disk`]: what the file of these orders holds; [`inherit`]: what holds for a node that becomes the commander.
 //! - [`operators`]: who has the telescope.
 //! - [`annunciator`]: what people did about alerts.
+//!
+//! # Invariants
+//!
+//! - Nothing is safe by default: every dwell begins unsafe: `the_dwell_must_be_filled_before_the_first_safe`.
+//! - The Sun follows every clock that may be right: `a_step_of_the_wall_clock_is_seen_and_both_times_may_be_right` (`clocks.rs`).
+//! - Evidence from the past counts only where it joins the live states; live states alone say what is true now (decision 0012):
+//!   `recalled_evidence_without_live_states_is_not_what_is_now`.
+//! - What may have happened before this node subscribed is unknown, and unknown is unsafe, also within the window of a largest value:
+//!   `a_maximum_is_known_once_its_window_has_filled_since_the_listening_began`.
+//! - A dome without any input that reports rain stays closed (decision 0056): `without_any_input_it_is_never_safe`.
+//! - A commander that does not know the last operator orders of the commander before it stays closed (`inherit.rs`, decision 0015):
+//!   `what_holds_is_what_the_commander_before_was_told_and_stays_closed_where_nobody_knows`.
 
 pub mod annunciator;
 pub mod clocks;

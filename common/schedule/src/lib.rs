@@ -11,6 +11,19 @@
 //!
 //! Nothing here knows a device, the bus or a clock; `now` is given. Files are read only where the configuration names them: the
 //! schedule itself, horizons, and names that were looked up.
+//!
+//! # Invariants
+//!
+//! - Which rows run at the same time is decided in `sequence.rs`, which is pure:
+//!   `no_schedule_opens_under_an_unsafe_sky_or_lets_two_rows_have_one_mount`.
+//! - The type of an action describes its parameters once; refusals, page, command line and bus are generated from it (decision 0026):
+//!   `the_page_about_the_schedule_is_what_the_actions_say`.
+//! - What the sky does never refuses a schedule (decision 0027): `what_the_sky_does_is_told_and_refuses_nothing`
+//!   (`starmesh/tests/checks_wrong_schedules.rs`).
+//! - A schedule is checked against the same horizon and altitude as a slew (`horizon_limits.rs`, decision 0036):
+//!   `nothing_is_observed_behind_the_horizon_or_below_the_least_altitude`. Every slew goes through `Mount::point` and its limits (`slew_limits.rs`,
+//!   decision 0030): `no_target_within_reach_stands_beyond_a_limit`.
+//! - A forecast has no rule of its own: each action has its steps in `plan/steps` (decision 0032): `every_golden_plan_is_as_its_file_says`.
 
 pub mod action;
 pub mod fault;
