@@ -105,7 +105,7 @@ async fn main() {
         file.write_pixels(&SHAPE, &pixels).unwrap();
         file.write_checksums().unwrap();
         file.close().unwrap();
-        // as the archive does before it names a file
+        // As the archive does before it names a file.
         std::fs::File::open(&path).unwrap().sync_all().unwrap();
         let file = format!("{index}.fits");
         images.push(StoredImage { frame, path, file, bytes: 2_097_152, stored: start });

@@ -80,7 +80,7 @@ fn sum((days, fraction): (f64, f64)) -> f64 {
 
 /// Such as `00 10 22.393` or `-01 59 03.120`.
 fn hours_minutes_seconds(hours: f64) -> String {
-    // rounded first, so that no 60 appears
+    // Rounded first, so that no 60 appears.
     let milliseconds = (hours.abs() * 3_600_000.0).round() as u64;
     let sign = if hours < 0.0 && milliseconds > 0 { "-" } else { "" };
     let (minutes, rest) = (milliseconds / 60_000, milliseconds % 60_000);

@@ -116,7 +116,7 @@ impl Keeper {
                 let write = Write::Audit(Box::new(StoredRecord::of(signature(&who), &proven)));
                 Ok(self.database.put(write).await?)
             }
-            // the node's own file tells what is true
+            // The node's own file tells what is true.
             Ok(_) | Err(_) => {
                 follow.lacks = true;
                 self.fetch(&who).await
@@ -142,7 +142,7 @@ impl Keeper {
         let now = self.bus.clock().machine();
         let follow = self.follow(who).await?;
         if follow.lacks && follow.asked.is_some_and(|asked| now.since(asked) < Duration::from_secs(1)) {
-            // it does not answer now: `look` tries again
+            // It does not answer now: `look` tries again.
             return Ok(());
         }
         follow.asked = Some(now);
@@ -162,7 +162,7 @@ impl Keeper {
                 let gone =
                     format!("number {} of chain {} is stored here and not in its own file", end.number, end.chain);
                 self.tell(who, &gone);
-                // from the beginning: what is here already counts once
+                // From the beginning: what is here already counts once.
                 last = None;
                 continue;
             }

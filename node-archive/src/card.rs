@@ -95,7 +95,7 @@ fn float(value: f64) -> Option<String> {
 fn quoted(text: &str) -> String {
     let mut inside = String::new();
     for c in printable(text).trim_end().chars() {
-        // a quote is written twice, and must not be cut in half
+        // A quote is written twice, and must not be cut in half.
         let width = if c == '\'' { 2 } else { 1 };
         if inside.len() + width > TEXT_LENGTH {
             break;

@@ -93,7 +93,7 @@ impl Completer {
 
     fn write_journal(&self, path: &Path, header: &[u8]) -> Result<(), CompletionError> {
         let journal = journal_of(path);
-        // there is none at first; one that was for another file names that file, and is not taken for this one's
+        // There is none at first; one that was for another file names that file, and is not taken for this one's.
         let moved = match fs::rename(&self.spare, &journal) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
             moved => moved,
@@ -176,7 +176,7 @@ fn rewrite(path: &Path, header: &[u8], old_length: u64) -> Result<(), Completion
     let part = PathBuf::from(part);
     let written = refuse_link(path).and_then(|()| File::open(path)).and_then(|mut old| {
         old.seek(SeekFrom::Start(old_length))?;
-        // what a kill left, or a link that somebody put there
+        // What a kill left, or a link that somebody put there.
         if is_taken(&part) {
             fs::remove_file(&part)?;
         }

@@ -181,7 +181,7 @@ fn prepare(path: &Path) -> Result<Connection, DatabaseError> {
         };
         make(&mut connection).map_err(failed("make the tables of"))?;
     }
-    // an older Starmesh that opens this file does not know these tables, and needs not
+    // An older Starmesh that opens this file does not know these tables, and needs not.
     connection.execute_batch(guiding::SCHEMA).map_err(failed("make the tables of"))?;
     connection.execute_batch(rows::FOCUS).map_err(failed("make the tables of"))?;
     Ok(connection)
@@ -206,7 +206,7 @@ fn write_all(
                     break;
                 }
                 Err(error) => {
-                    // once for a batch: a disk that spoils what it just took is no case for a third file
+                    // Once for a batch: a disk that spoils what it just took is no case for a third file.
                     let may_renew = damage::is_damage(&error) && !std::mem::replace(&mut is_renewed, true);
                     let renewed = may_renew.then(|| damage::renew(&mut connection, path, &error));
                     let cause = match renewed {
@@ -231,7 +231,7 @@ fn write_all(
             }
         }
         for done in batch.into_iter().filter_map(|job| job.done) {
-            // nobody waits any more when the one who asked was stopped
+            // Nobody waits any more when the one who asked was stopped.
             let _ = done.send(());
         }
     }

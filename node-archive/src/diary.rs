@@ -24,7 +24,7 @@ pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
         for (name, value) in &line.fields {
             message.push_str(&format!(" {name}={value}"));
         }
-        // whoever sent it: a table is read line by line, too
+        // Whoever sent it: a table is read line by line, too.
         let message = contract::printable(&message).into_owned();
         let write = Write::Log {
             telescope: address.telescope.to_string(),

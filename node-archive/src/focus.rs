@@ -38,7 +38,7 @@ pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
         let (images, title) = (node.config.folders.images.clone(), node.config.place.telescope.to_string());
         let drawn = tokio::task::spawn_blocking(move || draw(&images, &plot, &svg(&run, &title))).await?;
         if let Err(error) = drawn {
-            // the numbers are in the database
+            // The numbers are in the database.
             tracing::warn!(%error, "the plot of a focus run could not be written");
         }
         count += 1;
@@ -65,7 +65,7 @@ pub fn svg(run: &FocusRun, telescope: &str) -> String {
         value_label: &run.value_label,
         points: &points,
         fit: fit.as_ref(),
-        // `as` saturates
+        // `as` saturates.
         chosen: run.best_position.map(|best| best.round() as i32),
     }
     .svg()

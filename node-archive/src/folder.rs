@@ -74,7 +74,7 @@ async fn lock(what: &str, place: &Path, file: &Path, who: &str) -> anyhow::Resul
             }
         }
     }
-    // its text is for people only
+    // Its text is for people only.
     let note = format!("archive node {who}, process {} on host {}\n", std::process::id(), bus::host_name());
     let _ = lock.set_len(0).and_then(|()| lock.rewind()).and_then(|()| lock.write_all(note.as_bytes()));
     Ok(opened.ok())

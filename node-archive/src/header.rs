@@ -127,7 +127,7 @@ pub fn base(table: &HeaderTable, known: &Known<'_>) -> Vec<Card> {
         if let Some(value) = compute(known) {
             match cards.iter_mut().find(|card| card.keyword == *keyword) {
                 Some(card) => {
-                    // a table speaks of the telescope's RA; with a target these are the target's
+                    // A table speaks of the telescope's RA; with a target these are the target's.
                     card.comment =
                         if matches!(*keyword, "RA" | "DEC") { (*comment).to_owned() } else { card.comment.clone() };
                     card.value = value;
@@ -143,10 +143,10 @@ fn base_value(row: &HeaderRow, known: &Known<'_>) -> Option<CardValue> {
     let keyword = row.keyword.as_str();
     let compute = || COMPUTED.iter().find(|(name, ..)| *name == keyword).and_then(|(_, compute, _)| compute(known));
     match &row.source {
-        // known even where the table has it filled in later: dates, and a target's place
+        // Known even where the table has it filled in later: dates, and a target's place.
         Source::Computed => compute(),
         Source::Property(Kind::Telescope, _) if matches!(keyword, "RA" | "DEC") => compute(),
-        // computed keywords are worked out for the configured site, so that is what the header tells
+        // Computed keywords are worked out for the configured site, so that is what the header tells.
         Source::Property(Kind::Telescope, property) if row.fixed && site(known.place, property).is_some() => {
             site(known.place, property).map(CardValue::Float)
         }
@@ -300,7 +300,7 @@ impl Later<'_> {
 
     fn polled(&self, row: &HeaderRow, kind: Kind, property: &str, around: &Around) -> Option<CardValue> {
         if row.fixed {
-            // it does not change, so any poll will do
+            // It does not change, so any poll will do.
             let sample = around.before.as_ref().or(around.after.as_ref())?;
             return Some(typed(row.dtype, &sample.value));
         }

@@ -42,7 +42,7 @@ pub async fn serve(node: &Node) -> Result<Service, BusError> {
 fn within(mut answer: Answer, most_bytes: usize) -> Answer {
     let mut sizes: Vec<usize> = Vec::with_capacity(answer.rows.len());
     for row in &answer.rows {
-        // a row that cannot be written takes no part
+        // A row that cannot be written takes no part.
         sizes.push(serde_json::to_vec(row).map_or(0, |bytes| bytes.len() + 1));
     }
     let mut room = most_bytes.saturating_sub(FRAME_BYTES);

@@ -122,7 +122,7 @@ mod tests {
         assert_eq!(value_at(Rule::Linear, None, Some(&poll), at(-9.0), 10.0), Some(Scalar::Float(5.0)));
         assert_eq!(value_at(Rule::Linear, Some(&poll), None, at(11.0), 10.0), None);
         assert_eq!(value_at(Rule::Linear, None, None, at(0.0), 10.0), None);
-        // a hole in the telemetry is not bridged
+        // A hole in the telemetry is not bridged.
         let late = sample(100.0, Scalar::Float(9.0));
         assert_eq!(value_at(Rule::Linear, Some(&poll), Some(&late), at(50.0), 10.0), None);
         assert_eq!(value_at(Rule::Linear, Some(&poll), Some(&late), at(5.0), 10.0), Some(Scalar::Float(5.0)));

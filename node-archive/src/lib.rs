@@ -78,7 +78,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     let config = node.config.clone();
     let (namer, wrong) = Namer::with_faults(&config.archive.filename, config.place.longitude_deg);
     for fault in wrong {
-        // frames under another name are better than none
+        // Frames under another name are better than none.
         let (key, why) =
             (format!("archive.filename.{}", fault.action), format!("{fault}; frames get their default names"));
         node.alerts.raise(AlertKind::Configuration, &key, &why);
@@ -136,7 +136,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
         Some(Some(Err(error))) => Err(error).context("a part of the archive ended badly"),
         Some(None) => Ok(()),
     };
-    // the last clones of the database go with the tasks, and then the writer ends with everything written
+    // The last clones of the database go with the tasks, and then the writer ends with everything written.
     tasks.shutdown().await;
     writer.end().await;
     result

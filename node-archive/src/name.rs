@@ -73,7 +73,7 @@ impl Namer {
 
     /// As [`Namer::new`], with the default in the place of each template that cannot be used, and what is wrong with those.
     pub fn with_faults(own: &BTreeMap<String, String>, longitude_deg: f64) -> (Self, Vec<NameError>) {
-        // one Jinja template makes all of a site's own Jinja, as the predecessor reads them
+        // One Jinja template makes all of a site's own Jinja, as the predecessor reads them.
         let is_jinja = own.values().any(|template| template.contains("{{") && template.contains("}}"));
         let mut templates: BTreeMap<String, (String, bool)> =
             DEFAULTS.iter().map(|(action, template)| ((*action).to_owned(), ((*template).to_owned(), false))).collect();
@@ -254,7 +254,7 @@ fn clean(text: &str) -> String {
 /// One folder or file name that every file system takes.
 pub(crate) fn part(text: &str) -> String {
     let cleaned = clean(text);
-    // Windows drops trailing dots and spaces; leading dots hide a file
+    // Windows drops trailing dots and spaces; leading dots hide a file.
     let cleaned = cleaned.trim_end_matches(['.', ' ']);
     let bare = cleaned.trim_start_matches('.');
     let mut name = if bare.len() < cleaned.len() { format!("_{bare}") } else { cleaned.to_owned() };

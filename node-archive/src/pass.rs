@@ -109,7 +109,7 @@ pub fn complete_image(
     for (kind, property) in needed(site.table) {
         let Some(device) = devices.get(&kind) else { continue };
         let around = reader.around(device, property, frame.started_utc)?;
-        // a property that never had a value is not waited for once its device was heard
+        // A property that never had a value is not waited for once its device was heard.
         let is_void = around.before.is_none() && site.newest.heard_since(device, frame.started_utc);
         if !around.heard_since && !is_void && !impatient {
             return Ok(None);
@@ -183,7 +183,7 @@ pub async fn keep(pass: Pass) -> anyhow::Result<()> {
     let mut waiting: HashMap<CommandId, Waiting> = HashMap::new();
     loop {
         pass.amend().await?;
-        // those that fail stay; they must not hide the ones behind them
+        // Those that fail stay; they must not hide the ones behind them.
         let failing = waiting.values().filter(|waiting| waiting.failures > 0).count();
         let images = pass.look(failing).await?;
         if images.is_empty() {
@@ -224,7 +224,7 @@ pub async fn keep(pass: Pass) -> anyhow::Result<()> {
             }
         }
         if !progress {
-            // a poll after the exposure comes when it comes; a new frame or its facts are looked at as soon as they are told
+            // A poll after the exposure comes when it comes; a new frame or its facts are looked at as soon as they are told
             let _ = tokio::time::timeout(PERIOD, pass.incomplete.notified()).await;
         }
     }
@@ -295,7 +295,7 @@ impl Pass {
                     Ok(completer.complete(&image.path, read_header(&image.path)?, &plan)?)
                 });
                 if let Err(error) = &put {
-                    // the facts are in the database; a file that was moved away or changed is nothing to insist on
+                    // The facts are in the database; a file that was moved away or changed is nothing to insist on.
                     tracing::warn!(file = image.file, %error, "late facts could not be put into a header");
                 }
                 Write::FactsTaken { frame: image.frame.id, said, in_header: put.is_ok() }

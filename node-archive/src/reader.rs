@@ -33,7 +33,7 @@ impl Reader {
         let failed = |source| DatabaseError::Sqlite { what: "open", file: path.to_owned(), source };
         let connection = Connection::open_with_flags(path, flags).map_err(failed)?;
         connection.busy_timeout(std::time::Duration::from_secs(5)).map_err(failed)?;
-        // without this a statement is planned again at each use, which costs more than its rows
+        // Without this a statement is planned again at each use, which costs more than its rows.
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_QPSG, true).map_err(failed)?;
         connection.set_prepared_statement_cache_capacity(32);
         Ok(Self { connection, path: path.to_owned() })
@@ -155,7 +155,7 @@ impl Reader {
         let limit = question.limit.unwrap_or(USUAL_LIMIT).min(HIGHEST_LIMIT);
         let from = question.from_utc.map_or(EVER.0.to_owned(), stamp);
         let to = question.to_utc.map_or(EVER.1.to_owned(), stamp);
-        // one more than asked for shows that there are more
+        // One more than asked for shows that there are more.
         let more = limit + 1;
         let rows = match &question.ask {
             Ask::Readings { kind, device, property } => self.rows(

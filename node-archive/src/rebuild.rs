@@ -80,7 +80,7 @@ pub async fn keep(
     loop {
         let (images, path) = (node.config.folders.images.clone(), database.path().to_owned());
         let files = tokio::task::spawn_blocking(move || unknown(&images, &path)).await?;
-        // frames wait for the answer: one that cannot be had is an empty one
+        // Frames wait for the answer: one that cannot be had is an empty one.
         let files = Arc::new(files.unwrap_or_else(|error| {
             tracing::warn!(error = format!("{error:#}"), "files that the database does not know are not looked for");
             Files::new()
@@ -90,7 +90,7 @@ pub async fn keep(
         for (id, path) in files.iter() {
             let (config, id, path, file) = (node.config.clone(), id.clone(), path.clone(), database.path().to_owned());
             let work = move || -> anyhow::Result<Option<(StoredImage, bool)>> {
-                // a copy of a file that is known has another name and the same frame
+                // A copy of a file that is known has another name and the same frame.
                 if Reader::open(&file)?.image(&id)?.is_some() {
                     return Ok(None);
                 }
@@ -162,7 +162,7 @@ impl Found {
             config.camera.iter().find(|camera| Some(camera.common.name.as_str()) == text("INSTRUME").as_deref());
         let camera = match (named, config.camera.as_slice()) {
             (Some(camera), _) => camera,
-            // a site's own table may write something else under INSTRUME
+            // A site's own table may write something else under INSTRUME.
             (None, [only]) if telescope.is_some() => only,
             _ => return None,
         };
@@ -246,7 +246,7 @@ fn hash(file: &mut File, pixel: Pixel, length: usize) -> io::Result<String> {
         file.read_exact(part)?;
         for value in part.chunks_exact_mut(pixel.bytes()) {
             if pixel == Pixel::U16 {
-                // BZERO 32768: counts without sign are stored as numbers with one
+                // BZERO 32768: counts without sign are stored as numbers with one.
                 value[0] ^= 0x80;
             }
             value.reverse();

@@ -118,7 +118,7 @@ pub async fn keep(store: Store) -> anyhow::Result<()> {
                 let Key::Frame(camera) = heard.key else { continue };
                 let frame = heard.said.body;
                 match under_way.get(&frame.id) {
-                    // announced again, perhaps with a new address
+                    // Announced again, perhaps with a new address.
                     Some(known) => { known.send_replace(frame); }
                     None => {
                         let (sender, newest) = watch::channel(frame.clone());
@@ -171,7 +171,7 @@ impl Store {
             let same = known.frame.sha256.eq_ignore_ascii_case(&frame.sha256);
             anyhow::ensure!(same, "frame {} is stored with other pixels than those announced now", frame.id);
             if known.frame.purpose != frame.purpose {
-                // what was found as a file alone, after a kill or in an older database, lacks what no header has
+                // What was found as a file alone, after a kill or in an older database, lacks what no header has.
                 self.database.commit(vec![Write::Announced(Box::new(frame))]).await?;
             }
             return Ok(());
@@ -239,7 +239,7 @@ impl Store {
             Ok(whole.map_or(Known::Not, |(bytes, file)| Known::Named { file, bytes }))
         };
         let found = match tokio::task::spawn_blocking(look).await?? {
-            // a database that is older than the files does not know all of them
+            // A database that is older than the files does not know all of them.
             Known::Not => self
                 .on_disk
                 .find(frame, &self.node.config.folders.images)
@@ -263,7 +263,7 @@ impl Store {
     async fn record(&self, image: StoredImage) -> anyhow::Result<()> {
         let (frame, camera) = (image.frame.id.clone(), image.frame.camera.clone());
         let (file, bytes) = (image.file.clone(), image.bytes);
-        // a row that was made of the file alone knows less than what is announced
+        // A row that was made of the file alone knows less than what is announced.
         let announced = Write::Announced(Box::new(image.frame.clone()));
         self.database.commit(vec![Write::Stored(Box::new(image)), announced]).await?;
         let count = self.count.fetch_add(1, Ordering::Relaxed) + 1;

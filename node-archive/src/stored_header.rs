@@ -126,7 +126,7 @@ impl Header {
         let blocks = if needed <= self.blocks { self.blocks } else { needed + SPARE_BLOCKS };
         let mut bytes = self.cards.as_flattened().to_vec();
         bytes.resize(blocks * BLOCK, b' ');
-        // the block with the end is the last one, whatever room is before it
+        // The block with the end is the last one, whatever room is before it.
         let end = self.cards.len().max((blocks - 1) * CARDS_PER_BLOCK) * CARD;
         bytes[end..end + 3].copy_from_slice(b"END");
         bytes
@@ -152,10 +152,10 @@ fn add(a: u32, b: u32) -> u32 {
 fn encode(value: u32) -> String {
     let mut text = [0; 16];
     for (place, byte) in value.to_be_bytes().into_iter().enumerate() {
-        // four characters that add up to the byte and four times '0'
+        // Four characters that add up to the byte and four times '0'.
         let mut four = [byte / 4 + b'0'; 4];
         four[0] += byte % 4;
-        // neighbours move apart until no punctuation is left between digits, capitals and small letters
+        // Neighbours move apart until no punctuation is left between digits, capitals and small letters.
         while four.iter().any(|c| (0x3a..=0x40).contains(c) || (0x5b..=0x60).contains(c)) {
             for pair in four.as_chunks_mut::<2>().0 {
                 if pair.iter().any(|c| (0x3a..=0x40).contains(c) || (0x5b..=0x60).contains(c)) {
@@ -165,7 +165,7 @@ fn encode(value: u32) -> String {
             }
         }
         for (row, c) in four.into_iter().enumerate() {
-            // the text begins at the card's column 12, the last of a word, so all moves one to the right
+            // The text begins at the card's column 12, the last of a word, so all moves one to the right.
             text[(row * 4 + place + 1) % 16] = c;
         }
     }
@@ -178,7 +178,7 @@ mod tests {
 
     #[test]
     fn a_sum_is_written_as_letters_and_digits_that_add_up_to_it() {
-        // the example of the FITS standard 4.0, appendix J
+        // The example of the FITS standard 4.0, appendix J.
         assert_eq!(encode(!868_229_149), "hcHjjc9ghcEghc9g");
         for value in [0, 1, 0x0a0b_0c0d, 0x7fff_ffff, 0xdead_beef, u32::MAX] {
             let text = encode(value);

@@ -74,7 +74,7 @@ impl Newest {
             if known == Some(reading.at_utc) {
                 continue;
             }
-            // what was recovered after a cut is older than what is known, and no less worth keeping
+            // What was recovered after a cut is older than what is known, and no less worth keeping.
             if known.is_none_or(|at| at < reading.at_utc) {
                 have.insert(property.clone(), reading.clone());
             }

@@ -47,7 +47,7 @@ impl Turns {
     /// Waits for a turn of the spool that this address belongs to.
     pub async fn wait(&self, url: &str) -> Turn {
         let Spool { turns, is_proven } = self.spool(url);
-        // the semaphores are never closed, so waiting cannot fail
+        // The semaphores are never closed, so waiting cannot fail.
         let of_spool = turns.acquire_owned().await.ok();
         let of_new = if is_proven { None } else { self.new.clone().acquire_owned().await.ok() };
         Turn { _of_spool: of_spool, _of_new: of_new }
@@ -65,7 +65,7 @@ impl Turns {
     fn spool(&self, url: &str) -> Spool {
         let mut spools = self.spools();
         if spools.len() >= MOST_SPOOLS && !spools.contains_key(authority(url)) {
-            // nobody waits for a turn of one whose turns are all free
+            // Nobody waits for a turn of one whose turns are all free.
             spools.retain(|_, spool| spool.is_proven || spool.turns.available_permits() == 0);
         }
         let fresh = || Spool { turns: Arc::new(Semaphore::new(OF_ONE_SPOOL - 1)), is_proven: false };

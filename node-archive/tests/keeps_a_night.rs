@@ -154,7 +154,7 @@ fn answer(count: usize, headers: &HeaderMap) -> Response<Body> {
     let body = match count {
         0 => {
             let half = Bytes::copy_from_slice(&pixels[..1000]);
-            // the half is on its way before the connection breaks
+            // The half is on its way before the connection breaks.
             let broken = futures_util::stream::once(async move { Ok(half) }).chain(futures_util::stream::once(async {
                 tokio::time::sleep(Duration::from_millis(100)).await;
                 Err(std::io::Error::other("cable"))
@@ -258,7 +258,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in entries {
         let path = entry.unwrap().path();
-        // the journal of headers, which the next archive uses, and the lock
+        // The journal of headers, which the next archive uses, and the lock.
         if path.file_name().unwrap() == "spare.header" || path.extension().is_some_and(|ending| ending == "lock") {
             continue;
         }
@@ -320,7 +320,7 @@ async fn a_frame_is_stored_once_released_completed_and_found_again_after_a_resta
     let image: Vec<u16> = fits.primary_hdu().unwrap().read_image(&mut fits).unwrap();
     assert_eq!(image.iter().flat_map(|pixel| pixel.to_le_bytes()).collect::<Vec<u8>>(), pixels(7));
 
-    // announced again: not stored again, but released again
+    // Announced again: not stored again, but released again.
     let releases = spool.releases("frame-1");
     spool.frames.put(spool.frame("frame-1", taken)).await.unwrap();
     until("released again", || spool.releases("frame-1") > releases).await;
@@ -338,7 +338,7 @@ async fn a_frame_is_stored_once_released_completed_and_found_again_after_a_resta
     let told = |row: &Row| matches!(row, Row::Log { message, node, .. } if message == "it's cold ccd_c=-60" && node == "device/pc");
     assert!(log.iter().any(told), "{log:?}");
 
-    // an archive that was away misses nothing, and knows what it has
+    // An archive that was away misses nothing, and knows what it has.
     running.stop().await;
     tokio::time::sleep(Duration::from_secs(2)).await;
     let running = run(archive(folder.path(), join(&device_bus).await));
@@ -370,7 +370,7 @@ async fn frames_of_one_moment_have_files_of_their_own() {
     let (device_bus, archive_bus) = two_buses().await;
     let spool = Spool::start(device_bus.clone()).await;
     let mut node = archive(folder.path(), archive_bus);
-    // a name that two frames share, and which are stored at the same time
+    // A name that two frames share, and which are stored at the same time.
     let mut config = (*node.config).clone();
     config.archive.filename.insert("object".to_owned(), "{sequence_counter}".to_owned());
     node.config = config.into();
@@ -406,7 +406,7 @@ async fn a_file_that_was_named_just_before_a_kill_is_adopted() {
     fits.close().unwrap();
     let (database, writer) = Database::open(&node.config.archive.database, node.alerts.clone()).unwrap();
     let named = |id: &str, file: &str| Write::Writing { frame: CommandId(id.to_owned()), file: file.to_owned() };
-    // frame-3 was to be named, but the kill came first
+    // frame-3 was to be named, but the kill came first.
     database.commit(vec![named("frame-2", "n/a.fits"), named("frame-3", "n/b.fits")]).await.unwrap();
     drop(database);
     writer.end().await;
@@ -421,7 +421,7 @@ async fn a_file_that_was_named_just_before_a_kill_is_adopted() {
     spool.frames.put(spool.frame("frame-3", taken)).await.unwrap();
     let written = hear_stored(&stored, false).await.file;
     assert!(written.starts_with("20261120/"), "{written}");
-    // no telemetry comes; the headers are completed without it, and say so
+    // No telemetry comes; the headers are completed without it, and say so.
     for _ in 0..2 {
         let complete = hear_stored(&stored, true).await;
         let header = Header::read(&images.join(&complete.file)).unwrap().unwrap();

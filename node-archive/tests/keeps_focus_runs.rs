@@ -17,7 +17,7 @@ async fn runs_are_kept_once_with_their_points_and_a_plot() {
     let line = observatory.publisher::<FocusRun>(&Key::FocusRun(address), Quality::Event { cache: 10 }).await.unwrap();
     let sample: FocusRun =
         serde_json::from_str(include_str!("../../common/contract/golden/v1/observatory.focus_run.json")).unwrap();
-    // before the archive lives, and told twice
+    // Before the archive lives, and told twice.
     line.put(sample.clone()).await.unwrap();
     line.put(sample.clone()).await.unwrap();
 
@@ -29,7 +29,7 @@ async fn runs_are_kept_once_with_their_points_and_a_plot() {
     line.put(second).await.unwrap();
 
     let plots = folder.path().join("images/autofocus/20261120");
-    // a plot that is being written has another ending, and the first one is written twice
+    // A plot that is being written has another ending, and the first one is written twice.
     let is_plot = |file: &std::fs::DirEntry| file.path().extension().is_some_and(|ending| ending == "svg");
     until("two plots", || std::fs::read_dir(&plots).is_ok_and(|files| files.flatten().filter(is_plot).count() == 2))
         .await;

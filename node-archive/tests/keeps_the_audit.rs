@@ -111,7 +111,7 @@ async fn until_the_same(node: &Path, archive: &Path, count: usize) {
 async fn an_archive_that_was_away_has_every_record_in_its_order_afterwards() {
     let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let noter = Noter::start(here.path(), None).await;
-    // more than two portions, before any archive was there
+    // More than two portions, before any archive was there.
     noter.note(1200);
     let archive = Archive::start(there.path(), noter.bus()).await;
     until_the_same(here.path(), there.path(), 1202).await;
@@ -119,13 +119,13 @@ async fn an_archive_that_was_away_has_every_record_in_its_order_afterwards() {
     until_the_same(here.path(), there.path(), 1205).await;
     archive.end().await;
 
-    // more than any publisher's cache holds
+    // More than any publisher's cache holds.
     noter.note(1500);
     let archive = Archive::start(there.path(), noter.bus()).await;
     until_the_same(here.path(), there.path(), 2705).await;
     assert!(archive.alerts().is_empty(), "{:?}", archive.alerts());
 
-    // a new life of the node goes on with the chain
+    // A new life of the node goes on with the chain.
     noter.end().await;
     let noter = Noter::start(here.path(), Some(&archive.0.node.bus)).await;
     noter.note(5);
@@ -149,7 +149,7 @@ async fn a_record_that_was_cut_off_changed_or_forged_is_told() {
     let archive = Archive::start(there.path(), noter.bus()).await;
     until_the_same(here.path(), there.path(), 12).await;
 
-    // somebody says a record in the node's name: the node's own file does not have it
+    // Somebody says a record in the node's name: the node's own file does not have it.
     let liar = join(noter.bus()).await;
     let voice = liar.publisher(&noter.running.node.key(NodeTopic::Audit), Quality::Event { cache: 1 }).await.unwrap();
     let last: Record = serde_json::from_str(lines(here.path()).last().unwrap()).unwrap();
@@ -160,7 +160,7 @@ async fn a_record_that_was_cut_off_changed_or_forged_is_told() {
     until_the_same(here.path(), there.path(), 13).await;
     assert!(stored(there.path()).iter().all(|line| !line.contains("open_shutter")));
 
-    // the last record is cut off cleanly while the node is down: its file alone cannot show that
+    // The last record is cut off cleanly while the node is down: its file alone cannot show that.
     noter.end().await;
     let before = stored(there.path());
     let all = lines(here.path());
@@ -179,7 +179,7 @@ async fn a_record_that_was_cut_off_changed_or_forged_is_told() {
     assert!(told("not in its own file"), "{alerts:?}");
     archive.end().await;
 
-    // a record is changed where the archive has not been yet
+    // A record is changed where the archive has not been yet.
     noter.end().await;
     let mut all = lines(here.path());
     let changed = all.len() - 1;
@@ -188,7 +188,7 @@ async fn a_record_that_was_cut_off_changed_or_forged_is_told() {
     std::fs::remove_dir_all(there.path().join("data")).unwrap();
     let noter = Noter::start(here.path(), None).await;
     let archive = Archive::start(there.path(), noter.bus()).await;
-    // the alert may come before the database has the record, which is stored as evidence
+    // The alert may come before the database has the record, which is stored as evidence.
     until("the changed record is told and stored", || {
         archive.alerts().iter().any(|alert| alert.contains("expected sha256"))
             && stored(there.path()).iter().any(|line| line.contains("open_shutter!"))

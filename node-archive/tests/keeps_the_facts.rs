@@ -110,7 +110,7 @@ async fn facts_stand_in_the_header_early_or_late_and_a_header_waits_for_none_tha
     let frames = devices.publisher::<Frame>(&Key::Frame(camera), Quality::Event { cache: 10 }).await.unwrap();
     let (url, running) = (spool().await, RunningNode::work(node, node_archive::run));
 
-    // said before the archive lives, of a frame that is not announced yet
+    // Said before the archive lives, of a frame that is not announced yet.
     let _early = say(&devices, "early", 2.25).await;
     let _unknown = say(&devices, "never-announced", 9.0).await;
     tokio::time::sleep(Duration::from_secs(2)).await;
@@ -123,7 +123,7 @@ async fn facts_stand_in_the_header_early_or_late_and_a_header_waits_for_none_tha
     let expected = |ra: &str| ["RA---TAN-SIP", ra, "32.5", "3", "21.5"].map(|text| Some(text.to_owned()));
     assert_eq!(solution(&file), expected("2.25"));
 
-    // nobody measures this one until its header is complete
+    // Nobody measures this one until its header is complete.
     let began = Instant::now();
     frames.put(frame("late", &url, &devices)).await.unwrap();
     let file = complete(&stored, "late").await.file;

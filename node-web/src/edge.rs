@@ -51,7 +51,7 @@ fn read_as_promised(key: &Key, body: &Value) -> Result<(), serde_json::Error> {
         Key::State(device) => (Checks::of(device.kind).state)(body),
         Key::Capabilities(device) => (Checks::of(device.kind).capabilities)(body),
         Key::Guard(_) => is::<Guard>(body),
-        // its URL is not for browsers and was taken out
+        // Its URL is not for browsers and was taken out.
         Key::Frame(_) => {
             let mut whole = body.clone();
             if let Value::Object(fields) = &mut whole {
@@ -77,7 +77,7 @@ fn read_as_promised(key: &Key, body: &Value) -> Result<(), serde_json::Error> {
         Key::Node(_, _, _, NodeTopic::State) => is::<NodeState>(body),
         Key::Node(_, _, _, NodeTopic::Alerts) => is::<Alerts>(body),
         Key::Node(_, _, _, NodeTopic::Diary) => is::<DiaryLine>(body),
-        // nothing else is subscribed to
+        // Nothing else is subscribed to.
         _ => Ok(()),
     }
 }
@@ -176,7 +176,7 @@ mod tests {
         for (key, sample) in all() {
             for name in sample.as_object().unwrap().keys() {
                 let mut spoilt = sample.clone();
-                // no field of the contract is a list of lists
+                // No field of the contract is a list of lists.
                 spoilt[name] = serde_json::json!([[[1]]]);
                 refused += usize::from(check(&key, &spoilt).is_err());
             }

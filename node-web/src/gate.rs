@@ -58,7 +58,7 @@ impl Gate {
 
 fn without_port(host: &str) -> &str {
     match host.rsplit_once(':') {
-        // the colons of an IPv6 address stand in brackets
+        // The colons of an IPv6 address stand in brackets.
         Some((name, port)) if port.bytes().all(|b| b.is_ascii_digit()) && !name.ends_with(':') => name,
         _ => host,
     }

@@ -21,7 +21,7 @@ const HEARD: &[(&str, Catch)] = &[
     ("observatory/*/state", Catch::Newest),
     ("node/*/*/state", Catch::Newest),
     ("node/*/*/alerts", Catch::Newest),
-    // events are not said again, so their history is asked for
+    // Events are not said again, so their history is asked for.
     ("device/camera/*/frame", Catch::All),
     ("observatory/frame/*/facts", Catch::All),
     ("archive/stored", Catch::All),
@@ -49,7 +49,7 @@ async fn hear(subscriber: Subscriber<Value>, network: Arc<Network>, previews: Ar
             Key::Frame(device) => Some((device.clone(), heard.said.clone())),
             _ => None,
         };
-        // the URL opens the spool to whoever has it: it is not for browsers
+        // The URL opens the spool to whoever has it: it is not for browsers.
         if let (Some(_), Value::Object(body)) = (&frame, &mut heard.said.body) {
             body.remove("url");
         }

@@ -41,7 +41,7 @@ impl Host {
         for round in 0u32.. {
             if round.is_multiple_of(DISK_EVERY) {
                 let folder = data_folder.clone();
-                // a network disk that does not answer must not hold a thread of the runtime
+                // A network disk that does not answer must not hold a thread of the runtime.
                 let asked = tokio::task::spawn_blocking(move || disk_percent(&folder));
                 usage.disk_percent =
                     tokio::time::timeout(EVERY, asked).await.ok().and_then(Result::ok).flatten().map(round_1);
@@ -55,7 +55,7 @@ impl Host {
                 usage.cpu_percent = (round > 0).then(|| round_1(f64::from(system.global_cpu_usage())));
             }
             *self.usage.lock().unwrap_or_else(PoisonError::into_inner) = usage;
-            // the processor's share is a difference: the first one is measured soon
+            // The processor's share is a difference: the first one is measured soon.
             tokio::time::sleep(if round == 0 { Duration::from_millis(500) } else { EVERY }).await;
         }
         Ok(())

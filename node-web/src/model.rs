@@ -183,7 +183,7 @@ impl Model {
 
     /// Notes that a payload was not taken, and why.
     pub fn refuse(&mut self, key: &Key, why: String, arrived: MachineTime) {
-        // a stranger's telescope does not come into being by nonsense
+        // A stranger's telescope does not come into being by nonsense.
         let Some(telescope) = self.telescopes.get_mut(key.address()) else { return };
         telescope.unreadable.retain(|_, (_, at)| arrived.since(*at) < UNREADABLE_FOR);
         let name = short(key);
@@ -245,7 +245,7 @@ impl Telescope {
     /// Keeps a payload unless it is old or there is no room for it; all others may weigh `room` more.
     fn keep(&mut self, heard: Heard<Value>, revision: u64, room: usize) -> bool {
         let name = short(&heard.key);
-        // of some keys a telescope has only one: a flood of others must not keep them out
+        // Of some keys a telescope has only one: a flood of others must not keep them out.
         let is_single = matches!(heard.key, Key::Observatory(..) | Key::Facts(..) | Key::Stored(_));
         let Heard { key, said, arrived } = heard;
         let weight = weight(&said.body);
@@ -302,7 +302,7 @@ pub fn short(key: &Key) -> String {
 /// Is `new` from before `have`? The answers to the question at start may cross the first published samples.
 fn is_older(new: &Entry, have: &Entry) -> bool {
     if new.boot_id == have.boot_id {
-        // the facts of two frames share an entry but not a counter
+        // The facts of two frames share an entry but not a counter.
         new.seq <= have.seq && new.key == have.key
     } else {
         new.boot_id < have.boot_id && new.arrived.since(have.arrived) < YOUNGER_HOLDS

@@ -84,7 +84,7 @@ impl Drop for Watching {
 impl Previews {
     /// None yet.
     pub fn new(network: Arc<Network>) -> Result<Self, reqwest::Error> {
-        // spools are hosts of the observatory's own network, never behind a proxy
+        // Spools are hosts of the observatory's own network, never behind a proxy.
         let client = local_http::client_builder().connect_timeout(Duration::from_secs(5));
         Ok(Self {
             network,
@@ -144,7 +144,7 @@ impl Previews {
                 continue;
             }
             if !left.is_zero() {
-                // a page that opens shortens the wait
+                // A page that opens shortens the wait.
                 let _ = tokio::time::timeout(left, self.wake.notified()).await;
                 continue;
             }
@@ -184,7 +184,7 @@ impl Previews {
     async fn fetch(&self, frame: &Frame) -> Result<Vec<u8>, PreviewError> {
         let (width, height) = (frame.width_px, frame.height_px);
         let pixels = u64::from(width) * u64::from(height);
-        // JPEG sides are 16 bit, and the longest side of the image is shorter than that
+        // JPEG sides are 16 bit, and the longest side of the image is shorter than that.
         if pixels == 0 || pixels > MOST_PIXELS {
             return Err(PreviewError::Size { width_px: width, height_px: height });
         }
@@ -209,7 +209,7 @@ impl Previews {
             }
         }
         drop(portions);
-        // the thread only ends early when the runtime does
+        // The thread only ends early when the runtime does.
         work.await.unwrap_or(Err(PreviewError::CutShort))
     }
 }
@@ -239,7 +239,7 @@ mod tests {
         }
         let jpeg = encode(&shrink.finish().unwrap()).unwrap();
         assert_eq!(jpeg[..3], [0xFF, 0xD8, 0xFF]);
-        // start-of-frame marker: height and width follow the precision
+        // Start-of-frame marker: height and width follow the precision.
         let sof = jpeg.windows(2).position(|pair| pair == [0xFF, 0xC0]).unwrap();
         let side = |at: usize| u16::from_be_bytes([jpeg[sof + at], jpeg[sof + at + 1]]);
         assert_eq!((side(5), side(7)), (14, 1000));

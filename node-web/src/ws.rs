@@ -96,7 +96,7 @@ async fn serve(mut socket: WebSocket, server: &Server, mut view: View) {
                         tick.reset_immediately();
                     }
                 }
-                // the library answers pings by itself
+                // The library answers pings by itself.
                 Some(Ok(Message::Binary(_) | Message::Ping(_) | Message::Pong(_))) => {}
             },
         }

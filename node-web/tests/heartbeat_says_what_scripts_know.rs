@@ -108,7 +108,7 @@ async fn one_telescope_answers_with_every_old_key() {
     assert_eq!((&data["stale"], &data["telescope_id"]), (&json!(false), &json!("callisto")));
     let ids: Vec<&Value> = data["threads"].as_array().unwrap().iter().map(|thread| &thread["id"]).collect();
     assert_eq!(ids, [&json!("watchdog"), &json!(3)]);
-    // shape of the old stamps: a blank, three decimals, no zone; ISO with an offset inside `polling`
+    // Shape of the old stamps: a blank, three decimals, no zone; ISO with an offset inside `polling`.
     let datetime = data["datetime"].as_str().unwrap();
     assert!(datetime.len() == 23 && datetime.as_bytes()[10] == b' ' && datetime.as_bytes()[19] == b'.', "{datetime}");
     let polled = &data["polling"]["SafetyMonitor"]["monitor"];
@@ -151,7 +151,7 @@ async fn several_telescopes_roll_up_and_each_can_be_asked_alone() {
     assert_eq!(stage.get("/api/heartbeat?telescope=paranal/callisto").await.1["data"]["telescope_id"], "callisto");
     let (status, problem) = stage.get("/api/heartbeat?telescope=europa").await;
     assert_eq!((status.as_u16(), &problem["code"]), (404, &json!("not-found")));
-    // over, and nobody has seen it: no error of now, and not lost to who asks every few minutes
+    // Over, and nobody has seen it: no error of now, and not lost to who asks every few minutes.
     let mut over = alerts(Priority::Critical);
     over.alerts[0].returned_utc = Some(now());
     publisher.put(over).await.unwrap();

@@ -183,7 +183,7 @@ impl Socket {
     }
 
     async fn say(&mut self, text: &str) {
-        // clients mask; a mask of zeros is one too
+        // Clients mask; a mask of zeros is one too.
         let mut frame = vec![0x81, 0x80 | u8::try_from(text.len()).unwrap(), 0, 0, 0, 0];
         frame.extend(text.as_bytes());
         self.0.write_all(&frame).await.unwrap();

@@ -35,7 +35,7 @@ async fn a_field_of_a_wrong_type_is_told_and_never_shown() {
         publisher.put(sample("observatory.safety")).await.unwrap();
         stage.until(path, |answer| answer["summary"]["unreadable"].is_null()).await;
     }
-    // a writer that sends nothing else: what is shown is old, and says so
+    // A writer that sends nothing else: what is shown is old, and says so.
     let mut spoilt = sample("observatory.safety");
     spoilt["verdict"] = json!("splendid");
     let mut word = Value::Null;
@@ -57,7 +57,7 @@ async fn a_flood_of_keys_leaves_the_telescope_on_the_page() {
     for i in 0..3000 {
         let device = contract::Address::new(&format!("s{}", i % 300), "t").unwrap();
         let key = Key::State(device.device(Kind::Switch, &format!("n{i}").parse().unwrap()));
-        // a late joiner is answered by the publisher: it is dropped, and its key is gone from the bus
+        // A late joiner is answered by the publisher: it is dropped, and its key is gone from the bus.
         drop(stage.say(key, bus::Quality::Urgent, sample("switch.state")).await);
     }
     let key = Key::Observatory(address("callisto"), Part::Night);

@@ -81,7 +81,7 @@ async fn spoil(reply: &Reply, scissors: &Scissors) -> Option<Response> {
         tokio::time::sleep(Duration::from_millis(fault.slow_ms)).await;
     }
     if fault.hang {
-        // until the client gives up; its going away drops this future
+        // Until the client gives up; its going away drops this future.
         std::future::pending::<()>().await;
     }
     if fault.refuse || fault.mute {

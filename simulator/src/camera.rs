@@ -269,7 +269,7 @@ impl Camera {
             "gainmax" => json!(GAIN_MAX),
             "offset" => json!(self.offset),
             "offsetmax" => json!(OFFSET_MAX),
-            // the pixels go another way, but whether there are any is asked like anything else
+            // The pixels go another way, but whether there are any is asked like anything else.
             "imagearray" | "imagearrayvariant" => {
                 self.image(scene.now)?;
                 json!(null)
@@ -288,7 +288,7 @@ impl Camera {
             "readoutmode" => json!(0),
             "readoutmodes" => json!(["Normal"]),
             "sensorname" => json!("Simulated CCD"),
-            // monochrome
+            // Monochrome.
             "sensortype" => json!(0),
             "bayeroffsetx" | "bayeroffsety" | "fastreadout" | "gains" | "offsets" | "subexposureduration" => {
                 return Err(Refusal::not_implemented(&request.member));
@@ -306,7 +306,7 @@ impl Camera {
             "startexposure" => self.expose(request, scene)?,
             "abortexposure" => {
                 self.exposure = None;
-                // a frame that was being read is given up as well
+                // A frame that was being read is given up as well.
                 if !self.image_ready(scene.now) {
                     (self.ready_at, self.plan) = (None, None);
                 }

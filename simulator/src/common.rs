@@ -26,7 +26,7 @@ const ALWAYS: &[&str] = &[
 pub fn ask(observatory: &mut Observatory, connected: &mut bool, kind: Kind, request: &Request) -> Answer {
     let member = request.member.as_str();
     if !*connected && !ALWAYS.contains(&member) {
-        // a member that does not exist is told as such, connected or not
+        // A member that does not exist is told as such, connected or not.
         return match if request.is_put { DONE } else { observatory.ask(kind, request) } {
             Err(Refusal::UnknownMember) if !request.is_put && !is_common(member) => Err(Refusal::UnknownMember),
             _ => Err(Refusal::not_connected()),

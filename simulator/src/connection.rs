@@ -52,7 +52,7 @@ impl axum::serve::Listener for Listener {
         loop {
             match self.listener.accept().await {
                 Ok((stream, _)) => {
-                    // small answers must not wait for the client's acknowledgement
+                    // Small answers must not wait for the client's acknowledgement.
                     let _ = stream.set_nodelay(true);
                     let mut stopped = self.stopped.clone();
                     let scissors = Scissors::default();
@@ -61,7 +61,7 @@ impl axum::serve::Listener for Listener {
                     });
                     return (Wire { stream, stop, scissors: scissors.clone() }, scissors);
                 }
-                // out of file descriptors, most likely; it passes
+                // Out of file descriptors, most likely; it passes.
                 Err(_) => tokio::time::sleep(Duration::from_millis(50)).await,
             }
         }

@@ -59,14 +59,14 @@ impl CoverCalibrator {
             "brightness" => json!(self.lamp.target() as i32),
             "maxbrightness" => json!(MAX_BRIGHTNESS as i32),
             "calibratorchanging" => json!(self.lamp.is_moving()),
-            // ASCOM: 1 off, 2 not ready, 3 ready
+            // ASCOM: 1 off, 2 not ready, 3 ready.
             "calibratorstate" => json!(match (self.lamp.is_moving(), self.lamp.at() > 0.0) {
                 (true, _) => 2,
                 (false, true) => 3,
                 (false, false) => 1,
             }),
             "covermoving" => json!(self.cover.is_moving()),
-            // ASCOM: 1 closed, 2 moving, 3 open, 4 unknown (halted between)
+            // ASCOM: 1 closed, 2 moving, 3 open, 4 unknown (halted between).
             "coverstate" => json!(match (self.cover.is_moving(), self.cover.at()) {
                 (true, _) => 2,
                 (false, at) if at <= 0.0 => 1,

@@ -26,7 +26,7 @@ pub async fn answer(socket: UdpSocket, alpaca_port: u16) {
                 let _ = socket.send_to(told.as_bytes(), from).await;
             }
             Ok(_) => {}
-            // an earlier answer was refused by its receiver; nothing to do about it
+            // An earlier answer was refused by its receiver; nothing to do about it.
             Err(_) => tokio::time::sleep(std::time::Duration::from_millis(10)).await,
         }
     }

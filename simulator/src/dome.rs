@@ -178,7 +178,7 @@ impl Dome {
             (at, target) if target < at => 3,
             (at, _) if at >= 1.0 => 0,
             (at, _) if at <= 0.0 => 1,
-            // neither open nor closed and at rest: error, as ASCOM has no word for ajar
+            // Neither open nor closed and at rest: error, as ASCOM has no word for ajar.
             _ => 4,
         }
     }

@@ -45,7 +45,7 @@ impl Sample {
         let sky = 10.0_f64.powf(-0.4 * scene.weather.of(Quantity::SkyQuality)) * pixel_arcsec * pixel_arcsec;
 
         let seeing = scene.weather.of(Quantity::StarFwhm) * air.unwrap_or(1.0).powf(0.6);
-        // the cone of light seen off focus: as wide as defocus over focal ratio, 0.7 of that as a FWHM
+        // The cone of light seen off focus: as wide as defocus over focal ratio, 0.7 of that as a FWHM.
         let blur_mm = light.defocus_steps * focus.step_um * 1e-3 * camera.aperture_mm / camera.focal_length_mm;
         let defocus = 0.7 * Angle::from_radians(blur_mm / camera.focal_length_mm).arcseconds();
         Self {

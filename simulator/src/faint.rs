@@ -33,7 +33,7 @@ fn of_cell(seed: u64, cell: u64) -> Vec<Star> {
     let (low, high) = (10.0_f64.powf(SLOPE * BRIGHTEST), 10.0_f64.powf(SLOPE * FAINTEST));
     (0..count)
         .map(|_| {
-            // the faces map to the sphere with equal areas, so even on the face is even on the sky
+            // The faces map to the sphere with equal areas, so even on the face is even on the sky.
             let (x, y) = (corner.x + side * chance.even(), corner.y + side * chance.even());
             let (ra, dec) = healpix::direction(FacePoint { face: corner.face, x, y });
             Star { ra, dec, mag: (low + chance.even() * (high - low)).log10() / SLOPE }

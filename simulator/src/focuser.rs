@@ -47,7 +47,7 @@ impl Focuser {
     /// Steps beyond the best focus of this temperature and filter.
     pub fn defocus_steps(&self, temperature_c: f64, filter_offset: f64) -> f64 {
         let best = self.options.best_step + self.options.steps_per_k * (temperature_c - 10.0) + filter_offset;
-        // half the play, so that what is told is true when it moved outward
+        // Half the play, so that what is told is true when it moved outward.
         self.travel.at() - self.gear.lag() + self.gear.play() / 2.0 - best
     }
 
@@ -86,7 +86,7 @@ impl Focuser {
     pub fn put(&mut self, request: &Request) -> Answer {
         match request.member.as_str() {
             "halt" => self.travel.stop(),
-            // beyond its ends it goes to its end, as ASCOM asks of an absolute focuser
+            // Beyond its ends it goes to its end, as ASCOM asks of an absolute focuser.
             "move" => self.travel.send(f64::from(request.integer("Position")?.clamp(0, self.options.max_step))),
             "tempcomp" => {
                 request.truth("TempComp")?;

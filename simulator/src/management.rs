@@ -43,7 +43,7 @@ pub async fn devices(State(world): State<Arc<World>>, RawQuery(query): RawQuery)
             "DeviceName": common::name(kind),
             "DeviceType": kind.ascom(),
             "DeviceNumber": kind.number(),
-            // the same for the same server name, as a unique id must not change between runs
+            // The same for the same server name, as a unique id must not change between runs.
             "UniqueID": format!("{}-{}-{}", world.name().to_ascii_lowercase().replace(' ', "-"), kind.path(), kind.number()),
         })
     };

@@ -142,12 +142,12 @@ impl Mount {
             Angle::from_degrees(target.ra.degrees() - self.axes[0]).wrapped_signed().degrees(),
             target.dec.degrees() - self.axes[1],
         ];
-        // through the pole both axes of a German mount turn: half a turn less what the target asks anyway
+        // Through the pole both axes of a German mount turn: half a turn less what the target asks anyway.
         let flip_deg = if west == self.pier_west { 0.0 } else { 180.0 - by[0].abs() };
         let dec_motor_deg = if west == self.pier_west {
             self.dec_sense() * by[1]
         } else {
-            // over the pole that is up: what is left of half a turn there, forward or back
+            // Over the pole that is up: what is left of half a turn there, forward or back.
             let zenith = observer.to_icrs(&Horizontal::from_degrees(90.0, 0.0));
             let pole_deg = 180.0_f64.copysign(zenith.dec.degrees());
             (pole_deg - self.axes[1] - target.dec.degrees()) * if west { 1.0 } else { -1.0 }
@@ -159,7 +159,7 @@ impl Mount {
         (self.parked, self.home) = (false, false);
         self.axis_rates = [0.0; 2];
         self.pulses = [(0.0, 0.0); 2];
-        // a short way leaves the error where it was: gears and tube hardly move
+        // A short way leaves the error where it was: gears and tube hardly move.
         let share = (way_deg / SCATTERED_DEG).min(1.0);
         let rest = (1.0 - share * share).sqrt();
         self.scatter =

@@ -81,7 +81,7 @@ impl Observatory {
             telescope: Telescope::new(options, &observer),
             camera: Camera::new(Kind::Camera, options.camera, options.focus, options.seed, air_c),
             guide_camera: options.guide_camera.map(|guide| {
-                // its hot pixels are others
+                // Its hot pixels are others.
                 Camera::new(Kind::GuideCamera, guide.camera, options.focus, options.seed ^ GUIDE_SEED, air_c)
             }),
             filter_wheel: FilterWheel::new(&options.filters),
@@ -112,7 +112,7 @@ impl Observatory {
         if total_s <= 0.0 {
             return;
         }
-        // out of its range (after 2099) the sky stands still rather than the simulator
+        // Out of its range (after 2099) the sky stands still rather than the simulator.
         if let Ok(observer) = Observer::new(&self.place, &EarthOrientation::default(), now) {
             self.observer = Arc::new(observer);
         }

@@ -36,7 +36,7 @@ impl ObservingConditions {
             "averageperiod" => json!(self.average_h),
             "sensordescription" => json!(format!("simulated {} sensor", sensor(request)?.ascom())),
             "timesincelastupdate" => {
-                // without a name ASCOM means the latest of all sensors
+                // Without a name ASCOM means the latest of all sensors.
                 if !request.text("SensorName")?.is_empty() {
                     sensor(request)?;
                 }

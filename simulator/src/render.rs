@@ -103,7 +103,7 @@ fn visible(plan: &Plan, stretches: &[Sample]) -> Vec<Star> {
     let diagonal_px = f64::from(plan.camera.width).hypot(f64::from(plan.camera.height));
     let field = plan.camera.pixel_scale() * (diagonal_px / 2.0 + 60.0);
     let wander = stretches.iter().map(|s| separation(&center, &s.center).degrees()).fold(0.0, f64::max);
-    // a telescope that slews during an exposure shows streaks where it began, and no more is asked
+    // A telescope that slews during an exposure shows streaks where it began, and no more is asked.
     let radius = field + Angle::from_degrees(wander.min(2.0));
     let epoch_year = 2000.0 + (plan.started.jd() - 2_451_545.0) / 365.25;
     let mut found = catalogue::default().cone(center.ra, center.dec, radius, f64::INFINITY, epoch_year);
@@ -116,7 +116,7 @@ fn visible(plan: &Plan, stretches: &[Sample]) -> Vec<Star> {
 
 fn draw_stars(plan: &Plan, stretch: &Sample, stars: &[Star], electrons: &mut [f32]) {
     let bin = f64::from(plan.binning);
-    // a Moffat profile of exponent 3: FWHM = 2 alpha sqrt(2^(1/3) - 1)
+    // A Moffat profile of exponent 3: FWHM = 2 alpha sqrt(2^(1/3) - 1).
     let alpha = stretch.fwhm_arcsec / plan.camera.pixel_scale().arcseconds() / bin / 1.019_65;
     for star in stars {
         let total_e = stretch.zero_e_per_s * stretch.duration_s * 10.0_f64.powf(-0.4 * star.mag);
@@ -141,7 +141,7 @@ fn draw_star(size: [u32; 2], [x, y]: [f64; 2], total_e: f64, alpha: f64, electro
     let height = size[1] as usize;
     let inverse = (1.0 / (alpha * alpha)) as f32;
     let profile = |dx: f32, dy: f32| (1.0 + (dx * dx + dy * dy) * inverse).powi(-3);
-    // a star narrower than its pixels must be summed over each of them, else its flux depends on where it stands
+    // A star narrower than its pixels must be summed over each of them, else its flux depends on where it stands.
     let fine: &[f32] = if alpha < 1.5 { &[-0.375, -0.125, 0.125, 0.375] } else { &[0.0] };
     let weight = peak as f32 / (fine.len() * fine.len()) as f32;
     for column in columns {
@@ -168,7 +168,7 @@ fn develop(plan: &Plan, electrons: &[f32]) -> Vec<u8> {
     let (gain, bias) = (1.0 / plan.electrons_per_adu as f32, plan.bias_adu as f32);
     let [sensor_x, sensor_y] = [plan.camera.width as f32 / bin, plan.camera.height as f32 / bin];
     let corner2 = (sensor_x * sensor_x + sensor_y * sensor_y) / 4.0;
-    // the sensor's own pattern stays where it is on the sensor, whatever part of it is read
+    // The sensor's own pattern stays where it is on the sensor, whatever part of it is read.
     let pattern = Chance::new(plan.seed, 0x0F1A7).next() as usize;
 
     let mut bytes = vec![0_u8; 2 * width * height];
@@ -207,7 +207,7 @@ fn hot_pixels(plan: &Plan) -> Vec<(usize, usize, f64)> {
     let all = (0..count).map(|_| {
         let x = (chance.even() * f64::from(camera.width)) as u32 / plan.binning;
         let y = (chance.even() * f64::from(camera.height)) as u32 / plan.binning;
-        // 10 to 1000 times as dark as the rest, few of them the worst
+        // 10 to 1000 times as dark as the rest, few of them the worst.
         (x, y, plan.dark_e_per_s * 10.0_f64.powf(1.0 + 2.0 * chance.even().powi(2)))
     });
     let [from_x, from_y] = plan.start;
@@ -276,7 +276,7 @@ mod tests {
         let east = Icrs { ra: sample.center.ra + plan.camera.pixel_scale() * 100.0, ..sample.center };
         let (x, _) = pixel_of(&plan, &sample, east).unwrap();
         assert!(x < 930.0, "{x}");
-        // with the y axis to the east, a star in the east is up
+        // With the y axis to the east, a star in the east is up.
         let turned = Sample { position_angle: Angle::from_degrees(90.0), ..sample };
         let (x, y) = pixel_of(&plan, &turned, east).unwrap();
         assert!((x - 1023.5).abs() < 0.1 && y > 1115.0, "{x} {y}");

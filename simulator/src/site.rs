@@ -76,7 +76,7 @@ impl Site {
         if let Some(best) = self.best_focus.and_then(|best| i32::try_from(best).ok()) {
             let of_old = FocusOptions::default();
             options.focus.best_step = f64::from(best);
-            // room on the far side too
+            // Room on the far side too.
             options.focus.max_step = of_old.max_step.max(best.saturating_mul(2));
         }
         for name in self.filters {

@@ -14,7 +14,7 @@ pub fn free(options: &Options, pointing: &Pointing, azimuth: Angle) -> f64 {
     let (altitude, bearing) = (pointing.horizontal.altitude, pointing.horizontal.azimuth);
     let along = [altitude.cos() * bearing.sin(), altitude.cos() * bearing.cos(), altitude.sin()];
     let pole = [0.0, options.latitude.cos(), options.latitude.sin()];
-    // the declination axis of an equatorial mount is square to its polar axis and to the tube
+    // The declination axis of an equatorial mount is square to its polar axis and to the tube.
     let arm_m = if options.mount.german { options.mount.arm_m } else { 0.0 };
     let to_tube = unit(cross(along, pole)).map(|part| if pointing.pier_west { part * arm_m } else { -part * arm_m });
     let middle: [f64; 3] = std::array::from_fn(|i| slit.axes_m[i] + to_tube[i]);
@@ -79,7 +79,7 @@ mod tests {
     fn a_slit_is_free_ahead_half_free_at_its_edge_and_shut_elsewhere() {
         let options = Options::default();
         assert_eq!(free_at(&options, 30.0, 90.0, false, 90.0), 1.0);
-        // the middle of the view stands at the edge of the slit: half the slit's width, seen from the middle
+        // The middle of the view stands at the edge of the slit: half the slit's width, seen from the middle.
         let slit = options.dome.slit.unwrap();
         let edge = (0.5 * slit.width_m / (slit.radius_m * 30.0_f64.to_radians().cos())).asin().to_degrees();
         let half = free_at(&options, 30.0, 90.0, false, 90.0 + edge);

@@ -85,7 +85,7 @@ impl Switch {
 
     /// Answers a GET.
     pub fn get(&self, request: &Request) -> Answer {
-        // DeviceState names its values by number: GetSwitchValue3
+        // DeviceState names its values by number: GetSwitchValue3.
         let word = request.member.trim_end_matches(|c: char| c.is_ascii_digit());
         if word == "maxswitch" {
             return Ok(json!(self.sockets.len()));

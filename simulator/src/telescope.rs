@@ -163,7 +163,7 @@ impl Telescope {
             },
             "rightascension" => json!(scene.to_mount(mount.encoders()).0),
             "declination" => json!(scene.to_mount(mount.encoders()).1),
-            // ASCOM counts this rate in seconds of right ascension per sidereal second
+            // ASCOM counts this rate in seconds of right ascension per sidereal second.
             "rightascensionrate" => json!(self.rates[0] / RA_S_PER_SIDEREAL_S),
             "declinationrate" => json!(self.rates[1]),
             "equatorialsystem" => json!(if self.options.mount.of_date { 1 } else { 2 }),

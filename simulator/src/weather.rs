@@ -152,14 +152,14 @@ impl Weather {
         }
         self.obey(&mut conditions);
 
-        // what follows from the rest, unless it was ordered too
+        // What follows from the rest, unless it was ordered too.
         let (temperature, cloud) = (conditions.of(Temperature), conditions.of(CloudCover) / 100.0);
         conditions.set(DewPoint, dew_point(temperature, conditions.of(Humidity)));
         conditions.set(WindGust, conditions.of(WindSpeed) * (1.35 + 0.1 * self.wander(9, 310.0, now)));
-        // a clear sky is some 30 K colder than the air, a cloud hardly
+        // A clear sky is some 30 K colder than the air, a cloud hardly.
         conditions.set(SkyTemperature, temperature - 32.0 * (1.0 - cloud) - 2.0);
         conditions.set(SkyQuality, clear_sky_mag - 0.3 * cloud);
-        // 10.8e4 cd/m2 is magnitude 0 per square arcsec; a uniform sky of L cd/m2 gives pi L lux
+        // 10.8e4 cd/m2 is magnitude 0 per square arcsec; a uniform sky of L cd/m2 gives pi L lux.
         conditions.set(SkyBrightness, 3.39e5 * 10.0_f64.powf(-0.4 * clear_sky_mag));
         self.obey(&mut conditions);
         conditions
@@ -223,7 +223,7 @@ mod tests {
     #[test]
     fn the_dew_point_is_the_temperature_of_saturation() {
         assert!((dew_point(20.0, 100.0) - 20.0).abs() < 1e-9);
-        // WMO guide: 20 C at 50 % gives 9.3 C
+        // WMO guide: 20 C at 50 % gives 9.3 C.
         assert!((dew_point(20.0, 50.0) - 9.3).abs() < 0.1);
     }
 

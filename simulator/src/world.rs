@@ -155,7 +155,7 @@ impl World {
         let logged = request.is_put.then(|| inner.log.note(kind, &request.member, request.told(), now));
         let in_force = inner.faults.get(&kind).filter(|it| it.fault.concerns(&request.member));
         let fault = in_force.map(|it| it.fault.clone()).unwrap_or_default();
-        // a device that hangs, drops the line or shows an error page does not do what it was told
+        // A device that hangs, drops the line or shows an error page does not do what it was told.
         let answer = if fault.hang || fault.refuse || fault.html {
             Err(Refusal::asked_for(0x500))
         } else if let Some(code) = fault.error {

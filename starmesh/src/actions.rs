@@ -69,7 +69,7 @@ fn example(entry: &Entry, site: Option<&Observatory>, now: Utc) -> String {
     let wheel = camera.map(|camera| camera.filterwheel.as_ref());
     let wheel = wheel.map(|name| site.and_then(|site| site.filterwheel.iter().find(|w| Some(&w.common.name) == name)));
     match (wheel, value.as_object_mut()) {
-        // a camera without a wheel
+        // A camera without a wheel.
         (Some(None), Some(value)) => {
             let was_list = value.shift_remove("filter").is_some_and(|filter| filter.is_array());
             if let Some(Value::Array(n)) = value.get_mut("n").filter(|_| was_list) {
@@ -87,7 +87,7 @@ fn example(entry: &Entry, site: Option<&Observatory>, now: Utc) -> String {
         }
         _ => {}
     }
-    // ten in the evening by the Sun
+    // Ten in the evening by the Sun.
     let longitude_deg = site.map_or(0.0, |site| site.place.longitude_deg);
     let local_s = now.seconds() + longitude_deg * 240.0;
     let start_s = (local_s / 86_400.0).floor() * 86_400.0 + 22.0 * 3600.0 - longitude_deg * 240.0;
@@ -112,7 +112,7 @@ fn text(entry: &Entry) -> String {
         let default = if default.is_empty() || default == "required" { default } else { format!("default {default}") };
         let about = [kind.as_str(), range.trim(), default.as_str()];
         let about: Vec<&str> = about.into_iter().filter(|word| !word.is_empty()).collect();
-        // writing to a text cannot fail
+        // Writing to a text cannot fail.
         let _ = writeln!(text, "\n  {name}: {}\n    {help}", about.join("; "));
     }
     text

@@ -98,7 +98,7 @@ fn verify(books: &[Book]) -> anyhow::Result<()> {
     let mut before = None;
     let mut places: HashMap<(String, u64), (String, &str)> = HashMap::new();
     for book in books {
-        // a file that goes on with the chain of the one before it
+        // A file that goes on with the chain of the one before it.
         let first = book.text.split(|byte| *byte == b'\n').next().and_then(|first| std::str::from_utf8(first).ok());
         let first = first.and_then(|first| prove(first).ok());
         let goes_on = |link: &audit::Link| first.as_ref().is_some_and(|first| first.record.chain == link.chain);
@@ -180,7 +180,7 @@ fn show(books: &[Book], since: Option<Utc>, device: Option<&str>) -> anyhow::Res
         }
     }
     records.sort_by(|a, b| (a.at_utc, &a.node, a.number).cmp(&(b.at_utc, &b.node, b.number)));
-    // a file and the archive's copy of it show each record once
+    // A file and the archive's copy of it show each record once.
     records.dedup_by(|a, b| a.sha256 == b.sha256);
     let wanted = |record: &&Record| {
         since.is_none_or(|since| record.at_utc >= since)

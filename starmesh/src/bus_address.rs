@@ -25,7 +25,7 @@ pub async fn of_nodes(file: &config::Bus, supervisor: &Bus) -> Vec<String> {
         arguments.extend(["--listen".to_owned(), with_free_port(endpoint)]);
     }
     if file.listen.is_empty() && file.multicast && !has_network() {
-        // zenoh tells others no address of this host's own where it has no other one
+        // zenoh tells others no address of this host's own where it has no other one.
         for endpoint in ["tcp/0.0.0.0:0", HERE] {
             arguments.extend(["--listen".to_owned(), endpoint.to_owned()]);
         }
@@ -49,7 +49,7 @@ pub async fn of_nodes(file: &config::Bus, supervisor: &Bus) -> Vec<String> {
 
 /// Has this host a way to any other? A computer may start before its switch does, or work without a network.
 fn has_network() -> bool {
-    // nothing is sent: an address for documents is looked up in the table of routes
+    // Nothing is sent: an address for documents is looked up in the table of routes.
     UdpSocket::bind("0.0.0.0:0").and_then(|socket| socket.connect("192.0.2.1:9")).is_ok()
 }
 

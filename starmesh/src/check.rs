@@ -102,7 +102,7 @@ fn configuration(file: &Path) -> anyhow::Result<Observatory> {
 fn schedule(file: &Path, config: Observatory, at: Option<Utc>) -> anyhow::Result<()> {
     let shown = file.display();
     let text = read_text(file).with_context(|| format!("cannot read {shown}"))?;
-    // a simulated night has another time than this machine
+    // A simulated night has another time than this machine.
     let now = at.or((config.clock.simulator.is_none()).then(|| bus::Clock::machine_clock().utc()));
     let known = Known::of(Arc::new(config));
     let found = validate::validate(&text, &now.into_iter().fold(known, Known::at));

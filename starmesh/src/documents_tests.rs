@@ -30,7 +30,7 @@ fn documents() -> Vec<PathBuf> {
 fn commands(text: &str) -> Vec<String> {
     let mut found = Vec::new();
     let mut in_block = false;
-    // a command goes on behind a backslash
+    // A command goes on behind a backslash.
     for line in text.replace("\\\n", " ").lines() {
         if line.trim_start().starts_with("```") {
             in_block = !in_block;
@@ -69,9 +69,9 @@ fn every_command_of_the_documents_can_be_typed() {
     for document in documents() {
         let text = fs::read_to_string(&document).unwrap();
         for command in commands(&text) {
-            // any of them
+            // Any of them.
             let words = words(&command.replace(" ROLE ", " web "));
-            // a name alone, or a form with things left out
+            // A name alone, or a form with things left out.
             if words.len() < 2 || command.contains("...") || words.iter().any(|word| word.starts_with('[')) {
                 continue;
             }
@@ -81,7 +81,7 @@ fn every_command_of_the_documents_can_be_typed() {
                 use clap::error::ErrorKind::{
                     DisplayHelpOnMissingArgumentOrSubcommand, MissingRequiredArgument, MissingSubcommand,
                 };
-                // prose names commands without their arguments
+                // Prose names commands without their arguments.
                 let is_name = matches!(
                     error.kind(),
                     MissingRequiredArgument | MissingSubcommand | DisplayHelpOnMissingArgumentOrSubcommand

@@ -45,7 +45,7 @@ impl Left {
     pub async fn find(config: &Path) -> anyhow::Result<Self> {
         let name = config.file_name().unwrap_or_default().to_string_lossy();
         let path = config.with_file_name(format!(".{name}.up"));
-        // a file that is not whole names nobody
+        // A file that is not whole names nobody.
         let before: Told =
             std::fs::read(&path).ok().and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default();
         if let Some(up) = before.up.filter(|up| is_alive(*up)) {
@@ -97,7 +97,7 @@ impl Left {
 
     /// Everything has ended in good order.
     pub fn nothing(&self) {
-        // a file that cannot be removed names processes that are not there
+        // A file that cannot be removed names processes that are not there.
         let _ = std::fs::remove_file(&self.path);
     }
 
@@ -127,14 +127,14 @@ fn process(pid: u32) -> Option<Process> {
 }
 
 fn is_alive(known: Process) -> bool {
-    // the start is rounded to seconds and depends on the wall clock, which may have been set
+    // The start is rounded to seconds and depends on the wall clock, which may have been set.
     process(known.pid).is_some_and(|found| found.started_s.abs_diff(known.started_s) <= 2)
 }
 
 #[cfg(unix)]
 fn ask_to_end(pid: u32) {
     if let Some(pid) = i32::try_from(pid).ok().and_then(rustix::process::Pid::from_raw) {
-        // it may have ended just now
+        // It may have ended just now.
         let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
     }
 }
@@ -178,7 +178,7 @@ mod tests {
         let left = Left::find(&config).await.unwrap();
         let mut node = tokio::process::Command::new("sleep").arg("60").spawn().unwrap();
         left.started(Role::Device, "main", node.id().unwrap());
-        // the earlier one has died
+        // The earlier one has died.
         let text = std::fs::read_to_string(&left.path).unwrap();
         let mut told: Told = serde_json::from_str(&text).unwrap();
         told.up = None;

@@ -143,7 +143,7 @@ pub async fn give(telescope: &str, kind: OrderKind, by: By, wait: Duration, join
     let order = Order { id: CommandId::fresh(), from: from(by.operator)?, reason: by.reason, kind };
     let bus = join.open().await?;
     let address = telescopes::read(telescope, &bus).await?;
-    // listening begins before the order is given, so that nothing of its effect is missed
+    // Listening begins before the order is given, so that nothing of its effect is missed.
     let sight = Sight::open(&bus, &address).await?;
     let key = Key::Order(address.clone());
     let mut tried = 0;
@@ -151,7 +151,7 @@ pub async fn give(telescope: &str, kind: OrderKind, by: By, wait: Duration, join
         match bus.ask::<_, Reply>(&key, &order, Duration::from_secs(3)).await {
             Err(AskError::Unknown { .. }) if tried < TRIES => {
                 tried += 1;
-                // a mistyped name is reported at once where others answer
+                // A mistyped name is reported at once where others answer.
                 let known = telescopes::known(&bus).await;
                 if !known.is_empty() && !known.contains(&address) {
                     return Err(telescopes::unanswered(&address, &bus).await);
@@ -258,7 +258,7 @@ impl Sight {
             tokio::select! {
                 heard = self.nights.hear() => {
                     let night = heard.said.body;
-                    // of what somebody else publishes in its name, only what knows the order counts
+                    // Of what somebody else publishes in its name, only what knows the order counts.
                     if night.last_order.as_ref().is_some_and(|last| last.id == *order) {
                         (seen, posture) = (true, Some(night.posture));
                     }

@@ -53,7 +53,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     let bus = options.join.open().await?;
     let until = Instant::now() + Duration::from_secs_f64(options.seconds.clamp(0.5, 60.0));
     let mut telescopes: BTreeMap<Address, Told> = BTreeMap::new();
-    // peers are found one after another: ask until the time is up or an answer repeats without news
+    // Peers are found one after another: ask until the time is up or an answer repeats without news.
     let mut known = 0;
     while Instant::now() < until {
         ask(&bus, &mut telescopes).await;
@@ -86,7 +86,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
 async fn ask(bus: &bus::Bus, telescopes: &mut BTreeMap<Address, Told>) {
     let timeout = Duration::from_secs(1);
     let part = |part: Part| format!("{}/*/*/observatory/{}/state", contract::key::ROOT, part.word());
-    // a telescope whose observatory node is dead or hangs is the one that must not be absent here
+    // A telescope whose observatory node is dead or hangs is the one that must not be absent here.
     let nodes = format!("{}/*/*/node/*/*/{}", contract::key::ROOT, NodeTopic::State.word());
     for (key, _) in bus.get_all::<NodeState>(&nodes, timeout).await {
         if let Key::Node(address, role, id, _) = &key

@@ -70,7 +70,7 @@ impl NodeProcess {
         if let Some(file) = last_words {
             command.env(bus::node::LAST_WORDS, file);
         }
-        // Ctrl-C in a terminal is for the supervisor alone, which ends its nodes in order
+        // Ctrl-C in a terminal is for the supervisor alone, which ends its nodes in order.
         #[cfg(unix)]
         command.process_group(0);
         if let Some(log) = &self.log {
@@ -92,17 +92,17 @@ impl NodeProcess {
         loop {
             let started = Instant::now();
             let mut child = self.spawn_with(Some(&words))?;
-            // waiting would close it, and the node would take that for our end
+            // Waiting would close it, and the node would take that for our end.
             let lifeline = child.stdin.take();
             let Some(ended) = stop.or(child.wait()).await else {
                 drop(lifeline);
                 return end(child, self.end_within()).await;
             };
-            // what has run for a while, or was killed, prints again what ends it
+            // What has run for a while, or was killed, prints again what ends it.
             let is_known_failure = ended.as_ref().is_ok_and(|status| status.code() == Some(1));
             if !is_known_failure || started.elapsed() > HEALTHY {
                 said_before.clear();
-                // where it cannot be emptied a line is left out at most
+                // Where it cannot be emptied a line is left out at most.
                 let _ = std::fs::write(&words, "");
             }
             let status = ended.map_or_else(|error| error.to_string(), |status| status.to_string());
@@ -132,7 +132,7 @@ pub async fn end(mut child: Child, within: Duration) -> anyhow::Result<()> {
     drop(child.stdin.take());
     #[cfg(unix)]
     if let Some(pid) = child.id().and_then(|id| i32::try_from(id).ok()).and_then(rustix::process::Pid::from_raw) {
-        // it may have ended just now; then there is nobody to ask
+        // It may have ended just now; then there is nobody to ask.
         let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
     }
     if tokio::time::timeout(within, child.wait()).await.is_err() {
@@ -144,7 +144,7 @@ pub async fn end(mut child: Child, within: Duration) -> anyhow::Result<()> {
 fn append(log: &Path) -> anyhow::Result<std::fs::File> {
     let mut options = std::fs::OpenOptions::new();
     options.create(true).append(true);
-    // what nodes log of the site is its user's alone, as their data is
+    // What nodes log of the site is its user's alone, as their data is.
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
     options.open(log).with_context(|| format!("cannot write the log {}", log.display()))

@@ -59,7 +59,7 @@ fn meant(text: &str, known: &BTreeSet<Address>) -> String {
     if names.is_empty() {
         return "no telescope answers; is a node running, and is it reached by multicast or --connect?".to_owned();
     }
-    // a telescope's name alone is written by most who forget the site
+    // A telescope's name alone is written by most who forget the site.
     let alone = names.iter().find(|name| name.split_once('/').is_some_and(|(_, telescope)| telescope == text));
     let near = alone.map(String::as_str).or_else(|| config::nearest(text, names.iter().map(String::as_str)));
     let near = near.map(|near| format!("did you mean {near}? ")).unwrap_or_default();

@@ -42,7 +42,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
             }
         },
     };
-    // the nodes of one host meet here even where multicast does not work, and are introduced to each other by gossip
+    // The nodes of one host meet here even where multicast does not work, and are introduced to each other by gossip.
     bus::node::show_log();
     let bus = Bus::open(&bus_address::of_supervisor(&config.bus), Clock::machine_clock()).await?;
     let mut arguments = options.node_arguments.clone();
@@ -59,7 +59,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     let page = page(config.web.listen);
     let brains = Stop::default();
     let mut devices: Vec<(String, Stop, JoinSet<anyhow::Result<()>>)> = Vec::new();
-    // enclosures first, at the start and at the end: one that waits for the mount needs the mount's node until it is closed
+    // Enclosures first, at the start and at the end: one that waits for the mount needs the mount's node until it is closed
     for id in config.device_nodes() {
         let (node, stop) = (node(Role::Device, id), Stop::default());
         let (stopped, mut task) = (stop.clone(), JoinSet::new());

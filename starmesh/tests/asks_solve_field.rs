@@ -96,7 +96,7 @@ fn its_place_is_verified_with_our_own_catalogue_or_called_what_it_is() {
     for words in ["--width 320 --height 320", "--scale-low 0.74700 --scale-high 0.91300", "--cpulimit 30"] {
         assert!(heard.contains(words), "{words:?} in {heard}");
     }
-    // the list of stars is a table that others can read
+    // The list of stars is a table that others can read.
     let mut table = fits::Table::open(&list).unwrap();
     let (x, flux) = (table.column("X").unwrap().clone(), table.column("FLUX").unwrap().clone());
     assert!(table.rows() > 20);
@@ -106,7 +106,7 @@ fn its_place_is_verified_with_our_own_catalogue_or_called_what_it_is() {
         assert!(flux.value(row).unwrap() <= last, "the brightest first");
         last = flux.value(row).unwrap();
     }
-    // a catalogue that does not know this field
+    // A catalogue that does not know this field.
     let other = folder.path().join("other.csv");
     std::fs::write(&other, "ra,dec,mag\n10,10,5\n").unwrap();
     let (success, answer) = solve(&path, &other, &["--scale-arcsec-px=0.83"]);
@@ -121,7 +121,7 @@ fn it_is_ended_in_time_with_all_that_it_started() {
     let pid = folder.path().join("pid");
     let path = stand_in(folder.path(), &format!("sleep 300 & echo $! > {}; wait", pid.display()));
     let started = Instant::now();
-    // too narrow for a search of our own: the time is that of the program
+    // Too narrow for a search of our own: the time is that of the program.
     let (success, answer) = solve(&path, &golden_stars(), &["--blind-s=1", "--scale-arcsec-px=0.83"]);
     assert!(started.elapsed() < Duration::from_secs(60), "{:?}", started.elapsed());
     assert!(!success && answer["solved"] == false);
@@ -130,14 +130,14 @@ fn it_is_ended_in_time_with_all_that_it_started() {
     let pid = std::fs::read_to_string(pid).unwrap();
     let is_gone = || {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
-        // ended, though nobody may have asked for its end yet
+        // Ended, though nobody may have asked for its end yet.
         stat.is_empty() || stat.rsplit(") ").next().unwrap_or_default().starts_with('Z')
     };
     while !is_gone() {
         assert!(started.elapsed() < Duration::from_secs(80), "its child goes on");
         std::thread::sleep(Duration::from_millis(50));
     }
-    // and never asked where that is wanted
+    // And never asked where that is wanted.
     let (_, answer) = solve(&path, &golden_stars(), &["--blind-s=0"]);
     assert!(!answer["reason"].as_str().unwrap().contains("solve-field"), "{answer}");
 }
@@ -148,7 +148,7 @@ fn the_real_program_finds_a_real_frame_whose_hint_is_wrong() {
     let is_there = std::env::split_paths(&path).any(|folder| folder.join("solve-field").is_file());
     let real = std::env::var_os("STARMESH_REAL_SKY").map(|folder| PathBuf::from(folder).join("2mass/gc_2mass_j.fits"));
     let Some(real) = real.filter(|_| is_there) else { return println!("solve-field: 0 of 1 run") };
-    // its index files may not cover the field: then it must say so, and within its time
+    // Its index files may not cover the field: then it must say so, and within its time.
     let started = Instant::now();
     let mut command = Command::new(env!("CARGO_BIN_EXE_starmesh"));
     command.args(["solve", "--json", "--ra-deg=80", "--dec-deg=60", "--scale-arcsec-px=5", "--blind-s=30"]).arg(real);

@@ -34,7 +34,7 @@ impl Telescope {
         let connect = bus.locators().await.first().unwrap().clone();
         let address = Address::new("paranal", "callisto").unwrap();
         let (order, check) = (Key::Order(address.clone()), Key::ScheduleCheck(address));
-        // closed, and it shows the order that it took last
+        // Closed, and it shows the order that it took last.
         let night = json!({
             "robotic": true, "posture": "closed", "actions": [], "frames": 0, "open_s": 0.0, "speed": 1.0, "simulated": false,
             "ended": false,

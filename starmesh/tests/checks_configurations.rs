@@ -109,17 +109,17 @@ fn every_wrong_file_is_told_by_the_program_with_its_line() {
 fn a_good_file_is_valid_and_one_without_a_monitor_is_warned_of() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("observatory.toml");
-    // the page's usual port may be taken on the machine of a test
+    // The page's usual port may be taken on the machine of a test.
     let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     fs::write(&file, format!("{GOOD}[web]\nlisten = \"{free}\"\n")).unwrap();
     let said = starmesh(["check", &file.display().to_string()]);
     assert!(said.success && !said.out.contains("warning"), "{}{}", said.out, said.err);
     let cut = GOOD.find("[[safetymonitor]]").unwrap();
-    // as an editor on Windows saves it
+    // As an editor on Windows saves it.
     fs::write(&file, format!("\u{feff}{}", GOOD[..cut].replace('\n', "\r\n"))).unwrap();
     let said = starmesh(["check", &file.display().to_string()]);
     assert!(said.success && said.out.contains("warning: no safety monitor"), "{}{}", said.out, said.err);
-    // other encodings
+    // Other encodings.
     let utf16: Vec<u8> = GOOD.encode_utf16().flat_map(u16::to_le_bytes).collect();
     for bytes in [b"[observatory]\nsite = \"\xe9\"\n".to_vec(), [b"\xff\xfe".to_vec(), utf16].concat()] {
         fs::write(&file, bytes).unwrap();

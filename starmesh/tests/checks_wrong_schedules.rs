@@ -183,7 +183,7 @@ fn what_the_sky_does_is_told_and_refuses_nothing() {
     assert!(told.contains("M31 never rises above 20 deg at this site: 15.4 deg at the highest"), "{told}");
     let told = check(r#"{"object": "x", "exptime": 30, "lookup_name": "Vega"}"#, NIGHT);
     assert!(told.contains("not checked: altitude, Sun and Moon of line 2") && told.contains("Vega"), "{told}");
-    // once the observatory node has found the name, it is checked as any other
+    // Once the observatory node has found the name, it is checked as any other.
     fs::create_dir(folder.path().join("data")).unwrap();
     let found =
         r#"{"found": {"vega": {"fixed": {"ra_deg": 279.23, "dec_deg": 78.78, "pm_ra_mas": 0, "pm_dec_mas": 0}}}}"#;

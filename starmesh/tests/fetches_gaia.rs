@@ -47,7 +47,7 @@ fn form(body: &str) -> Vec<(String, String)> {
 fn server() -> (String, Arc<AtomicUsize>) {
     let asked = Arc::new(AtomicUsize::new(0));
     let count = asked.clone();
-    // as GAVO and others do: the answer is somewhere else
+    // As GAVO and others do: the answer is somewhere else.
     let sync = move |body: String| {
         let count = count.clone();
         async move {
@@ -111,7 +111,7 @@ fn stars_of_a_circle_are_fetched_once_and_kept() {
         assert_eq!(number(answer, "without_motion") as u64, 1, "kept, with none");
         assert_eq!(number(answer, "rows_without_magnitude") as u64, 1, "told, not lost in silence");
         let catalogue = catalogue::Catalogue::open(&out, &catalogue::Reading::default()).unwrap();
-        // ten years on, Barnard's star has gone 103.6" to the north and 8.0" to the west
+        // Ten years on, Barnard's star has gone 103.6" to the north and 8.0" to the west.
         let (ra, dec) =
             (269.448_502_5 - 8.015_5 / 3600.0 / 4.75_f64.to_radians().cos(), 4.739_420_1 + 103.623_9 / 3600.0);
         let near = |radius: f64| {
@@ -121,7 +121,7 @@ fn stars_of_a_circle_are_fetched_once_and_kept() {
         assert_eq!((near(0.1), near(60.0)), (1, 1));
     }
     assert_eq!(asked.load(Ordering::SeqCst), 1, "the second time it was answered from disk");
-    // without the server too
+    // Without the server too.
     let (_, said) = build(folder.path(), &url, &[]);
     assert!(said.success && said.out.contains("1 without proper motion"), "{}{}", said.out, said.err);
 }
@@ -144,7 +144,7 @@ fn what_goes_wrong_on_the_way_is_told_in_time_and_leaves_nothing_behind() {
         assert!(started.elapsed() < Duration::from_secs(20), "{path}");
         assert!(!out.exists());
     }
-    // a port that nobody listens on
+    // A port that nobody listens on.
     let unused = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let (_, said) = build(folder.path(), &format!("http://{unused}/tap"), &[]);
     assert!(!said.success && said.err.contains("it cannot be reached"), "{}", said.err);

@@ -44,7 +44,7 @@ fn a_frame_is_measured_in_the_fields_that_were_promised() {
     let table = std::fs::read_to_string(golden("f01_nominal.csv")).unwrap();
     let drawn: f64 = table.split_once("fwhm_px=").unwrap().1.split_once(',').unwrap().0.parse().unwrap();
     assert!((number(answer, "fwhm_px") / drawn - 1.0).abs() < 0.05, "{} px, drawn {drawn}", answer["fwhm_px"]);
-    // each star that was drawn bright enough is found, in its place and brightness
+    // Each star that was drawn bright enough is found, in its place and brightness.
     let found = places(answer);
     let mut judged = 0;
     for line in table.lines().skip(1) {

@@ -40,7 +40,7 @@ fn real_frames_are_measured_and_the_real_pair_is_registered() {
         assert!((*least..*most).contains(&count), "{name}: {count} stars");
         assert!(number(answer, "noise_adu") > 0.0 && (1.0..8.0).contains(&number(answer, "fwhm_px")), "{name}");
     }
-    // truth: two solutions by astrometry.net, solved.fits.fz against unsolved.fits at the centre
+    // Truth: two solutions by astrometry.net, solved.fits.fz against unsolved.fits at the centre.
     let said = starmesh(["shift".into(), file(FRAMES[0].0), file(FRAMES[1].0), "--json".into()]);
     assert!(said.success, "{}", said.err);
     let shift = &said.json()[0];
@@ -48,7 +48,7 @@ fn real_frames_are_measured_and_the_real_pair_is_registered() {
     let (dx, dy) = (number(shift, "dx_px"), number(shift, "dy_px"));
     assert!((dx - 0.52).abs() < 0.3 && (dy - 1.53).abs() < 0.3, "{shift}");
     assert!(number(shift, "sigma_px") < 0.15 && number(shift, "stars") >= 20.0, "{shift}");
-    // what is well seen in the one frame of the mosaic stands in the other one too: it is sky, not pattern
+    // What is well seen in the one frame of the mosaic stands in the other one too: it is sky, not pattern.
     let share = common(&answers[0], &answers[1], (dx, dy));
     println!("panoptes: {:.0} % of the stars of S/N 15 are in both frames", 100.0 * share);
     assert!(share > 0.9, "{share}");

@@ -116,7 +116,7 @@ fn golden_frames_are_solved_with_any_kind_of_catalogue() {
                 assert!(answer["reason"].as_str().unwrap().starts_with("too few stars"), "{answer}");
                 continue;
             }
-            // what is left of the noisy frame shows four stars of the catalogue: that may be refused, but not wrong
+            // What is left of the noisy frame shows four stars of the catalogue: that may be refused, but not wrong.
             if name == "f04_noisy" && answer["solved"] == false {
                 assert!(answer["reason"].is_string() && answer["ra_deg"].is_null(), "{answer}");
                 continue;
@@ -125,7 +125,7 @@ fn golden_frames_are_solved_with_any_kind_of_catalogue() {
             let found = (number(answer, "ra_deg"), number(answer, "dec_deg"));
             let off_px = apart_arcsec(found, *centre_deg) / scale_arcsec_px;
             println!("{name}: {off_px:.3} px off, {} stars, rms {} px", answer["matched"], answer["rms_px"]);
-            // the trailed frame's truth is that of shutter open: its stars went 7.4 px on, and are seen in the middle
+            // The trailed frame's truth is that of shutter open: its stars went 7.4 px on, and are seen in the middle.
             let expected_px = if name == "f16_trailed" { 3.69 } else { 0.0 };
             assert!((off_px - expected_px).abs() < 0.4, "{name}: {off_px} px");
             assert!((number(answer, "scale_arcsec_px") / scale_arcsec_px - 1.0).abs() < 5e-3, "{answer}");
@@ -171,7 +171,7 @@ fn hints_come_from_options_or_from_many_a_header_and_a_missing_one_is_named() {
     let place = [format!("--ra-deg={}", ra + 0.02), format!("--dec-deg={}", dec - 0.01)];
     let scaled = format!("--scale-arcsec-px={}", scale * 1.01);
     near(&[], &[&place[..], std::slice::from_ref(&scaled)].concat());
-    // 120.0 deg and +50 deg as NINA, MaxIm and others write them
+    // 120.0 deg and +50 deg as NINA, MaxIm and others write them.
     near(&["OBJCTRA = '08 00 01'", "OBJCTDEC= '+50 00 00'", "PIXSCALE= 0.82"], &[]);
     near(&["RA      = '08:00:01'", "DEC     = '+50:00:00'", "FOCALLEN= 2500.0", "XPIXSZ  = 10.0"], &[]);
     near(&["CRVAL1  = 120.01", "CRVAL2  = 50.01", "SECPIX  = 0.83"], &[]);
@@ -230,7 +230,7 @@ fn whole_golden_frames_are_solved() {
             assert_eq!(answer["solved"], false);
             continue;
         }
-        // the truth's centre is that of pixel (width / 2, height / 2), half a pixel from ours in both axes
+        // The truth's centre is that of pixel (width / 2, height / 2), half a pixel from ours in both axes.
         let centre = truth["image_centre_deg"].as_array().map(|c| (c[0].as_f64().unwrap(), c[1].as_f64().unwrap()));
         let found = (number(&answer, "ra_deg"), number(&answer, "dec_deg"));
         let off_px = apart_arcsec(found, centre.unwrap()) / number(&answer, "scale_arcsec_px");
@@ -260,7 +260,7 @@ fn the_focus_of_the_golden_sweeps_is_found() {
         println!("{sweep}: {best} +- {}, drawn {truth}", answer["error"]);
         assert!((best - truth).abs() < 0.2 * zone, "{sweep}: {best}, drawn {truth}");
         assert!(number(answer, "error") < 0.2 * zone);
-        // one side of the V alone has no minimum that could be trusted
+        // One side of the V alone has no minimum that could be trusted.
         files.sort();
         let said = starmesh([PathBuf::from("focus"), "--json".into()].iter().chain(&files[..5]));
         assert!(!said.success && said.json()[0]["best_position"].is_null(), "{}", said.out);

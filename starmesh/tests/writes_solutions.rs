@@ -87,7 +87,7 @@ fn a_solution_is_written_into_the_frame_and_nothing_else_changes() {
             assert!((header.number(keyword).unwrap() - told).abs() < 1e-13, "{keyword}");
         }
         assert_eq!(header.text("CTYPE1").unwrap().ends_with("-SIP"), !answer["wcs"]["sip"].is_null());
-        // a solved frame is solved again by its own header
+        // A solved frame is solved again by its own header.
         let catalogue = golden_stars();
         let again = starmesh(["solve".into(), "--json".into(), "--catalogue".into(), catalogue, file.clone()]);
         assert!(again.success, "{}{}", again.out, again.err);

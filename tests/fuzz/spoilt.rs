@@ -35,14 +35,14 @@ fn wounded(good: &[&str], words: &[&str], which: usize, wounds: &[Wound]) -> Vec
             2 if inside => drop(text.remove(at)),
             3 => drop(text.splice(at..at, words[with % words.len()].bytes())),
             4 => text.truncate(at),
-            // the end of another one sewn on
+            // The end of another one sewn on.
             5 => {
                 let other = good[with % good.len()].as_bytes();
                 text.truncate(at);
                 text.extend(&other[with % (other.len() + 1)..]);
             }
             6 if text.len() < 20_000 => text.extend_from_within(at..),
-            // the same thing again and again: nests, long words, long lines
+            // The same thing again and again: nests, long words, long lines.
             7 => {
                 let word = words[with % words.len()].repeat(1 + with % 300);
                 drop(text.splice(at..at, word.bytes()));

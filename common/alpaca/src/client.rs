@@ -84,7 +84,7 @@ impl Alpaca {
         asks();
         let asking = async {
             match self.ask(member, parameters).await {
-                // nothing was done yet, so one more try is harmless
+                // Nothing was done yet, so one more try is harmless.
                 Err(AlpacaError::Transport { fault: Fault::Connect | Fault::Reset, .. }) => {
                     self.ask(member, parameters).await
                 }
@@ -131,7 +131,7 @@ impl Alpaca {
                 self.read(response, asked).await
             };
             match send(self.client()).await {
-                // no new connection could be made, so nothing was done: the polls' own may still stand
+                // No new connection could be made, so nothing was done: the polls' own may still stand.
                 Err(AlpacaError::Transport { fault: Fault::Connect, .. }) if !self.waits => {
                     send(&self.wire.ordinary).await
                 }
@@ -145,7 +145,7 @@ impl Alpaca {
     /// Fetches the image of a camera as it comes; `pixels` is what is expected, for the deadline.
     pub async fn image(&self, pixels: u64) -> Result<RawImage, AlpacaError> {
         let _turn = self.my_turn().await;
-        // 1 MB/s for 4 bytes a pixel and 10 s to begin with (spec/reliability.md D1)
+        // 1 MB/s for 4 bytes a pixel and 10 s to begin with (spec/reliability.md D1).
         let deadline = Duration::from_secs(10) + Duration::from_micros(pixels.saturating_mul(4));
         let fetching = async {
             let (asked, ids) = self.ids();
@@ -188,7 +188,7 @@ impl Alpaca {
         let age = response.headers().get(AGE).map(|age| age.to_str().unwrap_or_default().trim().to_owned());
         let answer = self.read(response, asked).await?;
         match age {
-            // what was read from the device just now
+            // What was read from the device just now.
             None => Ok(answer),
             Some(age) if age.parse() == Ok(0_u32) => Ok(answer),
             Some(age) => {
@@ -226,7 +226,7 @@ impl Ids {
 pub fn http_client() -> Result<Client, AlpacaError> {
     local_http::client_builder()
         .connect_timeout(Duration::from_secs(2))
-        // servers close idle connections after 5 s
+        // Servers close idle connections after 5 s.
         .pool_idle_timeout(Duration::from_secs(4))
         .tcp_nodelay(true)
         .build()
@@ -235,7 +235,7 @@ pub fn http_client() -> Result<Client, AlpacaError> {
 
 /// Name-value pairs as a query or a form writes them.
 fn encoded<'a>(pairs: impl IntoIterator<Item = &'a (&'a str, &'a str)>) -> String {
-    // the url crate behind reqwest knows the rules; the address is of no interest
+    // The url crate behind reqwest knows the rules; the address is of no interest.
     let Ok(mut url) = Url::parse("http://a/") else { return String::new() };
     url.query_pairs_mut().extend_pairs(pairs.into_iter().copied());
     url.query().unwrap_or_default().to_owned()

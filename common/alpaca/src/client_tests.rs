@@ -13,7 +13,7 @@ async fn server(mut answer: impl FnMut(&str, u32) -> String + Send + 'static) ->
         loop {
             let (mut stream, _) = listener.accept().await.unwrap();
             let (mut request, mut buffer) = (String::new(), [0; 4096]);
-            // the requests of these tests are short, and a PUT's form comes with its head
+            // The requests of these tests are short, and a PUT's form comes with its head.
             while !request.contains("ClientTransactionID=") {
                 let length = stream.read(&mut buffer).await.unwrap();
                 request.push_str(std::str::from_utf8(&buffer[..length]).unwrap());

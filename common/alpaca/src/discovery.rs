@@ -39,7 +39,7 @@ pub async fn discover(wait: Duration) -> std::io::Result<Vec<Found>> {
     let mut found: Vec<Found> = Vec::new();
     for server in servers(&targets, wait).await? {
         match configured_devices(&server).await {
-            // a host answers once per way to it; the unique id tells
+            // A host answers once per way to it; the unique id tells.
             Ok(devices) => found.extend(
                 devices
                     .into_iter()
@@ -57,7 +57,7 @@ pub async fn servers(targets: &[SocketAddr], wait: Duration) -> std::io::Result<
     let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).await?;
     socket.set_broadcast(true)?;
     for target in targets {
-        // a network without broadcast must not hide the servers of this host
+        // A network without broadcast must not hide the servers of this host.
         if let Err(error) = socket.send_to(QUESTION, target).await {
             tracing::debug!(%target, %error, "discovery could not ask");
         }
@@ -114,7 +114,7 @@ pub fn as_toml(found: &Found) -> String {
         found.name.to_ascii_lowercase().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
     let plain: String = plain.trim_matches('_').chars().take(40).collect();
     let name = plain.parse::<Name>().map_or_else(|_| format!("{kind}_{number}"), |name| name.to_string());
-    // a name may hold what ends a line, or what no comment of TOML may hold
+    // A name may hold what ends a line, or what no comment of TOML may hold.
     let comment = contract::printable(&found.name);
     format!("# {comment}\n[[{kind}]]\nname = \"{name}\"\nserver = \"{server}\"\nnumber = {number}\n")
 }

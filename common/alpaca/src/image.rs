@@ -64,7 +64,7 @@ impl Shape {
     pub fn rows<const N: usize>(self, element: impl Fn(usize) -> [u8; N]) -> Vec<u8> {
         let Self { width, height, planes } = self;
         let mut rows = vec![0; self.pixels() * N];
-        // in square blocks, so that both sides stay in the cache
+        // In square blocks, so that both sides stay in the cache.
         const BLOCK: usize = 32;
         for plane in 0..planes {
             for top in (0..height).step_by(BLOCK) {

@@ -24,11 +24,11 @@ pub fn parse(status: u16, body: &[u8], transactions: &Transactions, asked: u32) 
     let text = text.trim_matches(|c: char| c == '\0' || c == '\u{feff}' || c.is_whitespace());
     let object = object(text);
     if let Ok(object) = &object {
-        // before its error is read: that would be another request's, too
+        // Before its error is read: that would be another request's, too.
         transactions.check(asked, &Echo::of(field(object, "ClientTransactionID"), false))?;
     }
     if !(200..300).contains(&status) {
-        // some servers send an ASCOM error beside HTTP 500
+        // Some servers send an ASCOM error beside HTTP 500.
         if let Ok(object) = &object {
             ascom_error(object)?;
         }
@@ -181,14 +181,14 @@ fn ascom_error(object: &Map<String, Value>) -> Result<(), AlpacaError> {
             return Err(AlpacaError::Ascom { code: ascom_code(code), message: said.unwrap_or_default() });
         }
         Some((Value::Null, None)) | None => {
-            // an error without its number is still an error
+            // An error without its number is still an error.
             if let Some(text) = said {
                 return Err(AlpacaError::Protocol(format!("an error without a number: {text}")));
             }
         }
         Some((value, None)) => return Err(AlpacaError::Protocol(format!("ErrorNumber is {value}"))),
     }
-    // an error in a form of the server's own
+    // An error in a form of the server's own.
     let own = |name: &str, value: &Value| {
         let lower = name.to_ascii_lowercase();
         let named = lower.contains("error") || lower.contains("exception");

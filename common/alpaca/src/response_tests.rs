@@ -147,7 +147,7 @@ fn is_safe(status: u16, body: &[u8]) -> bool {
 fn a_safety_answer_is_safe_only_if_it_is_exactly_right() {
     let right = [
         r#"{"Value":true,"ClientTransactionID":71,"ServerTransactionID":9,"ErrorNumber":0,"ErrorMessage":""}"#,
-        // servers that return no id, or 0
+        // Servers that return no id, or 0.
         r#"{"Value":true,"ErrorNumber":0,"ErrorMessage":""}"#,
         "{\r\n \"ErrorMessage\": null, \"ErrorNumber\": 0, \"ClientTransactionID\": 0, \"Value\": true\r\n}\r\n",
         r#"{"Value":true,"ClientTransactionID":71,"ErrorNumber":0,"ErrorMessage":"","DriverException":null,"Model":"x"}"#,

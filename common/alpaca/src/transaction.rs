@@ -47,7 +47,7 @@ impl Transactions {
     /// Begins at a random number, so that answers to an earlier process, or to another one, have other numbers.
     pub fn fresh() -> Self {
         let random = RandomState::new().hash_one(std::process::id());
-        // the upper half of the range is left for counting
+        // The upper half of the range is left for counting.
         Self { next: AtomicU32::new((random as u32) >> 1), echoes: AtomicBool::new(false) }
     }
 

@@ -90,7 +90,7 @@ pub fn examine(bytes: &[u8], before: Option<&Link>) -> Examined {
             .map_err(|error| expected("text in UTF-8", error.to_string()))
             .and_then(prove)
             .and_then(|proven| {
-                // the files before this one may have been put away: then its first record is taken as it is
+                // The files before this one may have been put away: then its first record is taken as it is.
                 if last.is_some() || proven.record.number == 0 {
                     proven.follows(last.as_ref())?;
                 }
@@ -191,7 +191,7 @@ impl Book {
             && fs::metadata(&path)?.len() >= *length
             && self.still_ends_with_sure(&path)?
         {
-            // a write of this very life failed: what it left is written again
+            // A write of this very life failed: what it left is written again.
             page.cut(*length)?;
             page.sync()?;
             self.open = Some(Open { page, _lock: lock });
@@ -202,7 +202,7 @@ impl Book {
         files.pop();
         let bytes = fs::read(&path)?;
         let before = files.last().map(|file| fs::read(file).map(|bytes| (file, examine(&bytes, None)))).transpose()?;
-        // a break in the file before was told when that was put away, if this one has begun
+        // A break in the file before was told when that was put away, if this one has begun.
         let link = before.as_ref().and_then(|(_, before)| before.last().filter(|_| before.broken.is_none()));
         let begun = bytes.contains(&b'\n');
         let mut found = examine(&bytes, link.as_ref());
@@ -290,7 +290,7 @@ impl Book {
             })
             .unwrap_or_else(|| Err(io::Error::from(io::ErrorKind::AlreadyExists)))?;
         if let Err(error) = aside.write_all(&found.half).and_then(|()| aside.sync_data()) {
-            // it is tried again each second: leave no heap of empty files
+            // It is tried again each second: leave no heap of empty files.
             let _ = fs::remove_file(&path);
             return Err(error);
         }

@@ -80,7 +80,7 @@ fn a_kill_at_any_byte_loses_no_whole_line_and_is_told() {
         fs::write(folder.path().join("audit-x.jsonl"), &whole[..length]).unwrap();
         let told = write(&mut Book::new(folder.path(), "audit-x"), &["after"]).unwrap();
         let found = verbs(folder.path());
-        // a line that lacks but its end is a whole one
+        // A line that lacks but its end is a whole one.
         let lines = whole[..length].iter().filter(|byte| **byte == b'\n').count();
         let complete = whole.get(length) == Some(&b'\n');
         let half = length > 0 && whole[length - 1] != b'\n' && !complete;
@@ -124,7 +124,7 @@ fn any_byte_that_is_changed_in_the_file_is_found_and_a_new_chain_names_it() {
         let new = examine(&text(folder.path()), None);
         assert_eq!(new.good.len(), 2);
         assert_eq!(new.good[0].record.number, 0);
-        // and the new chain is a good one from then on
+        // And the new chain is a good one from then on.
         assert!(write(&mut Book::new(folder.path(), "audit-x"), &["d"]).unwrap().is_empty());
     }
 }
@@ -156,7 +156,7 @@ fn a_full_file_is_turned_over_and_the_chain_runs_through() {
     assert!(files.len() > 3, "{files:?}");
     let expected = (0..3).flat_map(|life| (0..5).map(move |n| format!("{life}.{n}")));
     assert_eq!(verbs(folder.path())[1..], expected.collect::<Vec<_>>());
-    // a kill right after the old file was put away
+    // A kill right after the old file was put away.
     fs::rename(folder.path().join("audit-x.jsonl"), folder.path().join("audit-x.0099.jsonl")).unwrap();
     assert!(write(&mut Book::new(folder.path(), "audit-x"), &["last"]).unwrap().is_empty());
     assert_eq!(verbs(folder.path()).last().unwrap(), "last");
@@ -173,7 +173,7 @@ fn a_file_that_is_cut_replaced_or_removed_while_the_node_runs_is_found() {
         match spoil {
             0 => fs::remove_file(&path).unwrap(),
             1 => fs::write(&path, "").unwrap(),
-            // the last record, cleanly
+            // The last record, cleanly.
             _ => {
                 let end = whole[..whole.len() - 1].iter().rposition(|byte| *byte == b'\n').unwrap();
                 fs::write(&path, &whole[..=end]).unwrap();
@@ -224,7 +224,7 @@ fn what_a_full_disk_took_half_is_written_once_when_there_is_room() {
     book.page_of = |file| Box::new(Tight(file));
     ROOM.store(100_000, Ordering::SeqCst);
     write(&mut book, &["a"]).unwrap();
-    // from nothing at all to all but the last byte of two lines
+    // From nothing at all to all but the last byte of two lines.
     for room in (0..950).step_by(37) {
         ROOM.store(room, Ordering::SeqCst);
         assert!(write(&mut book, &["b", "c"]).is_err(), "{room}");
@@ -257,7 +257,7 @@ fn whoever_was_away_gets_all_in_portions_across_files_and_breaks() {
             }
         }
         assert_eq!(all, verbs(folder.path()), "in portions of {limit}");
-        // and what is written after that
+        // And what is written after that.
         write(&mut book, &["more"]).unwrap();
         let answer = past.after(after.as_deref(), limit).unwrap();
         assert_eq!(answer.records.len(), 1);

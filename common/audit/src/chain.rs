@@ -63,7 +63,7 @@ impl Proven {
     pub fn follows(&self, last: Option<&Link>) -> Result<(), Broken> {
         let Record { chain, number, previous, .. } = &self.record;
         let Some(last) = last.filter(|last| last.chain == *chain) else {
-            // the end of an older chain says nothing about a new one, which begins at 0
+            // The end of an older chain says nothing about a new one, which begins at 0.
             let begins = *number == 0 && previous == NOTHING;
             let expected = last.map_or("the beginning of a chain".to_owned(), |last| {
                 format!("number {} of chain {}, or the beginning of another", last.number + 1, last.chain)
@@ -96,7 +96,7 @@ pub fn seal(mut record: Record, last: &Link) -> Result<Proven, serde_json::Error
 impl Link {
     /// Where the first record of a new chain is tied on.
     pub fn beginning(chain: String) -> Self {
-        // one before 0
+        // One before 0.
         Self { chain, number: u64::MAX, sha256: NOTHING.to_owned() }
     }
 }

@@ -66,7 +66,7 @@ fn another_chain_may_follow_from_its_beginning() {
 
 #[test]
 fn a_hash_is_what_the_contract_says_it_is() {
-    // counted by Python: json.dumps of the sample without "sha256", separators=(",", ":")
+    // Counted by Python: json.dumps of the sample without "sha256", separators=(",", ":").
     let text = include_str!("../../contract/golden/v1/node.audit.json");
     let samples: Vec<serde_json::Value> = serde_json::from_str(text).unwrap();
     for sample in samples {

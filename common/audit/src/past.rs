@@ -46,7 +46,7 @@ impl Past {
             let text = read_from(file, offset)?;
             let mut at = offset;
             for line in text.split_inclusive(|byte| *byte == b'\n') {
-                // a line that is just being written
+                // A line that is just being written.
                 let Some(whole) = line.strip_suffix(b"\n") else { break };
                 if answer.records.len() >= limit || bytes >= LARGEST {
                     answer.more = true;
@@ -71,7 +71,7 @@ impl Past {
         if let Some((ended, file, at)) = &self.ended
             && ended == sha256
             && let Some(index) = files.iter().position(|one| one == file)
-            // the file may be another one since
+            // The file may be another one since.
             && read_from(file, at.saturating_sub(end.len() as u64))?.starts_with(&end)
         {
             return Ok(Some((index, *at)));

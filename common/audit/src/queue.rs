@@ -57,7 +57,7 @@ impl Audit {
         let writer = Writer::new(signs.clone(), book, lines);
         let work = move || {
             writer.run(&taken);
-            // whoever waited may have gone
+            // Whoever waited may have gone.
             let _ = end.send(true);
         };
         if let Err(error) = std::thread::Builder::new().name("audit".to_owned()).spawn(work) {
@@ -79,7 +79,7 @@ impl Audit {
     /// Writes what waits and ends, after 3 s at most.
     pub async fn end(&self) {
         self.signs.ending.store(true, Ordering::Release);
-        // a full queue needs no waking
+        // A full queue needs no waking.
         let _ = self.items.try_send(Item::Wake);
         let mut ended = self.ended.clone();
         let waited = tokio::time::timeout(Duration::from_secs(3), ended.wait_for(|ended| *ended)).await;

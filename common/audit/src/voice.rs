@@ -30,7 +30,7 @@ pub async fn start(node: &Node, past: Past, mut written: mpsc::Receiver<Proven>)
                 Ok(Ok(answer)) => answer,
                 failed => {
                     tracing::warn!(?failed, "the audit's own file cannot be read; it will be asked for again");
-                    // there is more, and it cannot be told now
+                    // There is more, and it cannot be told now.
                     Answer { more: true, ..nothing }
                 }
             }

@@ -44,7 +44,7 @@ pub(crate) struct Writer {
 
 impl Writer {
     pub fn new(signs: Arc<Signs>, book: Book, lines: mpsc::Sender<Proven>) -> Self {
-        // what a kill left is repaired and told at once, not when the first command comes
+        // What a kill left is repaired and told at once, not when the first command comes.
         let starts = signs.about_itself("node_starts", note(env!("CARGO_PKG_VERSION")));
         Self { signs, book, lines, waiting: VecDeque::from([starts]), missing: 0 }
     }
@@ -99,7 +99,7 @@ impl Writer {
                 Ok(item) => self.take(item),
                 Err(RecvTimeoutError::Disconnected) => return true,
                 Err(RecvTimeoutError::Timeout) => {
-                    // the queue is empty, so whatever found no room came before this
+                    // The queue is empty, so whatever found no room came before this.
                     self.lose(self.signs.lost.swap(0, Ordering::AcqRel));
                     return self.signs.ending.load(Ordering::Acquire);
                 }
@@ -128,7 +128,7 @@ impl Writer {
             let notes = self.book.open()?;
             for (verb, detail) in notes.into_iter().rev() {
                 if verb == "chain_begins" {
-                    // each first start of a node
+                    // Each first start of a node.
                     tracing::info!(detail, "the audit of this node begins");
                 } else {
                     tracing::warn!(verb, detail, "audit");
@@ -149,7 +149,7 @@ impl Writer {
         self.book.append(&lines)?;
         self.waiting.clear();
         for line in lines {
-            // one that finds no room, or nobody, is asked for later
+            // One that finds no room, or nobody, is asked for later.
             let _ = self.lines.try_send(line);
         }
         Ok(())

@@ -64,7 +64,7 @@ async fn what_is_noted_is_on_disk_within_a_second_and_then_said() {
 #[tokio::test]
 async fn a_queue_that_overflows_never_waits_and_the_chain_says_how_many_are_missing() {
     let folder = tempfile::tempdir().unwrap();
-    // the disk is away: a file stands where the folder should be
+    // The disk is away: a file stands where the folder should be.
     let place = folder.path().join("data");
     fs::write(&place, "").unwrap();
     let alerts = AlertBoard::new(Clock::machine_clock());

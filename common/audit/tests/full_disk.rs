@@ -68,7 +68,7 @@ async fn on_a_small_disk(folder: &Path) {
             .is_ok_and(|text| text.contains("\"verb\":\"before\""))
     })
     .await;
-    // somebody fills the disk to its last page
+    // Somebody fills the disk to its last page.
     let filler = folder.join("filler");
     for size in [65_536, 4096, 1] {
         let mut bytes = fs::read(&filler).unwrap_or_default();
@@ -79,7 +79,7 @@ async fn on_a_small_disk(folder: &Path) {
             }
         }
         bytes.truncate(bytes.len() - size);
-        // what did not fit is given back
+        // What did not fit is given back.
         fs::write(&filler, &bytes).unwrap();
         if size == 4096 {
             break;
@@ -93,7 +93,7 @@ async fn on_a_small_disk(folder: &Path) {
     until("the full disk is told", || stands("audit")).await;
     assert!(records(folder).iter().any(|record| record.verb == "before"), "what was written stays proven");
 
-    // 6000 records would not fit even now; the disk grows, as when a person adds room
+    // 6000 records would not fit even now; the disk grows, as when a person adds room.
     fs::remove_file(&filler).unwrap();
     let grown = Command::new("mount").args(["-o", "remount,size=16m"]).arg(folder).status().unwrap();
     assert!(grown.success());

@@ -48,7 +48,7 @@ impl Bench {
         let (shot, later) = (frame(&image)?, frame(&later)?);
         let measured = measure(&shot, &self.camera, &Search::default())?;
         let fwhm_px = measured.quality.fwhm_px.context("no star tells the width of this frame")?.value;
-        // as in a night: the last frame told the width
+        // As in a night: the last frame told the width.
         let search = Search { fwhm_px: Some(fwhm_px as f32), ..Search::default() };
 
         let stars = self.time("clean_detect", || Ok(measure(&shot, &self.camera, &search)?.stars.len()))?;
@@ -150,7 +150,7 @@ fn frame(image: &Image) -> anyhow::Result<Frame<'_>> {
 /// Time that all threads of this process have run, ms, in steps of 10.
 fn processor_ms() -> anyhow::Result<f64> {
     let stat = std::fs::read_to_string("/proc/self/stat").context("this system does not tell processor time")?;
-    // user and system time are fields 14 and 15; the name before them may hold spaces
+    // User and system time are fields 14 and 15; the name before them may hold spaces.
     let fields = stat.rsplit(')').next().unwrap_or_default().split_whitespace();
     Ok(fields.skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() * 10.0)
 }

@@ -86,7 +86,7 @@ impl Columns {
 /// The row of a table whose cells are answered by `cell`.
 pub(crate) fn row(columns: &Columns, reading: &Reading, cell: impl Fn(usize) -> Option<f64>) -> Row {
     let told = columns.epoch.and_then(&cell);
-    // the table that Starmesh's own catalogue is made of: Gaia's stars at 2016.0, Tycho's at 2000.0
+    // The table that Starmesh's own catalogue is made of: Gaia's stars at 2016.0, Tycho's at 2000.0.
     let by_source = columns.gaia.and_then(&cell).map(|gaia| if gaia > 0.0 { EPOCH_YEAR } else { 2000.0 });
     let moves = columns.pm_known.and_then(&cell).is_none_or(|known| known > 0.0);
     let motion = |column: Option<usize>| column.filter(|_| moves).and_then(&cell);

@@ -130,12 +130,12 @@ impl GaiaTmass {
     }
 
     fn read(&self, connection: &Connection, circle: &Circle) -> Result<Vec<Entry>, CatalogueError> {
-        // the file tells places of its own epoch
+        // The file tells places of its own epoch.
         let moved = FASTEST_ARCSEC_PER_YEAR * (self.epoch_year - EPOCH_YEAR).abs() / 3600.0;
         let (ra, dec) = (circle.ra.wrapped_positive().degrees(), circle.dec.degrees());
         let radius = circle.radius.degrees() + moved;
         let (low, high) = ((dec - radius).max(-90.0), (dec + radius).min(90.0));
-        // greatest distance in right ascension of a point of the circle; beyond the pole there is none
+        // Greatest distance in right ascension of a point of the circle; beyond the pole there is none.
         let half = if dec.abs() + radius < 90.0 {
             (radius.to_radians().sin() / dec.to_radians().cos()).min(1.0).asin().to_degrees() + 1e-9
         } else {
@@ -156,7 +156,7 @@ impl GaiaTmass {
             Ok(())
         };
         for shard in &self.shards {
-            // a star at a whole degree may stand in either table
+            // A star at a whole degree may stand in either table.
             let (bottom, top) = (f64::from(*shard), f64::from(*shard) + 1.0);
             if top >= low && bottom <= high {
                 let bounds = [low, high, west, east];

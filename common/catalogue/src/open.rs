@@ -97,7 +97,7 @@ impl Catalogue {
             Self::GaiaTmass(file) => file,
         };
         let years = epoch_year - EPOCH_YEAR;
-        // a star from outside may have come in since
+        // A star from outside may have come in since.
         let reach = radius + Angle::from_arcseconds(FASTEST_ARCSEC_PER_YEAR * years.abs());
         let near = file.circle(ra, dec, reach)?.into_iter().filter(|entry| entry.mag <= faintest_mag);
         let now = near.map(|entry| entry.after(years));

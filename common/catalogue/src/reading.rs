@@ -68,7 +68,7 @@ impl Tally {
             self.without_mag += 1;
             return None;
         };
-        // Gaia's own fits have both or none; half a motion is no motion
+        // Gaia's own fits have both or none; half a motion is no motion.
         let motion = row.pm_ra_mas.zip(row.pm_dec_mas).filter(|(a, d)| a.abs().max(d.abs()) <= FASTEST_MAS);
         self.unmoving += u64::from(motion.is_none());
         let (pm_ra_mas, pm_dec_mas) = motion.unwrap_or_default();

@@ -73,7 +73,7 @@ fn sqlite(folder: &Path, dr3: bool) -> PathBuf {
             format!("INSERT INTO `{d}_{}` (ra, dec, pmra, pmdec, phot_g_mean_mag, j_m) VALUES (?,?,?,?,?,?)", d + 1);
         match motion {
             Some((a, b)) => file.execute(&insert, params![ra, dec, a, b, g, j]).unwrap(),
-            // what is not known is empty text
+            // What is not known is empty text.
             None => file.execute(&insert, params![ra, dec, "", "", g, j]).unwrap(),
         };
     }
@@ -128,7 +128,7 @@ fn fits(folder: &Path) -> PathBuf {
     ]);
     for (n, star) in STARS.iter().enumerate() {
         let (_, dec, motion, g, _) = *star;
-        // every other star as it stood at 2000; at the pole the directions of its motion would be others then
+        // Every other star as it stood at 2000; at the pole the directions of its motion would be others then.
         let year = if n % 2 == 0 || dec > 89.0 { 2016 } else { 2000 };
         let at = moved(*star, f64::from(year) - 2016.0);
         let (ra, dec) = (at[1].atan2(at[0]).to_degrees(), at[2].atan2(at[0].hypot(at[1])).to_degrees());
@@ -140,7 +140,7 @@ fn fits(folder: &Path) -> PathBuf {
         bytes.extend((g as f32).to_be_bytes());
         bytes.extend((year as i16).to_be_bytes());
     }
-    // 3 + 8 + 8 + 4 + 8 + 4 + 2 bytes, and 4 that no column tells of
+    // 3 + 8 + 8 + 4 + 8 + 4 + 2 bytes, and 4 that no column tells of.
     let first = bytes.len() - 37 * STARS.len();
     let mut wide = bytes[..first].to_vec();
     bytes[first..].chunks(37).for_each(|row| wide.extend([row, &[0; 4]].concat()));
@@ -183,7 +183,7 @@ fn each_star_of_each_source_stands_in_its_place_at_any_epoch_and_none_is_lost() 
     let table = |motion: Option<(f64, f64)>| motion.map_or(",".to_owned(), |(a, d)| format!("{a},{d}"));
     let lines: String = STARS.iter().map(|(ra, dec, m, g, _)| format!("{ra},{dec},{},{g}\n", table(*m))).collect();
     let csv = csv(folder, &format!("# mine\nRA, Dec, pmra, pmdec, mag\n{lines}"));
-    // the motion is rounded to 1 mas/yr and the place to 0.013": 34 years
+    // The motion is rounded to 1 mas/yr and the place to 0.013": 34 years.
     for (source, epoch) in
         [(sqlite(folder, false), 2015.5), (sqlite(folder, true), 2016.0), (fits(folder), 2016.0), (csv, 2016.0)]
     {
@@ -192,7 +192,7 @@ fn each_star_of_each_source_stands_in_its_place_at_any_epoch_and_none_is_lost() 
         assert_eq!((tally.stars, tally.unmoving, tally.unplaced, tally.without_mag), (8, 2, 0, 0));
         assert_eq!(catalogue.stars(), Some(8));
         judge(&catalogue, epoch, 0.06);
-        // and without being built first
+        // And without being built first.
         let direct = Catalogue::open(&source, &Reading::default()).unwrap();
         judge(&direct, epoch, 0.06);
     }
@@ -226,7 +226,7 @@ fn a_circle_of_an_sqlite_file_agrees_with_a_look_at_every_star() {
         let table = format!("CREATE TABLE `{d}_{}` (ra REAL, dec REAL, pmra, pmdec, phot_g_mean_mag, j_m)", d + 1);
         all.execute(&table, []).unwrap();
     }
-    // numbers without order: Steele's splitmix64
+    // Numbers without order: Steele's splitmix64.
     let mut state = 7_u64;
     let mut next = || {
         state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);

@@ -188,7 +188,7 @@ async fn more(client: &reqwest::Client, frame: &Frame, pixels: &mut Vec<u8>) -> 
     let answer = tokio::time::timeout(STALL, request.send()).await;
     let answer = answer.map_err(|_| More::Broken("no answer".to_owned()))?.map_err(broken)?;
     match answer.status() {
-        // the whole again: a server that knows no ranges
+        // The whole again: a server that knows no ranges.
         StatusCode::OK => pixels.clear(),
         StatusCode::PARTIAL_CONTENT => {
             let start = format!("bytes {}-", pixels.len());
@@ -281,9 +281,9 @@ mod tests {
                 assert_eq!(range.as_deref(), Some("bytes=100-"));
                 (StatusCode::PARTIAL_CONTENT, ranged("bytes 100-299/600"), PIXELS[100..300].to_vec())
             }
-            // another range than asked for: begin again
+            // Another range than asked for: begin again.
             2 => (StatusCode::PARTIAL_CONTENT, ranged("bytes 0-9/600"), PIXELS[..10].to_vec()),
-            // a server that knows no ranges
+            // A server that knows no ranges.
             _ => (StatusCode::OK, HeaderMap::new(), PIXELS.to_vec()),
         })
         .await;
@@ -294,7 +294,7 @@ mod tests {
     #[test]
     fn a_frame_has_a_total_time_that_a_usable_link_keeps() {
         assert_eq!(longest(0), Duration::from_secs(60));
-        // a guide camera's frame, a full frame, and the largest that is taken
+        // A guide camera's frame, a full frame, and the largest that is taken.
         assert_eq!(longest(600_000), Duration::from_secs(62));
         assert_eq!(longest(32 << 20), Duration::from_secs(194));
         assert!(longest(LARGEST) < Duration::from_secs(3 * 3600));
@@ -313,7 +313,7 @@ mod tests {
         let url = format!("http://{}/", listener.local_addr().unwrap());
         let app = axum::Router::new().route("/", axum::routing::get(dribble));
         tokio::spawn(async move { axum::serve(listener, app).await });
-        // real clocks: the bytes come through a real socket; 600 of them would take 30 s
+        // Real clocks: the bytes come through a real socket; 600 of them would take 30 s.
         let (frame, client) = (frame(url), reqwest::Client::new());
         let slow = fetch_within(&client, &frame, Duration::from_secs(1)).await.unwrap_err();
         assert!(matches!(slow, FetchError::Slow { bytes: 600, got: ..600, limit_s: 1, .. }), "{slow}");

@@ -72,7 +72,7 @@ fn value(text: &str) -> Value {
     if let Ok(whole) = word.parse() {
         return Value::Whole(whole);
     }
-    // Rust's own forms of "inf" and "nan" are no numbers in FITS
+    // Rust's own forms of "inf" and "nan" are no numbers in FITS.
     let is_number = word.bytes().all(|byte| byte.is_ascii_digit() || b"+-.eEdD".contains(&byte));
     let number = is_number.then(|| word.replace(['d', 'D'], "E").parse().ok()).flatten();
     number.filter(|number: &f64| number.is_finite()).map_or(Value::Undefined, Value::Number)

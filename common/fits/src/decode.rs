@@ -46,7 +46,7 @@ pub(crate) fn decode(bytes: &[u8], bitpix: i64, scaling: &Scaling) -> Pixels {
     if scaling.are_counts(bitpix) {
         return Pixels::U16(match bitpix {
             8 => pages::collect(bytes.iter().map(|byte| u16::from(*byte))),
-            // 32768 more than the signed number: its highest bit turned round
+            // 32768 more than the signed number: its highest bit turned round.
             _ => pages::collect(numbers(bytes, u16::from_be_bytes).map(|number| number ^ 0x8000)),
         });
     }

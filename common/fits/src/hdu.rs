@@ -55,7 +55,7 @@ pub struct Hdu {
 /// header goes on beyond the end of the file.
 pub(crate) fn read(file: &Path, source: &mut Source, start: usize, number: usize) -> Result<Option<Hdu>, Fault> {
     source.fill((start + BLOCK) as u64)?;
-    // behind the last part there may be anything (section 3.5)
+    // Behind the last part there may be anything (section 3.5).
     if number > 1 && !source.bytes().get(start..).unwrap_or_default().starts_with(b"XTENSION") {
         return Ok(None);
     }
@@ -173,7 +173,7 @@ fn data_length(header: &Header, shape: &Shape) -> Result<u64, String> {
     let bytes = values.and_then(|n| n.checked_mul(or("GCOUNT", 1).ok()?)?.checked_mul(shape.bitpix.unsigned_abs() / 8));
     or("PCOUNT", 0)?;
     or("GCOUNT", 1)?;
-    // room for what fills the last block and for what stands in front
+    // Room for what fills the last block and for what stands in front.
     bytes.filter(|bytes| *bytes < i64::MAX as u64).ok_or_else(|| "its axes are longer than any file".to_owned())
 }
 

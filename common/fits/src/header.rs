@@ -104,7 +104,7 @@ impl Header {
     /// # Errors
     /// [`KeywordError`] when the keyword is missing or no whole number.
     pub fn whole(&self, keyword: &str) -> Result<i64, KeywordError> {
-        // beyond this not every whole number has its own f64
+        // Beyond this not every whole number has its own f64.
         const EXACT: f64 = 9_007_199_254_740_992.0;
         self.typed(keyword, "a whole number", |value| match value {
             Value::Whole(whole) => Some(*whole),

@@ -63,7 +63,7 @@ pub fn read_part(file: &Path, part: Part) -> Result<Image, FitsError> {
     let read = || {
         let opened = std::fs::File::open(file)?;
         let length = opened.metadata()?.len();
-        // what is no plain file tells no length
+        // What is no plain file tells no length.
         let known = opened.metadata()?.is_file().then_some(length);
         of_source(file, opened, known, part)
     };
@@ -106,7 +106,7 @@ fn of_source(file: &Path, from: impl Read + 'static, length: Option<u64>, part: 
             let mut others = others(file, &mut source, behind, number)?;
             others.splice(0..0, other_hdus.into_iter().filter(|other| *other != number));
             source.finish(behind as u64)?;
-            // only then: scaling and sums of the first part are not this one's
+            // Only then: scaling and sums of the first part are not this one's.
             let mut image = image(source.into_bytes(), hdu, &shape, size)?;
             if let Some(primary) = passed.first() {
                 image.header.inherit(&primary.header);
@@ -131,7 +131,7 @@ fn of_source(file: &Path, from: impl Read + 'static, length: Option<u64>, part: 
 fn others(file: &Path, source: &mut Source, mut start: usize, taken: usize) -> Result<Vec<usize>, Fault> {
     let mut found = Vec::new();
     for number in taken + 1..=MOST_HDUS {
-        // what is damaged in the packing is damaged for the part that is taken too
+        // What is damaged in the packing is damaged for the part that is taken too.
         let hdu = match hdu::read(file, source, start, number) {
             Err(fault @ Fault::Packed { .. }) => return Err(fault),
             Err(_) | Ok(None) => break,
@@ -149,7 +149,7 @@ fn others(file: &Path, source: &mut Source, mut start: usize, taken: usize) -> R
 
 /// Columns, rows and planes of an image, before a byte of it is read.
 fn size(hdu: &Hdu, shape: &Shape) -> Result<(u64, u64, u64), Fault> {
-    // axes of one pixel behind the second change nothing
+    // Axes of one pixel behind the second change nothing.
     let (width, height, planes) = match shape.axes.as_slice() {
         [width, height, rest @ ..] if rest.iter().all(|length| *length == 1) => (*width, *height, 1),
         [width, height, planes::COLOURS, rest @ ..] if rest.iter().all(|length| *length == 1) => {
@@ -199,7 +199,7 @@ fn check_sum(hdu: &Hdu, bytes: &[u8]) -> Result<(), Fault> {
     let stands = hdu.header.text("DATASUM").ok().and_then(|text| text.trim().parse::<u32>().ok());
     let Some(expected) = stands else { return Ok(()) };
     let data = bytes.get(hdu.data.start..hdu.next().min(bytes.len())).unwrap_or_default();
-    // ones' complement: what overflows 32 bits comes in again at the low end; zeros fill a short last word
+    // Ones' complement: what overflows 32 bits comes in again at the low end; zeros fill a short last word.
     let sum: u64 = data.chunks(4).fold(0, |sum, word| {
         let sum = sum + word.iter().zip([24, 16, 8, 0]).map(|(byte, shift)| u64::from(*byte) << shift).sum::<u64>();
         (sum & 0xffff_ffff) + (sum >> 32)

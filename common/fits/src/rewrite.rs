@@ -20,7 +20,7 @@ pub fn header(file: &Path, number: usize, change: impl FnOnce(&[u8]) -> (Vec<u8>
 }
 
 fn rewritten(file: &Path, number: usize, change: impl FnOnce(&[u8]) -> (Vec<u8>, usize)) -> Result<(), Fault> {
-    // a link stays one
+    // A link stays one.
     let target = std::fs::canonicalize(file)?;
     let permissions = std::fs::metadata(&target)?.permissions();
     if permissions.readonly() {
@@ -80,7 +80,7 @@ pub fn write_at_once(file: &Path, bytes: &[u8], permissions: Option<std::fs::Per
         std::fs::rename(&part, file)
     };
     written().inspect_err(|error| {
-        // a part that another process of this number left is not ours to take away
+        // A part that another process of this number left is not ours to take away.
         if error.kind() != std::io::ErrorKind::AlreadyExists {
             let _ = std::fs::remove_file(&part);
         }

@@ -18,7 +18,7 @@ const TFLOAT: c_int = 42;
 /// The pixels of HDU `number` of the file `bytes`, `count` of them: as counts if `whole` is set, else as floats with NaN
 /// where there is no value. Scaled by BSCALE and BZERO. On failure: what cfitsio says.
 pub(crate) fn decode(mut bytes: Vec<u8>, number: usize, count: usize, whole: bool) -> Result<Pixels, String> {
-    // cfitsio reads whole blocks; some writers leave the last one short
+    // cfitsio reads whole blocks; some writers leave the last one short.
     bytes.resize(bytes.len().div_ceil(BLOCK) * BLOCK, 0);
     if whole {
         read(bytes, number, TUSHORT, &0_u16, vec![0; count]).map(Pixels::U16)

@@ -26,7 +26,7 @@ pub(crate) fn check(header: &Header, shape: &Shape, bytes: u64) -> Result<(), St
     let mut tiles = 1_u64;
     for (n, length) in (1..).zip(&shape.axes) {
         let keyword = format!("ZTILE{n}");
-        // left out, a tile is a row
+        // Left out, a tile is a row.
         let side = or(header, &keyword, if n == 1 { (*length).cast_signed() } else { 1 })?;
         let side = u64::try_from(side).ok().filter(|side| (1..=*length).contains(side));
         let side = side.ok_or_else(|| format!("{keyword} is no length up to {length}"))?;

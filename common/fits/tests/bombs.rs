@@ -56,7 +56,7 @@ fn bombs_are_refused_before_they_fill_the_memory() {
     let absurd = image(400_000, 400_000);
     let endless = format!("{:80}{:80}", "SIMPLE  = T", "BITPIX  = 16").into_bytes();
     for how in ["gzip", "bzip2"] {
-        // packed files may follow one another: 300 MB of zeros
+        // Packed files may follow one another: 300 MB of zeros.
         let zeros = packed(how, b"", ZEROS).repeat(300);
         let with_zeros = |head: &[u8]| [packed(how, head, 23_040 - 2880), zeros.clone()].concat();
         let cases = [
@@ -69,7 +69,7 @@ fn bombs_are_refused_before_they_fill_the_memory() {
         let before = peak_mb();
         for (bytes, words) in cases {
             let said = refused(bytes).to_string();
-            // bzip2 has no such bound: what is missing shows at the end of the file
+            // bzip2 has no such bound: what is missing shows at the end of the file.
             let cut = how == "bzip2" && said.contains("is cut short: HDU 1 should end at byte 800002880");
             assert!(said.contains(words) || cut, "{how}: {said}");
         }
@@ -82,7 +82,7 @@ fn a_sound_packed_image_may_have_something_behind_it() {
     for how in ["gzip", "bzip2"] {
         let taken = fits::parse(Path::new("a.fits"), packed(how, &image(100, 100), 20_000 + 1_000_000)).unwrap();
         assert_eq!((taken.width_px, taken.pixels.len()), (100, 10_000));
-        // the sum at the end is proven although no byte of the image is missing
+        // The sum at the end is proven although no byte of the image is missing.
         let mut bytes = packed(how, &image(100, 100), 23_040);
         let last = bytes.len() - if how == "gzip" { 6 } else { 3 };
         bytes[last] ^= 0x55;
@@ -144,7 +144,7 @@ fn three_planes_are_a_colour_image_and_others_a_cube() {
     };
     let colour = cube(3).unwrap();
     assert_eq!((colour.planes, colour.width_px, colour.height_px), (3, 2, 1));
-    // a mean, and of a pixel that is saturated in one plane the greatest
+    // A mean, and of a pixel that is saturated in one plane the greatest.
     assert_eq!(colour.pixels, Pixels::F32(vec![30.0, 250.0]));
     for planes in [2, 4] {
         let said = cube(planes).unwrap_err().to_string();

@@ -111,7 +111,7 @@ fn tables_cubes_and_spectra_are_named() {
 fn damaged_tiles_are_refused_before_they_are_decoded() {
     let mut bytes = image("[compress R]", &[60, 80]);
     let at = |bytes: &[u8], card: &str| bytes.chunks_exact(80).position(|found| found.starts_with(card.as_bytes()));
-    // a sum as fpack writes it; cfitsio leaves it out unless asked
+    // A sum as fpack writes it; cfitsio leaves it out unless asked.
     let end = 2880 + 80 * at(&bytes[2880..], "END").unwrap();
     let data = 2880 * end.div_ceil(2880);
     let sum = |data: &[u8]| {

@@ -21,7 +21,7 @@ fn counts() -> Vec<u16> {
 fn write<T: WriteImage>(file: &Path, how: &str, kind: ImageType, values: &[T]) -> PathBuf {
     let description = ImageDescription { data_type: kind, dimensions: &[HEIGHT, WIDTH] };
     let name = format!("{}{how}", file.display());
-    // with a compression the image is an extension: the primary holds none
+    // With a compression the image is an extension: the primary holds none.
     let mut fits = FitsFile::create(&name).with_custom_primary(&description).open().unwrap();
     let hdu = if how.is_empty() { fits.primary_hdu().unwrap() } else { fits.hdu(1).unwrap() };
     hdu.write_key(&mut fits, "EXPTIME", 12.5).unwrap();
@@ -57,7 +57,7 @@ fn sixteen_bits_without_sign_stay_as_they_are_in_every_packing() {
         assert_eq!((image.bitpix, image.hdu), (16, if how.is_empty() { 1 } else { 2 }), "{name}");
         let first = std::fs::read(&file).unwrap()[..2].to_owned();
         assert_eq!(first == [0x1f, 0x8b], name.ends_with(".gz"), "{name}: cfitsio packs by the name");
-        // the same once more inside of bzip2 and of gzip, whatever the name says
+        // The same once more inside of bzip2 and of gzip, whatever the name says.
         let mut bzip2 = bzip2::write::BzEncoder::new(Vec::new(), bzip2::Compression::fast());
         bzip2.write_all(&std::fs::read(&file).unwrap()).unwrap();
         let packed = folder.path().join(format!("{name}.bz2"));
@@ -73,7 +73,7 @@ fn every_bitpix_is_read_plain_and_in_tiles() {
     let folder = TempDir::new().unwrap();
     let wide: Vec<i64> = counts().iter().map(|count| (i64::from(*count) - 30_000) * 100).collect();
     let floats: Vec<f32> = wide.iter().map(|value| *value as f32).collect();
-    // numbers that f32 holds, so that all comparisons are exact
+    // Numbers that f32 holds, so that all comparisons are exact.
     let expected = Pixels::F32(floats.clone());
     for (n, how) in ["", "[compress G]"].iter().enumerate() {
         let path = |name: &str| folder.path().join(format!("{name}{n}.fits"));
@@ -87,7 +87,7 @@ fn every_bitpix_is_read_plain_and_in_tiles() {
         let file = write(&path("short"), how, ImageType::Short, &shorts);
         assert_eq!(check(&file, &Pixels::F32(shorts.iter().copied().map(f32::from).collect())).bitpix, 16);
     }
-    // cfitsio has no 64-bit tiles, and floats in tiles lose bits unless told otherwise
+    // cfitsio has no 64-bit tiles, and floats in tiles lose bits unless told otherwise.
     let file = write(&folder.path().join("longlong.fits"), "", ImageType::LongLong, &wide);
     assert_eq!(check(&file, &expected).bitpix, 64);
     let file = write(&folder.path().join("float.fits"), "", ImageType::Float, &floats);
@@ -146,7 +146,7 @@ fn a_last_block_that_is_not_filled_up_is_enough() {
     for (name, how) in [("short.fits", ""), ("short.fits.fz", "[compress R]")] {
         let file = write(&folder.path().join(name), how, ImageType::UnsignedShort, &counts());
         let mut bytes = std::fs::read(&file).unwrap();
-        // neither the last pixel nor the last byte of the last tile is zero
+        // Neither the last pixel nor the last byte of the last tile is zero.
         let end = bytes.iter().rposition(|byte| *byte != 0).unwrap() + 1;
         assert!(end % 2880 != 0, "{name}: no block to shorten");
         bytes.truncate(end);

@@ -56,7 +56,7 @@ pub async fn serve(listener: TcpListener, router: Router, limits: Limits, stop: 
                 }
                 None => {
                     refused += 1;
-                    // a flood may refuse thousands a second
+                    // A flood may refuse thousands a second.
                     if refused.is_power_of_two() {
                         let (peer, room) = (peer.ip(), limits.room.total);
                         tracing::warn!(%peer, refused, room, "a connection was refused: no place is free for its address");
@@ -75,7 +75,7 @@ pub async fn serve(listener: TcpListener, router: Router, limits: Limits, stop: 
 }
 
 async fn connection(stream: TcpStream, router: Router, limits: Limits, _place: Place, mut ends: watch::Receiver<bool>) {
-    // small answers must not wait for an acknowledgement of the one before
+    // Small answers must not wait for an acknowledgement of the one before.
     let _ = stream.set_nodelay(true);
     let served = http1::Builder::new()
         .timer(TokioTimer::new())
@@ -91,7 +91,7 @@ async fn connection(stream: TcpStream, router: Router, limits: Limits, _place: P
         }
     };
     tokio::select! {
-        // an error is the client's: it left, or sent no HTTP
+        // An error is the client's: it left, or sent no HTTP.
         _ = &mut served => return,
         () = over => {}
     }
@@ -116,7 +116,7 @@ mod tests {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let endless = || async {
-            // more than the buffers of both ends hold, so that it waits for a reader
+            // More than the buffers of both ends hold, so that it waits for a reader.
             axum::body::Body::from(vec![0; 64 << 20])
         };
         let who = |Extension(Peer(ip)): Extension<Peer>| async move { ip.to_string() };

@@ -75,7 +75,7 @@ async fn exchange(client: &HttpClient, ask: Ask<'_>) -> anyhow::Result<()> {
         None => anyhow::Error::new(error).context("it cannot be reached"),
     })?;
     let status = answer.status();
-    // read whole, so that the connection can be used again
+    // Read whole, so that the connection can be used again.
     let _ = Limited::new(answer.into_body(), MOST_BYTES).collect().await;
     ensure!(status.is_success(), "it answered {status}");
     Ok(())

@@ -31,7 +31,7 @@ impl Letter {
     pub fn subject(&self, address: &Address) -> String {
         match self.news.as_slice() {
             [one] => {
-                // what other nodes say must not become a line of its own in a mail's head
+                // What other nodes say must not become a line of its own in a mail's head.
                 let id = printable(&one.alert.id);
                 format!("[{address}] {} {}: {id}", one.alert.priority.word(), one.event.word())
             }
@@ -74,7 +74,7 @@ impl Letter {
         json!({
             "site": address.site,
             "telescope": address.telescope,
-            // the word that chat services show
+            // The word that chat services show.
             "text": format!("{}\n{}", self.subject(address), self.text(address)),
             "news": news,
         })

@@ -56,7 +56,7 @@ pub async fn send(smtp: &Smtp, ca_file: Option<&Path>, mail: Mail<'_>) -> anyhow
         }
         let sent = server.send(&envelope, &message).await;
         sent.map_err(|error| said("the mail server does not take it", &error, login.as_ref()))?;
-        // the mail is taken: how they part changes nothing, and waiting for it must not send it twice
+        // The mail is taken: how they part changes nothing, and waiting for it must not send it twice.
         let _ = tokio::time::timeout(Duration::from_secs(1), server.abort()).await;
         Ok(())
     };
@@ -141,7 +141,7 @@ fn said(what: &str, error: &lettre::transport::smtp::Error, login: Option<&Login
     if let Some(why) = trust::explain(error) {
         return anyhow!("the mail server: {why}");
     }
-    // it says its source itself
+    // It says its source itself.
     let words = error.to_string();
     match login {
         None => anyhow!("{what}: {}", safe::line(&words)),

@@ -130,7 +130,7 @@ impl Mailbox {
         let known = self.known.get(&alert.id).map(|known| known.event);
         let event = match (alert, known) {
             (Alert { shelved_until_utc: Some(_), .. }, _) => {
-                // when it comes from the shelf it is told anew
+                // When it comes from the shelf it is told anew.
                 self.known.remove(&alert.id);
                 self.told.remove(&alert.id);
                 self.waiting.retain(|news| news.alert.id != alert.id);
@@ -142,7 +142,7 @@ impl Mailbox {
             (Alert { returned_utc: Some(_), .. }, Some(AlertEvent::Returned)) => return,
             (Alert { returned_utc: Some(_), .. }, Some(_)) => AlertEvent::Returned,
             (_, Some(AlertEvent::Raised)) => return,
-            // also one that has returned: somebody must know that it was there
+            // Also one that has returned: somebody must know that it was there.
             (_, _) if since.is_none_or(|since| now.since(since) < self.wish.after) => return,
             (Alert { returned_utc: Some(_), .. }, None) => AlertEvent::Returned,
             (_, _) => AlertEvent::Raised,
@@ -159,7 +159,7 @@ impl Mailbox {
     /// Of one alert only the newest event waits; one that was raised and is over before it could be told is told once.
     fn add(&mut self, event: AlertEvent, alert: Alert) {
         if alert.priority == Priority::Critical && event == AlertEvent::Raised {
-            // the receiver may be back long before its next turn
+            // The receiver may be back long before its next turn.
             self.not_before = None;
         }
         self.waiting.retain(|news| news.alert.id != alert.id);
@@ -208,7 +208,7 @@ impl Mailbox {
     fn note(&mut self, event: AlertEvent, alert: &Alert, told_utc: Utc) {
         let Alert { id, raised_utc, .. } = alert;
         let newest = self.newest_utc.entry(id.clone()).or_insert(told_utc);
-        // another node's clock may be ahead
+        // Another node's clock may be ahead.
         *newest = told_utc.max(*newest);
         if event == AlertEvent::Cleared {
             self.told.remove(id);

@@ -60,7 +60,7 @@ pub fn receivers(alerting: &Alerting) -> Vec<Receiver> {
     let hooks = hooks.map(|hook| receiver(&hook.name, hook.min_priority, hook.after_min, Way::Webhook(hook.clone())));
     let mails = alerting.email.iter().flat_map(|email| email.to.iter().enumerate().map(move |at| (email, at)));
     let mails = mails.filter_map(|(email, (index, to))| {
-        // each address is one who is told or not: `night` where it is alone, else `night/1` and so on
+        // Each address is one who is told or not: `night` where it is alone, else `night/1` and so on.
         let name = if email.to.len() == 1 { email.name.clone() } else { format!("{}/{}", email.name, index + 1) };
         let way = Way::Email { smtp: alerting.smtp.clone()?, to: to.clone(), all: email.to.clone() };
         Some(receiver(&name, email.min_priority, email.after_min, way))

@@ -33,7 +33,7 @@ fn believing(roots: RootCertStore) -> anyhow::Result<ClientConfig> {
 
 fn roots(ca_file: Option<PathBuf>) -> anyhow::Result<RootCertStore> {
     let mut roots = RootCertStore::empty();
-    // an unreadable one of a hundred is no reason to reach nobody
+    // An unreadable one of a hundred is no reason to reach nobody.
     roots.add_parsable_certificates(rustls_native_certs::load_native_certs().certs);
     for certificate in ca_file.as_deref().map(own).transpose()?.into_iter().flatten() {
         roots.add(certificate).context("alerts.ca_file: a certificate in it cannot be used")?;
@@ -57,7 +57,7 @@ pub fn explain(error: &(dyn std::error::Error + 'static)) -> Option<String> {
     use CertificateError::{NotValidYet, NotValidYetContext, UnknownIssuer};
     let refused = match refusal(error)? {
         rustls::Error::InvalidCertificate(refused) => refused,
-        // a server that speaks HTTP or SMTP where TLS was expected
+        // A server that speaks HTTP or SMTP where TLS was expected.
         rustls::Error::InvalidMessage(_) => {
             return Some("it does not speak TLS on this port: look at the port and at http or https".to_owned());
         }

@@ -36,7 +36,7 @@ pub type Defaults = BTreeMap<String, BTreeMap<String, Map<String, Value>>>;
 pub fn defaults_of(cameras: &[config::Camera]) -> Defaults {
     let of_camera = |camera: &config::Camera| {
         let values = serde_json::to_value(&camera.defaults).and_then(serde_json::from_value);
-        // what TOML can hold is JSON
+        // What TOML can hold is JSON.
         (camera.common.name.to_string(), values.unwrap_or_default())
     };
     cameras.iter().filter(|camera| !camera.defaults.is_empty()).map(of_camera).collect()
@@ -148,7 +148,7 @@ impl<'a> Source<'a> {
         let at = self.written.field("end_time");
         let what = format!("end_time {} is not after start_time {}", when(end), when(start));
         let found = error(Check::Time, at, Some("end_time"), what);
-        // an hour after midnight with the date of the evening
+        // An hour after midnight with the date of the evening.
         let next_day = end.plus_seconds(DAY_S);
         let is_next_day = next_day > start && next_day.seconds_since(start) <= 0.75 * DAY_S;
         self.tell(if is_next_day { found.right(format!("did you mean {}?", when(next_day))) } else { found });
@@ -214,7 +214,7 @@ impl<'a> Source<'a> {
             let is_unknown = wrong.what.starts_with(UNKNOWN);
             let is_about = |name: &String| field.as_ref() == Some(name) || (!is_unknown && mentions(&wrong.what, name));
             if mended.iter().any(is_about) {
-                // it may not be wrong beside what should have stood there
+                // It may not be wrong beside what should have stood there.
                 return None;
             }
             let at = self.place(&wrong, field.as_deref());

@@ -27,7 +27,7 @@ mod tests {
         assert!(read_text(&path).unwrap_err().to_string().contains("more than 5000000 bytes"));
         std::fs::write(&path, b"{\"object\": \"\xff\"}").unwrap();
         assert!(read_text(&path).unwrap_err().to_string().contains("not UTF-8"));
-        // a file that never ends
+        // A file that never ends.
         #[cfg(unix)]
         assert!(read_text(Path::new("/dev/zero")).unwrap_err().to_string().contains("more than"));
     }

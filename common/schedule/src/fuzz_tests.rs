@@ -75,7 +75,7 @@ proptest! {
                 let ids: std::collections::BTreeSet<_> = rows.iter().map(|row| &row.id).collect();
                 prop_assert_eq!(ids.len(), rows.len(), "two rows of one name: a restart would count one for the other");
             }
-            // a message may quote what it is about, once or twice
+            // A message may quote what it is about, once or twice.
             Err(why) => prop_assert!(why.contains("line ") && why.len() <= 8 * text.len() + 2000, "{why:?}"),
         }
     }

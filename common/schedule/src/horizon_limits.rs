@@ -51,7 +51,7 @@ impl HorizonLimits {
         } else if altitude_deg > 0.0 {
             format!("high, the least is {} deg", self.altitude_min_deg)
         } else {
-            // also for a place that is no number
+            // Also for a place that is no number.
             "high, below the horizon".to_owned()
         };
         Some(format!("ra {ra:.4}, dec {dec:.4} deg stands {altitude_deg:.1} deg {words}"))

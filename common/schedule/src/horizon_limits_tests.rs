@@ -47,12 +47,12 @@ proptest! {
         let sky = sky(at);
         let [altitude_deg, azimuth_deg] = by_cosine_rule(&sky, &target);
         let limit_deg = wall_deg(&walls, azimuth_deg).max(least).max(0.0);
-        // where the horizon is steep, a minute of arc of aberration along it is more across
+        // Where the horizon is steep, a minute of arc of aberration along it is more across.
         let room_deg = 0.1 + 0.1 * 75.0 / 30.0 / altitude_deg.to_radians().cos().max(0.01);
         let said = outlook.hides(&target, &sky);
         prop_assert!(altitude_deg > limit_deg - room_deg || said.is_some(), "{altitude_deg} deg, limit {limit_deg} deg");
         prop_assert!(altitude_deg < limit_deg + room_deg || said.is_none(), "{altitude_deg}, {limit_deg}: {said:?}");
-        // from when it is told to stand clear it does, and nowhere on the way there
+        // From when it is told to stand clear it does, and nowhere on the way there.
         let until = at.plus_seconds(4.0 * 3600.0);
         let clear = outlook.clear_from(&target, at, until, |at| Some(self::sky(at)));
         prop_assert_eq!(clear == Some(at), said.is_none());

@@ -118,7 +118,7 @@ impl<'a> Asked<'a> {
             (None, None, Some(name)) => {
                 match Body::named(name).map_err(|error| Wrong::of("lookup_name", error.to_string()))? {
                     Some(body) => body,
-                    // of a star; a place beside it needs no look-up
+                    // Of a star; a place beside it needs no look-up.
                     None => return Ok(None),
                 }
             }

@@ -160,7 +160,7 @@ mod tests {
 
     #[test]
     fn a_star_is_where_its_proper_motion_has_brought_it() {
-        // Barnard's star: 10.3 arcsec per year to the north
+        // Barnard's star: 10.3 arcsec per year to the north.
         let star = Meaning::Fixed { ra_deg: 269.45, dec_deg: 4.69, pm_ra_mas: -801.55, pm_dec_mas: 10_362.39 };
         let known = Known { found: BTreeMap::from([(key("Barnard's star"), star)]), failed: BTreeMap::new() };
         let Found::Place(place) = known.find(" BARNARD'S star", at("2026-11-21T12:00:00Z")).unwrap() else { panic!() };

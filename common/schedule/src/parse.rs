@@ -67,7 +67,7 @@ fn read_rows(text: &str, cameras: &[Name], defaults: &Defaults, reading: &mut Re
     let mut twins: HashMap<RowId, usize> = HashMap::new();
     let mut cursor = Cursor::new(text);
     let mut from = 0;
-    // each turn of the outer loop begins behind a place that is no JSON
+    // Each turn of the outer loop begins behind a place that is no JSON.
     'file: loop {
         let rest = blanked.get(from..).unwrap_or_default();
         let mut values = serde_json::Deserializer::from_str(rest).into_iter::<Value>();
@@ -99,7 +99,7 @@ fn read_rows(text: &str, cameras: &[Name], defaults: &Defaults, reading: &mut Re
             let written = Written::read(cursor, &blanked, end);
             let twin = twins.entry(RowId::of(&value, 0)).and_modify(|count| *count += 1).or_insert(0);
             let id = RowId::of(&value, *twin);
-            // its id is that of the row as it is written: other defaults make no other row
+            // Its id is that of the row as it is written: other defaults make no other row.
             let object = fields::whole(object, defaults);
             reading.rows.extend(fields::row(&object, id, Arc::new(written), cameras, &mut reading.findings));
             if reading.rows.len() > MOST_ROWS {

@@ -21,7 +21,7 @@ const STEP: f64 = 0.01;
 pub fn place(index: u32, of: u32, outlook: &HorizonLimits, moon: &Horizontal) -> Option<Horizontal> {
     let last = f64::from(of.saturating_sub(1)).max(1.0);
     let mut t = (f64::from(index) / last).sqrt();
-    // one turn more than the whole spiral is enough to leave the Moon behind
+    // One turn more than the whole spiral is enough to leave the Moon behind.
     while t <= 2.0 {
         let azimuth_deg = (360.0 * (f64::from(of) / 2.0).sqrt() * t).rem_euclid(360.0);
         let lowest_deg = outlook.lowest_deg(azimuth_deg).clamp(LOWEST_DEG, HIGHEST_DEG);
@@ -53,7 +53,7 @@ mod tests {
         assert!(
             (places[0].altitude.degrees() - 85.0).abs() < 1e-9 && (places[49].altitude.degrees() - 30.0).abs() < 1e-9
         );
-        // everything above the lowest altitude is within 15 deg of a place
+        // Everything above the lowest altitude is within 15 deg of a place.
         for altitude in (30..90).step_by(5) {
             for azimuth in (0..360).step_by(10) {
                 let here = Horizontal::from_degrees(f64::from(altitude), f64::from(azimuth));

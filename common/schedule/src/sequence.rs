@@ -68,7 +68,7 @@ impl Sequence {
     pub fn take(&mut self, rows: Arc<Vec<Row>>, known: impl Fn(&RowId) -> Option<RowStatus>) -> Vec<RowId> {
         let status = |row: &Row| match known(&row.id) {
             _ if self.at_work.contains_key(&row.id) => RowStatus::Running,
-            // nobody works at it any more
+            // Nobody works at it any more.
             None | Some(RowStatus::Running) => RowStatus::Pending,
             Some(status) => status,
         };

@@ -272,12 +272,12 @@ fn a_row_that_stays_in_the_schedule_goes_on_and_one_that_is_taken_out_keeps_the_
     assert_eq!(night.sequence.statuses(), [RowStatus::Running, RowStatus::Pending]);
     let first = night.sequence.rows()[0].id.clone();
 
-    // the other row is taken out and comes back: the first goes on
+    // The other row is taken out and comes back: the first goes on.
     night.follow(&Event::Schedule { of: vec![true, false] }, &drawn);
     night.settle();
     assert_eq!(night.sequence.statuses(), [RowStatus::Running]);
 
-    // now the first is taken out: the second waits for it
+    // Now the first is taken out: the second waits for it.
     night.follow(&Event::Schedule { of: vec![false, true] }, &drawn);
     night.settle();
     assert_eq!(night.sequence.statuses(), [RowStatus::Pending]);

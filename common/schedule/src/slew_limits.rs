@@ -9,7 +9,7 @@ use sky::{Icrs, Observer};
 pub fn beyond(limits: &MountLimits, target: &Icrs, sky: &Observer) -> Option<String> {
     let (ra, dec) = (target.ra.degrees(), target.dec.degrees());
     let altitude_deg = sky.to_horizontal(target).altitude.degrees();
-    // a place that is no number is nowhere: never within
+    // A place that is no number is nowhere: never within.
     if !altitude_deg.is_finite() || altitude_deg < limits.altitude_min_deg {
         let least = limits.altitude_min_deg;
         return Some(format!(
@@ -51,7 +51,7 @@ mod tests {
                 altitude_min_deg: least, hour_angle_max_h: Some(most_h), meridian_past_min: None,
             };
             let (sky, target) = (sky(hours), Icrs::from_degrees(ra, dec));
-            // beside the library: the place of date by the cosine rule, good to the minute of aberration and polar motion
+            // Beside the library: the place of date by the cosine rule, good to the minute of aberration and polar motion
             let of_date = sky.to_of_date(&target);
             let hour_angle = (sky.sidereal_time().degrees() - of_date.ra.degrees()).to_radians();
             let (latitude, dec) = (LATITUDE_DEG.to_radians(), of_date.dec.degrees().to_radians());

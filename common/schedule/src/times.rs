@@ -22,7 +22,7 @@ pub fn read(text: &str) -> Option<Read> {
     }
     let (text, offset_min) = without_zone(text)?;
     let (date, time) = match text.find(':').or_else(|| text.rfind(' ')) {
-        // the hour is before the first colon
+        // The hour is before the first colon.
         Some(_) => {
             let at = text.char_indices().find(|(at, c)| (*c == ' ' || *c == 'T') && is_time(text.get(at + 1..)));
             let at = at.map_or(text.len(), |(at, _)| at);
@@ -47,7 +47,7 @@ fn without_zone(text: &str) -> Option<(&str, i32)> {
             return Some((rest.trim_end(), 0));
         }
     }
-    // behind the time of day only: dates have hyphens of their own
+    // Behind the time of day only: dates have hyphens of their own.
     let Some(from) = text.find(':') else { return Some((text, 0)) };
     let Some(at) = text.get(from..)?.find(['+', '-']).map(|at| from + at) else { return Some((text, 0)) };
     let (rest, zone) = text.split_at(at);

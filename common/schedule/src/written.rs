@@ -135,7 +135,7 @@ fn spans(text: &str) -> Vec<Span> {
     let bytes = text.as_bytes();
     let mut found: Vec<Span> = Vec::new();
     let (mut at, mut depth) = (0, 0_usize);
-    // containers around `at`: is it an object, and is it the one whose fields are parameters?
+    // Containers around `at`: is it an object, and is it the one whose fields are parameters?
     let mut around: Vec<(bool, bool)> = Vec::new();
     let (mut expects_key, mut expects_value) = (false, false);
     while let Some(byte) = bytes.get(at).copied() {

@@ -33,7 +33,7 @@ impl Arc {
 
     /// Does a direction lie in it? Both ends do.
     pub fn contains(&self, azimuth: Angle) -> bool {
-        // a hair, so that an end found by arithmetic lies in its own arc
+        // A hair, so that an end found by arithmetic lies in its own arc.
         const HAIR_DEG: f64 = 1e-9;
         let past_deg = Angle::from_degrees(azimuth.degrees() - self.from_deg + HAIR_DEG).wrapped_positive().degrees();
         self.is_full() || past_deg <= self.width_deg + 2.0 * HAIR_DEG

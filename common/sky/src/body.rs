@@ -85,7 +85,7 @@ mod tests {
 
     #[test]
     fn the_moon_is_lit_when_full_and_dark_when_new() {
-        // full 2026-11-24T14:53Z, first quarter 2026-11-17T11:48Z, new 2026-11-09T07:02Z
+        // Full 2026-11-24T14:53Z, first quarter 2026-11-17T11:48Z, new 2026-11-09T07:02Z.
         assert!(observer("2026-11-24T14:53:00Z").moon_illumination() > 0.99);
         assert!((observer("2026-11-17T11:48:00Z").moon_illumination() - 0.5).abs() < 0.02);
         assert!(observer("2026-11-09T07:02:00Z").moon_illumination() < 0.01);
@@ -93,7 +93,7 @@ mod tests {
 
     #[test]
     fn sun_and_moon_meet_in_an_eclipse() {
-        // greatest eclipse of 2024-04-08, total at Mazatlan (23.25 N, 106.4 W) about 18:09:30Z
+        // Greatest eclipse of 2024-04-08, total at Mazatlan (23.25 N, 106.4 W) about 18:09:30Z.
         let mazatlan = Place::new(Angle::from_degrees(23.25), Angle::from_degrees(-106.42), 0.0).unwrap();
         let at = "2024-04-08T18:09:30Z".parse().unwrap();
         let observer = Observer::new(&mazatlan, &EarthOrientation::default(), at).unwrap();
@@ -103,7 +103,7 @@ mod tests {
     #[test]
     fn the_sun_stands_at_the_equinox_in_march() {
         let sun = observer("2026-03-20T14:46:00Z").sun_icrs();
-        // apparent longitude 0 at that minute; the ICRS place lacks 26 years of precession and the aberration
+        // Apparent longitude 0 at that minute; the ICRS place lacks 26 years of precession and the aberration.
         assert!(sun.ra.wrapped_signed().degrees().abs() < 0.5 && sun.dec.degrees().abs() < 0.2, "{sun:?}");
     }
 }

@@ -24,7 +24,7 @@ pub struct NightDate {
 
 /// The night date of an instant: before 12:00 local mean time (UTC + longitude / 15) the previous day, from 12:00 on that day.
 pub fn night_date(longitude_east: Angle, at: Utc) -> NightDate {
-    // a longitude of 289.6 deg is 70.4 deg west, and its clocks are behind
+    // A longitude of 289.6 deg is 70.4 deg west, and its clocks are behind.
     let local_s = SECONDS_PER_DEGREE * longitude_east.wrapped_signed().degrees();
     let since_noon = at.plus_seconds(local_s - NOON_S);
     NightDate { day: since_noon.micros().div_euclid(86_400_000_000) }
@@ -40,7 +40,7 @@ impl NightDate {
 
     /// Year, month (1 to 12) and day of the month.
     pub fn ymd(self) -> (i64, u8, u8) {
-        // days counted from 0000-03-01 in cycles of 400 years; March first, so that the leap day ends a year
+        // Days counted from 0000-03-01 in cycles of 400 years; March first, so that the leap day ends a year.
         let days = self.day + 719_468;
         let (cycle, of_cycle) = (days.div_euclid(146_097), days.rem_euclid(146_097));
         let year = (of_cycle - of_cycle / 1460 + of_cycle / 36_524 - of_cycle / 146_096) / 365;
@@ -99,18 +99,18 @@ mod tests {
 
     #[test]
     fn the_date_changes_at_local_mean_noon() {
-        // Greenwich: noon is 12:00 UTC
+        // Greenwich: noon is 12:00 UTC.
         assert_eq!(date(0.0, "2026-11-21T11:59:59.999999Z"), "20261120");
         assert_eq!(date(0.0, "2026-11-21T12:00:00Z"), "20261121");
-        // Paranal, 70.4 deg west: noon is 16:41:36 UTC
+        // Paranal, 70.4 deg west: noon is 16:41:36 UTC.
         assert_eq!(date(-70.4, "2026-11-21T16:41:35Z"), "20261120");
         assert_eq!(date(-70.4, "2026-11-21T16:41:36Z"), "20261121");
-        // all night long, over midnight UTC and local
+        // All night long, over midnight UTC and local.
         for at in ["2026-11-21T23:30:00Z", "2026-11-22T03:00:00Z", "2026-11-22T09:30:00Z"] {
             assert_eq!(date(-70.4, at), "20261121", "{at}");
             assert_eq!(date(289.6, at), "20261121", "{at} counted round the east");
         }
-        // Siding Spring, 149 deg east: an evening of 10:00 UTC is already after noon
+        // Siding Spring, 149 deg east: an evening of 10:00 UTC is already after noon.
         assert_eq!(date(149.0, "2026-11-21T02:03:59Z"), "20261120");
         assert_eq!(date(149.0, "2026-11-21T10:00:00Z"), "20261121");
         assert_eq!(date(149.0, "2026-11-21T18:00:00Z"), "20261121");

@@ -59,7 +59,7 @@ impl EarthOrientation {
     /// Refuses what is not finite, or beyond anything the Earth does: 60 s, 2 arcsec.
     pub fn checked(self) -> Result<Self, SkyError> {
         let Self { dut1_s, polar_x_arcsec, polar_y_arcsec } = self;
-        // leap seconds may end after 2035, and then UT1-UTC grows to a minute
+        // Leap seconds may end after 2035, and then UT1-UTC grows to a minute.
         if dut1_s.abs() <= 60.0 && polar_x_arcsec.abs() <= 2.0 && polar_y_arcsec.abs() <= 2.0 {
             Ok(self)
         } else {

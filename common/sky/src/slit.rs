@@ -71,7 +71,7 @@ impl Aim {
 
     /// Angle to another aim, [0, 180] deg.
     pub fn separation(&self, other: &Self) -> Angle {
-        // the dome's own side of the pier counts for nothing here
+        // The dome's own side of the pier counts for nothing here.
         let place = |aim: &Self| Horizontal { altitude: aim.declination, azimuth: aim.hour_angle };
         place(self).separation(&place(other))
     }
@@ -122,7 +122,7 @@ impl Slit {
         let (through, along) = self.optical_axis(aim);
         let [across, up] = square_to(along);
         let outer_m = 0.5 * self.aperture_m / (std::f64::consts::PI / f64::from(RIM)).cos();
-        // the middle first: arcs that meet twice are joined on the side where it is
+        // The middle first: arcs that meet twice are joined on the side where it is.
         let middle = self.clear_for_point(self.meets_dome(through, along));
         (0..RIM).try_fold(middle, |clear, index| {
             let (sin, cos) = (std::f64::consts::TAU * f64::from(index) / f64::from(RIM)).sin_cos();
@@ -159,7 +159,7 @@ impl Slit {
     pub fn free(&self, aim: &Aim, azimuth: Angle) -> f64 {
         let (through, along) = self.optical_axis(aim);
         let [across, up] = square_to(along);
-        // a spiral whose turns are divided by the golden section covers a disc evenly (Vogel 1979)
+        // A spiral whose turns are divided by the golden section covers a disc evenly (Vogel 1979).
         let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
         let passes = |part: &u32| {
             let out_m = 0.5 * self.aperture_m * ((f64::from(*part) + 0.5) / f64::from(PARTS)).sqrt();
@@ -200,7 +200,7 @@ impl Slit {
         let (distance_m, azimuth) = bearing(point);
         let half_m = 0.5 * self.width_m;
         let half_width = if distance_m > half_m {
-            // the part of the slit behind the zenith, which some of these points lie in too, is left out
+            // The part of the slit behind the zenith, which some of these points lie in too, is left out.
             (half_m / distance_m).asin()
         } else if distance_m > self.past_zenith_m {
             (-self.past_zenith_m / distance_m).acos()

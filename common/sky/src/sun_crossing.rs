@@ -92,7 +92,7 @@ pub fn next_sun_crossing(
     altitude: Angle,
     rising: bool,
 ) -> Result<Option<Utc>, SkyError> {
-    // by days, because the first crossing nearly always comes within one
+    // By days, because the first crossing nearly always comes within one.
     for start_s in [0.0, HORIZON_S / 2.0] {
         let path = SunPath::sampled(place, orientation, from.plus_seconds(start_s), HORIZON_S / 2.0)?;
         if let Some(crossing) = path.crossings(altitude, rising).next() {
@@ -130,7 +130,7 @@ impl<'a> SunPath<'a> {
                 before = std::mem::replace(&mut after, (next_s, seen(next_s)?));
             }
             let at = from.plus_seconds(from_s);
-            // the ends are exact: what one path misses there the next one has
+            // The ends are exact: what one path misses there the next one has.
             if step == 0 || step == steps {
                 return Ok((at, Observer::new(place, orientation, at)?.sun().altitude));
             }
@@ -175,7 +175,7 @@ impl<'a> SunPath<'a> {
             round += 1;
             let span_s = after.seconds_since(before);
             let line_s = span_s * low_deg / (low_deg - high_deg);
-            // a Sun that grazes bends too much for lines: every third round halves
+            // A Sun that grazes bends too much for lines: every third round halves.
             let from_s = match round % 3 {
                 0 => span_s / 2.0,
                 1 => line_s - BEYOND_S,

@@ -95,7 +95,7 @@ mod tests {
         let star = Icrs::from_degrees(200.0, -80.0);
         let lowest = lowest_altitude(&paranal(), &EarthOrientation::default(), &star, start, end).unwrap();
         assert!(start < lowest.at && lowest.at < end);
-        // lower culmination: latitude minus polar distance
+        // Lower culmination: latitude minus polar distance.
         assert!((lowest.altitude.degrees() - (24.6157 - 10.0)).abs() < 0.2, "{lowest:?}");
     }
 

@@ -25,6 +25,6 @@ fn the_sky_turns_by_the_sidereal_ratio() {
     };
     const DAYS: f64 = 200.0;
     let beyond = (turned(DAYS) - turned(0.0) - Angle::from_degrees(360.0 * GOLDEN * DAYS)).wrapped_signed();
-    // a stamp is good to a microsecond: 4e-9 deg
+    // A stamp is good to a microsecond: 4e-9 deg.
     assert!((beyond.degrees() / 360.0 / DAYS).abs() < 2e-11, "{} deg in {DAYS} days", beyond.degrees());
 }

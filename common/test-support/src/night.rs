@@ -23,7 +23,7 @@ pub fn object(options: &simulator::Options, name: &str, exposure_s: f64, frames:
     let place = Place::new(options.latitude, options.longitude, options.elevation_m);
     let observer = place.and_then(|place| Observer::new(&place, &EarthOrientation::default(), options.start));
     let high = Horizontal { altitude: Angle::from_degrees(70.0), azimuth: Angle::from_degrees(90.0) };
-    // the simulator's own options always name a place and a time that exist
+    // The simulator's own options always name a place and a time that exist.
     let target = observer.map(|observer| observer.to_icrs(&high));
     let (ra_deg, dec_deg) = target.map_or((0.0, 0.0), |t| (t.ra.wrapped_positive().degrees(), t.dec.degrees()));
     let value = json!({

@@ -51,12 +51,12 @@ pub struct RigOptions {
 impl Default for RigOptions {
     fn default() -> Self {
         let mut world = simulator::Options {
-            // an hour after nautical dusk on Paranal
+            // An hour after nautical dusk on Paranal.
             start: units::Utc::from_seconds(1_795_228_200.0),
             speed: 10.0,
             ..Default::default()
         };
-        // a healthy night feeds it; short, so that one that is not fed is noticed in a test
+        // A healthy night feeds it; short, so that one that is not fed is noticed in a test.
         world.dome.watchdog_s = Some(60.0);
         world.camera.pixel_um *= 8.0;
         (world.camera.width, world.camera.height) = (256, 256);
@@ -303,7 +303,7 @@ impl Rig {
                 }
             };
             well &= ended.is_some_and(|status| status.success());
-            // one that is late is no other test's business
+            // One that is late is no other test's business.
             let _ = child.kill();
             child.wait()?;
         }
@@ -434,7 +434,7 @@ fn debug<T: Payload + std::fmt::Debug>(latest: &Latest<T>) -> String {
 impl Drop for Rig {
     fn drop(&mut self) {
         for child in self.nodes.values_mut().flatten().chain(&mut self.standby) {
-            // it may have ended by itself; the wait reaps it either way
+            // It may have ended by itself; the wait reaps it either way.
             let _ = child.kill();
             let _ = child.wait();
         }

@@ -81,7 +81,7 @@ fn a_new_file_reads_back_as_it_was_given() {
     );
     assert!(header.keywords().contains("DATASUM") && !header.keywords().contains("BAD"));
     assert!(is_checksum_right(&std::fs::read(&path).unwrap()));
-    // an independent reader; brackets in the name are for cfitsio's own syntax, so it gets a plain one
+    // An independent reader; brackets in the name are for cfitsio's own syntax, so it gets a plain one.
     let plain = folder.path().join("plain.fits");
     std::fs::copy(&path, &plain).unwrap();
     let mut file = fitsio::FitsFile::open(&plain).unwrap();
@@ -106,7 +106,7 @@ fn all_pixel_types_and_planes_are_written() {
         assert_eq!(header.value("BITPIX").unwrap(), bitpix);
         assert_eq!(header.value("NAXIS").unwrap(), if planes == 1 { "2" } else { "3" });
         assert_eq!(header.value("NAXIS3"), (planes > 1).then(|| planes.to_string()));
-        // big endian on disk
+        // Big endian on disk.
         if pixel == Pixel::I32 {
             assert_eq!(data_of(&path)[..4], [bytes[3], bytes[2], bytes[1], bytes[0]]);
         }
@@ -139,7 +139,7 @@ fn a_frame_that_is_solved_again_without_distortion_keeps_no_term_of_the_one_befo
     let bent = vec![text("CTYPE1", "RA---TAN-SIP"), number("A_3_0"), number("BP_1_0"), number("A_GAIN")];
     complete_file(&path, &Plan { cards: bent, ..plan() }).unwrap();
     assert!(read_header(&path).unwrap().keywords().contains("A_3_0"));
-    // what is no solution takes nothing away
+    // What is no solution takes nothing away.
     complete_file(&path, &plan()).unwrap();
     assert!(read_header(&path).unwrap().keywords().contains("BP_1_0"));
     complete_file(&path, &Plan { cards: vec![text("CTYPE1", "RA---TAN")], ..plan() }).unwrap();
@@ -172,7 +172,7 @@ fn a_kill_at_any_step_leaves_the_old_header_or_the_new_one() {
     let header = &new[..read_header(&path).unwrap().length()];
     let journal = entry(&path, header);
 
-    // killed while the journal was written, after any number of bytes, over one of another file or over nothing
+    // Killed while the journal was written, after any number of bytes, over one of another file or over nothing.
     let before = entry(&folder.path().join("b.fits"), &old[..header.len()]);
     std::fs::write(&path, &old).unwrap();
     for length in (0..journal.len()).step_by(97) {
@@ -183,7 +183,7 @@ fn a_kill_at_any_step_leaves_the_old_header_or_the_new_one() {
         }
     }
 
-    // killed while the new header was written over the old one, after any number of bytes
+    // Killed while the new header was written over the old one, after any number of bytes.
     for length in (0..=header.len()).step_by(131) {
         std::fs::write(journal_of(&path), &journal).unwrap();
         let mut torn = old.clone();
@@ -193,7 +193,7 @@ fn a_kill_at_any_step_leaves_the_old_header_or_the_new_one() {
         assert_complete(&path, &data);
     }
 
-    // killed before the journal was given back, and completed again
+    // Killed before the journal was given back, and completed again.
     std::fs::write(journal_of(&path), &journal).unwrap();
     complete_file(&path, &plan()).unwrap();
     assert_complete(&path, &data);
@@ -212,7 +212,7 @@ fn one_journal_serves_file_after_file() {
         assert_complete(path, &data);
     }
     let spare = folder.path().join(PART_FOLDER).join("spare.header");
-    // it moved to the next file, and the kill came before it was written anew
+    // It moved to the next file, and the kill came before it was written anew.
     let told = std::fs::read(&second).unwrap();
     std::fs::rename(&spare, journal_of(&first)).unwrap();
     recover(&first);

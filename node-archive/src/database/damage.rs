@@ -35,7 +35,7 @@ pub(super) fn renew(
     error: &rusqlite::Error,
 ) -> Result<String, DatabaseError> {
     let failed = |source| DatabaseError::Sqlite { what: "begin anew", file: path.to_owned(), source };
-    // closed before its files get other names: closing removes files by name
+    // Closed before its files get other names: closing removes files by name.
     *connection = Connection::open_in_memory().map_err(failed)?;
     let told = put_aside(path, error).map_err(|source| DatabaseError::Io { file: path.to_owned(), source })?;
     *connection = prepare(path)?;

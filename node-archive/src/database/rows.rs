@@ -257,7 +257,7 @@ fn write_run(transaction: &Transaction<'_>, stored: &StoredRun) -> rusqlite::Res
     let json = |text: serde_json::Result<String>| {
         text.map_err(|error| rusqlite::Error::ToSqlConversionFailure(Box::new(error)))
     };
-    // a word of the contract, without its quotes
+    // A word of the contract, without its quotes.
     let word = |text: String| text.trim_matches('"').to_owned();
     let new = transaction
         .prepare_cached(

@@ -17,7 +17,7 @@ async fn a_second_archive_of_one_telescope_is_refused_and_told_by_whom() {
     let other_images = folder.path().join("elsewhere");
     let refused = claim(&other_images, &database, &telescope("callisto"), "two").await.unwrap_err().to_string();
     assert!(refused.starts_with("the database "), "{refused}");
-    // telescopes of one site may share both
+    // Telescopes of one site may share both.
     claim(&images, &database, &telescope("europa"), "archive/europa/main").await.unwrap();
     drop(first);
     claim(&images, &database, &telescope("callisto"), "archive/callisto/two").await.unwrap();
@@ -58,7 +58,7 @@ fn no_link_below_the_folder_of_images_is_followed() {
     assert!(without_links(&images, &images.join("real/a.fits")).is_ok());
     let told = without_links(&images, &images.join("20261120/a.fits")).unwrap_err().to_string();
     assert!(told.contains("20261120 is a link"), "{told}");
-    // one that leads nowhere is there all the same
+    // One that leads nowhere is there all the same.
     std::os::unix::fs::symlink(folder.path().join("nowhere"), images.join("real/b.fits")).unwrap();
     assert!(is_taken(&images.join("real/b.fits")) && !images.join("real/b.fits").exists());
 }

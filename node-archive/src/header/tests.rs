@@ -119,7 +119,7 @@ fn a_new_header_has_what_is_known_and_nothing_else() {
         ("FOCALLEN", CardValue::Float(8.0)),
         ("TELESCOP", "callisto".into()),
         ("INSTRUME", "andor".into()),
-        // the site that everything is computed for, not what the mount believes
+        // The site that everything is computed for, not what the mount believes.
         ("LAT-OBS", CardValue::Float(48.0)),
         ("ASTRA", PROGRAM.into()),
     ] {
@@ -185,10 +185,10 @@ fn a_mount_of_date_is_turned_to_icrs_and_one_of_j2000_is_taken_as_it_is() {
     let (as_it_is, _) = complete(&table, &frame, EquatorialSystem::J2000, &around);
     assert_eq!((float(&as_it_is["RA"]), float(&as_it_is["DEC"])), (90.0, 50.0));
     let (turned, _) = complete(&table, &frame, EquatorialSystem::Topocentric, &around);
-    // 26.9 years of precession at RA 6 h: 26.9 x (46.1 + 20.0 tan 50 deg) arcsec in RA, next to nothing in Dec
+    // 26.9 years of precession at RA 6 h: 26.9 x (46.1 + 20.0 tan 50 deg) arcsec in RA, next to nothing in Dec.
     assert!((90.0 - float(&turned["RA"]) - 0.523).abs() < 0.02, "{:?}", turned["RA"]);
     assert!((float(&turned["DEC"]) - 50.0).abs() < 0.01, "{:?}", turned["DEC"]);
-    // no target: the airmass is that of where the mount says it points, 45 deg
+    // No target: the airmass is that of where the mount says it points, 45 deg.
     assert!((float(&turned["AIRMASS"]) - 1.4121).abs() < 1e-4);
     assert!(!turned.contains_key("OBJALT"));
     let (unknown, history) = complete(&table, &frame, EquatorialSystem::B1950, &around);
@@ -284,7 +284,7 @@ fn the_predecessors_night_completes_to_the_same_numbers_and_better_states() {
             let Source::Property(kind, property) = &row.source else { continue };
             let Some(expected) = after[&row.keyword].as_f64() else { continue };
             let Some(value) = ours.get(&row.keyword) else {
-                // the target's own place, which completion leaves alone
+                // The target's own place, which completion leaves alone.
                 assert!(
                     matches!(row.keyword.as_str(), "RA" | "DEC") && frame.purpose.ra_deg.is_some(),
                     "{}",
@@ -294,7 +294,7 @@ fn the_predecessors_night_completes_to_the_same_numbers_and_better_states() {
             };
             let samples = around(*kind, property).unwrap();
             let ends = samples.before.as_ref().zip(samples.after.as_ref());
-            // the predecessor interpolates in Julian days, which are good to 50 us
+            // The predecessor interpolates in Julian days, which are good to 50 us.
             let step = ends.and_then(|(a, b)| Some((b.value.number()? - a.value.number()?, b.at.seconds_since(a.at))));
             let tolerance = 1e-6 + step.map_or(0.0, |(step, span_s)| step.abs() / span_s * 1e-4);
             match Rule::of(*kind, property, row.dtype) {
@@ -304,7 +304,7 @@ fn the_predecessors_night_completes_to_the_same_numbers_and_better_states() {
                 }
                 Rule::Circular { turn } => {
                     assert!((0.0..if row.keyword == "RA" { 360.0 } else { turn }).contains(&float(value)));
-                    // over north the predecessor goes the long way round
+                    // Over north the predecessor goes the long way round.
                     if step.is_none_or(|(step, _)| step.abs() < turn / 2.0) {
                         assert!(
                             (float(value) - expected).abs() < tolerance * 15.0,
@@ -315,7 +315,7 @@ fn the_predecessors_night_completes_to_the_same_numbers_and_better_states() {
                     }
                 }
                 Rule::Nearest => {
-                    // one of the two states that were polled, with the predecessor's number between them
+                    // One of the two states that were polled, with the predecessor's number between them.
                     let polled = [&samples.before, &samples.after].map(|s| s.as_ref().and_then(|s| s.value.number()));
                     let [first, second] = polled.map(|number| number.unwrap_or(float(value)));
                     assert!([first, second].contains(&float(value)), "{} {value:?}", row.keyword);
@@ -335,7 +335,7 @@ fn the_predecessors_night_completes_to_the_same_numbers_and_better_states() {
             ("BJD-OBS", 6e-7),
             ("AIRMASS", 1e-3),
         ] {
-            // a bias has no target here; the predecessor takes the parked mount's direction, so do we
+            // A bias has no target here; the predecessor takes the parked mount's direction, so do we.
             let Some(expected) = after.get(keyword).and_then(Value::as_f64) else { continue };
             assert!((float(&ours[keyword]) - expected).abs() < tolerance, "{keyword} {:?} {expected}", ours[keyword]);
             skies += 1;
@@ -343,6 +343,6 @@ fn the_predecessors_night_completes_to_the_same_numbers_and_better_states() {
         assert_eq!(ours["DATE-END"], after["DATE-END"].as_str().unwrap().into());
     }
     assert!(linear > 400 && states > 200 && skies > 300, "{linear} {states} {skies}");
-    // the predecessor wrote states between two states; that is what Nearest mends
+    // The predecessor wrote states between two states; that is what Nearest mends.
     assert!(fractions > 0);
 }

@@ -43,7 +43,7 @@ pub(super) fn strftime(date: units::Utc, pattern: &str) -> Result<String, String
             return Err(format!("date pattern {pattern:?}: expected only %{}", DIRECTIVES.replace("", " %").trim()));
         }
     }
-    // kept apart from a literal %% that an f follows
+    // Kept apart from a literal %% that an f follows.
     let pattern = pattern.replace("%%", "\u{1}").replace("%f", "%6f").replace('\u{1}', "%%");
     Ok(date.strftime(&pattern))
 }
@@ -215,7 +215,7 @@ mod tests {
         let float = |number: f64, spec: &str| format(&Value::Float(number), spec).unwrap();
         let int = |number: i64, spec: &str| format(&Value::Int(number), spec).unwrap();
         let text = |text: &str, spec: &str| format(&Value::Text(text.to_owned()), spec).unwrap();
-        // each right-hand side is what CPython 3.11 prints
+        // Each right-hand side is what CPython 3.11 prints.
         for (got, expected) in [
             (float(30.0, ".3f"), "30.000"),
             (float(0.0015, ".3f"), "0.002"),

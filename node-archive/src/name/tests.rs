@@ -76,7 +76,7 @@ fn a_frame_without_a_night_is_filed_under_the_one_it_was_taken_in() {
 #[test]
 fn a_site_may_write_plain_templates() {
     let namer = own("object", "{action_datetime:%Y/%m}/{sequence_counter:04d}_{{_{datetime_timestamp:%H%M%S}.fit");
-    // a brace has no place in a name and becomes an underscore
+    // A brace has no place in a name and becomes an underscore.
     assert_eq!(name_of(&namer.unwrap(), &frame()), "2026/11/0003___030001.fit");
 }
 
@@ -94,7 +94,7 @@ fn a_site_may_write_jinja_templates() {
 fn templates_of_the_predecessor_give_the_names_that_they_gave_there() {
     let (day, at) = ("20261120", "20261121_030001.234");
     for (template, expected) in [
-        // plain: every variable, with its type
+        // Plain: every variable, with its type.
         ("{action_type}/{device}.fits", "object/andor.fits".to_owned()),
         ("{filter_name}_{object_name}_{imagetype}.fits", "I+z_TRAPPIST-1_light.fits".to_owned()),
         ("{exptime}_{exptime:.3f}_{exptime:g}_{exptime:06.1f}.fits", "30.0_30.000_30_0030.0.fits".to_owned()),
@@ -102,7 +102,7 @@ fn templates_of_the_predecessor_give_the_names_that_they_gave_there() {
         ("{datetime_timestamp:%Y-%m-%d}_{action_datetime:%H%M}.fits", "2026-11-21_0000.fits".to_owned()),
         ("{sequence_counter}_{sequence_counter:05d}_{device:>8}.fits", "3_00003_   andor.fits".to_owned()),
         ("{action_date}/raw/{action_date}/{device}.fits", format!("{day}/raw/{day}/andor.fits")),
-        // Jinja: the same, then its own
+        // Jinja: the same, then its own.
         ("{{ action_type }}/{{ device }}_{{ exptime }}.fits", "object/andor_30.0.fits".to_owned()),
         ("{{ action_date }}/{{ timestamp }}_{{ sequence_counter }}.fits", format!("{day}/{at}_3.fits")),
         ("{{ datetime_timestamp.strftime('%Y%m%d_%H%M%S.%f')[:-5] }}.fits", "20261121_030001.2.fits".to_owned()),
@@ -126,7 +126,7 @@ fn templates_of_the_predecessor_give_the_names_that_they_gave_there() {
     ] {
         assert_eq!(name_of(&own("object", template).unwrap(), &frame()), expected, "{template}");
     }
-    // kinds of frames by a part of their name, whatever its case
+    // Kinds of frames by a part of their name, whatever its case.
     for (image_type, expected) in [
         ("Light Frame", "light"),
         ("BIAS", "bias"),
@@ -138,11 +138,11 @@ fn templates_of_the_predecessor_give_the_names_that_they_gave_there() {
         frame.purpose.image_type = image_type.to_owned();
         assert_eq!(name_of(&own("object", "{imagetype}.fits").unwrap(), &frame), format!("{expected}.fits"));
     }
-    // without a filter or an object, and with apostrophes
+    // Without a filter or an object, and with apostrophes.
     let mut bare = frame();
     (bare.purpose.filter, bare.purpose.object) = (Some("r'".to_owned()), None);
     assert_eq!(name_of(&own("object", "{filter_name}_{object_name}.fits").unwrap(), &bare), "r_NA.fits");
-    // one Jinja template makes all of them Jinja, and an action that nobody knows is passed over
+    // One Jinja template makes all of them Jinja, and an action that nobody knows is passed over.
     let mixed = BTreeMap::from([
         ("object".to_owned(), "{device}.fits".to_owned()),
         ("flats".to_owned(), "{{ device }}.fits".to_owned()),

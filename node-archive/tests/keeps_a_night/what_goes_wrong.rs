@@ -20,7 +20,7 @@ async fn two_spools_that_dribble_do_not_stop_a_third() {
     let spool = Spool::start(device_bus.clone()).await;
     let mut slow = Vec::new();
     for _ in 0..2 {
-        // one byte a second, for ever
+        // One byte a second, for ever.
         let dribble = || async {
             let bytes = futures_util::stream::repeat(()).then(|()| async {
                 tokio::time::sleep(Duration::from_secs(1)).await;
@@ -57,7 +57,7 @@ async fn frames_that_an_older_database_does_not_know_are_recorded_from_their_fil
         hear_stored(&stored, false).await;
     }
     running.stop().await;
-    // the database of an evening on which nothing was stored yet is put back
+    // The database of an evening on which nothing was stored yet is put back.
     for ending in ["", "-wal", "-shm"] {
         let file = folder.path().join(format!("data/archive.db{ending}"));
         if file.exists() {
@@ -81,7 +81,7 @@ async fn frames_that_an_older_database_does_not_know_are_recorded_from_their_fil
     let wanted = spool.frame("frame-1", taken).sha256;
     let row = |id: &str| (id.to_owned(), wanted.clone(), "andor".to_owned());
     assert_eq!(rows(), [row("frame-1"), row("frame-2")]);
-    // the spool still has one, and is told to delete it; nothing is fetched or written again
+    // The spool still has one, and is told to delete it; nothing is fetched or written again.
     let releases = spool.releases("frame-2");
     // A device node announces a frame again until it is released: the first time the new archive may not be subscribed yet.
     let announced = async {
@@ -108,7 +108,7 @@ async fn many_frames_that_cannot_be_written_are_one_alert() {
     let alerts = node.alerts.watch();
     let running = run(node);
     tokio::time::sleep(Duration::from_secs(1)).await;
-    // as a disk that takes nothing: a file is in the place of the folder
+    // As a disk that takes nothing: a file is in the place of the folder.
     let parts = folder.path().join("images/.part/paranal-callisto");
     std::fs::remove_dir(&parts).unwrap();
     std::fs::write(&parts, "").unwrap();

@@ -100,7 +100,7 @@ fn one(
         let (kind, name) = source(&alert.id, telescope);
         json!({ "device_type": kind, "device_name": name, "error": format!("{}: {}", alert.id, alert.cause) })
     };
-    // what is over and nobody acknowledged is no error of now, and must not be missed by who asks every few minutes
+    // What is over and nobody acknowledged is no error of now, and must not be missed by who asks every few minutes.
     let (returned, standing): (Vec<&Alert>, Vec<&Alert>) = face
         .alerts
         .iter()
@@ -180,7 +180,7 @@ fn all(several: &[(&Address, Map<String, Value>, Posture)], usage: Usage, utc: U
     if several.is_empty() {
         errors.push(json!({ "device_type": "Network", "device_name": "", "error": "no telescope was heard" }));
     }
-    // what stands closed may have any weather
+    // What stands closed may have any weather.
     let open = several.iter().filter(|(_, _, posture)| *posture != Posture::Closed);
     let open: Vec<&Map<String, Value>> = open.map(|(_, document, _)| document).collect();
     let heeded: Vec<&Map<String, Value>> =

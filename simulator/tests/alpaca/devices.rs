@@ -155,7 +155,7 @@ async fn the_clock_is_served_with_its_speed() {
 
 #[tokio::test]
 async fn discovery_answers_when_asked_for() {
-    // a free port: bound, read, and given back
+    // A free port: bound, read, and given back.
     let port = tokio::net::UdpSocket::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap().port();
     let site = Site::start(simulator::Options { discovery_port: Some(port), ..options(1.0) }).await;
     let socket = tokio::net::UdpSocket::bind("127.0.0.1:0").await.unwrap();

@@ -38,7 +38,7 @@ async fn a_reversal_in_declination_is_lost_in_the_gear_and_the_encoder_does_not_
         let mut sloppy = options(20.0);
         sloppy.mount.dec_backlash_arcsec = 2.0 * GUIDE_ARCSEC_PER_S;
         let site = tracking(sloppy, hour_angle_h).await;
-        // whatever the slew left: drive north for longer than the play
+        // Whatever the slew left: drive north for longer than the play.
         pulse(&site, 0, 3000).await;
         let told = site.get("telescope", "declination").await.as_f64().unwrap();
         let (_, north) = pulse(&site, 0, 1000).await;
@@ -126,7 +126,7 @@ async fn a_focuser_with_play_stands_elsewhere_than_it_tells_when_it_came_from_ab
     go(25_100).await;
     let outward = defocus().await;
     go(25_050).await;
-    // the air cools, and the focus with it, while this goes on: some tenths of a step
+    // The air cools, and the focus with it, while this goes on: some tenths of a step.
     assert!((defocus().await - outward).abs() < 1.0, "inside the play");
     go(24_900).await;
     go(25_100).await;

@@ -95,7 +95,7 @@ pub fn expected(center: Icrs, camera: &simulator::CameraOptions, angle_deg: f64)
     let (sin, cos) = angle_deg.to_radians().sin_cos();
     let radius = Angle::from_radians(scale * w.hypot(h) / 2.0);
     let tangent = Tangent::new(center);
-    // east is left unless a mirror turns it over
+    // East is left unless a mirror turns it over.
     let left = if camera.mirrored { -1.0 } else { 1.0 };
     let stars = simulator::catalogue::default().cone(center.ra, center.dec, radius, 20.0, 2026.889);
     let mut found: Vec<(f64, f64, f64)> = stars
@@ -202,7 +202,7 @@ async fn exposures_bins_and_subframes_mind_their_limits() {
     assert_eq!(site.get("camera", "camerastate").await, 2);
     assert_eq!(site.try_put("camera", "startexposure", "Duration=1&Light=false").await, (200, 0x40B));
     site.until("camera", "imageready", true).await;
-    // ten seconds of exposure and one of readout
+    // Ten seconds of exposure and one of readout.
     assert!(started.elapsed().as_secs_f64() * 20.0 >= 10.9);
     assert_eq!(site.get("camera", "lastexposureduration").await, 10.0);
     let stamp = site.get("camera", "lastexposurestarttime").await;
@@ -230,10 +230,10 @@ async fn darks_have_no_stars_and_grow_with_time_and_warmth() {
     let limit = 2 * warm.median();
     let hot = warm.pixels.iter().filter(|count| **count > limit).count();
     assert!((5..100).contains(&hot), "{hot} hot pixels");
-    // behind a closed dome a light exposure is as dark as any
+    // Behind a closed dome a light exposure is as dark as any.
     let closed = expose(&site, 200.0, true).await;
     assert!(closed.median().abs_diff(warm.median()) < 60);
-    // the flat panel shines into a closed cover
+    // The flat panel shines into a closed cover.
     site.put("covercalibrator", "closecover", "").await;
     site.put("covercalibrator", "calibratoron", "Brightness=60").await;
     site.until("covercalibrator", "coverstate", 1).await;
@@ -245,7 +245,7 @@ async fn darks_have_no_stars_and_grow_with_time_and_warmth() {
 
 #[tokio::test]
 async fn a_slit_that_stands_elsewhere_hides_the_stars_and_the_world_tells_it() {
-    // 35 deg from the zenith, so that the slit must stand in the south
+    // 35 deg from the zenith, so that the slit must stand in the south.
     let site = observing(options(100.0), 3.0, -60.0).await;
     let dome = |site: &Site| site.simulator.world().told()["dome"].clone();
     let bright = |image: &Image| {
@@ -263,7 +263,7 @@ async fn a_slit_that_stands_elsewhere_hides_the_stars_and_the_world_tells_it() {
     let vignetted_s = dome(&site)["vignetted_s"].as_f64().unwrap();
     assert!((15.0..60.0).contains(&vignetted_s), "{vignetted_s}");
     assert_eq!(dome(&site)["turns"], 1);
-    // hot pixels stay, stars do not
+    // Hot pixels stay, stars do not.
     assert!(bright(&before) > 2 * bright(&hidden), "{} {}", bright(&before), bright(&hidden));
     site.simulator.world().set_turn_speed(Some(0.0));
     site.put("dome", "slewtoazimuth", "Azimuth=200").await;
@@ -326,7 +326,7 @@ async fn the_twilight_sky_is_bright_and_fades() {
     let before = sun().await;
     assert!((-10.0..-3.0).contains(&before), "{before}");
     let early = expose(&site, 2.0, true).await.median();
-    // a minute of sky per two seconds: three minutes and the flat is visibly fainter
+    // A minute of sky per two seconds: three minutes and the flat is visibly fainter.
     tokio::time::sleep(std::time::Duration::from_secs(6)).await;
     let late = expose(&site, 2.0, true).await.median();
     assert!(sun().await < before - 0.5);

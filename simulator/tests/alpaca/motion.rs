@@ -33,7 +33,7 @@ async fn a_slew_takes_time_and_arrives() {
     assert_eq!(site.get("telescope", "slewing").await, true);
     site.until("telescope", "slewing", false).await;
     let sky_s = started.elapsed().as_secs_f64() * 20.0;
-    // some 90 deg at 6 deg/s and 2 s to settle; the machine may be slow, never quick
+    // Some 90 deg at 6 deg/s and 2 s to settle; the machine may be slow, never quick.
     assert!(sky_s > 8.0, "{sky_s}");
     let ra = site.get("telescope", "rightascension").await.as_f64().unwrap();
     let dec = site.get("telescope", "declination").await.as_f64().unwrap();

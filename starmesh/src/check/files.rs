@@ -112,7 +112,7 @@ impl Look {
             }),
         }
         for (index, mount) in config.telescope.iter().enumerate() {
-            // points in the configuration itself are checked already
+            // Points in the configuration itself are checked already.
             let file = mount.horizon.as_ref().filter(|source| matches!(source, config::HorizonSource::File(_)));
             if let Some(Err(why)) = file.map(validate::horizon) {
                 let (key, name) = (format!("telescope[{index}].horizon"), &mount.common.name);
@@ -161,12 +161,12 @@ impl Look {
     }
 
     fn url(&mut self, key: &str, url: &str) {
-        // what is not of this form is reported already
+        // What is not of this form is reported already.
         if !url.starts_with("http") || url.contains(char::is_whitespace) {
             return;
         }
         if let Err(why) = reqwest::Url::parse(url) {
-            // the URL itself may be a secret
+            // The URL itself may be a secret.
             self.error(key, format!("this is no address of the web: {why}"));
         }
     }
@@ -238,7 +238,7 @@ fn writable(folder: &Path) -> Result<(), String> {
     if !there.is_dir() {
         return Err(format!("{} is no folder, so that nothing can be written to {shown}", there.display()));
     }
-    // has no name, and is gone when it is closed
+    // Has no name, and is gone when it is closed.
     tempfile::tempfile_in(&there).map(drop).map_err(|error| {
         let why = error.to_string();
         let why = why.split(" at path").next().unwrap_or_default();

@@ -54,9 +54,9 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
 async fn observe(options: &Options, port: u16, folder: &Folder) -> anyhow::Result<()> {
     let mut world = simulator::Options { speed: options.speed, ..Default::default() };
     world.dome.watchdog_s = Some(120.0);
-    // rows ask for 6 arcsec: a mount that repeats its slews to less than that, as most do
+    // Rows ask for 6 arcsec: a mount that repeats its slews to less than that, as most do.
     world.mount.scatter_arcsec = 1.0;
-    // the same field of 1.5 deg, whatever the camera's size
+    // The same field of 1.5 deg, whatever the camera's size.
     world.camera.pixel_um *= f64::from(world.camera.width) / f64::from(options.size_px);
     (world.camera.width, world.camera.height) = (options.size_px, options.size_px);
     let night = DemoNight::next(world.latitude, world.longitude, world.elevation_m, Clock::machine_clock().utc())?;

@@ -51,7 +51,7 @@ impl DemoNight {
     pub fn next(latitude: Angle, longitude: Angle, elevation_m: f64, now: Utc) -> anyhow::Result<Self> {
         let place = Place::new(latitude, longitude, elevation_m)?;
         let orientation = EarthOrientation::default();
-        // the night that `now` belongs to may be half over: take the one that begins at the next noon
+        // The night that `now` belongs to may be half over: take the one that begins at the next noon.
         let tomorrow = sky::night(&place, &orientation, now)?.ends;
         let night: Night = sky::night(&place, &orientation, tomorrow.plus_seconds(60.0))?;
         let known = |time: Option<Utc>| time.context("the Sun does not set and rise there");

@@ -86,7 +86,7 @@ impl Exposure {
 
     /// What is known of the camera.
     pub fn camera(&self) -> Camera<'static> {
-        // eight bits end at 255; EGAIN is e-/ADU, while GAIN is often a setting of the camera without a unit
+        // Eight bits end at 255; EGAIN is e-/ADU, while GAIN is often a setting of the camera without a unit.
         let max_adu = (self.image.bitpix == 8).then_some(255.0);
         let gain = self.header().number("EGAIN").ok().filter(|gain| *gain > 0.0);
         Camera { max_adu, gain_e_per_adu: gain.map_or(1.0, |gain| gain as f32), ..Camera::default() }

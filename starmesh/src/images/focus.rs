@@ -70,7 +70,7 @@ fn point(file: &Path, chosen: Chosen) -> anyhow::Result<Point> {
     let told = ["FOCUSPOS", "FOCPOS"].map(|keyword| exposure.header().number(keyword));
     let position = told.iter().flatten().copied().find(|position| position.is_finite());
     let Some(position) = position else {
-        // a value of another kind says more than a keyword that is not there
+        // A value of another kind says more than a keyword that is not there.
         let odd = told.into_iter().filter_map(Result::err).find(|why| matches!(why, KeywordError::Kind { .. }));
         if let Some(why) = odd {
             bail!("{why}: the focuser's position in steps")
@@ -78,7 +78,7 @@ fn point(file: &Path, chosen: Chosen) -> anyhow::Result<Point> {
         bail!("{} has no FOCUSPOS in its header; expected the focuser's position in steps", file.display())
     };
     let size = if exposure.mosaic {
-        // filters on the pixels break the sums of light: the width of the stars in its binned frame instead
+        // Filters on the pixels break the sums of light: the width of the stars in its binned frame instead.
         let measured = exposure.measure()?;
         let count = measured.stars.len();
         let width = measured.quality.fwhm_px.map(|width| (width.value, width.error, count));

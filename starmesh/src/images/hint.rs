@@ -137,7 +137,7 @@ fn julian_date(text: &str) -> Option<f64> {
     }
     let clock = time.trim_end_matches('Z').split(':').map(|part| part.parse().unwrap_or(0.0));
     let seconds: f64 = clock.zip([3600.0, 60.0, 1.0]).map(|(part, unit): (f64, f64)| part * unit).sum();
-    // days of the Gregorian calendar: Fliegel & van Flandern 1968, CACM 11, 657
+    // Days of the Gregorian calendar: Fliegel & van Flandern 1968, CACM 11, 657.
     let a = (month - 14) / 12;
     let days = (1461 * (year + 4800 + a)) / 4 + (367 * (month - 2 - 12 * a)) / 12 - (3 * ((year + 4900 + a) / 100)) / 4
         + day

@@ -68,7 +68,7 @@ fn sentences(exposure: &Exposure, measured: &Measured) -> String {
         significant(quality.background_adu, 5).unwrap_or_default(),
         significant(quality.noise_adu, 4).unwrap_or_default()
     );
-    // writing to a String cannot fail
+    // Writing to a String cannot fail.
     let _ = match (quality.fwhm_px, quality.ellipticity) {
         (Some(width), Some(shape)) => write!(
             said,

@@ -55,7 +55,7 @@ pub fn each(files: &[PathBuf], mut work: impl FnMut(&PathBuf) -> anyhow::Result<
 pub fn rounded(value: f64, places: i32) -> Option<f64> {
     let unit = 10_f64.powi(places);
     let rounded = (value * unit).round() / unit;
-    // no minus zero
+    // No minus zero.
     (rounded.is_finite()).then_some(rounded + 0.0)
 }
 

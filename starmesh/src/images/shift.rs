@@ -40,7 +40,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
         check.width_px(),
         check.height_px()
     );
-    // frames of one camera are both mosaics or neither, though one may be too dark to show it
+    // Frames of one camera are both mosaics or neither, though one may be too dark to show it.
     reference.mosaic |= check.mosaic;
     check.mosaic = reference.mosaic;
     let shift = between(&reference, &check)
@@ -55,7 +55,7 @@ fn between(reference: &Exposure, check: &Exposure) -> anyhow::Result<Shift> {
     let (width, height) = (reference.width_px(), reference.height_px());
     let by_stars = from_stars_either_way(&measured[0].stars, &measured[1].stars, width, height);
     match by_stars {
-        // projections of a mosaic would show its pattern
+        // Projections of a mosaic would show its pattern.
         Err(reason @ (NoShift::TooFewStars { .. } | NoShift::Uncertain { .. })) if !reference.mosaic => {
             let clean = |exposure: &Exposure, n: usize| {
                 let width = measured[n].quality.fwhm_px.map(|width| width.value as f32);

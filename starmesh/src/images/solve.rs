@@ -70,7 +70,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     };
     let limit = options.blind_s.map(Duration::try_from_secs_f64).transpose();
     let limit = limit.context("--blind-s is a time in seconds, 0 for never")?;
-    // bright stars stand where they stood: one epoch serves all files
+    // Bright stars stand where they stood: one epoch serves all files.
     let sky = AllSky::new(at_epoch(simulator::catalogue::default(), EPOCH_YEAR + SINCE_YEARS));
     let is_shipped = options.catalogue.is_none();
     let scale_arcsec_px = options.scale_arcsec_px;
@@ -174,7 +174,7 @@ impl<S: Stars + Sync> Task<'_, S> {
             Ok(hint) => self.hinted(exposure, &measured, hint)?.map_err(|reason| {
                 let hint_denied = matches!(reason, NoSolution::NoMatch { .. });
                 let too_shallow = matches!(reason, NoSolution::CatalogueTooShallow { .. });
-                // more light is needed where these are not the reason; another solver has no more
+                // More light is needed where these are not the reason; another solver has no more.
                 let elsewhere = hint_denied || too_shallow;
                 Refused { reason: reason.to_string(), elsewhere, hint_denied, too_shallow }
             }),
@@ -188,7 +188,7 @@ impl<S: Stars + Sync> Task<'_, S> {
             Err(refused) => refused,
         };
         let limit = match self.limit {
-            // what fits nothing is refused at once; more than a second is for those who ask for it
+            // What fits nothing is refused at once; more than a second is for those who ask for it.
             None if refused.hint_denied => {
                 return Ok(Err(format!("{}; --blind-s 30 looks through the whole sky too", refused.reason)));
             }
@@ -198,7 +198,7 @@ impl<S: Stars + Sync> Task<'_, S> {
             return Ok(Err(refused.reason));
         }
         let mut reason = refused.reason;
-        // the whole sky is that of the shipped catalogue
+        // The whole sky is that of the shipped catalogue.
         if !(refused.too_shallow && self.is_shipped) {
             match self.anywhere(exposure, &measured)? {
                 Ok(solution) => return Ok(Ok(solution.into())),
@@ -235,7 +235,7 @@ impl<S: Stars + Sync> Task<'_, S> {
             furthest: Angle::default(),
             ..Hint::new(solution.ra, solution.dec, solution.scale_arcsec_px)
         };
-        // a deeper catalogue, or the frame's own epoch, places it better
+        // A deeper catalogue, or the frame's own epoch, places it better.
         Ok(Ok(self.hinted(exposure, measured, &near)?.unwrap_or(solution)))
     }
 
@@ -272,7 +272,7 @@ impl<S: Stars + Sync> Task<'_, S> {
         let near = Hint { furthest: Angle::default(), ..Hint::new(ra, dec, scale_arcsec_px) };
         match self.hinted(exposure, measured, &near)? {
             Ok(solution) => return Ok(Ok(solution.into())),
-            // nothing can be said of its answer where the catalogue has too few stars
+            // Nothing can be said of its answer where the catalogue has too few stars.
             Err(NoSolution::CatalogueTooShallow { .. }) => {}
             Err(against) => {
                 let place = format!("RA {:.4} Dec {:+.4} deg", ra.degrees(), dec.degrees());

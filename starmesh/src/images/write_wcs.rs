@@ -57,7 +57,7 @@ fn is_wcs(keyword: &str) -> bool {
     let is_number = |text: &str| !text.is_empty() && text.bytes().all(|c| c.is_ascii_digit());
     let of_axis = ["CTYPE", "CUNIT", "CRVAL", "CRPIX", "CDELT", "CROTA"];
     let axis = of_axis.iter().any(|start| keyword.strip_prefix(start).is_some_and(is_number));
-    // CD1_2, PC1_2, PV1_10, PS2_0; PC001002 of an older draft; WAT1_001 of IRAF
+    // CD1_2, PC1_2, PV1_10, PS2_0; PC001002 of an older draft; WAT1_001 of IRAF.
     let matrix = ["CD", "PC", "PV", "PS", "WAT"].iter().any(|start| {
         let rest = keyword.strip_prefix(start);
         rest.is_some_and(|rest| rest.split_once('_').is_some_and(|(a, b)| is_number(a) && is_number(b)))

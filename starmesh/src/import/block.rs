@@ -69,7 +69,7 @@ impl Lines {
 
 /// A text as TOML writes it.
 pub fn quoted(text: &str) -> String {
-    // JSON's escapes are among TOML's
+    // JSON's escapes are among TOML's.
     serde_json::Value::from(text).to_string()
 }
 

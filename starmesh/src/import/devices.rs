@@ -106,7 +106,7 @@ fn telescope(block: &mut Block, entry: &mut Entry<'_>, notes: &mut Notes) {
     if let Some(arcmin) = entry.number("pointing_threshold", notes) {
         let pointing = block.tables.entry("pointing").or_default().of(entry.last);
         pointing.key("threshold_arcmin", arcmin, "on target when so near");
-        // ours asks each frame to be nearer than this, which is 1 by default
+        // Ours asks each frame to be nearer than this, which is 1 by default.
         if arcmin > 1.0 {
             pointing.key("tolerance_arcmin", arcmin, "a frame that is further off does not count");
         }
@@ -115,7 +115,7 @@ fn telescope(block: &mut Block, entry: &mut Entry<'_>, notes: &mut Notes) {
         guider(block, &mut map, notes);
         map.rest(NOT_HERE, notes);
     }
-    // 0, as in the template, waits for nothing
+    // 0, as in the template, waits for nothing.
     if let Some(factor) = entry.number("settle_factor", notes).filter(|factor| *factor != 0.0) {
         let what = "times the exposure is waited for after a correction of the pointing";
         block.lines.of(entry.last).key("settle_factor", factor, what);
@@ -166,7 +166,7 @@ fn camera(block: &mut Block, entry: &mut Entry<'_>, notes: &mut Notes) {
         ];
         for (old, new) in keys {
             let value = flats.number(old, notes);
-            // dotted keys, so that one that is not taken costs no other
+            // Dotted keys, so that one that is not taken costs no other.
             block.lines.of(flats.last).maybe(&format!("flats.{new}"), value.map(|value| format!("{value:?}")), "");
         }
         block.lines.of(line);

@@ -77,7 +77,7 @@ impl<'a> Entry<'a> {
     /// A number without fraction.
     pub fn whole(&mut self, key: &str, notes: &mut Notes) -> Option<i64> {
         self.typed(key, "a whole number", notes, |value| match value {
-            // beyond 2^53 no number of a device is written
+            // Beyond 2^53 no number of a device is written.
             Value::Number(number) if number.fract() == 0.0 && number.abs() < 9e15 => Some(*number as i64),
             Value::Text(text) => text.trim().parse().ok(),
             _ => None,
@@ -127,7 +127,7 @@ impl<'a> Entry<'a> {
                     _ => None,
                 })
                 .collect::<Option<Vec<String>>>(),
-            // one name that is not in a list
+            // One name that is not in a list.
             Value::Text(text) => Some(vec![text.clone()]),
             _ => None,
         });

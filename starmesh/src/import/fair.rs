@@ -36,7 +36,7 @@ pub fn fair(limits: &[&str]) -> Map<String, Value> {
     }
     let mut ordered = Map::new();
     if let Some((least, most)) = room.remove(RELATIVE) {
-        // with the air at rest, the sky alone is limited
+        // With the air at rest, the sky alone is limited.
         let (coldest, warmest) = room.get("Temperature").copied().unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
         let air = within(10.0, coldest, warmest);
         ordered.insert("Temperature".to_owned(), air.into());

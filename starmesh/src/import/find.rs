@@ -40,7 +40,7 @@ pub fn find(folder: &Path, name: Option<&str>, home: Option<&Path>) -> anyhow::R
     let here = Base::read(&folder.join(BASE), home);
     let elsewhere = home.map(|home| home.join(".astra").join(BASE)).and_then(|file| Base::read(&file, home));
     let same = |base: &Base| base.assets.as_deref().is_some_and(|assets| is_same(assets, folder));
-    // a copy of an asset folder may carry a file that still speaks of the old place
+    // A copy of an asset folder may carry a file that still speaks of the old place.
     let leads = |assets: &PathBuf| assets.is_dir() && !folder.join("observatory_config").is_dir();
     let named = here.as_ref().and_then(|base| base.assets.clone()).filter(leads);
     let base = here.or_else(|| elsewhere.filter(same)).unwrap_or_default();

@@ -34,7 +34,7 @@ pub fn guider(block: &mut Block, guider: &mut Entry<'_>, notes: &mut Notes) {
         }
         let [x, y] = ["set_x", "set_y"].map(|set| gains.number(set, notes).unwrap_or(0.0));
         if [x, y] != [0.0, 0.0] {
-            // there a shift is how far the stars must go, here how far they went
+            // There a shift is how far the stars must go, here how far they went.
             let what = format!("set_x = {x}, set_y = {y}: from where the field was found to where it is held");
             lines.of(gains.last).key("hold_offset_px", format!("[{:?}, {:?}]", 0.0 - x, 0.0 - y), &what);
         }
@@ -83,11 +83,11 @@ fn calibration(lengths: &mut Entry<'_>, directions: &mut Entry<'_>, notes: &mut 
         return Err("four like values, as in Astra's template, were never measured".to_owned());
     }
     let along = |word: &str| moves.iter().find(|(known, _)| known == word).map(|(_, way)| *way);
-    // there and back again: half of the difference, as play of the gear hides in either
+    // There and back again: half of the difference, as play of the gear hides in either.
     let mean = |there: &str, back: &str| {
         let (there, back) = along(there).zip(along(back))?;
         let mean = [0, 1].map(|n| 0.5 * (there[n] - back[n]));
-        // on one axis and opposite, or they cancel
+        // On one axis and opposite, or they cancel.
         (there[0] * back[0] + there[1] * back[1] < 0.0).then_some(mean)
     };
     let [east, north] = [mean("east", "west"), mean("north", "south")];
@@ -120,7 +120,7 @@ mod tests {
 
     #[test]
     fn a_pulse_moves_the_stars_along_the_axis_that_names_it() {
-        // the camera stands on its side: East moves stars to smaller y, North to smaller x; play makes South slower
+        // The camera stands on its side: East moves stars to smaller y, North to smaller x; play makes South slower.
         let turned =
             "PIX2TIME: {+x: 90, -x: 80, +y: 62.5, -y: 62.5}\nDIRECTIONS: {+x: South, -x: North, +y: West, -y: East}";
         let (text, notes) = made(turned);

@@ -170,7 +170,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         let begin = if index == 0 { "\nNow:" } else { "    " };
         line(format_args!("{begin} starmesh check {}", path.display()))?;
     }
-    // what follows a trial is in the document of imports
+    // What follows a trial is in the document of imports.
     for path in configurations.iter().filter(|_| options.simulator.is_none()) {
         line(format_args!("     starmesh up {}", path.display()))?;
     }
@@ -209,7 +209,7 @@ fn devices_of(node: &yaml::Node, notes: &mut Notes) -> anyhow::Result<(Vec<Block
     let Some(mut top) = Entry::of("the file", node, notes) else { bail!("it holds no devices") };
     let mut templates = Vec::new();
     if let Some(mut misc) = top.entry("Misc", notes) {
-        // a night's data are kept as they come; there is no dump at some hour
+        // A night's data are kept as they come; there is no dump at some hour.
         misc.take("backup_time");
         if let Some(mut map) = misc.entry("filename_templates", notes) {
             for action in map.keys() {
@@ -255,7 +255,7 @@ fn read_header(path: &Path, notes: &mut Notes) -> anyhow::Result<Option<String>>
         let table: String = lines.iter().map(|(_, line)| *line).collect();
         let Err(error) = table.parse::<config::header::HeaderTable>() else { return Ok(Some(table)) };
         let at = usize::try_from(error.line).unwrap_or(usize::MAX);
-        // the first line names the columns
+        // The first line names the columns.
         if at < 2 || at > lines.len() {
             notes.add(0, format!("{}: {}; the usual table is taken", path.display(), error.fault));
             return Ok(None);

@@ -17,7 +17,7 @@ pub fn prune(blocks: Vec<Block>, notes: &mut Notes) -> Vec<Block> {
             notes.add(block.line, format!("{place}: a second one of this name; THE DEVICE IS LEFT OUT"));
             continue;
         }
-        // names that differed only in what is not allowed here
+        // Names that differed only in what is not allowed here.
         let wanted = block.name.clone();
         let is_free = |name: &str| !taken.iter().any(|known| known.kind == block.kind && known.name == name);
         let names = std::iter::once(wanted.clone()).chain((2..1000).map(|n| format!("{wanted:.59}-{n}")));
@@ -81,7 +81,7 @@ pub fn templates(templates: Vec<(usize, String, String)>, notes: &mut Notes) -> 
             }
         }
     }
-    // one of them decides how all are read
+    // One of them decides how all are read.
     let (_, faults) = node_archive::name::Namer::with_faults(&own, 0.0);
     for fault in faults {
         if let Some(at) = valid.iter().position(|(_, action, _)| *action == fault.action) {
@@ -95,7 +95,7 @@ pub fn templates(templates: Vec<(usize, String, String)>, notes: &mut Notes) -> 
 /// Why a piece of a file is not valid, in one line.
 fn fault(piece: &str) -> Option<String> {
     let error = config::parse(&format!("{FRAME}{piece}"), std::path::Path::new(".")).err()?.to_string();
-    // a TOML error begins with a picture of the place; its last line names what is wrong
+    // A TOML error begins with a picture of the place; its last line names what is wrong.
     let said = error.lines().map(str::trim).rfind(|line| !line.is_empty()).unwrap_or_default();
     let after_line = said.strip_prefix("line ").and_then(|rest| rest.split_once(": ")).map_or(said, |(_, what)| what);
     Some(after_line.to_owned())

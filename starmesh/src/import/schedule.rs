@@ -47,7 +47,7 @@ pub fn cameras(file: &File) -> anyhow::Result<Vec<Camera>> {
     let wheels: Vec<&String> =
         file.blocks.iter().filter(|block| block.kind == Kind::FilterWheel).map(|block| &block.old_name).collect();
     let named: Vec<&String> = file.cameras().filter_map(|block| block.pairs.get(&Kind::FilterWheel)).collect();
-    // the only wheel works with each camera of its telescope; where another camera names it, it is that one's
+    // The only wheel works with each camera of its telescope; where another camera names it, it is that one's.
     let is_anyones = matches!(wheels[..], [only] if !named.contains(&only));
     let camera = |block: &Block| {
         let own = block.pairs.get(&Kind::FilterWheel);
@@ -81,7 +81,7 @@ pub fn pieces(text: &str) -> Result<(Vec<Piece>, String), BadSchedule> {
     let masked = without_comments(text);
     let mut pieces: Vec<Piece> = Vec::new();
     let (mut from, mut lines) = (0, Lines { text: &masked, at: 0, line: 1 });
-    // each turn begins behind a row
+    // Each turn begins behind a row.
     loop {
         let rest = masked.get(from..).unwrap_or_default();
         let begins = from + (rest.len() - rest.trim_start().len());
@@ -235,7 +235,7 @@ fn as_it_was_heeded(row: &str, camera: &Camera) -> Option<(String, Vec<String>)>
     if let Some(Value::Object(values)) = fields.get_mut("action_value") {
         let endless = |value: &Value| action == "object" && value.as_f64().is_some_and(|count| count < 0.0);
         dropped.extend(take(values, |key, value| !known.contains(key) || (key == "n" && endless(value))));
-        // a folder of the whole machine becomes one inside that of the images
+        // A folder of the whole machine becomes one inside that of the images.
         if let Some(Value::String(dir)) = values.get("dir")
             && let Some(inside) = inside(dir)
         {
@@ -248,7 +248,7 @@ fn as_it_was_heeded(row: &str, camera: &Camera) -> Option<(String, Vec<String>)>
         }
         if !camera.has_wheel && !take(values, |key, _| key == "filter").is_empty() {
             changes.push("without \"filter\", as its camera has no filter wheel".to_owned());
-            // the frames of all filters are of one sort then
+            // The frames of all filters are of one sort then.
             let all: Option<u64> = values
                 .get("n")
                 .and_then(Value::as_array)

@@ -44,7 +44,7 @@ pub async fn location(server: &str, number: i64) -> Option<Location> {
     };
     let latitude_deg = number("sitelatitude").await?;
     let (longitude_deg, elevation_m) = (number("sitelongitude").await?, number("siteelevation").await?);
-    // 0, 0 is what drivers report before anybody has set it
+    // 0, 0 is what drivers report before anybody has set it.
     let is_told =
         (latitude_deg, longitude_deg) != (0.0, 0.0) && latitude_deg.abs() <= 90.0 && longitude_deg.abs() <= 360.0;
     is_told.then_some(Location { latitude_deg, longitude_deg, elevation_m })

@@ -101,7 +101,7 @@ pub fn give_calibrations(blocks: &mut [Block], notes: &mut Notes) {
 
 /// Puts a device into the shared file, and its name into the files of those who heed it.
 fn share(mut block: Block, owners: &BTreeSet<usize>, files: &mut [File], shared: &mut File) {
-    // weather and monitors hold for all: the predecessor knew one verdict per observatory
+    // Weather and monitors hold for all: the predecessor knew one verdict per observatory.
     let of_all = block.kind != Kind::Dome;
     let limits: Vec<String> = std::mem::take(&mut block.limits).into_iter().map(|(_, limit)| limit).collect();
     let dwell_min = block.dwell_min.take();
@@ -115,7 +115,7 @@ fn share(mut block: Block, owners: &BTreeSet<usize>, files: &mut [File], shared:
         chunks.push(file.telescope.clone());
     }
     if block.kind == Kind::Dome {
-        // one telescope's closing does not turn what others are under
+        // One telescope's closing does not turn what others are under.
         block.lines.without(super::devices::PARK_AT_CLOSE);
         super::devices::telescopes_under(&mut block.lines, &chunks);
     }

@@ -194,7 +194,7 @@ async fn a_limit_on_what_the_station_does_not_measure_holds_once_it_does() {
         .world()
         .fault(simulator::Kind::ObservingConditions, simulator::Fault { error, only, ..Default::default() });
     let station = simulator.address();
-    // as the predecessor leaves them
+    // As the predecessor leaves them.
     for kind in ["telescope", "observingconditions"] {
         let connect = format!("http://{station}/api/v1/{kind}/0/connected");
         let answer =

@@ -75,7 +75,7 @@ impl Wanted {
             first_row,
             focus_position: blocks.iter().find_map(|block| block.focus_position),
             coldest_c: set_points.reduce(f64::min),
-            // a mount that comes within the threshold in one or two corrections
+            // A mount that comes within the threshold in one or two corrections.
             scatter_arcsec: Some((threshold_arcmin.unwrap_or(THRESHOLD_ARCMIN) * 60.0 / 4.0).min(SCATTER_ARCSEC)),
             filters,
             weather: fair(&limits),
@@ -186,7 +186,7 @@ pub fn replace(blocks: &mut Vec<Block>, server: &str, ready: Option<&Ready>) -> 
             continue;
         }
         (block.server, block.number, block.guide_start) = (server.to_owned(), 0, None);
-        // nobody else turns or connects simulated devices, and how the real ones answer and move is not how these do
+        // Nobody else turns or connects simulated devices, and how the real ones answer and move is not how these do.
         for key in [FOLLOW, "connect", "period_s", "equatorial_system"] {
             block.lines.without(key);
         }

@@ -107,7 +107,7 @@ impl Reader {
         let wrong = |what: String| Err(YamlError { line, what });
         match event {
             Event::Scalar(text, style, anchor, tag) => {
-                // a tag such as !!str forces a text
+                // A tag such as !!str forces a text.
                 let plain = style == ScalarStyle::Plain && tag.is_none();
                 let value = if plain { plain_value(&text) } else { Value::Text(text.into_owned()) };
                 self.put(anchor, Node { line, value })
@@ -228,7 +228,7 @@ fn merged(map: Vec<(String, Node)>) -> Vec<(String, Node)> {
                     }
                 }
                 Value::Null => {}
-                // stored under its own name, so that it is listed
+                // Stored under its own name, so that it is listed.
                 _ => own.push((key.clone(), node)),
             }
         }
@@ -257,7 +257,7 @@ fn plain_value(text: &str) -> Value {
             return Value::Number(f64::from(number));
         }
     }
-    // Rust also takes "inf" and "nan"
+    // Rust also takes "inf" and "nan".
     let looks = text.trim_start_matches(['+', '-']).starts_with(|c: char| c.is_ascii_digit() || c == '.');
     match text.parse::<f64>() {
         Ok(number) if looks && number.is_finite() => Value::Number(number),

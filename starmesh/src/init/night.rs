@@ -79,7 +79,7 @@ fn rows(config: &config::Observatory, camera: &str, field: (&str, f64, f64), dus
     let has = |kind: Kind| config.devices().iter().any(|(known, _)| *known == kind);
     let (name, ra_deg, dec_deg) = field;
     let later = |seconds: f64| dusk.plus_seconds(seconds);
-    // the field was chosen for its altitude in this time; later it may set
+    // The field was chosen for its altitude in this time; later it may set.
     let observed = later(LENGTH_S).min(dawn);
     if config.camera.first().is_some_and(|camera| camera.temperature_c.is_some()) {
         row("The camera is cooled to camera.temperature_c.", "cool_camera", json!({}), later(-1800.0), dawn);

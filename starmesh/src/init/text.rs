@@ -93,7 +93,7 @@ pub fn text(options: &Options, found: &[Found], around: &Surroundings) -> String
     let mut kinds = BTreeSet::new();
     for device in found {
         let block = format!("{}{}", as_toml(device), hints(device.kind));
-        // one of each kind is a telescope; a site with more names which
+        // One of each kind is a telescope; a site with more names which.
         let block = if kinds.insert(device.kind) {
             block
         } else {

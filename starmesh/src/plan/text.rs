@@ -117,7 +117,7 @@ fn block(heights: &Heights, row: &PlannedRow, at: Utc, half_s: f64) -> char {
         off(a).total_cmp(&off(b))
     });
     match nearest {
-        // `as` saturates
+        // `as` saturates.
         Some((_, deg)) if runs => BLOCKS[((deg / 90.0 * 8.0) as usize).min(BLOCKS.len() - 1)],
         _ => ' ',
     }
@@ -138,7 +138,7 @@ fn axis(from: Utc, step_s: f64) -> Vec<String> {
     let last = from.plus_seconds(f64::from(WIDTH) * step_s);
     let day = |at: Utc| at.micros().div_euclid(24 * HOUR_US);
     if day(last) > day(from) {
-        // a label of five characters and a space
+        // A label of five characters and a space.
         let hours = every(6.0).unwrap_or(2688).max(24);
         lines.push(ticks(from, step_s, hours, "%m-%d"));
     }
@@ -264,7 +264,7 @@ mod tests {
         assert_eq!(month.len(), 1, "{month:?}");
         let days: Vec<&str> = month[0].split_whitespace().collect();
         assert!(days.len() >= 5 && days.iter().all(|day| day.len() == 5), "{month:?}");
-        // two years: few labels, and none runs into another
+        // Two years: few labels, and none runs into another.
         let years = under("2026-11-21T18:00:00Z", 17_520.0);
         assert!(years[0].split_whitespace().all(|day| day.len() == 5), "{years:?}");
     }

@@ -202,15 +202,15 @@ async fn what_was_told_is_not_told_again_by_the_next_life_or_by_the_standby_whic
     rig.simulator.world().stick_shutter_half_open(true);
     rig.simulator.world().set_unsafe(true);
     rig.until("people are told by webhook and mail", 90.0, |_| told(ID) == (1, 1)).await?;
-    // that a letter was sent is known once its receiver has said so, a moment after it has the letter: who is killed within
-    // that moment tells twice rather than never
+    // That a letter was sent is known once its receiver has said so, a moment after it has the letter: who is killed within
+    // that moment tells twice rather than never.
     tokio::time::sleep(Duration::from_secs(2)).await;
 
     let first = life();
     rig.kill(Role::Observatory)?;
     rig.start(Role::Observatory)?;
     rig.until("its next life speaks of it", 60.0, |_| life() != first && stands(ID)).await?;
-    // longer than it waits for the word of others
+    // Longer than it waits for the word of others.
     tokio::time::sleep(Duration::from_secs(15)).await;
     assert_eq!(told(ID), (1, 1), "nobody acknowledged it, and it is told once all the same");
 

@@ -9,7 +9,7 @@ use test_support::Rig;
 async fn the_guard_closes_when_the_observatory_is_killed() -> anyhow::Result<()> {
     let mut rig = Rig::at_open_dome().await?;
     rig.kill(Role::Observatory)?;
-    // the permit lasts 5 s here; shutter travel and a noisy machine take the rest
+    // The permit lasts 5 s here; shutter travel and a noisy machine take the rest.
     rig.until("the guard closes by itself", 30.0, Rig::is_shut).await?;
     let holds = |rig: &Rig| {
         let guard = rig.guard.get().map(|guard| guard.said.body);
@@ -69,7 +69,7 @@ async fn a_device_node_that_is_asked_to_end_closes_first() -> anyhow::Result<()>
 async fn an_observatory_that_is_asked_to_end_beside_a_standby_leaves_the_roof_open() -> anyhow::Result<()> {
     let mut rig = Rig::at_open_dome().await?;
     rig.start_standby()?;
-    // the standby says that it is there every 5 s
+    // The standby says that it is there every 5 s.
     tokio::time::sleep(Duration::from_secs(7)).await;
     assert!(rig.ask_to_end(Role::Observatory, Duration::from_secs(20)).await?, "{}", rig.last_words());
     let ended = std::time::Instant::now();

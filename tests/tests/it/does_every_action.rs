@@ -178,7 +178,7 @@ async fn account(rig: &Rig) -> anyhow::Result<()> {
         assert_eq!(text("FRAMEID").as_deref(), Some(it.id.as_str()), "{}", it.file);
         assert_eq!(text("IMAGETYP").as_deref(), Some(purpose.image_type.as_str()), "{}", it.file);
         assert!(header.contains_key("DATE-OBS") && header.contains_key("BKGLEVEL"), "{}: {header:?}", it.file);
-        // what only a complete header has
+        // What only a complete header has.
         let needs = if purpose.image_type == "Light Frame" { "OBJALT" } else { "CCD-TEMP" };
         assert!(header.contains_key(needs), "{}: no {needs} in {:?}", it.file, header.keys().collect::<BTreeSet<_>>());
     }
@@ -216,7 +216,7 @@ async fn a_night_with_every_action_ends_closed_with_every_frame_accounted_for() 
         assert_eq!(row.status, RowStatus::Finished, "{row:?}");
         assert!(frames.is_none_or(|frames| row.frames == frames), "{frames:?} expected: {row:?}");
     }
-    // no action is left out: the bus tells which there are
+    // No action is left out: the bus tells which there are.
     let answer: ActionAnswer =
         rig.bus.ask(&Key::Actions(address.clone()), &ActionQuestion::default(), Duration::from_secs(5)).await?;
     let all: BTreeSet<&str> = answer.actions.iter().map(|action| action.name.as_str()).collect();

@@ -19,9 +19,9 @@ fn options() -> RigOptions {
     options.world.speed = 25.0;
     (options.world.camera.width, options.world.camera.height) = (640, 640);
     options.world.camera.pixel_um = 13.5;
-    // gears with play; the truth is that of a focuser driven upward
+    // Gears with play; the truth is that of a focuser driven upward.
     options.world.focus.backlash_steps = 100.0;
-    // 2.9 critical zones beside the truth: what the run begins with
+    // 2.9 critical zones beside the truth: what the run begins with.
     options.focuser_block = "best_position = 25350\nbacklash_steps = 120\nsettle_s = 1.0\n";
     options
 }
@@ -38,7 +38,7 @@ async fn a_run_ends_at_the_focus_from_near_and_far_and_where_it_began_under_clou
     let mut rig = Rig::new(options(), |_| {
         vec![
             row("autofocus", json!({"exptime": 2, "filter": "V", "selection_method": "maximal"})),
-            // all of the first look lies beyond the focus: 600 steps are five critical zones
+            // All of the first look lies beyond the focus: 600 steps are five critical zones.
             row("autofocus", json!({"exptime": 2, "filter": "V", "search_range": [25600, 27600]})),
             row("autofocus", json!({"exptime": 0.001, "filter": "V"})),
         ]
@@ -80,7 +80,7 @@ async fn a_run_ends_at_the_focus_from_near_and_far_and_where_it_began_under_clou
         assert!(run.altitude_deg.unwrap() > 80.0 && (run.temperature_c.unwrap() - 10.0).abs() < 0.01, "{run:?}");
         assert!(run.points.iter().all(|point| point.frames.len() == 1));
     }
-    // as thick as the safety monitor lets pass, and the stars smeared: nothing to be seen in a millisecond
+    // As thick as the safety monitor lets pass, and the stars smeared: nothing to be seen in a millisecond.
     rig.simulator.world().set_weather(simulator::Quantity::CloudCover, Some(79.0));
     rig.simulator.world().set_weather(simulator::Quantity::StarFwhm, Some(60.0));
     let failed = next(&runs, &rig).await?;

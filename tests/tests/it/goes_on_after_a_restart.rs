@@ -20,7 +20,7 @@ async fn a_restarted_observatory_counts_the_frames_that_were_taken() -> anyhow::
     rig.until("the night ends", 150.0, |rig| rig.night.get().is_some_and(|night| night.said.body.ended)).await?;
     rig.until("the dome ends shut", 30.0, Rig::is_shut).await?;
     assert_eq!(taken(&rig), 10);
-    // the frame that was under way when the node died may be one more, never one less
+    // The frame that was under way when the node died may be one more, never one less.
     let files = rig.fits().len();
     assert!((10..=11).contains(&files), "{files} files");
     Ok(())

@@ -61,7 +61,7 @@ async fn refused<C: contract::Payload>(
 /// The verbs that a PUT may come from, the ones that send it once each first; `None` for what moves nothing.
 fn verbs(member: &str) -> Option<(&'static [&'static str], bool)> {
     Some(match member {
-        // the action feeds the dome's watchdog, which moves nothing
+        // The action feeds the dome's watchdog, which moves nothing.
         "connected" | "refresh" | "action" => return None,
         "openshutter" => (&["open_shutter"], true),
         "closeshutter" => (&["close_shutter", "abort_then_close_shutter"], true),
@@ -79,14 +79,14 @@ fn verbs(member: &str) -> Option<(&'static [&'static str], bool)> {
         "calibratoron" => (&["calibrator_on"], true),
         "calibratoroff" => (&["calibrator_off"], true),
         "slewtoazimuth" => (&["slew_to_azimuth"], true),
-        // part of something larger, once or more
+        // Part of something larger, once or more.
         "tracking" => (&["track", "slew", "unpark"], false),
         "rightascensionrate" | "declinationrate" => (&["rates", "slew", "track", "park"], false),
         "abortslew" => (&["abort", "park", "abort_then_close_shutter"], false),
         "abortexposure" | "stopexposure" => (&["abort", "expose"], false),
         "setccdtemperature" | "cooleron" => (&["cool", "warm"], false),
         "binx" | "biny" | "numx" | "numy" | "startx" | "starty" => (&["expose"], false),
-        // nothing that this list does not know may move
+        // Nothing that this list does not know may move.
         _ => (&[], false),
     })
 }
@@ -116,7 +116,7 @@ async fn every_order_and_every_movement_of_a_night_leaves_a_record() -> anyhow::
     let same = |rig: &Rig| {
         NODES.iter().all(|node| stored(rig, *node).is_ok_and(|stored| stored.len() > 3 && stored == lines(rig, *node)))
     };
-    // what was ordered last is synced and told within seconds, and asked for each minute if it was lost on the way
+    // What was ordered last is synced and told within seconds, and asked for each minute if it was lost on the way.
     tokio::time::sleep(Duration::from_secs(3)).await;
     rig.until("the archive has what the nodes have, record for record", 90.0, same).await?;
 
@@ -138,7 +138,7 @@ async fn every_order_and_every_movement_of_a_night_leaves_a_record() -> anyhow::
     let hosts = moved.iter().filter(|record| record.from == "observatory/alpha/main" && !record.from_host.is_empty());
     assert!(hosts.count() > 0, "where the observatory runs is known");
 
-    // every PUT that moved something, against the records
+    // Every PUT that moved something, against the records.
     let mut accepted: Vec<&Record> = moved.iter().filter(|record| record.outcome == Outcome::Accepted).collect();
     let all = accepted.clone();
     let mut seen: HashMap<String, usize> = HashMap::new();
@@ -150,7 +150,7 @@ async fn every_order_and_every_movement_of_a_night_leaves_a_record() -> anyhow::
                 && record.at_utc.seconds_since(put.sky_utc).abs() < NEAR_S
         };
         let found = if once {
-            // a record answers for one such PUT, not for two
+            // A record answers for one such PUT, not for two.
             accepted.iter().position(is_its).map(|index| accepted.remove(index))
         } else {
             all.iter().find(|record| is_its(record)).copied()
@@ -165,7 +165,7 @@ async fn every_order_and_every_movement_of_a_night_leaves_a_record() -> anyhow::
         "{seen:?}"
     );
     assert!(seen["startexposure"] >= 8, "{seen:?}");
-    // and each of them says how it ended
+    // And each of them says how it ended.
     for record in all.iter().filter(|record| record.verb == "expose" || record.verb == "open_shutter") {
         let ended = moved.iter().any(|end| end.id == record.id && end.outcome == Outcome::Done);
         assert!(ended, "{record:?}");
@@ -182,7 +182,7 @@ async fn every_order_and_every_movement_of_a_night_leaves_a_record() -> anyhow::
     assert!(shown.contains("dome/dome open_shutter") && shown.contains("web/mallory"), "{shown}");
     assert!(!shown.contains("expose"), "{shown}");
 
-    // one byte, and the command line finds the line
+    // One byte, and the command line finds the line.
     let mut bytes = std::fs::read(&enclosure)?;
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;

@@ -51,7 +51,7 @@ async fn stars_and_fwhm_of_every_frame_are_on_the_bus_in_the_header_and_in_the_d
     rig.simulator.world().set_weather(simulator::Quantity::StarFwhm, Some(0.1));
     let frames = all::<Frame>(&rig, "device/camera/*/frame").await?;
     let facts = all::<FrameFacts>(&rig, "observatory/frame/*/facts").await?;
-    // the archive comes later: nobody waits for it
+    // The archive comes later: nobody waits for it.
     for role in [Role::Device, Role::Observatory] {
         rig.start(role)?;
     }
@@ -71,7 +71,7 @@ async fn stars_and_fwhm_of_every_frame_are_on_the_bus_in_the_header_and_in_the_d
         assert!(!facts.trailed.unwrap() && facts.ellipticity.unwrap() < 0.15, "{facts:?}");
     }
     println!("facts at most {slowest:?} after the frame; {:?}", measured.values().next().map(|heard| &heard.said.body));
-    // 1 s is promised of a release build
+    // 1 s is promised of a release build.
     assert!(slowest < lateness.bound(Duration::from_secs(5)), "{slowest:?}");
 
     rig.start(Role::Archive)?;

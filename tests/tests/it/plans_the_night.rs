@@ -96,7 +96,7 @@ async fn until_ended(rig: &Rig, rows: usize) -> anyhow::Result<()> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_next_night_goes_as_planned_from_the_telemetry_of_the_last_one() -> anyhow::Result<()> {
-    // wide enough for a machine that adds half a second to each frame, which is 10 s of this sky
+    // Wide enough for a machine that adds half a second to each frame, which is 10 s of this sky.
     under(None, 1.6).await
 }
 
@@ -113,7 +113,7 @@ async fn under(slit: Option<SlitOptions>, wider: f64) -> anyhow::Result<()> {
     options.world.dome = simulator::DomeOptions { slit, turn_deg_per_s: TURN_DEG_S, ..options.world.dome };
     options.world.mount = simulator::MountOptions { slew_deg_per_s: 3.0, ..simulator::MountOptions::perfect() };
     let mut rig = Rig::new(options, |_| vec![("cool_camera", json!({}))]).await?;
-    // a plan takes the sensor for warm at first, and in the second schedule it would still be cold
+    // A plan takes the sensor for warm at first, and in the second schedule it would still be cold.
     let site = std::fs::read_to_string(rig.path("observatory.toml"))?;
     std::fs::write(rig.path("observatory.toml"), site.replace("temperature_c = -10.0\n", ""))?;
     let first = [
@@ -130,10 +130,10 @@ async fn under(slit: Option<SlitOptions>, wider: f64) -> anyhow::Result<()> {
     rig.start_all()?;
     until_ended(&rig, first.len()).await?;
 
-    // the archive commits within a second
+    // The archive commits within a second.
     tokio::time::sleep(std::time::Duration::from_millis(1500)).await;
     let start = rig.simulator.world().now().plus_seconds(60.0);
-    // each row has time to end before the next one begins, so that each is judged for itself
+    // Each row has time to end before the next one begins, so that each is judged for itself.
     let second = [
         ("open", json!({}), 0.0, 100.0),
         ("object", object(&rig, "f", (65.0, 120.0), 10.0, Some(6)), 80.0, 300.0),
@@ -196,7 +196,7 @@ async fn under(slit: Option<SlitOptions>, wider: f64) -> anyhow::Result<()> {
         if early_s.abs() > near_s || late_s.abs() > near_s {
             off.push(format!("row {number}: {early_s:+.1} s, {late_s:+.1} s"));
         }
-        // a row that goes on until its window ends has as many as fit
+        // A row that goes on until its window ends has as many as fit.
         let is_counted = row["frames_wanted"].is_number();
         let differ = u64::from(count).abs_diff(wanted);
         assert!(differ <= if is_counted { 0 } else { FRAMES }, "row {number}: {count} frames, {wanted} were planned");

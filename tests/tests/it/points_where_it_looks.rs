@@ -143,11 +143,11 @@ async fn a_mount_that_misses_by_5_arcmin_is_brought_within_a_tenth_and_learns_to
     let of_rows = |rows: std::ops::Range<u32>| rows.map(|row| (row, &seen[&row]));
     let objects = of_rows(1..run).chain(of_rows(run + 1..run + 1 + AFTER.len() as u32));
     for (row, seen) in objects {
-        // what was taken on the way does not count, and two slews after the first are enough
+        // What was taken on the way does not count, and two slews after the first are enough.
         assert_eq!(rows[row as usize].frames, FRAMES, "{row}");
         assert!(seen.on_the_way.len() <= 3, "{row}: {seen:?}");
         assert!(*seen.on_the_way.last().unwrap() < 0.1, "{row}: {seen:?}");
-        // drift and seeing since then; facts of its last frame may still be under way
+        // Drift and seeing since then; facts of its last frame may still be under way.
         assert!(!seen.counted.is_empty() && seen.counted.iter().all(|off| *off < 0.2), "{row}: {seen:?}");
         assert!(seen.truth.unwrap() < 0.2, "{row}: {seen:?}");
     }

@@ -70,7 +70,7 @@ async fn the_next_row_on_the_same_target_begins_within_half_a_second() -> anyhow
     };
     let (within, between) = (gaps(1), gaps(0));
     println!("beyond what the devices take: between frames {within:?}, between rows {between:?}");
-    // what the devices were told meanwhile, of the last pair of rows
+    // What the devices were told meanwhile, of the last pair of rows.
     if let [.., last, next, _] = &begun[..] {
         for put in puts.iter().filter(|put| put.seq > last.seq && put.seq <= next.seq) {
             let at_ms = (put.at - last.at).as_secs_f64() * 1000.0;
@@ -78,7 +78,7 @@ async fn the_next_row_on_the_same_target_begins_within_half_a_second() -> anyhow
         }
     }
     assert_eq!(between.len(), ROWS - 1);
-    // a test machine with other things to do lengthens some; a lost design lengthens all of them
+    // A test machine with other things to do lengthens some; a lost design lengthens all of them.
     assert!(between[between.len() / 4] <= MOST, "{between:?}");
     rig.until("the dome ends shut", 60.0, Rig::is_shut).await?;
     Ok(())

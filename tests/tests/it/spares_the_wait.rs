@@ -32,7 +32,7 @@ async fn a_restarted_observatory_under_a_good_sky_closes_nothing() -> anyhow::Re
     let (began, lateness) = (Instant::now(), Lateness::begin());
     rig.until("the verdict is safe again", 15.0, |rig| verdict(rig) == Some(Verdict::Safe)).await?;
     assert!(began.elapsed() < lateness.bound(DWELL / 2), "{:?} without the dwell", began.elapsed());
-    // a dwell later it would have closed
+    // A dwell later it would have closed.
     tokio::time::sleep(Duration::from_secs(16)).await;
     let puts = rig.simulator.world().puts_since(before);
     assert!(!puts.iter().any(|put| put.member == "closeshutter"), "nobody closes: {puts:?}\n{}", rig.last_words());

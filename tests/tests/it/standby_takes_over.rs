@@ -16,7 +16,7 @@ async fn a_hot_standby_takes_over_and_the_dome_stays_open() -> anyhow::Result<()
     let commander =
         |rig: &Rig| guard(rig).and_then(|guard| guard.permits.first().map(|permit| permit.commander.clone()));
     rig.start_standby()?;
-    // it must hear everything and fill its dwell before it can be of use
+    // It must hear everything and fill its dwell before it can be of use.
     tokio::time::sleep(Duration::from_secs(20)).await;
     assert_eq!(commander(&rig).as_deref(), Some("observatory/alpha/main"), "the first goes on commanding");
     assert!(rig.is_open());
@@ -40,7 +40,7 @@ async fn a_hot_standby_takes_over_and_the_dome_stays_open() -> anyhow::Result<()
         rig.last_words()
     );
 
-    // nothing is lost of what the first one guarded
+    // Nothing is lost of what the first one guarded.
     rig.simulator.world().set_unsafe(true);
     rig.until("the standby closes", 30.0, Rig::is_shut).await?;
     Ok(())
@@ -118,7 +118,7 @@ async fn a_standby_with_its_own_disk_keeps_closed_what_was_ordered_to_stay_close
     rig.until("the standby commands", 30.0, taken).await?;
     let written = std::fs::read_to_string(data.join(format!("standing-{TELESCOPE}.json")))?;
     assert!(written.contains("people on the roof"), "{written}");
-    // the safety dwell of this rig is 3 s: without the order the dome would open
+    // The safety dwell of this rig is 3 s: without the order the dome would open.
     tokio::time::sleep(Duration::from_secs(8)).await;
     assert!(rig.is_shut(), "{}", rig.last_words());
     rig.order(&["open-again"]).await?;

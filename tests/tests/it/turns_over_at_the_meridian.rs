@@ -21,7 +21,7 @@ const FRAMES: u32 = 30;
 
 fn options() -> RigOptions {
     let mut options = RigOptions::default();
-    // the sky does not wait while the nodes start: the first target must still stand before the meridian then
+    // The sky does not wait while the nodes start: the first target must still stand before the meridian then.
     options.world.speed = 10.0;
     options.world.dome.slit = None;
     let camera = &mut options.world.camera;
@@ -82,7 +82,7 @@ async fn a_mount_is_turned_over_once_and_one_that_ignores_it_is_not_asked_again(
     rig.until("the mount turns over", 90.0, |rig| side(rig) == Some(PierSide::East)).await?;
     rig.until("the second row ends", 90.0, |rig| status(rig, 2) == Some(RowStatus::Finished)).await?;
     assert_eq!(rig.schedule.get().unwrap().said.body.rows[2].frames, FRAMES, "none is lost and none doubled");
-    // the frames by row and sort, in their order
+    // The frames by row and sort, in their order.
     let mut heard = Vec::new();
     while let Ok(frame) = tokio::time::timeout(Duration::from_millis(200), frames.hear()).await {
         let purpose = frame.said.body.purpose;

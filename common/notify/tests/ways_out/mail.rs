@@ -107,7 +107,7 @@ async fn wrong_password(way: &'static str) {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_server_that_repeats_the_login_puts_it_nowhere() {
     let authority = Authority::new("site CA");
-    // as it came, as it is, and in hex and percent codes of the server's own
+    // As it came, as it is, and in hex and percent codes of the server's own.
     let words = "that is s3cret-Pa55 or s3cret%2DPa55 or 7333637265742d50613535";
     let rules = Rules {
         starttls: Some(authority.server(&["localhost"])),

@@ -58,7 +58,7 @@ impl PostOffice {
         tokio::spawn(async move {
             while let Ok((stream, _)) = listener.accept().await {
                 let clerk = clerk.clone();
-                // who goes away in the middle is what the tests are about
+                // Who goes away in the middle is what the tests are about.
                 tokio::spawn(async move { drop(clerk.meet(stream).await) });
             }
         });

@@ -117,6 +117,6 @@ impl Write for Ear {
 fn listen_to_logs() {
     let all = Targets::new().with_default(LevelFilter::TRACE).with_target("zenoh", LevelFilter::OFF);
     let layer = tracing_subscriber::fmt::layer().with_ansi(false).with_writer(|| Ear);
-    // the first test of the process begins it
+    // The first test of the process begins it.
     let _ = tracing_subscriber::registry().with(all).with(layer).try_init();
 }

@@ -43,7 +43,7 @@ impl Web {
                 tokio::spawn(async move {
                     let service = service_fn(move |request| remember(request, asked.clone()));
                     let http = hyper::server::conn::http1::Builder::new();
-                    // a client that refuses the certificate goes away, and that is what the tests are about
+                    // A client that refuses the certificate goes away, and that is what the tests are about.
                     let _ = match tls {
                         Some(tls) => match TlsAcceptor::from(tls).accept(stream).await {
                             Ok(stream) => http.serve_connection(TokioIo::new(stream), service).await,

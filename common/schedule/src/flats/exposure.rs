@@ -169,7 +169,7 @@ impl Light {
     pub fn see(&mut self, filter: usize, seen: &Seen) {
         let (rate, is_sure) = self.want.rate(seen);
         let half = 0.5 * self.slope * seen.exposure_s;
-        // the mean over the exposure is a little more than what is in its middle
+        // The mean over the exposure is a little more than what is in its middle.
         let more = if half.abs() < 1e-6 { 1.0 } else { half.sinh() / half };
         let middle = seen.started.plus_seconds(0.5 * seen.exposure_s);
         let point = Point { middle, ln_rate: (rate / more).ln(), is_part: seen.is_part, is_sure };
@@ -232,7 +232,7 @@ impl Light {
             Some(Ready::TooBright | Ready::TooDark) => return f64::INFINITY,
         };
         let now_adu = self.rate(filter, at).map_or(0.0, |rate| signal_adu(limit_s, rate, self.slope));
-        // signals go with the rate: all of them change alike
+        // Signals go with the rate: all of them change alike.
         let wait_s = (self.want.signal_adu() / now_adu).ln() / self.slope;
         if wait_s.is_finite() { wait_s.max(0.0) } else { f64::INFINITY }
     }

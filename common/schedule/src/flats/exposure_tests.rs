@@ -48,7 +48,7 @@ fn an_exposure_collects_what_it_is_made_for_in_any_light() {
 fn frame_after_frame_keeps_its_level_while_the_sky_fades_and_while_it_brightens() {
     for slope in [-0.0035, 0.0035, -0.006] {
         let sky = Sky { rate: if slope < 0.0 { 14_000.0 } else { 1200.0 }, slope };
-        // what the Sun makes expect is 30 % off
+        // What the Sun makes expect is 30 % off.
         let mut light = Light::new(WANT, 1, slope * 0.7);
         light.see(0, &sky.frame(0.0, 1.0));
         let (mut at_s, mut levels) = (5.0, Vec::new());
@@ -61,7 +61,7 @@ fn frame_after_frame_keeps_its_level_while_the_sky_fades_and_while_it_brightens(
             at_s += exposure_s + 8.0;
         }
         assert!(levels.len() > 15, "{slope}: {}", levels.len());
-        // those at the ends are at the limits of the exposure
+        // Those at the ends are at the limits of the exposure.
         let inner = &levels[2..levels.len() - 4];
         let worst = inner.iter().map(|adu| (adu / 30_000.0 - 1.0).abs()).fold(0.0, f64::max);
         assert!(worst < 0.02, "{slope}: {worst} {levels:?}");
@@ -73,7 +73,7 @@ fn frame_after_frame_keeps_its_level_while_the_sky_fades_and_while_it_brightens(
 
 #[test]
 fn the_old_rule_of_scaling_by_the_last_frame_is_worse() {
-    // what the predictor is for: the light changes from frame to frame, and within one
+    // What the predictor is for: the light changes from frame to frame, and within one.
     let sky = Sky { rate: 1500.0, slope: -0.005 };
     let first = sky.frame(0.0, 20.0);
     let mut light = Light::new(WANT, 1, -0.005);
@@ -95,11 +95,11 @@ fn what_no_exposure_can_do_is_said_with_the_time_until_it_can() {
     light.see(0, &fading.frame(0.0, 1.0));
     assert_eq!(light.ready(0, at(3.0)), Some(Ready::TooBright));
     assert!((100.0..500.0).contains(&light.wait_s(0, at(3.0))));
-    // too dark and fading: never
+    // Too dark and fading: never.
     let dark = Sky { rate: 2.0, slope: -0.004 };
     light.see(0, &dark.frame(3.0, 6.0));
     assert_eq!((light.ready(0, at(10.0)), light.wait_s(0, at(10.0))), (Some(Ready::TooDark), f64::INFINITY));
-    // too dark and brightening: in time for the longest exposure
+    // Too dark and brightening: in time for the longest exposure.
     let mut dawn = Light::new(WANT, 1, 0.004);
     let sky = Sky { rate: 100.0, slope: 0.004 };
     dawn.see(0, &sky.frame(0.0, 6.0));
@@ -113,7 +113,7 @@ fn what_no_exposure_can_do_is_said_with_the_time_until_it_can() {
 
 #[test]
 fn at_its_limits_an_exposure_is_taken_while_its_level_is_good_enough() {
-    // 1 s gives 8 % too much, 60 s 8 % too little
+    // 1 s gives 8 % too much, 60 s 8 % too little.
     for (rate, limit_s) in [(32_000.0, 1.0), (450.0, 60.0)] {
         let sky = Sky { rate, slope: 0.0 };
         let mut light = Light::new(WANT, 1, 0.0);

@@ -70,7 +70,7 @@ pub fn next(order: Order, trend: Trend, filters: &[Candidate], current: Option<u
                 return Next::Sound(index);
             }
             let each = || wanted().map(|(index, filter)| of_one(trend, index, filter));
-            // how long its light will last, in arbitrary units: by the exposure that it takes now
+            // How long its light will last, in arbitrary units: by the exposure that it takes now.
             let lasts = |filter: &Candidate| match (filter.ready, trend) {
                 (Some(Ready::Now(exposure_s)), Trend::Fades) => -exposure_s,
                 (Some(Ready::Now(exposure_s)), Trend::Brightens | Trend::Stays) => exposure_s,

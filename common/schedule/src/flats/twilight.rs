@@ -128,7 +128,7 @@ mod tests {
 
     #[test]
     fn at_dusk_the_light_falls_by_e_in_some_minutes() {
-        // 15 deg per hour, steep as near the equator
+        // 15 deg per hour, steep as near the equator.
         let slope = slope_per_s(-15.0 / 3600.0);
         assert!(slope < 0.0 && (120.0..400.0).contains(&(-1.0 / slope)), "{slope}");
     }

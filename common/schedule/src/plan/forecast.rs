@@ -57,7 +57,7 @@ pub fn forecast(rows: Vec<Row>, site: &mut Site) -> Result<PlannedNight, SkyErro
     };
     let last = end.min(first.plus_seconds(LONGEST_S));
     let sun_deg = site.config.safety.sun_altitude_max_deg;
-    // a second more, so that what ends with the last window still finds the sky as it is
+    // A second more, so that what ends with the last window still finds the sky as it is.
     let below = site.sky.sun_below(sun_deg, first, last.plus_seconds(1.0))?;
     let safe = without(below, &site.unsafe_spans);
     let mut sequence = Sequence::default();
@@ -91,7 +91,7 @@ impl Forecast<'_> {
             now = next;
         }
         self.world.close(now, self.site.overheads.span(Span::Close).value);
-        // a window longer than the plan
+        // A window longer than the plan.
         for row in self.rows.iter_mut().filter(|row| row.status == RowStatus::Pending) {
             row.status = RowStatus::Skipped;
             row.tell("the plan ends before its window does");
@@ -204,10 +204,10 @@ impl Forecast<'_> {
         let ends = self.at_work.iter().map(|row| row.ends);
         let waits = |status| matches!(status, RowStatus::Pending | RowStatus::Interrupted);
         let waiting = self.sequence.rows().iter().zip(self.sequence.statuses()).filter(|(_, status)| waits(**status));
-        // a window has passed only after its end
+        // A window has passed only after its end.
         let windows = waiting.flat_map(|(row, _)| [row.start, Utc::from_micros(row.end.micros().saturating_add(1))]);
         let sky = self.safe.iter().flat_map(|(from, to)| [*from, *to]).chain(self.hidden.values().copied());
-        // a row that ends at once is ended in the next look, at the same time
+        // A row that ends at once is ended in the next look, at the same time.
         let at_once = self.at_work.iter().any(|row| row.ends <= now).then_some(now);
         at_once.or(ends.chain(windows).chain(sky).filter(|at| *at > now && *at <= self.horizon()).min())
     }

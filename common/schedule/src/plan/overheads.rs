@@ -99,16 +99,16 @@ impl Overheads {
     pub fn assumed(config: &Observatory) -> Self {
         let settle_s = config.telescope.iter().map(|mount| mount.settle_s).fold(0.0, f64::max);
         let spans = [
-            // half the travel time after which a dome counts as stuck is the usual one
+            // Half the travel time after which a dome counts as stuck is the usual one.
             (Span::Open, 60.0),
             (Span::Close, 60.0),
             (Span::Cool, 600.0),
-            // ramps of 5 s, then 3 deg/s
+            // Ramps of 5 s, then 3 deg/s.
             (Span::Slew, 5.0 + settle_s),
-            // a roof, or a dome that is as quick as its mount
+            // A roof, or a dome that is as quick as its mount.
             (Span::Slit, 0.0),
             (Span::Filter, 5.0),
-            // a frame and its solving (some s each), a correction, and a frame that proves it
+            // A frame and its solving (some s each), a correction, and a frame that proves it.
             (Span::Acquire, 30.0),
             (Span::Spool, 2.0),
         ];

@@ -146,7 +146,7 @@ pub(super) fn heights(
     let (start, end) = span;
     let fixed = match (&place, looked) {
         (Some(Place::Moving(_)), _) => None,
-        // what stood at an altitude and azimuth when the row slewed is followed
+        // What stood at an altitude and azimuth when the row slewed is followed.
         (_, Some(looked)) => Some(looked),
         (Some(Place::Icrs(place)), None) => Some(*place),
         (Some(Place::Horizontal(direction)), None) => Some(site.sky.at(start).ok()?.to_icrs(direction)),

@@ -36,7 +36,7 @@ fn filters(row: &Row, known: &Known) -> Vec<Finding> {
 
 fn mount(row: &Row, known: &Known) -> Option<Finding> {
     let needs = row.action.needs();
-    // opening is of the roof, too, and a focus is found without a mount, where the telescope looks
+    // Opening is of the roof, too, and a focus is found without a mount, where the telescope looks.
     let points = needs.mount && needs.safe && !["open", "autofocus"].contains(&row.action.name());
     let camera = known.camera(row).filter(|camera| points && camera.telescope.is_none())?;
     let what = format!("{} has no mount that {} could point", camera.common.name, row.action.name());

@@ -34,7 +34,7 @@ pub(super) fn check(rows: &[Row], known: &Known) -> Vec<Finding> {
         }
         runs.retain(|run| run.end > row.start);
         let Estimate { needs_s, until_end } = estimate(row, &known.config.schedule.check);
-        // as the runner has it: nothing beside a row that is not parallel; else another camera, and one that moves a mount
+        // As the runner has it: nothing beside a row that is not parallel; else another camera, and one that moves a mount
         let stops =
             |run: &&Run<'_>| !run.needs.parallel || run.row.camera == row.camera || (run.needs.mount && needs.mount);
         let before = runs.iter().filter(stops).max_by_key(|run| run.end);
@@ -82,7 +82,7 @@ fn way_out(row: &Row, before: &Run<'_>, known: &Known) -> String {
     if before.needs.mount && row.action.needs().mount {
         match mount(row) == mount(before.row) {
             true => beside.push("disable_telescope_movement on this one".to_owned()),
-            // two mounts of one file do not move at once
+            // Two mounts of one file do not move at once.
             false => return later,
         }
     }

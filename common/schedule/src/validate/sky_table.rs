@@ -166,7 +166,7 @@ impl Slot {
 
     /// Hour angle of a direction, h, negative in the east.
     pub fn hour_angle_h(&self, now: &Moment, place: &Vector) -> f64 {
-        // the meridian's point of the equator is the zenith without its part along the pole
+        // The meridian's point of the equator is the zenith without its part along the pole.
         let along = dot(&now.zenith, &self.pole);
         let south: Vector = std::array::from_fn(|i| now.zenith[i] - along * self.pole[i]);
         let to_meridian = dot(place, &south) / dot(&south, &south).sqrt().max(1e-9);

@@ -28,7 +28,7 @@ fn doubled(rows: &[Row]) -> Vec<Finding> {
     by_line.sort_by_key(|row| row.written.begin);
     let mut findings = Vec::new();
     for row in by_line {
-        // twins of a row have its name and a number
+        // Twins of a row have its name and a number.
         let name = row.id.0.split('-').next().unwrap_or_default();
         match first.get(name) {
             Some(line) => {
@@ -46,7 +46,7 @@ fn on_two_mounts(rows: &[Row], known: &Known, sky: &mut SkyTable) -> Vec<Finding
     let aimed: Vec<(&Row, _, _)> = rows.iter().filter_map(aimed).collect();
     let mut findings = Vec::new();
     for (index, (row, mount, place)) in aimed.iter().enumerate() {
-        // rows are in order of their start
+        // Rows are in order of their start.
         let before = aimed.iter().take(index).filter(|(other, on, _)| other.end > row.start && on != mount);
         let same = |(_, _, other): &&(&Row, _, [f64; 3])| angle_deg(chord(other, place)) < SAME_FIELD_DEG;
         if let Some((other, on, _)) = before.into_iter().find(same) {

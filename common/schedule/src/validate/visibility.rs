@@ -192,7 +192,7 @@ fn look(row: &Row, known: &Known, sky: &mut SkyTable) -> Vec<Finding> {
     findings.extend(too_sunny(row, &looked.sunlit, known, sun_deg));
     let name = row.action.object().unwrap_or(row.action.name());
     let altitude = |sin: f64| sin.clamp(-1.0, 1.0).asin().to_degrees();
-    // half a degree for refraction and the sky's slow turning
+    // Half a degree for refraction and the sky's slow turning.
     let never = highest_deg(aimed.as_ref(), known).filter(|highest_deg| highest_deg + 0.5 < low_deg);
     findings.extend(never.map(|highest_deg| never_up(row, name, highest_deg, low_deg)));
     let low = looked.low.is_known_otherwise(never.is_some());

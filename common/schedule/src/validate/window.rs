@@ -15,7 +15,7 @@ pub(super) fn check(rows: &[Row], now: Option<Utc>) -> Vec<Finding> {
     let mut findings: Vec<Finding> = rows.iter().filter_map(long).collect();
     let Some(now) = now else { return findings };
     let passed: Vec<&Row> = rows.iter().filter(|row| row.end < now).collect();
-    // the schedule of another night is told once
+    // The schedule of another night is told once.
     let told = if passed.len() == rows.len() { passed.get(..1).unwrap_or_default() } else { &passed };
     for row in told {
         let what = match passed.len() == rows.len() && rows.len() > 1 {

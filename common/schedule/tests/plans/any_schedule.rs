@@ -32,7 +32,7 @@ fn text(drawn: &[Drawn]) -> String {
         let (action, value) = sorts[sort % sorts.len()];
         let value = value.replace("PARALLEL", &parallel.to_string()).replace("EXPTIME", &format!("{exptime:.2}"));
         let value = value.replace("RA", &format!("{ra:.3}")).replace('\n', " ");
-        // the second camera has no wheel
+        // The second camera has no wheel.
         let has_filter = value.contains("filter");
         let camera = if *second && !has_filter { "second" } else { "main" };
         let start = evening.plus_seconds(60.0 * f64::from(*from_min));

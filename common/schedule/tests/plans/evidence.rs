@@ -30,7 +30,7 @@ fn line(text: &str) -> (Utc, String) {
 #[test]
 fn a_gap_is_between_two_frames_of_one_row_that_follow_each_other() {
     let mut frames: Vec<(Frame, u64)> = (0..10).map(|n| frame("object", n, f64::from(n) * 34.0, 30.0)).collect();
-    // another row begins after an hour, one frame is missing, and the dome was shut for a while
+    // Another row begins after an hour, one frame is missing, and the dome was shut for a while.
     frames.push(frame("object", 0, 4000.0, 30.0));
     frames.push(frame("object", 2, 4100.0, 30.0));
     frames.push(frame("object", 3, 9000.0, 30.0));
@@ -73,7 +73,7 @@ fn slews_tell_what_a_degree_takes_whatever_one_odd_one_says() {
     assert!((overheads.slew_s_per_deg.value - 0.25).abs() < 0.02, "{:?}", overheads.slew_s_per_deg);
     assert_eq!(overheads.slew_s_per_deg.measured, 7);
     assert!((overheads.slew_s(60.0) - 21.0).abs() < 1.0, "{}", overheads.slew_s(60.0));
-    // short ways alone tell nothing of a degree
+    // Short ways alone tell nothing of a degree.
     let few = Evidence { frames: Vec::new(), lines: vec![slew(3.0, 9.0), slew(6.0, 10.0)] }.overheads(&config());
     assert_eq!((few.slew_s_per_deg.measured, few.span(Span::Slew).measured), (0, 2));
     assert!((few.slew_s(4.5) - 9.5).abs() < 0.1);

@@ -91,16 +91,16 @@ fn a_plan_tells_altitudes_bytes_and_the_use_of_the_dark() {
     let night = plan(text);
     let row = &night.rows[0];
     assert!(row.is_whole(), "{row:?}");
-    // 2048 x 2048 px of 2 bytes, by assumption
+    // 2048 x 2048 px of 2 bytes, by assumption.
     assert_eq!((row.frames, row.bytes), (60, 60.0 * 2.0 * 2048.0 * 2048.0));
     let heights = row.heights.as_ref().unwrap();
-    // ra 45 passes the zenith of latitude -24.6 at some 03:40 UTC
+    // ra 45 passes the zenith of latitude -24.6 at some 03:40 UTC.
     assert!(heights.max_deg > 89.0 && (60.0..85.0).contains(&heights.min_deg), "{heights:?}");
     assert!((heights.airmass_at_mid.unwrap() - 1.0).abs() < 0.05);
     let apart: Vec<f64> = heights.curve.windows(2).map(|pair| pair[1].0.seconds_since(pair[0].0)).collect();
     assert!(apart[..apart.len() - 1].iter().all(|step_s| (step_s - 300.0).abs() < 1.0), "{apart:?}");
     assert_eq!(heights.curve.last().unwrap().0, row.span().unwrap().1);
-    // with the Sun at declination -19.7 deg it stands below -18 deg for 7.78 h at this latitude (cosine rule)
+    // With the Sun at declination -19.7 deg it stands below -18 deg for 7.78 h at this latitude (cosine rule).
     assert!((27_700.0..28_200.0).contains(&night.dark_s), "{}", night.dark_s);
     assert!((night.dark_exposed_s - 60.0 * 58.0).abs() < 1e-3, "{}", night.dark_exposed_s);
     let span = row.span().unwrap();

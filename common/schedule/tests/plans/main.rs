@@ -53,7 +53,7 @@ server = "10.0.0.5:11111"
 fn a_week_is_planned_in_seconds() {
     let (told, took_s) = year::plan(7).unwrap();
     println!("{told}: planned in {took_s:.2} s");
-    // a year of them would take half an hour at this limit, on a busy machine and without optimization
+    // A year of them would take half an hour at this limit, on a busy machine and without optimization.
     assert!(told.starts_with("7 nights, 273 rows") && took_s < 35.0, "{told}: {took_s} s");
 }
 

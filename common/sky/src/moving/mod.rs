@@ -129,7 +129,7 @@ mod tests {
 
     #[test]
     fn jupiter_and_saturn_met_in_december_2020() {
-        // 6.1 arcmin apart about 2020-12-21T18Z
+        // 6.1 arcmin apart about 2020-12-21T18Z.
         let observer = observer("2020-12-21T18:20:00Z");
         let place = |planet| Body::Planet(planet).seen(&observer).unwrap().icrs;
         let apart = separation(&place(Planet::Jupiter), &place(Planet::Saturn)).degrees() * 60.0;
@@ -138,7 +138,7 @@ mod tests {
 
     #[test]
     fn venus_crossed_the_sun_in_june_2012() {
-        // mid-transit 2012-06-06T01:29Z, geocentric 554 arcsec from the Sun's centre; the site moves Venus by half a minute
+        // Mid-transit 2012-06-06T01:29Z, geocentric 554 arcsec from the Sun's centre; the site moves Venus by half a minute
         let observer = observer("2012-06-06T01:29:36Z");
         let venus = Body::Planet(Planet::Venus).seen(&observer).unwrap();
         let apart = separation(&venus.icrs, &observer.sun_icrs()).arcseconds();

@@ -87,7 +87,7 @@ impl Orbit {
                 epoch - anomaly.wrapped_signed().radians() * axis_au.powf(1.5) / GAUSS
             }
         };
-        // years 1600 to 2400
+        // Years 1600 to 2400.
         if !(2_305_000.0..=2_598_000.0).contains(&passage) && eccentricity >= 1.0 || !passage.is_finite() {
             return refuse("the time of the perihelion is no Julian date between 1600 and 2400");
         }
@@ -119,7 +119,7 @@ impl Orbit {
             days
         };
         let wanted = GAUSS * days.abs();
-        // the time grows with x everywhere, at the rate of the distance from the Sun, which is never below q
+        // The time grows with x everywhere, at the rate of the distance from the Sun, which is never below q.
         let (mut low, mut high) = (0.0, wanted / q);
         let mut x = high.min(wanted.cbrt());
         for _ in 0..MOST_STEPS {
@@ -149,7 +149,7 @@ impl Orbit {
 /// Stumpff's functions c2 and c3.
 fn stumpff(z: f64) -> (f64, f64) {
     if z.abs() < 0.5 {
-        // by series, where the closed forms lose digits
+        // By series, where the closed forms lose digits.
         let (mut c, mut s, mut c_term, mut s_term) = (0.5, 1.0 / 6.0, 0.5, 1.0 / 6.0);
         for k in 1..12 {
             let n = f64::from(2 * k);
@@ -240,7 +240,7 @@ mod tests {
         #[test]
         fn every_orbit_keeps_its_energy_and_its_areas(q in 0.3..30.0f64, e in 0.0..3.0f64, days in -4000.0..4000.0f64) {
             let orbit = orbit(q, e);
-            // small against the time in which the orbit bends
+            // Small against the time in which the orbit bends.
             let half = 1e-4 * q.powf(1.5) / GAUSS;
             let (before, now, after) = (orbit.in_plane(days - half), orbit.in_plane(days), orbit.in_plane(days + half));
             let velocity = ((after.0 - before.0) / (2.0 * half), (after.1 - before.1) / (2.0 * half));

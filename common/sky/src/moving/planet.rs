@@ -46,7 +46,7 @@ impl Planet {
 
     /// From the Sun, ICRS axes, au, at a terrestrial time (Julian date in two parts).
     pub(super) fn at(self, tt: (f64, f64)) -> [f64; 3] {
-        // one number: it holds 40 us, in which the fastest planet goes 2 m
+        // One number: it holds 40 us, in which the fastest planet goes 2 m.
         let jd = tt.0 + tt.1;
         let place = match self {
             Self::Mercury => vsop87a::mercury(jd),

@@ -33,7 +33,7 @@ mod tests {
 
     #[test]
     fn right_ascension_is_counted_in_its_seconds_per_sidereal_second() {
-        // the sidereal rate itself, 15.041 arcsec/s, is one second of right ascension per sidereal second
+        // The sidereal rate itself, 15.041 arcsec/s, is one second of right ascension per sidereal second.
         let rates = Rates::from_arcsec_per_s(15.041_068_6, -2.5);
         assert!((rates.ra_s_per_sidereal_s - 1.0).abs() < 1e-8, "{rates:?}");
         assert_eq!(rates.dec_arcsec_per_s, -2.5);

@@ -41,7 +41,7 @@ impl Satellite {
         }
         let elements = sgp4::Elements::from_tle(None, first.trim_start().as_bytes(), second.trim_start().as_bytes())
             .map_err(|error| refuse(error.to_string()))?;
-        // the constants of WGS72, with which such elements are made (Vallado et al. 2006, AIAA 2006-6753)
+        // The constants of WGS72, with which such elements are made (Vallado et al. 2006, AIAA 2006-6753).
         let constants =
             Constants::from_elements_afspc_compatibility_mode(&elements).map_err(|error| refuse(error.to_string()))?;
         let epoch = Utc::from_micros(elements.datetime.and_utc().timestamp_micros());
@@ -99,7 +99,7 @@ mod tests {
     #[test]
     fn the_epoch_and_a_name_are_read() {
         let satellite = Satellite::from_lines(&format!("ISS (ZARYA)\n{FIRST}\n{SECOND}\n")).unwrap();
-        // day 194.88612269 of 2020
+        // Day 194.88612269 of 2020.
         assert_eq!(satellite.epoch().to_string().get(..19), Some("2020-07-12T21:16:01"));
         assert_eq!(satellite, Satellite::from_lines(&format!("{FIRST}\r\n{SECOND}")).unwrap());
     }

@@ -38,7 +38,7 @@ fn rays_through(slit: &Slit, aim: &Aim, azimuth: Angle, rays: u32, seed: u64) ->
         aside.abs() <= 0.5 * slit.width_m && forward >= -slit.past_zenith_m
     };
     let through_slit = |_: &u32| {
-        // a point within the disc by rejection, in a plane that Gram and Schmidt make
+        // A point within the disc by rejection, in a plane that Gram and Schmidt make.
         let [x, y] = loop {
             let point = [2.0 * even() - 1.0, 2.0 * even() - 1.0];
             if point[0] * point[0] + point[1] * point[1] <= 1.0 {
@@ -106,16 +106,16 @@ fn a_telescope_in_the_middle_looks_where_its_slit_belongs() {
 
 #[test]
 fn the_tube_of_a_german_mount_looks_out_beside_the_middle_and_a_flip_takes_it_to_the_other_side() {
-    // on the meridian in the north, 45 deg high, from a latitude of 0: the tube lies one arm to the west or the east
+    // On the meridian in the north, 45 deg high, from a latitude of 0: the tube lies one arm to the west or the east.
     let slit = Slit { latitude: deg(0.0), axes_m: [0.0; 3], ..dome() };
     let aim = Aim::at(deg(0.0), deg(45.0));
-    // distance along the ray to the sphere, and its part along the ground
+    // Distance along the ray to the sphere, and its part along the ground.
     let ground_m = (2.5_f64.powi(2) - 0.45_f64.powi(2)).sqrt() * 45.0_f64.to_radians().cos();
     let beside_deg = (0.45 / ground_m).atan().to_degrees();
     let west = slit.azimuth(&aim.on(TubeSide::West)).wrapped_signed().degrees();
     let east = slit.azimuth(&aim.on(TubeSide::East)).wrapped_signed().degrees();
     assert!((west + beside_deg).abs() < 1e-9 && (east - beside_deg).abs() < 1e-9, "{west} {east} {beside_deg}");
-    // a target before the meridian is looked at from the west of the pier
+    // A target before the meridian is looked at from the west of the pier.
     assert_eq!(
         (Aim::at(deg(-10.0), deg(0.0)).side, Aim::at(deg(10.0), deg(0.0)).side),
         (TubeSide::West, TubeSide::East)
@@ -137,7 +137,7 @@ fn near_the_zenith_every_azimuth_is_clear_and_low_down_only_a_few() {
         let aim = Aim::towards(&Horizontal::from_degrees(altitude, 120.0), deg(-24.6));
         fork().clear(&aim).unwrap().width().degrees()
     };
-    // at the horizon the slit leaves (1.2 - 0.35) / 2 to each side of the aperture, 2.5 m away
+    // At the horizon the slit leaves (1.2 - 0.35) / 2 to each side of the aperture, 2.5 m away.
     let expected = 2.0 * (0.425_f64 / 2.5).asin().to_degrees();
     assert!((width(0.0) - expected).abs() < 0.5, "{} {expected}", width(0.0));
     assert!(width(30.0) > width(0.0) && width(60.0) > width(30.0) && width(80.0) > width(60.0));
@@ -205,7 +205,7 @@ fn follow(mut turn_to: impl FnMut(&Aim, Angle) -> Option<Angle>, slit: &Slit, st
 fn turning_ahead_hides_nothing_and_turns_far_less_often_than_following() {
     let (slit, margin) = (dome(), deg(1.0));
     for dec in [-70.0, -30.0, -20.0, 10.0] {
-        // from four hours east of the meridian, on one side of the pier
+        // From four hours east of the meridian, on one side of the pier.
         let start = Aim::at(deg(-60.0), deg(dec));
         let ahead = |aim: &Aim, azimuth: Angle| match slit.clear_for_s(aim, azimuth, margin, 120.0) {
             Some(s) if s >= 120.0 => None,

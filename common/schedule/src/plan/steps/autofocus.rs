@@ -16,7 +16,7 @@ impl Foresee for Autofocus {
         course.begin(Some(Some(&place)), self.filter.as_deref())?;
         course.reads(&self.readout);
         let ((coarse, fine), (first, closer)) = (self.search.positions(), self.search.frames());
-        // at the end it is looked once more where the focus was found
+        // At the end it is looked once more where the focus was found.
         let positions = std::iter::repeat_n(first, coarse).chain(std::iter::repeat_n(closer, fine.saturating_add(1)));
         for count in positions {
             if !fits(course.now, self.exptime * f64::from(count), course.row.end) {

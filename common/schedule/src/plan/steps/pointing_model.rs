@@ -23,7 +23,7 @@ impl Foresee for PointingModel {
             let observer = course.observer(course.now)?;
             let Some(target) = pointing_grid::target(course.taken, self.n, &limits, &observer) else { break };
             if is_measured && course.taken > 0 {
-                // what was measured between two frames has the slew in it
+                // What was measured between two frames has the slew in it.
                 course.reaches(&target)?;
             } else {
                 course.slew(Some(&target))?;
