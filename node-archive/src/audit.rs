@@ -1,7 +1,9 @@
-//! The audit of all nodes of this telescope, proven as it comes and fetched where it is lacking.
+//! The archive's copy of the audit of all nodes of this telescope: each record is checked when it arrives, and missing
+//! records are fetched.
 //!
-//! A record that follows the last one of its node is stored. Anything else (a gap, a new chain, a new life, a first
-//! meeting) makes the archive ask that node for all it has after the last record stored here, however long ago that was.
+//! A record that follows the last one of its node is stored. After anything else (a gap, a new chain, a new
+//! incarnation, a node's first record) the archive asks that node for all records after the last one stored here,
+//! however long ago that was.
 
 use std::collections::HashMap;
 use std::time::Duration;
@@ -20,28 +22,28 @@ use crate::database::{Database, StoredRecord, Write};
 use crate::reader::Reader;
 use crate::telemetry::{first, watch_keys};
 
-/// Records that wait here; those that give way are asked for.
+/// Records that wait here; those that are dropped are asked for.
 const WAITING: usize = 4096;
-/// A node that is heard is asked so often whether there is more, in case a record was lost on the way.
+/// A node from which samples arrive is asked so often whether there are more records, in case one was lost on the way.
 const ASK_AGAIN: Duration = Duration::from_secs(60);
 /// A node that did not answer is asked again after so long.
 const RETRY: Duration = Duration::from_secs(10);
-/// After so many fetches in vain it is an alert.
+/// After so many fetches in vain an alert is raised.
 const PATIENCE: u32 = 3;
 const ANSWER: Duration = Duration::from_secs(5);
 
 /// Which node: its telescope, role and id.
 type Who = (Address, Role, Name);
 
-/// How far a node's records are stored.
+/// The last record of a node that is stored.
 #[derive(Default)]
 struct Follow {
     last: Option<Link>,
     life: Option<BootId>,
     asked: Option<MachineTime>,
-    /// It is known to have more than was fetched.
+    /// The node is known to have more records than were fetched.
     lacks: bool,
-    /// Fetches in a row that did not bring all.
+    /// Fetches in a row that did not bring all records.
     failures: u32,
 }
 
@@ -62,7 +64,7 @@ impl Keeper {
     }
 }
 
-/// Keeps the audit of all nodes.
+/// Stores the audit of all nodes.
 pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
     let (mut records, mut states): (Vec<Subscriber<Said<Value>>>, Vec<Subscriber<NodeState>>) =
         (Vec::new(), Vec::new());
@@ -94,7 +96,7 @@ pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
 }
 
 impl Keeper {
-    /// What is known of a node, from the database at the first time.
+    /// The state of a node, the first time from the database.
     async fn follow(&mut self, who: &Who) -> anyhow::Result<&mut Follow> {
         if !self.nodes.contains_key(who) {
             let (path, name) = (self.database.path().to_owned(), signature(who));
@@ -105,7 +107,7 @@ impl Keeper {
         self.nodes.get_mut(who).context("a node was forgotten")
     }
 
-    /// A record was said.
+    /// Takes a record that was received.
     async fn hear(&mut self, who: Who, record: &Value) -> anyhow::Result<()> {
         let follow = self.follow(&who).await?;
         let last = follow.last.clone();
@@ -116,7 +118,7 @@ impl Keeper {
                 let write = Write::Audit(Box::new(StoredRecord::of(signature(&who), &proven)));
                 Ok(self.database.put(write).await?)
             }
-            // The node's own file tells what is true.
+            // The node's own file decides what is true.
             Ok(_) | Err(_) => {
                 follow.lacks = true;
                 self.fetch(&who).await
@@ -124,7 +126,7 @@ impl Keeper {
         }
     }
 
-    /// A node was heard.
+    /// Takes a sign that a node is alive.
     async fn look(&mut self, who: Who, life: BootId) -> anyhow::Result<()> {
         let now = self.bus.clock().machine();
         let follow = self.follow(&who).await?;
@@ -137,12 +139,12 @@ impl Keeper {
         self.fetch(&who).await
     }
 
-    /// Asks a node for all that it has after the last record stored here.
+    /// Asks a node for all records after the last one stored here.
     async fn fetch(&mut self, who: &Who) -> anyhow::Result<()> {
         let now = self.bus.clock().machine();
         let follow = self.follow(who).await?;
         if follow.lacks && follow.asked.is_some_and(|asked| now.since(asked) < Duration::from_secs(1)) {
-            // It does not answer now: `look` tries again.
+            // The node does not answer now: `look` tries again.
             return Ok(());
         }
         follow.asked = Some(now);
@@ -162,7 +164,7 @@ impl Keeper {
                 let gone =
                     format!("number {} of chain {} is stored here and not in its own file", end.number, end.chain);
                 self.tell(who, &gone);
-                // From the beginning: what is here already counts once.
+                // From the beginning: the database counts a record that it has only once.
                 last = None;
                 continue;
             }
@@ -211,7 +213,7 @@ impl Keeper {
         Ok(())
     }
 
-    /// A chain is broken: somebody should look. Stands until this node ends.
+    /// Raises an alert for a broken chain: a person should look. It stays active until this node ends.
     fn tell(&self, who: &Who, what: &str) {
         let cause = format!("the audit of {} is broken: {what}", signature(who));
         self.node.alerts.raise(AlertKind::AuditBroken, signature(who), &cause);
@@ -243,7 +245,7 @@ impl StoredRecord {
         }
     }
 
-    /// A record as it was told, with what is wrong with it.
+    /// A record as it was received, with what is wrong with it.
     fn told(node: String, record: &Value, proven: Option<&Proven>, fault: Option<&Broken>) -> Self {
         let fault = fault.map(ToString::to_string);
         if let Some(proven) = proven {

@@ -1,10 +1,10 @@
 //! Completes the header of a file in place, so that a kill at any moment leaves the old header or the new one.
 //!
 //! A new file keeps room in its header, so the pixels stay where they are and are never copied, whatever their number.
-//! The new header is worked out in memory, written whole to a journal beside the file (`name.fits.header`, with its
-//! hash, synced), then over the old one, and the journal goes. A kill before the journal is whole changes nothing; after
-//! that, [`Completer::recover`] writes the same bytes again. Where the room is used up, the file is written anew beside
-//! the old one and renamed over it.
+//! The new header is computed in memory, written whole to a journal next to the file (`name.fits.header`, with its
+//! hash, synced), then over the old one, and the journal is removed. A kill before the journal is whole changes
+//! nothing; after that, [`Completer::recover`] writes the same bytes again. Where the room is used up, the file is
+//! written anew next to the old one and renamed over it.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Seek as _, SeekFrom, Write as _};
@@ -114,14 +114,14 @@ impl Completer {
     }
 }
 
-/// The journal beside a file.
+/// The journal next to a file.
 pub fn journal_of(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".header");
     name.into()
 }
 
-/// What stands in a journal: a mark, the lengths of name and header, both, and the hash of them.
+/// The content of a journal: a mark, the lengths of name and header, both, and the hash of them.
 fn entry(path: &Path, header: &[u8]) -> Vec<u8> {
     let name = name_of(path);
     let mut bytes = Vec::with_capacity(header.len() + name.len() + 64);
@@ -169,7 +169,7 @@ fn write_over(path: &Path, header: &[u8]) -> Result<(), CompletionError> {
     written.map_err(|source| failed("write the header of", path, source))
 }
 
-/// Writes the file anew with a longer header, beside the old one, and puts it in its place.
+/// Writes the file anew with a longer header, next to the old one, and renames it over the old one.
 fn rewrite(path: &Path, header: &[u8], old_length: u64) -> Result<(), CompletionError> {
     let mut part = path.as_os_str().to_owned();
     part.push(".part");

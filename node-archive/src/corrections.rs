@@ -1,4 +1,4 @@
-//! What guiding did about each frame, into the table `guiding` of the database.
+//! Writes what guiding did about each frame into the table `guiding` of the database.
 
 use bus::{Catch, Node};
 use contract::observatory::Correction;
@@ -9,7 +9,7 @@ use crate::database::{Database, StoredCorrection, Write};
 /// Corrections that wait here when the database is slow.
 const WAITING: usize = 4096;
 
-/// Keeps the corrections of this telescope.
+/// Stores the corrections of this telescope.
 pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
     let address = node.config.address();
     let said = Key::Correction(address.clone()).to_string();

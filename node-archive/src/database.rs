@@ -1,4 +1,4 @@
-//! The archive's SQLite file: one thread writes, in batches, and never loses a row without saying so.
+//! The archive's SQLite file: one thread writes, in batches, and reports each row that it loses.
 
 mod damage;
 mod guiding;
@@ -20,10 +20,10 @@ pub use write::{StoredCorrection, StoredFacts, StoredImage, StoredRecord, Stored
 
 /// Rows of one commit, at most.
 const BATCH: usize = 200;
-/// The longest that a row waits for others to be committed with it; a kill loses none of them, for a new life of the
-/// archive asks for the last ten minutes.
+/// The longest that a row waits for others to be committed with it; a kill loses none of them, for the archive asks for
+/// the last ten minutes after a restart.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// Rows that wait for the writer; beyond that, those who bring them wait too.
+/// Rows that wait for the writer; beyond that, the tasks that bring them wait too.
 const WAITING: usize = 10_000;
 /// A writer that cannot commit tries again after so long, and when the node ends for so many times.
 const RETRY: Duration = Duration::from_secs(1);
@@ -72,7 +72,7 @@ struct Job {
     done: Option<oneshot::Sender<()>>,
 }
 
-/// Where rows go. Cheap to clone; the writer ends when all clones are gone.
+/// The database to which rows are written. Cheap to clone; the writer ends when all clones are gone.
 #[derive(Clone)]
 pub struct Database {
     jobs: mpsc::Sender<Job>,
@@ -141,12 +141,12 @@ impl Database {
         self.rows.load(Ordering::Relaxed)
     }
 
-    /// Ends when a damaged file was put aside and a new one has begun, with the one call that waits.
+    /// Returns when a damaged file was put aside and a new one has begun; one call waits for that.
     pub async fn renewed(&self) {
         self.renewal.notified().await;
     }
 
-    /// Where it lies.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -181,13 +181,14 @@ fn prepare(path: &Path) -> Result<Connection, DatabaseError> {
         };
         make(&mut connection).map_err(failed("make the tables of"))?;
     }
-    // An older Starmesh that opens this file does not know these tables, and needs not.
+    // An older Starmesh that opens this file does not know these tables, and does not need them.
     connection.execute_batch(guiding::SCHEMA).map_err(failed("make the tables of"))?;
     connection.execute_batch(rows::FOCUS).map_err(failed("make the tables of"))?;
     Ok(connection)
 }
 
-/// The writer's life: gathers a batch, commits it, tells those who wait; a batch that fails stays until it succeeds.
+/// The writer's loop: gathers a batch, commits it, wakes the callers that wait; a batch that fails stays until it
+/// succeeds.
 fn write_all(
     mut connection: Connection,
     path: &Path,
@@ -206,7 +207,7 @@ fn write_all(
                     break;
                 }
                 Err(error) => {
-                    // Once for a batch: a disk that spoils what it just took is no case for a third file.
+                    // Once for a batch: a disk that damages what it just took is no reason for a third file.
                     let may_renew = damage::is_damage(&error) && !std::mem::replace(&mut is_renewed, true);
                     let renewed = may_renew.then(|| damage::renew(&mut connection, path, &error));
                     let cause = match renewed {
@@ -231,7 +232,7 @@ fn write_all(
             }
         }
         for done in batch.into_iter().filter_map(|job| job.done) {
-            // Nobody waits any more when the one who asked was stopped.
+            // Nobody waits any more when the caller was stopped.
             let _ = done.send(());
         }
     }

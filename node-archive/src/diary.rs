@@ -1,4 +1,4 @@
-//! The log lines of all nodes of this telescope, into the database.
+//! Writes the log lines of all nodes of this telescope into the database.
 
 use bus::{Catch, Node};
 use contract::Key;
@@ -10,7 +10,7 @@ use crate::telemetry::{first, watch_keys};
 /// Lines that wait here when the database is slow.
 const WAITING: usize = 16_384;
 
-/// Keeps what nodes write in their diaries.
+/// Stores the lines of the nodes' diaries.
 pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
     let mut diaries = Vec::new();
     for keys in watch_keys(&node.config, "node/*/*/diary") {
@@ -24,7 +24,7 @@ pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
         for (name, value) in &line.fields {
             message.push_str(&format!(" {name}={value}"));
         }
-        // Whoever sent it: a table is read line by line, too.
+        // From any sender: a table is read line by line, too.
         let message = contract::printable(&message).into_owned();
         let write = Write::Log {
             telescope: address.telescope.to_string(),

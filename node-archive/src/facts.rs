@@ -1,7 +1,8 @@
-//! What the observatory measured on frames, into the database; from there it goes into the headers ([`crate::pass`]).
+//! Writes the observatory node's measurements of frames into the database; from there they go into the headers
+//! ([`crate::pass`]).
 //!
-//! Facts come before a frame is stored, while its header waits for telemetry, or later than both; or never, where nobody
-//! measures. Nothing waits for them but a header, for [`PATIENCE`].
+//! Facts come before a frame is stored, while its header waits for telemetry, or later than both; or never, where no
+//! node measures. Only a header waits for them, for [`PATIENCE`].
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -19,7 +20,7 @@ pub const PATIENCE: Duration = Duration::from_secs(3);
 /// Facts that wait here when the database is slow.
 const WAITING: usize = 4096;
 
-/// Keeps the facts of all frames of this telescope.
+/// Stores the facts of all frames of this telescope.
 pub async fn keep(node: Node, database: Database, incomplete: Arc<Notify>) -> anyhow::Result<()> {
     let frames = format!("{}/{}/observatory/frame/*/facts", contract::key::ROOT, node.config.address());
     let facts = node.bus.subscribe::<FrameFacts>(&frames, Catch::All, WAITING).await?;

@@ -1,7 +1,8 @@
 //! FITS files through cfitsio; the only place that calls C.
 //!
-//! `fitsio`'s safe layer appends keywords instead of updating them, has no checksums, and ignores what closing
-//! returns, which on a full disk is where the loss shows. So this wraps the few functions of `fitsio_sys` that are needed.
+//! `fitsio`'s safe layer appends keywords instead of updating them, has no checksums, and ignores the result of
+//! closing, which on a full disk is the only report of the loss. So this wraps the few functions of `fitsio_sys` that
+//! are needed.
 #![allow(
     unsafe_code,
     reason = "cfitsio is a C library; every call is in this file, under one lock, with checked arguments"
@@ -27,7 +28,7 @@ pub struct FitsError {
     pub what: &'static str,
     /// With which file.
     pub file: PathBuf,
-    /// What cfitsio said.
+    /// The message of cfitsio.
     pub detail: String,
 }
 
@@ -45,7 +46,7 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// That of an announced frame.
+    /// The shape of an announced frame.
     pub fn of(frame: &Frame) -> Self {
         Self { pixel: frame.pixel, width_px: frame.width_px, height_px: frame.height_px, planes: frame.planes.max(1) }
     }
@@ -114,7 +115,8 @@ impl FitsFile {
         }
     }
 
-    /// Sets a keyword in place, or adds it at the end. A number that is not finite is left out; `false` says so.
+    /// Sets a keyword in place, or adds it at the end. A number that is not finite is left out; then the result is
+    /// `false`.
     pub fn set(&mut self, card: &Card) -> Result<bool, FitsError> {
         let Some(record) = card.record() else { return Ok(false) };
         let (keyword, record) = (c_text(&card.keyword), c_text(&record));
@@ -162,7 +164,7 @@ impl FitsFile {
         self.call("write the checksums of", |raw, status| unsafe { fitsio_sys::ffpcks(raw, status) })
     }
 
-    /// Closes the file and says whether everything arrived.
+    /// Closes the file and reports whether everything arrived.
     pub fn close(mut self) -> Result<(), FitsError> {
         let Some(raw) = self.raw.take() else { return Ok(()) };
         let mut status = 0;
@@ -187,7 +189,7 @@ impl Drop for FitsFile {
     fn drop(&mut self) {
         if let Some(raw) = self.raw.take() {
             let mut status = 0;
-            // SAFETY: `raw` is open and is given up here; an error was reported by whoever dropped it unclosed.
+            // SAFETY: `raw` is open and is given up here; the caller that dropped it unclosed has reported an error.
             unsafe { fitsio_sys::ffclos(raw.as_ptr(), &mut status) };
             self.turn.explain(status);
         }

@@ -1,7 +1,7 @@
-//! Focus runs: all that was measured into the database, and a plot beside the frames.
+//! Writes focus runs with all that was measured into the database, and a plot next to the frames.
 //!
-//! The run is told once when it has ended, with all its points, and can be recovered from the bus by an archive that was
-//! away; the plot is drawn from what was told, so that nothing but numbers travels.
+//! The observatory node publishes a run once, when it has ended, with all its points; an archive that was away can
+//! recover it from the bus. The archive draws the plot from the points, so that only numbers are published.
 
 use std::io::{self, Write as _};
 use std::path::Path;
@@ -24,7 +24,7 @@ const FOLDER: &str = "autofocus";
 /// Runs that wait here when the database is slow.
 const WAITING: usize = 256;
 
-/// Keeps the focus runs of this telescope.
+/// Stores the focus runs of this telescope.
 pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
     let key = Key::FocusRun(node.config.address());
     let runs = node.bus.subscribe::<FocusRun>(&key.to_string(), Catch::All, WAITING).await?;

@@ -1,7 +1,8 @@
 //! The folder of images: one archive of a telescope writes in it, and nothing outside it is ever written.
 //!
 //! The folder itself may be a link to another disk, as the site configured it. Below it no link is followed: names of
-//! folders come from schedules and templates, and whoever can put a link there must not choose what is written elsewhere.
+//! folders come from schedules and templates, and a person who can put a link there must not choose what is written
+//! elsewhere.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Seek as _, Write as _};

@@ -1,9 +1,10 @@
-//! What stands in a header: the cards of a new file, and those that telemetry adds afterwards.
+//! The content of a header: the cards of a new file, and those that telemetry adds afterwards.
 //!
 //! The site's table decides which keywords there are, in its order. To add one that Starmesh computes, add a row to
-//! [`COMPUTED`] (known when the file is made) or to [`crate::astronomy`] (worked out afterwards).
+//! [`COMPUTED`] (known when the file is made) or to [`crate::astronomy`] (computed afterwards).
 //!
-//! RA and DEC are always ICRS: the target's, as it was asked for, or else what the mount said, turned from its own frame.
+//! RA and DEC are always ICRS: those of the target as it was requested, or else those that the mount reported,
+//! transformed from its own frame.
 
 use std::collections::BTreeSet;
 
@@ -20,7 +21,7 @@ use crate::interpolate::{Rule, Sample, value_at};
 use crate::plan::Plan;
 use crate::{quality, solution};
 
-/// What the ASTRA keyword says.
+/// The value of the ASTRA keyword.
 pub const PROGRAM: &str = concat!("Starmesh ", env!("CARGO_PKG_VERSION"));
 /// The file structure's own keywords, and BLANK: with BZERO 32768 it would turn pixels of 0 ADU into undefined ones.
 const LEFT_TO_FITS: [&str; 14] = [
@@ -67,7 +68,7 @@ const COMPUTED: [(&str, Compute, &str); 18] = [
     ("INSTRUME", |k| Some(k.frame.camera.as_str().into()), ""),
 ];
 
-/// Those of [`COMPUTED`] that stand in every file, whatever the table lists.
+/// The keywords of [`COMPUTED`] that every file has, whatever the table lists.
 const ALWAYS: [&str; 11] =
     ["DATE-OBS", "DATE", "EXPTIME", "IMAGETYP", "ASTRA", "ASTRATYP", "FRAMEID", "RA", "DEC", "RADESYS", "OBJECT"];
 
@@ -127,7 +128,7 @@ pub fn base(table: &HeaderTable, known: &Known<'_>) -> Vec<Card> {
         if let Some(value) = compute(known) {
             match cards.iter_mut().find(|card| card.keyword == *keyword) {
                 Some(card) => {
-                    // A table speaks of the telescope's RA; with a target these are the target's.
+                    // The comment in a table is about the telescope's RA; with a target these are the target's.
                     card.comment =
                         if matches!(*keyword, "RA" | "DEC") { (*comment).to_owned() } else { card.comment.clone() };
                     card.value = value;
@@ -146,7 +147,7 @@ fn base_value(row: &HeaderRow, known: &Known<'_>) -> Option<CardValue> {
         // Known even where the table has it filled in later: dates, and a target's place.
         Source::Computed => compute(),
         Source::Property(Kind::Telescope, _) if matches!(keyword, "RA" | "DEC") => compute(),
-        // Computed keywords are worked out for the configured site, so that is what the header tells.
+        // Computed keywords use the configured site, so the header contains the configured site.
         Source::Property(Kind::Telescope, property) if row.fixed && site(known.place, property).is_some() => {
             site(known.place, property).map(CardValue::Float)
         }
@@ -212,7 +213,7 @@ pub struct Around {
     pub before: Option<Sample>,
     /// The first value at it or after it.
     pub after: Option<Sample>,
-    /// The device was heard again after the instant, with a value or without.
+    /// The device has published a state after the instant, with a value or without.
     pub heard_since: bool,
 }
 
@@ -224,7 +225,7 @@ pub struct Later<'a> {
     pub place: &'a config::Place,
     /// Frame that the mount's coordinates are in.
     pub mount: EquatorialSystem,
-    /// A poll further from the start of the exposure says nothing about it, sky s.
+    /// A poll further from the start of the exposure is not used, sky s.
     pub reach_s: f64,
     /// Keywords that the file has already.
     pub present: &'a BTreeSet<String>,
@@ -240,7 +241,7 @@ pub fn needed(table: &HeaderTable) -> impl Iterator<Item = (Kind, &str)> {
     })
 }
 
-/// Works out what a header lacks.
+/// Computes what a header lacks.
 pub fn completion(table: &HeaderTable, later: &Later<'_>) -> Result<Plan, SkyError> {
     let frame = later.frame;
     let mut exposure = Exposure::new(later.place, frame.started_utc, frame.exposure_s, target(frame))?;
@@ -312,7 +313,7 @@ impl Later<'_> {
         })
     }
 
-    /// Where the mount said it pointed, among the stars.
+    /// The direction that the mount reported, in ICRS.
     fn pointing(&self, exposure: &Exposure) -> Option<Icrs> {
         let number = |property| {
             let around = (self.around)(Kind::Telescope, property)?;
@@ -327,7 +328,7 @@ impl Later<'_> {
         }
     }
 
-    /// Airmass of where the mount said it pointed, for frames without a target.
+    /// Airmass of the direction that the mount reported, for frames without a target.
     fn polled_airmass(&self) -> Option<CardValue> {
         let around = (self.around)(Kind::Telescope, "Altitude")?;
         let altitude = self.interpolated(Kind::Telescope, "Altitude", Dtype::Float, &around)?.number()?;

@@ -14,7 +14,7 @@ const AT_ONCE: usize = 4;
 
 /// Serves the telescope's history from the database, until the service is dropped.
 ///
-/// A question that cannot be read or looked up is answered with no rows, and the diary says why.
+/// A question that cannot be read or looked up is answered with no rows, and the diary contains the reason.
 pub async fn serve(node: &Node) -> Result<Service, BusError> {
     let file = node.config.archive.database.clone();
     let turns = Arc::new(Semaphore::new(AT_ONCE));
@@ -38,11 +38,12 @@ pub async fn serve(node: &Node) -> Result<Service, BusError> {
         .await
 }
 
-/// The newest rows that fit into one message; the asker sees that there are more, and asks for less at a time.
+/// The newest rows that fit into one message; the answer says that there are more, and the client asks for less at a
+/// time.
 fn within(mut answer: Answer, most_bytes: usize) -> Answer {
     let mut sizes: Vec<usize> = Vec::with_capacity(answer.rows.len());
     for row in &answer.rows {
-        // A row that cannot be written takes no part.
+        // A row that cannot be written is left out.
         sizes.push(serde_json::to_vec(row).map_or(0, |bytes| bytes.len() + 1));
     }
     let mut room = most_bytes.saturating_sub(FRAME_BYTES);

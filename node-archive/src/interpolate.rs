@@ -1,7 +1,8 @@
 //! The value of a polled property at an instant between its polls.
 //!
-//! Numbers lie on the straight line between two polls, angles on the shorter arc, and what has no in-between (states,
-//! switches, names) is that of the nearest poll. What was not polled near the instant is missing, and says so.
+//! Numbers lie on the straight line between two polls, angles on the shorter arc, and values without an in-between
+//! (states, switches, names) are those of the nearest poll. A property that was not polled near the instant is missing,
+//! and the result says so.
 
 use config::header::Dtype;
 use contract::{Kind, Scalar};
@@ -12,7 +13,7 @@ use units::Utc;
 pub struct Sample {
     /// Sky time of the poll.
     pub at: Utc,
-    /// What the device said.
+    /// The value that the device reported.
     pub value: Scalar,
 }
 
@@ -26,7 +27,7 @@ pub enum Rule {
         /// One turn, in the property's unit.
         turn: f64,
     },
-    /// It has no in-between.
+    /// The value has no in-between.
     Nearest,
 }
 
@@ -46,10 +47,8 @@ impl Rule {
     }
 }
 
-/// The value at an instant, from the last poll before it and the first at or after it.
-///
-/// A poll further than `reach_s` from the instant says nothing about it; with only one poll in reach its value holds.
-/// `None` when there is none.
+/// The value at an instant, from the last poll before it and the first at or after it.  A poll further than `reach_s`
+/// from the instant is not used; with only one poll in reach its value holds. `None` when there is none.
 pub fn value_at(rule: Rule, before: Option<&Sample>, after: Option<&Sample>, at: Utc, reach_s: f64) -> Option<Scalar> {
     let distance_s = |sample: &&Sample| sample.at.seconds_since(at).abs();
     let before = before.filter(|sample| distance_s(sample) <= reach_s);
@@ -122,7 +121,7 @@ mod tests {
         assert_eq!(value_at(Rule::Linear, None, Some(&poll), at(-9.0), 10.0), Some(Scalar::Float(5.0)));
         assert_eq!(value_at(Rule::Linear, Some(&poll), None, at(11.0), 10.0), None);
         assert_eq!(value_at(Rule::Linear, None, None, at(0.0), 10.0), None);
-        // A hole in the telemetry is not bridged.
+        // A gap in the telemetry is not bridged.
         let late = sample(100.0, Scalar::Float(9.0));
         assert_eq!(value_at(Rule::Linear, Some(&poll), Some(&late), at(50.0), 10.0), None);
         assert_eq!(value_at(Rule::Linear, Some(&poll), Some(&late), at(5.0), 10.0), Some(Scalar::Float(5.0)));

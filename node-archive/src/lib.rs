@@ -1,15 +1,15 @@
-//! The archive node: it keeps what a telescope sees and says.
+//! The archive node: it stores the frames and the telemetry of a telescope.
 //!
-//! Frames come from the device nodes' spools ([`store`]): fetched and proven ([`download`]), named ([`name`]), written as FITS
-//! ([`fits`], [`header`]) under a temporary name, synced, named, recorded, and only then released. Everything devices poll
-//! and nodes write in their diaries goes into one SQLite file ([`telemetry`], [`diary`], [`database`]), beside a copy of all nodes' audit ([`audit`]) and what was
-//! measured on each frame ([`facts`]) and done by guiding ([`corrections`]), and the focus runs with their plots ([`focus`]),
-//! from which questions
-//! are answered ([`history`]) and headers completed ([`pass`], [`completion`]) with what was true when the exposure began
-//! ([`interpolate`], [`astronomy`]).
+//! Frames come from the device nodes' spools ([`store`]): the archive fetches and proves them ([`download`]), names
+//! them ([`name`]), writes them as FITS ([`fits`], [`header`]) under a temporary name, syncs, renames and records them,
+//! and only then releases them. The values that devices poll and the lines of the nodes' diaries go into one SQLite
+//! file ([`telemetry`], [`diary`], [`database`]), together with a copy of all nodes' audit ([`audit`]), the facts of
+//! each frame ([`facts`]), the corrections of guiding ([`corrections`]), and the focus runs with their plots
+//! ([`focus`]). From this file questions are answered ([`history`]) and headers completed ([`pass`], [`completion`])
+//! with what was true when the exposure began ([`interpolate`], [`astronomy`]).
 //!
-//! One archive of a telescope writes in a folder ([`folder`]); a spool that is slow holds up no other ([`turns`]); files that
-//! an older database does not know are found again ([`rebuild`]).
+//! One archive of a telescope writes in a folder ([`folder`]); a slow spool delays no other ([`turns`]); files that an
+//! older database does not know are found again ([`rebuild`]).
 //!
 //! Nothing here is in the safety path, and every step may be killed: a frame that was announced is stored once, a header
 //! is the old one or the new one, a row counts once.
@@ -78,7 +78,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     let config = node.config.clone();
     let (namer, wrong) = Namer::with_faults(&config.archive.filename, config.place.longitude_deg);
     for fault in wrong {
-        // Frames under another name are better than none.
+        // Frames under another name are better than no frames.
         let (key, why) =
             (format!("archive.filename.{}", fault.action), format!("{fault}; frames get their default names"));
         node.alerts.raise(AlertKind::Configuration, &key, &why);
@@ -145,7 +145,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
 /// A database that cannot be opened is tried again after this.
 const AGAIN: Duration = Duration::from_secs(15);
 
-/// Takes the folder of images, again and again while the disk does not let it; absent when the node is stopped before.
+/// Takes the folder of images, again and again while the disk refuses it; absent when the node is stopped before.
 ///
 /// # Errors
 /// Another archive has it.

@@ -1,6 +1,6 @@
 //! File names, written by a site's templates: Python format fields or Jinja2.
 //!
-//! Values come from schedules, which anybody may write, so each is cleaned before it is written into a name, and the
+//! Values come from schedules, which any person may write, so each is cleaned before it is written into a name, and the
 //! finished name is checked again: it never leaves the folder. Every template is tried once at the start.
 
 mod format;
@@ -95,7 +95,7 @@ impl Namer {
         (namer, faults)
     }
 
-    /// Where a frame's file goes, relative to the folder of images: folders and name, none of them leading out.
+    /// The path of a frame's file, relative to the folder of images: folders and name, none of them leading out.
     pub fn path(&self, frame: &Frame, written: Utc) -> PathBuf {
         let action = frame.purpose.action.as_str();
         let values = self.values(frame, written);

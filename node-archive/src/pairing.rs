@@ -6,7 +6,8 @@ use config::Observatory;
 use contract::device::camera::Frame;
 use contract::{Device, Kind};
 
-/// The camera and the devices that belong to a frame: as the frame says, else as the configuration pairs them.
+/// The camera and the devices that belong to a frame: those that the frame names, else those that the configuration
+/// pairs with the camera.
 pub fn pairing(config: &Observatory, camera: &Device, frame: &Frame) -> HashMap<Kind, Device> {
     let mut devices = HashMap::from([(Kind::Camera, camera.clone())]);
     for (kind, name) in &frame.purpose.paired {

@@ -1,4 +1,4 @@
-//! Completes headers as soon as the telemetry around their exposures is there, without being asked.
+//! Completes headers as soon as the telemetry around their exposures has arrived, without being asked.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -31,30 +31,31 @@ use crate::{quality, solution};
 const PERIOD: Duration = Duration::from_millis(500);
 /// Frames looked at in one go.
 const AT_ONCE: u32 = 64;
-/// A header waits so long for telemetry, machine time; then what is missing is said to be missing.
+/// A header waits so long for telemetry, machine time; then it is completed with a note of what is missing.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// A poll further away than this says nothing, sky s at speed 1; or three periods of a slow device.
+/// A poll further away than this is not used, sky s at speed 1; or three periods of a slow device.
 const REACH_S: f64 = 60.0;
 const REACH_PERIODS: f64 = 3.0;
 /// First and longest wait before a file that failed is tried again.
 const FIRST_WAIT: Duration = Duration::from_secs(5);
 const LONGEST_WAIT: Duration = Duration::from_secs(600);
 const FAILURES_BEFORE_ALERT: u32 = 3;
-/// What tells where a frame without a target points, whether the table lists it or not.
+/// The properties from which the direction of a frame without a target is computed, whether the table lists them or
+/// not.
 const POINTING: [(Kind, &str); 3] =
     [(Kind::Telescope, "RightAscension"), (Kind::Telescope, "Declination"), (Kind::Telescope, "Altitude")];
 
-/// Everything that completing headers takes.
+/// Everything that is needed to complete headers.
 pub struct Pass {
     /// The node.
     pub node: Node,
-    /// Where rows go.
+    /// The database to which rows are written.
     pub database: Database,
-    /// What the devices said last.
+    /// The newest states of the devices.
     pub newest: Newest,
-    /// Says what is complete.
+    /// Publishes which headers are complete.
     pub stored: Arc<Publisher<Stored>>,
-    /// Heard when there is a header to complete.
+    /// Notified when there is a header to complete.
     pub incomplete: Arc<Notify>,
     /// Headers complete, since the database began.
     pub count: AtomicI64,
@@ -68,32 +69,33 @@ struct Waiting {
     not_before: MachineTime,
 }
 
-/// What became of a frame in one look.
+/// The outcome of one look at a frame.
 enum Outcome {
-    /// With the facts of this message, where there are any.
+    /// With the facts of this sample, where there are any.
     Complete(Option<(BootId, u64)>),
     NotYet,
     Failed(String),
 }
 
-/// What completing a header of a site needs to know.
+/// What is needed to complete a header of a site.
 pub struct Site<'a> {
     /// The site's configuration.
     pub config: &'a Observatory,
     /// Its header table.
     pub table: &'a HeaderTable,
-    /// What its devices said last.
+    /// The newest states of its devices.
     pub newest: &'a Newest,
     /// Speed of sky time.
     pub speed: f64,
-    /// What writes the headers.
+    /// The completer that writes the headers.
     pub completer: &'a Completer,
 }
 
 /// Completes the header of one stored image from the polls around its exposure, and from what was measured on it, and
 /// returns what was added.
 ///
-/// `None` when polls after the exposure are still to come, unless told to be impatient. Reads files: not for async threads.
+/// `None` when polls after the exposure are still to come, unless `impatient` is set. Reads files: not for async
+/// threads.
 pub fn complete_image(
     site: &Site<'_>,
     reader: &Reader,
@@ -109,7 +111,7 @@ pub fn complete_image(
     for (kind, property) in needed(site.table) {
         let Some(device) = devices.get(&kind) else { continue };
         let around = reader.around(device, property, frame.started_utc)?;
-        // A property that never had a value is not waited for once its device was heard.
+        // A property that never had a value is not waited for once its device has published a state.
         let is_void = around.before.is_none() && site.newest.heard_since(device, frame.started_utc);
         if !around.heard_since && !is_void && !impatient {
             return Ok(None);
@@ -142,7 +144,7 @@ pub fn complete_image(
     Ok(Some(plan))
 }
 
-/// What the facts of a frame add to its header.
+/// The keywords that the facts of a frame add to its header.
 fn measured(table: &HeaderTable, facts: &FrameFacts, frame: &Frame) -> Plan {
     let (mut plan, solution) = (quality::plan(table, facts), solution::plan(table, facts, frame));
     plan.cards.extend(solution.cards);
@@ -150,7 +152,7 @@ fn measured(table: &HeaderTable, facts: &FrameFacts, frame: &Frame) -> Plan {
     plan
 }
 
-/// Fixed properties that the devices had not told yet when the file was made.
+/// Fixed properties that the devices had not published yet when the file was made.
 fn missing_fixed<'a>(table: &'a HeaderTable, present: &BTreeSet<String>) -> impl Iterator<Item = (Kind, &'a str)> {
     let rows = table.rows.iter().filter(|row| row.fixed && !present.contains(&row.keyword));
     rows.filter_map(|row| match &row.source {
@@ -160,7 +162,7 @@ fn missing_fixed<'a>(table: &'a HeaderTable, present: &BTreeSet<String>) -> impl
 }
 
 impl Site<'_> {
-    /// The frame of a mount's coordinates: as configured, else as it says itself.
+    /// The frame of a mount's coordinates: as configured, else as the mount reports it.
     fn mount_frame(&self, mount: &Device) -> EquatorialSystem {
         let configured = self.config.telescope.iter().find(|telescope| telescope.common.name == mount.name);
         match configured.map(|telescope| telescope.equatorial_system) {
@@ -183,7 +185,7 @@ pub async fn keep(pass: Pass) -> anyhow::Result<()> {
     let mut waiting: HashMap<CommandId, Waiting> = HashMap::new();
     loop {
         pass.amend().await?;
-        // Those that fail stay; they must not hide the ones behind them.
+        // Frames that fail stay; they must not hide the ones behind them.
         let failing = waiting.values().filter(|waiting| waiting.failures > 0).count();
         let images = pass.look(failing).await?;
         if images.is_empty() {
@@ -224,7 +226,8 @@ pub async fn keep(pass: Pass) -> anyhow::Result<()> {
             }
         }
         if !progress {
-            // A poll after the exposure comes when it comes; a new frame or its facts are looked at as soon as they are told
+            // A poll after the exposure comes when it comes; a new frame or its facts are looked at as soon as they are
+            // received.
             let _ = tokio::time::timeout(PERIOD, pass.incomplete.notified()).await;
         }
     }
@@ -295,7 +298,7 @@ impl Pass {
                     Ok(completer.complete(&image.path, read_header(&image.path)?, &plan)?)
                 });
                 if let Err(error) = &put {
-                    // The facts are in the database; a file that was moved away or changed is nothing to insist on.
+                    // The facts are in the database; a file that was moved away or changed is left as it is.
                     tracing::warn!(file = image.file, %error, "late facts could not be put into a header");
                 }
                 Write::FactsTaken { frame: image.frame.id, said, in_header: put.is_ok() }

@@ -1,6 +1,6 @@
 //! The keywords that facts make in a header.
 //!
-//! They stand in the header of every measured frame, whether the site's table lists them or not. A table that takes one
+//! They are in the header of every measured frame, whether the site's table lists them or not. A table that takes one
 //! of these keywords from elsewhere keeps it; one that lists it as computed (`astra`) chooses the comment.
 
 use config::header::{HeaderTable, Source};

@@ -155,7 +155,7 @@ impl Reader {
         let limit = question.limit.unwrap_or(USUAL_LIMIT).min(HIGHEST_LIMIT);
         let from = question.from_utc.map_or(EVER.0.to_owned(), stamp);
         let to = question.to_utc.map_or(EVER.1.to_owned(), stamp);
-        // One more than asked for shows that there are more.
+        // One row more than requested shows that there are more.
         let more = limit + 1;
         let rows = match &question.ask {
             Ask::Readings { kind, device, property } => self.rows(

@@ -1,5 +1,5 @@
-//! Frames that lie in the folder of images and are not in the database, as after an older database was put back: they are
-//! found by their FRAMEID and recorded, and what is announced again is not written twice.
+//! Frames that lie in the folder of images and are not in the database, as after an older database was put back: the
+//! archive finds them by their FRAMEID and records them, and a frame that is announced again is not written twice.
 
 use std::collections::{HashMap, HashSet};
 use std::fs::{self, File};
@@ -70,7 +70,7 @@ impl OnDisk {
     }
 }
 
-/// Looks through the folder of images, and records what belongs to this telescope; again where a new database has begun.
+/// Looks through the folder of images, and records the frames of this telescope; again where a new database has begun.
 pub async fn keep(
     node: Node,
     database: Database,
@@ -80,7 +80,7 @@ pub async fn keep(
     loop {
         let (images, path) = (node.config.folders.images.clone(), database.path().to_owned());
         let files = tokio::task::spawn_blocking(move || unknown(&images, &path)).await?;
-        // Frames wait for the answer: one that cannot be had is an empty one.
+        // Frames wait for the answer: after an error the answer is empty.
         let files = Arc::new(files.unwrap_or_else(|error| {
             tracing::warn!(error = format!("{error:#}"), "files that the database does not know are not looked for");
             Files::new()
@@ -138,7 +138,7 @@ fn unknown(images: &Path, database: &Path) -> anyhow::Result<Files> {
     Ok(files)
 }
 
-/// What a file's header contains of its frame.
+/// What a file's header contains about its frame.
 struct Found {
     header: Header,
     shape: Shape,
@@ -148,7 +148,7 @@ struct Found {
 }
 
 impl Found {
-    /// The row of this telescope's frame, and whether its header is complete; `None` for a frame of somebody else.
+    /// The row of this telescope's frame, and whether its header is complete; `None` for a frame of another telescope.
     fn row(self, config: &Observatory, id: CommandId, path: PathBuf) -> Option<(StoredImage, bool)> {
         let text = |keyword: &str| self.header.value(keyword).filter(|text| !text.is_empty());
         let number = |keyword: &str| text(keyword)?.parse::<f64>().ok();

@@ -1,4 +1,4 @@
-//! A frame's way from its announcement to a file, a row, and the spool's release.
+//! A frame's way from its announcement to a file, a row, and the release from the spool.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -36,29 +36,29 @@ const WAITING: usize = 4096;
 /// First and longest wait before a failed step is tried again, machine time.
 const FIRST_WAIT: Duration = Duration::from_millis(500);
 const LONGEST_WAIT: Duration = Duration::from_secs(30);
-/// So many failures in a row, and a person is told.
+/// After so many failures in a row an alert is raised.
 const FAILURES_BEFORE_ALERT: u32 = 5;
 /// A spool that refuses is asked so often; it announces the frame again after its next start.
 const RELEASE_TRIES: u32 = 50;
-/// Everything that storing a frame takes.
+/// Everything that is needed to store a frame.
 pub struct Store {
     /// The node.
     pub node: Node,
-    /// Where rows go.
+    /// The database to which rows are written.
     pub database: Database,
-    /// What the devices said last.
+    /// The newest states of the devices.
     pub newest: Newest,
     /// How files are named.
     pub namer: Namer,
-    /// Says what is safe.
+    /// Publishes which frames are safe.
     pub stored: Arc<Publisher<Stored>>,
-    /// Told when there is a header to complete.
+    /// Notified when there is a header to complete.
     pub incomplete: Arc<Notify>,
     /// Frames stored, since the database began.
     pub count: AtomicI64,
-    /// Held from the choice of a file's name until the file has it: two frames of one moment have names alike.
+    /// Held from the choice of a file's name until the file has it: two frames of one moment have the same name.
     pub naming: tokio::sync::Mutex<()>,
-    /// What lies in the folder of images and is not in the database.
+    /// The files that lie in the folder of images and are not in the database.
     pub on_disk: OnDisk,
     /// Frames that failed often, with camera and cause: one alert for all of them.
     pub failing: Failing,
@@ -142,7 +142,7 @@ struct Ways {
 }
 
 impl Store {
-    /// Stores one frame, however long it takes, and has the spool release it.
+    /// Stores one frame, however long it takes, and asks the spool to release it.
     async fn see_through(self: Arc<Self>, ways: Ways, camera: Device, newest: watch::Receiver<Frame>) -> CommandId {
         let id = newest.borrow().id.clone();
         let mut failures = 0;
@@ -171,7 +171,8 @@ impl Store {
             let same = known.frame.sha256.eq_ignore_ascii_case(&frame.sha256);
             anyhow::ensure!(same, "frame {} is stored with other pixels than those announced now", frame.id);
             if known.frame.purpose != frame.purpose {
-                // What was found as a file alone, after a kill or in an older database, lacks what no header has.
+                // A frame that was found as a file alone, after a kill or in an older database, lacks what no header
+                // has.
                 self.database.commit(vec![Write::Announced(Box::new(frame))]).await?;
             }
             return Ok(());
@@ -263,7 +264,7 @@ impl Store {
     async fn record(&self, image: StoredImage) -> anyhow::Result<()> {
         let (frame, camera) = (image.frame.id.clone(), image.frame.camera.clone());
         let (file, bytes) = (image.file.clone(), image.bytes);
-        // A row that was made of the file alone knows less than what is announced.
+        // A row that was made from the file alone lacks fields of the announcement.
         let announced = Write::Announced(Box::new(image.frame.clone()));
         self.database.commit(vec![Write::Stored(Box::new(image)), announced]).await?;
         let count = self.count.fetch_add(1, Ordering::Relaxed) + 1;
@@ -274,7 +275,7 @@ impl Store {
         Ok(())
     }
 
-    /// Tells the spool that it may forget the frame, until it says that it heard.
+    /// Asks the spool to forget the frame, until it confirms.
     async fn release(&self, camera: &Device, frame: &Frame) {
         let release = camera::Command::Release { frame: frame.id.clone(), sha256: frame.sha256.clone() };
         let command = Command {
@@ -318,7 +319,7 @@ fn length_if_whole(images: &Path, file: &str, id: &CommandId) -> Option<u64> {
     (header.value("FRAMEID").as_deref() == Some(id.0.as_str())).then(|| std::fs::metadata(path).ok())?.map(|m| m.len())
 }
 
-/// Where the file goes: its folders are made, and a name that is taken is changed.
+/// The path of a file: its folders are made, and a name that is taken is changed.
 fn free_path(images: &Path, relative: &Path, written: Utc) -> anyhow::Result<PathBuf> {
     let path = make_way(images, relative)
         .with_context(|| format!("cannot make the folder of {} in {}", relative.display(), images.display()))?;

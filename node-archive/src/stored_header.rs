@@ -155,7 +155,7 @@ fn encode(value: u32) -> String {
         // Four characters that add up to the byte and four times '0'.
         let mut four = [byte / 4 + b'0'; 4];
         four[0] += byte % 4;
-        // Neighbours move apart until no punctuation is left between digits, capitals and small letters.
+        // Adjacent characters move apart until no punctuation is left between digits, capitals and small letters.
         while four.iter().any(|c| (0x3a..=0x40).contains(c) || (0x5b..=0x60).contains(c)) {
             for pair in four.as_chunks_mut::<2>().0 {
                 if pair.iter().any(|c| (0x3a..=0x40).contains(c) || (0x5b..=0x60).contains(c)) {

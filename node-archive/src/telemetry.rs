@@ -1,4 +1,4 @@
-//! Everything that devices say, into the database, and the newest of it at hand for new headers.
+//! Writes the states of all devices into the database, and holds the newest ones for new headers.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,7 +16,7 @@ use crate::database::{Database, Write};
 /// States that wait here when the database is slow: at ten devices and 10 Hz, ten minutes.
 const WAITING_STATES: usize = 65_536;
 
-/// The newest word of every device. Cheap to clone.
+/// The newest state of every device. Cheap to clone.
 #[derive(Clone, Default)]
 pub struct Newest {
     devices: Arc<Mutex<HashMap<Device, Told>>>,
@@ -47,7 +47,7 @@ impl Newest {
         })
     }
 
-    /// The frame that a mount says its coordinates are in.
+    /// The frame of a mount's coordinates, as the mount reports it.
     pub fn equatorial_system(&self, mount: &Device) -> EquatorialSystem {
         let devices = self.devices.lock().unwrap_or_else(PoisonError::into_inner);
         let told = devices.get(mount).and_then(|told| told.capabilities.as_ref());
@@ -55,13 +55,13 @@ impl Newest {
             .unwrap_or_default()
     }
 
-    /// Was the device heard, with anything, at this instant or later?
+    /// Has the device published anything at this instant or later?
     pub fn heard_since(&self, device: &Device, at: Utc) -> bool {
         let devices = self.devices.lock().unwrap_or_else(PoisonError::into_inner);
         devices.get(device).is_some_and(|told| told.readings.values().any(|reading| reading.at_utc >= at))
     }
 
-    /// Takes a state; returns the readings that were not heard before.
+    /// Takes a state; returns the readings that are new.
     fn take(&self, device: &Device, readings: BTreeMap<String, Reading>) -> Vec<(String, Reading)> {
         let mut devices = self.devices.lock().unwrap_or_else(PoisonError::into_inner);
         let have = &mut devices.entry(device.clone()).or_default().readings;
@@ -74,7 +74,7 @@ impl Newest {
             if known == Some(reading.at_utc) {
                 continue;
             }
-            // What was recovered after a cut is older than what is known, and no less worth keeping.
+            // A sample that was recovered after a cut is older than the newest one, and is stored all the same.
             if known.is_none_or(|at| at < reading.at_utc) {
                 have.insert(property.clone(), reading.clone());
             }
@@ -92,7 +92,7 @@ impl Newest {
 /// Properties of one device; ASCOM knows some sixty, and the header table may add some.
 const MOST_PROPERTIES: usize = 512;
 
-/// Keeps what the devices of this telescope, and those it shares with its neighbours, say.
+/// Stores the states of the devices of this telescope and of those that it shares with other telescopes.
 pub async fn keep(node: Node, database: Database, newest: Newest) -> anyhow::Result<()> {
     let mut states = Vec::new();
     let mut capabilities = Vec::new();
@@ -191,7 +191,7 @@ pub(crate) async fn first<T: contract::Payload>(subscribers: &[bus::Subscriber<T
     futures_util::future::select_all(waits).await.0
 }
 
-/// Keys of this telescope, and of what it shares with its neighbours, below which something is heard.
+/// Keys of this telescope, and of what it shares with other telescopes, below which samples are published.
 pub fn watch_keys(config: &Observatory, below: &str) -> Vec<String> {
     let own = config.address();
     let mut addresses = vec![own.clone(), own.shared()];

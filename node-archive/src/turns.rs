@@ -1,7 +1,8 @@
-//! Whose frame is fetched next: each spool has turns of its own, so that a slow one holds up nobody else.
+//! The order in which frames are fetched: each spool has its own turns, so that a slow spool delays no other.
 //!
-//! A spool is known by host and port of its frames' addresses. One that has not brought a whole frame yet has one turn, and
-//! all of these share a number: whoever announces frames of a thousand addresses opens no thousand connections.
+//! A spool is known by host and port of its frames' addresses. One that has not brought a whole frame yet has one turn,
+//! and all of these share a number: a program that announces frames of a thousand addresses opens no thousand
+//! connections.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,7 +14,8 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 const OF_ONE_SPOOL: usize = 2;
 /// Frames of all spools together that have not brought a whole frame yet.
 const OF_NEW_SPOOLS: usize = 32;
-/// Spools that are remembered; who announces more names than a network has spools gets the turns of new ones.
+/// Spools that are remembered; a program that announces more names than a network has spools gets the turns of new
+/// ones.
 const MOST_SPOOLS: usize = 256;
 
 /// The turns of all spools.
@@ -65,7 +67,7 @@ impl Turns {
     fn spool(&self, url: &str) -> Spool {
         let mut spools = self.spools();
         if spools.len() >= MOST_SPOOLS && !spools.contains_key(authority(url)) {
-            // Nobody waits for a turn of one whose turns are all free.
+            // Nothing waits for a turn of a spool whose turns are all free.
             spools.retain(|_, spool| spool.is_proven || spool.turns.available_permits() == 0);
         }
         let fresh = || Spool { turns: Arc::new(Semaphore::new(OF_ONE_SPOOL - 1)), is_proven: false };

@@ -48,7 +48,7 @@ fn mount() -> Device {
     address().device(Kind::Telescope, &"mount".parse().unwrap())
 }
 
-/// The device node's side: a spool over HTTP, and a camera that is asked to release.
+/// The side of the device node: a spool over HTTP, and a camera that is asked to release.
 struct Spool {
     bus: Bus,
     url: String,
@@ -338,7 +338,7 @@ async fn a_frame_is_stored_once_released_completed_and_found_again_after_a_resta
     let told = |row: &Row| matches!(row, Row::Log { message, node, .. } if message == "it's cold ccd_c=-60" && node == "device/pc");
     assert!(log.iter().any(told), "{log:?}");
 
-    // An archive that was away misses nothing, and knows what it has.
+    // An archive that was away misses nothing, and has the count of what it stored.
     running.stop().await;
     tokio::time::sleep(Duration::from_secs(2)).await;
     let running = run(archive(folder.path(), join(&device_bus).await));
@@ -421,7 +421,7 @@ async fn a_file_that_was_named_just_before_a_kill_is_adopted() {
     spool.frames.put(spool.frame("frame-3", taken)).await.unwrap();
     let written = hear_stored(&stored, false).await.file;
     assert!(written.starts_with("20261120/"), "{written}");
-    // No telemetry comes; the headers are completed without it, and say so.
+    // No telemetry comes; the headers are completed without it, and their history says so.
     for _ in 0..2 {
         let complete = hear_stored(&stored, true).await;
         let header = Header::read(&images.join(&complete.file)).unwrap().unwrap();

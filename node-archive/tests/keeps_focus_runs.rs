@@ -17,7 +17,7 @@ async fn runs_are_kept_once_with_their_points_and_a_plot() {
     let line = observatory.publisher::<FocusRun>(&Key::FocusRun(address), Quality::Event { cache: 10 }).await.unwrap();
     let sample: FocusRun =
         serde_json::from_str(include_str!("../../common/contract/golden/v1/observatory.focus_run.json")).unwrap();
-    // Before the archive lives, and told twice.
+    // Published before the archive runs, and published twice.
     line.put(sample.clone()).await.unwrap();
     line.put(sample.clone()).await.unwrap();
 

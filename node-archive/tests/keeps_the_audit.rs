@@ -23,7 +23,7 @@ async fn node(role: Role, folder: &Path, meet: Option<&Bus>) -> Node {
     Node::new(role, "main".parse().unwrap(), config, Default::default(), bus)
 }
 
-/// A device node that does nothing but say that it lives, and notes what it is told.
+/// A device node that only publishes that it is alive, and writes records into its audit.
 struct Noter {
     running: RunningNode,
     audit: Audit,
@@ -125,7 +125,7 @@ async fn an_archive_that_was_away_has_every_record_in_its_order_afterwards() {
     until_the_same(here.path(), there.path(), 2705).await;
     assert!(archive.alerts().is_empty(), "{:?}", archive.alerts());
 
-    // A new life of the node goes on with the chain.
+    // A new incarnation of the node continues the chain.
     noter.end().await;
     let noter = Noter::start(here.path(), Some(&archive.0.node.bus)).await;
     noter.note(5);
@@ -149,7 +149,7 @@ async fn a_record_that_was_cut_off_changed_or_forged_is_told() {
     let archive = Archive::start(there.path(), noter.bus()).await;
     until_the_same(here.path(), there.path(), 12).await;
 
-    // Somebody says a record in the node's name: the node's own file does not have it.
+    // Another program publishes a record in the node's name: the node's own file does not have it.
     let liar = join(noter.bus()).await;
     let voice = liar.publisher(&noter.running.node.key(NodeTopic::Audit), Quality::Event { cache: 1 }).await.unwrap();
     let last: Record = serde_json::from_str(lines(here.path()).last().unwrap()).unwrap();

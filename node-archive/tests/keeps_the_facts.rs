@@ -1,4 +1,5 @@
-//! What was measured on a frame stands in its header, whether it was said before the frame was stored or long after.
+//! Measured facts are in the header of their frame, whether they were published before the frame was stored or long
+//! after.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends at the first surprise")]
 
@@ -67,7 +68,8 @@ fn wcs(ra_deg: f64) -> FrameWcs {
     }
 }
 
-/// Says the facts of a frame, its width for its right ascension too; they can be recovered while the publisher lives.
+/// Publishes the facts of a frame, with a right ascension that equals its width; they can be recovered while the
+/// publisher exists.
 async fn say(bus: &Bus, frame: &str, fwhm_px: f64) -> Publisher<FrameFacts> {
     let key = Key::Facts(address(), frame.parse().unwrap());
     let line = bus.publisher(&key, Quality::Event { cache: 2 }).await.unwrap();
@@ -110,7 +112,7 @@ async fn facts_stand_in_the_header_early_or_late_and_a_header_waits_for_none_tha
     let frames = devices.publisher::<Frame>(&Key::Frame(camera), Quality::Event { cache: 10 }).await.unwrap();
     let (url, running) = (spool().await, RunningNode::work(node, node_archive::run));
 
-    // Said before the archive lives, of a frame that is not announced yet.
+    // Published before the archive runs, for a frame that is not announced yet.
     let _early = say(&devices, "early", 2.25).await;
     let _unknown = say(&devices, "never-announced", 9.0).await;
     tokio::time::sleep(Duration::from_secs(2)).await;
@@ -123,7 +125,7 @@ async fn facts_stand_in_the_header_early_or_late_and_a_header_waits_for_none_tha
     let expected = |ra: &str| ["RA---TAN-SIP", ra, "32.5", "3", "21.5"].map(|text| Some(text.to_owned()));
     assert_eq!(solution(&file), expected("2.25"));
 
-    // Nobody measures this one until its header is complete.
+    // No node measures this frame until its header is complete.
     let began = Instant::now();
     frames.put(frame("late", &url, &devices)).await.unwrap();
     let file = complete(&stored, "late").await.file;

@@ -1,4 +1,4 @@
-//! The alerts that stand for one telescope, whoever raised them.
+//! The active alerts of one telescope, from every node that raised one.
 
 use std::collections::BTreeMap;
 
@@ -36,7 +36,7 @@ impl Counts {
 /// Alerts of the observatory node and of each node itself, and one for each node that fell silent.
 pub fn standing(telescope: &Telescope, now: MachineTime) -> Vec<Alert> {
     let mut found: BTreeMap<String, Alert> = BTreeMap::new();
-    // The observatory node's own list knows what people did about each.
+    // The observatory node's own list contains what people did about each.
     let (first, then): (Vec<_>, Vec<_>) =
         telescope.states.values().partition(|entry| matches!(entry.key, Key::Observatory(..)));
     for entry in first.into_iter().chain(then) {
@@ -44,7 +44,7 @@ pub fn standing(telescope: &Telescope, now: MachineTime) -> Vec<Alert> {
             Key::Observatory(_, Part::Alerts) | Key::Node(_, _, _, NodeTopic::Alerts) => {
                 let said = Alerts::deserialize(entry.body.as_ref()).unwrap_or_default();
                 for alert in said.alerts {
-                    // The observatory node merges what the others say: the same alert may come twice.
+                    // The observatory node merges the alerts of the other nodes: the same alert may come twice.
                     let known = found.values().any(|a| a.cause == alert.cause && a.raised_utc == alert.raised_utc);
                     if !known {
                         found.entry(alert.id.clone()).or_insert(alert);

@@ -10,10 +10,10 @@ use units::Utc;
 /// So many lines are kept per telescope.
 const KEPT: usize = 500;
 
-/// Nodes of one telescope; more are the invention of some program.
+/// Nodes of one telescope; more are the invention of a faulty program.
 const MOST_NODES: usize = 256;
 
-/// One line with who wrote it.
+/// One line with the node that wrote it.
 #[derive(Debug, Clone, Serialize)]
 pub struct Line {
     /// Grows with each line of the whole network; gaps mean nothing.
@@ -22,13 +22,13 @@ pub struct Line {
     pub node: String,
     /// Sky time of the line.
     pub at_utc: Utc,
-    /// The node's life.
+    /// The node's incarnation.
     #[serde(skip)]
     pub boot_id: BootId,
-    /// Its count within that life.
+    /// Its sequence number within that incarnation.
     #[serde(skip)]
     pub seq: u64,
-    /// What it says.
+    /// The line itself.
     #[serde(flatten)]
     pub line: DiaryLine,
 }

@@ -1,7 +1,9 @@
-//! What is taken from the bus: payloads that are what their key promises, and no larger than a page can use.
+//! Checks what is taken from the bus: a payload must have the type that its key promises, and be no larger than a page
+//! can use.
 //!
-//! Any program on the bus can publish anything. One field of a wrong type must not reach a browser, where it would stop the
-//! page; so each payload is read as its type here, and what cannot be read is told beside the telescope, not shown.
+//! Any program on the bus can publish anything. One field of a wrong type must not reach a browser, where it would stop
+//! the page; so each payload is decoded as its type here. A payload that cannot be decoded is not shown; the page
+//! reports its key with the telescope.
 
 use contract::archive::Stored;
 use contract::device::camera::{Camera, Frame};
@@ -26,12 +28,12 @@ use serde_json::Value;
 
 /// A payload may weigh so much in memory.
 const MOST_WEIGHT: usize = 256 << 10;
-/// Schedules of thousands of rows, and what many nights have taught.
+/// Schedules of thousands of rows, and the learned state of many nights.
 const MOST_WEIGHT_OF_LISTS: usize = 8 << 20;
-/// What one value costs beside its text.
+/// The memory that one value takes in addition to its text.
 const WEIGHT_OF_VALUE: usize = 48;
 
-/// Is this a payload of its key? If not, why not.
+/// Is this a payload of its key? If not, the error is the reason.
 pub fn check(key: &Key, body: &Value) -> Result<(), String> {
     let weight = weight(body);
     let most = match key {

@@ -1,4 +1,4 @@
-//! How old is too old: one rule for everything that is said again regularly.
+//! How old is too old: one rule for every payload that is published again regularly.
 
 use std::time::Duration;
 
@@ -14,18 +14,18 @@ pub enum Quality {
     Fresh,
     /// Twice its period has passed (5 s at least): shown, but not to be relied on. A verdict counts as unknown.
     Stale,
-    /// Five times its period has passed (15 s at least): nobody is speaking.
+    /// Five times its period has passed (15 s at least): the publisher is silent.
     Lost,
-    /// Not heard since this node started.
+    /// Not received since this node started.
     Never,
 }
 
-/// A payload with a period of 1 s may be late by a busy machine's hiccup without the page flickering.
+/// A payload with a period of 1 s may be late on a busy machine; the page must not flicker then.
 const STALE_AT_LEAST: Duration = Duration::from_secs(5);
 const LOST_AT_LEAST: Duration = Duration::from_secs(15);
 
 impl Quality {
-    /// As it is shown.
+    /// The word that the page shows.
     pub const fn word(self) -> &'static str {
         match self {
             Self::Fresh => "fresh",
@@ -35,7 +35,7 @@ impl Quality {
         }
     }
 
-    /// Judges an age against the period that was promised; what has no period never grows stale.
+    /// Judges an age against the period that was promised; a payload without a period never grows stale.
     pub fn of(age: Duration, period: Option<Duration>) -> Self {
         match period {
             Some(period) if age > (period * 5).max(LOST_AT_LEAST) => Self::Lost,
@@ -45,7 +45,7 @@ impl Quality {
     }
 }
 
-/// How often a key is said again at least; `None` for events.
+/// How often a key is published again at least; `None` for events.
 pub fn period(key: &Key, body: &Value) -> Option<Duration> {
     let seconds = match key {
         Key::State(_) => body["period_s"].as_f64().filter(|s| (0.001..3600.0).contains(s)).unwrap_or(5.0),

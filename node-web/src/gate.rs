@@ -1,8 +1,9 @@
-//! Who may speak to this server: names it answers to, pages that may open a socket, and what browsers may do with it.
+//! Controls access to this server: the names that it answers to, the pages that may open a socket, and what browsers
+//! may do with its answers.
 //!
-//! A page of somebody else's can make a browser on this machine ask `http://evil.example:8080`, with that name
-//! pointing at 127.0.0.1 (DNS rebinding). Answering only to our own names ends that; an address literal cannot be
-//! rebound, so every one is fine.
+//! A page of another server can make a browser on this machine ask `http://evil.example:8080`, with that name pointing
+//! at 127.0.0.1 (DNS rebinding). Answering only to our own names ends that; an address literal cannot be rebound, so
+//! every one is accepted.
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
@@ -14,7 +15,8 @@ use axum::response::{IntoResponse as _, Response};
 
 use crate::problem::Problem;
 
-/// Everything a page of ours needs comes from here; nothing else may run, frame it or be sent to.
+/// A page of ours loads everything from this server; no other script may run, no other page may frame it, and it sends
+/// data to no other server.
 const CONTENT_SECURITY_POLICY: &str =
     "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'";
 
@@ -64,7 +66,7 @@ fn without_port(host: &str) -> &str {
     }
 }
 
-/// Refuses foreign names, and tells browsers what they may do with each answer.
+/// Refuses foreign names, and adds the headers that limit what browsers may do with each answer.
 pub async fn guard(State(gate): State<Arc<Gate>>, request: Request, next: Next) -> Response {
     let host = request.headers().get(header::HOST).and_then(|host| host.to_str().ok());
     let mut response = match host {

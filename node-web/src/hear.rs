@@ -1,4 +1,4 @@
-//! Ears on the bus: which keys are heard, and how.
+//! The subscriptions on the bus: which keys, and how they are received.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use crate::edge;
 use crate::network::Network;
 use crate::preview::Previews;
 
-/// What is heard. Not `**`: the question for the newest values would then be put to commands and orders too.
+/// The subscribed keys. Not `**`: the query for the newest values would then also go to commands and orders.
 const HEARD: &[(&str, Catch)] = &[
     ("device/*/*/state", Catch::Newest),
     ("device/*/*/capabilities", Catch::Newest),
@@ -21,14 +21,14 @@ const HEARD: &[(&str, Catch)] = &[
     ("observatory/*/state", Catch::Newest),
     ("node/*/*/state", Catch::Newest),
     ("node/*/*/alerts", Catch::Newest),
-    // Events are not said again, so their history is asked for.
+    // Events are not published again, so their history is queried.
     ("device/camera/*/frame", Catch::All),
     ("observatory/frame/*/facts", Catch::All),
     ("archive/stored", Catch::All),
     ("node/*/*/diary", Catch::All),
 ];
 
-/// Hears everything of all sites, for ever; each task is one sort of key.
+/// Receives everything of all sites, for ever; each task is one sort of key.
 pub async fn everything(
     bus: &Bus,
     network: &Arc<Network>,
@@ -49,7 +49,7 @@ async fn hear(subscriber: Subscriber<Value>, network: Arc<Network>, previews: Ar
             Key::Frame(device) => Some((device.clone(), heard.said.clone())),
             _ => None,
         };
-        // The URL opens the spool to whoever has it: it is not for browsers.
+        // The URL opens the spool to every person who has it: it is not for browsers.
         if let (Some(_), Value::Object(body)) = (&frame, &mut heard.said.body) {
             body.remove("url");
         }

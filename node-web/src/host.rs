@@ -8,10 +8,10 @@ use serde::Serialize;
 use sysinfo::{DiskRefreshKind, Disks, System};
 
 const EVERY: Duration = Duration::from_secs(5);
-/// A disk fills slowly, and asking all of them costs more than the rest.
+/// A disk fills slowly, and asking all disks costs more than the rest.
 const DISK_EVERY: u32 = 12;
 
-/// Parts of the machine in use, percent; absent until measured, or where the system does not tell.
+/// Parts of the machine in use, percent; absent until measured, or where the system does not report them.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Usage {
     /// Processor, all cores.
@@ -55,7 +55,7 @@ impl Host {
                 usage.cpu_percent = (round > 0).then(|| round_1(f64::from(system.global_cpu_usage())));
             }
             *self.usage.lock().unwrap_or_else(PoisonError::into_inner) = usage;
-            // The processor's share is a difference: the first one is measured soon.
+            // The processor's share is a difference of two measurements: the second one follows soon.
             tokio::time::sleep(if round == 0 { Duration::from_millis(500) } else { EVERY }).await;
         }
         Ok(())

@@ -1,20 +1,20 @@
 //! The web node: the whole telescope network on one page, and the same as JSON.
 //!
-//! It hears every site and telescope on the bus (`hear`), keeps the newest payload of each key with its time of
-//! arrival (`model`), and shows that: a page with everything it needs built in (`routes::page`), kept live
-//! over one WebSocket (`ws`), the newest image of each telescope (`preview`), the heartbeat document that
-//! monitoring scripts know (`routes::heartbeat`), and native JSON (`routes::network`). Ages are judged by this
-//! machine's clock at arrival (`freshness`), so a silent node is seen to be silent.
+//! It subscribes to every site and telescope on the bus (`hear`), stores the newest payload of each key with its time
+//! of arrival (`model`), and shows that: a page with everything it needs built in (`routes::page`), updated over one
+//! WebSocket (`ws`), the newest image of each telescope (`preview`), the heartbeat document that monitoring scripts
+//! know (`routes::heartbeat`), and native JSON (`routes::network`). Ages are judged by this machine's clock at arrival
+//! (`freshness`), so that a silent node is shown as silent.
 //!
 //! It is never in the safety path: it decides nothing, and nothing waits for it.
 //!
 //! # Invariants
 //!
-//! - What is shown was decoded as the type of its key: `a_required_field_of_a_wrong_type_is_not_taken`,
+//! - Every payload that is shown was decoded as the type of its key: `a_required_field_of_a_wrong_type_is_not_taken`,
 //!   `a_field_of_a_wrong_type_is_told_and_never_shown`.
 //! - A silent node is shown as silent: `a_value_grows_stale_after_two_periods_and_is_lost_after_five`,
 //!   `a_silent_observatory_is_an_error_and_never_safe`.
-//! - What strangers send pushes no telescope of the configuration off the page (decision 0050):
+//! - Payloads of unknown programs push no telescope of the configuration off the page (decision 0050):
 //!   `a_million_keys_of_a_stranger_leave_room_for_the_telescope_of_the_file`.
 //! - A slow page delays nobody: `a_slow_page_gets_the_newest_value_of_each_key_once`.
 
@@ -61,7 +61,7 @@ const LIMITS: Limits = Limits {
 const LISTEN_AGAIN: Duration = Duration::from_secs(5);
 const FORGET_EVERY: Duration = Duration::from_secs(600);
 
-/// Serves the page until the node is told to stop.
+/// Serves the page until the node is stopped.
 pub async fn run(node: bus::Node) -> anyhow::Result<()> {
     let listen = node.config.web.listen;
     let Some(listener) = listen_on(&node, listen).await else { return Ok(()) };

@@ -1,8 +1,8 @@
-//! Everything heard of all telescopes: the newest payload of each key with its arrival, and the last log lines.
+//! All payloads received from all telescopes: the newest payload of each key with its arrival, and the last log lines.
 //!
-//! Payloads are kept as the JSON they came as, so that what a newer node says beyond our contract still reaches the
-//! page. Each accepted payload gets the next revision; a client that remembers the revision it has seen needs no
-//! queue of its own: what is newer is what it lacks, and however slow it is, it gets each key once.
+//! Payloads are stored as the JSON in which they came, so that fields of a newer node that our contract does not have
+//! still reach the page. Each accepted payload gets the next revision; a client that remembers the revision it has seen
+//! needs no queue of its own: it lacks exactly the newer revisions, and a slow client gets each key once.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -26,16 +26,16 @@ const MOST_TELESCOPES: usize = 200;
 /// What payloads may take in memory: those of one telescope, and all.
 const MOST_WEIGHT: usize = 32 << 20;
 const MOST_WEIGHT_OF_ALL: usize = 256 << 20;
-/// What has been silent for so long gives way when there is no room for something new.
+/// An entry that has been silent for so long is removed when there is no room for a new one.
 const GIVES_WAY_AFTER: Duration = Duration::from_secs(60);
-/// Looking for what is silent takes time, and a flood asks for room thousands of times a second.
+/// The search for silent entries takes time, and a flood asks for room thousands of times a second.
 const LOOK_EVERY: Duration = Duration::from_secs(5);
-/// Keys of one telescope whose payloads could not be read; they are told for a minute.
+/// Keys of one telescope whose payloads could not be decoded; they are reported for a minute.
 const MOST_UNREADABLE: usize = 20;
 const UNREADABLE_FOR: Duration = Duration::from_secs(60);
 /// A telescope or node that has been silent for so long was taken away.
 const FORGET_AFTER: Duration = Duration::from_secs(24 * 3600);
-/// Two writers of one key: the younger one counts while it has spoken within this time.
+/// Two writers of one key: the younger one counts while it has published within this time.
 const YOUNGER_HOLDS: Duration = Duration::from_secs(3);
 
 /// What is known; readers hold it for one expression.
@@ -48,11 +48,11 @@ pub struct Model {
     /// The telescope of this node's own file: there is always room for it.
     expected: Option<Address>,
     weight: usize,
-    /// When everything was seen to be in use.
+    /// When all room was found to be in use.
     full: Option<MachineTime>,
 }
 
-/// What was heard at one address.
+/// The payloads received from one address.
 #[derive(Default)]
 pub struct Telescope {
     /// The newest payload of each key, under the key without its root.
@@ -75,12 +75,12 @@ pub struct Unreadable {
     pub why: String,
 }
 
-/// One payload as it was heard.
+/// One payload as it was received.
 #[derive(Debug, Clone)]
 pub struct Entry {
     /// Its key.
     pub key: Key,
-    /// What was said.
+    /// The body of the payload.
     pub body: Arc<Value>,
     /// Sky time of the sender.
     pub at_utc: Utc,
@@ -114,12 +114,12 @@ impl Entry {
         now.since(self.arrived)
     }
 
-    /// How often it is said again.
+    /// How often it is published again.
     pub fn period(&self) -> Option<Duration> {
         period(&self.key, &self.body)
     }
 
-    /// What it is worth now.
+    /// Its quality now.
     pub fn quality(&self, now: MachineTime) -> Quality {
         Quality::of(self.age(now), self.period())
     }
@@ -140,7 +140,7 @@ impl Telescope {
 }
 
 impl Model {
-    /// Nothing heard, with a telescope that is expected though it may never speak.
+    /// An empty model, with a telescope that is expected though it may never publish anything.
     pub fn new(expected: Address) -> Self {
         let telescopes = BTreeMap::from([(expected.clone(), Telescope::default())]);
         Self { telescopes, expected: Some(expected), ..Self::default() }
@@ -183,7 +183,7 @@ impl Model {
 
     /// Notes that a payload was not taken, and why.
     pub fn refuse(&mut self, key: &Key, why: String, arrived: MachineTime) {
-        // A stranger's telescope does not come into being by nonsense.
+        // A telescope of an unknown program is not created by payloads that cannot be decoded.
         let Some(telescope) = self.telescopes.get_mut(key.address()) else { return };
         telescope.unreadable.retain(|_, (_, at)| arrived.since(*at) < UNREADABLE_FOR);
         let name = short(key);
@@ -242,7 +242,7 @@ impl Telescope {
         true
     }
 
-    /// Keeps a payload unless it is old or there is no room for it; all others may weigh `room` more.
+    /// Stores a payload unless it is old or there is no room for it; all others may weigh `room` more.
     fn keep(&mut self, heard: Heard<Value>, revision: u64, room: usize) -> bool {
         let name = short(&heard.key);
         // Of some keys a telescope has only one: a flood of others must not keep them out.

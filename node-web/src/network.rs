@@ -1,4 +1,4 @@
-//! What is known of all telescopes, shared by those who hear and those who show.
+//! The state of all telescopes, shared by the subscribers and the routes.
 
 use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::Duration;
@@ -21,7 +21,7 @@ pub struct Network {
 }
 
 impl Network {
-    /// An empty network, with a telescope that is expected though it may never speak.
+    /// An empty network, with a telescope that is expected though it may never publish anything.
     pub fn new(clock: Clock, expected: Address) -> Self {
         Self { clock, model: RwLock::new(Model::new(expected)), summaries: Mutex::default() }
     }
@@ -59,7 +59,7 @@ impl Network {
         }
     }
 
-    /// Keeps the image that stands, and says why the newest frame has none.
+    /// Leaves the image as it is, and notes why the newest frame has none.
     pub fn miss_image(&self, address: &Address, problem: String) {
         let mut model = self.write();
         model.revision += 1;

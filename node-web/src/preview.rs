@@ -1,7 +1,7 @@
 //! The newest image of each camera, made in memory: fetched from the spool, shrunk, stretched, JPEG.
 //!
-//! At most one a second while a page is open, one in ten seconds while nobody looks; frames in between are passed
-//! over. It still happens with nobody looking, because the spool forgets a frame once the archive has it.
+//! At most one a second while a page is open, one in ten seconds while no page is open; frames in between are passed
+//! over. Images are also made while no page is open, because the spool forgets a frame once the archive has it.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -96,19 +96,19 @@ impl Previews {
         })
     }
 
-    /// Someone looks: images are made more often.
+    /// Registers a page that is open: images are made more often.
     pub fn watch(self: &Arc<Self>) -> Watching {
         self.watchers.fetch_add(1, Ordering::Relaxed);
         self.wake.notify_one();
         Watching(self.clone())
     }
 
-    /// How many look.
+    /// The number of pages that are open.
     pub fn watchers(&self) -> usize {
         self.watchers.load(Ordering::Relaxed)
     }
 
-    /// A frame was announced; it takes the place of an older one of its camera that still waits.
+    /// Takes an announced frame; it replaces an older one of its camera that still waits.
     pub fn want(&self, camera: Device, frame: Frame, arrived: MachineTime) {
         let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
         if waiting.len() >= MOST_CAMERAS && !waiting.contains_key(&camera) {

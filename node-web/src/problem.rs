@@ -17,7 +17,7 @@ pub struct Problem {
 }
 
 impl Problem {
-    /// A problem with its code (last part of its type), its title and what is wrong this time.
+    /// A problem with its code (last part of its type), its title and the description of this case.
     pub fn new(status: StatusCode, code: &'static str, title: &'static str, detail: impl Into<String>) -> Self {
         Self { kind: format!("/problems/{code}"), title, status: status.as_u16(), detail: detail.into(), code }
     }

@@ -12,7 +12,7 @@ use crate::routes::{health, heartbeat, network, page, preview};
 use crate::server::Server;
 use crate::ws;
 
-/// All routes, behind the gate.
+/// All routes, behind the check of access (`Gate`).
 pub fn router(server: Arc<Server>, gate: Gate) -> Router {
     Router::new()
         .route("/", get(page::index))

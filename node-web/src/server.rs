@@ -1,4 +1,4 @@
-//! What the routes share.
+//! The state that the routes share.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -12,9 +12,9 @@ use crate::host::Host;
 use crate::network::Network;
 use crate::preview::Previews;
 
-/// What the routes share.
+/// The state that the routes share.
 pub struct Server {
-    /// Everything heard.
+    /// Everything that was received.
     pub network: Arc<Network>,
     /// Images.
     pub previews: Arc<Previews>,

@@ -20,7 +20,7 @@ use crate::model::{Entry, Telescope, Unreadable};
 /// A tile of the overview, and the head of the telescope page.
 #[derive(Debug, Clone, Serialize)]
 pub struct Summary {
-    /// What is said; sent again only when it differs.
+    /// The content of the tile; sent again only when it differs.
     #[serde(flatten)]
     pub face: Face,
     /// How old it is.
@@ -28,7 +28,7 @@ pub struct Summary {
     pub ages: Ages,
 }
 
-/// What changes only when something happens.
+/// The part that changes only when something happens.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Face {
     /// `site/telescope`, unique on the network.
@@ -37,9 +37,9 @@ pub struct Face {
     pub site_id: Chunk,
     /// The telescope, unique within its site.
     pub telescope_id: Chunk,
-    /// Not a telescope but what a site's telescopes share.
+    /// Not a telescope but the devices that a site's telescopes share.
     pub shared: bool,
-    /// Worth of what the observatory node says.
+    /// Quality of the observatory node's payloads.
     pub quality: Quality,
     /// The safety word.
     pub safety: Safety,
@@ -53,25 +53,25 @@ pub struct Face {
     pub speed: f64,
     /// The night's schedule is done.
     pub ended: bool,
-    /// What is under way; empty when stale.
+    /// The actions under way; empty when stale.
     pub activity: Vec<ActionNow>,
     /// Frames announced since the observatory node started.
     pub frames: u64,
     /// How far the schedule is.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub schedule: Option<ScheduleSummary>,
-    /// Standing alerts, the most urgent first.
+    /// Active alerts, the most urgent first.
     pub alerts: Vec<Alert>,
     /// Alerts by priority.
     pub alert_counts: Counts,
-    /// What safety and posture together are worth to an operator: 1 critical to 3 medium; absent when all is well.
+    /// How much safety and posture together concern an operator: 1 critical to 3 medium; absent when all is well.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub concern: Option<u8>,
-    /// Devices heard, and those without link or silent.
+    /// Known devices, and those without link or silent.
     pub device_count: Heads,
-    /// Nodes heard, and those that fell silent.
+    /// Known nodes, and those that fell silent.
     pub node_count: Heads,
-    /// Keys whose newest payload cannot be read; what stands here of them is older.
+    /// Keys whose newest payload cannot be decoded; their values here are older.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub unreadable: Vec<Unreadable>,
     /// The newest image.
@@ -82,11 +82,11 @@ pub struct Face {
 /// Ages on this machine's own clock, s; the reader adds the time since it read them.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Ages {
-    /// Since the observatory node last spoke of safety or the night; absent when it never did.
+    /// Since the observatory node last published safety or the night; absent when it never did.
     pub age_s: Option<f64>,
     /// Since the shown image's frame was announced.
     pub image_age_s: Option<f64>,
-    /// The observatory node's own stamp of its newest word.
+    /// The observatory node's own time of its newest payload.
     pub reported_utc: Option<Utc>,
 }
 
@@ -95,14 +95,14 @@ pub struct Ages {
 pub struct Safety {
     /// The word.
     pub state: SafetyWord,
-    /// Sky time since when the verdict stands.
+    /// Sky time since when the verdict holds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub since_utc: Option<Utc>,
     /// Why it is not safe.
     pub reasons: Vec<Unsafe>,
     /// Why the sky is not exposed although nothing has to close.
     pub suspended: Vec<Unsafe>,
-    /// What is close to a limit.
+    /// The values that are close to a limit.
     pub advisories: Vec<Unsafe>,
     /// Sky seconds until it can be safe.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -113,11 +113,11 @@ pub struct Safety {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SafetyWord {
-    /// The observatory node says so, now.
+    /// The observatory node's verdict is safe, and fresh.
     Safe,
-    /// It says that it is not.
+    /// Its verdict is unsafe.
     Unsafe,
-    /// Nobody says anything fresh.
+    /// There is no fresh verdict.
     Unknown,
 }
 
@@ -129,7 +129,7 @@ pub enum Mode {
     Robotic,
     /// People decide.
     Manual,
-    /// Nobody says anything fresh.
+    /// There is no fresh state.
     Unknown,
 }
 
@@ -150,23 +150,23 @@ pub struct ScheduleSummary {
     pub next_utc: Option<Utc>,
 }
 
-/// How many there are, and how many are in trouble.
+/// How many there are, and how many of them are silent or without link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Heads {
-    /// Heard since start.
+    /// Known since start.
     pub known: usize,
     /// Silent, or without link.
     pub lost: usize,
 }
 
-/// What stands under the image.
+/// The caption under the image.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ImageCaption {
     /// Which frame.
     pub frame: String,
     /// Which camera.
     pub camera: String,
-    /// What it shows.
+    /// The object that it shows.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub object: Option<String>,
     /// `Light Frame`, `Dark Frame` …
@@ -190,12 +190,12 @@ pub struct ImageCaption {
 pub struct NodeSummary {
     /// Its name.
     pub id: String,
-    /// What it says of itself.
+    /// The state that it publishes.
     #[serde(flatten)]
     pub state: NodeState,
-    /// Since it last spoke, s.
+    /// Since its last sample, s.
     pub age_s: f64,
-    /// What that is worth.
+    /// The quality of that state.
     pub quality: Quality,
 }
 
@@ -321,7 +321,7 @@ fn safety_words(said: Option<&(&Entry, SafetyState)>, now: MachineTime) -> Safet
     }
 }
 
-/// What the two words together ask of an operator (spec/web.md 5.3.2).
+/// How urgently the two words together concern an operator.
 fn concern(safety: SafetyWord, posture: Posture, held_s: f64) -> Option<u8> {
     let after_grace = |late, early| if held_s > GRACE_S { late } else { early };
     match (safety, posture) {

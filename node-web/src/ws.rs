@@ -1,7 +1,7 @@
-//! The live socket: a snapshot, then what changed, four times a second at most, and a beat every second.
+//! The live socket: a snapshot, then the changes, four times a second at most, and a beat every second.
 //!
-//! No client has a queue. It remembers the revision it has seen, so that a slow one gets each key's newest value
-//! once, when it is ready for it; one that takes nothing for 10 s is let go.
+//! No client has a queue. It remembers the revision it has seen, so that a slow client gets each key's newest value
+//! once, when it is ready for it; the server closes the socket of a client that takes nothing for 10 s.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -35,7 +35,7 @@ pub struct Wanted {
     telescope: Option<String>,
 }
 
-/// What a page says.
+/// A message of a page.
 #[derive(Debug, Deserialize)]
 #[serde(tag = "op", rename_all = "snake_case")]
 enum Said {
@@ -103,7 +103,7 @@ async fn serve(mut socket: WebSocket, server: &Server, mut view: View) {
     }
 }
 
-/// What one page shows, and how much of it the page has.
+/// The state that one page shows, and how much of it the page has.
 struct View {
     telescope: Option<Address>,
     /// Revision that the page has; absent before the snapshot.
@@ -117,7 +117,7 @@ impl View {
         Self { telescope: address, seen: None, faces: BTreeMap::new() }
     }
 
-    /// What the page lacks: a snapshot at first, then changes; with `beat` also when nothing changed.
+    /// The message that the page lacks: a snapshot at first, then changes; with `beat` also when nothing changed.
     fn next(&mut self, network: &Network, beat: bool) -> Option<String> {
         let mut message = Map::new();
         let op = match (self.seen, beat) {

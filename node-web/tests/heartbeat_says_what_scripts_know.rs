@@ -151,7 +151,7 @@ async fn several_telescopes_roll_up_and_each_can_be_asked_alone() {
     assert_eq!(stage.get("/api/heartbeat?telescope=paranal/callisto").await.1["data"]["telescope_id"], "callisto");
     let (status, problem) = stage.get("/api/heartbeat?telescope=europa").await;
     assert_eq!((status.as_u16(), &problem["code"]), (404, &json!("not-found")));
-    // Over, and nobody has seen it: no error of now, and not lost to who asks every few minutes.
+    // Cleared, and no person has seen it: no error of now, but a script that asks every few minutes must see it.
     let mut over = alerts(Priority::Critical);
     over.alerts[0].returned_utc = Some(now());
     publisher.put(over).await.unwrap();

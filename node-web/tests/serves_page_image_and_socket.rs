@@ -1,4 +1,4 @@
-//! The page, its gate, the image and the live socket, over real HTTP and a real bus.
+//! The page, its check of access, the image and the live socket, over real HTTP and a real bus.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends where its stage breaks")]
 
@@ -135,7 +135,7 @@ async fn a_frame_becomes_an_image_under_its_own_id() {
     stage.end().await;
 }
 
-/// A WebSocket client of a few lines: it hears text frames and says short ones.
+/// A WebSocket client of a few lines: it receives text frames and sends short ones.
 struct Socket(TcpStream);
 
 impl Socket {

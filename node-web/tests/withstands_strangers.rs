@@ -1,4 +1,5 @@
-//! What strangers on the bus and on the network can do to the page: nonsense, floods, half requests and many sockets.
+//! The page withstands unknown programs on the bus and on the network: nonsense, floods, half requests and many
+//! sockets.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends where its stage breaks")]
 
@@ -35,7 +36,7 @@ async fn a_field_of_a_wrong_type_is_told_and_never_shown() {
         publisher.put(sample("observatory.safety")).await.unwrap();
         stage.until(path, |answer| answer["summary"]["unreadable"].is_null()).await;
     }
-    // A writer that sends nothing else: what is shown is old, and says so.
+    // A writer that sends nothing else: the value that is shown is old, and is marked as old.
     let mut spoilt = sample("observatory.safety");
     spoilt["verdict"] = json!("splendid");
     let mut word = Value::Null;

@@ -56,7 +56,8 @@ fn is_camera(kind: Kind) -> bool {
     matches!(kind, Kind::Camera | Kind::GuideCamera)
 }
 
-/// What a command still needs: old-fashioned methods answer when they are done, and an exposure is waited for.
+/// The wait that a command still needs: old-fashioned methods answer when they are done, and a method that takes an
+/// exposure waits for it.
 async fn follow_up(world: &Arc<World>, kind: Kind, member: &str) {
     if kind == Kind::Telescope && WAITS_FOR_SLEW.contains(&member) {
         while world.is_slewing() {
@@ -81,7 +82,7 @@ async fn spoil(reply: &Reply, scissors: &Scissors) -> Option<Response> {
         tokio::time::sleep(Duration::from_millis(fault.slow_ms)).await;
     }
     if fault.hang {
-        // Until the client gives up; its going away drops this future.
+        // Until the client gives up; the end of its connection drops this future.
         std::future::pending::<()>().await;
     }
     if fault.refuse || fault.mute {

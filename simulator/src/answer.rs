@@ -1,14 +1,14 @@
-//! What a device answers: a value, or one of ASCOM's refusals.
+//! The answer of a device: a value, or one of ASCOM's refusals.
 
 use serde_json::Value;
 
-/// The answer to one request; `Value::Null` where a method has nothing to say.
+/// The answer to one request; `Value::Null` where a method returns nothing.
 pub type Answer = Result<Value, Refusal>;
 
-/// Why a request was not obeyed.
+/// Why a request was not executed.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Refusal {
-    /// An ASCOM error, told with HTTP 200 in `ErrorNumber` and `ErrorMessage`.
+    /// An ASCOM error, reported with HTTP 200 in `ErrorNumber` and `ErrorMessage`.
     Ascom {
         /// ASCOM error number, 0x400 to 0xFFF.
         code: i32,
@@ -72,7 +72,7 @@ impl Refusal {
     }
 }
 
-/// Success with nothing to tell.
+/// Success with nothing to report.
 pub const DONE: Answer = Ok(Value::Null);
 
 /// Checks that a number lies in a closed range.

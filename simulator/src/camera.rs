@@ -63,7 +63,7 @@ pub const PROPERTIES: &[&str] = &[
     "StartY",
 ];
 
-/// What `DeviceState` tells.
+/// The properties in `DeviceState`.
 pub const STATE: &[&str] = &[
     "CameraState",
     "CCDTemperature",
@@ -269,7 +269,7 @@ impl Camera {
             "gainmax" => json!(GAIN_MAX),
             "offset" => json!(self.offset),
             "offsetmax" => json!(OFFSET_MAX),
-            // The pixels go another way, but whether there are any is asked like anything else.
+            // The pixels are sent another way, but the question whether there are any is like any other.
             "imagearray" | "imagearrayvariant" => {
                 self.image(scene.now)?;
                 json!(null)
@@ -297,7 +297,7 @@ impl Camera {
         })
     }
 
-    /// Obeys a PUT.
+    /// Executes a PUT.
     pub fn put(&mut self, request: &Request, scene: &Scene) -> Answer {
         let whole = |name: &str, high: u32| -> Result<u32, Refusal> {
             Ok(within(name, f64::from(request.integer(name)?), 0.0, f64::from(high))? as u32)

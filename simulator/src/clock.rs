@@ -19,12 +19,12 @@ impl SkyClock {
         Self { start, origin: Instant::now(), speed, stands: false }
     }
 
-    /// A clock that stands at `start` until it is let run.
+    /// A clock that stands at `start` until it is started.
     pub fn standing(start: Utc, speed: f64) -> Self {
         Self { stands: true, ..Self::at(start, speed) }
     }
 
-    /// Lets a clock that stands run from now on.
+    /// Starts a clock that stands.
     pub fn run(&mut self) {
         if std::mem::take(&mut self.stands) {
             self.origin = Instant::now();

@@ -26,7 +26,7 @@ const ALWAYS: &[&str] = &[
 pub fn ask(observatory: &mut Observatory, connected: &mut bool, kind: Kind, request: &Request) -> Answer {
     let member = request.member.as_str();
     if !*connected && !ALWAYS.contains(&member) {
-        // A member that does not exist is told as such, connected or not.
+        // A member that does not exist is reported as such, connected or not.
         return match if request.is_put { DONE } else { observatory.ask(kind, request) } {
             Err(Refusal::UnknownMember) if !request.is_put && !is_common(member) => Err(Refusal::UnknownMember),
             _ => Err(Refusal::not_connected()),
@@ -83,7 +83,7 @@ fn is_common(member: &str) -> bool {
     matches!(member, "devicestate" | "action" | "commandblind" | "commandbool" | "commandstring")
 }
 
-/// `DeviceState`: all that changes, in one answer. What cannot be told now is left out, as ASCOM has it.
+/// `DeviceState`: all properties that change, in one answer. As in ASCOM, a property that has no value now is left out.
 fn state(observatory: &mut Observatory, kind: Kind) -> Value {
     let mut told = Vec::new();
     for name in Observatory::state_properties(kind) {

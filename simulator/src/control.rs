@@ -40,7 +40,7 @@ use crate::kind::Kind;
 use crate::weather::Quantity;
 use crate::world::World;
 
-/// `GET /simulator/v1/clock`: what a node's clock is set by.
+/// `GET /simulator/v1/clock`: a node sets its clock by this.
 pub async fn clock(State(world): State<Arc<World>>) -> Json<Value> {
     world.run_clock();
     Json(json!({ "utc": world.now(), "speed": world.clock().speed(), "simulated": true }))

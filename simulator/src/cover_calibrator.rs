@@ -10,7 +10,7 @@ use crate::travel::Travel;
 pub const PROPERTIES: &[&str] =
     &["Brightness", "CalibratorChanging", "CalibratorState", "CoverMoving", "CoverState", "MaxBrightness"];
 
-/// What `DeviceState` tells.
+/// The properties in `DeviceState`.
 pub const STATE: &[&str] = &["Brightness", "CalibratorChanging", "CalibratorState", "CoverMoving", "CoverState"];
 
 const MAX_BRIGHTNESS: f64 = 255.0;
@@ -42,7 +42,8 @@ impl CoverCalibrator {
         self.cover.at()
     }
 
-    /// What the lamp sends into the telescope, electrons per second and pixel; only a closed cover shines inwards.
+    /// The light that the lamp sends into the telescope, electrons per second and pixel; only a closed cover shines
+    /// inwards.
     pub fn panel_e_per_s(&self) -> f64 {
         if self.cover.at() > 0.0 { 0.0 } else { FULL_E_PER_S * self.lamp.at() / MAX_BRIGHTNESS }
     }
@@ -77,7 +78,7 @@ impl CoverCalibrator {
         })
     }
 
-    /// Obeys a PUT.
+    /// Executes a PUT.
     pub fn put(&mut self, request: &Request) -> Answer {
         match request.member.as_str() {
             "calibratoroff" => self.lamp.send(0.0),

@@ -5,7 +5,7 @@ use std::net::Ipv4Addr;
 
 use tokio::net::UdpSocket;
 
-/// What a client asks; the 1 is the version.
+/// The question of a client; the 1 is the version.
 const QUESTION: &[u8] = b"alpacadiscovery1";
 
 /// Listens on a UDP port of all interfaces (broadcasts reach no single one).
@@ -26,7 +26,7 @@ pub async fn answer(socket: UdpSocket, alpaca_port: u16) {
                 let _ = socket.send_to(told.as_bytes(), from).await;
             }
             Ok(_) => {}
-            // An earlier answer was refused by its receiver; nothing to do about it.
+            // An earlier answer was refused by its receiver; the server goes on.
             Err(_) => tokio::time::sleep(std::time::Duration::from_millis(10)).await,
         }
     }

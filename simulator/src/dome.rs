@@ -28,14 +28,14 @@ pub const PROPERTIES: &[&str] = &[
     "Slewing",
 ];
 
-/// What `DeviceState` tells.
+/// The properties in `DeviceState`.
 pub const STATE: &[&str] = &["AtHome", "AtPark", "Azimuth", "ShutterStatus", "Slewing"];
 
 /// Actions beyond ASCOM's own members.
 pub const ACTIONS: &[&str] = &["feedwatchdog", "watchdog"];
 
 const HOME_DEG: f64 = 90.0;
-/// A dome that runs on has always as much before it, degrees.
+/// A dome that runs on always has this distance before it, degrees.
 const RUN_ON_DEG: f64 = 1e6;
 
 /// A dome.
@@ -89,7 +89,7 @@ impl Dome {
         }
     }
 
-    /// Where the slit stands.
+    /// The azimuth of the slit.
     pub fn azimuth(&self) -> Angle {
         Angle::from_degrees(self.azimuth.at()).wrapped_positive()
     }
@@ -99,8 +99,8 @@ impl Dome {
         self.azimuth.set_speed(deg_per_s.unwrap_or(self.options.turn_deg_per_s));
     }
 
-    /// From now on a turn never ends: the dome runs past where it was sent, and says that it slews, until it is
-    /// stopped; or it does no longer, and stands.
+    /// From now on a turn never ends: the dome runs past its target, and reports that it slews, until it is stopped.
+    /// With false this ends, and the dome stands.
     pub fn set_runs_on(&mut self, runs_on: bool) {
         if self.runs_on && !runs_on {
             self.azimuth.stop();
@@ -117,7 +117,7 @@ impl Dome {
         }
     }
 
-    /// What the truth is; `free` of the aperture is not hidden by the slit.
+    /// The true state; `free` of the aperture is not hidden by the slit.
     pub fn told(&self, free: f64) -> Value {
         json!({
             "open": self.open(),
@@ -163,7 +163,7 @@ impl Dome {
         }
     }
 
-    /// The hardware watchdog: an open dome that nobody commands closes itself.
+    /// The hardware watchdog: an open dome that receives no commands closes itself.
     fn bark(&mut self) {
         let due = self.watchdog_s.is_some_and(|limit_s| self.heard.elapsed().as_secs_f64() > limit_s);
         if due && self.shutter.target() > 0.0 {
@@ -183,7 +183,7 @@ impl Dome {
         }
     }
 
-    /// Tells the watchdog that somebody is there.
+    /// Feeds the watchdog.
     pub fn feed(&mut self) {
         self.heard = Instant::now();
     }
@@ -208,7 +208,7 @@ impl Dome {
         })
     }
 
-    /// Obeys a PUT; any PUT feeds the watchdog.
+    /// Executes a PUT; any PUT feeds the watchdog.
     pub fn put(&mut self, request: &Request) -> Answer {
         self.heard = Instant::now();
         match request.member.as_str() {

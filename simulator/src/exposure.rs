@@ -1,4 +1,4 @@
-//! What a camera sees while its shutter is open, and the plan for the frame that comes of it.
+//! The light that a camera receives while its shutter is open, and the plan for the frame that results.
 
 use sky::{Icrs, airmass};
 use units::{Angle, Utc};
@@ -10,12 +10,12 @@ use crate::weather::Quantity;
 
 /// Photons per second and square metre from a star of magnitude 0 in V (Bessell 1979: 1000 per s, cm2 and A).
 const PHOTONS: f64 = 8.8e9;
-/// Of those, what mirrors, obstruction and detector leave.
+/// The part of them that mirrors, obstruction and detector leave.
 const EFFICIENCY: f64 = 0.45;
 /// Magnitudes of extinction per airmass.
 const EXTINCTION: f64 = 0.15;
 
-/// What falls on the camera during one stretch of an exposure.
+/// The light that falls on the camera during one stretch of an exposure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
     /// Length of the stretch, sky seconds.
@@ -33,7 +33,7 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// What the camera sees at this moment.
+    /// The light that the camera receives at this moment.
     pub fn of(scene: &Scene, camera: &CameraOptions, focus: &FocusOptions) -> Self {
         let light = &scene.light;
         let air = airmass(scene.pointing.horizontal.altitude);
@@ -59,7 +59,7 @@ impl Sample {
     }
 }
 
-/// Everything that decides the pixels of one frame.
+/// All values that decide the pixels of one frame.
 #[derive(Debug, Clone)]
 pub struct Plan {
     /// The camera that exposed.
@@ -70,7 +70,7 @@ pub struct Plan {
     pub started: Utc,
     /// Its length, s.
     pub exposure_s: f64,
-    /// What fell on the camera; empty for a dark.
+    /// The light that fell on the camera; empty for a dark.
     pub samples: Vec<Sample>,
     /// Pixels binned to one, along each axis.
     pub binning: u32,
@@ -109,7 +109,7 @@ impl Exposure {
         Self { started: now, ends: now.plus_seconds(duration_s), light, samples: Vec::new(), sampled: now }
     }
 
-    /// Looks again: what is seen now fills the time since the last look. At most some 40 samples are kept.
+    /// Takes a sample: the light of this moment fills the time since the last look. At most some 40 samples are kept.
     pub fn look(&mut self, scene: &Scene, see: impl FnOnce() -> Sample) {
         let until = scene.now.min(self.ends);
         let since_s = until.seconds_since(self.sampled);
@@ -120,7 +120,7 @@ impl Exposure {
         }
     }
 
-    /// Ends it now, at the latest at its planned end; gives its true length and what was seen.
+    /// Ends it now, at the latest at its planned end; returns its true length and the samples.
     pub fn finish(mut self, scene: &Scene, see: impl FnOnce() -> Sample) -> (f64, Vec<Sample>) {
         let end = scene.now.min(self.ends);
         let rest_s = end.seconds_since(self.sampled);

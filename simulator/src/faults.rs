@@ -1,6 +1,7 @@
 //! Faults: how a device's answers are spoiled on their way to the client.
 //!
-//! Faults of the world itself (a stuck shutter, a lying park flag, rain) live with the thing they befall.
+//! Faults of the world itself (a stuck shutter, a false park flag, rain) are part of the device or the weather that
+//! they concern.
 
 use std::collections::HashMap;
 
@@ -21,7 +22,7 @@ pub struct Fault {
     pub hang: bool,
     /// The connection ends without an answer.
     pub refuse: bool,
-    /// Requests are obeyed, and the connection ends without an answer.
+    /// Requests are executed, and the connection ends without an answer.
     pub mute: bool,
     /// Answers are HTTP 500 with a page of HTML.
     pub html: bool,
@@ -119,7 +120,7 @@ pub fn with_nan(value: Value) -> Value {
     }
 }
 
-/// Writes the NaNs of a serialised value the way sloppy servers do: bare.
+/// Writes the NaNs of a serialised value as some faulty servers do, without quotes.
 pub fn spell_nan(json: String) -> String {
     if json.contains("\\u0001NaN") { json.replace("\"\\u0001NaN\"", "NaN") } else { json }
 }

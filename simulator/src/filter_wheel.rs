@@ -10,7 +10,7 @@ use crate::travel::Travel;
 /// Properties that are read without parameters, in ASCOM's case.
 pub const PROPERTIES: &[&str] = &["FocusOffsets", "Names", "Position"];
 
-/// What `DeviceState` tells.
+/// The properties in `DeviceState`.
 pub const STATE: &[&str] = &["Position"];
 
 /// Filters per sky second.
@@ -51,7 +51,7 @@ impl FilterWheel {
         })
     }
 
-    /// Obeys a PUT.
+    /// Executes a PUT.
     pub fn put(&mut self, request: &Request) -> Answer {
         match request.member.as_str() {
             "position" => {

@@ -23,7 +23,7 @@ pub const PROPERTIES: &[&str] = &[
     "Temperature",
 ];
 
-/// What `DeviceState` tells.
+/// The properties in `DeviceState`.
 pub const STATE: &[&str] = &["IsMoving", "Position", "Temperature"];
 
 /// A focuser.
@@ -47,7 +47,7 @@ impl Focuser {
     /// Steps beyond the best focus of this temperature and filter.
     pub fn defocus_steps(&self, temperature_c: f64, filter_offset: f64) -> f64 {
         let best = self.options.best_step + self.options.steps_per_k * (temperature_c - 10.0) + filter_offset;
-        // Half the play, so that what is told is true when it moved outward.
+        // Half the play, so that the reported position is true after a move outward.
         self.travel.at() - self.gear.lag() + self.gear.play() / 2.0 - best
     }
 
@@ -82,7 +82,7 @@ impl Focuser {
         })
     }
 
-    /// Obeys a PUT.
+    /// Executes a PUT.
     pub fn put(&mut self, request: &Request) -> Answer {
         match request.member.as_str() {
             "halt" => self.travel.stop(),

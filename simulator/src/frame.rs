@@ -1,4 +1,4 @@
-//! A finished frame, and how it travels: as ImageBytes or as JSON.
+//! A finished frame, and how it is sent: as ImageBytes or as JSON.
 
 use bytes::Bytes;
 use units::Utc;

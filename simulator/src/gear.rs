@@ -1,6 +1,6 @@
-//! A gear with play: what it drives stands still while the play is crossed after a reversal.
+//! A gear with play: the load stands still while the motor crosses the play after a reversal.
 
-/// The play between a motor and what it moves, in whatever unit its owner counts.
+/// The play between a motor and its load, in the unit that its owner counts.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gear {
     play: f64,
@@ -15,7 +15,7 @@ impl Gear {
         Self { play, crossed: play }
     }
 
-    /// Lets the motor move by this; what does not cross the play moves the load.
+    /// Lets the motor move by this; only the motion beyond the play moves the load.
     pub fn turn(&mut self, by: f64) {
         self.crossed = (self.crossed + by).clamp(0.0, self.play);
     }

@@ -1,4 +1,4 @@
-//! The guide scope: what its camera sees instead of what the main camera does.
+//! The guide scope: the scene of its camera in place of the main camera's.
 
 use sky::Tangent;
 use units::Angle;

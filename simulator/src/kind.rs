@@ -16,7 +16,7 @@ pub enum Kind {
     Focuser,
     /// Dome and shutter.
     Dome,
-    /// The site's own word on safety.
+    /// The site's own safety monitor.
     SafetyMonitor,
     /// The weather station.
     ObservingConditions,

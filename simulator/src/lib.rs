@@ -1,17 +1,18 @@
-//! A whole observatory that is not there: an Alpaca server with a sky, a world and faults.
+//! A whole simulated observatory: an Alpaca server with a sky, a world and faults.
 //!
 //! One [`World`] has one clock, and everything physical in it happens in that clock's sky time: the Sun sinks, the
-//! weather wanders, the mount slews and drifts, the shutter travels, the cooler cools. At speed 60 a minute of night
-//! takes a second of machine time. Ten devices, one of each ASCOM kind, and a guide camera where one is
-//! asked for, look at that world through the Alpaca protocol ([`alpaca`]); each has a file of its name. A device is a plain struct: `get` and `put` speak ASCOM,
-//! `advance` lets sky time pass, and a [`scene::Scene`] shows it the rest of the observatory.
+//! weather changes, the mount slews and drifts, the shutter travels, the cooler cools. At speed 60 a minute of night
+//! takes a second of machine time. Ten devices, one of each ASCOM kind, and an optional guide camera serve that world
+//! through the Alpaca protocol ([`alpaca`]); each has a file of its name. A device is a plain struct: `get` and `put`
+//! implement the members of ASCOM, `advance` lets sky time pass, and a [`scene::Scene`] shows it the rest of the
+//! observatory.
 //!
-//! The stars are real. The camera looks where the mount truly points (which is not quite where it says), through
-//! filter, focus, seeing and clouds, at the catalogue that Starmesh ships; so the same right ascension and declination
-//! always show the same stars, and solving, guiding and focusing can close their loops on it. Faint stars for narrow
+//! The stars are real. The camera sees the catalogue that Starmesh ships, where the mount truly points (which differs a
+//! little from what it reports), through filter, focus, seeing and clouds; so the same right ascension and declination
+//! always show the same stars, and solving, guiding and focusing work on it as on the real sky. Faint stars for narrow
 //! fields come from a seeded sky ([`faint`]) that can be written out as a catalogue.
 //!
-//! Things go wrong by order: through methods of [`World`] in tests, through HTTP ([`control`]) from anywhere.
+//! Faults happen on request: through methods of [`World`] in tests, through HTTP ([`control`]) from anywhere.
 //!
 //! ```no_run
 //! # async fn night() -> Result<(), simulator::SimulatorError> {

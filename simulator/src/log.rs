@@ -1,4 +1,4 @@
-//! What was asked of the simulator: every PUT with its machine time, and how many requests a minute.
+//! The requests to the simulator: every PUT with its machine time, and how many requests a minute.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};

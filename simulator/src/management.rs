@@ -1,4 +1,4 @@
-//! Alpaca's management API: who this server is, and which devices it has.
+//! Alpaca's management API: the name of this server, and the devices that it has.
 
 use std::sync::Arc;
 
@@ -43,7 +43,7 @@ pub async fn devices(State(world): State<Arc<World>>, RawQuery(query): RawQuery)
             "DeviceName": common::name(kind),
             "DeviceType": kind.ascom(),
             "DeviceNumber": kind.number(),
-            // The same for the same server name, as a unique id must not change between runs.
+            // The id is the same for the same server name, as a unique id must not change between runs.
             "UniqueID": format!("{}-{}-{}", world.name().to_ascii_lowercase().replace(' ', "-"), kind.path(), kind.number()),
         })
     };

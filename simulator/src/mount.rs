@@ -1,5 +1,5 @@
-//! The machine under the telescope: axes that take time, and the errors between where they say they point and
-//! where the telescope looks.
+//! The machine under the telescope: axes that take time, and the differences between the direction that they report and
+//! the direction in which the telescope looks.
 
 use std::f64::consts::TAU;
 
@@ -15,14 +15,14 @@ pub const SIDEREAL_ARCSEC_PER_S: f64 = 15.041_067;
 /// Ways of this length and more, deg, end with the whole scatter.
 const SCATTERED_DEG: f64 = 1.0;
 
-/// What happens when a slew arrives.
+/// The next state when a slew arrives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Arrival {
-    /// Goes on as before.
+    /// The mount goes on as before.
     Target,
-    /// Is parked.
+    /// The mount is parked.
     Park,
-    /// Is at home.
+    /// The mount is at home.
     Home,
 }
 
@@ -44,11 +44,11 @@ impl Slew {
     }
 }
 
-/// The mount: where its axes are, and how wrong they are.
+/// The mount: the position of its axes, and their errors.
 #[derive(Debug)]
 pub struct Mount {
     options: MountOptions,
-    /// Right ascension and declination that the encoders say, ICRS degrees.
+    /// Right ascension and declination that the encoders report, ICRS degrees.
     axes: [f64; 2],
     slew: Option<Slew>,
     /// Rest after a slew before it counts as over, sky seconds.
@@ -107,7 +107,7 @@ impl Mount {
         }
     }
 
-    /// Where the encoders say the telescope points.
+    /// Where the encoders report that the telescope points.
     pub fn encoders(&self) -> Icrs {
         Icrs::from_degrees(self.axes[0].rem_euclid(360.0), self.axes[1])
     }
@@ -174,7 +174,7 @@ impl Mount {
         self.pulses = [(0.0, 0.0); 2];
     }
 
-    /// Tells the encoders that the telescope looks at `here`; the telescope stays where it is.
+    /// Sets the encoders so that the telescope looks at `here`; the telescope stays where it is.
     pub fn sync(&mut self, here: Icrs) {
         let ra = Angle::from_degrees(self.axes[0] - here.ra.degrees()).wrapped_signed().arcseconds();
         self.offset[0] += ra * here.dec.cos();

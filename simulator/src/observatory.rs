@@ -28,7 +28,7 @@ use crate::weather::{Conditions, Quantity, Weather, clear_sky_mag};
 const STEP_S: f64 = 0.5;
 /// Most steps for one advance; at high speed they become longer instead.
 const STEPS: f64 = 60.0;
-/// Tells the guide camera's chance from the main camera's.
+/// Makes the guide camera's random numbers differ from the main camera's.
 const GUIDE_SEED: u64 = 0x6001_DE00_0000_0000;
 
 /// All devices under one sky.
@@ -40,7 +40,7 @@ pub struct Observatory {
     now: Utc,
     /// The weather as it is.
     pub conditions: Conditions,
-    /// The weather's plans.
+    /// The weather of the coming hours.
     pub weather: Weather,
     /// Kind telescope.
     pub telescope: Telescope,
@@ -81,7 +81,7 @@ impl Observatory {
             telescope: Telescope::new(options, &observer),
             camera: Camera::new(Kind::Camera, options.camera, options.focus, options.seed, air_c),
             guide_camera: options.guide_camera.map(|guide| {
-                // Its hot pixels are others.
+                // Its hot pixels differ.
                 Camera::new(Kind::GuideCamera, guide.camera, options.focus, options.seed ^ GUIDE_SEED, air_c)
             }),
             filter_wheel: FilterWheel::new(&options.filters),
@@ -112,7 +112,7 @@ impl Observatory {
         if total_s <= 0.0 {
             return;
         }
-        // Out of its range (after 2099) the sky stands still rather than the simulator.
+        // After 2099 the position of the sky cannot be computed: it stands still, and the simulator goes on.
         if let Ok(observer) = Observer::new(&self.place, &EarthOrientation::default(), now) {
             self.observer = Arc::new(observer);
         }
@@ -126,7 +126,7 @@ impl Observatory {
         self.feel_weather();
     }
 
-    /// Takes over the weather as it is planned for this moment.
+    /// Takes over the weather that is planned for this moment.
     pub fn feel_weather(&mut self) {
         self.conditions = self.weather.at(self.now, clear_sky_mag(self.observer.sun().altitude));
     }
@@ -273,7 +273,7 @@ impl Observatory {
         }
     }
 
-    /// Names of the properties that `DeviceState` of a kind tells.
+    /// Names of the properties in `DeviceState` of a kind.
     pub fn state_properties(kind: Kind) -> &'static [&'static str] {
         match kind {
             Kind::Telescope => telescope::STATE,

@@ -46,7 +46,7 @@ impl ObservingConditions {
         })
     }
 
-    /// Obeys a PUT.
+    /// Executes a PUT.
     pub fn put(&mut self, request: &Request) -> Answer {
         match request.member.as_str() {
             "averageperiod" => self.average_h = within("AveragePeriod", request.number("AveragePeriod")?, 0.0, 24.0)?,

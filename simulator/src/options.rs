@@ -1,4 +1,4 @@
-//! What can be chosen about a simulated observatory, with the demo's choices as defaults.
+//! The options of a simulated observatory, with the demo's choices as defaults.
 
 use std::net::{Ipv4Addr, SocketAddr};
 
@@ -13,7 +13,7 @@ pub struct Options {
     pub bind: SocketAddr,
     /// UDP port on which discovery is answered (32227 is Alpaca's); None: not at all.
     pub discovery_port: Option<u16>,
-    /// What the server calls itself.
+    /// The name of the server.
     pub name: String,
     /// Sky time at the start.
     pub start: Utc,
@@ -62,7 +62,7 @@ pub struct MountOptions {
     /// Play of the declination gear, arcsec: a reversal must cross it before the telescope moves. The encoder sits on
     /// the motor, so the play is not seen in `Declination`. In right ascension tracking keeps the gear loaded.
     pub dec_backlash_arcsec: f64,
-    /// What a pulse to the north means with the tube west of the pier. False: greater declination on both sides, as
+    /// The effect of a pulse to the north with the tube west of the pier. False: greater declination on both sides, as
     /// ASCOM has it. True: the motor turns as it does with the tube east of the pier, so the telescope goes south, as
     /// with German mounts whose controllers do not look at the side.
     pub dec_pulses_reverse_west: bool,
@@ -70,7 +70,7 @@ pub struct MountOptions {
     pub german: bool,
     /// From the polar axis of a German mount to its optical axis, m.
     pub arm_m: f64,
-    /// Speaks coordinates of date (`EquatorialSystem` 1) instead of J2000 (2).
+    /// Reports coordinates of date (`EquatorialSystem` 1) instead of J2000 (2).
     pub of_date: bool,
     /// Takes rates for moving targets (`CanSetRightAscensionRate`, `CanSetDeclinationRate`).
     pub takes_rates: bool,
@@ -186,7 +186,8 @@ pub struct FocusOptions {
     pub best_step: f64,
     /// Shift of the best position, steps per K.
     pub steps_per_k: f64,
-    /// Play of the gear, steps: coming from greater positions, the optics stand this much farther out than told.
+    /// Play of the gear, steps: after a move from greater positions, the optics stand this much farther out than
+    /// reported.
     pub backlash_steps: f64,
 }
 

@@ -103,7 +103,7 @@ fn visible(plan: &Plan, stretches: &[Sample]) -> Vec<Star> {
     let diagonal_px = f64::from(plan.camera.width).hypot(f64::from(plan.camera.height));
     let field = plan.camera.pixel_scale() * (diagonal_px / 2.0 + 60.0);
     let wander = stretches.iter().map(|s| separation(&center, &s.center).degrees()).fold(0.0, f64::max);
-    // A telescope that slews during an exposure shows streaks where it began, and no more is asked.
+    // A telescope that slews during an exposure shows streaks where it began; the rest of its way is not drawn.
     let radius = field + Angle::from_degrees(wander.min(2.0));
     let epoch_year = 2000.0 + (plan.started.jd() - 2_451_545.0) / 365.25;
     let mut found = catalogue::default().cone(center.ra, center.dec, radius, f64::INFINITY, epoch_year);

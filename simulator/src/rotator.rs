@@ -1,4 +1,4 @@
-//! The rotator behind which the camera turns.
+//! The rotator that turns the camera.
 
 use serde_json::json;
 
@@ -10,7 +10,7 @@ use crate::travel::Travel;
 pub const PROPERTIES: &[&str] =
     &["CanReverse", "IsMoving", "MechanicalPosition", "Position", "Reverse", "StepSize", "TargetPosition"];
 
-/// What `DeviceState` tells.
+/// The properties in `DeviceState`.
 pub const STATE: &[&str] = &["IsMoving", "MechanicalPosition", "Position"];
 
 const DEG_PER_S: f64 = 6.0;
@@ -19,7 +19,7 @@ const DEG_PER_S: f64 = 6.0;
 #[derive(Debug)]
 pub struct Rotator {
     travel: Travel,
-    /// Position told less mechanical position, deg.
+    /// Reported position less mechanical position, deg.
     offset_deg: f64,
     reversed: bool,
 }
@@ -65,7 +65,7 @@ impl Rotator {
         })
     }
 
-    /// Obeys a PUT.
+    /// Executes a PUT.
     pub fn put(&mut self, request: &Request) -> Answer {
         let absolute = || within("Position", request.number("Position")?, 0.0, 360.0 - 1e-9);
         match request.member.as_str() {

@@ -1,4 +1,4 @@
-//! The site's safety monitor: a plain word, from the weather and from tests.
+//! The site's safety monitor: safe or unsafe, from the weather and from tests.
 
 use serde_json::json;
 
@@ -9,7 +9,7 @@ use crate::weather::{Conditions, Quantity};
 /// Properties that are read without parameters, in ASCOM's case.
 pub const PROPERTIES: &[&str] = &["IsSafe"];
 
-/// What `DeviceState` tells.
+/// The properties in `DeviceState`.
 pub const STATE: &[&str] = &["IsSafe"];
 
 /// Unsafe above these, in the unit of each quantity.
@@ -19,12 +19,12 @@ const LIMITS: [(Quantity, f64); 4] =
 /// A safety monitor.
 #[derive(Debug, Default)]
 pub struct SafetyMonitor {
-    /// Says unsafe whatever the weather.
+    /// Reports unsafe whatever the weather.
     pub ordered_unsafe: bool,
 }
 
 impl SafetyMonitor {
-    /// Whether it may be open.
+    /// Whether the dome may be open.
     pub fn is_safe(&self, weather: &Conditions) -> bool {
         !self.ordered_unsafe && LIMITS.iter().all(|(quantity, limit)| weather.of(*quantity) <= *limit)
     }

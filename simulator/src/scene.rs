@@ -1,4 +1,4 @@
-//! What every device may see of the rest at one moment.
+//! The state of the rest of the observatory that every device may see at one moment.
 
 use std::sync::Arc;
 
@@ -13,17 +13,17 @@ pub struct Scene {
     pub now: Utc,
     /// The site at that time.
     pub observer: Arc<Observer>,
-    /// Speaks coordinates of date instead of J2000.
+    /// The mount reports coordinates of date instead of J2000.
     pub of_date: bool,
     /// The weather.
     pub weather: Conditions,
     /// Where the telescope really looks.
     pub pointing: Pointing,
-    /// What reaches the camera, and how sharply.
+    /// The light that reaches the camera, and how sharply.
     pub light: Light,
 }
 
-/// Where a telescope looks.
+/// The direction in which a telescope looks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pointing {
     /// Among the stars, pointing error included.
@@ -41,7 +41,7 @@ pub struct Light {
     pub open: f64,
     /// Of that, the fraction that the dome's slit leaves free when its shutter is open.
     pub slit_free: f64,
-    /// What the flat panel sends into the closed cover, electrons per second and pixel, before the filter.
+    /// The light that the flat panel sends into the closed cover, electrons per second and pixel, before the filter.
     pub panel_e_per_s: f64,
     /// Fraction that the filter lets through.
     pub transmission: f64,

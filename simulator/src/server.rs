@@ -23,12 +23,12 @@ const TICK: Duration = Duration::from_millis(100);
 /// Why a simulator did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulatorError {
-    /// The Alpaca address is taken or not ours.
+    /// The Alpaca address is taken, or belongs to another host.
     #[error("cannot listen on {address}")]
     Bind {
         /// As asked for.
         address: SocketAddr,
-        /// What the system says.
+        /// The error of the system.
         #[source]
         source: std::io::Error,
     },
@@ -37,7 +37,7 @@ pub enum SimulatorError {
     Discovery {
         /// As asked for.
         port: u16,
-        /// What the system says.
+        /// The error of the system.
         #[source]
         source: std::io::Error,
     },
@@ -114,7 +114,7 @@ pub async fn run(options: Options, stop: impl Future<Output = ()>) -> Result<(),
     Ok(())
 }
 
-/// Keeps the world moving while nobody asks.
+/// Lets the world move while no client asks.
 async fn tick(world: Arc<World>) {
     let mut ticks = tokio::time::interval(TICK);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);

@@ -1,4 +1,4 @@
-//! A simulator that is made what a site is: where and when, its filters, its focus and its cooler.
+//! A simulator that takes the place of a site: where and when, its filters, its focus and its cooler.
 
 use serde::Deserialize;
 use serde_json::Value;
@@ -7,7 +7,7 @@ use units::{Angle, Utc};
 use crate::options::{Filter, FocusOptions, Options};
 use crate::world::World;
 
-/// What a site is like; what is absent stays as it is.
+/// The properties of a site; an absent one stays as it is.
 #[derive(Debug, Clone, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Site {
@@ -17,11 +17,11 @@ pub struct Site {
     longitude_deg: Option<f64>,
     /// m above the sea.
     elevation_m: Option<f64>,
-    /// Sky time at which the clock stands until somebody asks for it.
+    /// Sky time at which the clock stands until a client asks for it.
     start: Option<Utc>,
     /// Best position of the focuser at 10 C, steps.
     best_focus: Option<u32>,
-    /// Filters that the wheel needs to have, beside its own.
+    /// Filters that the wheel needs in addition to its own.
     filters: Vec<String>,
     /// Small frames of the same field where the night is fast: to draw and solve a large one takes hours of it.
     small_frames: bool,
@@ -39,7 +39,7 @@ const FAST: f64 = 60.0;
 const SMALL_PX: u32 = 512;
 /// Width of the stars in them, pixels.
 const SMALL_FWHM_PX: f64 = 2.4;
-/// What a filter of an unknown sort lets through.
+/// The light that passes a filter of an unknown sort.
 const TRANSMISSION: f64 = 0.45;
 /// The air is no warmer than this in the simulated nights, degrees Celsius, with some reserve of the cooler.
 const WARMEST_C: f64 = 25.0;
@@ -47,7 +47,7 @@ const WARMEST_C: f64 = 25.0;
 /// Begins anew as this site.
 ///
 /// # Errors
-/// In words, for what is no site.
+/// The reason why the order describes no site.
 pub fn begin(world: &World, order: &Value) -> Result<(), String> {
     let site: Site = serde_json::from_value(order.clone()).map_err(|error| error.to_string())?;
     for (name, value, most) in [

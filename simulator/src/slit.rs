@@ -1,4 +1,5 @@
-//! What the dome's slit leaves of the telescope's view: rays from all over the aperture, followed to the dome.
+//! The part of the telescope's view that the dome's slit leaves free: rays from all over the aperture, followed to the
+//! dome.
 
 use units::Angle;
 
@@ -57,7 +58,7 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Length 1; nothing stays nothing.
+/// A vector of length 1; zero stays zero.
 fn unit(a: [f64; 3]) -> [f64; 3] {
     let length = dot(a, a).sqrt();
     if length > 1e-12 { a.map(|part| part / length) } else { a }

@@ -8,7 +8,7 @@ use crate::request::Request;
 /// Properties that are read without parameters, in ASCOM's case.
 pub const PROPERTIES: &[&str] = &["MaxSwitch"];
 
-/// What `DeviceState` tells.
+/// The properties in `DeviceState`.
 pub const STATE: &[&str] = &[
     "GetSwitch0",
     "GetSwitch1",
@@ -27,7 +27,7 @@ pub const STATE: &[&str] = &[
     "StateChangeComplete4",
 ];
 
-/// Number of the switch that tells whether the UPS has mains power.
+/// Number of the switch that reports whether the UPS has mains power.
 pub const ON_MAINS: usize = 3;
 const BATTERY: usize = 4;
 /// Percent of charge per sky second, without and with mains.
@@ -106,7 +106,7 @@ impl Switch {
         })
     }
 
-    /// Obeys a PUT.
+    /// Executes a PUT.
     pub fn put(&mut self, request: &Request) -> Answer {
         let known = ["setswitch", "setswitchvalue", "setasync", "setasyncvalue", "setswitchname", "cancelasync"];
         if !known.contains(&request.member.as_str()) {
@@ -140,7 +140,7 @@ impl Switch {
         found.ok_or_else(|| Refusal::invalid_value(format!("there is no switch {number}")))
     }
 
-    /// Charge and mains, for tests and curious people.
+    /// Charge and mains, for tests and people.
     pub fn told(&self) -> Value {
         json!({ "on_mains": self.sockets[ON_MAINS].value > 0.0, "battery_percent": self.sockets[BATTERY].value })
     }

@@ -61,7 +61,7 @@ pub const PROPERTIES: &[&str] = &[
     "UTCDate",
 ];
 
-/// What `DeviceState` tells.
+/// The properties in `DeviceState`.
 pub const STATE: &[&str] = &[
     "Altitude",
     "AtHome",
@@ -91,12 +91,12 @@ const RA_S_PER_SIDEREAL_S: f64 = 15.0 * 1.002_737_909_36;
 pub struct Telescope {
     /// The machine.
     pub mount: Mount,
-    /// `AtPark` says true whatever is the case, and `Park` believes it.
+    /// `AtPark` is true whatever is the case, and `Park` then does nothing.
     pub lies_about_park: bool,
-    /// Its controller, where one was ordered.
+    /// Its controller, where one was requested.
     pub vendor: Option<Vendor>,
     options: Options,
-    /// Beside the stars, arcsec per second, of right ascension and declination as the mount counts them.
+    /// Relative to the stars, arcsec per second, of right ascension and declination as the mount counts them.
     pub rates: [f64; 2],
     target_ra_h: Option<f64>,
     target_dec_deg: Option<f64>,
@@ -191,7 +191,7 @@ impl Telescope {
         })
     }
 
-    /// Obeys a PUT.
+    /// Executes a PUT.
     pub fn put(&mut self, request: &Request, scene: &Scene) -> Answer {
         match request.member.as_str() {
             "abortslew" => {
@@ -341,7 +341,7 @@ fn guide_rate(request: &Request, name: &str) -> Result<f64, Refusal> {
     within(name, request.number(name)?, 0.0, 2.0 * SIDEREAL_ARCSEC_PER_S / 3600.0)
 }
 
-/// What the truth is, for tests and curious people.
+/// The true state, for tests and people.
 pub fn told(telescope: &Telescope, scene: &Scene) -> Value {
     json!({
         "ra_deg": scene.pointing.icrs.ra.degrees(),

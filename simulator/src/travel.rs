@@ -1,4 +1,4 @@
-//! A part that moves to where it is sent at one speed: a shutter, a focuser, a rotator.
+//! A part that moves at one speed to its target: a shutter, a focuser, a rotator.
 
 use units::Angle;
 

@@ -1,5 +1,6 @@
-//! A mount controller of its maker's own: it latches errors, does not move until they are acknowledged, and says when
-//! it is ready. Words and errors come by order; without one, the mount knows no such commands.
+//! A mount controller of its maker's own: it latches errors, does not move until they are acknowledged, and reports
+//! when it is ready. Its commands and errors are requested from outside; without a request, the mount has no such
+//! commands.
 
 use std::collections::BTreeSet;
 
@@ -8,7 +9,7 @@ use serde_json::Value;
 
 use crate::answer::{Answer, Refusal};
 
-/// The controller, as it is ordered.
+/// The controller, as it was requested.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Vendor {
@@ -17,9 +18,9 @@ pub struct Vendor {
     /// CommandString that acknowledges: followed by a blank and the sum of the distinct levels of what is latched. Any
     /// other sum acknowledges nothing.
     clear: String,
-    /// CommandString that tells the state: 1 ready, 0 not yet, -1 in error.
+    /// CommandString that returns the state: 1 ready, 0 not yet, -1 in error.
     ready: String,
-    /// What is latched.
+    /// The latched errors.
     #[serde(default)]
     errors: Vec<Latched>,
     /// Unparked and without errors for so long it is ready, sky s.

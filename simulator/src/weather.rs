@@ -1,11 +1,11 @@
-//! The weather over the site: a calm night that wanders a little, and whatever a test orders instead.
+//! The weather over the site: a calm night that changes a little, and the values that a test orders instead.
 
 use std::f64::consts::TAU;
 
 use serde_json::{Map, Value};
 use units::{Angle, Utc};
 
-/// What an ASCOM weather station measures, in ASCOM's own units.
+/// The quantities of an ASCOM weather station, in ASCOM's own units.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
     /// Percent of the sky.
@@ -99,7 +99,7 @@ impl Conditions {
     }
 }
 
-/// The weather as it will be, and what was ordered instead.
+/// The weather as it will be, and the values that were ordered instead.
 #[derive(Debug, Clone)]
 pub struct Weather {
     seed: u64,
@@ -115,7 +115,7 @@ impl Weather {
         Self { seed, longitude, elevation_m, ordered: [None; 13], raining: false }
     }
 
-    /// Orders a value; None lets nature have its way again.
+    /// Orders a value; None returns to the natural value.
     pub fn order(&mut self, quantity: Quantity, value: Option<f64>) {
         self.ordered[quantity as usize] = value;
     }
@@ -125,7 +125,7 @@ impl Weather {
         self.raining = raining;
     }
 
-    /// All as nature has it again.
+    /// Returns all quantities to their natural values.
     pub fn clear(&mut self) {
         self.ordered = [None; 13];
         self.raining = false;
@@ -152,7 +152,7 @@ impl Weather {
         }
         self.obey(&mut conditions);
 
-        // What follows from the rest, unless it was ordered too.
+        // Quantities that follow from the others, unless they were ordered too.
         let (temperature, cloud) = (conditions.of(Temperature), conditions.of(CloudCover) / 100.0);
         conditions.set(DewPoint, dew_point(temperature, conditions.of(Humidity)));
         conditions.set(WindGust, conditions.of(WindSpeed) * (1.35 + 0.1 * self.wander(9, 310.0, now)));

@@ -1,4 +1,4 @@
-//! The world: one observatory under one clock, with its faults and its log, shared by all who look at it.
+//! The world: one observatory under one clock, with its faults and its log, shared by all its clients.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -42,12 +42,12 @@ struct Inner {
     log: Log,
 }
 
-/// What a device answers after its faults have had their say.
+/// The answer of a device after its faults were applied.
 #[derive(Debug)]
 pub struct Reply {
     /// The answer itself.
     pub answer: Answer,
-    /// The fault in force, as far as it concerns how the answer is told.
+    /// The fault in force, as far as it concerns how the answer is sent.
     pub fault: Fault,
     /// Number of the PUT in the log.
     pub logged: Option<u64>,
@@ -82,7 +82,7 @@ impl World {
         Self::new(&Options { start, speed, ..Options::default() })
     }
 
-    /// What the server calls itself.
+    /// The name of the server.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -92,7 +92,7 @@ impl World {
         *self.clock.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Lets a clock that stands run: somebody goes by it from now on.
+    /// Starts a clock that stands: a node uses it from now on.
     pub fn run_clock(&self) {
         self.clock.lock().unwrap_or_else(PoisonError::into_inner).run();
     }
@@ -102,8 +102,8 @@ impl World {
         self.clock().now()
     }
 
-    /// Begins anew with other options, closed, parked, in fair weather and with nothing connected. The clock stands at its
-    /// start until somebody asks for it. Speed, address, devices and log stay.
+    /// Begins anew with other options, closed, parked, in fair weather and with nothing connected. The clock stands at
+    /// its start until a client asks for it. Speed, address, devices and log stay.
     ///
     /// # Errors
     /// When the site or the start is nowhere the sky can be computed for; then nothing has changed.
@@ -155,7 +155,7 @@ impl World {
         let logged = request.is_put.then(|| inner.log.note(kind, &request.member, request.told(), now));
         let in_force = inner.faults.get(&kind).filter(|it| it.fault.concerns(&request.member));
         let fault = in_force.map(|it| it.fault.clone()).unwrap_or_default();
-        // A device that hangs, drops the line or shows an error page does not do what it was told.
+        // A device that hangs, drops the line or shows an error page does not execute the request.
         let answer = if fault.hang || fault.refuse || fault.html {
             Err(Refusal::asked_for(0x500))
         } else if let Some(code) = fault.error {
@@ -210,13 +210,13 @@ impl World {
         self.refresh();
     }
 
-    /// Orders a weather value in ASCOM's unit; None lets nature have its way again.
+    /// Orders a weather value in ASCOM's unit; None returns to the natural value.
     pub fn set_weather(&self, quantity: Quantity, value: Option<f64>) {
         self.lock().observatory.weather.order(quantity, value);
         self.refresh();
     }
 
-    /// Makes the safety monitor say unsafe, or speak for the weather again.
+    /// Makes the safety monitor report unsafe, or report the weather again.
     pub fn set_unsafe(&self, is_unsafe: bool) {
         self.lock().observatory.safety_monitor.ordered_unsafe = is_unsafe;
     }
@@ -226,7 +226,7 @@ impl World {
         self.lock().observatory.switch.set_on_mains(on_mains);
     }
 
-    /// Makes the shutter stick half-way, or run freely again (when next told to move).
+    /// Makes the shutter stick half-way, or run freely again (at the next request to move).
     pub fn stick_shutter_half_open(&self, sticks: bool) {
         self.lock().observatory.dome.sticks_half_open = sticks;
     }
@@ -246,7 +246,7 @@ impl World {
         self.lock().observatory.dome.shutter_needs_rest = needs_rest;
     }
 
-    /// Makes the mount say that it is parked, and believe it, or tell the truth again.
+    /// Makes the mount report that it is parked, and refuse to park, or report the truth again.
     pub fn lie_about_park(&self, lies: bool) {
         self.lock().observatory.telescope.lies_about_park = lies;
     }
@@ -261,7 +261,7 @@ impl World {
         self.lock().observatory.telescope.vendor.as_ref().is_some_and(Vendor::is_in_error)
     }
 
-    /// Makes the mount stay on its side of the pier whatever it is told, or flip again.
+    /// Makes the mount stay on its side of the pier whatever it is asked, or flip again.
     pub fn ignore_flips(&self, ignores: bool) {
         self.lock().observatory.telescope.mount.ignores_flip = ignores;
     }
@@ -293,7 +293,7 @@ impl World {
         self.lock().observatory.dome.watchdog_closings
     }
 
-    /// Fraction of the slit that is open, whatever the dome says.
+    /// Fraction of the slit that is open, whatever the dome reports.
     pub fn dome_open(&self) -> f64 {
         self.lock().observatory.dome.open()
     }
@@ -315,7 +315,7 @@ impl World {
         self.lock().observatory.telescope.rates
     }
 
-    /// Whether the mount really is parked, whatever it says.
+    /// Whether the mount really is parked, whatever it reports.
     pub fn is_parked(&self) -> bool {
         self.lock().observatory.telescope.mount.parked
     }
@@ -345,12 +345,12 @@ impl World {
         all.map(|(kind, it)| (*kind, it.fault.clone())).collect()
     }
 
-    /// The device falls off its cable: not connected until somebody connects it again.
+    /// The device loses its cable: it is not connected until a client connects it again.
     pub fn lose_connection(&self, kind: Kind) {
         self.lock().connected.insert(kind, false);
     }
 
-    /// Fair weather, honest devices, no faults; what moved stays where it is.
+    /// Fair weather, true answers, no faults; devices that moved stay where they are.
     pub fn clear_faults(&self) {
         let mut inner = self.lock();
         inner.faults.clear();

@@ -1,4 +1,4 @@
-//! A header is the old one or the new one, wherever the kill comes.
+//! A header is the old one or the new one, whenever the kill comes.
 
 use contract::device::camera::Pixel;
 
@@ -26,7 +26,7 @@ fn pixels() -> Vec<u8> {
 }
 
 fn new_file(folder: &Path, room: usize) -> PathBuf {
-    let path = folder.join("a [1] frame.fits"); // brackets are cfitsio's filter syntax, and must mean nothing
+    let path = folder.join("a [1] frame.fits"); // Brackets are cfitsio's filter syntax, and must mean nothing.
     let mut fits = FitsFile::create(&path, &SHAPE).unwrap();
     assert!(fits.set(&Card::new("OBJECT", "Rigel".into(), "object")).unwrap());
     assert!(!fits.set(&Card::new("BAD", CardValue::Float(f64::NAN), "")).unwrap());
@@ -139,7 +139,7 @@ fn a_frame_that_is_solved_again_without_distortion_keeps_no_term_of_the_one_befo
     let bent = vec![text("CTYPE1", "RA---TAN-SIP"), number("A_3_0"), number("BP_1_0"), number("A_GAIN")];
     complete_file(&path, &Plan { cards: bent, ..plan() }).unwrap();
     assert!(read_header(&path).unwrap().keywords().contains("A_3_0"));
-    // What is no solution takes nothing away.
+    // Facts without a solution take nothing away.
     complete_file(&path, &plan()).unwrap();
     assert!(read_header(&path).unwrap().keywords().contains("BP_1_0"));
     complete_file(&path, &Plan { cards: vec![text("CTYPE1", "RA---TAN")], ..plan() }).unwrap();

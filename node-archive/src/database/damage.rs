@@ -11,12 +11,12 @@ use super::{DatabaseError, prepare};
 /// SQLite's own files next to the database; both are part of it.
 const BESIDE: [&str; 2] = ["-wal", "-shm"];
 
-/// Does SQLite report that the file is no database, or one no more?
+/// Does SQLite report that the file is not a database, or no longer one?
 pub(super) fn is_damage(error: &rusqlite::Error) -> bool {
     matches!(error.sqlite_error_code(), Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase))
 }
 
-/// Opens the database; one that is damaged is put aside, and a new one begins. Returns what a person should know then.
+/// Opens the database; one that is damaged is put aside, and a new one begins. Returns the text for the alert.
 pub(super) fn open(path: &Path) -> Result<(Connection, Option<String>), DatabaseError> {
     match prepare(path) {
         Err(DatabaseError::Sqlite { source, .. }) if is_damage(&source) => {
@@ -28,14 +28,14 @@ pub(super) fn open(path: &Path) -> Result<(Connection, Option<String>), Database
     }
 }
 
-/// Replaces a connection whose file was found damaged; returns what a person should know.
+/// Replaces a connection whose file was found damaged; returns the text for the alert.
 pub(super) fn renew(
     connection: &mut Connection,
     path: &Path,
     error: &rusqlite::Error,
 ) -> Result<String, DatabaseError> {
     let failed = |source| DatabaseError::Sqlite { what: "begin anew", file: path.to_owned(), source };
-    // Closed before its files get other names: closing removes files by name.
+    // The connection is closed before its files get other names: closing removes files by name.
     *connection = Connection::open_in_memory().map_err(failed)?;
     let told = put_aside(path, error).map_err(|source| DatabaseError::Io { file: path.to_owned(), source })?;
     *connection = prepare(path)?;

@@ -6,7 +6,8 @@ use rusqlite::{Transaction, params};
 use super::StoredCorrection;
 use super::rows::stamp;
 
-/// A frame is guided on once, so a correction that is heard again is the same correction. Lengths are px of the frame.
+/// A frame is guided on once, so a correction that is received again is the same correction. Lengths are px of the
+/// frame.
 pub(super) const SCHEMA: &str = "
 CREATE TABLE IF NOT EXISTS guiding (
     frame_id TEXT PRIMARY KEY, datetime TEXT NOT NULL, telescope TEXT NOT NULL, camera_name TEXT NOT NULL,
@@ -73,7 +74,7 @@ pub(super) fn write(transaction: &Transaction<'_>, stored: &StoredCorrection) ->
     ])
 }
 
-/// A word of the contract as it travels, without its quotes.
+/// A word of the contract as it is published, without its quotes.
 fn word<T: serde::Serialize>(word: &T) -> rusqlite::Result<String> {
     Ok(serde_json::to_string(word).map_err(refused)?.trim_matches('"').to_owned())
 }

@@ -32,7 +32,7 @@ CREATE TABLE log (
 CREATE INDEX log_date ON log (datetime);
 ";
 
-/// What version 2 adds. A record counts once; two that claim one place in a chain are both kept, as evidence.
+/// What version 2 adds. A record counts once; two records with the same place in a chain are both stored, as evidence.
 pub(super) const AUDIT: &str = "
 CREATE TABLE audit (
     node TEXT NOT NULL, chain TEXT NOT NULL, number INTEGER NOT NULL, datetime TEXT,
@@ -43,7 +43,7 @@ CREATE TABLE audit (
 CREATE INDEX audit_date ON audit (datetime);
 ";
 
-/// What version 3 adds. `in_header`: 0 not yet, 1 yes, 2 the file could not be changed.
+/// The addition of version 3. `in_header`: 0 not yet, 1 yes, 2 the file could not be changed.
 pub(super) const FACTS: &str = "
 CREATE TABLE facts (
     frame_id TEXT PRIMARY KEY, camera_name TEXT, filter TEXT, image_type TEXT, date_obs TEXT,
@@ -57,7 +57,7 @@ CREATE INDEX facts_date ON facts (date_obs);
 CREATE INDEX facts_new ON facts (frame_id) WHERE in_header = 0;
 ";
 
-/// What version 4 adds: where a frame points, or the class of the reason why that is not known.
+/// The addition of version 4: where a frame points, or the class of the reason why that is not known.
 pub(super) const SOLUTIONS: &str = "
 ALTER TABLE facts ADD COLUMN ra_deg REAL;
 ALTER TABLE facts ADD COLUMN dec_deg REAL;
@@ -73,7 +73,7 @@ ALTER TABLE facts ADD COLUMN zero_point_error_mag REAL;
 ALTER TABLE facts ADD COLUMN unsolved TEXT;
 ";
 
-/// Focus runs with all that was measured; a run that is heard again is the same run.
+/// Focus runs with all that was measured; a run that is received again is the same run.
 pub(super) const FOCUS: &str = "
 CREATE TABLE IF NOT EXISTS focus_runs (
     run_id TEXT PRIMARY KEY, camera_name TEXT NOT NULL, focuser_name TEXT NOT NULL, filter TEXT,
@@ -90,7 +90,7 @@ CREATE TABLE IF NOT EXISTS focus_points (
 );
 ";
 
-/// The newest facts of a frame count, but what was measured never gives way to the reason why nothing was.
+/// The newest facts of a frame count, but measured facts are never replaced by the reason why nothing was measured.
 const PUT_FACTS: &str = "
 INSERT INTO facts (
     frame_id, camera_name, filter, image_type, date_obs, stars, fwhm_px, fwhm_error_px, ellipticity, elongation_deg,
@@ -245,7 +245,7 @@ pub(super) fn write(transaction: &Transaction<'_>, write: &Write) -> rusqlite::R
     }
 }
 
-/// The word of an enumeration, as it travels.
+/// The word of an enumeration, as it is published.
 fn word(value: &impl serde::Serialize) -> rusqlite::Result<String> {
     let failed = |error| rusqlite::Error::ToSqlConversionFailure(Box::new(error));
     let json = serde_json::to_value(value).map_err(failed)?;
@@ -309,7 +309,7 @@ fn write_run(transaction: &Transaction<'_>, stored: &StoredRun) -> rusqlite::Res
     Ok(new + run.points.len())
 }
 
-/// A time as the predecessor's tables have it, which sorts as text.
+/// A time in the form of the predecessor's tables, which sorts as text.
 pub fn stamp(at: Utc) -> String {
     at.strftime("%Y-%m-%d %H:%M:%S.%6f")
 }
@@ -334,7 +334,7 @@ fn to_text(value: &Scalar) -> String {
     }
 }
 
-/// A frame as the database keeps it: the token in its URL opens the frame in the spool and is nobody else's business.
+/// A frame as the database stores it: the token in its URL opens the frame in the spool, so the URL is left out.
 fn without_url(frame: &Frame) -> Result<(Frame, String), rusqlite::Error> {
     let frame = Frame { url: String::new(), ..frame.clone() };
     let json = serde_json::to_string(&frame).map_err(|e| rusqlite::Error::ToSqlConversionFailure(Box::new(e)))?;

@@ -167,7 +167,7 @@ async fn an_image_is_stored_once_and_completed_once() {
     assert_eq!(found.frame.purpose, image_a.frame.purpose);
     assert_eq!(found.frame.url, "", "the token is nobody's business");
     assert_eq!((found.path, found.bytes, found.stored), (image_a.path, 5760, at(2)));
-    // A row that was made of the file alone learns what is announced.
+    // A row that was made from the file alone gets the fields of the announcement.
     let mut announced = image_a.frame.clone();
     announced.purpose.metadata.insert("visit".to_owned(), "7".into());
     database.commit(vec![Write::Announced(Box::new(announced.clone()))]).await.unwrap();
@@ -357,7 +357,7 @@ async fn a_correction_of_the_guiding_is_a_row_and_counts_once() {
     }
     drop(database);
     writer.end().await;
-    // Opened again: the table is there already.
+    // Opened again: the table exists already.
     let (database, writer) = Database::open(&path, AlertBoard::new(Clock::machine_clock())).unwrap();
     let connection = rusqlite::Connection::open(&path).unwrap();
     let mut asked = connection
@@ -409,7 +409,7 @@ async fn a_damaged_database_is_put_aside_and_a_new_one_takes_rows() {
         drop(database);
         writer.end().await;
     }
-    // Half of a write-ahead log is SQLite's own business.
+    // SQLite handles half of a write-ahead log by itself.
     std::fs::write(path.with_file_name("archive.db-wal"), &whole[..5000]).unwrap();
     let (database, writer) = open(folder.path());
     database.commit(vec![Write::Stored(Box::new(image("newer", "M31")))]).await.unwrap();

@@ -13,7 +13,7 @@ use units::Utc;
 pub enum Write {
     /// A polled value, or why there was none.
     Reading {
-        /// Whose.
+        /// The device.
         device: Device,
         /// ASCOM name of the property.
         property: String,
@@ -21,24 +21,24 @@ pub enum Write {
         value: Result<Scalar, String>,
         /// Sky time of the poll.
         at: Utc,
-        /// The message that brought it.
+        /// Incarnation and sequence number of the sample.
         said: (BootId, u64),
     },
     /// A line of a node's diary.
     Log {
-        /// Of which telescope.
+        /// The node's telescope.
         telescope: String,
         /// Role and id of the node.
         node: String,
         /// Module that wrote it.
         target: String,
-        /// How much it matters.
+        /// The level of the line.
         level: Level,
-        /// What it says.
+        /// The text of the line.
         message: String,
         /// Sky time.
         at: Utc,
-        /// The message that brought it.
+        /// Incarnation and sequence number of the sample.
         said: (BootId, u64),
     },
     /// A frame's file is about to get this name.
@@ -50,7 +50,7 @@ pub enum Write {
     },
     /// A frame's file is safe under its name; a row that is there already stays.
     Stored(Box<StoredImage>),
-    /// What the camera's node announces of a frame whose row is there.
+    /// The camera node's announcement of a frame whose row exists.
     Announced(Box<Frame>),
     /// A header is complete.
     Complete(CommandId),
@@ -62,13 +62,13 @@ pub enum Write {
     Facts(Box<StoredFacts>),
     /// A focus run that has ended.
     Focus(Box<StoredRun>),
-    /// The facts of a message stand in the header of their frame, or could not be put there.
+    /// The facts of a sample are in the header of their frame, or could not be put there.
     FactsTaken {
         /// Which frame.
         frame: CommandId,
-        /// The message that brought them.
+        /// Incarnation and sequence number of the sample.
         said: (BootId, u64),
-        /// Whether they stand there.
+        /// Whether they are in the header.
         in_header: bool,
     },
 }
@@ -78,13 +78,13 @@ pub enum Write {
 pub struct StoredRecord {
     /// Which node wrote it, such as `device/callisto/main`.
     pub node: String,
-    /// Its chain.
+    /// The chain of the record.
     pub chain: String,
     /// Its number there; -1 where it cannot be read.
     pub number: i64,
     /// Sky time, where it can be read.
     pub at: Option<Utc>,
-    /// Who asked.
+    /// The person or node that asked.
     pub from: String,
     /// The device, empty for an order.
     pub device: String,
@@ -92,7 +92,7 @@ pub struct StoredRecord {
     pub verb: String,
     /// Fencing token.
     pub token: Option<i64>,
-    /// What became of it, one word.
+    /// The outcome, one word.
     pub outcome: String,
     /// The whole record, as its node wrote it.
     pub line: String,
@@ -105,7 +105,7 @@ pub struct StoredRecord {
 /// A row of the table of images.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StoredImage {
-    /// What the device node said of the frame.
+    /// The frame as the device node announced it.
     pub frame: Frame,
     /// Absolute path of the file.
     pub path: PathBuf,
@@ -117,37 +117,37 @@ pub struct StoredImage {
     pub stored: Utc,
 }
 
-/// A correction with the message that brought it.
+/// A correction with the sample that brought it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StoredCorrection {
     /// What was done.
     pub correction: Correction,
-    /// Of which telescope.
+    /// The telescope.
     pub telescope: String,
-    /// Life of the node that said it, and its number.
+    /// Incarnation of the node that published it, and sequence number.
     pub said: (BootId, u64),
 }
 
-/// Facts with the message that brought them.
+/// Facts with the sample that brought them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StoredFacts {
     /// What was measured, or why not.
     pub facts: FrameFacts,
-    /// Sky time when it was said.
+    /// Sky time when they were published.
     pub at: Utc,
-    /// Life of the node that said it, and number on the frame's key.
+    /// Incarnation of the node that published them, and sequence number on the frame's key.
     pub said: (BootId, u64),
 }
 
-/// A run with the message that brought it.
+/// A run with the sample that brought it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StoredRun {
     /// The run.
     pub run: FocusRun,
     /// Its plot, relative to the folder of images, with `/` on every system.
     pub plot: String,
-    /// Sky time when it was said.
+    /// Sky time when it was published.
     pub at: Utc,
-    /// Life of the node that said it, and number on its key.
+    /// Incarnation of the node that published it, and sequence number on its key.
     pub said: (BootId, u64),
 }

@@ -1,4 +1,4 @@
-//! Stories of headers, and the predecessor's own night (tests/data/headers) completed again.
+//! Tests of headers, and the predecessor's own night (tests/data/headers) completed again.
 
 use std::collections::BTreeMap;
 use std::io::Read as _;
@@ -119,7 +119,7 @@ fn a_new_header_has_what_is_known_and_nothing_else() {
         ("FOCALLEN", CardValue::Float(8.0)),
         ("TELESCOP", "callisto".into()),
         ("INSTRUME", "andor".into()),
-        // The site that everything is computed for, not what the mount believes.
+        // The site that everything is computed for, not the site that the mount has.
         ("LAT-OBS", CardValue::Float(48.0)),
         ("ASTRA", PROGRAM.into()),
     ] {
@@ -188,7 +188,7 @@ fn a_mount_of_date_is_turned_to_icrs_and_one_of_j2000_is_taken_as_it_is() {
     // 26.9 years of precession at RA 6 h: 26.9 x (46.1 + 20.0 tan 50 deg) arcsec in RA, next to nothing in Dec.
     assert!((90.0 - float(&turned["RA"]) - 0.523).abs() < 0.02, "{:?}", turned["RA"]);
     assert!((float(&turned["DEC"]) - 50.0).abs() < 0.01, "{:?}", turned["DEC"]);
-    // No target: the airmass is that of where the mount says it points, 45 deg.
+    // No target: the airmass is that of the direction that the mount reports, 45 deg.
     assert!((float(&turned["AIRMASS"]) - 1.4121).abs() < 1e-4);
     assert!(!turned.contains_key("OBJALT"));
     let (unknown, history) = complete(&table, &frame, EquatorialSystem::B1950, &around);
@@ -330,7 +330,7 @@ fn the_predecessors_night_completes_to_the_same_numbers_and_better_states() {
             ("JD-END", 1e-9),
             ("MJD-OBS", 1e-9),
             ("MJD-END", 1e-9),
-            ("LST", 1.0),      // its own UT1-UTC
+            ("LST", 1.0),      // Its own UT1-UTC.
             ("HJD-OBS", 6e-7), // 50 ms
             ("BJD-OBS", 6e-7),
             ("AIRMASS", 1e-3),
@@ -343,6 +343,6 @@ fn the_predecessors_night_completes_to_the_same_numbers_and_better_states() {
         assert_eq!(ours["DATE-END"], after["DATE-END"].as_str().unwrap().into());
     }
     assert!(linear > 400 && states > 200 && skies > 300, "{linear} {states} {skies}");
-    // The predecessor wrote states between two states; that is what Nearest mends.
+    // The predecessor wrote states between two states; `Nearest` corrects that.
     assert!(fractions > 0);
 }

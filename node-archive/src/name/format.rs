@@ -43,7 +43,7 @@ pub(super) fn strftime(date: units::Utc, pattern: &str) -> Result<String, String
             return Err(format!("date pattern {pattern:?}: expected only %{}", DIRECTIVES.replace("", " %").trim()));
         }
     }
-    // Kept apart from a literal %% that an f follows.
+    // So that it differs from a literal %% that an f follows.
     let pattern = pattern.replace("%%", "\u{1}").replace("%f", "%6f").replace('\u{1}', "%%");
     Ok(date.strftime(&pattern))
 }

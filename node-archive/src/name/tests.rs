@@ -1,4 +1,4 @@
-//! Stories of names, good and hostile.
+//! Tests of names, good and hostile.
 
 use std::path::Component;
 
@@ -89,7 +89,7 @@ fn a_site_may_write_jinja_templates() {
     assert_eq!(name_of(&namer.unwrap(), &frame()), "2026-11/trappist-1_30.00_late_003_21.fits");
 }
 
-/// Each rule of the predecessor's names, beside what CPython 3.11 and Jinja2 3.1 print for it.
+/// Each rule of the predecessor's names, with the name that CPython 3.11 and Jinja2 3.1 print for it.
 #[test]
 fn templates_of_the_predecessor_give_the_names_that_they_gave_there() {
     let (day, at) = ("20261120", "20261121_030001.234");
@@ -142,7 +142,7 @@ fn templates_of_the_predecessor_give_the_names_that_they_gave_there() {
     let mut bare = frame();
     (bare.purpose.filter, bare.purpose.object) = (Some("r'".to_owned()), None);
     assert_eq!(name_of(&own("object", "{filter_name}_{object_name}.fits").unwrap(), &bare), "r_NA.fits");
-    // One Jinja template makes all of them Jinja, and an action that nobody knows is passed over.
+    // One Jinja template makes all of them Jinja, and an unknown action is passed over.
     let mixed = BTreeMap::from([
         ("object".to_owned(), "{device}.fits".to_owned()),
         ("flats".to_owned(), "{{ device }}.fits".to_owned()),

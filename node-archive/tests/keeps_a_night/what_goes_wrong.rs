@@ -1,4 +1,5 @@
-//! What goes wrong around an archive: spools that dribble, a database that is older than the files, a disk that is full.
+//! Failures around an archive: spools that send very slowly, a database that is older than the files, a disk that is
+//! full.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -81,7 +82,7 @@ async fn frames_that_an_older_database_does_not_know_are_recorded_from_their_fil
     let wanted = spool.frame("frame-1", taken).sha256;
     let row = |id: &str| (id.to_owned(), wanted.clone(), "andor".to_owned());
     assert_eq!(rows(), [row("frame-1"), row("frame-2")]);
-    // The spool still has one, and is told to delete it; nothing is fetched or written again.
+    // The spool still has one, and is asked to delete it; nothing is fetched or written again.
     let releases = spool.releases("frame-2");
     // A device node announces a frame again until it is released: the first time the new archive may not be subscribed yet.
     let announced = async {

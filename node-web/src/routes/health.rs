@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use crate::server::Server;
 
-/// 200 while the bus session is up; whom it hears is for people.
+/// 200 while the bus session is up; the count of telescopes is for people.
 pub async fn healthz(State(server): State<Arc<Server>>) -> Json<Value> {
     let telescopes = server.network.summaries().iter().filter(|summary| !summary.face.shared).count();
     Json(json!({

@@ -1,7 +1,7 @@
 //! `GET /api/heartbeat`: the document that a site's monitoring scripts have always read.
 //!
-//! Same keys as before, with a few more. One difference is deliberate: when the observatory node is silent the
-//! document says so (`stale`, and `error_free: false`), instead of repeating its last good words for ever.
+//! The keys are the same as before, with a few more. One difference is deliberate: when the observatory node is silent
+//! the document reports that (`stale`, and `error_free: false`), instead of repeating its last good state for ever.
 
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
@@ -24,7 +24,7 @@ use crate::problem::Problem;
 use crate::server::Server;
 use crate::summary::{Mode, SafetyWord, Summary};
 
-/// One document serves all who ask within this time.
+/// One document serves all clients that ask within this time.
 const KEPT: Duration = Duration::from_millis(250);
 
 /// Which telescope: its id, or `site/telescope` where two sites have the same id; all where absent.
@@ -100,7 +100,8 @@ fn one(
         let (kind, name) = source(&alert.id, telescope);
         json!({ "device_type": kind, "device_name": name, "error": format!("{}: {}", alert.id, alert.cause) })
     };
-    // What is over and nobody acknowledged is no error of now, and must not be missed by who asks every few minutes.
+    // An alert that has cleared and is not acknowledged is no error of now, but a script that asks every few minutes
+    // must not miss it.
     let (returned, standing): (Vec<&Alert>, Vec<&Alert>) = face
         .alerts
         .iter()
@@ -162,7 +163,7 @@ fn one(
     }))
 }
 
-/// What all telescopes are together; each one's document is inside.
+/// The document of all telescopes together; each one's document is inside.
 fn all(several: &[(&Address, Map<String, Value>, Posture)], usage: Usage, utc: Utc) -> Map<String, Value> {
     let is = |document: &Map<String, Value>, key: &str| document[key] == true;
     let of_all = |key: &str| {
@@ -180,7 +181,7 @@ fn all(several: &[(&Address, Map<String, Value>, Posture)], usage: Usage, utc: U
     if several.is_empty() {
         errors.push(json!({ "device_type": "Network", "device_name": "", "error": "no telescope was heard" }));
     }
-    // What stands closed may have any weather.
+    // A closed telescope may have any weather.
     let open = several.iter().filter(|(_, _, posture)| *posture != Posture::Closed);
     let open: Vec<&Map<String, Value>> = open.map(|(_, document, _)| document).collect();
     let heeded: Vec<&Map<String, Value>> =
@@ -215,7 +216,7 @@ fn all(several: &[(&Address, Map<String, Value>, Posture)], usage: Usage, utc: U
     }))
 }
 
-/// Every polled property under its ASCOM names; `null` where the device gave none.
+/// Every polled property under its ASCOM names; `null` where the device reported none.
 fn poll(polling: &mut Map<String, Value>, telescope: &Telescope) {
     for entry in telescope.states.values() {
         let Key::State(device) = &entry.key else { continue };

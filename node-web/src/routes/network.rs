@@ -17,7 +17,7 @@ use crate::summary::{Summary, nodes};
 
 const NEVER_KEPT: [(header::HeaderName, &str); 1] = [(header::CACHE_CONTROL, "no-store")];
 
-/// All telescopes with their nodes; what a site shares stands under `shared`.
+/// All telescopes with their nodes; the devices that a site shares are under `shared`.
 pub async fn network(State(server): State<Arc<Server>>) -> Response {
     let network = &server.network;
     let now = network.clock().machine();

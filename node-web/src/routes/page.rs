@@ -54,7 +54,7 @@ fn served(headers: &HeaderMap, kind: &'static str, content: &'static str) -> Res
     (named, [(header::CONTENT_TYPE, kind)], content).into_response()
 }
 
-/// FNV-1a: names a content, guards nothing.
+/// FNV-1a: identifies a content, protects nothing.
 const fn fnv(bytes: &[u8]) -> u64 {
     let mut hash = 0xcbf2_9ce4_8422_2325;
     let mut i = 0;

@@ -11,7 +11,7 @@ use serde::Deserialize;
 use crate::problem::Problem;
 use crate::server::Server;
 
-/// Which camera; the one of the newest image where absent. `frame` only tells browsers apart what they have.
+/// The camera; where absent, the one of the newest image. `frame` only makes the address differ for browsers' caches.
 #[derive(Debug, Deserialize)]
 pub struct Wanted {
     camera: Option<String>,

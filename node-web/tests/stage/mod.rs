@@ -1,4 +1,4 @@
-//! A web node on a private bus, and a second bus on which the test speaks as all other nodes.
+//! A web node on a private bus, and a second bus on which the test publishes as all other nodes.
 #![allow(dead_code, reason = "each test file uses its part")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends where its stage breaks")]
 

@@ -1,4 +1,4 @@
-//! All ten kinds answer for themselves, and say no the way ASCOM does.
+//! All ten kinds answer, and refuse as ASCOM requires.
 
 use serde_json::Value;
 use simulator::Kind;

@@ -1,4 +1,4 @@
-//! Faults do what they say.
+//! Faults have the effects that they describe.
 
 use std::time::{Duration, Instant};
 
@@ -127,7 +127,7 @@ async fn a_dome_runs_on_until_it_is_stopped_and_its_shutter_waits_for_that() {
     assert_eq!(site.get("dome", "slewing").await, false);
     site.put("dome", "openshutter", "").await;
     site.until("dome", "shutterstatus", 0).await;
-    // Sent again it runs on again, until it is mended.
+    // Sent again it runs on again, until the fault is cleared.
     site.put("dome", "slewtoazimuth", "Azimuth=300").await;
     tokio::time::sleep(Duration::from_millis(300)).await;
     assert_eq!(site.get("dome", "slewing").await, true);
@@ -165,7 +165,7 @@ async fn the_watchdog_closes_a_dome_that_nobody_commands() {
         site.put("dome", "action", "Action=feedwatchdog&Parameters=").await;
     }
     assert_eq!(site.get("dome", "shutterstatus").await, 0, "fed for longer than its limit");
-    // Polling does not feed it.
+    // Polling does not feed the watchdog.
     site.until("dome", "shutterstatus", 1).await;
     assert_eq!(world.watchdog_closings(), 1);
 }

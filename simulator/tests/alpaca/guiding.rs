@@ -1,11 +1,12 @@
-//! What guiding and focusing meet in a real machine: play in the gears, pulses on both sides of the pier, a guide scope.
+//! The imperfections that guiding and focusing meet in a real machine: play in the gears, pulses on both sides of the
+//! pier, a guide scope.
 
 use simulator::{GuideCameraOptions, Options};
 
 use crate::client::{Site, options};
 use crate::images::{alone, expected, expose_with, observing};
 
-/// At the guide rate that the mount tells when nobody has set one, arcsec per second.
+/// The guide rate that the mount reports when no client has set one, arcsec per second.
 const GUIDE_ARCSEC_PER_S: f64 = 0.5 * 15.041_067;
 
 /// A mount that looks at a star of this hour angle, tracking.

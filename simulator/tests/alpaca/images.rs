@@ -1,4 +1,4 @@
-//! What the camera shows is what is in the sky.
+//! The image shows the stars of the sky.
 
 use std::time::Instant;
 

@@ -1,4 +1,4 @@
-//! Things move, and take their time about it.
+//! Moving parts take the time of their speed.
 
 use std::time::Instant;
 
