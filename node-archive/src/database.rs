@@ -238,7 +238,7 @@ fn write_all(
     }
 }
 
-/// The next batch: at once when somebody waits for it, else as much as comes in [`PATIENCE`]. `None` at the end.
+/// The next batch: at once when a caller waits for it, else all rows that come within [`PATIENCE`]. `None` at the end.
 fn gather(taken: &mut mpsc::Receiver<Job>, runtime: &tokio::runtime::Handle) -> Option<Vec<Job>> {
     let first = taken.blocking_recv()?;
     let mut is_awaited = first.done.is_some();

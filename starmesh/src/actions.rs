@@ -1,4 +1,4 @@
-//! `starmesh actions`: what a schedule may ask for, with every parameter's unit, default, range and what it does.
+//! `starmesh actions`: the actions of a schedule, with every parameter's unit, default, range and effect.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

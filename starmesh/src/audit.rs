@@ -1,4 +1,5 @@
-//! `starmesh audit`: proves and shows what nodes and archives keep of every order and every movement.
+//! `starmesh audit`: proves and shows the records of every order and every movement in the audit files of nodes and the
+//! databases of archives.
 
 use std::collections::HashMap;
 use std::fs;
@@ -44,13 +45,13 @@ enum What {
     },
 }
 
-/// One chain of lines: what it is called, and its text.
+/// One chain of lines: its name and its text.
 struct Book {
     name: String,
     text: Vec<u8>,
 }
 
-/// Does what was asked; an error where a file is broken.
+/// Runs the command; an error where a file is broken.
 pub fn run(options: Options) -> anyhow::Result<()> {
     match options.what {
         What::Verify { files } => verify(&read(&files)?),
@@ -61,7 +62,7 @@ pub fn run(options: Options) -> anyhow::Result<()> {
     }
 }
 
-/// A file of lines is one book; a database has one for each node.
+/// A file of lines is one `Book`; a database has one for each node.
 fn read(files: &[PathBuf]) -> anyhow::Result<Vec<Book>> {
     let mut books = Vec::new();
     for file in files {
@@ -98,7 +99,7 @@ fn verify(books: &[Book]) -> anyhow::Result<()> {
     let mut before = None;
     let mut places: HashMap<(String, u64), (String, &str)> = HashMap::new();
     for book in books {
-        // A file that goes on with the chain of the one before it.
+        // A file that continues the chain of the one before it.
         let first = book.text.split(|byte| *byte == b'\n').next().and_then(|first| std::str::from_utf8(first).ok());
         let first = first.and_then(|first| prove(first).ok());
         let goes_on = |link: &audit::Link| first.as_ref().is_some_and(|first| first.record.chain == link.chain);
@@ -125,7 +126,7 @@ fn verify(books: &[Book]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Prints what was found out about one book; returns 1 where it is broken.
+/// Prints the findings about one `Book`; returns 1 where it is broken.
 fn tell(book: &Book, found: &Examined) -> anyhow::Result<usize> {
     let name = &book.name;
     if let (Some(first), Some(last)) = (found.good.first(), found.good.last()) {

@@ -1,13 +1,13 @@
-//! Who of the programs that `starmesh up` starts has which address on the bus.
+//! The addresses on the bus of the programs that `starmesh up` starts.
 //!
-//! The supervisor itself has the addresses of `[bus] listen`: it runs as long as the whole does, and nodes come and go.
-//! Each node listens on a free port of the same interface, and meets the supervisor on this host.
+//! The supervisor itself has the addresses of `[bus] listen`: it runs as long as `starmesh up` does, and nodes come and
+//! go. Each node listens on a free port of the same interface, and meets the supervisor on this host.
 
 use std::net::UdpSocket;
 
 use bus::{Bus, lines};
 
-/// Where the supervisor listens: as the file has it, and on this host.
+/// The addresses of the supervisor: as the file has them, and on this host.
 pub fn of_supervisor(file: &config::Bus) -> config::Bus {
     let mut listen = file.listen.clone();
     listen.push(HERE.to_owned());
@@ -25,7 +25,7 @@ pub async fn of_nodes(file: &config::Bus, supervisor: &Bus) -> Vec<String> {
         arguments.extend(["--listen".to_owned(), with_free_port(endpoint)]);
     }
     if file.listen.is_empty() && file.multicast && !has_network() {
-        // zenoh tells others no address of this host's own where it has no other one.
+        // zenoh announces no address of this host's own where the host has no other one.
         for endpoint in ["tcp/0.0.0.0:0", HERE] {
             arguments.extend(["--listen".to_owned(), endpoint.to_owned()]);
         }
@@ -49,7 +49,7 @@ pub async fn of_nodes(file: &config::Bus, supervisor: &Bus) -> Vec<String> {
 
 /// Has this host a way to any other? A computer may start before its switch does, or work without a network.
 fn has_network() -> bool {
-    // Nothing is sent: an address for documents is looked up in the table of routes.
+    // Nothing is sent: the system looks up the route to an address that is reserved for documents.
     UdpSocket::bind("0.0.0.0:0").and_then(|socket| socket.connect("192.0.2.1:9")).is_ok()
 }
 
@@ -62,7 +62,7 @@ fn with_free_port(endpoint: &str) -> String {
     }
 }
 
-/// Does nothing of this session listen on the port that was asked for?
+/// Does this session listen nowhere on the port that was requested?
 fn is_elsewhere(endpoint: &str, locators: &[String]) -> bool {
     let port = |text: &str| text.split(['?', '#']).next().and_then(|a| a.rsplit_once(':')).map(|(_, p)| p.to_owned());
     let asked = port(endpoint).filter(|port| port != "0");

@@ -31,7 +31,7 @@ pub struct Options {
 /// Proves the file, and the FITS-header table, the star catalogue and the schedule that it names.
 ///
 /// # Errors
-/// What refuses a file; a schedule whose rows are only at risk is valid.
+/// The reason why a file is refused; a schedule whose rows are only at risk is valid.
 pub fn run(options: &Options) -> anyhow::Result<()> {
     if options.file.extension().is_some_and(|ending| ending == "jsonl") {
         let beside = options.file.with_file_name("observatory.toml");
@@ -49,7 +49,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     schedule(&file, config, options.at)
 }
 
-/// Prints all faults of a configuration and with the files that it names, and what it holds if nothing is.
+/// Prints all faults of a configuration and of the files that it names, and its content if there are none.
 fn configuration(file: &Path) -> anyhow::Result<Observatory> {
     let text = bus::node::config_text(file)?;
     let folder = file.parent().unwrap_or(Path::new("."));
@@ -98,7 +98,7 @@ fn configuration(file: &Path) -> anyhow::Result<Observatory> {
     Ok(config)
 }
 
-/// Says all that is found in a schedule, each with its place in the file.
+/// Prints all findings of a schedule, each with its place in the file.
 fn schedule(file: &Path, config: Observatory, at: Option<Utc>) -> anyhow::Result<()> {
     let shown = file.display();
     let text = read_text(file).with_context(|| format!("cannot read {shown}"))?;
@@ -123,7 +123,7 @@ fn schedule(file: &Path, config: Observatory, at: Option<Utc>) -> anyhow::Result
     Ok(())
 }
 
-/// Says each finding with its place in the file.
+/// Prints each finding with its place in the file.
 pub fn say(file: &Path, text: &str, findings: &[Finding]) -> anyhow::Result<()> {
     for finding in findings {
         let Finding { line: number, column, severity, .. } = finding;

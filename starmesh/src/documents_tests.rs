@@ -30,7 +30,7 @@ fn documents() -> Vec<PathBuf> {
 fn commands(text: &str) -> Vec<String> {
     let mut found = Vec::new();
     let mut in_block = false;
-    // A command goes on behind a backslash.
+    // A command continues after a backslash.
     for line in text.replace("\\\n", " ").lines() {
         if line.trim_start().starts_with("```") {
             in_block = !in_block;
@@ -47,7 +47,7 @@ fn commands(text: &str) -> Vec<String> {
     found
 }
 
-/// As a shell would split it, without comments and what it is piped into.
+/// The words of a command as a shell splits it, without comments and pipes.
 fn words(command: &str) -> Vec<String> {
     let (mut words, mut word, mut quote) = (Vec::new(), String::new(), None);
     for c in command.chars() {
@@ -69,7 +69,7 @@ fn every_command_of_the_documents_can_be_typed() {
     for document in documents() {
         let text = fs::read_to_string(&document).unwrap();
         for command in commands(&text) {
-            // Any of them.
+            // Any role.
             let words = words(&command.replace(" ROLE ", " web "));
             // A name alone, or a form with things left out.
             if words.len() < 2 || command.contains("...") || words.iter().any(|word| word.starts_with('[')) {
@@ -81,7 +81,7 @@ fn every_command_of_the_documents_can_be_typed() {
                 use clap::error::ErrorKind::{
                     DisplayHelpOnMissingArgumentOrSubcommand, MissingRequiredArgument, MissingSubcommand,
                 };
-                // Prose names commands without their arguments.
+                // A sentence names commands without their arguments.
                 let is_name = matches!(
                     error.kind(),
                     MissingRequiredArgument | MissingSubcommand | DisplayHelpOnMissingArgumentOrSubcommand

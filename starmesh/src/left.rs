@@ -1,4 +1,5 @@
-//! What `starmesh up` started, in a file next to the configuration, so that the next one knows what an earlier one left.
+//! The processes that `starmesh up` started, in a file next to the configuration, so that the next `starmesh up` knows
+//! which of them still run.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -41,11 +42,12 @@ pub struct Left {
 }
 
 impl Left {
-    /// Looks what an earlier `up` left, asks it to end, and names it. An error where an earlier one still runs.
+    /// Finds the processes that an earlier `up` left, asks them to end, and names them. An error where an earlier `up`
+    /// still runs.
     pub async fn find(config: &Path) -> anyhow::Result<Self> {
         let name = config.file_name().unwrap_or_default().to_string_lossy();
         let path = config.with_file_name(format!(".{name}.up"));
-        // A file that is not whole names nobody.
+        // A file that is not whole names no process.
         let before: Told =
             std::fs::read(&path).ok().and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default();
         if let Some(up) = before.up.filter(|up| is_alive(*up)) {
@@ -86,7 +88,7 @@ impl Left {
         });
     }
 
-    /// What was started and still runs.
+    /// The processes that were started and still run.
     pub fn names(&self) -> String {
         let told = self.told.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         let alive = told.nodes.iter().filter(|node| is_alive(node.process));
@@ -95,7 +97,7 @@ impl Left {
         if each.is_empty() { "nothing".to_owned() } else { each.join(", ") }
     }
 
-    /// Everything has ended in good order.
+    /// Everything has ended as requested.
     pub fn nothing(&self) {
         // A file that cannot be removed names processes that are not there.
         let _ = std::fs::remove_file(&self.path);

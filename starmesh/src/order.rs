@@ -122,14 +122,14 @@ const TRIES: u32 = 5;
 /// An observatory node publishes each second which order it took last.
 const SHOWN: Duration = Duration::from_secs(10);
 
-/// Gives the order and says what became of it.
+/// Gives the order and prints what became of it.
 pub async fn run(options: Options) -> anyhow::Result<()> {
     let Options { telescope, what, reason, operator, wait, join } = options;
     let wait = Duration::from_secs_f64(wait.clamp(0.0, 86_400.0));
     give(&telescope, what.kind(), By { operator, reason }, wait, join).await
 }
 
-/// Who gives an order, where a name was given, and why.
+/// The operator of an order, where a name was given, and the reason.
 pub struct By {
     /// The operator's name.
     pub operator: Option<String>,
@@ -137,13 +137,13 @@ pub struct By {
     pub reason: String,
 }
 
-/// Gives an order to a telescope, named as SITE/TELESCOPE, and prints what became of it; waits so long until a close order
-/// is verified closed.
+/// Gives an order to a telescope, named as SITE/TELESCOPE, and prints the result; waits so long until a close order is
+/// verified closed.
 pub async fn give(telescope: &str, kind: OrderKind, by: By, wait: Duration, join: Join) -> anyhow::Result<()> {
     let order = Order { id: CommandId::fresh(), from: from(by.operator)?, reason: by.reason, kind };
     let bus = join.open().await?;
     let address = telescopes::read(telescope, &bus).await?;
-    // Listening begins before the order is given, so that nothing of its effect is missed.
+    // The subscriptions begin before the order is given, so that no effect is missed.
     let sight = Sight::open(&bus, &address).await?;
     let key = Key::Order(address.clone());
     let mut tried = 0;
@@ -183,7 +183,8 @@ pub async fn give(telescope: &str, kind: OrderKind, by: By, wait: Duration, join
     Ok(())
 }
 
-/// Prints who ordered that the telescope stays closed, if somebody did: starting it opens nothing then.
+/// Prints the operator who ordered that the telescope stays closed, if there is such an order: a start opens nothing
+/// then.
 async fn tell_of_hold(bus: &bus::Bus, address: &Address) -> anyhow::Result<()> {
     let key = Key::Observatory(address.clone(), Part::Standing).to_string();
     for (_, said) in bus.get_all::<StandingOrders>(&key, Duration::from_secs(1)).await {
@@ -200,7 +201,7 @@ async fn tell_of_hold(bus: &bus::Bus, address: &Address) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// How an operator signs from a command line: `cli/ana@dome-pc`.
+/// The name of an operator at a command line: `cli/ana@dome-pc`.
 fn from(operator: Option<String>) -> anyhow::Result<String> {
     let told = |name: &str| std::env::var(name).ok().filter(|value| !value.trim().is_empty());
     let account =
@@ -230,7 +231,7 @@ fn closes(kind: &OrderKind) -> bool {
     matches!(kind, OrderKind::Close | OrderKind::Robotic(false) | OrderKind::StayClosed(true))
 }
 
-/// What is seen of one telescope while an order is given.
+/// The states of one telescope while an order is given.
 struct Sight {
     address: Address,
     nights: Subscriber<NightState>,
@@ -258,7 +259,7 @@ impl Sight {
             tokio::select! {
                 heard = self.nights.hear() => {
                     let night = heard.said.body;
-                    // Of what somebody else publishes in its name, only what knows the order counts.
+                    // Somebody else may publish in its name: only a sample that contains the order counts.
                     if night.last_order.as_ref().is_some_and(|last| last.id == *order) {
                         (seen, posture) = (true, Some(night.posture));
                     }

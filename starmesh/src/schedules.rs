@@ -1,5 +1,5 @@
-//! `starmesh schedule`: puts another schedule in force, from any machine on the bus, and looks at those that were, where the
-//! observatory node keeps them.
+//! `starmesh schedule`: puts another schedule in force, from any machine on the bus, and prints earlier versions, on
+//! the host where the observatory node stores them.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -83,7 +83,7 @@ impl Kept {
     }
 }
 
-/// Does it.
+/// Runs the command.
 pub async fn run(command: Command) -> anyhow::Result<()> {
     match command {
         Command::Put(put) => {

@@ -1,4 +1,4 @@
-//! `starmesh status`: all telescopes on the bus, what each does or waits for, why it is not safe, and what is wrong.
+//! `starmesh status`: prints all telescopes on the bus, the activity of each, why it is not safe, and its alerts.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
@@ -37,13 +37,13 @@ struct Told {
     at: Option<Utc>,
     safety: Option<SafetyState>,
     schedule: Option<ScheduleState>,
-    /// The alerts that stand, the most urgent first.
+    /// The active alerts, the most urgent first.
     alerts: Vec<Alert>,
     /// Its nodes that answer, of whatever role.
     nodes: BTreeSet<String>,
-    /// Who has taken it over, if somebody has.
+    /// The operator who has taken it over, if there is one.
     held: Option<String>,
-    /// Who ordered that it stays closed, if somebody did.
+    /// The operator who ordered that it stays closed, if there is such an order.
     stay_closed: Option<String>,
 }
 
@@ -53,7 +53,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     let bus = options.join.open().await?;
     let until = Instant::now() + Duration::from_secs_f64(options.seconds.clamp(0.5, 60.0));
     let mut telescopes: BTreeMap<Address, Told> = BTreeMap::new();
-    // Peers are found one after another: ask until the time is up or an answer repeats without news.
+    // Peers are found one after another: the command asks until the time is up or an answer brings nothing new.
     let mut known = 0;
     while Instant::now() < until {
         ask(&bus, &mut telescopes).await;
@@ -170,7 +170,7 @@ impl Told {
         lines
     }
 
-    /// What it does, or what it waits for.
+    /// Its activity, or the reason why it waits.
     fn now(&self, address: &Address) -> String {
         let Some(night) = &self.night else {
             let nodes: Vec<&str> = self.nodes.iter().map(String::as_str).collect();
@@ -218,7 +218,7 @@ impl Told {
     }
 }
 
-/// What happened and what a person should do.
+/// The event and what a person should do.
 fn alert_words(alert: &Alert) -> String {
     let who = alert.acknowledged_by.as_ref().map(|who| format!(" ({who} sees to it)")).unwrap_or_default();
     let gone = if alert.returned_utc.is_some() { " (its cause is gone)" } else { "" };
@@ -257,7 +257,7 @@ pub fn length(span_s: f64) -> String {
     }
 }
 
-/// A posture as operators say it.
+/// The word of operators for a posture.
 pub fn posture_word(posture: Posture) -> &'static str {
     match posture {
         Posture::Closed => "CLOSED",

@@ -1,4 +1,4 @@
-//! Node processes: started, watched, restarted with back-off, and ended by their own id only.
+//! Starts node processes, watches them, restarts them with back-off, and ends them by their own id only.
 
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -23,11 +23,11 @@ pub struct NodeProcess {
     pub config: PathBuf,
     /// Further arguments of `starmesh node`.
     pub arguments: Vec<String>,
-    /// Where its console lines go; to this process's own where absent.
+    /// The file of its console lines; those of this process where absent.
     pub log: Option<PathBuf>,
-    /// It ends with this process; an enclosure's device node must not, for its guard outlives everybody.
+    /// It ends with this process; an enclosure's device node must not, because its guard outlives all other processes.
     pub with_parent: bool,
-    /// Where it is noted what was started, for the next `up`.
+    /// The file with the started processes, for the next `up`.
     pub left: Option<Arc<Left>>,
 }
 
@@ -84,7 +84,7 @@ impl NodeProcess {
         Ok(child)
     }
 
-    /// Keeps it running until the stop is said: restarted after 1 s, with back-off while it keeps ending.
+    /// Restarts the node until the stop is requested: after 1 s, with back-off while it ends again and again.
     pub async fn keep(&self, stop: Stop) -> anyhow::Result<()> {
         let mut pause = Duration::from_secs(1);
         let words = tempfile::NamedTempFile::new().context("no temporary file")?.into_temp_path();
@@ -92,17 +92,17 @@ impl NodeProcess {
         loop {
             let started = Instant::now();
             let mut child = self.spawn_with(Some(&words))?;
-            // Waiting would close it, and the node would take that for our end.
+            // `wait` would close it, and the node would take that for our end.
             let lifeline = child.stdin.take();
             let Some(ended) = stop.or(child.wait()).await else {
                 drop(lifeline);
                 return end(child, self.end_within()).await;
             };
-            // What has run for a while, or was killed, prints again what ends it.
+            // A process that has run for a while, or was killed, prints the cause of its end again.
             let is_known_failure = ended.as_ref().is_ok_and(|status| status.code() == Some(1));
             if !is_known_failure || started.elapsed() > HEALTHY {
                 said_before.clear();
-                // Where it cannot be emptied a line is left out at most.
+                // Where the file cannot be emptied, a line is left out at most.
                 let _ = std::fs::write(&words, "");
             }
             let status = ended.map_or_else(|error| error.to_string(), |status| status.to_string());
@@ -132,7 +132,7 @@ pub async fn end(mut child: Child, within: Duration) -> anyhow::Result<()> {
     drop(child.stdin.take());
     #[cfg(unix)]
     if let Some(pid) = child.id().and_then(|id| i32::try_from(id).ok()).and_then(rustix::process::Pid::from_raw) {
-        // It may have ended just now; then there is nobody to ask.
+        // It may have ended just now; then there is no process to ask.
         let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
     }
     if tokio::time::timeout(within, child.wait()).await.is_err() {
@@ -144,7 +144,7 @@ pub async fn end(mut child: Child, within: Duration) -> anyhow::Result<()> {
 fn append(log: &Path) -> anyhow::Result<std::fs::File> {
     let mut options = std::fs::OpenOptions::new();
     options.create(true).append(true);
-    // What nodes log of the site is its user's alone, as their data is.
+    // The logs of nodes about the site are only for its user, like their data.
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
     options.open(log).with_context(|| format!("cannot write the log {}", log.display()))

@@ -1,4 +1,4 @@
-//! `starmesh tail`: prints what is said on the bus, one line each.
+//! `starmesh tail`: prints the samples on the bus, one line each.
 
 use clap::Args;
 

@@ -8,7 +8,8 @@ use bus::Bus;
 use contract::observatory::NightState;
 use contract::{Address, Part};
 
-/// So often the bus is asked who is there: a session that has just opened does not know all its peers.
+/// So often the command asks which telescopes are on the bus: a session that has just opened does not know all its
+/// peers.
 const TRIES: u32 = 4;
 const TIMEOUT: Duration = Duration::from_millis(800);
 
@@ -27,7 +28,7 @@ pub async fn read(text: &str, bus: &Bus) -> anyhow::Result<Address> {
     }
 }
 
-/// Nobody answered for this telescope: the error lists the telescopes that there are.
+/// No node answered for this telescope: the error lists the telescopes that are on the bus.
 pub async fn unanswered(address: &Address, bus: &Bus) -> anyhow::Error {
     let known = known(bus).await;
     if known.contains(address) {
@@ -53,13 +54,13 @@ pub async fn known(bus: &Bus) -> BTreeSet<Address> {
     found
 }
 
-/// What was probably meant, and what there is.
+/// The names that were probably meant, and the names on the bus.
 fn meant(text: &str, known: &BTreeSet<Address>) -> String {
     let names: Vec<String> = known.iter().map(ToString::to_string).collect();
     if names.is_empty() {
         return "no telescope answers; is a node running, and is it reached by multicast or --connect?".to_owned();
     }
-    // A telescope's name alone is written by most who forget the site.
+    // Most people who forget the site write the telescope's name alone.
     let alone = names.iter().find(|name| name.split_once('/').is_some_and(|(_, telescope)| telescope == text));
     let near = alone.map(String::as_str).or_else(|| config::nearest(text, names.iter().map(String::as_str)));
     let near = near.map(|near| format!("did you mean {near}? ")).unwrap_or_default();

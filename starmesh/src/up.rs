@@ -13,7 +13,7 @@ use crate::bus_address;
 use crate::left::Left;
 use crate::supervise::NodeProcess;
 
-/// So often it is printed what is waited for.
+/// How often the command prints what it waits for.
 const TELL: Duration = Duration::from_secs(10);
 
 /// A file that cannot be used is read again so often.
@@ -59,7 +59,8 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     let page = page(config.web.listen);
     let brains = Stop::default();
     let mut devices: Vec<(String, Stop, JoinSet<anyhow::Result<()>>)> = Vec::new();
-    // Enclosures first, at the start and at the end: one that waits for the mount needs the mount's node until it is closed
+    // Enclosures first, at the start and at the end: an enclosure that waits for the mount needs the mount's node until
+    // it is closed.
     for id in config.device_nodes() {
         let (node, stop) = (node(Role::Device, id), Stop::default());
         let (stopped, mut task) = (stop.clone(), JoinSet::new());
@@ -104,7 +105,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Where the page will be, before the web node has taken the address.
+/// The address of the page, before the web node has taken it.
 fn page(listen: std::net::SocketAddr) -> String {
     match std::net::TcpListener::bind(listen) {
         Ok(_) => format!("the page is at http://{listen}/ "),
@@ -114,8 +115,9 @@ fn page(listen: std::net::SocketAddr) -> String {
     }
 }
 
-/// The file cannot be used, and the enclosure may be open: its guard process runs by what last worked, until the file can
-/// be used (and is returned) or an end is asked for. An error where nothing is known of an enclosure.
+/// Waits for a file that cannot be used, while the enclosure may be open: its guard process runs by the configuration
+/// that last worked, until the file can be used (and is returned) or an end is requested. An error where nothing is
+/// known of an enclosure.
 async fn guarded_until_readable(
     options: &Options,
     error: anyhow::Error,

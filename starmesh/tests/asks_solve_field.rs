@@ -1,8 +1,8 @@
-//! `starmesh solve` and an installed `solve-field`: what is told to it, what its answer is worth, and its bounded time.
-//! The program itself is not part of the test machine; scripts stand at its place, and the real one is run where it is
+//! `starmesh solve` and an installed `solve-field`: its input, the checks of its answer, and its bounded time. The
+//! program itself is not part of the test machine; scripts stand at its place, and the real one is run where it is
 //! installed with index files and `STARMESH_REAL_SKY` is set.
 #![cfg(unix)]
-#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
+#![allow(clippy::unwrap_used, clippy::panic)] // Helpers of tests are tests too.
 #![allow(missing_docs)]
 
 mod command;
@@ -21,7 +21,7 @@ use tempfile::TempDir;
 const CENTRE_DEG: (f64, f64) = (120.114_861_0, 50.074_343_0);
 const SCALE_ARCSEC_PX: f64 = 0.825_059;
 
-/// A golden frame; its header tells neither place nor scale.
+/// A golden frame; its header contains neither place nor scale.
 fn frame() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../common/imaging/tests/golden/f02_wide_undersampled.fits.gz")
 }
@@ -130,7 +130,7 @@ fn it_is_ended_in_time_with_all_that_it_started() {
     let pid = std::fs::read_to_string(pid).unwrap();
     let is_gone = || {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
-        // Ended, though nobody may have asked for its end yet.
+        // Ended, though no process may have waited for its end yet.
         stat.is_empty() || stat.rsplit(") ").next().unwrap_or_default().starts_with('Z')
     };
     while !is_gone() {
@@ -148,7 +148,7 @@ fn the_real_program_finds_a_real_frame_whose_hint_is_wrong() {
     let is_there = std::env::split_paths(&path).any(|folder| folder.join("solve-field").is_file());
     let real = std::env::var_os("STARMESH_REAL_SKY").map(|folder| PathBuf::from(folder).join("2mass/gc_2mass_j.fits"));
     let Some(real) = real.filter(|_| is_there) else { return println!("solve-field: 0 of 1 run") };
-    // Its index files may not cover the field: then it must say so, and within its time.
+    // Its index files may not cover the field: then it must report that, and within its time.
     let started = Instant::now();
     let mut command = Command::new(env!("CARGO_BIN_EXE_starmesh"));
     command.args(["solve", "--json", "--ra-deg=80", "--dec-deg=60", "--scale-arcsec-px=5", "--blind-s=30"]).arg(real);

@@ -1,4 +1,5 @@
-//! Commands that ask telescopes over the bus: what is waited for and why, rows from any host, and names that are mistyped.
+//! Commands that ask telescopes over the bus: what a telescope waits for and why, rows from any host, and mistyped
+//! names.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 

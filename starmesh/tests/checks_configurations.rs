@@ -12,7 +12,8 @@ use std::net::TcpListener;
 use command::starmesh;
 use wrong::{FOREIGN, GOOD, WRONG, changed};
 
-/// What is put behind the good file or in place of a part of it, the line at fault of the result, and words.
+/// The text that is added to the good file or replaces a part of it, the line at fault of the result, and words of the
+/// message.
 const FILES: &[(&str, &str, usize, &[&str])] = &[
     ("[safety]", "[folders]\ndata = \"a_file\"\n[safety]", 9, &["folders.data", "a_file is no folder"]),
     ("[safety]", "[folders]\nimages = \"a_file/images\"\n[safety]", 9, &["folders.images", "a_file is no folder"]),

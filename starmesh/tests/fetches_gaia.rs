@@ -1,5 +1,5 @@
 //! `starmesh catalogue build --gaia-tap` against a real HTTP server on loopback that answers as TAP services do.
-#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
+#![allow(clippy::unwrap_used, clippy::panic)] // Helpers of tests are tests too.
 #![allow(missing_docs)]
 
 mod command;
@@ -43,7 +43,7 @@ fn form(body: &str) -> Vec<(String, String)> {
     body.split('&').map(|pair| pair.split_once('=').unwrap()).map(|(k, v)| (undone(k), undone(v))).collect()
 }
 
-/// A server; answers its address and the count of questions it has heard.
+/// A server; answers its address and the count of questions that it has received.
 fn server() -> (String, Arc<AtomicUsize>) {
     let asked = Arc::new(AtomicUsize::new(0));
     let count = asked.clone();
@@ -144,7 +144,7 @@ fn what_goes_wrong_on_the_way_is_told_in_time_and_leaves_nothing_behind() {
         assert!(started.elapsed() < Duration::from_secs(20), "{path}");
         assert!(!out.exists());
     }
-    // A port that nobody listens on.
+    // A port on which no program listens.
     let unused = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let (_, said) = build(folder.path(), &format!("http://{unused}/tap"), &[]);
     assert!(!said.success && said.err.contains("it cannot be reached"), "{}", said.err);

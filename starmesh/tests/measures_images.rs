@@ -1,6 +1,6 @@
 //! `starmesh measure` and `starmesh shift` on the golden frames of `common/imaging/tests/golden`, against the truth
 //! they were drawn from.
-#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
+#![allow(clippy::unwrap_used, clippy::panic)] // Helpers of tests are tests too.
 #![allow(missing_docs)]
 
 mod command;

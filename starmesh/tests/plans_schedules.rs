@@ -1,4 +1,5 @@
-//! `starmesh plan` as a person calls it: a table, curves, what will not run, JSON; many files; and no plan of a bad one.
+//! `starmesh plan` as a person calls it: a table, curves, the rows that will not run, JSON; many files; and no forecast
+//! of a bad file.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 

@@ -1,6 +1,6 @@
 //! `starmesh measure` and `starmesh shift` on frames of the real sky, which stay where `STARMESH_REAL_SKY` points to:
-//! other people's data are not copied into the project. Unset, nothing is run, and that is what is said.
-#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
+//! other people's data are not copied into the project. Where it is not set, nothing is run, and the test prints that.
+#![allow(clippy::unwrap_used, clippy::panic)] // Helpers of tests are tests too.
 #![allow(missing_docs)]
 
 mod command;
@@ -20,7 +20,7 @@ const FRAMES: [(&str, usize, usize); 5] = [
     ("sdss/reprojected_sdss_g.fits.bz2", 30, 5000),
 ];
 
-/// Says how many were run, past the test's own capture of what is printed.
+/// Prints how many were run, past the test's own capture of output.
 fn tell(run: usize) {
     let _ = writeln!(std::io::stderr(), "real sky: {run} of {} run", FRAMES.len() + 1);
 }
@@ -48,7 +48,7 @@ fn real_frames_are_measured_and_the_real_pair_is_registered() {
     let (dx, dy) = (number(shift, "dx_px"), number(shift, "dy_px"));
     assert!((dx - 0.52).abs() < 0.3 && (dy - 1.53).abs() < 0.3, "{shift}");
     assert!(number(shift, "sigma_px") < 0.15 && number(shift, "stars") >= 20.0, "{shift}");
-    // What is well seen in the one frame of the mosaic stands in the other one too: it is sky, not pattern.
+    // Stars that are well visible in one frame of the mosaic are in the other one too: they are sky, not pattern.
     let share = common(&answers[0], &answers[1], (dx, dy));
     println!("panoptes: {:.0} % of the stars of S/N 15 are in both frames", 100.0 * share);
     assert!(share > 0.9, "{share}");

@@ -1,6 +1,6 @@
 //! `starmesh solve` on frames of the real sky with the catalogue that Starmesh ships; the frames stay where
-//! `STARMESH_REAL_SKY` points to. Unset, nothing is run, and that is what is said.
-#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
+//! `STARMESH_REAL_SKY` points to. Where it is not set, nothing is run, and the test prints that.
+#![allow(clippy::unwrap_used, clippy::panic)] // Helpers of tests are tests too.
 #![allow(missing_docs)]
 
 mod command;
@@ -10,8 +10,8 @@ use std::path::PathBuf;
 
 use command::{number, starmesh};
 
-/// A frame, what has to be told beside its header (degrees, arcsec/px), and the truth: centre (deg), arcsec/px,
-/// whether it is a mirror image (astrometry.net's parity "neg").
+/// A frame, the options that it needs in addition to its header (degrees, arcsec/px), and the truth: centre (deg),
+/// arcsec/px, whether it is a mirror image (astrometry.net's parity "neg").
 struct Frame {
     file: &'static str,
     more: &'static [&'static str],
@@ -20,8 +20,8 @@ struct Frame {
     mirrored: bool,
 }
 
-/// Truth by astrometry.net (panoptes) and by the mosaic's own header (2MASS). The DSLR's header tells where the mount
-/// was, 2 deg off, and no scale; the infrared mosaic's tells both, so it is given a place 0.3 deg off.
+/// Truth by astrometry.net (panoptes) and by the mosaic's own header (2MASS). The DSLR's header contains the direction
+/// of the mount, 2 deg off, and no scale; the infrared mosaic's contains both, so the test gives a place 0.3 deg off.
 const FRAMES: [Frame; 4] = [
     Frame {
         file: "panoptes/unsolved.fits",
@@ -53,7 +53,7 @@ const FRAMES: [Frame; 4] = [
     },
 ];
 
-/// Says how many were run, past the test's own capture of what is printed.
+/// Prints how many were run, past the test's own capture of output.
 fn tell(run: usize) {
     let _ = writeln!(std::io::stderr(), "real sky: {run} of {} run", FRAMES.len() + 1);
 }

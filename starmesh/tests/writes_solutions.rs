@@ -1,5 +1,5 @@
 //! `starmesh solve --write` and `--wcs`, files of several images and planes, and outputs that are inputs.
-#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
+#![allow(clippy::unwrap_used, clippy::panic)] // Helpers of tests are tests too.
 #![allow(missing_docs)]
 
 mod command;

@@ -113,7 +113,7 @@ pub async fn run(options: &Options) -> anyhow::Result<()> {
     ))
 }
 
-/// Whether two names stand for one file: by links, too. A name without a file is none.
+/// Whether two names are the same file, also by links. A name without a file is none.
 fn is_same_file(one: &Path, other: &Path) -> anyhow::Result<bool> {
     let (Ok(one), Ok(other)) = (std::fs::canonicalize(one), std::fs::canonicalize(other)) else { return Ok(false) };
     #[cfg(unix)]
@@ -127,7 +127,7 @@ fn is_same_file(one: &Path, other: &Path) -> anyhow::Result<bool> {
     Ok(one == other)
 }
 
-/// The files given, and those that Gaia's answers are kept in.
+/// The given files, and the files that hold Gaia's answers.
 async fn sources(options: &Options) -> anyhow::Result<Vec<PathBuf>> {
     let (cones, rest) = options.gaia_tap.as_chunks::<3>();
     ensure!(rest.is_empty(), "--gaia-tap takes three numbers: right ascension, declination and radius, degrees");

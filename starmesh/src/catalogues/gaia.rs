@@ -1,4 +1,4 @@
-//! Stars of Gaia DR3 in a circle, from a TAP service (IVOA Table Access Protocol 1.1), kept on disk.
+//! Stars of Gaia DR3 in a circle, from a TAP service (IVOA Table Access Protocol 1.1), with a cache of the answers.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -32,7 +32,7 @@ impl Service {
     }
 }
 
-/// What is asked for.
+/// The circle that is asked for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cone {
     /// ICRS right ascension of the centre, degrees.
@@ -114,12 +114,12 @@ pub async fn ask(url: &str, query: &str, cone: &Cone, folder: &Path, timeout: Du
         Err(error) => Err(error.context(format!("Gaia's stars could not be fetched from {url}"))),
     };
     if kept.is_err() {
-        let _ = std::fs::remove_file(&part); // it may never have been there
+        let _ = std::fs::remove_file(&part); // It may never have been there.
     }
     kept.map(|()| file)
 }
 
-/// Whether an answer is a table, and whole. TAP tells its errors as VOTable, with any HTTP status.
+/// Whether an answer is a table, and whole. TAP reports its errors as VOTable, with any HTTP status.
 fn check(file: &Path) -> anyhow::Result<()> {
     use std::io::{BufRead as _, BufReader};
     let mut lines = BufReader::new(std::fs::File::open(file)?).lines();

@@ -1,4 +1,5 @@
-//! A question to a web service and its answer into a file; TLS by rustls and the host's own root certificates.
+//! Sends a question to a web service and writes its answer into a file; TLS by rustls and the host's own root
+//! certificates.
 
 use std::io::Write as _;
 use std::path::Path;
@@ -13,13 +14,13 @@ use hyper_rustls::HttpsConnectorBuilder;
 use hyper_util::client::legacy::Client;
 use hyper_util::rt::TokioExecutor;
 
-/// TAP services may answer with the place of the answer; more than this is a circle.
+/// TAP services may redirect to the address of the answer; more redirections than this are a circle.
 const MOST_REDIRECTIONS: usize = 5;
-/// What is shown of an answer that is no table, bytes.
+/// The part of an answer that is no table which an error quotes, bytes.
 const SHOWN: usize = 4096;
 
-/// Sends a form and writes the answer to `file`; anything but a 2xx answer in time is an error that tells what the
-/// service says.
+/// Sends a form and writes the answer to `file`; anything but a 2xx answer in time is an error with the message of the
+/// service.
 pub async fn post(url: &str, form: &[(&str, &str)], file: &Path, timeout: Duration) -> anyhow::Result<()> {
     let body: Vec<String> = form.iter().map(|(name, value)| format!("{name}={}", encoded(value))).collect();
     let exchange = exchange(url, body.join("&"), file);
@@ -88,7 +89,7 @@ async fn exchange(url: &str, form: String, file: &Path) -> anyhow::Result<()> {
     bail!("it redirects in a circle")
 }
 
-/// A place as redirections give it: whole, or within the same host.
+/// The address in a redirection: whole, or within the same host.
 fn absolute(from: &Uri, place: &str) -> anyhow::Result<Uri> {
     let whole = if place.starts_with('/') {
         let host = from.authority().map(ToString::to_string).unwrap_or_default();

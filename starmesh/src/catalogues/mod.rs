@@ -13,7 +13,7 @@ pub enum Command {
     Build(build::Options),
 }
 
-/// Does it.
+/// Runs the command.
 pub async fn run(command: Command) -> anyhow::Result<()> {
     match command {
         Command::Build(options) => build::run(&options).await,

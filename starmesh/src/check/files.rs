@@ -1,4 +1,5 @@
-//! What a configuration needs except itself: files that it names, folders that are written to, addresses of this host.
+//! Checks what a configuration needs except itself: files that it names, folders that are written to, addresses of this
+//! host.
 
 use std::fs;
 use std::io::{ErrorKind, Read as _};
@@ -11,10 +12,10 @@ use contract::observatory::Severity;
 use node_archive::name::Namer;
 use schedule::validate;
 
-/// How much it weighs, the key that it is about, and what was found.
+/// The severity, the key, and the finding.
 type Found = (Severity, String, String);
 
-/// What is wrong with the files, and what they hold, in words.
+/// The faults of the files, and their content in words.
 pub fn look(config: &Observatory) -> (Vec<Found>, Vec<String>) {
     let mut look = Look { found: Vec::new(), held: Vec::new() };
     look.folders(config);
@@ -161,7 +162,7 @@ impl Look {
     }
 
     fn url(&mut self, key: &str, url: &str) {
-        // What is not of this form is reported already.
+        // A URL that is not of this form is reported already.
         if !url.starts_with("http") || url.contains(char::is_whitespace) {
             return;
         }
@@ -238,7 +239,7 @@ fn writable(folder: &Path) -> Result<(), String> {
     if !there.is_dir() {
         return Err(format!("{} is no folder, so that nothing can be written to {shown}", there.display()));
     }
-    // Has no name, and is gone when it is closed.
+    // The file has no name, and is gone when it is closed.
     tempfile::tempfile_in(&there).map(drop).map_err(|error| {
         let why = error.to_string();
         let why = why.split(" at path").next().unwrap_or_default();

@@ -54,7 +54,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
 async fn observe(options: &Options, port: u16, folder: &Folder) -> anyhow::Result<()> {
     let mut world = simulator::Options { speed: options.speed, ..Default::default() };
     world.dome.watchdog_s = Some(120.0);
-    // Rows ask for 6 arcsec: a mount that repeats its slews to less than that, as most do.
+    // Rows ask for 6 arcsec: this mount repeats its slews to less than that, as most do.
     world.mount.scatter_arcsec = 1.0;
     // The same field of 1.5 deg, whatever the camera's size.
     world.camera.pixel_um *= f64::from(world.camera.width) / f64::from(options.size_px);
@@ -108,7 +108,7 @@ async fn observe(options: &Options, port: u16, folder: &Folder) -> anyhow::Resul
     Ok(())
 }
 
-/// A shower of twelve minutes in the middle of the night: everyone should see a dome close and open again.
+/// A shower of twelve minutes in the middle of the night, so that everyone sees a dome close and open again.
 async fn shower(simulator: &Simulator, clock: &Clock, at: Utc) {
     let wait_s = at.seconds_since(clock.utc()).max(0.0);
     clock.sleep_sky(Duration::from_secs_f64(wait_s)).await;
@@ -153,7 +153,7 @@ impl Nodes {
     }
 }
 
-/// Where the demo keeps its files.
+/// The folder of the demo's files.
 struct Folder {
     path: PathBuf,
     keep: bool,

@@ -5,7 +5,7 @@ use serde_json::json;
 use sky::{EarthOrientation, Icrs, Night, Place};
 use units::{Angle, Utc};
 
-/// Where the demo observes, and when.
+/// The place and the time of the demo.
 pub struct DemoNight {
     /// Start of the simulation: a quarter of an hour before sunset.
     pub start: Utc,

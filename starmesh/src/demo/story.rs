@@ -1,4 +1,4 @@
-//! What the demo prints while the night goes by, and what it sums up at the end.
+//! Prints the progress of the demo's night, and a summary at the end.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{IsTerminal as _, Write as _};
@@ -26,7 +26,7 @@ pub struct Story {
     live_line: bool,
 }
 
-/// What the summary counts.
+/// The numbers of the summary.
 #[derive(Default)]
 pub struct Facts {
     stored: BTreeSet<String>,
@@ -45,7 +45,7 @@ pub struct Facts {
 }
 
 impl Story {
-    /// Subscribes to what a telescope's nodes say.
+    /// Subscribes to the states of a telescope's nodes.
     pub async fn listen(bus: &Bus, address: &Address) -> anyhow::Result<Self> {
         let part = |part| Key::Observatory(address.clone(), part).to_string();
         let all = address.everything();
@@ -62,7 +62,8 @@ impl Story {
         })
     }
 
-    /// Tells the night until it has ended with all headers complete, or nothing was heard for a minute.
+    /// Prints the progress of the night until it has ended with all headers complete, or nothing was received for a
+    /// minute.
     pub async fn tell(&mut self, start: Utc, end: Utc) -> anyhow::Result<()> {
         let mut printed = String::new();
         loop {

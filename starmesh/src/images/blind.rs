@@ -1,5 +1,5 @@
-//! An installed `solve-field` (astrometry.net) as the last resort: it needs no place, only index files, which are its
-//! own matter. It is given our stars, not the frame, and a bounded time.
+//! Runs an installed `solve-field` (astrometry.net) as the last resort: it needs no hint of the place, only index
+//! files, which it finds by itself. It gets our stars, not the frame, and a bounded time.
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -11,14 +11,14 @@ use imaging::{Star, Wcs};
 
 use super::hint;
 
-/// More stars tell it nothing.
+/// More stars do not help it.
 const MOST_STARS: usize = 300;
-/// How wrong a scale may be that it is told, as a share.
+/// The tolerance of the scale that it gets, as a share.
 const SCALE_TOLERANCE: f64 = 0.1;
-/// Beyond the time of its own limit it is ended from outside.
+/// It is killed this long after the end of its own time limit.
 const GRACE: Duration = Duration::from_secs(2);
 
-/// What it is told of a frame.
+/// The data about a frame that `solve-field` gets.
 pub struct Field<'a> {
     /// All stars.
     pub stars: &'a [Star],
@@ -28,13 +28,13 @@ pub struct Field<'a> {
     pub scale_arcsec_px: Option<f64>,
 }
 
-/// Where `solve-field` is, if it is on PATH.
+/// The path of `solve-field`, if it is on PATH.
 pub fn installed() -> Option<PathBuf> {
     let path = std::env::var_os("PATH")?;
     std::env::split_paths(&path).map(|folder| folder.join("solve-field")).find(|file| file.is_file())
 }
 
-/// Where the frame points, as `program` has it; None when it found nothing within `limit`.
+/// The solution of `program`; None when it found nothing within `limit`.
 pub fn solve(program: &Path, field: &Field, limit: Duration) -> anyhow::Result<Option<Wcs>> {
     let folder = tempfile::Builder::new().prefix("starmesh-solve-field-").tempdir()?;
     let (list, answer) = (folder.path().join("field.xyls"), folder.path().join("field.wcs"));
@@ -59,7 +59,7 @@ pub fn solve(program: &Path, field: &Field, limit: Duration) -> anyhow::Result<O
     wcs.map(Some).with_context(|| format!("{} wrote a solution that cannot be read", program.display()))
 }
 
-/// Waits for it, and ends it with all that it has started when it takes longer.
+/// Waits for the program, and ends it with all that it has started when it takes longer.
 fn ended_in_time(mut child: Child, limit: Duration) -> anyhow::Result<bool> {
     let started = Instant::now();
     loop {
@@ -75,7 +75,7 @@ fn ended_in_time(mut child: Child, limit: Duration) -> anyhow::Result<bool> {
     }
 }
 
-/// It starts programs of its own, which must end with it.
+/// The program starts programs of its own, which must end with it.
 #[cfg(unix)]
 fn own_group(command: &mut Command) -> &mut Command {
     use std::os::unix::process::CommandExt as _;
@@ -92,7 +92,7 @@ fn end_group(child: &mut Child) {
     if let Some(group) = i32::try_from(child.id()).ok().and_then(rustix::process::Pid::from_raw) {
         let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
     }
-    let _ = child.kill(); // it may have ended meanwhile
+    let _ = child.kill(); // It may have ended meanwhile.
 }
 
 /// A FITS table of the brightest stars, the brightest first; FITS pixels begin with 1.

@@ -19,9 +19,9 @@ fn hdu(word: &str) -> Result<usize, String> {
     word.parse().ok().filter(|number| *number > 0).ok_or_else(|| "expected a number of 1 and more".to_owned())
 }
 
-/// A frame and what its file says of it.
+/// A frame and the header of its file.
 pub struct Exposure {
-    /// Where it came from.
+    /// The file that it was read from.
     pub file: PathBuf,
     image: Image,
     /// Whether its pixels see different colours.
@@ -38,12 +38,12 @@ impl Exposure {
         Ok(exposure)
     }
 
-    /// Part of the file that it stands in, from 1.
+    /// The HDU that it is in, from 1.
     pub fn hdu(&self) -> usize {
         self.image.hdu
     }
 
-    /// Says what was taken where there was a choice: which of several images, how many planes. On standard error: answers
+    /// Reports the choice where there was one: which of several images, how many planes. On standard error: the answers
     /// on standard output are for programs too.
     fn say_choice(&self, chosen: Chosen) {
         let file = self.file.display();
@@ -60,7 +60,7 @@ impl Exposure {
         }
     }
 
-    /// What the file says.
+    /// The header of the file.
     pub fn header(&self) -> &Header {
         &self.image.header
     }
@@ -84,7 +84,7 @@ impl Exposure {
         Ok(Frame::new(self.width_px(), self.height_px(), pixels)?)
     }
 
-    /// What is known of the camera.
+    /// The properties of the camera that are known.
     pub fn camera(&self) -> Camera<'static> {
         // Eight bits end at 255; EGAIN is e-/ADU, while GAIN is often a setting of the camera without a unit.
         let max_adu = (self.image.bitpix == 8).then_some(255.0);
@@ -92,7 +92,7 @@ impl Exposure {
         Camera { max_adu, gain_e_per_adu: gain.map_or(1.0, |gain| gain as f32), ..Camera::default() }
     }
 
-    /// Its stars and what it is worth; places in px of the frame, also of a colour mosaic.
+    /// Its stars and its quality; places in px of the frame, also of a colour mosaic.
     pub fn measure(&self) -> anyhow::Result<Measured> {
         let search = Search::default();
         let measured = if self.mosaic {
@@ -104,8 +104,8 @@ impl Exposure {
     }
 }
 
-/// Whether the header tells of a colour mosaic. Where the pattern begins is left to the pixels: cut and turned frames
-/// keep the old word. Of binned frames it says nothing.
+/// Whether the header declares a colour mosaic. The pixels decide where the pattern begins: cut and turned frames still
+/// have the old keyword. For binned frames the result is false.
 fn says_mosaic(header: &Header) -> bool {
     let binned = ["XBINNING", "YBINNING"].iter().any(|keyword| header.number(keyword).is_ok_and(|by| by > 1.0));
     let is_pattern = |word: &str| ["RGGB", "BGGR", "GRBG", "GBRG"].contains(&word.trim().to_ascii_uppercase().as_str());

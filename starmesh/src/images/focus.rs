@@ -24,7 +24,7 @@ pub struct Options {
     output: Output,
 }
 
-/// What a frame tells.
+/// The result of one frame.
 struct Point {
     file: PathBuf,
     position: f64,
@@ -70,7 +70,7 @@ fn point(file: &Path, chosen: Chosen) -> anyhow::Result<Point> {
     let told = ["FOCUSPOS", "FOCPOS"].map(|keyword| exposure.header().number(keyword));
     let position = told.iter().flatten().copied().find(|position| position.is_finite());
     let Some(position) = position else {
-        // A value of another kind says more than a keyword that is not there.
+        // A value of another type is a better reason than a missing keyword.
         let odd = told.into_iter().filter_map(Result::err).find(|why| matches!(why, KeywordError::Kind { .. }));
         if let Some(why) = odd {
             bail!("{why}: the focuser's position in steps")
@@ -90,7 +90,7 @@ fn point(file: &Path, chosen: Chosen) -> anyhow::Result<Point> {
     Ok(Point { file: exposure.file, position, size })
 }
 
-/// The answer of issue 4: steps of the focuser and px; null where there is no focus.
+/// The JSON answer: steps of the focuser and px; null where there is no focus.
 fn answer(points: &[Point], curve: &anyhow::Result<Hyperbola>) -> Value {
     let fit = curve.as_ref().ok();
     let point = |(n, point): (usize, &Point)| {

@@ -1,4 +1,4 @@
-//! What a header tells of place, scale and time before its frame is solved.
+//! The values of place, scale and time in a header, before its frame is solved.
 
 use anyhow::{Context as _, bail, ensure};
 use fits::Header;
@@ -12,13 +12,13 @@ pub type Place = (Angle, Angle);
 
 /// Arcseconds of a radian.
 const ARCSEC: f64 = 206_264.806;
-/// Focal lengths up to here are metres, as the standard telescopes write them; beyond they are mm. Between lies
-/// nothing: 20 mm would be a fish-eye, and 20 m is longer than any tube.
+/// Focal lengths up to here are metres, as the standard telescopes write them; beyond they are mm. No focal length lies
+/// between: 20 mm would be a fish-eye, and 20 m is longer than any tube.
 const LONGEST_M: f64 = 20.0;
 /// Julian date of J2000.0.
 const J2000_JD: f64 = 2_451_545.0;
 
-/// Where the frame's centre should be: by an older solution in the header, else where the telescope pointed.
+/// The expected centre of the frame: from an older solution in the header, else from the direction of the telescope.
 pub fn place(header: &Header, size_px: (usize, usize)) -> anyhow::Result<Place> {
     if let Some(wcs) = solution(header) {
         return Ok(wcs.pixel_to_sky(0.5 * (size_px.0 as f64 - 1.0), 0.5 * (size_px.1 as f64 - 1.0)));
@@ -63,7 +63,7 @@ pub fn scale(header: &Header) -> anyhow::Result<(f64, f64)> {
     Ok((pixel_um * 1e-3 / focal_mm * ARCSEC, FIRST_LIGHT))
 }
 
-/// When the frame was taken, Julian year; None where no keyword tells.
+/// When the frame was taken, Julian year; None where no keyword contains it.
 pub fn epoch_year(header: &Header) -> Option<f64> {
     let date = |keyword: &str| header.text(keyword).ok().and_then(julian_date);
     let number = |keyword: &str, zero: f64| header.number(keyword).ok().map(|day| day + zero);

@@ -1,5 +1,5 @@
-//! What FITS files show, from the command line: each command reads the files given, prints text or JSON, and goes on
-//! to the next file when one is bad.
+//! Measures FITS files from the command line: each command reads the files given, prints text or JSON, and goes on to
+//! the next file when one is bad.
 
 mod blind;
 pub mod exposure;
@@ -32,7 +32,8 @@ impl Output {
     }
 }
 
-/// Does `work` with each file. A bad one is told on standard error, and the next one follows; then the whole fails.
+/// Does `work` with each file. A bad file is reported on standard error, and the next one follows; then the whole
+/// fails.
 pub fn each(files: &[PathBuf], mut work: impl FnMut(&PathBuf) -> anyhow::Result<()>) -> anyhow::Result<()> {
     let mut bad = 0;
     for file in files {

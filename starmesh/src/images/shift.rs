@@ -48,7 +48,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     options.output.print(&answer(&shift), || sentence(&shift))
 }
 
-/// By stars, and by projections where there are too few of them. Stars that are there and do not match are not
+/// The shift by stars, or by projections where there are too few stars. The result of stars that do not match is not
 /// overruled: projections of two different fields may agree by chance.
 fn between(reference: &Exposure, check: &Exposure) -> anyhow::Result<Shift> {
     let measured = [reference.measure()?, check.measure()?];
@@ -85,7 +85,7 @@ fn rotation_deg(shift: &Shift) -> Option<f64> {
     (shift.covariance[2][2] > 0.0).then_some(shift.rotation_deg)
 }
 
-/// The answer of issue 4: check minus reference at the frame's centre.
+/// The JSON answer: check minus reference at the frame's centre.
 fn answer(shift: &Shift) -> Value {
     json!({
         "dx_px": rounded(shift.dx_px, 4),

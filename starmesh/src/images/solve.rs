@@ -70,7 +70,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     };
     let limit = options.blind_s.map(Duration::try_from_secs_f64).transpose();
     let limit = limit.context("--blind-s is a time in seconds, 0 for never")?;
-    // Bright stars stand where they stood: one epoch serves all files.
+    // Bright stars hardly move: one epoch serves all files.
     let sky = AllSky::new(at_epoch(simulator::catalogue::default(), EPOCH_YEAR + SINCE_YEARS));
     let is_shipped = options.catalogue.is_none();
     let scale_arcsec_px = options.scale_arcsec_px;
@@ -93,7 +93,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Writes the solution where it was asked for.
+/// Writes the solution to the files that the options name.
 fn written(options: &Options, exposure: &Exposure, solved: &Solved) -> anyhow::Result<()> {
     if !options.write && options.wcs.is_none() {
         return Ok(());
@@ -110,7 +110,7 @@ fn written(options: &Options, exposure: &Exposure, solved: &Solved) -> anyhow::R
     }
 }
 
-/// Where a frame points, and how well that is known.
+/// The direction of a frame, and how well it is known.
 struct Solved {
     ra: Angle,
     dec: Angle,
@@ -118,7 +118,7 @@ struct Solved {
     rotation_deg: f64,
     mirrored: bool,
     /// Stars that agree with the catalogue, their rms (px) and the probability that it is false; none where only
-    /// `solve-field` knows the field.
+    /// `solve-field` found the field.
     verified: Option<(usize, f64, f64)>,
     /// Pixels to sky.
     wcs: Wcs,
@@ -134,23 +134,24 @@ impl From<Solution> for Solved {
 
 /// Years from the catalogues' epoch to frames that are solved without a hint.
 const SINCE_YEARS: f64 = 10.0;
-/// Time for `solve-field` where none is told.
+/// Time for `solve-field` where no option gives it.
 const BLIND_FOR: Duration = Duration::from_secs(30);
-/// A known scale as a blind search takes it, as a share to either side: it may be what was wrong.
+/// The tolerance of a known scale in a blind search, as a share to either side: the scale may be the wrong part of the
+/// hint.
 const SCALE_SHARE: f64 = 0.15;
 /// Longest side of a frame that a blind search has patterns for, deg.
 const LEAST_FIELD_DEG: f64 = 0.3;
 
-/// What all files have in common.
+/// The values that all files share.
 struct Task<'a, S> {
     asked: Option<hint::Place>,
     scale_arcsec_px: Option<f64>,
     catalogue: &'a Catalogue,
-    /// Whether that is the shipped one.
+    /// Whether the catalogue is the shipped one.
     is_shipped: bool,
     /// The shipped catalogue, in which frames are found without a hint.
     sky: &'a AllSky<S>,
-    /// Time for `solve-field`, where it was told.
+    /// Time for `solve-field`, where an option gives it.
     limit: Option<Duration>,
 }
 
@@ -165,8 +166,8 @@ struct Refused {
 }
 
 impl<S: Stars + Sync> Task<'_, S> {
-    /// A solution, or the reason why there is none. What fails beside the sky (a catalogue that cannot be read) is an
-    /// error.
+    /// A solution, or the reason why there is none. Other failures (such as a catalogue that cannot be read) are
+    /// errors.
     fn answer(&self, exposure: &Exposure) -> anyhow::Result<Result<Solved, String>> {
         let measured = exposure.measure()?;
         let hint = known(exposure, self.asked, self.scale_arcsec_px);
@@ -174,7 +175,7 @@ impl<S: Stars + Sync> Task<'_, S> {
             Ok(hint) => self.hinted(exposure, &measured, hint)?.map_err(|reason| {
                 let hint_denied = matches!(reason, NoSolution::NoMatch { .. });
                 let too_shallow = matches!(reason, NoSolution::CatalogueTooShallow { .. });
-                // More light is needed where these are not the reason; another solver has no more.
+                // Where these are not the reason, the frame needs more light; another solver cannot help.
                 let elsewhere = hint_denied || too_shallow;
                 Refused { reason: reason.to_string(), elsewhere, hint_denied, too_shallow }
             }),
@@ -188,7 +189,7 @@ impl<S: Stars + Sync> Task<'_, S> {
             Err(refused) => refused,
         };
         let limit = match self.limit {
-            // What fits nothing is refused at once; more than a second is for those who ask for it.
+            // A hint that fits nothing is refused at once; a longer search has to be requested.
             None if refused.hint_denied => {
                 return Ok(Err(format!("{}; --blind-s 30 looks through the whole sky too", refused.reason)));
             }
@@ -211,13 +212,13 @@ impl<S: Stars + Sync> Task<'_, S> {
         }
     }
 
-    /// Size of a pixel as it was told, or as the header tells it, arcsec.
+    /// Size of a pixel from the options, or from the header, arcsec.
     fn told_scale(&self, exposure: &Exposure) -> Option<f64> {
         self.scale_arcsec_px.or_else(|| hint::scale(exposure.header()).ok().map(|(scale, _)| scale))
     }
 
-    /// Looks for the frame on the whole sky of the shipped catalogue; places are then those of the catalogue given,
-    /// where it knows the field.
+    /// Looks for the frame on the whole sky of the shipped catalogue; the places are then those of the given catalogue,
+    /// where it covers the field.
     fn anywhere(&self, exposure: &Exposure, measured: &Measured) -> anyhow::Result<Result<Solution, String>> {
         let told = self.told_scale(exposure);
         let longer_px = exposure.width_px().max(exposure.height_px()) as f64;
@@ -251,7 +252,7 @@ impl<S: Stars + Sync> Task<'_, S> {
         Ok(found)
     }
 
-    /// `solve-field` says where; our own catalogue verifies it, or denies it, where it is deep enough.
+    /// `solve-field` gives the place; our own catalogue verifies or rejects it, where it is deep enough.
     fn blindly(
         &self,
         exposure: &Exposure,
@@ -272,7 +273,7 @@ impl<S: Stars + Sync> Task<'_, S> {
         let near = Hint { furthest: Angle::default(), ..Hint::new(ra, dec, scale_arcsec_px) };
         match self.hinted(exposure, measured, &near)? {
             Ok(solution) => return Ok(Ok(solution.into())),
-            // Nothing can be said of its answer where the catalogue has too few stars.
+            // Its answer cannot be verified where the catalogue has too few stars.
             Err(NoSolution::CatalogueTooShallow { .. }) => {}
             Err(against) => {
                 let place = format!("RA {:.4} Dec {:+.4} deg", ra.degrees(), dec.degrees());
@@ -308,7 +309,7 @@ fn detected<'a>(exposure: &Exposure, measured: &'a Measured) -> Detected<'a> {
     }
 }
 
-/// The answer of issue 4: the geometric centre, ICRS at the epoch of the frame; null where there is no solution.
+/// The JSON answer: the geometric centre, ICRS at the epoch of the frame; null where there is no solution.
 fn object(exposure: &Exposure, answer: &Result<Solved, String>) -> Value {
     let solved = answer.as_ref().ok();
     let verified = solved.and_then(|s| s.verified);
@@ -330,7 +331,7 @@ fn object(exposure: &Exposure, answer: &Result<Solved, String>) -> Value {
     })
 }
 
-/// Said of a solution that our own catalogue does not show.
+/// The text for a solution that our own catalogue does not show.
 const BLIND: &str = "by solve-field alone: the catalogue does not show this field";
 
 fn sentence(exposure: &Exposure, answer: &Result<Solved, String>) -> String {

@@ -1,4 +1,4 @@
-//! A solution put into words and files: CD and SIP on the screen, in the frame's own header, in a header of its own.
+//! Writes a solution: as CD and SIP on the screen, into the frame's own header, or into a header of its own.
 
 use std::path::Path;
 
@@ -50,7 +50,7 @@ fn cards(wcs: &Wcs, size_px: (usize, usize)) -> Vec<Card> {
     wcs.cards(size_px.0, size_px.1).iter().map(card).collect()
 }
 
-/// Whether a keyword is part of a frame's first world coordinate system, of any convention: another one of them beside ours
+/// Whether a keyword is part of a frame's first world coordinate system, of any convention: another system next to ours
 /// would be read together with it.
 fn is_wcs(keyword: &str) -> bool {
     const PLAIN: [&str; 5] = ["WCSAXES", "RADESYS", "RADECSYS", "LONPOLE", "LATPOLE"];

@@ -13,7 +13,7 @@ pub struct Lines {
 }
 
 impl Lines {
-    /// What follows is made of this line of the old file.
+    /// The next lines are made of this line of the old file.
     pub fn of(&mut self, old: usize) -> &mut Self {
         self.old = old;
         self
@@ -79,7 +79,7 @@ pub fn list<'a>(texts: impl IntoIterator<Item = &'a String>) -> String {
     format!("[{}]", texts.join(", "))
 }
 
-/// A device of the predecessor's file, on its way into ours.
+/// A device of the predecessor's file, during its conversion.
 #[derive(Debug, Clone)]
 pub struct Block {
     /// Its kind.
@@ -100,13 +100,13 @@ pub struct Block {
     pub limits: Vec<(usize, String)>,
     /// Of a safety monitor: min.
     pub dwell_min: Option<f64>,
-    /// Of a camera: old names of what works with it, by kind.
+    /// Of a camera: old names of the devices that work with it, by kind.
     pub pairs: BTreeMap<Kind, String>,
     /// Of a dome: old names of the telescopes under it.
     pub telescopes: Vec<String>,
-    /// What it says for tables of the whole telescope, by their name.
+    /// Its keys for tables of the whole telescope, by their name.
     pub tables: BTreeMap<&'static str, Lines>,
-    /// Of a mount: what its pulses did to the stars of its camera.
+    /// Of a mount: the effect of its pulses on the stars of its camera.
     pub guide_start: Option<GuideStart>,
     /// Of a focuser: the focus in the old file, steps.
     pub focus_position: Option<i64>,
@@ -114,7 +114,7 @@ pub struct Block {
     pub defaults: BTreeMap<String, serde_json::Map<String, serde_json::Value>>,
 }
 
-/// What the pulses of a mount did, on its way to the block of a camera.
+/// The effect of a mount's pulses, before it is written into the block of a camera.
 #[derive(Debug, Clone)]
 pub struct GuideStart {
     /// Line of the old file.
@@ -146,7 +146,7 @@ impl Block {
         self.lines.value("temperature_c")?.parse().ok()
     }
 
-    /// What it is, for messages.
+    /// The name of the device, for messages.
     pub fn place(&self) -> String {
         format!("{} {}", self.kind.ascom(), self.old_name)
     }

@@ -1,4 +1,4 @@
-//! Each kind of device: what the predecessor's keys are here.
+//! Converts each kind of device: the predecessor's keys become ours.
 
 use contract::Kind;
 use contract::device::observing_conditions::made_of;
@@ -18,7 +18,7 @@ pub struct BadDevice {
     what: String,
 }
 
-/// Key of a dome: who turns it.
+/// Key of a dome: which part turns it.
 pub const FOLLOW: &str = "follow";
 /// What the predecessor takes for a safety monitor where the file has no value, min.
 pub const DWELL_MIN: f64 = 30.0;
@@ -106,7 +106,7 @@ fn telescope(block: &mut Block, entry: &mut Entry<'_>, notes: &mut Notes) {
     if let Some(arcmin) = entry.number("pointing_threshold", notes) {
         let pointing = block.tables.entry("pointing").or_default().of(entry.last);
         pointing.key("threshold_arcmin", arcmin, "on target when so near");
-        // Ours asks each frame to be nearer than this, which is 1 by default.
+        // Starmesh asks each frame to be nearer than this, which is 1 by default.
         if arcmin > 1.0 {
             pointing.key("tolerance_arcmin", arcmin, "a frame that is further off does not count");
         }
@@ -194,8 +194,9 @@ const DEFAULTS: [(&str, &str); 11] = [
     ("autofocus", "autofocus"),
 ];
 
-/// The predecessor documents them and never applies them, because it looks them up by a key that no device has. Rows that were
-/// written for its nights would change here, so they are carried over for people to switch on.
+/// The predecessor documents them and never applies them, because it looks them up by a key that no device has. Rows
+/// that were written for its nights would change here, so these defaults are carried over as comments that a person can
+/// switch on.
 fn defaults_of_actions(block: &mut Block, entry: &mut Entry<'_>, notes: &mut Notes) {
     for (key, action) in DEFAULTS {
         let Some(node) = entry.take(key) else { continue };

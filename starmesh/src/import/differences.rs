@@ -1,5 +1,5 @@
-//! What a night here does otherwise than the predecessor's by decision, where it applies to this site, with the key that brings
-//! the old way back.
+//! The deliberate differences from a night of the predecessor that apply to this site, each with the key that restores
+//! the old behaviour.
 
 use contract::Kind;
 use serde_json::Value;

@@ -1,4 +1,4 @@
-//! One map of the predecessor's files, read key by key; what nobody asked for is told.
+//! One map of the predecessor's files, read key by key; keys that nobody read are reported.
 
 use super::yaml::{Node, Value};
 
@@ -19,13 +19,13 @@ impl Notes {
 /// A map that is read key by key.
 #[derive(Debug)]
 pub struct Entry<'a> {
-    /// What it is, for messages: `Telescope mount_a`.
+    /// The name of the map, for messages: `Telescope mount_a`.
     pub place: String,
     /// Its first line.
     pub line: usize,
     /// Line of the key that was asked for last.
     pub last: usize,
-    /// What nobody has asked for.
+    /// The keys that nobody has asked for.
     left: Vec<(&'a str, &'a Node)>,
 }
 
@@ -165,7 +165,7 @@ impl<'a> Entry<'a> {
         self.left.iter().map(|(key, _)| (*key).to_owned()).collect()
     }
 
-    /// Notes all that nobody has asked for, and why.
+    /// Notes all keys that nobody has asked for, and why.
     pub fn rest(self, why: &str, notes: &mut Notes) {
         for (key, node) in self.left {
             notes.add(node.line, format!("{}: {key} = {}: {why}", self.place, told(&node.value)));

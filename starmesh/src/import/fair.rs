@@ -1,10 +1,10 @@
-//! Weather that is fair for a site's limits, where the simulator's own is not.
+//! Computes weather that is fair for a site's limits, where the simulator's own is not.
 
 use std::collections::BTreeMap;
 
 use serde_json::{Map, Value};
 
-/// What the simulator's weather does by itself in fair nights, in ASCOM's units: least and greatest value.
+/// The simulator's own weather in fair nights, in ASCOM's units: least and greatest value.
 const BY_ITSELF: [(&str, f64, f64); 12] = [
     ("CloudCover", 0.0, 9.0),
     ("DewPoint", -20.0, 8.0),

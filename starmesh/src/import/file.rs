@@ -10,16 +10,16 @@ use super::entry::Notes;
 use super::site::Location;
 use super::telescopes::File;
 
-/// Name of the FITS-header table beside it.
+/// Name of the FITS-header table in the same folder.
 pub const HEADER: &str = "fits_header.csv";
 /// Port of the first page; those of the other files follow, or two would want the same.
 const PORT: usize = 8080;
-/// What a comment says where the place is not known: the file is refused until somebody fills it in.
+/// The value where the place is not known: the file is refused until somebody fills it in.
 const UNKNOWN: &str = "?  # fill in: no mount told where it stands";
 
 const PLACE: [&str; 3] = ["latitude_deg", "longitude_deg", "elevation_m"];
 
-/// What the file does not know by itself.
+/// The values that the file does not have by itself.
 pub struct About<'a> {
     /// Name of the site.
     pub site: &'a str,

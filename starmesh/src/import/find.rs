@@ -1,4 +1,4 @@
-//! Where the predecessor's files lie: in its asset folder, or side by side in any folder.
+//! Finds the predecessor's files: in its asset folder, or side by side in any folder.
 
 use std::path::{Path, PathBuf};
 
@@ -19,20 +19,20 @@ pub struct Found {
     pub schedule: Option<PathBuf>,
     /// The star catalogue that `astra_config.yml` names, if that lies there.
     pub catalogue: Option<PathBuf>,
-    /// The one that it names and that is not there.
+    /// The star catalogue that it names and that is not there.
     pub lost_catalogue: Option<PathBuf>,
     /// Classes of the site's own, in Python.
     pub classes: Vec<PathBuf>,
 }
 
 const CONFIG: &str = "_config.yml";
-/// The predecessor's own file, in `~/.astra` unless it was told otherwise.
+/// The predecessor's own file, in `~/.astra` unless it was configured otherwise.
 const BASE: &str = "astra_config.yml";
 /// The class that the predecessor installs for every site.
 const TEMPLATE: &str = "observatory_subclass.py";
 
-/// Finds the files under `folder`, or in the asset folder that `astra_config.yml` in it names; `name` chooses where there
-/// are several observatories, or else `astra_config.yml` does, also the one in `home` if it speaks of this folder.
+/// Finds the files under `folder`, or in the asset folder that `astra_config.yml` in it names; `name` chooses where
+/// there are several observatories, or else `astra_config.yml` does, also the one in `home` if it names this folder.
 ///
 /// # Errors
 /// When there is none, or several and no name.
@@ -40,7 +40,7 @@ pub fn find(folder: &Path, name: Option<&str>, home: Option<&Path>) -> anyhow::R
     let here = Base::read(&folder.join(BASE), home);
     let elsewhere = home.map(|home| home.join(".astra").join(BASE)).and_then(|file| Base::read(&file, home));
     let same = |base: &Base| base.assets.as_deref().is_some_and(|assets| is_same(assets, folder));
-    // A copy of an asset folder may carry a file that still speaks of the old place.
+    // A copy of an asset folder may contain a file that still names the old place.
     let leads = |assets: &PathBuf| assets.is_dir() && !folder.join("observatory_config").is_dir();
     let named = here.as_ref().and_then(|base| base.assets.clone()).filter(leads);
     let base = here.or_else(|| elsewhere.filter(same)).unwrap_or_default();
@@ -91,7 +91,7 @@ pub fn find(folder: &Path, name: Option<&str>, home: Option<&Path>) -> anyhow::R
     })
 }
 
-/// What `astra_config.yml` says.
+/// The content of `astra_config.yml`.
 #[derive(Debug, Default)]
 struct Base {
     assets: Option<PathBuf>,

@@ -1,4 +1,4 @@
-//! Whatever a site's old files hold: blocks and rows, or a message; never a panic.
+//! Any content of a site's old files gives blocks and rows, or a message; never a panic.
 
 #[path = "../../../tests/fuzz/spoilt.rs"]
 mod spoilt;
@@ -97,7 +97,8 @@ proptest! {
         match yaml::read(&text) {
             Ok(node) => {
                 let (values, deep) = extent(&node);
-                // An alias may hang a nest into a nest; that all of them are counted keeps them flat enough for any stack
+                // An alias may put a nest into a nest; because all of them are counted, they stay flat enough for any
+                // stack.
                 prop_assert!(values <= 100_000 && deep <= 3000, "{values} values, {deep} deep");
                 let mut notes = Notes::default();
                 match devices_of(&node, &mut notes) {
@@ -127,7 +128,7 @@ proptest! {
                 let mut notes = Notes::default();
                 let camera: contract::Name = "c1".parse().unwrap();
                 let new = schedule::of_telescope(&pieces, &[schedule::Camera { old: "c1".to_owned(), new: camera.clone(), has_wheel: false }], &mut notes);
-                // What is written is taken: comments, and rows without a fault.
+                // The written file is accepted: comments, and rows without a fault.
                 let read = ::schedule::read(&new, &[camera]);
                 let is_empty = new.lines().all(|line| line.trim().is_empty() || line.trim_start().starts_with("//"));
                 prop_assert!(is_empty || read.findings.is_empty(), "{}: {:?}", new, read.findings);

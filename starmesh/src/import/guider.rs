@@ -1,9 +1,9 @@
-//! The predecessor's `guider` block: gains, interval, and what its pulses did to the stars.
+//! The predecessor's `guider` block: gains, interval, and the effect of its pulses on the stars.
 
 use super::block::{Block, GuideStart};
 use super::entry::{Entry, Notes};
 
-/// Seconds between corrections where the block says nothing.
+/// Seconds between corrections where the block has no value.
 const INTERVAL_S: f64 = 60.0;
 /// Four lengths that agree to this share were never measured: the block is still that of the template.
 const UNTOUCHED: f64 = 1e-3;

@@ -1,10 +1,10 @@
 //! `starmesh import-astra`: a site's files of Astra, as `observatory.toml`, FITS-header table and schedule.
 //!
-//! - [`find`] knows where the files lie, [`yaml`] and [`entry`] read them with their lines.
-//! - [`devices`] and [`guider`] say what each key is here; [`telescopes`] distributes the devices of one observatory.
-//! - [`schedule`] gives each row to the telescope of its camera; [`site`] asks the mount where it stands.
-//! - [`prove`] takes out what is not valid here; [`block`] and [`file`](mod@file) write our text.
-//! - [`trial`] makes a simulator what the site is; [`differences`] lists what a night does otherwise.
+//! - [`find`] finds the files, [`yaml`] and [`entry`] read them with their lines.
+//! - [`devices`] and [`guider`] convert each key; [`telescopes`] distributes the devices of one observatory.
+//! - [`schedule`] gives each row to the telescope of its camera; [`site`] asks the mount for its place.
+//! - [`prove`] removes what is not valid here; [`block`] and [`file`](mod@file) write our text.
+//! - [`trial`] gives a simulator the properties of the site; [`differences`] lists how a night differs.
 //!
 //! What cannot be carried over is listed with its line, and nothing is overwritten.
 
@@ -170,7 +170,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         let begin = if index == 0 { "\nNow:" } else { "    " };
         line(format_args!("{begin} starmesh check {}", path.display()))?;
     }
-    // What follows a trial is in the document of imports.
+    // The document of imports describes what follows a trial.
     for path in configurations.iter().filter(|_| options.simulator.is_none()) {
         line(format_args!("     starmesh up {}", path.display()))?;
     }
@@ -209,7 +209,7 @@ fn devices_of(node: &yaml::Node, notes: &mut Notes) -> anyhow::Result<(Vec<Block
     let Some(mut top) = Entry::of("the file", node, notes) else { bail!("it holds no devices") };
     let mut templates = Vec::new();
     if let Some(mut misc) = top.entry("Misc", notes) {
-        // A night's data are kept as they come; there is no dump at some hour.
+        // A night's data are stored as they come; there is no dump at some hour.
         misc.take("backup_time");
         if let Some(mut map) = misc.entry("filename_templates", notes) {
             for action in map.keys() {

@@ -1,4 +1,4 @@
-//! What of a device is valid here: each key is proven by itself, so that one that is not costs no other.
+//! Finds the valid parts of a device: each key is proven by itself, so that an invalid one costs no other.
 
 use super::block::{Block, Lines, quoted};
 use super::devices::DWELL_MIN;
@@ -8,7 +8,7 @@ use super::entry::Notes;
 const FRAME: &str =
     "[observatory]\nsite = \"site\"\ntelescope = \"telescope\"\nlatitude_deg = 0\nlongitude_deg = 0\nelevation_m = 0\n";
 
-/// Takes out what would make the new file invalid, and notes it. Returns devices that can be taken.
+/// Removes what would make the new file invalid, and notes it. Returns the devices that remain.
 pub fn prune(blocks: Vec<Block>, notes: &mut Notes) -> Vec<Block> {
     let mut taken: Vec<Block> = Vec::new();
     for mut block in blocks {
@@ -17,7 +17,7 @@ pub fn prune(blocks: Vec<Block>, notes: &mut Notes) -> Vec<Block> {
             notes.add(block.line, format!("{place}: a second one of this name; THE DEVICE IS LEFT OUT"));
             continue;
         }
-        // Names that differed only in what is not allowed here.
+        // Names that differed only in characters that are not allowed here.
         let wanted = block.name.clone();
         let is_free = |name: &str| !taken.iter().any(|known| known.kind == block.kind && known.name == name);
         let names = std::iter::once(wanted.clone()).chain((2..1000).map(|n| format!("{wanted:.59}-{n}")));

@@ -133,7 +133,7 @@ fn rest_lines(rest: &str) -> usize {
     rest.get(..blank).unwrap_or_default().matches('\n').count()
 }
 
-/// Where the next line begins with a brace: there reading goes on behind a row that is no JSON.
+/// The place where the next line begins with a brace: reading continues there after a row that is no JSON.
 fn next_row(text: &str, offset: usize) -> usize {
     let mut at = offset;
     for line in text.get(offset..).unwrap_or_default().split_inclusive('\n') {
@@ -221,8 +221,8 @@ const FIELDS: [&str; 5] = ["device_name", "action_type", "action_value", "start_
 /// Those of its own output, which are passed over here as there.
 const PASSED_OVER: [&str; 2] = ["completed", "status"];
 
-/// The row as the predecessor took it, where that is other than what is written, and each change in words: what it passes
-/// over (fields that it does not know, `null`, a number of frames below 0, which is one without end, the filter of a camera
+/// The row as the predecessor took it, where that differs from the text, and each change in words: what it passes over
+/// (fields that it does not know, `null`, a number of frames below 0, which is one without end, the filter of a camera
 /// without wheel), and times in the many ways that it reads. Here all of it would refuse the row.
 fn as_it_was_heeded(row: &str, camera: &Camera) -> Option<(String, Vec<String>)> {
     let Ok(Value::Object(mut fields)) = serde_json::from_str::<Value>(&without_comments(row)) else { return None };

@@ -1,5 +1,5 @@
-//! What devices tell an import: where the site is, where the command line does not say so, and what its weather stations
-//! do not measure. Nothing is connected or moved.
+//! Asks devices for an import: the place of the site, where the command line does not contain it, and the values that
+//! its weather stations do not measure. Nothing is connected or moved.
 
 use std::time::Duration;
 
@@ -54,8 +54,8 @@ fn client() -> Option<reqwest::Client> {
     local_http::client_builder().timeout(PATIENCE).build().ok()
 }
 
-/// Limits on what a station says that it does not measure: the predecessor passed over them, and here they would keep the
-/// dome closed for ever. They hold as soon as there is a value.
+/// Removes limits on values that a station does not measure, as it reports: the predecessor ignored them, and here they
+/// would hold the dome closed for ever. The new form applies as soon as there is a value.
 pub async fn spare_absent(blocks: &mut [Block], notes: &mut Notes) {
     let Some(client) = client() else { return };
     for station in blocks.iter_mut().filter(|block| block.kind == Kind::ObservingConditions) {
@@ -84,7 +84,7 @@ pub async fn spare_absent(blocks: &mut [Block], notes: &mut Notes) {
     }
 }
 
-/// What a limit is on, as [`super::devices`] has written it.
+/// The parameter of a limit, as [`super::devices`] has written it.
 fn parameter(limit: &str) -> Option<String> {
     let (word, _) = limit.strip_prefix("{ parameter = \"")?.split_once('"')?;
     Some(word.to_owned())

@@ -3,7 +3,7 @@
 use super::entry::Notes;
 use super::*;
 
-/// What becomes of a configuration, and the notes.
+/// The result of reading a configuration, and the notes.
 fn read(config: &str) -> (Vec<Block>, Notes) {
     let mut notes = Notes::default();
     let node = salvage::read(config, &mut notes).unwrap();

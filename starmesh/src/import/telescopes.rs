@@ -1,4 +1,4 @@
-//! One observatory of the predecessor becomes one file per telescope, and one for what they share.
+//! One observatory of the predecessor becomes one file per telescope, and one for the shared devices.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,14 +7,14 @@ use contract::{Address, Kind};
 use super::block::{Block, GuideStart, chunk};
 use super::entry::Notes;
 
-/// What goes into one `observatory.toml`.
+/// The content of one `observatory.toml`.
 #[derive(Debug, Clone, Default)]
 pub struct File {
     /// Telescope's name in the key tree, or `shared`.
     pub telescope: String,
     /// Its devices, in the order of the old file.
     pub blocks: Vec<Block>,
-    /// Names of the shared devices that it heeds, by kind.
+    /// Names of the shared devices that apply to it, by kind.
     pub shared: BTreeMap<Kind, Vec<String>>,
     /// Limits on the shared weather.
     pub limits: Vec<String>,
@@ -32,7 +32,7 @@ impl File {
 /// Kinds that several telescopes may share here.
 const SHARED: [Kind; 3] = [Kind::SafetyMonitor, Kind::ObservingConditions, Kind::Dome];
 
-/// Distributes the devices of a site; the file of what is shared, where there is one, comes last.
+/// Distributes the devices of a site; the file of the shared devices, where there is one, comes last.
 pub fn distribute(blocks: Vec<Block>, site: &str, notes: &mut Notes) -> Vec<File> {
     let mounts: Vec<&Block> = blocks.iter().filter(|block| block.kind == Kind::Telescope).collect();
     if mounts.len() < 2 {
@@ -74,7 +74,7 @@ pub fn distribute(blocks: Vec<Block>, site: &str, notes: &mut Notes) -> Vec<File
     files
 }
 
-/// Hands what the pulses of a mount did to the one camera that it guides; the predecessor kept it by mount.
+/// Gives the pulse calibration of a mount to the one camera that it guides; the predecessor stored it by mount.
 pub fn give_calibrations(blocks: &mut [Block], notes: &mut Notes) {
     let mounts: Vec<(String, GuideStart)> = blocks
         .iter_mut()
@@ -99,9 +99,9 @@ pub fn give_calibrations(blocks: &mut [Block], notes: &mut Notes) {
     }
 }
 
-/// Puts a device into the shared file, and its name into the files of those who heed it.
+/// Puts a device into the shared file, and its name into the files of the telescopes that use it.
 fn share(mut block: Block, owners: &BTreeSet<usize>, files: &mut [File], shared: &mut File) {
-    // Weather and monitors hold for all: the predecessor knew one verdict per observatory.
+    // Weather and monitors apply to all: the predecessor had one verdict per observatory.
     let of_all = block.kind != Kind::Dome;
     let limits: Vec<String> = std::mem::take(&mut block.limits).into_iter().map(|(_, limit)| limit).collect();
     let dwell_min = block.dwell_min.take();
@@ -115,7 +115,7 @@ fn share(mut block: Block, owners: &BTreeSet<usize>, files: &mut [File], shared:
         chunks.push(file.telescope.clone());
     }
     if block.kind == Kind::Dome {
-        // One telescope's closing does not turn what others are under.
+        // When one telescope closes, the dome over others does not turn.
         block.lines.without(super::devices::PARK_AT_CLOSE);
         super::devices::telescopes_under(&mut block.lines, &chunks);
     }

@@ -7,7 +7,7 @@ use anyhow::Context as _;
 
 use super::entry::Notes;
 
-/// No more of a file is read: what takes it apart refuses one that is so large.
+/// No more of a file is read: the parser refuses a file that is so large.
 const MOST_BYTES: u64 = 5_000_001;
 
 /// Reads a file; one that is not UTF-8 is noted.

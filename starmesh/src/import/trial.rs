@@ -22,12 +22,12 @@ const LIMIT: Duration = Duration::from_secs(5);
 /// Between the end of the longest dwell and the first row, s.
 const SPARE_S: f64 = 900.0;
 
-/// What the site's file does not contain: how near to a target is on it, arcmin.
+/// The default for a value that the site's file does not contain: how near to a target is on it, arcmin.
 const THRESHOLD_ARCMIN: f64 = 0.1;
 /// Scatter of the simulator's own mount, arcsec.
 const SCATTER_ARCSEC: f64 = 4.0;
 
-/// What a simulator should be like.
+/// The wanted properties of a simulator.
 #[derive(Debug, Default)]
 pub struct Wanted {
     location: Option<Location>,
@@ -40,7 +40,7 @@ pub struct Wanted {
     weather: Map<String, Value>,
 }
 
-/// A simulator that is like that.
+/// A simulator with these properties.
 #[derive(Debug)]
 pub struct Ready {
     /// Its place.
@@ -49,7 +49,7 @@ pub struct Ready {
 }
 
 impl Wanted {
-    /// What a site's files contain.
+    /// The properties that a site's files describe.
     pub fn of(blocks: &[Block], pieces: &[Piece], location: Option<Location>) -> Self {
         let values: Vec<Value> = pieces.iter().filter_map(Piece::value).collect();
         let time = |value: &Value| times::read(value["start_time"].as_str()?).map(|read| read.utc);
@@ -164,8 +164,8 @@ async fn put(client: &reqwest::Client, address: &str, values: &Map<String, Value
     Ok(serde_json::from_str(&text)?)
 }
 
-/// Puts a simulator in the place of every device, and takes out what is true of the real ones alone. Returns what is to be
-/// told.
+/// Puts a simulator in the place of every device, and removes what is true of the real ones alone. Returns the
+/// sentences to be printed.
 ///
 /// # Errors
 /// For a site of several telescopes: a simulator is one.

@@ -9,7 +9,7 @@ use saphyr_parser::{Event, Parser, ScalarStyle};
 pub struct Node {
     /// Line of the file, from 1.
     pub line: usize,
-    /// What stands there.
+    /// The value itself.
     pub value: Value,
 }
 
@@ -25,7 +25,7 @@ impl Node {
     }
 }
 
-/// What may stand in a YAML file of a site.
+/// The values that a YAML file of a site may have.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Value {
     /// Nothing, `~` or `null`.
@@ -40,7 +40,7 @@ pub enum Value {
     List(Vec<Node>),
     /// A map, in the order of the file.
     Map(Vec<(String, Node)>),
-    /// There are two values under one key, and nothing decides which one holds; the text has their lines.
+    /// There are two values under one key, and no rule decides between them; the text has their lines.
     Unclear(String),
 }
 
@@ -50,7 +50,7 @@ pub enum Value {
 pub struct YamlError {
     /// Line of the file, from 1.
     pub line: usize,
-    /// What is wrong and what was expected.
+    /// The fault and what was expected.
     pub what: String,
 }
 
@@ -182,7 +182,8 @@ impl Reader {
 /// YAML 1.1's key for values that are taken over from another map.
 const MERGE: &str = "<<";
 
-/// Adds a value to a map. Two lists under one key become one; of two other values that differ nobody knows which one holds.
+/// Adds a value to a map. Two lists under one key become one; of two other values that differ no rule decides which one
+/// holds.
 fn add(map: &mut Vec<(String, Node)>, key: String, node: Node) {
     let Some((_, known)) = map.iter_mut().find(|(known, _)| *known == key && key != MERGE) else {
         return map.push((key, node));
@@ -244,7 +245,7 @@ fn size(node: &Node) -> usize {
     }
 }
 
-/// What an unquoted word means, by the core schema of YAML 1.2; what is not finite stays a text.
+/// The value of an unquoted word, by the core schema of YAML 1.2; a number that is not finite stays a text.
 fn plain_value(text: &str) -> Value {
     match text {
         "" | "~" | "null" | "Null" | "NULL" => return Value::Null,

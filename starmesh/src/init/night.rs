@@ -65,7 +65,7 @@ pub fn schedule(config: &config::Observatory, around: &Surroundings) -> anyhow::
     Ok(text)
 }
 
-/// The rows of a night from dusk to dawn, each with what it is for.
+/// The rows of a night from dusk to dawn, each with its purpose.
 fn rows(config: &config::Observatory, camera: &str, field: (&str, f64, f64), dusk: Utc, dawn: Utc) -> Vec<String> {
     let mut lines = Vec::new();
     let mut row = |about: &str, action: &str, value: Value, start: Utc, end: Utc| {

@@ -1,4 +1,4 @@
-//! Where a telescope is, as its mount or a simulator reports, and what time it is there.
+//! The place of a telescope, as its mount or a simulator reports it, and the time there.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use units::Utc;
 
 use crate::import::site::Location;
 
-/// What is known of the surroundings of the devices.
+/// The surroundings of the devices, as far as they are known.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Surroundings {
     /// Their place.
@@ -37,7 +37,7 @@ pub async fn ask(found: &[Found]) -> Surroundings {
     Surroundings::default()
 }
 
-/// What a Starmesh simulator reports of itself.
+/// The surroundings that a Starmesh simulator reports.
 async fn simulator(server: &str) -> Option<Surroundings> {
     let client = local_http::client_builder().timeout(LIMIT).build().ok()?;
     let answer = client.get(format!("http://{server}/simulator/v1/world")).send().await.ok()?;

@@ -40,7 +40,7 @@ fn without_any_device_there_are_examples_behind_a_hash_and_the_place_is_to_be_fi
     assert!(config.devices().is_empty());
     let schedule = night::schedule(&config, &around).unwrap();
     assert!(schedule.lines().all(|line| line.starts_with("//")), "{schedule}");
-    // With every # before a key taken away it is a telescope with all its devices.
+    // Without the # before each key the file is a telescope with all its devices.
     let whole: Vec<&str> =
         text.lines().map(|line| line.strip_prefix("# ").filter(|rest| is_toml(rest)).unwrap_or(line)).collect();
     let whole = whole.join("\n").replace("= ?", "= 1");

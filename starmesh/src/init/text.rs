@@ -1,4 +1,4 @@
-//! The text of a first `observatory.toml`, with what each key is for.
+//! The text of a first `observatory.toml`, with the purpose of each key.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -13,7 +13,7 @@ use crate::import::site::Location;
 const PLACE: [&str; 3] = ["latitude_deg", "longitude_deg", "elevation_m"];
 const UNKNOWN: &str = "?  # fill in";
 
-/// What people often configure of a device of each kind, as comments behind its block.
+/// Keys that people often configure for a device of each kind, as comments after its block.
 fn hints(kind: Kind) -> &'static str {
     match kind {
         Kind::Telescope => {

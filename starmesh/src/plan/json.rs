@@ -75,7 +75,7 @@ fn to_ms(value: f64) -> f64 {
     (1000.0 * value).round() / 1000.0
 }
 
-/// As the bus says it.
+/// The word of the status on the bus.
 fn status(status: RowStatus) -> Value {
     serde_json::to_value(status).unwrap_or_default()
 }

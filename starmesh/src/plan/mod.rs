@@ -1,4 +1,4 @@
-//! `starmesh plan`: what a schedule will do, row by row, before anything moves.
+//! `starmesh plan`: prints what a schedule will do, row by row, before anything moves.
 
 mod json;
 mod text;
@@ -49,10 +49,10 @@ struct Planned {
     night: PlannedNight,
 }
 
-/// Plans the schedules and prints what will be.
+/// Plans the schedules and prints the forecast.
 ///
 /// # Errors
-/// A schedule that `starmesh check` would refuse, with its words; there is no plan then.
+/// A schedule that `starmesh check` would refuse, with the same text; there is no forecast then.
 pub fn run(options: &Options) -> anyhow::Result<()> {
     let files = files(&options.schedules)?;
     let Some(first) = files.first() else { bail!("no schedule ends in .jsonl there") };
@@ -101,7 +101,7 @@ fn files(given: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// What the archive knows of earlier nights; nothing where there is none yet.
+/// The archive's evidence of earlier nights; nothing where there is none yet.
 fn evidence(given: Option<&Path>, config: &Observatory) -> anyhow::Result<Evidence> {
     let database = given.unwrap_or(&config.archive.database);
     if given.is_none() && !database.exists() {

@@ -12,7 +12,7 @@ const WIDTH: u32 = 72;
 const BLOCKS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 const GB: f64 = 1e9;
 
-/// All that is said.
+/// All lines of the forecast.
 pub fn lines(planned: &[Planned], site: &Site) -> Vec<String> {
     let mut lines = Vec::new();
     match planned {

@@ -1,12 +1,12 @@
-//! The command line as a person calls it.
-#![allow(dead_code)] // each test file uses its part
+//! Runs the command line as a person does.
+#![allow(dead_code)] // Each test file uses its part.
 
 use std::ffi::OsStr;
 use std::process::Command;
 
 use serde_json::Value;
 
-/// What a call of `starmesh` left behind.
+/// The result of a call of `starmesh`.
 pub struct Said {
     /// It ended well.
     pub success: bool,
