@@ -1,4 +1,4 @@
-//! The body of an answer, of which no more is read than fits.
+//! Reads the body of an answer up to a limit.
 
 use reqwest::Response;
 

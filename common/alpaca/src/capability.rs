@@ -1,4 +1,4 @@
-//! What a device can do: properties that it may lack.
+//! Reads what a device can do: properties that it may lack.
 
 use std::time::Duration;
 
@@ -10,7 +10,8 @@ use crate::{AlpacaError, value};
 /// An answer that cannot be read is asked for so often: its value holds until the device is connected anew.
 const TRIES: u32 = 3;
 
-/// A property whose absence is no fault: `None` unless the server itself is gone or answers other requests.
+/// A property that may be absent: `None` for an absent one; an error only if the server itself is gone or answers other
+/// requests.
 pub async fn optional<T>(
     alpaca: &Alpaca,
     member: &str,
@@ -31,7 +32,7 @@ pub async fn optional<T>(
     }
 }
 
-/// A capability flag; false where the device does not tell.
+/// A capability flag; false where the device does not report it.
 pub async fn can(alpaca: &Alpaca, member: &str) -> Result<bool, AlpacaError> {
     Ok(optional(alpaca, member, value::flag).await?.unwrap_or(false))
 }

@@ -25,13 +25,13 @@ pub const COMMAND_DEADLINE: Duration = Duration::from_secs(5);
 #[derive(Clone)]
 pub struct Alpaca {
     wire: Arc<Wire>,
-    /// A device hears one request at a time, except where waiting could be dangerous.
+    /// A device gets one request at a time, except where waiting could be dangerous.
     waits: bool,
 }
 
 struct Wire {
     ordinary: Client,
-    /// Connections of their own for what must not wait behind a hung request.
+    /// Connections of their own for requests that must not wait behind a hung one.
     urgent: Client,
     server: String,
     kind: Kind,
@@ -43,8 +43,8 @@ struct Wire {
 impl Alpaca {
     /// A device by its server (`host:port`), kind and number.
     ///
-    /// A client that devices share spares those that are polled seldom a new connection for each poll; a request that
-    /// hangs holds its own connection and nobody else's.
+    /// A client that devices share saves a new connection for each poll of devices that are polled seldom; a request
+    /// that hangs holds only its own connection.
     pub fn new(ordinary: Client, server: &str, kind: Kind, number: u32) -> Result<Self, AlpacaError> {
         let wire = Wire {
             ordinary,
@@ -84,7 +84,7 @@ impl Alpaca {
         asks();
         let asking = async {
             match self.ask(member, parameters).await {
-                // Nothing was done yet, so one more try is harmless.
+                // The device has done nothing yet, so one more try is harmless.
                 Err(AlpacaError::Transport { fault: Fault::Connect | Fault::Reset, .. }) => {
                     self.ask(member, parameters).await
                 }
@@ -131,7 +131,7 @@ impl Alpaca {
                 self.read(response, asked).await
             };
             match send(self.client()).await {
-                // No new connection could be made, so nothing was done: the polls' own may still stand.
+                // No new connection could be made, so nothing was done: the connections of the polls may still exist.
                 Err(AlpacaError::Transport { fault: Fault::Connect, .. }) if !self.waits => {
                     send(&self.wire.ordinary).await
                 }
@@ -142,10 +142,10 @@ impl Alpaca {
         timeout(deadline, asking).await.unwrap_or_else(|_| Err(late()))
     }
 
-    /// Fetches the image of a camera as it comes; `pixels` is what is expected, for the deadline.
+    /// Fetches the image of a camera as it comes; `pixels` is the expected number, for the deadline.
     pub async fn image(&self, pixels: u64) -> Result<RawImage, AlpacaError> {
         let _turn = self.my_turn().await;
-        // 1 MB/s for 4 bytes a pixel and 10 s to begin with (spec/reliability.md D1).
+        // 1 MB/s for 4 bytes a pixel and 10 s to begin with.
         let deadline = Duration::from_secs(10) + Duration::from_micros(pixels.saturating_mul(4));
         let fetching = async {
             let (asked, ids) = self.ids();
@@ -188,7 +188,7 @@ impl Alpaca {
         let age = response.headers().get(AGE).map(|age| age.to_str().unwrap_or_default().trim().to_owned());
         let answer = self.read(response, asked).await?;
         match age {
-            // What was read from the device just now.
+            // The last value that was read from the device.
             None => Ok(answer),
             Some(age) if age.parse() == Ok(0_u32) => Ok(answer),
             Some(age) => {
@@ -235,7 +235,7 @@ pub fn http_client() -> Result<Client, AlpacaError> {
 
 /// Name-value pairs as a query or a form writes them.
 fn encoded<'a>(pairs: impl IntoIterator<Item = &'a (&'a str, &'a str)>) -> String {
-    // The url crate behind reqwest knows the rules; the address is of no interest.
+    // The url crate, which reqwest uses, knows the rules; the address is not used.
     let Ok(mut url) = Url::parse("http://a/") else { return String::new() };
     url.query_pairs_mut().extend_pairs(pairs.into_iter().copied());
     url.query().unwrap_or_default().to_owned()

@@ -5,7 +5,7 @@ use tokio::net::TcpListener;
 use super::*;
 use crate::can;
 
-/// A server that answers request after request with what `answer` makes of its text and its transaction id.
+/// A server that answers request after request with the result of `answer` for its text and its transaction id.
 async fn server(mut answer: impl FnMut(&str, u32) -> String + Send + 'static) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap().to_string();

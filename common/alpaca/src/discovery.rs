@@ -1,4 +1,4 @@
-//! Alpaca discovery: who is out there, and device blocks ready for `observatory.toml`.
+//! Alpaca discovery: finds the servers of a network, and writes device blocks for `observatory.toml`.
 
 use std::collections::BTreeSet;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -14,7 +14,7 @@ use crate::client::http_client;
 use crate::transaction::Transactions;
 use crate::{AlpacaError, response, value};
 
-/// Where Alpaca servers listen for the question.
+/// The port on which Alpaca servers listen for the question.
 pub const PORT: u16 = 32227;
 const QUESTION: &[u8] = b"alpacadiscovery1";
 
@@ -23,13 +23,13 @@ const QUESTION: &[u8] = b"alpacadiscovery1";
 pub struct Found {
     /// Alpaca server, `host:port`.
     pub server: String,
-    /// What it is.
+    /// Its kind.
     pub kind: Kind,
     /// Number on that server.
     pub number: u32,
     /// The server's name for it.
     pub name: String,
-    /// The driver's unique id, empty where it tells none.
+    /// The driver's unique id, empty where it reports none.
     pub unique_id: String,
 }
 
@@ -39,7 +39,7 @@ pub async fn discover(wait: Duration) -> std::io::Result<Vec<Found>> {
     let mut found: Vec<Found> = Vec::new();
     for server in servers(&targets, wait).await? {
         match configured_devices(&server).await {
-            // A host answers once per way to it; the unique id tells.
+            // A host answers once for each route to it; the unique id shows that.
             Ok(devices) => found.extend(
                 devices
                     .into_iter()
@@ -114,7 +114,7 @@ pub fn as_toml(found: &Found) -> String {
         found.name.to_ascii_lowercase().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
     let plain: String = plain.trim_matches('_').chars().take(40).collect();
     let name = plain.parse::<Name>().map_or_else(|_| format!("{kind}_{number}"), |name| name.to_string());
-    // A name may hold what ends a line, or what no comment of TOML may hold.
+    // A name may contain characters that end a line, or that a comment of TOML must not contain.
     let comment = contract::printable(&found.name);
     format!("# {comment}\n[[{kind}]]\nname = \"{name}\"\nserver = \"{server}\"\nnumber = {number}\n")
 }

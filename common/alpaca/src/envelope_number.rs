@@ -1,4 +1,4 @@
-//! The whole numbers beside the value of an answer: transaction ids and error numbers.
+//! The whole numbers of an answer in addition to its value: transaction ids and error numbers.
 
 use serde_json::Value;
 

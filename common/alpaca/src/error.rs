@@ -1,4 +1,4 @@
-//! What can go wrong between a device node and an Alpaca server, by class.
+//! The errors between a device node and an Alpaca server, by class.
 
 use contract::NoData;
 
@@ -8,12 +8,12 @@ pub enum AlpacaError {
     /// No whole answer came.
     #[error("{fault}: {detail}")]
     Transport {
-        /// In which way.
+        /// The kind of failure.
         fault: Fault,
-        /// What the network said.
+        /// The error of the network.
         detail: String,
     },
-    /// The server refused in HTTP's words.
+    /// The server refused with an HTTP status.
     #[error("HTTP {status}: {body}")]
     Http {
         /// HTTP status.
@@ -38,12 +38,12 @@ pub enum AlpacaError {
     /// The value is of no use, for this reason.
     #[error("{0}")]
     Value(NoData),
-    /// The device refused in ASCOM's words.
+    /// The device refused with an ASCOM error.
     #[error("ASCOM error 0x{code:X}: {message}")]
     Ascom {
         /// ASCOM error number, 0x400 to 0xFFF where it is one.
         code: u32,
-        /// What the driver said.
+        /// The message of the driver.
         message: String,
     },
 }
@@ -100,7 +100,7 @@ impl AlpacaError {
         Self::Transport { fault, detail }
     }
 
-    /// Nothing, or nothing whole, came back.
+    /// No answer, or no whole answer, came back.
     pub fn is_transport(&self) -> bool {
         matches!(self, Self::Transport { .. })
     }

@@ -9,7 +9,7 @@ use crate::value;
 
 /// In the short form; `scripts/soak` asks for a million.
 const ANSWERS: usize = 100_000;
-/// Whole answers of which none says safe, and none is a letter or two away from it.
+/// Whole answers of which none means safe, and none is a letter or two away from it.
 const BEGINNINGS: [&str; 12] = [
     r#"{"Value":false,"ClientTransactionID":71,"ServerTransactionID":1209,"ErrorNumber":0,"ErrorMessage":""}"#,
     r#"{"Value":null,"ErrorNumber":0,"ErrorMessage":""}"#,
@@ -27,7 +27,7 @@ const BEGINNINGS: [&str; 12] = [
 /// What a safe monitor says; no status but success makes it safe.
 const SAFE: &str = r#"{"Value":true,"ErrorNumber":0,"ErrorMessage":""}"#;
 
-/// Up to four wounds: bytes changed, lost, doubled or put in, an end cut off, another answer's end sewn on.
+/// Up to four faults: bytes changed, lost, doubled or inserted, an end cut off, another answer's end appended.
 fn spoil(chance: &mut StdRng) -> Vec<u8> {
     let mut body = BEGINNINGS[chance.random_range(0..BEGINNINGS.len())].as_bytes().to_vec();
     for _ in 0..chance.random_range(1..=4) {

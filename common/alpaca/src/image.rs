@@ -1,11 +1,11 @@
-//! A camera's image as rows of pixels, and the shape that it is made by.
+//! A camera's image as rows of pixels, and its shape.
 
 use contract::device::camera::Pixel;
 
 /// More pixels than any camera has; a larger declaration is an error.
 pub const MAX_PIXELS: u64 = 512 << 20;
 
-/// Pixels as the contract wants them: rows one after another from the first, plane after plane, little endian.
+/// Pixels in the order of the contract: rows one after another from the first, plane after plane, little endian.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Image {
     /// Columns.

@@ -8,7 +8,7 @@ use crate::image::{Image, Shape};
 /// Length of the header, bytes.
 pub const HEADER: usize = 44;
 
-/// What an ImageBytes body says of itself.
+/// The header of an ImageBytes body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Header {
     /// 0, or the ASCOM error whose message stands in place of the elements.

@@ -47,7 +47,7 @@ struct Nest {
     sizes: Vec<Option<usize>>,
 }
 
-/// The answer's object; only its `Value` is kept.
+/// The answer's object; only its `Value` is read.
 struct Envelope<'a>(&'a mut Nest);
 
 impl<'de> DeserializeSeed<'de> for Envelope<'_> {

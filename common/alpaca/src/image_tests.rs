@@ -24,7 +24,7 @@ fn rows(image: &Image) -> Vec<u16> {
 
 #[test]
 fn columns_become_rows() {
-    // Drawn as it lies on the sensor.
+    // Drawn in the order of the sensor.
     let drawn = [[1, 2, 3], [4, 5, 6]];
     let body = u16_image(3, 2, |x, y| drawn[y as usize][x as usize]);
     let image = decode(&Header::read(&body).unwrap(), &body, None).unwrap();

@@ -1,4 +1,4 @@
-//! JSON whose objects name each member once: of two values of one name nobody knows which is meant.
+//! JSON whose objects name each member once: of two values of one name it is not known which is meant.
 
 use std::fmt;
 

@@ -1,8 +1,9 @@
-//! A client of ASCOM Alpaca that forgives careless servers and keeps the class of every error.
+//! A client of ASCOM Alpaca that tolerates careless servers and preserves the class of every error.
 //!
-//! [`Alpaca`] is one device of one server: [`Alpaca::get`] reads a property, [`Alpaca::put`] calls a method, [`Alpaca::image`]
-//! fetches a frame, each with a total deadline, one at a time. [`optional`] and [`can`] ask for what a device may lack,
-//! [`value`] makes types of JSON, and [`discovery`] finds the servers of a network.
+//! [`Alpaca`] is one device of one server: [`Alpaca::get`] reads a property, [`Alpaca::put`] calls a method,
+//! [`Alpaca::image`] fetches a frame, each with a total deadline, one at a time. [`optional`] and [`can`] read
+//! properties that a device may lack, [`value`] converts JSON to types, and [`discovery`] finds the servers of a
+//! network.
 //!
 //! Nothing here knows the bus or a node of Starmesh; of `contract` only its values are used: the kind of a device, the type
 //! of a pixel, and the reason why a value is absent.

@@ -1,4 +1,5 @@
-//! Reads an Alpaca answer, however sloppy: what is plainly meant is taken, what is not keeps its reason.
+//! Reads an Alpaca answer, even a careless one: a value whose meaning is plain is taken; any other becomes a reason why
+//! there is none.
 
 use serde_json::{Map, Value};
 
@@ -13,7 +14,7 @@ pub struct Answer {
     pub value: Option<Value>,
 }
 
-/// The members of an answer that mean something; their names as the standard writes them.
+/// The members of an answer that have a meaning; their names as the standard writes them.
 const MEMBERS: [&str; 5] = ["Value", "ClientTransactionID", "ServerTransactionID", "ErrorNumber", "ErrorMessage"];
 /// Other members with such a text in their name may contradict the value.
 const SUSPECT: [&str; 9] = ["error", "exception", "fault", "fail", "warn", "alarm", "alert", "safe", "value"];
@@ -24,11 +25,11 @@ pub fn parse(status: u16, body: &[u8], transactions: &Transactions, asked: u32) 
     let text = text.trim_matches(|c: char| c == '\0' || c == '\u{feff}' || c.is_whitespace());
     let object = object(text);
     if let Ok(object) = &object {
-        // Before its error is read: that would be another request's, too.
+        // This check comes before its error is read: the error would be another request's, too.
         transactions.check(asked, &Echo::of(field(object, "ClientTransactionID"), false))?;
     }
     if !(200..300).contains(&status) {
-        // Some servers send an ASCOM error beside HTTP 500.
+        // Some servers send an ASCOM error together with HTTP 500.
         if let Ok(object) = &object {
             ascom_error(object)?;
         }
@@ -44,7 +45,7 @@ pub fn parse(status: u16, body: &[u8], transactions: &Transactions, asked: u32) 
     Ok(Answer { value })
 }
 
-/// Reads an answer that safety rests on: only one that is exactly as the standard demands has a value. Whatever
+/// Reads an answer on which safety depends: only one that is exactly as the standard demands has a value. Whatever
 /// [`parse`] refuses is refused for the same reason.
 pub fn parse_exactly(status: u16, body: &[u8], transactions: &Transactions, asked: u32) -> Result<Answer, AlpacaError> {
     parse(status, body, transactions, asked)?;
@@ -85,7 +86,7 @@ fn is_member(name: &str) -> bool {
     MEMBERS.iter().any(|member| member.eq_ignore_ascii_case(name))
 }
 
-/// Has no information: what servers send where there is no error.
+/// Has no information: servers send this where there is no error.
 fn is_empty(value: &Value) -> bool {
     match value {
         Value::Null | Value::Bool(false) => true,
@@ -119,8 +120,8 @@ fn object(text: &str) -> Result<Map<String, Value>, String> {
     }
 }
 
-/// Makes JSON of what JSON does not know: `NaN` and `Infinity` become texts that no number is read from,
-/// Python's `True`, `False` and `None` become what they mean.
+/// Turns values that JSON does not have into JSON: `NaN` and `Infinity` become texts from which no number is read;
+/// Python's `True`, `False` and `None` become `true`, `false` and `null`.
 fn mend(text: &str) -> String {
     let mut mended = String::with_capacity(text.len() + 16);
     let mut rest = text;

@@ -5,7 +5,7 @@ use serde_json::json;
 use super::*;
 use crate::value;
 
-/// What a sloppy answer must come to.
+/// The expected meaning of a careless answer.
 enum Meant {
     Number(f64),
     Flag(bool),

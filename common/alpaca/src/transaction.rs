@@ -56,8 +56,8 @@ impl Transactions {
         self.next.fetch_add(1, Ordering::Relaxed).max(1)
     }
 
-    /// Is this the answer to request `asked`? No id and 0 are what servers send that return none; any other
-    /// number is the answer to another request, whatever the device and the answer.
+    /// Is this the answer to request `asked`? Servers that return no id send none or 0; any other number is the answer
+    /// to another request, whatever the device and the answer.
     pub fn check(&self, asked: u32, echo: &Echo) -> Result<(), AlpacaError> {
         let foreign = |got: String| AlpacaError::Foreign { asked, got };
         match echo {
@@ -71,7 +71,8 @@ impl Transactions {
         }
     }
 
-    /// As [`Self::check`], for an answer that safety rests on: a server that has ever returned an id must do so again.
+    /// As [`Self::check`], for an answer on which safety depends: a server that has ever returned an id must do so
+    /// again.
     pub fn check_exactly(&self, asked: u32, echo: &Echo) -> Result<(), AlpacaError> {
         self.check(asked, echo)?;
         let missing = matches!(echo, Echo::Absent | Echo::Number(0));

@@ -1,4 +1,4 @@
-//! From a JSON value to the type that a property has, or the reason why not.
+//! Converts a JSON value to the type of a property, or gives the reason why not.
 
 use contract::{NoData, Scalar};
 use serde_json::Value;
@@ -46,7 +46,7 @@ pub fn flag(value: &Value) -> Result<bool, NoData> {
     }
 }
 
-/// JSON `true` or `false` and nothing else: what safety rests on is not guessed.
+/// JSON `true` or `false` and nothing else: a value on which safety depends is not guessed.
 pub fn strict_flag(value: &Value) -> Result<bool, NoData> {
     value.as_bool().ok_or_else(|| wrong("true or false", value))
 }
@@ -65,7 +65,7 @@ pub fn list<T>(value: &Value, read: impl Fn(&Value) -> Result<T, NoData>) -> Res
     value.as_array().ok_or_else(|| wrong("a list", value))?.iter().map(read).collect()
 }
 
-/// Any value that may stand in a reading.
+/// Any value that a reading may have.
 pub fn scalar(value: &Value) -> Result<Scalar, NoData> {
     match value {
         Value::Bool(flag) => Ok(Scalar::Bool(*flag)),

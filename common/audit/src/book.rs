@@ -1,8 +1,9 @@
-//! A node's own file: lines appended and synced, repaired at the next start, turned over when it is large.
+//! A node's own file: lines are appended and synced; the file is repaired at the next start, and a new one begins when
+//! it is large.
 //!
-//! `NAME.jsonl` is written; full ones are `NAME.0001.jsonl` and so on, and the chain runs through them. What a kill left
-//! of a half line lies in `NAME.half-1.txt`. A file whose chain is broken is put among the full ones, and a new chain
-//! begins that names the break.
+//! `NAME.jsonl` is written; full files are `NAME.0001.jsonl` and so on, and the chain runs through them. Half a line
+//! that a kill left is moved to `NAME.half-1.txt`. A file whose chain is broken is put among the full ones, and a new
+//! chain begins that names the break.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write as _};
@@ -12,13 +13,14 @@ use contract::CommandId;
 
 use crate::chain::{Broken, Link, Proven, prove};
 
-/// A file that is larger is turned over: a few weeks of a busy telescope, read through in a second at the next start.
+/// A file that is larger is put away and a new one begins: a few weeks of a busy telescope, read in a second at the
+/// next start.
 pub const FULL_BYTES: u64 = 16 * 1024 * 1024;
 
 /// The word of the record that begins a chain because the one before is broken.
 pub const BROKEN: &str = "chain_broken";
 
-/// What writing needs of a file; a test lets one fail.
+/// The operations on a file that writing needs; a test lets one fail.
 pub(crate) trait Page: Send {
     fn append(&mut self, text: &[u8]) -> io::Result<()>;
     fn sync(&mut self) -> io::Result<()>;
@@ -43,11 +45,11 @@ impl Page for File {
 pub struct Book {
     folder: PathBuf,
     name: String,
-    /// Turned over beyond this.
+    /// A larger file is put away.
     pub(crate) full_bytes: u64,
     pub(crate) page_of: fn(File) -> Box<dyn Page>,
     open: Option<Open>,
-    /// What is surely on disk: its length, and the last record.
+    /// The part that is certainly on disk: its length, and the last record.
     sure: Option<(u64, Link)>,
 }
 
@@ -56,12 +58,12 @@ struct Open {
     _lock: File,
 }
 
-/// What was found out about a file.
+/// The result of proving a file.
 #[derive(Debug, Default)]
 pub struct Examined {
     /// Good records from its beginning on.
     pub good: Vec<Proven>,
-    /// The first line that is not, counted from 1, and why.
+    /// The first line that is not good, counted from 1, and why.
     pub broken: Option<(usize, Broken)>,
     /// Bytes of the good lines.
     pub good_bytes: usize,
@@ -70,7 +72,7 @@ pub struct Examined {
 }
 
 impl Examined {
-    /// Where the next record is tied on.
+    /// The end of the chain, which the next record follows.
     pub fn last(&self) -> Option<Link> {
         self.good.last().map(Proven::link)
     }
@@ -90,7 +92,8 @@ pub fn examine(bytes: &[u8], before: Option<&Link>) -> Examined {
             .map_err(|error| expected("text in UTF-8", error.to_string()))
             .and_then(prove)
             .and_then(|proven| {
-                // The files before this one may have been put away: then its first record is taken as it is.
+                // The files before this one may have been put away: then its first record is accepted without a proof
+                // of its place.
                 if last.is_some() || proven.record.number == 0 {
                     proven.follows(last.as_ref())?;
                 }
@@ -162,12 +165,13 @@ impl Book {
         self.folder.join(format!("{}.jsonl", self.name))
     }
 
-    /// The record that the next one follows, once the book is open.
+    /// The record that the next one follows, once the file is open.
     pub fn last(&self) -> Option<&Link> {
         self.sure.as_ref().map(|(_, last)| last)
     }
 
-    /// Opens the file unless it is open, repairs it, and returns what is to be told about that in the chain: a word and
+    /// Opens the file unless it is open, repairs it, and returns the records of the repair for the chain: a word and a
+    /// sentence each. Blocks.
     /// a sentence each. Blocks.
     pub fn open(&mut self) -> io::Result<Vec<(&'static str, String)>> {
         let lock = File::create(self.folder_made()?.join(format!("{}.lock", self.name)))?;
@@ -191,7 +195,7 @@ impl Book {
             && fs::metadata(&path)?.len() >= *length
             && self.still_ends_with_sure(&path)?
         {
-            // A write of this very life failed: what it left is written again.
+            // A write of this process failed: the rest that it left is written again.
             page.cut(*length)?;
             page.sync()?;
             self.open = Some(Open { page, _lock: lock });
@@ -202,7 +206,7 @@ impl Book {
         files.pop();
         let bytes = fs::read(&path)?;
         let before = files.last().map(|file| fs::read(file).map(|bytes| (file, examine(&bytes, None)))).transpose()?;
-        // A break in the file before was told when that was put away, if this one has begun.
+        // A break in the file before was recorded when that file was put away, if this one has begun.
         let link = before.as_ref().and_then(|(_, before)| before.last().filter(|_| before.broken.is_none()));
         let begun = bytes.contains(&b'\n');
         let mut found = examine(&bytes, link.as_ref());
@@ -266,7 +270,8 @@ impl Book {
         Ok(&self.folder)
     }
 
-    /// Completes a line that lacks but its end, moves any other half line aside; returns the length of what is good.
+    /// Completes a line that lacks only its end, and moves any other half line to a file of its own; returns the length
+    /// of the good part.
     fn mend(
         &self,
         page: &mut Box<dyn Page>,
@@ -290,7 +295,7 @@ impl Book {
             })
             .unwrap_or_else(|| Err(io::Error::from(io::ErrorKind::AlreadyExists)))?;
         if let Err(error) = aside.write_all(&found.half).and_then(|()| aside.sync_data()) {
-            // It is tried again each second: leave no heap of empty files.
+            // It is tried again each second: no heap of empty files must remain.
             let _ = fs::remove_file(&path);
             return Err(error);
         }
@@ -317,8 +322,8 @@ impl Book {
         Ok(put_away)
     }
 
-    /// Appends lines, the last of which is `last`, and syncs them. After an error the book is closed: open it again,
-    /// and what was not surely written is cut off. Blocks.
+    /// Appends lines, the last of which is `last`, and syncs them. After an error the file is closed: open it again,
+    /// and the part that was not certainly written is cut off. Blocks.
     pub fn append(&mut self, lines: &[Proven]) -> io::Result<()> {
         let result = self.try_append(lines);
         if result.is_err() {
@@ -346,7 +351,7 @@ impl Book {
         Ok(())
     }
 
-    /// Puts a full file away and goes on in an empty one.
+    /// Puts a full file away and continues in an empty one.
     fn next_page(&mut self) -> io::Result<()> {
         let path = self.current();
         self.turn_over(&path)?;
@@ -364,7 +369,7 @@ fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// A new name is on disk only when its folder is; not every system can do this, and then it does it by itself.
+/// A new name is on disk only when its folder is synced; systems that cannot sync a folder do it by themselves.
 fn sync_folder(folder: &Path) {
     let _ = File::open(folder).and_then(|folder| folder.sync_all());
 }

@@ -124,7 +124,7 @@ fn any_byte_that_is_changed_in_the_file_is_found_and_a_new_chain_names_it() {
         let new = examine(&text(folder.path()), None);
         assert_eq!(new.good.len(), 2);
         assert_eq!(new.good[0].record.number, 0);
-        // And the new chain is a good one from then on.
+        // The new chain is a good one from then on.
         assert!(write(&mut Book::new(folder.path(), "audit-x"), &["d"]).unwrap().is_empty());
     }
 }
@@ -257,7 +257,7 @@ fn whoever_was_away_gets_all_in_portions_across_files_and_breaks() {
             }
         }
         assert_eq!(all, verbs(folder.path()), "in portions of {limit}");
-        // And what is written after that.
+        // The records that are written after that.
         write(&mut book, &["more"]).unwrap();
         let answer = past.after(after.as_deref(), limit).unwrap();
         assert_eq!(answer.records.len(), 1);

@@ -6,12 +6,12 @@ use contract::audit::Record;
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 
-/// What the first record of a chain names as the one before.
+/// The hash that the first record of a chain has for the one before.
 pub const NOTHING: &str = "0000000000000000000000000000000000000000000000000000000000000000";
-/// How every line ends: the last field, whose 64 digits are not part of what is hashed.
+/// The end of every line: the last field, whose 64 digits are not part of the hashed text.
 const SEAL: &str = ",\"sha256\":\"";
 
-/// The end of a chain, where the next record is tied on.
+/// The end of a chain, which the next record follows.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Link {
     /// The chain.
@@ -31,12 +31,12 @@ pub struct Proven {
     pub line: String,
 }
 
-/// What is wrong with a record or its place.
+/// The fault of a record or of its place.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Broken {
-    /// What should stand there.
+    /// The expected value.
     pub expected: String,
-    /// What stands there.
+    /// The value that was found.
     pub found: String,
 }
 
@@ -63,7 +63,7 @@ impl Proven {
     pub fn follows(&self, last: Option<&Link>) -> Result<(), Broken> {
         let Record { chain, number, previous, .. } = &self.record;
         let Some(last) = last.filter(|last| last.chain == *chain) else {
-            // The end of an older chain says nothing about a new one, which begins at 0.
+            // The end of an older chain has no meaning for a new one, which begins at 0.
             let begins = *number == 0 && previous == NOTHING;
             let expected = last.map_or("the beginning of a chain".to_owned(), |last| {
                 format!("number {} of chain {}, or the beginning of another", last.number + 1, last.chain)
@@ -94,9 +94,9 @@ pub fn seal(mut record: Record, last: &Link) -> Result<Proven, serde_json::Error
 }
 
 impl Link {
-    /// Where the first record of a new chain is tied on.
+    /// The end before the first record of a new chain.
     pub fn beginning(chain: String) -> Self {
-        // One before 0.
+        // The number before 0.
         Self { chain, number: u64::MAX, sha256: NOTHING.to_owned() }
     }
 }
@@ -129,7 +129,7 @@ pub fn prove(line: &str) -> Result<Proven, Broken> {
     }
 }
 
-/// Proves a record as it came over the bus, where its fields are in their order but its text is made anew.
+/// Proves a record as it was received from the bus, where its fields are in their order but its text is made anew.
 pub fn prove_value(record: &Value) -> Result<Proven, Broken> {
     prove(&record.to_string())
 }

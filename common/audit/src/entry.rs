@@ -1,4 +1,4 @@
-//! What is noted, and what every record of a node carries.
+//! The entries of the audit, and the fields that every record of a node has.
 
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Duration;
@@ -10,33 +10,33 @@ use contract::{BootId, CommandId};
 
 use crate::whereabouts::Whereabouts;
 
-/// Who is named for what a node does by itself.
+/// The name in a record when the node acts by itself.
 pub const GUARD: &str = "guard";
 /// Long texts are cut here, characters; the purpose of an exposure fits.
 const LONGEST: usize = 2000;
 
-/// What became of whose command.
+/// A command and its outcome.
 #[derive(Debug, Clone)]
 pub struct Entry {
-    /// Who asked; [`GUARD`] for the node itself.
+    /// The person or node that asked; [`GUARD`] for the node itself.
     pub from: String,
     /// The command or order.
     pub id: CommandId,
     /// The device, such as `dome/roof`; empty for an order.
     pub device: String,
-    /// What was asked.
+    /// The command or order.
     pub verb: String,
-    /// With which parameters.
+    /// Its parameters.
     pub parameters: String,
-    /// With which token.
+    /// The fencing token.
     pub token: Option<u64>,
-    /// Why.
+    /// The reason.
     pub reason: String,
-    /// What became of it.
+    /// The outcome.
     pub outcome: Outcome,
 }
 
-/// The word of a command and its parameters, as they stand in JSON.
+/// The word of a command and its parameters, as they are in JSON.
 pub fn verb_and_parameters<C: serde::Serialize>(command: &C) -> (String, String) {
     match serde_json::to_value(command) {
         Ok(serde_json::Value::String(word)) => (word, String::new()),
@@ -47,7 +47,7 @@ pub fn verb_and_parameters<C: serde::Serialize>(command: &C) -> (String, String)
     }
 }
 
-/// What every record of this node carries, and what the queue and its writer share.
+/// The fields that every record of this node has, and the state that the queue and its writer share.
 pub(crate) struct Signs {
     pub clock: Clock,
     pub boot_id: BootId,
@@ -87,7 +87,7 @@ impl Signs {
         }
     }
 
-    /// The audit tells of itself.
+    /// A record about the audit itself.
     pub fn about_itself(&self, verb: &str, outcome: Outcome) -> Record {
         self.record(Entry {
             from: "audit".to_owned(),
@@ -105,13 +105,13 @@ impl Signs {
         self.alerts.raise(AlertKind::Audit, "", cause);
     }
 
-    /// Stands until the node ends.
+    /// Raises the alert that records were lost; it stays active until the node ends.
     pub fn tell_lost(&self, missing: u64) {
         let cause = format!("{missing} records of what was ordered and moved are lost");
         self.alerts.raise(AlertKind::AuditLost, "", &cause);
     }
 
-    /// Stands until the node ends.
+    /// Raises the alert that a chain is broken; it stays active until the node ends.
     pub fn tell_broken(&self, detail: &str) {
         self.alerts.raise(AlertKind::AuditBroken, "", detail);
     }

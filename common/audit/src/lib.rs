@@ -1,9 +1,10 @@
-//! The audit: a node records who ordered or moved what, in a way that shows every later change.
+//! The audit: a node records each order and each movement, with the person or node that asked for it, in a way that
+//! shows every later change.
 //!
 //! [`Audit::note`] only queues, so no disk ever delays a closing. A thread of its own makes each entry a link of a
 //! [`chain`] of hashes, appends it to the node's own [`book`] (one JSON line per record, synced within a second), and
-//! then publishes it ([`voice`]). A subscriber that was away asks the node for the records that it lacks ([`past`]); the record does not
-//! depend on anyone else. Decision 0010 has the choices.
+//! then publishes it ([`voice`]). A subscriber that was away asks the node for the records that it lacks ([`past`]);
+//! the record does not depend on any other node. Decision 0010 has the choices.
 //!
 //! # Invariants
 //!

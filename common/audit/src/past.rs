@@ -18,19 +18,19 @@ const LARGEST: usize = 512 * 1024;
 pub struct Past {
     folder: PathBuf,
     name: String,
-    /// Where the last answer ended, so that the next one need not search: the hash, the file, and the byte after it.
+    /// The end of the last answer, so that the next one need not search: the hash, the file, and the byte after it.
     ended: Option<(String, PathBuf, u64)>,
 }
 
 impl Past {
-    /// Of this node.
+    /// The files of this node.
     pub fn of(book: &Book) -> Self {
         Self { folder: book.folder().to_owned(), name: book.name().to_owned(), ended: None }
     }
 
     /// The records after the one with this hash, or from the first on.
     ///
-    /// A line that is no JSON cannot be said and is left out; the archive finds the gap.
+    /// A line that is no JSON cannot be published and is left out; the archive finds the gap.
     pub fn after(&mut self, sha256: Option<&str>, limit: usize) -> io::Result<Answer<Value>> {
         let files = pages(&self.folder, &self.name)?;
         let mut answer = Answer { records: Vec::new(), more: false, known: true };
@@ -65,13 +65,13 @@ impl Past {
         Ok(answer)
     }
 
-    /// Which file and byte come after the line that ends with this hash; the newest files are looked at first.
+    /// The file and the byte after the line that ends with this hash; the newest files are searched first.
     fn find(&self, files: &[PathBuf], sha256: &str) -> io::Result<Option<(usize, u64)>> {
         let end = format!("\"sha256\":\"{sha256}\"}}\n").into_bytes();
         if let Some((ended, file, at)) = &self.ended
             && ended == sha256
             && let Some(index) = files.iter().position(|one| one == file)
-            // The file may be another one since.
+            // The file may have been replaced since.
             && read_from(file, at.saturating_sub(end.len() as u64))?.starts_with(&end)
         {
             return Ok(Some((index, *at)));

@@ -1,4 +1,4 @@
-//! The queue between those who note something and the disk: noting never waits.
+//! The queue between the parts that note something and the disk: noting never waits.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -17,10 +17,10 @@ use crate::{Proven, voice};
 
 /// Entries that wait for the disk: an hour of a busy night, 4 MB.
 const WAITING: usize = 4096;
-/// Lines that wait for the bus; those that find no room are asked for later.
+/// Lines that wait for the bus; a subscriber asks later for those that find no room.
 const LINES: usize = 1024;
 
-/// Where a node notes what is ordered and moved. Cheap to clone.
+/// The interface through which a node notes orders and movements. Cheap to clone.
 #[derive(Clone)]
 pub struct Audit {
     items: SyncSender<Item>,
@@ -29,7 +29,7 @@ pub struct Audit {
 }
 
 impl Audit {
-    /// Starts a node's audit in its data folder. A disk that fails is an alert, and no reason not to start.
+    /// Starts a node's audit in its data folder. A disk that fails raises an alert, and the node starts all the same.
     pub async fn start(node: &Node) -> Result<Self, BusError> {
         let name = format!("audit-{}-{}-{}", node.role, node.config.place.telescope, node.id);
         let book = Book::new(&node.config.folders.data, &name);
@@ -57,7 +57,7 @@ impl Audit {
         let writer = Writer::new(signs.clone(), book, lines);
         let work = move || {
             writer.run(&taken);
-            // Whoever waited may have gone.
+            // The caller that waited may have ended.
             let _ = end.send(true);
         };
         if let Err(error) = std::thread::Builder::new().name("audit".to_owned()).spawn(work) {
@@ -66,7 +66,8 @@ impl Audit {
         (Self { items, signs, ended }, written)
     }
 
-    /// Notes something. Never waits: what finds no room is counted, and the chain will say how much is missing.
+    /// Notes something. Never waits: an entry that finds no room is counted, and the chain will contain the number of
+    /// missing entries.
     pub fn note(&self, entry: Entry) {
         let lost_before = self.signs.lost.swap(0, Ordering::AcqRel);
         let record = Box::new(self.signs.record(entry));
@@ -76,7 +77,7 @@ impl Audit {
         }
     }
 
-    /// Writes what waits and ends, after 3 s at most.
+    /// Writes the entries that wait and ends, after 3 s at most.
     pub async fn end(&self) {
         self.signs.ending.store(true, Ordering::Release);
         // A full queue needs no waking.

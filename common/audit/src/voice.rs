@@ -1,4 +1,4 @@
-//! What the bus hears of a node's audit: each record once it is on disk, and the older ones when asked.
+//! Publishes a node's audit: each record once it is on disk, and the older ones when asked.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -11,7 +11,7 @@ use tokio::sync::mpsc;
 use crate::Proven;
 use crate::past::{PORTION, Past};
 
-/// Says and answers until the writer has ended.
+/// Publishes and answers until the writer has ended.
 pub async fn start(node: &Node, past: Past, mut written: mpsc::Receiver<Proven>) -> Result<(), BusError> {
     let records =
         node.bus.publisher::<Said<Record>>(&node.key(NodeTopic::Audit), Quality::Event { cache: 1000 }).await?;
@@ -30,7 +30,7 @@ pub async fn start(node: &Node, past: Past, mut written: mpsc::Receiver<Proven>)
                 Ok(Ok(answer)) => answer,
                 failed => {
                     tracing::warn!(?failed, "the audit's own file cannot be read; it will be asked for again");
-                    // There is more, and it cannot be told now.
+                    // There are more records, and they cannot be sent now.
                     Answer { more: true, ..nothing }
                 }
             }

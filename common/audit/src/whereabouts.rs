@@ -1,4 +1,4 @@
-//! On which host each node of the site runs, as the nodes themselves tell.
+//! The host on which each node of the site runs, as the nodes themselves publish it.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -17,7 +17,7 @@ pub struct Whereabouts {
 }
 
 impl Whereabouts {
-    /// Follows what the nodes of the site say of themselves.
+    /// Follows the states that the nodes of the site publish.
     pub async fn listen(node: &Node) -> Result<Self, BusError> {
         let all = Self::default();
         let keys = format!("{}/{}/*/node/*/*/state", contract::key::ROOT, node.config.place.site);

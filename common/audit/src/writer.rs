@@ -1,4 +1,4 @@
-//! The thread that writes: gathers a batch, ties it to the chain, appends and syncs it, and hands it to the bus.
+//! The thread that writes: it gathers a batch, adds it to the chain, appends and syncs it, and hands it to the bus.
 
 use std::collections::VecDeque;
 use std::io;
@@ -24,11 +24,11 @@ const BATCH: usize = 500;
 const RETRY: Duration = Duration::from_secs(1);
 const LAST_TRIES: u32 = 2;
 
-/// What goes through the queue.
+/// The items of the queue.
 pub(crate) enum Item {
     /// A record without its place, after so many that found no room.
     Note { record: Box<Record>, lost_before: u64 },
-    /// Look whether it is time to end.
+    /// Asks the writer to check whether it has to end.
     Wake,
 }
 
@@ -36,15 +36,15 @@ pub(crate) struct Writer {
     signs: Arc<Signs>,
     book: Book,
     lines: mpsc::Sender<Proven>,
-    /// Taken from the queue and not surely on disk.
+    /// Records that were taken from the queue and are not certainly on disk.
     waiting: VecDeque<Record>,
-    /// Entries that found no room, in this life.
+    /// Entries that found no room, since the start of this process.
     missing: u64,
 }
 
 impl Writer {
     pub fn new(signs: Arc<Signs>, book: Book, lines: mpsc::Sender<Proven>) -> Self {
-        // What a kill left is repaired and told at once, not when the first command comes.
+        // The rest that a kill left is repaired and recorded at once, not when the first command comes.
         let starts = signs.about_itself("node_starts", note(env!("CARGO_PKG_VERSION")));
         Self { signs, book, lines, waiting: VecDeque::from([starts]), missing: 0 }
     }
@@ -99,7 +99,7 @@ impl Writer {
                 Ok(item) => self.take(item),
                 Err(RecvTimeoutError::Disconnected) => return true,
                 Err(RecvTimeoutError::Timeout) => {
-                    // The queue is empty, so whatever found no room came before this.
+                    // The queue is empty, so every entry that found no room came before this.
                     self.lose(self.signs.lost.swap(0, Ordering::AcqRel));
                     return self.signs.ending.load(Ordering::Acquire);
                 }
@@ -128,7 +128,7 @@ impl Writer {
             let notes = self.book.open()?;
             for (verb, detail) in notes.into_iter().rev() {
                 if verb == "chain_begins" {
-                    // Each first start of a node.
+                    // At the first start of every node.
                     tracing::info!(detail, "the audit of this node begins");
                 } else {
                     tracing::warn!(verb, detail, "audit");
@@ -149,7 +149,7 @@ impl Writer {
         self.book.append(&lines)?;
         self.waiting.clear();
         for line in lines {
-            // One that finds no room, or nobody, is asked for later.
+            // A line that finds no room, or no receiver, is asked for later.
             let _ = self.lines.try_send(line);
         }
         Ok(())

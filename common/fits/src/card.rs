@@ -18,7 +18,7 @@ pub enum Value {
     Undefined,
 }
 
-/// A card that says something.
+/// A card with its meaning.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Card {
     /// The last of the header.
@@ -31,7 +31,7 @@ pub(crate) enum Card {
     Comment,
 }
 
-/// Reads a card. Whatever is not of the standard's form counts as a comment, as other readers have it.
+/// Reads a card. A card that is not of the standard's form counts as a comment, as in other readers.
 pub(crate) fn read(card: &[u8]) -> Card {
     let text: String = card.iter().map(|byte| char::from(*byte)).collect();
     let text = text.trim_end_matches([' ', '\0']);
@@ -57,7 +57,7 @@ pub(crate) fn read(card: &[u8]) -> Card {
     }
 }
 
-/// The value in what follows the `=`, without its comment.
+/// The value in the text after the `=`, without its comment.
 fn value(text: &str) -> Value {
     let text = text.trim_start();
     if let Some(quoted) = text.strip_prefix('\'') {

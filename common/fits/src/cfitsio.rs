@@ -1,4 +1,4 @@
-//! What all users of cfitsio share: one turn at a time, and what it says when it fails.
+//! The parts that all users of cfitsio share: one turn at a time, and its error messages.
 #![allow(unsafe_code, reason = "cfitsio is a C library; only its two functions of error messages are called here")]
 
 use std::ffi::{CStr, c_char, c_int};
@@ -19,7 +19,7 @@ impl Turn {
         Self { _alone: TURN.lock().unwrap_or_else(PoisonError::into_inner) }
     }
 
-    /// What cfitsio says of a status, with its stack of messages, which is emptied.
+    /// The text of cfitsio for a status, with its stack of messages, which is emptied.
     pub fn explain(&self, status: c_int) -> String {
         let mut text = [0 as c_char; 81]; // FLEN_ERRMSG
         // SAFETY: cfitsio writes at most 30 characters of its own and the closing zero.

@@ -1,4 +1,4 @@
-//! What can be wrong with a FITS file, and what to do then.
+//! The faults of a FITS file, and what to do then.
 
 use std::path::PathBuf;
 
@@ -8,11 +8,11 @@ use std::path::PathBuf;
 pub struct FitsError {
     /// Which file.
     pub file: PathBuf,
-    /// What is wrong with it.
+    /// The fault.
     pub fault: Fault,
 }
 
-/// What is wrong with a file; reads on from the file's name.
+/// The fault of a file; the text continues after the file's name.
 #[derive(Debug, thiserror::Error)]
 pub enum Fault {
     /// The operating system does not give it.
@@ -33,15 +33,15 @@ pub enum Fault {
     /// gzip or bzip2 does not unpack.
     #[error("is damaged or cut short ({how} says: {detail}): copy or fetch it again")]
     Packed {
-        /// By what it was packed.
+        /// The program that packed it.
         how: &'static str,
-        /// What the unpacking says.
+        /// The error of the unpacking.
         detail: String,
     },
     /// More than is taken.
     #[error("is too large: {what}, at most {most} are taken")]
     TooLarge {
-        /// What there is too much of, with its number.
+        /// The quantity that is too large, with its number.
         what: String,
         /// The most that is taken.
         most: u64,
@@ -64,7 +64,7 @@ pub enum Fault {
         /// Which keyword, what was expected.
         problem: String,
     },
-    /// FITS, but nothing to see.
+    /// FITS, but without an image.
     #[error("holds no image, only {found}; give a file with an image of two axes")]
     NoImage {
         /// The parts of the file.
@@ -100,9 +100,9 @@ pub enum Fault {
     Checksum {
         /// Part of the file, from 1.
         hdu: usize,
-        /// What the header says.
+        /// The sum in the header.
         expected: u32,
-        /// What the bytes give.
+        /// The sum of the bytes.
         found: u32,
     },
     /// Tiles that cfitsio does not decode.
@@ -110,12 +110,12 @@ pub enum Fault {
     Tiles {
         /// Part of the file, from 1.
         hdu: usize,
-        /// What cfitsio says.
+        /// The error of cfitsio.
         detail: String,
     },
 }
 
-/// Which HDUs can be asked for.
+/// The HDUs that can be asked for.
 fn images_said(images: &[usize]) -> String {
     if images.is_empty() {
         return "the file holds none".to_owned();

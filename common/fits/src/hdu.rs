@@ -15,7 +15,7 @@ const MOST_HEADER: usize = 4096 * BLOCK;
 /// The standard's limit for NAXIS.
 const MOST_AXES: i64 = 999;
 
-/// What a part holds.
+/// The content of a part.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Content {
     /// Pixels as they are.
@@ -42,7 +42,7 @@ pub struct Hdu {
     pub number: usize,
     /// Its keywords.
     pub header: Header,
-    /// What it holds.
+    /// Its content.
     pub content: Content,
     /// Where its data stand in the file, without what fills the last block.
     pub data: Range<usize>,
@@ -51,11 +51,11 @@ pub struct Hdu {
 /// Reads the header of the part that begins at byte `start`; `None` where the file has ended.
 ///
 /// # Errors
-/// [`Fault::Header`] when mandatory keywords are missing or no sense can be made of them, [`Fault::CutShort`] when the
-/// header goes on beyond the end of the file.
+/// [`Fault::Header`] when mandatory keywords are missing or make no sense, [`Fault::CutShort`] when the header goes on
+/// beyond the end of the file.
 pub(crate) fn read(file: &Path, source: &mut Source, start: usize, number: usize) -> Result<Option<Hdu>, Fault> {
     source.fill((start + BLOCK) as u64)?;
-    // Behind the last part there may be anything (section 3.5).
+    // After the last part there may be any bytes (section 3.5).
     if number > 1 && !source.bytes().get(start..).unwrap_or_default().starts_with(b"XTENSION") {
         return Ok(None);
     }
@@ -135,7 +135,7 @@ fn content(header: &Header, number: usize, shape: Shape) -> Result<Content, Stri
     Ok(Content::Other(header.text("EXTNAME").unwrap_or(kind).to_owned()))
 }
 
-/// BITPIX and NAXISn, with a prefix: `Z` in front tells of the image in the tiles.
+/// BITPIX and NAXISn, with a prefix: those with `Z` in front are about the image in the tiles.
 fn shape(header: &Header, prefix: &str) -> Result<Shape, String> {
     let bitpix = whole(header, &format!("{prefix}BITPIX"))?;
     if ![8, 16, 32, 64, -32, -64].contains(&bitpix) {
@@ -173,7 +173,7 @@ fn data_length(header: &Header, shape: &Shape) -> Result<u64, String> {
     let bytes = values.and_then(|n| n.checked_mul(or("GCOUNT", 1).ok()?)?.checked_mul(shape.bitpix.unsigned_abs() / 8));
     or("PCOUNT", 0)?;
     or("GCOUNT", 1)?;
-    // Room for what fills the last block and for what stands in front.
+    // Room for the fill of the last block and for the bytes in front.
     bytes.filter(|bytes| *bytes < i64::MAX as u64).ok_or_else(|| "its axes are longer than any file".to_owned())
 }
 

@@ -26,7 +26,7 @@ pub enum KeywordError {
         keyword: String,
         /// Its value.
         found: String,
-        /// What was asked for.
+        /// The type that was asked for.
         expected: &'static str,
     },
 }
@@ -61,7 +61,7 @@ impl Header {
         None
     }
 
-    /// Adds what the header of the file's first part says of keywords that are not here, unless it says it of its own
+    /// Adds the keywords of the file's first header that are not here, except those about its own data.
     /// data.
     pub(crate) fn inherit(&mut self, primary: &Self) {
         const OWN: [&str; 6] = ["BSCALE", "BZERO", "BLANK", "DATASUM", "CHECKSUM", "EXTNAME"];

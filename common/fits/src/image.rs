@@ -1,4 +1,4 @@
-//! An image out of a file: its header and its pixels.
+//! An image from a file: its header and its pixels.
 
 use std::io::{Cursor, Read};
 use std::path::Path;
@@ -63,14 +63,14 @@ pub fn read_part(file: &Path, part: Part) -> Result<Image, FitsError> {
     let read = || {
         let opened = std::fs::File::open(file)?;
         let length = opened.metadata()?.len();
-        // What is no plain file tells no length.
+        // A file that is not a plain file has no known length.
         let known = opened.metadata()?.is_file().then_some(length);
         of_source(file, opened, known, part)
     };
     read().map_err(|fault| FitsError { file: file.to_owned(), fault })
 }
 
-/// Reads the first image with pixels of a file's bytes; `file` is its name for what is said of it.
+/// Reads the first image with pixels of a file's bytes; `file` is its name in messages.
 ///
 /// # Errors
 /// As [`read`].
@@ -106,7 +106,7 @@ fn of_source(file: &Path, from: impl Read + 'static, length: Option<u64>, part: 
             let mut others = others(file, &mut source, behind, number)?;
             others.splice(0..0, other_hdus.into_iter().filter(|other| *other != number));
             source.finish(behind as u64)?;
-            // Only then: scaling and sums of the first part are not this one's.
+            // Only then: scaling and sums of the first part do not apply to this one.
             let mut image = image(source.into_bytes(), hdu, &shape, size)?;
             if let Some(primary) = passed.first() {
                 image.header.inherit(&primary.header);
@@ -131,7 +131,7 @@ fn of_source(file: &Path, from: impl Read + 'static, length: Option<u64>, part: 
 fn others(file: &Path, source: &mut Source, mut start: usize, taken: usize) -> Result<Vec<usize>, Fault> {
     let mut found = Vec::new();
     for number in taken + 1..=MOST_HDUS {
-        // What is damaged in the packing is damaged for the part that is taken too.
+        // Damage in the packing damages the part that is taken, too.
         let hdu = match hdu::read(file, source, start, number) {
             Err(fault @ Fault::Packed { .. }) => return Err(fault),
             Err(_) | Ok(None) => break,
@@ -194,12 +194,12 @@ fn image(bytes: Vec<u8>, hdu: Hdu, shape: &Shape, (width, height, planes): (u64,
 }
 
 /// Compares the data with DATASUM, where the header has it (FITS Standard 4.0, appendix J): a decoder of damaged
-/// streams is not to be trusted.
+/// streams cannot be trusted.
 fn check_sum(hdu: &Hdu, bytes: &[u8]) -> Result<(), Fault> {
     let stands = hdu.header.text("DATASUM").ok().and_then(|text| text.trim().parse::<u32>().ok());
     let Some(expected) = stands else { return Ok(()) };
     let data = bytes.get(hdu.data.start..hdu.next().min(bytes.len())).unwrap_or_default();
-    // Ones' complement: what overflows 32 bits comes in again at the low end; zeros fill a short last word.
+    // Ones' complement: the overflow of 32 bits is added at the low end; zeros fill a short last word.
     let sum: u64 = data.chunks(4).fold(0, |sum, word| {
         let sum = sum + word.iter().zip([24, 16, 8, 0]).map(|(byte, shift)| u64::from(*byte) << shift).sum::<u64>();
         (sum & 0xffff_ffff) + (sum >> 32)

@@ -6,17 +6,19 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Plain files and those packed by gzip or bzip2 are told by their first bytes, not by their names; images that are
-//! compressed in tiles (`.fz`) are decoded by cfitsio. The first image with pixels is taken, or that of an HDU. What is wrong with a file
-//! is told with its name and what to do ([`FitsError`], [`KeywordError`]); nothing panics, whatever the bytes are.
+//! Plain files and those packed by gzip or bzip2 are recognized by their first bytes, not by their names; images that
+//! are compressed in tiles (`.fz`) are decoded by cfitsio. The first image with pixels is taken, or that of an HDU. An
+//! error contains the file's name, the fault and what to do ([`FitsError`], [`KeywordError`]); nothing panics, for any
+//! bytes.
 //!
-//! - [`image`] is what comes out: header, size, pixels.
+//! - [`image`] is the result: header, size, pixels.
 //! - [`header`] answers keywords with the type that was asked for; [`card`] reads one line of it.
-//! - [`hdu`] finds the parts of a file, [`decode`] turns bytes into pixels, [`tiles`] asks cfitsio to where
-//!   [`tiling`] makes sense, [`unpack`] undoes gzip and bzip2 as far as headers ask for, [`planes`] makes one plane of three.
+//! - [`hdu`] finds the parts of a file, [`decode`] turns bytes into pixels, [`tiles`] asks cfitsio to do so where
+//!   [`tiling`] makes sense, [`unpack`] unpacks gzip and bzip2 as far as headers require, [`planes`] makes one plane of
+//!   three.
 //! - [`rewrite`] changes a header in its file, whole or not at all.
 //! - [`table`] reads the rows of binary tables, of any length.
-//! - [`cfitsio`] is what all users of that library share: its lock and its words.
+//! - [`cfitsio`] is the part that all users of that library share: its lock and its messages.
 //!
 //! Pixel `(0, 0)` is the first of the file, x the column (axis 1), y the row; FITS numbers are greater by one.
 //! The format is that of the FITS Standard 4.0 (IAU FITS Working Group, 2018), cited by section.

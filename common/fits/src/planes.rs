@@ -8,7 +8,7 @@ pub(crate) const COLOURS: u64 = 3;
 const FULL: f32 = 0.9;
 
 /// The mean of the planes that follow one another, `length` pixels each. Where one of them is saturated the greatest
-/// stands: saturation must not hide in a mean. A pixel without a value in one plane has none.
+/// value is taken: a mean must not hide saturation. A pixel without a value in one plane has none.
 pub(crate) fn mean(pixels: &Pixels, length: usize, bitpix: i64) -> Pixels {
     let full = match bitpix {
         8 => FULL * 255.0,

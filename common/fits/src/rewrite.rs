@@ -1,4 +1,4 @@
-//! A header changed in its file: the whole file is written anew beside the old one and takes its place at once, so that no
+//! A header changed in its file: the whole file is written anew next to the old one and replaces it at once, so that no
 //! half-written file can be left behind, whatever fails on the way.
 
 use std::fs::{File, OpenOptions};
@@ -20,7 +20,7 @@ pub fn header(file: &Path, number: usize, change: impl FnOnce(&[u8]) -> (Vec<u8>
 }
 
 fn rewritten(file: &Path, number: usize, change: impl FnOnce(&[u8]) -> (Vec<u8>, usize)) -> Result<(), Fault> {
-    // A link stays one.
+    // A link remains a link.
     let target = std::fs::canonicalize(file)?;
     let permissions = std::fs::metadata(&target)?.permissions();
     if permissions.readonly() {
@@ -80,7 +80,7 @@ pub fn write_at_once(file: &Path, bytes: &[u8], permissions: Option<std::fs::Per
         std::fs::rename(&part, file)
     };
     written().inspect_err(|error| {
-        // A part that another process of this number left is not ours to take away.
+        // A part that another process of this number left is not ours to remove.
         if error.kind() != std::io::ErrorKind::AlreadyExists {
             let _ = std::fs::remove_file(&part);
         }

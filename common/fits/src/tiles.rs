@@ -15,8 +15,8 @@ use crate::pixels::Pixels;
 const TUSHORT: c_int = 20;
 const TFLOAT: c_int = 42;
 
-/// The pixels of HDU `number` of the file `bytes`, `count` of them: as counts if `whole` is set, else as floats with NaN
-/// where there is no value. Scaled by BSCALE and BZERO. On failure: what cfitsio says.
+/// The pixels of HDU `number` of the file `bytes`, `count` of them: as counts if `whole` is set, else as floats with
+/// NaN where there is no value. Scaled by BSCALE and BZERO. On failure: the message of cfitsio.
 pub(crate) fn decode(mut bytes: Vec<u8>, number: usize, count: usize, whole: bool) -> Result<Pixels, String> {
     // cfitsio reads whole blocks; some writers leave the last one short.
     bytes.resize(bytes.len().div_ceil(BLOCK) * BLOCK, 0);

@@ -1,6 +1,6 @@
 //! How an image is cut into tiles, and whether that can be (FITS Standard 4.0, section 10.1).
 //!
-//! cfitsio 3.49 divides by what these keywords say and believes their numbers, so they are proven before it sees them.
+//! cfitsio 3.49 divides by the values of these keywords and trusts them, so they are checked before cfitsio reads them.
 
 use crate::hdu::Shape;
 use crate::header::Header;

@@ -1,18 +1,19 @@
-//! gzip and bzip2, told by their first bytes; and what other first bytes mean.
+//! gzip and bzip2, recognized by their first bytes; and the meaning of other first bytes.
 
 use std::io::{Cursor, ErrorKind, Read};
 
 use crate::error::Fault;
 
-/// More bytes than this are not read of one file: twice the largest frame of our cameras in doubles, and no bomb fills the
-/// machine.
+/// More bytes than this are not read of one file: twice the largest frame of our cameras in doubles, so that no bomb
+/// fills the memory.
 pub(crate) const MOST_BYTES: u64 = 2 << 30;
 /// What may follow behind the parts that a packed file announces, bytes: other programs fill up to a tape's block.
 const MOST_BEHIND: u64 = 16 << 20;
 /// deflate packs a byte into a 1032nd at most (RFC 1951: 258 bytes take two bits).
 const MOST_DEFLATED: u64 = 1032;
 
-/// The bytes of a file, unpacked no further than they are asked for: what a header announces, not what a bomb holds.
+/// The bytes of a file, unpacked no further than requested: as much as a header announces, not as much as a bomb
+/// contains.
 pub(crate) struct Source {
     bytes: Vec<u8>,
     rest: Option<Rest>,
@@ -80,7 +81,7 @@ impl Source {
         &self.bytes
     }
 
-    /// What was read, to keep.
+    /// The bytes that were read, as a value of its own.
     pub(crate) fn into_bytes(self) -> Vec<u8> {
         self.bytes
     }
@@ -107,7 +108,7 @@ impl Source {
         Ok(())
     }
 
-    /// Reads all there is, and tells how it was packed.
+    /// Reads all there is, and returns how it was packed.
     ///
     /// # Errors
     /// As [`Source::fill`].
@@ -139,7 +140,7 @@ impl Source {
     }
 }
 
-/// Bytes by which a file is told.
+/// The number of bytes by which the kind of a file is recognized.
 const HEAD: u64 = 2880;
 
 fn fault(error: &std::io::Error, packing: Packing) -> Fault {
@@ -149,7 +150,7 @@ fn fault(error: &std::io::Error, packing: Packing) -> Fault {
     Fault::Packed { how: packing.name(), detail: error.to_string() }
 }
 
-/// What bytes are that are no FITS.
+/// The fault of bytes that are not FITS.
 fn other(bytes: &[u8]) -> Fault {
     let head: String = bytes.iter().take(64).map(|byte| char::from(*byte)).collect();
     let is_markup = head.trim_start().starts_with('<');

@@ -1,5 +1,5 @@
 //! Files that announce or hold far more than they are: refused before they fill the memory.
-#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
+#![allow(clippy::unwrap_used, clippy::panic)] // Helpers of tests are tests too.
 
 use std::io::Read;
 use std::path::Path;
@@ -69,7 +69,7 @@ fn bombs_are_refused_before_they_fill_the_memory() {
         let before = peak_mb();
         for (bytes, words) in cases {
             let said = refused(bytes).to_string();
-            // bzip2 has no such bound: what is missing shows at the end of the file.
+            // bzip2 has no such bound: the missing bytes show at the end of the file.
             let cut = how == "bzip2" && said.contains("is cut short: HDU 1 should end at byte 800002880");
             assert!(said.contains(words) || cut, "{how}: {said}");
         }

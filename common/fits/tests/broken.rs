@@ -1,5 +1,5 @@
-//! Files that are no image: each is refused in words that say which file, what is wrong and what to do.
-#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
+//! Files that are no image: each is refused with a message that names the file, the fault and what to do.
+#![allow(clippy::unwrap_used, clippy::panic)] // Helpers of tests are tests too.
 
 use std::io::Write as _;
 use std::path::Path;

@@ -1,5 +1,5 @@
 //! Files that cfitsio wrote, of every type and packing, read back value by value.
-#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
+#![allow(clippy::unwrap_used, clippy::panic)] // Helpers of tests are tests too.
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -87,7 +87,7 @@ fn every_bitpix_is_read_plain_and_in_tiles() {
         let file = write(&path("short"), how, ImageType::Short, &shorts);
         assert_eq!(check(&file, &Pixels::F32(shorts.iter().copied().map(f32::from).collect())).bitpix, 16);
     }
-    // cfitsio has no 64-bit tiles, and floats in tiles lose bits unless told otherwise.
+    // cfitsio has no 64-bit tiles, and floats in tiles lose bits unless it is asked to keep them.
     let file = write(&folder.path().join("longlong.fits"), "", ImageType::LongLong, &wide);
     assert_eq!(check(&file, &expected).bitpix, 64);
     let file = write(&folder.path().join("float.fits"), "", ImageType::Float, &floats);

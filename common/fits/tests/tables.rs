@@ -1,4 +1,4 @@
-//! Binary tables: what stands in them, and that no bytes whatever make the reader panic.
+//! Binary tables: their content, and that no bytes make the reader panic.
 #![allow(clippy::unwrap_used, clippy::panic)]
 #![allow(missing_docs)]
 
@@ -122,7 +122,7 @@ fn no_change_of_a_byte_makes_it_panic() {
     let folder = TempDir::new().unwrap();
     let whole = table();
     let mut answers = [0; 2];
-    // All that lengths, types and forms are told by.
+    // All bytes that contain lengths, types and forms.
     let form = |at: usize| whole[at].is_ascii_digit() || (at > 0 && whole[at - 1] == b'\'');
     for at in (0..whole.len()).filter(|at| form(*at)) {
         for with in [b'9', b' ', 0xFF] {

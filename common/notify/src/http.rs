@@ -1,4 +1,4 @@
-//! HTTP to the outside, with TLS where the URL asks for it.
+//! HTTP requests to the outside, with TLS where the URL asks for it.
 
 use std::path::Path;
 use std::time::Duration;
@@ -14,7 +14,7 @@ use hyper_util::rt::TokioExecutor;
 
 use crate::trust;
 
-/// One receiver's client. It is made anew after a failure, so that renewed certificates are believed.
+/// One receiver's client. It is made anew after a failure, so that renewed certificates are accepted.
 #[derive(Default)]
 pub struct Http {
     client: Option<HttpClient>,
@@ -24,14 +24,14 @@ type HttpClient = Client<HttpsConnector<HttpConnector>, Full<Bytes>>;
 
 /// The whole exchange, machine time.
 const TIMEOUT: Duration = Duration::from_secs(20);
-/// Nobody needs more of an answer.
+/// No more of an answer is read.
 const MOST_BYTES: usize = 64 * 1024;
 
 /// One request.
 pub struct Ask<'a> {
-    /// How.
+    /// The method.
     pub method: Method,
-    /// Where; it may be a secret.
+    /// The URL; it may be a secret.
     pub url: &'a str,
     /// Bearer token.
     pub token: Option<&'a str>,
@@ -40,7 +40,7 @@ pub struct Ask<'a> {
 }
 
 impl Http {
-    /// Sends one request; anything but a 2xx answer in time is an error. No message holds the URL or the token.
+    /// Sends one request; anything but a 2xx answer in time is an error. No message contains the URL or the token.
     pub async fn ask(&mut self, ask: Ask<'_>, ca_file: Option<&Path>) -> anyhow::Result<()> {
         let client = match self.client.take() {
             Some(client) => client,
@@ -75,7 +75,7 @@ async fn exchange(client: &HttpClient, ask: Ask<'_>) -> anyhow::Result<()> {
         None => anyhow::Error::new(error).context("it cannot be reached"),
     })?;
     let status = answer.status();
-    // Read whole, so that the connection can be used again.
+    // The answer is read whole, so that the connection can be used again.
     let _ = Limited::new(answer.into_body(), MOST_BYTES).collect().await;
     ensure!(status.is_success(), "it answered {status}");
     Ok(())

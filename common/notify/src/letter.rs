@@ -1,4 +1,4 @@
-//! The words that a person gets.
+//! The text that a person gets.
 
 use std::fmt::Write as _;
 
@@ -6,20 +6,20 @@ use contract::observatory::{Alert, AlertEvent};
 use contract::{Address, printable};
 use serde_json::{Value, json};
 
-/// Chat services and mail servers refuse what is too long.
+/// Chat services and mail servers refuse messages that are too long.
 const MOST_IN_FULL: usize = 20;
 const MOST_CHARS: usize = 1000;
 
 /// One event of one alert.
 #[derive(Debug, Clone, PartialEq)]
 pub struct News {
-    /// What happened.
+    /// The event.
     pub event: AlertEvent,
-    /// To what.
+    /// The alert.
     pub alert: Alert,
 }
 
-/// What is sent at once: one event, or what gathered while a flood was held back.
+/// One message: one event, or all that gathered while a flood was held back.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Letter {
     /// The most urgent first.
@@ -27,11 +27,11 @@ pub struct Letter {
 }
 
 impl Letter {
-    /// One line that says it all; a mail's subject.
+    /// One line that summarizes the letter; a mail's subject.
     pub fn subject(&self, address: &Address) -> String {
         match self.news.as_slice() {
             [one] => {
-                // What other nodes say must not become a line of its own in a mail's head.
+                // Text of other nodes must not become a line of its own in a mail's head.
                 let id = printable(&one.alert.id);
                 format!("[{address}] {} {}: {id}", one.alert.priority.word(), one.event.word())
             }
@@ -39,7 +39,7 @@ impl Letter {
         }
     }
 
-    /// The whole text: all of the most urgent, and the rest by their ids.
+    /// The whole text: the most urgent alerts in full, and the rest by their ids.
     pub fn text(&self, address: &Address) -> String {
         let mut text = String::new();
         for News { event, alert } in self.news.iter().take(MOST_IN_FULL) {
@@ -67,21 +67,21 @@ impl Letter {
         text
     }
 
-    /// What a webhook gets.
+    /// The content for a webhook.
     pub fn json(&self, address: &Address) -> Value {
         let news: Vec<Value> =
             self.news.iter().map(|news| json!({"event": news.event.word(), "alert": news.alert})).collect();
         json!({
             "site": address.site,
             "telescope": address.telescope,
-            // The word that chat services show.
+            // The field that chat services show.
             "text": format!("{}\n{}", self.subject(address), self.text(address)),
             "news": news,
         })
     }
 }
 
-/// A cause may hold a server's whole answer.
+/// A cause may contain a server's whole answer.
 fn cut(cause: &str) -> String {
     match cause.char_indices().nth(MOST_CHARS) {
         Some((end, _)) => format!("{} ...", &cause[..end]),

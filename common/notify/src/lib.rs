@@ -1,14 +1,15 @@
-//! Tells people of alerts where they are: webhooks, e-mail, and a ping whose absence is noticed elsewhere.
+//! Sends alerts to people: webhooks, e-mail, and a ping whose absence is noticed elsewhere.
 //!
-//! What is due to whom is decided by [`mailbox`], which is pure; [`post`] runs one task per receiver, so that one that
-//! hangs delays nobody. Nothing here is in the safety path: the nodes hand over a list of alerts that can be followed,
-//! and never wait. A receiver that fails is an alert of its own.
+//! [`mailbox`], which is pure, decides what is due to each receiver; [`post`] runs one task per receiver, so that a
+//! receiver that hangs delays no other. Nothing here is in the safety path: the nodes hand over a list of alerts that
+//! can be followed, and never wait. A receiver that fails is an alert of its own.
 //!
 //! # Invariants
 //!
-//! - A node that sends alerts publishes what it sent to whom, and keeps it on disk, so that the next sender (also its own next incarnation)
-//!   repeats nothing (decision 0025): `who_sends_next_goes_on_where_the_last_one_ended`,
-//!   `what_was_told_is_not_told_again_by_the_next_life_or_by_the_standby_which_tells_what_is_new` (`tests/tests/it/alerts_reach_people.rs`).
+//! - A node that sends alerts publishes what it sent to which receiver, and persists it, so that the next sender (also
+//!   its own next incarnation) repeats nothing (decision 0025): `who_sends_next_goes_on_where_the_last_one_ended`,
+//!   `what_was_told_is_not_told_again_by_the_next_life_or_by_the_standby_which_tells_what_is_new`
+//!   (`tests/tests/it/alerts_reach_people.rs`).
 //! - Flood control never holds back a critical alert: `a_flood_ends_in_one_digest_and_holds_back_nothing_critical`.
 
 mod http;

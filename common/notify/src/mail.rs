@@ -17,19 +17,19 @@ use crate::{safe, trust};
 
 /// Connecting and greeting, machine time.
 const STEP: Duration = Duration::from_secs(15);
-/// The whole of it.
+/// The whole exchange.
 const WHOLE: Duration = Duration::from_secs(60);
 
-/// One mail to one address. A receiver's other addresses get theirs apart: one that the server refuses must not keep
-/// it from the others.
+/// One mail to one address. Each of a receiver's addresses gets a mail of its own: an address that the server refuses
+/// must not stop the others.
 pub struct Mail<'a> {
-    /// Who gets it.
+    /// The address.
     pub to: &'a str,
-    /// Who gets one too; shown in its head.
+    /// All addresses; shown in its head.
     pub all: &'a [String],
-    /// One line.
+    /// The subject, one line.
     pub subject: &'a str,
-    /// Many.
+    /// The text, many lines.
     pub text: String,
 }
 
@@ -37,7 +37,7 @@ pub struct Mail<'a> {
 ///
 /// # Errors
 ///
-/// The server is not reached, is not the one that its certificate names, does not protect the way there as configured,
+/// The server is not reached, is not the one that its certificate names, does not encrypt the connection as configured,
 /// or refuses login, address or mail. Nothing was sent in the open then.
 pub async fn send(smtp: &Smtp, ca_file: Option<&Path>, mail: Mail<'_>) -> anyhow::Result<()> {
     let from: Mailbox =
@@ -56,7 +56,8 @@ pub async fn send(smtp: &Smtp, ca_file: Option<&Path>, mail: Mail<'_>) -> anyhow
         }
         let sent = server.send(&envelope, &message).await;
         sent.map_err(|error| said("the mail server does not take it", &error, login.as_ref()))?;
-        // The mail is taken: how they part changes nothing, and waiting for it must not send it twice.
+        // The mail is taken: the end of the connection changes nothing, and a failure in it must not send the mail
+        // twice.
         let _ = tokio::time::timeout(Duration::from_secs(1), server.abort()).await;
         Ok(())
     };
@@ -97,7 +98,7 @@ async fn connect(smtp: &Smtp, ca_file: Option<&Path>) -> anyhow::Result<AsyncSmt
     Ok(server)
 }
 
-/// TLS to this server, believing the host's authorities and the site's own.
+/// TLS to this server, with the host's authorities and the site's own.
 async fn tls(server: String, ca_file: Option<PathBuf>) -> anyhow::Result<TlsParameters> {
     let prepare = move || {
         let mut tls = TlsParameters::builder(server);
@@ -110,7 +111,7 @@ async fn tls(server: String, ca_file: Option<PathBuf>) -> anyhow::Result<TlsPara
     tokio::task::spawn_blocking(prepare).await.context("reading certificates was cut short")?
 }
 
-/// Who logs in, and with what.
+/// The user name and the password of a login.
 struct Login {
     user: String,
     password: String,
@@ -135,13 +136,13 @@ async fn log_in(server: &mut AsyncSmtpConnection, login: &Login) -> anyhow::Resu
     Ok(())
 }
 
-/// The server's own words, once; or what TLS refused. After a login they are told only as far as they cannot hold it: a
-/// server may repeat, as it came or in a code of its own, what it was sent.
+/// The server's own words, once; or the reason why TLS refused. After a login only the parts that cannot contain it are
+/// reported: a server may repeat what it was sent, as it came or in a code of its own.
 fn said(what: &str, error: &lettre::transport::smtp::Error, login: Option<&Login>) -> anyhow::Error {
     if let Some(why) = trust::explain(error) {
         return anyhow!("the mail server: {why}");
     }
-    // It says its source itself.
+    // The error already contains its source.
     let words = error.to_string();
     match login {
         None => anyhow!("{what}: {}", safe::line(&words)),

@@ -1,4 +1,4 @@
-//! What one receiver is still to be told, and when. Pure: alerts and time come in, letters go out.
+//! The messages that are still due to one receiver, and when. Pure: alerts and time come in, letters go out.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -9,20 +9,20 @@ use units::Utc;
 
 pub use crate::letter::{Letter, News};
 
-/// What one receiver wants.
+/// The settings of one receiver.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Wish {
     /// Its name in the configuration.
     pub receiver: String,
-    /// Nothing less urgent.
+    /// Less urgent alerts are not sent.
     pub min_priority: Priority,
-    /// Only what has stood unacknowledged for so long.
+    /// Only alerts that have been unacknowledged for so long.
     pub after: Duration,
     /// At most so many letters ...
     pub most: usize,
-    /// ... in so long; critical ones are counted apart, so that no flood holds one back.
+    /// ... in so long; critical ones are counted separately, so that no flood holds one back.
     pub window: Duration,
-    /// The alert about this very receiver, of which it is not told.
+    /// The alert about this very receiver, which is not sent to it.
     pub own_alert: String,
 }
 
@@ -31,23 +31,23 @@ const FIRST_WAIT: Duration = Duration::from_secs(2);
 const LONGEST_WAIT: Duration = Duration::from_secs(300);
 /// Nodes notice the same thing within so many seconds of each other, sky time.
 const NOTICED_WITHIN_S: f64 = 60.0;
-/// Nodes say every 10 s what they told, so who begins to send has heard of all of it after this.
+/// Nodes publish every 10 s what they sent, so a node that begins to send knows all of it after this.
 const HEARD_OUT: Duration = Duration::from_secs(12);
-/// The most that one digest tells: receivers refuse what is too long.
+/// The most events in one digest: receivers refuse messages that are too long.
 const MOST_NEWS: usize = 50;
 
 /// One receiver's mailbox.
 #[derive(Debug)]
 pub struct Mailbox {
     wish: Wish,
-    /// When it began; none for one that was always there.
+    /// When it began; none for one that existed from the start.
     began: Option<(MachineTime, Utc)>,
-    /// Alerts that stand unacknowledged, and since when they do.
+    /// Active alerts that are not acknowledged, and since when.
     unseen: BTreeMap<String, MachineTime>,
     known: BTreeMap<String, Known>,
-    /// What arrived, also from nodes that sent before this one, of alerts that are not over.
+    /// The events that arrived, also those from nodes that sent before this one, of alerts that are not over.
     told: BTreeMap<String, Told>,
-    /// The newest word of any node about an alert.
+    /// The newest time of any node's event about an alert.
     newest_utc: BTreeMap<String, Utc>,
     waiting: Vec<News>,
     sent: VecDeque<(MachineTime, bool)>,
@@ -56,7 +56,7 @@ pub struct Mailbox {
     not_before: Option<MachineTime>,
 }
 
-/// What needs not be put into the mailbox again.
+/// The state of an alert that needs no new letter.
 #[derive(Debug)]
 struct Known {
     alert: Alert,
@@ -64,7 +64,7 @@ struct Known {
 }
 
 impl Mailbox {
-    /// An empty one.
+    /// An empty mailbox.
     pub fn new(wish: Wish) -> Self {
         Self {
             wish,
@@ -81,12 +81,13 @@ impl Mailbox {
         }
     }
 
-    /// One that begins now, where another node may have sent before: of what was raised until now, its word is waited for.
+    /// A mailbox that begins now, where another node may have sent before: for alerts raised until now, it waits for
+    /// that node's report.
     pub fn begins(self, now: MachineTime, now_utc: Utc) -> Self {
         Self { began: Some((now, now_utc)), ..self }
     }
 
-    /// Takes the alerts as they stand now.
+    /// Takes the alerts that are active now.
     pub fn look(&mut self, alerts: &Alerts, now: MachineTime) {
         let wished: Vec<&Alert> = alerts.alerts.iter().filter(|alert| self.concerns(alert)).collect();
         for told in &alerts.told {
@@ -107,7 +108,8 @@ impl Mailbox {
         }
     }
 
-    /// Takes what another node told this receiver. Its own words come back too, and are known by their time.
+    /// Takes another node's report of what it sent to this receiver. Its own reports come back too, and are recognized
+    /// by their time.
     fn learn(&mut self, told: &Told, alerts: &Alerts) {
         let newest = self.newest_utc.get(&told.id).copied();
         if told.receiver != self.wish.receiver || newest.is_some_and(|newest| newest >= told.told_utc) {
@@ -130,7 +132,7 @@ impl Mailbox {
         let known = self.known.get(&alert.id).map(|known| known.event);
         let event = match (alert, known) {
             (Alert { shelved_until_utc: Some(_), .. }, _) => {
-                // When it comes from the shelf it is told anew.
+                // When it is unshelved it is sent anew.
                 self.known.remove(&alert.id);
                 self.told.remove(&alert.id);
                 self.waiting.retain(|news| news.alert.id != alert.id);
@@ -142,7 +144,7 @@ impl Mailbox {
             (Alert { returned_utc: Some(_), .. }, Some(AlertEvent::Returned)) => return,
             (Alert { returned_utc: Some(_), .. }, Some(_)) => AlertEvent::Returned,
             (_, Some(AlertEvent::Raised)) => return,
-            // Also one that has returned: somebody must know that it was there.
+            // Also an alert that has cleared: a person must know that it existed.
             (_, _) if since.is_none_or(|since| now.since(since) < self.wish.after) => return,
             (Alert { returned_utc: Some(_), .. }, None) => AlertEvent::Returned,
             (_, _) => AlertEvent::Raised,
@@ -151,15 +153,16 @@ impl Mailbox {
         self.add(event, alert.clone());
     }
 
-    /// The alert may be heard before the word of who told it.
+    /// The alert may be received before the report of the node that sent it.
     fn may_have_been_told(&self, alert: &Alert, now: MachineTime) -> bool {
         self.began.is_some_and(|(at, utc)| alert.raised_utc <= utc && now.since(at) < HEARD_OUT)
     }
 
-    /// Of one alert only the newest event waits; one that was raised and is over before it could be told is told once.
+    /// Of one alert only the newest event waits; an alert that was raised and is over before it could be sent is sent
+    /// once.
     fn add(&mut self, event: AlertEvent, alert: Alert) {
         if alert.priority == Priority::Critical && event == AlertEvent::Raised {
-            // The receiver may be back long before its next turn.
+            // The receiver may be reachable again long before its next turn.
             self.not_before = None;
         }
         self.waiting.retain(|news| news.alert.id != alert.id);
@@ -167,7 +170,7 @@ impl Mailbox {
         self.waiting.sort_by_key(|news| (news.alert.priority, news.alert.raised_utc));
     }
 
-    /// What is to be sent now.
+    /// The letter that is to be sent now.
     pub fn due(&mut self, now: MachineTime) -> Option<Letter> {
         if self.not_before.is_some_and(|at| at > now) {
             return None;
@@ -190,7 +193,7 @@ impl Mailbox {
         Some(Letter { news: waiting.into_iter().take(count).collect() })
     }
 
-    /// It arrived, at this sky time.
+    /// The letter arrived, at this sky time.
     pub fn sent(&mut self, letter: &Letter, now: MachineTime, told_utc: Utc) {
         self.waiting.retain(|news| !letter.news.contains(news));
         for News { event, alert } in &letter.news {
@@ -219,12 +222,12 @@ impl Mailbox {
         self.told.insert(id.clone(), told);
     }
 
-    /// What this receiver was told of alerts that are not over.
+    /// The events of alerts that are not over which this receiver got.
     pub fn told(&self) -> Vec<Told> {
         self.told.values().cloned().collect()
     }
 
-    /// It did not; returns how often in a row.
+    /// The letter did not arrive; returns how often in a row.
     pub fn failed(&mut self, now: MachineTime) -> u32 {
         let wait = FIRST_WAIT.saturating_mul(1 << self.failures.min(10)).min(LONGEST_WAIT);
         self.failures += 1;
@@ -233,14 +236,15 @@ impl Mailbox {
     }
 }
 
-/// Two nodes that notice the same thing say so some seconds apart, and who hears both keeps the one that it heard first. What was
+/// Two nodes that notice the same thing publish it some seconds apart, and a node that receives both stores the first
+/// one. An alert that was raised after people were informed is news.
 /// raised after people were told is news.
 fn is_of_one_time(alert: &Alert, told: &Told) -> bool {
     let apart_s = alert.raised_utc.seconds_since(told.raised_utc).abs();
     apart_s <= NOTICED_WITHIN_S && (apart_s == 0.0 || alert.raised_utc <= told.told_utc)
 }
 
-/// Nobody sees to it, and nobody wishes not to be told.
+/// Nobody has acknowledged it, and nobody has shelved it.
 fn is_open(alert: &Alert) -> bool {
     alert.acknowledged_by.is_none() && alert.shelved_until_utc.is_none()
 }

@@ -14,16 +14,16 @@ use crate::mail::{self, Mail};
 use crate::mailbox::{Mailbox, Wish};
 use crate::secret::secret;
 
-/// What the ping is called in the alert about it.
+/// The name of the ping in the alert about it.
 pub const PING: &str = "ping";
-/// One failure is the weather of the internet; so many in a row need a person.
+/// One failure is usual on the internet; so many in a row need a person.
 const FAILURES_BEFORE_ALERT: u32 = 3;
-/// Three failures of the slowest kind, a server that takes the connection and says nothing, take so long.
+/// Three failures of the slowest kind (a server that takes the connection and sends nothing) take so long.
 const LAST_WORD: Duration = Duration::from_secs(200);
 /// A ping that failed is tried again after twice this, then twice as long, up to its period.
 const FIRST_PING_AGAIN: Duration = Duration::from_secs(5);
 
-/// Who is told.
+/// One receiver of alerts.
 #[derive(Clone)]
 pub struct Receiver {
     /// Its name in alerts about it.
@@ -43,7 +43,7 @@ enum Way {
     },
 }
 
-/// All who are configured.
+/// All receivers that are configured.
 pub fn receivers(alerting: &Alerting) -> Vec<Receiver> {
     let receiver = |name: &str, min_priority: Priority, after_min: f64, way: Way| {
         let wish = Wish {
@@ -60,7 +60,7 @@ pub fn receivers(alerting: &Alerting) -> Vec<Receiver> {
     let hooks = hooks.map(|hook| receiver(&hook.name, hook.min_priority, hook.after_min, Way::Webhook(hook.clone())));
     let mails = alerting.email.iter().flat_map(|email| email.to.iter().enumerate().map(move |at| (email, at)));
     let mails = mails.filter_map(|(email, (index, to))| {
-        // Each address is one who is told or not: `night` where it is alone, else `night/1` and so on.
+        // Each address is a receiver of its own: `night` where it is alone, else `night/1` and so on.
         let name = if email.to.len() == 1 { email.name.clone() } else { format!("{}/{}", email.name, index + 1) };
         let way = Way::Email { smtp: alerting.smtp.clone()?, to: to.clone(), all: email.to.clone() };
         Some(receiver(&name, email.min_priority, email.after_min, way))
@@ -68,7 +68,7 @@ pub fn receivers(alerting: &Alerting) -> Vec<Receiver> {
     hooks.chain(mails).collect()
 }
 
-/// Delivers for ever. An alert that comes and goes during one delivery is not told, unless it stays as returned.
+/// Delivers for ever. An alert that is raised and clears during one delivery is not sent, unless it stays as cleared.
 pub async fn keep_delivering(
     node: Node,
     receiver: Receiver,
@@ -134,16 +134,16 @@ fn failed(node: &Node, name: &str, failures: u32, error: &anyhow::Error) {
     }
 }
 
-/// A node that sends no more does not know whether it could. Its alert stands until the node that sends now has found
-/// out for itself: that nobody tries is no news of a receiver.
+/// A node that sends no more does not know whether it could. Its alert stays active until the node that sends now knows
+/// better: without an attempt there is no news about a receiver.
 fn last_word(node: &Node, name: &str, silent_since: MachineTime, now: MachineTime) {
     if now.since(silent_since) >= LAST_WORD {
         node.alerts.clear(AlertKind::AlertNotSent, name);
     }
 }
 
-/// Pings for ever while all is well: at once when it becomes so, and again after a period; sooner after a failure, so
-/// that one lost packet is no alarm at the other end.
+/// Pings for ever while all is well: at once when this begins, and again after a period; sooner after a failure, so
+/// that one lost packet raises no alarm at the other end.
 pub async fn keep_pinging(node: Node, ping: Ping, is_well: impl Fn() -> bool) -> anyhow::Result<()> {
     let (mut http, period) = (Http::default(), Duration::from_secs_f64(ping.period_s));
     let clock = node.bus.clock().clone();

@@ -2,18 +2,18 @@
 
 use contract::printable;
 
-/// What stands in place of what may be a secret.
+/// The text in place of what may be a secret.
 const HIDDEN: &str = "[hidden]";
-/// Shorter words hold no encoded password that is worth the name: codes such as `535` and `5.7.8`.
+/// Shorter words contain no encoded password of useful length: codes such as `535` and `5.7.8`.
 const SHORT: usize = 8;
 
-/// One line with nothing that steers a terminal.
+/// One line without characters that control a terminal.
 pub fn line(words: &str) -> String {
     printable(words.trim()).into_owned()
 }
 
-/// A server's words as one line without these secrets: as they are, in base64, or in a code of the server's own. Only what
-/// is a plain word or too short to be a code stays.
+/// A server's words as one line without these secrets: as they are, in base64, or in a code of the server's own. Only
+/// plain words and words that are too short for a code remain.
 pub fn without(words: &str, secrets: &[&str]) -> String {
     let mut words = words.to_owned();
     let secrets = secrets.iter().map(|secret| secret.trim()).filter(|secret| !secret.is_empty());
@@ -35,7 +35,7 @@ fn is_plain(word: &str) -> bool {
     bare.len() < SHORT || word.contains(HIDDEN) || (begins && one_case && bare.chars().all(char::is_alphabetic))
 }
 
-/// Base64 of RFC 4648, as mail servers are sent it.
+/// Base64 of RFC 4648, as it is sent to mail servers.
 fn base64(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut out = String::new();

@@ -1,4 +1,4 @@
-//! Passwords and tokens, and who else can read them.
+//! Reads passwords and tokens, and warns if other users can read their files.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ pub async fn secret(file: Option<&Path>, variable: Option<&str>) -> anyhow::Resu
     Ok(Some(text.trim().to_owned()))
 }
 
-/// Tells once of a secret file that other users of this host can read.
+/// Logs once that other users of this host can read a secret file.
 fn warn_if_open(file: &Path) {
     static TOLD: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
     if bus::private::is_open_to_others(file)

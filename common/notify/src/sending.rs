@@ -1,4 +1,4 @@
-//! One task per receiver, and one for the ping; one that ends begins anew.
+//! One task per receiver, and one for the ping; a task that ends is started anew.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use tokio::task::JoinSet;
 
 use crate::post;
 
-/// Sends what `alerts` shows to all configured receivers, for ever; `None` while somebody else does.
+/// Sends the `alerts` to all configured receivers, for ever; `None` while another node does.
 pub async fn keep_sending(node: bus::Node, alerts: watch::Receiver<Option<Alerts>>) -> anyhow::Result<()> {
     let deliver = |receiver: post::Receiver| {
         let (node, alerts) = (node.clone(), alerts.clone());
@@ -30,7 +30,7 @@ pub async fn keep_pinging(node: bus::Node, is_well: impl Fn() -> bool + Clone + 
     std::future::pending().await
 }
 
-/// Runs a task anew when it ends, whatever ended it: nobody's safety may rest on a mail server.
+/// Runs a task anew when it ends, for whatever reason: no one's safety may depend on a mail server.
 async fn again_and_again<F>(node: &bus::Node, name: &str, task: impl Fn(bus::Node) -> F)
 where
     F: Future<Output = anyhow::Result<()>> + Send + 'static,

@@ -12,20 +12,21 @@ use units::Utc;
 
 use crate::sending::keep_sending;
 
-/// Alerts are said every 10 s; a node that is silent for longer than this has no say any more.
+/// Alerts are published every 10 s; a node that is silent for longer than this no longer sends.
 const SILENCE: Duration = Duration::from_secs(60);
 
 /// The observatory node that returns must hear that it was missed, so that it tells people the end of it.
 const HOLD: Duration = Duration::from_secs(30);
-/// A node says how it is every 5 s.
+/// A node publishes its state every 5 s.
 const LOST: Duration = Duration::from_secs(15);
-/// By which others see in this node's state that it stands in.
+/// The field in this node's state that shows others that it stands in.
 const FIGURE: &str = "stands_in_after_s";
 
-/// Sends in its place while it is silent, for ever; does nothing where the configuration gives it to another role.
+/// Sends in its place while it is silent, for ever; does nothing where the configuration gives this task to another
+/// role.
 ///
-/// What the silent node told people is not told again, and what this one tells is heard by the node that returns. Of
-/// several that stand in, the one with the first name sends.
+/// Events that the silent node has sent are not sent again, and the node that returns receives the report of what this
+/// one sent. Of several nodes that stand in, the one with the first name sends.
 ///
 /// # Errors
 ///
@@ -43,7 +44,7 @@ pub async fn keep_standing_in(node: Node) -> anyhow::Result<()> {
     }
 }
 
-/// Others of this role that stand in, and have the say before this one.
+/// Others of this role that stand in, and send before this one.
 struct Elders {
     states: bus::Subscriber<NodeState>,
     heard: BTreeMap<Name, MachineTime>,
@@ -71,7 +72,7 @@ impl Elders {
     }
 }
 
-/// Nodes of one telescope; more are the invention of some program.
+/// Nodes of one telescope; more are the invention of a faulty program.
 const MOST_NODES: usize = 64;
 
 async fn keep_watching(node: &Node, patience: Duration, shown: &watch::Sender<Option<Alerts>>) -> anyhow::Result<()> {
@@ -123,7 +124,8 @@ async fn keep_watching(node: &Node, patience: Duration, shown: &watch::Sender<Op
     }
 }
 
-/// What the silent node would show: what the others say now, and what it said last, which nobody has taken back; what
+/// The alerts that the silent node would publish: those of the other nodes now, and its own last ones, which nobody has
+/// cleared; acknowledgements and shelving hold too.
 /// people did about it holds too.
 fn in_its_place(standing: Alerts, last: Alerts, now: Utc) -> Alerts {
     let stands: BTreeSet<String> = standing.alerts.iter().map(|alert| alert.id.clone()).collect();

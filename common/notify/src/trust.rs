@@ -1,4 +1,4 @@
-//! Whose certificates are believed, and what to do about one that is not.
+//! Which certificates are accepted, and what to do about one that is not.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -8,7 +8,8 @@ use rustls::pki_types::CertificateDer;
 use rustls::pki_types::pem::PemObject as _;
 use rustls::{CertificateError, ClientConfig, RootCertStore};
 
-/// TLS by rustls and ring, that believes the host's own authorities and those of `ca_file`, which is read anew each time.
+/// TLS by rustls and ring, which accepts the host's own authorities and those of `ca_file`, which is read anew each
+/// time.
 ///
 /// # Errors
 ///
@@ -20,7 +21,7 @@ pub async fn tls(ca_file: Option<&Path>) -> anyhow::Result<ClientConfig> {
     believing(roots)
 }
 
-/// TLS that believes nobody, for those who are asked without it.
+/// TLS that accepts no authority, for receivers that are reached without it.
 pub fn nobody() -> anyhow::Result<ClientConfig> {
     believing(RootCertStore::empty())
 }
@@ -33,7 +34,7 @@ fn believing(roots: RootCertStore) -> anyhow::Result<ClientConfig> {
 
 fn roots(ca_file: Option<PathBuf>) -> anyhow::Result<RootCertStore> {
     let mut roots = RootCertStore::empty();
-    // An unreadable one of a hundred is no reason to reach nobody.
+    // One unreadable certificate of a hundred must not block all receivers.
     roots.add_parsable_certificates(rustls_native_certs::load_native_certs().certs);
     for certificate in ca_file.as_deref().map(own).transpose()?.into_iter().flatten() {
         roots.add(certificate).context("alerts.ca_file: a certificate in it cannot be used")?;
@@ -51,7 +52,7 @@ pub fn own(ca_file: &Path) -> anyhow::Result<Vec<CertificateDer<'static>>> {
     Ok(certificates)
 }
 
-/// What TLS refused, and what to do; nothing where the error is about something else.
+/// The reason why TLS refused, and what to do; nothing where the error is about something else.
 pub fn explain(error: &(dyn std::error::Error + 'static)) -> Option<String> {
     use CertificateError::{Expired, ExpiredContext, NotValidForName, NotValidForNameContext};
     use CertificateError::{NotValidYet, NotValidYetContext, UnknownIssuer};
@@ -81,7 +82,7 @@ pub fn explain(error: &(dyn std::error::Error + 'static)) -> Option<String> {
     })
 }
 
-/// The TLS error at the bottom; an `io::Error` hides what it holds from its chain.
+/// The TLS error at the bottom; an `io::Error` leaves its content out of its chain.
 fn refusal<'a>(error: &'a (dyn std::error::Error + 'static)) -> Option<&'a rustls::Error> {
     if let Some(refusal) = error.downcast_ref::<rustls::Error>() {
         return Some(refusal);

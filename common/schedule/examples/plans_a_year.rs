@@ -1,7 +1,7 @@
-//! How long the plans of a year take: `cargo run --release -p schedule --example plans_a_year [NIGHTS]`.
+//! Measures how long the forecasts of a year take: `cargo run --release -p schedule --example plans_a_year [NIGHTS]`.
 //!
-//! A night has some 40 rows: opening, flats at dusk and at dawn, a focus run, thirty targets through the night, one of them
-//! until its window ends, a planet, closing, calibrations and headers. Issue 5 asks for a year in under ten minutes.
+//! A night has some 40 rows: opening, flats at dusk and at dawn, a focus run, thirty targets through the night, one of
+//! them until its window ends, a planet, closing, calibrations and headers. The goal is a year in under ten minutes.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -84,7 +84,7 @@ fn schedule(place: &sky::Place, n: u32) -> anyhow::Result<String> {
     Ok(rows)
 }
 
-/// Plans so many nights; returns what came of it, in words, and how long it took, s.
+/// Plans so many nights; returns a summary in words, and how long it took, s.
 pub fn plan(nights: u32) -> anyhow::Result<(String, f64)> {
     let config = Arc::new(config::parse(SITE, Path::new("."))?);
     let place = sky::Place::new(Angle::from_degrees(-24.6157), Angle::from_degrees(-70.3976), 2518.0)?;

@@ -1,15 +1,15 @@
-//! Why a schedule is not taken, and the making of findings.
+//! Why a schedule is refused, and the making of findings.
 
 use contract::observatory::{Check, Finding, Severity};
 
 use crate::written::Position;
 
-/// So many findings of a file are told; nobody reads more.
+/// So many findings of a file are reported; nobody reads more.
 pub(super) const MOST_FINDINGS: usize = 200;
-/// So many stand in one message.
+/// So many are in one message.
 const IN_WORDS: usize = 5;
 
-/// Why a schedule is not taken: all that is wrong with it, in the order of the file.
+/// Why a schedule is refused: all faults of it, in the order of the file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fault {
     /// At least one.
@@ -17,7 +17,7 @@ pub struct Fault {
 }
 
 impl Fault {
-    /// What is wrong, without places.
+    /// The faults, without places.
     pub fn words(&self) -> String {
         self.findings.iter().map(Finding::words).collect::<Vec<_>>().join("; ")
     }
@@ -37,14 +37,14 @@ impl std::fmt::Display for Fault {
 
 impl std::error::Error for Fault {}
 
-/// What refuses a file.
+/// A finding that refuses a file.
 pub fn error(check: Check, at: Position, field: Option<&str>, what: impl Into<String>) -> Finding {
     let Position { line, column } = at;
     let (field, what) = (field.map(|field| cut(field.to_owned(), 64)), cut(what.into(), 400));
     Finding { severity: Severity::Error, check, line, column, field, what, right: None }
 }
 
-/// What people write may be of any length; what they are told is not.
+/// A quoted text may be of any length; a message is limited.
 fn cut(mut text: String, most_chars: usize) -> String {
     if let Some((end, _)) = text.char_indices().nth(most_chars) {
         text.truncate(end);
@@ -53,14 +53,14 @@ fn cut(mut text: String, most_chars: usize) -> String {
     text
 }
 
-/// What puts a row at risk.
+/// A finding that puts a row at risk.
 pub fn warning(check: Check, at: Position, field: Option<&str>, what: impl Into<String>) -> Finding {
     Finding { severity: Severity::Warning, ..error(check, at, field, what) }
 }
 
-/// With what would be right.
+/// Adds the right value to a finding.
 pub(super) trait Right {
-    /// Says it.
+    /// Adds it.
     fn right(self, right: impl Into<String>) -> Self;
 }
 

@@ -1,4 +1,4 @@
-//! One row of a schedule from its JSON object; all that is wrong with it is told.
+//! Reads one row of a schedule from its JSON object, and reports all that is wrong with it.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -19,13 +19,13 @@ use config::meant;
 const FIELDS: [&str; 5] = ["device_name", "action_type", "action_value", "start_time", "end_time"];
 /// Written by Astra into its own output, meaningless on reading.
 const IGNORED: [&str; 2] = ["completed", "status"];
-/// Parameters that are sometimes written beside `action_value`.
+/// Parameters that are sometimes written next to `action_value` instead of in it.
 const PARAMETERS: [&str; 4] = ["execute_parallel", "exptime", "filter", "object"];
-/// So many fields of one row are told of.
+/// So many fields of one row are reported.
 const MOST_WRONG: usize = 16;
-/// How an unknown parameter is told.
+/// The text for an unknown parameter.
 const UNKNOWN: &str = "unknown parameter";
-/// No action has so many parameters; a row with more is told of once.
+/// No action has so many parameters; a row with more is reported once.
 const MOST_PARAMETERS: usize = 200;
 const DAY_S: f64 = 86_400.0;
 
@@ -36,7 +36,7 @@ pub type Defaults = BTreeMap<String, BTreeMap<String, Map<String, Value>>>;
 pub fn defaults_of(cameras: &[config::Camera]) -> Defaults {
     let of_camera = |camera: &config::Camera| {
         let values = serde_json::to_value(&camera.defaults).and_then(serde_json::from_value);
-        // What TOML can hold is JSON.
+        // Every value that TOML can hold is JSON.
         (camera.common.name.to_string(), values.unwrap_or_default())
     };
     cameras.iter().filter(|camera| !camera.defaults.is_empty()).map(of_camera).collect()
@@ -214,7 +214,7 @@ impl<'a> Source<'a> {
             let is_unknown = wrong.what.starts_with(UNKNOWN);
             let is_about = |name: &String| field.as_ref() == Some(name) || (!is_unknown && mentions(&wrong.what, name));
             if mended.iter().any(is_about) {
-                // It may not be wrong beside what should have stood there.
+                // It may not be wrong next to the value that belonged there.
                 return None;
             }
             let at = self.place(&wrong, field.as_deref());
@@ -262,7 +262,7 @@ fn as_number(field: &str, given: &str) -> Option<String> {
     })
 }
 
-/// Parameters of which a test proves that nothing is wrong with them.
+/// Parameters that are valid, as a test proves.
 fn example(entry: &Entry) -> Map<String, Value> {
     serde_json::from_str(entry.example).unwrap_or_default()
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::parse::MOST_BYTES;
 
-/// A text of at most [`MOST_BYTES`] bytes, whatever the file holds or turns into meanwhile.
+/// A text of at most [`MOST_BYTES`] bytes, whatever the file contains, and also if it changes meanwhile.
 pub fn read_text(path: &Path) -> io::Result<String> {
     let mut bytes = Vec::new();
     std::fs::File::open(path)?.take(MOST_BYTES as u64 + 1).read_to_end(&mut bytes)?;

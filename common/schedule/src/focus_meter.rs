@@ -1,4 +1,4 @@
-//! What a focus run measures on a frame, and which curve goes through the values.
+//! The value that a focus run measures on a frame, and the curve through the values.
 
 use imaging::focus::sweep::Curve;
 use imaging::focus::{Better, Operator, Smoother};
@@ -12,9 +12,9 @@ pub struct Meter {
     pub operator: Option<&'static Operator>,
     /// Least signal-to-noise of a star that counts.
     pub least_snr: f64,
-    /// What else is computed of each frame.
+    /// Further values that are computed of each frame.
     pub others: Vec<&'static Operator>,
-    /// Whether saturated stars are to be told.
+    /// Whether saturated stars are to be reported.
     pub looks_for_saturation: bool,
 }
 
@@ -24,12 +24,12 @@ impl Meter {
         self.operator.map_or(HFD, |operator| operator.name)
     }
 
-    /// What the values are, with their unit.
+    /// The name of the values, with their unit.
     pub fn label(&self) -> &'static str {
         self.operator.map_or("HFD, px", |operator| operator.what)
     }
 
-    /// What is drawn through the values: a hyperbola through sizes of stars, the smoother through anything else.
+    /// The curve through the values: a hyperbola through sizes of stars, the smoother through anything else.
     pub fn curve(&self, smoother: &'static Smoother) -> Curve {
         match self.operator {
             Some(operator) if operator.better == Better::Larger => Curve::Smoothed(smoother, operator.better),

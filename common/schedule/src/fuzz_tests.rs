@@ -1,4 +1,4 @@
-//! Whatever the schedule file holds: rows that make sense, or a message with a line; never a panic.
+//! Any content of the schedule file gives rows that make sense, or a message with a line; never a panic.
 
 #[path = "../../../tests/fuzz/spoilt.rs"]
 mod spoilt;
@@ -75,7 +75,7 @@ proptest! {
                 let ids: std::collections::BTreeSet<_> = rows.iter().map(|row| &row.id).collect();
                 prop_assert_eq!(ids.len(), rows.len(), "two rows of one name: a restart would count one for the other");
             }
-            // A message may quote what it is about, once or twice.
+            // A message may quote the faulty text once or twice.
             Err(why) => prop_assert!(why.contains("line ") && why.len() <= 8 * text.len() + 2000, "{why:?}"),
         }
     }

@@ -1,20 +1,20 @@
-//! What a site leaves of the sky to one mount: walls and hills, and the least altitude. Pure.
+//! The part of the sky that a site leaves to one mount: above walls and hills, and above the least altitude. Pure.
 //!
-//! Rows are held against it when a schedule is checked (docs/decisions/0027), and again before every slew to a target
+//! Rows are compared with it when a schedule is checked (docs/decisions/0027), and again before every slew to a target
 //! (docs/decisions/0036).
 
 use config::{Horizon, HorizonSource, Observatory, Telescope};
 use sky::{Horizontal, Icrs, Observer};
 use units::Utc;
 
-/// How often is looked along a window whether a target stands clear, s, unless the window is long.
+/// The step of the search along a window for times when a target stands clear, s, unless the window is long.
 const STEP_S: f64 = 60.0;
 const MOST_STEPS: f64 = 500.0;
 
-/// Above a wall a place that the telescope is to be sent to keeps so far: the sky turns by that in four minutes, degrees.
+/// A target of a slew has to be so far above a wall, degrees: the sky turns by that in four minutes.
 const ROOM_DEG: f64 = 1.0;
 
-/// The outlook of one mount; the plain horizon at 0 deg by default.
+/// The horizon limits of one mount; the plain horizon at 0 deg by default.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct HorizonLimits {
     altitude_min_deg: f64,
@@ -30,7 +30,7 @@ impl HorizonLimits {
     /// As the configuration has it for a mount; reads the file of its horizon.
     ///
     /// # Errors
-    /// The outlook without the horizon, and in words why that cannot be read.
+    /// The limits without the horizon, and in words why that cannot be read.
     pub fn of(config: &Observatory, mount: &Telescope) -> Result<Self, (Self, String)> {
         let least_deg = altitude_min_deg(config, Some(mount));
         match mount.horizon.as_ref().map(read).transpose() {
@@ -70,7 +70,8 @@ impl HorizonLimits {
         (at.altitude.degrees() < wall_deg).then_some(wall_deg)
     }
 
-    /// From when on a target stands clear, looked for every minute from `from` until `to`; `sky` is the sky at an instant.
+    /// The time from which a target stands clear, searched every minute from `from` until `to`; `sky` is the sky at an
+    /// instant.
     pub fn clear_from(&self, target: &Icrs, from: Utc, to: Utc, sky: impl Fn(Utc) -> Option<Observer>) -> Option<Utc> {
         let span_s = to.seconds_since(from);
         let step_s = STEP_S.max(span_s / MOST_STEPS);

@@ -1,4 +1,4 @@
-//! For any place of the sky and any horizon: what is not hidden stands above both, by the cosine rule.
+//! For any place of the sky and any horizon: a place that is not hidden is above both limits, by the cosine rule.
 
 use proptest::prelude::*;
 use proptest::test_runner::Config;
@@ -15,7 +15,7 @@ fn sky(at: Utc) -> Observer {
     Observer::new(&place, &EarthOrientation::default(), at).unwrap()
 }
 
-/// Altitude and azimuth, degrees, of what stands at a place of date.
+/// Altitude and azimuth, degrees, of a place of date.
 fn by_cosine_rule(sky: &Observer, target: &Icrs) -> [f64; 2] {
     let of_date = sky.to_of_date(target);
     let hour_angle = (sky.sidereal_time().degrees() - of_date.ra.degrees()).to_radians();
@@ -52,7 +52,7 @@ proptest! {
         let said = outlook.hides(&target, &sky);
         prop_assert!(altitude_deg > limit_deg - room_deg || said.is_some(), "{altitude_deg} deg, limit {limit_deg} deg");
         prop_assert!(altitude_deg < limit_deg + room_deg || said.is_none(), "{altitude_deg}, {limit_deg}: {said:?}");
-        // From when it is told to stand clear it does, and nowhere on the way there.
+        // It stands clear from the time that was computed, and at no earlier time.
         let until = at.plus_seconds(4.0 * 3600.0);
         let clear = outlook.clear_from(&target, at, until, |at| Some(self::sky(at)));
         prop_assert_eq!(clear == Some(at), said.is_none());

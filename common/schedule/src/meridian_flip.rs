@@ -1,4 +1,4 @@
-//! When a German mount is to be turned over its pier.
+//! Decides when a German mount has to flip to the other side of its pier.
 
 use contract::device::telescope::PierSide;
 use units::Angle;
@@ -27,7 +27,7 @@ mod tests {
             (Some(PierSide::West), 400.0, false),
             (Some(PierSide::East), 30.0, false),
             (Some(PierSide::Unknown), 30.0, false),
-            // A fork, or a mount that tells nothing: it is never slewed for this.
+            // A fork, or a mount that does not report its side: it is never slewed for this.
             (None, 30.0, false),
         ] {
             assert_eq!(is_past(side, at(minutes), 5.0), due, "{side:?} {minutes} min");

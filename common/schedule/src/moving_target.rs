@@ -1,4 +1,4 @@
-//! A moving target as a row of the schedule names it.
+//! Reads a moving target from the parameters of a row.
 
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -62,7 +62,7 @@ impl Elements {
     }
 }
 
-/// What a row says of its target, as far as it may move.
+/// The parameters of a row that may name a moving target.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Asked<'a> {
     /// A name.
@@ -75,15 +75,15 @@ pub struct Asked<'a> {
     pub has_place: bool,
 }
 
-/// Whether it is hidden is looked at along a path so often, s, unless the window is long.
+/// The step along a path at which it is checked whether the target is hidden, s, unless the window is long.
 const STEP_S: f64 = 30.0;
 const MOST_STEPS: f64 = 500.0;
-/// The word that stands in `lookup_name` beside two-line elements.
+/// The value of `lookup_name` that is used together with two-line elements.
 const TLE: &str = "TLE";
 
 impl<'a> Asked<'a> {
-    /// A name that is to be looked up online: it names nothing that is known offline, and the row says nothing else of where
-    /// its target is.
+    /// A name that is to be looked up online: it names nothing that is known offline, and the row gives no other
+    /// position of its target.
     pub fn name_to_look_up(&self) -> Option<&'a str> {
         let is_told = self.has_place || self.tle.is_some() || self.elements.is_some();
         let name = self.lookup_name.map(str::trim).filter(|name| !is_told && !name.eq_ignore_ascii_case(TLE))?;
@@ -118,7 +118,7 @@ impl<'a> Asked<'a> {
             (None, None, Some(name)) => {
                 match Body::named(name).map_err(|error| Wrong::of("lookup_name", error.to_string()))? {
                     Some(body) => body,
-                    // Of a star; a place beside it needs no look-up.
+                    // The name of a star; with a place in the same row it needs no look-up.
                     None => return Ok(None),
                 }
             }

@@ -1,4 +1,4 @@
-//! Names of targets that were looked up online, and where each of them stands.
+//! Names of targets that were looked up online, and the position of each of them.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -17,11 +17,11 @@ const FRESH_DAYS: f64 = 3.0;
 /// Older ones than this are not observed by, days.
 const USABLE_DAYS: f64 = 30.0;
 
-/// What a name stands for.
+/// The target that a name means.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Meaning {
-    /// A star, or anything that stands still among them.
+    /// A star, or another target that does not move among the stars.
     Fixed {
         /// ICRS degrees, epoch J2000.
         ra_deg: f64,
@@ -46,17 +46,17 @@ pub enum Meaning {
         peri_deg: f64,
         /// Passage of the perihelion, Julian date, TDB.
         tp_jd: f64,
-        /// When they are true, Julian date, TDB.
+        /// The epoch at which they are true, Julian date, TDB.
         epoch_jd: f64,
     },
 }
 
-/// Where a named target is to be found.
+/// The position of a named target.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Found {
-    /// There.
+    /// At this place.
     Place(Icrs),
-    /// Where this body is.
+    /// At the position of this body.
     Body(Body),
 }
 
@@ -89,7 +89,7 @@ impl Meaning {
         }
     }
 
-    /// How far its epoch is away, days; 0 for what does not age.
+    /// The distance of its epoch, days; 0 for a target that does not age.
     fn old_days(&self, at: Utc) -> f64 {
         match self {
             Self::Fixed { .. } => 0.0,
@@ -103,7 +103,7 @@ impl Meaning {
 pub struct Known {
     /// By [`key`].
     pub found: BTreeMap<String, Meaning>,
-    /// Why others are not known, in this life of the node.
+    /// Why others are not known, since this node's boot.
     #[serde(skip)]
     pub failed: BTreeMap<String, String>,
 }
@@ -128,7 +128,7 @@ impl Known {
         })
     }
 
-    /// Where a named target is to be found at an instant.
+    /// The position of a named target at an instant.
     ///
     /// # Errors
     /// In words, when that is not known yet.
@@ -139,7 +139,7 @@ impl Known {
         found.map_err(|why| format!("where {name:?} stands is not known: {why}"))
     }
 
-    /// Is a name to be looked up, for a row of then?
+    /// Has a name to be looked up, for a row of that time?
     pub fn wants(&self, name: &str, at: Utc) -> bool {
         self.found.get(&key(name)).is_none_or(|meaning| meaning.old_days(at) > FRESH_DAYS)
     }

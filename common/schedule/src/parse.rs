@@ -1,7 +1,7 @@
 //! Reads a schedule: JSON objects one after another, with `//` comment lines; one bad row refuses the file.
 //!
-//! Reading goes on behind whatever is wrong, so that one look at the findings mends a file. Nothing is written here: the
-//! file with its comments stays as people wrote it.
+//! Reading continues after each fault, so that one list of findings is enough to correct a file. Nothing is written
+//! here: the file with its comments stays as people wrote it.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -19,12 +19,12 @@ use crate::written::{Cursor, Position, Written};
 pub(super) const MOST_BYTES: usize = 5_000_000;
 const MOST_ROWS: usize = 10_000;
 
-/// What was read of a schedule.
+/// The result of reading a schedule.
 #[derive(Debug, Clone, Default)]
 pub struct Reading {
     /// The rows that could be read, in order of their start.
     pub rows: Vec<Row>,
-    /// What is wrong with the others.
+    /// The faults of the other rows.
     pub findings: Vec<Finding>,
 }
 
@@ -37,12 +37,12 @@ pub fn parse(text: &str, cameras: &[Name]) -> Result<Vec<Row>, Fault> {
     if findings.is_empty() { Ok(rows) } else { Err(Fault { findings }) }
 }
 
-/// Reads what can be read.
+/// Reads all rows that can be read.
 pub fn read(text: &str, cameras: &[Name]) -> Reading {
     read_with(text, cameras, &Defaults::new())
 }
 
-/// Reads what can be read; parameters that a row does not give are those of its camera.
+/// Reads all rows that can be read; parameters that a row does not give are those of its camera.
 pub fn read_with(text: &str, cameras: &[Name], defaults: &Defaults) -> Reading {
     let mut reading = Reading::default();
     let begin = Position { line: 1, column: 1 };
@@ -67,7 +67,7 @@ fn read_rows(text: &str, cameras: &[Name], defaults: &Defaults, reading: &mut Re
     let mut twins: HashMap<RowId, usize> = HashMap::new();
     let mut cursor = Cursor::new(text);
     let mut from = 0;
-    // Each turn of the outer loop begins behind a place that is no JSON.
+    // Each turn of the outer loop begins after a place that is no JSON.
     'file: loop {
         let rest = blanked.get(from..).unwrap_or_default();
         let mut values = serde_json::Deserializer::from_str(rest).into_iter::<Value>();
@@ -99,7 +99,7 @@ fn read_rows(text: &str, cameras: &[Name], defaults: &Defaults, reading: &mut Re
             let written = Written::read(cursor, &blanked, end);
             let twin = twins.entry(RowId::of(&value, 0)).and_modify(|count| *count += 1).or_insert(0);
             let id = RowId::of(&value, *twin);
-            // Its id is that of the row as it is written: other defaults make no other row.
+            // Its id is that of the row as it is written: a change of the defaults makes no new row.
             let object = fields::whole(object, defaults);
             reading.rows.extend(fields::row(&object, id, Arc::new(written), cameras, &mut reading.findings));
             if reading.rows.len() > MOST_ROWS {
@@ -132,7 +132,7 @@ fn start_of_value(text: &str, offset: usize) -> usize {
     offset + (rest.len() - rest.trim_start().len())
 }
 
-/// Where the next line begins with a brace: there reading goes on behind a row that is no JSON.
+/// The place where the next line begins with a brace: reading continues there after a row that is no JSON.
 fn next_row(text: &str, offset: usize) -> Option<usize> {
     let mut at = offset;
     for line in text.get(offset..)?.split_inclusive('\n') {
@@ -172,7 +172,7 @@ fn no_json(found: &serde_json::Error, text: &str, from: usize, cursor: Cursor<'_
     }
 }
 
-/// Byte at which serde stumbled, from its line and column, which count bytes.
+/// Byte at which serde found the fault, from its line and column, which count bytes.
 fn offset_of(text: &str, found: &serde_json::Error) -> Option<usize> {
     let before: usize = text.split_inclusive('\n').take(found.line().checked_sub(1)?).map(str::len).sum();
     let mut at = (before + found.column().saturating_sub(1)).min(text.len());

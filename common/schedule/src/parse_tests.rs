@@ -232,7 +232,7 @@ fn what_a_row_does_not_give_is_its_cameras_default_and_null_is_as_if_it_were_not
     );
     let without = of(&Defaults::new());
     assert_eq!(without.findings[0].field.as_deref(), Some("exptime"), "{without:?}");
-    // Other defaults make no other row: what is done of it stays done.
+    // A change of the defaults makes no new row: a row that is done stays done.
     let more = row(r#"{"object": "x", "ra": 1, "dec": 2, "exptime": 3, "n": null}"#);
     let id = |defaults| read_with(&more, &cameras(), defaults).rows[0].id.clone();
     assert_eq!(id(&defaults), id(&Defaults::new()));

@@ -1,11 +1,11 @@
-//! Which row is to be started now: a pure function.
+//! Chooses the row that is to be started now: a pure function.
 
 use contract::observatory::RowStatus;
 use units::Utc;
 
 use crate::row::Row;
 
-/// Will this row not be touched again?
+/// Will this row not be started again?
 pub fn has_ended(status: RowStatus) -> bool {
     match status {
         RowStatus::Finished | RowStatus::Failed | RowStatus::Skipped => true,
@@ -13,8 +13,8 @@ pub fn has_ended(status: RowStatus) -> bool {
     }
 }
 
-/// The first row in order whose window is open and that nothing stands against; none while a row runs that the next ones
-/// must wait for, or that needs the same camera or mount.
+/// The first row in order whose window is open and that `may` run; none while a row runs that the next ones must wait
+/// for, or that needs the same camera or mount.
 pub fn pick(rows: &[Row], statuses: &[RowStatus], now: Utc, may: impl Fn(usize, &Row) -> bool) -> Option<usize> {
     let each = || rows.iter().zip(statuses);
     let running: Vec<&Row> = each().filter(|(_, status)| **status == RowStatus::Running).map(|(row, _)| row).collect();

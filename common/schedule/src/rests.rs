@@ -10,7 +10,7 @@ use crate::row::RowId;
 /// No rest is longer than so many times the first.
 const MOST: u32 = 10;
 
-/// Until when each row rests, and how often it did.
+/// The time until which each row rests, and how often it did.
 #[derive(Debug, Default)]
 pub struct Rests {
     rows: BTreeMap<RowId, (MachineTime, u32)>,
@@ -25,18 +25,18 @@ impl Rests {
         rest
     }
 
-    /// Lets a row rest for so long, which is no sign that anything is wrong with it.
+    /// Lets a row rest for so long; this does not mean that anything is wrong with it.
     pub fn hold(&mut self, row: &RowId, length: Duration, now: MachineTime) {
         let count = self.rows.get(row).map_or(0, |(_, count)| *count);
         self.rows.insert(row.clone(), (now.plus(length), count));
     }
 
-    /// Forgets rows that are not kept.
+    /// Forgets the rows for which `is_kept` is false.
     pub fn keep(&mut self, is_kept: impl Fn(&RowId) -> bool) {
         self.rows.retain(|row, _| is_kept(row));
     }
 
-    /// Does it rest now?
+    /// Does a row rest now?
     pub fn rests(&self, row: &RowId, now: MachineTime) -> bool {
         self.rows.get(row).is_some_and(|(until, _)| now < *until)
     }

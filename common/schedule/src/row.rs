@@ -12,7 +12,7 @@ use units::Utc;
 use crate::action::Action;
 use crate::written::Written;
 
-/// Names a row by its content, so that a file that is read again finds its rows where they stood.
+/// Names a row by its content, so that a file that is read again finds its rows in the state that they had.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct RowId(pub String);
@@ -52,11 +52,11 @@ pub struct Row {
     pub id: RowId,
     /// Line of the file on which it begins, from 1.
     pub line: usize,
-    /// Where it and its fields are written.
+    /// The places of the row and its fields in the file.
     pub written: Arc<Written>,
     /// The camera that it is about.
     pub camera: Name,
-    /// What is to be done.
+    /// The action.
     pub action: Arc<Action>,
     /// Earliest start.
     pub start: Utc,

@@ -1,4 +1,5 @@
-//! The rows in force and how far each is: pure, so that what may run beside what is proven here for any schedule.
+//! The rows in force and the status of each: pure, so that tests prove for any schedule which rows may run at the same
+//! time.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -23,7 +24,7 @@ impl Sequence {
         &self.rows
     }
 
-    /// How far each row is.
+    /// The status of each row.
     pub fn statuses(&self) -> &[RowStatus] {
         &self.statuses
     }
@@ -34,7 +35,7 @@ impl Sequence {
     }
 
     /// The row to be started now, if there is one. None while a row that was taken from the schedule is still ending:
-    /// what it holds, it holds until then.
+    /// it has its camera and its mount until then.
     pub fn next(&self, now: Utc, may: impl Fn(usize, &Row) -> bool) -> Option<usize> {
         let ends = self.at_work.keys().any(|id| self.place_of(id).is_none());
         if ends { None } else { pick(&self.rows, &self.statuses, now, may) }
@@ -63,12 +64,12 @@ impl Sequence {
         }
     }
 
-    /// Takes another schedule: rows that it has unchanged keep what is `known` of them, and go on where they are at
-    /// work. Returns those at work that it no longer has.
+    /// Takes another schedule: rows that it has unchanged get their `known` status, and go on where they are at work.
+    /// Returns those at work that it no longer has.
     pub fn take(&mut self, rows: Arc<Vec<Row>>, known: impl Fn(&RowId) -> Option<RowStatus>) -> Vec<RowId> {
         let status = |row: &Row| match known(&row.id) {
             _ if self.at_work.contains_key(&row.id) => RowStatus::Running,
-            // Nobody works at it any more.
+            // No task works at it any more.
             None | Some(RowStatus::Running) => RowStatus::Pending,
             Some(status) => status,
         };
@@ -95,7 +96,7 @@ impl Sequence {
     }
 }
 
-/// What is said of a row whose window has passed, with the frames that it took.
+/// The text for a row whose window has passed, with the frames that it took.
 pub fn passed_words(status: RowStatus, taken: u32) -> String {
     match (status, taken) {
         (RowStatus::Interrupted, taken) => format!("interrupted; its window closed after {taken} frames"),

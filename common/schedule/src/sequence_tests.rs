@@ -1,5 +1,5 @@
-//! For any schedule, any verdicts and any change of the schedule: one row per camera, one per mount, and none that needs a safe
-//! sky unless the newest verdict says so, is fresh, suspends nothing and leaves its direction.
+//! For any schedule, any verdicts and any change of the schedule: one row per camera, one per mount, and none that
+//! needs a safe sky unless the newest verdict is safe and fresh, suspends nothing and allows its direction.
 
 use std::time::Duration;
 
@@ -30,7 +30,7 @@ fn sorts() -> Vec<(&'static str, &'static str)> {
 /// A row as it is drawn: sort, camera, parallel, first and last hour of the window.
 type Drawn = (usize, bool, bool, u32, u32);
 
-/// What happens to the night, one after another.
+/// The events of the night, one after another.
 #[derive(Debug, Clone)]
 enum Event {
     Later {
@@ -42,7 +42,7 @@ enum Event {
         is_suspended: bool,
         avoid_deg: Option<f64>,
     },
-    /// Nothing is judged for so long, ms of machine time.
+    /// No verdict comes for so long, ms of machine time.
     Silent {
         ms: u64,
     },
@@ -100,7 +100,8 @@ fn schedule(drawn: &[Drawn], of: &[bool]) -> Arc<Vec<Row>> {
     Arc::new(parse(&text, &["a".parse().unwrap(), "b".parse().unwrap()]).unwrap())
 }
 
-/// The night as the runner works through it: rows against which something stands end at once, then rows are started
+/// The night as the observatory node works through it: rows that may not run end at once, then rows are started until
+/// none may.
 /// until none may.
 struct Night {
     sequence: Sequence,
@@ -121,7 +122,7 @@ fn over_paranal(at: Utc) -> Observer {
     Observer::new(&place, &EarthOrientation::default(), at).unwrap()
 }
 
-/// A safe ruling of this instant.
+/// A safe verdict of this instant.
 fn safe(now: MachineTime) -> Ruling {
     let mut ruling = Ruling::none(now, Utc::EPOCH);
     ruling.state.verdict = Verdict::Safe;

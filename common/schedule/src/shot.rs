@@ -9,7 +9,7 @@ pub struct Shot {
     pub exposure_s: f64,
     /// IMAGETYP.
     pub image_type: &'static str,
-    /// What is done, in words: `exposing 3 of 10, 30 s, V`.
+    /// The activity, in words: `exposing 3 of 10, 30 s, V`.
     pub words: String,
 }
 

@@ -1,15 +1,15 @@
-//! Where a mount may be sent: a pure function of its limits, the target and the sky.
+//! Decides where a mount may be sent: a pure function of its limits, the target and the sky.
 
 use config::MountLimits;
 use sky::{Icrs, Observer};
 
 /// Why a target is beyond the mount's limits, with numbers and units; `None` where it is not.
 ///
-/// The pier side that `meridian_past_min` is about is the mount's to choose in a slew; its device node watches it.
+/// `meridian_past_min` depends on the pier side, which the mount chooses in a slew; its device node watches it.
 pub fn beyond(limits: &MountLimits, target: &Icrs, sky: &Observer) -> Option<String> {
     let (ra, dec) = (target.ra.degrees(), target.dec.degrees());
     let altitude_deg = sky.to_horizontal(target).altitude.degrees();
-    // A place that is no number is nowhere: never within.
+    // A place that is not a number is beyond the limits.
     if !altitude_deg.is_finite() || altitude_deg < limits.altitude_min_deg {
         let least = limits.altitude_min_deg;
         return Some(format!(
@@ -51,7 +51,8 @@ mod tests {
                 altitude_min_deg: least, hour_angle_max_h: Some(most_h), meridian_past_min: None,
             };
             let (sky, target) = (sky(hours), Icrs::from_degrees(ra, dec));
-            // Beside the library: the place of date by the cosine rule, good to the minute of aberration and polar motion
+            // Independent of the library: the place of date by the cosine rule, good to the minute of aberration and
+            // polar motion.
             let of_date = sky.to_of_date(&target);
             let hour_angle = (sky.sidereal_time().degrees() - of_date.ra.degrees()).to_radians();
             let (latitude, dec) = (LATITUDE_DEG.to_radians(), of_date.dec.degrees().to_radians());

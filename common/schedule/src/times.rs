@@ -40,14 +40,14 @@ fn is_time(text: Option<&str>) -> bool {
     text.is_some_and(|text| time_of(text.trim()).is_some())
 }
 
-/// The text without its zone, and that in minutes east.
+/// The text without its zone, and the zone in minutes east.
 fn without_zone(text: &str) -> Option<(&str, i32)> {
     for zone in ["UTC", "utc", "GMT", "Z", "z", "UT"] {
         if let Some(rest) = text.strip_suffix(zone) {
             return Some((rest.trim_end(), 0));
         }
     }
-    // Behind the time of day only: dates have hyphens of their own.
+    // After the time of day only: dates have hyphens of their own.
     let Some(from) = text.find(':') else { return Some((text, 0)) };
     let Some(at) = text.get(from..)?.find(['+', '-']).map(|at| from + at) else { return Some((text, 0)) };
     let (rest, zone) = text.split_at(at);

@@ -1,4 +1,4 @@
-//! Where the rows of a schedule and their fields are written: lines and columns.
+//! The places of the rows of a schedule and of their fields: lines and columns.
 
 use std::collections::HashSet;
 
@@ -26,7 +26,7 @@ impl<'a> Cursor<'a> {
         Self { text, offset: 0, position: Position { line: 1, column: 1 } }
     }
 
-    /// The same, further on; `offset` in bytes. What lies behind is not gone back to.
+    /// The same, further on; `offset` in bytes. It never goes back.
     pub fn to(mut self, offset: usize) -> Self {
         let passed = self.text.get(self.offset..offset).unwrap_or_default();
         let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);

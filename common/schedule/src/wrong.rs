@@ -1,11 +1,11 @@
-//! Why an `action_value` is not taken.
+//! Why an `action_value` is refused.
 
-/// What is wrong with the parameters of an action, and what was expected.
+/// The fault of an action's parameters, and what was expected.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Wrong {
     /// The parameter, spelt as it stands in the row; `None` where no single one is at fault.
     pub field: Option<String>,
-    /// What is wrong and what was expected, without the name of the parameter.
+    /// The fault and what was expected, without the name of the parameter.
     pub what: String,
 }
 

@@ -1,8 +1,8 @@
-//! Golden schedules: each file of `tests/schedules` says in its comments what is to be found in it, and nothing else may be.
+//! Golden schedules: the comments of each file of `tests/schedules` list its findings, and there must be no others.
 //!
-//! `// expect: SEVERITY CHECK FIELD `TEXT` WORDS` stands before the line on which a finding is told (`// expect N:` names the
-//! line); FIELD is `-` where there is none, TEXT is what stands at its column, WORDS are part of its message.
-//! `// unchecked: WORDS` is what cannot be checked, `// now: TIME` the time at which the file is read.
+//! `// expect: SEVERITY CHECK FIELD `TEXT` WORDS` stands before the line of a finding (`// expect N:` names the line);
+//! FIELD is `-` where there is none, TEXT is what stands at its column, WORDS are part of its message. `// unchecked:
+//! WORDS` is what cannot be checked, `// now: TIME` the time at which the file is read.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
@@ -13,7 +13,7 @@ use contract::observatory::{Finding, Severity};
 use proptest::prelude::*;
 use schedule::validate::{Known, accept, validate};
 
-/// What is to be found.
+/// An expected finding.
 #[derive(Debug)]
 struct Expected {
     line: u32,
@@ -53,7 +53,7 @@ impl Expected {
     }
 }
 
-/// What a file says of itself.
+/// The comments of a file.
 #[derive(Debug, Default)]
 struct Said {
     expected: Vec<Expected>,
@@ -87,7 +87,7 @@ fn said(text: &str) -> Said {
     said
 }
 
-/// What differs from what a file says of itself.
+/// The differences between the findings and the comments of a file.
 fn differences(text: &str, known: Known) -> Vec<String> {
     let text = text.trim_start_matches('\u{feff}');
     let said = said(text);
@@ -176,7 +176,7 @@ fn what_a_wheel_tells_counts_before_what_is_written_of_it() {
     assert!(!validate(&row("V"), &heard).valid && validate(&row("Sloan r"), &heard).valid);
 }
 
-/// The figure of issue 5 is measured by the example `validates_500_rows`; here it must end at all, and tell all.
+/// The example `validates_500_rows` measures the time; here it must end at all, and report all.
 #[test]
 fn hundreds_of_rows_with_something_to_say_of_each_are_told_without_end_of_memory() {
     let rows: String = (0..3000)

@@ -1,4 +1,4 @@
-//! Stories of one receiver.
+//! Scenarios of one receiver.
 
 use contract::observatory::AlertKind;
 
@@ -27,7 +27,7 @@ fn high(name: &str) -> Alert {
     AlertKind::DomeHeld.alert(name, Utc::EPOCH, "c")
 }
 
-/// Shows the mailbox one list after another, a second apart, and tells what it sends; `!` fails a letter.
+/// Gives the mailbox one list after another, a second apart, and returns what it sends; `!` fails a letter.
 fn letters(wish: Wish, lists: Vec<Vec<Alert>>) -> Vec<String> {
     let mut mailbox = Mailbox::new(wish);
     let mut told = Vec::new();
@@ -148,7 +148,7 @@ fn what_failed_is_tried_again_later_and_later_and_not_lost() {
     }
     assert!(mailbox.due(at(now + 299.0)).is_none());
     let letter = mailbox.due(at(now + 300.0)).unwrap();
-    // Over before it could be told: told all the same.
+    // Over before it could be sent: it is sent all the same.
     mailbox.look(&Alerts::default(), at(now + 300.0));
     let over = mailbox.due(at(now + 300.0)).unwrap();
     assert_eq!((letter.news[0].event, over.news[0].event), (AlertEvent::Raised, AlertEvent::Cleared));
@@ -174,7 +174,7 @@ fn who_sends_next_goes_on_where_the_last_one_ended() {
     first.look(&standing(std::slice::from_ref(&old)), at(0.0));
     assert_eq!(empty(&mut first, 0.0), [(Raised, old.id.clone())]);
 
-    // The second hears what the first told.
+    // The second learns what the first has sent.
     let mut second = Mailbox::new(wish(0));
     let heard = |alerts: &[Alert], told: Vec<Told>| Alerts { told, ..standing(alerts) };
     second.look(&heard(&[old.clone(), new.clone()], first.told()), at(10.0));
@@ -183,7 +183,7 @@ fn who_sends_next_goes_on_where_the_last_one_ended() {
     second.look(&heard(&[returned(old.clone()), new.clone()], first.told()), at(11.0));
     assert_eq!(empty(&mut second, 11.0), [(Returned, old.id.clone())], "its end is told by the second");
 
-    // The first comes back to life and hears the second; its own old words come back to it too.
+    // The first runs again and learns what the second has sent; its own old reports come back to it too.
     let mut third = Mailbox::new(wish(0));
     let all = contract::observatory::merge([first.told(), second.told()].map(|told| heard(&[], told)).into_iter());
     third.look(&heard(&[returned(old.clone()), new.clone()], all.told.clone()), at(20.0));
@@ -193,7 +193,7 @@ fn who_sends_next_goes_on_where_the_last_one_ended() {
     third.look(&heard(std::slice::from_ref(&new), all.told.clone()), at(22.0));
     assert_eq!(empty(&mut third, 22.0), [], "old words of others are no news");
 
-    // What was raised later under the same id is another alert, and other people's mail is nobody's business.
+    // An alert that was raised later under the same id is another alert, and other people's mail does not count.
     let again = Alert { raised_utc: Utc::from_seconds(30.0), ..old };
     let mut fourth = Mailbox::new(wish(0));
     fourth.look(&heard(std::slice::from_ref(&again), all.told.clone()), at(31.0));

@@ -18,7 +18,7 @@ impl Authority {
         Self { issuer: CertifiedIssuer::self_signed(params, KeyPair::generate().unwrap()).unwrap() }
     }
 
-    /// As it stands in a CA file.
+    /// The authority in the form of a CA file.
     pub fn pem(&self) -> String {
         self.issuer.pem()
     }
@@ -28,14 +28,14 @@ impl Authority {
         self.signed(CertificateParams::new(names(hosts)).unwrap())
     }
 
-    /// One whose certificate was valid until 2020.
+    /// A server whose certificate was valid until 2020.
     pub fn expired_server(&self, hosts: &[&str]) -> Arc<ServerConfig> {
         let mut params = CertificateParams::new(names(hosts)).unwrap();
         (params.not_before, params.not_after) = (date_time_ymd(2019, 1, 1), date_time_ymd(2020, 1, 1));
         self.signed(params)
     }
 
-    /// One that shows the authority's own certificate, as a quick `openssl req -x509` makes them.
+    /// A server that shows the authority's own certificate, as a quick `openssl req -x509` makes them.
     pub fn server_of_itself(&self) -> Arc<ServerConfig> {
         config(self.issuer.der().clone(), self.issuer.key())
     }

@@ -6,7 +6,7 @@ use crate::authority::Authority;
 use crate::post_office::{PostOffice, Rules};
 use crate::site::Site;
 
-/// A site that mails `to` by this office; the file `ca.pem` holds this authority.
+/// A site that mails `to` through this office; the file `ca.pem` contains this authority.
 async fn site(office: &PostOffice, authority: &Authority, smtp: &str, to: &[&str]) -> Site {
     let port = office.port;
     let config = format!(

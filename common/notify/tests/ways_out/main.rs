@@ -71,7 +71,7 @@ async fn a_server_that_proves_nothing_gets_nothing_and_is_an_alert_that_says_wha
     }
     let why = site.why_not("ping").await;
     assert!(why.contains("alerts.ca_file"), "{why}");
-    // A receiver that began after the alert first waits for the word of whoever may have told it.
+    // A receiver that began after the alert first waits for the report of a node that may have sent it.
     site.until("who is reached heard of the dome", || good.told("raised", &id) == 1).await;
 
     // The authority is written into the file, and nothing was lost meanwhile.

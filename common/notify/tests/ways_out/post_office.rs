@@ -7,7 +7,7 @@ use tokio::io::{AsyncBufReadExt as _, AsyncRead, AsyncWrite, AsyncWriteExt as _,
 use tokio::net::{TcpListener, TcpStream};
 use tokio_rustls::TlsAcceptor;
 
-/// What the server is like.
+/// The behaviour of the server.
 #[derive(Clone, Default)]
 pub struct Rules {
     /// Speaks TLS from the first byte.
@@ -20,7 +20,8 @@ pub struct Rules {
     pub unknown: Vec<&'static str>,
     /// Never answers QUIT.
     pub mute_at_end: bool,
-    /// Refuses each login with these words after what came; the mails of others with them alone.
+    /// Refuses each login with these words after the login that it received; the mails of others with these words
+    /// alone.
     pub repeats: Option<&'static str>,
 }
 
@@ -58,7 +59,7 @@ impl PostOffice {
         tokio::spawn(async move {
             while let Ok((stream, _)) = listener.accept().await {
                 let clerk = clerk.clone();
-                // Who goes away in the middle is what the tests are about.
+                // The tests are about clients that leave in the middle.
                 tokio::spawn(async move { drop(clerk.meet(stream).await) });
             }
         });
@@ -141,7 +142,7 @@ impl PostOffice {
         Ok(())
     }
 
-    /// A server that protects anything offers its login only after that.
+    /// A server that encrypts anything offers its login only after that.
     fn offers(&self, encrypted: bool) -> String {
         let protects = self.rules.starttls.is_some() || self.rules.tls.is_some();
         let mut offers = vec!["mail.test".to_owned()];

@@ -1,4 +1,4 @@
-//! A node with receivers, whose own alerts are told too, and everything that it wrote into a log.
+//! A node with receivers, whose own alerts are sent too, and everything that it wrote into a log.
 
 use std::io::Write;
 use std::path::Path;
@@ -74,7 +74,7 @@ impl Site {
         self.node.alerts.watch().borrow().alerts.iter().find(|alert| alert.id == id).cloned()
     }
 
-    /// Waits until a receiver is said not to be reached, and returns why.
+    /// Waits until a receiver is reported as not reached, and returns why.
     pub async fn why_not(&self, receiver: &str) -> String {
         self.until(&format!("an alert about {receiver}"), || self.undelivered(receiver).is_some()).await;
         self.undelivered(receiver).unwrap().cause
@@ -85,7 +85,7 @@ impl Site {
         assert!(held.is_some(), "{what}: not within {LIMIT:?}; {:?}", *self.node.alerts.watch().borrow());
     }
 
-    /// Neither log nor bus holds any of these words.
+    /// Neither log nor bus contains any of these words.
     pub fn kept(&self, secrets: &[&str]) {
         let log = LOG.lock().unwrap_or_else(PoisonError::into_inner);
         let log = String::from_utf8_lossy(&log);
@@ -113,10 +113,10 @@ impl Write for Ear {
     }
 }
 
-/// Everything that any crate says, but zenoh, which never sees a secret and says a lot.
+/// Every line that any crate logs, except zenoh, which never sees a secret and logs a lot.
 fn listen_to_logs() {
     let all = Targets::new().with_default(LevelFilter::TRACE).with_target("zenoh", LevelFilter::OFF);
     let layer = tracing_subscriber::fmt::layer().with_ansi(false).with_writer(|| Ear);
-    // The first test of the process begins it.
+    // The first test of the process installs it.
     let _ = tracing_subscriber::registry().with(all).with(layer).try_init();
 }

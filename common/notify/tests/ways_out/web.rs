@@ -1,4 +1,4 @@
-//! An HTTP server, with TLS or without, that remembers what it was asked.
+//! An HTTP server, with TLS or without, that remembers its requests.
 
 use std::convert::Infallible;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -43,7 +43,7 @@ impl Web {
                 tokio::spawn(async move {
                     let service = service_fn(move |request| remember(request, asked.clone()));
                     let http = hyper::server::conn::http1::Builder::new();
-                    // A client that refuses the certificate goes away, and that is what the tests are about.
+                    // A client that refuses the certificate leaves, and the tests are about that.
                     let _ = match tls {
                         Some(tls) => match TlsAcceptor::from(tls).accept(stream).await {
                             Ok(stream) => http.serve_connection(TokioIo::new(stream), service).await,
@@ -65,7 +65,7 @@ impl Web {
         self.connections.load(Ordering::Relaxed)
     }
 
-    /// How often it was told this event of this alert.
+    /// How often it received this event of this alert.
     pub fn told(&self, event: &str, id: &str) -> usize {
         let asked = self.asked();
         let news = asked.iter().flat_map(|asked| asked.body["news"].as_array().cloned().unwrap_or_default());

@@ -1,12 +1,12 @@
-//! How long to expose: light that changes exponentially, told by the levels of the frames before.
+//! How long to expose: light that changes exponentially, estimated from the levels of the earlier frames.
 //!
-//! With the rate `R` at the start of an exposure and `b` the slope of its logarithm, an exposure of `T` collects
-//! `R (exp(b T) - 1) / b`, so a wanted signal `S` takes `T = ln(1 + b S / R) / b`, and `S / R` where nothing changes
-//! (algorithms.md 6.7). For a panel `b` is 0.
+//! With the rate `R` at the start of an exposure and `b` the slope of its logarithm, an exposure of `T` collects `R
+//! (exp(b T) - 1) / b`, so a wanted signal `S` takes `T = ln(1 + b S / R) / b`, and `S / R` where nothing changes . For
+//! a panel `b` is 0.
 
 use units::Utc;
 
-/// What is wanted of a frame.
+/// The wanted level of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Want {
     /// Median, bias included, ADU.
@@ -21,12 +21,12 @@ pub struct Want {
     pub max_s: f64,
 }
 
-/// How bright a frame was.
+/// The brightness of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Level {
     /// Its median, ADU.
     Adu(f64),
-    /// So bright that the median tells nothing.
+    /// So bright that the median has no value.
     Saturated,
 }
 
@@ -37,13 +37,13 @@ pub struct Seen {
     pub started: Utc,
     /// Its length, s.
     pub exposure_s: f64,
-    /// How bright it was.
+    /// Its brightness.
     pub level: Level,
     /// It shows a part of the sensor only, whose mean need not be that of a whole frame.
     pub is_part: bool,
 }
 
-/// What can be done about a filter at a moment.
+/// Whether a filter can be used at a moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Ready {
     /// A good frame takes so long, s.
@@ -57,7 +57,7 @@ pub enum Ready {
 /// Target and tolerance where the camera's block names none: of the largest value, and of the target.
 const TARGET: f64 = 0.45;
 const TOLERANCE: f64 = 0.2;
-/// Less of the wanted signal than this share tells of the bias rather than of the light.
+/// Less of the wanted signal than this share shows the bias rather than the light.
 const LEAST_SHARE: f64 = 0.01;
 /// ... and less than this, ADU.
 const LEAST_ADU: f64 = 20.0;
@@ -65,11 +65,11 @@ const LEAST_ADU: f64 = 20.0;
 const SATURATED: f64 = 4.0;
 /// An exposure at its limit is taken while its level is expected within this share of the tolerance.
 const AT_LIMIT: f64 = 0.5;
-/// Two frames tell the slope if they are so far apart, s; nearer ones tell of noise.
+/// Two frames give the slope if they are so far apart, s; nearer ones show noise.
 const APART_S: f64 = 5.0;
 /// ... and no further: the slope itself changes.
 const TOGETHER_S: f64 = 300.0;
-/// What a slope may be of the one expected: outside, clouds are at work.
+/// The limits of a slope, as a factor of the expected one: beyond them the change comes from clouds.
 const SLOPES: (f64, f64) = (0.3, 2.5);
 
 impl Want {
@@ -109,12 +109,14 @@ impl Want {
         (LEAST_SHARE * self.signal_adu()).max(LEAST_ADU)
     }
 
-    /// Longest exposure that is worth taking only to see how bright it is, s: what is dark in it is out of reach.
+    /// Longest exposure that is worth taking only to measure the brightness, s: a filter that is dark in it cannot be
+    /// used.
     pub fn sounding_max_s(&self) -> f64 {
         (0.1 * self.max_s).max(self.min_s)
     }
 
-    /// The exposure of another look, s, after one that was too bright or too dark to tell; `None` when it told enough.
+    /// The exposure of another look, s, after a frame that was too bright or too dark to measure; `None` when it was
+    /// good enough.
     pub fn sound_again_s(&self, seen: &Seen) -> Option<f64> {
         let most_s = self.sounding_max_s();
         match seen.level {
@@ -124,7 +126,7 @@ impl Want {
         }
     }
 
-    /// The mean rate of a frame, ADU per s; a bound where the frame does not tell better.
+    /// The mean rate of a frame, ADU per s; a bound where the frame gives no better value.
     fn rate(&self, seen: &Seen) -> (f64, bool) {
         let exposure_s = seen.exposure_s.max(1e-3);
         match seen.level {
@@ -135,7 +137,7 @@ impl Want {
     }
 }
 
-/// The light of one filter, as its last frame told it.
+/// The light of one filter, as its last frame showed it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Point {
     middle: Utc,
@@ -148,7 +150,7 @@ struct Point {
 #[derive(Debug, Clone)]
 pub struct Light {
     want: Want,
-    /// Slope that the Sun makes expect, per s.
+    /// The slope that follows from the Sun's motion, per s.
     expected: f64,
     slope: f64,
     points: Vec<Option<Point>>,
@@ -169,7 +171,7 @@ impl Light {
     pub fn see(&mut self, filter: usize, seen: &Seen) {
         let (rate, is_sure) = self.want.rate(seen);
         let half = 0.5 * self.slope * seen.exposure_s;
-        // The mean over the exposure is a little more than what is in its middle.
+        // The mean over the exposure is a little more than the value in its middle.
         let more = if half.abs() < 1e-6 { 1.0 } else { half.sinh() / half };
         let middle = seen.started.plus_seconds(0.5 * seen.exposure_s);
         let point = Point { middle, ln_rate: (rate / more).ln(), is_part: seen.is_part, is_sure };
@@ -196,7 +198,7 @@ impl Light {
         }
     }
 
-    /// So long ago a filter's light was last seen, s; `None`: never.
+    /// The time since a filter's light was last seen, s; `None`: never.
     pub fn age_s(&self, filter: usize, now: Utc) -> Option<f64> {
         Some(now.seconds_since((*self.points.get(filter)?)?.middle))
     }
@@ -207,7 +209,7 @@ impl Light {
         Some((point.ln_rate + self.slope * at.seconds_since(point.middle)).exp())
     }
 
-    /// What can be done about a filter in an exposure that begins then; `None` where nothing is known of its light.
+    /// Whether a filter can be used in an exposure that begins then; `None` where nothing is known of its light.
     pub fn ready(&self, filter: usize, at: Utc) -> Option<Ready> {
         let (rate, want) = (self.rate(filter, at)?, &self.want);
         let exposure_s = exposure_s(want.signal_adu(), rate, self.slope);

@@ -48,7 +48,7 @@ fn an_exposure_collects_what_it_is_made_for_in_any_light() {
 fn frame_after_frame_keeps_its_level_while_the_sky_fades_and_while_it_brightens() {
     for slope in [-0.0035, 0.0035, -0.006] {
         let sky = Sky { rate: if slope < 0.0 { 14_000.0 } else { 1200.0 }, slope };
-        // What the Sun makes expect is 30 % off.
+        // The expected slope is 30 % off.
         let mut light = Light::new(WANT, 1, slope * 0.7);
         light.see(0, &sky.frame(0.0, 1.0));
         let (mut at_s, mut levels) = (5.0, Vec::new());
@@ -61,7 +61,7 @@ fn frame_after_frame_keeps_its_level_while_the_sky_fades_and_while_it_brightens(
             at_s += exposure_s + 8.0;
         }
         assert!(levels.len() > 15, "{slope}: {}", levels.len());
-        // Those at the ends are at the limits of the exposure.
+        // The frames at the ends are at the limits of the exposure.
         let inner = &levels[2..levels.len() - 4];
         let worst = inner.iter().map(|adu| (adu / 30_000.0 - 1.0).abs()).fold(0.0, f64::max);
         assert!(worst < 0.02, "{slope}: {worst} {levels:?}");
@@ -73,7 +73,7 @@ fn frame_after_frame_keeps_its_level_while_the_sky_fades_and_while_it_brightens(
 
 #[test]
 fn the_old_rule_of_scaling_by_the_last_frame_is_worse() {
-    // What the predictor is for: the light changes from frame to frame, and within one.
+    // The predictor exists for this case: the light changes from frame to frame, and within one.
     let sky = Sky { rate: 1500.0, slope: -0.005 };
     let first = sky.frame(0.0, 20.0);
     let mut light = Light::new(WANT, 1, -0.005);

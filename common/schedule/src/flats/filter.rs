@@ -1,4 +1,5 @@
-//! The filters of a row of flats: what is wanted of each, what counts, and what is known of its light.
+//! The filters of a row of flats: for each the wanted frames, the frames that count, and its light as far as it is
+//! known.
 
 use units::Utc;
 
@@ -9,13 +10,13 @@ use super::order::Candidate;
 pub const WINDOW_ENDED: &str = "the row's window ended";
 /// Looks at one filter at a moment, at most.
 pub const LOOKS: u32 = 3;
-/// What was seen so long ago is a guess, sky s.
+/// A brightness that was measured so long ago is a guess, sky s.
 const FRESH_S: f64 = 90.0;
-/// Largest value of a camera that does not tell its own, ADU.
+/// Largest value of a camera that does not report its own, ADU.
 pub const MAX_ADU: f64 = 65_535.0;
 /// An exposure that a panel's brightness is chosen for, s, within the camera's limits: long enough that no shutter shows.
 pub const GOOD_S: f64 = 5.0;
-/// The Sun's way is taken over so long, s.
+/// The Sun's motion is predicted over so long, s.
 pub const AHEAD_S: f64 = 300.0;
 
 /// One filter of a row.
@@ -50,7 +51,7 @@ impl Filter {
     }
 }
 
-/// How a row went, and why it ended: nothing where all was taken.
+/// The result of a row, and why it ended: empty where all frames were taken.
 pub fn told(filters: &[Filter], why: Option<&str>) -> String {
     if filters.iter().all(|filter| filter.taken >= filter.wanted) {
         return String::new();
@@ -63,7 +64,7 @@ pub fn told(filters: &[Filter], why: Option<&str>) -> String {
     why.map_or(each.clone(), |why| format!("{each}; {why}"))
 }
 
-/// What is known of one filter now.
+/// The state of one filter now.
 pub fn candidate(is_wanted: bool, light: &Light, index: usize, now: Utc) -> Candidate {
     Candidate {
         is_wanted,

@@ -1,4 +1,4 @@
-//! Which filter comes next: a pure function of what is known of their light.
+//! Chooses the next filter: a pure function of what is known of the filters' light.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,7 +16,7 @@ pub enum Order {
     Listed,
 }
 
-/// Where the light goes.
+/// The trend of the light.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Trend {
     /// Dusk.
@@ -27,23 +27,23 @@ pub enum Trend {
     Stays,
 }
 
-/// What is known of one filter.
+/// The state of one filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Candidate {
     /// Frames are wanted of it, and it was not given up.
     pub is_wanted: bool,
-    /// What can be done about it now, as far as known.
+    /// Whether it can be used now, as far as known.
     pub ready: Option<Ready>,
-    /// It was seen only just, so that `ready` is not a guess.
+    /// It was measured only just, so that `ready` is not a guess.
     pub is_fresh: bool,
     /// How long until a frame can be begun, s.
     pub wait_s: f64,
 }
 
-/// What to do next; the number is that of the filter.
+/// The next step; the number is that of the filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Next {
-    /// See how bright it is.
+    /// Measure how bright it is.
     Sound(usize),
     /// Take a frame of so many s.
     Take(usize, f64),
@@ -60,7 +60,7 @@ const WAIT_LEAST_S: f64 = 5.0;
 /// ... and no longer: the guess is only as good as the sky is clear.
 const WAIT_MOST_S: f64 = 60.0;
 
-/// What to do next; `current` is the filter of the last frame, which is finished before another is begun.
+/// The next step; `current` is the filter of the last frame, which is finished before another is begun.
 pub fn next(order: Order, trend: Trend, filters: &[Candidate], current: Option<usize>) -> Next {
     let wanted = || filters.iter().enumerate().filter(|(_, filter)| filter.is_wanted);
     match order {

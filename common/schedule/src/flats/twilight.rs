@@ -1,16 +1,17 @@
-//! When the Sun stands right for flats of the sky, where the sky is evenest then, and how fast its light changes.
+//! When the Sun has the right altitude for flats of the sky, where the sky is evenest then, and how fast its light
+//! changes.
 
 use sky::{EarthOrientation, Horizontal, Icrs, Place, SkyError, Tangent, next_sun_crossing};
 use units::{Angle, Utc};
 
-/// Altitude of the evenest place of the twilight sky, opposite to the Sun (core.md 7.6.1), deg.
+/// Altitude of the evenest place of the twilight sky, opposite to the Sun, deg.
 const ALTITUDE_DEG: f64 = 75.0;
 /// Never nearer to the Sun than this, deg; the place opposite to it is some 100 deg away.
 const SUN_DISTANCE_DEG: f64 = 60.0;
 /// Between two turns of the spiral of dithered places: the golden angle, deg.
 const GOLDEN_DEG: f64 = 137.507_764;
 /// How much the logarithm of the sky's brightness rises with the Sun, per degree: 1.3 mag, the mean slope in V with the
-/// Sun 4 to 8 deg down (Patat et al. 2006, A&A 455, 385). Only where the first guess comes from.
+/// Sun 4 to 8 deg down (Patat et al. 2006, A&A 455, 385). It is used only for the first guess.
 const LN_PER_DEG: f64 = 1.2;
 
 /// The Sun's altitudes at which the sky is a flat field, deg, both ends out of it.
@@ -36,7 +37,7 @@ impl Window {
         Ok(falls.into_iter().chain(rises).min())
     }
 
-    /// What is said where the Sun does not stand in it while a row may run.
+    /// The message where the Sun is never in it while a row may run.
     pub fn never(&self) -> String {
         format!(
             "the Sun does not stand between {} and {} deg any more within the row's time",
@@ -44,7 +45,7 @@ impl Window {
         )
     }
 
-    /// What is said when the Sun leaves it.
+    /// The message when the Sun leaves it.
     pub fn left(&self) -> String {
         format!("the Sun left {} to {} deg", self.max_deg, self.min_deg)
     }

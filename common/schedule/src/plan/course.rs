@@ -1,7 +1,7 @@
-//! The paper stage of one row: an action tells its story on it, and time passes instead of devices moving.
+//! The simulated run of one row: an action executes its steps on it, and time passes instead of devices moving.
 //!
-//! Each step may end the story, as each `.await` may live: when the sky is no longer safe, or the target leaves the mount's
-//! reach.
+//! Each step may end the run, as each `.await` may in the observatory node: when the sky is no longer safe, or the
+//! target goes beyond the mount's limits.
 
 use config::{Camera, Observatory, Telescope};
 use contract::device::telescope::PierSide;
@@ -19,33 +19,33 @@ use crate::row::Row;
 use crate::shot::Shot;
 use crate::slew_limits;
 
-/// A slew from the park position, or from where nobody knows, goes so far, deg.
+/// A slew from the park position, or from an unknown position, goes so far, deg.
 const UNKNOWN_WAY_DEG: f64 = 60.0;
 /// A dome's slit is wide enough for shorter ways, deg.
 const SLIT_WAY_DEG: f64 = 5.0;
-/// The tube of a German mount goes about so far to look at the same place from the other side, deg.
+/// The tube of a German mount turns by about this to look at the same place from the other side, deg.
 const FLIP_WAY_DEG: f64 = 180.0;
 /// No camera begins its next frame sooner, s; it bounds the work for a row of biases without end.
 const LEAST_GAP_S: f64 = 0.01;
 /// Frames of one row that are followed.
 const MOST_FRAMES: u32 = 1_000_000;
-/// A target that sets is looked for in steps of this, s, ...
+/// The time when a target sets is searched in steps of this, s, ...
 const REACH_STEP_S: f64 = 1200.0;
 /// ... and the moment is narrowed down to this, s.
 const REACH_PRECISION_S: f64 = 1.0;
 
-/// Why a story ends before its end.
+/// Why a simulated run ends before its end.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Halt {
-    /// Something stands against the row from now on; it goes on when nothing does any more.
+    /// The row may not run from now on; it goes on when it may again.
     Interrupted,
     /// Its target is hidden until then, in words; the row waits, and others go meanwhile.
     Hidden(Utc, String),
-    /// It cannot be done, in words.
+    /// It cannot be done; the text is the reason.
     Failed(String),
 }
 
-/// The paper stage.
+/// The simulated run.
 pub struct Course<'a> {
     /// The row.
     pub row: &'a Row,
@@ -55,7 +55,7 @@ pub struct Course<'a> {
     pub taken: u32,
     site: &'a mut Site,
     world: &'a mut World,
-    /// When the story must end, and how.
+    /// When the run must end, and how.
     ends: Vec<(Utc, Halt)>,
     readout: Option<Readout>,
     pub(super) told: Vec<String>,
@@ -108,12 +108,12 @@ impl<'a> Course<'a> {
         self.site.config.telescope.iter().find(|mount| Some(&mount.common.name) == name)
     }
 
-    /// Where the site is, on an Earth that turns as it does.
+    /// The place of the site, and the orientation of the Earth.
     pub fn site(&self) -> (sky::Place, sky::EarthOrientation) {
         self.site.sky.site()
     }
 
-    /// What everything takes.
+    /// The overheads of all steps.
     pub fn overheads(&self) -> &super::Overheads {
         &self.site.overheads
     }
@@ -123,7 +123,7 @@ impl<'a> Course<'a> {
         self.site.sky.at(at).map_err(failed)
     }
 
-    /// Notes what an astronomer should know.
+    /// Adds a remark for the astronomer.
     pub fn tell(&mut self, words: impl Into<String>) {
         self.told.push(words.into());
     }
@@ -149,7 +149,7 @@ impl<'a> Course<'a> {
         self.pass(at.seconds_since(self.now))
     }
 
-    /// The story ends there.
+    /// Ends the run at that time.
     pub fn ends_at(&mut self, at: Utc, halt: Halt) {
         self.ends.push((at, halt));
     }
@@ -192,7 +192,7 @@ impl<'a> Course<'a> {
         Ok(())
     }
 
-    /// What the site leaves of the sky to the row's mount.
+    /// The horizon limits of the row's mount.
     pub fn horizon_limits(&self) -> HorizonLimits {
         let mount = self.mount().map(|mount| &mount.common.name);
         mount.and_then(|mount| self.site.horizon_limits.get(mount)).cloned().unwrap_or_default()
@@ -213,7 +213,7 @@ impl<'a> Course<'a> {
         why.map_or(Ok(()), |why| Err(Halt::Failed(why)))
     }
 
-    /// Slews, and settles; a place that is not known is some way off.
+    /// Slews, and settles; an unknown place counts as a slew of typical length.
     pub fn slew(&mut self, target: Option<&Icrs>) -> Result<(), Halt> {
         let Some(mount) = self.mount().map(|mount| mount.common.name.clone()) else {
             return Err(Halt::Failed(format!("{} has no mount", self.row.camera)));
@@ -248,15 +248,15 @@ impl<'a> Course<'a> {
         }
     }
 
-    /// Brings a filter into the beam; returns what that takes, s, for it goes beside the mount.
+    /// Brings a filter into the beam; returns how long that takes, s, for the filter wheel turns while the mount slews.
     pub fn turn_to(&mut self, filter: Option<&str>) -> f64 {
         let Some(filter) = filter else { return 0.0 };
         let before = self.world.filters.insert(self.row.camera.clone(), filter.to_owned());
         if before.as_deref() == Some(filter) { 0.0 } else { self.site.overheads.span(Span::Filter).value }
     }
 
-    /// As most stories begin: the cooler started, opened and slewed where the row moves the telescope, the filter beside
-    /// that, and cold.
+    /// The steps with which most actions begin: the cooler starts; where the row moves the telescope, the dome opens
+    /// and the mount slews while the filter wheel turns; then the camera is cold.
     pub fn begin(&mut self, target: Option<Option<&Icrs>>, filter: Option<&str>) -> Result<(), Halt> {
         self.start_cooling();
         let filter_there = self.now.plus_seconds(self.turn_to(filter));
@@ -271,12 +271,12 @@ impl<'a> Course<'a> {
         self.cool()
     }
 
-    /// How the frames from now on are read.
+    /// Sets how the frames from now on are read.
     pub fn reads(&mut self, readout: &Readout) {
         self.readout = Some(*readout);
     }
 
-    /// One frame, until the next may begin: its exposure, and what the camera takes then. It counts, unless it is taken
+    /// One frame, until the next may begin: its exposure, and the camera's overhead. It counts, unless it is taken
     /// `aside`.
     fn take(&mut self, exposure_s: f64, is_light: bool, aside: bool, gap_s: f64) -> Result<(), Halt> {
         let began = self.now;
@@ -302,7 +302,7 @@ impl<'a> Course<'a> {
         self.take(exposure_s, is_light, false, gap_s)
     }
 
-    /// One frame that does not count, until it was looked at.
+    /// One frame that does not count, until it was evaluated.
     pub fn aside(&mut self, exposure_s: f64, is_light: bool) -> Result<(), Halt> {
         let gap_s = self.site.overheads.frame(self.row.action.name()).value;
         self.take(exposure_s, is_light, true, gap_s)
@@ -337,7 +337,7 @@ impl<'a> Course<'a> {
         meridian_flip::is_past(side, then.hour_angle(target), margin_min)
     }
 
-    /// Turns the mount over: a slew to where it looks.
+    /// Flips the mount: a slew to the place where it points.
     pub fn turn_over(&mut self) -> Result<(), Halt> {
         let at = self.now.strftime("%H:%M");
         self.pass(self.site.overheads.slew_s(FLIP_WAY_DEG))?;
@@ -349,7 +349,7 @@ impl<'a> Course<'a> {
         Ok(())
     }
 
-    /// The story ends where the target leaves the mount's reach within the row's window.
+    /// Ends the run where the target goes beyond the mount's limits within the row's window.
     pub fn ends_out_of_reach(&mut self, target: &Icrs) -> Result<(), Halt> {
         let limits = self.mount().map(|mount| mount.limits.clone()).unwrap_or_default();
         let end = self.row.end;
@@ -373,7 +373,7 @@ impl<'a> Course<'a> {
         Ok(())
     }
 
-    /// Until when the newest frames have whole headers.
+    /// The time at which the newest frames have whole headers.
     pub fn headers_whole(&self) -> Option<Utc> {
         self.world.last_exposure.map(|last| last.plus_seconds(self.site.overheads.headers_s.value))
     }
@@ -389,7 +389,7 @@ impl<'a> Course<'a> {
         f64::from(width) * f64::from(height) * sensor.bytes_per_px
     }
 
-    /// Where a row's place stands now, if that can be told.
+    /// The position of a row's place now, if it is known.
     pub fn place(&mut self, place: &Place) -> Result<Icrs, Halt> {
         let observer = self.observer(self.now)?;
         match place {

@@ -1,4 +1,4 @@
-//! Overheads out of telemetry: of the frames that were taken, and of what nodes wrote in their diaries.
+//! Overheads from telemetry: from the frames that were taken, and from the nodes' diaries.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use units::Utc;
 
 use super::overheads::{Figure, Overheads, Sensor, Span, TOOK};
 
-/// What is known of earlier nights.
+/// The telemetry of earlier nights.
 #[derive(Debug, Clone, Default)]
 pub struct Evidence {
     /// Frames in any order, each with the bytes of its file.
@@ -19,14 +19,14 @@ pub struct Evidence {
 
 /// Two frames of a row with more between them were not one after the other, s: the dome was shut, or a person stepped in.
 const LONGEST_GAP_S: f64 = 900.0;
-/// Slews teach what a degree takes where there are so many of them, ...
+/// The time per degree is learned where there are so many slews, ...
 const FEWEST_SLEWS: usize = 5;
 /// ... over ways that differ by so much, deg, ...
 const SPREAD_DEG: f64 = 20.0;
 /// ... the newest so many: all pairs are looked at.
 const MOST_SLEWS: usize = 200;
 
-/// A length that a diary tells.
+/// A length that a diary contains.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Took {
     span: Span,
@@ -35,7 +35,7 @@ struct Took {
 }
 
 impl Evidence {
-    /// The overheads that it proves, the rest as [`Overheads::assumed`] has it.
+    /// The overheads that the telemetry gives, the rest as [`Overheads::assumed`] has it.
     pub fn overheads(&self, config: &Observatory) -> Overheads {
         let mut overheads = Overheads::assumed(config);
         let took: Vec<Took> = self.lines.iter().filter_map(|(_, line)| took(line)).collect();
@@ -72,8 +72,8 @@ fn median(mut values: Vec<f64>) -> Option<Figure> {
     Some(Figure { value: 0.5 * (low + high), measured: values.len() })
 }
 
-/// What slews take whatever their way, and per degree: the median of the slopes of all pairs (Theil 1950, Sen 1968), which
-/// a few odd slews do not move.
+/// The time of a slew apart from its way, and per degree: the median of the slopes of all pairs (Theil 1950, Sen 1968),
+/// which a few odd slews do not move.
 fn learn_slews(took: &[Took], overheads: &mut Overheads) {
     let slews: Vec<(f64, f64)> =
         took.iter().filter(|took| took.span == Span::Slew).filter_map(|took| Some((took.deg?, took.took_s))).collect();
@@ -111,7 +111,7 @@ fn gaps(frames: &[(Frame, u64)]) -> BTreeMap<String, Vec<f64>> {
     gaps
 }
 
-/// The sensor of each camera: the largest frame shows it, and all frames what a pixel takes on disk.
+/// The sensor of each camera: the largest frame gives its size, and all frames the bytes of a pixel on disk.
 fn sensors(frames: &[(Frame, u64)]) -> BTreeMap<String, Sensor> {
     let mut sensors: BTreeMap<String, (Sensor, Vec<f64>)> = BTreeMap::new();
     for (frame, bytes) in frames {

@@ -1,4 +1,4 @@
-//! The loop: rows are begun and ended by the runner's own sequence, and the clock jumps from event to event.
+//! The loop: the observatory node's own sequence begins and ends rows, and the clock jumps from event to event.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use super::{Site, steps};
 use crate::row::{Row, RowId};
 use crate::sequence::{Sequence, passed_words};
 
-/// A plan of more days is none; the year of issue 5 is one file a night.
+/// The longest forecast, s; a year has one file for each night.
 const LONGEST_S: f64 = 400.0 * 86_400.0;
 /// With the Sun so far down the sky is dark, deg.
 const DARK_DEG: f64 = -18.0;
@@ -36,7 +36,7 @@ struct Forecast<'a> {
     world: World,
     /// When the sky is safe, in order.
     safe: Vec<(Utc, Utc)>,
-    /// No plan goes beyond.
+    /// No forecast goes beyond.
     last: Utc,
     at_work: Vec<AtWork>,
     /// Until when rows wait for their target, by place.
@@ -57,7 +57,7 @@ pub fn forecast(rows: Vec<Row>, site: &mut Site) -> Result<PlannedNight, SkyErro
     };
     let last = end.min(first.plus_seconds(LONGEST_S));
     let sun_deg = site.config.safety.sun_altitude_max_deg;
-    // A second more, so that what ends with the last window still finds the sky as it is.
+    // A second more, so that a row that ends with the last window still finds the sky as it is.
     let below = site.sky.sun_below(sun_deg, first, last.plus_seconds(1.0))?;
     let safe = without(below, &site.unsafe_spans);
     let mut sequence = Sequence::default();
@@ -74,7 +74,7 @@ pub fn forecast(rows: Vec<Row>, site: &mut Site) -> Result<PlannedNight, SkyErro
 }
 
 impl Forecast<'_> {
-    /// As the runner does it, with a clock that jumps.
+    /// Works as the observatory node does, with a clock that jumps.
     fn run(&mut self, first: Utc) {
         let mut now = first;
         loop {
@@ -98,7 +98,7 @@ impl Forecast<'_> {
         }
     }
 
-    /// Until when the sky is safe, if it is now.
+    /// The time until which the sky is safe, if it is now.
     fn safe_until(&self, now: Utc) -> Option<Utc> {
         self.safe.iter().find(|(from, to)| *from <= now && now < *to).map(|(_, to)| *to)
     }
@@ -212,7 +212,7 @@ impl Forecast<'_> {
         at_once.or(ends.chain(windows).chain(sky).filter(|at| *at > now && *at <= self.horizon()).min())
     }
 
-    /// Nothing is looked for after this.
+    /// Nothing is searched after this.
     fn horizon(&self) -> Utc {
         let ends = self.at_work.iter().map(|row| row.ends).max();
         ends.map_or(self.last, |ends| ends.max(self.last)).plus_seconds(1.0)

@@ -1,16 +1,17 @@
 //! The forecast of a night: a schedule worked through on a clock that jumps from event to event, before anything moves.
 //!
 //! ```text
-//!   rows --> Sequence (the runner's own) --which row now?--> its action tells its story on paper (Course)
+//!   rows --> Sequence (the runner's own) --which row now?--> a simulated run of its action (Course)
 //!                 ^                                                  |
 //!                 '--- ended, interrupted, passed <--- now = the next event: an end, a start, the Sun
 //! ```
-//! What decides is what decides live: which row goes next ([`crate::sequence`]), what stands against it
-//! ([`stands_against`]), each action's own choice of the next frame, when a mount is turned over, where it may be sent. Only
-//! what devices take is replaced, by [`Overheads`], which are measured from telemetry ([`evidence`]) where there is some.
+//! The code that decides is the code that decides in the observatory node: which row is next ([`crate::sequence`]), why
+//! a row may not run ([`stands_against`]), each action's own choice of the next frame, when a mount flips, where it may
+//! be sent. Only the times that devices take are replaced, by [`Overheads`], which are measured from telemetry
+//! ([`evidence`]) where there is some.
 //!
-//! Pure but for the horizon files that the configuration names: rows and configuration in, [`PlannedNight`] out. The weather is
-//! taken for good, but for spans that are said to be unsafe; the Sun is not. Decision 0032.
+//! Pure except for the horizon files that the configuration names: rows and configuration in, [`PlannedNight`] out. The
+//! weather is assumed to be good, except for the given unsafe spans; the Sun is computed. Decision 0032.
 
 pub mod course;
 pub mod evidence;
@@ -38,16 +39,16 @@ use units::Utc;
 use self::sky::Sky;
 use crate::horizon_limits::HorizonLimits;
 
-/// What a schedule is planned for.
+/// The site for which a schedule is planned.
 #[derive(Debug, Clone)]
 pub struct Site {
     /// Its configuration.
     pub config: Arc<Observatory>,
-    /// What its devices take.
+    /// The overheads of its devices.
     pub overheads: Overheads,
     /// Spans during which the weather closes it, sorted or not.
     pub unsafe_spans: Vec<(Utc, Utc)>,
-    /// What the site leaves of the sky to each mount; a horizon that cannot be read hides nothing, as live.
+    /// The horizon limits of each mount; a horizon that cannot be read hides nothing, as in the observatory node.
     horizon_limits: BTreeMap<Name, HorizonLimits>,
     sky: Sky,
 }

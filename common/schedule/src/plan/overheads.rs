@@ -1,4 +1,5 @@
-//! What devices take beside collecting light: measured where there is telemetry of it, else assumed, and which it is.
+//! The time that devices need in addition to collecting light: measured where there is telemetry of it, else assumed;
+//! each figure has its origin.
 
 use std::collections::BTreeMap;
 
@@ -9,13 +10,13 @@ use config::Observatory;
 pub enum Span {
     /// From shut to open roof and covers, with the mount out of its park position.
     Open,
-    /// From the wish to close to verified closed, with the mount parked.
+    /// From the close request to verified closed, with the mount parked.
     Close,
     /// From a warm sensor to a cold one.
     Cool,
-    /// A slew with its settling; its length goes with the way.
+    /// A slew with its settling; its time depends on the way.
     Slew,
-    /// After a slew, until the slit of the dome is there too.
+    /// From the end of a slew until the slit of the dome has arrived too.
     Slit,
     /// Another filter in the beam, with the focus that belongs to it.
     Filter,
@@ -30,7 +31,7 @@ impl Span {
     pub const ALL: [Self; 8] =
         [Self::Open, Self::Close, Self::Cool, Self::Slew, Self::Slit, Self::Filter, Self::Acquire, Self::Spool];
 
-    /// As it stands in the diary.
+    /// The word in the diary.
     pub const fn word(self) -> &'static str {
         match self {
             Self::Open => "open",
@@ -58,7 +59,7 @@ pub struct Figure {
 }
 
 impl Figure {
-    /// A number that nobody measured.
+    /// A number that was never measured.
     pub const fn assumed(value: f64) -> Self {
         Self { value, measured: 0 }
     }
@@ -75,14 +76,14 @@ pub struct Sensor {
     pub measured: usize,
 }
 
-/// A sensor that nothing is known of: 4096 x 4096 px of 16 bits.
+/// The sensor of an unknown camera: 4096 x 4096 px of 16 bits.
 const UNKNOWN: Sensor = Sensor { size_px: [4096, 4096], bytes_per_px: 2.0, measured: 0 };
 
-/// What everything takes.
+/// The overheads of all steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Overheads {
     spans: BTreeMap<Span, Figure>,
-    /// What a slew takes per degree of its way beyond [`Span::Slew`], s/deg.
+    /// The time that a slew takes per degree of its way in addition to [`Span::Slew`], s/deg.
     pub slew_s_per_deg: Figure,
     /// From the end of a frame's exposure to the begin of the next one, by action, s.
     pub frame_s: BTreeMap<String, Figure>,
@@ -108,7 +109,7 @@ impl Overheads {
             // A roof, or a dome that is as quick as its mount.
             (Span::Slit, 0.0),
             (Span::Filter, 5.0),
-            // A frame and its solving (some s each), a correction, and a frame that proves it.
+            // A frame and its solving (some s each), a correction, and a frame that proves the result.
             (Span::Acquire, 30.0),
             (Span::Spool, 2.0),
         ];
@@ -122,12 +123,12 @@ impl Overheads {
         }
     }
 
-    /// What a part of a row takes, s; of a slew what it takes whatever its way.
+    /// The time of a part of a row, s; of a slew the part that does not depend on its way.
     pub fn span(&self, span: Span) -> Figure {
         self.spans.get(&span).copied().unwrap_or(Figure::assumed(0.0))
     }
 
-    /// Learns what a part of a row takes.
+    /// Sets the time of a part of a row.
     pub fn set_span(&mut self, span: Span, figure: Figure) {
         self.spans.insert(span, figure);
     }

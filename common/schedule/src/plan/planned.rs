@@ -1,4 +1,4 @@
-//! What a plan says: of each row, and of the night.
+//! The result of a forecast: for each row, and for the night.
 
 use contract::Name;
 use contract::observatory::RowStatus;
@@ -46,7 +46,7 @@ pub struct PlannedRow {
     pub window: (Utc, Utc),
     /// When it runs: more than one span where the sky interrupts it.
     pub runs: Vec<(Utc, Utc)>,
-    /// How it ends.
+    /// Its status at the end.
     pub status: RowStatus,
     /// Frames that count.
     pub frames: u32,
@@ -56,9 +56,9 @@ pub struct PlannedRow {
     pub exposed_s: f64,
     /// Of all its files.
     pub bytes: f64,
-    /// Where it looks and how high that stands.
+    /// The altitudes of its target.
     pub heights: Option<Heights>,
-    /// What an astronomer should know of it.
+    /// Remarks for the astronomer.
     pub note: String,
 }
 
@@ -136,7 +136,7 @@ impl PlannedNight {
     }
 }
 
-/// How high a row's place stands from its begin to its end; none where it looks nowhere, or no sky is known then.
+/// How high a row's place stands from its begin to its end; none where it points nowhere, or the sky is not known then.
 pub(super) fn heights(
     place: Option<Place>,
     looked: Option<Icrs>,
@@ -146,7 +146,7 @@ pub(super) fn heights(
     let (start, end) = span;
     let fixed = match (&place, looked) {
         (Some(Place::Moving(_)), _) => None,
-        // What stood at an altitude and azimuth when the row slewed is followed.
+        // The run follows the place that was at an altitude and azimuth when the row slewed.
         (_, Some(looked)) => Some(looked),
         (Some(Place::Icrs(place)), None) => Some(*place),
         (Some(Place::Horizontal(direction)), None) => Some(site.sky.at(start).ok()?.to_icrs(direction)),

@@ -6,9 +6,10 @@ use config::Place as Configured;
 use sky::{EarthOrientation, Observer, Place, SkyError};
 use units::Utc;
 
-/// For this long one observer is turned with the Earth; the Sun stands still meanwhile, which makes its crossings good to 3 s.
+/// For this long one observer is turned with the Earth; the Sun does not move meanwhile, so its crossings are good to 3
+/// s.
 const SLOT_US: i64 = 1_800_000_000;
-/// So many observers are kept: more than a night has.
+/// So many observers are stored: more than a night has.
 const MOST_SLOTS: usize = 200;
 /// Crossings of the Sun are looked for in steps of this, s, ...
 const STEP_S: f64 = 300.0;
@@ -33,7 +34,7 @@ impl Sky {
         Ok(Self { place, orientation, built: BTreeMap::new() })
     }
 
-    /// Where the site is, on an Earth that turns as it does.
+    /// The place of the site, and the orientation of the Earth.
     pub fn site(&self) -> (Place, EarthOrientation) {
         (self.place, self.orientation)
     }

@@ -1,4 +1,4 @@
-//! The devices of a plan, as far as what they do next depends on what they did before.
+//! The devices of a forecast, as far as their next step depends on earlier ones.
 
 use std::collections::BTreeMap;
 
@@ -10,19 +10,19 @@ use units::{Angle, Utc};
 /// Turn of the sky, deg of right ascension per s.
 const SIDEREAL_DEG_S: f64 = 15.041_067 / 3600.0;
 
-/// Where a mount looks.
+/// The direction of a mount.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Aim {
-    /// Where it looked when it was last told to.
+    /// The place of its last slew.
     pub place: Icrs,
-    /// Since when it stands still while the sky goes on; it tracks where absent.
+    /// Since when it does not track while the sky turns; it tracks where absent.
     pub stands_since: Option<Utc>,
     /// Its side of the pier.
     pub side: PierSide,
 }
 
 impl Aim {
-    /// Where it looks at an instant.
+    /// The place where it points at an instant.
     pub fn at(&self, now: Utc) -> Icrs {
         let stood_s = self.stands_since.map_or(0.0, |since| now.seconds_since(since));
         Icrs { ra: self.place.ra + Angle::from_degrees(SIDEREAL_DEG_S * stood_s), dec: self.place.dec }
@@ -40,7 +40,7 @@ pub struct World {
     pub aims: BTreeMap<Name, Aim>,
     /// The filter in the beam of each camera, once it is known.
     pub filters: BTreeMap<Name, String>,
-    /// When the sensor of each camera that was asked for it is cold.
+    /// The time at which the sensor of each cooled camera is cold.
     pub cold: BTreeMap<Name, Utc>,
     /// End of the newest exposure.
     pub last_exposure: Option<Utc>,
@@ -54,12 +54,12 @@ impl World {
         self.opened.is_some()
     }
 
-    /// The roof has opened.
+    /// Opens the roof.
     pub fn open(&mut self, now: Utc) {
         self.opened = self.opened.or(Some(now));
     }
 
-    /// Closing begins, and takes so long; the mount parks. Nothing happens where all is closed.
+    /// Closing begins, and takes so long; the mount parks. Nothing changes where all is closed.
     pub fn close(&mut self, now: Utc, takes_s: f64) {
         if let Some(opened) = self.opened.take() {
             let closed = now.plus_seconds(takes_s);

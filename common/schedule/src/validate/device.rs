@@ -1,4 +1,4 @@
-//! What a row asks of the devices of its camera: filters of the wheel, a mount, a focuser.
+//! Checks the devices that a row needs: filters of the camera's wheel, a mount, a focuser.
 
 use std::collections::BTreeSet;
 
@@ -36,7 +36,7 @@ fn filters(row: &Row, known: &Known) -> Vec<Finding> {
 
 fn mount(row: &Row, known: &Known) -> Option<Finding> {
     let needs = row.action.needs();
-    // Opening is of the roof, too, and a focus is found without a mount, where the telescope looks.
+    // `open` opens the roof, too, and `autofocus` works without a mount, where the telescope points.
     let points = needs.mount && needs.safe && !["open", "autofocus"].contains(&row.action.name());
     let camera = known.camera(row).filter(|camera| points && camera.telescope.is_none())?;
     let what = format!("{} has no mount that {} could point", camera.common.name, row.action.name());

@@ -8,7 +8,7 @@ use crate::fault::{Right as _, warning};
 use crate::fields::when;
 use crate::row::Row;
 
-/// What a row is expected to take.
+/// The expected length of a row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Estimate {
     /// All of it; of a row that exposes until its end, as much as one frame needs. Sky s.

@@ -1,7 +1,7 @@
-//! Holds the rows of a schedule against the devices, the clock and the sky, before anything moves.
+//! Compares the rows of a schedule with the devices, the clock and the sky, before anything moves.
 //!
-//! Pure: text and configuration in, findings out; `now` is given. What refuses a file and what is only told:
-//! docs/decisions/0027-what-refuses-a-schedule.md.
+//! Pure: text and configuration in, findings out; `now` is given. docs/decisions/0027-what-refuses-a-schedule.md lists
+//! which findings refuse a file and which are only reported.
 
 mod device;
 mod duration;
@@ -27,18 +27,18 @@ use crate::names;
 use crate::parse::{Reading, read_with};
 use crate::row::Row;
 
-/// What rows are held against.
+/// The facts with which rows are compared.
 #[derive(Debug, Clone)]
 pub struct Known {
     config: Arc<Observatory>,
     /// Filters of each wheel that are known.
     pub filters: BTreeMap<Name, Vec<String>>,
     horizons: BTreeMap<Name, Horizon>,
-    /// What could not be read of all this.
+    /// The sources that could not be read.
     unread: Vec<String>,
     /// The positions of the names that were looked up.
     pub names: names::Known,
-    /// Windows that ended before have passed; nothing is said of that where absent.
+    /// Windows that ended before this have passed; where absent, they are not reported.
     now: Option<Utc>,
 }
 
@@ -60,13 +60,13 @@ impl Known {
         Self { config, filters, horizons, unread, names, now: None }
     }
 
-    /// With the filters that a wheel tells, which count before those of the configuration.
+    /// With the filters that a wheel reports, which count before those of the configuration.
     pub fn with_filters(mut self, wheel: &Name, filters: Vec<String>) -> Self {
         self.filters.insert(wheel.clone(), filters);
         self
     }
 
-    /// With what is known of names now.
+    /// With the names that are known now.
     pub fn with_names(mut self, names: names::Known) -> Self {
         self.names = names;
         self
@@ -92,10 +92,10 @@ impl Known {
     }
 }
 
-/// Reads a schedule and refuses it if it does not say what is to be done; the sky is not asked.
+/// Reads a schedule and refuses it if its rows cannot be executed; the sky is not checked.
 ///
 /// # Errors
-/// All that refuses the file.
+/// All findings that refuse the file.
 pub fn accept(text: &str, known: &Known) -> Result<Vec<Row>, Fault> {
     let Reading { rows, mut findings } = read_with(text, &known.cameras(), &defaults_of(&known.config.camera));
     findings.extend(device::check(&rows, known));
@@ -103,7 +103,7 @@ pub fn accept(text: &str, known: &Known) -> Result<Vec<Row>, Fault> {
     if findings.is_empty() { Ok(rows) } else { Err(Fault { findings }) }
 }
 
-/// All that is to be said of a schedule.
+/// All findings of a schedule.
 pub fn validate(text: &str, known: &Known) -> ScheduleFindings {
     let Reading { rows, mut findings } = read_with(text, &known.cameras(), &defaults_of(&known.config.camera));
     let (found, unchecked) = survey(&rows, known);
@@ -113,7 +113,7 @@ pub fn validate(text: &str, known: &Known) -> ScheduleFindings {
     ScheduleFindings { valid: errors == 0, rows, errors, warnings, findings, unchecked }
 }
 
-/// What is to be said of rows that were read, in the order of the file, and what could not be checked.
+/// The findings of rows that were read, in the order of the file, and what could not be checked.
 pub fn survey(rows: &[Row], known: &Known) -> (Vec<Finding>, Vec<String>) {
     let mut unchecked = known.unread.clone();
     unchecked.extend(device::unchecked(rows, known));

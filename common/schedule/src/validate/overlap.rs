@@ -1,7 +1,7 @@
 //! Rows that want the mount, or the camera, at the same time.
 //!
-//! Windows may overlap: rows wait for each other, as the runner's `pick` has it. What is told is a row that is expected to
-//! lose its window to others. How long a row takes is estimated; the order is that of the runner.
+//! Windows may overlap: rows wait for each other, as `pick` decides. A row that is expected to lose its window to
+//! others is reported. The length of a row is estimated; the order is that of the observatory node.
 
 use contract::observatory::{Check, Finding};
 use units::Utc;
@@ -13,7 +13,7 @@ use crate::fault::{Right as _, warning};
 use crate::fields::when;
 use crate::row::Row;
 
-/// So much of its window a row may lose to others before that is told, s.
+/// A row that loses more of its window to others than this is reported, s.
 const SLACK_S: f64 = 60.0;
 
 /// A row that is expected to run, and until when.
@@ -23,7 +23,7 @@ struct Run<'a> {
     end: Utc,
 }
 
-/// Rows that others leave too little of their window.
+/// Rows to which others leave too little of their window.
 pub(super) fn check(rows: &[Row], known: &Known) -> Vec<Finding> {
     let mut runs: Vec<Run<'_>> = Vec::new();
     let mut findings = Vec::new();
@@ -34,7 +34,8 @@ pub(super) fn check(rows: &[Row], known: &Known) -> Vec<Finding> {
         }
         runs.retain(|run| run.end > row.start);
         let Estimate { needs_s, until_end } = estimate(row, &known.config.schedule.check);
-        // As the runner has it: nothing beside a row that is not parallel; else another camera, and one that moves a mount
+        // As in `pick`: nothing runs at the same time as a row that is not parallel; else another camera may, and a row
+        // that moves a mount unless both need it.
         let stops =
             |run: &&Run<'_>| !run.needs.parallel || run.row.camera == row.camera || (run.needs.mount && needs.mount);
         let before = runs.iter().filter(stops).max_by_key(|run| run.end);
@@ -50,7 +51,7 @@ pub(super) fn check(rows: &[Row], known: &Known) -> Vec<Finding> {
     findings
 }
 
-/// What a row loses to the one before it, if that is worth telling.
+/// The window that a row loses to the one before it, if it has to be reported.
 fn told(row: &Row, before: &Run<'_>, known: &Known, needs_s: f64, until_end: bool) -> Option<Finding> {
     let window_s = row.end.seconds_since(row.start);
     let (left_s, lost_s) = (row.end.seconds_since(before.end), before.end.seconds_since(row.start));

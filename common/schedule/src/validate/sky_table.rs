@@ -1,8 +1,8 @@
-//! The sky of a few nights, worked out once for all rows of a schedule.
+//! The sky of a few nights, computed once for all rows of a schedule.
 //!
-//! Every half hour an [`Observer`] is built; in between its axes turn with the Earth. Altitudes are good to half an arcminute
-//! (aberration is that of the axes, the Sun and the Moon stand still for half an hour: 0.14 deg of the Moon), which is far
-//! less than what walls and trees are known to.
+//! Every half hour an [`Observer`] is built; in between its axes turn with the Earth. Altitudes are good to half an
+//! arcminute (aberration is that of the axes, the Sun and the Moon stand still for half an hour: 0.14 deg of the Moon),
+//! which is far better than the altitudes of walls and trees are known.
 
 use std::collections::HashMap;
 
@@ -46,7 +46,7 @@ pub(super) struct Slot {
     pub moon_lit: f64,
 }
 
-/// Who looks: the site, and how the Earth stands.
+/// The observer: the site, and the orientation of the Earth.
 #[derive(Debug, Clone)]
 pub(super) struct Eye {
     place: Place,
@@ -54,7 +54,7 @@ pub(super) struct Eye {
 }
 
 impl Eye {
-    /// Where a body that moves stands at an instant; none where its path is not known then.
+    /// The direction of a moving body at an instant; none where its path is not known then.
     pub fn sees(&self, body: &Body, at: Utc) -> Option<Vector> {
         let observer = Observer::new(&self.place, &self.orientation, at).ok()?;
         body.seen(&observer).ok().map(|seen| vector(&seen.icrs))
@@ -76,12 +76,12 @@ impl SkyTable {
         Ok(Self { eye, slots: HashMap::new(), left_out: 0 })
     }
 
-    /// Who looks.
+    /// The observer.
     pub fn eye(&self) -> Eye {
         self.eye.clone()
     }
 
-    /// What could not be looked at, in words.
+    /// The part that could not be checked, in words.
     pub fn unchecked(&self) -> Option<String> {
         let rows = match self.left_out {
             0 => return None,
@@ -111,7 +111,7 @@ impl SkyTable {
         true
     }
 
-    /// Where a row looks at an instant: what stands at an altitude and azimuth is that which stood there at `begin`.
+    /// The direction of a row at an instant: an altitude and azimuth mean the place that was there at `begin`.
     pub fn direction(&mut self, aim: &Aim, begin: Utc) -> Option<Vector> {
         match aim {
             Aim::Moving(body) => self.eye.sees(body, begin),
@@ -135,7 +135,7 @@ impl SkyTable {
     }
 }
 
-/// Which half hour an instant lies in.
+/// The half hour of an instant.
 pub(super) fn slot_of(at: Utc) -> i64 {
     at.micros().div_euclid(SLOT_US)
 }

@@ -1,4 +1,4 @@
-//! The same observed twice: a row that stands twice in the file, or one field on two mounts at once.
+//! Finds observations that are made twice: a row that is twice in the file, or one field on two mounts at once.
 
 use std::collections::HashMap;
 

@@ -1,4 +1,4 @@
-//! Does a row's target stand where it can be observed, over its whole window? Altitude, horizon, Sun and Moon.
+//! Checks whether a row's target can be observed, over its whole window? Altitude, horizon, Sun and Moon.
 
 use config::Horizon;
 use contract::observatory::{Check, Finding};
@@ -15,10 +15,10 @@ use crate::horizon_limits;
 use crate::names::Found;
 use crate::row::Row;
 
-/// So much of its window a row may lose to the Sun before that is told, s.
+/// A row that loses more of its window to the Sun than this is reported, s.
 const SLACK_S: f64 = 60.0;
 
-/// What a row looks at, by its place or by what is known of its name; none where it does not move the telescope.
+/// The target of a row, by its place or by its name; none where it does not move the telescope.
 pub(super) fn aim(row: &Row, known: &Known) -> Option<Aim> {
     if !row.action.needs().mount {
         return None;
@@ -29,12 +29,12 @@ pub(super) fn aim(row: &Row, known: &Known) -> Option<Aim> {
     })
 }
 
-/// Where a row looks when it begins.
+/// The direction of a row when it begins.
 pub(super) fn target(row: &Row, known: &Known, sky: &mut SkyTable) -> Option<Vector> {
     sky.direction(&aim(row, known)?, row.start)
 }
 
-/// Names that nothing is known of yet: the altitude of these targets is checked once it is.
+/// Names that are not known yet: the altitude of these targets is checked once they are.
 pub(super) fn unchecked(rows: &[Row], known: &Known) -> Vec<String> {
     let mut told = Vec::new();
     for row in rows.iter().filter(|row| row.action.needs().mount) {
@@ -61,7 +61,7 @@ pub(super) fn check(rows: &[Row], known: &Known, sky: &mut SkyTable) -> Vec<Find
     rows.iter().flat_map(|row| look(row, known, sky)).collect()
 }
 
-/// When something was not as it should be.
+/// The times when a condition was not met.
 #[derive(Default)]
 struct Bad {
     moments: usize,
@@ -72,12 +72,12 @@ struct Bad {
     last_bad: Option<Utc>,
     first_good: Option<Utc>,
     last_good: Option<Utc>,
-    /// How far off at the worst, in whatever it is measured in, with what is said of it.
+    /// The largest deviation, in its own unit, with the value and the limit at that time.
     worst: Option<(f64, f64, f64)>,
 }
 
 impl Bad {
-    /// `off` above 0 is bad; `value` and `limit` are kept of the worst.
+    /// `off` above 0 is bad; `value` and `limit` are stored for the worst.
     fn note(&mut self, at: Utc, off: f64, value: f64, limit: f64) {
         let is_bad = off > 0.0;
         self.begins |= is_bad && self.moments == 0;
@@ -96,7 +96,7 @@ impl Bad {
         }
     }
 
-    /// Nothing, where it is reported already.
+    /// Empty where it is reported already.
     fn is_known_otherwise(&self, is_told: bool) -> &Self {
         const NONE: &Bad = &Bad {
             moments: 0,
@@ -116,7 +116,7 @@ impl Bad {
         self.bad == self.moments
     }
 
-    /// Such as `until 2026-11-21T03:00:00Z`, the field that this is about, and what would be right.
+    /// Such as `until 2026-11-21T03:00:00Z`, the field, and the right value.
     fn span(&self) -> Option<(String, Option<&'static str>, Option<String>)> {
         let at = |time: Option<Utc>| time.map(when).unwrap_or_default();
         let later = || format!("start_time at least {}", at(self.first_good));
@@ -135,7 +135,7 @@ impl Bad {
     }
 }
 
-/// What one row is looked at for.
+/// The conditions of one row.
 #[derive(Default)]
 struct Looked {
     low: Bad,
@@ -285,7 +285,7 @@ fn never_up(row: &Row, name: &str, highest_deg: f64, low_deg: f64) -> Finding {
     found.right("no time helps; is the sign of dec right?")
 }
 
-/// The Sun only delays a row: that is told where it costs it something.
+/// The Sun only delays a row: that is reported where the row loses too much.
 fn too_sunny(row: &Row, sunlit: &Bad, known: &Known, sun_deg: f64) -> Option<Finding> {
     let (words, field, right) = sunlit.span()?;
     let Estimate { needs_s, until_end } = estimate(row, &known.config.schedule.check);
@@ -306,7 +306,7 @@ fn too_sunny(row: &Row, sunlit: &Bad, known: &Known, sun_deg: f64) -> Option<Fin
     })
 }
 
-/// What is said of a target that stands where it should not; `say` gives the words before and after the span of time.
+/// The finding for a target that cannot be observed; `say` gives the words before and after the span of time.
 fn told(row: &Row, bad: &Bad, say: impl Fn(f64, f64, f64) -> (String, String)) -> Option<Finding> {
     let (words, field, right) = bad.span()?;
     let (off, value, limit) = bad.worst?;

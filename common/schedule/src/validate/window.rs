@@ -1,4 +1,4 @@
-//! Windows that have passed, and such as no sky is known of.
+//! Finds windows that have passed, and windows for which the sky is not known.
 
 use contract::observatory::{Check, Finding};
 use units::Utc;
@@ -7,15 +7,15 @@ use crate::fault::{Right as _, warning};
 use crate::fields::when;
 use crate::row::Row;
 
-/// Nobody observes one row for longer; a slip in the year does.
+/// Nobody observes one row for longer; such a window is a mistake in the year.
 const LONGEST_S: f64 = 2.0 * 86_400.0;
 
-/// What is odd about the rows' windows.
+/// The findings about the rows' windows.
 pub(super) fn check(rows: &[Row], now: Option<Utc>) -> Vec<Finding> {
     let mut findings: Vec<Finding> = rows.iter().filter_map(long).collect();
     let Some(now) = now else { return findings };
     let passed: Vec<&Row> = rows.iter().filter(|row| row.end < now).collect();
-    // The schedule of another night is told once.
+    // The schedule of another night is reported once.
     let told = if passed.len() == rows.len() { passed.get(..1).unwrap_or_default() } else { &passed };
     for row in told {
         let what = match passed.len() == rows.len() && rows.len() > 1 {

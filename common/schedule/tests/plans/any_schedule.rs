@@ -1,5 +1,5 @@
-//! For any schedule: forecasts end, no camera and no mount works at two rows at once, nothing needs the sky by day, and no row
-//! goes on beyond what its action allows live.
+//! For any schedule: forecasts end, no camera and no mount works at two rows at once, nothing needs the sky by day, and
+//! no row lasts longer than its action allows in the observatory node.
 
 use contract::observatory::RowStatus;
 use proptest::prelude::*;
@@ -13,7 +13,8 @@ const COUNTED: &str =
 const STARING: &str =
     r#"{"object": "z", "exptime": EXPTIME, "disable_telescope_movement": true, "execute_parallel": PARALLEL}"#;
 const BIASES: &str = r#"{"exptime": [0, EXPTIME], "n": [3, 4], "execute_parallel": PARALLEL}"#;
-/// After the last exposure of a row its frame is read, and those of the row are brought to disk; a cover opens again.
+/// After the last exposure of a row its frame is read, and the frames of the row are written to disk; a cover opens
+/// again.
 const AFTER_S: f64 = 2.0 + 2.0 + 10.0;
 
 /// A row: sort, second camera, parallel, begin in minutes after 20:00, length in minutes, exposure, right ascension.

@@ -1,4 +1,4 @@
-//! Overheads out of frames and diaries.
+//! Overheads from frames and diaries.
 
 use config::Observatory;
 use contract::device::camera::Frame;
@@ -73,7 +73,7 @@ fn slews_tell_what_a_degree_takes_whatever_one_odd_one_says() {
     assert!((overheads.slew_s_per_deg.value - 0.25).abs() < 0.02, "{:?}", overheads.slew_s_per_deg);
     assert_eq!(overheads.slew_s_per_deg.measured, 7);
     assert!((overheads.slew_s(60.0) - 21.0).abs() < 1.0, "{}", overheads.slew_s(60.0));
-    // Short ways alone tell nothing of a degree.
+    // Short ways alone give no time per degree.
     let few = Evidence { frames: Vec::new(), lines: vec![slew(3.0, 9.0), slew(6.0, 10.0)] }.overheads(&config());
     assert_eq!((few.slew_s_per_deg.measured, few.span(Span::Slew).measured), (0, 2));
     assert!((few.slew_s(4.5) - 9.5).abs() < 0.1);

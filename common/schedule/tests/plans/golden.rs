@@ -1,7 +1,7 @@
-//! Golden plans: each file of `schedules` says before each row what is to become of it.
+//! Golden forecasts: each file of `schedules` has the expected result before each row.
 //!
-//! `// plan: STATUS FRAMES START END | WORDS`: times of the row's first begin and last end to the second, `-` where it never
-//! runs; WORDS are part of its note. `// unsafe: FROM TO` is bad weather. Where the numbers come from is in the file's words.
+//! `// plan: STATUS FRAMES START END | WORDS`: times of the row's first begin and last end to the second, `-` where it
+//! never runs; WORDS are part of its note. `// unsafe: FROM TO` is bad weather. The file explains the numbers.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use units::Utc;
 /// Times of a file are as good as this, s: directions of slews are written to the hundredth of a degree.
 const NEAR_S: f64 = 1.5;
 
-/// What a file says of a row.
+/// The expected result of a row.
 struct Expected<'a> {
     status: &'a str,
     frames: u32,

@@ -1,4 +1,5 @@
-//! Plans: golden ones, any schedule's, and where their figures come from. One binary, for a link costs more than the tests.
+//! Forecasts: golden ones, those of any schedule, and the origin of their figures. One binary, because a link costs
+//! more than the tests.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 

@@ -1,4 +1,4 @@
-//! The Sun of a plan beside the almanac's.
+//! The Sun of a forecast compared with the almanac's.
 
 use schedule::plan::sky::Sky;
 use sky::next_sun_crossing;

@@ -1,4 +1,4 @@
-//! `autofocus`: finds the focus with a run of frames near the zenith, and keeps it.
+//! `autofocus`: finds the focus with a run of frames near the zenith, and stores it.
 
 use sky::Horizontal;
 use units::Angle;
@@ -16,7 +16,7 @@ impl Foresee for Autofocus {
         course.begin(Some(Some(&place)), self.filter.as_deref())?;
         course.reads(&self.readout);
         let ((coarse, fine), (first, closer)) = (self.search.positions(), self.search.frames());
-        // At the end it is looked once more where the focus was found.
+        // At the end one more frame is taken at the focus that was found.
         let positions = std::iter::repeat_n(first, coarse).chain(std::iter::repeat_n(closer, fine.saturating_add(1)));
         for count in positions {
             if !fits(course.now, self.exptime * f64::from(count), course.row.end) {

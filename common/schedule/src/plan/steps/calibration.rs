@@ -1,4 +1,4 @@
-//! `calibration`: bias and dark frames, whatever the sky does.
+//! `calibration`: bias and dark frames, at any state of the sky.
 
 use super::Foresee;
 use crate::action::Calibration;

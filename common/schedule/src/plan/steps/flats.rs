@@ -1,7 +1,8 @@
-//! Flats on paper: the same choices as live, of a sky whose brightness follows the Sun as the first guess has it.
+//! Flats in a forecast: the same choices as in the observatory node, of a sky whose brightness follows the Sun as the
+//! first guess has it.
 //!
-//! How bright a sky is in a filter nobody knows beforehand: each filter is taken to need the geometric mean of the camera's
-//! shortest and longest exposure when the Sun stands in the middle of the window.
+//! The brightness of the sky in a filter is not known beforehand: each filter is assumed to need the geometric mean of
+//! the camera's shortest and longest exposure when the Sun stands in the middle of the window.
 
 use contract::Name;
 use units::Utc;
@@ -20,7 +21,7 @@ use crate::shot::fits;
 const MOST_STEPS: u32 = 10_000;
 /// A cover closes or opens in so long, s.
 const COVER_S: f64 = 10.0;
-/// The Sun of a plan may be so long beside that of the almanac, s.
+/// The difference between the Sun of a forecast and that of the almanac, at most, s.
 const SUN_AHEAD_S: f64 = 4.0;
 
 impl Foresee for Flats {
@@ -33,7 +34,7 @@ impl Foresee for Flats {
     }
 }
 
-/// A sky on paper.
+/// A simulated sky.
 struct Dusk {
     window: Window,
     want: Want,
@@ -49,7 +50,7 @@ impl Dusk {
         Ok((rate, slope_per_s((later_deg - sun_deg) / AHEAD_S)))
     }
 
-    /// What a frame that begins now would show.
+    /// The level of a frame that begins now.
     fn seen(&self, course: &mut Course<'_>, exposure_s: f64, is_part: bool) -> Result<Seen, Halt> {
         let (rate, slope) = self.rate(course, course.now)?;
         let adu = self.want.bias_adu + signal_adu(exposure_s, rate, slope);
@@ -94,7 +95,7 @@ fn of_sky(course: &mut Course<'_>, mut filters: Vec<Filter>, order: Order, moves
     Ok(())
 }
 
-/// The frames; returns why they end before all are taken.
+/// Takes the frames; returns why they end before all are taken.
 fn take(
     course: &mut Course<'_>,
     dusk: &Dusk,
@@ -165,7 +166,7 @@ fn take(
     Ok(Some("the plan follows no more steps".to_owned()))
 }
 
-/// What a step needs of the row's window, s.
+/// The time that a step needs within the row's window, s.
 fn length_s(what: &Next) -> f64 {
     match what {
         Next::Wait(_, span_s) | Next::Take(_, span_s) => *span_s,
@@ -173,7 +174,7 @@ fn length_s(what: &Next) -> f64 {
     }
 }
 
-/// Waits until the Sun stands right; false where it does not while the row may run, or did before.
+/// Waits until the Sun is in the window; false where it is not while the row may run, or was before.
 fn wait_for(course: &mut Course<'_>, window: &Window, has_begun: bool) -> Result<bool, Halt> {
     loop {
         if window.has(&course.observer(course.now)?.sun()) {
@@ -220,7 +221,7 @@ fn of_panel(course: &mut Course<'_>, mut filters: Vec<Filter>) -> Result<(), Hal
     course.pass(COVER_S)
 }
 
-/// Frames of before an interruption go to the filters in the order of the list; returns how many there were.
+/// Assigns the frames from before an interruption to the filters in the order of the list; returns how many there were.
 fn allot(filters: &mut [Filter], taken: u32) -> u32 {
     let mut left = taken;
     for filter in filters {

@@ -1,4 +1,4 @@
-//! What each action will do in a forecast, with what that takes: step by step as the observatory node executes it.
+//! The steps of each action in a forecast, with the time of each, as the observatory node executes them.
 
 mod autofocus;
 mod calibrate_guiding;

@@ -1,4 +1,4 @@
-//! `pointing_model`: learns over the whole sky how the telescope misses where it is sent.
+//! `pointing_model`: learns the pointing errors of the telescope over the whole sky.
 
 use super::Foresee;
 use crate::action::{ActionType as _, PointingModel};
@@ -23,7 +23,7 @@ impl Foresee for PointingModel {
             let observer = course.observer(course.now)?;
             let Some(target) = pointing_grid::target(course.taken, self.n, &limits, &observer) else { break };
             if is_measured && course.taken > 0 {
-                // What was measured between two frames has the slew in it.
+                // The measured time between two frames includes the slew.
                 course.reaches(&target)?;
             } else {
                 course.slew(Some(&target))?;
