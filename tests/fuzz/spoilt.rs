@@ -5,18 +5,18 @@
 use proptest::prelude::*;
 use proptest::test_runner::Config;
 
-/// How many inputs each reader gets; `few` where nobody asks for more.
+/// How many inputs each reader gets; `few` where the environment asks for no more.
 pub fn config(few: u32) -> Config {
     let asked = std::env::var("STARMESH_FUZZ_CASES").ok();
     let cases = asked.map_or(few, |asked| asked.parse().expect("STARMESH_FUZZ_CASES is a number"));
     Config { cases, failure_persistence: None, max_shrink_iters: 2000, ..Config::default() }
 }
 
-/// One thing that is done to a text: which, where, and with what.
+/// One change of a text: which, where, and with what.
 type Wound = (u8, u16, u16);
 
-/// Texts with up to eight wounds, and now and then plain bytes. `words` are put in where they hurt: signs and keys of the
-/// format. What is no UTF-8 is replaced, as no reader is given it.
+/// Texts with up to eight wounds, and now and then plain bytes. `words` are inserted at places of the text: signs and
+/// keys of the format. What is no UTF-8 is replaced, as no reader is given it.
 pub fn spoilt(good: &'static [&'static str], words: &'static [&'static str]) -> impl Strategy<Value = String> {
     let wounds = prop::collection::vec(any::<Wound>(), 0..8);
     let wounded = (0..good.len(), wounds).prop_map(move |(which, wounds)| wounded(good, words, which, &wounds));
@@ -35,7 +35,7 @@ fn wounded(good: &[&str], words: &[&str], which: usize, wounds: &[Wound]) -> Vec
             2 if inside => drop(text.remove(at)),
             3 => drop(text.splice(at..at, words[with % words.len()].bytes())),
             4 => text.truncate(at),
-            // The end of another one sewn on.
+            // The end of another one appended.
             5 => {
                 let other = good[with % good.len()].as_bytes();
                 text.truncate(at);

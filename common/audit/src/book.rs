@@ -172,7 +172,6 @@ impl Book {
 
     /// Opens the file unless it is open, repairs it, and returns the records of the repair for the chain: a word and a
     /// sentence each. Blocks.
-    /// a sentence each. Blocks.
     pub fn open(&mut self) -> io::Result<Vec<(&'static str, String)>> {
         let lock = File::create(self.folder_made()?.join(format!("{}.lock", self.name)))?;
         match lock.try_lock() {

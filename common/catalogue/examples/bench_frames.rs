@@ -1,8 +1,8 @@
 //! The image side on frames in files: `cargo run --release -p catalogue --example bench_frames -- CATALOGUE RA_DEG DEC_DEG
 //! SCALE_ARCSEC_PX RUNS FILE [MOVED]`. `tests/bench/image_side.py` draws the frames and calls it.
 //!
-//! Prints one line per work: its name, the best and the median time and the processor time over all cores, ms, and
-//! what came out. MOVED is the same field a little later; without it only the memory that one file takes is told.
+//! Prints one line per work: its name, the best and the median time and the processor time over all cores, ms, and the
+//! result. MOVED is the same field a little later; without it the program prints only the memory that one file takes.
 
 use std::path::Path;
 use std::time::Instant;
@@ -16,7 +16,7 @@ use imaging::solve::{Detected, Learnt, solve};
 use imaging::{Camera, Clean, Frame, Hint, Measured, Pixels, Search, Solution, measure};
 use units::Angle;
 
-/// When the frames are drawn for, Julian year: no proper motion to speak of.
+/// The epoch for which the frames are drawn, Julian year: no proper motion to speak of.
 const EPOCH_YEAR: f64 = 2016.0;
 /// Stars whose diameters are measured.
 const SIZED: usize = 100;
@@ -48,7 +48,7 @@ impl Bench {
         let (shot, later) = (frame(&image)?, frame(&later)?);
         let measured = measure(&shot, &self.camera, &Search::default())?;
         let fwhm_px = measured.quality.fwhm_px.context("no star tells the width of this frame")?.value;
-        // As in a night: the last frame told the width.
+        // As in a night: the last frame gave the width.
         let search = Search { fwhm_px: Some(fwhm_px as f32), ..Search::default() };
 
         let stars = self.time("clean_detect", || Ok(measure(&shot, &self.camera, &search)?.stars.len()))?;
@@ -121,7 +121,7 @@ impl Bench {
         Ok(found?)
     }
 
-    /// Prints the times of some runs, without ending the line; answers what the last one did. The first run, which
+    /// Prints the times of some runs, without ending the line; returns the result of the last one. The first run, which
     /// fills caches, does not count.
     fn time<T>(&self, name: &str, mut work: impl FnMut() -> anyhow::Result<T>) -> anyhow::Result<T> {
         let mut answer = work().with_context(|| name.to_owned())?;

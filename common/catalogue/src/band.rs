@@ -34,7 +34,7 @@ impl Band {
         })
     }
 
-    /// What columns of this magnitude are called: by the Gaia archive, the Gaia-2MASS files, VizieR and 2MASS.
+    /// The names of columns of this magnitude: by the Gaia archive, the Gaia-2MASS files, VizieR and 2MASS.
     pub fn names(self) -> &'static [&'static str] {
         match self {
             Self::G => &["phot_g_mean_mag", "gmag", "g_mag"],

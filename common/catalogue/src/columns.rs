@@ -1,4 +1,4 @@
-//! Which column of a table is what.
+//! Finds the columns of a table by their names.
 
 use std::path::Path;
 
@@ -24,13 +24,13 @@ pub struct Columns {
     pub pm_ra: Option<usize>,
     /// Proper motion in declination, mas/yr.
     pub pm_dec: Option<usize>,
-    /// Magnitude, and those that stand in where a star has none of it.
+    /// Magnitude, and the others that replace it where a star has none of it.
     pub mags: Vec<usize>,
     /// Epoch of the position, Julian year.
     pub epoch: Option<usize>,
-    /// Whether its proper motion is known, where such a column tells.
+    /// Whether its proper motion is known, where there is such a column.
     pub pm_known: Option<usize>,
-    /// Whether the star is Gaia's (epoch 2016.0) or not (2000.0), where no column tells the epoch.
+    /// Whether the star is Gaia's (epoch 2016.0) or not (2000.0), where no column contains the epoch.
     pub gaia: Option<usize>,
 }
 
@@ -83,10 +83,10 @@ impl Columns {
     }
 }
 
-/// The row of a table whose cells are answered by `cell`.
+/// The row of a table; `cell` returns its cells.
 pub(crate) fn row(columns: &Columns, reading: &Reading, cell: impl Fn(usize) -> Option<f64>) -> Row {
     let told = columns.epoch.and_then(&cell);
-    // The table that Starmesh's own catalogue is made of: Gaia's stars at 2016.0, Tycho's at 2000.0.
+    // The table from which Starmesh's own catalogue is made: Gaia's stars at 2016.0, Tycho's at 2000.0.
     let by_source = columns.gaia.and_then(&cell).map(|gaia| if gaia > 0.0 { EPOCH_YEAR } else { 2000.0 });
     let moves = columns.pm_known.and_then(&cell).is_none_or(|known| known > 0.0);
     let motion = |column: Option<usize>| column.filter(|_| moves).and_then(&cell);

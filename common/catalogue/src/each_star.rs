@@ -1,4 +1,4 @@
-//! Stars out of any kind of file, one after the other, all at one epoch.
+//! Reads stars from any kind of file, one after the other, all at one epoch.
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ use crate::{csv_table, fits_table};
 /// Calls `take` for each star of a file, at [`crate::EPOCH_YEAR`], and counts them. Memory does not grow with the file.
 ///
 /// # Errors
-/// [`CatalogueError`] when the file cannot be read as a catalogue, and what `take` answers.
+/// [`CatalogueError`] when the file cannot be read as a catalogue, and any error of `take`.
 pub fn each_star(
     file: &Path,
     reading: &Reading,

@@ -1,4 +1,4 @@
-//! What can be wrong with a catalogue file, and what to do then.
+//! The faults of a catalogue file, and what to do then.
 
 use std::path::PathBuf;
 
@@ -10,7 +10,7 @@ pub enum CatalogueError {
     File {
         /// Which file.
         file: PathBuf,
-        /// What the system says.
+        /// The error of the system.
         source: std::io::Error,
     },
     /// Our own format, damaged.
@@ -18,7 +18,7 @@ pub enum CatalogueError {
     Packed {
         /// Which file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         source: imaging::catalogue::CatalogueError,
     },
     /// SQLite does not read it.
@@ -26,7 +26,7 @@ pub enum CatalogueError {
     Sqlite {
         /// Which file.
         file: PathBuf,
-        /// What SQLite says.
+        /// The error of SQLite.
         source: rusqlite::Error,
     },
     /// FITS that cannot be read; it names the file itself.
@@ -40,12 +40,12 @@ pub enum CatalogueError {
         /// Where and what.
         source: csv::Error,
     },
-    /// Something else than a catalogue, or not the columns that are needed.
+    /// Another kind of file than a catalogue, or columns are missing.
     #[error("{} {problem}", file.display())]
     Content {
         /// Which file.
         file: PathBuf,
-        /// What was found, what was expected, what to do; reads on from the file's name.
+        /// The finding, what was expected, and what to do; the text continues after the file's name.
         problem: String,
     },
 }

@@ -1,8 +1,8 @@
 //! The Gaia-2MASS SQLite files that sites have (`gaia_tmass_<J>_jm_cut.db`, Zenodo 18214672): 180 tables, `-90_-89` to
-//! `89_90`, one for each degree of declination, without an index; what is not known is empty text.
+//! `89_90`, one for each degree of declination, without an index; an unknown value is empty text.
 //!
 //! Those files hold `ra, dec, pmra, pmdec, phot_g_mean_mag, j_m` of Gaia DR2, so their positions are of 2015.5; files
-//! that hold BP and RP too were made from Gaia DR3, of 2016.0. `Reading::epoch_year` overrules either.
+//! that hold BP and RP too were made from Gaia DR3, of 2016.0. `Reading::epoch_year` replaces either.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -98,7 +98,7 @@ impl GaiaTmass {
     /// Calls `take` for each star, at [`EPOCH_YEAR`].
     ///
     /// # Errors
-    /// [`CatalogueError`] when SQLite fails, and what `take` answers.
+    /// [`CatalogueError`] when SQLite fails, and any error of `take`.
     pub fn each_star(
         &self,
         take: &mut dyn FnMut(Entry) -> Result<(), CatalogueError>,
@@ -130,7 +130,7 @@ impl GaiaTmass {
     }
 
     fn read(&self, connection: &Connection, circle: &Circle) -> Result<Vec<Entry>, CatalogueError> {
-        // The file tells places of its own epoch.
+        // The positions in the file are of its own epoch.
         let moved = FASTEST_ARCSEC_PER_YEAR * (self.epoch_year - EPOCH_YEAR).abs() / 3600.0;
         let (ra, dec) = (circle.ra.wrapped_positive().degrees(), circle.dec.degrees());
         let radius = circle.radius.degrees() + moved;

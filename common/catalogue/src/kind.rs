@@ -1,4 +1,4 @@
-//! What a catalogue file is, told by its first bytes and never by its name.
+//! The kind of a catalogue file, recognized by its first bytes and never by its name.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};

@@ -1,4 +1,5 @@
-//! Star catalogues in files: opened by what is in them, asked for cones, and made into our own format.
+//! Star catalogues in files: opens them by their content, returns the stars of a cone, and converts them to our own
+//! format.
 //!
 //! ```no_run
 //! use catalogue::{Catalogue, Reading};
@@ -12,7 +13,7 @@
 //!
 //! - [`Catalogue`] is a file that answers cones: our format (memory-mapped, `imaging::catalogue`), a Gaia-2MASS SQLite
 //!   file ([`gaia_tmass`]), or a table in memory.
-//! - [`each_star`] reads any of the sources star by star; [`columns`] tells which column of a table is what.
+//! - [`each_star`] reads any of the sources star by star; [`columns`] finds the columns of a table.
 //! - [`Sorter`] makes our format of any number of stars, with bounded memory.
 //!
 //! Positions are ICRS, degrees; proper motions mas/yr, that in right ascension with cos(dec); epochs Julian years. A

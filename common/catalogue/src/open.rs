@@ -21,7 +21,7 @@ const FASTEST_ARCSEC_PER_YEAR: f64 = 10.5;
 /// An open catalogue.
 #[derive(Debug)]
 pub enum Catalogue {
-    /// Our own format, where it lies on the disk: nothing is read but what is asked for.
+    /// Our own format, mapped from the disk: only the cells that a cone needs are read.
     Mapped(packed::Catalogue<Mmap>),
     /// The one that is part of the program.
     Embedded(packed::Catalogue<&'static [u8]>),
@@ -32,7 +32,7 @@ pub enum Catalogue {
 }
 
 impl Catalogue {
-    /// Opens a file by what is in it. The stars of our own format have the magnitudes and the epoch that it was built
+    /// Opens a file by its content. The stars of our own format have the magnitudes and the epoch that it was built
     /// with; `reading` is for all others.
     ///
     /// # Errors
@@ -67,7 +67,7 @@ impl Catalogue {
         }
     }
 
-    /// Number of stars; `None` where nobody has counted them.
+    /// Number of stars; `None` where they are not counted.
     pub fn stars(&self) -> Option<usize> {
         match self {
             Self::Mapped(catalogue) => Some(catalogue.len()),
@@ -97,7 +97,7 @@ impl Catalogue {
             Self::GaiaTmass(file) => file,
         };
         let years = epoch_year - EPOCH_YEAR;
-        // A star from outside may have come in since.
+        // A star from outside the circle may have moved into it since.
         let reach = radius + Angle::from_arcseconds(FASTEST_ARCSEC_PER_YEAR * years.abs());
         let near = file.circle(ra, dec, reach)?.into_iter().filter(|entry| entry.mag <= faintest_mag);
         let now = near.map(|entry| entry.after(years));
@@ -113,7 +113,8 @@ impl Catalogue {
     }
 }
 
-/// A catalogue at one epoch. The solver's question has no room for a failing disk, so the first trouble is kept.
+/// A catalogue at one epoch. The solver's interface has no errors for a failing disk, so the first error is stored
+/// here.
 #[derive(Debug)]
 pub struct At<'a> {
     catalogue: &'a Catalogue,
@@ -122,8 +123,8 @@ pub struct At<'a> {
 }
 
 impl At<'_> {
-    /// What went wrong while stars were asked for. To be asked after each solve: an answer that was given without
-    /// stars says nothing about the sky.
+    /// The errors of the requests for stars. It has to be called after each solve: an answer without stars means
+    /// nothing for the sky.
     ///
     /// # Errors
     /// The first [`CatalogueError`] since it was last asked.

@@ -1,4 +1,4 @@
-//! How a file is read, and what it says of one star.
+//! How a file is read, and the values that it has for one star.
 
 use imaging::catalogue::Entry;
 use units::Angle;
@@ -13,11 +13,11 @@ pub const EPOCH_YEAR: f64 = 2016.0;
 pub struct Reading {
     /// The magnitude; none: the column `mag`, else Gaia G.
     pub band: Option<Band>,
-    /// Epoch of positions whose epoch the file does not tell, Julian year; none: as each kind of file has it.
+    /// Epoch of positions whose epoch the file does not contain, Julian year; none: the usual one of each kind of file.
     pub epoch_year: Option<f64>,
 }
 
-/// What a file says of one star.
+/// The values that a file has for one star.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Row {
     /// ICRS right ascension, degrees.
@@ -48,7 +48,7 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// Adds what another file gave.
+    /// Adds the counts of another file.
     pub fn add(&mut self, other: Self) {
         self.stars += other.stars;
         self.unmoving += other.unmoving;
@@ -56,7 +56,7 @@ impl Tally {
         self.without_mag += other.without_mag;
     }
 
-    /// The star of a row at [`EPOCH_YEAR`], counted; `epoch_year` is that of rows that do not tell theirs.
+    /// The star of a row at [`EPOCH_YEAR`], counted; `epoch_year` is for rows without an epoch.
     pub(crate) fn entry(&mut self, row: &Row, epoch_year: f64) -> Option<Entry> {
         let ra = row.ra_deg.filter(|ra| ra.is_finite() && ra.abs() <= 720.0);
         let dec = row.dec_deg.filter(|dec| dec.abs() <= 90.0);
@@ -79,5 +79,5 @@ impl Tally {
     }
 }
 
-/// No star moves faster than Barnard's, 10.4" a year; greater numbers stand for "unknown" somewhere.
+/// No star moves faster than Barnard's, 10.4" a year; in some files greater numbers mean "unknown".
 const FASTEST_MAS: f64 = 11_000.0;

@@ -19,7 +19,7 @@ pub fn shipped() -> &'static packed::Catalogue<&'static [u8]> {
 }
 
 impl Catalogue {
-    /// The one that Starmesh ships.
+    /// The catalogue that Starmesh ships.
     pub fn of_program() -> Self {
         Self::Embedded(shipped().clone())
     }

@@ -1,5 +1,5 @@
-//! Our own format of any number of stars: they are sorted by place on disk, and no more than a 192nd of the sky is in
-//! memory at a time.
+//! Writes our own format from any number of stars: they are sorted by place on disk, and no more than a 192nd of the
+//! sky is in memory at a time.
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
@@ -15,7 +15,7 @@ use crate::reading::EPOCH_YEAR;
 
 /// HEALPix order of the pieces that are sorted one after the other: 192 of them.
 const PIECES: u8 = 2;
-/// HEALPix order that tells how much of the sky is covered: fields of 0.9 deg.
+/// HEALPix order of the cells that show how much of the sky is covered: fields of 0.9 deg.
 const COVERED: u8 = 6;
 /// Bytes of a star on disk while they are sorted: five numbers.
 const STAR: usize = 40;
@@ -24,7 +24,7 @@ const STAR: usize = 40;
 #[derive(Debug)]
 pub struct Sorter {
     out: PathBuf,
-    /// Beside the file that is made: there is room for it, and a file can be renamed into its place.
+    /// In the same folder as the new file: there is room for it, and a file can be renamed into its place.
     folder: TempDir,
     pieces: Vec<Option<BufWriter<File>>>,
     covered: Vec<bool>,

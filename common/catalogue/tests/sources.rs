@@ -140,7 +140,7 @@ fn fits(folder: &Path) -> PathBuf {
         bytes.extend((g as f32).to_be_bytes());
         bytes.extend((year as i16).to_be_bytes());
     }
-    // 3 + 8 + 8 + 4 + 8 + 4 + 2 bytes, and 4 that no column tells of.
+    // 3 + 8 + 8 + 4 + 8 + 4 + 2 bytes, and 4 that no column describes.
     let first = bytes.len() - 37 * STARS.len();
     let mut wide = bytes[..first].to_vec();
     bytes[first..].chunks(37).for_each(|row| wide.extend([row, &[0; 4]].concat()));
@@ -161,7 +161,7 @@ fn built(folder: &Path, source: &Path, reading: &Reading) -> (Catalogue, Tally) 
     (Catalogue::open(&out, &Reading::default()).unwrap(), tally)
 }
 
-/// Each star alone in a circle around where it must be, at several epochs.
+/// Checks each star alone in a circle around its expected place, at several epochs.
 fn judge(catalogue: &Catalogue, source_epoch: f64, tolerance_arcsec: f64) {
     for star in STARS {
         for year in [2000.0, 2016.0, 2026.89, 2050.0] {
@@ -192,7 +192,7 @@ fn each_star_of_each_source_stands_in_its_place_at_any_epoch_and_none_is_lost() 
         assert_eq!((tally.stars, tally.unmoving, tally.unplaced, tally.without_mag), (8, 2, 0, 0));
         assert_eq!(catalogue.stars(), Some(8));
         judge(&catalogue, epoch, 0.06);
-        // And without being built first.
+        // Also without being built first.
         let direct = Catalogue::open(&source, &Reading::default()).unwrap();
         judge(&direct, epoch, 0.06);
     }

@@ -1,8 +1,8 @@
 //! Fetches a frame's pixels from the spool of its device node, and proves that they are those announced.
 //!
-//! The archive stores them, the observatory measures them; each fetches for itself, and neither waits for the other. One
-//! buffer is taken, as large as announced; it grows no further, whatever the spool sends. A spool that sends a few bytes now
-//! and then ends at the frame's total time ([`longest`]).
+//! The archive stores them, the observatory measures them; each node fetches them by itself, and neither waits for the
+//! other. One buffer is taken, as large as announced; it grows no further, whatever the spool sends. A spool that sends
+//! a few bytes now and then ends at the frame's total time ([`longest`]).
 //!
 //! # Invariants
 //!
@@ -21,7 +21,7 @@ use sha2::{Digest, Sha256};
 const LARGEST: u64 = 2 << 30;
 /// A connection that brings nothing for so long is taken up again.
 const STALL: Duration = Duration::from_secs(10);
-/// So many interruptions without a single new byte, and the attempt is over.
+/// After so many interruptions without a single new byte the attempt ends.
 const PATIENCE: u32 = 5;
 /// The total time of a frame: this, and what its bytes need over the slowest link that is still of use.
 const LEAST_TOTAL: Duration = Duration::from_secs(60);
@@ -31,7 +31,7 @@ const SLOWEST_LINK: u64 = 250_000;
 /// The pixels could not be had, or are not those announced.
 #[derive(Debug, thiserror::Error)]
 pub enum FetchError {
-    /// What was announced contradicts itself.
+    /// The announcement contradicts itself.
     #[error("frame {id} is announced as {width} x {height} x {planes} pixels in {bytes} bytes, which cannot be")]
     Announcement {
         /// Which frame.
@@ -70,7 +70,7 @@ pub enum FetchError {
         got: usize,
         /// Bytes that were announced.
         bytes: u64,
-        /// What happened last.
+        /// The last error.
         cause: String,
     },
     /// The frame's total time has run out.
@@ -90,9 +90,9 @@ pub enum FetchError {
     Hash {
         /// Which frame.
         id: String,
-        /// Of what came.
+        /// The hash of the received pixels.
         got: String,
-        /// Of what should have come.
+        /// The hash in the announcement.
         announced: String,
     },
 }
@@ -249,7 +249,7 @@ mod tests {
         }
     }
 
-    /// A spool that answers the nth request with what `answer` makes of it.
+    /// A spool that answers the nth request with the result of `answer`.
     async fn spool<F>(answer: F) -> (String, Arc<AtomicUsize>)
     where
         F: Fn(usize, Option<String>) -> (StatusCode, HeaderMap, Vec<u8>) + Clone + Send + Sync + 'static,

@@ -62,7 +62,6 @@ impl Header {
     }
 
     /// Adds the keywords of the file's first header that are not here, except those about its own data.
-    /// data.
     pub(crate) fn inherit(&mut self, primary: &Self) {
         const OWN: [&str; 6] = ["BSCALE", "BZERO", "BLANK", "DATASUM", "CHECKSUM", "EXTNAME"];
         let told = |keyword: &str| OWN.contains(&keyword) || self.value(keyword).is_some();

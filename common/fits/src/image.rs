@@ -199,7 +199,7 @@ fn check_sum(hdu: &Hdu, bytes: &[u8]) -> Result<(), Fault> {
     let stands = hdu.header.text("DATASUM").ok().and_then(|text| text.trim().parse::<u32>().ok());
     let Some(expected) = stands else { return Ok(()) };
     let data = bytes.get(hdu.data.start..hdu.next().min(bytes.len())).unwrap_or_default();
-    // Ones' complement: the overflow of 32 bits is added at the low end; zeros fill a short last word.
+    // Ones' complement: the overflow of 32 bits is added at the low end; zeros fill up the last four bytes.
     let sum: u64 = data.chunks(4).fold(0, |sum, word| {
         let sum = sum + word.iter().zip([24, 16, 8, 0]).map(|(byte, shift)| u64::from(*byte) << shift).sum::<u64>();
         (sum & 0xffff_ffff) + (sum >> 32)

@@ -127,7 +127,7 @@ impl Source {
     /// Reads what follows the `announced` bytes, without keeping it, and so proves the sums of the packing.
     ///
     /// # Errors
-    /// [`Fault::Packed`] when the packing is damaged, [`Fault::TooLarge`] when it goes on and on without announcing it.
+    /// [`Fault::Packed`] when the packing is damaged, [`Fault::TooLarge`] when there is far more than was announced.
     pub(crate) fn finish(&mut self, announced: u64) -> Result<(), Fault> {
         let Some(mut rest) = self.rest.take().filter(|rest| rest.packing != Packing::Plain) else { return Ok(()) };
         let passed = std::io::copy(&mut (&mut rest.from).take(MOST_BEHIND + 1), &mut std::io::sink());

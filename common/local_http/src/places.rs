@@ -1,10 +1,10 @@
-//! A limited number of places, fairly given to addresses.
+//! A limited number of places, fairly distributed among addresses.
 
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv6Addr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// How many there are, and for whom.
+/// The number of places, and for which peers.
 #[derive(Debug, Clone, Copy)]
 pub struct Room {
     /// Places in all.
@@ -37,7 +37,7 @@ pub struct Place {
 }
 
 impl Places {
-    /// All are free.
+    /// Places that are all free.
     pub fn new(room: Room) -> Arc<Self> {
         Arc::new(Self { room, taken: Mutex::default() })
     }
@@ -59,7 +59,7 @@ impl Places {
         Some(Place { places: self.clone(), address })
     }
 
-    /// How many are taken.
+    /// The number of places that are taken.
     pub fn taken(&self) -> usize {
         self.lock().total
     }
@@ -83,7 +83,7 @@ impl Drop for Place {
     }
 }
 
-/// Until operators sign in, those on this host are the ones who are trusted.
+/// Until operators sign in, the clients on this host are trusted.
 fn is_trusted(address: IpAddr) -> bool {
     address.is_loopback()
 }

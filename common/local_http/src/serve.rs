@@ -15,23 +15,23 @@ use crate::places::{Place, Places, Room};
 
 /// Room for the header of one request; longer ones are refused.
 const HEADER_BYTES: usize = 16 << 10;
-/// What is under way at the end of a connection's time, or of the server's, may take so long.
+/// An answer that is under way at the end of a connection's time, or of the server's, may take so long.
 const LAST_ANSWER: Duration = Duration::from_secs(2);
-/// After an error of the system, such as too many open files.
+/// The pause after an error of the system, such as too many open files.
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// What one server gives to its clients.
+/// The limits of one server for its clients.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
     /// Connections.
     pub room: Room,
-    /// For the header of a request, and for a connection that asks nothing.
+    /// The time for the header of a request, and for a connection that asks nothing.
     pub header: Duration,
-    /// For a connection with all its answers; a socket that was upgraded is not counted.
+    /// The time for a connection with all its answers; a socket that was upgraded is not counted.
     pub total: Duration,
 }
 
-/// Who asks; an extension of each request.
+/// The address of the client; an extension of each request.
 #[derive(Debug, Clone, Copy)]
 pub struct Peer(pub IpAddr);
 
@@ -56,7 +56,7 @@ pub async fn serve(listener: TcpListener, router: Router, limits: Limits, stop: 
                 }
                 None => {
                     refused += 1;
-                    // A flood may refuse thousands a second.
+                    // A flood may cause thousands of refusals a second.
                     if refused.is_power_of_two() {
                         let (peer, room) = (peer.ip(), limits.room.total);
                         tracing::warn!(%peer, refused, room, "a connection was refused: no place is free for its address");

@@ -238,7 +238,6 @@ impl Mailbox {
 
 /// Two nodes that notice the same thing publish it some seconds apart, and a node that receives both stores the first
 /// one. An alert that was raised after people were informed is news.
-/// raised after people were told is news.
 fn is_of_one_time(alert: &Alert, told: &Told) -> bool {
     let apart_s = alert.raised_utc.seconds_since(told.raised_utc).abs();
     apart_s <= NOTICED_WITHIN_S && (apart_s == 0.0 || alert.raised_utc <= told.told_utc)

@@ -15,7 +15,7 @@ use crate::sending::keep_sending;
 /// Alerts are published every 10 s; a node that is silent for longer than this no longer sends.
 const SILENCE: Duration = Duration::from_secs(60);
 
-/// The observatory node that returns must hear that it was missed, so that it tells people the end of it.
+/// The observatory node that returns must receive the alert that it was missed, so that it can report the end to people.
 const HOLD: Duration = Duration::from_secs(30);
 /// A node publishes its state every 5 s.
 const LOST: Duration = Duration::from_secs(15);
@@ -126,7 +126,6 @@ async fn keep_watching(node: &Node, patience: Duration, shown: &watch::Sender<Op
 
 /// The alerts that the silent node would publish: those of the other nodes now, and its own last ones, which nobody has
 /// cleared; acknowledgements and shelving hold too.
-/// people did about it holds too.
 fn in_its_place(standing: Alerts, last: Alerts, now: Utc) -> Alerts {
     let stands: BTreeSet<String> = standing.alerts.iter().map(|alert| alert.id.clone()).collect();
     let mut all = merge([standing, last.clone()].into_iter());

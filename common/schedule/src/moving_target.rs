@@ -131,10 +131,10 @@ impl<'a> Asked<'a> {
     }
 }
 
-/// Until when a body stands above the horizon limits within a span, from its begin on, under the sky that `observer` gives.
+/// The time until which a body is above the horizon limits within a span, from its begin on; `observer` gives the sky.
 ///
 /// # Errors
-/// What `impossible` makes of the words, where it does not at the begin, or its path is not known.
+/// The result of `impossible` for the reason, where the body is hidden at the begin, or its path is not known.
 pub fn up_until<E>(
     body: &Body,
     (from, to): (Utc, Utc),

@@ -102,7 +102,6 @@ fn schedule(drawn: &[Drawn], of: &[bool]) -> Arc<Vec<Row>> {
 
 /// The night as the observatory node works through it: rows that may not run end at once, then rows are started until
 /// none may.
-/// until none may.
 struct Night {
     sequence: Sequence,
     now: Utc,

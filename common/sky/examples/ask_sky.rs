@@ -1,5 +1,5 @@
-//! Answers questions about the sky: one JSON object per line in, one per line out, for programs that check this crate against
-//! others (`tests/python/test_sky.py`).
+//! Answers questions about the sky: one JSON object per line in, one per line out, for programs that compare this crate
+//! with others (`tests/python/test_sky.py`).
 //!
 //! ```text
 //! {"utc": "2026-11-21T03:00:00Z", "latitude_deg": -24.6, "longitude_east_deg": -70.4, "elevation_m": 2518.0,

@@ -1,4 +1,4 @@
-//! How much air a star is seen through.
+//! The mass of air through which a star is seen.
 
 use units::Angle;
 

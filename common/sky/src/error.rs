@@ -1,4 +1,4 @@
-//! What the sky cannot be computed for.
+//! The reasons why the sky cannot be computed.
 
 use units::Utc;
 
@@ -58,13 +58,13 @@ pub enum SkyError {
     /// Orbital elements that describe no orbit.
     #[error("orbital elements: {0}")]
     Elements(String),
-    /// Two-line elements that cannot be read, or that say nothing of the time asked for.
+    /// Two-line elements that cannot be read, or that do not hold at the requested time.
     #[error("two-line elements: {0}")]
     TwoLines(String),
     /// A body that no telescope is pointed at.
     #[error("{name}: no telescope is pointed at it")]
     NoTarget {
-        /// Which.
+        /// Its name.
         name: String,
     },
     /// No such day in the calendar.

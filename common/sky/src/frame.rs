@@ -74,7 +74,7 @@ impl Horizontal {
 
     /// Angle to another direction, [0, 180] deg.
     pub fn separation(&self, other: &Self) -> Angle {
-        // Azimuth runs against right ascension, which no distance minds.
+        // Azimuth runs against right ascension, which changes no distance.
         Angle::from_radians(sofars::vm::seps(
             self.azimuth.radians(),
             self.altitude.radians(),

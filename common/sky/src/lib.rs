@@ -1,7 +1,8 @@
-//! The sky over a site: where a catalogue place stands now, when the Sun sets, what time a star was seen.
+//! The sky over a site: the direction of a catalogue place now, the times of sunset and twilight, the light times of
+//! stars.
 //!
-//! Coordinates carry their frame in the type: [`Icrs`] is what catalogues, schedules and the bus speak, [`OfDate`] what
-//! most mounts speak ("JNow"), [`Horizontal`] what a dome slit and a horizon limit speak. An [`Observer`] is one
+//! Coordinates carry their frame in the type: [`Icrs`] is the frame of catalogues, schedules and the bus, [`OfDate`]
+//! that of most mounts ("JNow"), [`Horizontal`] that of a dome slit and a horizon limit. An [`Observer`] is one
 //! [`Place`] at one instant; it is built once (some 70 us) and then turns coordinates between the frames cheaply.
 //!
 //! ```

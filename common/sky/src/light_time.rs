@@ -1,4 +1,4 @@
-//! When a star's light would have passed the centre of the Sun or of the solar system.
+//! The time at which a star's light would have passed the centre of the Sun or of the solar system.
 
 use sofars::consts::AULT;
 use sofars::ts;

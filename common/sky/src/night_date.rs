@@ -1,4 +1,4 @@
-//! The date a night is filed under: from noon to noon of local mean time.
+//! The date of a night, for its files: from noon to noon of local mean time.
 
 use std::fmt;
 use std::str::FromStr;

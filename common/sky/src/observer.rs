@@ -7,7 +7,7 @@ use units::{Angle, Utc};
 use crate::time_scale::Scales;
 use crate::{EarthOrientation, Horizontal, Icrs, OfDate, Place, SkyError};
 
-/// A place at an instant, with all that does not depend on the star worked out.
+/// A place at an instant, with all values that do not depend on the star.
 ///
 /// Building one costs some 70 us (nutation and the Earth's orbit), a conversion less than 1 us.
 #[derive(Debug, Clone)]
@@ -26,7 +26,7 @@ pub struct Observer {
 }
 
 impl Observer {
-    /// Works out the sky of `place` at `at`; refused outside 1972 to 2099 and when the Earth's orientation is no number.
+    /// Computes the sky of `place` at `at`; refused outside 1972 to 2099 and when the Earth's orientation is no number.
     pub fn new(place: &Place, orientation: &EarthOrientation, at: Utc) -> Result<Self, SkyError> {
         let orientation = orientation.checked()?;
         let scales = Scales::new(at, orientation.dut1_s)?;
@@ -51,7 +51,7 @@ impl Observer {
             Angle::from_arcseconds(orientation.polar_x_arcsec).radians(),
             Angle::from_arcseconds(orientation.polar_y_arcsec).radians(),
             pnp::sp00(tt1, tt2),
-            0.0, // no refraction
+            0.0, // No refraction.
             0.0,
             &mut astrometry,
         );
@@ -59,7 +59,7 @@ impl Observer {
         Ok(Self { place: *place, orientation, at, scales, astrometry, earth_from_sun, earth, equation_of_origins })
     }
 
-    /// The same place at another instant, turned with the Earth and nothing else, which costs next to nothing.
+    /// The same place at another instant, turned only with the Earth, which costs very little time.
     ///
     /// Good to 0.1 arcsec within half an hour of the instant this observer was built for.
     pub fn turned_to(&self, at: Utc) -> Result<Self, SkyError> {
@@ -70,12 +70,12 @@ impl Observer {
         Ok(turned)
     }
 
-    /// Where this observer stands.
+    /// The place of this observer.
     pub const fn place(&self) -> &Place {
         &self.place
     }
 
-    /// When this observer looks.
+    /// The instant of this observer.
     pub const fn at(&self) -> Utc {
         self.at
     }
@@ -110,7 +110,7 @@ impl Observer {
         self.intermediate_to_of_date(self.horizontal_to_intermediate(direction))
     }
 
-    /// Local apparent sidereal time, [0, 360) deg; what ASCOM's `SiderealTime` tells.
+    /// Local apparent sidereal time, [0, 360) deg; ASCOM's `SiderealTime`.
     pub fn sidereal_time(&self) -> Angle {
         let rotation = Angle::from_radians(erst::era00(self.scales.ut1.0, self.scales.ut1.1));
         (rotation - self.equation_of_origins + self.place.longitude_east()).wrapped_positive()
@@ -127,15 +127,15 @@ impl Observer {
         (self.sidereal_time() - self.to_of_date(place).ra).wrapped_signed()
     }
 
-    // Between the frames stands the celestial intermediate system (CIRS), in radians: sofars speaks it.
+    // Between the frames is the celestial intermediate system (CIRS), in radians, which sofars uses.
 
     fn icrs_to_intermediate(&self, place: &Icrs) -> (f64, f64) {
-        let mut astrometry = self.astrometry; // sofars asks for &mut but only reads
+        let mut astrometry = self.astrometry; // `sofars` asks for `&mut` but only reads.
         astro::atciq(place.ra.radians(), place.dec.radians(), 0.0, 0.0, 0.0, 0.0, &mut astrometry)
     }
 
     fn intermediate_to_icrs(&self, (ra, dec): (f64, f64)) -> Icrs {
-        let mut astrometry = self.astrometry; // as above
+        let mut astrometry = self.astrometry; // As above.
         let (ra, dec) = astro::aticq(ra, dec, &mut astrometry);
         Icrs { ra: Angle::from_radians(ra).wrapped_positive(), dec: Angle::from_radians(dec) }
     }

@@ -1,4 +1,4 @@
-//! Where on Earth the telescope stands, and how the Earth is turned.
+//! The place of the telescope on Earth, and the orientation of the Earth.
 
 use units::Angle;
 
@@ -44,7 +44,7 @@ impl Place {
     }
 }
 
-/// How the Earth is turned, as the IERS bulletins give it; all zero costs up to 10 arcsec in altitude and azimuth.
+/// The orientation of the Earth, as the IERS bulletins give it; all zero costs up to 10 arcsec in altitude and azimuth.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct EarthOrientation {
     /// UT1-UTC in seconds, within [-0.9, 0.9] as long as there are leap seconds.

@@ -1,4 +1,4 @@
-//! Which azimuths of a dome leave the telescope's view free.
+//! Computes which azimuths of a dome leave the telescope's view free.
 //!
 //! Lengths in metres, origin in the middle of the dome's sphere, axes to the east (e), the north (n) and the zenith (z).
 //!
@@ -36,14 +36,14 @@ pub enum TubeSide {
     West,
 }
 
-/// Where a telescope looks, in the terms of an equatorial mount.
+/// The direction of a telescope, in the terms of an equatorial mount.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Aim {
     /// Of date, negative in the east.
     pub hour_angle: Angle,
     /// Of date.
     pub declination: Angle,
-    /// Matters for a mount with an arm only.
+    /// It matters only for a mount with an arm.
     pub side: TubeSide,
 }
 
@@ -71,7 +71,7 @@ impl Aim {
 
     /// Angle to another aim, [0, 180] deg.
     pub fn separation(&self, other: &Self) -> Angle {
-        // The dome's own side of the pier counts for nothing here.
+        // The side of the pier has no effect here.
         let place = |aim: &Self| Horizontal { altitude: aim.declination, azimuth: aim.hour_angle };
         place(self).separation(&place(other))
     }
@@ -103,7 +103,8 @@ pub struct Slit {
 }
 
 impl Slit {
-    /// A dome of which nothing is known but how far its slit may stand from the telescope's azimuth at the horizon.
+    /// A dome of which only the tolerance is known: how far its slit may be from the telescope's azimuth at the
+    /// horizon.
     pub fn of_tolerance(latitude: Angle, tolerance: Angle) -> Self {
         let half_m = tolerance.sin();
         let (axes_m, arm_m, aperture_m) = ([0.0; 3], 0.0, 0.0);
@@ -141,7 +142,7 @@ impl Slit {
     /// The azimuth that leaves the whole aperture free for longest from now on, and how long, s, at most `most_s`; of
     /// several the one nearest to `near`. None where no azimuth does even now.
     ///
-    /// Turning to it each time anew needs the fewest turns that any plan can do with.
+    /// If the dome turns to it each time, it turns the fewest times that are possible.
     pub fn lasting(&self, aim: &Aim, near: Angle, margin: Angle, most_s: f64) -> Option<(Angle, f64)> {
         let clear = |s: f64| self.clear(&aim.after(s)).map(|arc| arc.shrunk(margin));
         let mut best = (clear(0.0)?, 0.0);

@@ -1,4 +1,4 @@
-//! When the Sun passes an altitude, and the twilights of a night.
+//! The times at which the Sun passes an altitude, and the twilights of a night.
 
 use units::{Angle, Utc};
 
@@ -106,7 +106,7 @@ pub fn next_sun_crossing(
 struct SunPath<'a> {
     place: &'a Place,
     orientation: &'a EarthOrientation,
-    /// To an arcsecond: they tell between which two of them a crossing lies.
+    /// Exact to an arcsecond: they show between which two of them a crossing lies.
     samples: Vec<(Utc, Angle)>,
 }
 
@@ -130,7 +130,7 @@ impl<'a> SunPath<'a> {
                 before = std::mem::replace(&mut after, (next_s, seen(next_s)?));
             }
             let at = from.plus_seconds(from_s);
-            // The ends are exact: what one path misses there the next one has.
+            // The ends are exact: a crossing that one path misses there is found by the next one.
             if step == 0 || step == steps {
                 return Ok((at, Observer::new(place, orientation, at)?.sun().altitude));
             }

@@ -1,4 +1,4 @@
-//! One instant on the scales that astronomy counts in: TT, UT1 and TDB beside UTC.
+//! One instant on the scales that astronomy counts in: TT, UT1 and TDB next to UTC.
 
 use sofars::{cal, ts};
 use units::Utc;

@@ -1,4 +1,4 @@
-//! How high a target stands over a window of time.
+//! The altitudes of a target over a window of time.
 
 use units::{Angle, Utc};
 
@@ -15,7 +15,7 @@ const TURN_S: f64 = 1800.0;
 pub struct LowestAltitude {
     /// Not refracted.
     pub altitude: Angle,
-    /// When it stands there; the first time, when there are several.
+    /// The time at which it is there; the first one, when there are several.
     pub at: Utc,
 }
 

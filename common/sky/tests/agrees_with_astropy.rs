@@ -1,6 +1,7 @@
-//! The sky against astropy: 3 sites x 4 epochs (one the day of a leap second) x 4 targets, `golden/golden.json`.
+//! Compares the sky with astropy: 3 sites x 4 epochs (one the day of a leap second) x 4 targets, `golden/golden.json`.
 //!
-//! The bars are far below what Starmesh promises (5 arcsec, 50 ms, 1 ms of sidereal time), so that a wrong term shows.
+//! The tolerances are far below what Starmesh promises (5 arcsec, 50 ms, 1 ms of sidereal time), so that a wrong term
+//! is noticed.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use serde::Deserialize;
@@ -84,7 +85,7 @@ impl Case {
     }
 }
 
-/// Fails with the name of the case when two numbers are further apart than the bar.
+/// Fails with the name of the case when two numbers are further apart than the tolerance.
 #[track_caller]
 fn near(case: &Case, what: &str, off: f64, bar: f64) {
     assert!(off.abs() < bar, "{what} at {} {}: off by {off}, bar {bar}", case.site, case.utc);

@@ -1,4 +1,4 @@
-//! The golden numbers of the sky (algorithms.md, section 8).
+//! The golden numbers of the sky.
 
 #![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
 

@@ -1,7 +1,7 @@
 //! How late this machine is: a thread that does nothing but wait notes how much later it wakes than it asked to.
 //!
-//! A test that bounds how fast Starmesh answers must not fail because other programs have the cores. It adds to its bound
-//! what was measured meanwhile: nothing on an idle machine, so that the bound keeps its meaning there.
+//! A test that bounds how fast Starmesh answers must not fail because other programs have the cores. It adds the
+//! lateness that was measured meanwhile to its bound: nothing on an idle machine, so that the bound is exact there.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};

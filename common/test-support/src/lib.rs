@@ -1,4 +1,4 @@
-//! What the tests of several crates need: a private bus, nodes, simulated observatories, and ways to wait.
+//! Support for the tests of several crates: a private bus, nodes, simulated observatories, and ways to wait.
 //!
 //! Tests name this crate under `[dev-dependencies]` only. There are two ways to run a node:
 //!

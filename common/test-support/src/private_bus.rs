@@ -1,4 +1,4 @@
-//! A bus on the loopback interface that nobody but the test finds.
+//! A bus on the loopback interface that only the test finds.
 
 use bus::{Bus, Clock};
 

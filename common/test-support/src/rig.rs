@@ -1,4 +1,4 @@
-//! The rig: world, bus, folder and node processes of one test.
+//! World, bus, folder and node processes of one test.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -19,8 +19,8 @@ use crate::lateness::Lateness;
 use crate::night::{Rows, configuration, jsonl, long_row};
 use crate::private_bus::private_bus;
 
-/// A rig is five processes, which together take some 0.05 of a core (27 s for five tests of 185 s, 2026-11): many more at once
-/// would measure the machine at their start, not Starmesh.
+/// A `Rig` is five processes, which together take some 0.05 of a core (27 s for five tests of 185 s, 2026-11): many
+/// more at once would measure the machine at their start, not Starmesh.
 static SEATS: tokio::sync::Semaphore = tokio::sync::Semaphore::const_new(4);
 
 /// Site of every test.
@@ -28,7 +28,7 @@ pub const SITE: &str = "test";
 /// Telescope of every test.
 pub const TELESCOPE: &str = "alpha";
 
-/// What a test may choose.
+/// The choices of a test.
 pub struct RigOptions {
     /// The simulated observatory; it starts in the night, with a small camera.
     pub world: simulator::Options,
@@ -56,7 +56,7 @@ impl Default for RigOptions {
             speed: 10.0,
             ..Default::default()
         };
-        // A healthy night feeds it; short, so that one that is not fed is noticed in a test.
+        // A night without faults feeds the watchdog; it is short, so that a test notices one that is not fed.
         world.dome.watchdog_s = Some(60.0);
         world.camera.pixel_um *= 8.0;
         (world.camera.width, world.camera.height) = (256, 256);
@@ -79,7 +79,7 @@ pub struct Rig {
     pub simulator: Simulator,
     /// Its options.
     pub world: simulator::Options,
-    /// The test's own place on the bus.
+    /// The test's own session on the bus.
     pub bus: Bus,
     folder: TempDir,
     endpoint: String,
@@ -95,7 +95,7 @@ pub struct Rig {
     pub mount: Latest<DeviceState<MountFields>>,
     /// The verdict.
     pub safety: Latest<SafetyState>,
-    /// What is being done.
+    /// The activity.
     pub night: Latest<NightState>,
     /// The rows.
     pub schedule: Latest<ScheduleState>,
@@ -233,7 +233,7 @@ impl Rig {
         Ok(child)
     }
 
-    /// Starts `starmesh up` on this rig's configuration, for tests of the supervisor; the caller ends it.
+    /// Starts `starmesh up` on this test's configuration, for tests of the supervisor; the caller ends it.
     pub fn up(&self) -> anyhow::Result<Child> {
         let log = std::fs::File::create(self.path("up.log"))?;
         let mut command = Command::new(binary()?);
@@ -241,7 +241,7 @@ impl Rig {
         Ok(command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log).spawn()?)
     }
 
-    /// Runs one more node until it ends by itself with an error, and returns what it said last.
+    /// Runs one more node until it ends by itself with an error, and returns its last log lines.
     pub async fn run_to_end(&self, role: Role, id: &str, limit: Duration) -> anyhow::Result<String> {
         let mut child = self.spawn(role, id)?;
         let began = Instant::now();
@@ -260,7 +260,7 @@ impl Rig {
         Ok(log)
     }
 
-    /// Gives an order with the command line, as a person would; the error has its words.
+    /// Gives an order with the command line, as a person would; the error contains its output.
     pub async fn order(&self, words: &[&str]) -> anyhow::Result<()> {
         let mut command = tokio::process::Command::new(binary()?);
         command.args(["order", &format!("{SITE}/{TELESCOPE}"), "--no-multicast", "--connect", &self.endpoint]);
@@ -269,7 +269,8 @@ impl Rig {
         Ok(())
     }
 
-    /// Runs a subcommand of `starmesh` that needs no bus, and returns what it printed; the error has all its words.
+    /// Runs a subcommand of `starmesh` that needs no bus, and returns what it printed; the error contains all its
+    /// output.
     pub async fn starmesh(&self, words: &[&str]) -> anyhow::Result<String> {
         let told = tokio::process::Command::new(binary()?).args(words).stdin(Stdio::null()).output().await?;
         let printed = String::from_utf8_lossy(&told.stdout).into_owned();
@@ -277,7 +278,7 @@ impl Rig {
         Ok(printed)
     }
 
-    /// Kills one node, or all device nodes, as a power cut would: at once, without a word.
+    /// Kills one node, or all device nodes, as a power cut would: at once, without a message.
     pub fn kill(&mut self, role: Role) -> anyhow::Result<()> {
         let mut children = self.nodes.remove(&role).context("this node does not run")?;
         for child in &mut children {
@@ -303,14 +304,14 @@ impl Rig {
                 }
             };
             well &= ended.is_some_and(|status| status.success());
-            // One that is late is no other test's business.
+            // One that is late must not disturb another test.
             let _ = child.kill();
             child.wait()?;
         }
         Ok(well)
     }
 
-    /// Stops one node without ending it: its sessions live, its loops do not.
+    /// Stops one node without ending it: its sessions stay open, its loops do not run.
     #[cfg(unix)]
     pub fn stop_in_its_tracks(&self, role: Role) -> anyhow::Result<()> {
         self.signal(role, "-STOP")
@@ -349,13 +350,13 @@ impl Rig {
         found
     }
 
-    /// Hears every frame that the archive stores from now on, and those of before.
+    /// Subscribes to every frame that the archive stores from now on, and to those of before.
     pub async fn stored(&self) -> anyhow::Result<bus::Subscriber<Stored>> {
         let key = Key::Stored(Address::new(SITE, TELESCOPE)?);
         Ok(self.bus.subscribe(&key.to_string(), Catch::All, 4096).await?)
     }
 
-    /// Waits until something holds, at most so long; the error shows the nodes' last words.
+    /// Waits until a condition holds, at most so long; the error shows the nodes' last log lines.
     pub async fn until(&self, what: &str, limit_s: f64, holds: impl Fn(&Self) -> bool) -> anyhow::Result<Duration> {
         let (began, lateness) = (Instant::now(), Lateness::begin());
         while began.elapsed() < lateness.bound(Duration::from_secs_f64(limit_s)) {
@@ -367,27 +368,27 @@ impl Rig {
         anyhow::bail!("{what}: not within {limit_s} s\n{}", self.last_words());
     }
 
-    /// The shutter, if it was told within the last 5 s.
+    /// The shutter, if its state was published within the last 5 s.
     pub fn shutter(&self) -> Option<Shutter> {
         self.dome.fresh(Duration::from_secs(5))?.said.body.fields.shutter.known().copied()
     }
 
-    /// Is the dome said to be open?
+    /// Is the dome published as open?
     pub fn is_open(&self) -> bool {
         self.shutter() == Some(Shutter::Open)
     }
 
-    /// Is the dome said to be closed, and closed in truth?
+    /// Is the dome published as closed, and closed in truth?
     pub fn is_shut(&self) -> bool {
         self.shutter() == Some(Shutter::Closed) && self.simulator.world().dome_open() == 0.0
     }
 
-    /// Is the mount said to be parked?
+    /// Is the mount published as parked?
     pub fn is_parked(&self) -> bool {
         said(&self.mount).is_some_and(|mount| mount.fields.at_park.known() == Some(&true))
     }
 
-    /// What the nodes said last.
+    /// The last log lines of the nodes.
     pub fn last_words(&self) -> String {
         let mut words = String::new();
         for state in
@@ -405,7 +406,7 @@ impl Rig {
     }
 }
 
-/// A command that a file's permissions bind, also where the tests run as root.
+/// A command to which a file's permissions apply, also where the tests run as root.
 fn as_owner(binary: &Path) -> anyhow::Result<Command> {
     let is_root = cfg!(unix) && Command::new("id").arg("-u").output()?.stdout == b"0\n";
     if !is_root {
@@ -441,7 +442,7 @@ impl Drop for Rig {
     }
 }
 
-/// The `starmesh` binary beside the test binary.
+/// The `starmesh` binary next to the test binary.
 fn binary() -> anyhow::Result<PathBuf> {
     let test = std::env::current_exe()?;
     let folder = test.parent().and_then(Path::parent).context("a test binary lies in target/PROFILE/deps")?;

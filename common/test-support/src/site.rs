@@ -7,7 +7,7 @@ use contract::Address;
 /// The section `[observatory]` of the telescope `paranal/callisto`.
 pub const PARANAL: &str = "[observatory]\nsite = \"paranal\"\ntelescope = \"callisto\"\nlatitude_deg = -24.6\n\
                            longitude_deg = -70.4\nelevation_m = 2500.0\n";
-/// That of the telescope `site/alpha`, on the equator.
+/// The section of the telescope `site/alpha`, on the equator.
 pub const ALPHA: &str = "[observatory]\nsite = \"site\"\ntelescope = \"alpha\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\n\
                          elevation_m = 0.0\n";
 

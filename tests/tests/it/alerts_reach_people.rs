@@ -16,7 +16,7 @@ use test_support::{Rig, RigOptions, SITE, TELESCOPE, long_row, serve};
 use tokio::io::{AsyncBufReadExt as _, AsyncWriteExt as _, BufReader};
 use tokio::net::{TcpListener, TcpStream};
 
-/// The world outside: an HTTP server and a mail server that remember what they got.
+/// The world outside: an HTTP server and a mail server that remember what they received.
 #[derive(Clone, Default)]
 struct Outside {
     hooks: Arc<Mutex<Vec<(String, Value)>>>,
@@ -65,7 +65,7 @@ impl Outside {
         mails.iter().filter(has).count()
     }
 
-    /// How many webhook letters `who` got with this event about this alert.
+    /// The number of webhook letters that `who` got with this event about this alert.
     fn letters(&self, who: &str, event: &str, id: &str) -> usize {
         let hooks = self.hooks.lock().unwrap_or_else(PoisonError::into_inner);
         let mine = hooks.iter().filter(|(to, _)| to.starts_with(who));
@@ -104,7 +104,7 @@ async fn take_mail(stream: TcpStream, mails: Arc<Mutex<Vec<String>>>) -> anyhow:
     Ok(())
 }
 
-/// The rig with all its receivers; the chief hears what nobody acknowledged for 6 s.
+/// The node processes with all receivers; the chief gets alerts that nobody acknowledged for 6 s.
 async fn rig(outside: &Outside) -> anyhow::Result<Rig> {
     let (http, smtp) = outside.open().await?;
     let more = format!(
@@ -186,7 +186,7 @@ async fn a_critical_alert_is_told_escalated_acknowledged_and_cleared() -> anyhow
     Ok(())
 }
 
-/// Who sends next knows what was told: from its own disk after a restart, and from the bus where it is another host.
+/// The next sender knows what was sent: from its own disk after a restart, and from the bus where it is another host.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_was_told_is_not_told_again_by_the_next_life_or_by_the_standby_which_tells_what_is_new()
 -> anyhow::Result<()> {
@@ -202,15 +202,15 @@ async fn what_was_told_is_not_told_again_by_the_next_life_or_by_the_standby_whic
     rig.simulator.world().stick_shutter_half_open(true);
     rig.simulator.world().set_unsafe(true);
     rig.until("people are told by webhook and mail", 90.0, |_| told(ID) == (1, 1)).await?;
-    // That a letter was sent is known once its receiver has said so, a moment after it has the letter: who is killed within
-    // that moment tells twice rather than never.
+    // A sender knows that a letter arrived once its receiver has confirmed it, a moment after it has the letter: a
+    // sender that is killed within that moment sends twice rather than never.
     tokio::time::sleep(Duration::from_secs(2)).await;
 
     let first = life();
     rig.kill(Role::Observatory)?;
     rig.start(Role::Observatory)?;
     rig.until("its next life speaks of it", 60.0, |_| life() != first && stands(ID)).await?;
-    // Longer than it waits for the word of others.
+    // Longer than it waits for the report of others.
     tokio::time::sleep(Duration::from_secs(15)).await;
     assert_eq!(told(ID), (1, 1), "nobody acknowledged it, and it is told once all the same");
 

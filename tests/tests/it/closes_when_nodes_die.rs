@@ -1,4 +1,4 @@
-//! Whoever dies, the dome closes.
+//! Whichever node dies, the dome closes.
 
 use std::time::Duration;
 
@@ -69,7 +69,7 @@ async fn a_device_node_that_is_asked_to_end_closes_first() -> anyhow::Result<()>
 async fn an_observatory_that_is_asked_to_end_beside_a_standby_leaves_the_roof_open() -> anyhow::Result<()> {
     let mut rig = Rig::at_open_dome().await?;
     rig.start_standby()?;
-    // The standby says that it is there every 5 s.
+    // The standby publishes its state every 5 s.
     tokio::time::sleep(Duration::from_secs(7)).await;
     assert!(rig.ask_to_end(Role::Observatory, Duration::from_secs(20)).await?, "{}", rig.last_words());
     let ended = std::time::Instant::now();

@@ -1,4 +1,4 @@
-//! A sensor that is silent, lies or answers nonsense is unsafe.
+//! A sensor that is silent, reports false values or answers nonsense counts as unsafe.
 
 use simulator::{Fault, Kind};
 use test_support::Rig;

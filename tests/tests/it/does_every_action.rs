@@ -1,5 +1,6 @@
-//! The night of `examples/night`, as its files stand: every action there is, in the order of a night, from dusk to dawn. It ends
-//! closed and parked, and every exposure that the simulator's log knows is one whole FITS file and one row of the archive.
+//! The night of `examples/night`, with its files as they are: every action, in the order of a night, from dusk to dawn.
+//! It ends closed and parked, and every exposure that the simulator's log knows is one whole FITS file and one row of
+//! the archive.
 
 #![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
 
@@ -39,7 +40,7 @@ const ROWS: [(&str, Option<u32>); 14] = [
     ("complete_headers", Some(0)),
 ];
 
-/// The simulator as README.md beside the files starts it.
+/// The simulator as README.md next to the files starts it.
 fn world() -> simulator::Options {
     let mut world = simulator::Options {
         start: "2026-06-20T20:50:00Z".parse().unwrap(),
@@ -60,7 +61,7 @@ fn files(simulator: &Simulator) -> (String, String) {
     (config + "\n[bus]\nmulticast = false\n[web]\nlisten = \"127.0.0.1:0\"\n", example("night/schedule.jsonl"))
 }
 
-/// What is heard of the night.
+/// The samples that the test received during the night.
 struct Ears {
     schedule: Subscriber<ScheduleState>,
     guiding: Latest<GuidingState>,
@@ -82,8 +83,8 @@ impl Ears {
     }
 }
 
-/// Waits until all rows are finished, and prints how it goes. Returns them in the order in which they were, and whether a field
-/// was guided meanwhile.
+/// Waits until all rows are finished, and prints the progress. Returns them in the order in which they ran, and whether
+/// a field was guided meanwhile.
 async fn follow(rig: &Rig, ears: &Ears) -> anyhow::Result<(Vec<usize>, bool)> {
     let began = Instant::now();
     let (mut last, mut order, mut guided) = (Vec::<RowStatus>::new(), Vec::new(), false);
@@ -111,7 +112,7 @@ async fn follow(rig: &Rig, ears: &Ears) -> anyhow::Result<(Vec<usize>, bool)> {
     Ok((order, guided))
 }
 
-/// A frame as the archive's row tells it.
+/// A frame as the archive's row describes it.
 struct Kept {
     id: String,
     file: String,
@@ -153,7 +154,7 @@ fn exposures(rig: &Rig) -> Vec<(i64, bool)> {
         .collect()
 }
 
-/// Every exposure is one whole file and one row, and nothing else is.
+/// Checks that every exposure is one whole file and one row, and that there are no others.
 async fn account(rig: &Rig) -> anyhow::Result<()> {
     let begun = exposures(rig);
     let whole =
@@ -178,7 +179,7 @@ async fn account(rig: &Rig) -> anyhow::Result<()> {
         assert_eq!(text("FRAMEID").as_deref(), Some(it.id.as_str()), "{}", it.file);
         assert_eq!(text("IMAGETYP").as_deref(), Some(purpose.image_type.as_str()), "{}", it.file);
         assert!(header.contains_key("DATE-OBS") && header.contains_key("BKGLEVEL"), "{}: {header:?}", it.file);
-        // What only a complete header has.
+        // A keyword that only a complete header has.
         let needs = if purpose.image_type == "Light Frame" { "OBJALT" } else { "CCD-TEMP" };
         assert!(header.contains_key(needs), "{}: no {needs} in {:?}", it.file, header.keys().collect::<BTreeSet<_>>());
     }
@@ -216,7 +217,7 @@ async fn a_night_with_every_action_ends_closed_with_every_frame_accounted_for() 
         assert_eq!(row.status, RowStatus::Finished, "{row:?}");
         assert!(frames.is_none_or(|frames| row.frames == frames), "{frames:?} expected: {row:?}");
     }
-    // No action is left out: the bus tells which there are.
+    // No action is left out: the bus lists all actions.
     let answer: ActionAnswer =
         rig.bus.ask(&Key::Actions(address.clone()), &ActionQuestion::default(), Duration::from_secs(5)).await?;
     let all: BTreeSet<&str> = answer.actions.iter().map(|action| action.name.as_str()).collect();

@@ -1,4 +1,5 @@
-//! The focus is found from near and from far, kept, drawn, and not found under clouds: judged by the simulated telescope.
+//! The focus is found from near and from far, stored, drawn, and not found under clouds: judged by the simulated
+//! telescope.
 
 #![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
 
@@ -21,7 +22,7 @@ fn options() -> RigOptions {
     options.world.camera.pixel_um = 13.5;
     // Gears with play; the truth is that of a focuser driven upward.
     options.world.focus.backlash_steps = 100.0;
-    // 2.9 critical zones beside the truth: what the run begins with.
+    // The run begins 2.9 critical zones from the truth.
     options.focuser_block = "best_position = 25350\nbacklash_steps = 120\nsettle_s = 1.0\n";
     options
 }
@@ -80,7 +81,7 @@ async fn a_run_ends_at_the_focus_from_near_and_far_and_where_it_began_under_clou
         assert!(run.altitude_deg.unwrap() > 80.0 && (run.temperature_c.unwrap() - 10.0).abs() < 0.01, "{run:?}");
         assert!(run.points.iter().all(|point| point.frames.len() == 1));
     }
-    // As thick as the safety monitor lets pass, and the stars smeared: nothing to be seen in a millisecond.
+    // As thick as the safety monitor lets pass, and the stars smeared: nothing can be seen in a millisecond.
     rig.simulator.world().set_weather(simulator::Quantity::CloudCover, Some(79.0));
     rig.simulator.world().set_weather(simulator::Quantity::StarFwhm, Some(60.0));
     let failed = next(&runs, &rig).await?;

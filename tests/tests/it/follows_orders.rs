@@ -1,4 +1,4 @@
-//! A person's word outlives the sky, the schedule and a restart.
+//! A person's order holds whatever the sky, the schedule and a restart do.
 
 use contract::Role;
 use test_support::{Rig, RigOptions, long_row};
@@ -19,7 +19,7 @@ async fn what_is_ordered_to_stay_closed_stays_closed_until_it_is_taken_back() ->
     rig.kill(Role::Observatory)?;
     rig.start(Role::Observatory)?;
     rig.until("the new life knows the order", 30.0, |rig| rig.is_shut() && reason(rig)).await?;
-    // The safety dwell of this rig is 3 s: without the order the dome would open again.
+    // The safety dwell is 3 s here: without the order the dome would open again.
     tokio::time::sleep(std::time::Duration::from_secs(8)).await;
     assert!(rig.is_shut() && reason(&rig));
 

@@ -15,7 +15,7 @@ use units::{Angle, Utc};
 /// Each body is followed for so long, sky s.
 const FOLLOWED_S: f64 = 120.0;
 const EXPOSURE_S: f64 = 20.0;
-/// How far the telescope may look beside it meanwhile.
+/// How far from it the telescope may look meanwhile.
 const BESIDE_ARCSEC: f64 = 1.0;
 
 fn options() -> RigOptions {
@@ -91,10 +91,10 @@ async fn moving_targets_are_held_within_an_arcsecond_and_the_mount_then_follows_
             row("object", value)
         };
         let mut rows = vec![row("open", json!({}))];
-        // Nobody is asked who that is: the row rests, and all others go on.
+        // No service is asked for this name: the row rests, and all others go on.
         rows.push(row("object", json!({ "object": "Vega", "lookup_name": "Vega", "exptime": EXPOSURE_S, "n": 1 })));
         rows.extend(targets.iter().map(|(value, _)| frames(value)));
-        // One that never ends by itself.
+        // A row that never ends by itself.
         let mut endless = targets[0].0.clone();
         endless["exptime"] = json!(EXPOSURE_S);
         rows.push(row("object", endless));
@@ -132,7 +132,7 @@ async fn moving_targets_are_held_within_an_arcsecond_and_the_mount_then_follows_
     }
     let rested = rig.schedule.get().unwrap().said.body.rows[1].clone();
     assert!(rested.status != RowStatus::Finished && rested.detail.contains("not been looked up"), "{rested:?}");
-    // The endless one: the Moon again, until it rains.
+    // The endless row: the Moon again, until it rains.
     rig.until("the Moon is followed", 60.0, |rig| rig.simulator.world().rates_arcsec_per_s()[0] > 0.1).await?;
     rig.simulator.world().set_weather(simulator::Quantity::RainRate, Some(3.0));
     rig.until("the dome ends shut", 90.0, Rig::is_shut).await?;

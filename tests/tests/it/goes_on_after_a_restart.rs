@@ -1,4 +1,4 @@
-//! A killed observatory node goes on where it stood.
+//! A killed observatory node continues after its restart where it was.
 
 use contract::Role;
 use serde_json::json;

@@ -1,5 +1,5 @@
-//! Every order and every command that moves hardware leaves a record: on the node's disk, and in the archive wherever
-//! that was meanwhile.
+//! Every order and every command that moves hardware leaves a record: on the node's disk, and in the archive, even if
+//! it was away meanwhile.
 
 use std::collections::HashMap;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use contract::{Address, Command, CommandId, Kind, OrderKind, Reason, Reply, Role
 use serde_json::json;
 use test_support::{Rig, RigOptions, SITE, TELESCOPE, object, row};
 
-/// Role and id of each node that keeps a file of its own.
+/// Role and id of each node that writes a file of its own.
 type Writer = [&'static str; 2];
 const ENCLOSURE: Writer = ["device", "enclosure"];
 const MAIN: Writer = ["device", "main"];
@@ -58,7 +58,7 @@ async fn refused<C: contract::Payload>(
     }
 }
 
-/// The verbs that a PUT may come from, the ones that send it once each first; `None` for what moves nothing.
+/// The verbs that a PUT may come from, the ones that send it once each first; `None` for a PUT that moves nothing.
 fn verbs(member: &str) -> Option<(&'static [&'static str], bool)> {
     Some(match member {
         // The action feeds the dome's watchdog, which moves nothing.
@@ -86,7 +86,7 @@ fn verbs(member: &str) -> Option<(&'static [&'static str], bool)> {
         "abortexposure" | "stopexposure" => (&["abort", "expose"], false),
         "setccdtemperature" | "cooleron" => (&["cool", "warm"], false),
         "binx" | "biny" | "numx" | "numy" | "startx" | "starty" => (&["expose"], false),
-        // Nothing that this list does not know may move.
+        // A member that this list does not contain must not move anything.
         _ => (&[], false),
     })
 }
@@ -116,7 +116,7 @@ async fn every_order_and_every_movement_of_a_night_leaves_a_record() -> anyhow::
     let same = |rig: &Rig| {
         NODES.iter().all(|node| stored(rig, *node).is_ok_and(|stored| stored.len() > 3 && stored == lines(rig, *node)))
     };
-    // What was ordered last is synced and told within seconds, and asked for each minute if it was lost on the way.
+    // The last records are synced and published within seconds, and asked for each minute if they were lost on the way.
     tokio::time::sleep(Duration::from_secs(3)).await;
     rig.until("the archive has what the nodes have, record for record", 90.0, same).await?;
 
@@ -138,7 +138,7 @@ async fn every_order_and_every_movement_of_a_night_leaves_a_record() -> anyhow::
     let hosts = moved.iter().filter(|record| record.from == "observatory/alpha/main" && !record.from_host.is_empty());
     assert!(hosts.count() > 0, "where the observatory runs is known");
 
-    // Every PUT that moved something, against the records.
+    // Compares every PUT that moved something with the records.
     let mut accepted: Vec<&Record> = moved.iter().filter(|record| record.outcome == Outcome::Accepted).collect();
     let all = accepted.clone();
     let mut seen: HashMap<String, usize> = HashMap::new();
@@ -165,7 +165,7 @@ async fn every_order_and_every_movement_of_a_night_leaves_a_record() -> anyhow::
         "{seen:?}"
     );
     assert!(seen["startexposure"] >= 8, "{seen:?}");
-    // And each of them says how it ended.
+    // Each of them has a record of how it ended.
     for record in all.iter().filter(|record| record.verb == "expose" || record.verb == "open_shutter") {
         let ended = moved.iter().any(|end| end.id == record.id && end.outcome == Outcome::Done);
         assert!(ended, "{record:?}");

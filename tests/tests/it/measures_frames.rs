@@ -1,4 +1,5 @@
-//! What a camera sees is on the bus within a second, in the header and in the database: judged by the simulated sky.
+//! The measured facts of a frame are on the bus within a second, in the header and in the database, and agree with the
+//! simulated sky.
 
 #![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
 
@@ -51,7 +52,7 @@ async fn stars_and_fwhm_of_every_frame_are_on_the_bus_in_the_header_and_in_the_d
     rig.simulator.world().set_weather(simulator::Quantity::StarFwhm, Some(0.1));
     let frames = all::<Frame>(&rig, "device/camera/*/frame").await?;
     let facts = all::<FrameFacts>(&rig, "observatory/frame/*/facts").await?;
-    // The archive comes later: nobody waits for it.
+    // The archive starts later: no node waits for it.
     for role in [Role::Device, Role::Observatory] {
         rig.start(role)?;
     }

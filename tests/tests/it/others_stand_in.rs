@@ -1,5 +1,5 @@
-//! The observatory node dies, and people hear of it once: from an archive node, or from one of two web nodes. It comes
-//! back, and nobody hears anything twice.
+//! The observatory node dies, and people are informed once: by an archive node, or by one of two web nodes. It comes
+//! back, and nobody gets anything twice.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -12,11 +12,11 @@ use serde_json::Value;
 use test_support::{Rig, RigOptions, SITE, TELESCOPE, long_row, serve};
 
 const SILENT: &str = "node-silent/observatory/alpha";
-/// What is told before the observatory node dies and stands all the time: a full disk, that each node tells, and a
-/// receiver that nobody reaches, that only those who send can know.
+/// Alerts that are sent before the observatory node dies and stay active all the time: a full disk, which each node
+/// reports, and a receiver that cannot be reached, which only the senders can know.
 const BEFORE: [&str; 2] = ["disk/data", "alert-not-sent/dead"];
 
-/// Who gets the alerts.
+/// The receiver of the alerts.
 #[derive(Clone, Default)]
 struct Chat(Arc<Mutex<Vec<Value>>>);
 
@@ -46,7 +46,7 @@ impl Chat {
     }
 }
 
-/// Waits for a message and longer: it came once, and nothing came twice.
+/// Waits for a message and longer: it came once, and no message came twice.
 async fn once(rig: &Rig, chat: &Chat, event: &str, limit_s: f64) -> anyhow::Result<()> {
     rig.until(event, limit_s, |_| chat.count(event) > 0).await?;
     tokio::time::sleep(Duration::from_secs(4)).await;

@@ -1,5 +1,5 @@
-//! A plan beside the truth: overheads are measured from the archive of one schedule, the next one is planned with them, and
-//! then real nodes do it on the simulator.
+//! Compares a forecast with the truth: overheads are measured from the archive of one schedule, the next one is planned
+//! with them, and then real nodes execute it on the simulator.
 
 #![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
 
@@ -20,8 +20,8 @@ const EACH_ROW_S: f64 = 25.0;
 const FROM_PARK_S: f64 = 40.0;
 /// Of a slow dome, deg/s: the mount slews by 3.
 const TURN_DEG_S: f64 = 2.0;
-/// The plan has the median of what it waited for its slit: some 30 s, where a turn by half a circle keeps the mount waiting
-/// for a minute, and none not at all.
+/// The plan has the median of what it waited for its slit: some 30 s, where a turn by half a circle lets the mount wait
+/// for a minute, and no turn not at all.
 const OTHER_TURN_S: f64 = 35.0;
 /// So many frames of a row without a number may be missed by that.
 const FRAMES: u64 = 3;
@@ -113,7 +113,7 @@ async fn under(slit: Option<SlitOptions>, wider: f64) -> anyhow::Result<()> {
     options.world.dome = simulator::DomeOptions { slit, turn_deg_per_s: TURN_DEG_S, ..options.world.dome };
     options.world.mount = simulator::MountOptions { slew_deg_per_s: 3.0, ..simulator::MountOptions::perfect() };
     let mut rig = Rig::new(options, |_| vec![("cool_camera", json!({}))]).await?;
-    // A plan takes the sensor for warm at first, and in the second schedule it would still be cold.
+    // A forecast assumes at first that the sensor is warm, and in the second schedule it would still be cold.
     let site = std::fs::read_to_string(rig.path("observatory.toml"))?;
     std::fs::write(rig.path("observatory.toml"), site.replace("temperature_c = -10.0\n", ""))?;
     let first = [

@@ -20,12 +20,12 @@ use tokio::net::TcpStream;
 const FRAMES: u32 = 2;
 /// Places of the pointing-model run.
 const PLACES: u32 = 12;
-/// Rows before the run: where right ascension begins again, beside the pole, and high up, on both sides of the pier.
+/// Rows before the run: where right ascension begins again, near the pole, and high up, on both sides of the pier.
 const BEFORE: [(&str, f64, f64); 3] = [("RA 0", 359.99, -30.0), ("pole", 60.0, -88.5), ("east", 75.0, -20.0)];
 /// Rows after it, elsewhere.
 const AFTER: [(&str, f64, f64); 2] = [("west again", 10.0, -50.0), ("east again", 50.0, -5.0)];
 
-/// A row whose telescope somebody moves away after its first frame, and how many frames it wants.
+/// A row whose telescope is moved away after its first frame, and how many frames it wants.
 const NUDGED: (&str, f64, f64) = ("nudged", 55.0, -12.0);
 const OF_NUDGED: u32 = 4;
 
@@ -46,7 +46,7 @@ fn target((name, ra, dec): (&str, f64, f64), n: u32) -> (&'static str, Value) {
     row("object", json!({ "object": name, "ra": ra, "dec": dec, "exptime": 10, "n": n, "pointing": true }))
 }
 
-/// Moves the mount 4 arcmin to the north of where it says it is, as a person at its handset does.
+/// Moves the mount 4 arcmin to the north of the place that it reports, as a person at its handset does.
 async fn nudge(rig: &Rig) -> anyhow::Result<()> {
     let fields = rig.mount.get().unwrap().said.body.fields;
     let (ra_deg, dec_deg) = (fields.ra_deg.known().unwrap(), fields.dec_deg.known().unwrap());
@@ -74,14 +74,14 @@ async fn all<T: Payload>(rig: &Rig, below: &str) -> anyhow::Result<Subscriber<T>
     Ok(rig.bus.subscribe(&expression, Catch::All, 1000).await?)
 }
 
-/// How far the frames of one row looked beside their target, in their order, arcmin.
+/// The distances of the frames of one row from their target, in their order, arcmin.
 #[derive(Debug, Default)]
 struct Seen {
-    /// Frames that were taken to find out where it looks.
+    /// Frames that were taken to measure where it looks.
     on_the_way: Vec<f64>,
     /// Frames that count.
     counted: Vec<f64>,
-    /// Where the simulated telescope truly looked when the first of these was announced.
+    /// The true direction of the simulated telescope when the first of these was announced.
     truth: Option<f64>,
 }
 
@@ -143,7 +143,7 @@ async fn a_mount_that_misses_by_5_arcmin_is_brought_within_a_tenth_and_learns_to
     let of_rows = |rows: std::ops::Range<u32>| rows.map(|row| (row, &seen[&row]));
     let objects = of_rows(1..run).chain(of_rows(run + 1..run + 1 + AFTER.len() as u32));
     for (row, seen) in objects {
-        // What was taken on the way does not count, and two slews after the first are enough.
+        // The frames on the way do not count, and two slews after the first are enough.
         assert_eq!(rows[row as usize].frames, FRAMES, "{row}");
         assert!(seen.on_the_way.len() <= 3, "{row}: {seen:?}");
         assert!(*seen.on_the_way.last().unwrap() < 0.1, "{row}: {seen:?}");

@@ -1,4 +1,5 @@
-//! Between two `object` rows on one target nearly nothing is lost: judged by when the simulated camera was told to expose.
+//! Between two `object` rows on one target nearly no time is lost, as measured by the times at which the simulated
+//! camera began to expose.
 
 #![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
 
@@ -13,7 +14,7 @@ const ROWS: usize = 6;
 const FRAMES: u32 = 2;
 const EXPOSURE_S: f64 = 0.5;
 const READOUT_S: f64 = 0.2;
-/// Beyond what the devices take; issue 5.
+/// The most time in addition to the time of the devices.
 const MOST: Duration = Duration::from_millis(500);
 
 /// In real time, with devices that take no time themselves but for exposing and reading out.
@@ -32,7 +33,7 @@ fn world() -> simulator::Options {
     world
 }
 
-/// The example's telescope, whose camera is not cooled and whose sky is believed at once, and rows on one field.
+/// The example's telescope, whose camera is not cooled and whose sky needs no dwell, and rows on one field.
 fn files(simulator: &Simulator) -> (String, String) {
     let config = example("night/observatory.toml")
         .replace("127.0.0.1:11111", &simulator.address().to_string())
@@ -70,7 +71,7 @@ async fn the_next_row_on_the_same_target_begins_within_half_a_second() -> anyhow
     };
     let (within, between) = (gaps(1), gaps(0));
     println!("beyond what the devices take: between frames {within:?}, between rows {between:?}");
-    // What the devices were told meanwhile, of the last pair of rows.
+    // The requests to the devices meanwhile, for the last pair of rows.
     if let [.., last, next, _] = &begun[..] {
         for put in puts.iter().filter(|put| put.seq > last.seq && put.seq <= next.seq) {
             let at_ms = (put.at - last.at).as_secs_f64() * 1000.0;

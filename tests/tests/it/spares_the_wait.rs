@@ -1,5 +1,5 @@
-//! What is known of the sky outlives the observatory node: a restarted one waits for nothing that is known to be good,
-//! and for the whole rest of what is not.
+//! The knowledge of the sky survives the observatory node: a restarted node does not wait for inputs that are known to
+//! be good, and waits for the whole remaining dwell of the others.
 
 use std::time::{Duration, Instant};
 

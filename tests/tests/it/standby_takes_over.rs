@@ -16,7 +16,7 @@ async fn a_hot_standby_takes_over_and_the_dome_stays_open() -> anyhow::Result<()
     let commander =
         |rig: &Rig| guard(rig).and_then(|guard| guard.permits.first().map(|permit| permit.commander.clone()));
     rig.start_standby()?;
-    // It must hear everything and fill its dwell before it can be of use.
+    // It must receive every input and fill its dwell before it can take over.
     tokio::time::sleep(Duration::from_secs(20)).await;
     assert_eq!(commander(&rig).as_deref(), Some("observatory/alpha/main"), "the first goes on commanding");
     assert!(rig.is_open());
@@ -40,7 +40,7 @@ async fn a_hot_standby_takes_over_and_the_dome_stays_open() -> anyhow::Result<()
         rig.last_words()
     );
 
-    // Nothing is lost of what the first one guarded.
+    // The second node reacts to everything that the first one reacted to.
     rig.simulator.world().set_unsafe(true);
     rig.until("the standby closes", 30.0, Rig::is_shut).await?;
     Ok(())
@@ -60,7 +60,8 @@ async fn of_two_nodes_with_one_name_the_younger_leaves() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Both have one name, and neither hears the other before it claims: the first is stopped as it starts.
+/// Both have one name, and neither receives the other's lease before it claims its own: the first is stopped as it
+/// starts.
 #[cfg(unix)]
 #[tokio::test(flavor = "multi_thread")]
 async fn of_two_processes_with_one_name_one_has_the_lease_at_a_time() -> anyhow::Result<()> {
@@ -118,7 +119,7 @@ async fn a_standby_with_its_own_disk_keeps_closed_what_was_ordered_to_stay_close
     rig.until("the standby commands", 30.0, taken).await?;
     let written = std::fs::read_to_string(data.join(format!("standing-{TELESCOPE}.json")))?;
     assert!(written.contains("people on the roof"), "{written}");
-    // The safety dwell of this rig is 3 s: without the order the dome would open.
+    // The safety dwell is 3 s here: without the order the dome would open.
     tokio::time::sleep(Duration::from_secs(8)).await;
     assert!(rig.is_shut(), "{}", rig.last_words());
     rig.order(&["open-again"]).await?;
@@ -128,7 +129,8 @@ async fn a_standby_with_its_own_disk_keeps_closed_what_was_ordered_to_stay_close
     Ok(())
 }
 
-/// Killed between the grant of its first token and the word of it on its disk: as the arbiter and the disk have it then.
+/// Killed between the grant of its first token and the record of it on its disk: the arbiter and the disk are in that
+/// state.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_life_that_was_ended_as_it_was_granted_the_lease_costs_no_night() -> anyhow::Result<()> {
     let mut rig = Rig::new(RigOptions { permit_valid_s: 10.0, ..RigOptions::default() }, long_row).await?;

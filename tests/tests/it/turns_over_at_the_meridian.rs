@@ -21,7 +21,7 @@ const FRAMES: u32 = 30;
 
 fn options() -> RigOptions {
     let mut options = RigOptions::default();
-    // The sky does not wait while the nodes start: the first target must still stand before the meridian then.
+    // The sky moves while the nodes start: the first target must still be before the meridian then.
     options.world.speed = 10.0;
     options.world.dome.slit = None;
     let camera = &mut options.world.camera;

@@ -1,4 +1,4 @@
-//! The dome's slit stands where the telescope looks: judged by the light that reaches the camera in the simulated world.
+//! The dome's slit is where the telescope looks, as the light shows that reaches the camera in the simulated world.
 
 #![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
 

@@ -1,12 +1,12 @@
-//! Bodies that move among the stars: where one stands, as seen from the site, and how fast it moves.
+//! Bodies that move among the stars: the direction of one, as seen from the site.
 //!
 //! All give the *astrometric* place: the direction from the site to where the light that arrives now left the body, in
 //! ICRS axes and without aberration, as a catalogue would list a star beside it. [`Observer::to_of_date`] and
-//! [`Observer::to_horizontal`] then do with it what they do with a star.
+//! [`Observer::to_horizontal`] then convert it as they convert a star.
 //!
-//! What is reached against JPL's DE421 from 1990 to 2050 (`tests/python/test_sky.py`): the Moon within 10 arcsec, Mercury to
-//! Mars within 0.2, Jupiter and Saturn within 0.4, Uranus and Neptune within 2.3 arcsec. Satellites agree with the reference
-//! SGP4 to 0.01 arcsec; how old the elements are decides how true that is.
+//! The accuracy compared with JPL's DE421 from 1990 to 2050 (`tests/python/test_sky.py`): the Moon within 10 arcsec,
+//! Mercury to Mars within 0.2, Jupiter and Saturn within 0.4, Uranus and Neptune within 2.3 arcsec. Satellites agree
+//! with the reference SGP4 to 0.01 arcsec; how old the elements are decides how true that is.
 
 mod orbit;
 mod planet;
@@ -22,7 +22,7 @@ pub use self::satellite::Satellite;
 use crate::{Icrs, Observer, SkyError};
 
 const DAY_S: f64 = 86_400.0;
-/// Light time is worked out anew so often: each time shrinks its error by the body's speed over that of light, 1e-4.
+/// Light time is computed anew so often: each time shrinks its error by the body's speed over that of light, 1e-4.
 const LIGHT_TIMES: u32 = 3;
 
 /// A body that moves among the stars.
@@ -38,7 +38,7 @@ pub enum Body {
     Satellite(Box<Satellite>),
 }
 
-/// Where a body stands.
+/// The position of a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Seen {
     /// Astrometric, from the site.
@@ -82,7 +82,7 @@ impl Body {
 }
 
 impl Observer {
-    /// From the site to where light that arrives now left a body, au; `place` tells where it was so many days ago.
+    /// From the site to where light that arrives now left a body, au; `place` returns its place so many days ago.
     fn arriving(&self, place: impl Fn(f64) -> Result<[f64; 3], SkyError>) -> Result<[f64; 3], SkyError> {
         let mut light_days = 0.0;
         let mut from_site = [0.0; 3];

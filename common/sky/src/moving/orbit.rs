@@ -13,7 +13,7 @@ const CONVERGED: f64 = 1e-14;
 /// Bisection alone would need fewer.
 const MOST_STEPS: u32 = 300;
 
-/// How large an orbit is.
+/// The size of an orbit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Shape {
     /// Perihelion distance, au: for comets, and any eccentricity.
@@ -22,7 +22,7 @@ pub enum Shape {
     SemiMajorAxis(f64),
 }
 
-/// When the body is where.
+/// The time at which the body is at a place of its orbit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum When {
     /// It passes its perihelion at this Julian date, TT.
@@ -45,7 +45,7 @@ pub struct Orbit {
     passage: f64,
     /// To the perihelion, ICRS axes.
     toward: [f64; 3],
-    /// Where the body heads at the perihelion, ICRS axes.
+    /// The direction of motion at the perihelion, ICRS axes.
     ahead: [f64; 3],
 }
 
@@ -53,7 +53,7 @@ impl Orbit {
     /// From osculating elements about the Sun against ecliptic and equinox of J2000.
     ///
     /// # Errors
-    /// When a number is none, or the elements describe no orbit.
+    /// When a value is not a number, or the elements describe no orbit.
     pub fn new(
         shape: Shape,
         eccentricity: f64,
@@ -235,8 +235,8 @@ mod tests {
     }
 
     proptest! {
-        /// Energy and area tell whether a place belongs to its time, whatever the orbit: the speed between two near times is
-        /// that which the distance allows, and equal areas are swept in equal times.
+        /// Energy and area show whether a place belongs to its time, whatever the orbit: the speed between two near
+        /// times is that which the distance allows, and equal areas are swept in equal times.
         #[test]
         fn every_orbit_keeps_its_energy_and_its_areas(q in 0.3..30.0f64, e in 0.0..3.0f64, days in -4000.0..4000.0f64) {
             let orbit = orbit(q, e);

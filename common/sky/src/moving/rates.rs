@@ -1,11 +1,11 @@
-//! How fast a mount must go beside the stars, in ASCOM's units.
+//! The speed of a mount relative to the stars, in ASCOM's units.
 
 /// Sidereal seconds in a second: the Earth turns once in 86164.0905 s.
 const SIDEREAL_PER_SI: f64 = 1.002_737_909_36;
 /// Arcseconds in a second of right ascension.
 const ARCSEC_PER_RA_S: f64 = 15.0;
 
-/// What ASCOM's `RightAscensionRate` and `DeclinationRate` take. Both zero: the mount follows the stars.
+/// The values of ASCOM's `RightAscensionRate` and `DeclinationRate`. Both zero: the mount follows the stars.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Rates {
     /// Seconds of right ascension per sidereal second, eastward positive: along the coordinate, not on the sky.

@@ -7,7 +7,7 @@ use units::Utc;
 use crate::{Observer, SkyError};
 
 const AU_KM: f64 = 149_597_870.7;
-/// Elements older than this say nothing about where a satellite is, days.
+/// Elements older than this do not give a satellite's place, days.
 const MOST_DAYS: f64 = 366.0;
 
 /// A satellite of the Earth by its two-line elements.

@@ -23,8 +23,8 @@ fn fork() -> Slit {
     Slit { axes_m: [0.0; 3], arm_m: 0.0, ..dome() }
 }
 
-/// Rays of chance through the aperture, followed in small steps to the dome and looked at in the dome's own frame:
-/// how many of them the slit lets through. Shares nothing with the formulas but the frame of the mount.
+/// Rays of chance through the aperture, followed in small steps to the dome and looked at in the dome's own frame: how
+/// many of them the slit lets through. It shares only the frame of the mount with the formulas.
 fn rays_through(slit: &Slit, aim: &Aim, azimuth: Angle, rays: u32, seed: u64) -> u32 {
     let (through, along) = slit.optical_axis(aim);
     let mut state = seed.wrapping_mul(2).wrapping_add(1);
@@ -186,8 +186,8 @@ fn rays_of_chance_all_pass_within_the_arc_and_some_do_not_beyond_it() {
     }
 }
 
-/// A night of a tracking mount: what is hidden by a slit that follows, how often it turns, and by rays of chance
-/// whether anything was hidden.
+/// A night of a tracking mount: what a slit that follows hides, how often it turns, and, by random rays, whether
+/// anything was hidden.
 fn follow(mut turn_to: impl FnMut(&Aim, Angle) -> Option<Angle>, slit: &Slit, start: Aim, hours: f64) -> (u32, u32) {
     let mut azimuth = slit.azimuth(&start);
     let (mut turns, mut hidden) = (0, 0);
