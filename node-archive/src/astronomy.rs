@@ -1,4 +1,5 @@
-//! What a header says of the sky: dates, sidereal time, light times, direction and airmass at the start of an exposure.
+//! The values of a header about the sky: dates, sidereal time, light times, direction and airmass at the start of an
+//! exposure.
 
 use sky::{Icrs, Observer, OfDate, SkyError};
 use units::{Angle, Utc};
@@ -10,12 +11,12 @@ pub struct Exposure {
     observer: Observer,
     start: Utc,
     end: Utc,
-    /// What was observed, where that is known.
+    /// The direction of the target, where it is known.
     target: Option<Icrs>,
 }
 
 impl Exposure {
-    /// Works it out; refused for a place off the Earth or a clock that was never set.
+    /// Computes the sky; refused for a place off the Earth or a clock that was never set.
     pub fn new(place: &config::Place, start: Utc, exposure_s: f64, target: Option<Icrs>) -> Result<Self, SkyError> {
         let (site, orientation) = place.on_earth()?;
         let observer = Observer::new(&site, &orientation, start)?;
@@ -23,12 +24,12 @@ impl Exposure {
         Ok(Self { observer, start, end: start.plus_seconds(exposure_s), target })
     }
 
-    /// Takes this as what was observed, unless something is known already.
+    /// Takes this as the direction of the target, unless one is known already.
     pub fn point_to(&mut self, place: Icrs) {
         self.target = self.target.or(place.checked().ok());
     }
 
-    /// What was observed.
+    /// The direction of the target.
     pub fn target(&self) -> Option<Icrs> {
         self.target
     }

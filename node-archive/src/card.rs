@@ -26,7 +26,7 @@ pub struct Card {
     pub keyword: String,
     /// Its value.
     pub value: CardValue,
-    /// What it means; cut where the card ends.
+    /// The meaning; cut where the card ends.
     pub comment: String,
 }
 

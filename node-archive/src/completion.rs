@@ -1,8 +1,8 @@
 //! Completes the header of a file in place, so that a kill at any moment leaves the old header or the new one.
 //!
-//! A new file keeps room in its header, so the pixels stay where they are and are never copied, whatever their number.
-//! The new header is computed in memory, written whole to a journal next to the file (`name.fits.header`, with its
-//! hash, synced), then over the old one, and the journal is removed. A kill before the journal is whole changes
+//! A new file has spare room in its header, so the pixels stay where they are and are never copied, whatever their
+//! number. The new header is computed in memory, written whole to a journal next to the file (`name.fits.header`, with
+//! its hash, synced), then over the old one, and the journal is removed. A kill before the journal is whole changes
 //! nothing; after that, [`Completer::recover`] writes the same bytes again. Where the room is used up, the file is
 //! written anew next to the old one and renamed over it.
 
@@ -25,7 +25,7 @@ pub enum CompletionError {
     /// The file system.
     #[error("cannot {what} {}: {source}", file.display())]
     File {
-        /// What was being done.
+        /// The operation that failed.
         what: &'static str,
         /// With which file.
         file: PathBuf,
@@ -176,7 +176,7 @@ fn rewrite(path: &Path, header: &[u8], old_length: u64) -> Result<(), Completion
     let part = PathBuf::from(part);
     let written = refuse_link(path).and_then(|()| File::open(path)).and_then(|mut old| {
         old.seek(SeekFrom::Start(old_length))?;
-        // What a kill left, or a link that somebody put there.
+        // A file that a kill left, or a link that somebody put there.
         if is_taken(&part) {
             fs::remove_file(&part)?;
         }

@@ -37,7 +37,7 @@ pub enum DatabaseError {
     /// SQLite.
     #[error("cannot {what} the database {}: {source}", file.display())]
     Sqlite {
-        /// What was being done.
+        /// The operation that failed.
         what: &'static str,
         /// With which file.
         file: PathBuf,

@@ -14,8 +14,8 @@ use tokio::sync::Notify;
 
 use crate::database::{Database, StoredFacts, Write};
 
-/// A header waits so long for facts, machine time: they come within a second of the frame. Those that come later are put
-/// into the complete header.
+/// A header waits so long for facts, machine time: they come within a second of the frame. Those that come later are
+/// put into the complete header.
 pub const PATIENCE: Duration = Duration::from_secs(3);
 /// Facts that wait here when the database is slow.
 const WAITING: usize = 4096;

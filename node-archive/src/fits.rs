@@ -24,7 +24,7 @@ const LONGEST_PATH: usize = 1024;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("cannot {what} {}: {detail}", file.display())]
 pub struct FitsError {
-    /// What was being done.
+    /// The operation that failed.
     pub what: &'static str,
     /// With which file.
     pub file: PathBuf,

@@ -28,8 +28,8 @@ const LEFT_TO_FITS: [&str; 14] = [
     "SIMPLE", "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "NAXIS3", "EXTEND", "BZERO", "BSCALE", "BLANK", "CHECKSUM",
     "DATASUM", "END", "PCOUNT",
 ];
-/// Room that a new file keeps beyond the rows of the table: what was measured (22), a plate solution with its distortion
-/// (73), the history, the odd keyword.
+/// Room that a new file keeps beyond the rows of the table: what was measured (22), a plate solution with its
+/// distortion (73), the history, the odd keyword.
 const SPARE_CARDS: usize = 120;
 
 /// All that is known when a file is made.

@@ -11,21 +11,25 @@
 //! One archive of a telescope writes in a folder ([`folder`]); a slow spool delays no other ([`turns`]); files that an
 //! older database does not know are found again ([`rebuild`]).
 //!
-//! Nothing here is in the safety path, and every step may be killed: a frame that was announced is stored once, a header
-//! is the old one or the new one, a row counts once.
+//! Nothing here is in the safety path, and every step may be killed: a frame that was announced is stored once, a
+//! header is the old one or the new one, a row counts once.
 //!
 //! # Invariants
 //!
 //! - A FITS file appears under its name only when it is whole, and a header is the old one or the new one:
 //!   `a_kill_at_any_step_leaves_the_old_header_or_the_new_one`.
-//! - A frame is released only after its file and its row are on disk: `a_frame_is_stored_once_released_completed_and_found_again_after_a_restart`.
+//! - A frame is released only after its file and its row are on disk:
+//!   `a_frame_is_stored_once_released_completed_and_found_again_after_a_restart`.
 //! - A database row counts a reading once: `a_reading_counts_once_and_keeps_its_type`.
-//! - A plate solution is whole or not in the header at all: `a_table_with_a_word_of_its_own_gets_no_half_of_a_solution`.
+//! - A plate solution is whole or not in the header at all:
+//!   `a_table_with_a_word_of_its_own_gets_no_half_of_a_solution`.
 //! - Measured facts are never replaced by a reason why there are none:
 //!   `facts_are_kept_once_and_what_was_measured_never_gives_way_to_a_reason`.
-//! - One archive of a telescope writes in a folder of images, and below that folder no link is followed (decision 0064):
-//!   `a_second_archive_of_one_telescope_is_refused_and_told_by_whom`, `no_link_below_the_folder_of_images_is_followed`.
-//! - A damaged database is put aside whole before a new one is written: `a_damaged_database_is_put_aside_and_a_new_one_takes_rows`.
+//! - One archive of a telescope writes in a folder of images, and below that folder no link is followed (decision
+//!   0064): `a_second_archive_of_one_telescope_is_refused_and_told_by_whom`,
+//!   `no_link_below_the_folder_of_images_is_followed`.
+//! - A damaged database is put aside whole before a new one is written:
+//!   `a_damaged_database_is_put_aside_and_a_new_one_takes_rows`.
 //! - The audit here is a copy: the archive asks the nodes, whose own files decide:
 //!   `an_archive_that_was_away_has_every_record_in_its_order_afterwards`.
 

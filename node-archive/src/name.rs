@@ -71,7 +71,8 @@ impl Namer {
         if faults.is_empty() { Ok(namer) } else { Err(faults.swap_remove(0)) }
     }
 
-    /// As [`Namer::new`], with the default in the place of each template that cannot be used, and what is wrong with those.
+    /// As [`Namer::new`], with the default in the place of each template that cannot be used, and what is wrong with
+    /// those.
     pub fn with_faults(own: &BTreeMap<String, String>, longitude_deg: f64) -> (Self, Vec<NameError>) {
         // One Jinja template makes all of a site's own Jinja, as the predecessor reads them.
         let is_jinja = own.values().any(|template| template.contains("{{") && template.contains("}}"));
@@ -244,8 +245,8 @@ fn folder(own: Option<&str>) -> PathBuf {
     own.split(['/', '\\']).filter(|part| !matches!(*part, "" | ".")).map(part).collect()
 }
 
-/// Text from a schedule as it may stand inside a name: no separators, no control characters, nothing that Windows refuses,
-/// and plain ASCII, since cfitsio opens no other names there.
+/// Text from a schedule as it may stand inside a name: no separators, no control characters, nothing that Windows
+/// refuses, and plain ASCII, since cfitsio opens no other names there.
 fn clean(text: &str) -> String {
     let harmless = |c: char| c.is_ascii_alphanumeric() || " -_.+()[],=@#~".contains(c);
     text.chars().map(|c| if harmless(c) { c } else { '_' }).collect::<String>().trim().to_owned()

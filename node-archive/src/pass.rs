@@ -61,7 +61,7 @@ pub struct Pass {
     pub count: AtomicI64,
 }
 
-/// What is remembered of a frame that is not complete.
+/// The state of a frame that is not complete.
 #[derive(Debug, Clone, Copy)]
 struct Waiting {
     since: MachineTime,
@@ -77,7 +77,7 @@ enum Outcome {
     Failed(String),
 }
 
-/// What is needed to complete a header of a site.
+/// Everything that is needed to complete a header of a site.
 pub struct Site<'a> {
     /// The site's configuration.
     pub config: &'a Observatory,

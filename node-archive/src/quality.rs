@@ -47,7 +47,7 @@ pub fn makes(keyword: &str) -> bool {
     KEYWORDS.iter().any(|(known, ..)| *known == keyword)
 }
 
-/// What facts add to a header.
+/// The keywords that facts add to a header.
 pub fn plan(table: &HeaderTable, facts: &FrameFacts) -> Plan {
     let card = |(keyword, value, comment): &(&str, Value, &str)| {
         let row = table.rows.iter().find(|row| row.keyword == *keyword);

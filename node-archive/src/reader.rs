@@ -14,7 +14,7 @@ use crate::database::{DatabaseError, StoredFacts, StoredImage, stamp};
 use crate::header::Around;
 use crate::interpolate::Sample;
 
-/// Rows of an answer where the question does not say, and at most.
+/// Rows of an answer where the question has no limit, and at most.
 const USUAL_LIMIT: u32 = 1000;
 const HIGHEST_LIMIT: u32 = 100_000;
 /// Before and after all times that can be stored.
@@ -106,7 +106,7 @@ impl Reader {
         counted.map_err(|source| self.failed(source))
     }
 
-    /// What was measured on a frame.
+    /// The facts that were measured on a frame.
     pub fn facts(&self, frame: &CommandId) -> Result<Option<StoredFacts>, DatabaseError> {
         let sql = "SELECT facts, datetime, boot_id, seq FROM facts WHERE frame_id = ?";
         let look = || self.connection.prepare_cached(sql)?.query_row([&frame.0], facts).optional();

@@ -44,8 +44,8 @@ impl OnDisk {
         (Self { images_of_before: began, found }, sender)
     }
 
-    /// The file of a frame that the database does not know, relative to the folder of images, and its length. A frame that
-    /// began after this archive did has none, and is not waited for.
+    /// The file of a frame that the database does not know, relative to the folder of images, and its length. A frame
+    /// that began after this archive did has none, and is not waited for.
     pub async fn find(&self, frame: &Frame, images: &Path) -> Option<(String, u64)> {
         if frame.started_utc >= self.images_of_before {
             return None;
@@ -138,7 +138,7 @@ fn unknown(images: &Path, database: &Path) -> anyhow::Result<Files> {
     Ok(files)
 }
 
-/// What a file's header contains about its frame.
+/// The facts of a file's header about its frame.
 struct Found {
     header: Header,
     shape: Shape,
@@ -238,7 +238,8 @@ fn shape(header: &Header) -> Option<Shape> {
     Some(Shape { pixel, width_px: count("NAXIS1")?, height_px: count("NAXIS2")?, planes })
 }
 
-/// The hash of the pixels as they lay in the spool, little endian, from those of a FITS file, most significant byte first.
+/// The hash of the pixels as they lay in the spool, little endian, from those of a FITS file, most significant byte
+/// first.
 fn hash(file: &mut File, pixel: Pixel, length: usize) -> io::Result<String> {
     let (mut hasher, mut chunk, mut left) = (Sha256::new(), vec![0; CHUNK], length);
     while left > 0 {

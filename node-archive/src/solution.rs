@@ -1,9 +1,9 @@
 //! The cards of a plate solution: the standard world coordinate system of FITS, so that any program knows what the
 //! pixels show.
 //!
-//! TAN, with the SIP polynomials where the optics distort; Calabretta & Greisen 2002, A&A 395, 1077 and Shupe et al. 2005,
-//! ASP Conf. 347, 491. A WCS is whole or nothing: where the site's table takes one of its keywords from elsewhere, none is
-//! written, and the history says so.
+//! TAN, with the SIP polynomials where the optics distort; Calabretta & Greisen 2002, A&A 395, 1077 and Shupe et al.
+//! 2005, ASP Conf. 347, 491. A WCS is whole or nothing: where the site's table takes one of its keywords from
+//! elsewhere, none is written, and the history contains a line about it.
 
 use config::header::{HeaderTable, Source};
 use contract::device::camera::Frame;
@@ -18,7 +18,7 @@ use crate::plan::Plan;
 /// Keywords of the frame of coordinates, which a table may list as well: RA and DEC have the same one.
 const FRAME: [&str; 2] = ["RADESYS", "EQUINOX"];
 
-/// What the solution of a frame adds to its header; nothing where there is none.
+/// The keywords that the solution of a frame adds to its header; none where there is no solution.
 pub fn plan(table: &HeaderTable, facts: &FrameFacts, frame: &Frame) -> Plan {
     let Some(told) = &facts.wcs else { return Plan::default() };
     let (width, height) = (frame.width_px as usize, frame.height_px as usize);

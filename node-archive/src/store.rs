@@ -31,7 +31,7 @@ use crate::turns::Turns;
 
 /// Files that are written at the same time.
 const WRITTEN_AT_ONCE: usize = 2;
-/// Announcements that wait; the spool keeps the frames, so none is lost with them.
+/// Announcements that wait; the spool holds the frames, so none is lost with them.
 const WAITING: usize = 4096;
 /// First and longest wait before a failed step is tried again, machine time.
 const FIRST_WAIT: Duration = Duration::from_millis(500);
@@ -88,7 +88,7 @@ fn said_of(count: usize, newest: String) -> String {
     if count < 2 { newest } else { format!("{count} frames cannot be stored; one of them: {newest}") }
 }
 
-/// What is known of a frame that is announced.
+/// The state of a frame that is announced.
 enum Known {
     Stored(Box<StoredImage>),
     /// Its file had its name when a kill came, and is not recorded.
@@ -133,7 +133,7 @@ pub async fn keep(store: Store) -> anyhow::Result<()> {
     }
 }
 
-/// What all frames share on their way.
+/// The parts that all frames share on their way.
 struct Ways {
     client: reqwest::Client,
     turns: Arc<Turns>,

@@ -17,7 +17,7 @@ const CARDS_PER_BLOCK: usize = BLOCK / CARD;
 const MOST_BLOCKS: usize = 1000;
 /// Room for more cards, where a header has to grow.
 const SPARE_BLOCKS: usize = 1;
-/// What one card of history takes.
+/// The characters of one card of history.
 const HISTORY_LENGTH: usize = 72;
 
 /// The cards of a header, and how long it is on disk.

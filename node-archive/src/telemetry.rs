@@ -131,8 +131,8 @@ pub async fn keep(node: Node, database: Database, newest: Newest) -> anyhow::Res
     }
 }
 
-/// Devices whose telemetry is stored: those that the file names, and a few more, such as other shared ones of the site. Any
-/// program on the bus can invent more, and each would stay in memory and in the database.
+/// Devices whose telemetry is stored: those that the file names, and a few more, such as other shared ones of the site.
+/// Any program on the bus can invent more, and each would stay in memory and in the database.
 struct KnownDevices {
     named: BTreeSet<Device>,
     others: BTreeSet<Device>,

@@ -421,7 +421,7 @@ async fn a_file_that_was_named_just_before_a_kill_is_adopted() {
     spool.frames.put(spool.frame("frame-3", taken)).await.unwrap();
     let written = hear_stored(&stored, false).await.file;
     assert!(written.starts_with("20261120/"), "{written}");
-    // No telemetry comes; the headers are completed without it, and their history says so.
+    // No telemetry comes; the headers are completed without it, and their history contains a line about it.
     for _ in 0..2 {
         let complete = hear_stored(&stored, true).await;
         let header = Header::read(&images.join(&complete.file)).unwrap().unwrap();

@@ -1,5 +1,5 @@
-//! The archive's copy of a node's audit, with a real node's audit and real sessions: nothing is missing after an absence,
-//! and nothing that was changed passes.
+//! The archive's copy of a node's audit, with a real node's audit and real sessions: nothing is missing after an
+//! absence, and nothing that was changed passes.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test ends by panicking")]
 

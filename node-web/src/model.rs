@@ -23,7 +23,7 @@ use crate::freshness::{Quality, period};
 /// A broken or hostile publisher must not fill the memory.
 const MOST_KEYS: usize = 2000;
 const MOST_TELESCOPES: usize = 200;
-/// What payloads may take in memory: those of one telescope, and all.
+/// The memory that payloads may take: those of one telescope, and all.
 const MOST_WEIGHT: usize = 32 << 20;
 const MOST_WEIGHT_OF_ALL: usize = 256 << 20;
 /// An entry that has been silent for so long is removed when there is no room for a new one.
@@ -38,7 +38,7 @@ const FORGET_AFTER: Duration = Duration::from_secs(24 * 3600);
 /// Two writers of one key: the younger one counts while it has published within this time.
 const YOUNGER_HOLDS: Duration = Duration::from_secs(3);
 
-/// What is known; readers hold it for one expression.
+/// The known state; readers hold it for one expression.
 #[derive(Default)]
 pub struct Model {
     /// All telescopes, and `shared` of each site.
@@ -71,7 +71,7 @@ pub struct Telescope {
 pub struct Unreadable {
     /// The key without its root.
     pub key: String,
-    /// What is wrong.
+    /// The fault.
     pub why: String,
 }
 

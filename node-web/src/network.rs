@@ -31,7 +31,7 @@ impl Network {
         &self.clock
     }
 
-    /// What is known now; never held across an await.
+    /// The model as it is now; never held across an await.
     pub fn read(&self) -> RwLockReadGuard<'_, Model> {
         self.model.read().unwrap_or_else(PoisonError::into_inner)
     }

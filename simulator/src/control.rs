@@ -7,7 +7,7 @@
 //! | `PUT /simulator/v1/world/site` `{"latitude_deg": 47, "longitude_deg": 8, "elevation_m": 500, "start": "2026-11-21T15:00:00Z", "best_focus": 12000, "filters": ["z'"], "coldest_c": -60, "scatter_arcsec": 1, "small_frames": true}` | begins anew as this site; the clock stands until it is asked for ([`crate::site`]) |
 //! | `PUT /simulator/v1/world/rain` `{"on": true}` | rain with clouds and damp |
 //! | `PUT /simulator/v1/world/weather` `{"WindSpeed": 22, "Humidity": null}` | orders values; null: as nature has it |
-//! | `PUT /simulator/v1/world/safety` `{"unsafe": true}` | the safety monitor says unsafe |
+//! | `PUT /simulator/v1/world/safety` `{"unsafe": true}` | the safety monitor reports unsafe |
 //! | `PUT /simulator/v1/world/shutter` `{"sticks_half_open": true}` | |
 //! | `PUT /simulator/v1/world/dome` `{"turn_deg_per_s": 0}` | how fast it turns; 0: it hangs; null: as at the start |
 //! | `PUT /simulator/v1/world/dome` `{"runs_on": true}` | its turns never end |

@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use crate::answer::Answer;
 
-/// What is wrong with one device; the default is: nothing.
+/// The fault of one device; the default is none.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Fault {

@@ -33,7 +33,7 @@ struct Slew {
     elapsed_s: f64,
     duration_s: f64,
     arrival: Arrival,
-    /// What the declination motor turns altogether, deg; it turns forward to the north with the tube east of the pier.
+    /// The whole turn of the declination motor, deg; it turns forward to the north with the tube east of the pier.
     dec_motor_deg: f64,
 }
 

@@ -101,7 +101,7 @@ impl Observatory {
         })
     }
 
-    /// What it was made of.
+    /// The options that it was made of.
     pub fn options(&self) -> &Options {
         &self.options
     }

@@ -50,8 +50,8 @@ pub struct MountOptions {
     pub settle_s: f64,
     /// Size of the systematic pointing error, arcmin.
     pub pointing_error_arcmin: f64,
-    /// Scatter of repeated slews to one place, arcsec per axis; in full after a way of a degree or more, over a shorter one
-    /// in proportion.
+    /// Scatter of repeated slews to one place, arcsec per axis; in full after a way of a degree or more, over a shorter
+    /// one in proportion.
     pub scatter_arcsec: f64,
     /// Half the peak-to-peak periodic error in right ascension, arcsec.
     pub periodic_error_arcsec: f64,

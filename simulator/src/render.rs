@@ -54,7 +54,8 @@ pub fn render(plan: &Plan) -> Frame {
 
 /// Where a star falls, in unbinned pixels of the whole sensor; None on the other half of the sky.
 ///
-/// With position angle 0, north is +y and east is -x (+x where mirrored); the sensor's middle looks at the sample's centre.
+/// With position angle 0, north is +y and east is -x (+x where mirrored); the sensor's middle looks at the sample's
+/// centre.
 pub fn pixel_of(plan: &Plan, sample: &Sample, star: Icrs) -> Option<(f64, f64)> {
     let (xi, eta) = Tangent::new(sample.center).project(&star)?;
     let (sin, cos) = sample.position_angle.radians().sin_cos();

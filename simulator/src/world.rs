@@ -246,7 +246,7 @@ impl World {
         self.lock().observatory.dome.shutter_needs_rest = needs_rest;
     }
 
-    /// Makes the mount report that it is parked, and refuse to park, or report the truth again.
+    /// Makes the mount report that it is parked, and act as if it were, or report the truth again.
     pub fn lie_about_park(&self, lies: bool) {
         self.lock().observatory.telescope.lies_about_park = lies;
     }

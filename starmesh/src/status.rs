@@ -29,7 +29,7 @@ pub struct Options {
     join: Join,
 }
 
-/// What one telescope published.
+/// The states that one telescope published.
 #[derive(Default)]
 struct Told {
     night: Option<NightState>,

@@ -33,7 +33,7 @@ pub struct NodeProcess {
 
 /// A process that lived so long is healthy again: the next restart comes at once.
 const HEALTHY: Duration = Duration::from_secs(60);
-/// A node that keeps ending waits at most so long for its next start.
+/// A node that ends again and again waits at most so long for its next start.
 const MOST: Duration = Duration::from_secs(60);
 /// An observatory node closes first, at most 15 s.
 const END: Duration = Duration::from_secs(25);
@@ -127,7 +127,8 @@ impl NodeProcess {
     }
 }
 
-/// Ends a node: closes its standard input, asks it by signal where there are signals, and after its time has passed kills it.
+/// Ends a node: closes its standard input, asks it by signal where there are signals, and after its time has passed
+/// kills it.
 pub async fn end(mut child: Child, within: Duration) -> anyhow::Result<()> {
     drop(child.stdin.take());
     #[cfg(unix)]

@@ -1,4 +1,5 @@
-//! `starmesh check` of wrong configurations: every fault with its line, in words of the field, and nothing that cannot run.
+//! `starmesh check` of wrong configurations: every fault with its line, in words of the field, and nothing that cannot
+//! run.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 

@@ -1,5 +1,5 @@
-//! `starmesh check` of wrong schedules: each with its line, what is wrong, and what would be right; none panics, and none is
-//! taken that cannot run.
+//! `starmesh check` of wrong schedules: each with its line, what is wrong, and what would be right; none panics, and
+//! none is taken that cannot run.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 

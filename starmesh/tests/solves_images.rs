@@ -116,7 +116,7 @@ fn golden_frames_are_solved_with_any_kind_of_catalogue() {
                 assert!(answer["reason"].as_str().unwrap().starts_with("too few stars"), "{answer}");
                 continue;
             }
-            // What is left of the noisy frame shows four stars of the catalogue: the program may refuse it, but a wrong
+            // The rest of the noisy frame shows four stars of the catalogue: the program may refuse it, but a wrong
             // answer fails.
             if name == "f04_noisy" && answer["solved"] == false {
                 assert!(answer["reason"].is_string() && answer["ra_deg"].is_null(), "{answer}");

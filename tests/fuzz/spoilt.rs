@@ -16,7 +16,7 @@ pub fn config(few: u32) -> Config {
 type Wound = (u8, u16, u16);
 
 /// Texts with up to eight wounds, and now and then plain bytes. `words` are inserted at places of the text: signs and
-/// keys of the format. What is no UTF-8 is replaced, as no reader is given it.
+/// keys of the format. Bytes that are not UTF-8 are replaced, because no reader gets them.
 pub fn spoilt(good: &'static [&'static str], words: &'static [&'static str]) -> impl Strategy<Value = String> {
     let wounds = prop::collection::vec(any::<Wound>(), 0..8);
     let wounded = (0..good.len(), wounds).prop_map(move |(which, wounds)| wounded(good, words, which, &wounds));

@@ -10,8 +10,8 @@ use crate::{AlpacaError, value};
 /// An answer that cannot be read is asked for so often: its value holds until the device is connected anew.
 const TRIES: u32 = 3;
 
-/// A property that may be absent: `None` for an absent one; an error only if the server itself is gone or answers other
-/// requests.
+/// A property that a device may lack: its value, or the reason why there is none. An error only if no answer comes, the
+/// device is not connected, or the server answers another request.
 pub async fn optional<T>(
     alpaca: &Alpaca,
     member: &str,

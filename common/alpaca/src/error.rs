@@ -129,7 +129,7 @@ impl AlpacaError {
         matches!(self, Self::Ascom { code: Self::INVALID_VALUE, .. })
     }
 
-    /// The device says that it is not connected.
+    /// The device reports that it is not connected.
     pub fn is_not_connected(&self) -> bool {
         matches!(self, Self::Ascom { code: Self::NOT_CONNECTED, .. })
     }

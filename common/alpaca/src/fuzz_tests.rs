@@ -24,7 +24,7 @@ const BEGINNINGS: [&str; 12] = [
     "false",
     "",
 ];
-/// What a safe monitor says; no status but success makes it safe.
+/// The answer of a safe monitor; only with a status of success it means safe.
 const SAFE: &str = r#"{"Value":true,"ErrorNumber":0,"ErrorMessage":""}"#;
 
 /// Up to four faults: bytes changed, lost, doubled or inserted, an end cut off, another answer's end appended.

@@ -5,8 +5,8 @@
 //! properties that a device may lack, [`value`] converts JSON to types, and [`discovery`] finds the servers of a
 //! network.
 //!
-//! Nothing here knows the bus or a node of Starmesh; of `contract` only its values are used: the kind of a device, the type
-//! of a pixel, and the reason why a value is absent.
+//! Nothing here knows the bus or a node of Starmesh; of `contract` only its values are used: the kind of a device, the
+//! type of a pixel, and the reason why a value is absent.
 
 mod body;
 mod capability;

@@ -11,8 +11,10 @@
 //! - Every order and every movement leaves a record: `every_order_and_every_movement_of_a_night_leaves_a_record`
 //!   (`tests/tests/it/leaves_a_record.rs`).
 //! - Noting never waits for a disk: `a_full_disk_delays_nothing_and_the_chain_goes_on_when_there_is_room`.
-//! - The archive's audit is a copy; the node's own file decides: `whoever_was_away_gets_all_in_portions_across_files_and_breaks`.
-//! - Any byte that is changed in a file is found: `any_byte_that_is_changed_in_the_file_is_found_and_a_new_chain_names_it`.
+//! - The archive's audit is a copy; the node's own file decides:
+//!   `whoever_was_away_gets_all_in_portions_across_files_and_breaks`.
+//! - Any byte that is changed in a file is found:
+//!   `any_byte_that_is_changed_in_the_file_is_found_and_a_new_chain_names_it`.
 
 pub mod book;
 pub mod chain;

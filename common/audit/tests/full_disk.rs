@@ -79,7 +79,7 @@ async fn on_a_small_disk(folder: &Path) {
             }
         }
         bytes.truncate(bytes.len() - size);
-        // What did not fit is given back.
+        // The rest that did not fit is given back.
         fs::write(&filler, &bytes).unwrap();
         if size == 4096 {
             break;

@@ -1,5 +1,5 @@
-//! The image side on frames in files: `cargo run --release -p catalogue --example bench_frames -- CATALOGUE RA_DEG DEC_DEG
-//! SCALE_ARCSEC_PX RUNS FILE [MOVED]`. `tests/bench/image_side.py` draws the frames and calls it.
+//! The image side on frames in files: `cargo run --release -p catalogue --example bench_frames -- CATALOGUE RA_DEG
+//! DEC_DEG SCALE_ARCSEC_PX RUNS FILE [MOVED]`. `tests/bench/image_side.py` draws the frames and calls it.
 //!
 //! Prints one line per work: its name, the best and the median time and the processor time over all cores, ms, and the
 //! result. MOVED is the same field a little later; without it the program prints only the memory that one file takes.
@@ -16,7 +16,7 @@ use imaging::solve::{Detected, Learnt, solve};
 use imaging::{Camera, Clean, Frame, Hint, Measured, Pixels, Search, Solution, measure};
 use units::Angle;
 
-/// The epoch for which the frames are drawn, Julian year: no proper motion to speak of.
+/// The epoch for which the frames are drawn, Julian year: the proper motion until then is negligible.
 const EPOCH_YEAR: f64 = 2016.0;
 /// Stars whose diameters are measured.
 const SIZED: usize = 100;

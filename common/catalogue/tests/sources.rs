@@ -1,4 +1,4 @@
-//! Every kind of source against numbers worked out here, by the plain formulae of spherical trigonometry.
+//! Compares every kind of source with numbers that are computed here, by the plain formulae of spherical trigonometry.
 #![allow(clippy::unwrap_used, clippy::panic)]
 #![allow(missing_docs)]
 
@@ -73,7 +73,7 @@ fn sqlite(folder: &Path, dr3: bool) -> PathBuf {
             format!("INSERT INTO `{d}_{}` (ra, dec, pmra, pmdec, phot_g_mean_mag, j_m) VALUES (?,?,?,?,?,?)", d + 1);
         match motion {
             Some((a, b)) => file.execute(&insert, params![ra, dec, a, b, g, j]).unwrap(),
-            // What is not known is empty text.
+            // An unknown value is empty text.
             None => file.execute(&insert, params![ra, dec, "", "", g, j]).unwrap(),
         };
     }

@@ -7,7 +7,8 @@
 //! # Invariants
 //!
 //! - Pixels whose hash is not the announced one are never returned: `wrong_pixels_are_never_taken`.
-//! - A download ends within the frame's total time, however slow the spool is: `a_spool_that_dribbles_ends_at_the_total_time`.
+//! - A download ends within the frame's total time, however slow the spool is:
+//!   `a_spool_that_dribbles_ends_at_the_total_time`.
 
 use std::time::Duration;
 
@@ -123,8 +124,8 @@ pub fn longest(bytes: u64) -> Duration {
 /// where it ended. The whole takes at most [`longest`]. Needs a runtime of several threads.
 ///
 /// # Errors
-/// [`FetchError`] when the announcement contradicts itself, the spool refuses or is too slow, the connection breaks again
-/// and again, or the pixels have another hash than announced.
+/// [`FetchError`] when the announcement contradicts itself, the spool refuses or is too slow, the connection breaks
+/// again and again, or the pixels have another hash than announced.
 pub async fn fetch(client: &reqwest::Client, frame: &Frame) -> Result<Vec<u8>, FetchError> {
     fetch_within(client, frame, longest(frame.bytes)).await
 }

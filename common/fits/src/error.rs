@@ -27,7 +27,7 @@ pub enum Fault {
     /// Other bytes than those of FITS.
     #[error("is not FITS: it {looks}")]
     NotFits {
-        /// What it looks like, and what to do then.
+        /// The probable kind of the file, and what to do then.
         looks: String,
     },
     /// gzip or bzip2 does not unpack.

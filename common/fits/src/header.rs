@@ -14,7 +14,7 @@ pub enum KeywordError {
         file: PathBuf,
         /// Which keyword.
         keyword: String,
-        /// What was asked for.
+        /// The type that was asked for.
         expected: &'static str,
     },
     /// It is there with a value of another kind.

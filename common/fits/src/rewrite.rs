@@ -9,9 +9,9 @@ use crate::error::{Fault, FitsError};
 use crate::hdu;
 use crate::unpack::{Packing, Source};
 
-/// Changes the header of an HDU. `change` is given the file's bytes from that header on; it answers the new header, in whole
-/// blocks, and how many bytes the old one took. A packed file is packed again; links are followed; the file keeps its
-/// permissions.
+/// Changes the header of an HDU. `change` is given the file's bytes from that header on; it answers the new header, in
+/// whole blocks, and how many bytes the old one took. A packed file is packed again; links are followed; the file keeps
+/// its permissions.
 ///
 /// # Errors
 /// [`FitsError`] when the file cannot be read or written, is read-only, or has no such HDU.
@@ -65,7 +65,7 @@ fn packed(packing: Packing, parts: &[&[u8]]) -> std::io::Result<Vec<u8>> {
 /// Writes a file so that its name stands for the old bytes or for all of the new ones, never for a part of them.
 ///
 /// # Errors
-/// What the system says; then the old file is as it was.
+/// The error of the system; then the old file is as it was.
 pub fn write_at_once(file: &Path, bytes: &[u8], permissions: Option<std::fs::Permissions>) -> std::io::Result<()> {
     let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));

@@ -8,8 +8,8 @@ use crate::header::Header;
 /// The ways of compressing that cfitsio knows.
 const KNOWN: [&str; 7] = ["RICE_1", "RICE_ONE", "GZIP_1", "GZIP_2", "PLIO_1", "HCOMPRESS_1", "NOCOMPRESS"];
 
-/// Pixels that a byte holds at most where the way of compressing has such a limit: deflate's 1032 bytes, and of Rice's 32
-/// pixels and more in 3 bits less than that.
+/// Pixels that a byte holds at most where the way of compressing has such a limit: deflate's 1032 bytes, and of Rice's
+/// 32 pixels and more in 3 bits less than that.
 const MOST_PIXELS: u64 = 1032;
 
 /// Whether the table's rows are the tiles of an image of this shape, and its `bytes` enough for them. On failure: which

@@ -7,7 +7,7 @@ use crate::error::Fault;
 /// More bytes than this are not read of one file: twice the largest frame of our cameras in doubles, so that no bomb
 /// fills the memory.
 pub(crate) const MOST_BYTES: u64 = 2 << 30;
-/// What may follow behind the parts that a packed file announces, bytes: other programs fill up to a tape's block.
+/// The bytes that may follow the parts that a packed file announces: other programs fill up to a tape's block.
 const MOST_BEHIND: u64 = 16 << 20;
 /// deflate packs a byte into a 1032nd at most (RFC 1951: 258 bytes take two bits).
 const MOST_DEFLATED: u64 = 1032;
@@ -20,7 +20,7 @@ pub(crate) struct Source {
     packing: Packing,
 }
 
-/// What is not read yet.
+/// The part that is not read yet.
 struct Rest {
     from: Box<dyn Read>,
     packing: Packing,
@@ -76,7 +76,7 @@ impl Source {
         if source.bytes.starts_with(b"SIMPLE  =") { Ok(source) } else { Err(other(&source.bytes)) }
     }
 
-    /// What was read so far.
+    /// The bytes that were read so far.
     pub(crate) fn bytes(&self) -> &[u8] {
         &self.bytes
     }

@@ -57,7 +57,7 @@ fn sixteen_bits_without_sign_stay_as_they_are_in_every_packing() {
         assert_eq!((image.bitpix, image.hdu), (16, if how.is_empty() { 1 } else { 2 }), "{name}");
         let first = std::fs::read(&file).unwrap()[..2].to_owned();
         assert_eq!(first == [0x1f, 0x8b], name.ends_with(".gz"), "{name}: cfitsio packs by the name");
-        // The same once more inside of bzip2 and of gzip, whatever the name says.
+        // The same once more inside of bzip2 and of gzip, whatever the name is.
         let mut bzip2 = bzip2::write::BzEncoder::new(Vec::new(), bzip2::Compression::fast());
         bzip2.write_all(&std::fs::read(&file).unwrap()).unwrap();
         let packed = folder.path().join(format!("{name}.bz2"));

@@ -1,8 +1,8 @@
 //! HTTP inside an observatory: a client that uses no proxy, and a server whose connections no single client can use up.
 //!
 //! [`client_builder`] makes every client that talks to hardware, to a spool or to another of our own addresses.
-//! [`serve`] serves the page and the spool: it limits connections in all, connections of one address ([`Places`]), and the
-//! time that a request may take.
+//! [`serve`] serves the page and the spool: it limits connections in all, connections of one address ([`Places`]), and
+//! the time that a request may take.
 //!
 //! # Invariants
 //!

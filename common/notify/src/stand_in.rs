@@ -15,7 +15,8 @@ use crate::sending::keep_sending;
 /// Alerts are published every 10 s; a node that is silent for longer than this no longer sends.
 const SILENCE: Duration = Duration::from_secs(60);
 
-/// The observatory node that returns must receive the alert that it was missed, so that it can report the end to people.
+/// The observatory node that returns must receive the alert that it was missed, so that it can report the end to
+/// people.
 const HOLD: Duration = Duration::from_secs(30);
 /// A node publishes its state every 5 s.
 const LOST: Duration = Duration::from_secs(15);

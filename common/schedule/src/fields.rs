@@ -199,8 +199,8 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// Reads the parameters again with each one that is wrong as in the action's example, or without it, so that all are
-    /// found.
+    /// Reads the parameters again with each one that is wrong as in the action's example, or without it, so that all
+    /// are found.
     fn parameters(&mut self, entry: &Entry, mut value: Map<String, Value>) -> Option<Arc<Action>> {
         let mut mended: Vec<String> = Vec::new();
         loop {

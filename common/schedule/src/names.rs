@@ -11,8 +11,8 @@ use units::{Angle, Utc};
 /// J2000, to which Sesame's places refer, s since 1970.
 const J2000_S: f64 = 946_728_000.0;
 const YEAR_S: f64 = 365.25 * 86_400.0;
-/// Osculating elements are asked for anew when their epoch is further away than this, days: small bodies then stand within an
-/// arcsecond, but for those that pass the Earth.
+/// Osculating elements are asked for anew when their epoch is further away than this, days: small bodies then stand
+/// within an arcsecond, but for those that pass the Earth.
 const FRESH_DAYS: f64 = 3.0;
 /// Older ones than this are not observed by, days.
 const USABLE_DAYS: f64 = 30.0;

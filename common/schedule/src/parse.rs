@@ -114,7 +114,7 @@ fn read_rows(text: &str, cameras: &[Name], defaults: &Defaults, reading: &mut Re
     }
 }
 
-/// Comment lines become blanks of the same length, which keeps the place of everything else.
+/// Comment lines become blanks of the same length, so that the place of everything else stays the same.
 fn without_comments(text: &str) -> String {
     let mut kept = String::with_capacity(text.len());
     for line in text.split_inclusive('\n') {
@@ -145,7 +145,7 @@ fn next_row(text: &str, offset: usize) -> Option<usize> {
     None
 }
 
-/// What is no JSON; the reader began at `from`, its value at `begin`, where `cursor` stands.
+/// The finding for text that is no JSON; the reader began at `from`, its value at `begin`, where `cursor` stands.
 fn no_json(found: &serde_json::Error, text: &str, from: usize, cursor: Cursor<'_>, begin: usize) -> Finding {
     let said = plain(found);
     if found.is_eof() {

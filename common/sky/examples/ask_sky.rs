@@ -6,7 +6,8 @@
 //!  "dut1_s": 0.05, "polar_x_arcsec": 0.18, "polar_y_arcsec": 0.36,
 //!  "star": {"ra_deg": 78.6, "dec_deg": -8.2}, "body": {"name": "mars"}, "sun_crossing": {"altitude_deg": -18, "rising": false}}
 //! ```
-//! A body is `{"name": ...}`, `{"tle": ...}` or `{"elements": {"q_au", "e", "i_deg", "node_deg", "peri_deg", "tp_jd"}}`.
+//! A body is `{"name": ...}`, `{"tle": ...}` or `{"elements": {"q_au", "e", "i_deg", "node_deg", "peri_deg",
+//! "tp_jd"}}`.
 #![allow(clippy::print_stdout, reason = "this is what it is for")]
 
 use std::io::BufRead as _;

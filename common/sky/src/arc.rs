@@ -58,7 +58,8 @@ impl Arc {
         Self { from_deg: self.from_deg + by_deg, width_deg: self.width_deg - 2.0 * by_deg }
     }
 
-    /// What both have in common. Two wide arcs may meet at both ends: then the part nearer to this one's middle.
+    /// The part that both have in common. Two wide arcs may meet at both ends: then the part nearer to this one's
+    /// middle.
     pub fn intersection(&self, other: &Self) -> Option<Self> {
         if self.is_full() {
             return Some(*other);

@@ -10,9 +10,9 @@ const DAY_S: f64 = 86_400.0;
 impl Observer {
     /// The Sun's centre, geometric: at true sunset it stands 0.833 deg below the horizon. Good to 0.1 arcsec.
     ///
-    /// Astropy's `get_body("sun")`, turned to altitude and azimuth, is off from this by 0.004 arcsec at the median and by an
-    /// arcsecond at the worst: where the source has a distance it bends the Sun's own light round the Sun. Given the same
-    /// direction without its distance it agrees to 0.0001 arcsec (`tests/python/test_sky.py`).
+    /// Astropy's `get_body("sun")`, turned to altitude and azimuth, is off from this by 0.004 arcsec at the median and
+    /// by an arcsecond at the worst: where the source has a distance it bends the Sun's own light round the Sun. Given
+    /// the same direction without its distance it agrees to 0.0001 arcsec (`tests/python/test_sky.py`).
     pub fn sun(&self) -> Horizontal {
         self.to_horizontal(&self.sun_icrs())
     }

@@ -33,7 +33,8 @@ pub enum SkyError {
         /// Polar motion as given.
         polar_y_arcsec: f64,
     },
-    /// The Earth's ephemeris holds until 2100 and UTC has its leap seconds since 1972: a clock outside is a clock unset.
+    /// The Earth's ephemeris holds until 2100 and UTC has its leap seconds since 1972: a clock outside is a clock
+    /// unset.
     #[error("{at} is not within 1972 to 2099, for which the sky is computed")]
     Time {
         /// As given.

@@ -22,7 +22,8 @@ pub struct NightDate {
     day: i64,
 }
 
-/// The night date of an instant: before 12:00 local mean time (UTC + longitude / 15) the previous day, from 12:00 on that day.
+/// The night date of an instant: before 12:00 local mean time (UTC + longitude / 15) the previous day, from 12:00 on
+/// that day.
 pub fn night_date(longitude_east: Angle, at: Utc) -> NightDate {
     // A longitude of 289.6 deg is 70.4 deg west, and its clocks are behind.
     let local_s = SECONDS_PER_DEGREE * longitude_east.wrapped_signed().degrees();

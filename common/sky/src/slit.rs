@@ -1,13 +1,14 @@
 //! Computes which azimuths of a dome leave the telescope's view free.
 //!
-//! Lengths in metres, origin in the middle of the dome's sphere, axes to the east (e), the north (n) and the zenith (z).
+//! Lengths in metres, origin in the middle of the dome's sphere, axes to the east (e), the north (n) and the zenith
+//! (z).
 //!
-//! A telescope at hour angle `H` and declination `d` looks along `s = cos d cos H a + cos d sin H b + sin d p`, where `p`
-//! is the celestial pole, `a` the meridian's point of the celestial equator and `b` the west. The polar and the
-//! declination axis meet at `m`. The declination axis of an equatorial mount stands on `p` and on `s`, along
-//! `w = -sin H a + cos H b`: so the optical axis passes through `c = m + arm w` where the tube lies west of the pier, and
-//! through `m - arm w` where it lies east of it. A ray that leaves a point `q` of the aperture meets the dome at
-//! `q + t s`, with `t` the greater root of `|q + t s|^2 = radius^2`.
+//! A telescope at hour angle `H` and declination `d` looks along `s = cos d cos H a + cos d sin H b + sin d p`, where
+//! `p` is the celestial pole, `a` the meridian's point of the celestial equator and `b` the west. The polar and the
+//! declination axis meet at `m`. The declination axis of an equatorial mount stands on `p` and on `s`, along `w = -sin
+//! H a + cos H b`: so the optical axis passes through `c = m + arm w` where the tube lies west of the pier, and through
+//! `m - arm w` where it lies east of it. A ray that leaves a point `q` of the aperture meets the dome at `q + t s`,
+//! with `t` the greater root of `|q + t s|^2 = radius^2`.
 //!
 //! The slit has parallel sides. Turned to azimuth `A` it is open where, seen along `A`, a point of the dome lies no
 //! further to the side than half the width and no further behind the zenith than the slit reaches. For a point at

@@ -4,11 +4,11 @@ use units::{Angle, Utc};
 
 use crate::{EarthOrientation, NightDate, Observer, Place, SkyError, night_date};
 
-/// Spacing at which a crossing is looked for. One that undoes itself within it, by a Sun that grazes the altitude at high
-/// latitude by less than an arcminute, goes unseen.
+/// Spacing at which a crossing is looked for. One that undoes itself within it, by a Sun that grazes the altitude at
+/// high latitude by less than an arcminute, goes unseen.
 const STEP_S: f64 = 600.0;
-/// The Sun is computed so often on the way, its hour angle and declination on a straight line between: what bends there, its
-/// parallax and the seasons, is less than an arcsecond.
+/// The Sun is computed so often on the way, its hour angle and declination on a straight line between: the curvature
+/// there, from its parallax and the seasons, is less than an arcsecond.
 const KNOT_S: f64 = 7200.0;
 /// A sample that is off by that may lie on the wrong side of a crossing, which is then within this.
 const WIDER_S: f64 = 60.0;
@@ -82,7 +82,8 @@ pub fn night(place: &Place, orientation: &EarthOrientation, at: Utc) -> Result<N
     })
 }
 
-/// The first time within 48 h after `from` at which the Sun's centre (not refracted) goes up or down through `altitude`.
+/// The first time within 48 h after `from` at which the Sun's centre (not refracted) goes up or down through
+/// `altitude`.
 ///
 /// To 0.01 s of the model; refraction near the horizon varies by many seconds. None when the Sun does not cross.
 pub fn next_sun_crossing(
@@ -151,8 +152,8 @@ impl<'a> SunPath<'a> {
         })
     }
 
-    /// By straight lines, a little beyond where they lead, so that the crossing is soon closed in from both sides. None where
-    /// the Sun itself only comes near the altitude.
+    /// By straight lines, a little beyond where they lead, so that the crossing is soon closed in from both sides. None
+    /// where the Sun itself only comes near the altitude.
     fn narrowed(&self, before: Utc, after: Utc, altitude: Angle, rising: bool) -> Result<Option<Utc>, SkyError> {
         let look = |at: Utc| -> Result<f64, SkyError> {
             Ok(past_deg(Observer::new(self.place, self.orientation, at)?.sun().altitude, altitude, rising))

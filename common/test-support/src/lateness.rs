@@ -10,7 +10,8 @@ use std::time::{Duration, Instant};
 const NAP: Duration = Duration::from_millis(2);
 /// Waking so much later is usual on an idle machine.
 const USUAL: Duration = Duration::from_millis(1);
-/// Threads that act one after the other between a cause and its effect: each may be as late as the one that is measured.
+/// Threads that act one after the other between a cause and its effect: each may be as late as the one that is
+/// measured.
 const HOPS: u32 = 4;
 
 /// Measures until it is dropped.

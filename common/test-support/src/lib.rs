@@ -3,8 +3,8 @@
 //! Tests name this crate under `[dev-dependencies]` only. There are two ways to run a node:
 //!
 //! - in the process of the test, as a [`RunningNode`] on a private bus ([`private_bus`], [`join`]);
-//! - as a process of its own, by a [`Rig`]: the simulated observatory, real node processes, and a private bus. A [`Rig`] is
-//!   for tests in which a process dies, and asserts on topics, as an operator would see them. Its tests need
+//! - as a process of its own, by a [`Rig`]: the simulated observatory, real node processes, and a private bus. A
+//!   [`Rig`] is for tests in which a process dies, and asserts on topics, as an operator would see them. Its tests need
 //!   `cargo build --workspace` first (`scripts/test` does that).
 //!
 //! Each test has its own world, folder, loopback bus and ports, so tests run side by side.

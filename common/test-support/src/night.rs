@@ -32,7 +32,7 @@ pub fn object(options: &simulator::Options, name: &str, exposure_s: f64, frames:
     row("object", value)
 }
 
-/// A night that keeps the dome open until something closes it.
+/// A night that holds the dome open until something closes it.
 pub fn long_row(options: &simulator::Options) -> Rows {
     vec![row("open", json!({})), object(options, "Long field", 20.0, 1000)]
 }
@@ -63,7 +63,8 @@ pub(crate) fn jsonl(rows: &[(&'static str, Value)], start: Utc, length_s: f64) -
     rows.iter().enumerate().map(line).collect()
 }
 
-/// The configuration of all ten simulated devices, with more of the mount, the focuser, the dome and the weather station.
+/// The configuration of all ten simulated devices, with more of the mount, the focuser, the dome and the weather
+/// station.
 pub(crate) fn configuration(
     address: &Address,
     simulator: std::net::SocketAddr,

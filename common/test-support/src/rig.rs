@@ -119,8 +119,8 @@ impl Rig {
         .await
     }
 
-    /// Starts the world and the bus, writes the configuration and the schedule that are made for this simulator; no node
-    /// runs yet. The devices are called mount and dome, and so on.
+    /// Starts the world and the bus, writes the configuration and the schedule that are made for this simulator; no
+    /// node runs yet. The devices are called mount and dome, and so on.
     pub async fn of_files(
         world: simulator::Options,
         files: impl FnOnce(&Simulator) -> (String, String),

@@ -32,7 +32,8 @@ CREATE TABLE log (
 CREATE INDEX log_date ON log (datetime);
 ";
 
-/// What version 2 adds. A record counts once; two records with the same place in a chain are both stored, as evidence.
+/// The addition of version 2. A record counts once; two records with the same place in a chain are both stored, as
+/// evidence.
 pub(super) const AUDIT: &str = "
 CREATE TABLE audit (
     node TEXT NOT NULL, chain TEXT NOT NULL, number INTEGER NOT NULL, datetime TEXT,

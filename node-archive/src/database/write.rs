@@ -1,4 +1,4 @@
-//! What is written into the database.
+//! The things that are written into the database.
 
 use std::path::PathBuf;
 
@@ -56,9 +56,9 @@ pub enum Write {
     Complete(CommandId),
     /// A record of a node's audit.
     Audit(Box<StoredRecord>),
-    /// What guiding did about a frame.
+    /// A correction that guiding made.
     Correction(Box<StoredCorrection>),
-    /// What was measured on a frame.
+    /// The facts that were measured on a frame.
     Facts(Box<StoredFacts>),
     /// A focus run that has ended.
     Focus(Box<StoredRun>),
@@ -88,7 +88,7 @@ pub struct StoredRecord {
     pub from: String,
     /// The device, empty for an order.
     pub device: String,
-    /// What was asked.
+    /// The word of the command or order.
     pub verb: String,
     /// Fencing token.
     pub token: Option<i64>,
@@ -98,7 +98,7 @@ pub struct StoredRecord {
     pub line: String,
     /// Its hash.
     pub sha256: String,
-    /// What is wrong with it or with its place in the chain.
+    /// The fault of the record, or of its place in the chain.
     pub fault: Option<String>,
 }
 
@@ -120,7 +120,7 @@ pub struct StoredImage {
 /// A correction with the sample that brought it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StoredCorrection {
-    /// What was done.
+    /// The correction.
     pub correction: Correction,
     /// The telescope.
     pub telescope: String,
@@ -131,7 +131,7 @@ pub struct StoredCorrection {
 /// Facts with the sample that brought them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StoredFacts {
-    /// What was measured, or why not.
+    /// The facts, or the reason why there are none.
     pub facts: FrameFacts,
     /// Sky time when they were published.
     pub at: Utc,

@@ -92,7 +92,7 @@ impl Object for Date {
     }
 }
 
-/// What Python's `timedelta` takes, s: by name, or days as the only one without.
+/// The arguments of Python's `timedelta`, s: by name, or days as the only one without.
 fn delta_s(args: &[Jinja]) -> Result<f64, Error> {
     const LENGTHS: [(&str, f64); 7] = [
         ("weeks", 604_800.0),

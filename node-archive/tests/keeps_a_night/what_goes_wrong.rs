@@ -84,7 +84,8 @@ async fn frames_that_an_older_database_does_not_know_are_recorded_from_their_fil
     assert_eq!(rows(), [row("frame-1"), row("frame-2")]);
     // The spool still has one, and is asked to delete it; nothing is fetched or written again.
     let releases = spool.releases("frame-2");
-    // A device node announces a frame again until it is released: the first time the new archive may not be subscribed yet.
+    // A device node announces a frame again until it is released: the first time the new archive may not be subscribed
+    // yet.
     let announced = async {
         loop {
             spool.frames.put(spool.frame("frame-2", taken)).await.unwrap();

@@ -39,7 +39,7 @@ async fn a_reversal_in_declination_is_lost_in_the_gear_and_the_encoder_does_not_
         let mut sloppy = options(20.0);
         sloppy.mount.dec_backlash_arcsec = 2.0 * GUIDE_ARCSEC_PER_S;
         let site = tracking(sloppy, hour_angle_h).await;
-        // Whatever the slew left: drive north for longer than the play.
+        // From any state that the slew left: drive north for longer than the play.
         pulse(&site, 0, 3000).await;
         let told = site.get("telescope", "declination").await.as_f64().unwrap();
         let (_, north) = pulse(&site, 0, 1000).await;

@@ -19,7 +19,7 @@ impl Lines {
         self
     }
 
-    /// `key = value`, with a comment where there is something to say.
+    /// `key = value`, with a comment where there is one.
     pub fn key(&mut self, key: &str, value: impl std::fmt::Display, comment: &str) {
         let comment = if comment.is_empty() { String::new() } else { format!("  # {comment}") };
         self.all.push((self.old, format!("{key} = {value}{comment}")));

@@ -20,7 +20,7 @@ pub struct BadDevice {
 
 /// Key of a dome: which part turns it.
 pub const FOLLOW: &str = "follow";
-/// What the predecessor takes for a safety monitor where the file has no value, min.
+/// The value that the predecessor uses for a safety monitor where the file has none, min.
 pub const DWELL_MIN: f64 = 30.0;
 const NOT_HERE: &str = "there is no such key here; not carried over";
 

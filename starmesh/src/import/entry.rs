@@ -2,7 +2,7 @@
 
 use super::yaml::{Node, Value};
 
-/// What could not be carried over, or should be looked at, each with its line.
+/// The keys that could not be carried over, or should be checked, each with its line.
 #[derive(Debug, Default)]
 pub struct Notes {
     /// Line of the file, from 1, and a sentence.

@@ -113,8 +113,8 @@ pub fn text(file: &File, about: &About<'_>, notes: &mut Notes) -> String {
 /// Kinds whose only device of a telescope would be moved for a camera that names none.
 const MOVED: [Kind; 4] = [Kind::Telescope, Kind::Focuser, Kind::FilterWheel, Kind::Rotator];
 
-/// What a camera is paired with, by the names of this file; a camera is no pair of itself. Here the only device of a kind
-/// is a camera's where it names none, which is noted.
+/// The devices that are paired with a camera, by the names of this file; a camera is no pair of itself. Here the only
+/// device of a kind is a camera's where it names none, which is noted.
 fn pairs(file: &File, camera: &Block, notes: &mut Notes) -> Vec<(Kind, String)> {
     let name_of = |kind: &Kind, old_name: &String| {
         let own = file.blocks.iter().find(|block| block.kind == *kind && block.old_name == *old_name);

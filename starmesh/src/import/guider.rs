@@ -60,8 +60,8 @@ pub fn guider(block: &mut Block, guider: &mut Entry<'_>, notes: &mut Notes) {
     }
 }
 
-/// `guide_calibration` of a camera. The predecessor measured at declination 0 an hour west of the meridian: a German mount
-/// is east of its pier then, and looks west.
+/// `guide_calibration` of a camera. The predecessor measured at declination 0 an hour west of the meridian: a German
+/// mount is east of its pier then, and looks west.
 fn calibration(lengths: &mut Entry<'_>, directions: &mut Entry<'_>, notes: &mut Notes) -> Result<String, String> {
     let mut moves: Vec<(String, [f64; 2])> = Vec::new();
     let mut all_ms = Vec::new();

@@ -6,7 +6,7 @@
 //! - [`prove`] removes what is not valid here; [`block`] and [`file`](mod@file) write our text.
 //! - [`trial`] gives a simulator the properties of the site; [`differences`] lists how a night differs.
 //!
-//! What cannot be carried over is listed with its line, and nothing is overwritten.
+//! The import lists everything that cannot be carried over with its line, and overwrites nothing.
 
 mod block;
 mod devices;

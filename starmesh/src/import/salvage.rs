@@ -1,7 +1,7 @@
 //! A configuration with mistakes in its syntax: the parts of it that can be read.
 //!
-//! The file is cut where a line begins with a key, and a part that is still not YAML at the entries of its list. What can be
-//! read is taken, and the rest is noted with its lines.
+//! The file is cut where a line begins with a key, and a part that is still not YAML at the entries of its list. What
+//! can be read is taken, and the rest is noted with its lines.
 
 use super::entry::Notes;
 use super::yaml::{self, Node, Value, YamlError};
@@ -52,7 +52,7 @@ impl Part<'_> {
     }
 }
 
-/// What a part that was lost covers, and why it was.
+/// The lines of a part that was lost, and the reason.
 type Lost = (usize, usize, YamlError);
 
 struct Reader {

@@ -69,7 +69,7 @@ pub struct BadSchedule {
 const MOST_BYTES: usize = 5_000_000;
 const MOST_ROWS: usize = 10_000;
 
-/// Takes a schedule apart; the last text is what follows the last row. What is no JSON costs its own row.
+/// Takes a schedule apart; the last text is the text after the last row. Text that is no JSON costs only its own row.
 ///
 /// # Errors
 /// [`BadSchedule`] for a text that is larger than any schedule.

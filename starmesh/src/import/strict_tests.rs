@@ -1,4 +1,5 @@
-//! Values that are written in another way than the predecessor's template writes them: read as they are meant, or listed.
+//! Values that are written in another way than the predecessor's template writes them: read as they are meant, or
+//! listed.
 
 use super::entry::Notes;
 use super::*;

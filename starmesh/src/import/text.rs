@@ -36,8 +36,8 @@ fn decoded(bytes: &[u8]) -> (String, Option<&'static str>) {
     }
 }
 
-/// UTF-8, or else the Western European encoding of Windows, whose bytes are characters of the same number but for quotes and
-/// dashes.
+/// UTF-8, or else the Western European encoding of Windows, whose bytes are characters of the same number but for
+/// quotes and dashes.
 fn utf8(bytes: &[u8]) -> (String, Option<&'static str>) {
     match std::str::from_utf8(bytes) {
         Ok(text) => (text.to_owned(), None),

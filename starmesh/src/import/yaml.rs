@@ -64,8 +64,8 @@ const MOST_VALUES: usize = 100_000;
 /// Reads the one document of a text; an empty text is [`Value::Null`].
 ///
 /// # Errors
-/// [`YamlError`] for what is no YAML, has two documents, a key that is no plain word, or is nested or repeated without end.
-/// A key that occurs twice costs that key alone: [`Value::Unclear`].
+/// [`YamlError`] for what is no YAML, has two documents, a key that is no plain word, or is nested or repeated without
+/// end. A key that occurs twice costs that key alone: [`Value::Unclear`].
 pub fn read(text: &str) -> Result<Node, YamlError> {
     if text.len() > MOST_BYTES {
         let what = format!("{} bytes; a configuration has at most {MOST_BYTES}", text.len());

@@ -1,8 +1,8 @@
-//! `starmesh init`: the first files of a telescope, from the devices that answer: configuration, FITS-header table and an example
-//! schedule.
+//! `starmesh init`: the first files of a telescope, from the devices that answer: configuration, FITS-header table and
+//! an example schedule.
 //!
-//! [`place`] asks where the telescope is; [`text`](mod@text) writes the configuration, [`night`] the schedule. Nothing is
-//! overwritten, and no device is connected or moved.
+//! [`place`] asks where the telescope is; [`text`](mod@text) writes the configuration, [`night`] the schedule. Nothing
+//! is overwritten, and no device is connected or moved.
 
 mod night;
 mod place;

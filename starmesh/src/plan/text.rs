@@ -127,8 +127,8 @@ fn block(heights: &Heights, row: &PlannedRow, at: Utc, half_s: f64) -> char {
 const TICKS_H: [i64; 12] = [1, 2, 3, 6, 12, 24, 48, 96, 168, 336, 672, 2688];
 const HOUR_US: i64 = 3_600_000_000;
 
-/// The text under the columns: hours where there is room for them, each where it begins, and under them the days where there
-/// is more than one.
+/// The text under the columns: hours where there is room for them, each where it begins, and under them the days where
+/// there is more than one.
 fn axis(from: Utc, step_s: f64) -> Vec<String> {
     let every = |most_columns: f64| TICKS_H.into_iter().find(|hours| *hours as f64 * 3600.0 / step_s >= most_columns);
     let mut lines = Vec::new();

@@ -16,8 +16,8 @@ use contract::{Address, Key, Part};
 use simulator::Simulator;
 use test_support::{Rig, example, header};
 
-/// Sky seconds per machine second. On two slow and busy cores a frame takes 0.8 s from one to the next, and so long the light of
-/// this slow twilight is the same within a tenth.
+/// Sky seconds per machine second. On two slow and busy cores a frame takes 0.8 s from one to the next, and so long the
+/// light of this slow twilight is the same within a tenth.
 const SPEED: f64 = 100.0;
 /// Half of it is there for a busy machine: the rows of the night need 40 s on a quiet one.
 const MOST_S: f64 = 240.0;

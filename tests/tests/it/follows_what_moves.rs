@@ -1,5 +1,5 @@
-//! The Moon, an asteroid and a satellite are followed by the rates of the mount: the simulated telescope looks where the body
-//! is, for two minutes of each, and follows the stars again afterwards, also when rain ends the row.
+//! The Moon, an asteroid and a satellite are followed by the rates of the mount: the simulated telescope looks where
+//! the body is, for two minutes of each, and follows the stars again afterwards, also when rain ends the row.
 
 #![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
 

@@ -1,5 +1,5 @@
-//! A telescope that misses by 5 arcmin is on its targets within a tenth, proven by frames and judged by the simulated sky;
-//! after a pointing-model run its first slews are near.
+//! A telescope that misses by 5 arcmin is on its targets within a tenth, proven by frames and judged by the simulated
+//! sky; after a pointing-model run its first slews are near.
 
 #![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
 

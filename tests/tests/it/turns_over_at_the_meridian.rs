@@ -1,5 +1,6 @@
-//! A German mount is turned over between two frames once the next would end too far past the meridian, and the telescope is
-//! proven to be on its target again; a mount that ignores the flip goes on until its own limit, and is not slewed for ever.
+//! A German mount is turned over between two frames once the next would end too far past the meridian, and the
+//! telescope is proven to be on its target again; a mount that ignores the flip goes on until its own limit, and is not
+//! slewed for ever.
 
 #![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
 
@@ -14,8 +15,8 @@ use sky::{EarthOrientation, Icrs, Observer, OfDate, Place};
 use test_support::{Rig, RigOptions, row};
 use units::Angle;
 
-/// How long before the meridian the targets stand when the night begins, min: of the mount that ignores flips, and of the
-/// one that turns over.
+/// How long before the meridian the targets stand when the night begins, min: of the mount that ignores flips, and of
+/// the one that turns over.
 const BEFORE_MIN: [f64; 2] = [6.0, 13.0];
 const FRAMES: u32 = 30;
 

@@ -49,7 +49,8 @@ async fn a_slow_dome_follows_a_german_mount_through_hours_without_a_hidden_secon
     println!("turns {}, turned {:.0} deg, exposed {exposed_s:.0} s", dome["turns"], dome["turned_deg"]);
     assert!(exposed_s > 120.0 * 60.0, "{dome}");
     assert_eq!(dome["vignetted_s"], 0.0, "{dome}");
-    // To the first field, after it through some 40 deg in two hours, and to the second; a follower at 2 deg turns 20 times
+    // To the first field, after it through some 40 deg in two hours, and to the second; a follower at 2 deg turns 20
+    // times.
     assert!(dome["turns"].as_u64().is_some_and(|turns| (3..=7).contains(&turns)), "{dome}");
     let puts = rig.simulator.world().puts_since(0);
     let first = |member: &str| puts.iter().find(|put| put.member == member).map(|put| put.seq).unwrap_or(u64::MAX);

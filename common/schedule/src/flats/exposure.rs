@@ -240,8 +240,8 @@ impl Light {
     }
 }
 
-/// The exposure that collects a signal, s, from a rate at its start whose logarithm changes with `slope` per s; infinite
-/// where the light fades before so much is collected.
+/// The exposure that collects a signal, s, from a rate at its start whose logarithm changes with `slope` per s;
+/// infinite where the light fades before so much is collected.
 pub fn exposure_s(signal_adu: f64, rate: f64, slope: f64) -> f64 {
     if rate <= 0.0 || !rate.is_finite() {
         return f64::INFINITY;

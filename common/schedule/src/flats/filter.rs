@@ -14,7 +14,8 @@ pub const LOOKS: u32 = 3;
 const FRESH_S: f64 = 90.0;
 /// Largest value of a camera that does not report its own, ADU.
 pub const MAX_ADU: f64 = 65_535.0;
-/// An exposure that a panel's brightness is chosen for, s, within the camera's limits: long enough that no shutter shows.
+/// An exposure that a panel's brightness is chosen for, s, within the camera's limits: long enough that no shutter
+/// shows.
 pub const GOOD_S: f64 = 5.0;
 /// The Sun's motion is predicted over so long, s.
 pub const AHEAD_S: f64 = 300.0;

@@ -55,7 +55,7 @@ pub enum Next {
     Done,
 }
 
-/// A wait is no shorter than this, s, so that a guess that is always a little early does no harm,
+/// A wait is no shorter than this, s, so that a guess that is always a little early does no harm, ...
 const WAIT_LEAST_S: f64 = 5.0;
 /// ... and no longer: the guess is only as good as the sky is clear.
 const WAIT_MOST_S: f64 = 60.0;

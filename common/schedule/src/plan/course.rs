@@ -63,7 +63,7 @@ pub struct Course<'a> {
     pub(super) light: Vec<(Utc, Utc)>,
     pub(super) exposed_s: f64,
     pub(super) bytes: f64,
-    /// Where it looked, where the row itself does not say.
+    /// The direction where it looked, if the row itself does not contain it.
     pub(super) looked: Option<Icrs>,
 }
 

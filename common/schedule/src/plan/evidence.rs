@@ -17,7 +17,8 @@ pub struct Evidence {
     pub lines: Vec<(Utc, String)>,
 }
 
-/// Two frames of a row with more between them were not one after the other, s: the dome was shut, or a person stepped in.
+/// Two frames of a row with more between them were not one after the other, s: the dome was shut, or a person stepped
+/// in.
 const LONGEST_GAP_S: f64 = 900.0;
 /// The time per degree is learned where there are so many slews, ...
 const FEWEST_SLEWS: usize = 5;

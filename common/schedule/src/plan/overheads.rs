@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 
 use config::Observatory;
 
-/// A part of a row whose length the nodes write into their diaries when it is done, so that later nights can be planned.
+/// A part of a row whose length the nodes write into their diaries when it is done, so that later nights can be
+/// planned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Span {
     /// From shut to open roof and covers, with the mount out of its park position.
@@ -52,7 +53,7 @@ pub const TOOK: &str = "took";
 /// A number, and where it comes from.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Figure {
-    /// In the unit that its name says.
+    /// The value, in the unit of its name.
     pub value: f64,
     /// Of so many measurements, of which it is the median; 0: assumed.
     pub measured: usize,

@@ -71,7 +71,7 @@ fn too_short(row: &Row, overheads: &ScheduleCheck) -> Option<Finding> {
     Some(warning(Check::Duration, row.written.parameter(field), Some(field), what).right(enough + fits.as_str()))
 }
 
-/// A length of time as people say it.
+/// A length of time in the words of people.
 pub(super) fn length(span_s: f64) -> String {
     match span_s {
         s if s < 120.0 => format!("{s:.0} s"),

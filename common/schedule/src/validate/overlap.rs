@@ -34,8 +34,8 @@ pub(super) fn check(rows: &[Row], known: &Known) -> Vec<Finding> {
         }
         runs.retain(|run| run.end > row.start);
         let Estimate { needs_s, until_end } = estimate(row, &known.config.schedule.check);
-        // As in `pick`: nothing runs at the same time as a row that is not parallel. Otherwise two rows may run together
-        // if they have different cameras and do not both need the mount.
+        // As in `pick`: nothing runs at the same time as a row that is not parallel. Otherwise two rows may run
+        // together if they have different cameras and do not both need the mount.
         let stops =
             |run: &&Run<'_>| !run.needs.parallel || run.row.camera == row.camera || (run.needs.mount && needs.mount);
         let before = runs.iter().filter(stops).max_by_key(|run| run.end);

@@ -250,7 +250,8 @@ impl Path {
 }
 
 impl Bad {
-    /// Compares with the horizon, which is read only where it can hide the target; `height` is the sine of the altitude.
+    /// Compares with the horizon, which is read only where it can hide the target; `height` is the sine of the
+    /// altitude.
     fn note_hidden(&mut self, now: &Moment, place: &Vector, height: f64, horizon: &Horizon) {
         let altitude_deg = height.clamp(-1.0, 1.0).asin().to_degrees();
         if altitude_deg > horizon.highest_deg() {

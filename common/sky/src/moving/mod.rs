@@ -64,7 +64,7 @@ impl Body {
     /// Where it stands, as seen by an observer.
     ///
     /// # Errors
-    /// When a satellite's elements say that it has come down, or hold no more.
+    /// When a satellite's elements show that it has come down, or are no longer valid.
     pub fn seen(&self, observer: &Observer) -> Result<Seen, SkyError> {
         let vector = match self {
             Self::Moon => observer.moon_vector(),
@@ -99,8 +99,8 @@ impl Observer {
         (self.scales.tt.0, self.scales.tt.1 - days_ago)
     }
 
-    /// A place about the Sun, in the solar system, so many days ago. In the hours that light takes from the outermost planet
-    /// the Sun goes straight on.
+    /// A place about the Sun, in the solar system, so many days ago. In the hours that light takes from the outermost
+    /// planet the Sun goes straight on.
     fn of_sun(&self, place: [f64; 3], days_ago: f64) -> [f64; 3] {
         std::array::from_fn(|i| {
             let sun = self.earth[0][i] - self.earth_from_sun[0][i];
@@ -138,7 +138,8 @@ mod tests {
 
     #[test]
     fn venus_crossed_the_sun_in_june_2012() {
-        // Mid-transit 2012-06-06T01:29Z, geocentric 554 arcsec from the Sun's centre; the site moves Venus by half a minute
+        // Mid-transit 2012-06-06T01:29Z, geocentric 554 arcsec from the Sun's centre; the site moves Venus by half a
+        // minute.
         let observer = observer("2012-06-06T01:29:36Z");
         let venus = Body::Planet(Planet::Venus).seen(&observer).unwrap();
         let apart = separation(&venus.icrs, &observer.sun_icrs()).arcseconds();

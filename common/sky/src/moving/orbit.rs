@@ -1,4 +1,5 @@
-//! Asteroids and comets: the orbit of two bodies, of any shape, from the elements that the Minor Planet Center and JPL give.
+//! Asteroids and comets: the orbit of two bodies, of any shape, from the elements that the Minor Planet Center and JPL
+//! give.
 
 use units::Angle;
 
@@ -36,7 +37,8 @@ pub enum When {
     },
 }
 
-/// An orbit about the Sun that nothing else disturbs: good to some arcseconds for weeks about the epoch of the elements.
+/// An orbit about the Sun that nothing else disturbs: good to some arcseconds for weeks about the epoch of the
+/// elements.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Orbit {
     perihelion_au: f64,
@@ -107,8 +109,8 @@ impl Orbit {
 
     /// In the plane of the orbit: towards the perihelion and where the body heads there, au, so many days after it.
     ///
-    /// By the universal Kepler equation, which is the same for ellipses, parabolas and hyperbolas (Bate, Mueller and White,
-    /// Fundamentals of Astrodynamics, 4.4), begun at the perihelion, where the body moves straight across.
+    /// By the universal Kepler equation, which is the same for ellipses, parabolas and hyperbolas (Bate, Mueller and
+    /// White, Fundamentals of Astrodynamics, 4.4), begun at the perihelion, where the body moves straight across.
     fn in_plane(&self, days: f64) -> (f64, f64) {
         let (q, e) = (self.perihelion_au, self.eccentricity);
         let inverse_axis = (1.0 - e) / q;
@@ -198,7 +200,8 @@ mod tests {
 
     #[test]
     fn a_parabola_obeys_barker() {
-        // Barker's equation: t = sqrt(2) q^1.5 / k (tan(v/2) + tan(v/2)^3 / 3); at v = 90 deg that is 4/3 sqrt(2) q^1.5 / k
+        // Barker's equation: t = sqrt(2) q^1.5 / k (tan(v/2) + tan(v/2)^3 / 3); at v = 90 deg that is 4/3 sqrt(2) q^1.5
+        // / k.
         let q = 0.7_f64;
         let days = 4.0 / 3.0 * 2.0_f64.sqrt() * q.powf(1.5) / GAUSS;
         let (along, across) = orbit(q, 1.0).in_plane(days);

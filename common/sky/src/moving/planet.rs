@@ -2,8 +2,8 @@
 
 use vsop87::vsop87a;
 
-/// From the ecliptic and equinox of J2000 of the theory to the axes of FK5, which are those of the ICRS within 0.03 arcsec:
-/// the matrix that comes with VSOP87 (Bretagnon and Francou 1988, A&A 202, 309).
+/// From the ecliptic and equinox of J2000 of the theory to the axes of FK5, which are those of the ICRS within 0.03
+/// arcsec: the matrix that comes with VSOP87 (Bretagnon and Francou 1988, A&A 202, 309).
 const TO_EQUATOR: [[f64; 3]; 3] = [
     [1.0, 0.000_000_440_360, -0.000_000_190_919],
     [-0.000_000_479_966, 0.917_482_137_087, -0.397_776_982_902],

@@ -76,8 +76,8 @@ impl Satellite {
 impl Observer {
     /// Turns the frame of two-line elements (true equator, mean equinox: TEME) to ICRS axes.
     ///
-    /// About the pole of date by mean sidereal time of 1982, which defines that equinox, less the Earth's rotation angle; then
-    /// by precession and nutation (Vallado et al. 2006, AIAA 2006-6753, appendix C).
+    /// About the pole of date by mean sidereal time of 1982, which defines that equinox, less the Earth's rotation
+    /// angle; then by precession and nutation (Vallado et al. 2006, AIAA 2006-6753, appendix C).
     pub(super) fn teme_axes(&self) -> [[f64; 3]; 3] {
         let (ut1_day, ut1_part) = self.scales.ut1;
         let turn = erst::gmst82(ut1_day, ut1_part) - erst::era00(ut1_day, ut1_part);
