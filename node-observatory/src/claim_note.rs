@@ -1,13 +1,16 @@
-//! What a node notes on disk before it asks for the lease, so that its next life knows a token that nobody ever commanded with.
+//! What a node notes on disk before it asks for the lease, so that its next incarnation knows a token under which no
+//! node ever commanded.
 //!
 //! ```text
-//!   note the claim's id ---> ask the arbiter ---> token on disk beside the standing orders ---> note taken back ---> command
-//!                                        ^ killed here, the next life would follow a token that nobody knows the orders of
+//!   note the claim's id ---> ask the arbiter ---> token and operator orders on disk ---> note taken back ---> command
+//!                                        ^ killed here, the next incarnation would follow a token with unknown orders
 //! ```
-//! The next life asks again under the id of the note. The arbiter repeats its answer, or grants the claim that had never come.
-//! Either way that token's holder commanded nothing, and the word of the token before it counts ([`crate::inherit`]).
+//! The next incarnation asks again under the id of the note. The arbiter repeats its answer, or grants the claim if it
+//! had never arrived. Either way the holder of that token commanded nothing, and the orders of the token before it are
+//! valid ([`crate::inherit`]).
 //!
-//! A note that cannot be taken back must not be believed later: who holds such a token claims another one without a note.
+//! A note that cannot be taken back must not be believed later: the holder of such a token claims another one without a
+//! note.
 
 use std::collections::BTreeSet;
 use std::io;
@@ -40,20 +43,20 @@ pub fn path(config: &config::Observatory, node: &Name) -> PathBuf {
 pub struct ClaimNote {
     path: PathBuf,
     noted: Noted,
-    /// The disk failed: this life notes nothing any more.
+    /// The disk failed: this incarnation notes nothing any more.
     is_silent: bool,
 }
 
 impl ClaimNote {
-    /// The note that the life before left, if it did.
+    /// The note that the incarnation before left, if it did.
     pub async fn read(path: PathBuf) -> Self {
         let noted = on_disk(&path, |path| std::fs::read(path)).await;
-        // half a note is none: the claim was not asked yet
+        // Half a note is none: the claim was not asked yet.
         let noted = noted.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();
         Self { path, noted, is_silent: false }
     }
 
-    /// The claim that the life before was about to ask, or had asked.
+    /// The claim that the incarnation before was about to ask, or had asked.
     pub fn left(&self) -> Option<CommandId> {
         self.noted.claim.clone()
     }

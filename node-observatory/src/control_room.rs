@@ -51,7 +51,7 @@ pub struct ControlRoom {
     pub ruling: watch::Receiver<Ruling>,
     /// The lease.
     pub hold: watch::Receiver<Hold>,
-    /// Said when a device knows a newer token than ours.
+    /// Notified when a device knows a newer token than ours.
     pub doubt: Arc<Notify>,
     /// The robotic switch.
     pub robotic: watch::Sender<bool>,
@@ -69,19 +69,19 @@ pub struct ControlRoom {
     pub rules: Arc<Rules>,
     /// What people have ordered of the verdict.
     pub standing: Kept<Standing>,
-    /// What was last said of it on the bus.
+    /// The operator orders as last published.
     pub standing_said: watch::Sender<Option<StandingOrders>>,
     /// What people have done about alerts.
     pub annunciator: Kept<Annunciator>,
-    /// What the commander before is heard to say.
+    /// What the commander before this node publishes.
     pub before: Before,
-    /// The alerts as people are to hear of them; `None` while another node speaks for this telescope.
+    /// The alerts as people receive them; `None` while another node publishes for this telescope.
     pub alerts: watch::Sender<Option<Alerts>>,
     /// Frames announced and stored.
     pub ledger: Ledger,
-    /// What was said of frames.
+    /// The facts of frames as published.
     pub facts: Telling,
-    /// What the newest frames showed, for who acts on it.
+    /// What the newest frames showed, for the tasks that act on it.
     pub looks: Looks,
     /// What is taken off frames before they are measured.
     pub darks: Darks,
@@ -95,19 +95,19 @@ pub struct ControlRoom {
     pub names: watch::Sender<Known>,
     /// The pointing, as it is shown.
     pub pointing: watch::Sender<PointingState>,
-    /// What was learnt of it.
+    /// The learned pointing models.
     pub pointing_book: Kept<Book>,
-    /// The guide loop, as it is shown.
+    /// The published state of the guide loop.
     pub guiding: watch::Sender<GuidingState>,
-    /// What guiding has learnt and keeps.
+    /// What guiding has learned and stores.
     pub guide_learnt: Kept<Learnt>,
-    /// Where the corrections of the guiding are said.
+    /// The publisher of the guiding's corrections.
     pub corrections: OnceCell<Publisher<Correction>>,
-    /// The focus, as it is shown.
+    /// The published state of the focus.
     pub focus: watch::Sender<FocusState>,
     /// What focus runs have taught.
     pub focus_learnt: Kept<crate::focus::Learnt>,
-    /// Takes the runs that have ended, to be told.
+    /// Takes the runs that have ended, to publish them.
     pub focus_runs: mpsc::UnboundedSender<FocusRun>,
     /// The site's own script.
     pub hooks: Hooks,
@@ -120,7 +120,7 @@ pub struct ControlRoom {
 }
 
 impl ControlRoom {
-    /// Tells the audit why everything is closed; the commands that follow from it are recorded by the device nodes.
+    /// Records in the audit log why everything is closed; the device nodes record the commands that follow from it.
     pub fn note_closing(&self, why: &str) {
         self.audit.note(Entry {
             from: self.node.signature(),
@@ -190,7 +190,7 @@ impl ControlRoom {
             if let Some(objection) = self.objection(Some(row)) {
                 return objection;
             }
-            // the second is for a ruling that grows old because nobody renews it
+            // The timer is for a verdict that grows old because nothing renews it.
             tokio::select! {
                 _ = ruling.changed() => {}
                 _ = hold.changed() => {}
@@ -212,7 +212,7 @@ impl ControlRoom {
         }
     }
 
-    /// Wishes everything closed, and waits until it is verified closed.
+    /// Requests that everything be closed, and waits until it is verified closed.
     pub async fn close(&self, why: &str) {
         self.wish_closed.send_replace(Some(why.to_owned()));
         let mut wish = self.wish_closed.subscribe();

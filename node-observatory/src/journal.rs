@@ -19,8 +19,8 @@ use schedule::RowId;
 enum Line {
     /// A frame may have been started under this id.
     Intended { at_utc: Utc, row: RowId, frame: CommandId, sequence: u32 },
-    /// A frame beside the row's own may have been started under this id, such as one that shows where the telescope
-    /// looks; it never counts.
+    /// A frame in addition to the row's own may have been started under this id, such as one that shows where the
+    /// telescope looks; it never counts.
     Aside { at_utc: Utc, row: RowId, frame: CommandId, sequence: u32 },
     /// A frame was taken of another place than the row's target, so far from it; it does not count.
     Astray { at_utc: Utc, row: RowId, frame: CommandId, off_target_arcmin: f64 },
@@ -99,7 +99,7 @@ struct Record {
     /// Flats that were judged good, with their filter.
     judged: BTreeMap<String, Option<String>>,
     ended: Option<(RowStatus, String)>,
-    /// Intended by this life and not sent.
+    /// Intended by this incarnation and not sent.
     spare: Option<Intent>,
 }
 
@@ -108,7 +108,7 @@ struct Book {
     rows: BTreeMap<RowId, Record>,
     row_of: HashMap<String, RowId>,
     robotic: Option<(Utc, bool)>,
-    /// Learnt, and perhaps not on disk yet: whoever reads the disk meanwhile must not forget them.
+    /// Known in memory, and perhaps not on disk yet: code that reads the disk meanwhile must not forget them.
     on_the_way: Vec<Line>,
 }
 
@@ -140,7 +140,7 @@ impl Journal {
         self.read_anew(&mut self.file.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// While the file is held, nothing comes to disk; what waits to is learnt all the same.
+    /// While the file is locked, no line reaches the disk; the memory has the waiting lines all the same.
     fn read_anew(&self, file: &mut Option<File>) -> io::Result<()> {
         let (mut lines, damage) = read(&self.path)?;
         if let Some(damage) = damage {
@@ -198,7 +198,7 @@ impl Journal {
         Ok(intent)
     }
 
-    /// Makes an id for a frame beside the row's own, which never counts, and returns when it is on disk.
+    /// Makes an id for a frame in addition to the row's own, which never counts, and returns when it is on disk.
     pub fn aside(&self, row: &RowId, at_utc: Utc) -> io::Result<Intent> {
         let sequence = self.book().rows.entry(row.clone()).or_default().intended;
         let intent = Intent { frame: CommandId::fresh(), sequence };
@@ -280,7 +280,8 @@ impl Journal {
         self.write(Line::Ended { at_utc, row: row.clone(), status, detail: detail.to_owned() })
     }
 
-    /// Somebody turned the robotic switch: off is learnt whatever the disk does, on only once it is on disk.
+    /// Records an order to turn the robotic switch: off counts at once whatever the disk does, on only once it is on
+    /// disk.
     pub fn robotic(&self, on: bool, at_utc: Utc) -> io::Result<()> {
         let line = Line::Robotic { at_utc, on };
         if !on {
@@ -300,7 +301,7 @@ impl Journal {
         self.book.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Learns a line at once and puts it on disk; what was learnt stays true when the disk fails.
+    /// Applies a line in memory at once and writes it to disk; the memory stays true when the disk fails.
     fn write(&self, line: Line) -> io::Result<()> {
         self.book().send(&line);
         self.arrive(&line)
@@ -406,7 +407,7 @@ impl Book {
     }
 }
 
-/// Writes a whole new file beside the old one and puts it in its place.
+/// Writes a whole new file next to the old one and renames it into its place.
 fn rewrite(path: &Path, lines: &[Line]) -> io::Result<()> {
     let mut beside: PathBuf = path.to_owned();
     beside.set_extension("jsonl.new");

@@ -159,7 +159,7 @@ fn who_takes_over_knows_what_was_done_and_the_one_before_disturbs_it_no_more() {
     let frame = first.intend(&row, at(NOW)).unwrap().frame;
     first.sent(&row);
     first.taken(&frame, at(NOW)).unwrap();
-    // an order that a standby heard while nobody commanded
+    // An order that a standby received while nobody commanded.
     standby.robotic(false, at(NOW)).unwrap();
     standby.take_over().unwrap();
     assert_eq!((standby.progress(&row).taken, standby.last_robotic()), (1, Some((at(NOW), false))));
@@ -280,7 +280,7 @@ fn a_journal_that_is_cut_off_at_any_byte_counts_what_was_whole_and_uses_no_numbe
         assert_eq!(progress.taken, count("taken"), "cut at {cut}");
         assert_eq!(progress.taken as usize + progress.open.len(), count("intended") as usize, "cut at {cut}");
         assert_eq!(progress.ended.is_some(), count("ended") == 1, "cut at {cut}");
-        // as a life that dies within a line, and the next one, would go on
+        // As an incarnation that dies within a line, and the next one, would go on.
         if cut % 97 == 0 {
             journal.take_over().unwrap();
             assert_eq!(journal.progress(&row), progress, "cut at {cut}");

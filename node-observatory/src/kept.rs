@@ -1,7 +1,8 @@
-//! A value that outlives this life of the node: in memory, and in one file that is written whole, by one at a time.
+//! A value that survives a restart of the node: in memory, and in one file that is written whole, by one writer at a
+//! time.
 //!
-//! What loosens something is on disk before it counts ([`Kept::change_when_written`]); what must act at once counts at
-//! once, and is written as soon as the disk takes it ([`Kept::change`], [`keep_on_disk`]).
+//! A change that permits more is on disk before it counts ([`Kept::change_when_written`]). A change that must act at
+//! once counts at once, and is written as soon as the disk takes it ([`Kept::change`], [`keep_on_disk`]).
 
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
@@ -24,7 +25,7 @@ const AGAIN: Duration = Duration::from_secs(2);
 #[derive(Debug)]
 pub struct Kept<T> {
     live: watch::Sender<T>,
-    /// Counts the changes of this life; changed only while `live` is locked.
+    /// Counts the changes of this incarnation; changed only while `live` is locked.
     version: AtomicU64,
     /// The newest of them that is on disk.
     written: watch::Sender<u64>,
@@ -51,8 +52,8 @@ pub enum Unchanged {
 }
 
 impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
-    /// A value that is on disk, or need not be. Nodes that share the folder write beside one another under the names
-    /// that they have as `writer`.
+    /// A value that is on disk, or need not be. Nodes that share the folder write different temporary files, under the
+    /// names that they have as `writer`.
     pub fn new(path: PathBuf, writer: &Name, value: T) -> Self {
         let mut part = path.clone().into_os_string();
         part.push(format!(".{writer}.part"));
@@ -87,7 +88,7 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
         });
     }
 
-    /// Takes over what another node keeps on its disk: nothing of this life is left to be written.
+    /// Takes over what another node has persisted: no change of this incarnation is left to be written.
     pub fn adopt(&self, change: impl FnOnce(&mut T) -> bool) {
         self.live.send_if_modified(|value| {
             self.note_written(self.version.load(Ordering::SeqCst));
@@ -95,8 +96,8 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
         });
     }
 
-    /// Changes it once the change is on disk. `change` is asked twice, for the disk and for the memory: what it says
-    /// the second time, when something else may have changed, decides.
+    /// Changes it once the change is on disk. `change` is called twice, for the disk and for the memory: the second
+    /// result, when something else may have changed, decides.
     pub async fn change_when_written(&self, change: impl Fn(&mut T) -> Result<(), String>) -> Result<(), Unchanged> {
         let pen = self.pen.clone().lock_owned().await;
         let (version, mut next) = self.snapshot();
@@ -118,7 +119,7 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
         done.map_err(Unchanged::Refused)
     }
 
-    /// Is every change of this life on disk?
+    /// Is every change of this incarnation on disk?
     pub fn is_on_disk(&self) -> bool {
         *self.written.borrow() >= self.version.load(Ordering::SeqCst)
     }
@@ -160,7 +161,7 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
         });
     }
 
-    /// Whoever gives up waiting leaves the pen with the writing, so that nobody writes into it.
+    /// If the caller gives up waiting, the pen stays with the writing, so that nobody writes into it.
     async fn put(&self, pen: OwnedMutexGuard<()>, value: T) -> (Option<OwnedMutexGuard<()>>, io::Result<()>) {
         let (path, part) = (self.path.clone(), self.part.clone());
         let put = tokio::task::spawn_blocking(move || (Some(pen), write_whole(&path, &part, &value))).await;
@@ -168,8 +169,8 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
     }
 }
 
-/// What an earlier life wrote down; nothing where there is no file. Of one that cannot be read a copy is kept, and what it
-/// held begins anew: nothing that is unsafe hangs on it.
+/// Reads what an earlier incarnation wrote; the default if there is no file. If the file cannot be read, a copy of it
+/// is stored and the default is returned: nothing unsafe depends on it.
 pub fn read_or_anew<T: Default + DeserializeOwned>(path: &Path, what: &str) -> T {
     let why = match std::fs::read(path) {
         Ok(bytes) => match serde_json::from_slice(&bytes) {

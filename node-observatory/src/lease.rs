@@ -19,7 +19,7 @@ use crate::trouble::Trouble;
 /// How this node stands to the lease.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Hold {
-    /// The arbiter was asked and may yet say that somebody else commands: nothing is said or done.
+    /// The arbiter was asked and may yet answer that another node commands: nothing is published or done.
     Asking,
     /// The arbiter does not answer; nobody is known to command.
     Claiming,
@@ -51,12 +51,12 @@ const FORGOTTEN: Duration = Duration::from_secs(5);
 /// A commander says its lease every second.
 const RIVAL: Duration = Duration::from_secs(5);
 
-/// An older node of this very name is heard within this time, and this one leaves before it claims: the arbiter would
-/// give the lease to one of them alone, but perhaps to the one that leaves. No restart takes longer for it: the arbiter
-/// waits 5 s for the life before.
+/// If this node receives from an older node of this very name within this time, it leaves before it claims: the arbiter
+/// would give the lease to one of them alone, but perhaps to the one that leaves. This delays no restart: the arbiter
+/// waits 5 s for the incarnation before.
 const TWIN: Duration = Duration::from_secs(3);
 
-/// Where the lease is said.
+/// The publisher of the lease.
 #[derive(Clone)]
 pub struct Line(Arc<Publisher<Lease>>);
 

@@ -32,7 +32,7 @@ struct Expected {
 }
 
 impl Frames {
-    /// Has its camera's node told that it is on disk?
+    /// Has its camera's node announced that it is on disk?
     pub fn is_announced(&self, frame: &CommandId) -> bool {
         self.announced.contains_key(&frame.0)
     }
@@ -85,7 +85,7 @@ impl Ledger {
         });
     }
 
-    /// Frames that were not announced in time, each told once; nobody waits for them any more.
+    /// Frames that were not announced in time, each reported once; nothing waits for them any more.
     fn lost(&self, now: MachineTime) -> Vec<(String, Name)> {
         let mut lost = Vec::new();
         self.frames.send_if_modified(|frames| {
@@ -105,7 +105,8 @@ impl Ledger {
     }
 }
 
-/// Hears announced frames: counts those of this life, and tells the journal of those that a crash left open.
+/// Receives announced frames: counts those of this incarnation, and reports to the journal those that a crash left
+/// open.
 pub async fn keep_counting_frames(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let (own, started_utc) = (room.node.config.address(), room.node.bus.clock().utc());
     let expression = format!("{}/{own}/device/{}/*/frame", contract::key::ROOT, Kind::Camera);
@@ -136,7 +137,7 @@ pub async fn keep_counting_frames(room: Arc<ControlRoom>) -> anyhow::Result<()> 
     }
 }
 
-/// Hears what the archives have stored.
+/// Receives what the archives have stored.
 pub async fn keep_counting_files(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let key = Key::Stored(room.node.config.address()).to_string();
     let stored = room.node.bus.subscribe::<Stored>(&key, Catch::All, 1000).await?;

@@ -92,10 +92,10 @@ use tokio::task::JoinSet;
 
 pub use trouble::Trouble;
 
-/// Runs the telescope until the node is told to stop.
+/// Runs the telescope until the node is ordered to stop.
 ///
-/// A task that ends early ends the node, which is then started afresh; meanwhile the guards of the domes, hearing
-/// no permit, close.
+/// A task that ends early ends the node, which is then started afresh; meanwhile the guards of the domes receive no
+/// permit, and close.
 pub async fn run(node: Node) -> anyhow::Result<()> {
     let start::Start { room, ruling, hold, loaded, focus_runs, neighbours } = start::start(&node).await?;
     let (schedule, named, control_room) = (loaded.subscribe(), loaded.subscribe(), room.clone());
@@ -163,7 +163,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
 
     let ended = node.stop.or(tasks.join_next()).await;
     tasks.shutdown().await;
-    // nothing of this life commands any more, so that whoever waits need not wait for its silence
+    // Nothing of this incarnation commands any more, so that a standby need not wait for its silence.
     lease.release(&control_room).await;
     control_room.audit.end().await;
     let Some(ended) = ended else { return Ok(()) };

@@ -37,7 +37,7 @@ struct Tonight {
 }
 
 impl Board {
-    /// An empty board for a schedule file.
+    /// An empty status for a schedule file.
     pub fn new(file: String) -> Self {
         let schedule = ScheduleState { file, revision: 0, refused: None, rows: Vec::new(), findings: Vec::new() };
         let (tonight, schedule) = (watch::channel(Tonight::default()).0, watch::channel(schedule).0);
@@ -275,7 +275,7 @@ pub async fn keep_telling_safety(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         ruling.changed().await?;
         let newest = ruling.borrow_and_update().clone();
         let verdict = newest.state.verdict;
-        // each arrival is judged, but said only once a second while nothing changes
+        // Each arrival is judged, but published only once a second while nothing changes.
         let due = said.is_none_or(|(at, was)| was != verdict || newest.judged.since(at) >= Duration::from_millis(900));
         if due {
             said = Some((newest.judged, verdict));

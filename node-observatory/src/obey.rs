@@ -215,7 +215,7 @@ pub fn robotic_off(room: &Arc<ControlRoom>, why: &str) {
     }
 }
 
-/// Writes down that the switch is off, beside whatever acts.
+/// Records that the switch is off, in parallel with all else.
 fn note_off(room: &Arc<ControlRoom>) {
     let room = room.clone();
     tokio::task::spawn_blocking(move || match room.journal.robotic(false, room.node.bus.clock().utc()) {
@@ -231,7 +231,7 @@ fn tell(order: &Order) {
     tracing::info!(from = order.from, kind = ?brief(&order.kind), reason = order.reason, "order");
 }
 
-/// An order as it is told in a line: of a schedule its length, the text stands among the versions.
+/// An order in short for a line of text: of a schedule only its length, because the versions hold the text.
 pub fn brief(kind: &OrderKind) -> OrderKind {
     match kind {
         OrderKind::PutSchedule { text } => OrderKind::PutSchedule { text: format!("{} bytes", text.len()) },
@@ -239,7 +239,7 @@ pub fn brief(kind: &OrderKind) -> OrderKind {
     }
 }
 
-/// Who ordered it, why, and that it was now.
+/// The person who gave the order, the reason, and the present time.
 pub fn said(room: &ControlRoom, order: &Order) -> Said {
     Said { from: order.from.clone(), reason: order.reason.clone(), at_utc: room.node.bus.clock().utc() }
 }

@@ -154,7 +154,7 @@ impl Desk {
     }
 }
 
-/// Tells the audit what became of an order; what it moves has records of its own.
+/// Records in the audit log the outcome of an order; the movements that it causes have records of their own.
 fn account(room: &ControlRoom, order: Option<&Order>, reply: &Reply) {
     let outcome = match reply {
         Reply::Accepted(_) => Outcome::Accepted,

@@ -1,4 +1,4 @@
-//! The devices of one telescope, as this node hears and commands them.
+//! The devices of one telescope, as this node receives and commands them.
 
 pub mod camera;
 pub mod cover_calibrator;
@@ -59,7 +59,7 @@ pub struct Chain<'a> {
 }
 
 impl Rig {
-    /// Begins to hear all devices of the configuration.
+    /// Subscribes to all devices of the configuration.
     pub async fn listen(node: &Node, voice: &Voice, focus: watch::Receiver<Learnt>) -> anyhow::Result<Self> {
         let config = &node.config;
         let mut rig = Self {

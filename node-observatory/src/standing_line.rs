@@ -1,4 +1,4 @@
-//! The standing orders on the bus: said by whoever commands, heard by whoever stands by.
+//! The operator orders on the bus: the commander publishes them, a standby receives them.
 
 use std::sync::Arc;
 use std::time::Duration;

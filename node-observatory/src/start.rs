@@ -48,9 +48,9 @@ pub type Task = Pin<Box<dyn Future<Output = anyhow::Result<()>> + Send>>;
 pub struct Start {
     /// What all share.
     pub room: Arc<ControlRoom>,
-    /// Where the safety loop puts its ruling.
+    /// The safety loop sends its verdict here.
     pub ruling: watch::Sender<Ruling>,
-    /// Where the lease is kept.
+    /// The lease.
     pub hold: watch::Sender<Hold>,
     /// Where the schedule is put.
     pub loaded: watch::Sender<Loaded>,

@@ -1,4 +1,4 @@
-//! Tells on the bus which actions there are and what their parameters may be: for forms, and for programs that write
+//! Publishes which actions there are and which parameters they accept: for forms, and for programs that write
 //! schedules.
 
 use bus::{BusError, Node, Service};

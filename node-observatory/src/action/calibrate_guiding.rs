@@ -114,8 +114,8 @@ fn settings(calibrate: &CalibrateGuiding, looked: &Looked, mount: &Mount, target
     calibrate.settings_of(rates.zip(scale), Some(frame.width_px.min(frame.height_px)), side(mount), target)
 }
 
-/// Steps until a run has ended; one during which the tube went to the other side of the pier, or of which the mount told
-/// that only now, is begun anew where it stands then.
+/// Steps until a run has ended. A run begins anew at the present place when the tube went to the other side of the pier
+/// during it, or when the mount reported only during it that the tube had gone there.
 async fn step(
     calibrate: &CalibrateGuiding,
     stage: &Stage,
@@ -190,9 +190,9 @@ async fn once(
 
 /// How a run ended.
 enum Ended {
-    /// With what is worth telling.
+    /// With a summary for the row's status.
     Calibrated(String),
-    /// The tube went elsewhere meanwhile: what was measured so far holds for neither place.
+    /// The tube went elsewhere meanwhile: the measurements so far are valid for neither place.
     Turned(String),
 }
 

@@ -46,8 +46,8 @@ pub struct Series {
     pub metadata: BTreeMap<String, String>,
 }
 
-/// Takes frames until `next` has none left; it is told how many the row has, those of before a restart included.
-/// Returns that number.
+/// Takes frames until `next` returns none. `next` gets the number of the row's frames, including those from before a
+/// restart. Returns that number.
 pub async fn expose(
     stage: &Stage,
     series: &Series,
@@ -94,8 +94,8 @@ pub async fn expose(
     }
 }
 
-/// Takes one frame beside the row's own, of the sort `action`: it is kept, and never counts. Returns its id when its light
-/// is in.
+/// Takes one frame in addition to the row's own frames, with the purpose `action`: the file is stored, and the frame
+/// never counts. Returns its id when its exposure has ended.
 pub async fn aside(stage: &Stage, series: &Series, shot: &Shot, action: &str) -> Result<CommandId, Trouble> {
     let (room, row) = (stage.room.clone(), stage.row.id.clone());
     let intent = tokio::task::spawn_blocking(move || room.journal.aside(&row, room.node.bus.clock().utc()));
@@ -236,8 +236,8 @@ async fn exposed(
     }
 }
 
-/// Writes what a frame lost behind the dome, before its announcement or a restart can make it count, and tells it to
-/// those who keep the frame.
+/// Records how much light a frame lost behind the dome, before its announcement or a restart can make it count, and
+/// reports it to the archives that store the frame.
 async fn note_hidden(stage: &Stage, frame: &CommandId, lost: f64, counts: bool) -> Result<(), Trouble> {
     let lost_percent = (1000.0 * lost).round() / 10.0;
     tracing::warn!(%frame, lost_percent, counts, "the dome hid a part of the frame's light");

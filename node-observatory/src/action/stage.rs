@@ -59,7 +59,7 @@ impl Stage {
         self.room.node.bus.clock()
     }
 
-    /// Tells what is done now.
+    /// Reports what the row does now.
     pub fn step(&self, step: impl Into<String>) {
         let step = step.into();
         tracing::info!(row = self.index, action = self.row.action.name(), step, "step");
@@ -229,7 +229,7 @@ impl Stage {
         }
     }
 
-    /// Runs the cooler and waits until the sensor is cold; an alert stands while a sensor does not get there.
+    /// Runs the cooler and waits until the sensor is cold. An alert is active while a sensor does not get there.
     pub async fn cool(&self) -> Result<(), Trouble> {
         let camera = self.chain()?.camera;
         let (alerts, name) = (&self.room.node.alerts, &self.row.camera);

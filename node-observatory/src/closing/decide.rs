@@ -9,14 +9,15 @@ use contract::device::dome::Shutter;
 
 use crate::rig::dome::ParkSight;
 
-/// A dome as it is seen now; `None` where no fresh state over a standing link tells.
+/// A dome as it is seen now; `None` where no fresh state over a link that is up shows it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DomeSight {
     /// The shutter.
     pub shutter: Option<Shutter>,
     /// It may be open whatever its status: it was opened, and is not proven closed since.
     pub doubted: bool,
-    /// Left alone: a neighbour works under the same roof, and only a wish, not the sky, asks for closing.
+    /// Left alone: another telescope works under the same roof, and only a close request, not the sky, asks for
+    /// closing.
     pub spared: bool,
     /// How far its parking is, for a dome that is parked when it is closed.
     pub park: Option<ParkSight>,
@@ -57,7 +58,7 @@ pub struct Sight {
     pub covers: Vec<CoverSight>,
 }
 
-/// One thing to do; the number is the device's place in the rig.
+/// One thing to do; the number is the device's index among the devices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Step {
     /// Close a dome's shutter.

@@ -1,4 +1,4 @@
-//! Flats of the twilight sky, as an observer would tell it.
+//! Flats of the twilight sky, step by step.
 
 use ::sky::{Horizontal, Icrs, separation};
 use units::seconds;
@@ -18,7 +18,7 @@ use schedule::shot::fits;
 /// The place opposite to the Sun is gone to again when it is further off than this, deg.
 const ASTRAY_DEG: f64 = 10.0;
 
-/// Takes the flats of a row while the Sun stands right; what it could not take is told by the run.
+/// Takes the flats of a row while the Sun has the right altitude; `run` reports the flats that it could not take.
 pub async fn run(run: &mut Run<'_>) -> Result<(), Trouble> {
     let stage = run.stage;
     let config = stage.chain()?.camera.config.flats;
@@ -124,7 +124,7 @@ async fn wait_for(stage: &Stage, window: &Window) -> Result<bool, Trouble> {
     }
 }
 
-/// Where the telescope looks: opposite to the Sun, each frame beside the last one.
+/// Where the telescope looks: opposite to the Sun, each frame a little away from the last one.
 struct Aim<'a> {
     stage: &'a Stage,
     mount: &'a Mount,
@@ -143,7 +143,7 @@ impl<'a> Aim<'a> {
             Trouble::Impossible(format!("{} {why}", stage.row.camera))
         })?;
         let base = opposite(stage)?;
-        // the slit goes there beside the mount
+        // The slit goes there while the mount slews.
         let aimed = Some(Aimed::at(&stage.room, mount, base));
         let index = stage.room.journal.progress(&stage.row.id).taken;
         let aim = Self { stage, mount, base, index, step_arcsec, aimed };
@@ -161,7 +161,7 @@ impl<'a> Aim<'a> {
             return Ok(());
         }
         self.base = base;
-        // the end of the old one takes back what it told
+        // The end of the old value takes back the aim that it published.
         self.aimed = None;
         self.aimed = Some(Aimed::at(&self.stage.room, self.mount, base));
         self.go().await

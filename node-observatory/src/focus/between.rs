@@ -114,7 +114,7 @@ async fn refocus(stage: &Stage, series: &Series, focuser: &Focuser) -> Result<()
     Ok(())
 }
 
-/// An alert stands while the last run of a camera failed.
+/// Keeps an alert active while the last run of a camera failed.
 pub fn tell(stage: &Stage, run: &contract::observatory::FocusRun) {
     let (alerts, camera) = (&stage.room.node.alerts, &stage.row.camera);
     match run.outcome {
@@ -126,8 +126,8 @@ pub fn tell(stage: &Stage, run: &contract::observatory::FocusRun) {
     }
 }
 
-/// Moves the focuser as the temperature asks, once that is known and more than a trifle. What fails is told: the row goes
-/// on at the focus as it is.
+/// Moves the focuser for the temperature, if the model is known and the move is more than a trifle. A failure is
+/// reported: the row goes on at the present focus.
 async fn follow_temperature(stage: &Stage, focuser: &Focuser, wanted: FocusWanted) {
     let learnt = stage.room.focus_learnt.get();
     let (Some(zone), true) = (learnt.critical_zone(focuser.name()), learnt.model(focuser.name()).is_some()) else {

@@ -10,10 +10,10 @@ use crate::trouble::Trouble;
 
 /// Julian date of J2000.0, and days of a Julian year.
 const J2000: (f64, f64) = (2_451_545.0, 365.25);
-/// The camera's field where nothing tells it, degrees.
+/// The camera's field where neither frames nor configuration give it, degrees.
 pub const USUAL_FIELD_DEG: f64 = 0.5;
 
-/// A field, with a word on how it was chosen.
+/// A field, and how it was chosen.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chosen {
     /// Where to point.
@@ -40,7 +40,7 @@ pub async fn for_run(asked: &FieldParameters, stage: &Stage) -> Result<Chosen, T
     near_zenith(stage, asked.observation_time.unwrap_or(stage.clock().utc()), wanted).await
 }
 
-/// Chooses a field near the zenith of an instant. Whatever the catalogue cannot tell ends at the zenith.
+/// Chooses a field near the zenith of an instant. Falls back to the zenith where the catalogue has no answer.
 pub async fn near_zenith(stage: &Stage, at: Utc, wanted: Option<Wanted>) -> Result<Chosen, Trouble> {
     let up = Horizontal { altitude: Angle::from_degrees(90.0), azimuth: Angle::default() };
     let zenith = stage.observer(at)?.to_icrs(&up);

@@ -24,7 +24,7 @@ use schedule::shot::{Shot, fits};
 
 /// Pixels are here so long after the exposure, or the frame counts as one without stars; machine time.
 const PIXELS: Duration = Duration::from_secs(60);
-/// Times an exposure is halved because stars are saturated, and the shortest that comes of it, s (algorithms.md 4.3).
+/// Times an exposure is halved because stars are saturated, and the shortest that results, s.
 const HALVINGS: u32 = 5;
 const SHORTEST_S: f64 = 0.1;
 /// Machine time that two looks at the pixels are apart when a frame is known but its pixels were missed.
@@ -55,7 +55,7 @@ pub struct Wish {
 
 /// Runs until the focus is found and verified, or surely is not; the focuser then stands there, or where it stood.
 ///
-/// Of a run that is dropped or meets a trouble, [`Stage::settle`] brings the focuser back.
+/// After a run that is dropped or fails, [`Stage::settle`] brings the focuser back.
 pub async fn find(stage: &Stage, series: &Series, focuser: &Focuser, wish: &Wish) -> Result<FocusRun, Trouble> {
     let mut sweep = Sweep::new(wish.plan.clone()).map_err(|bad| Trouble::Impossible(format!("focus run: {bad}")))?;
     stage.set_focus_before(Some(i64::from(wish.plan.start)));

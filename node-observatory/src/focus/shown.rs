@@ -1,4 +1,4 @@
-//! A run as it is shown while it is under way, and as it is told when it has ended, however it ends.
+//! The state of a run while it is under way, and its record when it has ended, however it ends.
 
 use contract::CommandId;
 use contract::observatory::{FocusCurve, FocusOutcome, FocusPass, FocusPoint, FocusRun};
@@ -8,12 +8,12 @@ use imaging::focus::sweep::{Fit, Focused, Pass, Point, Sweep};
 use super::meter::Read;
 use crate::control_room::ControlRoom;
 
-/// What is known of a point beside its value.
+/// What is known of a point in addition to its value.
 #[derive(Debug, Clone, Default)]
 pub struct About {
     /// The frames.
     pub frames: Vec<CommandId>,
-    /// What the last of them said.
+    /// What the last of them gave.
     pub read: Read,
     /// Temperature at the focuser, degrees Celsius.
     pub temperature_c: Option<f64>,
@@ -130,7 +130,7 @@ fn points(points: &[Point], about: &[About], fit: Option<&Fit>) -> Vec<FocusPoin
     told.collect()
 }
 
-/// A curve as it is told; one whose numbers are not finite is none.
+/// A curve as it is published; `None` if one of its numbers is not finite.
 fn curve(fit: &Fit) -> Option<FocusCurve> {
     let (best_position, best_value) = (finite(fit.best_position())?, finite(fit.best_value())?);
     match fit {

@@ -36,7 +36,7 @@ pub struct Aim {
 }
 
 impl Aim {
-    /// What devices, configuration and the frame's purpose tell.
+    /// Collects what devices, configuration and the frame's purpose give.
     pub fn of(room: &ControlRoom, frame: &Frame) -> Self {
         let target = frame.purpose.ra_deg.zip(frame.purpose.dec_deg);
         let target = target.map(|(ra, dec)| Icrs::from_degrees(ra, dec)).and_then(|icrs| icrs.checked().ok());
@@ -80,7 +80,7 @@ impl Aim {
     /// sensor's middle should be.
     ///
     /// # Errors
-    /// When nobody tells where the telescope pointed.
+    /// When nothing gives the place where the telescope pointed.
     pub fn frame_centre(&self, frame: &Frame, learnt: Option<&Learnt>) -> Result<Icrs, Unsolved> {
         let place = self.place.ok_or_else(|| Unsolved {
             class: UnsolvedClass::NoPlace,
@@ -99,8 +99,8 @@ impl Aim {
         Ok(Icrs { ra, dec })
     }
 
-    /// Where the middle of a part of the sensor looks once pointing has brought it to the target; None where that is no
-    /// other place than [`Self::frame_centre`] tells, or the mount says to be elsewhere.
+    /// Where the middle of a part of the sensor looks once pointing has brought it to the target. `None` if that is the
+    /// same place as [`Self::frame_centre`], or if the mount reports that it is elsewhere.
     pub fn part_on_target(&self, frame: &Frame) -> Option<Icrs> {
         // what lies within a quarter of the field is found from either place
         let is_aside = self.off_middle_px(frame) > 0.25 * f64::from(frame.width_px.min(frame.height_px));
@@ -223,7 +223,7 @@ mod tests {
             assert!((wcs.scale_arcsec_px() - 2.0).abs() < 1e-9);
             let here = wcs.sky_to_pixel(centre.ra, centre.dec).unwrap();
             assert!((here.0 - 49.5).hypot(here.1 - 39.5) < 1e-6, "{here:?}");
-            // pointing brings the part's middle to the target, and how far off it is is told of the same place
+            // Pointing brings the part's middle to the target, and the offset is reported for the same place.
             let sensor = Aim { target: Some(place), ..aim.clone() };
             let off = sensor.off_target(&part, &wcs).unwrap().arcseconds();
             assert!((off - away).abs() < 1e-6, "the sensor's middle on the target leaves the part beside it: {off}");

@@ -22,8 +22,8 @@ pub struct Before {
     pub unmatched: u32,
 }
 
-/// Looks at a frame's pixels, as the spool has them; takes a while. `on_measured` is told as soon as its stars are known,
-/// with the facts where its place is still to be found.
+/// Looks at a frame's pixels, as the spool has them; takes a while. `on_measured` gets the facts as soon as the stars
+/// are known, if the place is still to be found.
 pub fn look(
     room: &ControlRoom,
     frame: Frame,

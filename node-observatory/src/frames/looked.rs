@@ -33,7 +33,7 @@ pub struct Fetched {
 pub struct Looked {
     /// As it was announced.
     pub frame: Frame,
-    /// What is told of it; with a reason where something could not be had.
+    /// The facts to publish; with a reason where something could not be had.
     pub facts: FrameFacts,
     /// Its stars; `None` where it shows none by its nature, or could not be measured.
     pub measured: Option<Measured>,
@@ -84,7 +84,7 @@ impl Looks {
         self.looked.subscribe()
     }
 
-    /// Waits for what this frame shows, which may be known already. Ends only when it is: the caller has the patience.
+    /// Waits for what this frame shows, which may be known already. It has no timeout: the caller sets one.
     pub async fn of(&self, frame: &CommandId) -> Arc<Looked> {
         let (mut next, known) = {
             let recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);

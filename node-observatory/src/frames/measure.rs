@@ -49,7 +49,7 @@ pub fn measure(frame: &Frame, plane: &Plane, fwhm_px: Option<f32>) -> (FrameFact
     (facts, measured)
 }
 
-/// What the device's readings tell of the camera.
+/// What the device's readings show of the camera.
 pub fn camera(frame: &Frame) -> Camera<'static> {
     let number = |property: &str| {
         let value = frame.readings.get(property)?.value()?.number()?;

@@ -1,16 +1,16 @@
-//! Measures and solves every frame of this telescope as soon as it is announced, and says what it shows.
+//! Measures and solves every frame of this telescope as soon as it is announced, and publishes the facts.
 //!
-//! The frame is fetched from its device node's spool, whether there is an archive or not, and measured on a thread that
-//! steps back behind all others: neither the safety loop nor the next exposure waits for it. One frame per camera is
-//! worked on at a time, the newest first ([`waiting`]); a frame that cannot be had or measured gets facts with a reason.
-//! Only the commander measures; a standby remembers what nobody has measured yet. What several frames say together are
-//! [`triggers`], shown in the night's state and as alerts; a row may have its focus found anew for one (`focus/between.rs`).
-//! Who acts on single frames gets pixels, stars and solution from [`looked`].
+//! The frame is fetched from its device node's spool, whether there is an archive or not. It is measured on a thread
+//! that yields to all others: neither the safety loop nor the next exposure waits for it. The task works on one frame
+//! per camera at a time, the newest first ([`waiting`]); a frame that cannot be had or measured gets facts with a
+//! reason. Only the commander measures; a standby remembers which frames have no facts yet. [`triggers`] hold what
+//! several frames show together; the night's state and alerts contain them, and a row may have its focus found anew for
+//! one (`focus/between.rs`). Code that acts on single frames gets pixels, stars and solution from [`looked`].
 //!
 //! A row that asks for it has a dark taken off its frames first ([`dark`]).
 //!
-//! A frame with stars is solved ([`solving`]) from where it was pointed ([`aim`]) with what earlier frames taught of the
-//! optics ([`optics`]); its catalogue stars tell the zero point ([`zero_point`]).
+//! A frame with stars is solved ([`solving`]) from where it was pointed ([`aim`]) with what earlier frames taught of
+//! the optics ([`optics`]); its catalogue stars give the zero point ([`zero_point`]).
 
 pub mod aim;
 pub mod dark;
@@ -55,10 +55,10 @@ const MEASURED_AT_ONCE: usize = 1;
 const FETCH_DEADLINE: Duration = Duration::from_secs(30);
 /// Announcements and facts of others that wait to be looked at.
 const HEARD: usize = 1000;
-/// So many frames of a camera in a row without facts, and a person is told.
+/// After so many frames of a camera in a row without facts, an alert informs a person.
 const FAILURES_BEFORE_ALERT: u32 = 3;
-/// A frame whose place is still sought so long after its stars were measured is told twice, first without its place:
-/// facts are there within a second of the pixels. Machine time.
+/// If the search for a frame's place takes so long after its stars were measured, the facts are published twice, first
+/// without the place: facts are there within a second of the pixels. Machine time.
 const SOON: Duration = Duration::from_millis(300);
 /// Triggers grow old at this pace, machine time.
 const PERIOD: Duration = Duration::from_secs(5);
@@ -152,7 +152,7 @@ impl Desk {
         self.room.hold.borrow().token().is_some()
     }
 
-    /// A frame is there; one that finds no room any more is told to be unmeasured.
+    /// A frame is there. One that finds no room any more is published as unmeasured.
     async fn announced(&mut self, announced: Announced) -> anyhow::Result<()> {
         let Some(Announced { frame, is_old }) = self.waiting.push(announced) else { return Ok(()) };
         self.waiting.settle(&frame.id);
@@ -258,7 +258,7 @@ impl Desk {
         }
     }
 
-    /// Shows the triggers that stand, in the night's state and as alerts; who does not command has none.
+    /// Publishes the active triggers, in the night's state and as alerts; a node that does not command has none.
     fn show(&mut self) {
         let standing = match self.commands() {
             true => self.triggers.standing(self.room.node.bus.clock().utc()),
@@ -284,7 +284,7 @@ impl Desk {
     }
 }
 
-/// The alert that tells a person of a trigger.
+/// The alert that informs a person of a trigger.
 fn alert(kind: TriggerKind) -> AlertKind {
     match kind {
         TriggerKind::FocusDrift => AlertKind::FocusDrift,
@@ -294,7 +294,7 @@ fn alert(kind: TriggerKind) -> AlertKind {
     }
 }
 
-/// Waits for a look at a frame; where it takes long, what was measured is told meanwhile.
+/// Waits for a look at a frame. If it takes long, the measurements are published meanwhile.
 async fn told_early<T, F: Future<Output = ()>>(
     measured: oneshot::Receiver<FrameFacts>,
     looking: impl Future<Output = T>,
@@ -403,7 +403,7 @@ pub(crate) mod tests {
         tell.send(facts()).unwrap();
         assert_eq!(told_early(measured, std::future::ready(1), never).await, 1);
 
-        // the place is found only after what was measured is told
+        // The place is found only after the measurements are published.
         let (tell, measured) = oneshot::channel();
         tell.send(facts()).unwrap();
         let ((say, said), began) = (oneshot::channel(), std::time::Instant::now());

@@ -26,8 +26,8 @@ const OLD_S: f64 = 1800.0;
 const MOST: usize = 200;
 /// A zero point counts for the best one when its standard error is below this, mag.
 const SURE_MAG: f64 = 0.05;
-/// Mirrors grow dusty: the best zero point is forgotten at this rate, mag per day (algorithms.md has no figure; washed
-/// mirrors lose a few tenths a year).
+/// Mirrors grow dusty: the best zero point is forgotten at this rate, mag per day. This is our choice; washed mirrors
+/// lose a few tenths a year.
 const DUST_MAG_PER_DAY: f64 = 0.001;
 
 /// A frame that was solved, as far as optics are concerned.
@@ -70,8 +70,8 @@ pub fn known<'a>(state: &'a OpticsState, frame: &Frame, pier_side: Option<PierSi
     })
 }
 
-/// What the solver is told of known optics. Distortion belongs to the middle of one part of the sensor: a frame of another
-/// part goes without.
+/// What the solver gets of known optics. Distortion is valid for the middle of one part of the sensor: a frame of
+/// another part goes without.
 pub fn learnt(optics: &Optics, frame: &Frame) -> Learnt {
     let same_part = (optics.size_px, optics.origin_px) == ([frame.width_px, frame.height_px], frame.origin_px);
     Learnt {
@@ -86,7 +86,7 @@ pub fn learnt(optics: &Optics, frame: &Frame) -> Learnt {
 /// frame that the sky limits.
 pub fn faintest_mag(optics: &Optics, frame: &Frame) -> Option<f64> {
     let ratio = frame.exposure_s / optics.exposure_s;
-    // short frames are limited by readout instead, and lose more: nothing is said far away
+    // Short frames are limited by readout instead, and lose more: far from this exposure time there is no value.
     let near = (0.1..=10.0).contains(&ratio);
     optics.faintest_mag.filter(|_| near).map(|mag| mag + 1.25 * ratio.log10())
 }
@@ -179,7 +179,7 @@ pub fn best_zero_point(state: &OpticsState, frame: &Frame) -> Option<f64> {
     state.zero_points.iter().find(same).map(|known| best_mag(known, frame.started_utc))
 }
 
-/// Gain that a camera was set to, as ASCOM tells it: a number of the camera's own scale.
+/// Gain that a camera was set to, as ASCOM reports it: a number of the camera's own scale.
 pub fn gain(frame: &Frame) -> Option<f64> {
     frame.readings.get("Gain")?.value()?.number().filter(|gain| gain.is_finite())
 }
@@ -204,7 +204,7 @@ pub fn path(config: &config::Observatory) -> PathBuf {
     config.folders.data.join(format!("optics-{}.json", config.place.telescope))
 }
 
-/// What was learnt before; nothing where there is no file, or none that can be read: it is learnt anew.
+/// What was learned before; empty if there is no file, or if it cannot be read: it is learned anew.
 pub fn read(path: &Path) -> OpticsState {
     crate::kept::read_or_anew(path, "what is known of the optics")
 }

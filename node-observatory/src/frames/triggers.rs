@@ -1,6 +1,6 @@
-//! What the facts of several frames say together: the focus drifts, clouds come, the stars trail, the field is wrong.
+//! What the facts of several frames show together: the focus drifts, clouds come, the stars trail, the field is wrong.
 //!
-//! Pure: frames with their facts in, standing triggers out. Frames are compared only within a *run*: one camera and
+//! Pure: frames with their facts in, active triggers out. Frames are compared only within a *run*: one camera and
 //! filter on one row of the schedule, with the same object, exposure time and binning, because another field has other
 //! stars and another row may want another focus. Only `object` frames count: a focus sweep is blurred on purpose.
 
@@ -22,7 +22,7 @@ const REACH: usize = 60;
 const CLOUDS: (f64, f64) = (0.3, 0.5);
 /// Extinction of clear air is no more, mag per airmass: that of the ultraviolet.
 const EXTINCTION_MAG: f64 = 0.6;
-/// Frames that tell the usual number: at least, at most.
+/// Frames that give the usual number: at least, at most.
 const USUAL: (usize, usize) = (3, 20);
 /// Fewer stars than this come and go by themselves.
 const FEWEST: f64 = 10.0;
@@ -67,7 +67,7 @@ struct Field {
 
 impl Field {
     fn is_like(&self, other: &Self) -> bool {
-        // cameras tell the time that the shutter was open, which differs a little from frame to frame
+        // Cameras report the time that the shutter was open, which differs a little from frame to frame.
         let as_long = (self.exposure_s - other.exposure_s).abs() <= 0.02 * self.exposure_s.max(other.exposure_s);
         let same = |field: &Self| (field.row, field.bin, field.size_px);
         as_long && same(self) == same(other) && self.night == other.night && self.object == other.object

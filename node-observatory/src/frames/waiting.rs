@@ -13,9 +13,9 @@ const REMEMBERED: usize = 4096;
 /// A frame that was announced.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Announced {
-    /// What was said of it.
+    /// The announcement.
     pub frame: Frame,
-    /// It was said before this node lived: somebody else may have measured it.
+    /// It was announced before this node started: another node may have measured it.
     pub is_old: bool,
 }
 

@@ -1,4 +1,5 @@
-//! A camera of its own for guiding: exposed again and again beside the row's camera, as long as guiding lasts.
+//! A camera of its own for guiding: exposed again and again in parallel with the row's camera, as long as guiding
+//! lasts.
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -16,7 +16,7 @@ use schedule::Row;
 /// Guiding slews no further than this: what is further off is another field, and pointing's business, degrees.
 const FURTHEST_DEG: f64 = 2.0;
 
-/// Guide rates in right ascension and declination, degrees of each coordinate per second, where the mount tells them.
+/// Guide rates in right ascension and declination, degrees of each coordinate per second, if the mount reports them.
 pub fn guide_rates(can: &Capabilities) -> Option<[f64; 2]> {
     let good = |rate: &f64| rate.is_finite() && *rate > 0.0;
     let ra = can.guide_rate_ra_deg_per_s.filter(good)?;

@@ -15,7 +15,7 @@ use crate::control_room::ControlRoom;
 use crate::frames::looked::Fetched;
 use crate::frames::measure;
 
-/// With fewer stars than this a field may be told by its sums over rows and columns.
+/// With fewer stars than this, a field may be recognized by its sums over rows and columns.
 const FEW_STARS: usize = 5;
 /// The list of a frame's stars is there within this time, machine time.
 pub const LISTED_WITHIN: Duration = Duration::from_secs(30);
@@ -45,7 +45,7 @@ pub struct Session {
 
 /// What a frame showed of the field.
 pub struct Seen {
-    /// How far it moved, or why nobody can tell.
+    /// How far it moved, or why this cannot be measured.
     pub measured: Result<Measurement, NoShift>,
     /// By what it was measured.
     pub method: GuideMethod,
@@ -56,7 +56,7 @@ pub struct Seen {
 /// Why a field cannot be held.
 #[derive(Debug, thiserror::Error)]
 pub enum NoSession {
-    /// The first frame tells no reference.
+    /// The first frame gives no reference.
     #[error("no reference: {0}")]
     Reference(#[from] NoShift),
     /// The calibration does not hold there.

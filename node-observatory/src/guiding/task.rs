@@ -26,12 +26,13 @@ use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
 use schedule::Row;
 
-/// So many frames in a row that could not be guided on, or that the mount took no pulse after, and a person is told.
+/// After so many frames in a row that could not be guided on, or that the mount took no pulse after, an alert is
+/// raised.
 const FAILURES_BEFORE_ALERT: u32 = 3;
-/// Without a frame for so many exposures and this long, sky s, a person is told.
+/// Without a frame for so many exposures and this long, sky s, an alert is raised.
 const SILENT_EXPOSURES: f64 = 3.0;
 const SILENT_S: f64 = 180.0;
-/// A frame that is so much older than the last one tells of a clock that was set back, sky s.
+/// A frame that is so much older than the last one shows that a clock was set back, sky s.
 const SET_BACK_S: f64 = 600.0;
 /// How often that is looked after where the mount says nothing, sky time.
 const LOOKED_AFTER: Duration = Duration::from_secs(30);
@@ -255,7 +256,7 @@ impl Loop {
         Ok(session)
     }
 
-    /// A solved frame tells what pulses do, if the mount tells how fast they are.
+    /// Learns from a solved frame what pulses do, if the mount reports how fast they are.
     fn learn_from_solution(&self, mount: &Mount, looked: &Looked, field: &GuideField) {
         let Some(Ok(solution)) = &looked.solved else { return };
         let Some(rates) = mount.instrument.can().as_ref().and_then(recovery::guide_rates) else { return };
@@ -276,7 +277,7 @@ impl Loop {
         solved.or_else(|| self.wanted.target_deg.map(|[_, dec]| dec)).or_else(told).filter(|dec| dec.is_finite())
     }
 
-    /// Measures, decides, pushes the mount, and tells it.
+    /// Measures, decides, sends pulses to the mount, and publishes the correction.
     async fn guide(&mut self, mount: &Mount, fetched: &Arc<Fetched>) {
         let room = self.room.clone();
         let Some(session) = &mut self.session else { return };
@@ -300,7 +301,7 @@ impl Loop {
         tell::say(&room, record).await;
     }
 
-    /// Does what the guider asks for beside pulses; tells it in words.
+    /// Does what the guider asks for in addition to pulses; returns a description of it.
     async fn follow_up(&mut self, mount: &Mount, fetched: &Fetched, decision: &Decision) -> Option<String> {
         match decision.ask? {
             Ask::Register => Some("looking for the field in the whole next frame".to_owned()),
@@ -334,7 +335,7 @@ impl Loop {
         recovery::offset_deg(session, rates.ok_or("the mount does not tell its guide rates")?, way_px)
     }
 
-    /// Slews by an offset; what stands against it is told, and the next frame asks again.
+    /// Slews by an offset. An obstacle is reported in the result, and the next frame asks again.
     async fn slew(&mut self, mount: &Mount, offset: Result<[f64; 2], String>) -> String {
         let slewed = match offset {
             Ok(offset) => recovery::slew_by(&self.room, &self.row, mount, offset).await.map(|()| offset),

@@ -103,7 +103,7 @@ fn rounded(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }
 
-/// Where the guider stands, as it is told.
+/// The published form of the guider's state.
 pub fn stage(state: State) -> GuideStage {
     match state {
         State::Acquire => GuideStage::Acquire,
@@ -148,7 +148,8 @@ pub fn unstable(unstable: Unstable) -> &'static str {
     }
 }
 
-/// Says a record; all of this life of the node go out on one line, so that their numbers tell a gap.
+/// Publishes a record. All records of this incarnation of the node go out through one publisher, so that their numbers
+/// reveal a gap.
 pub async fn say(room: &ControlRoom, correction: Correction) {
     let key = Key::Correction(room.node.config.address());
     let line = room.corrections.get_or_try_init(|| room.node.bus.publisher(&key, Quality::Event { cache: KEPT })).await;

@@ -61,7 +61,7 @@ impl AtClosing {
         self.running.as_ref().is_some_and(|running| waits(running) && running.released.has_changed().is_ok())
     }
 
-    /// Tells the script whether everything is verified closed.
+    /// Informs the script whether everything is verified closed.
     pub fn see(&self, is_closed: bool) {
         if let Some(running) = &self.running {
             running.closed.send_if_modified(|closed| std::mem::replace(closed, is_closed) != is_closed);
@@ -101,7 +101,7 @@ async fn tell(room: &ControlRoom, script: &Script, release: watch::Sender<bool>,
     if script.has(Function::AfterClose) && closed.wait_for(|closed| *closed).await.is_ok() {
         let function = Function::AfterClose;
         let result = script.call(function, most, &Doing { room, function, release: &release, closed }).await;
-        // told by its alert
+        // Its alert reports the result.
         let _ = host::told(room, function, result);
     }
 }

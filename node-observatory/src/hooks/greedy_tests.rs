@@ -1,7 +1,7 @@
 //! Scripts that want all there is: of memory, of the stack, of time, of this node's own functions, and of the reader.
 //!
-//! Each ends with a fault that can be told, soon and small. What a fault leads to, closing by default, is a story of its own
-//! (`obeys_the_sites_script`).
+//! Each ends with a fault that can be reported, soon and small. The consequence of a fault, closing by default, is a
+//! scenario of its own (`obeys_the_sites_script`).
 
 use std::fmt::Write as _;
 use std::sync::Mutex;

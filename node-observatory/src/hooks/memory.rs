@@ -22,7 +22,7 @@ impl Meter {
         Self { before: resident(), most }
     }
 
-    /// Is it too much? Looked at in some steps of work only; where the system does not tell, never.
+    /// Is it too much? Looked at in some steps of work only; never where the system does not report it.
     pub fn is_full(&self, step: u64) -> bool {
         let grown = || Some(resident()?.saturating_sub(self.before?));
         step.is_multiple_of(EVERY) && grown().is_some_and(|grown| grown > self.most)
@@ -36,7 +36,7 @@ impl Meter {
 
 /// Resident memory of this process, bytes; Linux says it in pages.
 fn resident() -> Option<u64> {
-    // every kernel that this runs on without being told otherwise has pages of this size, and others have larger ones
+    // Every kernel that this runs on by default has pages of this size, and others have larger ones.
     const PAGE: u64 = 4096;
     let told = std::fs::read_to_string("/proc/self/statm").ok()?;
     told.split_whitespace().nth(1)?.parse::<u64>().ok().map(|pages| pages * PAGE)

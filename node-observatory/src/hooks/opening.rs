@@ -23,7 +23,7 @@ const CLOSED: Duration = Duration::from_secs(300);
 /// Opens, unless everything is open already.
 ///
 /// # Errors
-/// When the script or a device fails, or it is not ready in time; everything has then been told to close.
+/// When the script or a device fails, or it is not ready in time; everything was then ordered to close.
 pub async fn open(room: &ControlRoom, chain: &Chain<'_>, script: &Script) -> Result<(), Trouble> {
     if is_open(room, chain) {
         return Ok(());

@@ -13,11 +13,11 @@ use config::nearest;
 
 /// Bytes of a script's text: a site's own steps are some pages, and reading must not take long.
 pub(super) const LONGEST: usize = 64 * 1024;
-/// So many faults are told; somebody who mends them is told the next ones.
+/// So many faults are reported; after these are fixed, the next ones are reported.
 const TOLD: usize = 20;
-/// Of a name that is told, so many characters; of a fault.
+/// Longest reported part of a name, characters.
 const NAME: usize = 60;
-/// See above.
+/// Longest reported part of a fault, characters.
 const FAULT: usize = 300;
 
 /// A function that a script may have.
@@ -112,9 +112,9 @@ impl Script {
     /// Compiles a text and proves its functions.
     ///
     /// # Errors
-    /// Syntax with line and column; functions that are neither known nor `private`, and calls that are a slip of the pen
-    /// in one of this node's functions, with the nearest known name; parameters where there are none; a text of more than
-    /// 64 KiB. At most 20 faults are told.
+    /// Syntax with line and column; functions that are neither known nor `private`, and calls that are a misspelling of
+    /// one of this node's functions, with the nearest known name; parameters where there are none; a text of more than
+    /// 64 KiB. At most 20 faults are reported.
     pub fn compile(text: &str) -> Result<Self, Vec<String>> {
         if text.len() > LONGEST {
             return Err(vec![too_long()]);

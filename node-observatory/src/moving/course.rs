@@ -7,7 +7,7 @@
 use sky::Rates;
 use units::{Angle, Utc};
 
-/// Rates are renewed when keeping them would lead so far from the body, arcsec on the sky (spec core.md 7.4).
+/// Rates are renewed when keeping them would lead so far from the body, arcsec on the sky.
 pub const TRAIL_ARCSEC: f64 = 0.5;
 
 /// A place in the mount's own frame.
@@ -37,7 +37,7 @@ impl Spot {
     }
 }
 
-/// A mount on its way beside the stars.
+/// The path of a mount that moves relative to the stars.
 #[derive(Debug, Clone, Copy)]
 pub struct Course {
     at: Utc,
@@ -89,7 +89,7 @@ mod tests {
         "2026-11-21T03:00:00Z".parse().unwrap()
     }
 
-    /// A body beside the seam of right ascension whose speed turns about once in 20 minutes.
+    /// A body near the seam of right ascension whose speed turns about once in 20 minutes.
     fn body(at: Utc) -> Spot {
         let t = at.seconds_since(start());
         let turn = t * std::f64::consts::TAU / 1200.0;

@@ -14,7 +14,7 @@ use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
 use schedule::shot::Shot;
 
-/// A body that has moved less than this during a slew is still met, arcsec (spec core.md 7.4).
+/// A body that has moved less than this during a slew is still met, arcsec.
 const MET_ARCSEC: f64 = 1.0;
 /// Slews that miss a body because it is gone when they end.
 const SLEWS: u32 = 4;
@@ -34,11 +34,11 @@ pub struct Wish {
     pub update_s: Option<f64>,
     /// The telescope is brought back onto the body after so long, s; never where 0.
     pub recenter_s: f64,
-    /// What is commanded less what is wanted, as solved frames have shown it beside the body.
+    /// The commanded place minus the wanted one, as solved frames have shown it near the body.
     pub correction: Option<[Angle; 2]>,
 }
 
-/// Refuses a mount that cannot go beside the stars.
+/// Refuses a mount that cannot move relative to the stars.
 pub async fn can_follow(mount: &Mount) -> Result<(), Trouble> {
     if mount.instrument.capabilities().await?.set_rates {
         return Ok(());
@@ -49,8 +49,8 @@ pub async fn can_follow(mount: &Mount) -> Result<(), Trouble> {
     )))
 }
 
-/// Takes the frames of a row while the telescope goes along with `body`; returns how many there are. `shot` is told how many
-/// there are already, the time, and when the last must have ended.
+/// Takes the frames of a row while the telescope follows `body`; returns how many there are. `shot` gets the number of
+/// frames so far, the time, and when the last must have ended.
 pub async fn observe(
     stage: &Stage,
     mount: &Mount,

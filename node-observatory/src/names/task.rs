@@ -1,4 +1,4 @@
-//! Looks names up beside everything else, as soon as a schedule has them.
+//! Looks names up in parallel with everything else, as soon as a schedule has them.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -78,7 +78,7 @@ async fn ask(names: &Names, name: &str, at: Utc) -> Result<Meaning, String> {
     meaning.ok_or_else(|| "neither Horizons nor Sesame knows the name; give ra and dec".to_owned())
 }
 
-/// Writes what was found; without a disk it is looked up again in the next life.
+/// Writes what was found; without a disk it is looked up again after a restart.
 async fn keep(room: &ControlRoom) {
     let path = Known::path(&room.node.config);
     let mut part = path.clone().into_os_string();

@@ -30,7 +30,7 @@ pub struct Way {
     pub exptime_s: f64,
     /// Frames that may yet be taken on the way.
     pub frames_left: u32,
-    /// No frame has shown yet where the last slew led: after hours of tracking it tells of drift, not of pointing.
+    /// No frame has shown yet where the last slew led: after hours of tracking a frame shows drift, not pointing.
     pub is_fresh: bool,
 }
 

@@ -32,7 +32,7 @@ pub struct Gate<'a> {
     side: Option<PierSide>,
     /// Further off than this a frame does not count, arcmin; none where the row asks for no proof.
     tolerance_arcmin: Option<f64>,
-    /// What was commanded last, while the first frame after it is yet to be learnt from.
+    /// The place commanded last, while the node has yet to learn from the first frame after it.
     to_learn: Option<Icrs>,
     astray: Vec<(CommandId, f64)>,
     lost: Option<String>,
@@ -63,7 +63,7 @@ impl<'a> Gate<'a> {
         }
     }
 
-    /// Why the telescope is not known to be on target any more, by all that frames and mount have said until now.
+    /// Why the telescope is not known to be on target any more, by all that frames and mount have shown until now.
     pub fn lost(&mut self) -> Option<&str> {
         loop {
             match self.looks.try_recv() {

@@ -1,7 +1,7 @@
 //! A telescope that proves where it looks.
 //!
 //! ```text
-//!  first slew, corrected by what was learnt (learnt) --> frame, solved --> on target ------> the row's frames
+//!  first slew, corrected by the pointing model   --> frame, solved --> on target ------> the row's frames
 //!                                                          ^      |                              |
 //!                                                          |      | off: slew (acquire)          | one of them is astray, or the
 //!                                                          +------+                              | pier side changed (gate)
@@ -33,7 +33,7 @@ use crate::action::Stage;
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
 
-/// Slews to a target, corrected by what was learnt; returns the direction that was commanded.
+/// Slews to a target, corrected by the learned model; returns the direction that was commanded.
 pub async fn send(stage: &Stage, mount: &Mount, target: &Icrs) -> Result<Icrs, Trouble> {
     let observer = stage.visible(target)?;
     let expected = expected(stage, target, observer.hour_angle(target));

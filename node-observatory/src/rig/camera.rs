@@ -21,11 +21,12 @@ pub struct Camera {
 /// Readout, download and spool of the largest sensors, sky s, on top of the exposure.
 const READOUT: Duration = Duration::from_secs(120);
 
-/// What a cooler may take to be told its set point and switched on, sky s: what the device node gives that command.
+/// The longest that a cooler may take to accept its set point and to switch on, sky s: the device node's own timeout
+/// for that command.
 const COOLER: Duration = Duration::from_secs(60);
 
 impl Camera {
-    /// Begins to hear a camera.
+    /// Subscribes to a camera.
     pub async fn listen(voice: &Voice, device: Device, config: config::Camera) -> anyhow::Result<Self> {
         Ok(Self { instrument: Instrument::listen(voice, device).await?, config })
     }

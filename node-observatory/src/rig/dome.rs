@@ -31,7 +31,7 @@ pub struct Dome {
     pub travel: Duration,
     /// Stands over this telescope alone.
     pub is_own: bool,
-    /// Who turns it.
+    /// The part that turns it.
     pub follow: Follow,
     /// Its slit.
     pub slit: config::Slit,
@@ -54,11 +54,11 @@ pub struct ParkSight {
     pub may_wait: bool,
 }
 
-/// A guard that was not heard for so long is not there.
+/// A guard that published nothing for so long is not there.
 const GUARD_AGE: Duration = Duration::from_secs(5);
 
 impl Dome {
-    /// Begins to hear a dome; `own` is its block, where it is of this telescope's own file.
+    /// Subscribes to a dome; `own` is its block, if it is in this telescope's own file.
     pub async fn listen(voice: &Voice, device: Device, own: Option<&config::Dome>) -> anyhow::Result<Self> {
         let guard = voice.bus.latest(&Key::Guard(device.clone())).await?;
         let guards = Guards::listen(&voice.bus, &device).await?;

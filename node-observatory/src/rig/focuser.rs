@@ -28,7 +28,7 @@ pub struct Focuser {
 const TRAVEL: Duration = Duration::from_secs(180);
 
 impl Focuser {
-    /// Begins to hear a focuser.
+    /// Subscribes to a focuser.
     pub async fn listen(
         voice: &Voice,
         device: Device,
@@ -44,8 +44,8 @@ impl Focuser {
         self.config.common.name.as_str()
     }
 
-    /// The best position without a filter's offset: as learnt, at the present temperature; else as configured, or where
-    /// the focuser was first seen.
+    /// The best position without a filter's offset: as learned, at the present temperature; else as configured, or
+    /// where the focuser was first seen.
     pub fn best(&self) -> Option<i64> {
         let learnt = self.learnt.borrow().best(self.name(), self.temperature_c());
         // saturates; positions are far below
@@ -61,7 +61,7 @@ impl Focuser {
         self.found_at_start.get().copied()
     }
 
-    /// Offset of a filter, steps: as learnt, else what the wheel says.
+    /// Offset of a filter, steps: as learned, else the wheel's value.
     pub fn offset(&self, filter: &str, wheel_offset: i64) -> i64 {
         self.learnt.borrow().offset(self.name(), filter, wheel_offset)
     }

@@ -16,7 +16,7 @@ use schedule::horizon_limits::HorizonLimits;
 use schedule::plan::overheads::{Span, TOOK};
 use schedule::slew_limits;
 
-/// Slews over less than this are not told, deg.
+/// Slews over less than this are not reported, deg.
 const WORTH_TELLING_DEG: f64 = 1.0;
 
 /// A mount.
@@ -30,7 +30,7 @@ pub struct Mount {
 }
 
 impl Mount {
-    /// Begins to hear a mount.
+    /// Subscribes to a mount.
     pub async fn listen(
         voice: &Voice,
         device: Device,
@@ -92,7 +92,8 @@ impl Mount {
         Some(separation(&here, &Icrs { ra, dec }).degrees()).filter(|deg| deg.is_finite())
     }
 
-    /// Goes at these rates beside the stars; returns when the device node had taken them, which its mount then does at once.
+    /// Moves at these rates relative to the stars. Returns when the device node had accepted them; its mount then does
+    /// so at once.
     pub async fn set_rates(&self, rates: Rates) -> Result<Utc, Trouble> {
         let Rates { ra_s_per_sidereal_s, dec_arcsec_per_s } = rates;
         let (id, clock) = (CommandId::fresh(), self.instrument.clock());
@@ -107,7 +108,7 @@ impl Mount {
         in_mount_frame(target, observer, self.frame())
     }
 
-    /// Tells the mount that it looks at a place of the catalogue now.
+    /// Synchronises the mount: it looks at this place of the catalogue now.
     pub async fn sync(&self, seen: &Icrs, observer: &Observer) -> Result<(), Trouble> {
         let (ra, dec) = in_mount_frame(seen, observer, self.frame())?;
         let sync = Command::Sync { ra_deg: ra.degrees(), dec_deg: dec.degrees() };

@@ -54,7 +54,7 @@ struct Runner {
 /// A row at work.
 struct Begun {
     row: Row,
-    /// Its place in the schedule when it began: under this number its frames and steps are told.
+    /// Its place in the schedule when it began: its frames and steps are published under this number.
     number: u32,
     /// Says that the schedule has it no longer.
     withdrawn: watch::Sender<bool>,
@@ -168,7 +168,7 @@ impl Runner {
     fn start_next(&mut self) -> bool {
         let now = self.room.node.bus.clock().utc();
         let machine = self.room.node.bus.clock().machine();
-        // a number tells whose frames they are, so a row waits for one that began at its place
+        // A number identifies whose frames they are, so a row waits for one that began at its place.
         let is_taken = |index| self.begun.values().any(|begun| begun.number == number(index));
         let may = |index, row: &Row| {
             !self.rests.rests(&row.id, machine) && !is_taken(index) && self.room.objection(Some(row)).is_none()
@@ -197,7 +197,7 @@ impl Runner {
     fn note_end(&mut self, id: &RowId, end: RowEnd) {
         let Some(Begun { row, number, .. }) = self.begun.remove(id) else { return };
         if end == RowEnd::Interrupted(Objection::NotRobotic) {
-            // an opening that was under way may have taken the wish back in the very moment
+            // An opening that was under way may have taken the close request back in the very moment.
             let why = || Some("the robotic switch is off".to_owned());
             self.room.wish_closed.send_if_modified(|wish| wish.is_none() && std::mem::replace(wish, why()).is_none());
         }
@@ -289,7 +289,7 @@ impl Runner {
     }
 }
 
-/// A place in the schedule as it is told.
+/// The published number of a place in the schedule.
 fn number(index: usize) -> u32 {
     u32::try_from(index).unwrap_or(u32::MAX)
 }

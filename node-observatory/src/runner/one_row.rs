@@ -15,7 +15,7 @@ use crate::trouble::Trouble;
 /// How a row ended.
 #[derive(Debug, Clone, PartialEq)]
 pub enum RowEnd {
-    /// Done, with what is worth telling.
+    /// Done, with a summary.
     Finished(String),
     /// Not done, and not to be tried again.
     Failed(String),

@@ -1,4 +1,4 @@
-//! The safety loop: hears the inputs, judges at each arrival and each second, and waits for nothing else.
+//! The safety loop: receives the inputs, judges at each arrival and each second, and waits for nothing else.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -25,7 +25,7 @@ use super::verdict_file;
 /// So long after its start a node may be without a word from an input before that counts.
 const GRACE: Duration = Duration::from_secs(5);
 
-/// Judges until the node ends; the ruling is all that leaves this task.
+/// Judges until the node ends; this task publishes its verdict and nothing else.
 pub async fn keep_judging(
     node: Node,
     rules: Arc<Rules>,
@@ -120,7 +120,7 @@ fn take_in(history: &mut History, rules: &Rules, word: Word, speed: f64) {
     }
 }
 
-/// Keeps a verdict that ended, beside the loop: no disk delays the next one.
+/// Stores a verdict that ended, outside of the loop: no disk delays the next one.
 fn keep(path: PathBuf, ended: Interval) {
     tokio::task::spawn_blocking(move || {
         if let Err(error) = verdict_file::append(&path, &ended) {

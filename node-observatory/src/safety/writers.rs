@@ -1,5 +1,5 @@
-//! Who publishes a safety input. Of two nodes that do so at the same time neither counts, and the value of a new one
-//! does not cancel the warning of the one before.
+//! Tracks which node publishes a safety input. Of two nodes that do so at the same time neither counts, and the value
+//! of a new one does not cancel the warning of the one before.
 
 use bus::{MachineTime, Succession};
 use contract::device::safety_monitor::Fields as Monitor;
@@ -35,7 +35,7 @@ pub struct Writers<F> {
     succession: Succession,
     first: Option<BootId>,
     disputed: bool,
-    /// Who gave the last warning, when, and how long such a node may be silent, s.
+    /// The node that gave the last warning, the time, and how long such a node may be silent, s.
     warned: Option<(BootId, MachineTime, f64)>,
 }
 

@@ -29,7 +29,7 @@ const LOOK: Duration = Duration::from_millis(250);
 /// A version that the disk does not take is tried again after this.
 const AGAIN: Duration = Duration::from_secs(10);
 
-/// What tells that a file has changed: any other time or size, also an older one.
+/// The properties that show that a file has changed: any other time or size, also an older one.
 type Mark = Option<(SystemTime, u64)>;
 
 /// Reads the file now, at each change of its time or size, and whenever the room's `reload` counts on. While this node
@@ -85,7 +85,7 @@ async fn read_file(path: PathBuf, room: Arc<ControlRoom>) -> Result<(String, Vec
     read.map_err(|why| format!("{shown}: {why}"))
 }
 
-/// Puts what was read in force, or tells why not; returns the text that is to be kept.
+/// Puts what was read in force, or reports why not; returns the text to store.
 fn take(
     room: &ControlRoom,
     loaded: &watch::Sender<Loaded>,

@@ -21,10 +21,10 @@ const MOST_INDEX_BYTES: u64 = 20_000_000;
 /// A reason is cut after so many letters.
 const MOST_REASON: usize = 1000;
 
-/// Who brought a schedule, and why.
+/// The author of a schedule, and the reason for it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Author {
-    /// Such as `web/ana`; `file` for whoever wrote the file itself.
+    /// Such as `web/ana`; `file` for a person or program that wrote the file itself.
     pub name: String,
     /// In their words.
     pub reason: String,
@@ -37,7 +37,7 @@ pub struct Version {
     pub version: u64,
     /// Sky time when it was taken.
     pub at_utc: Utc,
-    /// Who brought it.
+    /// The author.
     pub author: String,
     /// Why.
     #[serde(default, skip_serializing_if = "String::is_empty")]

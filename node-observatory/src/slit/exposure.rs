@@ -46,7 +46,8 @@ pub async fn through_the_slit(
     let mut stirred = room.rig.stirred();
     let exposed = camera.exposed(frame, exposure_s);
     tokio::pin!(exposed);
-    // a camera that is asked each 5 s tells late that it exposes; the slit is watched from its word that it will
+    // A camera that is polled each 5 s reports late that it exposes; the slit is watched from its acceptance of the
+    // command.
     let (accepted, mut began) = (stage.clock().sky(), None);
     let is_over = loop {
         tokio::select! {

@@ -1,4 +1,4 @@
-//! Keeps the slit of an open dome where the telescope looks, beside whatever the rows do.
+//! Turns the slit of an open dome to where the telescope looks, in parallel with the rows.
 
 use std::sync::Arc;
 use std::time::Duration;

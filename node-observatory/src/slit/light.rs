@@ -1,7 +1,7 @@
 //! What the slit leaves of an exposure's light, and what becomes of the frame: arithmetic only.
 //!
 //! ```text
-//!  loses nothing, or no more than LITTLE: counted                  (a loss that can be seen is told with the frame)
+//!  loses nothing, or no more than LITTLE: counted                  (a visible loss is reported with the frame)
 //!  has lost more, and most of its light is still to come: ended    (it would be repeated anyway, and waits for nothing)
 //!  has lost more, and most of its light is in: kept and repeated   (a flagged frame is better than none)
 //! ```
@@ -10,7 +10,7 @@
 const LITTLE: f64 = 0.1;
 /// A frame with so much of its light in is not thrown away any more.
 const MOST: f64 = 0.75;
-/// Less than this is not told: the sum is not better than that.
+/// Less than this is not reported: the sum is not better than that.
 const SEEN: f64 = 0.01;
 
 /// What a frame is worth once it is exposed.
@@ -57,8 +57,8 @@ impl Light {
         if self.exposure_s > 0.0 { self.lost_s / self.exposure_s } else { 0.0 }
     }
 
-    /// Is it to be ended? Only when a part has been hidden for `sure_s` without a break, so that what is said late is
-    /// not taken for a fault. A dome that does not mend within `patience_s` is not waited for.
+    /// Should the exposure end early? Only when a part has been hidden for `sure_s` without a break, so that a late
+    /// report is not taken for a fault. A dome that does not recover within `patience_s` is not waited for.
     pub fn is_hopeless(&self, sure_s: f64, patience_s: f64) -> bool {
         let Some(since_s) = self.hidden_since_s else { return false };
         let (hidden_s, left_s) = (self.seen_s - since_s, self.exposure_s - self.seen_s);
@@ -83,7 +83,7 @@ impl Light {
 mod tests {
     use super::*;
 
-    /// An exposure that is looked at each second while `free` tells what the slit leaves.
+    /// An exposure that is looked at each second while `free` gives what the slit leaves.
     fn exposed(exposure_s: f64, free: impl Fn(f64) -> f64) -> (Light, Option<f64>) {
         let mut light = Light::new(exposure_s, 0.0);
         let seconds = (1..=exposure_s as u32).map(f64::from);

@@ -13,20 +13,20 @@ use crate::rig::dome::Dome;
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
 
-/// Who turns a dome.
+/// The part that turns a dome.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Way {
     /// Nobody: there is nothing to turn and nothing to wait for.
     Alone,
     /// This node.
     Turn,
-    /// The dome, once it is told to.
+    /// The dome, once this node slaves it.
     Slave,
-    /// The dome, because somebody else has told it to.
+    /// The dome, because another program has slaved it.
     Itself,
 }
 
-/// Who turns a dome that says this of itself.
+/// Which part turns a dome with these capabilities and this slaving.
 pub fn way(follow: Follow, can: &Capabilities, slaved: Option<bool>) -> Way {
     match follow {
         Follow::Off => Way::Alone,
@@ -77,13 +77,13 @@ impl<'a> View<'a> {
         mount.is_some_and(|mount| mount.instrument.device == self.mount.instrument.device)
     }
 
-    /// Who turns it; none while that cannot be told.
+    /// The part that turns it; `None` while that is not known.
     pub fn way(&self) -> Option<Way> {
         let slaved = self.fields().and_then(|fields| fields.slaved.known().copied());
         Some(way(self.dome.follow, &self.dome.instrument.can()?, slaved))
     }
 
-    /// What the dome said last, however old: it stands where it stood.
+    /// The newest state of the dome, however old: the dome is where it was then.
     fn fields(&self) -> Option<Fields> {
         self.dome.instrument.newest().map(|heard| heard.said.body.fields)
     }
@@ -172,8 +172,8 @@ impl<'a> View<'a> {
         })
     }
 
-    /// The part of the aperture that looks out free now, 0 to 1, whether the dome turns or not. Where that cannot be
-    /// told it is none: a frame is to be taken of the sky for sure.
+    /// The part of the aperture that looks out free now, 0 to 1, whether the dome turns or not. Zero where that is not
+    /// known: a frame is to be taken of the sky for sure.
     pub fn free(&self) -> f64 {
         let Some(way) = self.way() else { return 0.0 };
         let strays = self.fields().is_some_and(|fields| fields.slaved.known() == Some(&false));
@@ -239,9 +239,9 @@ fn better(slit: &Slit, aim: &Aim, azimuth: Angle, error: Angle, speed: f64) -> O
     if clear_s.is_some_and(|s| s >= most_s) {
         return None;
     }
-    // the dome may stop beside its aim
+    // The dome may stop off its aim.
     let Some((to, lasts_s)) = slit.lasting(aim, azimuth, error + error, AHEAD_S) else {
-        // as near as can be; what it hides is told when it matters
+        // As near as can be; what it hides is reported when it matters.
         let to = slit.azimuth(aim);
         return ((to - azimuth).wrapped_signed().abs() > error).then_some(to);
     };
@@ -263,7 +263,7 @@ fn geometry(latitude: Angle, dome: &config::Slit, mount: &config::Telescope) -> 
         past_zenith_m: dome.past_zenith_m.unwrap_or(0.5 * width_m),
         axes_m: [dome.east_m, dome.north_m, dome.up_m],
         arm_m: mount.arm_m,
-        // the configuration's check asks for it beside a width
+        // The configuration's check asks for it together with a width.
         aperture_m: mount.aperture_m.unwrap_or_default(),
     }
 }

@@ -13,7 +13,7 @@ use contract::observatory::{Posture, RowStatus};
 use test_support::Lateness;
 
 const MOST: Duration = Duration::from_secs(90);
-/// Near the zenith of the site at the start of the stories.
+/// Near the zenith of the site at the start of the scenarios.
 const TARGET: &str = r#""ra": 45.0, "dec": -24.6"#;
 
 fn statuses(site: &Site) -> Vec<RowStatus> {

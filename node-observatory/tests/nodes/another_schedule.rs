@@ -13,7 +13,7 @@ use test_support::Lateness;
 const MOST: Duration = Duration::from_secs(90);
 /// A change is seen and active within this time while nothing runs; the machine of a test may be busy with others.
 const SEEN: Duration = Duration::from_secs(1);
-/// Near the zenith of the site at the start of the stories.
+/// Near the zenith of the site at the start of the scenarios.
 const TARGET: &str = r#""ra": 45.0, "dec": -24.6"#;
 
 fn rows(site: &Site) -> Vec<RowState> {
@@ -80,7 +80,7 @@ async fn a_change_while_nothing_runs_is_active_within_a_second_also_one_with_an_
     let took = until_rows(&site, 2).await;
     assert!(took < SEEN, "{took:?}");
 
-    // half of a file, and none at all: the rows stay, and why is told
+    // Half of a file, and none at all: the rows stay, and the reason is published.
     std::fs::write(file(&site), "{\"device_name\": \"cam\", \"act").unwrap();
     site.until("refused", MOST, |site| refused(site).is_some_and(|why| why.contains("line 1"))).await;
     std::fs::remove_file(file(&site)).unwrap();

@@ -8,7 +8,7 @@ use contract::observatory::{Alerts, RowStatus};
 use contract::{Address, CommandId, Key, Order, OrderKind, Part, Reply};
 use simulator::{Fault, Kind, Quantity};
 
-/// Beside what is waited for, a sensor gets 20 s of the machine's time before it is given up in a simulation.
+/// In a simulation, a sensor gets 20 s of the machine's time in addition to its timeout before it is given up.
 const MOST: Duration = Duration::from_secs(60);
 const CAMERA: &str = "temperature_c = -10.0\ncooling_timeout_min = 2.0\n";
 const BIAS: (&str, &str) = ("calibration", r#"{"exptime": [0], "n": [2]}"#);

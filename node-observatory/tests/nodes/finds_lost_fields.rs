@@ -48,7 +48,7 @@ fn frames(sim: &Sim) -> u32 {
     sim.guiding.get().and_then(|heard| heard.said.body.frames).unwrap_or(0)
 }
 
-/// How far the telescope truly looks beside a place, arcsec.
+/// How far the telescope truly looks from a place, arcsec.
 fn beside(sim: &Sim, place: &Icrs) -> f64 {
     sky::separation(place, &sim.simulator.world().looks_at()).arcseconds()
 }
@@ -102,7 +102,7 @@ async fn hidden_stars_and_a_mount_moved_by_hand_within_the_field_are_held_again(
     let corrections = sim.said().await;
     let back = told(&corrections, "slewed back by");
     assert_eq!((back.len(), slews(&sim, moved_at)), (1, 1), "one slew is enough: {corrections:#?}");
-    // two frames agree before anything is slewed; the stars moved by that much, and were told by the whole frame
+    // Two frames agree before anything is slewed; the stars moved by that much, and the whole frame showed it.
     let off_px = back[0].dx_px.unwrap().hypot(back[0].dy_px.unwrap());
     assert!((120.0..155.0).contains(&off_px), "{off_px}");
     let at = corrections.iter().position(|correction| correction.frame == back[0].frame).unwrap();

@@ -34,7 +34,7 @@ async fn held(
     worm: bool,
 ) -> f64 {
     let (worm_period_s, worm_arcsec) = if cadence_s > 60.0 { (1000.0, 1.0) } else { (480.0, 8.0) };
-    // its first turn is learnt from
+    // The guider learns from its first turn.
     let first = if worm { (worm_period_s / cadence_s).ceil() as u32 } else { settling };
     let mut options = telescope(speed);
     (options.camera.width, options.camera.height) = (1024, 1024);

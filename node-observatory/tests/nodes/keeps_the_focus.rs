@@ -57,7 +57,7 @@ fn object(sim: &Sim, more: &str) -> String {
     format!(r#"{{"object": "field", "ra": {ra}, "dec": {dec}, "exptime": {EXPOSURE_S}, {more}}}"#)
 }
 
-/// What is said of the telescope while a test waits.
+/// What the telescope publishes while a test waits.
 struct Heard {
     frames: Subscriber<Frame>,
     facts: Subscriber<FrameFacts>,
@@ -84,8 +84,7 @@ impl Heard {
         self.alerts.get().is_some_and(|heard| heard.said.body.alerts.iter().any(|alert| alert.id == id))
     }
 
-    /// Every frame that was announced, in order of its exposure, with the last word on it; waits until there is a word on
-    /// so many.
+    /// Every frame that was announced, in order of its exposure, with its last facts; waits until so many have facts.
     async fn seen(&self, least: usize) -> Vec<(Frame, Option<FrameFacts>)> {
         let (began, mut seen) = (std::time::Instant::now(), Vec::<(Frame, Option<FrameFacts>)>::new());
         let mut facts = Vec::new();
@@ -198,7 +197,7 @@ async fn a_focus_that_drifts_away_is_found_anew_between_two_frames_of_the_row() 
     println!("found {best:.0} of {truth:.0}, zone {zone:.0}, {} positions", run.points.len());
     assert!(truth > BEST + 0.8 * ZONE && (best - truth).abs() < 0.2 * zone, "{best}, in truth {truth}, zone {zone}");
 
-    // frames are accounted for: those of the run beside those of the row, each with facts
+    // Every frame is accounted for: those of the run and those of the row, each with facts.
     sim.until("the drift is over", MOST, |sim| !trigger(sim, TriggerKind::FocusDrift)).await;
     sim.until("no alert", MOST, |_| !heard.alert("focus-drift/camera")).await;
     let of_run: Vec<_> = run.points.iter().flat_map(|point| point.frames.clone()).collect();

@@ -53,7 +53,7 @@ fn place(puts: &[String], what: &str) -> Option<usize> {
     puts.iter().position(|put| put == what)
 }
 
-/// When the shutter was first told to close after it was told to open.
+/// When the shutter first got a command to close after one to open.
 fn shut(sim: &Sim) -> Option<Instant> {
     let log = sim.simulator.world().puts_since(0);
     let mut after = log.iter().skip_while(|entry| entry.member != "openshutter");
@@ -159,7 +159,7 @@ async fn a_script_that_throws_in_close_is_told_and_everything_closes_at_once() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_script_that_loops_for_ever_in_close_holds_it_up_for_close_wait_s_and_no_longer() {
     let (waited, _, whole) = closes_after("close_wait_s = 2\n", "fn close() { loop { } }").await;
-    // counted from when this test has heard that the row ended, which is a little late
+    // Counted from when this test has received that the row ended, which is a little late.
     assert!(whole.as_secs_f64() > 0.8 && waited.as_secs_f64() < 5.0, "{whole:?}, without lateness {waited:?}");
 }
 

@@ -13,7 +13,7 @@ use imaging::Wcs;
 use units::Angle;
 
 const MOST: Duration = Duration::from_secs(90);
-/// Where the telescope is told to point; the shipped catalogue has some forty stars to 12.5 mag in the field.
+/// Where the telescope should point; the shipped catalogue has some forty stars to 12.5 mag in the field.
 const TARGET: (f64, f64) = (83.0, 22.0);
 const GUIDER: &str = "
     [[camera]]
@@ -23,7 +23,7 @@ const GUIDER: &str = "
     scale_arcsec_px = 6.0
 ";
 
-/// A site with a camera that is told to have pixels of 6 arcsec, 3 % wrong.
+/// A site with a camera that is configured to have pixels of 6 arcsec, 3 % wrong.
 async fn site() -> Site {
     let mut site = Site::new(1.0).await;
     site.more = GUIDER;
@@ -56,7 +56,7 @@ async fn frames_are_solved_and_what_they_teach_outlives_a_restart() {
     let optics = optics(&site).await;
     let (camera, node) = (Camera::start(&site).await, site.start().await);
     site.until("commanding", MOST, commands).await;
-    // 3 arcmin beside the target, turned by 33 degrees
+    // 3 arcmin from the target, turned by 33 degrees.
     let truth = wcs((TARGET.0 + 0.05, TARGET.1 - 0.01), 33.0, false);
     let first = camera.take(&Shot { target: Some(TARGET), ..Shot::of(truth, 1) }).await;
     println!("first light: {:?} s of {:?} s, {:?} stars", first.solving_s, first.measuring_s, first.matched);
@@ -72,7 +72,7 @@ async fn frames_are_solved_and_what_they_teach_outlives_a_restart() {
     let (ra, dec) = truth.pixel_to_sky(middle.0, middle.1);
     let off = imaging::tangent::separation((ra, dec), (angle(TARGET.0), angle(TARGET.1))).degrees() * 60.0;
     assert!((off - 2.85).abs() < 0.05 && (first.off_target_arcmin.unwrap() - off).abs() < 0.02, "{off} {first:?}");
-    // the corners, as the WCS that is told has them
+    // The corners, as the published WCS has them.
     let told = first.wcs.unwrap();
     let told = Wcs {
         ra: angle(told.ra_deg),
@@ -101,7 +101,7 @@ async fn frames_are_solved_and_what_they_teach_outlives_a_restart() {
     assert!((dim.transparency.unwrap() - 0.5).abs() < 0.03, "{dim:?}");
     node.stop().await;
 
-    // another life: it knows the optics, so that a corner of the sensor with few stars is enough
+    // Another incarnation: it knows the optics, so that a corner of the sensor with few stars is enough.
     let node = site.start().await;
     site.until("told again", MOST, |_| optics.get().is_some_and(|heard| !heard.said.body.optics.is_empty())).await;
     let part = camera.take(&Shot { target: Some(TARGET), part: [0, 0, 200, 180], ..Shot::of(truth, 3) }).await;

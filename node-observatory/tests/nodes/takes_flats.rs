@@ -21,7 +21,7 @@ const DEVICES: [(&str, &str); 2] = [("filterwheel", "wheel"), ("covercalibrator"
 const LEVEL: (f64, f64) = (28_000.0, 5600.0);
 const CAMERA: &str = "flats = { target_adu = 28000 }\n";
 
-/// The night of the other stories, from the moment at which the Sun passes an altitude.
+/// The night of the other scenarios, from the moment at which the Sun passes an altitude.
 fn twilight(sun_deg: f64, rising: bool) -> Options {
     let options = telescope(SPEED);
     let place = Place::new(options.latitude, options.longitude, options.elevation_m).unwrap();
@@ -31,7 +31,7 @@ fn twilight(sun_deg: f64, rising: bool) -> Options {
     Options { start, ..options }
 }
 
-/// What is heard of the frames.
+/// The received frames and facts.
 struct Ears {
     frames: Subscriber<Frame>,
     facts: Subscriber<FrameFacts>,
@@ -47,7 +47,7 @@ impl Ears {
         Self { frames, facts, heard: Vec::new(), told: BTreeMap::new() }
     }
 
-    /// Takes in what was said until now.
+    /// Takes in all samples until now.
     async fn listen(&mut self) {
         let quiet = Duration::from_millis(20);
         while let Ok(heard) = tokio::time::timeout(quiet, self.frames.hear()).await {
@@ -64,7 +64,7 @@ impl Ears {
         }
     }
 
-    /// The flats, and whether each counts by what is told of it.
+    /// The flats, and whether each counts by its facts.
     fn flats(&self) -> Vec<(&Frame, bool)> {
         let flats = self.heard.iter().filter(|frame| frame.purpose.image_type == "Flat Frame");
         flats.map(|frame| (frame, self.told.get(&frame.id.0).is_some_and(|facts| facts.refused.is_none()))).collect()
@@ -125,7 +125,7 @@ async fn at_dusk_the_least_sensitive_filter_comes_first_and_a_restart_goes_on_co
     // the light goes, so what is exposed grows, filter by filter
     let exposures: Vec<f64> = ears.flats().iter().filter(|(_, counts)| *counts).map(|(f, _)| f.exposure_s).collect();
     assert!(exposures[..3].is_sorted() && exposures[3..].is_sorted(), "{exposures:?}");
-    // looks that only tell the level are none of the flats, and are small
+    // Test frames that only show the level are none of the flats, and are small.
     let looks = ears.heard.iter().filter(|frame| frame.purpose.image_type == "Test Frame");
     assert!(looks.clone().count() >= 2);
     assert!(looks.clone().all(|frame| frame.width_px == 256 && frame.purpose.action == "flats_level"));

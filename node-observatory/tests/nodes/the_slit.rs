@@ -1,4 +1,4 @@
-//! The dome's slit on a real bus, with a dome of make-believe that turns as fast as it is told.
+//! The dome's slit on a real bus, with a fake dome that turns as fast as it is ordered.
 
 #[allow(dead_code, reason = "shared with the other stories of the site")]
 use std::time::{Duration, Instant};
@@ -12,7 +12,7 @@ use contract::observatory::{FrameFacts, RowStatus};
 use test_support::Lateness;
 
 const MOST: Duration = Duration::from_secs(120);
-/// Some 45 deg high in the east, and in the west, at the start of the stories.
+/// Some 45 deg high in the east, and in the west, at the start of the scenarios.
 const EAST: &str = r#""ra": 95.0, "dec": -24.6"#;
 const WEST: &str = r#""ra": 355.0, "dec": -24.6"#;
 
@@ -153,7 +153,7 @@ async fn a_long_exposure_behind_a_dome_that_is_too_slow_is_ended_and_taken_again
     let slipped = Instant::now();
     slip(&site);
     site.until("ended", Duration::from_secs(6), |site| !aborts(site).is_empty()).await;
-    // what is said late is no fault, and what is surely late is not waited for
+    // A late report is no fault, and a dome that is surely too late is not waited for.
     let took = aborts(&site)[0].duration_since(slipped);
     assert!((Duration::from_millis(1900)..Duration::from_secs(5)).contains(&took), "{took:?}");
     site.until("alerted", MOST, |site| alert_stands(site, "dome-not-turned/dome")).await;

@@ -7,7 +7,7 @@ use crate::site::Site;
 use contract::observatory::{RowState, RowStatus};
 
 const MOST: Duration = Duration::from_secs(60);
-/// Near the zenith of the site at the start of the stories.
+/// Near the zenith of the site at the start of the scenarios.
 const TARGET: &str = r#""exptime": 1, "ra": 45.0, "dec": -24.6, "pointing": true"#;
 
 fn rows(site: &Site) -> Vec<RowState> {

@@ -1,5 +1,5 @@
-//! The meridian flip beyond the plain one: of a target that moves among the stars, and of a mount that is late to tell the side
-//! of its pier.
+//! The meridian flip beyond the plain one: of a target that moves among the stars, and of a mount that is late to
+//! report the side of its pier.
 
 use std::time::Duration;
 

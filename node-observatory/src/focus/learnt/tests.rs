@@ -78,7 +78,7 @@ fn runs_through_two_filters_teach_what_the_wheel_does_not_say() {
     assert_eq!((offset("V"), offset("B")), (0, 41));
     assert_eq!(offset("R"), 0, "its only run is far in time from any other");
     assert_eq!(learnt.offset("f", "B", 45), 45, "the wheel is right within the errors");
-    // the newest run is one through B: without its offset it tells the best position
+    // The newest run is one through B: without its offset it gives the best position.
     assert_eq!(learnt.best("f", Some(10.0)), Some(1021.0));
 }
 

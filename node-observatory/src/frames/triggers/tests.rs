@@ -18,7 +18,7 @@ fn facts(stars: u32, fwhm_px: f64) -> FrameFacts {
     FrameFacts { stars: Some(stars), fwhm_px: Some(fwhm_px), trailed: Some(false), ..FrameFacts::default() }
 }
 
-/// What stands after each frame of a story.
+/// The active triggers after each frame of a scenario.
 fn told(story: &[FrameFacts]) -> Vec<Vec<TriggerKind>> {
     let mut triggers = Triggers::default();
     let tell = |(n, facts): (usize, &FrameFacts)| {

@@ -22,7 +22,7 @@ pub struct Keeper {
     pub turn_deg_per_s: Arc<Mutex<Option<f64>>>,
 }
 
-/// The lease: one life holds it, until it is silent or has released it.
+/// The lease: one incarnation holds it, until it is silent or has released it.
 struct Arbiter {
     token: Arc<AtomicU64>,
     holder: Mutex<Option<BootId>>,
