@@ -35,7 +35,8 @@ impl Still {
 }
 
 impl Freeze {
-    /// Takes in what a station said; machine time, because a fast simulation polls seldom. True if a channel moved.
+    /// Takes in a station's state; machine time, because a fast simulation polls seldom. Returns true if a channel
+    /// moved.
     pub fn hear(&mut self, station: &Device, fields: &Fields, now: MachineTime) -> bool {
         let fresh = Still { values: BTreeMap::new(), since: now };
         let still = self.stations.entry(station.clone()).or_insert(fresh);
@@ -54,12 +55,12 @@ impl Freeze {
         moved
     }
 
-    /// Are enough channels of a station known to tell whether it stands still?
+    /// Are enough channels of a station known to decide whether its values stand still?
     pub fn knows(&self, station: &Device) -> bool {
         self.stations.get(station).is_some_and(Still::is_enough)
     }
 
-    /// Forgets a station, to hear it anew from its record.
+    /// Forgets a station, to observe it anew from its record.
     pub fn forget(&mut self, station: &Device) {
         self.stations.remove(station);
     }

@@ -1,4 +1,4 @@
-//! What the safety inputs said, as the rules see it.
+//! The received states of the safety inputs, as the rules see them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -26,10 +26,10 @@ const MOST_ALLOWED: Duration = Duration::from_secs(60);
 /// What answers may take.
 const ANSWERS: Duration = Duration::from_secs(2);
 
-/// What a safety monitor said.
+/// The received state of a safety monitor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MonitorReading {
-    /// Its word.
+    /// Its `IsSafe`.
     pub is_safe: bool,
     /// Length of the gapless safe record that its device node vouches for, sky time.
     pub gapless_safe: Duration,
@@ -46,7 +46,7 @@ pub struct Measured {
     pub unknown_for: Duration,
 }
 
-/// What all inputs said.
+/// The received states of all inputs.
 #[derive(Debug, Clone)]
 pub struct History {
     /// When the listening began.
@@ -57,7 +57,7 @@ pub struct History {
     pub limits: Vec<Record<Measured>>,
     /// What the limits' measures are made of.
     windows: Vec<Window>,
-    /// Devices whose nodes were not heard out on the time before.
+    /// Devices whose record of the time before was not received to its end.
     awaited: BTreeSet<Device>,
     /// Since when the stations' values stand still.
     pub freeze: Freeze,
@@ -74,7 +74,7 @@ pub struct History {
 }
 
 impl History {
-    /// Nothing heard yet.
+    /// Nothing received yet.
     pub fn new(rules: &Rules, since: SkyTime) -> Self {
         Self {
             since,
@@ -191,8 +191,9 @@ impl History {
         });
     }
 
-    /// Takes in all that a weather station said before this node listened and since, in place of what was heard; `told`
-    /// is empty where there is no record. An error says why it is not taken, and what was heard stands.
+    /// Takes in all states of a weather station, from before this node subscribed and since, in place of the received
+    /// ones. `told` is empty if there is no record. An error gives the reason why it is not taken; the received states
+    /// then remain.
     pub fn recall_weather(
         &mut self,
         rules: &Rules,
@@ -227,7 +228,7 @@ impl History {
         }
     }
 
-    /// Forgets what was heard of a device, to hear it anew from its record, which begins then.
+    /// Forgets the received states of a device, to observe it anew from its record, which begins then.
     fn forget(&mut self, rules: &Rules, device: &Device, begins: Option<Now>) {
         let Some(begins) = begins else { return };
         let kept = self.limits.iter_mut().zip(&mut self.windows).zip(&rules.limits);
@@ -273,7 +274,7 @@ impl History {
         record.forget(at, rule.dwell);
     }
 
-    /// Has every input been heard at least once, and what its node knows of the time before?
+    /// Has every input been received at least once, and its node's record of the time before?
     pub fn all_heard(&self) -> bool {
         self.awaited.is_empty()
             && !self.monitors.iter().any(Record::is_empty)
@@ -354,17 +355,17 @@ fn parameter(
     }
 }
 
-/// Refuses a measurement that the station calls old; `told_s` is how long ago it said so, s of machine time.
+/// Refuses a measurement that the station calls old; `told_s` is the age of that statement, s of machine time.
 fn measured_lately(age_s: &Datum<f64>, what: &str, told_s: f64, max_age: Duration, speed: f64) -> Result<(), String> {
     let age_s = match age_s {
         Datum::Known(age_s) => *age_s,
-        // an answer, and no age; where none came nothing is said
+        // An answer, and no age; without an answer there is nothing to check.
         Datum::Missing { no_data } if no_data.is_no_number() => {
             return Err(format!("the station's word for the age of {what} is no age: {no_data}"));
         }
         Datum::Missing { .. } => return Ok(()),
     };
-    // ASCOM's word for "nothing was ever measured"; what it says beside that is no measurement
+    // ASCOM's value for "nothing was ever measured"; its other values are then no measurements.
     if age_s < 0.0 {
         return Err(format!("never measured: the station says that {what} is {age_s} s old"));
     }

@@ -1,8 +1,8 @@
-//! The verdict: a pure function of the rules, of what was heard, and of now.
+//! The verdict: a pure function of the rules, of the received states, and of now.
 //!
-//! Unknown, stale, NaN and missing are unsafe with a reason; any unsafe input makes the whole unsafe. Nothing is
-//! safe from the start: the dwell window of every input must be filled with good readings without a gap. The device
-//! nodes may vouch for the time before this node was started (`recall.rs`; a safety monitor's state tells how long).
+//! Unknown, stale, NaN and missing are unsafe with a reason; any unsafe input makes the whole unsafe. Nothing is safe
+//! from the start: the dwell window of every input must be filled with good readings without a gap. The device nodes
+//! may vouch for the time before this node was started (`recall.rs`; a safety monitor's state contains how long).
 
 use std::time::Duration;
 
@@ -20,9 +20,9 @@ pub struct Judgement {
     pub verdict: Verdict,
     /// Why it is unsafe; empty when safe.
     pub reasons: Vec<Unsafe>,
-    /// Why the sky is not to be exposed, beside the reasons.
+    /// Why the sky is not to be exposed, in addition to the reasons.
     pub suspended: Vec<Unsafe>,
-    /// What is only told.
+    /// What is only reported.
     pub advisories: Vec<Unsafe>,
     /// Sky seconds until all known dwell times have run out; `None` where nobody can know.
     pub time_to_safe_s: Option<f64>,
@@ -76,7 +76,7 @@ pub fn judge(rules: &Rules, history: &History, now: Now) -> Judgement {
     Judgement { avoid, ..hearing.close() }
 }
 
-/// The limits with what was heard of them; both were made from the same rules.
+/// The limits with their received values; both were made from the same rules.
 fn limits<'a>(
     rules: &'a Rules,
     history: &'a History,
@@ -108,7 +108,7 @@ impl Hearing {
         self.against(Response::Close, input, why, clears_in);
     }
 
-    /// A limit that is violated now, or of whose window too little is known; `when` is told behind a value.
+    /// A limit that is violated now, or of whose window too little is known; `when` follows a value in the reason.
     fn violated(&mut self, rule: &LimitRule, measured: Measured, when: &str) {
         let Measured { value, unknown_for, .. } = measured;
         if rule.reopen.contain(value) && !unknown_for.is_zero() {
@@ -127,7 +127,7 @@ impl Hearing {
     fn unproven(&mut self, response: Response, input: &str, proven: Duration, dwell: Duration) {
         if proven < dwell {
             let why = format!("good for {:.1} of {:.1} min", minutes(proven), minutes(dwell));
-            // a dwell that never ends has no end to tell
+            // A dwell that never ends has no end to report.
             let left = (dwell != Duration::MAX).then_some(dwell.saturating_sub(proven));
             self.against(response, input, why, left);
         }

@@ -51,7 +51,7 @@ fn word(is_safe: bool, gapless_s: u64) -> MonitorReading {
     MonitorReading { is_safe, gapless_safe: Duration::from_secs(gapless_s) }
 }
 
-/// What one monitor (safe every second from `from` to `to`) and one weather station said.
+/// The states of one monitor (safe every second from `from` to `to`) and of one weather station.
 pub(super) struct Story {
     pub(super) rules: Rules,
     pub(super) history: History,

@@ -13,7 +13,7 @@
 //!   states of devices --> History <-- records of the time before (recall)               judge(rules, history, now)
 //!   clocks --> Doubts --> Sun -----^                                                          |
 //!                                                                                             v
-//!                                 Objection to an action <-- Ruling (with its age) <-- Judgement (with its reasons)
+//!                                 Objection to an action <-- Verdict (with its age) <-- Judgement (with its reasons)
 //! ```
 //!
 //! # Contents
@@ -21,7 +21,7 @@
 //! What the verdict rests on:
 //!
 //! - [`rules`]: the configured inputs and limits; [`measure`]: what of a parameter a limit is put on.
-//! - [`history`]: what one input said, as far back as its dwell looks; [`heard`]: what all inputs said.
+//! - [`history`]: the states of one input, as far back as its dwell looks; [`heard`]: the states of all inputs.
 //! - [`recall`]: what a device node recorded before this node listened, placed on this node's clocks.
 //! - [`frozen`]: a weather station whose values do not move; [`wind`]: directions to avoid.
 //! - [`nodes`]: clocks and disks of the other machines; [`clocks`]: what time it may be; [`sun`]: where the Sun stands then.
@@ -34,9 +34,11 @@
 //!
 //! What people order:
 //!
-//! - [`said`]: who ordered something, and why; [`standing`]: the orders that hold until they end or are taken back.
-//! - [`on_disk`]: what the file of these orders holds; [`inherit`]: what holds for a node that becomes the commander.
-//! - [`operators`]: who has the telescope.
+//! - [`said`]: the person who ordered something, and the reason; [`standing`]: the orders that hold until they end or
+//! are taken back.
+//! - [`on_disk`]: the content of the file of these orders; [`inherit`]: what holds for a node that becomes the
+//! commander.
+//! - [`operators`]: which operator has the telescope, or the schedule.
 //! - [`annunciator`]: what people did about alerts.
 //!
 //! # Invariants

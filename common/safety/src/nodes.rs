@@ -89,7 +89,7 @@ impl Nodes {
         witnesses
     }
 
-    /// What speaks against exposing, for nodes that were heard lately.
+    /// The complaints against exposing, about nodes that were received from lately.
     pub fn complaints(&self, offset_max_s: f64, free_min_gb: f64, now: MachineTime) -> Vec<Complaint> {
         let mut complaints = Vec::new();
         for (node, heard) in &self.heard {

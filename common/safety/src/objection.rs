@@ -49,7 +49,7 @@ pub fn stands_against(
     if needs_safe { sky() } else { None }
 }
 
-/// What the newest ruling has against the sky, or against the direction in which an action looks.
+/// The objection of the newest verdict to the sky, or to the direction in which an action looks.
 pub fn sky_stands_against(
     ruling: &Ruling,
     now: MachineTime,

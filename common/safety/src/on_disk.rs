@@ -1,11 +1,11 @@
-//! What the file of the standing orders holds, and what holds by it.
+//! The content of the file of the operator orders, and what holds by it.
 
 use units::Utc;
 
 use crate::said::Said;
 use crate::standing::Standing;
 
-/// What stands in the file of the standing orders.
+/// The content of the file of the operator orders.
 #[derive(Debug, Clone, PartialEq)]
 pub enum OnDisk {
     /// There is no file.

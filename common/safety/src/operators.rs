@@ -1,4 +1,4 @@
-//! Who has the telescope: the schedule, or an operator by name. Closing is everybody's, the rest is taken over with a reason.
+//! Which operator has the telescope, or the schedule. Closing is everybody's; all else is taken over with a reason.
 //!
 //! An operator who closes, stops or keeps the telescope closed has it from then on, until somebody starts it again. To
 //! loosen what another operator ordered, or to start what another one stopped, a reason is needed; the audit records it.
@@ -17,16 +17,16 @@ const LAPSES_S: f64 = 18.0 * 3600.0;
 pub struct Weighed {
     /// The operator that it is taken from, with this order's reason.
     pub from: Option<Said>,
-    /// Who has it then.
+    /// The holder of the telescope then.
     pub then: Then,
 }
 
-/// Who has the telescope once an order was followed.
+/// The holder of the telescope after an order was executed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Then {
     /// As before.
     Same,
-    /// Who gave the order.
+    /// The person who gave the order.
     Orderer,
     /// The schedule.
     Schedule,

@@ -1,4 +1,4 @@
-//! Where recalled states are placed, what is refused, and stories of an observatory that is restarted in a night.
+//! Where recalled states are placed, what is refused, and scenarios of an observatory that is restarted in a night.
 
 use std::collections::BTreeMap;
 
@@ -15,9 +15,9 @@ use crate::judge::{Judgement, judge};
 use crate::measure::Measure;
 use crate::rules::{Bounds, LimitRule, Rules};
 
-/// Sky seconds in a machine second, in all stories.
+/// Sky seconds in a machine second, in all scenarios.
 const SPEED: f64 = 10.0;
-/// Machine time of the stories' zero: the machine has run for a day.
+/// Machine time of the scenarios' zero: the machine has run for a day.
 const ZERO_MS: u64 = 86_400_000;
 
 fn machine(ms: i64) -> MachineTime {
@@ -29,7 +29,7 @@ fn now(ms: i64) -> Now {
     Now { sky: SkyTime::from_start(since_boot.mul_f64(SPEED)), machine: machine(ms) }
 }
 
-/// A weather station's node: what it said, and when.
+/// A weather station's node: its states, and their times.
 #[derive(Debug)]
 struct Station {
     boot_id: BootId,
@@ -98,7 +98,7 @@ fn asked(at_ms: i64, answered_ms: i64) -> Asked {
     Asked { at: machine(at_ms), answered: now(answered_ms), speed: SPEED }
 }
 
-/// What was heard live of a station from this state on, in time.
+/// The live states of a station from this one on, in time.
 fn heard(station: &Station, indices: std::ops::Range<usize>) -> Recall<Fields> {
     let at = |index: usize| now(station.said[index].0);
     let mut recall = Recall::new(&station.stamped(indices.start), at(indices.start));
@@ -117,7 +117,7 @@ fn placed_ms(told: &[Told<Fields>]) -> Vec<i64> {
 #[test]
 fn states_are_placed_where_they_were_said_and_the_newest_is_a_live_one() {
     let station = Station::new().says([0, 5, 10, 15, 20], 50.0);
-    // 10 was heard live, 15 got lost, 20 came live; the answer took half a second and was told half way
+    // 10 was received live, 15 got lost, 20 came live; the answer took half a second and was given half way.
     let mut recall = heard(&station, 2..3);
     recall.hear(&station.stamped(4), now(20_000));
     let told = recall.place(&station.record(20_350), asked(20_100, 20_600)).unwrap();
@@ -199,7 +199,7 @@ fn rules(limits: Vec<LimitRule>) -> Rules {
     Rules { limits, frozen_after: Duration::from_secs(3600), ..Rules::default() }
 }
 
-/// Hears a state of the station as it is said.
+/// Observes a state of the station when it is published.
 fn hear(history: &mut History, rules: &Rules, station: &Station, index: usize, at: Now) {
     history.hear_weather(rules, &wx(), &station.stamped(index).body, SPEED, at);
 }
@@ -213,8 +213,8 @@ fn listened(rules: &Rules, station: &Station, judged_ms: i64) -> Judgement {
     judge(rules, &history, now(judged_ms))
 }
 
-/// The verdict of one that was started at some moment: it asks for the state of that moment (`late`) or hears the
-/// next one, then asks for the record, which takes so long. With it comes whether the record was taken.
+/// The verdict of a node that was started at some moment: it asks for the state of that moment (`late`) or receives the
+/// next one, then asks for the record, which takes so long. Also returns whether the record was taken.
 fn restarted(
     rules: &Rules,
     station: &Station,
@@ -250,7 +250,7 @@ fn restarted(
     Some((judge(rules, &history, now(judged_ms)), taken))
 }
 
-/// Seconds of the machine until it is safe, told by one that was started at 100 s and judges at 106 s.
+/// Seconds of the machine until it is safe, by a node that was started at 100 s and judges at 106 s.
 fn waits_s(limits: Vec<LimitRule>, station: &Station) -> Option<f64> {
     let (judged, _) = restarted(&rules(limits), station, 100_000, (false, 20), 106_000).unwrap();
     judged.time_to_safe_s.map(|sky_s| (sky_s / SPEED).round())
@@ -319,7 +319,7 @@ fn a_record_in_which_nothing_moves_may_be_that_of_a_frozen_station() {
     for (_, _, fields) in &mut still.said {
         fields.air_c = Datum::Known(5.0);
     }
-    // good since 105 s, when this observatory heard it first
+    // Good since 105 s, when this observatory received it first.
     assert_eq!(waits_s(vec![limit()], &still), Some(29.0));
     let heedless = Rules { frozen_after: Duration::ZERO, ..rules(vec![limit()]) };
     let (judged, taken) = restarted(&heedless, &still, 100_000, (false, 20), 106_000).unwrap();
@@ -399,7 +399,7 @@ proptest! {
         let rules = Rules { frozen_after: Duration::from_secs(frozen_s), ..rules(limits) };
         let last_ms = station.said.last().unwrap().0;
         let started_ms = (last_ms as f64 * started) as i64;
-        // its node was started after a part of this was said, or has forgotten it
+        // Its node was started after the first of these states, or has forgotten them.
         let mut younger = Station { boot_id: station.boot_id.clone(), said: station.said.clone() };
         let known = forgotten.min(younger.said.iter().filter(|(said_ms, ..)| *said_ms <= started_ms).count());
         younger.said.drain(..known.saturating_sub(1));
@@ -408,7 +408,7 @@ proptest! {
             // one that stands still: what is refused is as if there were no record
             let Some((judged, true)) = restarted else { continue };
             let truth = listened(&rules, &station, judged_ms);
-            // when a state was said that was first heard late is known to the time that the answer took
+            // The time of a state that was first received late is known to the time that the answer took.
             let a_moment_ago = listened(&rules, &station, judged_ms - answer_ms);
             // a record without a single value is none: a limit that the site can do without needs no value to be safe
             let knows = younger.said.iter().any(|(said_ms, _, fields)| {
@@ -453,7 +453,7 @@ proptest! {
         mut limit in limits(),
         started in 0.0..1.0_f64,
     ) {
-        // of a limit that the site can do without, the last bad value may be one that the later one never heard
+        // For a limit that the site can do without, the last bad value may be one that the later node never received.
         (limit.required, limit.vote) = (true, None);
         let rules = Rules { frozen_after: Duration::ZERO, ..rules(vec![limit]) };
         let last_ms = station.said.last().unwrap().0;

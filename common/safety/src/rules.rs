@@ -12,7 +12,7 @@ use super::measure::Measure;
 /// No record of the time before reaches farther back, sky time.
 const LONGEST: Duration = Duration::from_secs(86_400);
 
-/// A safety monitor that is heeded.
+/// A safety monitor whose state counts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MonitorRule {
     /// As reasons name it: `safetymonitor/monitor`.
@@ -91,7 +91,7 @@ pub struct Rules {
     pub disk_free_min_gb: f64,
     /// Where not to point in a wind.
     pub wind_sector: Option<WindSector>,
-    /// Limits that are not heeded, with the reason.
+    /// Limits that are not applied, with the reason.
     pub disabled: Vec<(String, String)>,
     /// There is an enclosure, and no input that decides whether it may be open.
     pub nothing_tells: bool,

@@ -1,13 +1,13 @@
-//! Who ordered something, why, and when.
+//! The person who ordered something, the reason, and the time.
 
 use contract::observatory::Ordered;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
-/// Who ordered something, and why.
+/// The person who ordered something, and the reason.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Said {
-    /// Who.
+    /// The person.
     pub from: String,
     /// Why.
     pub reason: String,

@@ -1,4 +1,4 @@
-//! A person's standing orders to the verdict: stay closed, and do without one limit for a while.
+//! A person's operator orders about the verdict: stay closed, and do without one limit for a while.
 //!
 //! They outlive a restart of the node and a takeover (`inherit.rs`). Staying closed has no end of its own; an override has,
 //! at most eight hours, and only limits and the Sun can be overridden: no safety monitor, no vote.
@@ -28,7 +28,7 @@ pub struct Override {
     pub until_utc: Utc,
 }
 
-/// The standing orders.
+/// The operator orders.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Standing {
     /// Fencing token of the commander that keeps them; absent in files of versions that did not write it.
@@ -46,7 +46,8 @@ pub struct Standing {
 }
 
 impl Standing {
-    /// What holds where two records are told: whatever keeps it closed, and no override that only one of them knows.
+    /// The orders that hold when there are two records: any that keeps it closed, and no override that only one of them
+    /// has.
     pub fn stricter(self, other: &Self) -> Self {
         let mut overrides = BTreeMap::new();
         for (input, order) in self.overrides {
