@@ -34,17 +34,17 @@ const AGAIN: Duration = Duration::from_secs(2);
 const MOST_AGAIN: u32 = 3;
 /// After so many tries without success all movement is stopped before the next.
 const PATIENCE: u32 = 2;
-/// Whoever commands sends the mounts to their park within this time; after it the guard process asks them itself.
+/// The commander sends the mounts to their park within this time; after it the guard process asks them itself.
 const PARKS_WITHIN: Duration = Duration::from_secs(10);
 /// A shutter reading that is older proves nothing.
 pub const FRESH: Duration = Duration::from_secs(5);
 /// Added to the travel time before a closing counts as failed.
 const GRACE: Duration = Duration::from_secs(5);
 
-/// What a guard is told at its birth.
+/// What a guard gets when it is created.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Settings {
-    /// Life of this guard.
+    /// Incarnation of this guard.
     pub boot_id: BootId,
     /// Telescopes under the dome; each must permit.
     pub telescopes: Vec<Chunk>,
@@ -67,14 +67,14 @@ pub enum Deed {
     AbortThenClose,
     /// An alarm begins to stand.
     Raise(Alarm),
-    /// An alarm stands no more.
+    /// An alarm is no longer active.
     Clear(Alarm),
 }
 
 /// What a person must know.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Alarm {
-    /// It should be closed and is not, or nobody can tell.
+    /// It should be closed and is not, or its state is unknown.
     NotClosed,
     /// It opened and nobody had commanded it.
     Uncommanded,
@@ -469,7 +469,7 @@ impl Guard {
         changes
     }
 
-    /// What the guard publishes with a number; `malformed` permits were dropped before it heard them.
+    /// What the guard publishes with a number; `malformed` permits were dropped before they reached it.
     pub fn says(&self, number: u64, now: MachineTime, malformed: u64) -> Said {
         let granted = self.permits.granted();
         Said {

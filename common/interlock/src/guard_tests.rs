@@ -208,7 +208,7 @@ fn a_commanded_closing_of_a_shared_roof_waits_for_all_mounts_under_it() {
         }
         // the commander's own mount may be parked: the other one is not
         assert_eq!((roof.is_closing(), roof.sees(at(3.0), Some(Shutter::Open), false)), (waits, vec![]));
-        // beside the mounts the command itself has moved the shutter
+        // With `CloseWithMount::Beside` the command itself has moved the shutter.
         let closes = if waits { vec![Deed::Close] } else { vec![] };
         assert_eq!(roof.sees(at(8.0), Some(Shutter::Open), true), closes, "{policy:?}");
         roof.sees(at(9.0), Some(Shutter::Closing), true);
@@ -230,7 +230,7 @@ fn a_replayed_permit_is_dropped_and_counted() {
     guard.hear(&telescope("alpha"), &permit(5, number, Verdict::Unsafe)).unwrap();
     assert_eq!(guard.hear(&telescope("alpha"), &safe(5, number)), Err(Dropped::Replayed));
     assert_eq!(guard.hear(&telescope("alpha"), &safe(4, number)), Err(Dropped::Replayed));
-    // another life of the sender does not help an older number
+    // Another incarnation of the sender does not help an older number.
     let mut other = safe(0, 0);
     other.boot_id = boot("observatory-2");
     assert_eq!(guard.hear(&telescope("alpha"), &other), Err(Dropped::Replayed));

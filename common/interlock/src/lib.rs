@@ -1,4 +1,5 @@
-//! Who may open a dome and who may command a telescope: the decisions, without clocks, tasks, files or the bus.
+//! Which process may open a dome and which may command a telescope: the decisions, without clocks, tasks, files or the
+//! bus.
 //!
 //! Everything here takes time and messages as values and returns what must be done. States are plain data: they can be
 //! cloned, compared and hashed, so that a model checker can visit all of them.

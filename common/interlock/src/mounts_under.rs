@@ -1,7 +1,8 @@
 //! Which mounts under a roof are parked, by the states of their device nodes; pure.
 //!
-//! A roof that waits for the park may hit a mount, so one that is not known to be parked is not. Whoever publishes for a
-//! mount counts, each incarnation for itself: of two that contradict each other, the one with "not parked".
+//! A roof that waits for the park may hit a mount, so one that is not known to be parked is not. Every node that
+//! publishes for a mount counts, each incarnation for itself: of two that contradict each other, the one with "not
+//! parked".
 
 use std::collections::BTreeMap;
 use std::time::Duration;

@@ -1,4 +1,4 @@
-//! Who commands each telescope of a site, as the permits, leases and guards on the bus tell; pure.
+//! Which process commands each telescope of a site, as the permits, leases and guards on the bus show; pure.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use crate::holder::{Claimant, Holding};
 /// The arbiter counts one by one; a commander's permit that leaps farther does not count at once.
 const STEP: u64 = 1000;
 
-/// What was heard last, by telescope.
+/// The newest of what was received, by telescope.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Default)]
 pub struct SitePermits {
     newest: BTreeMap<String, Newest>,
@@ -45,7 +45,7 @@ impl SitePermits {
         permit.is_some_and(|permit| permit.safe && now.since(permit.arrived) <= PERMIT_VALID)
     }
 
-    /// Another process that holds the lease and was heard within the last 5 s, by its name.
+    /// Another process that holds the lease and was received from within the last 5 s, by its name.
     pub fn rival(&self, telescope: &str, claimant: Claimant, now: MachineTime) -> Option<&str> {
         self.newest.get(telescope)?.holding.rival(claimant, now)
     }
@@ -81,7 +81,8 @@ impl SitePermits {
         self.guards.token(telescope, now)
     }
 
-    /// Does a permit answer a number that its dome's guard has said lately? The guard itself would drop it otherwise.
+    /// Does a permit answer a number that its dome's guard has published lately? The guard itself would drop it
+    /// otherwise.
     pub fn is_answer(&self, dome: &str, permit: &Permit, now: MachineTime) -> bool {
         self.guards.is_answered(dome, permit, now)
     }

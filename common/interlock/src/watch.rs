@@ -1,4 +1,4 @@
-//! Who guards: the device node, or the guard process itself. A pure state machine.
+//! Which process guards: the device node, or the guard process itself. A pure state machine.
 //!
 //! ```text
 //!   the node reports, and sees its shutter (or asks the same server) ──> the node guards
@@ -40,7 +40,7 @@ pub enum Effect {
     Kill(&'static str),
 }
 
-/// Who looks after a dome now.
+/// Which process guards a dome now.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Who {
     /// The device node.
@@ -176,7 +176,7 @@ impl Watch {
         }
     }
 
-    /// Who looks after a dome.
+    /// Which process guards a dome?
     pub fn who(&self, dome: &str, now: MachineTime) -> Who {
         let speaks = matches!(self.node, Node::Runs { silent, has_spoken: true, .. } if silent < SILENT);
         let same_server = self.same_server.iter().any(|one| one == dome);
