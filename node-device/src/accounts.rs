@@ -19,10 +19,10 @@ pub struct Accounts {
     refused: Mutex<VecDeque<(String, Reason)>>,
 }
 
-/// Who asked, under which id, with which token.
+/// The sender of a command, its id and its token.
 #[derive(Debug, Clone)]
 pub struct Asked {
-    /// Who.
+    /// The sender.
     pub from: String,
     /// The command.
     pub id: CommandId,

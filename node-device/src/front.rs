@@ -21,7 +21,7 @@ const REMEMBERED: usize = 200;
 pub struct Order<C> {
     /// Its id.
     pub id: CommandId,
-    /// Who asks.
+    /// The sender.
     pub from: String,
     /// What to do.
     pub deed: C,
@@ -32,7 +32,7 @@ pub struct Order<C> {
 }
 
 impl<C> Order<C> {
-    /// Who asked, for the audit.
+    /// The sender, id and token, for the audit log.
     pub fn asked(&self) -> Asked {
         Asked { from: self.from.clone(), id: self.id.clone(), token: self.token }
     }
@@ -54,7 +54,7 @@ pub struct Face<D: Driver + ?Sized> {
 pub struct Front<D: Driver> {
     /// The driver.
     pub driver: Arc<D>,
-    /// Who may command.
+    /// Decides which commands are accepted.
     pub gate: Gate,
     /// What is kept of it.
     pub accounts: Accounts,
@@ -123,7 +123,7 @@ impl<D: Driver> Front<D> {
         }
     }
 
-    /// A command from this node itself, such as the guard's; it passes no gate.
+    /// A command from this node itself, such as the guard's; it needs no authorization.
     pub fn insist(&self, from: &str, deed: Deed<D>) {
         let id = CommandId::fresh();
         self.face().running = Some(id.clone());

@@ -1,4 +1,4 @@
-//! Gives the guard its eyes and hands, beside the dome's own loop and never waiting for it.
+//! Connects the guard to its inputs and to the shutter, in parallel with the dome's own loop and never waiting for it.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -46,11 +46,11 @@ pub struct GuardTask {
     pub alpaca: Alpaca,
     /// False: never send Connected = true.
     pub connect: bool,
-    /// What is kept of the guard's deeds.
+    /// The audit log of the guard's actions.
     pub accounts: Accounts,
     /// What the dome's own loop reads.
     pub seen: watch::Receiver<Seen>,
-    /// The mounts under the dome must be heard, because the shutter waits for their park.
+    /// The guard needs the states of the mounts under the dome, because the shutter waits for their park.
     pub heeds_mounts: bool,
     /// The dome's own watchdog.
     pub watchdog: Watchdog,
@@ -92,7 +92,7 @@ impl GuardTask {
         let (mut looking, mut acting) = (false, false);
         let mut waiting: Option<Deed> = None;
         self.watchdog.tell(&self.node, &self.device);
-        // the deed that was done last
+        // The last guard action.
         let mut asked = Asked { from: GUARD.to_owned(), id: CommandId::default(), token: None };
         let mut done = "";
         let mut impostor: Option<MachineTime> = None;
@@ -279,7 +279,7 @@ async fn hear_mounts(mounts: &mut Option<Mounts>) {
     }
 }
 
-/// What a deed is called in the audit.
+/// The name of a guard action in the audit log.
 fn word(deed: &Deed) -> &'static str {
     match deed {
         Deed::AbortThenClose => "abort_then_close_shutter",

@@ -1,9 +1,9 @@
 //! The device node: bridges ASCOM Alpaca devices to the bus.
 //!
-//! One reading's way: `alpaca` asks the server and forgives what is sloppy; a `driver` (one file per ASCOM kind,
-//! pure mapping) says which properties matter and what they mean; `serve`, the one loop for all kinds, polls,
-//! publishes, obeys and reconnects. One command's way: `front` answers it at once, after `gate` has looked at its
-//! token and the guard at the permits; the loop does it, and the device's own state shows when it is done.
+//! A reading takes this way: `alpaca` asks the server and accepts sloppy answers; a `driver` (one file per ASCOM kind,
+//! pure mapping) selects the properties and defines their meaning; `serve`, the one loop for all kinds, polls,
+//! publishes, executes commands and reconnects. A command takes this way: `front` answers it at once, after `gate` has
+//! checked its token and the guard the permits; the loop executes it, and the device's own state shows when it is done.
 //!
 //! Frames go to the `spool` on disk, are announced, served by HTTP, and removed when the archive releases them.
 //! The dome's guard (`interlock::Guard`, a pure state machine) has a task and a connection of its own: `guard_task`.

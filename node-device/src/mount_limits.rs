@@ -1,6 +1,7 @@
-//! Stops a mount that tracks towards its limits, whoever is dead: beside the schedule, without the bus.
+//! Stops a mount that tracks towards its limits, whichever other process is dead: without the schedule and without the
+//! bus.
 //!
-//! Only tracking is watched. A slew is the driver's to bring to its end, a parked mount may lie as low as it likes.
+//! Only tracking is watched. The driver brings a slew to its end, and a parked mount may be as low as it likes.
 
 use std::time::Duration;
 
@@ -16,8 +17,8 @@ const TURN_DEG_PER_S: f64 = 360.985_647_366 / 86_400.0;
 /// A command that did not help is given again so much later.
 const RETRY: Duration = Duration::from_secs(5);
 
-/// The side of its pier that a mount told of while it tracked towards the meridian. Who tells the same side beyond it has not
-/// turned over, by whatever name it calls the side: some drivers have the two the wrong way round.
+/// The pier side that a mount reported while it tracked towards the meridian. A mount that reports the same side beyond
+/// it has not turned over, by whatever name it calls the side: some drivers have the two the wrong way round.
 #[derive(Debug, Default)]
 pub struct Approach {
     side: Option<PierSide>,

@@ -136,12 +136,12 @@ fn outcome(answer: &Result<Value, NoData>, unit: &str) -> ReadingOutcome {
 /// How old a weather station's own measurement is: of its newest sensor, or of the one in brackets behind it.
 pub const AGE: &str = "TimeSinceLastUpdate";
 
-/// The property that tells the age of one sensor.
+/// The property that holds the age of one sensor.
 pub fn age_of(sensor: &str) -> String {
     format!("{AGE}({sensor})")
 }
 
-/// The sensor whose age a property tells; empty for the newest of all.
+/// The sensor whose age a property holds; empty for the newest of all.
 pub fn aged_sensor(property: &str) -> Option<&str> {
     let rest = property.strip_prefix(AGE)?;
     if rest.is_empty() { Some(rest) } else { rest.strip_prefix('(')?.strip_suffix(')') }

@@ -1,8 +1,8 @@
-//! The voice of a device, and the memory of what it said: evidence that outlives an observatory node.
+//! Publishes the states of a device and records them: evidence that survives a restart of an observatory node.
 //!
-//! Kept is what verdicts are made of, as it was said, of weather stations and switches, since limits are put on them
-//! (design.md section 4; a safety monitor's state tells the length of its own record). Ages are told as they are at the
-//! moment of the answer, on this node's own boot-time clock, which counts a suspension: silence shows as a gap.
+//! The record holds the basis of verdicts, as it was published, of weather stations and switches, since limits are put
+//! on them (a safety monitor's state contains the length of its own record). Ages are those at the moment of the
+//! answer, on this node's own boot-time clock, which counts a suspension: silence shows as a gap.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -87,7 +87,7 @@ async fn answer<F: Payload>(bus: &Bus, device: &Device, memory: Arc<Mutex<Memory
     bus.serve::<Question, Value, _, _>(&Key::Record(device.clone()), answer).await
 }
 
-/// One state as it was said.
+/// One state as it was published.
 struct Said<F> {
     seq: u64,
     at: MachineTime,
@@ -97,7 +97,7 @@ struct Said<F> {
     ages_s: BTreeMap<String, f64>,
 }
 
-/// What was said, oldest first.
+/// The published states, oldest first.
 struct Memory<F> {
     back: Duration,
     said: VecDeque<Said<F>>,
@@ -144,7 +144,7 @@ mod tests {
 
     use super::*;
 
-    /// A memory of a minute in which number n was said n x `step` s after the machine had booted.
+    /// A memory of a minute in which number n was published n x `step` s after the machine had booted.
     fn memory(numbers: std::ops::Range<u64>, step: u64) -> Memory<Fields> {
         let mut memory = Memory::new(Duration::from_secs(60));
         for seq in numbers {

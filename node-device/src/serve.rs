@@ -1,8 +1,8 @@
-//! The one loop for all kinds: connect, poll, publish, obey, reconnect.
+//! The one loop for all kinds: connects, polls, publishes, executes commands, reconnects.
 //!
 //! Each device has a task of its own, so a hung one delays no other. Within the task nothing is awaited but the
-//! `select!`: a command, the answer to a command, the answer to a poll and the timers are heard in any order, so
-//! that what makes safe is never behind what hangs.
+//! `select!`: it takes a command, the answer to a command, the answer to a poll and the timers in any order, so that a
+//! command that makes safe never waits for a request that hangs.
 
 mod command;
 mod slowness;
@@ -35,9 +35,9 @@ use crate::record::Voice;
 const FAST: Duration = Duration::from_millis(100);
 /// A device that is busy for so long without a command is polled at leisure again.
 const BUSY_LIMIT: Duration = Duration::from_secs(600);
-/// A state is said at least so often.
+/// A state is published at least so often.
 const SAY: Duration = Duration::from_secs(5);
-/// Capabilities are said so often.
+/// Capabilities are published so often.
 const CAPABILITIES: Duration = Duration::from_secs(10);
 /// States kept for those who were away: eleven minutes at the poll period, and as many more for changes.
 const CACHED: Duration = Duration::from_secs(660);
@@ -219,7 +219,7 @@ impl<D: Driver> Loop<D> {
     }
 
     fn say_period(&self) -> Duration {
-        // a poll under way will speak itself; what hangs is said again later, but not never
+        // A poll under way will publish by itself; a state of a device that hangs is published later, but not never.
         let patience = if self.contact.is_some() { 3 } else { 1 };
         self.period().min(SAY) * patience
     }

@@ -1,7 +1,8 @@
-//! Tells people of a dome that could turn, stands over several telescopes, and of which nobody said who turns it.
+//! Raises an alert for a dome that could turn, serves several telescopes, and for which no configuration says what
+//! turns it.
 //!
-//! One slit cannot stand where each of them looks, so no observatory node turns it (docs/decisions/0025); a roof that
-//! slides off needs no more, behind a turning dome frames may show its wall.
+//! One slit cannot be where each of them looks, so no observatory node turns it (docs/decisions/0025). A roof that
+//! slides off needs no more; behind a turning dome frames may show its wall.
 
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
@@ -18,8 +19,8 @@ use crate::front::Front;
 /// What a dome can do is asked again whenever it connects; nobody needs to know of it sooner.
 const LOOK: Duration = Duration::from_secs(2);
 
-/// Raises the standing alert of such a dome, and clears it when the dome says that it does not turn or is slaved by somebody;
-/// for ever.
+/// Raises the alert of such a dome, and clears it when the dome reports that it does not turn or that another program
+/// has slaved it; for ever.
 pub async fn keep_noticing(node: Node, block: config::Dome, front: Arc<Front<Dome>>) -> anyhow::Result<()> {
     let name = &block.common.name;
     let is_shared = node.config.place.telescope.as_str() == Address::SHARED;

@@ -32,7 +32,7 @@ pub enum SpoolError {
     Disk {
         /// Which file or folder.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The entry's description cannot be written.
@@ -40,7 +40,7 @@ pub enum SpoolError {
     Describe(#[from] serde_json::Error),
 }
 
-/// What is known of a frame beside its pixels.
+/// What is known of a frame in addition to its pixels.
 #[derive(Debug, Clone)]
 pub struct About {
     /// Id of the frame and of its `expose` command.
@@ -95,7 +95,7 @@ struct Kept {
 impl Spool {
     /// Opens a spool folder, removes what a crash left half written, and takes up the frames that still wait.
     ///
-    /// The receiver tells of each frame that is safe, or why it is not.
+    /// The receiver gets a message for each frame that is safe, or why it is not.
     #[allow(clippy::type_complexity, reason = "said once")]
     pub fn open(
         folder: &Path,
@@ -157,7 +157,7 @@ impl Spool {
         }
     }
 
-    /// Decodes a frame and brings it to the disk, off the async threads, then tells.
+    /// Decodes a frame and writes it to the disk, off the async threads, then sends a message to the receiver.
     pub async fn keep(self: Arc<Self>, place: Place, raw: RawImage, max_adu: Option<f64>, about: About) {
         let (id, spool) = (about.id.clone(), self.clone());
         let work = tokio::task::spawn_blocking(move || spool.store(&raw.into_image(max_adu)?, about));

@@ -34,7 +34,7 @@ const LIMITS: Limits = Limits {
     total: Duration::from_secs(900),
 };
 
-/// Serves until the stop is said.
+/// Serves until `stop` is set.
 pub async fn serve(listener: TcpListener, spool: Arc<Spool>, stop: Stop) {
     local_http::serve(listener, router(spool), LIMITS, async move { stop.wait().await }).await;
 }

@@ -341,7 +341,8 @@ async fn watch_limits(
         }
         match reached {
             Some(why) => node.alerts.raise(AlertKind::MountLimit, &name, &format!("mount {name}: {why}")),
-            // it stands until a person could see it, which a mount that obeys at once would prevent
+            // The alert stays active until the mount tracks again: a mount that stops at once would otherwise clear it
+            // before a person could see it.
             None if fields.tracking.known() == Some(&true) => node.alerts.clear(AlertKind::MountLimit, &name),
             None => {}
         }

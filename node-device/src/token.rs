@@ -1,4 +1,4 @@
-//! Fencing tokens on disk: the newest one of each telescope, and beside them who was granted it.
+//! Fencing tokens on disk: the newest one of each telescope, and in a second file the process that it was granted to.
 //!
 //! Which tokens count is decided in `interlock::KnownTokens`.
 
@@ -15,10 +15,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::spool::{sync_folder, write_synced};
 
-/// Extension of the file beside the tokens that tells who holds them.
+/// Extension of the file next to the tokens that holds their holders.
 const HOLDERS: &str = "holders";
 
-/// Who was granted a token.
+/// The process that a token was granted to.
 #[derive(Serialize, Deserialize)]
 struct Holder {
     token: u64,
@@ -93,7 +93,7 @@ impl Tokens {
     pub fn grant(&self, telescope: &str, life: Option<&BootId>) -> io::Result<u64> {
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
         let token = self.known().next(telescope);
-        // without this file a token is as good, and only a forged permit is not told from a true one
+        // Without this file a token is as good; only a forged permit cannot be distinguished from a true one.
         if let Err(error) = self.note_holder(telescope, token, life) {
             tracing::warn!(telescope, token, %error, "who holds the lease could not be written");
         }
@@ -102,7 +102,8 @@ impl Tokens {
         Ok(token)
     }
 
-    /// Who was granted the newest token of a telescope; not known where the file tells of another token, or nothing.
+    /// The process that the newest token of a telescope was granted to; `None` if the file has another token, or
+    /// nothing.
     pub fn holder(&self, telescope: &str) -> Option<BootId> {
         let holder = self.holders().remove(telescope)?;
         (holder.token == self.highest(telescope)).then_some(holder.life)

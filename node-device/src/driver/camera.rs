@@ -48,7 +48,7 @@ pub(super) struct Memory {
     pub max_adu: Option<f64>,
     /// Sensor size, unbinned pixels.
     pub sensor_px: (u32, u32),
-    /// The camera tells when its last exposure began.
+    /// The camera reports when its last exposure began.
     pub tells_start: bool,
 }
 

@@ -1,4 +1,4 @@
-//! How a frame is taken: set, start, read what is fixed, wait, download; storing it runs beside the next one.
+//! The steps of a frame: set, start, read what is fixed, wait, download; storing it runs in parallel with the next one.
 
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ use crate::spool::About;
 
 /// Image readiness is asked so often near the end of an exposure.
 const READY_PERIOD: Duration = Duration::from_millis(10);
-/// The image must be ready so long after the end of the exposure, sky s (spec/reliability.md D10).
+/// The image must be ready so long after the end of the exposure, sky s.
 const READOUT_LIMIT_S: f64 = 60.0;
 /// So many failed questions in a row and the exposure has failed.
 const MOST_FAILURES: u32 = 3;
@@ -230,7 +230,7 @@ impl Camera {
         (started.unwrap_or(started_utc), light.unwrap_or(exposure_s))
     }
 
-    /// Decodes, writes, hashes and announces beside the next exposure.
+    /// Decodes, writes, hashes and announces in parallel with the next exposure.
     fn store(&self, place: crate::spool::Place, raw: RawImage, about: About) {
         let max_adu = self.memory(|memory| memory.max_adu);
         let spool = self.spool.clone();

@@ -16,9 +16,10 @@ use crate::readings::Readings;
 /// report positions after their own pointing model.
 const AT_TARGET_DEG: f64 = 0.5;
 
-/// The fastest that a mount is sent beside the stars, arcsec per second: a satellite at 300 km overhead needs 5000.
+/// The fastest that a mount may move relative to the stars, arcsec per second: a satellite at 300 km overhead needs
+/// 5000.
 const MOST_ARCSEC_PER_S: f64 = 20_000.0;
-/// The same in right ascension, s per sidereal second: beside the pole that coordinate runs faster.
+/// The same in right ascension, s per sidereal second: near the pole that coordinate runs faster.
 const MOST_RA_S_PER_SIDEREAL_S: f64 = 20_000.0;
 
 /// A mount that parks is asked to forget its rates no longer than this.
@@ -32,7 +33,7 @@ pub struct Telescope {
     settle_s: f64,
     /// What of its maker's own it may be sent.
     vendor_commands: Vec<VendorPattern>,
-    /// Rates beside the stars may be set: ours, or those of somebody before this node began.
+    /// Rates relative to the stars may be set: ours, or those that another program set before this node began.
     may_drift: AtomicBool,
 }
 
@@ -44,7 +45,7 @@ impl Telescope {
         Self { slew_timeout_s, settle_s, vendor_commands, may_drift: AtomicBool::new(true) }
     }
 
-    /// Sets both rates beside the stars.
+    /// Sets both rates relative to the stars.
     async fn set_rates(&self, alpaca: &Alpaca, ra: f64, dec: f64) -> Result<(), AlpacaError> {
         self.may_drift.store(true, Ordering::Relaxed);
         alpaca.put("rightascensionrate", &[("RightAscensionRate", ra.to_string().as_str())]).await?;
@@ -314,7 +315,7 @@ impl Driver for Telescope {
     }
 }
 
-/// A guide rate, degrees per second; one that is no speed is not told.
+/// A guide rate, degrees per second; `None` if it is no speed.
 async fn guide_rate(alpaca: &Alpaca, property: &str) -> Result<Option<f64>, AlpacaError> {
     let rate = optional(alpaca, property, value::number).await?;
     Ok(rate.ok().filter(|rate| rate.is_finite() && *rate > 0.0))

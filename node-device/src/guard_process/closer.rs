@@ -93,7 +93,7 @@ impl Closer {
         self.guard.is_closed(now)
     }
 
-    /// Its server has told where the shutter is, at least once.
+    /// Its server has reported the state of the shutter, at least once.
     pub fn has_answered(&self) -> bool {
         self.shutter.is_some()
     }
@@ -115,7 +115,7 @@ impl Closer {
                 }
                 Ok(Answer::Done(what, result)) => {
                     self.acting = false;
-                    // without an answer it may have been heard all the same
+                    // Without an answer, the server may have received it all the same.
                     if !result.as_ref().is_err_and(AlpacaError::is_unknown_outcome) {
                         self.guard.close_answered(result.is_ok(), now);
                     }

@@ -366,7 +366,7 @@ impl<'a> Work<'a> {
             let mut words = Vec::new();
             closer.take_answers(now, &mut words);
             match self.watch.who(name, now) {
-                // it waits for mounts that maybe nobody else sends to their park, or that it does not hear
+                // It waits for mounts that maybe nobody else sends to their park, or whose states it does not receive.
                 Who::Both => closer.close(now, &mut words),
                 Who::Node | Who::Permit => closer.rest(now, &mut words),
                 Who::This => {

@@ -12,7 +12,7 @@ use crate::deadline::machine_limit;
 use crate::driver::{Command, Driver, Obeyed, Progress};
 use crate::front::Order;
 
-/// A device that rests for so long after a command without an answer has not heard it.
+/// A device that rests for so long after a command without an answer has not received it.
 const DOUBT: Duration = Duration::from_secs(3);
 
 /// An accepted command under way.
@@ -22,7 +22,7 @@ pub(super) struct Running<D: Driver> {
     sent: Option<Instant>,
     pub(super) deadline: Option<Instant>,
     standing_since: Option<Instant>,
-    /// No answer came: perhaps it was never heard.
+    /// No answer came: perhaps the device never received it.
     in_doubt: bool,
     resting_since: Option<Instant>,
 }
@@ -138,7 +138,7 @@ impl<D: Driver> Loop<D> {
         }
     }
 
-    /// Tells the audit how a command ended.
+    /// Records in the audit log how a command ended.
     pub(super) fn account(&self, order: &Order<Command<D>>, how: Ended) {
         if self.serve.driver.moves(&order.deed) {
             self.serve.front.accounts.note(order.asked(), &order.deed, how);

@@ -55,7 +55,7 @@ async fn a_second_process_of_the_same_name_gets_the_lease_when_the_first_is_sile
 
     let reply = stage.command(Kind::Dome, "dome", &claim("e", Some(&first))).await;
     assert_eq!(refused(&reply), Reason::LeaseHeld, "the twin holds it");
-    // a release counts only from the life that holds the lease, and the twin's is not on this session
+    // A release counts only from the incarnation that holds the lease, and the twin's is not on this session.
     let key = Key::Observatory(Address::new("site", "alpha").unwrap(), Part::Lease);
     let line = stage.bus.publisher::<Lease>(&key, Quality::State { cache: 1 }).await.unwrap();
     let released = Lease { holder: String::new(), token: taken, since_utc: Utc::EPOCH, arbiter: String::new() };

@@ -8,7 +8,7 @@ use crate::block;
 use crate::fake::{Fake, Says};
 use crate::stage::{Stage, accepted, command, refused};
 
-/// A mount in the open that does at once what it is told.
+/// A mount in the open that does at once what it is ordered.
 async fn a_mount(takes_rates: bool) -> Fake {
     let mount = Fake::start(&[
         ("rightascension", json!(3.0)),
