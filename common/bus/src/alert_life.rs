@@ -1,4 +1,4 @@
-//! The life of a node's own alerts: shown after the on-delay, gone after the hold.
+//! The on-delay and the hold of a node's own alerts: an alert is published after the on-delay and gone after the hold.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -81,7 +81,7 @@ mod tests {
     const DELAYED: AlertKind = AlertKind::NodeSilent;
     const HELD: AlertKind = AlertKind::DomeUncommandedOpen;
 
-    /// Plays `+` (raise) and `-` (clear) at machine seconds, and tells whether it stands at `at_s`.
+    /// Plays `+` (raise) and `-` (clear) at machine seconds, and returns whether it is active at `at_s`.
     fn stands(kind: AlertKind, story: &[(u64, char)], at_s: u64) -> bool {
         let at = |s| MachineTime::from_boot(Duration::from_secs(1000 + s));
         let mut life = AlertLife::default();

@@ -12,7 +12,7 @@ use crate::{AlertBoard, Clock};
 
 const PERIOD: Duration = Duration::from_secs(15);
 
-/// Tells it until the node ends.
+/// Reports it until the node ends.
 pub(crate) async fn keep_telling(
     config: &Observatory,
     role: Role,
@@ -45,8 +45,8 @@ fn tell(least_gb: f64, alerts: &AlertBoard, name: &str, folder: &Path, free_gb: 
     alerts.raise(AlertKind::Disk, name, &cause);
 }
 
-/// Room for this process in a folder, or in the nearest one above it that exists, GB (1e9 bytes); `None` where the
-/// system does not tell.
+/// Room for this process in a folder, or in the nearest one above it that exists, GB (1e9 bytes); `None` if the system
+/// does not report it.
 #[cfg(target_os = "linux")]
 fn free_gb(mut folder: PathBuf) -> Option<f64> {
     while !folder.exists() && folder.pop() {}

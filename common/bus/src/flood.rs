@@ -38,7 +38,7 @@ pub struct Flood {
     places: Mutex<HashMap<Identifier, Count>>,
 }
 
-/// How much one place has said in its window.
+/// How much one place has logged in its window.
 #[derive(Debug)]
 struct Count {
     since: Instant,

@@ -1,8 +1,7 @@
 //! The bus as nodes see it: typed publish, subscribe, ask and serve, presence, the clock, and node start-up.
 //!
-//! Only this crate names zenoh. Publishers drop rather than block, receivers overwrite in bounded queues, and
-//! no slow work runs in a callback (spec/technology.md 1.3 has the measurements behind each rule). One
-//! [`Bus`] per node.
+//! Only this crate names zenoh. Publishers drop rather than block, receivers overwrite in bounded queues, and no slow
+//! work runs in a callback. One [`Bus`] per node.
 //!
 //! # Invariants
 //!

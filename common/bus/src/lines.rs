@@ -37,7 +37,7 @@ pub fn complain(text: impl Display) {
     send(Wanted::Error(format!("{text}\n").into_bytes()));
 }
 
-/// Waits until what was said is written, for a second at most. For a process that ends.
+/// Waits until the logged lines are written, for a second at most. For a process that ends.
 pub fn flush() {
     let Some(Some(queue)) = QUEUE.get() else { return };
     let (written, is_written) = sync_channel(1);
@@ -59,7 +59,7 @@ fn send(wanted: Wanted) {
     }
 }
 
-/// Writes until the process ends. Who reads has perhaps gone: then the lines are nobody's.
+/// Writes until the process ends. If the reader has gone, the lines are lost.
 fn write(lines: &Receiver<Wanted>) {
     // of our own: a write that takes hours must not hold the lock that a panic elsewhere waits for
     let (Some(mut out), Some(mut error)) = (own(&io::stdout()), own(&io::stderr())) else { return };

@@ -1,8 +1,8 @@
 //! Mends links over which nothing comes, while zenoh says that the peer is connected.
 //!
 //! Two peers that dial each other share one transport of two TCP links. When one of them is stopped or cut off long
-//! enough, the other begins anew while the first still holds the old transport, takes the new link into it, and
-//! does not say again what it publishes, hears and answers. Neither side notices, for good (zenoh issue 2806).
+//! enough, the other begins anew while the first still holds the old transport, takes the new link into it, and does
+//! not declare again its publishers, subscribers and queryables. Neither side notices, for good (zenoh issue #2806).
 //! zenoh offers no way to end one transport, so its sockets are shut down; both sides then begin anew.
 
 use std::collections::BTreeMap;
@@ -120,7 +120,7 @@ impl<P: Ord + Copy> Silence<P> {
         self.peers.insert(peer, Peer { heard: now, connected: now, cut: None });
     }
 
-    /// Peers whose links must be cut; only those of which something was heard before.
+    /// Peers whose links must be cut; only those from which something was received before.
     fn look(&mut self, connected: &[P], now: MachineTime) -> Vec<P> {
         self.peers.retain(|_, peer| now.since(peer.connected) < FORGET);
         let mut silent = Vec::new();
@@ -154,7 +154,7 @@ mod tests {
         MachineTime::from_boot(Duration::from_secs(seconds))
     }
 
-    /// Seconds at which peer 1 is cut when it is heard and connected at these.
+    /// Seconds at which peer 1 is cut when it is received from and connected at these.
     fn cuts(seconds: u64, heard: impl Fn(u64) -> bool, connected: impl Fn(u64) -> bool) -> Vec<u64> {
         let mut silence = Silence::default();
         let mut cuts = Vec::new();
@@ -192,7 +192,8 @@ mod tests {
         Bus::open(&config, Clock::machine_clock()).await.unwrap()
     }
 
-    /// A peer that said once how it is and then hangs, or whose words are lost in a transport that zenoh holds for whole.
+    /// A peer that published its state once and then hangs, or whose samples are lost in a transport that zenoh takes
+    /// for whole.
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
     async fn links_over_which_nothing_comes_begin_anew() {
         let own = open(Vec::new()).await;

@@ -1,8 +1,9 @@
-//! Where a session listens when several programs of one host were told the same address.
+//! Where a session listens when several programs of one host are configured with the same address.
 //!
-//! The roles of one `observatory.toml` read the same `[bus] listen`, and only one of them can have it. The others listen
-//! on a free port of the same interface and meet the one that has it, which introduces them to everybody. They go on
-//! asking for the address: who was told to connect to it must find somebody there when that one has ended.
+//! The roles of one `observatory.toml` read the same `[bus] listen`, and only one of them can have it. The others
+//! listen on a free port of the same interface and meet the one that has it, which introduces them to everybody. They
+//! go on asking for the address: a program that is configured to connect to it must find a node there when that one has
+//! ended.
 
 use std::io::ErrorKind;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, ToSocketAddrs as _, UdpSocket};
@@ -11,7 +12,8 @@ use std::path::Path;
 /// How often an address is tried again that could not be had.
 const AGAIN_MS: u32 = 3000;
 
-/// The same settings with a free port beside each address that cannot be had yet, and whoever has it met.
+/// The same settings with a free port for each address that cannot be had yet, and a connection to the program that has
+/// it.
 pub(crate) fn share(config: &config::Bus) -> config::Bus {
     let mut shared = config::Bus { listen: Vec::new(), ..config.clone() };
     // an address of one's own is nobody to meet
@@ -75,7 +77,7 @@ fn instead(endpoint: &str, protocol: &str, why: &str) -> [String; 2] {
     [format!("{protocol}/127.0.0.1:0"), when_it_can_be_had(endpoint)]
 }
 
-/// The endpoint, with what makes zenoh try it again and again beside its other work.
+/// The endpoint, with the options that make zenoh try it again and again in parallel with its other work.
 fn when_it_can_be_had(endpoint: &str) -> String {
     let joint = if endpoint.contains('#') { ';' } else { '#' };
     format!(

@@ -45,7 +45,7 @@ pub struct NodeOptions {
     /// Listen here instead of where the configuration says, such as tcp/127.0.0.1:7447.
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
-    /// Meet this peer, beside those of the configuration.
+    /// Meet this peer, in addition to those of the configuration.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     /// Do not look for peers by multicast, whatever the configuration says.
@@ -74,10 +74,10 @@ pub struct Node {
     pub id: Name,
     /// Its alerts.
     pub alerts: AlertBoard,
-    /// Said when somebody asks the node to end. Observatory and device nodes first do what an end in good order needs,
-    /// and then say [`Self::stop`] themselves; for the others both come together.
+    /// Set when somebody asks the node to end. Observatory and device nodes first do what an end in good order needs,
+    /// and then set [`Self::stop`] themselves; for the others both come together.
     pub ending: Stop,
-    /// Said when it is time to end, at once.
+    /// Set when it is time to end, at once.
     pub stop: Stop,
     figures: Figures,
 }
@@ -114,7 +114,7 @@ impl Node {
         self.figures.set(name, value);
     }
 
-    /// Runs a node's work beside its own voice (presence, health, alerts, diary) until it is stopped.
+    /// Runs a node's work in parallel with its own publications (presence, health, alerts, diary) until it is stopped.
     pub async fn live<W>(self, diary: Option<mpsc::Receiver<DiaryLine>>, work: W) -> anyhow::Result<()>
     where
         W: Future<Output = anyhow::Result<()>>,
@@ -314,8 +314,8 @@ where
     result
 }
 
-/// The file by which a supervisor lets a node know what it said when it ended last, so that a node that cannot start for
-/// the same reason each time says so once.
+/// The file by which a supervisor passes to a node the error that it logged when it ended last, so that a node that
+/// cannot start for the same reason each time logs it once.
 pub const LAST_WORDS: &str = "STARMESH_LAST_WORDS";
 
 fn was_said_before(words: &str) -> bool {
@@ -323,7 +323,7 @@ fn was_said_before(words: &str) -> bool {
     if std::fs::read_to_string(&file).is_ok_and(|before| before == words) {
         return true;
     }
-    // where it cannot be written it is said again
+    // If it cannot be written, the error is logged again.
     let _ = std::fs::write(&file, words);
     false
 }
@@ -373,7 +373,7 @@ fn on_console() -> impl tracing::Subscriber + for<'a> LookupSpan<'a> + Send + Sy
     console_at("info")
 }
 
-/// The console. zenoh's own lines are shown only where `STARMESH_LOG` names zenoh; what they mean is said otherwise.
+/// The console. zenoh's own lines are printed only if `STARMESH_LOG` names zenoh; our own lines report what they mean.
 fn console_at(level: &str) -> impl tracing::Subscriber + for<'a> LookupSpan<'a> + Send + Sync {
     let mut words = std::env::var("STARMESH_LOG").unwrap_or_else(|_| level.to_owned());
     if !words.contains("zenoh") {
@@ -426,7 +426,7 @@ async fn hangup() {
     std::future::pending().await
 }
 
-/// Does a process with this status, as Linux tells it, not ignore SIGHUP? One of which nothing is told does.
+/// Does a process with this status, as Linux reports it, not ignore SIGHUP? An unknown status counts as ignoring it.
 #[cfg(unix)]
 fn heeds_hangup(status: &str) -> bool {
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));

@@ -1,9 +1,9 @@
-//! Tells the service manager that this process is up and its loops turn (`sd_notify` of systemd).
+//! Notifies the service manager that this process is up and its loops turn (`sd_notify` of systemd).
 //!
 //! The protocol is one datagram to the socket that `NOTIFY_SOCKET` names; nothing happens where there is none.
 
-/// Says that the process is ready and alive. Whoever stops saying so is ended and started again by the manager's
-/// `WatchdogSec`. Cheap: at most one datagram each second.
+/// Reports that the process is ready and alive. The manager's `WatchdogSec` ends and restarts a process that stops
+/// reporting. Cheap: at most one datagram each second.
 pub fn alive() {
     #[cfg(target_os = "linux")]
     linux::send();

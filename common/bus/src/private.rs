@@ -1,5 +1,5 @@
-//! Who may read what a node writes: files of the data folder belong to its user alone; images are for everybody whom the
-//! system's own settings (umask) let read them.
+//! The permissions of the files that a node writes: files of the data folder belong to its user alone; images are for
+//! everybody whom the system's own settings (umask) let read them.
 
 use std::fs;
 use std::io;

@@ -16,8 +16,8 @@ use crate::{Bus, BusError, MachineTime, machine, transit};
 /// How a key is carried; every quality drops rather than blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quality {
-    /// Said again regularly; kept for so many samples, so that a subscriber catches up after a cut, and the
-    /// newest is answered to a plain `get`.
+    /// Repeated regularly; so many samples are retained, so that a subscriber catches up after a cut, and the newest is
+    /// answered to a plain `get`.
     State {
         /// Samples kept for those who were away.
         cache: usize,
@@ -141,7 +141,7 @@ impl<T: Payload> Publisher<T> {
         sent.map_err(|error| failed(error.to_string()))
     }
 
-    /// The number that the next payload will be said with.
+    /// The number with which the next payload will be published.
     pub fn next_seq(&self) -> u64 {
         self.seq.load(Ordering::Relaxed)
     }

@@ -16,11 +16,11 @@ use crate::transit::Transit;
 /// Payloads of one subscriber that wait take at most so much as they came, whatever its capacity.
 const MOST_WAITING_BYTES: usize = 32 << 20;
 
-/// Payloads that wait to be heard.
+/// Payloads that wait to be received.
 pub(crate) struct Queue<T> {
     waiting: Mutex<Waiting<T>>,
     capacity: usize,
-    /// Where each payload counts once: which were heard.
+    /// The received numbers, where each payload counts once.
     numbers: Option<Mutex<Numbers>>,
     arrived: Notify,
     transit: Arc<Mutex<Transit>>,
@@ -88,7 +88,7 @@ impl<T> Queue<T> {
         self.lost.load(Ordering::Relaxed)
     }
 
-    /// Payloads that were said between others that were heard, and never came; only where each counts once.
+    /// Payloads that were published between others that were received, and never came; only where each counts once.
     pub(crate) fn missing(&self) -> u64 {
         self.numbers.as_ref().map_or(0, |numbers| lock(numbers).missing())
     }

@@ -1,4 +1,4 @@
-//! One zenoh session per node, with the settings that spec/technology.md measured.
+//! One zenoh session per node, with measured settings.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -24,7 +24,7 @@ pub enum BusError {
         listen: Vec<String>,
         /// Whom it should meet.
         connect: Vec<String>,
-        /// What zenoh said.
+        /// The error of zenoh.
         source: zenoh::Error,
     },
     /// A declaration failed.
@@ -34,7 +34,7 @@ pub enum BusError {
         what: &'static str,
         /// On which key.
         key: String,
-        /// What zenoh said.
+        /// The error of zenoh.
         source: zenoh::Error,
     },
     /// A payload could not be sent.
@@ -96,7 +96,7 @@ impl Bus {
         &self.clock
     }
 
-    /// This life of this node.
+    /// This incarnation of this node.
     pub fn boot_id(&self) -> &BootId {
         &self.boot_id
     }

@@ -22,19 +22,19 @@ impl Stop {
         self.said.send_replace(true);
     }
 
-    /// Was it said?
+    /// Is it set?
     pub fn is_stopped(&self) -> bool {
         *self.said.borrow()
     }
 
-    /// Waits until it is said.
+    /// Waits until it is set.
     pub async fn wait(&self) {
         let mut heard = self.said.subscribe();
         // the sender lives in self, so waiting cannot fail
         let _ = heard.wait_for(|stopped| *stopped).await;
     }
 
-    /// Runs a future until it ends or the stop is said; `None` for the latter.
+    /// Runs a future until it ends or the stop is set; `None` for the latter.
     pub async fn or<T>(&self, work: impl Future<Output = T>) -> Option<T> {
         tokio::select! {
             biased;

@@ -1,4 +1,4 @@
-//! Hearing typed payloads: each as it comes, or the newest value with its age.
+//! Receives typed payloads: each as it comes, or the newest value with its age.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -12,7 +12,7 @@ use crate::history::{self, Watch};
 use crate::queue::Queue;
 use crate::{Bus, BusError, Heard, Succession, machine};
 
-/// What a subscriber wants to hear.
+/// Which samples a subscriber wants to receive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Catch {
     /// The newest values: those of now at once, then each new one; older ones may be lost.
@@ -22,7 +22,7 @@ pub enum Catch {
     All,
 }
 
-/// Hears payloads of one type on the keys of an expression.
+/// Receives payloads of one type on the keys of an expression.
 pub struct Subscriber<T> {
     queue: Arc<Queue<T>>,
     _line: Line,
@@ -119,7 +119,7 @@ impl<T> Subscriber<T> {
         self.queue.lost()
     }
 
-    /// Payloads that were said between others that were heard, and never came; [`Catch::All`] only.
+    /// Payloads that were published between others that were received, and never came; [`Catch::All`] only.
     pub fn missing(&self) -> u64 {
         self.queue.missing()
     }

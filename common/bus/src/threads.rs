@@ -2,8 +2,8 @@
 //!
 //! zenoh 1.10.2 opens its TCP links with SO_LINGER of 10 s and closes them on a thread of its runtimes, which have one
 //! or two each. A link to a host whose cable was pulled has bytes that nobody acknowledges, so that close blocks its
-//! thread, and with it all other links: 7 s without a permit were measured (tests/faults, "cable pulled"). The number of
-//! threads can only be told by the environment of the process, before its first thread.
+//! thread, and with it all other links: 7 s without a permit were measured (tests/faults, "cable pulled"). Only the
+//! environment of the process can set the number of threads, before its first thread.
 
 /// What zenoh reads.
 const VARIABLE: &str = "ZENOH_RUNTIME";

@@ -1,7 +1,7 @@
-//! One node of a role and id per telescope: a second one is told, and on one host the younger leaves.
+//! One node of a role and id per telescope: a second one is reported, and on one host the younger leaves.
 //!
-//! What is said on the bus ends no node: anybody may say it. A node leaves only to a process that this host itself shows, and
-//! that was started before it, by the host's own count.
+//! No sample on the bus ends a node: anybody may publish there. A node leaves only to a process that this host itself
+//! shows, and that was started before it, by the host's own count.
 
 use std::path::Path;
 use std::time::Duration;

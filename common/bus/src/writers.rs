@@ -1,4 +1,4 @@
-//! Which program on the bus may answer for a key: the one that publishes the state beside it.
+//! Which program on the bus may answer for a key: the one that publishes the state next to it.
 //!
 //! A query reaches every queryable that matches its key, and a stranger's may be among them. Without keys nobody can
 //! prove who it is. But each key has one writer, so the program that publishes the state of a device is the one that
@@ -16,7 +16,7 @@ use zenoh::session::ZenohId;
 
 /// So many keys are remembered with their writers.
 const REMEMBERED: usize = 512;
-/// So many programs that claim one key are told apart.
+/// So many programs that claim one key are distinguished.
 pub(crate) const MOST_WRITERS: usize = 16;
 /// How long writers are waited for, once one is known.
 const OTHERS: Duration = Duration::from_millis(200);

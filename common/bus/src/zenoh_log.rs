@@ -14,7 +14,7 @@ use tracing::field::{Field, Visit};
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::layer::{Context, Layer};
 
-/// Each of our sentences is said again after so long at the earliest.
+/// Each of our sentences is logged again after so long at the earliest.
 const PAUSE: Duration = Duration::from_secs(600);
 /// The details of zenoh are cut there.
 const DETAIL_CHARS: usize = 300;
@@ -77,7 +77,7 @@ impl ZenohLog {
         Self { said: Mutex::default(), lines }
     }
 
-    /// The sentence for a line of zenoh, unless it was said a short time ago.
+    /// The sentence for a line of zenoh, unless it was logged a short time ago.
     fn due(&self, line: &str, now: Instant) -> Option<&'static str> {
         let (_, meaning) = MEANINGS.iter().find(|(part, _)| line.contains(part))?;
         let mut said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
