@@ -59,7 +59,7 @@ pub async fn run(
                     node.alerts.raise(AlertKind::SpoolCannotWrite, "", &cause);
                 }
             },
-            // the first tick is now: frames that waited for a restart
+            // The first tick is now: frames that waited for a restart.
             _ = again.tick() => {
                 for (camera, voice) in &voices {
                     for frame in spool.unreleased(camera) {

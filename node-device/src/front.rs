@@ -107,7 +107,7 @@ impl<D: Driver> Front<D> {
                 reply
             }
             Err((reason, detail)) => {
-                // who finds the device busy asks again soon, and again
+                // A sender that finds the device busy asks again soon, and again.
                 match reason {
                     Reason::Busy => tracing::debug!(command = %id, detail, "command refused: busy"),
                     _ => tracing::info!(command = %id, %reason, detail, "command refused"),
@@ -129,9 +129,9 @@ impl<D: Driver> Front<D> {
         self.face().running = Some(id.clone());
         let order = Order { id, from: from.to_owned(), deed, token: None, taken_utc: self.gate.clock.utc() };
         let (asked, deed) = (order.asked(), order.deed.clone());
-        // the loop is gone only while the node ends
+        // The loop is gone only while the node ends.
         let _ = self.orders.send(order);
-        // after the sending, so that whatever noting takes, moving does not wait for it
+        // After the sending, so that whatever noting takes, moving does not wait for it.
         self.accounts.note(asked, &deed, Outcome::Accepted);
     }
 

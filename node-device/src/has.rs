@@ -20,7 +20,7 @@ impl Has {
     pub fn learn(&mut self, property: &str, answer: &Result<Value, AlpacaError>) {
         match answer {
             Ok(_) => drop(self.answered.insert(property.to_owned())),
-            // what it had once it has: a server that is restarted denies everything for a while
+            // A device has each property that it had once: a server that is restarted denies everything for a while.
             Err(error) if lacks(property, error) && !self.answered.contains(property) => {
                 self.absent.insert(property.to_owned());
             }

@@ -75,13 +75,13 @@ pub fn main(mut options: NodeOptions, verb: &[&str]) -> std::process::ExitCode {
             Ok(config) if config.device_nodes().len() == 1 => {
                 options.id = config.device_nodes().first().and_then(|id| id.parse().ok());
             }
-            // a file without devices: the node reports it
+            // A file without devices: the node reports it.
             Ok(config) if config.device_nodes().is_empty() => {}
             Ok(_) => return several::main(&options, verb),
             Err(_) if guard_process::is_needed(&options, config::ENCLOSURE_NODE) => {
                 return several::main(&options, verb);
             }
-            // the node reports what is wrong with the file
+            // The node reports what is wrong with the file.
             Err(_) => {}
         }
     }
@@ -131,7 +131,7 @@ async fn serve_devices(node: Node, guarded: Option<(GuardLink, NodeOptions)>) ->
         match tasks.join_next().await {
             None => break Ok(()),
             Some(Ok(Ok(()))) if node.stop.is_stopped() => {}
-            // one task that ends early ends the node: a clean start beats a clever repair
+            // One task that ends early ends the node: a clean start beats a clever repair.
             Some(Ok(Ok(()))) => break Err(anyhow::anyhow!("a task of the device node ended by itself")),
             Some(Ok(Err(error))) => break Err(error),
             Some(Err(died)) => break Err(died).context("a task of the device node died"),

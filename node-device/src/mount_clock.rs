@@ -38,7 +38,7 @@ pub async fn watch(node: Node, mount: Name, server: String, alpaca: Alpaca) -> a
     let (clock, figure) = (node.bus.clock().clone(), format!("{mount}{MOUNT_CLOCK_OFFSET_S}"));
     let mut known = MountClock::default();
     loop {
-        // under a simulated sky only a simulator knows the time
+        // Under a simulated sky only a simulator knows the time.
         let knows = !clock.is_simulated() || is_simulated(&server).await.unwrap_or(false);
         let mut offset_s = None;
         if knows && clock.speed() <= FASTEST {
@@ -68,7 +68,7 @@ mod tests {
         assert_eq!(clock.offset_s(utc(1000.0), utc(5000.0), at(0), 1.0), None, "nobody knows yet whether it goes");
         assert_eq!(clock.offset_s(utc(1020.5), utc(5020.0), at(20), 1.0), Some(-3999.5));
         assert_eq!(clock.offset_s(utc(1020.5), utc(5040.0), at(40), 1.0), None);
-        // our wall clock was set, and the mount's was not
+        // Our wall clock was set, and the mount's was not.
         assert_eq!(clock.offset_s(utc(1040.5), utc(1460.5), at(60), 1.0), Some(-420.0));
     }
 }

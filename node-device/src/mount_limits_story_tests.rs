@@ -135,7 +135,7 @@ fn tells() -> impl Strategy<Value = Tells> {
 }
 
 proptest! {
-    // each is hours of a night
+    // Each is hours of a night.
     #![proptest_config(Config { cases: 6, failure_persistence: None, ..Config::default() })]
 
     #[test]

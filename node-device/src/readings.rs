@@ -110,7 +110,7 @@ impl Readings {
     pub fn shown(&self, kind: Kind, now: MachineTime) -> BTreeMap<String, Reading> {
         let shown = self.answers.iter().map(|(property, Kept { answer, at_utc, asked })| {
             let unit = unit(kind, property).unwrap_or_default();
-            // whole milliseconds: more exact than any answer
+            // Whole milliseconds: more exact than any answer.
             let age_s = asked
                 .filter(|_| answer.is_ok())
                 .map(|asked| (now.since(asked.machine).as_secs_f64() * 1e3).round() / 1e3);
@@ -122,7 +122,7 @@ impl Readings {
 
 fn outcome(answer: &Result<Value, NoData>, unit: &str) -> ReadingOutcome {
     let value = match answer {
-        // where a number has a unit, text in its place is a sloppy server's number
+        // If a number has a unit, text in its place is a sloppy server's number.
         Ok(answer @ Value::String(_)) if !unit.is_empty() => value::number(answer).map(contract::Scalar::Float),
         Ok(answer) => value::scalar(answer),
         Err(reason) => Err(reason.clone()),

@@ -68,14 +68,14 @@ fn longest(config: &config::Observatory, device: &Device) -> Duration {
     let looks_s = own
         .flat_map(|(_, _, limits)| limits)
         .map(|limit| (limit.dwell_min + limit.over_min.unwrap_or_default()) * 60.0 + limit.max_age_s.unwrap_or(60.0));
-    // a dwell without end is no number of seconds
+    // A dwell without end is no number of seconds.
     looks_s.map(|s| Duration::try_from_secs_f64(s).unwrap_or(MOST)).max().unwrap_or_default()
 }
 
 async fn answer<F: Payload>(bus: &Bus, device: &Device, memory: Arc<Mutex<Memory<F>>>) -> Result<Service, BusError> {
     let (boot_id, clock) = (bus.boot_id().clone(), bus.clock().clone());
     let answer = move |question: Result<Question, String>| {
-        // a question that cannot be read is answered with no evidence at all
+        // A question that cannot be read is answered with no evidence at all.
         let back = question.ok().and_then(|question| Duration::try_from_secs_f64(question.back_s).ok());
         let back = back.map(|back| clock.machine_duration(back.min(MOST)));
         let memory = memory.lock().unwrap_or_else(PoisonError::into_inner);
@@ -111,7 +111,7 @@ impl<F: Payload> Memory<F> {
 
     fn keep(&mut self, said: Said<F>) {
         let now = said.at;
-        // the newest of those that are too old shows what was true when the window began
+        // The newest of those that are too old shows what was true when the window began.
         while self.said.get(1).is_some_and(|second| now.since(second.at) > self.back) {
             self.said.pop_front();
         }
@@ -124,7 +124,7 @@ impl<F: Payload> Memory<F> {
     fn tell(&self, back: Option<Duration>, clock: &Clock, boot_id: &BootId) -> Record<F> {
         let now = clock.machine();
         let inside = self.said.iter().rev().take_while(|said| back.is_some_and(|back| now.since(said.at) <= back));
-        // and the one before
+        // And the one before.
         let told = if back.is_some() { inside.count() + 1 } else { 0 };
         let entries = self.said.iter().skip(self.said.len().saturating_sub(told)).map(|said| Entry {
             seq: said.seq,

@@ -126,7 +126,7 @@ impl<D: Driver> Serve<D> {
         };
         let driver = self.driver.clone();
         let _service = bus.serve(&Key::Command(self.device.clone()), answer).await?;
-        // the same phase at every start, a different one for each device
+        // The same phase at every start, a different one for each device.
         let phase = Duration::from_millis(37 * u64::from(self.index));
         let now = Instant::now();
         let mut lap = Loop {
@@ -180,7 +180,7 @@ impl<D: Driver> Serve<D> {
             match turn {
                 Turn::Order(order) => lap.start(order),
                 Turn::Obeyed(result) => lap.obeyed(result),
-                // it was asked before the node was stalled, and means nothing for now
+                // It was asked before the node was stalled, and means nothing for now.
                 Turn::Contact(_) if stood_still => {}
                 Turn::Contact(Contact::Greeted(greeting)) => lap.greeted(greeting),
                 Turn::Contact(Contact::Polled(poll)) => {
@@ -309,7 +309,7 @@ impl<D: Driver> Loop<D> {
         let splits = self.splits();
         self.pace(&poll);
         self.keep(poll.answers);
-        // the rest of a device may hang by itself: what decides shows whether there is a link
+        // The rest of a device may hang by itself: what decides shows whether there is a link.
         let lost = poll.lost.filter(|error| poll.full || !splits || !error.is_transport());
         if let Some(error) = lost.or(denied) {
             return self.lose(&error);
@@ -327,7 +327,7 @@ impl<D: Driver> Loop<D> {
             self.note_slowness(now.duration_since(poll.began_at));
         }
         let tick = now + self.serve.node.bus.clock().machine().to_tick(pause);
-        // a poll that took longer than its period is followed by the next at once
+        // A poll that took longer than its period is followed by the next at once.
         self.next_contact = if now.duration_since(poll.began_at) < pause { tick } else { now };
     }
 
@@ -348,7 +348,7 @@ impl<D: Driver> Loop<D> {
             tracing::warn!(device = %self.serve.device, %error, "device lost; trying again");
         }
         self.link = Link::Lost { reason: reason.clone() };
-        // also what was never read is missing for this reason
+        // Also what was never read is missing for this reason.
         let clock = self.serve.node.bus.clock().clone();
         for property in self.wanted() {
             self.readings.keep(&property, Err(reason.clone()), clock.utc());
@@ -360,7 +360,7 @@ impl<D: Driver> Loop<D> {
         self.judge(None);
         let back_off = (0.5 * 2_f64.powi(self.failures)).min(LONGEST_BACK_OFF_S);
         self.failures = (self.failures + 1).min(10);
-        // several devices of one server come back one after another
+        // Several devices of one server come back one after another.
         let jitter = 1.0 + f64::from(self.serve.index % 8) * 0.03;
         self.next_contact = Instant::now() + Duration::from_secs_f64(back_off * jitter);
     }

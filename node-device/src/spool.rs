@@ -119,8 +119,8 @@ impl Spool {
                 Some("part") => {
                     let _ = fs::remove_file(&path);
                 }
-                // pixels come before their description, so pixels alone were never announced
-                // those of a description that was set aside stay with it
+                // Pixels come before their description, so pixels alone were never announced
+                // those of a description that was set aside stay with it.
                 Some("pixels") if !path.with_extension("json").exists() && !path.with_extension("bad").exists() => {
                     let _ = fs::remove_file(&path);
                 }
@@ -166,7 +166,7 @@ impl Spool {
             Ok(Err(error)) => Err((id, error)),
             Err(died) => Err((id, SpoolError::Disk { path: self.folder.clone(), source: io::Error::other(died) })),
         };
-        // nobody listens any more only while the node ends; the frame is announced at its next start
+        // The receiver is gone only while the node ends; the frame is announced at its next start.
         let _ = self.stored.send(outcome);
         drop(place);
     }
@@ -272,7 +272,7 @@ impl Spool {
         let gone: Vec<String> =
             self.entries().iter().filter(|(_, entry)| over(entry)).map(|(name, _)| name.clone()).collect();
         for name in gone {
-            // description first: pixels alone are swept at the next start
+            // Description first: pixels alone are swept at the next start.
             let removed = fs::remove_file(self.folder.join(format!("{name}.json")));
             let _ = fs::remove_file(self.folder.join(format!("{name}.pixels")));
             match removed {
@@ -303,7 +303,7 @@ impl Spool {
         let folder = fs::canonicalize(&self.folder).unwrap_or_else(|_| self.folder.clone());
         let free = sysinfo::Disks::new_with_refreshed_list().ok().and_then(|disks| {
             let holding = disks.iter().filter(|disk| folder.starts_with(disk.mount_point()));
-            // the nearest mount point above the folder
+            // The nearest mount point above the folder.
             let nearest = holding.max_by_key(|disk| disk.mount_point().as_os_str().len());
             nearest.map(sysinfo::Disk::available_space)
         });

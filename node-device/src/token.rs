@@ -73,7 +73,7 @@ impl Tokens {
             if !is_sibling || entry.path() == self.file {
                 continue;
             }
-            // what another node cannot read is that node's business
+            // A file of another node that cannot be read is that node's business.
             let read = fs::read(entry.path()).ok();
             let known: BTreeMap<String, u64> =
                 read.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default();
@@ -196,7 +196,7 @@ mod tests {
             assert_eq!(tokens.highest("alpha"), 1);
         }
         assert_eq!(tokens.grant("alpha", None).unwrap(), 2);
-        // another node's telescope
+        // Another node's telescope.
         for (told, known) in [(7, 7), (u64::MAX, 7), (3, 3)] {
             tokens.follow("beta", told).unwrap();
             assert_eq!(tokens.highest("beta"), known);
@@ -234,7 +234,7 @@ mod tests {
         tokens.grant("beta", None).unwrap();
         let tokens = Tokens::open(&file).unwrap();
         assert_eq!((tokens.holder("alpha"), tokens.holder("beta")), (Some(life), None));
-        // killed between the two files, or the newer one lost
+        // Killed between the two files, or the newer one lost.
         fs::write(&file, r#"{"alpha": 5}"#).unwrap();
         assert_eq!(Tokens::open(&file).unwrap().holder("alpha"), None);
         fs::write(file.with_extension(HOLDERS), "{\"al").unwrap();
@@ -248,7 +248,7 @@ mod tests {
         let tokens = Tokens::open(&folder.path().join("absent").join("tokens.json")).unwrap();
         assert!(tokens.grant("alpha", None).is_err());
         assert_eq!(tokens.highest("alpha"), 0);
-        // the arbiter's count binds even so
+        // The arbiter's count binds even so.
         assert!(tokens.follow("alpha", 4).is_err());
         assert_eq!(tokens.highest("alpha"), 4);
     }

@@ -81,7 +81,7 @@ impl ClaimNote {
         match on_disk(&self.path, move |path| std::fs::write(path, &text)).await {
             Ok(()) => self.noted = next,
             Err(error) => {
-                // once: a disk that hangs would hold up each claim, and a thread each time
+                // Once: a disk that hangs would hold up each claim, and a thread each time.
                 tracing::warn!(path = %self.path.display(), %error, "claims are not noted");
                 self.is_silent = true;
             }
@@ -150,7 +150,7 @@ mod tests {
         let path = folder.path().join("claim.json");
         let mut note = ClaimNote::read(path.clone()).await;
         note.asks(&claim("one")).await;
-        // a folder in its place can neither be written nor removed as a file
+        // A folder in its place can neither be written nor removed as a file.
         std::fs::remove_file(&path).unwrap();
         std::fs::create_dir(&path).unwrap();
         assert!(!note.is_taken_back().await, "who holds its token claims another");

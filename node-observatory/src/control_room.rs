@@ -159,7 +159,7 @@ impl ControlRoom {
 
     /// What stands against a row's action, or against any where there is none.
     pub fn objection(&self, row: Option<&Row>) -> Option<Objection> {
-        // a row that began now would open again what is closed before the end
+        // A row that began now would open again what is closed before the end.
         if self.node.ending.is_stopped() {
             return Some(Objection::Ending);
         }
@@ -216,7 +216,7 @@ impl ControlRoom {
     pub async fn close(&self, why: &str) {
         self.wish_closed.send_replace(Some(why.to_owned()));
         let mut wish = self.wish_closed.subscribe();
-        // the sender lives in self, so waiting cannot fail
+        // The sender lives in self, so waiting cannot fail.
         let _ = wish.wait_for(Option::is_none).await;
     }
 }

@@ -144,7 +144,7 @@ impl Journal {
     fn read_anew(&self, file: &mut Option<File>) -> io::Result<()> {
         let (mut lines, damage) = read(&self.path)?;
         if let Some(damage) = damage {
-            // it is written anew without them
+            // It is written anew without them.
             bus::aside::keep_copy(
                 &self.path,
                 &damage,
@@ -222,7 +222,7 @@ impl Journal {
     /// Returns false for a frame that is not of this journal, was counted already, or does not count.
     pub fn taken(&self, frame: &CommandId, at_utc: Utc) -> io::Result<bool> {
         let line = {
-            // looked up and counted in one step: two may say so at the same time
+            // Looked up and counted in one step: two may say so at the same time.
             let mut book = self.book();
             let Some(row) = book.row_of.get(&frame.0).cloned() else { return Ok(false) };
             let known = |record: &Record| record.taken.contains(&frame.0) || record.spoilt.contains(&frame.0);
@@ -322,7 +322,7 @@ impl Journal {
         text.push('\n');
         match &mut *self.file.lock().unwrap_or_else(PoisonError::into_inner) {
             Some(file) => append(file, &text),
-            // after a new line: the last one may be half of what a crash left
+            // After a new line: the last one may be half of what a crash left.
             None => append(&mut OpenOptions::new().append(true).create(true).open(&self.path)?, &format!("\n{text}")),
         }
     }

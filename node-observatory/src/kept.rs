@@ -102,14 +102,14 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
         let pen = self.pen.clone().lock_owned().await;
         let (version, mut next) = self.snapshot();
         change(&mut next).map_err(Unchanged::Refused)?;
-        // the pen is held until the memory has it too
+        // The pen is held until the memory has it too.
         let (_pen, put) = self.put(pen, next).await;
         put.map_err(|source| Unchanged::Disk { path: self.path.display().to_string(), source })?;
         let mut done = Ok(());
         self.live.send_if_modified(|value| {
             done = change(value);
             if done.is_err() {
-                // the disk knows of what did not come to be
+                // The disk knows of what did not come to be.
                 self.version.fetch_add(1, Ordering::SeqCst);
             } else {
                 self.note_written(version);
@@ -127,7 +127,7 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
     /// Waits until every change made until now is on disk.
     pub async fn on_disk(&self) {
         let version = self.version.load(Ordering::SeqCst);
-        // the sender lives in self, so waiting cannot fail
+        // The sender lives in self, so waiting cannot fail.
         let _ = self.written.subscribe().wait_for(|written| *written >= version).await;
     }
 
@@ -190,7 +190,7 @@ pub fn write_whole<T: Serialize>(path: &Path, part: &Path, value: &T) -> io::Res
     file.write_all(&serde_json::to_vec_pretty(value)?)?;
     file.sync_all()?;
     std::fs::rename(part, path)?;
-    // the new name is on disk with its folder; Windows opens no folders
+    // The new name is on disk with its folder; Windows opens no folders.
     #[cfg(unix)]
     if let Some(folder) = path.parent() {
         std::fs::File::open(folder)?.sync_all()?;
@@ -255,7 +255,7 @@ mod tests {
         list.change_when_written(add(1)).await.unwrap();
         assert_eq!((list.get(), on_disk(folder.path())), (vec![1], vec![1]));
         assert!(list.is_on_disk());
-        // a folder where the file is to be written: no disk takes that, whoever asks
+        // A folder where the file is to be written: no disk takes that, whoever asks.
         std::fs::create_dir(folder.path().join("list.json.main.part")).unwrap();
         let refused = list.change_when_written(add(2)).await.unwrap_err();
         assert!(matches!(refused, Unchanged::Disk { .. }), "{refused}");
@@ -281,7 +281,7 @@ mod tests {
         list.write().await.unwrap();
         assert!(list.is_on_disk());
         assert_eq!(on_disk(folder.path()), [7]);
-        // what is another node's to write is not ours
+        // This node must not write a value that is another node's to write.
         list.adopt(|list| {
             list.clear();
             true
@@ -295,7 +295,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let list = kept(folder.path());
         let times = AtomicU64::new(0);
-        // between the disk and the memory somebody says 9: the loosening does not come to be
+        // Between the disk and the memory somebody says 9: the loosening does not come to be.
         let refused = list
             .change_when_written(|list| {
                 if times.fetch_add(1, Ordering::SeqCst) == 1 {

@@ -96,7 +96,7 @@ pub async fn keep_holding(room: Arc<ControlRoom>, hold: watch::Sender<Hold>, lea
     let mut left = note.left();
     let mut id = left.clone().unwrap_or_else(CommandId::fresh);
     loop {
-        // a living rival refuses; what is refused needs no note
+        // A living rival refuses; what is refused needs no note.
         let own = [room.node.signature(), String::new()];
         let rival = said.fresh(RIVAL).is_some_and(|lease| !own.contains(&lease.said.body.holder));
         if !rival {
@@ -135,13 +135,13 @@ pub async fn keep_holding(room: Arc<ControlRoom>, hold: watch::Sender<Hold>, lea
             }
             Err(trouble) => {
                 let silent_for = clock.machine().since(asked_since);
-                // somebody may command although the arbiter cannot say so just now
+                // Another node may command although the arbiter cannot answer just now.
                 let rival = said.fresh(RIVAL).is_some_and(|lease| lease.said.boot_id != *room.node.bus.boot_id());
                 hold.send_if_modified(|hold| {
                     let waits = *hold != Hold::Claiming && (rival || silent_for < ASKING);
                     !waits && std::mem::replace(hold, Hold::Claiming) != Hold::Claiming
                 });
-                // a refusal is an answer; after silence the same claim is asked again
+                // A refusal is an answer; after silence the same claim is asked again.
                 if matches!(trouble, Trouble::Refused { .. }) {
                     (id, left) = (CommandId::fresh(), None);
                 }
@@ -171,7 +171,7 @@ async fn claim(room: &ControlRoom, id: &CommandId) -> Result<u64, Trouble> {
     let granted = match (room.rig.domes.first(), room.rig.mounts.first()) {
         (Some(dome), _) => dome.instrument.claim_as(id.clone(), dome::Command::Claim).await?,
         (None, Some(mount)) => mount.instrument.claim_as(id.clone(), telescope::Command::Claim).await?,
-        // nothing moves and nothing opens: there is nobody to contend with
+        // Nothing moves and nothing opens: there is nobody to contend with.
         (None, None) => Some(1),
     };
     granted.ok_or_else(|| Trouble::Impossible(format!("{} answered a claim without a token", arbiter(room))))

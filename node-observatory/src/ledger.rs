@@ -129,7 +129,7 @@ pub async fn keep_counting_frames(room: Arc<ControlRoom>) -> anyhow::Result<()> 
         if let Err(error) = noted.await? {
             tracing::warn!(%error, "an announced frame is not in the journal; a restart may take it again");
         }
-        // after the journal: whoever sees it here finds it counted there
+        // After the journal: whoever sees it here finds it counted there.
         let is_new = room.ledger.announced(&frame.id, &frame.purpose.night);
         if is_new && heard.said.at_utc >= started_utc {
             room.board.frame(&frame.id);
@@ -146,7 +146,7 @@ pub async fn keep_counting_files(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         if stored.header_complete {
             room.ledger.complete(&stored.frame);
         }
-        // one that was announced, stored and forgotten by its spool while this node was away
+        // One that was announced, stored and forgotten by its spool while this node was away.
         let (at, frame) = (room.clone(), stored.frame);
         let noted = tokio::task::spawn_blocking(move || at.journal.taken(&frame, at.node.bus.clock().utc()));
         if let Err(error) = noted.await? {

@@ -216,7 +216,7 @@ pub fn posture(room: &ControlRoom) -> Posture {
             .map(|mount| mount.instrument.fresh().and_then(|state| state.fields.at_park.known().copied()));
         return of_parks(parked);
     }
-    // a dome whose status is closed without proof is not known to be closed
+    // A dome whose status is closed without proof is not known to be closed.
     let shutter = |dome: &Dome| dome.shutter().filter(|shutter| *shutter != Shutter::Closed || !dome.is_doubted());
     of_shutters(room.rig.domes.iter().map(shutter))
 }
@@ -310,7 +310,8 @@ where
         tokio::time::sleep(LEAST).await;
         tokio::select! {
             changed = state.changed() => changed?,
-            // who becomes the commander says at once what it knows: its own end may come before 10 s are over
+            // A node that becomes the commander publishes at once what it knows: its own end may come before 10 s are
+            // over.
             changed = hold.changed() => changed?,
             () = tokio::time::sleep(Duration::from_secs(10)) => {}
         }

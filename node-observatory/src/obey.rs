@@ -74,7 +74,7 @@ pub fn at_once(room: &Arc<ControlRoom>, tightened: &Tightened, order: &Order) ->
             tightened.note();
             let why = format!("{} ordered it", order.from);
             robotic_off(room, &why);
-            // also when it was off already
+            // Also when it was off already.
             room.wish_closed.send_replace(Some(why));
         }
         OrderKind::ReloadSchedule => room.reload.send_modify(|count| *count += 1),
@@ -109,7 +109,7 @@ pub async fn settle(room: &ControlRoom) {
     let settled = async {
         room.standing.on_disk().await;
         let mut said = room.standing_said.subscribe();
-        // the sender lives in the room, so waiting cannot fail
+        // The sender lives in the room, so waiting cannot fail.
         let _ = said.wait_for(|said| said.as_ref().is_some_and(|said| *said == standing_line::orders(room))).await;
     };
     let _ = tokio::time::timeout(SETTLED, settled).await;

@@ -17,7 +17,7 @@ use schedule::plan::overheads::{Span, TOOK};
 /// The runner drops this as soon as the sky is not safe.
 pub async fn open(room: &ControlRoom, chain: &Chain<'_>) -> Result<(), Trouble> {
     only_while_safe(room)?;
-    // whatever was to be closed gives way to what is observed now
+    // A pending close request gives way to what is observed now.
     room.wish_closed.send_if_modified(|wish| wish.take().is_some());
     let (clock, was_shut) = (room.node.bus.clock(), room.rig.domes.iter().any(|dome| dome.shutter() != Some(Open)));
     let began = clock.utc();

@@ -79,7 +79,7 @@ impl Desk {
             return reply;
         }
         let _turn = self.turn.lock().await;
-        // a repeat that waited for the first
+        // A repeat that waited for the first.
         if let Some(reply) = self.answered(&order.id) {
             return reply;
         }

@@ -42,7 +42,7 @@ impl StarCatalogue {
             if let Some(catalogue) = now {
                 return catalogue;
             }
-            // the sender lives in self, so waiting cannot fail
+            // The sender lives in self, so waiting cannot fail.
             let _ = opened.changed().await;
         }
     }
@@ -66,7 +66,7 @@ pub async fn keep_open(room: Arc<ControlRoom>) -> anyhow::Result<()> {
                 room.node.alerts.clear(AlertKind::CatalogueUnusable, "");
                 tracing::info!(stars = catalogue.stars(), "the star catalogue is open");
                 room.catalogue.opened.send_replace(Some(Arc::new(catalogue)));
-                // it stays open for as long as the node lives
+                // It stays open for as long as the node lives.
                 return std::future::pending().await;
             }
             Err(error) => room.node.alerts.raise(AlertKind::CatalogueUnusable, "", &format!("{error:#}")),

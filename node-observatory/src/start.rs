@@ -155,7 +155,7 @@ async fn open_journal(node: &Node) -> anyhow::Result<Journal> {
             }
             Err(error) => format!("folders.data: cannot open the journal {shown}: {error}"),
         };
-        // without it nothing is opened, and the guards close: that is logged once, and tried again
+        // Without it nothing is opened, and the guards close: that is logged once, and tried again.
         let told = format!("{why}; nothing is opened until it can be, which is tried each 15 s");
         node.alerts.raise(AlertKind::Configuration, "folders.data", &told);
         ensure!(node.stop.or(tokio::time::sleep(AGAIN)).await.is_some(), "{why}");

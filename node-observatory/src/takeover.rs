@@ -172,7 +172,7 @@ async fn learn_alerts(room: &Arc<ControlRoom>, source: Source, orders: Option<&H
 async fn judged_anew(room: &ControlRoom) {
     let mut ruling = room.ruling.clone();
     let twice = async {
-        // the first may have been under way
+        // The first may have been under way.
         for _ in 0..2 {
             let since = room.node.bus.clock().machine();
             if ruling.wait_for(|ruling| ruling.judged > since).await.is_err() {

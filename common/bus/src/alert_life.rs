@@ -46,7 +46,7 @@ impl AlertLife {
         let Some(raised) = self.raised.get_mut(id) else { return false };
         let had_cause = raised.gone_at.is_none();
         if raised.show_at > now {
-            // nobody has seen it
+            // Nobody has seen it.
             self.raised.remove(id);
         } else if had_cause {
             raised.gone_at = Some(now.plus(seconds(kind.entry().hold_s)));

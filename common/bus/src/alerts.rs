@@ -32,7 +32,7 @@ impl AlertBoard {
     /// Raises an alert; one that is active already keeps its time and takes the new cause. `instance` distinguishes
     /// alerts of one kind; it is empty where there is only one.
     pub fn raise(&self, kind: AlertKind, instance: impl Display, cause: &str) {
-        // a cause holds what servers answered and schedules say
+        // A cause holds what servers answered and schedules say.
         let cause = &*printable(cause);
         let alert = kind.alert(instance, self.clock.utc(), cause);
         let mut life = self.life();

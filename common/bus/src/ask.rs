@@ -100,7 +100,7 @@ impl Bus {
                 None => Vec::new(),
             };
             if writers.is_empty() && !moves {
-                // nobody else claims the key; what is answered moves nothing
+                // No other program claims the key; the answer moves nothing.
                 return serde_json::from_slice(&bytes).map_err(|error| unreadable(error.to_string()));
             }
             if !writers.contains(&who) {
@@ -140,10 +140,10 @@ impl Bus {
             .consolidation(ConsolidationMode::None)
             .timeout(timeout)
             .callback(move |reply| {
-                // an error reply is zenoh's own word for a timeout; our refusals are ordinary answers
+                // An error reply is zenoh's own word for a timeout; our refusals are ordinary answers.
                 let (Some(who), Ok(sample)) = (reply.replier_id(), reply.result()) else { return };
                 if sample.key_expr().as_str() == own_key {
-                    // full only in a flood of answers, which no node makes
+                    // It is full only in a flood of answers, which no node makes.
                     let _ = tell.try_send(Answer { who: who.zid(), bytes: sample.payload().to_bytes().into_owned() });
                 }
             });
@@ -227,7 +227,7 @@ impl Bus {
             .consolidation(ConsolidationMode::None)
             .timeout(timeout)
             .callback(move |reply| {
-                // what does not fit is a flood
+                // An answer that does not fit is part of a flood.
                 if let Ok(sample) = reply.into_result() {
                     let _ = tell.try_send(sample);
                 }

@@ -35,7 +35,7 @@ pub async fn recall<T: Payload>(
     expression: &str,
     queue: &Arc<Queue<T>>,
 ) -> Result<Watch, zenoh::Error> {
-    // where zenoh-ext's publishers show that they live; the same key asks their cache
+    // Where zenoh-ext's publishers show that they live; the same key asks their cache.
     let publishers = format!("{expression}/@adv/pub/**");
     let (asker, queue) = (session.clone(), Arc::downgrade(queue));
     let runtime = tokio::runtime::Handle::current();
@@ -79,7 +79,7 @@ async fn ask<T: Payload>(session: Session, cache: KeyExpr<'static>, queue: Weak<
         if let Err(error) = asked.await {
             tracing::debug!(%error, %cache, "a publisher could not be asked for its past");
         }
-        // zenoh drops the callback after the last answer
+        // zenoh drops the callback after the last answer.
         ended.recv().await;
         if answered.load(Ordering::Relaxed) {
             return;

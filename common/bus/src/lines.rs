@@ -41,7 +41,7 @@ pub fn complain(text: impl Display) {
 pub fn flush() {
     let Some(Some(queue)) = QUEUE.get() else { return };
     let (written, is_written) = sync_channel(1);
-    // a full queue is one that nobody reads
+    // A full queue is one that nobody reads.
     if queue.try_send(Wanted::Written(written)).is_ok() {
         let _ = is_written.recv_timeout(LAST);
     }
@@ -61,7 +61,7 @@ fn send(wanted: Wanted) {
 
 /// Writes until the process ends. If the reader has gone, the lines are lost.
 fn write(lines: &Receiver<Wanted>) {
-    // of our own: a write that takes hours must not hold the lock that a panic elsewhere waits for
+    // Handles of our own: a write that takes hours must not hold the lock that a panic elsewhere waits for.
     let (Some(mut out), Some(mut error)) = (own(&io::stdout()), own(&io::stderr())) else { return };
     while let Ok(wanted) = lines.recv() {
         let _ = match wanted {

@@ -30,7 +30,7 @@ pub async fn keep_mending(bus: &Bus) -> anyhow::Result<()> {
     let states = "starmesh/v1/*/*/node/*/*/state";
     let subscriber = session.declare_subscriber(states).callback(move |sample| {
         if let Some(source) = sample.source_info() {
-            // full only while this task hangs; the next state is 5 s away
+            // It is full only while this task hangs; the next state is 5 s away.
             let _ = tell.try_send(source.source_id().zid());
         }
     });
@@ -79,7 +79,7 @@ fn cut(ends: &[(SocketAddr, SocketAddr)]) -> std::io::Result<usize> {
     let mut count = 0;
     for entry in std::fs::read_dir("/proc/self/fd")? {
         let Some(number) = entry?.file_name().to_str().and_then(|name| name.parse().ok()) else { continue };
-        // what has been closed since, and what is no socket, is not meant
+        // Links that have been closed since, and descriptors that are no sockets, are not meant.
         let Ok(descriptor) = pidfd_getfd(&own, number, PidfdGetfdFlags::empty()) else { continue };
         let socket = std::net::TcpStream::from(descriptor);
         let (Ok(here), Ok(there)) = (socket.local_addr(), socket.peer_addr()) else { continue };
@@ -126,7 +126,7 @@ impl<P: Ord + Copy> Silence<P> {
         let mut silent = Vec::new();
         for (id, peer) in &mut self.peers {
             if !connected.contains(id) {
-                // silence counts from the next connection on
+                // Silence counts from the next connection on.
                 peer.heard = now;
                 continue;
             }
@@ -216,7 +216,7 @@ mod tests {
         assert_eq!(next().await, SampleKind::Put);
 
         let publisher = silent.publisher(&node_key(Role::Archive, NodeTopic::State), Quality::State { cache: 1 }).await;
-        // the subscriber of the mending task must stand by then
+        // The subscriber of the mending task must stand by then.
         tokio::time::sleep(Duration::from_secs(1)).await;
         publisher.unwrap().put(state).await.unwrap();
         let began = std::time::Instant::now();

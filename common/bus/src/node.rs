@@ -350,14 +350,14 @@ fn asked_to_end(node: &Node) {
 
 /// Log lines on the console, for a process that is no node.
 pub fn log_to_console() {
-    // a second subscriber is not needed
+    // A second subscriber is not needed.
     let _ = console_at("info").try_init();
 }
 
 /// Console at the level of `STARMESH_LOG` (default info), and the diary; `None` where a subscriber is set already.
 fn init_tracing() -> Option<mpsc::Receiver<DiaryLine>> {
     let (diary, lines) = DiaryLayer::new();
-    // what the bus complains of stays off the bus: it would complain of that, too
+    // The bus's own complaints stay off the bus: it would complain of them, too.
     let diary_filter = tracing_subscriber::EnvFilter::new("info,zenoh=off,uhlc=off").and(Flood::default());
     let set = on_console().with(diary.with_filter(diary_filter)).try_init();
     set.is_ok().then_some(lines)
@@ -365,7 +365,7 @@ fn init_tracing() -> Option<mpsc::Receiver<DiaryLine>> {
 
 /// Shows what a command does on the console, at the level of `STARMESH_LOG` (default warnings).
 pub fn show_log() {
-    // a second subscriber is not needed
+    // A second subscriber is not needed.
     let _ = console_at("warn").try_init();
 }
 
@@ -391,7 +391,7 @@ fn console_at(level: &str) -> impl tracing::Subscriber + for<'a> LookupSpan<'a> 
 pub async fn parent_end() {
     let (ended, end) = tokio::sync::oneshot::channel();
     std::thread::spawn(move || {
-        // whatever comes is not for us; an error ends the reading as the end of the file does
+        // Later input is not for us; an error ends the reading as the end of the file does.
         let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
         let _ = ended.send(());
     });
@@ -411,7 +411,7 @@ pub async fn end_asked() {
 async fn hangup() {
     use tokio::signal::unix::{SignalKind, signal};
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    // under `nohup` the end of the terminal means nothing
+    // Under `nohup` the end of the terminal means nothing.
     if heeds_hangup(&status)
         && let Ok(mut hangup) = signal(SignalKind::hangup())
     {

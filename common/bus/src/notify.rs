@@ -26,7 +26,7 @@ mod linux {
             return;
         }
         *last = Some(Instant::now());
-        // a manager that does not listen is no business of this process
+        // A manager that does not listen is no business of this process.
         let _ = socket.send_to_addr(b"READY=1\nWATCHDOG=1\n", manager);
     }
 
@@ -37,7 +37,7 @@ mod linux {
             None => SocketAddr::from_pathname(&name).ok()?,
         };
         let socket = UnixDatagram::unbound().ok()?;
-        // a full queue must not hold the loop up that says it lives
+        // A full queue must not hold the loop up that says it lives.
         socket.set_nonblocking(true).ok()?;
         Some((socket, manager))
     }

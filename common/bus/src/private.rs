@@ -33,7 +33,7 @@ pub fn make_folder(folder: &Path) -> io::Result<()> {
 /// Makes a folder that others may read, as far as the system's settings let them.
 pub fn make_public_folder(folder: &Path) -> io::Result<()> {
     match fs::create_dir(folder) {
-        // somebody else made it meanwhile, with rights of their own
+        // Another process made it meanwhile, with permissions of its own.
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(()),
         made => made.and_then(|()| make_public(folder, 0o777)),
     }
@@ -74,7 +74,7 @@ fn tighten_below(path: &Path, images: &Path, deep: usize, left: &mut usize) {
     *left -= 1;
     let mode = found.permissions().mode() & 0o777;
     if mode & 0o077 != 0 && !images.starts_with(path) {
-        // a file system without rights has nothing to take away
+        // A file system without rights has nothing to take away.
         let _ = fs::set_permissions(path, fs::Permissions::from_mode(mode & 0o700));
     }
     if found.is_dir() && deep > 0 {

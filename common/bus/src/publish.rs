@@ -66,7 +66,7 @@ impl Bus {
                 Line::Plain(urgent.await.map_err(failed)?)
             }
             Quality::State { cache } | Quality::Event { cache } => {
-                // no heartbeat: states repeat, and events are followed by states, so the next sample shows a gap
+                // No heartbeat: states repeat, and events are followed by states, so the next sample shows a gap.
                 let advanced = builder
                     .cache(CacheConfig::default().max_samples(cache))
                     .sample_miss_detection(MissDetectionConfig::default())
@@ -98,7 +98,8 @@ impl Bus {
             .callback(move |query| {
                 let (key, newest) = (own_key.clone(), newest.clone());
                 runtime.spawn(async move {
-                    // looked up by this task and not before it: a runtime that hangs must not answer with what was newest then
+                    // Looked up by this task and not before it: a runtime that hangs must not answer with the value of
+                    // an earlier time.
                     let held = newest.lock().unwrap_or_else(PoisonError::into_inner).clone();
                     let Some((bytes, published)) = held else { return };
                     let bytes = transit::held(bytes, machine::now().since(published));
@@ -126,7 +127,7 @@ impl<T: Payload> Publisher<T> {
         let failed = |detail: String| BusError::Publish { key: self.key.clone(), detail };
         let bytes = serde_json::to_vec(&stamped).map_err(|error| failed(error.to_string()))?;
         if bytes.len() > MOST_BYTES {
-            // every receiver would drop it, and the link with it
+            // Every receiver would drop it, and the link with it.
             let (key, bytes, most) = (&self.key, bytes.len(), MOST_BYTES);
             tracing::error!(key, bytes, most, "a payload is too large for the bus and was not sent");
             return Ok(());

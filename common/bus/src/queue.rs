@@ -73,7 +73,7 @@ impl<T> Queue<T> {
     /// Waits for the next payload.
     pub(crate) async fn next(&self) -> Heard<T> {
         loop {
-            // registered before looking, so that an arrival in between is not missed
+            // Registered before looking, so that an arrival in between is not missed.
             let arrived = self.arrived.notified();
             let next = lock(&self.waiting).pop();
             match next {
@@ -105,7 +105,7 @@ impl<T: Payload> Queue<T> {
         if sample.kind() != SampleKind::Put {
             return;
         }
-        // keys of other programs and of zenoh itself (`@adv`) are none of ours
+        // Keys of other programs and of zenoh itself (`@adv`) are none of ours.
         let Some(key) = Key::parse(sample.key_expr().as_str()) else { return };
         let bytes = sample.payload().to_bytes();
         match serde_json::from_slice(&bytes) {

@@ -10,7 +10,7 @@ pub fn step_back() {
     #[cfg(target_os = "linux")]
     {
         use rustix::process::{getpriority_process, setpriority_process};
-        // Linux keeps the priority per thread, and no id means the calling one; who is nicer already stays so
+        // Linux keeps the priority per thread, and no id means the calling one; who is nicer already stays so.
         let lowered = getpriority_process(None).and_then(|now| setpriority_process(None, now.max(NICER)));
         if let Err(error) = lowered {
             tracing::debug!(%error, "a thread keeps its priority");

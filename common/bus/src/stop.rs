@@ -30,7 +30,7 @@ impl Stop {
     /// Waits until it is set.
     pub async fn wait(&self) {
         let mut heard = self.said.subscribe();
-        // the sender lives in self, so waiting cannot fail
+        // The sender lives in self, so waiting cannot fail.
         let _ = heard.wait_for(|stopped| *stopped).await;
     }
 

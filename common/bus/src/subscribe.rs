@@ -72,7 +72,7 @@ impl Bus {
             for pause_ms in [0, 300, 1500] {
                 tokio::time::sleep(Duration::from_millis(pause_ms)).await;
                 let into = Arc::downgrade(&queue);
-                // all that answer, and all that they say: a stranger's answer must not take the place of the writer's
+                // All that answer, and all that they say: a stranger's answer must not take the place of the writer's.
                 let asked = session
                     .get(&expression)
                     .target(QueryTarget::All)
@@ -169,7 +169,7 @@ impl<T: Clone> Latest<T> {
     /// Waits for the next change after the newest payload that this clone has seen.
     pub async fn changed(&mut self) {
         if self.receiver.changed().await.is_err() {
-            // the follower ended with the runtime; nothing will ever change again
+            // The follower ended with the runtime; nothing will ever change again.
             std::future::pending::<()>().await;
         }
     }

@@ -23,7 +23,7 @@ pub(crate) fn ensure() {
 fn restart() {
     use std::os::unix::process::CommandExt as _;
     let Ok(program) = std::env::current_exe() else { return };
-    // the same process: its id, its parent and its open files stay
+    // The same process: its id, its parent and its open files stay.
     let failed = std::process::Command::new(program).args(std::env::args_os().skip(1)).env(VARIABLE, THREADS).exec();
     eprintln!("the threads of the bus stay as zenoh has them: {failed}");
 }

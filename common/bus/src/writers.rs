@@ -71,7 +71,7 @@ async fn ask(session: &zenoh::Session, states: &str, limit: Duration) -> Vec<Zen
         session.get(states).target(QueryTarget::All).consolidation(ConsolidationMode::None).timeout(limit).callback(
             move |reply| {
                 if let (Some(who), Ok(_)) = (reply.replier_id(), reply.result()) {
-                    // more answers than fit come from a flood
+                    // More answers than fit come from a flood.
                     let _ = tell.try_send(who.zid());
                 }
             },
@@ -81,7 +81,7 @@ async fn ask(session: &zenoh::Session, states: &str, limit: Duration) -> Vec<Zen
     }
     let mut found = Vec::new();
     loop {
-        // a program that hangs holds the question open until its timeout
+        // A program that hangs holds the question open until its timeout.
         let wait = if found.is_empty() { limit } else { OTHERS };
         match tokio::time::timeout(wait, told.recv()).await {
             Ok(Some(who)) if found.len() < MOST_WRITERS => {

@@ -104,7 +104,7 @@ impl<S: Subscriber> Layer<S> for ZenohLog {
         event.record(&mut line);
         if let Some(meaning) = self.due(&line.0, Instant::now()) {
             let detail: String = line.0.chars().filter(|c| !c.is_control()).take(DETAIL_CHARS).collect();
-            // full only while the console hangs
+            // It is full only while the console hangs.
             let _ = self.lines.try_send((meaning, detail));
         }
     }

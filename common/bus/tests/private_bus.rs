@@ -91,7 +91,7 @@ async fn one_that_joins_while_much_is_said_hears_each_once() {
             publisher
         });
         tokio::time::sleep(Duration::from_millis(300)).await;
-        // the first new payloads come before the answer about those of before
+        // The first new payloads come before the answer about those of before.
         let second = open(first.locators().await).await;
         let all = second.subscribe::<Permit>(&key.to_string(), Catch::All, 5000).await.unwrap();
         let mut heard = Vec::new();
@@ -156,7 +156,7 @@ async fn a_command_is_accepted_or_refused_at_once() {
     let ask = |action| Command { id: CommandId::fresh(), from: "test".to_owned(), token: None, boot_id: None, action };
     let timeout = Duration::from_secs(3);
     let close = ask(dome::Command::CloseShutter);
-    // a service is not known everywhere at once; until then the outcome is unknown, and asking again is harmless
+    // A service is not known everywhere at once; until then the outcome is unknown, and asking again is harmless.
     let mut taken = second.command(&device, &close, timeout).await;
     for _ in 0..50 {
         if !matches!(taken, Err(AskError::Unknown { .. })) {

@@ -242,7 +242,7 @@ impl Guard {
         if self.holds() {
             return refused("the guard closed the dome and holds it; the commander must send resume first");
         }
-        // one whose status is closed and that only waits for the proof of it may be opened again
+        // One whose status is closed and that only waits for the proof of it may be opened again.
         if self.closing.is_some() && !self.evidence.says_closed() {
             return refused("the guard is closing the dome");
         }
@@ -393,7 +393,7 @@ impl Guard {
                 false
             }
             Some(Shutter::Closed) => {
-                // right after the command a dome may still say closed
+                // Right after the command a dome may still say closed.
                 let about_to_open =
                     matches!(self.expected, Expected::Open { since } if now.since(since) < self.settings.travel);
                 if !about_to_open {
@@ -406,7 +406,7 @@ impl Guard {
     }
 
     fn must_close(&self, now: MachineTime) -> bool {
-        // a node that was restarted in the middle of the night gives its commander time to speak
+        // A node that was restarted in the middle of the night gives its commander time to speak.
         let starting = now < self.grace_until && self.permits.none_heard();
         self.ending || self.permits.is_said_unsafe(now) || (!self.may_be_open(now) && !starting)
     }
@@ -429,16 +429,17 @@ impl Guard {
         };
         let says_closed = seen.is_some_and(|(shutter, _)| shutter == Shutter::Closed);
         if !may_move {
-            // of one whose status is closed, and that nobody is known to have opened since, only the proof is missing
+            // For a shutter whose status is closed, and that nobody is known to have opened since, only the proof is
+            // missing.
             if waited && (!says_closed || self.evidence.is_doubted()) {
                 alarms.push(Alarm::MountNotParked);
             }
             return;
         }
         let due = closing.last_try.is_none_or(|last| now.since(last) >= RETRY);
-        // on its way: a second command, let alone a stop, would only disturb it
+        // On its way: a second command, let alone a stop, would only disturb it.
         if due && !self.evidence.is_on_its_way(now) {
-            // what reports that it does not move is not stopped: it may be closing all the same
+            // A dome that reports that it does not move is not stopped: it may be closing all the same.
             let stops = closing.tries >= PATIENCE && !says_closed;
             deeds.push(if stops { Deed::AbortThenClose } else { Deed::Close });
             closing.tries += 1;
@@ -448,7 +449,7 @@ impl Guard {
             && closing.agains < MOST_AGAIN
             && closing.last_request().is_none_or(|at| now.since(at) >= AGAIN)
         {
-            // a request to open that came late, or another client: what it shows is no reason to wait for the next try
+            // A request to open that came late, or another client: what it shows is no reason to wait for the next try.
             deeds.push(Deed::Close);
             (closing.last_again, closing.went) = (Some(now), false);
             closing.agains += 1;
@@ -463,7 +464,7 @@ impl Guard {
     fn show(&mut self, alarms: Vec<Alarm>) -> Vec<Deed> {
         let begun = alarms.iter().filter(|alarm| !self.standing.contains(alarm)).map(|alarm| Deed::Raise(*alarm));
         let ended = self.standing.iter().filter(|alarm| !alarms.contains(alarm)).map(|alarm| Deed::Clear(*alarm));
-        // of two causes of one alarm the new one counts
+        // Of two causes of one alarm the new one counts.
         let changes = ended.chain(begun).collect();
         self.standing = alarms;
         changes

@@ -71,7 +71,7 @@ impl GuardWords {
         of_name.filter_map(|(_, lives)| lives.get(&permit.guard_boot_id)).any(|(word, arrived)| {
             let age_s = word.number.saturating_sub(permit.guard_number);
             let is_young = age_s <= PERMIT_VALID.as_secs() && now.since(*arrived) <= PERMIT_VALID;
-            // on its way here the permit may have overtaken the number that it answers
+            // On its way here the permit may have overtaken the number that it answers.
             permit.guard_number <= word.number.saturating_add(1) && is_young
         })
     }
@@ -138,7 +138,7 @@ mod tests {
         let (real, stranger, mut words) = (BootId::fresh(), BootId::fresh(), GuardWords::default());
         words.hear(roof(), &real, &says(40, 3), at(0));
         words.hear(roof(), &stranger, &says(u64::MAX, u64::MAX), at(0));
-        // also with the real one's boot id
+        // Also with the real one's boot id.
         words.hear(roof(), &real, &says(u64::MAX, u64::MAX), at(0));
         words.hear(roof(), &real, &says(41, 3), at(1));
         assert!(words.is_answered("roof", &answer(&real, 41), at(1)));

@@ -82,7 +82,7 @@ impl Holder {
         self.name == claimant.name
             && match (&self.life, claimant.life) {
                 (Some(held_by), Some(life)) => held_by == life,
-                // an old node is known by its name, unless the holder is a newer one
+                // An old node is known by its name, unless the holder is a newer one.
                 (_, None) => !self.claims_with_life,
                 // The holder claimed without a boot id, so this one is not it.
                 (None, Some(_)) => false,
@@ -148,7 +148,7 @@ mod tests {
         assert_eq!(lease.rival(OLD, at(1.1)), None, "and after it");
         let other = Claimant { name: "observatory/alpha/second", life: None };
         assert_eq!(lease.rival(other, at(1.1)), Some(MAIN));
-        // the arbiter was restarted and knows the holder by its permits alone
+        // The arbiter was restarted and knows the holder by its permits alone.
         let mut lease = Holding::default();
         lease.hear(MAIN, &life, 1, at(1.0));
         assert_eq!(lease.rival(OLD, at(1.1)), None);

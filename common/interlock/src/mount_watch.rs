@@ -62,7 +62,7 @@ impl MountWatch {
         answers: bool,
     ) -> Option<Command> {
         let must_park = calls.must_park();
-        // one that comes back, and one that is needed now, is asked at once
+        // One that comes back, and one that is needed now, is asked at once.
         if (answers && !self.answered) || (must_park && !self.called) {
             self.last_deed = None;
         }
@@ -80,7 +80,7 @@ impl MountWatch {
         let is_due = self.last_deed.is_none_or(|last| now.since(last) >= pause);
         let command = command.filter(|_| is_due)?;
         self.last_deed = Some(now);
-        // what was asked of a mount that is away is no try
+        // A command to a mount that is away does not count as a try.
         self.tries += u32::from(answers);
         Some(command)
     }

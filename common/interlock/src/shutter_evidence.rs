@@ -205,7 +205,7 @@ impl ShutterEvidence {
         let was_closed = before.is_some_and(|before| before.shutter == Shutter::Closed);
         self.closed_since = None;
         if let Doubt::Opened { at } = self.doubt {
-            // a reading that was under way when the opening was accepted proves nothing about it
+            // A reading that was under way when the opening was accepted proves nothing about it.
             if asked < at {
                 return;
             }

@@ -77,7 +77,7 @@ impl Life {
         let Some(low) = self.low.as_mut().filter(|low| seq > low.seq) else { return false };
         low.follow(seq, arrived);
         if arrived.since(self.high.last) >= SILENT {
-            // the greater number was one alone
+            // The greater number was one alone.
             (self.high, self.low) = (*low, None);
         }
         true

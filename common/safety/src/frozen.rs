@@ -42,10 +42,10 @@ impl Freeze {
         let still = self.stations.entry(station.clone()).or_insert(fresh);
         let mut moved = false;
         for name in ANALOGUE {
-            // a calm is exactly zero for hours; a channel that falls silent does not move the others
+            // A calm is exactly zero for hours; a channel that falls silent does not move the others.
             let value = fields.by_ascom_name(name).and_then(|datum| datum.known()).filter(|value| **value != 0.0);
             if let Some(bits) = value.map(|value| value.to_bits()) {
-                // a first value shows no movement: it may have been the same before this node listened
+                // A first value shows no movement: it may have been the same before this node listened.
                 moved |= still.values.insert(name, bits).is_some_and(|before| before != bits);
             }
         }

@@ -80,7 +80,7 @@ impl History {
             since,
             monitors: rules.monitors.iter().map(|_| Record::default()).collect(),
             limits: rules.limits.iter().map(|_| Record::default()).collect(),
-            // where each value is needed, silence before the first one is as a hole
+            // If each value is needed, silence before the first one counts as a hole.
             windows: rules
                 .limits
                 .iter()
@@ -99,7 +99,8 @@ impl History {
     /// The age at which a monitor's reading is worth nothing any more, machine time.
     pub fn allowed_of_monitor(&self, rule: &MonitorRule) -> Duration {
         match self.polls.get(&rule.device).filter(|_| rule.by_period) {
-            // five polls, so that one lost answer is no alarm; whatever a node publishes, no monitor is silent for minutes
+            // Five polls, so that one lost answer raises no alarm; whatever a node publishes, no monitor is silent for
+            // minutes.
             Some(poll) => (*poll * 5).clamp(LEAST_ALLOWED, MOST_ALLOWED).max(rule.max_age),
             None => rule.max_age,
         }
@@ -108,7 +109,7 @@ impl History {
     /// The same of a value with a limit.
     pub fn allowed(&self, rule: &LimitRule) -> Duration {
         match self.polls.get(&rule.device).filter(|_| rule.by_period) {
-            // one lost answer, and the time that answers take
+            // One lost answer, and the time that answers take.
             Some(poll) => (*poll * 2 + ANSWERS).min(MOST_ALLOWED).max(rule.max_age),
             None => rule.max_age,
         }
@@ -116,7 +117,7 @@ impl History {
 
     fn note_poll<F>(&mut self, device: &Device, state: &DeviceState<F>) {
         let poll = Duration::try_from_secs_f64(state.poll_s.unwrap_or(state.period_s));
-        // a state from a record does not contain it
+        // A state from a record does not contain it.
         if let Ok(poll) = poll
             && !poll.is_zero()
         {
@@ -206,7 +207,7 @@ impl History {
         let answers = told.iter().filter(|told| told.link == Link::Connected);
         let moves = answers.filter(|told| freeze.hear(device, &told.fields, told.at.machine)).count();
         if (moves == 0 || !freeze.knows(device)) && !told.is_empty() && !rules.frozen_after.is_zero() {
-            // since when it stands still is not known, and it may be too long
+            // Since when it stands still is not known, and it may be too long.
             return Err("its values do not move in all of its record".to_owned());
         }
         self.forget(rules, device, told.first().map(|first| first.at));
@@ -263,7 +264,7 @@ impl History {
             window.miss(rule.measure, rule.needs_each());
         }
         let outcome = value.and_then(|value| window.measure(rule.measure, at.sky, value)).map(|value| {
-            // where every value is needed a missing one is as bad as a bad one; else the last one stands
+            // If every value is needed, a missing one is as bad as a bad one; else the last one remains valid.
             let before = if rule.needs_each() { record.newest().filter(|_| !is_gap) } else { record.last_known() };
             let was_good = before.is_some_and(|entry| entry.outcome.as_ref().is_ok_and(|before| !before.tripped));
             let good = rule.bad.contain(value) && (was_good || rule.reopen.contain(value));
@@ -340,7 +341,7 @@ fn parameter(
     measured_lately(&state.fields.sensor_age_s, "its own measurement", told_s, max_age, speed)?;
     for sensor in made_of(name) {
         if let Some(age_s) = state.fields.sensor_ages_s.get(sensor) {
-            // the sensor may have measured since it was asked, so that the time since then counts for nothing
+            // The sensor may have measured since it was asked, so that the time since then counts for nothing.
             measured_lately(age_s, &format!("{sensor}'s measurement"), 0.0, max_age, speed)?;
         }
     }
@@ -379,7 +380,7 @@ fn measured_lately(age_s: &Datum<f64>, what: &str, told_s: f64, max_age: Duratio
 /// Refuses what no weather on Earth does: a broken sensor is a missing sensor.
 fn plausible(name: &str, value: f64) -> Result<f64, String> {
     let (low, high) = match name {
-        // fog reads 100 and some sensors a little more
+        // Fog reads 100 and some sensors a little more.
         "Humidity" => (0.0, 105.0),
         "CloudCover" => (0.0, 100.0),
         "Temperature" | "DewPoint" => (-90.0, 65.0),
@@ -424,7 +425,7 @@ mod tests {
         assert!(parameter(&weather(fields(f64::NAN)), "Humidity", MAX_AGE, 1.0, 0.0).is_err());
         let never = parameter(&weather(fields(-1.0)), "Humidity", MAX_AGE, 1.0, 0.0);
         assert_eq!(never.unwrap_err(), "never measured: the station says that its own measurement is -1 s old");
-        // at 100 x speed a sky minute is 0.6 s of the machine
+        // At 100 x speed a sky minute is 0.6 s of the machine.
         assert_eq!(parameter(&weather(fields(5000.0)), "Humidity", MAX_AGE, 100.0, 0.0), Ok(50.0));
     }
 

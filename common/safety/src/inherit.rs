@@ -63,7 +63,7 @@ impl Known<'_> {
             Some(before) => token.is_some_and(|token| before.contains(&token)),
         };
         let heard = self.heard.as_ref().filter(|word| {
-            // one that speaks without a token does so because nobody commands: its orders hold too
+            // One that speaks without a token does so because nobody commands: its orders hold too.
             follows(word.orders.token) || (word.orders.token.is_none() && word.is_last)
         });
         let on_disk = match self.disk {
@@ -80,7 +80,7 @@ impl Known<'_> {
         } else {
             Source::Nobody
         };
-        // what this node has in memory it adopted from the commander, or was ordered itself
+        // The orders in this node's memory were adopted from the commander, or given to this node itself.
         let mut standing = self.own.clone();
         for known in on_disk.into_iter().chain(heard.map(|word| word.orders)) {
             standing = standing.stricter(known);

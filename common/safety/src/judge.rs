@@ -118,7 +118,8 @@ impl Hearing {
             let left = (rule.dwell != Duration::MAX).then(|| unknown_for.saturating_add(rule.dwell));
             return self.against(rule.response, &rule.input, why, left);
         }
-        // what is not good enough to reopen is not bad yet: a record of the time before may know that it was good
+        // A value that is not good enough to reopen is not bad yet: a record of the time before may know that it was
+        // good.
         self.speaks_against |= rule.response == Response::Close && !rule.bad.contain(value);
         self.against(rule.response, &rule.input, violation(rule, value) + when, None);
     }
@@ -305,7 +306,7 @@ fn violation(rule: &LimitRule, value: f64) -> String {
         (_, Some(lower), ..) if value < lower => format!("{words} is below {}", number(lower)),
         (_, _, Some(upper), _) if value > upper => format!("{words} is not down to {} yet", number(upper)),
         (_, _, _, Some(lower)) if value < lower => format!("{words} is not up to {} yet", number(lower)),
-        // it is within both bounds
+        // It is within both bounds.
         _ => format!("{words} is not known to be good"),
     }
 }

@@ -114,7 +114,7 @@ mod tests {
         let unknown_s = |window: &Window, second| window.unknown_for(measure, at(second)).as_secs();
         assert_eq!((unknown_s(&window, 110), unknown_s(&window, 159), unknown_s(&window, 160)), (50, 1, 0));
         assert_eq!(window.unknown_for(Measure::Value, at(100)), Duration::ZERO);
-        // of an input that nobody needs at each poll a hole hides nothing more than its silence did
+        // For an input that is not needed at each poll, a hole hides nothing more than its silence did.
         window.miss(measure, false);
         assert_eq!(unknown_s(&window, 160), 0);
         window.miss(measure, true);

@@ -57,7 +57,7 @@ impl Nodes {
     /// Takes in the state of a node (`callisto/device/main`): `said` is its own stamp, `own` this clock when it arrived.
     pub fn hear(&mut self, node: String, state: &NodeState, said: Utc, own: Utc, now: MachineTime) {
         let heard = self.heard.entry(node).or_default();
-        // sky time runs at its speed, and two clocks of one simulation part at that speed too
+        // Sky time runs at its speed, and two clocks of one simulation part at that speed too.
         heard.offsets_s.push_back(said.seconds_since(own) / state.speed.max(1.0));
         if heard.offsets_s.len() > MESSAGES {
             heard.offsets_s.pop_front();

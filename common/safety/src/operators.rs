@@ -88,7 +88,7 @@ fn loosens(kind: &OrderKind) -> bool {
 /// The operator whose order this one would undo: the one who ordered it to stay closed, else the one who has taken it.
 fn holder<'a>(order: &Order, standing: &'a Standing, now: Utc) -> Option<&'a Said> {
     let closed = standing.stay_closed.as_ref().filter(|_| order.kind == OrderKind::StayClosed(false));
-    // what a node ordered by itself, and what a name without a way to it ordered, is no operator's
+    // An order that a node gave by itself, or that came under a name without a path, is no operator's order.
     let control = standing.control.as_ref().filter(|held| now.seconds_since(held.at_utc).abs() < LAPSES_S);
     closed.or(control).filter(|held| held.from.contains('/'))
 }
@@ -140,7 +140,7 @@ mod tests {
             assert!(refused.contains("ana has the telescope") && refused.contains("a visitor"), "{refused}");
             let taken = weigh(&order("web/ben", kind.clone(), "she left"), &of_ana(), true, at(1.0)).unwrap();
             assert_eq!(taken.from, of_ana().control, "{kind:?}");
-            // her own, from anywhere, a day later, and where nobody has it
+            // Her own, from anywhere, a day later, and where nobody has it.
             for (from, standing, now) in [
                 ("web/ana", of_ana(), at(1.0)),
                 ("cli/ana@other", of_ana(), at(1.0)),

@@ -85,7 +85,7 @@ impl<F: Payload + PartialEq> Recall<F> {
         if record.boot_id != self.boot_id {
             return Err("it is of another life of the device node than what is heard".to_owned());
         }
-        // false for NaN too
+        // False for NaN too.
         let same_speed = (record.speed - asked.speed).abs() <= 1e-6 * asked.speed;
         if !same_speed {
             return Err(format!("its sky time ran at {} x, here it runs at {} x", record.speed, asked.speed));

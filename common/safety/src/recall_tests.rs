@@ -131,7 +131,7 @@ fn states_are_placed_where_they_were_said_and_the_newest_is_a_live_one() {
 #[test]
 fn a_first_state_that_came_late_is_placed_when_it_was_said() {
     let station = Station::new().says([0, 5], 50.0).says([30, 35], 50.0);
-    // asked for what is true now at 29 s, the node was suspended and answers with the state of 5 s
+    // Asked for what is true now at 29 s, the node was suspended and answers with the state of 5 s.
     let mut recall = Recall::new(&station.stamped(1), now(29_000));
     recall.hear(&station.stamped(2), now(30_000));
     let told = recall.place(&station.record(30_200), asked(30_100, 30_300)).unwrap();
@@ -167,7 +167,7 @@ fn a_record_that_does_not_fit_is_refused_as_a_whole() {
     }
     let other = |record: &mut Record<Fields>| record.entries[11].fields.humidity_percent = Datum::Known(49.0);
     assert!(spoilt(other).contains("its state 11 is another one"));
-    // ages that a delay has spoilt
+    // Ages that a delay has spoilt.
     assert!(refused(good(), asked(52_000, 57_000)).contains("took 4"), "not known well enough");
     assert!(refused(station.record(55_500), asked(55_900, 56_100)).contains("younger than the question"));
 }
@@ -266,7 +266,7 @@ fn a_restart_in_the_middle_of_a_good_night_waits_for_nothing() {
 #[test]
 fn a_bad_reading_within_the_dwell_leaves_the_rest_of_it() {
     let station = Station::new().says((0..=80).step_by(5), 50.0).says([85], 90.0).says((90..=105).step_by(5), 50.0);
-    // good since 90 s, so 14 s of the 30 s are left
+    // Good since 90 s, so 14 s of the 30 s are left.
     assert_eq!(waits_s(vec![limit()], &station), Some(14.0));
     let optional = LimitRule { required: false, ..limit() };
     assert_eq!(waits_s(vec![optional], &station), Some(9.0), "counts from the bad one");
@@ -294,7 +294,7 @@ fn what_reopens_at_less_than_it_closes_at_is_remembered() {
 
 #[test]
 fn a_measure_over_a_window_needs_the_whole_window_before_the_dwell() {
-    // the largest of five sky minutes, good for five: an hour of the record would do, and a minute of the machine
+    // The largest of five sky minutes, good for five: an hour of the record would do, and a minute of the machine.
     let gust = || LimitRule { measure: Measure::Max(Duration::from_secs(300)), ..limit() };
     assert_eq!(waits_s(vec![gust()], &Station::new().says((40..=105).step_by(5), 50.0)), Some(0.0));
     assert_eq!(waits_s(vec![gust()], &Station::new().says((70..=105).step_by(5), 50.0)), Some(24.0));
@@ -334,7 +334,7 @@ fn recalled_evidence_without_live_states_is_not_what_is_now() {
     assert_eq!((judged.verdict, taken), (Verdict::Safe, true));
     let (later, _) = restarted(&rules, &station, 99_000, (false, 20), 116_000).unwrap();
     assert!(later.reasons[0].why.starts_with("stale"), "{later:?}");
-    // and a late first state is as old as it is
+    // And a late first state is as old as it is.
     let (late, _) = restarted(&rules, &station, 117_000, (true, 20), 118_000).unwrap();
     assert!(late.reasons[0].why.starts_with("stale"), "{late:?}");
 }
@@ -354,7 +354,7 @@ fn stations() -> impl Strategy<Value = Station> {
             if lost {
                 station = station.loses_link(second);
             } else {
-                // a thermometer that may stand still, be zero or be missing
+                // A thermometer that may stand still, be zero or be missing.
                 let fields = Fields { air_c: datum(air_c), ..air(second, datum(humidity)) };
                 station.said.push((second * 1000, Link::Connected, fields));
             }
@@ -405,12 +405,12 @@ proptest! {
         younger.said.drain(..known.saturating_sub(1));
         for judged_ms in (started_ms..last_ms + 20_000).step_by(2900) {
             let restarted = restarted(&rules, &younger, started_ms, (late, answer_ms), judged_ms);
-            // one that stands still: what is refused is as if there were no record
+            // One that stands still: what is refused is as if there were no record.
             let Some((judged, true)) = restarted else { continue };
             let truth = listened(&rules, &station, judged_ms);
             // The time of a state that was first received late is known to the time that the answer took.
             let a_moment_ago = listened(&rules, &station, judged_ms - answer_ms);
-            // a record without a single value is none: a limit that the site can do without needs no value to be safe
+            // A record without a single value is none: a limit that the site can do without needs no value to be safe.
             let knows = younger.said.iter().any(|(said_ms, _, fields)| {
                 *said_ms <= judged_ms && fields.humidity_percent.known().is_some()
             });

@@ -109,7 +109,7 @@ impl Rules {
                 .iter()
                 .find(|own| device.address == config.address() && own.common.name == device.name);
             let (dwell_min, max_age_s) = match own {
-                // five polls, so that one lost answer is no alarm
+                // Five polls, so that one lost answer is no alarm.
                 Some(own) => (own.dwell_min, own.max_age_s),
                 None => (config.shared.dwell_min, config.shared.max_age_s),
             };
@@ -150,7 +150,7 @@ impl Rules {
         let nothing_tells = !config.enclosures().is_empty()
             && monitors.is_empty()
             && !limits.iter().any(closes)
-            // a person who disables an input answers for it
+            // A person who disables an input answers for it.
             && disabled.is_empty();
         Self {
             nothing_tells,

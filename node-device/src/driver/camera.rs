@@ -125,7 +125,7 @@ impl Driver for Camera {
     fn moves(&self, command: &Command) -> bool {
         match command {
             Command::Expose { .. } | Command::Abort | Command::Cool { .. } | Command::Warm => true,
-            // the spool forgets a frame
+            // The spool forgets a frame.
             Command::Release { .. } => false,
         }
     }
@@ -148,7 +148,7 @@ impl Driver for Camera {
                 Ok(()) => accepted(),
                 Err(detail) => Some(Reply::Refusal(Refusal { id: id.clone(), reason: Reason::Malformed, detail })),
             },
-            // the frame of this id was taken before this node restarted
+            // The frame of this id was taken before this node restarted.
             Command::Expose { .. } if self.spool.holds(id) => accepted(),
             Command::Expose { .. } | Command::Abort | Command::Cool { .. } | Command::Warm => None,
         }

@@ -68,10 +68,10 @@ impl Camera {
         if let Err(error) = &taken {
             tracing::warn!(camera = %self.name, frame = %id, %error, "exposure failed");
             self.memory(|memory| memory.setting = None);
-            // the camera may still be exposing; whether it is shows in its state
+            // The camera may still be exposing; whether it is shows in its state.
             let _ = alpaca.at_once().put("abortexposure", &[]).await;
         }
-        // the outcome of an exposure is known here; the camera's later state says nothing about it
+        // The outcome of an exposure is known here; the camera's later state says nothing about it.
         taken.map_err(|error| AlpacaError::Value(error.no_data()))
     }
 
@@ -178,7 +178,7 @@ impl Camera {
             if let Err(error) = &answer
                 && error.is_transport()
             {
-                // a header value is not worth one deadline after the other
+                // A header value is not worth one deadline after the other.
                 gone = Some(error.no_data());
             }
             readings.keep(property, answer.map_err(|error| error.no_data()), self.clock.utc());
@@ -203,7 +203,7 @@ impl Camera {
                     }
                 }
             }
-            // a long readout is not shortened by asking often
+            // A long readout is not shortened by asking often.
             let late = began.elapsed().saturating_sub(light) > Duration::from_secs(2);
             sleep(if late { READY_PERIOD * 5 } else { READY_PERIOD }).await;
         }
@@ -223,7 +223,7 @@ impl Camera {
         }
         let told = start.ok().and_then(|start| value::text(&start).ok()).filter(|text| text.contains('.'));
         let told = told.and_then(|text| text.parse::<Utc>().ok());
-        // a camera computer's own clock may be off
+        // A camera computer's own clock may be off.
         let started = told.filter(|told| told.seconds_since(started_utc).abs() <= 0.5 * self.clock.speed());
         let light = light.ok().and_then(|light| value::number(&light).ok());
         let light = light.filter(|light| (light - exposure_s).abs() <= 0.1 * exposure_s + 0.1);

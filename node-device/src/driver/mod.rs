@@ -150,7 +150,7 @@ pub trait Driver: Send + Sync + 'static {
 
 /// Is a number one that a device may be sent?
 pub(crate) fn within(name: &str, number: f64, low: f64, high: f64) -> Option<(Reason, String)> {
-    // false for NaN too
+    // False for NaN too.
     let fits = number >= low && number <= high;
     (!fits).then(|| (Reason::Malformed, format!("{name} = {number}: expected {low} to {high}")))
 }

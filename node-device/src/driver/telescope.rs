@@ -50,7 +50,7 @@ impl Telescope {
         self.may_drift.store(true, Ordering::Relaxed);
         alpaca.put("rightascensionrate", &[("RightAscensionRate", ra.to_string().as_str())]).await?;
         alpaca.put("declinationrate", &[("DeclinationRate", dec.to_string().as_str())]).await?;
-        // forgotten only when both are known to be zero
+        // Forgotten only when both are known to be zero.
         self.may_drift.store(ra != 0.0 || dec != 0.0, Ordering::Relaxed);
         Ok(())
     }
@@ -128,7 +128,7 @@ impl Driver for Telescope {
     }
 
     fn is_busy(&self, fields: &Fields) -> bool {
-        // a mount that cannot be guided does not know IsPulseGuiding
+        // A mount that cannot be guided does not know IsPulseGuiding.
         fields.slewing.known() != Some(&false) || fields.pulse_guiding.known() == Some(&true)
     }
 
@@ -150,7 +150,7 @@ impl Driver for Telescope {
 
     fn hinders(&self, command: &Command) -> Hinders {
         match command {
-            // the park that a roof waits for is begun by a stop of its own
+            // The park that a roof waits for is begun by a stop of its own.
             Command::Abort => Hinders::Yes,
             Command::Track { on: false } => Hinders::FromOthers,
             Command::Slew { .. } | Command::Track { on: true } | Command::Unpark => Hinders::FromTheUnaware,
@@ -222,7 +222,7 @@ impl Driver for Telescope {
         match command {
             Command::Slew { ra_deg, dec_deg } => {
                 if fields.tracking.known() == Some(&false) {
-                    // ASCOM refuses equatorial slews of a mount that does not track
+                    // ASCOM refuses equatorial slews of a mount that does not track.
                     alpaca.put("tracking", &[("Tracking", "True")]).await?;
                 }
                 self.end_rates(alpaca).await?;
@@ -239,7 +239,7 @@ impl Driver for Telescope {
             Command::Track { on } => {
                 alpaca.put("tracking", &[("Tracking", if *on { "True" } else { "False" })]).await?;
                 match self.end_rates(alpaca).await {
-                    // a mount that stands goes nowhere; the next slew ends its rates
+                    // A mount that stands goes nowhere; the next slew ends its rates.
                     Err(error) if !on => tracing::debug!(%error, "rates of a moving target are still set"),
                     ended => ended?,
                 }
@@ -251,11 +251,11 @@ impl Driver for Telescope {
             Command::Abort => alpaca.put("abortslew", &[]).await?,
             Command::Park => {
                 if fields.slewing.known() != Some(&false) {
-                    // some mounts refuse to park while they slew; the park itself decides
+                    // Some mounts refuse to park while they slew; the park itself decides.
                     let _ = alpaca.put("abortslew", &[]).await;
                 }
                 alpaca.put("park", &[]).await?;
-                // the park goes on meanwhile, whatever becomes of this; what is left of rates, the next slew ends
+                // The park goes on meanwhile, whatever becomes of this; what is left of rates, the next slew ends.
                 let _ = tokio::time::timeout(END_RATES, self.end_rates(alpaca)).await;
             }
             Command::Unpark => alpaca.put("unpark", &[]).await?,
@@ -268,7 +268,7 @@ impl Driver for Telescope {
                 };
                 let pulse = Duration::from_millis(u64::from(*duration_ms));
                 let duration = duration_ms.to_string();
-                // some mounts answer only when the pulse is over
+                // Some mounts answer only when the pulse is over.
                 let deadline = pulse + Duration::from_secs(5);
                 let parameters = [("Direction", direction), ("Duration", duration.as_str())];
                 alpaca.put_within("pulseguide", &parameters, deadline).await?;
@@ -299,7 +299,7 @@ impl Driver for Telescope {
                 (Some(false), Datum::Known(ra), Datum::Known(dec)) => {
                     let across = apart_deg(*ra, *ra_deg) * dec_deg.to_radians().cos();
                     let distance = across.hypot(dec - dec_deg);
-                    // right after the command some mounts do not say yet that they slew, so this is no failure
+                    // Right after the command some mounts do not say yet that they slew, so this is no failure.
                     if distance <= AT_TARGET_DEG { Progress::Settling(self.settle_s) } else { Progress::Running }
                 }
                 _ => Progress::Running,

@@ -120,7 +120,7 @@ pub(super) async fn next_line(lines: &mut NodeLines) -> Option<String> {
 
 /// Asks the node to end. Its line stays open for so long afterwards: to the node its end means that the guard process has died.
 pub async fn ask_to_end(mut orders: ChildStdin, open_for: Duration) {
-    // it may have ended; then it needs no order
+    // It may have ended; then it needs no order.
     let _ = orders.write_all(format!("{END}\n").as_bytes()).await;
     let _ = orders.flush().await;
     tokio::time::sleep(open_for).await;

@@ -37,7 +37,7 @@ pub fn is_needed(options: &NodeOptions, id: &str) -> bool {
     let before = || Places::of(&options.config, id).copy().map(|(_, copy)| copy.domes);
     match bus::node::read_observatory(&options.config) {
         Ok(config) if Copy::of(&config, id).is_some() => true,
-        // a dome that was taken out of the file may be open; one that another node serves now is that node's
+        // A dome that was taken out of the file may be open; one that another node serves now is that node's.
         Ok(config) => before().is_some_and(|domes| {
             let is_elsewhere = |name: &str| config.dome.iter().any(|dome| dome.common.name.as_str() == name);
             !domes.iter().all(|dome| is_elsewhere(dome.name.as_str()))

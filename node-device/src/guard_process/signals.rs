@@ -38,7 +38,7 @@ impl Signals {
         if with_parent {
             tokio::spawn(async move {
                 bus::node::parent_end().await;
-                // nobody listens any more when this process ends
+                // The receiver is gone when this process ends.
                 let _ = parent.send(Asked::ParentDied);
             });
         }

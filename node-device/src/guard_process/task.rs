@@ -288,7 +288,7 @@ impl<'a> Work<'a> {
             Ok(Some(status)) => (status.to_string(), status.success()),
             Err(error) => (error.to_string(), false),
         };
-        // its last words
+        // Its last words.
         while self.lines.is_some() {
             match tokio::time::timeout(Duration::from_millis(50), next_line(&mut self.lines)).await {
                 Ok(Some(line)) => self.heard(Some(line)),
@@ -320,7 +320,7 @@ impl<'a> Work<'a> {
             return;
         }
         let told = self.asking.as_ref().map(Receiver::try_recv);
-        // while the disk says nothing this process guards alone
+        // While the disk says nothing this process guards alone.
         if matches!(told, Some(Err(TryRecvError::Empty))) {
             return;
         }
@@ -399,7 +399,7 @@ impl<'a> Work<'a> {
             !names.is_empty() && names.iter().all(|name| matches!(self.watch.who(name, now), Who::Node | Who::Both));
         if guards || self.end_by.is_some() {
             if self.complaint.take().is_some() {
-                // no room in the queue: the file is removed at the next start
+                // No room in the queue: the file is removed at the next start.
                 let _ = self.disk.try_send(Written::NoLastWords);
                 tracing::info!(domes = self.names(), "the device node guards again");
                 if let Some(copy) = known(&self.good, &self.tried) {
@@ -410,7 +410,7 @@ impl<'a> Work<'a> {
             }
             return;
         }
-        // one short restart is nobody's business
+        // One short restart is nobody's business.
         let is_known = self.watch.failures() > 1 || self.tried.is_none() || !self.acts_for.is_empty();
         let Some(trouble) = self.trouble.clone().filter(|_| is_known) else { return };
         let is_told = self.complaint.as_ref().is_some_and(|(told, at)| *told == trouble && at.elapsed() < COMPLAIN);
@@ -459,7 +459,7 @@ impl<'a> Work<'a> {
         if let Some(node) = &mut self.node
             && !is_late
         {
-            // one that waits for a mount has asked the dome for nothing, and so cannot prove that it is closed
+            // One that waits for a mount has asked the dome for nothing, and so cannot prove that it is closed.
             let hangs = |name: &String| matches!(self.watch.who(name, now), Who::This | Who::Both);
             let is_closed = self.closers.iter().all(|(name, closer)| hangs(name) && closer.is_verified_closed(now));
             if is_closed && !self.closers.is_empty() {

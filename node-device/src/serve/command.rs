@@ -50,7 +50,7 @@ impl<D: Driver> Loop<D> {
         let alpaca = if urgent { self.serve.alpaca.at_once() } else { self.serve.alpaca.clone() };
         let fields = driver.fields(&self.readings);
         let (id, deed) = (order.id.clone(), order.deed.clone());
-        // dropping the job before ends its requests
+        // Dropping the job before ends its requests.
         self.job = Some(Box::pin(async move { driver.obey(&alpaca, &id, &deed, &fields).await }));
         self.running = Some(Running {
             order,
@@ -75,7 +75,7 @@ impl<D: Driver> Loop<D> {
                 self.end(Outcome::Done);
             }
             Err(error) if !error.is_unknown_outcome() => self.end(Outcome::Failed { reason: error.to_string() }),
-            // no answer says nothing about whether it was done; the state will
+            // No answer says nothing about whether it was done; the state will.
             answer @ (Ok(Obeyed::Watch) | Err(_)) => {
                 running.in_doubt = answer.is_err();
                 let limit = self.serve.driver.limit(&running.order.deed);
@@ -148,7 +148,7 @@ impl<D: Driver> Loop<D> {
 
 fn ended(outcome: &Outcome) -> Ended {
     match outcome {
-        // a command ends only once
+        // A command ends only once.
         Outcome::Done | Outcome::Running => Ended::Done,
         Outcome::Failed { reason } => Ended::Failed { detail: reason.clone() },
     }

@@ -41,7 +41,7 @@ impl<D: Driver> Loop<D> {
             return whole(self.wanted(), true);
         }
         let deciding = self.deciding();
-        // what is asked in one go is published at its end, so a round that lasts is asked one by one
+        // Properties that are asked in one round are published at its end, so a long round is asked one by one.
         let round = self.each.saturating_mul(u32::try_from(deciding.len()).unwrap_or(u32::MAX));
         if self.lanes == 1 && (round * 4 > self.period() || !self.parts.is_empty()) {
             return self.next_part(now, deciding);
@@ -52,12 +52,12 @@ impl<D: Driver> Loop<D> {
             return Wanted { properties, full: true, device_state: false, lanes, told_after };
         }
         if self.rest_is_due && !self.rest.is_empty() {
-            // a part of the rest that takes no longer than a quarter of a period, and what decides has its turn again
+            // A part of the rest that takes no longer than a quarter of a period, and what decides has its turn again.
             let room = (self.period() / 4).as_secs_f64() / self.each.as_secs_f64().max(1e-3);
             let count = (room as usize).clamp(lanes, self.rest.len().max(lanes)).min(self.rest.len());
             let properties = self.rest.drain(..count).collect();
             self.rest_is_due = false;
-            // a device that becomes slow meanwhile does not keep what decides waiting for all of it
+            // A device that becomes slow meanwhile does not keep what decides waiting for all of it.
             let told_after = Some(self.period() / 4);
             return Wanted { properties, full: false, device_state: false, lanes, told_after };
         }
@@ -66,7 +66,7 @@ impl<D: Driver> Loop<D> {
         }
         self.rest_is_due = !self.rest.is_empty();
         self.next_full = now + self.serve.node.bus.clock().machine().to_tick(self.period());
-        // a safety monitor is asked itself, whatever its server has cached
+        // A safety monitor is asked itself, whatever its server has cached.
         let device_state = device_state && deciding.len() > 1;
         Wanted { properties: deciding, full: true, device_state, lanes, told_after }
     }
@@ -95,7 +95,7 @@ impl<D: Driver> Loop<D> {
         if poll.full {
             self.parts.extend(poll.unasked.iter().cloned());
         } else {
-            // of the rest: what decides has its turn before
+            // For the rest, properties that decide have their turn before.
             poll.unasked.iter().rev().for_each(|property| self.rest.push_front(property.clone()));
         }
         if self.one_lane {

@@ -87,7 +87,7 @@ async fn rain_is_told_after(one_at_a_time: bool) -> Duration {
     let stage = Stage::start(&block("observingconditions", "wx", hardware.address, limits)).await;
     stage.until::<ObservingConditions>("wx", |state| state.fields.rain_mm_per_h.known() == Some(&0.0)).await;
     hardware.slow(Duration::from_millis(1200), one_at_a_time);
-    // until the node has measured how slow it is
+    // Until the node has measured how slow it is.
     tokio::time::sleep(Duration::from_secs(25)).await;
     let states = stage.states::<ObservingConditions>("wx").await;
     let began = Instant::now();

@@ -36,7 +36,7 @@ async fn until_granted(stage: &Stage, name: &str, life: &BootId) -> (u64, Durati
 async fn a_second_process_of_the_same_name_gets_the_lease_when_the_first_is_silent_or_has_released_it() {
     let hardware = a_dome().await;
     let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5")).await;
-    // whoever speaks on this test's session is the first
+    // The process that publishes on this test's session is the first.
     let (first, twin) = (stage.bus.boot_id().clone(), BootId::fresh());
     let token = accepted(&stage.command(Kind::Dome, "dome", &claim("a", Some(&first))).await).unwrap();
     let commander = Commander::start(&stage, "dome", token).await;

@@ -90,7 +90,7 @@ async fn frame(
     let looked = async {
         loop {
             match pixels.recv().await {
-                // the frames before were waited for, so the next one of the row is this one
+                // The frames before were waited for, so the next one of the row is this one.
                 Ok(fetched) if fetched.frame.camera == camera && fetched.frame.purpose.row == Some(stage.index) => {
                     return stage.room.looks.of(&fetched.frame.id).await;
                 }

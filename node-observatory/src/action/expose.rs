@@ -59,24 +59,24 @@ pub async fn expose(
     let Some(mut shot) = next(taken, stage.clock().utc()) else { return Ok(taken) };
     let camera = stage.chain()?.camera;
     loop {
-        // not held in this future's own space: it is large, and rarely does anything
+        // Not held in this future's own space: it is large, and rarely does anything.
         Box::pin(focus::between_frames(stage, series)).await?;
-        // the id that was prepared, unless a focus run has taken it meanwhile: no two frames have one
+        // The id that was prepared, unless a focus run has taken it meanwhile: no two frames have one.
         let intent = intend(stage).await?;
         ready(stage, series, &shot, &intent.frame).await?;
         stage.room.journal.sent(&stage.row.id);
         camera.instrument.ask_in_turn(&intent.frame, own(stage, series, &shot, intent.sequence)).await?;
-        // the next id goes to disk while this frame collects light
+        // The next id goes to disk while this frame collects light.
         let prepared = intend(stage).await;
         exposed(stage, camera, &intent.frame, shot.exposure_s, series.open_sky).await?;
         taken += 1;
         unspooled.add(&intent.frame);
         stage.room.board.row(stage.index, |row| row.frames = taken);
-        // here a row that the schedule has no longer is ended: no frame is under way
+        // Here a row that the schedule has no longer is ended: no frame is under way.
         tokio::task::yield_now().await;
         let mut following = next(taken, stage.clock().utc());
         if following.is_none() {
-            // these are enough only if each of them is on disk
+            // These are enough only if each of them is on disk.
             let shut = stage.clock().utc();
             let lost = unspooled.settle(stage).await?;
             stage.took(Span::Spool, shut);
@@ -132,7 +132,7 @@ pub async fn single(stage: &Stage, series: &Series, shot: &Shot, intent: &Intent
     ready(stage, series, shot, &intent.frame).await?;
     stage.room.journal.sent(&stage.row.id);
     if !counts {
-        // before its announcement or a restart can make it count; nothing of it was hidden
+        // Before its announcement or a restart can make it count; nothing of it was hidden.
         let (room, row, frame) = (stage.room.clone(), stage.row.id.clone(), intent.frame.clone());
         let noted = tokio::task::spawn_blocking(move || {
             room.journal.hidden(&row, &frame, 0.0, false, room.node.bus.clock().utc())
@@ -264,7 +264,7 @@ pub async fn adopt(stage: &Stage, open_sky: bool) -> Result<(), Trouble> {
     stage.step("finishing the frame that was under way");
     let mut unspooled = Unspooled::of(stage)?;
     exposed(stage, camera, &exposure.id, exposure.exposure_s, open_sky).await?;
-    // what counts next counts with it, or without it where it was lost
+    // What counts next counts with it, or without it where it was lost.
     unspooled.add(&exposure.id);
     unspooled.settle(stage).await?;
     Ok(())

@@ -23,7 +23,7 @@ impl Execute for Object {
             tracing::warn!(object = self.object, "{word}");
         }
         chain.camera.start_cooling().await?;
-        // What the node learned since then may lead the slew a little away from the place of that frame.
+        // The solutions since then may lead the slew a little away from the place of that frame.
         adopt(stage, self.moves()).await?;
         let (target, body) = goal(self, stage, stage.clock().utc())?;
         let pointed = target.filter(|_| self.moves()).zip(chain.mount);

@@ -163,7 +163,7 @@ impl Closing {
     /// The steps to be sent now; each is then due again after a while.
     pub fn due(&mut self, sight: &Sight, now: MachineTime) -> Vec<Step> {
         let wanted = sight.wanted(now.since(self.began));
-        // what is done may be undone, and must then be sent at once
+        // A step that is done may be undone, and must then be sent at once.
         self.due.retain(|step, _| wanted.contains(step));
         let ripe: Vec<Step> =
             wanted.into_iter().filter(|step| self.due.get(step).is_none_or(|due| *due <= now)).collect();
@@ -228,7 +228,7 @@ mod tests {
 
     #[test]
     fn beside_sends_everything_at_once_whatever_is_there_and_whatever_hangs() {
-        // every subset of devices, each in every state that is not done
+        // Every subset of devices, each in every state that is not done.
         for domes in [vec![], vec![Some(Shutter::Open)], vec![None], vec![Some(Shutter::Error), Some(Shutter::Closing)]]
         {
             for mounts in [vec![], vec![None], vec![Some(false)], vec![Some(false), None]] {

@@ -76,7 +76,7 @@ pub async fn run(run: &mut Run<'_>) -> Result<(), Trouble> {
                 }
                 run.turn_to(index).await?;
                 let frame = run.take(index, exposure_s).await?;
-                // the telescope goes on to the next place while the frame is read and measured
+                // The telescope goes on to the next place while the frame is read and measured.
                 let dither = async {
                     match &mut aim {
                         Some(aim) => aim.dither().await,
@@ -111,7 +111,7 @@ async fn wait_for(stage: &Stage, window: &Window) -> Result<bool, Trouble> {
             return Ok(true);
         }
         if has_begun {
-            // what dusk has left over does not keep the other rows waiting until dawn
+            // Flats that dusk has left over do not make the other rows wait until dawn.
             return Ok(false);
         }
         let Some(opens) = window.opens(stage.room.site()?, now)?.filter(|opens| *opens < stage.row.end) else {
@@ -119,7 +119,7 @@ async fn wait_for(stage: &Stage, window: &Window) -> Result<bool, Trouble> {
         };
         let (sun_deg, at) = (sun.altitude.degrees(), opens.strftime("%H:%M:%S"));
         stage.step(format!("waiting for the Sun, now at {sun_deg:.1} deg, until {at} UTC"));
-        // a second more: the window has no end of its own
+        // A second more: the window has no end of its own.
         stage.clock().sleep_sky(seconds(opens.seconds_since(now) + 1.0)).await;
     }
 }

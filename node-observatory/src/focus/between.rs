@@ -44,7 +44,7 @@ pub fn half_range(stage: &Stage, focuser: &Focuser, max_step: i64) -> i64 {
 }
 
 fn reach(configured: Option<i64>, zone: Option<f64>, max_step: i64) -> i64 {
-    // `as` saturates
+    // `as` saturates.
     let by_zone = zone.filter(|zone| zone.is_finite()).map(|zone| (ZONES * zone).ceil() as i64);
     let steps = configured.or(by_zone).unwrap_or(max_step / SHARE_OF_TRAVEL);
     steps.clamp(LEAST_STEPS, max_step.max(LEAST_STEPS))
@@ -52,7 +52,7 @@ fn reach(configured: Option<i64>, zone: Option<f64>, max_step: i64) -> i64 {
 
 /// A plan about a position, with the focuser's own play and side.
 pub fn plan(focuser: &Focuser, start: i64, centre: i64, half_range: i64, max_step: i64) -> Plan {
-    // saturates; ASCOM's positions are 32 bits wide
+    // Saturates; ASCOM's positions are 32 bits wide.
     let steps = |steps: i64| i32::try_from(steps).unwrap_or(i32::MAX);
     Plan {
         start: steps(start),

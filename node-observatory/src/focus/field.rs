@@ -79,7 +79,7 @@ pub async fn of_camera(stage: &Stage) -> Result<(Angle, Angle), Trouble> {
     let scale_arcsec_px = optics.optics.iter().rev().find(|optics| optics.camera == name);
     let scale_arcsec_px = scale_arcsec_px.map(|optics| optics.scale_arcsec_px / f64::from(optics.bin.max(1)));
     let scale_arcsec_px = scale_arcsec_px.or(camera.config.scale_arcsec_px);
-    // a field of n pixels, each of this scale: the focal length of one millimetre pixels that gives it
+    // A field of n pixels, each of this scale: the focal length of one millimetre pixels that gives it.
     let along = |pixels: u32| match scale_arcsec_px {
         Some(scale) => {
             let focal_length_mm = 1.0 / Angle::from_arcseconds(scale).radians().tan();

@@ -149,7 +149,7 @@ impl Learnt {
         let through =
             |name: &str| runs.iter().filter(move |run| run.filter.as_deref() == Some(name)).collect::<Vec<_>>();
         let references = through(reference);
-        // difference and its variance
+        // Difference and its variance.
         let mut pairs: Vec<(f64, f64)> = Vec::new();
         for run in through(filter) {
             let apart_s = |other: &&&Found| run.at_utc.seconds_since(other.at_utc).abs();

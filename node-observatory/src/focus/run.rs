@@ -76,7 +76,7 @@ pub async fn find(stage: &Stage, series: &Series, focuser: &Focuser, wish: &Wish
                 }
                 let words = words(&sweep, pass);
                 let (value, about) = camera.look(focuser, count, &words, expected_px).await?;
-                // it was asked for just now
+                // It was asked for just now.
                 let _ = sweep.measured(value);
                 expected_px = expected(&sweep).or(value.map(|value| value.value)).or(expected_px);
                 shown.measured(&sweep, about);
@@ -196,7 +196,7 @@ impl Lens<'_> {
             Ok(caught.ok().flatten())
         };
         let missed = async {
-            // what was looked at has been fetched, or never will be
+            // Once the frame was looked at, its pixels have been fetched, or never will be.
             let looked = room.looks.of(&intent.frame).await;
             looked.facts.reason.clone()
         };

@@ -76,7 +76,7 @@ impl<'a> Shown<'a> {
         self.room.focus_learnt.change(|learnt| learnt.learn(&self.run));
         tracing::info!(camera = self.run.camera, points = self.run.points.len(), detail, "focus run");
         self.show(detail);
-        // the receiver lives as long as the node
+        // The receiver lives as long as the node.
         let _ = self.room.focus_runs.send(self.run.clone());
         self.run.clone()
     }

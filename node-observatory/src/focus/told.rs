@@ -46,7 +46,7 @@ fn known(room: &ControlRoom, focuser: &Focuser) -> FocuserFocus {
     FocuserFocus {
         focuser: focuser.name().to_owned(),
         best_position: focuser.best(),
-        // without the digits of the multiplication
+        // Without the digits of the multiplication.
         temperature_c: temperature_c.map(|c| (c * 1000.0).round() / 1000.0),
         runs: u32::try_from(learnt.runs(focuser.name()).len()).unwrap_or(u32::MAX),
         steps_per_c: model.map(|model| model.steps_per_c.value),
@@ -64,7 +64,7 @@ pub async fn keep_telling_runs(
     while let Some(run) = runs.recv().await {
         line.put(run).await?;
     }
-    // the sender lives in the room
+    // The sender lives in the room.
     std::future::pending().await
 }
 
@@ -106,7 +106,7 @@ pub async fn keep_hearing_learnt(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         let own = room.node.bus.boot_id();
         let Some(heard) = told.get().filter(|heard| heard.said.boot_id != *own) else { continue };
         if !room.may_speak() {
-            // written to this node's own disk once it commands
+            // Written to this node's own disk once it commands.
             room.focus_learnt.change(|learnt| learnt.adopt(heard.said.body));
         }
     }

@@ -118,7 +118,7 @@ pub async fn take<'a>(
         tokio::select! {
             biased;
             fetched = caught(&mut pixels, &id) => fetched.ok_or_else(|| "the node ends".to_owned()),
-            // what was looked at has been fetched, or never will be
+            // Once the frame was looked at, its pixels have been fetched, or never will be.
             looked = stage.room.looks.of(&id) => Err(looked.facts.reason.clone().unwrap_or_default()),
         }
     };

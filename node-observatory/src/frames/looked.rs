@@ -63,7 +63,7 @@ impl Looks {
 
     /// Hands pixels to whoever follows them.
     pub fn fetched(&self, fetched: &Arc<Fetched>) {
-        // nobody needs to follow
+        // There may be no receiver.
         let _ = self.pixels.send(fetched.clone());
     }
 
@@ -75,7 +75,7 @@ impl Looks {
         if recent.len() > LOOKS {
             recent.pop_front();
         }
-        // within the lock, so that who subscribes and then looks back misses nothing
+        // Within the lock, so that who subscribes and then looks back misses nothing.
         let _ = self.looked.send(looked);
     }
 
@@ -104,7 +104,7 @@ impl Looks {
                         return known.clone();
                     }
                 }
-                // the sender lives in self
+                // The sender lives in self.
                 Err(broadcast::error::RecvError::Closed) => std::future::pending().await,
             }
         }

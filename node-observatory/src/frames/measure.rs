@@ -215,7 +215,7 @@ mod tests {
             let (facts, known_px) = look(counts);
             assert!((known_px / 3.9 - 1.0).abs() < 0.1, "{known_px} px is handed on after {facts:?}");
         }
-        // a focus that is lost is followed at the third frame
+        // A focus that is lost is followed at the third frame.
         let lost = drawn(400, 300, 9.0, 20);
         let known: Vec<f64> = (0..3).map(|_| look(&lost).1).collect();
         assert!(known[1] < 4.5 && (known[2] / 9.0 - 1.0).abs() < 0.1, "{known:?}");

@@ -89,7 +89,7 @@ pub async fn keep_measuring(room: Arc<ControlRoom>) -> anyhow::Result<()> {
                 desk.announced(Announced { frame: heard.said.body, is_old }).await?;
             }
             heard = facts.hear() => {
-                // another commander's, while this node stood by
+                // Another commander's, while this node stood by.
                 if heard.said.boot_id != *bus.boot_id() {
                     desk.waiting.settle(&heard.said.body.frame);
                 }
@@ -179,15 +179,15 @@ impl Desk {
             let looked = match pixels {
                 Ok(pixels) => {
                     let of = frame.clone();
-                    // it is never closed, and without a turn the frame is measured all the same
+                    // It is never closed, and without a turn the frame is measured all the same.
                     let turn = turns.acquire_owned().await;
                     let ((tell, measured), here) = (oneshot::channel(), room.clone());
                     let looking = stepped_back(move || {
                         look(&here, of, pixels, before, move |facts| {
-                            // one core is enough for what follows
+                            // One core is enough for what follows.
                             drop(turn);
                             if let Some(facts) = facts {
-                                // whoever waits may be gone
+                                // The receiver may be gone.
                                 let _ = tell.send(facts);
                             }
                         })
@@ -210,7 +210,7 @@ impl Desk {
         self.busy.remove(&frame.camera);
         let had_pixels = facts.measuring_s.is_some();
         if had_pixels {
-            // without pixels it is tried again when the spool announces it again
+            // Without pixels it is tried again when the spool announces it again.
             self.waiting.settle(&frame.id);
         }
         if !self.commands() || (is_old && !had_pixels) {
@@ -230,7 +230,7 @@ impl Desk {
         match &facts.unsolved {
             None if facts.wcs.is_some() => before.unmatched = 0,
             Some(unsolved) if solving::may_be_scale(unsolved.class) => before.unmatched += 1,
-            // clouds and few stars say nothing of the scale
+            // Clouds and few stars say nothing of the scale.
             _ => {}
         }
         self.triggers.hear(&frame, &facts);
@@ -334,7 +334,7 @@ pub(crate) async fn stepped_back<T: Send + 'static>(work: impl FnOnce() -> T + S
     let (tell, told) = oneshot::channel();
     let run = move || {
         bus::step_back();
-        // who asked may be gone
+        // The receiver may be gone.
         let _ = tell.send(work());
     };
     let thread = std::thread::Builder::new().name("measuring".to_owned()).spawn(run);
@@ -411,7 +411,7 @@ pub(crate) mod tests {
         assert_eq!(slow.await.unwrap(), Some(7));
         assert!((SOON..Duration::from_secs(5)).contains(&began.elapsed()), "{:?}", began.elapsed());
 
-        // no place is sought: there is one word, however long it takes
+        // No place is sought: there is one word, however long it takes.
         let (tell, measured) = oneshot::channel();
         drop(tell);
         let looking = async {

@@ -65,7 +65,7 @@ pub async fn keep_noting(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         });
     }
     while followers.join_next().await.transpose()?.is_some() {}
-    // a telescope without a mount has nothing to note
+    // A telescope without a mount has nothing to note.
     std::future::pending().await
 }
 

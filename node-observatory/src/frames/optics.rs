@@ -160,7 +160,7 @@ impl Rivals {
             self.zero_points.push(new);
             return false;
         };
-        // of the two that were brighter, the one that both showed
+        // Of the two that were brighter, the one that both showed.
         if rival.best_mag < new.best_mag {
             *known = rival;
             self.zero_points.push(new);

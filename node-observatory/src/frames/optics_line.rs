@@ -26,7 +26,7 @@ pub async fn keep_hearing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         if room.may_speak() {
             continue;
         }
-        // written down once this node commands: its folder may be its own
+        // Written down once this node commands: its folder may be its own.
         room.optics.change(|known| {
             let is_new = *known != heard.said.body;
             *known = heard.said.body;

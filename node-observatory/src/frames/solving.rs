@@ -134,7 +134,7 @@ pub fn solve_frame(
             }
         }
     }
-    // another place, or other optics: as on first light
+    // Another place, or other optics: as on first light.
     search(&first_hint(frame, known)?)
 }
 
@@ -149,7 +149,7 @@ fn learnt_hint(frame: &Frame, known: &Known<'_>, optics: &Optics) -> Result<Hint
     Ok(Hint {
         scale_tolerance: KNOWN_OPTICS,
         learnt: Some(learnt),
-        // within one field; whatever is further away may as well have other optics
+        // Within one field; whatever is further away may as well have other optics.
         furthest: Angle::default(),
         most_hypotheses: known.most_hypotheses,
         faintest_mag: optics::faintest_mag(optics, frame),
@@ -169,7 +169,7 @@ fn first_hint(frame: &Frame, known: &Known<'_>) -> Result<Hint, Unsolved> {
             frame.camera
         ),
     })?;
-    // a part of the sensor lies so far from the middle, on a side that is not known
+    // A part of the sensor lies so far from the middle, on a side that is not known.
     let away = Angle::from_arcseconds(scale_arcsec_px * aim.off_middle_px(frame));
     Ok(Hint {
         scale_tolerance: FIRST_LIGHT,

@@ -39,7 +39,7 @@ impl Waiting {
             known.frame = announced.frame;
             return None;
         }
-        // what is recovered from before a cut comes after what is new
+        // Frames that are recovered from before a cut come after new ones.
         let place = self.frames.partition_point(|known| known.frame.started_utc <= announced.frame.started_utc);
         self.frames.insert(place, announced);
         (self.frames.len() > MOST).then(|| self.frames.pop_front()).flatten()

@@ -26,7 +26,7 @@ impl Widths {
     /// Takes a measured frame in. Answers the widths that are believed now, in the order of their frames: its own, that of
     /// some frames before it too, or none (yet).
     pub fn observe_facts(&mut self, facts: &FrameFacts) -> Vec<f64> {
-        // a trailed star is wide for another reason
+        // A trailed star is wide for another reason.
         let fwhm_px = facts.fwhm_px.filter(|_| facts.trailed != Some(true));
         fwhm_px.map_or_else(Vec::new, |fwhm_px| self.observe(fwhm_px, facts.fwhm_error_px))
     }

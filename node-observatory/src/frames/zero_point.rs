@@ -36,7 +36,7 @@ fn of(mut mags: Vec<f64>) -> Option<Measured> {
     mags.retain(|mag| (mag - middle).abs() <= CLIP * spread);
     let stars = mags.len();
     let (mag, spread) = middle_of_enough(&mags)?;
-    // the standard error of a median of normal deviates
+    // The standard error of a median of normal deviates.
     Some(Measured { mag, error_mag: 1.2533 * spread / (stars as f64).sqrt(), stars })
 }
 

@@ -79,7 +79,7 @@ impl Learnt {
         let of = |source| best(&self.calibrations_of(camera, source), side, dec_reversed);
         match (of(CalibrationSource::Pulses), of(CalibrationSource::PlateSolution)) {
             (Some(pulses), Some(solved)) if is_turned(&pulses, &solved) && solved.made_utc > pulses.made_utc => {
-                // gear and motor are the same, whatever the camera does, and pulses have shown how they turn
+                // Gear and motor are the same, whatever the camera does, and pulses have shown how they turn.
                 let is_reversed = dec_reversed && is_right_handed(&pulses) != is_right_handed(&solved);
                 let sense = if is_reversed { -1.0 } else { 1.0 };
                 let north_px_per_s = solved.north_px_per_s.map(|v| sense * v);
@@ -171,7 +171,7 @@ mod tests {
         let turned = learnt(&[pulsed(10.0, PierSide::East, 1.0), solved(100.0, PierSide::East, 2.0)]);
         let now = turned.calibration("cam", east, false).unwrap();
         assert_eq!((now.source, now.backlash_s), (CalibrationSource::PlateSolution, Some(0.4)));
-        // pulses have shown that North goes south there, so it does after the camera was turned
+        // Pulses have shown that North goes south there, so it does after the camera was turned.
         let mirrored = GuideCalibration {
             north_px_per_s: pulsed(10.0, PierSide::East, 1.0).north_px_per_s.map(|v| -v),
             ..pulsed(10.0, PierSide::East, 1.0)
@@ -217,7 +217,7 @@ mod tests {
         assert_eq!((west.pier_side, west.backlash_s), (Some(PierSide::West), Some(0.4)));
         let reversed = one.calibration("cam", Some(PierSide::West), true).unwrap();
         assert_eq!(reversed.north_px_per_s, east.north_px_per_s, "such mounts leave the motor as it was");
-        // the same by solved frames alone, of either side
+        // The same by solved frames alone, of either side.
         let beyond = as_the_motor_turns(solved(180.0, PierSide::West, 1.0), true);
         let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).abs() < 1e-9 && (a[1] - b[1]).abs() < 1e-9;
         assert!(

@@ -31,7 +31,7 @@ impl Drop for UnderWay {
             return;
         }
         let (room, camera) = (self.room.clone(), self.camera.clone());
-        // outside of a runtime the node is ending, and the exposure ends by itself
+        // Outside of a runtime the node is ending, and the exposure ends by itself.
         if let Ok(runtime) = tokio::runtime::Handle::try_current() {
             runtime.spawn(async move {
                 if let Ok(chain) = room.rig.chain(&camera) {
@@ -47,7 +47,7 @@ pub async fn keep_exposing(room: Arc<ControlRoom>, row: Row, index: u32, wanted:
     let mut under_way = UnderWay { room: room.clone(), camera: camera.clone(), exposing: false };
     let mut sequence = 0;
     loop {
-        // `begin` has found it, and the configuration does not change
+        // `begin` has found it, and the configuration does not change.
         let Ok(chain) = room.rig.chain(&camera) else { return };
         if room.objection(Some(&row)).is_some() {
             tokio::time::sleep(AGAIN).await;

@@ -127,7 +127,7 @@ impl Drop for Guided {
     fn drop(&mut self) {
         self.task.abort();
         let alerts = &self.room.node.alerts;
-        // a row that stopped for it is to be seen: the alert ends with the next field that is held
+        // A row that stopped for it is to be seen: the alert ends with the next field that is held.
         if self.given_up.borrow().is_none() {
             alerts.clear(AlertKind::GuidingLost, &self.camera);
         }

@@ -97,7 +97,7 @@ mod tests {
             size_px: [100, 100],
             origin_px: [0, 0],
         };
-        // 1 arcsec/px unbinned, half the sidereal rate: North pulses move stars down
+        // 1 arcsec/px unbinned, half the sidereal rate: North pulses move stars down.
         let calibration = GuideCalibration {
             source: CalibrationSource::Pulses,
             made_utc: Utc::EPOCH,
@@ -114,7 +114,7 @@ mod tests {
     #[test]
     fn a_field_that_is_off_on_the_detector_asks_for_the_same_way_on_the_sky() {
         let rates = [7.5 / 3600.0; 2];
-        // binned px of 2 arcsec
+        // Binned px of 2 arcsec.
         let [ra, dec] = offset_deg(&session(60.0), rates, [30.0, 15.0]).unwrap();
         assert!((ra * 3600.0 - 60.0 / 0.5).abs() < 1e-6, "right ascension is wider at dec 60: {}", ra * 3600.0);
         assert!((dec * 3600.0 + 30.0).abs() < 1e-6, "stars move up when it looks south: {}", dec * 3600.0);

@@ -166,7 +166,7 @@ impl Session {
     async fn look_in_boxes(&mut self, fetched: &Arc<Fetched>) -> Result<Measurement, NoShift> {
         let expected_px = self.guider.expected_px(Self::exposure(fetched));
         let expected_px = [expected_px[0] + self.hold_px[0], expected_px[1] + self.hold_px[1]];
-        // a copy of some ten kilobytes, so that nothing is lost when the loop is dropped meanwhile
+        // A copy of some ten kilobytes, so that nothing is lost when the loop is dropped meanwhile.
         let (mut reference, fetched) = (self.reference.clone(), fetched.clone());
         let look = move || {
             let camera = measure::camera(&fetched.frame);

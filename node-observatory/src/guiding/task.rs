@@ -89,7 +89,7 @@ impl Loop {
     /// Guides until it is dropped.
     pub async fn run(mut self) {
         let room = self.room.clone();
-        // `begin` has found it, and the configuration does not change
+        // `begin` has found it, and the configuration does not change.
         let Ok(Some(mount)) = room.rig.chain(&self.row.camera).map(|chain| chain.mount) else { return };
         let (mut pixels, mut states) = (room.looks.follow_pixels(), mount.instrument.follow());
         let silent_s = SILENT_S + SILENT_EXPOSURES * self.exposure_s();
@@ -137,12 +137,12 @@ impl Loop {
     async fn take(&mut self, mount: &Mount, fetched: Arc<Fetched>) {
         let frame = &fetched.frame;
         let mid = frame.started_utc.plus_seconds(0.5 * frame.exposure_s);
-        // frames of a focus run between those of the row show other stars, or the same at another width
+        // Frames of a focus run between those of the row show other stars, or the same at another width.
         let is_of_row = frame.purpose.action == self.row.action.name() || self.camera != self.row.camera;
         let is_ours = frame.purpose.row == Some(self.index) && is_of_row && shows_stars(&frame.purpose.image_type);
         let is_due = self.last_mid.is_none_or(|last| {
             let after_s = mid.seconds_since(last);
-            // one that was fetched late is passed over; a clock that was set back is the guider's to notice
+            // One that was fetched late is passed over; a clock that was set back is the guider's to notice.
             (after_s > 0.0 && after_s >= self.config().interval_min_s) || after_s < -SET_BACK_S
         });
         let rests = self.rests_until.is_some_and(|until| mid < until);
@@ -462,7 +462,7 @@ async fn newest(pixels: &mut broadcast::Receiver<Arc<Fetched>>, camera: &str) ->
                 None => match pixels.recv().await {
                     Ok(fetched) if fetched.frame.camera == camera => found = Some(fetched),
                     Ok(_) | Err(broadcast::error::RecvError::Lagged(_)) => {}
-                    // the sender lives in the control room
+                    // The sender lives in the control room.
                     Err(broadcast::error::RecvError::Closed) => std::future::pending().await,
                 },
             },
@@ -485,7 +485,7 @@ mod tests {
             let frame = contract::device::camera::Frame { camera: camera.to_owned(), ..frame(id) };
             looks.fetched(&Arc::new(Fetched { frame, plane: Plane::Counts(Vec::new()) }));
         };
-        // more than wait: the oldest is gone
+        // More than wait: the oldest is gone.
         for (id, camera) in [("a", "cam"), ("b", "cam"), ("c", "cam")] {
             fetched(id, camera);
         }

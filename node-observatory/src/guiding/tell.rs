@@ -84,7 +84,7 @@ pub fn correction(
 }
 
 fn axis(why: Why, log: &AxisLog, pulse_ms: i32, given: Taken) -> AxisCorrection {
-    // before the first frame nothing is expected, with any spread
+    // Before the first frame nothing is expected, with any spread.
     let told = |value: f64| if value.is_finite() { rounded(value) } else { 0.0 };
     AxisCorrection {
         why: pulse_why(why),

@@ -57,7 +57,7 @@ impl AtClosing {
     /// Must the default wait?
     pub fn holds(&self, now: MachineTime) -> bool {
         let waits = |running: &Running| now < running.until && !*running.released.borrow();
-        // the other end is gone where the script is over, however it ended
+        // The other end is gone where the script is over, however it ended.
         self.running.as_ref().is_some_and(|running| waits(running) && running.released.has_changed().is_ok())
     }
 
@@ -72,7 +72,7 @@ impl AtClosing {
     pub async fn freed(&mut self, now: MachineTime) {
         let holds = self.holds(now);
         let Some(running) = self.running.as_mut().filter(|_| holds) else { return std::future::pending().await };
-        // the script's end counts as a release, and so does the end of the wait
+        // The script's end counts as a release, and so does the end of the wait.
         let _ = tokio::time::timeout(running.until.since(now), running.released.changed()).await;
     }
 }

@@ -86,7 +86,7 @@ pub fn with_line(line: &Line) -> Engine {
     engine.register_fn("is_safe", move || truth(&at, Request::IsSafe));
     let at = line.clone();
     engine.register_fn("note", move |text: &str| done(&at, Request::Note(text.to_owned())));
-    // the language has a sleep of its own, which nothing could interrupt: these stand before it
+    // The language has a sleep of its own, which nothing could interrupt: these stand before it.
     let at = line.clone();
     engine.register_fn("sleep", move |seconds: FLOAT| done(&at, Request::Sleep(seconds)));
     let at = line.clone();
@@ -142,7 +142,7 @@ fn asked(line: &Line, request: Request) -> Fallible<Reply> {
     match line.ask(request) {
         Ok(Ok(reply)) => Ok(reply),
         Ok(Err(why)) => Err(EvalAltResult::ErrorRuntime(why.into(), Position::NONE).into()),
-        // unlike a runtime error, no `try` catches this
+        // Unlike a runtime error, no `try` catches this.
         Err(Over) => Err(EvalAltResult::ErrorTerminated("its time is over".into(), Position::NONE).into()),
     }
 }

@@ -31,7 +31,7 @@ pub async fn open(room: &ControlRoom, chain: &Chain<'_>, script: &Script) -> Res
     let opened = tell(&Opening { room, chain, script }).await;
     if let Err(trouble) = &opened {
         let most = patience(room.node.bus.clock(), CLOSED);
-        // half open is no state to leave things in; the closing itself never gives up
+        // Half open is no state to leave things in; the closing itself never gives up.
         let _ = tokio::time::timeout(most, room.close(&format!("opening failed: {trouble}"))).await;
     }
     opened

@@ -95,7 +95,7 @@ impl Script {
     pub fn read(path: &Path) -> Result<Self, ScriptError> {
         let file = path.display().to_string();
         let mut bytes = Vec::new();
-        // one byte more than it may have, so that what is longer is seen to be, and is not in memory
+        // One byte more than it may have, so that what is longer is seen to be, and is not in memory.
         let most = u64::try_from(LONGEST + 1).unwrap_or(u64::MAX);
         let read = File::open(path).and_then(|script| script.take(most).read_to_end(&mut bytes));
         let text = match read {
@@ -126,7 +126,7 @@ impl Script {
                 break;
             }
             let (name, parameters) = (function.name, function.params.len());
-            // `|x| ...` within a function is one without a name of the script's own
+            // `|x| ...` within a function is one without a name of the script's own.
             if name.starts_with("anon$") {
                 continue;
             }

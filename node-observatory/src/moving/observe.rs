@@ -115,7 +115,7 @@ async fn meet(stage: &Stage, mount: &Mount, path: &Path<'_>, wish: &Wish) -> Res
         let place = path.icrs(meeting)?;
         stage.step("slewing to the moving target");
         send(stage, mount, &place, wish.correction).await?;
-        // a mount that tracks the place of date holds what it was sent at the time of the slew
+        // A mount that tracks the place of date holds what it was sent at the time of the slew.
         let arrived = clock.utc();
         let spot = path.of_mount(&place, &stage.observer(arrived)?)?;
         if arrived <= meeting {
@@ -126,7 +126,7 @@ async fn meet(stage: &Stage, mount: &Mount, path: &Path<'_>, wish: &Wish) -> Res
         if path.spot(arrived)?.apart_arcsec(&spot) < MET_ARCSEC {
             return Ok(Course::begun(arrived, spot));
         }
-        // the next slew is no longer than this one was
+        // The next slew is no longer than this one was.
         lead_s = arrived.seconds_since(began) + SPARE_S;
     }
     let (device, verb) = (mount.instrument.device.to_string(), "reach a moving target".to_owned());

@@ -131,12 +131,12 @@ mod tests {
     async fn a_service_that_is_away_or_answers_nonsense_is_a_reason_and_no_meaning() {
         let (mut names, at) = (services().await, "2026-11-21T03:00:00Z".parse().unwrap());
         let good = names.sesame_url.clone();
-        // the port of a listener that is gone
+        // The port of a listener that is gone.
         let gone = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap();
         names.sesame_url = format!("http://{gone}");
         let why = ask(&names, "Vega", at).await.unwrap_err();
         assert!(why.starts_with("Sesame: it cannot be reached"), "{why}");
-        // Horizons' address leads to what is not Horizons: the star must not be taken for it
+        // Horizons' address leads to what is not Horizons: the star must not be taken for it.
         names.horizons_url = format!("{good}/-oI/A");
         let why = ask(&names, "Vega", at).await.unwrap_err();
         assert!(why.starts_with("Horizons: the answer is none"), "{why}");

@@ -147,7 +147,7 @@ async fn frames(stage: &Stage, mount: &Mount, series: &Series, way: &mut Way) ->
         };
         tracing::warn!(%frame, why, "a frame does not show where it looks");
         if let Some(next_s) = exposure_s(deed, shot_s, changes) {
-            // another exposure time is no try at the target
+            // Another exposure time is no try at the target.
             (shot_s, changes, way.frames_left) = (next_s, changes + 1, way.frames_left + 1);
         }
         match deed {

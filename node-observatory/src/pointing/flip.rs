@@ -91,11 +91,11 @@ mod tests {
 
     #[tokio::test]
     async fn a_mount_that_tells_its_sides_the_wrong_way_round_is_asked_to_turn_over_once_and_left_alone() {
-        // truly east of the pier and looking west, where it belongs; its driver says west
+        // Truly east of the pier and looking west, where it belongs; its driver says west.
         let half_an_hour = Angle::from_hours(0.5);
         assert!(is_past(Some(PierSide::West), half_an_hour, 5.0), "one slew to where it stands already");
         assert!(concluded(&[Some(PierSide::West)]).await, "which is noted, and not tried again");
-        // truly west of the pier, as it was before the meridian; its driver says east: its device node stops it
+        // Truly west of the pier, as it was before the meridian; its driver says east: its device node stops it.
         assert!(!is_past(Some(PierSide::East), half_an_hour, 5.0));
     }
 }

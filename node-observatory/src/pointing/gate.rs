@@ -89,7 +89,7 @@ impl<'a> Gate<'a> {
         if self.tolerance_arcmin.is_some()
             && let Some(last) = self.stage.last_frame()
         {
-            // one that is late counts: the row was proven
+            // One that is late counts: the row was proven.
             let _ = tokio::time::timeout(LAST_LOOK, self.stage.room.looks.of(&last)).await;
             self.lost();
         }

@@ -107,7 +107,7 @@ fn helps(model: &PointingModel) -> bool {
         Some(check(&fit(&others)?, &point))
     });
     let others: Vec<PointingCheck> = others.collect();
-    // the newest foretellings count only once there are a few
+    // The newest foretellings count only once there are a few.
     better(&others) && (model.checks.len() < FEWEST || better(&model.checks))
 }
 
@@ -184,7 +184,7 @@ mod tests {
         assert_eq!(expected(&book, -30.0, -30.0, 0.05), None, "more than is believed");
         assert_eq!(book.expected("other", deg(-30.0), deg(-30.0), deg(1.0)), None);
         assert!(book.models[0].used && book.models[0].rms_arcmin.unwrap() < 0.1);
-        // one point on the other side is no model, and its side is not this one's
+        // One point on the other side is no model, and its side is not this one's.
         book.learn("cam", Some(PierSide::East), at(30.0, -30.0, -4.0, 3.0));
         assert_eq!(expected(&book, 30.0, -20.0, 1.0), None);
         assert!(expected(&book, -30.0, -30.0, 1.0).is_some());
@@ -226,7 +226,7 @@ mod tests {
             if n >= HARMFUL {
                 assert!(here.is_none_or(|miss| miss.size().degrees() * 60.0 < 1.0), "{n}: {here:?}");
             }
-            // it misses nothing any more
+            // It misses nothing any more.
             book.learn("cam", Some(PierSide::West), at(hour_angle + 4.0, dec + 4.0, 0.05, -0.05));
         }
     }

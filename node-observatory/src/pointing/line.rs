@@ -20,7 +20,7 @@ pub async fn keep_hearing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         }
         let models = heard.said.body.models;
         room.pointing.send_modify(|state| state.models.clone_from(&models));
-        // written down once this node commands: its folder may be its own
+        // Written down once this node commands: its folder may be its own.
         room.pointing_book.change(|known| {
             let is_new = known.models != models;
             *known = Book { models };

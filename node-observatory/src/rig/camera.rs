@@ -40,7 +40,7 @@ impl Camera {
         if set_already && fields.cooler_on.known() == Some(&true) {
             return Ok(());
         }
-        // a cooler that refuses is found out now, not when the sensor is still warm half an hour later
+        // A cooler that refuses is found out now, not when the sensor is still warm half an hour later.
         self.instrument.obey(Command::Cool { set_c }, COOLER).await.map(|_| ())
     }
 
@@ -85,7 +85,7 @@ pub fn subframe(sensor_px: (u32, u32), bin: u32, size_px: (u32, u32), centre: (f
         let binned = sensor / bin.max(1);
         let size = size.min(binned);
         let room = f64::from(binned - size);
-        // `as` saturates, and the centre was checked to lie within 0 to 1
+        // `as` saturates, and the centre was checked to lie within 0 to 1.
         ((room * centre.clamp(0.0, 1.0)).floor() as u32, size)
     };
     let (x_px, width_px) = along(sensor_px.0, size_px.0, centre.0);

@@ -71,7 +71,7 @@ impl Dome {
             parked_within: seconds(own.map_or(120.0, |own| own.parked_within_s)),
             travel: seconds(own.map_or(90.0, |own| own.travel_timeout_s)),
             is_own: own.is_some(),
-            // a dome over several telescopes has no slit for one of them
+            // A dome over several telescopes has no slit for one of them.
             follow: own.filter(|own| own.telescopes.len() < 2).map_or(Follow::Off, |own| own.follow),
             slit: own.map(|own| own.slit).unwrap_or_default(),
             parks: own.is_some_and(|own| own.park_at_close),

@@ -48,7 +48,7 @@ impl Focuser {
     /// where the focuser was first seen.
     pub fn best(&self) -> Option<i64> {
         let learnt = self.learnt.borrow().best(self.name(), self.temperature_c());
-        // saturates; positions are far below
+        // Saturates; positions are far below.
         if let Some(best) = learnt.filter(|best| best.is_finite()) {
             return Some(best.round() as i64);
         }
@@ -94,7 +94,7 @@ impl Focuser {
         }
         let best = self.best();
         if best.is_none() && wanted.position.is_none() {
-            // it may only be away for a while
+            // It may only be away for a while.
             let (device, verb) = (self.instrument.device.to_string(), "focus".to_owned());
             return Err(Trouble::Failed { device, verb, reason: "its position is not known".to_owned() });
         }

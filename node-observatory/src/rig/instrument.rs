@@ -172,7 +172,7 @@ impl<K: DeviceKind> Instrument<K> {
         loop {
             match self.ask_as(id.clone(), action.clone()).await {
                 Err(Trouble::Refused { reason: Reason::Busy, .. }) if self.clock().machine().since(started) < turn => {
-                    // the end of a readout is caught at once, that of a slew need not be
+                    // The end of a readout is caught at once, that of a slew need not be.
                     let long = self.clock().machine().since(started) > Duration::from_secs(5);
                     tokio::time::sleep(Duration::from_millis(if long { 250 } else { 20 })).await;
                 }
@@ -208,8 +208,8 @@ impl<K: DeviceKind> Instrument<K> {
                 (None, _) if life.as_ref().is_some_and(|life| heard.said.boot_id != *life) => {
                     (!state.busy).then(|| Err(Trouble::Restarted { device: self.device.to_string() }))
                 }
-                // somebody's later command, such as the archive's release of a frame, stands in the place of ours:
-                // that nothing moves is then all that can be seen, once the state is surely newer than ours
+                // Somebody's later command, such as the archive's release of a frame, stands in the place of ours:
+                // that nothing moves is then all that can be seen, once the state is surely newer than ours.
                 (None, Some(_)) if !state.busy && (seen || heard.arrived >= taken.plus(SETTLED)) => {
                     Some(Ok(state.clone()))
                 }
@@ -236,7 +236,7 @@ impl<K: DeviceKind> Instrument<K> {
                 Some((Outcome::Done, answer)) => Some(Ok(answer.clone().unwrap_or_default())),
                 Some((Outcome::Failed { reason }, _)) => failed(reason.as_str()),
                 Some((Outcome::Running, _)) => None,
-                // unlike a movement, an answer cannot be seen any more
+                // Unlike a movement, an answer cannot be seen any more.
                 None if seen || heard.arrived >= taken.plus(SETTLED) => {
                     failed("another command came in between, so that the answer is lost")
                 }

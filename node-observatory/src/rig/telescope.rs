@@ -74,9 +74,9 @@ impl Mount {
         let slew = Command::Slew { ra_deg: ra.degrees(), dec_deg: dec.degrees() };
         let (began, way_deg) = (self.instrument.clock().utc(), self.way_deg(ra, dec));
         self.instrument.obey(slew, self.slew_timeout()).await?;
-        // some mounts drop tracking with a slew
+        // Some mounts drop tracking with a slew.
         self.track(true).await?;
-        // small corrections come with frames, and would fill the diary
+        // Small corrections come with frames, and would fill the diary.
         if let Some(deg) = way_deg.filter(|deg| *deg >= WORTH_TELLING_DEG) {
             let took_s = took_s(self.instrument.clock(), began);
             let (deg, device) = ((10.0 * deg).round() / 10.0, self.instrument.device.to_string());
@@ -162,7 +162,7 @@ mod tests {
         let (ra, dec) = in_mount_frame(&target, &observer, EquatorialSystem::J2000).unwrap();
         assert_eq!((ra.degrees(), dec.degrees()), (78.0, -8.0));
         let (ra, _) = in_mount_frame(&target, &observer, EquatorialSystem::Topocentric).unwrap();
-        // 27 years of precession are about a third of a degree
+        // 27 years of precession are about a third of a degree.
         assert!((0.2..0.5).contains(&(ra.degrees() - 78.0)), "{}", ra.degrees());
         assert!(in_mount_frame(&target, &observer, EquatorialSystem::B1950).is_err());
     }

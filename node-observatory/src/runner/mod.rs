@@ -110,7 +110,7 @@ impl Runner {
     /// the schedule has no longer ends with the frame that is under way (docs/decisions/0030).
     fn take_schedule(&mut self, loaded: &Loaded) {
         self.room.board.schedule_refused(&loaded.refused);
-        // a new lease may come with a journal that another node went on writing: it is read once nothing runs
+        // A new lease may come with a journal that another node went on writing: it is read once nothing runs.
         let token = self.room.hold.borrow().token().or(self.token);
         let is_same_reign = token == self.token;
         if (loaded.revision == self.revision && is_same_reign) || (!is_same_reign && !self.sequence.is_idle()) {
@@ -118,7 +118,7 @@ impl Runner {
         }
         (self.revision, self.token) = (loaded.revision, token);
         self.farewell = Farewell::NotYet;
-        // before the rows are shown: what a row at work counts meanwhile is not shown at another one's place
+        // Before the rows are shown: what a row at work counts meanwhile is not shown at another one's place.
         for (id, begun) in &self.begun {
             let place = loaded.rows.iter().position(|row| row.id == *id);
             self.room.board.moved_to(begun.number, place.map(number));

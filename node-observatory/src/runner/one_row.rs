@@ -54,7 +54,7 @@ pub async fn run_row(stage: &Stage, withdrawn: watch::Receiver<bool>) -> RowEnd 
             }
         };
         stage.settle().await;
-        // a fault an hour ago is no reason to give up now
+        // A fault an hour ago is no reason to give up now.
         if taken() > had {
             (retried, had) = (0, taken());
         }
@@ -63,7 +63,7 @@ pub async fn run_row(stage: &Stage, withdrawn: watch::Receiver<bool>) -> RowEnd 
             rest(stage).await;
             return RowEnd::Waits(trouble.to_string(), *clear);
         }
-        // each try of a script may open and close the roof, and a name is looked up by others: such a row rests at once
+        // Each try of a script may open and close the roof, and another task looks names up: such a row rests at once.
         let rests = matches!(trouble, Trouble::Script { .. } | Trouble::Unnamed(_));
         if rests || !trouble.may_pass() || retried >= faults.retries || !in_time {
             rest(stage).await;
@@ -91,10 +91,10 @@ pub async fn run_row(stage: &Stage, withdrawn: watch::Receiver<bool>) -> RowEnd 
 async fn withdrawn_between_frames(stage: &Stage, mut withdrawn: watch::Receiver<bool>) {
     loop {
         if withdrawn.wait_for(|withdrawn| *withdrawn).await.is_err() {
-            // the runner is gone, and this row with it
+            // The runner is gone, and this row with it.
             return std::future::pending().await;
         }
-        // the row runs in the same task, so whenever it wakes this is looked at, before the row goes on
+        // The row runs in the same task, so whenever it wakes this is looked at, before the row goes on.
         let is_back = poll_fn(|_| match (*withdrawn.borrow(), stage.is_exposing()) {
             (false, _) => Poll::Ready(true),
             (true, false) => Poll::Ready(false),

@@ -34,7 +34,7 @@ pub async fn keep_judging(
 ) -> anyhow::Result<()> {
     let clock = node.bus.clock().clone();
     let (ears, mut heard) = ears::open(&node, &rules).await?;
-    // a file without any input has nobody to listen to: the verdict goes on without
+    // A file without any input has nobody to listen to: the verdict goes on without.
     let is_deaf = ears.is_empty();
     let nodes = listen_to_nodes(&node).await?;
 
@@ -82,7 +82,7 @@ pub async fn keep_judging(
             word = heard.recv(), if !is_deaf => {
                 let Some(word) = word else { anyhow::bail!("nothing listens to the safety inputs any more") };
                 take_in(&mut history, &rules, word, clock.speed());
-                // all that waits, before judging once
+                // All that waits, before judging once.
                 while let Ok(word) = heard.try_recv() {
                     take_in(&mut history, &rules, word, clock.speed());
                 }

@@ -42,12 +42,12 @@ pub async fn keep_reading(room: Arc<ControlRoom>, loaded: watch::Sender<Loaded>)
     loop {
         let mark = mark(&path).await;
         if read != Some(mark) {
-            // a file that is being written is read again when it has come to rest
+            // A file that is being written is read again when it has come to rest.
             let text = read_file(path.clone(), room.clone()).await;
             unkept = take(&room, &loaded, text).or(unkept);
             read = Some(mark);
         }
-        // a standby may share the folder: the commander keeps the versions
+        // A standby may share the folder: the commander keeps the versions.
         if unkept.is_some() && room.hold.borrow().token().is_some() && tokio::time::Instant::now() >= keep_after {
             unkept = keep_version(&room, unkept).await;
             if unkept.is_some() {

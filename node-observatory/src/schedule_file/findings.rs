@@ -39,10 +39,10 @@ pub async fn keep_surveying(room: Arc<ControlRoom>, mut loaded: watch::Receiver<
         let now_known = tokio::task::spawn_blocking(move || known(&here)).await?;
         let is_new = newest.revision != revision;
         if is_new {
-            // windows that pass while it is worked through are no finding
+            // Windows that pass while it is worked through are no finding.
             (revision, taken_at) = (newest.revision, room.node.bus.clock().utc());
         }
-        // filters that a wheel reports later, and names that are found later
+        // Filters that a wheel reports later, and names that are found later.
         let changing = (now_known.filters.clone(), now_known.names.clone());
         if newest.revision > 0 && (is_new || held_before.as_ref() != Some(&changing)) {
             held_before = Some(changing);
@@ -79,7 +79,7 @@ pub async fn keep_answering(room: Arc<ControlRoom>) -> anyhow::Result<()> {
 
 async fn serve(room: &Arc<ControlRoom>) -> anyhow::Result<Service> {
     let at = room.clone();
-    // one at a time: the other core is for the night
+    // One at a time: the other core is for the night.
     let turn = Arc::new(tokio::sync::Mutex::new(()));
     let key = Key::ScheduleCheck(room.node.config.address());
     let service = room.node.bus.serve(&key, move |asked: Result<ScheduleDraft, String>| {

@@ -134,7 +134,7 @@ impl Versions {
         }
         let mut version = kept.last().map_or(1, |newest| newest.version + 1);
         if let Some(damage) = &damage {
-            // the text of a line that is lost keeps its number
+            // The text of a line that is lost keeps its number.
             version = version.max(self.newest_text() + 1);
             bus::aside::keep_copy(&self.index(), damage, "The texts of its lost lines stay in the folder.");
         }
@@ -144,7 +144,7 @@ impl Versions {
         kept.push(Version { version, at_utc, author: author.name.clone(), reason, rows, bytes, sha256 });
         let written = self.write_index(bounded(&kept));
         if written.is_err() {
-            // without its line it is no version
+            // Without its line it is no version.
             let _ = fs::remove_file(self.path(version));
         }
         written?;
@@ -227,14 +227,14 @@ pub(super) fn write_whole(path: &Path, text: &str) -> io::Result<()> {
     part.push(".part");
     let part = PathBuf::from(part);
     if let Err(error) = write_synced(&part, text).and_then(|()| fs::rename(&part, path)) {
-        // half a text would only take the room that is missing
+        // Half a text would only take the room that is missing.
         let _ = fs::remove_file(&part);
         return Err(error);
     }
-    // the new name is on disk with its folder; Windows opens no folders
+    // The new name is on disk with its folder; Windows opens no folders.
     #[cfg(unix)]
     {
-        // a file named without its folder lies in the working one
+        // A file named without its folder lies in the working one.
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         fs::File::open(folder)?.sync_all()?;
     }

@@ -73,7 +73,7 @@ pub async fn through_the_slit(
     let worth = worst.light.as_ref().map_or(Worth::Whole, Light::worth);
     let (lost, what) = match (is_over, worth) {
         (true, Worth::Whole) => {
-            // whether it turns is the follower's word
+            // The follower reports whether it turns.
             if !worst.dome.turning_fails() {
                 alerts.clear(AlertKind::DomeNotTurned, name);
             }

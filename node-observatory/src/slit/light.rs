@@ -46,7 +46,7 @@ impl Light {
     pub fn look(&mut self, now_s: f64, free: f64) {
         let now_s = now_s.clamp(self.seen_s, self.exposure_s);
         let free = if free.is_finite() { free.clamp(0.0, 1.0) } else { 0.0 };
-        // how it went in between is not known: evenly
+        // How it went in between is not known: evenly.
         self.lost_s += (now_s - self.seen_s) * (1.0 - 0.5 * (self.free + free));
         (self.seen_s, self.free) = (now_s, free);
         self.hidden_since_s = if free < 1.0 { self.hidden_since_s.or(Some(now_s)) } else { None };
@@ -65,7 +65,7 @@ impl Light {
         let too_much = self.lost() > LITTLE || hidden_s >= patience_s;
         let at_the_end = (self.lost_s + left_s * (1.0 - self.free)) / self.exposure_s;
         let is_in = (self.seen_s - self.lost_s) / self.exposure_s;
-        // what is being read out is let be
+        // A frame that is being read out is not ended.
         left_s > 0.0 && hidden_s >= sure_s && too_much && at_the_end > LITTLE && is_in < MOST
     }
 

@@ -148,10 +148,11 @@ impl<'a> View<'a> {
             return Err("the dome is not slaved to the mount".to_owned());
         }
         if way != Way::Turn && self.dome.slit.width_m.is_none() {
-            // a dome that follows by itself knows its geometry; here nothing is known to judge it by
+            // A dome that follows by itself knows its geometry; here nothing is known to judge it by.
             return Ok(());
         }
-        // nobody brings the slit along if the dome does not turn; what a dome that follows by itself will do is not known
+        // Nothing turns the slit if the dome does not turn; the next move of a dome that follows by itself is not
+        // known.
         let need_s = if way == Way::Turn && self.dome.turning_fails() { exposure_s } else { 0.0 };
         self.is_clear(need_s)
     }
@@ -247,7 +248,7 @@ fn better(slit: &Slit, aim: &Aim, azimuth: Angle, error: Angle, speed: f64) -> O
     };
     let Some(clear_s) = clear_s else { return Some(to) };
     let lead_s = least_s + S_PER_DEG * (to - azimuth).wrapped_signed().abs().degrees();
-    // a sky so fast that it outruns any lead is not turned after at every look
+    // A sky so fast that it outruns any lead is not turned after at every look.
     (clear_s < lead_s.min(lasts_s / 3.0) && lasts_s >= clear_s + GAIN_S).then_some(to)
 }
 
@@ -298,7 +299,7 @@ mod tests {
         let aim = Aim::at(deg(-45.0), deg(-30.0));
         let wanted = better(&slit, &aim, deg(300.0), deg(1.0), 1.0).unwrap();
         assert_eq!(better(&slit, &aim, wanted, deg(1.0), 1.0), None, "it has just turned there");
-        // it is followed to the end of what is clear, and turned before that
+        // It is followed to the end of what is clear, and turned before that.
         let clear_s = slit.clear_for_s(&aim, wanted, deg(1.0), 1e5).unwrap();
         assert!(clear_s > 600.0, "{clear_s}");
         let soon = aim.after(clear_s - 30.0);

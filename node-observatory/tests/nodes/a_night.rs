@@ -132,7 +132,7 @@ async fn frames_follow_each_other_without_a_pause() {
     let mut gaps: Vec<Duration> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
     gaps.sort();
     // 100 ms of exposure and 20 ms of readout are the camera's own
-    // of 19 gaps the fifth: a machine with other things to do lengthens some, a lost design all of them
+    // of 19 gaps the fifth: a machine with other things to do lengthens some, a lost design all of them.
     let dead = gaps[gaps.len() / 4].saturating_sub(Duration::from_millis(120));
     println!("dead time beyond exposure and readout, lower quartile: {dead:?}");
     assert!(dead < Duration::from_millis(50), "{gaps:?}");

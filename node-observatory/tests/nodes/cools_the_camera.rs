@@ -50,7 +50,7 @@ async fn a_sensor_that_stays_warm_fails_its_row_and_is_told_until_it_is_cold() {
     let stands =
         || alerts.get().is_some_and(|heard| heard.said.body.alerts.iter().any(|a| a.id == "cooling-failed/camera"));
     sim.write_schedule(&[("cool_camera", "{}"), BIAS], 7200.0);
-    // 45 K below such air the sensor is at 10 C
+    // 45 K below such air the sensor is at 10 C.
     sim.simulator.world().set_weather(Quantity::Temperature, Some(55.0));
     sim.start().await;
     sim.until("given up", MOST, |sim| row(sim, 0).is_some_and(|(status, _)| status == RowStatus::Failed)).await;

@@ -76,7 +76,7 @@ async fn hidden_stars_and_a_mount_moved_by_hand_within_the_field_are_held_again(
     let (place, before) = (sim.simulator.world().looks_at(), sim.last_put());
     let held_to = sim.guiding.get().unwrap().said.body.reference;
 
-    // as a bank of clouds hides them, with a clear edge
+    // As a bank of clouds hides them, with a clear edge.
     sim.by_hand("covercalibrator", "connected", &[("Connected", "True".to_owned())]).await;
     sim.by_hand("covercalibrator", "closecover", &[]).await;
     sim.until("lost", MOST, |sim| stage(sim) == Some(GuideStage::Lost)).await;
@@ -86,7 +86,7 @@ async fn hidden_stars_and_a_mount_moved_by_hand_within_the_field_are_held_again(
     let off_arcsec = beside(&sim, &place);
     assert!(off_arcsec < NEAR_ARCSEC, "after the clouds {off_arcsec:.2} arcsec beside");
 
-    // 137 px on the detector: more than pulses take back, and most of the stars are still on it
+    // 137 px on the detector: more than pulses take back, and most of the stars are still on it.
     let (moved_at, seen) = (sim.last_put(), frames(&sim));
     nudge(&sim, [1.4, -1.8]).await;
     sim.until("off", MOST, |sim| beside(sim, &place) > 100.0).await;
@@ -107,7 +107,7 @@ async fn hidden_stars_and_a_mount_moved_by_hand_within_the_field_are_held_again(
     assert!((120.0..155.0).contains(&off_px), "{off_px}");
     let at = corrections.iter().position(|correction| correction.frame == back[0].frame).unwrap();
     assert_eq!(corrections[at - 1].besides.as_deref(), Some("looking for the field in the whole next frame"));
-    // frames that were taken while it was lost say so, and were not pulsed after
+    // Frames that were taken while it was lost say so, and were not pulsed after.
     let lost: Vec<&Correction> = corrections.iter().filter(|c| c.stage == GuideStage::Lost).collect();
     assert!(lost.iter().any(|c| c.dx_px.is_none() && c.reason.is_some()), "behind the clouds: {lost:#?}");
     let off: Vec<&&Correction> = lost.iter().filter(|c| c.east.why == PulseWhy::Lost).collect();
@@ -121,7 +121,7 @@ async fn a_mount_moved_by_hand_to_another_field_is_slewed_back_by_a_solved_frame
     let sim = guiding(30, "", true).await;
     let (place, before) = (sim.simulator.world().looks_at(), sim.last_put());
     let held_to = sim.guiding.get().unwrap().said.body.reference;
-    // the field is 6.7 arcmin wide: none of its stars is seen any more
+    // The field is 6.7 arcmin wide: none of its stars is seen any more.
     nudge(&sim, [6.5, 5.5]).await;
     sim.until("off", MOST, |sim| beside(sim, &place) > 400.0).await;
     sim.until("slewed back", MOST, |sim| slews(sim, before) > 0).await;
@@ -150,7 +150,7 @@ fn motions(sim: &Sim, since: u64) -> Vec<String> {
 #[tokio::test(flavor = "multi_thread")]
 async fn where_the_site_wants_it_a_row_that_lost_its_field_stops_and_begins_again_at_its_target() {
     let frames_wanted = 60;
-    // a drift is not held behind clouds, so that every motion in the dark shows; a pause of the row that nobody misses
+    // A drift is not held behind clouds, so that every motion in the dark shows; a pause of the row that nobody misses.
     let more = "[guiding]\nwhen_lost = \"stop\"\nhold_drift_s = 0.0\n[faults]\npause_s = 6.0\n";
     let sim = guiding(frames_wanted, more, false).await;
     let alerts: Latest<Alerts> =
@@ -163,7 +163,7 @@ async fn where_the_site_wants_it_a_row_that_lost_its_field_stops_and_begins_agai
     let (place, held_to) = (sim.simulator.world().looks_at(), sim.guiding.get().unwrap().said.body.reference);
     assert!(!is_alerted(&sim));
 
-    // four fields away: no star of the reference is there, and nobody solves what is
+    // Four fields away: no star of the reference is there, and nobody solves what is.
     nudge(&sim, [-22.0, 18.0]).await;
     sim.until("at rest elsewhere", MOST, |sim| beside(sim, &place) > 1500.0 && !sim.simulator.world().is_slewing())
         .await;
@@ -174,7 +174,7 @@ async fn where_the_site_wants_it_a_row_that_lost_its_field_stops_and_begins_agai
         steps(sim).contains("trying again after: ") && steps(sim).contains("be guided: field is lost")
     })
     .await;
-    // until the row stopped, and while it pauses, nothing is tried in the dark
+    // Until the row stopped, and while it pauses, nothing is tried in the dark.
     assert_eq!(motions(&sim, lost_at), [""; 0]);
     assert!(is_alerted(&sim), "it stands while the row pauses");
 

@@ -40,7 +40,7 @@ async fn held(
     (options.camera.width, options.camera.height) = (1024, 1024);
     options.camera.focal_length_mm /= SCALE_ARCSEC_PX;
     options.camera.readout_s = 1.0;
-    // a second of light shows stars of a field of 6 arcmin
+    // A second of light shows stars of a field of 6 arcmin.
     options.camera.aperture_mm = 2500.0;
     options.camera.position_angle = Angle::from_degrees(angle_deg);
     options.mount.scatter_arcsec = 0.0;
@@ -50,14 +50,14 @@ async fn held(
         (options.mount.worm_period_s, options.mount.periodic_error_arcsec) = (worm_period_s, worm_arcsec);
         options.mount.drift_arcsec_per_min = (0.0, 0.0);
     } else {
-        // 2 s of pulse at half the sidereal rate
+        // 2 s of pulse at half the sidereal rate.
         options.mount.dec_backlash_arcsec = 15.04;
     }
     let (sin, cos) = options.camera.position_angle.radians().sin_cos();
     let (s, rate) = (options.camera.pixel_scale().degrees(), 0.5 * 15.041_067 / 3600.0);
     let cd = [[-s * cos, s * sin], [s * sin, s * cos]];
     let known = calibrated::of_solution(cd, [rate; 2], 1, Some(PierSide::West), options.start).unwrap();
-    // the tube is west of the pier: the camera is turned by 180 deg
+    // The tube is west of the pier: the camera is turned by 180 deg.
     let turn = |way: [f64; 2]| way.map(|v| -v);
     let known = GuideCalibration {
         source: CalibrationSource::Pulses,
@@ -81,14 +81,14 @@ async fn held(
         all.push(heard.said.body);
     }
     sim.stop().await;
-    // what came of each frame, for whoever looks into a figure
+    // The result of each frame, for a person who looks into a figure.
     for c in &all {
         let (east, north) = (&c.east, &c.north);
         println!("{} {:?} {:?} {:?} {:?} {:?} {:?}", c.mid_utc, c.stage, c.dx_px, c.dy_px, east, north, c.besides);
     }
     let settled = all.iter().skip(first as usize).filter(|c| c.stage == GuideStage::Guide);
     let squares: Vec<f64> = settled.filter_map(|c| Some(c.dx_px?.powi(2) + c.dy_px?.powi(2))).collect();
-    // frames of a busy machine may be passed over for newer ones
+    // Frames of a busy machine may be passed over for newer ones.
     assert!(
         squares.len() * 2 > judged as usize,
         "only {} of {frames} frames were guided on; last: {:#?}",

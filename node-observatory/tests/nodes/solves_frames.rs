@@ -91,7 +91,7 @@ async fn frames_are_solved_and_what_they_teach_outlives_a_restart() {
     assert!((first.zero_point_mag.unwrap() - zero).abs() < 0.03, "{first:?}");
     assert_eq!(first.transparency, None, "nothing to compare it with yet");
 
-    // a frame of half the light, with what the first one taught
+    // A frame of half the light, with what the first one taught.
     site.until("optics on the bus", MOST, |_| optics.get().is_some_and(|heard| !heard.said.body.optics.is_empty()))
         .await;
     let taught = optics.get().unwrap().said.body;
@@ -131,7 +131,7 @@ async fn a_wrong_field_and_a_turned_camera_are_noticed_by_the_second_frame() {
     assert!(!wrong(&site), "one frame may be the one before the correction");
     camera.take(&shot(beside, 3)).await;
     site.until("a wrong field", MOST, wrong).await;
-    // turned by hand, and a mirror less
+    // Turned by hand, and a mirror less.
     let turned = wcs(TARGET, 120.0, false);
     let facts = camera.take(&shot(turned, 4)).await;
     assert!((facts.rotation_deg.unwrap() - 120.0).abs() < 0.05 && facts.mirrored == Some(false), "{facts:?}");
@@ -141,11 +141,11 @@ async fn a_wrong_field_and_a_turned_camera_are_noticed_by_the_second_frame() {
     camera.take(&shot(turned, 5)).await;
     site.until("learnt anew", MOST, |_| (rotation() - 120.0).abs() < 0.1).await;
 
-    // stars of no catalogue, and a frame of nowhere
+    // Stars of no catalogue, and a frame of nowhere.
     let nowhere = camera.take(&Shot { target: Some((TARGET.0, -TARGET.1)), ..Shot::of(turned, 6) }).await;
     println!("nowhere: {:?} s, {:?}", nowhere.solving_s, nowhere.unsolved);
     assert_eq!(nowhere.unsolved.unwrap().class, UnsolvedClass::NoMatch);
-    // how long that takes is for the bench to say: a debug build searches many times slower
+    // How long that takes is for the bench to say: a debug build searches many times slower.
     assert!(nowhere.wcs.is_none() && nowhere.reason.is_none() && nowhere.solving_s.is_some());
     let lost = camera.take(&Shot::of(turned, 7)).await;
     assert_eq!(lost.unsolved.unwrap().class, UnsolvedClass::NoPlace);
@@ -157,7 +157,7 @@ async fn a_wrong_field_and_a_turned_camera_are_noticed_by_the_second_frame() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_camera_whose_pixels_are_half_as_large_as_told_is_understood_by_its_third_frame() {
     let mut site = Site::new(1.0).await;
-    // somebody forgot that it does not bin any more
+    // Somebody forgot that it does not bin any more.
     site.more = "[[camera]]\nname = \"guider\"\nserver = \"a:1\"\nnumber = 1\nscale_arcsec_px = 12.3\n";
     site.write_schedule(&[]);
     let optics = optics(&site).await;
@@ -174,7 +174,7 @@ async fn a_camera_whose_pixels_are_half_as_large_as_told_is_understood_by_its_th
     println!("frame 3: {:?} s, {:?} arcsec/px", third.solving_s, third.scale_arcsec_px);
     assert!(off_px(&third, &truth, crate::starfield::middle()) < 0.1, "{third:?}");
     assert!((third.scale_arcsec_px.unwrap() / SCALE_ARCSEC_PX - 1.0).abs() < 5e-4, "{third:?}");
-    // and what it taught holds from then on
+    // And what it taught holds from then on.
     let learnt = |_: &Site| optics.get().is_some_and(|heard| !heard.said.body.optics.is_empty());
     site.until("learnt", MOST, learnt).await;
     let fourth = camera.take(&shot(4)).await;

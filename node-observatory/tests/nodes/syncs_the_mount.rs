@@ -22,7 +22,7 @@ async fn a_mount_that_was_misled_is_told_where_it_looks_and_its_next_slew_is_rig
     let mut sim = Sim::new(wide_field(20.0), "").await;
     sim.simulator.world().set_weather(Quantity::StarFwhm, Some(0.1));
     sim.mislead(MISS).await;
-    // the node knows, and corrects by it; after the sync that would be wrong by as much
+    // The node knows, and corrects by it; after the sync that would be wrong by as much.
     sim.keep_pointing(&misses(MISS));
     let object =
         |(ra, dec): (f64, f64)| format!(r#"{{"object": "field", "ra": {ra}, "dec": {dec}, "exptime": 10, "n": 2}}"#);
@@ -49,7 +49,7 @@ async fn a_mount_that_was_misled_is_told_where_it_looks_and_its_next_slew_is_rig
                 if let Some((ra, dec)) = frame.purpose.ra_deg.zip(frame.purpose.dec_deg).filter(|_| row != 1) {
                     let looks_at = sim.simulator.world().looks_at();
                     let beside = sky::separation(&sky::Icrs::from_degrees(ra, dec), &looks_at).degrees() * 60.0;
-                    // the first one, so that the mount is not yet on its way to the next row
+                    // The first one, so that the mount is not yet on its way to the next row.
                     truth.entry(row).or_insert(beside);
                 }
                 row_of.insert(frame.id, row);
@@ -76,7 +76,7 @@ async fn a_mount_that_was_misled_is_told_where_it_looks_and_its_next_slew_is_rig
             "row {row}: {off:?} {truth:?}"
         );
     }
-    // What the node had learned of the mount before is no longer valid, here and for a standby.
+    // The points that the node had learned of the mount before are no longer valid, here and for a standby.
     let models = pointing.get().unwrap().said.body.models;
     assert!(models.iter().all(|model| !model.used && model.points.len() <= 1), "{models:?}");
     sim.stop().await;

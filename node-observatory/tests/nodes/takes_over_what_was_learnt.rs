@@ -24,7 +24,7 @@ async fn a_standby_points_solves_and_holds_the_field_as_the_commander_did() {
     let mut sim = Sim::new(options, "").await;
     sim.simulator.world().set_weather(Quantity::StarFwhm, Some(0.1));
     sim.mislead(MISS).await;
-    // of nights before, on the first one's disk only
+    // Of nights before, on the first one's disk only.
     sim.keep_calibration("camera", pulsed.clone());
     sim.keep_pointing(&misses(MISS));
     let (ra, dec) = sim.place(0.7, -20.0);
@@ -57,7 +57,7 @@ async fn a_standby_points_solves_and_holds_the_field_as_the_commander_did() {
     let calibration = second.calibration.unwrap();
     assert_eq!((calibration.source, calibration.backlash_s), (CalibrationSource::Pulses, Some(0.2)));
     assert_eq!(calibration.made_utc, pulsed.made_utc, "of nights before, and none that it made itself");
-    // the first slew was corrected by a model that is not on its disk
+    // The first slew was corrected by a model that is not on its disk.
     let (mut sent, mut off) = (None, None);
     while let Ok(heard) = tokio::time::timeout(Duration::from_millis(300), frames.hear()).await {
         let frame = heard.said.body;

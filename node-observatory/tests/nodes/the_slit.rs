@@ -74,7 +74,7 @@ fn is_east(azimuth_deg: f64) -> bool {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_slit_turns_before_the_shutter_opens_and_no_frame_begins_before_it_is_clear() {
-    // 1 deg/s at 50 x: the way from east to west takes about 3.4 s of machine time, the slew of the mount 50 ms
+    // 1 deg/s at 50 x: the way from east to west takes about 3.4 s of machine time, the slew of the mount 50 ms.
     let site = Site::with_dome(50.0, Some(1.0)).await;
     let (east, west) = (object("east", EAST, 2), object("west", WEST, 2));
     site.write_schedule(&[("object", &east, "03:00:00", "05:00:00"), ("object", &west, "03:00:01", "05:00:00")]);
@@ -90,7 +90,7 @@ async fn the_slit_turns_before_the_shutter_opens_and_no_frame_begins_before_it_i
     let to_west = turns.iter().find(|(_, azimuth_deg)| (240.0..285.0).contains(azimuth_deg)).unwrap();
     let slewed = site.mount.log.lock().unwrap().iter().filter(|(_, c)| format!("{c:?}").contains("Slew")).count();
     assert_eq!((slewed, turns.len()), (2, 2), "one turn for each slew, to its end: {turns:?}");
-    // 140 deg and more at 1 deg/s and 50 x
+    // 140 deg and more at 1 deg/s and 50 x.
     let waited = frames[2].duration_since(to_west.0);
     assert!(waited >= Duration::from_millis(2800), "the first frame in the west began {waited:?} after the turn");
     assert!(!alert_stands(&site, "dome-not-turned/dome"));
@@ -141,7 +141,7 @@ async fn a_dome_that_hangs_while_it_follows_closes_as_fast_as_any_and_is_not_tur
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_long_exposure_behind_a_dome_that_is_too_slow_is_ended_and_taken_again_when_the_slit_is_there() {
-    // 1200 s are 12 s here, 90 deg at 0.25 deg/s 3.6 s
+    // 1200 s are 12 s here, 90 deg at 0.25 deg/s 3.6 s.
     let mut site = Site::with_dome(100.0, Some(50.0)).await;
     site.more = "[faults]\npause_s = 0.2\n";
     let long = format!(r#"{{"object": "east", "exptime": 1200, {EAST}, "n": 1}}"#);
@@ -168,7 +168,7 @@ async fn a_long_exposure_behind_a_dome_that_is_too_slow_is_ended_and_taken_again
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_exposure_that_is_nearly_done_is_let_end_and_what_it_lost_is_told_with_it() {
-    // 600 s are 12 s here
+    // 600 s are 12 s here.
     let site = Site::with_dome(50.0, Some(50.0)).await;
     let long = format!(r#"{{"object": "east", "exptime": 600, {EAST}, "n": 1}}"#);
     site.write_schedule(&[("object", &long, "03:00:00", "06:00:00")]);

@@ -237,7 +237,7 @@ impl Sim {
     pub async fn by_hand(&self, device: &str, member: &str, form: &[(&str, String)]) {
         let url = format!("http://{}/api/v1/{device}/0/{member}", self.simulator.address());
         let mut body: Vec<String> = form.iter().map(|(key, value)| format!("{key}={value}")).collect();
-        // the log keeps no clients' numbers, so that a hand shows itself otherwise
+        // The log keeps no clients' numbers, so that a hand shows itself otherwise.
         body.push(format!("ClientID=9&{BY_HAND}"));
         let put = reqwest::Client::new().put(url).header("content-type", "application/x-www-form-urlencoded");
         let answer = put.body(body.join("&")).send().await.unwrap().text().await.unwrap();

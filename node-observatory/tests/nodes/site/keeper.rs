@@ -65,7 +65,7 @@ impl Keeper {
                     action: GuardAction::Watching,
                     hold: held.load(Ordering::Relaxed),
                     dropped: 0,
-                    // this shutter never lies: what it says is proven
+                    // This shutter never lies: what it says is proven.
                     verified_closed: Some(is_closed),
                     waits_for_mounts: None,
                     granted: vec![],
