@@ -1,4 +1,4 @@
-//! Says which frames wait in the spool: each when it is safe, and again until the archive releases it.
+//! Publishes which frames wait in the spool: each when it is safe, and again until the archive releases it.
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -252,7 +252,8 @@ impl Questions {
         futures_util::stream::iter(asking).buffer_unordered(lanes).collect().await
     }
 
-    /// The wanted properties that a `devicestate` answer holds; nulls, and what it contains twice, are asked for singly.
+    /// The wanted properties that a `devicestate` answer holds; nulls, and what it contains twice, are asked for
+    /// singly.
     fn matched(&self, wanted: &[String], state: &Value, asked: Now) -> Vec<Answer> {
         let at_utc = self.clock.utc();
         let (mut answers, mut twice): (Vec<Answer>, HashSet<String>) = (Vec::new(), HashSet::new());

@@ -10,15 +10,18 @@
 //!
 //! # Invariants
 //!
-//! - The arbiter of the lease counts by its own grants: no message teaches it a token, and none ends a node (`token.rs`, decision 0047):
-//!   `an_arbiter_learns_no_token_from_anybody_and_others_follow_it_up_and_down`.
+//! - The arbiter of the lease counts by its own grants: no message teaches it a token, and none ends a node
+//!   (`token.rs`, decision 0047): `an_arbiter_learns_no_token_from_anybody_and_others_follow_it_up_and_down`.
 //! - A mount that reports the same pier side beyond the meridian as before it has not flipped (`mount_limits.rs`):
 //!   `past_the_meridian_only_the_wrong_side_of_the_pier_is_stopped`.
-//! - Tracking rates other than the sidereal one end with a slew, with tracking switched on or off and with a park (decision 0029).
-//! - No command of a maker's own is sent that the device's block does not list (decision 0031): `only_what_is_listed_is_allowed`
-//!   (`common/config/src/vendor.rs`).
-//! - A frame leaves the spool only after the archive has sent its hash: `a_frame_survives_a_restart_and_goes_only_when_it_is_released_and_old`.
-//! - The hardware watchdog is fed only while the permit is valid: `it_is_fed_four_times_in_its_limit_and_only_while_the_permit_lives`.
+//! - Tracking rates other than the sidereal one end with a slew, with tracking switched on or off and with a park
+//!   (decision 0029).
+//! - No command of a maker's own is sent that the device's block does not list (decision 0031):
+//!   `only_what_is_listed_is_allowed` (`common/config/src/vendor.rs`).
+//! - A frame leaves the spool only after the archive has sent its hash:
+//!   `a_frame_survives_a_restart_and_goes_only_when_it_is_released_and_old`.
+//! - The hardware watchdog is fed only while the permit is valid:
+//!   `it_is_fed_four_times_in_its_limit_and_only_while_the_permit_lives`.
 
 mod accounts;
 mod announce;

@@ -24,7 +24,8 @@ struct MountClock {
 }
 
 impl MountClock {
-    /// By how much the mount's clock is ahead of ours, s; `None` of one that does not go evenly with the boot-time clock.
+    /// By how much the mount's clock is ahead of ours, s; `None` of one that does not go evenly with the boot-time
+    /// clock.
     fn offset_s(&mut self, said: Utc, own: Utc, now: MachineTime, speed: f64) -> Option<f64> {
         let (before, at) = self.before.replace((said, now))?;
         let passed_s = now.since(at).as_secs_f64() * speed;
@@ -33,7 +34,8 @@ impl MountClock {
     }
 }
 
-/// Publishes, as a figure of the node's state, by how much `UTCDate` is ahead of this node's clock, s, until the node is stopped.
+/// Publishes, as a figure of the node's state, by how much `UTCDate` is ahead of this node's clock, s, until the node
+/// is stopped.
 pub async fn watch(node: Node, mount: Name, server: String, alpaca: Alpaca) -> anyhow::Result<()> {
     let (clock, figure) = (node.bus.clock().clone(), format!("{mount}{MOUNT_CLOCK_OFFSET_S}"));
     let mut known = MountClock::default();

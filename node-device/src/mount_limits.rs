@@ -25,7 +25,8 @@ pub struct Approach {
 }
 
 impl Approach {
-    /// Notes what the mount says. A slew, which may turn it over, begins anew; what it does not say for a while does not.
+    /// Notes the mount's state. A slew, which may turn it over, begins anew; a value that is missing for a while does
+    /// not.
     fn note(&mut self, fields: &Fields, hour_angle_h: f64) {
         // By six hours from the meridian it is the other passage, below the pole.
         if (-6.0..0.0).contains(&hour_angle_h) {

@@ -21,7 +21,7 @@ impl Permits {
         self.site.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Does a permit say safe, and is it young?
+    /// Is there a permit that is safe and young?
     pub fn is_safe(&self, telescope: &str, now: MachineTime) -> bool {
         self.site().is_safe(telescope, now)
     }

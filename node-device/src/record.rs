@@ -15,7 +15,7 @@ use serde_json::Value;
 
 /// Kept at least, sky time: telescopes that share a station have limits that its node does not know.
 const LEAST: Duration = Duration::from_secs(3600);
-/// States kept at most: four hours of a station that speaks every 5 s.
+/// States kept at most: four hours of a station that publishes every 5 s.
 const MOST_ENTRIES: usize = 3000;
 /// Kept at most, whatever dwell is configured, sky time.
 const MOST: Duration = Duration::from_secs(86_400);
@@ -23,7 +23,7 @@ const MOST: Duration = Duration::from_secs(86_400);
 /// The age of readings that were younger than this when they were published is not noted.
 const LEAST_AGE_S: f64 = 0.5;
 
-/// Says a device's states, and remembers them where limits may be put on them.
+/// Publishes a device's states, and records them where limits may be put on them.
 pub struct Voice<F> {
     states: Publisher<DeviceState<F>>,
     memory: Option<Arc<Mutex<Memory<F>>>>,
@@ -45,7 +45,7 @@ impl<F: Payload> Voice<F> {
         Ok(Self { states, memory: Some(memory), clock, _service: Some(service) })
     }
 
-    /// Says a state.
+    /// Publishes a state.
     pub async fn put(&self, state: DeviceState<F>) -> Result<(), BusError> {
         if let Some(memory) = &self.memory {
             let (link, fields, now) = (state.link.clone(), state.fields.clone(), self.clock.machine());

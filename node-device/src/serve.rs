@@ -387,7 +387,7 @@ impl<D: Driver> Loop<D> {
         }
     }
 
-    /// Says the state if it has changed, if it is time, or in any case.
+    /// Publishes the state if it has changed, if it is time, or in any case.
     async fn say(&mut self, in_any_case: bool) {
         let now = Instant::now();
         let state = self.state();

@@ -16,9 +16,9 @@ const HEALTHY: Duration = Duration::from_secs(60);
 /// A file that could not be read is read again so often.
 const READ_AGAIN: Duration = Duration::from_secs(5);
 
-/// Runs all device nodes of the file until a signal; then ends them one after another, enclosures first, because one that
-/// waits for the mount needs the mount's node until it is closed. Of a file that cannot be read the enclosure's node runs,
-/// whose guard process knows what last worked; the others follow when it can be read.
+/// Runs all device nodes of the file until a signal; then ends them one after another, enclosures first, because one
+/// that waits for the mount needs the mount's node until it is closed. Of a file that cannot be read the enclosure's
+/// node runs, whose guard process knows what last worked; the others follow when it can be read.
 pub fn main(options: &NodeOptions, verb: &[&str]) -> ExitCode {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let ended = runtime.context("cannot start the runtime").and_then(|runtime| runtime.block_on(run(options, verb)));

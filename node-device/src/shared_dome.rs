@@ -42,7 +42,7 @@ pub async fn keep_noticing(node: Node, block: config::Dome, front: Arc<Front<Dom
     }
 }
 
-/// What is wrong with a dome that says this of itself, if anything is; `is_shared` where its block is in the site's shared file.
+/// The problem of a dome with these capabilities, if any; `is_shared` where its block is in the site's shared file.
 fn complaint(block: &config::Dome, is_shared: bool, can: &Capabilities) -> Option<String> {
     let over_several = is_shared || block.telescopes.len() > 1;
     let why = format!(

@@ -25,8 +25,8 @@ struct Token {
     token: String,
 }
 
-/// An archive, an observatory and a web node fetch a few frames at a time. Strangers may connect, too, and must not fill
-/// this process, which may hold a guard.
+/// An archive, an observatory and a web node fetch a few frames at a time. Strangers may connect, too, and must not
+/// fill this process, which may hold a guard.
 const LIMITS: Limits = Limits {
     room: Room { total: 128, per_address: 48, trusted: 48 },
     header: Duration::from_secs(5),

@@ -60,8 +60,9 @@ impl Tokens {
         self.known().is_arbiter(telescope)
     }
 
-    /// Takes over the highest tokens that other device nodes of this host have in the same folder. Until an enclosure had a
-    /// node of its own its tokens were granted by the node `main`, and the mount's node refuses lower ones than it knows.
+    /// Takes over the highest tokens that other device nodes of this host have in the same folder. Until an enclosure
+    /// had a node of its own its tokens were granted by the node `main`, and the mount's node refuses lower ones than
+    /// it knows.
     ///
     /// # Errors
     /// The disk refuses the higher token.

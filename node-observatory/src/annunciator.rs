@@ -1,4 +1,5 @@
-//! What people did about alerts ([`safety::annunciator`](::safety::annunciator)) as a file: `alerts-TELESCOPE.json` in the data folder.
+//! What people did about alerts ([`safety::annunciator`](::safety::annunciator)) as a file: `alerts-TELESCOPE.json` in
+//! the data folder.
 
 use std::path::{Path, PathBuf};
 

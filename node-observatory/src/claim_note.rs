@@ -71,7 +71,8 @@ impl ClaimNote {
         self.noted.unused.insert(token);
     }
 
-    /// Notes a claim that is about to be asked. It needs no more than to outlive this process, so nothing waits for the platter.
+    /// Notes a claim that is about to be asked. It needs no more than to outlive this process, so nothing waits for the
+    /// platter.
     pub async fn asks(&mut self, claim: &CommandId) {
         if self.is_silent || self.noted.claim.as_ref() == Some(claim) {
             return;

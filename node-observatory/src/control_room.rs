@@ -144,12 +144,12 @@ impl ControlRoom {
         self.ruling.borrow().is_safe(self.node.bus.clock().machine())
     }
 
-    /// Does the safety loop judge? Whatever it says: a loop that hangs says nothing new.
+    /// Does the safety loop judge, whatever its verdict? A loop that hangs publishes nothing new.
     pub fn is_judging(&self) -> bool {
         self.ruling.borrow().is_fresh(self.node.bus.clock().machine())
     }
 
-    /// A standby says nothing, nor does a node that may find itself to be one: one writer per key.
+    /// A standby publishes nothing, nor does a node that may turn out to be one: one writer per key.
     pub fn may_speak(&self) -> bool {
         match *self.hold.borrow() {
             Hold::Claiming | Hold::Holding { .. } => true,
@@ -200,7 +200,7 @@ impl ControlRoom {
         }
     }
 
-    /// Goes on without a device that failed, where the policy for its kind says so.
+    /// Goes on without a device that failed, where the policy for its kind allows it.
     pub fn or_without(&self, done: Result<(), Trouble>) -> Result<(), Trouble> {
         let policy = |kind| self.node.config.faults.policy(kind);
         match done {

@@ -206,7 +206,8 @@ impl Journal {
         Ok(intent)
     }
 
-    /// A frame shows another place than the row's target: it does not count, whoever says that it was exposed.
+    /// A frame shows another place than the row's target: it does not count, whichever node reports that it was
+    /// exposed.
     pub fn astray(&self, row: &RowId, frame: &CommandId, off_target_arcmin: f64, at_utc: Utc) -> io::Result<()> {
         self.write(Line::Astray { at_utc, row: row.clone(), frame: frame.clone(), off_target_arcmin })
     }
@@ -218,11 +219,11 @@ impl Journal {
         }
     }
 
-    /// A frame was exposed, whoever says so and however often; counted at once, written before this returns.
-    /// Returns false for a frame that is not of this journal, was counted already, or does not count.
+    /// A frame was exposed, whichever node reports this and however often; counted at once, written before this
+    /// returns. Returns false for a frame that is not of this journal, was counted already, or does not count.
     pub fn taken(&self, frame: &CommandId, at_utc: Utc) -> io::Result<bool> {
         let line = {
-            // Looked up and counted in one step: two may say so at the same time.
+            // Looked up and counted in one step: two may report it at the same time.
             let mut book = self.book();
             let Some(row) = book.row_of.get(&frame.0).cloned() else { return Ok(false) };
             let known = |record: &Record| record.taken.contains(&frame.0) || record.spoilt.contains(&frame.0);
@@ -237,8 +238,8 @@ impl Journal {
         Ok(true)
     }
 
-    /// The dome hid so much of a frame's light, percent; one that does not count never will, whoever says that it was
-    /// exposed.
+    /// The dome hid so much of a frame's light, percent; one that does not count never will, whoever reports that it
+    /// was exposed.
     pub fn hidden(
         &self,
         row: &RowId,

@@ -45,7 +45,7 @@ pub enum Unchanged {
     Disk {
         /// The file.
         path: String,
-        /// What the disk says.
+        /// The error of the disk.
         #[source]
         source: io::Error,
     },
@@ -77,7 +77,7 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
         self.live.subscribe()
     }
 
-    /// Changes it at once, to be written later; `change` says whether it changed anything.
+    /// Changes it at once, to be written later; `change` returns whether it changed anything.
     pub fn change(&self, change: impl FnOnce(&mut T) -> bool) {
         self.live.send_if_modified(|value| {
             let changed = change(value);
@@ -295,7 +295,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let list = kept(folder.path());
         let times = AtomicU64::new(0);
-        // Between the disk and the memory somebody says 9: the loosening does not come to be.
+        // Between the disk and the memory, another change says 9: the change that permits more does not happen.
         let refused = list
             .change_when_written(|list| {
                 if times.fetch_add(1, Ordering::SeqCst) == 1 {

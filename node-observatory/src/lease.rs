@@ -48,7 +48,7 @@ impl Hold {
 const ASKING: Duration = Duration::from_secs(10);
 /// An arbiter that has lost its memory publishes an older lease for good; right after a grant it does so for a moment.
 const FORGOTTEN: Duration = Duration::from_secs(5);
-/// A commander says its lease every second.
+/// A commander publishes its lease every second.
 const RIVAL: Duration = Duration::from_secs(5);
 
 /// If this node receives from an older node of this very name within this time, it leaves before it claims: the arbiter
@@ -61,7 +61,7 @@ const TWIN: Duration = Duration::from_secs(3);
 pub struct Line(Arc<Publisher<Lease>>);
 
 impl Line {
-    /// Says nothing yet.
+    /// Publishes nothing yet.
     pub async fn open(room: &ControlRoom) -> Result<Self, BusError> {
         let line = room.node.bus.publisher(&room.key(Part::Lease), Quality::State { cache: 1 }).await?;
         Ok(Self(Arc::new(line)))
@@ -177,8 +177,8 @@ async fn claim(room: &ControlRoom, id: &CommandId) -> Result<u64, Trouble> {
     granted.ok_or_else(|| Trouble::Impossible(format!("{} answered a claim without a token", arbiter(room))))
 }
 
-/// Publishes the lease every second until the arbiter's guard publishes a newer one, or forgets it, or a device refuses our token
-/// as old.
+/// Publishes the lease every second until the arbiter's guard publishes a newer one, or forgets it, or a device refuses
+/// our token as old.
 async fn until_lost(room: &ControlRoom, token: u64, lease: &Line, clock: &Clock) {
     let since_utc = clock.utc();
     let telescope = room.node.config.place.telescope.as_str();

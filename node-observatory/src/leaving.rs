@@ -1,4 +1,5 @@
-//! An end in good order (SIGTERM, Ctrl-C, `systemctl stop`): the node that commands closes first, unless another one is on standby.
+//! An end in good order (SIGTERM, Ctrl-C, `systemctl stop`): the node that commands closes first, unless another one is
+//! on standby.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;

@@ -76,7 +76,7 @@ impl Board {
         });
     }
 
-    /// What the newest frames say together.
+    /// What the newest frames show together.
     pub fn triggers(&self, triggers: Vec<Trigger>) {
         self.tonight.send_if_modified(|tonight| {
             let is_new = tonight.triggers != triggers;
@@ -206,7 +206,7 @@ pub async fn keep_telling_night(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     }
 }
 
-/// How the observatory stands to the sky, as its enclosures say; a telescope without one is closed when parked.
+/// The posture of the observatory by the states of its enclosures; a telescope without one is closed when parked.
 pub fn posture(room: &ControlRoom) -> Posture {
     if room.rig.domes.is_empty() {
         let parked = room
@@ -293,7 +293,7 @@ where
     keep_saying(&room, &line, state.subscribe()).await
 }
 
-/// Says a state on a line whenever it changes, and every 10 s.
+/// Publishes a state whenever it changes, and every 10 s.
 pub async fn keep_saying<T>(
     room: &ControlRoom,
     line: &Publisher<T>,

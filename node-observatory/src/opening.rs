@@ -12,7 +12,7 @@ use crate::slit;
 use crate::trouble::Trouble;
 use schedule::plan::overheads::{Span, TOOK};
 
-/// Opens as the site's script has it, or by default where it says nothing.
+/// Opens as the site's script has it, or by default where it does not define it.
 ///
 /// The runner drops this as soon as the sky is not safe.
 pub async fn open(room: &ControlRoom, chain: &Chain<'_>) -> Result<(), Trouble> {

@@ -1,4 +1,4 @@
-//! A person's orders are answered here, each once, while this node speaks for the telescope; `obey.rs` follows them.
+//! Answers a person's orders, each once, while this node publishes for the telescope; `obey.rs` executes them.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};

@@ -60,7 +60,7 @@ pub struct Start {
     pub neighbours: Neighbours,
 }
 
-/// Prepares everything and says nothing yet.
+/// Prepares everything and publishes nothing yet.
 pub async fn start(node: &Node) -> anyhow::Result<Start> {
     let (config, clock) = (&node.config, node.bus.clock());
     ensure!(

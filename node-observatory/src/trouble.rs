@@ -33,7 +33,7 @@ pub enum Trouble {
         device: String,
         /// What.
         verb: String,
-        /// As the device says.
+        /// The device's reason.
         reason: String,
     },
     /// Something did not become true in time.

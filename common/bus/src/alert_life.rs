@@ -26,7 +26,7 @@ struct Raised {
 }
 
 impl AlertLife {
-    /// Takes an alert; one that is there keeps its time and takes the new words. True for a new one.
+    /// Takes an alert; one that is there keeps its time and takes the new cause. True for a new one.
     pub fn raise(&mut self, kind: AlertKind, mut alert: Alert, now: MachineTime) -> bool {
         let known = self.raised.get(&alert.id);
         let is_new = known.is_none();

@@ -29,7 +29,7 @@ pub(crate) async fn keep_telling(
         for (name, folder) in &watched {
             let asked = folder.clone();
             let Some(free_gb) = tokio::task::spawn_blocking(move || free_gb(asked)).await? else { continue };
-            // Hundredths: a state that changes with every byte would say nothing more.
+            // Hundredths: a state that changes with every byte would show nothing more.
             figures.set(&format!("{name}_free_gb"), Scalar::Float((free_gb * 100.0).floor() / 100.0));
             tell(config.safety.disk_free_min_gb, alerts, name, folder, free_gb);
         }

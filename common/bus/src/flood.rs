@@ -1,4 +1,4 @@
-//! Keeps a flood of log lines from filling a disk or the bus: each place in the code may say only so much at a time.
+//! Keeps a flood of log lines from filling a disk or the bus: each place in the code may log only so much at a time.
 //!
 //! zenoh complains about each sample of a peer whose clock is off, thousands of times an hour; and a diary that carries
 //! complaints about its own transport would feed itself.
@@ -12,7 +12,7 @@ use tracing::callsite::Identifier;
 use tracing::{Event, Metadata};
 use tracing_subscriber::layer::{Context, Filter};
 
-/// Lines that each place of our own code may say in one window.
+/// Lines that each place of our own code may log in one window.
 const OWN: Allowance = Allowance { lines: 300, window: Duration::from_secs(10) };
 /// Those of libraries.
 const FOREIGN: Allowance = Allowance { lines: 10, window: Duration::from_secs(60) };

@@ -1,5 +1,5 @@
-//! Lines for people leave this process on a thread of their own. A terminal that is stopped (Ctrl-S), a pipe that nobody reads or
-//! a disk that hangs takes no line for hours, and what closes a dome must not wait for that.
+//! Lines for people leave this process on a thread of their own. A terminal that is stopped (Ctrl-S), a pipe that
+//! nobody reads or a disk that hangs takes no line for hours, and what closes a dome must not wait for that.
 
 use std::fmt::Display;
 use std::fs::File;

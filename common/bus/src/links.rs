@@ -1,4 +1,4 @@
-//! Mends links over which nothing comes, while zenoh says that the peer is connected.
+//! Mends links over which nothing comes, while zenoh reports that the peer is connected.
 //!
 //! Two peers that dial each other share one transport of two TCP links. When one of them is stopped or cut off long
 //! enough, the other begins anew while the first still holds the old transport, takes the new link into it, and does
@@ -14,7 +14,7 @@ use zenoh::session::ZenohId;
 
 use crate::{Bus, MachineTime, machine};
 
-/// A node says how it is every 5 s; three are missed by then.
+/// A node publishes its state every 5 s; three are missed by then.
 const SILENT: Duration = Duration::from_secs(17);
 /// The second cut of one peer comes so much later at the earliest, each next one twice as late: its node may hang.
 const FIRST_PAUSE: Duration = Duration::from_secs(30);

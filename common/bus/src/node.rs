@@ -35,8 +35,8 @@ pub struct NodeOptions {
     /// The telescope's observatory.toml.
     #[arg(long, value_name = "FILE")]
     pub config: PathBuf,
-    /// This node's name; needed where several nodes of one role serve one telescope. Where absent: `main`; all device nodes
-    /// of the file, each as a process of its own, for the role `device`.
+    /// This node's name; needed where several nodes of one role serve one telescope. Where absent: `main`; all device
+    /// nodes of the file, each as a process of its own, for the role `device`.
     #[arg(long)]
     pub id: Option<Name>,
     /// Prove the configuration and stop.
@@ -207,8 +207,8 @@ fn read_header(config: &Observatory) -> anyhow::Result<HeaderTable> {
     text.parse().with_context(|| format!("archive.fits_header: {shown} is not a valid FITS-header table"))
 }
 
-/// As [`read_config`], for a node that goes on with the built-in rows where the FITS-header table cannot be used: no dome
-/// stays open because of a table. What is wrong with it comes with the rest.
+/// As [`read_config`], for a node that goes on with the built-in rows where the FITS-header table cannot be used: no
+/// dome stays open because of a table. What is wrong with it comes with the rest.
 fn read_config_of_node(file: &Path) -> anyhow::Result<(Observatory, HeaderTable, Option<String>)> {
     let config = read_observatory(file)?;
     Ok(match read_header(&config) {
@@ -406,7 +406,8 @@ pub async fn end_asked() {
     }
 }
 
-/// Waits until the terminal ends. A shell may say so twice, so this is never the second signal, which ends at once.
+/// Waits until the terminal ends. A shell may signal this twice, so this is never the second signal, which ends at
+/// once.
 #[cfg(unix)]
 async fn hangup() {
     use tokio::signal::unix::{SignalKind, signal};

@@ -37,7 +37,7 @@ mod linux {
             None => SocketAddr::from_pathname(&name).ok()?,
         };
         let socket = UnixDatagram::unbound().ok()?;
-        // A full queue must not hold the loop up that says it lives.
+        // A full queue must not block the loop that reports that it is alive.
         socket.set_nonblocking(true).ok()?;
         Some((socket, manager))
     }

@@ -55,7 +55,8 @@ fn make_public(path: &Path, mode: u32) -> io::Result<()> {
 }
 
 /// Takes from others what they may do with files of a data folder that an older version wrote. What belongs to another
-/// user stays as it is, links are not followed, and `images` within it stays as it is with the folders on the way there.
+/// user stays as it is, links are not followed, and `images` within it stays as it is with the folders on the way
+/// there.
 pub fn tighten(data: &Path, images: &Path) {
     #[cfg(unix)]
     tighten_below(data, images, DEEPEST, &mut MOST_ENTRIES.clone());
@@ -84,7 +85,7 @@ fn tighten_below(path: &Path, images: &Path, deep: usize, left: &mut usize) {
     }
 }
 
-/// Warns of a file with a secret that others may read. Says nothing of one that cannot be looked at.
+/// Warns of a file with a secret that others may read. Logs nothing for one that cannot be looked at.
 pub fn is_open_to_others(file: &Path) -> bool {
     #[cfg(unix)]
     {

@@ -1,4 +1,4 @@
-//! Saying typed payloads, stamped and counted.
+//! Publishes typed payloads, stamped and counted.
 
 use std::marker::PhantomData;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -31,7 +31,7 @@ pub enum Quality {
     Urgent,
 }
 
-/// Says payloads of one type on one key.
+/// Publishes payloads of one type on one key.
 pub struct Publisher<T> {
     key: String,
     line: Line,
@@ -113,7 +113,7 @@ impl Bus {
 }
 
 impl<T: Payload> Publisher<T> {
-    /// Says a payload now, stamped with this node's boot id, the next number and sky time.
+    /// Publishes a payload now, stamped with this node's boot id, the next number and sky time.
     pub async fn put(&self, body: T) -> Result<(), BusError> {
         let now = machine::now();
         let stamped = Stamped {
@@ -147,7 +147,7 @@ impl<T: Payload> Publisher<T> {
         self.seq.load(Ordering::Relaxed)
     }
 
-    /// Says the newest value of a watch at each change and at least every `period`, until the sender is gone.
+    /// Publishes the newest value of a watch at each change and at least every `period`, until the sender is gone.
     pub async fn follow(&self, mut values: tokio::sync::watch::Receiver<T>, period: Duration) -> Result<(), BusError> {
         loop {
             let value = values.borrow_and_update().clone();

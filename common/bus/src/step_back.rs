@@ -4,8 +4,8 @@
 #[cfg(target_os = "linux")]
 const NICER: i32 = 5;
 
-/// Gives the calling thread, and the threads it starts, a smaller share of the processor, for good: so it is for threads
-/// of its own, never for one of a pool. Does nothing where the system knows no priority of a single thread.
+/// Gives the calling thread, and the threads it starts, a smaller share of the processor, for good: so it is for
+/// threads of its own, never for one of a pool. Does nothing where the system knows no priority of a single thread.
 pub fn step_back() {
     #[cfg(target_os = "linux")]
     {

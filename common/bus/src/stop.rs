@@ -1,10 +1,10 @@
-//! The word that ends a node.
+//! The signal that ends a node.
 
 use std::sync::Arc;
 
 use tokio::sync::watch;
 
-/// Says once, to all who hold a clone, that it is time to end.
+/// Signals once, to all holders of a clone, that it is time to end.
 #[derive(Debug, Clone)]
 pub struct Stop {
     said: Arc<watch::Sender<bool>>,
@@ -17,7 +17,7 @@ impl Default for Stop {
 }
 
 impl Stop {
-    /// Says it.
+    /// Sets it.
     pub fn stop(&self) {
         self.said.send_replace(true);
     }

@@ -72,7 +72,7 @@ impl Bus {
             for pause_ms in [0, 300, 1500] {
                 tokio::time::sleep(Duration::from_millis(pause_ms)).await;
                 let into = Arc::downgrade(&queue);
-                // All that answer, and all that they say: a stranger's answer must not take the place of the writer's.
+                // All that answer, and all their samples: a stranger's answer must not take the place of the writer's.
                 let asked = session
                     .get(&expression)
                     .target(QueryTarget::All)
@@ -161,7 +161,7 @@ impl<T: Clone> Latest<T> {
         self.get().filter(|heard| machine::now().since(heard.arrived) <= age)
     }
 
-    /// Do two nodes speak on the key at the same time? Then neither is to be believed.
+    /// Do two nodes publish on the key at the same time? Then neither is to be believed.
     pub fn has_rivals(&self) -> bool {
         lock(&self.succession).rivals(machine::now()).is_some()
     }

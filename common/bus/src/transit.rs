@@ -55,7 +55,7 @@ impl Transit {
     pub(crate) fn arrived<T>(&mut self, said: &Stamped<T>, now: MachineTime) -> MachineTime {
         let held_s = said.held_s.filter(|s| s.is_finite()).unwrap_or(0.0).max(0.0);
         let late_s = match said.sent_s.filter(|sent_s| sent_s.is_finite()) {
-            // Without its sender's clock only what the sender says of itself is known.
+            // Without its sender's clock only what the sender reports of itself is known.
             None => held_s,
             Some(sent_s) => {
                 let difference_s = seconds(now) - sent_s - held_s;

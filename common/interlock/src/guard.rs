@@ -1,8 +1,8 @@
 //! The guard: permission to be open must be renewed; without it the dome closes, whoever is dead.
 //!
-//! A pure state machine: everything it knows comes in as an argument, everything it wants goes out as a
-//! [`Deed`]. The device node's `guard_task` gives it eyes and hands. Two facts are kept apart: *may it be open* (permits), and
-//! *is it closed* (fresh readings of the shutter; nothing else proves it).
+//! A pure state machine: everything it knows comes in as an argument, everything it wants goes out as a [`Deed`]. The
+//! device node's `guard_task` gives it eyes and hands. Two facts are kept apart: *may it be open* (permits), and *is it
+//! closed* (fresh readings of the shutter; nothing else proves it).
 //!
 //! ```text
 //!             no permit, or unsafe, and not verified closed;
@@ -168,7 +168,8 @@ impl Guard {
         }
     }
 
-    /// The same with another time of grace: until when the dome might have been open, had this guard not been started anew.
+    /// The same with another time of grace: until when the dome might have been open, had this guard not been started
+    /// anew.
     pub fn with_grace_until(mut self, until: MachineTime) -> Self {
         self.grace_until = until.min(self.grace_until);
         self
@@ -319,8 +320,8 @@ impl Guard {
         self.settings.policy != CloseWithMount::Beside
     }
 
-    /// It must close, and waits for mounts that are not known to be `parked` and that nobody has sent to their park yet. Of
-    /// one that says closed only the proof is missing, for which no mount need move before this node ends.
+    /// It must close, and waits for mounts that are not known to be `parked` and that nobody has sent to their park
+    /// yet. Of one that reports closed only the proof is missing, for which no mount need move before this node ends.
     pub fn needs_help_with_mounts(&self, now: MachineTime, parked: bool) -> bool {
         let is_late = self.closing.is_some_and(|closing| now.since(closing.since) >= PARKS_WITHIN);
         let is_open = is_late && !self.evidence.is_credible(now, FRESH);
@@ -340,8 +341,8 @@ impl Guard {
         Ok(())
     }
 
-    /// Looks at the dome: `seen` is a fresh reading of the shutter and when it was asked for, or none; `parked` means that
-    /// every mount is known to be parked.
+    /// Looks at the dome: `seen` is a fresh reading of the shutter and when it was asked for, or none; `parked` means
+    /// that every mount is known to be parked.
     pub fn look(&mut self, now: MachineTime, seen: Option<(Shutter, MachineTime)>, parked: bool) -> Vec<Deed> {
         if let Some((shutter, asked)) = seen {
             self.evidence.read(shutter, asked);
@@ -393,7 +394,7 @@ impl Guard {
                 false
             }
             Some(Shutter::Closed) => {
-                // Right after the command a dome may still say closed.
+                // Right after the command a dome may still report closed.
                 let about_to_open =
                     matches!(self.expected, Expected::Open { since } if now.since(since) < self.settings.travel);
                 if !about_to_open {
@@ -406,7 +407,7 @@ impl Guard {
     }
 
     fn must_close(&self, now: MachineTime) -> bool {
-        // A node that was restarted in the middle of the night gives its commander time to speak.
+        // A node that was restarted in the middle of the night gives its commander time to publish.
         let starting = now < self.grace_until && self.permits.none_heard();
         self.ending || self.permits.is_said_unsafe(now) || (!self.may_be_open(now) && !starting)
     }

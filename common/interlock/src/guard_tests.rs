@@ -381,7 +381,7 @@ proptest! {
         }
     }
 
-    /// The guard never says that it may be open without a safe permit whose number it sent within the validity.
+    /// The guard never reports that it may be open without a safe permit whose number it sent within the validity.
     #[test]
     fn what_may_be_open_rests_on_a_young_safe_permit(
         steps in prop::collection::vec((0_u64..4000, 0_usize..30, any::<bool>()), 1..80),

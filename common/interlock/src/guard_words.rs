@@ -1,7 +1,9 @@
-//! What the guards of a site publish, each incarnation for itself: numbers, granted tokens, and whether a roof must close; pure.
+//! What the guards of a site publish, each incarnation for itself: numbers, granted tokens, and whether a roof must
+//! close; pure.
 //!
-//! A peer that publishes in a guard's name takes nothing away from the real one: a permit that answers either is an answer,
-//! and the smaller of two tokens fences. A roof counts as closing, and as not closed, when one of them publishes that.
+//! A peer that publishes in a guard's name takes nothing away from the real one: a permit that answers either is an
+//! answer, and the smaller of two tokens fences. A roof counts as closing, and as not closed, when one of them
+//! publishes that.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -49,7 +51,7 @@ pub struct GuardWords {
 }
 
 impl GuardWords {
-    /// A guard has spoken.
+    /// A guard has published.
     pub fn hear(&mut self, dome: Device, life: &BootId, said: &Guard, arrived: MachineTime) {
         if let Some(waits) = said.waits_for_mounts {
             self.waits.insert(dome.clone(), waits);

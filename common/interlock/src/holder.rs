@@ -55,7 +55,7 @@ impl Holding {
         });
     }
 
-    /// Somebody spoke with the newest token: it holds the lease, unless it has released it.
+    /// A process published with the newest token: it holds the lease, unless it has released it.
     pub fn hear(&mut self, name: &str, life: &BootId, token: u64, arrived: MachineTime) {
         if token <= self.released_token {
             return;

@@ -1,4 +1,5 @@
-//! The mount's node receives its enclosure's permit and guard too: when the roof must close it stops, and parks, whoever is dead.
+//! The mount's node receives its enclosure's permit and guard too: when the roof must close it stops, and parks,
+//! whoever is dead.
 
 use std::time::Duration;
 

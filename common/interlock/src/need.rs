@@ -3,7 +3,7 @@
 /// What a command needs before it is taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Need {
-    /// Nothing: anyone who may speak at all may stop and close.
+    /// Nothing: anyone who may send commands at all may stop and close.
     Nothing,
     /// The newest token, but only while a valid safe permit exists: park and tracking off.
     TokenWhileSafe,

@@ -39,7 +39,7 @@ struct HeardPermit {
 }
 
 impl SitePermits {
-    /// Does a permit say safe, and is it young?
+    /// Is there a permit that is safe and young?
     pub fn is_safe(&self, telescope: &str, now: MachineTime) -> bool {
         let permit = self.newest.get(telescope).and_then(|newest| newest.permit.as_ref());
         permit.is_some_and(|permit| permit.safe && now.since(permit.arrived) <= PERMIT_VALID)
@@ -55,7 +55,7 @@ impl SitePermits {
         self.newest.entry(telescope.to_owned()).or_default().holding.grant(claimant, now);
     }
 
-    /// A lease was spoken of: an empty holder has released it. Where permits are spoken, they alone keep it alive.
+    /// A lease was published: an empty holder has released it. Where permits are published, they alone keep it alive.
     pub fn lease(&mut self, telescope: &str, said: &Stamped<Lease>, arrived: MachineTime) {
         let (lease, life) = (&said.body, &said.boot_id);
         let entry = self.newest.entry(telescope.to_owned()).or_default();
@@ -71,7 +71,7 @@ impl SitePermits {
         self.guards.roofs(enclosures, now)
     }
 
-    /// A dome's guard has spoken.
+    /// A dome's guard has published.
     pub fn guard(&mut self, dome: Device, life: &BootId, said: &Guard, arrived: MachineTime) {
         self.guards.hear(dome, life, said, arrived);
     }
@@ -87,8 +87,8 @@ impl SitePermits {
         self.guards.is_answered(dome, permit, now)
     }
 
-    /// The token of a lease that no guard publishes, by its commander's permits: one step of a count follows another, and a
-    /// larger leap, or a step back, counts only once the one before it is silent.
+    /// The token of a lease that no guard publishes, by its commander's permits: one step of a count follows another,
+    /// and a larger leap, or a step back, counts only once the one before it is silent.
     pub fn told_by_lease(&mut self, telescope: &str, token: u64, arrived: MachineTime) -> Option<u64> {
         if let Some((known, at)) = self.leases.get(telescope) {
             let follows = token >= *known && token - known <= STEP;

@@ -299,7 +299,7 @@ mod tests {
         desk.hear(&Alerts { alerts: alerts.clone(), told: vec![told(AlertEvent::Raised, 1.0)] }, true, at(1.0));
         let text = serde_json::to_vec(&desk).unwrap();
         let mut next = serde_json::from_slice::<Annunciator>(&text).unwrap().of_the_life_before();
-        // Its own nodes have not spoken yet.
+        // Its own nodes have not published yet.
         next.hear(&Alerts::default(), false, at(2.0));
         assert_eq!(next.shown(at(2.0)).told, [told(AlertEvent::Raised, 1.0)]);
         let standby = Annunciator::heard(&desk.shown(at(2.0)), &[]);
@@ -328,7 +328,7 @@ mod tests {
         desk.shelve("cooling-failed/x", 60.0, said(1.0)).unwrap();
         let mut next = Annunciator::heard(&desk.shown(at(2.0)), &desk.shelf());
         assert_eq!(next.shown(at(2.0)), desk.shown(at(2.0)));
-        // Its own nodes have not spoken yet.
+        // Its own nodes have not published yet.
         next.hear(&Alerts::default(), false, at(3.0));
         assert_eq!(next.shown(at(3.0)), desk.shown(at(3.0)));
         assert_eq!(next.shelf(), desk.shelf());

@@ -1,8 +1,9 @@
-//! What time it may be: this node's wall clock compared with its boot-time clock, the other nodes' stamps and the mounts' clocks.
+//! What time it may be: this node's wall clock compared with its boot-time clock, the other nodes' stamps and the
+//! mounts' clocks.
 //!
 //! The Sun, and the end of what a person ordered, follow the wall clock, and a step of an hour as the Sun rises leaves
-//! a dome open. Nobody here decides which clock is right: while they disagree, each of them may be, and what is the worst of
-//! them counts.
+//! a dome open. Nobody here decides which clock is right: while they disagree, each of them may be, and what is the
+//! worst of them counts.
 
 use std::time::Duration;
 
@@ -56,8 +57,8 @@ pub struct Clocks {
 }
 
 impl Clocks {
-    /// Begins to watch. `boot` is which boot of the machine this is, empty where nobody knows; `kept` is the anchor that was
-    /// persisted before, so that a restart of the node does not forget a step.
+    /// Begins to watch. `boot` is which boot of the machine this is, empty where nobody knows; `kept` is the anchor
+    /// that was persisted before, so that a restart of the node does not forget a step.
     pub fn new(kept: Option<Anchor>, boot: String, speed: f64, utc: Utc, now: MachineTime) -> Self {
         let fresh = Anchor { boot, utc, machine_s: seconds(now) };
         // It means nothing for another boot of the machine.

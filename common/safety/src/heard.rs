@@ -328,8 +328,8 @@ fn monitor_reading(state: &DeviceState<Monitor>) -> Result<MonitorReading, Strin
     Ok(MonitorReading { is_safe, gapless_safe: seconds(state.fields.gapless_safe_s) })
 }
 
-/// The value of a parameter in a station's state, or why there is none; `told_s` is how long ago the station published how old
-/// its own measurement is.
+/// The value of a parameter in a station's state, or why there is none; `told_s` is how long ago the station published
+/// how old its own measurement is.
 fn parameter(
     state: &DeviceState<Weather>,
     name: &str,

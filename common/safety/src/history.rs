@@ -42,7 +42,7 @@ impl<T> Default for Record<T> {
     }
 }
 
-/// What a record speaks for.
+/// What a record proves.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Evidence<T> {
     /// No value now, for this reason.
@@ -103,7 +103,7 @@ impl<T: Clone> Record<T> {
         self.entries.iter()
     }
 
-    /// What the record speaks for; silence longer than `max_age` is a gap, and at its end a missing value.
+    /// What the record proves; silence longer than `max_age` is a gap, and at its end a missing value.
     pub fn evidence(&self, now: Now, max_age: Duration, is_good: impl Fn(&T) -> bool) -> Evidence<T> {
         let Some(newest) = self.newest() else { return Evidence::Missing("nothing heard yet".to_owned()) };
         let age = now.machine.since(newest.at.machine);

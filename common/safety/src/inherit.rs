@@ -63,7 +63,7 @@ impl Known<'_> {
             Some(before) => token.is_some_and(|token| before.contains(&token)),
         };
         let heard = self.heard.as_ref().filter(|word| {
-            // One that speaks without a token does so because nobody commands: its orders hold too.
+            // A node publishes without a token because nobody commands: its orders hold too.
             follows(word.orders.token) || (word.orders.token.is_none() && word.is_last)
         });
         let on_disk = match self.disk {
@@ -93,8 +93,8 @@ impl Known<'_> {
         (standing, source)
     }
 
-    /// The tokens of which one is the last commander's: the one before, and those before that one which nobody commanded
-    /// with; none where there is no arbiter.
+    /// The tokens of which one is the last commander's: the one before, and those before that one which nobody
+    /// commanded with; none where there is no arbiter.
     fn before(&self) -> Option<std::ops::RangeInclusive<u64>> {
         let last = self.granted?.saturating_sub(1);
         let unused = (0..=last).rev().take_while(|token| self.unused.contains(token)).count() as u64;

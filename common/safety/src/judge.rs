@@ -30,7 +30,7 @@ pub struct Judgement {
     pub inputs: Vec<InputState>,
     /// Directions that no telescope is to point to.
     pub avoid: Vec<Sector>,
-    /// Some input says something bad now, as opposed to saying nothing.
+    /// Some input has a bad value now, as opposed to no value.
     pub speaks_against: bool,
 }
 
@@ -197,7 +197,7 @@ fn hear_monitor(
     }
 }
 
-/// What a limit's record speaks for, noted among the inputs.
+/// What a limit's record proves, noted among the inputs.
 fn weigh(
     rule: &LimitRule,
     record: &Record<Measured>,
@@ -228,8 +228,8 @@ fn hear_required(rule: &LimitRule, record: &Record<Measured>, allowed: Duration,
 }
 
 /// A limit that the site can do without, or that others vote with: a missing value is no violation, but a bad one stays
-/// one until a good one has come, and the dwell counts from the last bad one or the start of the listening; a record of the
-/// time before counts from the first value that it holds, since a bad one may have come before.
+/// one until a good one has come, and the dwell counts from the last bad one or the start of the listening; a record of
+/// the time before counts from the first value that it holds, since a bad one may have come before.
 fn hear_optional(rule: &LimitRule, record: &Record<Measured>, history: &History, now: Now, hearing: &mut Hearing) {
     weigh(rule, record, history.allowed(rule), now, hearing);
     if let Some(Ok(measured)) = record.last_known().map(|entry| &entry.outcome)

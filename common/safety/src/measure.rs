@@ -64,8 +64,8 @@ impl Window {
         }
     }
 
-    /// How long it takes until no value of the time before can be within the window, sky time; zero once it is so. A rate
-    /// has no value before that.
+    /// How long it takes until no value of the time before can be within the window, sky time; zero once it is so. A
+    /// rate has no value before that.
     pub fn unknown_for(&self, measure: Measure, at: SkyTime) -> Duration {
         match measure {
             Measure::Value | Measure::Rate(_) => Duration::ZERO,
@@ -73,8 +73,9 @@ impl Window {
         }
     }
 
-    /// A value is missing. A rate across it would be a guess, so its window begins anew; the largest value that is known stays,
-    /// but where `each` value is needed it is not known to be the largest until the window has filled again.
+    /// A value is missing. A rate across it would be a guess, so its window begins anew; the largest value that is
+    /// known stays, but where `each` value is needed it is not known to be the largest until the window has filled
+    /// again.
     pub fn miss(&mut self, measure: Measure, each: bool) {
         if !matches!(measure, Measure::Max(_)) {
             self.values.clear();

@@ -9,7 +9,7 @@ use contract::node::{MOUNT_CLOCK_OFFSET_S, NodeState};
 use units::MachineTime;
 use units::Utc;
 
-/// A node that was silent for so long has no say, machine time.
+/// A node that was silent for so long does not count, machine time.
 const SILENT: Duration = Duration::from_secs(30);
 /// An offset is judged from this many messages: what comes from a cache, or late, looks like a slow clock.
 const MESSAGES: usize = 3;
@@ -44,7 +44,7 @@ struct Heard {
     at: Option<MachineTime>,
 }
 
-/// What speaks against exposing.
+/// A complaint against exposing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Complaint {
     /// Which node: `node/callisto/device/main`.
@@ -54,7 +54,8 @@ pub struct Complaint {
 }
 
 impl Nodes {
-    /// Takes in the state of a node (`callisto/device/main`): `said` is its own stamp, `own` this clock when it arrived.
+    /// Takes in the state of a node (`callisto/device/main`): `said` is its own stamp, `own` this clock when it
+    /// arrived.
     pub fn hear(&mut self, node: String, state: &NodeState, said: Utc, own: Utc, now: MachineTime) {
         let heard = self.heard.entry(node).or_default();
         // Sky time runs at its speed, and two clocks of one simulation part at that speed too.

@@ -1,4 +1,5 @@
-//! What stands against an action: the robotic switch, the lease, the verdict, and the direction in which the action looks.
+//! What stands against an action: the robotic switch, the lease, the verdict, and the direction in which the action
+//! looks.
 
 use contract::observatory::Sector;
 use units::MachineTime;

@@ -1,7 +1,8 @@
 //! Which operator has the telescope, or the schedule. Closing is everybody's; all else is taken over with a reason.
 //!
 //! An operator who closes, stops or keeps the telescope closed has it from then on, until somebody starts it again. To
-//! loosen what another operator ordered, or to start what another one stopped, a reason is needed; the audit records it.
+//! loosen what another operator ordered, or to start what another one stopped, a reason is needed; the audit records
+//! it.
 
 use contract::{Order, OrderKind, Reason, command::operator};
 use units::Utc;

@@ -19,7 +19,7 @@ use super::history::Now;
 const DOUBT: Duration = Duration::from_secs(1);
 /// Two reckonings of one moment may differ by the drift of two machines' clocks.
 const DRIFT: Duration = Duration::from_millis(100);
-/// Nothing that is older says anything; machine time.
+/// Older states are no evidence; machine time.
 const OLDEST: Duration = Duration::from_secs(10 * 86_400);
 /// More states than any device node keeps.
 const MOST_ENTRIES: usize = 20_000;

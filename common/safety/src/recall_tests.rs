@@ -41,7 +41,7 @@ impl Station {
         Self { boot_id: BootId::fresh(), said: Vec::new() }
     }
 
-    /// Says a humidity at each of these machine seconds; its thermometer always moves.
+    /// Publishes a humidity at each of these machine seconds; its thermometer always moves.
     fn says(mut self, seconds: impl IntoIterator<Item = i64>, humidity: f64) -> Self {
         for second in seconds {
             self.said.push((second * 1000, Link::Connected, air(second, Datum::Known(humidity))));
@@ -339,7 +339,7 @@ fn recalled_evidence_without_live_states_is_not_what_is_now() {
     assert!(late.reasons[0].why.starts_with("stale"), "{late:?}");
 }
 
-/// A station that says something after each pause (s), of each kind: mostly good.
+/// A station that publishes after each pause (s), of each kind: mostly good.
 fn stations() -> impl Strategy<Value = Station> {
     let pause = prop_oneof![12 => 1..=5_i64, 1 => 14..=18_i64];
     let humidity = prop_oneof![8 => Just(Some(50.0)), 3 => Just(Some(75.0)), 1 => Just(Some(85.0)), 1 => Just(None)];

@@ -19,7 +19,7 @@ pub struct MonitorRule {
     pub input: String,
     /// Which device.
     pub device: Device,
-    /// Safe only after so long without any other word, sky time.
+    /// Safe only after so long without any other value, sky time.
     pub dwell: Duration,
     /// A reading older than this is unsafe, machine time.
     pub max_age: Duration,
@@ -186,7 +186,7 @@ fn dwell(minutes: f64) -> Duration {
 }
 
 impl LimitRule {
-    /// A missing value speaks against safety by itself.
+    /// A missing value is unsafe by itself.
     pub fn needs_each(&self) -> bool {
         self.required && self.vote.is_none()
     }

@@ -1,7 +1,7 @@
 //! A person's operator orders about the verdict: stay closed, and do without one limit for a while.
 //!
-//! They outlive a restart of the node and a takeover (`inherit.rs`). Staying closed has no end of its own; an override has,
-//! at most eight hours, and only limits and the Sun can be overridden: no safety monitor, no vote.
+//! They outlive a restart of the node and a takeover (`inherit.rs`). Staying closed has no end of its own; an override
+//! has, at most eight hours, and only limits and the Sun can be overridden: no safety monitor, no vote.
 
 use std::collections::BTreeMap;
 
@@ -61,7 +61,7 @@ impl Standing {
         Self { token: self.token, stay_closed, control, overrides }
     }
 
-    /// Do both say the same, whoever keeps them?
+    /// Are both the same, whichever commander holds them?
     pub fn says_as(&self, other: &Self) -> bool {
         self.stay_closed == other.stay_closed && self.overrides == other.overrides
     }
@@ -96,7 +96,7 @@ impl Standing {
         closed.chain(overrides).collect()
     }
 
-    /// Takes an override, or says why not.
+    /// Takes an override, or returns why not.
     pub fn do_without(&mut self, rules: &Rules, input: &str, for_s: f64, said: Said) -> Result<(), String> {
         let known: Vec<&str> = rules.limits.iter().map(|rule| rule.input.as_str()).chain([SUN]).collect();
         if !known.contains(&input) {

@@ -157,7 +157,7 @@ impl Driver for Dome {
             Command::Vendor(command) => {
                 vendor::refuse(&[&self.vendor_commands, &self.vendor_commands_to_close], command)
             }
-            // Closing is tried whatever the dome says of itself.
+            // Closing is tried whatever the dome reports of itself.
             Command::OpenShutter
             | Command::CloseShutter
             | Command::Abort

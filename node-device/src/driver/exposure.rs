@@ -71,7 +71,7 @@ impl Camera {
             // The camera may still be exposing; whether it is shows in its state.
             let _ = alpaca.at_once().put("abortexposure", &[]).await;
         }
-        // The outcome of an exposure is known here; the camera's later state says nothing about it.
+        // The outcome of an exposure is known here; the camera's later state does not show it.
         taken.map_err(|error| AlpacaError::Value(error.no_data()))
     }
 
@@ -125,7 +125,7 @@ impl Camera {
         Ok(())
     }
 
-    /// Opens the shutter, once. A lost answer is no failure where the camera says that it exposes, and when the loss
+    /// Opens the shutter, once. A lost answer is no failure where the camera reports that it exposes, and when the loss
     /// was noticed so soon that the time of the start is still known.
     async fn begin(&self, alpaca: &Alpaca, parameters: &[(&str, &str)]) -> Result<(), AlpacaError> {
         let asked = Instant::now();
@@ -211,7 +211,7 @@ impl Camera {
         Err(AlpacaError::Value(NoData::new("timeout", format!("no image {waited:.0} s after the exposure began"))))
     }
 
-    /// The camera knows best when its shutter opened, if it says so to a fraction of a second and believably.
+    /// The camera knows best when its shutter opened, if it reports this to a fraction of a second and believably.
     async fn as_the_camera_tells(&self, alpaca: &Alpaca, started_utc: Utc, exposure_s: f64) -> (Utc, f64) {
         if !self.memory(|memory| memory.tells_start) {
             return (started_utc, exposure_s);

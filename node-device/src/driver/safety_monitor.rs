@@ -1,4 +1,4 @@
-//! The safety monitor, and the record of its word that outlives the observatory node.
+//! The safety monitor, and the record of its state, which survives a restart of the observatory node.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;

@@ -299,7 +299,7 @@ impl Driver for Telescope {
                 (Some(false), Datum::Known(ra), Datum::Known(dec)) => {
                     let across = apart_deg(*ra, *ra_deg) * dec_deg.to_radians().cos();
                     let distance = across.hypot(dec - dec_deg);
-                    // Right after the command some mounts do not say yet that they slew, so this is no failure.
+                    // Right after the command some mounts do not report yet that they slew, so this is no failure.
                     if distance <= AT_TARGET_DEG { Progress::Settling(self.settle_s) } else { Progress::Running }
                 }
                 _ => Progress::Running,

@@ -1,5 +1,5 @@
-//! Publishes alerts on the bus while the device node cannot: with a session of its own, on threads of its own, so that nothing
-//! that closes waits for it. The session is opened with the first alert and not before.
+//! Publishes alerts on the bus while the device node cannot: with a session of its own, on threads of its own, so that
+//! nothing that closes waits for it. The session is opened with the first alert and not before.
 
 use std::time::Duration;
 

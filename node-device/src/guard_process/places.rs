@@ -1,4 +1,5 @@
-//! Where the guard process stores its copy, its countdown and its locks, so that they are found without the configuration.
+//! Where the guard process stores its copy, its countdown and its locks, so that they are found without the
+//! configuration.
 //!
 //! The files are next to the configuration and in the state folder of the service or user; what can be written is
 //! written, and of what can be read the newest counts.
@@ -108,8 +109,8 @@ impl Places {
         }
     }
 
-    /// Writes the countdown; false where it can be written nowhere. It needs no fsync, because it is of no use after the
-    /// kernel has gone. Blocks.
+    /// Writes the countdown; false where it can be written nowhere. It needs no fsync, because it is of no use after
+    /// the kernel has gone. Blocks.
     pub fn keep_countdown(&self, now: MachineTime, deadlines: &Deadlines) -> bool {
         let open_until_ns = deadlines.iter().map(|(dome, at)| (dome.clone(), nanos(*at))).collect();
         let countdown = Countdown { kernel_boot_id: kernel_boot_id(), written_ns: nanos(now), open_until_ns };

@@ -1,4 +1,5 @@
-//! A start of the device node, as far as it needs the disk: on a thread, because a disk that hangs must not hold up what closes.
+//! A start of the device node, as far as it needs the disk: on a thread, because a disk that hangs must not hold up
+//! what closes.
 
 use std::sync::mpsc::{Receiver, sync_channel};
 

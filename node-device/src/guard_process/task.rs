@@ -235,7 +235,8 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// Stores the last-good copy with the domes that are not let go yet: a restart of this process must still know both.
+    /// Stores the last-good copy with the domes that are not let go yet: a restart of this process must still know
+    /// both.
     fn save(&mut self) {
         if let Some((number, good)) = self.good.as_mut().filter(|_| self.unsaved) {
             let copy = Copy { leaving: self.leaving.iter().map(|old| old.dome().clone()).collect(), ..good.clone() };
@@ -288,7 +289,7 @@ impl<'a> Work<'a> {
             Ok(Some(status)) => (status.to_string(), status.success()),
             Err(error) => (error.to_string(), false),
         };
-        // Its last words.
+        // The last lines of its log.
         while self.lines.is_some() {
             match tokio::time::timeout(Duration::from_millis(50), next_line(&mut self.lines)).await {
                 Ok(Some(line)) => self.heard(Some(line)),
@@ -320,7 +321,7 @@ impl<'a> Work<'a> {
             return;
         }
         let told = self.asking.as_ref().map(Receiver::try_recv);
-        // While the disk says nothing this process guards alone.
+        // While the disk does not answer, this process guards alone.
         if matches!(told, Some(Err(TryRecvError::Empty))) {
             return;
         }

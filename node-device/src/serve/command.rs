@@ -1,4 +1,4 @@
-//! One command of a device from its start to its end: what was sent, what the readings say of it, and how it ended.
+//! One command of a device from its start to its end: what was sent, what the readings show of it, and how it ended.
 
 use std::time::Duration;
 
@@ -75,7 +75,7 @@ impl<D: Driver> Loop<D> {
                 self.end(Outcome::Done);
             }
             Err(error) if !error.is_unknown_outcome() => self.end(Outcome::Failed { reason: error.to_string() }),
-            // No answer says nothing about whether it was done; the state will.
+            // A missing answer does not show whether it was done; the state will.
             answer @ (Ok(Obeyed::Watch) | Err(_)) => {
                 running.in_doubt = answer.is_err();
                 let limit = self.serve.driver.limit(&running.order.deed);

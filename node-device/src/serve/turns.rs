@@ -71,8 +71,8 @@ impl<D: Driver> Loop<D> {
         Wanted { properties: deciding, full: true, device_state, lanes, told_after }
     }
 
-    /// A slow device that can answer one question at a time is asked one, and its answer is published, before the next: what
-    /// decides in turn, and one property of the rest in each round.
+    /// A slow device that can answer one question at a time is asked one, and its answer is published, before the next:
+    /// what decides in turn, and one property of the rest in each round.
     fn next_part(&mut self, now: Instant, deciding: Vec<String>) -> Wanted {
         self.rest_is_due = false;
         if self.parts.is_empty() {
@@ -86,7 +86,8 @@ impl<D: Driver> Loop<D> {
         Wanted { properties, full: false, device_state: false, lanes: 1, told_after: None }
     }
 
-    /// Measures by a poll how fast the device is: a slow one is asked several things at once, as long as it can bear that.
+    /// Measures by a poll how fast the device is: a slow one is asked several things at once, as long as it can bear
+    /// that.
     pub(super) fn pace(&mut self, poll: &Poll) {
         let took = poll.began_at.elapsed();
         self.each = took / u32::try_from(poll.answers.len().max(1)).unwrap_or(1);

@@ -74,7 +74,7 @@ async fn a_domes_night_stands_in_the_audit_from_the_claim_to_the_guards_closing(
     let by_guard = all.iter().filter(|record| record.from == "guard" && record.outcome == Outcome::Accepted).count();
     assert!(by_guard >= closings, "{closings} closings, {by_guard} records");
 
-    // The bus says the same, byte for byte.
+    // The bus has the same, byte for byte.
     let mut said = Vec::new();
     while said.len() < all.len() {
         let one = tokio::time::timeout(LIMIT, heard.hear()).await.unwrap();

@@ -12,7 +12,8 @@ use test_support::{ALPHA, LIMIT, private_bus};
 use crate::block;
 use crate::fake::Fake;
 
-/// Nothing has worked yet, so there is no copy of a configuration that worked; the alert needs only one that can be read.
+/// Nothing has worked yet, so there is no copy of a configuration that worked; the alert needs only one that can be
+/// read.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_device_node_that_fails_from_its_first_start_on_raises_guard_process() {
     let hardware = Fake::start(&[("shutterstatus", json!(1))]).await;

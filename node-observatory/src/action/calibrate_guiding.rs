@@ -106,7 +106,7 @@ async fn frame(
     })
 }
 
-/// How to step: as the row says, or so that the stars go their way in as many steps as it says, or ten.
+/// How to step: as the row orders, or so that the stars go their way in as many steps as it orders, or ten.
 fn settings(calibrate: &CalibrateGuiding, looked: &Looked, mount: &Mount, target: &Icrs) -> pulses::Settings {
     let rates = mount.instrument.can().as_ref().and_then(guide_rates);
     let scale = looked.solved.as_ref().and_then(|solved| solved.as_ref().ok()).map(|s| s.scale_arcsec_px);

@@ -1,4 +1,5 @@
-//! One frame after another, with nothing between them: the next is sent as soon as the state says the last is done.
+//! One frame after another, with nothing between them: the next is sent as soon as the state shows that the last is
+//! done.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -125,8 +126,8 @@ fn own(stage: &Stage, series: &Series, shot: &Shot, sequence: u32) -> Command {
     command(stage, series, shot, series.action.unwrap_or(stage.row.action.name()), sequence)
 }
 
-/// Takes one frame whose id was made before ([`intend`]); the next one waits for what it shows. Where it does not count,
-/// it is none of those that the row was asked for.
+/// Takes one frame whose id was made before ([`intend`]); the next one waits for what it shows. Where it does not
+/// count, it is none of those that the row was asked for.
 pub async fn single(stage: &Stage, series: &Series, shot: &Shot, intent: &Intent, counts: bool) -> Result<(), Trouble> {
     let camera = stage.chain()?.camera;
     ready(stage, series, shot, &intent.frame).await?;
@@ -177,7 +178,7 @@ fn command(stage: &Stage, series: &Series, shot: &Shot, action: &str, sequence: 
     }
 }
 
-/// A dome that says anything but "open" hides the sky; one that says nothing right now may still be open.
+/// A dome that reports anything but "open" hides the sky; one that reports nothing right now may still be open.
 fn roof_is_open(stage: &Stage) -> Result<(), Trouble> {
     for dome in &stage.room.rig.domes {
         if let Some(shutter) = dome.shutter().filter(|shutter| *shutter != Shutter::Open) {
@@ -189,7 +190,7 @@ fn roof_is_open(stage: &Stage) -> Result<(), Trouble> {
     Ok(())
 }
 
-/// A mount that says that it does not track smears the sky: its device node may have stopped it.
+/// A mount that reports that it does not track smears the sky: its device node may have stopped it.
 fn sky_is_followed(stage: &Stage) -> Result<(), Trouble> {
     let Some(mount) = stage.chain()?.mount else { return Ok(()) };
     let stands = mount.instrument.fresh().is_some_and(|state| state.fields.tracking.known() == Some(&false));

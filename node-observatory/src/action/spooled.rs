@@ -1,5 +1,5 @@
-//! A frame counts once its camera's node has it on disk: a node that dies between the end of the light and the disk takes
-//! the frame with it, and then another one is taken in its place.
+//! A frame counts once its camera's node has it on disk: a node that dies between the end of the light and the disk
+//! takes the frame with it, and then another one is taken in its place.
 
 use std::time::Duration;
 

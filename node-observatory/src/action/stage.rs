@@ -131,8 +131,8 @@ impl Stage {
         }
     }
 
-    /// The mount follows the stars again. One that is parked or closing meanwhile is left to that: its device node ends the
-    /// rates too.
+    /// The mount follows the stars again. One that is parked or closing meanwhile is left to that: its device node ends
+    /// the rates too.
     async fn stop_following(&self) {
         if !self.following.swap(false, Ordering::Relaxed) {
             return;

@@ -1,4 +1,4 @@
-//! What must be done to be closed: a pure function of what the devices say now.
+//! What must be done to be closed: a pure function of the devices' present states.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -32,7 +32,7 @@ pub struct MountSight {
     pub slewing: Option<bool>,
     /// Follows the sky.
     pub tracking: Option<bool>,
-    /// It says that it cannot park.
+    /// It reports that it cannot park.
     pub cannot_park: bool,
     /// Its newest command is a park that is being done.
     pub parking: bool,
@@ -43,7 +43,7 @@ pub struct MountSight {
 pub struct CoverSight {
     /// The cover.
     pub cover: Option<Cover>,
-    /// It says that it has no cover.
+    /// It reports that it has no cover.
     pub has_none: bool,
 }
 
@@ -73,8 +73,8 @@ pub enum Step {
 
 /// A shutter waits no longer for the park of its dome, machine time.
 pub(super) const PARK_WAIT: Duration = Duration::from_secs(60);
-/// A shutter that has not begun to close after so long under a sky that calls for it may be one that has power at the park
-/// position alone, machine time.
+/// A shutter that has not begun to close after so long under a sky that calls for it may be one that has power at the
+/// park position alone, machine time.
 const PARK_HELPS: Duration = Duration::from_secs(30);
 
 impl DomeSight {
@@ -88,8 +88,8 @@ impl DomeSight {
         self.park.is_some_and(|park| park.may_wait && park.parked != Some(true)) && closing_for < PARK_WAIT
     }
 
-    /// The dome is to be parked now: before its shutter closes where that may wait; else behind it, or where it may help a
-    /// shutter that does not move.
+    /// The dome is to be parked now: before its shutter closes where that may wait; else behind it, or where it may
+    /// help a shutter that does not move.
     fn is_to_park(&self, closing_for: Duration) -> bool {
         let Some(park) = self.park.filter(|park| park.parked != Some(true) && !self.spared) else { return false };
         let stays_open = matches!(self.shutter, Some(Shutter::Open | Shutter::Error)) && closing_for >= PARK_HELPS;
@@ -151,7 +151,7 @@ pub struct Closing {
 const AGAIN: Duration = Duration::from_secs(10);
 /// A step that was not taken is sent again sooner.
 const AGAIN_REFUSED: Duration = Duration::from_secs(2);
-/// A mount that says it parks is not disturbed for so long.
+/// A mount that reports that it parks is not disturbed for so long.
 const PARKING: Duration = Duration::from_secs(60);
 
 impl Closing {

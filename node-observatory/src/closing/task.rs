@@ -108,7 +108,7 @@ fn why_close(room: &ControlRoom, now: MachineTime) -> Option<String> {
     room.wish_closed.borrow().clone()
 }
 
-/// What the devices say now.
+/// The devices' present states.
 pub(crate) fn look(room: &ControlRoom, neighbours: &Neighbours, now: MachineTime) -> Sight {
     let sky_calls = room.ruling.borrow().calls_for_closing(now);
     let domes = room.rig.domes.iter().map(|dome| DomeSight {

@@ -130,8 +130,8 @@ fn brightness(now: i64, most: i64, rate: f64, want: &Want) -> i64 {
     (wanted.round() as i64).clamp(1, most)
 }
 
-/// Darkens the panel, and opens the cover again if it was found open and the sky is safe; a cover that was found shut, or
-/// is wanted shut by now, stays shut. Does nothing where no panel was used.
+/// Darkens the panel, and opens the cover again if it was found open and the sky is safe; a cover that was found shut,
+/// or is wanted shut by now, stays shut. Does nothing where no panel was used.
 pub async fn put_back(stage: &Stage) -> Result<(), Trouble> {
     let Some(found) = stage.take_panel() else { return Ok(()) };
     let room = &stage.room;

@@ -31,14 +31,15 @@ pub async fn between_frames(stage: &Stage, series: &Series) -> Result<(), Troubl
     Ok(())
 }
 
-/// The filter that the row named, its offset, and its offset as the wheel says, steps.
+/// The filter that the row named, its offset, and its offset by the wheel, steps.
 pub fn offset(stage: &Stage, series: &Series, focuser: &Focuser) -> Option<(String, i64, i64)> {
     let filter = series.filter.as_ref()?;
     let of_wheel = stage.chain().ok()?.wheel?.offset_of(filter)?;
     Some((filter.clone(), focuser.offset(filter, of_wheel), of_wheel))
 }
 
-/// How far a run looks to either side, steps: as configured, else by what the last run showed, else a share of the travel.
+/// How far a run looks to either side, steps: as configured, else by what the last run showed, else a share of the
+/// travel.
 pub fn half_range(stage: &Stage, focuser: &Focuser, max_step: i64) -> i64 {
     reach(focuser.config.search_steps, stage.room.focus_learnt.get().critical_zone(focuser.name()), max_step)
 }
@@ -83,8 +84,9 @@ fn wants_a_run(stage: &Stage, series: &Series, wanted: FocusWanted) -> bool {
     is_due(last, since, stage.clock().utc(), focusing.refocus_after_min)
 }
 
-/// Whether the focus is to be found anew because the stars are wide since an instant. Where the last run found it, stars
-/// that were wide before the run say nothing, and stars that stay wide are seeing; one that failed is tried again.
+/// Whether the focus is to be found anew because the stars are wide since an instant. Where the last run found it,
+/// stars that were wide before the run prove nothing, and stars that stay wide are seeing; one that failed is tried
+/// again.
 fn is_due(last: Option<(Utc, bool)>, wide_since: Utc, now: Utc, rest_min: f64) -> bool {
     last.is_none_or(|(ended, found)| {
         let rested = now.seconds_since(ended) >= 60.0 * rest_min;

@@ -1,6 +1,7 @@
 //! What runs have taught about each focuser: the best position, how it follows the temperature, the offsets of filters.
 //!
-//! It outlives a restart (`focus-TELESCOPE.json` in the data folder). A standby takes over what the commander says of it.
+//! It survives a restart (`focus-TELESCOPE.json` in the data folder). A standby takes over what the commander
+//! publishes.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -130,7 +131,7 @@ impl Learnt {
         without_offset(run.position, offset as f64)
     }
 
-    /// The filter of most runs, and what the wheel says of it.
+    /// The filter of most runs, and its offset by the wheel.
     fn reference(&self, focuser: &str) -> Option<(String, i64)> {
         let mut counts: BTreeMap<&str, (usize, i64)> = BTreeMap::new();
         for run in self.runs(focuser) {

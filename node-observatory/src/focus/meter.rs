@@ -1,4 +1,4 @@
-//! What a frame says of the focus: one value, by the operator that the row asks for. Pure, and slow.
+//! What a frame shows of the focus: one value, by the operator that the row asks for. Pure, and slow.
 
 use contract::device::camera::Frame;
 use contract::observatory::FocusValue;
@@ -15,7 +15,7 @@ const STARS: usize = 100;
 /// Stars whose peaks show that an exposure is too long.
 const BRIGHTEST: usize = 5;
 
-/// What a frame says.
+/// What a frame shows.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Read {
     /// Its value, if it has one.

@@ -45,7 +45,7 @@ pub struct Wish {
     pub reduce_exposure: bool,
     /// Size of the stars at the begin, px, where it is known.
     pub expected_px: Option<f64>,
-    /// Filter that the row named, its offset, and its offset as the wheel says, steps.
+    /// Filter that the row named, its offset, and its offset by the wheel, steps.
     pub filter: Option<(String, i64, i64)>,
     /// Whether rows take the position that was found from now on.
     pub keep: bool,
@@ -154,7 +154,7 @@ struct Lens<'a> {
 }
 
 impl Lens<'_> {
-    /// What so many frames at one position say together.
+    /// What so many frames at one position show together.
     async fn look(
         &mut self,
         focuser: &Focuser,

@@ -47,7 +47,7 @@ impl<'a> Shown<'a> {
         self.show(format!("{} positions measured", self.run.points.len()));
     }
 
-    /// The run found the focus; `keep` says whether it is what rows take from now on.
+    /// The run found the focus; with `keep`, rows take it from now on.
     pub fn focused(mut self, focused: &Focused, keep: bool) -> FocusRun {
         let (fit, run) = (&focused.fit, &mut self.run);
         let best = finite(fit.best_position()).unwrap_or(f64::from(focused.position));

@@ -54,7 +54,7 @@ fn known(room: &ControlRoom, focuser: &Focuser) -> FocuserFocus {
     }
 }
 
-/// Says each run once more when it has ended; they can be recovered by who was away.
+/// Publishes each run once more when it has ended; a node that was away can recover them.
 pub async fn keep_telling_runs(
     room: Arc<ControlRoom>,
     mut runs: mpsc::UnboundedReceiver<FocusRun>,

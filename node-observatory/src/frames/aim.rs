@@ -13,7 +13,7 @@ use super::solving::middle_of;
 use crate::control_room::ControlRoom;
 use crate::rig::Chain;
 
-/// A mount that says to be further from the target than this does not point there, whatever the frame is for.
+/// A mount that reports to be further from the target than this does not point there, whatever the frame is for.
 const ON_TARGET: Angle = Angle::from_degrees(5.0);
 /// Focal lengths above are mm, though ASCOM asks for metres: no tube is as long, and no camera has a shorter lens.
 const LONGEST_M: f64 = 20.0;
@@ -118,7 +118,7 @@ impl Aim {
     }
 }
 
-/// The target where the mount does not say to be elsewhere; else the mount.
+/// The target, unless the mount reports to be elsewhere; else the mount.
 fn place(target: Option<Icrs>, says: Option<Icrs>) -> Option<Icrs> {
     match (target, says) {
         (Some(target), Some(says)) if sky::separation(&target, &says).degrees() > ON_TARGET.degrees() => Some(says),
@@ -127,7 +127,7 @@ fn place(target: Option<Icrs>, says: Option<Icrs>) -> Option<Icrs> {
     }
 }
 
-/// Where a mount says to have pointed in the middle of the exposure.
+/// Where a mount reports to have pointed in the middle of the exposure.
 fn direction(room: &ControlRoom, frame: &Frame, chain: &Chain<'_>, fields: &Fields) -> Option<Icrs> {
     let (ra, dec) = fields.ra_deg.known().zip(fields.dec_deg.known())?;
     let (ra, dec) = (Angle::from_degrees(*ra), Angle::from_degrees(*dec));

@@ -230,7 +230,7 @@ impl Desk {
         match &facts.unsolved {
             None if facts.wcs.is_some() => before.unmatched = 0,
             Some(unsolved) if solving::may_be_scale(unsolved.class) => before.unmatched += 1,
-            // Clouds and few stars say nothing of the scale.
+            // Clouds and few stars do not show the scale.
             _ => {}
         }
         self.triggers.hear(&frame, &facts);
@@ -411,7 +411,7 @@ pub(crate) mod tests {
         assert_eq!(slow.await.unwrap(), Some(7));
         assert!((SOON..Duration::from_secs(5)).contains(&began.elapsed()), "{:?}", began.elapsed());
 
-        // No place is sought: there is one word, however long it takes.
+        // No place is sought: the facts are published once, however long it takes.
         let (tell, measured) = oneshot::channel();
         drop(tell);
         let looking = async {

@@ -12,7 +12,7 @@ use crate::control_room::ControlRoom;
 
 /// States kept of each mount: an hour at one a second.
 const KEPT: usize = 3600;
-/// A state further away in time says nothing of an instant, sky s at speed 1.
+/// A state further away in time does not count for an instant, sky s at speed 1.
 const REACH_S: f64 = 30.0;
 
 /// The recent states of the telescope's mounts.
@@ -48,7 +48,7 @@ impl Mounts {
     }
 }
 
-/// Notes what the mounts say until the node ends.
+/// Collects the mounts' states until the node ends.
 pub async fn keep_noting(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let mut followers = JoinSet::new();
     for mount in &room.rig.mounts {

@@ -22,7 +22,8 @@ const SAME_ROTATION_DEG: f64 = 1.0;
 /// What is known is written down again when it moved by so much of that, or is older than [`OLD_S`].
 const MOVED: f64 = 0.02;
 const OLD_S: f64 = 1800.0;
-/// Optics that are remembered, at most: a wheel of ten filters on two cameras, both sides of the pier and some binnings.
+/// Optics that are remembered, at most: a wheel of ten filters on two cameras, both sides of the pier and some
+/// binnings.
 const MOST: usize = 200;
 /// A zero point counts for the best one when its standard error is below this, mag.
 const SURE_MAG: f64 = 0.05;
@@ -33,7 +34,7 @@ const DUST_MAG_PER_DAY: f64 = 0.001;
 /// A frame that was solved, as far as optics are concerned.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lesson {
-    /// What it says of the optics.
+    /// The optics that it shows.
     pub optics: Optics,
     /// Its zero point, where that is fit to be compared with others.
     pub zero_point: Option<(zero_point::Measured, ZeroPoint)>,
@@ -82,8 +83,8 @@ pub fn learnt(optics: &Optics, frame: &Frame) -> Learnt {
     }
 }
 
-/// Magnitude of the faintest stars that such a frame shows under a clear sky: 1.25 mag more for ten times the exposure on a
-/// frame that the sky limits.
+/// Magnitude of the faintest stars that such a frame shows under a clear sky: 1.25 mag more for ten times the exposure
+/// on a frame that the sky limits.
 pub fn faintest_mag(optics: &Optics, frame: &Frame) -> Option<f64> {
     let ratio = frame.exposure_s / optics.exposure_s;
     // Short frames are limited by readout instead, and lose more: far from this exposure time there is no value.
@@ -91,7 +92,7 @@ pub fn faintest_mag(optics: &Optics, frame: &Frame) -> Option<f64> {
     optics.faintest_mag.filter(|_| near).map(|mag| mag + 1.25 * ratio.log10())
 }
 
-/// What the newest solutions say against what is known; one each.
+/// The newest solutions that contradict what is known; one each.
 #[derive(Debug, Clone, Default)]
 pub struct Rivals {
     optics: Vec<Optics>,
@@ -192,7 +193,7 @@ fn is_for(a: &Optics, b: &Optics) -> bool {
     (&a.camera, &a.filter, a.pier_side, a.bin) == (&b.camera, &b.filter, b.pier_side, b.bin)
 }
 
-/// Do two say the same within a share of what still counts as the same?
+/// Do two agree within a share of what still counts as the same?
 fn agree(a: &Optics, b: &Optics, share: f64) -> bool {
     let turned = Angle::from_degrees(a.rotation_deg - b.rotation_deg).wrapped_signed().degrees().abs();
     let scaled = (a.scale_arcsec_px / b.scale_arcsec_px - 1.0).abs();

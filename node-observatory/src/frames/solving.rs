@@ -138,7 +138,8 @@ pub fn solve_frame(
     search(&first_hint(frame, known)?)
 }
 
-/// Why stars that are drawn out so far that each is seen as several are not solved: a solution would fit pieces of them.
+/// Why stars that are drawn out so far that each is seen as several are not solved: a solution would fit pieces of
+/// them.
 fn streaked(measured: &Measured) -> Option<NoSolution> {
     measured.quality.trail_px.map(|length_px| NoSolution::Trailed { stars: measured.quality.stars, length_px })
 }

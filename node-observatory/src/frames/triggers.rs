@@ -12,7 +12,7 @@ use units::Utc;
 
 use super::widths::Widths;
 
-/// Frames whose median width is compared: one frame of bad seeing says nothing.
+/// Frames whose median width is compared: one frame of bad seeing proves nothing.
 const WIDE: usize = 5;
 /// Wider than the best by this ratio is a drift; it ends at the lower one.
 const DRIFT: (f64, f64) = (1.3, 1.15);
@@ -26,7 +26,7 @@ const EXTINCTION_MAG: f64 = 0.6;
 const USUAL: (usize, usize) = (3, 20);
 /// Fewer stars than this come and go by themselves.
 const FEWEST: f64 = 10.0;
-/// A run whose last frame began so long ago, and twice its exposure, says nothing of now, sky s.
+/// A run whose last frame began so long ago, and twice its exposure, does not show what is now, sky s.
 const STALE_S: f64 = 900.0;
 
 /// The triggers of one telescope.
@@ -75,7 +75,7 @@ impl Field {
 }
 
 impl Triggers {
-    /// Takes a measured frame in. One that is older than the newest of its run says nothing of now.
+    /// Takes a measured frame in. One that is older than the newest of its run does not show what is now.
     pub fn hear(&mut self, frame: &Frame, facts: &FrameFacts) {
         let Some(stars) = facts.stars.filter(|_| frame.purpose.action == "object") else { return };
         let field = Field {
@@ -153,7 +153,7 @@ impl Run {
     }
 
     /// Two solved frames, one after the other, that are further off their target than half of the shorter side. A frame
-    /// that is not solved says nothing of it.
+    /// that is not solved does not count.
     fn wrong_field(&mut self, at: Utc, facts: &FrameFacts) -> Option<(Utc, String)> {
         let Some((off_arcmin, scale)) = facts.off_target_arcmin.zip(facts.scale_arcsec_px) else {
             let stands = self.standing.get(&TriggerKind::WrongField);

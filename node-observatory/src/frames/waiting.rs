@@ -1,4 +1,4 @@
-//! Frames that wait to be measured: the newest first, because it says what is true now.
+//! Frames that wait to be measured: the newest first, because it shows what is true now.
 
 use std::collections::{BTreeSet, VecDeque};
 

@@ -55,7 +55,7 @@ pub async fn keep_hearing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         tokio::select! {
             () = state.changed() => {
                 let heard = state.get().filter(|heard| is_commanders(&heard.said.boot_id));
-                // One of an older version says none.
+                // A node of an older version publishes none.
                 let Some(heard) = heard.filter(|heard| !heard.said.body.calibrations.is_empty()) else { continue };
                 room.guide_learnt.change(|learnt| {
                     let is_new = learnt.calibrations != heard.said.body.calibrations;

@@ -39,7 +39,7 @@ pub fn offset_to_reference_deg(session: &Session, solution: &Solution) -> Result
     Ok([east, dec - solution.dec.degrees()])
 }
 
-/// Slews by an offset from where the mount says it stands, which its device node lets settle.
+/// Slews by an offset from where the mount reports to be, which its device node lets settle.
 ///
 /// # Errors
 /// In words, when it may not be moved, the way is too far, or it does not arrive.

@@ -34,7 +34,7 @@ const SILENT_EXPOSURES: f64 = 3.0;
 const SILENT_S: f64 = 180.0;
 /// A frame that is so much older than the last one shows that a clock was set back, sky s.
 const SET_BACK_S: f64 = 600.0;
-/// How often that is looked after where the mount says nothing, sky time.
+/// How often that is checked if the mount reports nothing, sky time.
 const LOOKED_AFTER: Duration = Duration::from_secs(30);
 
 /// The loop of one row.
@@ -220,7 +220,7 @@ impl Loop {
         Ok(session)
     }
 
-    /// What the configuration says that pulses do to the stars of a field's camera.
+    /// What pulses do, by the configuration, to the stars of a field's camera.
     fn configured(&self, field: &GuideField) -> Option<GuideCalibration> {
         let mut cameras = self.room.node.config.camera.iter();
         let start = cameras.find(|camera| camera.common.name.as_str() == field.camera)?.guide_calibration?;

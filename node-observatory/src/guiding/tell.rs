@@ -1,4 +1,4 @@
-//! What guiding says: a record of each frame, and how well the field stands.
+//! The publications of guiding: a record of each frame, and how well the field is held.
 
 use std::collections::VecDeque;
 

@@ -29,7 +29,7 @@ pub enum CallError {
     },
 }
 
-/// What went wrong, with its place; of a script that was ended also why, which the language does not say.
+/// What went wrong, with its place; of a script that was ended also why, which the language does not report.
 fn words(error: &EvalAltResult) -> String {
     match error.unwrap_inner() {
         EvalAltResult::ErrorTerminated(why, place) => format!("{why} ({place})"),

@@ -32,7 +32,7 @@ struct Running {
 }
 
 impl AtClosing {
-    /// A closing begins. What is not known to be open is closed without a word to the script.
+    /// A closing begins. Parts that are not known to be open are closed without a call of the script.
     pub fn begin(&mut self, room: &Arc<ControlRoom>, sight: &Sight, now: MachineTime) {
         self.running = None;
         self.calls = JoinSet::new();

@@ -77,7 +77,7 @@ pub struct Line {
     pub memory: Meter,
 }
 
-/// The script is over, whatever it says.
+/// The script is over, whatever its result.
 pub struct Over;
 
 impl Line {

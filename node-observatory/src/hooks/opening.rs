@@ -85,7 +85,7 @@ impl Opening<'_> {
         host::told(self.room, function, result)
     }
 
-    /// Asks `is_ready` each second until it says so.
+    /// Calls `is_ready` each second until it returns true.
     async fn wait_until_ready(&self) -> Result<(), Trouble> {
         if !self.script.has(Function::IsReady) {
             return Ok(());

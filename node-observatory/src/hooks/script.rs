@@ -82,7 +82,7 @@ pub enum ScriptError {
 /// A proven script. Cheap to clone.
 #[derive(Clone)]
 pub struct Script {
-    /// What it says.
+    /// Its text.
     pub(super) ast: Arc<AST>,
     functions: BTreeSet<Function>,
 }

@@ -1,8 +1,8 @@
 //! Where a mount is under the rates that it was given, and which rates keep it on a body; pure.
 //!
-//! A rate that was the body's own when it was sent would let each error stay: what the path bends away between two rates, and
-//! what the body goes while a command is on its way. So new rates lead from where the mount is reckoned to be to where the
-//! body will be.
+//! A rate that was the body's own when it was sent would let each error stay: what the path bends away between two
+//! rates, and what the body goes while a command is on its way. So new rates lead from where the mount is reckoned to
+//! be to where the body will be.
 
 use sky::Rates;
 use units::{Angle, Utc};
@@ -63,8 +63,8 @@ impl Course {
         self.looked.map_or(0.0, |looked| (interval_s - now.seconds_since(looked)).max(0.0))
     }
 
-    /// Looks at the rates: new ones, where the present ones would lead astray until the next look, by which the body will be
-    /// at `then`. The first look always gives some.
+    /// Looks at the rates: new ones, where the present ones would lead astray until the next look, by which the body
+    /// will be at `then`. The first look always gives some.
     pub fn look(&mut self, now: Utc, then: &Spot, interval_s: f64) -> Option<Rates> {
         let is_first = self.looked.replace(now).is_none();
         let astray = self.spot(now.plus_seconds(interval_s)).apart_arcsec(then);

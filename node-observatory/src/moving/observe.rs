@@ -20,7 +20,8 @@ const MET_ARCSEC: f64 = 1.0;
 const SLEWS: u32 = 4;
 /// A slew may take so much longer than the one before, s: it is shorter, but has to begin and to settle too.
 const SPARE_S: f64 = 3.0;
-/// The place in the headers of frames is renewed when the body has left it by this, arcsec: less than what pointing means.
+/// The place in the headers of frames is renewed when the body has left it by this, arcsec: less than what pointing
+/// means.
 const STALE_ARCSEC: f64 = 30.0;
 /// Between two looks at rates, at least: machine time.
 const BREATH: Duration = Duration::from_millis(20);

@@ -52,7 +52,7 @@ fn lacks(class: UnsolvedClass) -> bool {
     matches!(class, UnsolvedClass::NoCatalogue | UnsolvedClass::NoScale | UnsolvedClass::NoPlace)
 }
 
-/// Side of the pier that the mount says it is on.
+/// Pier side that the mount reports.
 pub fn pier_side(mount: &Mount) -> Option<PierSide> {
     let side = mount.instrument.fresh()?.fields.pier_side.known().copied();
     side.filter(|side| *side != PierSide::Unknown)

@@ -1,7 +1,7 @@
 //! The meridian flip of a German mount: between two frames, once the next one would end too far past the meridian.
 //!
-//! A slew to the same place is what turns such a mount over. One that stays on its side is left there: frames go on until the
-//! mount's device node stops it at its limit (`telescope.limits.meridian_past_min`), whatever this node does.
+//! A slew to the same place is what turns such a mount over. One that stays on its side is left there: frames go on
+//! until the mount's device node stops it at its limit (`telescope.limits.meridian_past_min`), whatever this node does.
 
 use std::time::Duration;
 
@@ -91,11 +91,11 @@ mod tests {
 
     #[tokio::test]
     async fn a_mount_that_tells_its_sides_the_wrong_way_round_is_asked_to_turn_over_once_and_left_alone() {
-        // Truly east of the pier and looking west, where it belongs; its driver says west.
+        // Truly east of the pier and looking west, where it belongs; its driver reports west.
         let half_an_hour = Angle::from_hours(0.5);
         assert!(is_past(Some(PierSide::West), half_an_hour, 5.0), "one slew to where it stands already");
         assert!(concluded(&[Some(PierSide::West)]).await, "which is noted, and not tried again");
-        // Truly west of the pier, as it was before the meridian; its driver says east: its device node stops it.
+        // Truly west of the pier, as it was before the meridian; its driver reports east: its device node stops it.
         assert!(!is_past(Some(PierSide::East), half_an_hour, 5.0));
     }
 }

@@ -1,4 +1,4 @@
-//! The truth gate: watches the frames of a row whose pointing was proven, and says when that holds no more.
+//! The truth gate: watches the frames of a row whose pointing was proven, and reports when that is no longer valid.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -27,7 +27,7 @@ pub struct Gate<'a> {
     mount: &'a Mount,
     target: Icrs,
     looks: Receiver<Arc<Looked>>,
-    /// Frames of before do not speak for what is now.
+    /// Earlier frames do not show what is now.
     since_utc: Utc,
     side: Option<PierSide>,
     /// Further off than this a frame does not count, arcmin; none where the row asks for no proof.

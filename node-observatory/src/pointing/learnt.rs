@@ -41,8 +41,8 @@ impl Book {
         crate::kept::read_or_anew(path, "what is known of the pointing")
     }
 
-    /// What a camera is expected to miss a place by; on the side of the pier where the nearest point was seen. None while
-    /// nothing trustworthy is known, and where it is more than `most`.
+    /// What a camera is expected to miss a place by; on the side of the pier where the nearest point was seen. None
+    /// while nothing trustworthy is known, and where it is more than `most`.
     pub fn expected(&self, camera: &str, hour_angle: Angle, dec: Angle, most: Angle) -> Option<Miss> {
         let away = |model: &PointingModel| {
             let points = model.points.iter().map(|point| separation(place(point), (hour_angle, dec)).degrees());

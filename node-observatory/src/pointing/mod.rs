@@ -10,8 +10,8 @@
 //! ```
 //! Frames taken to find out where the telescope looks are kept and never count ([`acquire`]). Once it is proven, frames
 //! count until one of them shows itself to be off ([`gate`]); one that cannot be solved proves nothing either way. Each
-//! solved frame after a slew teaches the pointing model ([`learnt`]). What pure geometry there is, is `imaging::pointing`;
-//! decision 0019.
+//! solved frame after a slew teaches the pointing model ([`learnt`]). What pure geometry there is, is
+//! `imaging::pointing`; decision 0019.
 
 mod acquire;
 mod failure;

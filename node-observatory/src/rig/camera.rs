@@ -31,8 +31,8 @@ impl Camera {
         Ok(Self { instrument: Instrument::listen(voice, device).await?, config })
     }
 
-    /// Starts the cooler towards the configured set point, unless it runs there already; no cooler, nothing to do. An error
-    /// when it refuses.
+    /// Starts the cooler towards the configured set point, unless it runs there already; no cooler, nothing to do. An
+    /// error when it refuses.
     pub async fn start_cooling(&self) -> Result<(), Trouble> {
         let Some(set_c) = self.config.temperature_c else { return Ok(()) };
         let fields = self.instrument.fresh().map(|state| state.fields).unwrap_or_default();

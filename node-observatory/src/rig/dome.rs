@@ -19,7 +19,7 @@ use crate::trouble::Trouble;
 pub struct Dome {
     /// The device.
     pub instrument: Instrument<dome::Dome>,
-    /// What its guard says.
+    /// The state of its guard.
     pub guard: Latest<Guard>,
     /// All that publish in the guard's name.
     pub guards: Guards,
@@ -95,7 +95,7 @@ impl Dome {
         })
     }
 
-    /// Azimuth of the slit, degrees; of a dome that says nothing of it right now, where it stood at rest before.
+    /// Azimuth of the slit, degrees; if the dome does not report it right now, the last one at rest.
     pub fn azimuth_deg(&self) -> Option<f64> {
         let fields = self.instrument.newest()?.said.body.fields;
         let mut stands = self.stands_deg.lock().unwrap_or_else(PoisonError::into_inner);
@@ -121,13 +121,14 @@ impl Dome {
         self.turning_fails.store(fails, Ordering::Relaxed);
     }
 
-    /// The shutter as the dome itself says now; `None` where that is not known.
+    /// The shutter as the dome itself reports it now; `None` where that is not known.
     pub fn shutter(&self) -> Option<Shutter> {
         self.instrument.fresh_reading("ShutterStatus").and_then(|state| state.fields.shutter.known().copied())
     }
 
-    /// Is its status closed although that is not proven? Its guard publishes that, which knows what was asked of the shutter and how it
-    /// followed; where no guard publishes, one that this node had opened is not closed until a command has closed it.
+    /// Is its status closed although that is not proven? Its guard publishes that, which knows what was asked of the
+    /// shutter and how it followed; where no guard publishes, one that this node had opened is not closed until a
+    /// command has closed it.
     pub fn is_doubted(&self) -> bool {
         let living = self.guards.living(self.instrument.clock().machine());
         let told: Vec<bool> = living.iter().filter_map(|(_, said)| said.verified_closed).collect();

@@ -98,7 +98,7 @@ impl<K: DeviceKind> Instrument<K> {
         self.about.get().map(|heard| heard.said.body.can)
     }
 
-    /// What it can do, waiting a few seconds for the word.
+    /// Its capabilities; waits a few seconds for them.
     pub async fn capabilities(&self) -> Result<K::Capabilities, Trouble> {
         let mut about = self.about.clone();
         let wait = async {

@@ -59,8 +59,8 @@ impl Mount {
         self.instrument.obey(Command::Track { on }, Duration::from_secs(60)).await.map(|_| ())
     }
 
-    /// Slews to a place of the catalogue, tracks it, and returns when the mount has settled, for which its device node waits. Every slew of this node goes through here, and none goes
-    /// beyond the mount's limits.
+    /// Slews to a place of the catalogue, tracks it, and returns when the mount has settled, for which its device node
+    /// waits. Every slew of this node goes through here, and none goes beyond the mount's limits.
     pub async fn point(&self, target: &Icrs, observer: &Observer) -> Result<(), Trouble> {
         if let Some(why) = slew_limits::beyond(&self.config.limits, target, observer) {
             return Err(Trouble::Impossible(why));

@@ -56,7 +56,7 @@ struct Begun {
     row: Row,
     /// Its place in the schedule when it began: its frames and steps are published under this number.
     number: u32,
-    /// Says that the schedule has it no longer.
+    /// Signals that the schedule has it no longer.
     withdrawn: watch::Sender<bool>,
 }
 
@@ -106,8 +106,8 @@ pub async fn keep_observing(room: Arc<ControlRoom>, mut loaded: watch::Receiver<
 }
 
 impl Runner {
-    /// Takes a newer schedule at once: rows that were done stay done, one at work that is unchanged goes on, and one that
-    /// the schedule has no longer ends with the frame that is under way (docs/decisions/0030).
+    /// Takes a newer schedule at once: rows that were done stay done, one at work that is unchanged goes on, and one
+    /// that the schedule has no longer ends with the frame that is under way (docs/decisions/0030).
     fn take_schedule(&mut self, loaded: &Loaded) {
         self.room.board.schedule_refused(&loaded.refused);
         // A new lease may come with a journal that another node went on writing: it is read once nothing runs.
@@ -249,7 +249,7 @@ impl Runner {
         format!("{detail}; tried again in {:.0} s", rest.as_secs_f64())
     }
 
-    /// After the last row: closes everything, and says that the night has ended once that is verified.
+    /// After the last row: closes everything, and publishes that the night has ended once that is verified.
     fn say_farewell(&mut self) {
         if !self.sequence.is_over() {
             self.farewell = Farewell::NotYet;

@@ -86,8 +86,8 @@ pub async fn run_row(stage: &Stage, withdrawn: watch::Receiver<bool>) -> RowEnd 
     }
 }
 
-/// Waits until the schedule has the row no longer and no frame is under way. What else the row does is not worth waiting
-/// for: nobody wants its outcome any more.
+/// Waits until the schedule has the row no longer and no frame is under way. What else the row does is not worth
+/// waiting for: nobody wants its outcome any more.
 async fn withdrawn_between_frames(stage: &Stage, mut withdrawn: watch::Receiver<bool>) {
     loop {
         if withdrawn.wait_for(|withdrawn| *withdrawn).await.is_err() {

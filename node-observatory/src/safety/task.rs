@@ -22,7 +22,7 @@ use super::clock_file::ClockFile;
 use super::ears::{self, Word};
 use super::verdict_file;
 
-/// So long after its start a node may be without a word from an input before that counts.
+/// So long after its start, a node may lack a value of an input before that counts.
 const GRACE: Duration = Duration::from_secs(5);
 
 /// Judges until the node ends; this task publishes its verdict and nothing else.

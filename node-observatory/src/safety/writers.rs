@@ -40,7 +40,7 @@ pub struct Writers<F> {
 }
 
 impl<F> Writers<F> {
-    /// Nobody has spoken yet.
+    /// No node has published yet.
     pub fn new(manners: Manners<F>) -> Self {
         Self { manners, succession: Succession::default(), first: None, disputed: false, warned: None }
     }

@@ -23,8 +23,8 @@ pub struct Loaded {
     pub refused: Option<String>,
 }
 
-/// How often the file is looked at, machine time: one question to the file system, and a change is active within 1 s also
-/// on a machine that is busy.
+/// How often the file is looked at, machine time: one question to the file system, and a change is active within 1 s
+/// also on a machine that is busy.
 const LOOK: Duration = Duration::from_millis(250);
 /// A version that the disk does not take is tried again after this.
 const AGAIN: Duration = Duration::from_secs(10);

@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 use units::Utc;
 
-/// Older versions than so many are forgotten: some years of a schedule a night, or a few weeks of one that is changed all
-/// the time.
+/// Older versions than so many are forgotten: some years of a schedule a night, or a few weeks of one that is changed
+/// all the time.
 pub const MOST_VERSIONS: usize = 1000;
 /// And so are those beyond so many bytes of text, but for the newest.
 const MOST_BYTES: u64 = 100_000_000;
@@ -68,7 +68,8 @@ impl Versions {
         Self { folder: data.join(format!("schedules-{telescope}")), pen: Arc::default() }
     }
 
-    /// All that are kept, oldest first; none where there is no folder yet. A line that a crash left half is passed over.
+    /// All that are kept, oldest first; none where there is no folder yet. A line that a crash left half is passed
+    /// over.
     ///
     /// # Errors
     ///

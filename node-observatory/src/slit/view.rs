@@ -38,7 +38,8 @@ pub fn way(follow: Follow, can: &Capabilities, slaved: Option<bool>) -> Way {
     }
 }
 
-/// A mount that stands so near to where it was sent is there; mounts speak of date or of J2000, and point with errors.
+/// A mount that stands so near to where it was sent is there; mounts use coordinates of date or of J2000, and point
+/// with errors.
 const THERE: Angle = Angle::from_degrees(2.0);
 /// So far ahead the best azimuth is looked for, sky s.
 const AHEAD_S: f64 = 4.0 * 3600.0;
@@ -225,7 +226,7 @@ impl<'a> View<'a> {
         self.dome.instrument.obey(Command::Slave { on: true }, SLAVING).await.map(|_| ())
     }
 
-    /// Does the dome say that it follows by itself?
+    /// Does the dome report that it follows by itself?
     pub fn is_slaved(&self) -> bool {
         self.fields().is_some_and(|fields| fields.slaved.known() == Some(&true))
     }

@@ -1,5 +1,5 @@
-//! A field that guiding has lost is found again: first the stars themselves, then a slew back to where they were; and where
-//! the site wants it, the row stops for it, nothing else moves, and the row begins again at its target.
+//! A field that guiding has lost is found again: first the stars themselves, then a slew back to where they were; and
+//! where the site wants it, the row stops for it, nothing else moves, and the row begins again at its target.
 
 use std::time::Duration;
 
@@ -13,9 +13,10 @@ use units::Angle;
 const MOST: Duration = Duration::from_secs(90);
 /// Seconds of sky time in one of machine time.
 const SPEED: f64 = 25.0;
-/// A field that is held again looks so near to where it did, arcsec: two frames of residual, and a correction under way.
+/// A field that is held again looks so near to where it did, arcsec: two frames of residual, and a correction under
+/// way.
 const NEAR_ARCSEC: f64 = 2.0;
-/// A mount that somebody has moved says so in a slew of this member.
+/// A mount that somebody has moved shows it in a slew of this member.
 const SLEW: &str = "slewtocoordinatesasync";
 
 /// A telescope whose camera is turned, that knows what pulses do, and a row that guides, in the west of the meridian.
@@ -107,7 +108,7 @@ async fn hidden_stars_and_a_mount_moved_by_hand_within_the_field_are_held_again(
     assert!((120.0..155.0).contains(&off_px), "{off_px}");
     let at = corrections.iter().position(|correction| correction.frame == back[0].frame).unwrap();
     assert_eq!(corrections[at - 1].besides.as_deref(), Some("looking for the field in the whole next frame"));
-    // Frames that were taken while it was lost say so, and were not pulsed after.
+    // Frames that were taken while it was lost show it, and were not pulsed after.
     let lost: Vec<&Correction> = corrections.iter().filter(|c| c.stage == GuideStage::Lost).collect();
     assert!(lost.iter().any(|c| c.dx_px.is_none() && c.reason.is_some()), "behind the clouds: {lost:#?}");
     let off: Vec<&&Correction> = lost.iter().filter(|c| c.east.why == PulseWhy::Lost).collect();

@@ -1,9 +1,9 @@
-//! Acceptance test 5 through real nodes: a drift of 0.05 px/s and 2 s of play in declination, or a worm, at cadences of 2,
-//! 30 and 120 s with the camera at five angles. All of it takes hours of waiting on a free machine (what a busy one loses
-//! counts as often as the clock runs faster), so a test run has one short case, and the measurement is made by hand:
-//! `STARMESH_GUIDE_ALL=1 cargo test -p node-observatory --test nodes any_angle -- --nocapture`; `STARMESH_GUIDE_CADENCE_S` and
-//! `STARMESH_GUIDE_ANGLE_DEG` choose single ones of it. The same cases run in seconds without nodes in
-//! `common/imaging/tests/pixels/guide_loop.rs`.
+//! Acceptance test 5 through real nodes: a drift of 0.05 px/s and 2 s of play in declination, or a worm, at cadences of
+//! 2, 30 and 120 s with the camera at five angles. All of it takes hours of waiting on a free machine (what a busy one
+//! loses counts as often as the clock runs faster), so a test run has one short case, and the measurement is made by
+//! hand: `STARMESH_GUIDE_ALL=1 cargo test -p node-observatory --test nodes any_angle -- --nocapture`;
+//! `STARMESH_GUIDE_CADENCE_S` and `STARMESH_GUIDE_ANGLE_DEG` choose single ones of it. The same cases run in seconds
+//! without nodes in `common/imaging/tests/pixels/guide_loop.rs`.
 
 use std::time::Duration;
 
@@ -16,7 +16,8 @@ use units::Angle;
 /// What is asked for: the predecessor's published median, px.
 const ASKED_PX: f64 = 0.35;
 const SCALE_ARCSEC_PX: f64 = 0.35;
-/// Cadence, sky s; exposure, sky s; sky seconds per machine second; frames to settle (a worm: one turn) and to be judged.
+/// Cadence, sky s; exposure, sky s; sky seconds per machine second; frames to settle (a worm: one turn) and to be
+/// judged.
 const CADENCES: [(f64, f64, f64, u32, u32); 3] =
     [(2.0, 1.0, 1.0, 100, 120), (30.0, 27.0, 6.0, 12, 60), (120.0, 117.0, 10.0, 12, 30)];
 const ANGLES_DEG: [f64; 5] = [0.0, 17.0, 45.0, 90.0, 200.0];

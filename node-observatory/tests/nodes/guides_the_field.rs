@@ -1,6 +1,6 @@
 //! Guiding closes its loop on the simulated mount: calibrated by pulses, held against drift and worm, and held again on
 //! the other side of the pier. Residuals are judged twice: as the node publishes them, and, where the row's own camera
-//! guides, by where the simulator says that the telescope truly looked.
+//! guides, by where the telescope truly looked in the simulator.
 
 use std::time::Duration;
 
@@ -158,8 +158,8 @@ async fn a_field_is_held_on_both_sides_of_the_pier() {
     options.mount.scatter_arcsec = 1.0;
     let truth = by_geometry(&options.camera);
     let mut sim = Sim::new(options, "[imaging]\nsolve = false\n").await;
-    // It crosses the meridian after some frames, and a slew from then on puts the tube on the other side; the half degree
-    // below is that between J2000 and date.
+    // It crosses the meridian after some frames, and a slew from then on puts the tube on the other side; the half
+    // degree below is that between J2000 and date.
     let field = sim.place(-0.07, -10.0);
     // Known on the side where it begins; the other side's is that turned round.
     let west = GuideCalibration { pier_side: Some(PierSide::West), ..turned(&truth) };

@@ -1,5 +1,6 @@
-//! A row that is under way keeps its focus on the simulated telescope: found anew when the stars grow wide, moved with the
-//! temperature by what many runs taught, also by the node that takes over, and set apart where the row asks for that.
+//! A row that is under way keeps its focus on the simulated telescope: found anew when the stars grow wide, moved with
+//! the temperature by what many runs taught, also by the node that takes over, and set apart where the row asks for
+//! that.
 
 use std::time::Duration;
 

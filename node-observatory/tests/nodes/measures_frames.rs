@@ -183,7 +183,7 @@ async fn a_standby_measures_nothing_until_it_commands_and_then_what_nobody_has_m
     tokio::time::sleep(Duration::from_secs(5)).await;
     let stars = sky(STARS);
     let (first, second) = (spool.announce(0, "stars", &stars).await, spool.announce(1, "stars", &stars).await);
-    // The commander's word on the first of them.
+    // The commander's facts of the first of them.
     let key = Key::Facts(site.address.clone(), first.0.parse().unwrap());
     let line = site.bus.publisher::<FrameFacts>(&key, Quality::Event { cache: 1 }).await.unwrap();
     line.put(FrameFacts { frame: first.clone(), stars: Some(1), ..FrameFacts::default() }).await.unwrap();

@@ -1,5 +1,5 @@
 //! The observatory node finds where a frame points: by the target, with optics that it learns, also on a part of the
-//! sensor; and says why where it does not.
+//! sensor; and reports why where it does not.
 
 #[allow(dead_code, reason = "shared with the stories of the night")]
 use std::time::Duration;
@@ -145,7 +145,7 @@ async fn a_wrong_field_and_a_turned_camera_are_noticed_by_the_second_frame() {
     let nowhere = camera.take(&Shot { target: Some((TARGET.0, -TARGET.1)), ..Shot::of(turned, 6) }).await;
     println!("nowhere: {:?} s, {:?}", nowhere.solving_s, nowhere.unsolved);
     assert_eq!(nowhere.unsolved.unwrap().class, UnsolvedClass::NoMatch);
-    // How long that takes is for the bench to say: a debug build searches many times slower.
+    // The bench measures how long that takes: a debug build searches many times slower.
     assert!(nowhere.wcs.is_none() && nowhere.reason.is_none() && nowhere.solving_s.is_some());
     let lost = camera.take(&Shot::of(turned, 7)).await;
     assert_eq!(lost.unsolved.unwrap().class, UnsolvedClass::NoPlace);

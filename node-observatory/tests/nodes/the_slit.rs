@@ -53,7 +53,7 @@ fn alert_stands(site: &Site, id: &str) -> bool {
         .is_some_and(|heard| heard.said.body.alerts.iter().any(|alert| alert.id == id && alert.returned_utc.is_none()))
 }
 
-/// The dome slips: it stands far from where it stood, and says so.
+/// The dome slips: it is far from where it was, and reports it.
 fn slip(site: &Site) {
     site.dome.state.send_modify(|state| {
         let stands_deg = state.fields.azimuth_deg.known().copied().unwrap();

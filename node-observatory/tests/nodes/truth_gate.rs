@@ -1,4 +1,4 @@
-//! Frames that do not show where they look: none counts, unless the row or the site says so.
+//! Frames that do not show where they look: none counts, unless the row or the site allows it.
 
 #[allow(dead_code, reason = "shared with the stories of the night")]
 use std::time::Duration;

@@ -2,7 +2,7 @@ use contract::CommandId;
 
 use super::*;
 
-/// A run `hours` after the first, through a filter whose offset the wheel says to be nothing.
+/// A run `hours` after the first, through a filter whose offset is zero by the wheel.
 fn run(hours: f64, filter: Option<&str>, position: f64, temperature_c: f64) -> FocusRun {
     let sample = r#"{"id": "", "camera": "cam", "focuser": "f", "filter_offset": 0, "night": "20261121",
         "started_utc": "2026-11-21T00:00:00Z", "outcome": "focused", "start_position": 0, "operator": "hfd",
@@ -30,7 +30,7 @@ fn the_newest_run_tells_the_best_position_and_ten_runs_how_it_follows_the_temper
         let temperature_c = 12.0 - f64::from(n);
         assert!(learnt.learn(&run(f64::from(n), None, 5000.0 - 15.0 * temperature_c, temperature_c)));
     }
-    // 4 C: nine runs say nothing of the temperature yet.
+    // 4 C: nine runs do not show the effect of temperature yet.
     assert_eq!((learnt.best("f", Some(0.0)), learnt.model("f")), (Some(5000.0 - 60.0), None));
     assert!(learnt.learn(&run(9.0, None, 5000.0 - 45.0, 3.0)));
     assert!(!learnt.learn(&run(9.0, None, 1.0, 3.0)), "known already");

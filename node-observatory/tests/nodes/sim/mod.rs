@@ -55,8 +55,8 @@ pub fn telescope(speed: f64) -> simulator::Options {
     options
 }
 
-/// A field of 1.5 deg with stars of 2.4 px, all of the shipped catalogue, and a mount that errs by nothing but what a test
-/// does to it.
+/// A field of 1.5 deg with stars of 2.4 px, all of the shipped catalogue, and a mount that errs by nothing but what a
+/// test does to it.
 pub fn wide_field(speed: f64) -> simulator::Options {
     let mut options = simulator::Options { start: Utc::from_seconds(NIGHT), speed, ..Default::default() };
     let camera = &mut options.camera;
@@ -222,7 +222,7 @@ impl Sim {
         folder
     }
 
-    /// Ends the first observatory node as a power cut would: without a word.
+    /// Ends the first observatory node as a power cut would: without a message.
     pub async fn kill_commander(&mut self) {
         let is_it = |it: &RunningNode| it.node.role == Role::Observatory && it.node.id.as_str() == "main";
         self.nodes.remove(self.nodes.iter().position(is_it).unwrap()).kill().await;
@@ -286,7 +286,7 @@ impl Sim {
         all
     }
 
-    /// Slews the mount by hand to where its encoders will say this, ICRS degrees.
+    /// Slews the mount by hand to where its encoders will report this, ICRS degrees.
     pub async fn slew_by_hand(&self, (ra_deg, dec_deg): (f64, f64)) {
         let form = [("RightAscension", (ra_deg / 15.0).to_string()), ("Declination", dec_deg.to_string())];
         self.by_hand("telescope", "slewtocoordinatesasync", &form).await;

@@ -44,7 +44,7 @@ impl Arbiter {
 }
 
 impl Keeper {
-    /// Takes the dome's commands, and says the guard's numbers.
+    /// Takes the dome's commands, and publishes the guard's numbers.
     pub async fn serve(self, bus: &Bus, dome: &Arc<Device<Dome>>, address: &Address) -> Service {
         let permit: Latest<Permit> = bus.latest(&Key::Permit(address.clone(), dome.key.name.clone())).await.unwrap();
         let lease = bus.latest(&Key::Observatory(address.clone(), Part::Lease)).await.unwrap();
@@ -65,7 +65,7 @@ impl Keeper {
                     action: GuardAction::Watching,
                     hold: held.load(Ordering::Relaxed),
                     dropped: 0,
-                    // This shutter never lies: what it says is proven.
+                    // This shutter never lies: its reports are proven.
                     verified_closed: Some(is_closed),
                     waits_for_mounts: None,
                     granted: vec![],

@@ -1,4 +1,4 @@
-//! A site of make-believe devices on a real bus: what a device node says and answers, without hardware behind it.
+//! A site of fake devices on a real bus: what a device node publishes and answers, without hardware behind it.
 
 mod keeper;
 
