@@ -1,4 +1,4 @@
-//! What a device is asked: everything on connecting, and the polled properties again and again.
+//! Polls a device: everything on connecting, and the polled properties again and again.
 
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -65,7 +65,7 @@ pub struct Poll {
     pub device_state: bool,
     /// Several questions at once were too many for the server.
     pub crowded: bool,
-    /// What was left unasked, as the answers before took too long: those are published first.
+    /// The properties left unasked, as the answers before took too long: those are published first.
     pub unasked: Vec<String>,
 }
 

@@ -1,4 +1,5 @@
-//! What verdicts are made of, of a device: it is read first, apart from the rest, and on deadlines of its own.
+//! The properties of a device that verdicts need: they are read first, apart from the rest, and on deadlines of its
+//! own.
 
 use config::Observatory;
 use contract::device::observing_conditions::made_of;

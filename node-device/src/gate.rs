@@ -28,7 +28,7 @@ pub struct Gate {
     pub roof: Arc<RoofCall>,
 }
 
-/// What the roof over a mount asks of it: to be parked, because the roof must close and waits for that.
+/// The demand of the roof over a mount: to be parked, because the roof must close and waits for that.
 #[derive(Debug, Default)]
 pub struct RoofCall {
     must_park: AtomicBool,

@@ -1,4 +1,4 @@
-//! What was polled: every property's newest answer under its ASCOM name, and what typed fields read from it.
+//! The polled readings: every property's newest answer under its ASCOM name, and what typed fields read from it.
 
 use std::collections::BTreeMap;
 

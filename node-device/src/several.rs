@@ -17,7 +17,7 @@ const HEALTHY: Duration = Duration::from_secs(60);
 const READ_AGAIN: Duration = Duration::from_secs(5);
 
 /// Runs all device nodes of the file until a signal; then ends them one after another, enclosures first, because one
-/// that waits for the mount needs the mount's node until it is closed. Of a file that cannot be read the enclosure's
+/// that waits for the mount needs the mount's node until it is closed. If a file cannot be read, the enclosure's
 /// node runs, whose guard process knows what last worked; the others follow when it can be read.
 pub fn main(options: &NodeOptions, verb: &[&str]) -> ExitCode {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
@@ -128,7 +128,7 @@ fn start_missing(nodes: &mut Vec<Running>, options: &NodeOptions, verb: &[&str],
             continue;
         }
         let (stop, mut tasks) = (Stop::default(), JoinSet::new());
-        // An enclosure's node outlives this process, however that ends; the others do not.
+        // An enclosure's node survives this process, however that ends; the others do not.
         let options = NodeOptions { with_parent: options.with_parent || !is_enclosure, ..options.clone() };
         let verb: Vec<String> = verb.iter().map(ToString::to_string).collect();
         let (own_id, stopped) = (id.clone(), stop.clone());

@@ -16,7 +16,7 @@ use contract::observatory::AlertKind;
 use crate::driver::dome::Dome;
 use crate::front::Front;
 
-/// What a dome can do is asked again whenever it connects; nobody needs to know of it sooner.
+/// The capabilities of a dome are read again whenever it connects; nobody needs to know of a change sooner.
 const LOOK: Duration = Duration::from_secs(2);
 
 /// Raises the alert of such a dome, and clears it when the dome reports that it does not turn or that another program

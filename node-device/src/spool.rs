@@ -85,7 +85,7 @@ struct Entry {
     released: bool,
 }
 
-/// What stands in a frame's JSON file.
+/// The content of a frame's JSON file.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct Kept {
     token: String,

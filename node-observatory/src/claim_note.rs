@@ -1,5 +1,5 @@
-//! What a node notes on disk before it asks for the lease, so that its next incarnation knows a token under which no
-//! node ever commanded.
+//! The note that a node writes to disk before it asks for the lease, so that its next incarnation knows a token under
+//! which no node ever commanded.
 //!
 //! ```text
 //!   note the claim's id ---> ask the arbiter ---> token and operator orders on disk ---> note taken back ---> command
@@ -71,7 +71,7 @@ impl ClaimNote {
         self.noted.unused.insert(token);
     }
 
-    /// Notes a claim that is about to be asked. It needs no more than to outlive this process, so nothing waits for the
+    /// Notes a claim that is about to be asked. It only has to survive an end of this process, so nothing waits for the
     /// platter.
     pub async fn asks(&mut self, claim: &CommandId) {
         if self.is_silent || self.noted.claim.as_ref() == Some(claim) {
@@ -89,7 +89,7 @@ impl ClaimNote {
         }
     }
 
-    /// What was granted is on disk elsewhere, and the note is taken back. False where it cannot be.
+    /// Takes the note back, because the granted token is on disk elsewhere. False if it cannot.
     pub async fn is_taken_back(&mut self) -> bool {
         let removed = on_disk(&self.path, |path| std::fs::remove_file(path)).await;
         self.noted = Noted::default();

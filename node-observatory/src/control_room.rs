@@ -1,4 +1,4 @@
-//! What all tasks of the node share: the devices, the verdict, the lease, and the switches that people turn.
+//! The values that all tasks of the node share: the devices, the verdict, the lease, and the switches that people turn.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -63,15 +63,15 @@ pub struct ControlRoom {
     pub versions: Versions,
     /// Counts orders to read the schedule again.
     pub reload: watch::Sender<u64>,
-    /// What was begun and finished, on disk.
+    /// The record on disk of all that was begun and finished.
     pub journal: Journal,
-    /// What the verdict rests on.
+    /// The rules of the verdict.
     pub rules: Arc<Rules>,
-    /// What people have ordered of the verdict.
+    /// People's operator orders.
     pub standing: Kept<Standing>,
     /// The operator orders as last published.
     pub standing_said: watch::Sender<Option<StandingOrders>>,
-    /// What people have done about alerts.
+    /// People's answers to alerts.
     pub annunciator: Kept<Annunciator>,
     /// What the commander before this node publishes.
     pub before: Before,
@@ -83,7 +83,7 @@ pub struct ControlRoom {
     pub facts: Telling,
     /// What the newest frames showed, for the tasks that act on it.
     pub looks: Looks,
-    /// What is taken off frames before they are measured.
+    /// The darks that are taken off frames before they are measured.
     pub darks: Darks,
     /// The star catalogue, once it is open.
     pub catalogue: StarCatalogue,
@@ -91,7 +91,7 @@ pub struct ControlRoom {
     pub mounts: Mounts,
     /// What solved frames taught.
     pub optics: Kept<OpticsState>,
-    /// What was looked up of names of targets.
+    /// The looked-up names of targets.
     pub names: watch::Sender<Known>,
     /// The pointing, as it is shown.
     pub pointing: watch::Sender<PointingState>,
@@ -111,11 +111,11 @@ pub struct ControlRoom {
     pub focus_runs: mpsc::UnboundedSender<FocusRun>,
     /// The site's own script.
     pub hooks: Hooks,
-    /// What is shown of the night.
+    /// The published state of the night.
     pub board: Board,
     /// This node was asked to end and nobody takes over.
     pub leaves_alone: AtomicBool,
-    /// What people ordered, and what became of it.
+    /// People's orders and their outcomes.
     pub audit: Audit,
 }
 
@@ -157,7 +157,7 @@ impl ControlRoom {
         }
     }
 
-    /// What stands against a row's action, or against any where there is none.
+    /// The objection to a row's action, or to any action if there is no row.
     pub fn objection(&self, row: Option<&Row>) -> Option<Objection> {
         // A row that began now would open again what is closed before the end.
         if self.node.ending.is_stopped() {

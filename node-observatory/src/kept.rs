@@ -255,7 +255,7 @@ mod tests {
         list.change_when_written(add(1)).await.unwrap();
         assert_eq!((list.get(), on_disk(folder.path())), (vec![1], vec![1]));
         assert!(list.is_on_disk());
-        // A folder where the file is to be written: no disk takes that, whoever asks.
+        // A folder where the file is to be written: no disk takes that, whichever user asks.
         std::fs::create_dir(folder.path().join("list.json.main.part")).unwrap();
         let refused = list.change_when_written(add(2)).await.unwrap_err();
         assert!(matches!(refused, Unchanged::Disk { .. }), "{refused}");

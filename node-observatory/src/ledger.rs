@@ -129,7 +129,7 @@ pub async fn keep_counting_frames(room: Arc<ControlRoom>) -> anyhow::Result<()> 
         if let Err(error) = noted.await? {
             tracing::warn!(%error, "an announced frame is not in the journal; a restart may take it again");
         }
-        // After the journal: whoever sees it here finds it counted there.
+        // After the journal: a task that sees it here finds it counted there.
         let is_new = room.ledger.announced(&frame.id, &frame.purpose.night);
         if is_new && heard.said.at_utc >= started_utc {
             room.board.frame(&frame.id);

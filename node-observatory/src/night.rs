@@ -1,4 +1,4 @@
-//! What is shown of the night: posture, actions under way, the rows of the schedule.
+//! The published state of the night: posture, actions under way, the rows of the schedule.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -1,7 +1,7 @@
 //! What a person's order does.
 //!
 //! An order that closes, or makes the verdict stricter, acts at once, whatever the disk does. Any other that is to
-//! outlive this node is on disk before it acts, and refused where the disk fails.
+//! survive this node is on disk before it acts, and refused where the disk fails.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -1,4 +1,4 @@
-//! What must be there before the tasks run: the journal, the devices, and the channels between the tasks.
+//! Prepares all that the tasks need before they run: the journal, the devices, and the channels between the tasks.
 
 use std::future::Future;
 use std::path::PathBuf;

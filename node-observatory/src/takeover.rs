@@ -104,7 +104,8 @@ fn put(room: &ControlRoom, standing: &Standing) {
     });
 }
 
-/// What the folder holds, and whether a version that kept no tokens commanded from it; makes the journal this node's.
+/// The content of the folder, and whether a version that wrote no tokens commanded from it; makes the journal this
+/// node's.
 async fn read(room: &Arc<ControlRoom>) -> (OnDisk, bool) {
     let at = room.clone();
     let reading = tokio::task::spawn_blocking(move || {
@@ -134,8 +135,8 @@ fn foreign<T: Payload + Clone>(room: &ControlRoom, latest: &Latest<T>) -> Option
     latest.get().filter(|heard| heard.said.boot_id != *room.node.bus.boot_id())
 }
 
-/// What people did about alerts, from where the orders come: a record of an older reign would acknowledge what it never
-/// saw. What nobody knows stands as new.
+/// People's answers to alerts, from the source of the orders: a record of an earlier commander would acknowledge what
+/// it never saw. An alert that no record has is new.
 async fn learn_alerts(room: &Arc<ControlRoom>, source: Source, orders: Option<&Heard<StandingOrders>>) {
     match source {
         Source::Own => {}

@@ -1,4 +1,4 @@
-//! What can go wrong while a row of the schedule is worked on.
+//! The errors of a row of the schedule.
 
 use contract::{Kind, Reason};
 use units::Utc;

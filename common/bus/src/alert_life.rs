@@ -54,7 +54,7 @@ impl AlertLife {
         had_cause
     }
 
-    /// What stands now, the most urgent first.
+    /// The alerts that are active now, the most urgent first.
     pub fn shown(&mut self, now: MachineTime) -> Alerts {
         self.raised.retain(|_, raised| raised.gone_at.is_none_or(|at| at > now));
         let shown = self.raised.values().filter(|raised| raised.show_at <= now);

@@ -16,7 +16,7 @@ use tracing_subscriber::layer::{Context, Filter};
 const OWN: Allowance = Allowance { lines: 300, window: Duration::from_secs(10) };
 /// Those of libraries.
 const FOREIGN: Allowance = Allowance { lines: 10, window: Duration::from_secs(60) };
-/// What our libraries call themselves; `log` is whoever logs by that crate.
+/// What our libraries call themselves; `log` is any library that logs by that crate.
 const LIBRARIES: [&str; 5] = ["zenoh", "log", "uhlc", "hyper", "rustls"];
 
 static LEFT_OUT: AtomicU64 = AtomicU64::new(0);

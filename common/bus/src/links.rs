@@ -216,7 +216,7 @@ mod tests {
         assert_eq!(next().await, SampleKind::Put);
 
         let publisher = silent.publisher(&node_key(Role::Archive, NodeTopic::State), Quality::State { cache: 1 }).await;
-        // The subscriber of the mending task must stand by then.
+        // The subscriber of the mending task must be declared by then.
         tokio::time::sleep(Duration::from_secs(1)).await;
         publisher.unwrap().put(state).await.unwrap();
         let began = std::time::Instant::now();

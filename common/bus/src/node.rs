@@ -208,7 +208,7 @@ fn read_header(config: &Observatory) -> anyhow::Result<HeaderTable> {
 }
 
 /// As [`read_config`], for a node that goes on with the built-in rows where the FITS-header table cannot be used: no
-/// dome stays open because of a table. What is wrong with it comes with the rest.
+/// dome stays open because of a table. The returned text is the table's error.
 fn read_config_of_node(file: &Path) -> anyhow::Result<(Observatory, HeaderTable, Option<String>)> {
     let config = read_observatory(file)?;
     Ok(match read_header(&config) {

@@ -152,7 +152,7 @@ fn settings(config: &config::Bus) -> serde_json::Value {
                 // zenoh's own limit is 1 GiB: one message of 400 MB took a node from 33 to 854 MB.
                 "rx": { "max_message_size": MOST_MESSAGE },
                 "tx": {
-                // No safety decision rests on the lease; each keep-alive wakes both ends of a link, and an idle
+                // No safety decision depends on the lease; each keep-alive wakes both ends of a link, and an idle
                 // node does little else.
                 "lease": 4000, "keep_alive": 3,
                 // Messages that block (queries, declarations) may stall the others for 0.3 s, not for zenoh's 5 s.

@@ -34,7 +34,7 @@ enum Line {
 }
 
 impl Bus {
-    /// Subscribes to a key expression; at most `capacity` payloads wait, the oldest give way.
+    /// Subscribes to a key expression; at most `capacity` payloads wait, and new ones replace the oldest.
     pub async fn subscribe<T: Payload>(
         &self,
         expression: &str,

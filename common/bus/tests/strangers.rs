@@ -1,4 +1,5 @@
-//! What other programs on the bus can do to a node that asks, answers and listens: zenoh sessions with no code of ours.
+//! The effect of other programs on the bus on a node that asks, answers and listens: zenoh sessions with no code of
+//! ours.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends at the first surprise")]
 
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! The guard: permission to be open must be renewed; without it the dome closes, whoever is dead.
+//! The guard: permission to be open must be renewed; without it the dome closes, whichever node is dead.
 //!
 //! A pure state machine: everything it knows comes in as an argument, everything it wants goes out as a [`Deed`]. The
 //! device node's `guard_task` gives it eyes and hands. Two facts are kept apart: *may it be open* (permits), and *is it
@@ -315,7 +315,7 @@ impl Guard {
     }
 
     /// Where the shutter must wait for the park, a command only begins the guard's own closing, which knows all mounts:
-    /// whoever commands may know some of them or none.
+    /// the commander may know some of them or none.
     pub fn closes_by_itself(&self) -> bool {
         self.settings.policy != CloseWithMount::Beside
     }

@@ -357,7 +357,7 @@ fn a_roof_whose_mounts_nobody_parks_asks_for_help_after_10_s_and_at_an_end_at_on
 }
 
 proptest! {
-    /// Whatever arrives, however often and in whatever order: what carries no number younger than its validity
+    /// Whatever arrives, however often and in whatever order: a permit that carries no number younger than its validity
     /// keeps nothing open.
     #[test]
     fn no_sequence_of_permits_older_than_their_validity_keeps_a_dome_open(

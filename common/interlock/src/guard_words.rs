@@ -1,5 +1,5 @@
-//! What the guards of a site publish, each incarnation for itself: numbers, granted tokens, and whether a roof must
-//! close; pure.
+//! The newest payloads of the guards of a site, each incarnation for itself: numbers, granted tokens, and whether a
+//! roof must close; pure.
 //!
 //! A peer that publishes in a guard's name takes nothing away from the real one: a permit that answers either is an
 //! answer, and the smaller of two tokens fences. A roof counts as closing, and as not closed, when one of them

@@ -1,4 +1,4 @@
-//! What nobody may do while a closing is due.
+//! The commands that nobody may give while a closing is due.
 
 use contract::Reason;
 
@@ -9,7 +9,7 @@ use crate::turned::Turned;
 pub enum Hinders {
     /// No.
     No,
-    /// Yes, whoever gives it.
+    /// Yes, whichever process gives it.
     Yes,
     /// Yes, unless the commander gives it.
     FromOthers,

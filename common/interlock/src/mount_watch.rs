@@ -1,5 +1,5 @@
 //! The mount's node receives its enclosure's permit and guard too: when the roof must close it stops, and parks,
-//! whoever is dead.
+//! whichever node is dead.
 
 use std::time::Duration;
 
@@ -41,7 +41,7 @@ pub struct MountWatch {
     lost_since: MachineTime,
     last_deed: Option<MachineTime>,
     tries: u32,
-    /// It has stopped or parked since the permit was lost: whoever moves it later does so on purpose.
+    /// It has stopped or parked since the permit was lost: a person who moves it later does so on purpose.
     rested: bool,
     answered: bool,
     called: bool,

@@ -1,4 +1,4 @@
-//! What a command needs before it is taken.
+//! The permits and tokens that a command needs before it is accepted.
 
 /// What a command needs before it is taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

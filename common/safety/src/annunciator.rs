@@ -1,4 +1,4 @@
-//! What people did about alerts: acknowledged, shelved, and those that returned before anybody looked.
+//! People's answers to alerts: acknowledged, shelved, and those that returned before anybody looked.
 //!
 //! ```text
 //!            ┌────────── acknowledge ──────────▶ acknowledged ── cause gone ──▶ cleared

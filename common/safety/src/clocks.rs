@@ -1,4 +1,4 @@
-//! What time it may be: this node's wall clock compared with its boot-time clock, the other nodes' stamps and the
+//! The times that it may be: this node's wall clock compared with its boot-time clock, the other nodes' stamps and the
 //! mounts' clocks.
 //!
 //! The Sun, and the end of what a person ordered, follow the wall clock, and a step of an hour as the Sun rises leaves

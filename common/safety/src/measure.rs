@@ -20,7 +20,7 @@ pub enum Measure {
 #[derive(Debug, Clone, Default)]
 pub struct Window {
     values: VecDeque<(SkyTime, f64)>,
-    /// What was before this is not known; nothing is before the first value.
+    /// The values before this are not known; `None` before the first value.
     known_since: Option<SkyTime>,
 }
 

@@ -1,4 +1,4 @@
-//! What stands against an action: the robotic switch, the lease, the verdict, and the direction in which the action
+//! The objections to an action: the robotic switch, the lease, the verdict, and the direction in which the action
 //! looks.
 
 use contract::observatory::Sector;
@@ -33,7 +33,7 @@ impl std::fmt::Display for Objection {
     }
 }
 
-/// What stands against an action: the robotic switch, that another node commands, and, where it needs a safe sky, what
+/// An objection to an action: the robotic switch, that another node commands, and, where it needs a safe sky, what
 /// `sky` has against it.
 pub fn stands_against(
     is_robotic: bool,

@@ -17,7 +17,7 @@ pub enum OnDisk {
 }
 
 impl OnDisk {
-    /// What holds by it; one that cannot be read keeps the dome closed until a person decides anew.
+    /// The orders that hold by it; a file that cannot be read keeps the dome closed until a person decides anew.
     pub fn orders(self, now: Utc) -> Standing {
         match self {
             Self::Absent => Standing::default(),

@@ -13,7 +13,7 @@ use crate::standing::Standing;
 /// Control that was taken so long ago is nobody's any more, sky s: an operator of last night is asleep.
 const LAPSES_S: f64 = 18.0 * 3600.0;
 
-/// What an order does to who has the telescope.
+/// The effect of an order on which operator has the telescope.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Weighed {
     /// The operator that it is taken from, with this order's reason.

@@ -1,4 +1,4 @@
-//! What a device node kept of the time before this observatory node listened, placed on this node's own clocks.
+//! The record of a device node of the time before this observatory node listened, placed on this node's own clocks.
 //!
 //! A record is evidence for the past only. It is taken if it joins the live states: same incarnation of the device
 //! node, numbers without a gap, and the first live state among them, with the same content. Live states alone decide

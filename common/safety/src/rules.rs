@@ -40,7 +40,7 @@ pub struct LimitRule {
     pub measure: Measure,
     /// Bad above and below.
     pub bad: Bounds,
-    /// What was bad is good again only within these.
+    /// A value that was bad is good again only within these.
     pub reopen: Bounds,
     /// Safe only after so long without a violation, sky time.
     pub dwell: Duration,

@@ -16,7 +16,7 @@ pub struct Said {
 }
 
 impl Said {
-    /// What this node decides itself, because it cannot know what people want.
+    /// An order that this node gives itself, because it cannot know what people want.
     pub fn by_node(reason: String, at_utc: Utc) -> Self {
         Self { from: "observatory node".to_owned(), reason, at_utc }
     }

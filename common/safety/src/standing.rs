@@ -1,6 +1,6 @@
 //! A person's operator orders about the verdict: stay closed, and do without one limit for a while.
 //!
-//! They outlive a restart of the node and a takeover (`inherit.rs`). Staying closed has no end of its own; an override
+//! They survive a restart of the node and a takeover (`inherit.rs`). Staying closed has no end of its own; an override
 //! has, at most eight hours, and only limits and the Sun can be overridden: no safety monitor, no vote.
 
 use std::collections::BTreeMap;
@@ -66,7 +66,7 @@ impl Standing {
         self.stay_closed == other.stay_closed && self.overrides == other.overrides
     }
 
-    /// As they are published by a node that has this token, with what lies on the shelf.
+    /// As they are published by a node that has this token, with the shelved alerts.
     pub fn published(self, token: Option<u64>, shelved: Vec<Shelved>) -> StandingOrders {
         let overrides = self.overrides.into_iter().map(|(input, Override { said, until_utc })| observatory::Override {
             input,

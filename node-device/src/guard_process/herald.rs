@@ -90,7 +90,7 @@ async fn publish(
     };
     let node = Node::new(Role::Device, format!("{id}-guard").parse()?, config, Default::default(), bus);
     let alerts = node.alerts.clone();
-    // Alerts and nothing else: it is no node whose clock and disk anything rests on.
+    // Alerts and nothing else: it is no node whose clock and disk anything depends on.
     let line = node.bus.publisher(&node.key(NodeTopic::Alerts), Quality::State { cache: 100 }).await?;
     let tell = async {
         while let Some(Change { kind, instance, cause }) = heard.recv().await {

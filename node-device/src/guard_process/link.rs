@@ -105,7 +105,7 @@ fn write(shared: &Shared) {
     }
 }
 
-/// What the device node writes to the guard process; nothing once it has ended.
+/// The lines that the device node writes to the guard process; nothing once it has ended.
 pub(super) type NodeLines = Option<Lines<BufReader<ChildStdout>>>;
 
 /// The next line of the device node; none at its end, and never one after it.

@@ -1,4 +1,4 @@
-//! What the guard process is asked for by signals and by its parent, also while it waits for its turn.
+//! The requests to the guard process, by signals and by its parent, also while it waits for its turn.
 
 use std::fs::File;
 use std::time::Duration;

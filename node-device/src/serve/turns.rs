@@ -13,11 +13,12 @@ use crate::driver::Driver;
 /// A loop that wakes up so much later than planned was stalled: its process was stopped, its runtime was blocked,
 /// or its host slept.
 const STALL: Duration = Duration::from_secs(2);
-/// What was read before a stall is not published again; the device has so long to answer anew.
+/// A reading from before a stall is not published again; the device has so long to answer anew.
 const READ_ANEW: Duration = Duration::from_millis(2500);
 
 impl<D: Driver> Loop<D> {
-    /// What decides is read apart from the rest, where it is not the whole; while a command is done, its progress is.
+    /// Properties that decide are read apart from the rest, unless there are no others. While a command runs, its
+    /// progress is read instead.
     pub(super) fn splits(&self) -> bool {
         self.running.is_none() && self.serve.driver.moving().is_empty() && !self.deciding().is_empty()
     }

@@ -1,4 +1,4 @@
-//! What the device node keeps of every command, in its file and on the bus.
+//! The record that the device node writes of every command, in its file and on the bus.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};

@@ -1,4 +1,4 @@
-//! The record of a weather station outlives whoever listens.
+//! The record of a weather station survives every subscriber.
 
 use std::time::{Duration, Instant};
 

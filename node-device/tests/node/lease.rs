@@ -1,4 +1,4 @@
-//! The lease on a real bus: one process holds it, not whoever has its name.
+//! The lease on a real bus: one process holds it, not each process of that name.
 
 use std::time::{Duration, Instant};
 

@@ -1,4 +1,4 @@
-//! What an action works with: its row, the devices of its camera, and the building blocks that actions share.
+//! The context of an action: its row, the devices of its camera, and the building blocks that actions share.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};

@@ -1,4 +1,4 @@
-//! What must be done to be closed: a pure function of the devices' present states.
+//! The steps to be closed: a pure function of the devices' present states.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -120,7 +120,7 @@ impl Sight {
             && self.covers.iter().all(CoverSight::is_closed)
     }
 
-    /// What is to be done now. A roof that waits for the mounts is asked at once too: its device node, which knows all
+    /// The steps to take now. A roof that waits for the mounts is asked at once too: its device node, which knows all
     /// mounts under it, moves it as soon as its policy allows, and nobody else does.
     pub fn wanted(&self, closing_for: Duration) -> Vec<Step> {
         let mut steps = Vec::new();

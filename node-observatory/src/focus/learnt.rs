@@ -1,4 +1,4 @@
-//! What runs have taught about each focuser: the best position, how it follows the temperature, the offsets of filters.
+//! The learned state of each focuser: the best position, how it follows the temperature, the offsets of filters.
 //!
 //! It survives a restart (`focus-TELESCOPE.json` in the data folder). A standby takes over what the commander
 //! publishes.

@@ -54,7 +54,7 @@ impl Dark {
         is_of_row && self.shape == shape(frame)
     }
 
-    /// What is saturated stays so.
+    /// Saturated pixels stay saturated.
     fn taken_off(&self, frame: &Frame, plane: Plane) -> Plane {
         let light = values(&plane);
         if light.len() != self.excess_adu.len() {

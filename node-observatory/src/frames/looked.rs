@@ -1,4 +1,4 @@
-//! What the newest frames showed, for those who act on it while the night goes on: pointing, guiding, focus.
+//! The results of the newest frames, for the tasks that act on them while the night goes on: pointing, guiding, focus.
 //!
 //! Pixels are handed on as soon as they are fetched, before they are measured, and only to who follows them; what was
 //! found on a frame is kept for a while for who asks late.
@@ -61,7 +61,7 @@ impl Looks {
         self.pixels.subscribe()
     }
 
-    /// Hands pixels to whoever follows them.
+    /// Sends pixels to all subscribers.
     pub fn fetched(&self, fetched: &Arc<Fetched>) {
         // There may be no receiver.
         let _ = self.pixels.send(fetched.clone());

@@ -24,7 +24,7 @@ pub fn shows_stars(image_type: &str) -> bool {
 
 /// Measures the pixels of a frame; `fwhm_px` is the width of the stars on the last frame of this camera and binning.
 ///
-/// Takes a while: not for async threads. What cannot be measured is absent, with the reason.
+/// Takes a while: not for async threads. A value that cannot be measured is absent, with the reason.
 pub fn measure(frame: &Frame, plane: &Plane, fwhm_px: Option<f32>) -> (FrameFacts, Option<Measured>) {
     let mut facts = unmeasured(frame);
     let camera = camera(frame);

@@ -19,7 +19,7 @@ use super::zero_point;
 const SAME_SCALE: f64 = 0.005;
 /// ... and their rotations by no more than this, degrees: flexure of a camera's mount, and north turning near the pole.
 const SAME_ROTATION_DEG: f64 = 1.0;
-/// What is known is written down again when it moved by so much of that, or is older than [`OLD_S`].
+/// The known optics are written again when they changed by so much of that, or are older than [`OLD_S`].
 const MOVED: f64 = 0.02;
 const OLD_S: f64 = 1800.0;
 /// Optics that are remembered, at most: a wheel of ten filters on two cameras, both sides of the pier and some
@@ -161,7 +161,7 @@ impl Rivals {
             self.zero_points.push(new);
             return false;
         };
-        // Of the two that were brighter, the one that both showed.
+        // The fainter of the two brighter values, which both frames showed.
         if rival.best_mag < new.best_mag {
             *known = rival;
             self.zero_points.push(new);

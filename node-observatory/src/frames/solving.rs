@@ -23,7 +23,7 @@ use super::zero_point;
 const MOST_HYPOTHESES: u64 = 15_000_000;
 /// The cost of a search that also tries scales other than the given one, in units of it: there are 14 of them.
 const WRONG_SCALES_COST: u64 = 4;
-/// Of frames in a row that are not solved, each so manyth tries them.
+/// One in so many unsolved frames in a row tries them.
 const WRONG_SCALES_EVERY: u32 = 3;
 /// How far from where the telescope should point a frame is looked for.
 const FURTHEST: Angle = Angle::from_degrees(2.0);

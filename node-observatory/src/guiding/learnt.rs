@@ -9,7 +9,7 @@ use contract::observatory::{
 use imaging::star::{Flags, Star};
 use serde::{Deserialize, Serialize};
 
-/// References that are kept; the oldest give way.
+/// References that are retained; a new one replaces the oldest.
 pub const REFERENCES: usize = 60;
 
 /// All of it.

@@ -1,6 +1,6 @@
 //! The learned state of guiding on the bus: the commander publishes it, a standby takes it over.
 //!
-//! What pulses do is part of the state. A reference, some ten kilobytes, is published once when it is made, and once
+//! The calibration is part of the state. A reference, some ten kilobytes, is published once when it is made, and once
 //! more by each incarnation that commands: a late subscriber asks its publisher for all of them.
 
 use std::collections::HashSet;

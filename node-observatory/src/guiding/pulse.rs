@@ -11,10 +11,10 @@ use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
 use schedule::Row;
 
-/// What the mount took of a pulse: when it began, sky s, and how long it was, ms.
+/// The part of a pulse that the mount executed: when it began, sky s, and how long it was, ms.
 pub type Taken = Option<(f64, i32)>;
 
-/// What became of a decision's pulses; None for an axis that was not to be pulsed.
+/// The outcome of a decision's pulses; None for an axis that was not to be pulsed.
 #[derive(Debug, Default)]
 pub struct Given {
     /// Right ascension.
@@ -28,7 +28,7 @@ pub struct Given {
 /// A pulse is over within this beyond its length, sky time.
 const OVER_WITHIN: Duration = Duration::from_secs(10);
 
-/// What stands against pushing the mount now, if anything does. Only what is known to be good is good.
+/// The objection to pulses now, if there is one. Only a state that is known to be good is good.
 pub fn objection(room: &ControlRoom, row: &Row, mount: &Mount) -> Option<String> {
     if let Some(objection) = room.objection(Some(row)) {
         return Some(objection.to_string());

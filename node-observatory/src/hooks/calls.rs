@@ -1,6 +1,6 @@
 //! Calls in a script's text that were probably meant to be calls of this node's functions.
 //!
-//! The language finds out whether a called function exists when it is called, which is at night. A slip of the pen in
+//! The language finds out whether a called function exists when it is called, which is at night. A misspelling in
 //! one of the names of [`engine::CALLS`] is found here instead.
 
 use super::engine;

@@ -1,4 +1,4 @@
-//! What a script of any function is answered: commands of the makers' own, states, waits, notes.
+//! The answers to a script's requests, of any function: commands of the makers' own, states, waits, notes.
 
 use std::time::Duration;
 

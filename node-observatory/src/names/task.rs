@@ -14,7 +14,7 @@ use crate::control_room::ControlRoom;
 use crate::kept::write_whole;
 use crate::schedule_file::Loaded;
 
-/// What was not found, or could not be asked for, is asked for again after this, machine time.
+/// A name that was not found, or could not be asked for, is asked for again after this, machine time.
 const AGAIN: Duration = Duration::from_secs(60);
 
 /// Looks up what the schedule names and nobody knows yet, for ever.

@@ -41,8 +41,8 @@ impl Way {
         Self { target, commanded, exptime_s, frames_left, is_fresh: true }
     }
 
-    /// Slews to where it was sent last: whoever moved the mount meanwhile moved it away from there, and a correction of
-    /// that by the frames alone would overshoot.
+    /// Slews to where it was sent last: a person who moved the mount meanwhile moved it away from there, and a
+    /// correction of that by the frames alone would overshoot.
     pub async fn again(&mut self, stage: &Stage, mount: &Mount) -> Result<(), Trouble> {
         mount.point(&self.commanded, &stage.visible(&self.commanded)?).await?;
         self.is_fresh = true;

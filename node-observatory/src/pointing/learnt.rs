@@ -41,7 +41,7 @@ impl Book {
         crate::kept::read_or_anew(path, "what is known of the pointing")
     }
 
-    /// What a camera is expected to miss a place by; on the side of the pier where the nearest point was seen. None
+    /// The expected miss of a camera at a place; on the side of the pier where the nearest point was seen. None
     /// while nothing trustworthy is known, and where it is more than `most`.
     pub fn expected(&self, camera: &str, hour_angle: Angle, dec: Angle, most: Angle) -> Option<Miss> {
         let away = |model: &PointingModel| {

@@ -10,7 +10,7 @@
 //! ```
 //! Frames taken to find out where the telescope looks are kept and never count ([`acquire`]). Once it is proven, frames
 //! count until one of them shows itself to be off ([`gate`]); one that cannot be solved proves nothing either way. Each
-//! solved frame after a slew teaches the pointing model ([`learnt`]). What pure geometry there is, is
+//! solved frame after a slew teaches the pointing model ([`learnt`]). The pure geometry is
 //! `imaging::pointing`; decision 0019.
 
 mod acquire;
@@ -46,7 +46,7 @@ pub async fn send(stage: &Stage, mount: &Mount, target: &Icrs) -> Result<Icrs, T
     Ok(commanded)
 }
 
-/// What the camera would miss the target by, if anything trustworthy is known of it.
+/// The expected miss of the camera at the target, if a trustworthy model exists.
 fn expected(stage: &Stage, target: &Icrs, hour_angle: Angle) -> Option<Miss> {
     let config = &stage.room.node.config.pointing;
     if !config.model {

@@ -235,7 +235,7 @@ pub(super) fn write_whole(path: &Path, text: &str) -> io::Result<()> {
     // The new name is on disk with its folder; Windows opens no folders.
     #[cfg(unix)]
     {
-        // A file named without its folder lies in the working one.
+        // A file named without its folder is in the working folder.
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         fs::File::open(folder)?.sync_all()?;
     }

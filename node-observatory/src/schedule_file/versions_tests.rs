@@ -87,7 +87,7 @@ fn what_the_disk_does_not_take_leaves_what_was_kept() {
     let folder = tempfile::tempdir().unwrap();
     let versions = versions(folder.path());
     versions.keep("one\n", 1, &ana(""), at(NOW)).unwrap();
-    // A folder where the file is to be written: no disk takes that, whoever asks.
+    // A folder where the file is to be written: no disk takes that, whichever user asks.
     fs::create_dir(versions.folder.join("index.jsonl.part")).unwrap();
     assert!(versions.keep("two\n", 1, &ana(""), at(NOW)).is_err());
     assert_eq!(versions.list().unwrap().len(), 1);

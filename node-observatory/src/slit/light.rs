@@ -1,4 +1,4 @@
-//! What the slit leaves of an exposure's light, and what becomes of the frame: arithmetic only.
+//! The share of an exposure's light that the slit leaves, and the fate of the frame: arithmetic only.
 //!
 //! ```text
 //!  loses nothing, or no more than LITTLE: counted                  (a visible loss is reported with the frame)
@@ -37,7 +37,7 @@ pub struct Light {
 }
 
 impl Light {
-    /// Of an exposure that begins, or is first seen, at `seen_s` from its start.
+    /// The light of an exposure that begins, or is first seen, at `seen_s` from its start.
     pub fn new(exposure_s: f64, seen_s: f64) -> Self {
         Self { exposure_s, seen_s: seen_s.clamp(0.0, exposure_s), lost_s: 0.0, free: 1.0, hidden_since_s: None }
     }

@@ -1,4 +1,4 @@
-//! The observatory node on a real bus, with devices of make-believe: opens, observes, closes, goes on.
+//! The observatory node on a real bus, with fake devices: opens, observes, closes, goes on.
 
 #[allow(dead_code, reason = "shared with the stories of the slit")]
 use std::sync::atomic::Ordering;

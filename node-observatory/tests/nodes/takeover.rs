@@ -123,7 +123,7 @@ async fn a_standby_that_never_heard_the_commander_stays_closed_until_a_person_de
     second.stop().await;
 }
 
-/// Makes a disk fail for one file of the node `main`: a folder lies where the file would be written.
+/// Makes a disk fail for one file of the node `main`: a folder is where the file would be written.
 fn part(site: &Site, file: &str) -> PathBuf {
     site.folder.path().join("data").join(format!("{file}-callisto.json.main.part"))
 }

@@ -24,7 +24,7 @@ async fn a_standby_points_solves_and_holds_the_field_as_the_commander_did() {
     let mut sim = Sim::new(options, "").await;
     sim.simulator.world().set_weather(Quantity::StarFwhm, Some(0.1));
     sim.mislead(MISS).await;
-    // Of nights before, on the first one's disk only.
+    // Models of earlier nights, on the first node's disk only.
     sim.keep_calibration("camera", pulsed.clone());
     sim.keep_pointing(&misses(MISS));
     let (ra, dec) = sim.place(0.7, -20.0);

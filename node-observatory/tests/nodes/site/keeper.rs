@@ -1,4 +1,4 @@
-//! The make-believe dome's device node: its guard, its shutter, and the lease that it grants.
+//! The fake dome's device node: its guard, its shutter, and the lease that it grants.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};

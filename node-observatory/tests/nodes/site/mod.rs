@@ -20,7 +20,7 @@ use tempfile::TempDir;
 use test_support::{PARANAL, RunningNode, block, join, private, private_bus, schedule_line, within};
 use tokio::sync::watch;
 
-/// One make-believe device.
+/// One fake device.
 pub struct Device<K: DeviceKind> {
     pub key: contract::Device,
     pub state: watch::Sender<DeviceState<K::Fields>>,
