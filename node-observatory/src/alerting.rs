@@ -72,7 +72,7 @@ pub async fn keep_merging(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     }
 }
 
-/// Takes what stands, and returns what is shown.
+/// Takes the active alerts, and returns the ones to publish.
 fn hear(room: &ControlRoom, standing: &Alerts, settled: bool) -> Alerts {
     let utc = room.node.bus.clock().utc();
     room.annunciator.change(|known| {

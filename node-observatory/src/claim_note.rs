@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 /// A disk that hangs keeps nobody from commanding.
 const DISK: Duration = Duration::from_secs(2);
 
-/// As it stands in the file.
+/// The content of the file.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 struct Noted {
     /// The claim that is asked.

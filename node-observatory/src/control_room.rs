@@ -93,7 +93,7 @@ pub struct ControlRoom {
     pub optics: Kept<OpticsState>,
     /// The looked-up names of targets.
     pub names: watch::Sender<Known>,
-    /// The pointing, as it is shown.
+    /// The published state of the pointing.
     pub pointing: watch::Sender<PointingState>,
     /// The learned pointing models.
     pub pointing_book: Kept<Book>,
@@ -183,7 +183,7 @@ impl ControlRoom {
         self.node.config.place.on_earth()
     }
 
-    /// Waits until something stands against a row's action.
+    /// Waits until there is an objection to a row's action.
     pub async fn objected(&self, row: &Row) -> Objection {
         let (mut ruling, mut hold, mut robotic) = (self.ruling.clone(), self.hold.clone(), self.robotic.subscribe());
         loop {

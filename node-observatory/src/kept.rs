@@ -102,7 +102,7 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
         let pen = self.pen.clone().lock_owned().await;
         let (version, mut next) = self.snapshot();
         change(&mut next).map_err(Unchanged::Refused)?;
-        // The pen is held until the memory has it too.
+        // The lock `pen` is held until the memory has it too.
         let (_pen, put) = self.put(pen, next).await;
         put.map_err(|source| Unchanged::Disk { path: self.path.display().to_string(), source })?;
         let mut done = Ok(());
@@ -161,7 +161,7 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
         });
     }
 
-    /// If the caller gives up waiting, the pen stays with the writing, so that nobody writes into it.
+    /// If the caller gives up waiting, the write keeps `pen`, so that no other write disturbs it.
     async fn put(&self, pen: OwnedMutexGuard<()>, value: T) -> (Option<OwnedMutexGuard<()>>, io::Result<()>) {
         let (path, part) = (self.path.clone(), self.part.clone());
         let put = tokio::task::spawn_blocking(move || (Some(pen), write_whole(&path, &part, &value))).await;

@@ -16,7 +16,7 @@ use crate::rig::guards::{self, LeaseKnown};
 use crate::takeover;
 use crate::trouble::Trouble;
 
-/// How this node stands to the lease.
+/// Whether this node has the lease.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Hold {
     /// The arbiter was asked and may yet answer that another node commands: nothing is published or done.

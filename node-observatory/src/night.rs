@@ -21,7 +21,7 @@ use crate::rig::dome::Dome;
 pub struct Board {
     tonight: watch::Sender<Tonight>,
     schedule: watch::Sender<ScheduleState>,
-    /// Where rows stand now that began at another place, or that they stand nowhere any more.
+    /// The present places of rows that began at another one; `None` for rows that have no place any more.
     moved: Mutex<BTreeMap<u32, Option<u32>>>,
 }
 
@@ -103,7 +103,7 @@ impl Board {
         self.tonight.send_if_modified(|tonight| std::mem::replace(&mut tonight.ended, ended) != ended);
     }
 
-    /// Changes what is shown of the schedule.
+    /// Changes the published state of the schedule.
     pub fn schedule(&self, change: impl FnOnce(&mut ScheduleState)) {
         self.schedule.send_modify(change);
     }
@@ -117,7 +117,7 @@ impl Board {
         });
     }
 
-    /// A row that is at work and began at one place of the schedule stands at another one now, or nowhere any more.
+    /// A row that is at work and began at one place of the schedule is at another one now, or nowhere any more.
     pub fn moved_to(&self, began: u32, now: Option<u32>) {
         self.moved().insert(began, now);
         self.tonight.send_if_modified(|tonight| {
@@ -130,7 +130,7 @@ impl Board {
         self.moved.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Changes what is shown of a row at work, wherever it stands now; `began` is where it began.
+    /// Changes the published state of a row at work, wherever it is now; `began` is where it began.
     pub fn row(&self, began: u32, change: impl FnOnce(&mut RowState)) {
         let now = self.moved().get(&began).copied().unwrap_or(Some(began));
         if let Some(now) = now {
@@ -138,7 +138,7 @@ impl Board {
         }
     }
 
-    /// Changes what is shown of the row at a place of the schedule in force.
+    /// Changes the published state of the row at a place of the schedule in force.
     pub fn at(&self, row: u32, change: impl FnOnce(&mut RowState)) {
         self.schedule.send_if_modified(|schedule| {
             let index = usize::try_from(row).unwrap_or(usize::MAX);

@@ -1,6 +1,6 @@
 //! Opening: the slit to where the telescope looks, the roof, then cover and mount, each only while the sky stays safe.
 //!
-//! A site's script may stand around it or in its place ([`crate::hooks`]).
+//! A site's script may wrap it or replace it ([`crate::hooks`]).
 
 use contract::device::dome::Shutter::Open;
 

@@ -28,7 +28,7 @@ pub async fn keep_telling(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     loop {
         if room.may_speak() {
             let now = orders(&room);
-            // Alerts come and go without touching the shelf.
+            // Alerts come and go without a change of the shelved ones.
             let is_due = said_at.is_none_or(|at| clock.machine().since(at) >= SECOND - SECOND / 20);
             if is_due || room.standing_said.borrow().as_ref() != Some(&now) {
                 line.put(now.clone()).await?;

@@ -32,7 +32,7 @@ const RULING: Duration = Duration::from_secs(5);
 
 /// What the commander before publishes.
 pub struct Before {
-    /// How it stood.
+    /// Its state of the night.
     pub night: Latest<NightState>,
     /// What people ordered of it.
     pub standing: Latest<StandingOrders>,

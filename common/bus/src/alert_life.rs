@@ -63,7 +63,7 @@ impl AlertLife {
         Alerts { alerts, told: Vec::new() }
     }
 
-    /// How long until time alone changes what stands.
+    /// How long until time alone changes the active alerts.
     pub fn next_change(&self, now: MachineTime) -> Option<Duration> {
         let times = self.raised.values().filter_map(|raised| raised.gone_at.or(Some(raised.show_at)));
         times.filter(|at| *at > now).map(|at| at.since(now)).min()
@@ -96,7 +96,7 @@ mod tests {
         !life.shown(at(at_s)).alerts.is_empty()
     }
 
-    /// Name, kind, what happens at which second, when it is looked at, whether it stands then.
+    /// Name, kind, what happens at which second, when it is looked at, whether it is active then.
     type Story<'a> = (&'a str, AlertKind, &'a [(u64, char)], u64, bool);
 
     #[test]

@@ -92,7 +92,7 @@ impl AlertBoard {
         self.life.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Shows what stands now.
+    /// Publishes the alerts that are active now.
     fn show(&self, life: &mut AlertLife) {
         let mut now = life.shown(self.clock.machine());
         now.told = self.told.lock().unwrap_or_else(PoisonError::into_inner).values().flatten().cloned().collect();

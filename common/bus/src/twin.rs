@@ -48,7 +48,7 @@ fn is_older_twin(processes: &Path, own: u32, other: u32) -> bool {
     let words = |pid: u32| std::fs::read(processes.join(pid.to_string()).join("cmdline")).ok().map(arguments);
     let started = |pid: u32| {
         let text = std::fs::read_to_string(processes.join(pid.to_string()).join("stat")).ok()?;
-        // The name stands in parentheses and may hold spaces; after it the state is the first word, the start the 20th.
+        // The name is in parentheses and may hold spaces; after it the state is the first word, the start the 20th.
         let mut rest = text.rsplit_once(')')?.1.split_whitespace();
         let is_stopped = matches!(rest.next()?, "T" | "t" | "Z" | "X");
         let at: u64 = rest.nth(18)?.parse().ok()?;

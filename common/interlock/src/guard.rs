@@ -65,7 +65,7 @@ pub enum Deed {
     Close,
     /// Stop all movement, then close the shutter.
     AbortThenClose,
-    /// An alarm begins to stand.
+    /// An alarm becomes active.
     Raise(Alarm),
     /// An alarm is no longer active.
     Clear(Alarm),
@@ -461,7 +461,7 @@ impl Guard {
         }
     }
 
-    /// The difference between the alarms that stood and those that stand now.
+    /// The difference between the alarms that were active and those that are active now.
     fn show(&mut self, alarms: Vec<Alarm>) -> Vec<Deed> {
         let begun = alarms.iter().filter(|alarm| !self.standing.contains(alarm)).map(|alarm| Deed::Raise(*alarm));
         let ended = self.standing.iter().filter(|alarm| !alarms.contains(alarm)).map(|alarm| Deed::Clear(*alarm));

@@ -17,7 +17,7 @@ pub enum Hinders {
     FromTheUnaware,
 }
 
-/// The closing that a device stands in the way of.
+/// The closing that a device may obstruct.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct DueClosing {
     /// The dome itself must close and is not proven closed.

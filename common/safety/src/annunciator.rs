@@ -37,7 +37,7 @@ pub struct Annunciator {
     awaited: BTreeSet<String>,
 }
 
-/// One alert on the shelf.
+/// One shelved alert.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Shelved {
     #[serde(flatten)]
@@ -121,7 +121,7 @@ impl Annunciator {
         Ok(())
     }
 
-    /// Takes it from the shelf.
+    /// Ends its shelving.
     pub fn unshelve(&mut self, id: &str) -> Result<(), String> {
         match self.shelved.remove(id) {
             Some(_) => Ok(()),
@@ -178,7 +178,7 @@ impl Annunciator {
     }
 }
 
-/// A clock that was put back cannot make a shelf last longer than an order may.
+/// A clock that was set back cannot make a shelving last longer than an order may.
 fn holds(shelved: &Shelved, now: Utc) -> bool {
     let left_s = shelved.until_utc.seconds_since(now);
     left_s > 0.0 && left_s <= LONGEST_SHELF_S

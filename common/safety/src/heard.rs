@@ -63,13 +63,13 @@ pub struct History {
     pub freeze: Freeze,
     /// What wind blows.
     pub winds: Winds,
-    /// How the machines stand.
+    /// The state of the machines.
     pub nodes: Nodes,
     /// How often each device is asked, as its node publishes, machine time.
     polls: BTreeMap<Device, Duration>,
     /// Sky seconds in a machine second.
     pub speed: f64,
-    /// Where the Sun stands.
+    /// Where the Sun is.
     pub sun: SunNow,
 }
 

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use contract::observatory::{Interval, Unsafe, Verdict};
 use units::Utc;
 
-/// So many are shown.
+/// So many are published.
 const SHOWN: usize = 20;
 
 /// The intervals, the newest last.

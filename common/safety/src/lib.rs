@@ -32,7 +32,7 @@
 //!
 //! - [`judge`]: the verdict with its reasons; [`ruling`]: the newest one, and whether it still counts.
 //! - [`intervals`]: the verdicts of the last day.
-//! - [`objection`]: what stands against an action.
+//! - [`objection`]: the objections to an action.
 //!
 //! What people order:
 //!

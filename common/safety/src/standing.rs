@@ -34,7 +34,7 @@ pub struct Standing {
     /// Fencing token of the commander that keeps them; absent in files of versions that did not write it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub token: Option<u64>,
-    /// Nothing opens while this stands.
+    /// Nothing opens while this is active.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stay_closed: Option<Said>,
     /// The operator who has taken the telescope from the schedule.

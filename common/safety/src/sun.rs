@@ -43,7 +43,7 @@ impl Sun {
         Self { place: Place::new(latitude, longitude, place.elevation_m), most_deg, low: None }
     }
 
-    /// The highest that it stands at the times that it may be.
+    /// Its highest altitude at the times that it may be.
     pub fn stands(&mut self, utc: Utc, doubts: &[Doubt]) -> SunNow {
         let mut highest = SunNow { altitude_deg: self.altitude_deg(utc), ..SunNow::default() };
         for doubt in doubts.iter().filter(|doubt| doubt.counts) {

@@ -1,4 +1,4 @@
-//! The camera; how a frame is taken stands in `exposure`.
+//! The camera; `exposure` takes a frame.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};

@@ -188,7 +188,7 @@ impl Closer {
         }
         let mounts = Arc::new(self.mounts.clone());
         self.answers.spawn(async move {
-            // One that hangs holds up no other's park, and no answer becomes old behind it.
+            // One that hangs delays no other's park, and no answer becomes old behind it.
             let each = mounts.iter().map(|(mount, connect)| parked(mount.at_once(), *connect, orders));
             Answer::Parked(join_all(each).await.into_iter().all(|is_parked| is_parked), now)
         });

@@ -214,7 +214,7 @@ async fn still(stage: &Stage, mount: &Mount) -> Result<(), Trouble> {
     }
 }
 
-/// Where the stars of the first frame stand.
+/// Where the stars of the first frame are.
 fn reference(looked: &Looked) -> Result<Reference, Trouble> {
     let (width, height) = (looked.frame.width_px as usize, looked.frame.height_px as usize);
     Reference::from_lists(&[stars(looked)], width, height).map_err(|why| {

@@ -95,7 +95,7 @@ impl Stage {
         self.last.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Remembers where the focuser stood before a run, so that it goes back there when the action is dropped.
+    /// Remembers where the focuser was before a run, so that it goes back there when the action is dropped.
     pub fn set_focus_before(&self, position: Option<i64>) {
         *self.focus_before.lock().unwrap_or_else(PoisonError::into_inner) = position;
     }
@@ -165,10 +165,10 @@ impl Stage {
         Ok(self.room.observer(at)?)
     }
 
-    /// The sky now, if the target stands in what the site leaves of it to the row's mount.
+    /// The sky now, if the target is in what the site leaves of it to the row's mount.
     ///
     /// # Errors
-    /// [`Trouble::Hidden`] where it will stand there later in the row's window, else [`Trouble::Impossible`].
+    /// [`Trouble::Hidden`] where it will be there later in the row's window, else [`Trouble::Impossible`].
     pub fn visible(&self, target: &Icrs) -> Result<Observer, Trouble> {
         let now = self.clock().utc();
         let observer = self.observer(now)?;

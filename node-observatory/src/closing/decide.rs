@@ -26,7 +26,7 @@ pub struct DomeSight {
 /// A mount as it is seen now.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MountSight {
-    /// Stands at its park position.
+    /// It is at its park position.
     pub parked: Option<bool>,
     /// Moves to a target.
     pub slewing: Option<bool>,

@@ -102,7 +102,7 @@ fn sun(stage: &Stage) -> Result<(Horizontal, f64), Trouble> {
     Ok((sun, (later.altitude.degrees() - sun.altitude.degrees()) / AHEAD_S))
 }
 
-/// Waits until the Sun stands right; false where it does not while the row may run, or did before.
+/// Waits until the Sun has the right altitude; false if it does not get it while the row may run, or did before.
 async fn wait_for(stage: &Stage, window: &Window) -> Result<bool, Trouble> {
     let has_begun = stage.room.journal.progress(&stage.row.id).taken > 0;
     loop {

@@ -53,7 +53,7 @@ pub struct Wish {
     pub counts: bool,
 }
 
-/// Runs until the focus is found and verified, or surely is not; the focuser then stands there, or where it stood.
+/// Runs until the focus is found and verified, or surely is not; the focuser is then there, or back where it was.
 ///
 /// After a run that is dropped or fails, [`Stage::settle`] brings the focuser back.
 pub async fn find(stage: &Stage, series: &Series, focuser: &Focuser, wish: &Wish) -> Result<FocusRun, Trouble> {

@@ -19,7 +19,7 @@ pub struct About {
     pub temperature_c: Option<f64>,
 }
 
-/// A run that is shown; one that is dropped before its end was interrupted.
+/// A published run; one that is dropped before its end was interrupted.
 pub struct Shown<'a> {
     room: &'a ControlRoom,
     run: FocusRun,

@@ -22,7 +22,7 @@ const WAITING: usize = 256;
 /// Published temperatures are rounded to this, degrees: the readings jitter.
 const TEMPERATURE_STEP_C: f64 = 0.1;
 
-/// Keeps what is shown of each focuser true.
+/// Keeps the published state of each focuser true.
 pub async fn keep_showing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     loop {
         let focusers: Vec<FocuserFocus> = room.rig.focusers.iter().map(|focuser| known(&room, focuser)).collect();

@@ -16,7 +16,7 @@ use super::widths::Widths;
 const WIDE: usize = 5;
 /// Wider than the best by this ratio is a drift; it ends at the lower one.
 const DRIFT: (f64, f64) = (1.3, 1.15);
-/// The best width is that of so many frames: what has stood for longer is how it is now.
+/// The best width is that of so many frames: a width that has lasted for longer is the present one.
 const REACH: usize = 60;
 /// Fewer stars than this share of the usual number are clouds; it ends at the higher one.
 const CLOUDS: (f64, f64) = (0.3, 0.5);
@@ -114,7 +114,7 @@ impl Triggers {
         }
     }
 
-    /// The triggers that stand, by camera, filter and kind.
+    /// The active triggers, by camera, filter and kind.
     pub fn standing(&self, now: Utc) -> Vec<Trigger> {
         let fresh = |run: &&Run| now.seconds_since(run.newest) <= STALE_S + 2.0 * run.exposure_s;
         self.runs.values().filter(fresh).flat_map(|run| run.standing.values().cloned()).collect()

@@ -15,7 +15,7 @@ use schedule::Row;
 
 /// A camera that failed rests so long, machine time.
 const REST: Duration = Duration::from_secs(5);
-/// Nothing is exposed while something stands against the row; asked again after this, machine time.
+/// Nothing is exposed while there is an objection to the row; asked again after this, machine time.
 const AGAIN: Duration = Duration::from_secs(1);
 
 /// Stops the exposure that is under way when it is dropped.

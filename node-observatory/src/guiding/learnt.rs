@@ -18,7 +18,7 @@ pub struct Learnt {
     /// What pulses do, newest last.
     #[serde(default)]
     pub calibrations: Vec<CameraCalibration>,
-    /// Where fields stood, newest last.
+    /// The references of fields, newest last.
     #[serde(default)]
     pub references: Vec<GuideReference>,
 }

@@ -95,7 +95,7 @@ async fn push(
 /// Gives a pulse of so many ms and waits until it is over.
 pub async fn pulse(mount: &Mount, direction: Direction, duration_ms: u32) -> Result<(), Trouble> {
     let mount = &mount.instrument;
-    // No turn is waited for: a pulse that comes late pushes a field that stands elsewhere.
+    // No turn is waited for: a pulse that comes late pushes a field that is elsewhere by then.
     let id = mount.ask(Command::PulseGuide { direction, duration_ms }).await?;
     let most = patience(mount.clock(), Duration::from_millis(u64::from(duration_ms)) + OVER_WITHIN);
     mount.done(&id, "pulse_guide", most).await.map(|_| ())

@@ -1,4 +1,4 @@
-//! One field that is held: where its stars stood, what pulses do there, and the guider that decides.
+//! One field that is held: where its stars were, what pulses do there, and the guider that decides.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -65,7 +65,7 @@ pub enum NoSession {
 }
 
 impl Session {
-    /// Begins to hold a field where `stars` stand.
+    /// Begins to hold a field where `stars` are.
     ///
     /// # Errors
     /// [`NoSession`] when there is no good star, or the calibration does not hold at this declination.
@@ -139,7 +139,7 @@ impl Session {
         seen
     }
 
-    /// Measures how far the field moved: in boxes where its stars should be; where it may stand anywhere, or the boxes
+    /// Measures how far the field moved: in boxes where its stars should be; where it may be anywhere, or the boxes
     /// are empty, by the list of all stars; and only in fields of few stars by sums over rows and columns, which find a
     /// shift between any two fields.
     async fn look_for_shift(&mut self, room: &ControlRoom, fetched: &Arc<Fetched>) -> Seen {

@@ -119,7 +119,7 @@ impl Loop {
         if self.camera == self.row.camera { self.wanted.exposure_s } else { self.config().exposure_s }
     }
 
-    /// After a slew the field stands elsewhere; frames that saw it are left out.
+    /// After a slew the field is elsewhere; frames that saw it are left out.
     fn note_slew(&mut self, slews: bool, now: Utc) {
         if slews || self.slews {
             self.since = now;
@@ -188,7 +188,7 @@ impl Loop {
         }
     }
 
-    /// Begins to hold a field: where it stood before, or where this frame shows it.
+    /// Begins to hold a field: where it was before, or where this frame shows it.
     async fn meet(&mut self, mount: &Mount, fetched: &Arc<Fetched>, field: GuideField) -> Result<Session, String> {
         let frame = &fetched.frame;
         let looked = tokio::time::timeout(LISTED_WITHIN, self.room.looks.of(&frame.id)).await;
@@ -374,7 +374,7 @@ impl Loop {
         }
     }
 
-    /// Alerts that stand or end with this frame.
+    /// Raises or clears the alerts that depend on this frame.
     fn judge(&self, decision: &Decision, given: &Given) {
         let (alerts, camera) = (&self.room.node.alerts, &self.camera);
         if self.refusals >= FAILURES_BEFORE_ALERT {

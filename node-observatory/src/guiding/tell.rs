@@ -24,7 +24,7 @@ pub struct Residuals {
 }
 
 impl Residuals {
-    /// Notes how far the stars stood off while the field was held, px.
+    /// Notes how far the stars were off while the field was held, px.
     pub fn note(&mut self, distance_px: f64) {
         if distance_px.is_finite() {
             self.squares_px2.push_back(distance_px.powi(2));

@@ -86,7 +86,7 @@ pub fn with_line(line: &Line) -> Engine {
     engine.register_fn("is_safe", move || truth(&at, Request::IsSafe));
     let at = line.clone();
     engine.register_fn("note", move |text: &str| done(&at, Request::Note(text.to_owned())));
-    // The language has a sleep of its own, which nothing could interrupt: these stand before it.
+    // The language has a sleep of its own, which nothing could interrupt: these replace it.
     let at = line.clone();
     engine.register_fn("sleep", move |seconds: FLOAT| done(&at, Request::Sleep(seconds)));
     let at = line.clone();

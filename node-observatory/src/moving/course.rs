@@ -48,7 +48,7 @@ pub struct Course {
 }
 
 impl Course {
-    /// A mount that follows the stars, and stood at a spot then.
+    /// A mount that follows the stars, and was at a spot then.
     pub fn begun(at: Utc, spot: Spot) -> Self {
         Self { at, spot, rates: Rates::default(), looked: None }
     }

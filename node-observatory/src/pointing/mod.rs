@@ -3,8 +3,8 @@
 //! ```text
 //!  first slew, corrected by the pointing model   --> frame, solved --> on target ------> the row's frames
 //!                                                          ^      |                              |
-//!                                                          |      | off: slew (acquire)          | one of them is astray, or the
-//!                                                          +------+                              | pier side changed (gate)
+//!                                                          |      | off: slew (acquire)          | astray, or the pier
+//!                                                          +------+                              | side changed (gate)
 //!                                                          ^                                     |
 //!                                                          +-------------------------------------+
 //! ```

@@ -29,7 +29,7 @@ pub struct Dome {
     pub parked_within: Duration,
     /// A shutter that moves longer is stuck, sky time.
     pub travel: Duration,
-    /// Stands over this telescope alone.
+    /// It serves this telescope alone.
     pub is_own: bool,
     /// The part that turns it.
     pub follow: Follow,
@@ -106,7 +106,7 @@ impl Dome {
         said.or(*stands)
     }
 
-    /// Forgets where it stood: it is about to turn.
+    /// Forgets where it was at rest: it is about to turn.
     pub fn forget_azimuth(&self) {
         *self.stands_deg.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }

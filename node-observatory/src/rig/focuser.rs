@@ -71,12 +71,12 @@ impl Focuser {
         self.instrument.fresh().and_then(|state| state.fields.temperature_c.known().copied()).filter(|c| c.is_finite())
     }
 
-    /// Where it stands, steps, where that is known.
+    /// Its position, steps, if it is known.
     pub fn position(&self) -> Option<i64> {
         self.instrument.fresh().and_then(|state| state.fields.position.known().copied())
     }
 
-    /// Whether a row can do with the focus as it stands: it asks for nothing of its own, and as far as is known the
+    /// Whether a row can do with the present focus: it asks for nothing of its own, and as far as is known the
     /// focuser is where it belongs.
     pub fn may_stay(&self, wanted: FocusWanted) -> bool {
         let last_heard = self.instrument.newest().and_then(|heard| heard.said.body.fields.position.known().copied());

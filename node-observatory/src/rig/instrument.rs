@@ -208,7 +208,7 @@ impl<K: DeviceKind> Instrument<K> {
                 (None, _) if life.as_ref().is_some_and(|life| heard.said.boot_id != *life) => {
                     (!state.busy).then(|| Err(Trouble::Restarted { device: self.device.to_string() }))
                 }
-                // Somebody's later command, such as the archive's release of a frame, stands in the place of ours:
+                // A later command of another node, such as the archive's release of a frame, has replaced ours:
                 // that nothing moves is then all that can be seen, once the state is surely newer than ours.
                 (None, Some(_)) if !state.busy && (seen || heard.arrived >= taken.plus(SETTLED)) => {
                     Some(Ok(state.clone()))
@@ -271,7 +271,7 @@ impl<K: DeviceKind> Instrument<K> {
     }
 }
 
-/// The word of a command, as it stands in JSON.
+/// The name of a command in JSON.
 fn verb<C: Payload>(command: &C) -> String {
     match serde_json::to_value(command) {
         Ok(serde_json::Value::String(word)) => word,

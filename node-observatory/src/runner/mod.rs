@@ -25,7 +25,7 @@ use crate::control_room::ControlRoom;
 use crate::schedule_file::Loaded;
 use schedule::{Row, RowId};
 
-/// How the night's end stands.
+/// The progress of the night's end.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Farewell {
     /// Rows are left.
@@ -118,7 +118,7 @@ impl Runner {
         }
         (self.revision, self.token) = (loaded.revision, token);
         self.farewell = Farewell::NotYet;
-        // Before the rows are shown: what a row at work counts meanwhile is not shown at another one's place.
+        // Before the rows are published: the counts of a row at work must not appear at another one's place.
         for (id, begun) in &self.begun {
             let place = loaded.rows.iter().position(|row| row.id == *id);
             self.room.board.moved_to(begun.number, place.map(number));
@@ -236,7 +236,7 @@ impl Runner {
         });
     }
 
-    /// Lets a row rest for a device's sake, as the policy for that kind has it; returns what is shown.
+    /// Lets a row rest for a device's sake, as the policy for that kind has it; returns the state to publish.
     fn postpone(&mut self, id: &RowId, number: u32, detail: String, kind: Option<Kind>) -> String {
         let (faults, clock) = (&self.room.node.config.faults, self.room.node.bus.clock());
         let rest = self.rests.begin(id, seconds(faults.rest_s), clock.machine());
@@ -294,7 +294,7 @@ fn number(index: usize) -> u32 {
     u32::try_from(index).unwrap_or(u32::MAX)
 }
 
-/// A row as it is shown when a schedule is taken: as it was shown before, else as the journal has it.
+/// The published state of a row when a schedule is taken: as it was before, else as the journal has it.
 fn state_of(room: &ControlRoom, row: &Row, index: u32, before: Option<&RowState>) -> RowState {
     let progress = room.journal.progress(&row.id);
     let known = before.map(|before| (before.status, before.detail.clone())).or(progress.ended);

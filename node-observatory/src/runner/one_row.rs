@@ -21,9 +21,9 @@ pub enum RowEnd {
     Failed(String),
     /// Not done because of a device: to be tried again later.
     Postponed(String, Option<Kind>),
-    /// Its target is hidden, and stands clear from then on: other rows go on until then.
+    /// Its target is hidden, and is clear from then on: other rows go on until then.
     Waits(String, Utc),
-    /// Stopped; goes on when nothing stands against it any more.
+    /// Stopped; goes on when there is no objection to it any more.
     Interrupted(Objection),
     /// Ended between two frames, because the schedule has it no longer.
     Withdrawn,

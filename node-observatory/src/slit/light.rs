@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  loses nothing, or no more than LITTLE: counted                  (a visible loss is reported with the frame)
-//!  has lost more, and most of its light is still to come: ended    (it would be repeated anyway, and waits for nothing)
+//!  has lost more, and most of its light is still to come: ended    (it would be repeated anyway)
 //!  has lost more, and most of its light is in: kept and repeated   (a flagged frame is better than none)
 //! ```
 

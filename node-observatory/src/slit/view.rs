@@ -38,7 +38,7 @@ pub fn way(follow: Follow, can: &Capabilities, slaved: Option<bool>) -> Way {
     }
 }
 
-/// A mount that stands so near to where it was sent is there; mounts use coordinates of date or of J2000, and point
+/// A mount that is so near to where it was sent has arrived; mounts use coordinates of date or of J2000, and point
 /// with errors.
 const THERE: Angle = Angle::from_degrees(2.0);
 /// So far ahead the best azimuth is looked for, sky s.
@@ -107,7 +107,7 @@ impl<'a> View<'a> {
         now.filter(|now| now.separation(&target) < THERE).or(Some(target))
     }
 
-    /// Where the mount stands, whether it follows anything or not.
+    /// Where the mount is, whether it follows anything or not.
     pub fn mount_aim(&self) -> Option<Aim> {
         let mount = self.mount.instrument.newest()?.said.body.fields;
         let pair = |a: Option<&f64>, b: Option<&f64>| Some((*a?, *b?)).filter(|(a, b)| a.is_finite() && b.is_finite());
@@ -232,7 +232,7 @@ impl<'a> View<'a> {
     }
 }
 
-/// Where a slit that stands at `azimuth` is to be turned now, if it is: only when it hides a part of the view or will
+/// Where a slit at `azimuth` is to be turned now, if it is: only when it hides a part of the view or will
 /// before a turn that begins later could be done, and then to where it stays clear for longest.
 fn better(slit: &Slit, aim: &Aim, azimuth: Angle, error: Angle, speed: f64) -> Option<Angle> {
     let least_s = LEAD_S + LAG_S * speed;

@@ -45,7 +45,7 @@ const LATER: [(&str, &str, &str, &str); 3] = [
     ("calibration", CALIBRATION, "07:00:00", "08:00:00"),
 ];
 
-/// Waits until so many rows are shown, and returns how long that took, without what this machine was late.
+/// Waits until so many rows are published, and returns how long that took, without what this machine was late.
 async fn until_rows(site: &Site, count: usize) -> Duration {
     let (began, lateness) = (Instant::now(), Lateness::begin());
     site.until(&format!("{count} rows"), MOST, |site| rows(site).len() == count).await;
@@ -108,7 +108,7 @@ async fn a_row_at_work_goes_on_where_it_stays_and_ends_with_its_frame_where_it_i
     let exposing = |site: &Site| site.camera.state.borrow().fields.exposure.is_some();
     site.until("in the second frame", MOST, |site| site.exposures() == 1 && exposing(site)).await;
 
-    // A row before it: the one at work stands at another place now, and its frames are counted there.
+    // A row before it: the one at work is at another place now, and its frames are counted there.
     site.write_schedule(&[("calibration", CALIBRATION, "01:00:00", "02:00:00"), row_x]);
     site.until("two rows", MOST, |site| rows(site).len() == 2).await;
     assert_eq!(rows(&site)[1].status, RowStatus::Running);

@@ -1,5 +1,5 @@
 //! `cool_camera` before the simulated camera: a cooler that refuses is asked again, and a sensor that stays too warm
-//! fails its row, exposes nothing, and raises an alert that stands until the sensor is cold.
+//! fails its row, exposes nothing, and raises an alert that is active until the sensor is cold.
 
 use std::time::Duration;
 

@@ -23,7 +23,7 @@ fn object((ra, dec): (f64, f64), exposure_s: f64, frames: u32) -> String {
 /// Frames until the drift and the play of the gear are known; acceptance test 5 gives twelve.
 const SETTLES: usize = 5;
 
-/// Root mean square of how far frames stood off while the field was held, px, and their number.
+/// Root mean square of how far frames were off while the field was held, px, and their number.
 fn rms_px<'a>(corrections: impl Iterator<Item = &'a Correction>) -> (f64, usize) {
     let squares: Vec<f64> = corrections
         .filter(|correction| correction.stage == GuideStage::Guide)
@@ -42,7 +42,7 @@ impl Truth {
         self.0.push((sim.clock.utc().seconds(), sim.simulator.world().looks_at()));
     }
 
-    /// Root mean square of how far frames truly stood off their mean while the field was held, px of one arcsec.
+    /// Root mean square of how far frames truly were off their mean while the field was held, px of one arcsec.
     fn rms_px<'a>(&self, exposure_s: f64, corrections: impl Iterator<Item = &'a Correction>) -> f64 {
         let held = corrections.filter(|correction| correction.stage == GuideStage::Guide).skip(SETTLES);
         let seen: Vec<Option<[f64; 2]>> =
@@ -126,7 +126,7 @@ async fn a_calibration_during_which_the_tube_turns_over_succeeds_at_the_first_tr
     let options = telescope(20.0);
     let once = "[imaging]\nsolve = false\n[faults]\nretries = 0\n[faults.policy]\ntelescope = \"skip\"\n";
     let mut sim = Sim::new(options, once).await;
-    // It stands in the east when the row slews, and crosses the meridian soon after.
+    // It is in the east when the row slews, and crosses the meridian soon after.
     let (ra, dec) = sim.place(-0.05, -10.0);
     let calibrate = format!(r#"{{"exptime": 3, "pulse_time": 900, "settle_time": 0.5, "ra": {ra}, "dec": {dec}}}"#);
     sim.write_schedule(&[("calibrate_guiding", &calibrate)], 7200.0);
@@ -142,7 +142,7 @@ async fn a_calibration_during_which_the_tube_turns_over_succeeds_at_the_first_tr
     sim.until("calibrated", MOST, |sim| sim.ended(0).is_some()).await;
     let told = sim.ended(0).unwrap();
     assert!(told.contains("px/s") && told.contains("pulses"), "{told}");
-    // A whole run on the side where it stands then.
+    // A whole run on the side where it is then.
     let sent = sim.sent_to_mount(0);
     let turned = sent.iter().rposition(|(member, _)| member.eq_ignore_ascii_case("slewtocoordinatesasync")).unwrap();
     let pulses = sent[turned..].iter().filter(|(member, _)| member.eq_ignore_ascii_case("pulseguide")).count();

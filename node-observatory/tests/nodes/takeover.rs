@@ -136,7 +136,7 @@ async fn an_order_that_the_disk_does_not_take_is_refused_and_closing_acts_all_th
     accepted(site.order(OrderKind::Override { input: "sun".to_owned(), for_s: 3600.0 }).await);
     site.until("the alert stands", MOST, |site| alert(site, SHELVED).is_some()).await;
     for file in ["standing", "alerts"] {
-        // A change that is just being written stands there for a moment.
+        // A change that is just being written is there for a moment.
         site.until("a folder in the way", MOST, |site| std::fs::create_dir(part(site, file)).is_ok()).await;
     }
     let refusals = [

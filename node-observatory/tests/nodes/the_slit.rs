@@ -67,7 +67,7 @@ fn aborts(site: &Site) -> Vec<Instant> {
     log.iter().filter(|(_, command)| *command == Camera::Abort).map(|(at, _)| *at).collect()
 }
 
-/// From a dome that stands in the north: some 100 deg to each target.
+/// From a dome whose slit is in the north: some 100 deg to each target.
 fn is_east(azimuth_deg: f64) -> bool {
     (75.0..120.0).contains(&azimuth_deg)
 }

@@ -139,7 +139,7 @@ impl Site {
         Self::with_dome(speed, None).await
     }
 
-    /// As [`Self::new`], with a dome that turns at so many degrees per sky second and stands in the north.
+    /// As [`Self::new`], with a dome that turns at so many degrees per sky second and whose slit is in the north.
     pub async fn with_dome(speed: f64, turns: Option<f64>) -> Self {
         let clock = Clock::simulated("2026-11-21T03:00:00Z".parse().unwrap(), speed);
         let address = Address::new("paranal", "callisto").unwrap();
