@@ -1,4 +1,4 @@
-//! What a device's commands leave in the audit: who asked what, and what became of it.
+//! The records of a device's commands in the audit log: the sender, the command and the outcome.
 
 use std::collections::VecDeque;
 use std::sync::{Mutex, PoisonError};
@@ -19,10 +19,10 @@ pub struct Accounts {
     refused: Mutex<VecDeque<(String, Reason)>>,
 }
 
-/// Who asked, under which id, with which token.
+/// The sender of a command, its id and its token.
 #[derive(Debug, Clone)]
 pub struct Asked {
-    /// Who.
+    /// The sender.
     pub from: String,
     /// The command.
     pub id: CommandId,
@@ -48,7 +48,7 @@ impl Accounts {
         self.put(asked, verb, parameters, outcome);
     }
 
-    /// The lease was granted; whoever is refused it after this leaves a record again.
+    /// The lease was granted; a process that is refused it after this leaves a record again.
     pub fn granted<C: Serialize>(&self, asked: Asked, deed: &C, granted_token: u64) {
         self.refused.lock().unwrap_or_else(PoisonError::into_inner).clear();
         self.note(asked, deed, Outcome::Granted { granted_token });

@@ -1,4 +1,4 @@
-//! Says which frames wait in the spool: each when it is safe, and again until the archive releases it.
+//! Publishes which frames wait in the spool: each when it is safe, and again until the archive releases it.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -59,7 +59,7 @@ pub async fn run(
                     node.alerts.raise(AlertKind::SpoolCannotWrite, "", &cause);
                 }
             },
-            // the first tick is now: frames that waited for a restart
+            // The first tick is now: frames that waited for a restart.
             _ = again.tick() => {
                 for (camera, voice) in &voices {
                     for frame in spool.unreleased(camera) {

@@ -52,7 +52,7 @@ pub fn ask_to_end(child: &mut Child) {
     drop(child.stdin.take());
     #[cfg(unix)]
     if let Some(pid) = child.id().and_then(|id| i32::try_from(id).ok()).and_then(rustix::process::Pid::from_raw) {
-        // it may have ended just now; then there is nobody to ask
+        // It may have ended just now; then there is nobody to ask.
         let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
     }
 }

@@ -1,4 +1,4 @@
-//! What a device is asked: everything on connecting, and the polled properties again and again.
+//! Polls a device: everything on connecting, and the polled properties again and again.
 
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -65,7 +65,7 @@ pub struct Poll {
     pub device_state: bool,
     /// Several questions at once were too many for the server.
     pub crowded: bool,
-    /// What was left unasked, as the answers before took too long: those are published first.
+    /// The properties left unasked, as the answers before took too long: those are published first.
     pub unasked: Vec<String>,
 }
 
@@ -158,7 +158,7 @@ impl Questions {
             Ok(()) => Ok(()),
             Err(error) if error.is_not_implemented() => Ok(()),
             Err(error) => {
-                // slow hardware answers late, and some drivers refuse what is already so
+                // Slow hardware answers late, and some drivers refuse what is already so.
                 let connected = self.alpaca.get("connected").await.ok().and_then(|answer| value::flag(&answer).ok());
                 if connected == Some(true) { Ok(()) } else { Err(error) }
             }
@@ -177,7 +177,7 @@ impl Questions {
         let mut result = self.alpaca.get_noting(&member, &parameters, || asked = self.now()).await;
         let took = self.clock.machine().since(asked.machine);
         if result.is_ok() && took > TOO_OLD {
-            // timers do not run while a process is stopped or a host sleeps; this clock does
+            // Timers do not run while a process is stopped or a host sleeps; this clock does.
             let detail = format!("the answer was {:.1} s old when it was read", took.as_secs_f64());
             result = Err(AlpacaError::Value(NoData::new("stale", detail)));
         }
@@ -208,7 +208,7 @@ impl Questions {
         if lanes > 1 && left.len() > 1 {
             let answers = self.ask_at_once(&left, lanes).await;
             let timed_out = |answer: &Answer| answer.result.as_ref().is_err_and(AlpacaError::is_transport);
-            // what timed out while others did not may have waited behind them: it is asked again by itself
+            // A property that timed out while others did not may have waited behind them: it is asked again by itself.
             poll.crowded = answers.iter().any(timed_out);
             let (failed, good): (Vec<Answer>, Vec<Answer>) = answers.into_iter().partition(timed_out);
             spoke |= !good.is_empty();
@@ -252,7 +252,8 @@ impl Questions {
         futures_util::stream::iter(asking).buffer_unordered(lanes).collect().await
     }
 
-    /// The wanted properties that a `devicestate` answer holds; nulls, and what it contains twice, are asked for singly.
+    /// The wanted properties that a `devicestate` answer holds; nulls, and what it contains twice, are asked for
+    /// singly.
     fn matched(&self, wanted: &[String], state: &Value, asked: Now) -> Vec<Answer> {
         let at_utc = self.clock.utc();
         let (mut answers, mut twice): (Vec<Answer>, HashSet<String>) = (Vec::new(), HashSet::new());

@@ -1,4 +1,5 @@
-//! What verdicts are made of, of a device: it is read first, apart from the rest, and on deadlines of its own.
+//! The properties of a device that verdicts need: they are read first, apart from the rest, and on deadlines of its
+//! own.
 
 use config::Observatory;
 use contract::device::observing_conditions::made_of;
@@ -12,7 +13,8 @@ const SWIFT: [&str; 3] = ["RainRate", "WindGust", "WindSpeed"];
 /// The properties of a device that decide, the swiftest first; empty where the device is polled as a whole.
 ///
 /// `polled` are all that the driver knows. Telescopes that share a station put limits on it that this node does not
-/// know, so that all of its sensors decide. Ages of single sensors grow with the clock, so that they may be asked later.
+/// know, so that all of its sensors decide. Ages of single sensors grow with the clock, so that they may be asked
+/// later.
 pub fn properties(config: &Observatory, device: &Device, polled: &[String]) -> Vec<String> {
     let limits = match device.kind {
         Kind::SafetyMonitor => return polled.to_vec(),

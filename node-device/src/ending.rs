@@ -40,7 +40,7 @@ pub async fn close_first(node: Node, link: Option<GuardLink>, enclosures: Vec<En
     let mut open: Vec<String> = Vec::new();
     let closing = async {
         for Enclosure { closed, .. } in &enclosures {
-            // its sender exists as long as the guard's task, whose end ends the node
+            // Its sender exists as long as the guard's task, whose end ends the node.
             let _ = closed.clone().wait_for(|closed| *closed).await;
         }
     };
@@ -63,7 +63,7 @@ pub async fn outlive_guard_process(
     enclosures: Vec<String>,
 ) -> anyhow::Result<()> {
     let places = Places::of(&options.config, node.id.as_str());
-    // held as long as this process runs; where no file can be locked nobody waits for it
+    // Held as long as this process runs; where no file can be locked nobody waits for it.
     let _lock = places.lock(NODE_LOCK).ok();
     if node.stop.or(link.orphaned.wait()).await.is_none() {
         return Ok(());
@@ -85,11 +85,11 @@ pub async fn outlive_guard_process(
         let last = link.last();
         let looking = tokio::task::spawn_blocking(move || {
             let until = last.domes.iter().map(|(dome, said)| (dome.clone(), said.open_until(now)));
-            // a disk that is full only shortens the time until the dome closes
+            // A disk that is full only shortens the time until the dome closes.
             let _ = places.keep_countdown(clock.machine(), &until.collect::<Deadlines>());
             places.lock(GUARD_LOCK).is_err()
         });
-        // a disk that hangs is asked again when it answers
+        // A disk that hangs is asked again when it answers.
         if looking.await.unwrap_or(false) {
             tracing::warn!("a new guard process has started; this node leaves to it, and nothing is closed for that");
             node.stop.stop();

@@ -21,7 +21,7 @@ const REMEMBERED: usize = 200;
 pub struct Order<C> {
     /// Its id.
     pub id: CommandId,
-    /// Who asks.
+    /// The sender.
     pub from: String,
     /// What to do.
     pub deed: C,
@@ -32,7 +32,7 @@ pub struct Order<C> {
 }
 
 impl<C> Order<C> {
-    /// Who asked, for the audit.
+    /// The sender, id and token, for the audit log.
     pub fn asked(&self) -> Asked {
         Asked { from: self.from.clone(), id: self.id.clone(), token: self.token }
     }
@@ -54,7 +54,7 @@ pub struct Face<D: Driver + ?Sized> {
 pub struct Front<D: Driver> {
     /// The driver.
     pub driver: Arc<D>,
-    /// Who may command.
+    /// Decides which commands are accepted.
     pub gate: Gate,
     /// What is kept of it.
     pub accounts: Accounts,
@@ -107,7 +107,7 @@ impl<D: Driver> Front<D> {
                 reply
             }
             Err((reason, detail)) => {
-                // who finds the device busy asks again soon, and again
+                // A sender that finds the device busy asks again soon, and again.
                 match reason {
                     Reason::Busy => tracing::debug!(command = %id, detail, "command refused: busy"),
                     _ => tracing::info!(command = %id, %reason, detail, "command refused"),
@@ -123,15 +123,15 @@ impl<D: Driver> Front<D> {
         }
     }
 
-    /// A command from this node itself, such as the guard's; it passes no gate.
+    /// A command from this node itself, such as the guard's; it needs no authorization.
     pub fn insist(&self, from: &str, deed: Deed<D>) {
         let id = CommandId::fresh();
         self.face().running = Some(id.clone());
         let order = Order { id, from: from.to_owned(), deed, token: None, taken_utc: self.gate.clock.utc() };
         let (asked, deed) = (order.asked(), order.deed.clone());
-        // the loop is gone only while the node ends
+        // The loop is gone only while the node ends.
         let _ = self.orders.send(order);
-        // after the sending, so that whatever noting takes, moving does not wait for it
+        // After the sending, so that whatever noting takes, moving does not wait for it.
         self.accounts.note(asked, &deed, Outcome::Accepted);
     }
 

@@ -1,4 +1,4 @@
-//! Who may command a device: tokens, permits and leases, looked at before a command is taken.
+//! The authorization of commands to a device: checks token, permit and lease before a command is accepted.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -10,13 +10,13 @@ use interlock::{Claimant, DueClosing, Guard, Hinders, Need, Turned, commanded, f
 use crate::permits::Permits;
 use crate::token::Tokens;
 
-/// The gate before one device.
+/// The authorization of commands to one device.
 pub struct Gate {
     /// The telescope that the device belongs to, `shared` for a site's own.
     pub telescope: String,
     /// Highest tokens known.
     pub tokens: Arc<Tokens>,
-    /// Who commands.
+    /// Which process commands.
     pub permits: Arc<Permits>,
     /// The clock.
     pub clock: Clock,
@@ -28,7 +28,7 @@ pub struct Gate {
     pub roof: Arc<RoofCall>,
 }
 
-/// What the roof over a mount asks of it: to be parked, because the roof must close and waits for that.
+/// The demand of the roof over a mount: to be parked, because the roof must close and waits for that.
 #[derive(Debug, Default)]
 pub struct RoofCall {
     must_park: AtomicBool,

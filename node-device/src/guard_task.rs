@@ -1,4 +1,4 @@
-//! Gives the guard its eyes and hands, beside the dome's own loop and never waiting for it.
+//! Connects the guard to its inputs and to the shutter, in parallel with the dome's own loop and never waiting for it.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -46,11 +46,11 @@ pub struct GuardTask {
     pub alpaca: Alpaca,
     /// False: never send Connected = true.
     pub connect: bool,
-    /// What is kept of the guard's deeds.
+    /// The audit log of the guard's actions.
     pub accounts: Accounts,
     /// What the dome's own loop reads.
     pub seen: watch::Receiver<Seen>,
-    /// The mounts under the dome must be heard, because the shutter waits for their park.
+    /// The guard needs the states of the mounts under the dome, because the shutter waits for their park.
     pub heeds_mounts: bool,
     /// The dome's own watchdog.
     pub watchdog: Watchdog,
@@ -92,7 +92,7 @@ impl GuardTask {
         let (mut looking, mut acting) = (false, false);
         let mut waiting: Option<Deed> = None;
         self.watchdog.tell(&self.node, &self.device);
-        // the deed that was done last
+        // The last guard action.
         let mut asked = Asked { from: GUARD.to_owned(), id: CommandId::default(), token: None };
         let mut done = "";
         let mut impostor: Option<MachineTime> = None;
@@ -137,7 +137,7 @@ impl GuardTask {
                         }
                         Ok(Hand::Acted(result)) => {
                             acting = false;
-                            // without an answer it may have arrived all the same
+                            // Without an answer it may have arrived all the same.
                             if !result.as_ref().is_err_and(AlpacaError::is_unknown_outcome) {
                                 self.guard().close_answered(result.is_ok(), clock.machine());
                             }
@@ -151,7 +151,7 @@ impl GuardTask {
                             self.accounts.note(asked.clone(), &done, outcome);
                         }
                         Ok(Hand::Fed(result)) => self.watchdog.fed(&self.node, &self.device, result),
-                        // a hand that panicked must not stay raised
+                        // A hand that panicked must not stay raised.
                         Err(_) => (looking, acting) = (false, false),
                     }
                     false
@@ -174,7 +174,7 @@ impl GuardTask {
                 tracing::warn!(dome = %self.device.name, ?deed, "the guard acts");
                 done = word(&deed);
                 hands.spawn(act(self.alpaca.at_once(), deed, self.connect));
-                // after the hand was sent, so that whatever noting takes, closing does not wait for it
+                // After the hand was sent, so that whatever noting takes, closing does not wait for it.
                 asked = Asked { from: GUARD.to_owned(), id: CommandId::fresh(), token: None };
                 self.accounts.note(asked.clone(), &done, Outcome::Accepted);
             }
@@ -183,7 +183,7 @@ impl GuardTask {
                 looking = true;
                 hands.spawn(read(self.alpaca.at_once(), now));
             }
-            // only a beat of this loop with a living permit feeds it: a thread of its own would feed it for the dead
+            // Only a beat of this loop with a living permit feeds it: a thread of its own would feed it for the dead.
             let lives = beaten && self.guard().may_be_open(now) && !self.guard().is_closing();
             if let Some(feed) = self.watchdog.due(lives, now, &self.alpaca) {
                 hands.spawn(async move { Hand::Fed(feed.await) });
@@ -192,7 +192,7 @@ impl GuardTask {
                 impostor = None;
                 self.node.alerts.clear(AlertKind::Impostor, format!("permit/{}", self.device.name));
             }
-            // what is newly proven, or no longer, is published at once
+            // A conclusion that is newly proven, or no longer, is published at once.
             let is_closed = self.guard().is_closed(now);
             if std::mem::replace(&mut was_closed, is_closed) != is_closed {
                 next_beat = Instant::now();
@@ -225,7 +225,7 @@ impl GuardTask {
         let keys = format!("{}/{}/*/device/telescope/*/state", contract::key::ROOT, self.device.address.site);
         let heard = self.node.bus.subscribe(&keys, Catch::Newest, 64).await?;
         let (config, telescopes) = (&self.node.config, self.guard().telescopes().to_vec());
-        // its own telescope's mounts are in the same file; those of others are known by their states alone
+        // Its own telescope's mounts are in the same file; those of others are known by their states alone.
         let is_own = telescopes.as_slice() == [config.place.telescope.clone()];
         let own = || config.telescope.iter().map(|mount| config.address().device(Kind::Telescope, &mount.common.name));
         Ok(Mounts { heard, under: MountsUnder::new(telescopes, is_own.then(|| own().collect())) })
@@ -272,14 +272,14 @@ async fn hear_mounts(mounts: &mut Option<Mounts>) {
     let heard = mounts.heard.hear().await;
     if let Key::State(device) = heard.key {
         let parked = heard.said.body.fields.at_park.known() == Some(&true);
-        // a state that repeats an old reading is as old as that
+        // A state that repeats an old reading is as old as that.
         let age_s = heard.said.body.age_s("AtPark").unwrap_or(0.0);
         let read = heard.arrived.minus(Duration::try_from_secs_f64(age_s).unwrap_or(Duration::MAX));
         mounts.under.hear(device, heard.said.boot_id, parked, read);
     }
 }
 
-/// What a deed is called in the audit.
+/// The name of a guard action in the audit log.
 fn word(deed: &Deed) -> &'static str {
     match deed {
         Deed::AbortThenClose => "abort_then_close_shutter",
@@ -294,12 +294,12 @@ async fn read(alpaca: Alpaca, asked: MachineTime) -> Hand {
 
 async fn act(alpaca: Alpaca, deed: Deed, connect: bool) -> Hand {
     if deed == Deed::AbortThenClose {
-        // whether it stopped or not, closing follows
+        // Closing follows whether it stopped or not.
         let _ = alpaca.put("abortslew", &[]).await;
     }
     let mut closed = alpaca.put("closeshutter", &[]).await;
     if connect && closed.as_ref().is_err_and(AlpacaError::is_not_connected) {
-        // the device was restarted, and its own loop has not come round yet
+        // The device was restarted, and its own loop has not come round yet.
         let _ = alpaca.put("connected", &[("Connected", "True")]).await;
         closed = alpaca.put("closeshutter", &[]).await;
     }

@@ -10,7 +10,7 @@ use crate::readings::aged_sensor;
 /// What a device was found to have and not to have.
 #[derive(Debug, Default)]
 pub struct Has {
-    /// Properties that it says not to have; never those that it had once.
+    /// Properties that it denies to have; never those that it had once.
     absent: HashSet<String>,
     answered: HashSet<String>,
 }
@@ -20,7 +20,7 @@ impl Has {
     pub fn learn(&mut self, property: &str, answer: &Result<Value, AlpacaError>) {
         match answer {
             Ok(_) => drop(self.answered.insert(property.to_owned())),
-            // what it had once it has: a server that is restarted denies everything for a while
+            // A device has each property that it had once: a server that is restarted denies everything for a while.
             Err(error) if lacks(property, error) && !self.answered.contains(property) => {
                 self.absent.insert(property.to_owned());
             }
@@ -44,8 +44,8 @@ impl Has {
     }
 }
 
-/// Does an error say that a device does not have a property? Drivers that know only the newest of all ages call the name of a
-/// sensor an invalid value.
+/// Does an error mean that a device does not have a property? Drivers that know only the newest of all ages call the
+/// name of a sensor an invalid value.
 fn lacks(property: &str, error: &AlpacaError) -> bool {
     error.is_not_implemented()
         || (error.is_invalid_value() && aged_sensor(property).is_some_and(|sensor| !sensor.is_empty()))

@@ -1,24 +1,27 @@
 //! The device node: bridges ASCOM Alpaca devices to the bus.
 //!
-//! One reading's way: `alpaca` asks the server and forgives what is sloppy; a `driver` (one file per ASCOM kind,
-//! pure mapping) says which properties matter and what they mean; `serve`, the one loop for all kinds, polls,
-//! publishes, obeys and reconnects. One command's way: `front` answers it at once, after `gate` has looked at its
-//! token and the guard at the permits; the loop does it, and the device's own state shows when it is done.
+//! A reading takes this way: `alpaca` asks the server and accepts sloppy answers; a `driver` (one file per ASCOM kind,
+//! pure mapping) selects the properties and defines their meaning; `serve`, the one loop for all kinds, polls,
+//! publishes, executes commands and reconnects. A command takes this way: `front` answers it at once, after `gate` has
+//! checked its token and the guard the permits; the loop executes it, and the device's own state shows when it is done.
 //!
 //! Frames go to the `spool` on disk, are announced, served by HTTP, and removed when the archive releases them.
 //! The dome's guard (`interlock::Guard`, a pure state machine) has a task and a connection of its own: `guard_task`.
 //!
 //! # Invariants
 //!
-//! - The arbiter of the lease counts by its own grants: no message teaches it a token, and none ends a node (`token.rs`, decision 0047):
-//!   `an_arbiter_learns_no_token_from_anybody_and_others_follow_it_up_and_down`.
+//! - The arbiter of the lease counts by its own grants: no message teaches it a token, and none ends a node
+//!   (`token.rs`, decision 0047): `an_arbiter_learns_no_token_from_anybody_and_others_follow_it_up_and_down`.
 //! - A mount that reports the same pier side beyond the meridian as before it has not flipped (`mount_limits.rs`):
 //!   `past_the_meridian_only_the_wrong_side_of_the_pier_is_stopped`.
-//! - Tracking rates other than the sidereal one end with a slew, with tracking switched on or off and with a park (decision 0029).
-//! - No command of a maker's own is sent that the device's block does not list (decision 0031): `only_what_is_listed_is_allowed`
-//!   (`common/config/src/vendor.rs`).
-//! - A frame leaves the spool only after the archive has sent its hash: `a_frame_survives_a_restart_and_goes_only_when_it_is_released_and_old`.
-//! - The hardware watchdog is fed only while the permit is valid: `it_is_fed_four_times_in_its_limit_and_only_while_the_permit_lives`.
+//! - Tracking rates other than the sidereal one end with a slew, with tracking switched on or off and with a park
+//!   (decision 0029).
+//! - No command of a maker's own is sent that the device's block does not list (decision 0031):
+//!   `only_what_is_listed_is_allowed` (`common/config/src/vendor.rs`).
+//! - A frame leaves the spool only after the archive has sent its hash:
+//!   `a_frame_survives_a_restart_and_goes_only_when_it_is_released_and_old`.
+//! - The hardware watchdog is fed only while the permit is valid:
+//!   `it_is_fed_four_times_in_its_limit_and_only_while_the_permit_lives`.
 
 mod accounts;
 mod announce;
@@ -75,13 +78,13 @@ pub fn main(mut options: NodeOptions, verb: &[&str]) -> std::process::ExitCode {
             Ok(config) if config.device_nodes().len() == 1 => {
                 options.id = config.device_nodes().first().and_then(|id| id.parse().ok());
             }
-            // a file without devices: the node reports it
+            // A file without devices: the node reports it.
             Ok(config) if config.device_nodes().is_empty() => {}
             Ok(_) => return several::main(&options, verb),
             Err(_) if guard_process::is_needed(&options, config::ENCLOSURE_NODE) => {
                 return several::main(&options, verb);
             }
-            // the node reports what is wrong with the file
+            // The node reports what is wrong with the file.
             Err(_) => {}
         }
     }
@@ -131,7 +134,7 @@ async fn serve_devices(node: Node, guarded: Option<(GuardLink, NodeOptions)>) ->
         match tasks.join_next().await {
             None => break Ok(()),
             Some(Ok(Ok(()))) if node.stop.is_stopped() => {}
-            // one task that ends early ends the node: a clean start beats a clever repair
+            // One task that ends early ends the node: a clean start beats a clever repair.
             Some(Ok(Ok(()))) => break Err(anyhow::anyhow!("a task of the device node ended by itself")),
             Some(Ok(Err(error))) => break Err(error),
             Some(Err(died)) => break Err(died).context("a task of the device node died"),

@@ -24,7 +24,8 @@ struct MountClock {
 }
 
 impl MountClock {
-    /// By how much the mount's clock is ahead of ours, s; `None` of one that does not go evenly with the boot-time clock.
+    /// By how much the mount's clock is ahead of ours, s; `None` of one that does not go evenly with the boot-time
+    /// clock.
     fn offset_s(&mut self, said: Utc, own: Utc, now: MachineTime, speed: f64) -> Option<f64> {
         let (before, at) = self.before.replace((said, now))?;
         let passed_s = now.since(at).as_secs_f64() * speed;
@@ -33,12 +34,13 @@ impl MountClock {
     }
 }
 
-/// Publishes, as a figure of the node's state, by how much `UTCDate` is ahead of this node's clock, s, until the node is stopped.
+/// Publishes, as a figure of the node's state, by how much `UTCDate` is ahead of this node's clock, s, until the node
+/// is stopped.
 pub async fn watch(node: Node, mount: Name, server: String, alpaca: Alpaca) -> anyhow::Result<()> {
     let (clock, figure) = (node.bus.clock().clone(), format!("{mount}{MOUNT_CLOCK_OFFSET_S}"));
     let mut known = MountClock::default();
     loop {
-        // under a simulated sky only a simulator knows the time
+        // Under a simulated sky only a simulator knows the time.
         let knows = !clock.is_simulated() || is_simulated(&server).await.unwrap_or(false);
         let mut offset_s = None;
         if knows && clock.speed() <= FASTEST {
@@ -68,7 +70,7 @@ mod tests {
         assert_eq!(clock.offset_s(utc(1000.0), utc(5000.0), at(0), 1.0), None, "nobody knows yet whether it goes");
         assert_eq!(clock.offset_s(utc(1020.5), utc(5020.0), at(20), 1.0), Some(-3999.5));
         assert_eq!(clock.offset_s(utc(1020.5), utc(5040.0), at(40), 1.0), None);
-        // our wall clock was set, and the mount's was not
+        // Our wall clock was set, and the mount's was not.
         assert_eq!(clock.offset_s(utc(1040.5), utc(1460.5), at(60), 1.0), Some(-420.0));
     }
 }

@@ -1,6 +1,7 @@
-//! Stops a mount that tracks towards its limits, whoever is dead: beside the schedule, without the bus.
+//! Stops a mount that tracks towards its limits, whichever other process is dead: without the schedule and without the
+//! bus.
 //!
-//! Only tracking is watched. A slew is the driver's to bring to its end, a parked mount may lie as low as it likes.
+//! Only tracking is watched. The driver brings a slew to its end, and a parked mount may be as low as it likes.
 
 use std::time::Duration;
 
@@ -16,17 +17,18 @@ const TURN_DEG_PER_S: f64 = 360.985_647_366 / 86_400.0;
 /// A command that did not help is given again so much later.
 const RETRY: Duration = Duration::from_secs(5);
 
-/// The side of its pier that a mount told of while it tracked towards the meridian. Who tells the same side beyond it has not
-/// turned over, by whatever name it calls the side: some drivers have the two the wrong way round.
+/// The pier side that a mount reported while it tracked towards the meridian. A mount that reports the same side beyond
+/// it has not turned over, by whatever name it calls the side: some drivers have the two the wrong way round.
 #[derive(Debug, Default)]
 pub struct Approach {
     side: Option<PierSide>,
 }
 
 impl Approach {
-    /// Notes what the mount says. A slew, which may turn it over, begins anew; what it does not say for a while does not.
+    /// Notes the mount's state. A slew, which may turn it over, begins anew; a value that is missing for a while does
+    /// not.
     fn note(&mut self, fields: &Fields, hour_angle_h: f64) {
-        // by six hours from the meridian it is the other passage, below the pole
+        // By six hours from the meridian it is the other passage, below the pole.
         if (-6.0..0.0).contains(&hour_angle_h) {
             self.side = told_side(fields).or(self.side);
         } else if !(0.0..6.0).contains(&hour_angle_h) {
@@ -55,7 +57,7 @@ pub fn reached(limits: &MountLimits, approach: &mut Approach, fields: &Fields, s
         return None;
     }
     let place = fields.ra_deg.known().zip(fields.dec_deg.known()).map(|(ra, dec)| OfDate::from_degrees(*ra, *dec));
-    // what the mount says of its altitude, else what follows from where it points
+    // The altitude that the mount reports, else the one that follows from where it points.
     let altitude_deg = match fields.altitude_deg.known() {
         Some(altitude_deg) => Some(*altitude_deg),
         None => place.as_ref().map(|place| sky.of_date_to_horizontal(place).altitude.degrees()),
@@ -68,14 +70,14 @@ pub fn reached(limits: &MountLimits, approach: &mut Approach, fields: &Fields, s
     let ra_deg = place?.ra.degrees();
     let hour_angle_deg = (sky.sidereal_time().degrees() - ra_deg + margin_deg + 180.0).rem_euclid(360.0) - 180.0;
     let hour_angle_h = hour_angle_deg / 15.0;
-    // only the western limit is approached by tracking
+    // Only the western limit is approached by tracking.
     if let Some(most_h) = limits.hour_angle_max_h.filter(|most_h| hour_angle_h > *most_h) {
         return Some(format!("hour angle {hour_angle_h:.3} h, the limit is {most_h} h"));
     }
     let past_min = hour_angle_h * 60.0;
     approach.note(fields, hour_angle_h);
     let looks_east = fields.pier_side.known() == Some(&PierSide::West) || approach.stayed(fields);
-    // within 90 deg of the meridian above the pole; below the pole a mount on that side moves away from it
+    // Within 90 deg of the meridian above the pole; below the pole a mount on that side moves away from it.
     let most_min = limits.meridian_past_min.filter(|most_min| looks_east && past_min > *most_min && past_min < 360.0);
     most_min
         .map(|most_min| format!("{past_min:.1} min past the meridian on the same pier side, the limit is {most_min}"))
@@ -153,7 +155,7 @@ mod tests {
 
     #[test]
     fn a_mount_that_does_not_tell_its_altitude_is_reckoned() {
-        // a star of declination = latitude passes the zenith, and stands 20 deg high 5.17 h later
+        // A star of declination = latitude passes the zenith, and stands 20 deg high 5.17 h later.
         assert_eq!(why(&mount(4.9, None, PierSide::East)), "");
         let low = mount(5.3, None, PierSide::East);
         assert!(why(&low).starts_with("altitude"), "{}", why(&low));

@@ -1,5 +1,5 @@
-//! A mount that tracks through the night, looked at every two seconds, however it tells the side of its pier and however often it
-//! must be told to stop: it is stopped before each of its limits.
+//! A mount that tracks through the night, looked at every two seconds, however it reports its pier side and however
+//! often it must be ordered to stop: it is stopped before each of its limits.
 
 use contract::Datum;
 use proptest::prelude::*;
@@ -18,7 +18,7 @@ fn sky(at_s: f64) -> Observer {
     Observer::new(&place, &EarthOrientation::default(), Utc::from_seconds(NIGHT + at_s)).unwrap()
 }
 
-/// How a driver tells the side of the pier.
+/// How a driver reports the pier side.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Tells {
     Truly,
@@ -95,7 +95,7 @@ impl German {
     }
 }
 
-/// How far past the meridian a mount is stopped that ought to turn over at `turns_at_h` and tells its side so, h.
+/// How far past the meridian a mount is stopped that ought to turn over at `turns_at_h` and reports its side so, h.
 fn ends_h(tells: Tells, turns_at_h: Option<f64>) -> f64 {
     let limits = MountLimits { altitude_min_deg: 20.0, hour_angle_max_h: None, meridian_past_min: Some(15.0) };
     German { tells, hour_angle_h: -0.1, dec_deg: -45.0, turns_at_h, deaf: 0 }.ends(&limits).0
@@ -120,7 +120,7 @@ fn a_mount_that_turns_over_and_tells_so_a_minute_late_goes_on_into_the_west() {
 
 #[test]
 fn a_mount_that_turns_over_and_tells_its_sides_the_wrong_way_round_is_stopped_for_safety() {
-    // nothing tells it from one that points back over its pier: that is what the limit is for
+    // Nothing distinguishes it from one that points back over its pier: that is what the limit is for.
     let ends_h = ends_h(Tells::Inverted, Some(0.1));
     assert!((0.24..0.25).contains(&ends_h), "stopped {ends_h} h past the meridian, the limit is 0.25 h");
 }
@@ -135,7 +135,7 @@ fn tells() -> impl Strategy<Value = Tells> {
 }
 
 proptest! {
-    // each is hours of a night
+    // Each is hours of a night.
     #![proptest_config(Config { cases: 6, failure_persistence: None, ..Config::default() })]
 
     #[test]
@@ -149,7 +149,7 @@ proptest! {
         let turns_at_h = turns.then_some(0.02);
         let german = German { tells, hour_angle_h: begins_h, dec_deg, turns_at_h, deaf };
         let (ends_h, altitude_deg, has_turned) = german.ends(&limits);
-        // who is deaf once hears the next order, five seconds later, and the watch is ten seconds ahead
+        // A mount that misses one order receives the next one, five seconds later, and the watch is ten seconds ahead.
         prop_assert!(ends_h <= most_h, "tracks until {ends_h} h, the limit is {most_h} h");
         prop_assert!(altitude_deg >= least, "tracks down to {altitude_deg} deg, the limit is {least} deg");
         prop_assert!(has_turned || ends_h * 60.0 <= past_min, "{} min past, the limit is {past_min}", ends_h * 60.0);

@@ -1,4 +1,4 @@
-//! Who commands each telescope of the site, as the permits and leases on the bus tell.
+//! Which process commands each telescope of the site, as the permits and leases on the bus show.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -10,7 +10,7 @@ use interlock::{Claimant, Roofs, SitePermits};
 
 use crate::token::Tokens;
 
-/// What was heard last, shared by the devices of a node.
+/// The newest permits and leases, shared by the devices of a node.
 #[derive(Default)]
 pub struct Permits {
     site: Mutex<SitePermits>,
@@ -21,12 +21,12 @@ impl Permits {
         self.site.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Does a permit say safe, and is it young?
+    /// Is there a permit that is safe and young?
     pub fn is_safe(&self, telescope: &str, now: MachineTime) -> bool {
         self.site().is_safe(telescope, now)
     }
 
-    /// Another process that holds the lease and was heard within the last 5 s, by its name.
+    /// Another process that holds the lease and was received from within the last 5 s, by its name.
     pub fn rival(&self, telescope: &str, claimant: Claimant, now: MachineTime) -> Option<String> {
         self.site().rival(telescope, claimant, now).map(str::to_owned)
     }
@@ -42,7 +42,7 @@ impl Permits {
     }
 }
 
-/// Hears the permits and leases of all telescopes of a site, for as long as it is polled.
+/// Receives the permits and leases of all telescopes of a site, for as long as it is polled.
 pub async fn listen(bus: Bus, site: Chunk, tokens: Arc<Tokens>, permits: Arc<Permits>) -> Result<(), BusError> {
     let root = contract::key::ROOT;
     let word = Part::Lease.word();

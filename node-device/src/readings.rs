@@ -1,4 +1,4 @@
-//! What was polled: every property's newest answer under its ASCOM name, and what typed fields read from it.
+//! The polled readings: every property's newest answer under its ASCOM name, and what typed fields read from it.
 
 use std::collections::BTreeMap;
 
@@ -110,7 +110,7 @@ impl Readings {
     pub fn shown(&self, kind: Kind, now: MachineTime) -> BTreeMap<String, Reading> {
         let shown = self.answers.iter().map(|(property, Kept { answer, at_utc, asked })| {
             let unit = unit(kind, property).unwrap_or_default();
-            // whole milliseconds: more exact than any answer
+            // Whole milliseconds: more exact than any answer.
             let age_s = asked
                 .filter(|_| answer.is_ok())
                 .map(|asked| (now.since(asked.machine).as_secs_f64() * 1e3).round() / 1e3);
@@ -122,7 +122,7 @@ impl Readings {
 
 fn outcome(answer: &Result<Value, NoData>, unit: &str) -> ReadingOutcome {
     let value = match answer {
-        // where a number has a unit, text in its place is a sloppy server's number
+        // If a number has a unit, text in its place is a sloppy server's number.
         Ok(answer @ Value::String(_)) if !unit.is_empty() => value::number(answer).map(contract::Scalar::Float),
         Ok(answer) => value::scalar(answer),
         Err(reason) => Err(reason.clone()),
@@ -136,12 +136,12 @@ fn outcome(answer: &Result<Value, NoData>, unit: &str) -> ReadingOutcome {
 /// How old a weather station's own measurement is: of its newest sensor, or of the one in brackets behind it.
 pub const AGE: &str = "TimeSinceLastUpdate";
 
-/// The property that tells the age of one sensor.
+/// The property that holds the age of one sensor.
 pub fn age_of(sensor: &str) -> String {
     format!("{AGE}({sensor})")
 }
 
-/// The sensor whose age a property tells; empty for the newest of all.
+/// The sensor whose age a property holds; empty for the newest of all.
 pub fn aged_sensor(property: &str) -> Option<&str> {
     let rest = property.strip_prefix(AGE)?;
     if rest.is_empty() { Some(rest) } else { rest.strip_prefix('(')?.strip_suffix(')') }

@@ -1,8 +1,8 @@
-//! The voice of a device, and the memory of what it said: evidence that outlives an observatory node.
+//! Publishes the states of a device and records them: evidence that survives a restart of an observatory node.
 //!
-//! Kept is what verdicts are made of, as it was said, of weather stations and switches, since limits are put on them
-//! (design.md section 4; a safety monitor's state tells the length of its own record). Ages are told as they are at the
-//! moment of the answer, on this node's own boot-time clock, which counts a suspension: silence shows as a gap.
+//! The record holds the basis of verdicts, as it was published, of weather stations and switches, since limits are put
+//! on them (a safety monitor's state contains the length of its own record). Ages are those at the moment of the
+//! answer, on this node's own boot-time clock, which counts a suspension: silence shows as a gap.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -15,7 +15,7 @@ use serde_json::Value;
 
 /// Kept at least, sky time: telescopes that share a station have limits that its node does not know.
 const LEAST: Duration = Duration::from_secs(3600);
-/// States kept at most: four hours of a station that speaks every 5 s.
+/// States kept at most: four hours of a station that publishes every 5 s.
 const MOST_ENTRIES: usize = 3000;
 /// Kept at most, whatever dwell is configured, sky time.
 const MOST: Duration = Duration::from_secs(86_400);
@@ -23,7 +23,7 @@ const MOST: Duration = Duration::from_secs(86_400);
 /// The age of readings that were younger than this when they were published is not noted.
 const LEAST_AGE_S: f64 = 0.5;
 
-/// Says a device's states, and remembers them where limits may be put on them.
+/// Publishes a device's states, and records them where limits may be put on them.
 pub struct Voice<F> {
     states: Publisher<DeviceState<F>>,
     memory: Option<Arc<Mutex<Memory<F>>>>,
@@ -45,7 +45,7 @@ impl<F: Payload> Voice<F> {
         Ok(Self { states, memory: Some(memory), clock, _service: Some(service) })
     }
 
-    /// Says a state.
+    /// Publishes a state.
     pub async fn put(&self, state: DeviceState<F>) -> Result<(), BusError> {
         if let Some(memory) = &self.memory {
             let (link, fields, now) = (state.link.clone(), state.fields.clone(), self.clock.machine());
@@ -68,14 +68,14 @@ fn longest(config: &config::Observatory, device: &Device) -> Duration {
     let looks_s = own
         .flat_map(|(_, _, limits)| limits)
         .map(|limit| (limit.dwell_min + limit.over_min.unwrap_or_default()) * 60.0 + limit.max_age_s.unwrap_or(60.0));
-    // a dwell without end is no number of seconds
+    // A dwell without end is no number of seconds.
     looks_s.map(|s| Duration::try_from_secs_f64(s).unwrap_or(MOST)).max().unwrap_or_default()
 }
 
 async fn answer<F: Payload>(bus: &Bus, device: &Device, memory: Arc<Mutex<Memory<F>>>) -> Result<Service, BusError> {
     let (boot_id, clock) = (bus.boot_id().clone(), bus.clock().clone());
     let answer = move |question: Result<Question, String>| {
-        // a question that cannot be read is answered with no evidence at all
+        // A question that cannot be read is answered with no evidence at all.
         let back = question.ok().and_then(|question| Duration::try_from_secs_f64(question.back_s).ok());
         let back = back.map(|back| clock.machine_duration(back.min(MOST)));
         let memory = memory.lock().unwrap_or_else(PoisonError::into_inner);
@@ -87,7 +87,7 @@ async fn answer<F: Payload>(bus: &Bus, device: &Device, memory: Arc<Mutex<Memory
     bus.serve::<Question, Value, _, _>(&Key::Record(device.clone()), answer).await
 }
 
-/// One state as it was said.
+/// One state as it was published.
 struct Said<F> {
     seq: u64,
     at: MachineTime,
@@ -97,7 +97,7 @@ struct Said<F> {
     ages_s: BTreeMap<String, f64>,
 }
 
-/// What was said, oldest first.
+/// The published states, oldest first.
 struct Memory<F> {
     back: Duration,
     said: VecDeque<Said<F>>,
@@ -111,7 +111,7 @@ impl<F: Payload> Memory<F> {
 
     fn keep(&mut self, said: Said<F>) {
         let now = said.at;
-        // the newest of those that are too old shows what was true when the window began
+        // The newest of those that are too old shows what was true when the window began.
         while self.said.get(1).is_some_and(|second| now.since(second.at) > self.back) {
             self.said.pop_front();
         }
@@ -124,7 +124,7 @@ impl<F: Payload> Memory<F> {
     fn tell(&self, back: Option<Duration>, clock: &Clock, boot_id: &BootId) -> Record<F> {
         let now = clock.machine();
         let inside = self.said.iter().rev().take_while(|said| back.is_some_and(|back| now.since(said.at) <= back));
-        // and the one before
+        // And the one before.
         let told = if back.is_some() { inside.count() + 1 } else { 0 };
         let entries = self.said.iter().skip(self.said.len().saturating_sub(told)).map(|said| Entry {
             seq: said.seq,
@@ -144,7 +144,7 @@ mod tests {
 
     use super::*;
 
-    /// A memory of a minute in which number n was said n x `step` s after the machine had booted.
+    /// A memory of a minute in which number n was published n x `step` s after the machine had booted.
     fn memory(numbers: std::ops::Range<u64>, step: u64) -> Memory<Fields> {
         let mut memory = Memory::new(Duration::from_secs(60));
         for seq in numbers {

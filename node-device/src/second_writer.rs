@@ -8,7 +8,7 @@ use contract::observatory::AlertKind;
 use contract::{Device, Key};
 use serde_json::Value;
 
-/// Capabilities are said every 10 s; a second writer that was silent for three of them is gone.
+/// Capabilities are published every 10 s; a second writer that was silent for three of them is gone.
 const GONE: Duration = Duration::from_secs(30);
 
 /// Watches a device's capabilities until the node is stopped.

@@ -1,8 +1,8 @@
-//! The one loop for all kinds: connect, poll, publish, obey, reconnect.
+//! The one loop for all kinds: connects, polls, publishes, executes commands, reconnects.
 //!
 //! Each device has a task of its own, so a hung one delays no other. Within the task nothing is awaited but the
-//! `select!`: a command, the answer to a command, the answer to a poll and the timers are heard in any order, so
-//! that what makes safe is never behind what hangs.
+//! `select!`: it takes a command, the answer to a command, the answer to a poll and the timers in any order, so that a
+//! command that makes safe never waits for a request that hangs.
 
 mod command;
 mod slowness;
@@ -35,9 +35,9 @@ use crate::record::Voice;
 const FAST: Duration = Duration::from_millis(100);
 /// A device that is busy for so long without a command is polled at leisure again.
 const BUSY_LIMIT: Duration = Duration::from_secs(600);
-/// A state is said at least so often.
+/// A state is published at least so often.
 const SAY: Duration = Duration::from_secs(5);
-/// Capabilities are said so often.
+/// Capabilities are published so often.
 const CAPABILITIES: Duration = Duration::from_secs(10);
 /// States kept for those who were away: eleven minutes at the poll period, and as many more for changes.
 const CACHED: Duration = Duration::from_secs(660);
@@ -126,7 +126,7 @@ impl<D: Driver> Serve<D> {
         };
         let driver = self.driver.clone();
         let _service = bus.serve(&Key::Command(self.device.clone()), answer).await?;
-        // the same phase at every start, a different one for each device
+        // The same phase at every start, a different one for each device.
         let phase = Duration::from_millis(37 * u64::from(self.index));
         let now = Instant::now();
         let mut lap = Loop {
@@ -180,7 +180,7 @@ impl<D: Driver> Serve<D> {
             match turn {
                 Turn::Order(order) => lap.start(order),
                 Turn::Obeyed(result) => lap.obeyed(result),
-                // it was asked before the node was stalled, and means nothing for now
+                // It was asked before the node was stalled, and means nothing for now.
                 Turn::Contact(_) if stood_still => {}
                 Turn::Contact(Contact::Greeted(greeting)) => lap.greeted(greeting),
                 Turn::Contact(Contact::Polled(poll)) => {
@@ -219,7 +219,7 @@ impl<D: Driver> Loop<D> {
     }
 
     fn say_period(&self) -> Duration {
-        // a poll under way will speak itself; what hangs is said again later, but not never
+        // A poll under way will publish by itself; a state of a device that hangs is published later, but not never.
         let patience = if self.contact.is_some() { 3 } else { 1 };
         self.period().min(SAY) * patience
     }
@@ -309,7 +309,7 @@ impl<D: Driver> Loop<D> {
         let splits = self.splits();
         self.pace(&poll);
         self.keep(poll.answers);
-        // the rest of a device may hang by itself: what decides shows whether there is a link
+        // The rest of a device may hang by itself: what decides shows whether there is a link.
         let lost = poll.lost.filter(|error| poll.full || !splits || !error.is_transport());
         if let Some(error) = lost.or(denied) {
             return self.lose(&error);
@@ -327,7 +327,7 @@ impl<D: Driver> Loop<D> {
             self.note_slowness(now.duration_since(poll.began_at));
         }
         let tick = now + self.serve.node.bus.clock().machine().to_tick(pause);
-        // a poll that took longer than its period is followed by the next at once
+        // A poll that took longer than its period is followed by the next at once.
         self.next_contact = if now.duration_since(poll.began_at) < pause { tick } else { now };
     }
 
@@ -348,7 +348,7 @@ impl<D: Driver> Loop<D> {
             tracing::warn!(device = %self.serve.device, %error, "device lost; trying again");
         }
         self.link = Link::Lost { reason: reason.clone() };
-        // also what was never read is missing for this reason
+        // Also what was never read is missing for this reason.
         let clock = self.serve.node.bus.clock().clone();
         for property in self.wanted() {
             self.readings.keep(&property, Err(reason.clone()), clock.utc());
@@ -360,7 +360,7 @@ impl<D: Driver> Loop<D> {
         self.judge(None);
         let back_off = (0.5 * 2_f64.powi(self.failures)).min(LONGEST_BACK_OFF_S);
         self.failures = (self.failures + 1).min(10);
-        // several devices of one server come back one after another
+        // Several devices of one server come back one after another.
         let jitter = 1.0 + f64::from(self.serve.index % 8) * 0.03;
         self.next_contact = Instant::now() + Duration::from_secs_f64(back_off * jitter);
     }
@@ -387,7 +387,7 @@ impl<D: Driver> Loop<D> {
         }
     }
 
-    /// Says the state if it has changed, if it is time, or in any case.
+    /// Publishes the state if it has changed, if it is time, or in any case.
     async fn say(&mut self, in_any_case: bool) {
         let now = Instant::now();
         let state = self.state();

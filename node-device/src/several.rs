@@ -16,9 +16,9 @@ const HEALTHY: Duration = Duration::from_secs(60);
 /// A file that could not be read is read again so often.
 const READ_AGAIN: Duration = Duration::from_secs(5);
 
-/// Runs all device nodes of the file until a signal; then ends them one after another, enclosures first, because one that
-/// waits for the mount needs the mount's node until it is closed. Of a file that cannot be read the enclosure's node runs,
-/// whose guard process knows what last worked; the others follow when it can be read.
+/// Runs all device nodes of the file until a signal; then ends them one after another, enclosures first, because one
+/// that waits for the mount needs the mount's node until it is closed. If a file cannot be read, the enclosure's
+/// node runs, whose guard process knows what last worked; the others follow when it can be read.
 pub fn main(options: &NodeOptions, verb: &[&str]) -> ExitCode {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let ended = runtime.context("cannot start the runtime").and_then(|runtime| runtime.block_on(run(options, verb)));
@@ -128,7 +128,7 @@ fn start_missing(nodes: &mut Vec<Running>, options: &NodeOptions, verb: &[&str],
             continue;
         }
         let (stop, mut tasks) = (Stop::default(), JoinSet::new());
-        // an enclosure's node outlives this process, however that ends; the others do not
+        // An enclosure's node survives this process, however that ends; the others do not.
         let options = NodeOptions { with_parent: options.with_parent || !is_enclosure, ..options.clone() };
         let verb: Vec<String> = verb.iter().map(ToString::to_string).collect();
         let (own_id, stopped) = (id.clone(), stop.clone());
@@ -145,7 +145,7 @@ async fn keep(options: &NodeOptions, verb: &[String], id: &str, stop: Stop) -> a
         let started = Instant::now();
         let spawned = child::command(&verb, options, id)?.kill_on_drop(options.with_parent).spawn();
         let mut child = spawned.with_context(|| format!("cannot start the device node {id}"))?;
-        // waiting would close it, and the node would take that for our end
+        // Waiting would close it, and the node would take that for our end.
         let lifeline = child.stdin.take();
         let Some(ended) = stop.or(child.wait()).await else {
             child::ask_to_end(&mut child);

@@ -1,7 +1,8 @@
-//! Tells people of a dome that could turn, stands over several telescopes, and of which nobody said who turns it.
+//! Raises an alert for a dome that could turn, serves several telescopes, and for which no configuration says what
+//! turns it.
 //!
-//! One slit cannot stand where each of them looks, so no observatory node turns it (docs/decisions/0025); a roof that
-//! slides off needs no more, behind a turning dome frames may show its wall.
+//! One slit cannot be where each of them looks, so no observatory node turns it (docs/decisions/0025). A roof that
+//! slides off needs no more; behind a turning dome frames may show its wall.
 
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
@@ -15,11 +16,11 @@ use contract::observatory::AlertKind;
 use crate::driver::dome::Dome;
 use crate::front::Front;
 
-/// What a dome can do is asked again whenever it connects; nobody needs to know of it sooner.
+/// The capabilities of a dome are read again whenever it connects; nobody needs to know of a change sooner.
 const LOOK: Duration = Duration::from_secs(2);
 
-/// Raises the standing alert of such a dome, and clears it when the dome says that it does not turn or is slaved by somebody;
-/// for ever.
+/// Raises the alert of such a dome, and clears it when the dome reports that it does not turn or that another program
+/// has slaved it; for ever.
 pub async fn keep_noticing(node: Node, block: config::Dome, front: Arc<Front<Dome>>) -> anyhow::Result<()> {
     let name = &block.common.name;
     let is_shared = node.config.place.telescope.as_str() == Address::SHARED;
@@ -41,7 +42,7 @@ pub async fn keep_noticing(node: Node, block: config::Dome, front: Arc<Front<Dom
     }
 }
 
-/// What is wrong with a dome that says this of itself, if anything is; `is_shared` where its block is in the site's shared file.
+/// The problem of a dome with these capabilities, if any; `is_shared` where its block is in the site's shared file.
 fn complaint(block: &config::Dome, is_shared: bool, can: &Capabilities) -> Option<String> {
     let over_several = is_shared || block.telescopes.len() > 1;
     let why = format!(

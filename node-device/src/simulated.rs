@@ -17,7 +17,7 @@ struct Served {
     simulated: bool,
 }
 
-/// Does the server say that it is a simulator of ours? An error where it does not answer at all.
+/// Does the server report that it is a simulator of ours? An error where it does not answer at all.
 pub async fn is_simulated(server: &str) -> anyhow::Result<bool> {
     let client = local_http::client_builder().timeout(Duration::from_secs(2)).build()?;
     let answer = client.get(format!("http://{server}/simulator/v1/clock")).send().await?;

@@ -32,7 +32,7 @@ pub enum SpoolError {
     Disk {
         /// Which file or folder.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The entry's description cannot be written.
@@ -40,7 +40,7 @@ pub enum SpoolError {
     Describe(#[from] serde_json::Error),
 }
 
-/// What is known of a frame beside its pixels.
+/// What is known of a frame in addition to its pixels.
 #[derive(Debug, Clone)]
 pub struct About {
     /// Id of the frame and of its `expose` command.
@@ -85,7 +85,7 @@ struct Entry {
     released: bool,
 }
 
-/// What stands in a frame's JSON file.
+/// The content of a frame's JSON file.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct Kept {
     token: String,
@@ -95,7 +95,7 @@ struct Kept {
 impl Spool {
     /// Opens a spool folder, removes what a crash left half written, and takes up the frames that still wait.
     ///
-    /// The receiver tells of each frame that is safe, or why it is not.
+    /// The receiver gets a message for each frame that is safe, or why it is not.
     #[allow(clippy::type_complexity, reason = "said once")]
     pub fn open(
         folder: &Path,
@@ -119,8 +119,8 @@ impl Spool {
                 Some("part") => {
                     let _ = fs::remove_file(&path);
                 }
-                // pixels come before their description, so pixels alone were never announced
-                // those of a description that was set aside stay with it
+                // Pixels come before their description, so pixels alone were never announced
+                // those of a description that was set aside stay with it.
                 Some("pixels") if !path.with_extension("json").exists() && !path.with_extension("bad").exists() => {
                     let _ = fs::remove_file(&path);
                 }
@@ -157,7 +157,7 @@ impl Spool {
         }
     }
 
-    /// Decodes a frame and brings it to the disk, off the async threads, then tells.
+    /// Decodes a frame and writes it to the disk, off the async threads, then sends a message to the receiver.
     pub async fn keep(self: Arc<Self>, place: Place, raw: RawImage, max_adu: Option<f64>, about: About) {
         let (id, spool) = (about.id.clone(), self.clone());
         let work = tokio::task::spawn_blocking(move || spool.store(&raw.into_image(max_adu)?, about));
@@ -166,7 +166,7 @@ impl Spool {
             Ok(Err(error)) => Err((id, error)),
             Err(died) => Err((id, SpoolError::Disk { path: self.folder.clone(), source: io::Error::other(died) })),
         };
-        // nobody listens any more only while the node ends; the frame is announced at its next start
+        // The receiver is gone only while the node ends; the frame is announced at its next start.
         let _ = self.stored.send(outcome);
         drop(place);
     }
@@ -272,7 +272,7 @@ impl Spool {
         let gone: Vec<String> =
             self.entries().iter().filter(|(_, entry)| over(entry)).map(|(name, _)| name.clone()).collect();
         for name in gone {
-            // description first: pixels alone are swept at the next start
+            // Description first: pixels alone are swept at the next start.
             let removed = fs::remove_file(self.folder.join(format!("{name}.json")));
             let _ = fs::remove_file(self.folder.join(format!("{name}.pixels")));
             match removed {
@@ -303,7 +303,7 @@ impl Spool {
         let folder = fs::canonicalize(&self.folder).unwrap_or_else(|_| self.folder.clone());
         let free = sysinfo::Disks::new_with_refreshed_list().ok().and_then(|disks| {
             let holding = disks.iter().filter(|disk| folder.starts_with(disk.mount_point()));
-            // the nearest mount point above the folder
+            // The nearest mount point above the folder.
             let nearest = holding.max_by_key(|disk| disk.mount_point().as_os_str().len());
             nearest.map(sysinfo::Disk::available_space)
         });

@@ -25,16 +25,16 @@ struct Token {
     token: String,
 }
 
-/// An archive, an observatory and a web node fetch a few frames at a time. Strangers may connect, too, and must not fill
-/// this process, which may hold a guard.
+/// An archive, an observatory and a web node fetch a few frames at a time. Strangers may connect, too, and must not
+/// fill this process, which may hold a guard.
 const LIMITS: Limits = Limits {
     room: Room { total: 128, per_address: 48, trusted: 48 },
     header: Duration::from_secs(5),
-    // a download that is cut is asked for again, from where it ended
+    // A download that is cut is asked for again, from where it ended.
     total: Duration::from_secs(900),
 };
 
-/// Serves until the stop is said.
+/// Serves until `stop` is set.
 pub async fn serve(listener: TcpListener, spool: Arc<Spool>, stop: Stop) {
     local_http::serve(listener, router(spool), LIMITS, async move { stop.wait().await }).await;
 }
@@ -50,7 +50,7 @@ async fn frame(
     Query(Token { token }): Query<Token>,
     headers: HeaderMap,
 ) -> Response {
-    // an unknown frame and a wrong token look the same
+    // An unknown frame and a wrong token look the same.
     let Some((path, length)) = spool.pixels(&id, &token) else { return StatusCode::NOT_FOUND.into_response() };
     let asked = headers.get(header::RANGE).and_then(|value| value.to_str().ok());
     let asked = asked.map_or(Asked::Whole, |range| parse(range, length));
@@ -100,7 +100,7 @@ struct Part {
 }
 
 fn parse(range: &str, length: u64) -> Asked {
-    // several ranges, other units and nonsense are answered with the whole, as RFC 9110 allows
+    // Several ranges, other units and nonsense are answered with the whole, as RFC 9110 allows.
     let Some((first, last)) = range.trim().strip_prefix("bytes=").and_then(|range| range.split_once('-')) else {
         return Asked::Whole;
     };

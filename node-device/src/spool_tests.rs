@@ -37,7 +37,7 @@ fn a_frame_survives_a_restart_and_goes_only_when_it_is_released_and_old() {
     let frames = spool.unreleased(&camera);
     let frame = &frames[0];
     assert_eq!((frame.bytes, frame.width_px, frames.len()), (4, 2, 1));
-    // echo -n -e '\x01\x02\x03\x04' | sha256sum
+    // Echo -n -e '\x01\x02\x03\x04' | sha256sum.
     assert_eq!(frame.sha256, "9f64a747e1b97f131fabb6b447296c9b6f0201e79fb3c5356e6c77e89b6a806a");
     spool.announced(&id, at(100));
     assert!(spool.release(&id, "00").is_err());

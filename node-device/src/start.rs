@@ -98,7 +98,7 @@ pub async fn all(
     let http = http_client().context("no HTTP client")?;
     let mut shared = Shared { node, tokens, permits, tasks, http, audit, index: 0, link, enclosures: Vec::new() };
     let config = &node.config;
-    // enclosures first: what closes must not wait for anything else to start
+    // Enclosures first: what closes must not wait for anything else to start.
     for dome in config.dome.iter().filter(|dome| part.serves(Kind::Dome, &dome.common)) {
         shared.dome(dome)?;
     }
@@ -341,7 +341,8 @@ async fn watch_limits(
         }
         match reached {
             Some(why) => node.alerts.raise(AlertKind::MountLimit, &name, &format!("mount {name}: {why}")),
-            // it stands until a person could see it, which a mount that obeys at once would prevent
+            // The alert stays active until the mount tracks again: a mount that stops at once would otherwise clear it
+            // before a person could see it.
             None if fields.tracking.known() == Some(&true) => node.alerts.clear(AlertKind::MountLimit, &name),
             None => {}
         }
@@ -357,7 +358,7 @@ async fn watch_mount(
 ) -> anyhow::Result<()> {
     let clock = node.bus.clock().clone();
     let telescope = node.config.place.telescope.to_string();
-    // what the roof of the own file does is known, also while its guard has never published
+    // The state of the roof in the own file is known, also while its guard has never published.
     let own_waits = node.config.dome.iter().any(|dome| dome.close_with_mount != CloseWithMount::Beside);
     let mut watch = MountWatch::new(clock.machine());
     let mut second = tokio::time::interval(Duration::from_secs(1));

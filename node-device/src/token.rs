@@ -1,4 +1,4 @@
-//! Fencing tokens on disk: the newest one of each telescope, and beside them who was granted it.
+//! Fencing tokens on disk: the newest one of each telescope, and in a second file the process that it was granted to.
 //!
 //! Which tokens count is decided in `interlock::KnownTokens`.
 
@@ -15,10 +15,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::spool::{sync_folder, write_synced};
 
-/// Extension of the file beside the tokens that tells who holds them.
+/// Extension of the file next to the tokens that holds their holders.
 const HOLDERS: &str = "holders";
 
-/// Who was granted a token.
+/// The process that a token was granted to.
 #[derive(Serialize, Deserialize)]
 struct Holder {
     token: u64,
@@ -60,8 +60,9 @@ impl Tokens {
         self.known().is_arbiter(telescope)
     }
 
-    /// Takes over the highest tokens that other device nodes of this host have in the same folder. Until an enclosure had a
-    /// node of its own its tokens were granted by the node `main`, and the mount's node refuses lower ones than it knows.
+    /// Takes over the highest tokens that other device nodes of this host have in the same folder. Until an enclosure
+    /// had a node of its own its tokens were granted by the node `main`, and the mount's node refuses lower ones than
+    /// it knows.
     ///
     /// # Errors
     /// The disk refuses the higher token.
@@ -73,7 +74,7 @@ impl Tokens {
             if !is_sibling || entry.path() == self.file {
                 continue;
             }
-            // what another node cannot read is that node's business
+            // A file of another node that cannot be read is that node's business.
             let read = fs::read(entry.path()).ok();
             let known: BTreeMap<String, u64> =
                 read.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default();
@@ -93,7 +94,7 @@ impl Tokens {
     pub fn grant(&self, telescope: &str, life: Option<&BootId>) -> io::Result<u64> {
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
         let token = self.known().next(telescope);
-        // without this file a token is as good, and only a forged permit is not told from a true one
+        // Without this file a token is as good; only a forged permit cannot be distinguished from a true one.
         if let Err(error) = self.note_holder(telescope, token, life) {
             tracing::warn!(telescope, token, %error, "who holds the lease could not be written");
         }
@@ -102,7 +103,8 @@ impl Tokens {
         Ok(token)
     }
 
-    /// Who was granted the newest token of a telescope; not known where the file tells of another token, or nothing.
+    /// The process that the newest token of a telescope was granted to; `None` if the file has another token, or
+    /// nothing.
     pub fn holder(&self, telescope: &str) -> Option<BootId> {
         let holder = self.holders().remove(telescope)?;
         (holder.token == self.highest(telescope)).then_some(holder.life)
@@ -195,7 +197,7 @@ mod tests {
             assert_eq!(tokens.highest("alpha"), 1);
         }
         assert_eq!(tokens.grant("alpha", None).unwrap(), 2);
-        // another node's telescope
+        // Another node's telescope.
         for (told, known) in [(7, 7), (u64::MAX, 7), (3, 3)] {
             tokens.follow("beta", told).unwrap();
             assert_eq!(tokens.highest("beta"), known);
@@ -233,7 +235,7 @@ mod tests {
         tokens.grant("beta", None).unwrap();
         let tokens = Tokens::open(&file).unwrap();
         assert_eq!((tokens.holder("alpha"), tokens.holder("beta")), (Some(life), None));
-        // killed between the two files, or the newer one lost
+        // Killed between the two files, or the newer one lost.
         fs::write(&file, r#"{"alpha": 5}"#).unwrap();
         assert_eq!(Tokens::open(&file).unwrap().holder("alpha"), None);
         fs::write(file.with_extension(HOLDERS), "{\"al").unwrap();
@@ -247,7 +249,7 @@ mod tests {
         let tokens = Tokens::open(&folder.path().join("absent").join("tokens.json")).unwrap();
         assert!(tokens.grant("alpha", None).is_err());
         assert_eq!(tokens.highest("alpha"), 0);
-        // the arbiter's count binds even so
+        // The arbiter's count binds even so.
         assert!(tokens.follow("alpha", 4).is_err());
         assert_eq!(tokens.highest("alpha"), 4);
     }

@@ -28,7 +28,7 @@ impl Watchdog {
         Self { limit_s: dome.watchdog_s, action, last: None }
     }
 
-    /// Raises the standing alert of a dome that has none.
+    /// Raises the alert of a dome that has none.
     pub fn tell(&self, node: &Node, dome: &Device) {
         if self.limit_s.is_none() {
             let cause = format!("dome {} has no watchdog of its own, or none is configured", dome.name);

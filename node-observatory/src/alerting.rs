@@ -11,10 +11,10 @@ use contract::{Key, Name, NodeTopic, Part, Role};
 
 use crate::control_room::ControlRoom;
 
-/// Alerts are said every 10 s; a node that is silent for longer than this is away. It is also how long nothing is taken
-/// for gone after this node began to speak: by then every node that is there was heard.
+/// Each node publishes its alerts every 10 s; a node that is silent for longer than this is away. For as long after
+/// this node began to publish, it takes nothing for gone: by then it has received from every node that is there.
 const SILENCE: Duration = Duration::from_secs(60);
-/// A node says how it is every 5 s; the on-delay of the alert comes on top.
+/// A node publishes its state every 5 s; the on-delay of the alert is added to this.
 const LOST: Duration = Duration::from_secs(15);
 
 /// Nodes of one telescope whose alerts are merged, and alerts of each: what is more comes from no node of ours, and all
@@ -72,7 +72,7 @@ pub async fn keep_merging(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     }
 }
 
-/// Takes what stands, and returns what is shown.
+/// Takes the active alerts, and returns the ones to publish.
 fn hear(room: &ControlRoom, standing: &Alerts, settled: bool) -> Alerts {
     let utc = room.node.bus.clock().utc();
     room.annunciator.change(|known| {
@@ -89,7 +89,7 @@ fn hear(room: &ControlRoom, standing: &Alerts, settled: bool) -> Alerts {
     all
 }
 
-/// Raises an alert for each node of this telescope that was heard and is heard no more.
+/// Raises an alert for each node of this telescope that this node received from and receives from no more.
 pub async fn keep_noticing_silence(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let address = room.node.config.address();
     let expression = format!("{}/{address}/node/*/*/{}", contract::key::ROOT, NodeTopic::State.word());

@@ -1,10 +1,11 @@
-//! What people did about alerts ([`safety::annunciator`](::safety::annunciator)) as a file: `alerts-TELESCOPE.json` in the data folder.
+//! What people did about alerts ([`safety::annunciator`](::safety::annunciator)) as a file: `alerts-TELESCOPE.json` in
+//! the data folder.
 
 use std::path::{Path, PathBuf};
 
 use safety::annunciator::Annunciator;
 
-/// What the life before knew. A file that cannot be read is as none: everything then stands as new.
+/// Reads what the incarnation before knew. A file that cannot be read counts as empty: every alert is then new.
 pub fn read(path: &Path) -> Annunciator {
     let read = match std::fs::read(path) {
         Ok(bytes) => {

@@ -1,13 +1,16 @@
-//! What a node notes on disk before it asks for the lease, so that its next life knows a token that nobody ever commanded with.
+//! The note that a node writes to disk before it asks for the lease, so that its next incarnation knows a token under
+//! which no node ever commanded.
 //!
 //! ```text
-//!   note the claim's id ---> ask the arbiter ---> token on disk beside the standing orders ---> note taken back ---> command
-//!                                        ^ killed here, the next life would follow a token that nobody knows the orders of
+//!   note the claim's id ---> ask the arbiter ---> token and operator orders on disk ---> note taken back ---> command
+//!                                        ^ killed here, the next incarnation would follow a token with unknown orders
 //! ```
-//! The next life asks again under the id of the note. The arbiter repeats its answer, or grants the claim that had never come.
-//! Either way that token's holder commanded nothing, and the word of the token before it counts ([`crate::inherit`]).
+//! The next incarnation asks again under the id of the note. The arbiter repeats its answer, or grants the claim if it
+//! had never arrived. Either way the holder of that token commanded nothing, and the orders of the token before it are
+//! valid ([`crate::inherit`]).
 //!
-//! A note that cannot be taken back must not be believed later: who holds such a token claims another one without a note.
+//! A note that cannot be taken back must not be believed later: the holder of such a token claims another one without a
+//! note.
 
 use std::collections::BTreeSet;
 use std::io;
@@ -20,7 +23,7 @@ use serde::{Deserialize, Serialize};
 /// A disk that hangs keeps nobody from commanding.
 const DISK: Duration = Duration::from_secs(2);
 
-/// As it stands in the file.
+/// The content of the file.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 struct Noted {
     /// The claim that is asked.
@@ -40,20 +43,20 @@ pub fn path(config: &config::Observatory, node: &Name) -> PathBuf {
 pub struct ClaimNote {
     path: PathBuf,
     noted: Noted,
-    /// The disk failed: this life notes nothing any more.
+    /// The disk failed: this incarnation notes nothing any more.
     is_silent: bool,
 }
 
 impl ClaimNote {
-    /// The note that the life before left, if it did.
+    /// The note that the incarnation before left, if it did.
     pub async fn read(path: PathBuf) -> Self {
         let noted = on_disk(&path, |path| std::fs::read(path)).await;
-        // half a note is none: the claim was not asked yet
+        // Half a note is none: the claim was not asked yet.
         let noted = noted.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();
         Self { path, noted, is_silent: false }
     }
 
-    /// The claim that the life before was about to ask, or had asked.
+    /// The claim that the incarnation before was about to ask, or had asked.
     pub fn left(&self) -> Option<CommandId> {
         self.noted.claim.clone()
     }
@@ -68,7 +71,8 @@ impl ClaimNote {
         self.noted.unused.insert(token);
     }
 
-    /// Notes a claim that is about to be asked. It needs no more than to outlive this process, so nothing waits for the platter.
+    /// Notes a claim that is about to be asked. It only has to survive an end of this process, so nothing waits for the
+    /// platter.
     pub async fn asks(&mut self, claim: &CommandId) {
         if self.is_silent || self.noted.claim.as_ref() == Some(claim) {
             return;
@@ -78,14 +82,14 @@ impl ClaimNote {
         match on_disk(&self.path, move |path| std::fs::write(path, &text)).await {
             Ok(()) => self.noted = next,
             Err(error) => {
-                // once: a disk that hangs would hold up each claim, and a thread each time
+                // Once: a disk that hangs would hold up each claim, and a thread each time.
                 tracing::warn!(path = %self.path.display(), %error, "claims are not noted");
                 self.is_silent = true;
             }
         }
     }
 
-    /// What was granted is on disk elsewhere, and the note is taken back. False where it cannot be.
+    /// Takes the note back, because the granted token is on disk elsewhere. False if it cannot.
     pub async fn is_taken_back(&mut self) -> bool {
         let removed = on_disk(&self.path, |path| std::fs::remove_file(path)).await;
         self.noted = Noted::default();
@@ -147,7 +151,7 @@ mod tests {
         let path = folder.path().join("claim.json");
         let mut note = ClaimNote::read(path.clone()).await;
         note.asks(&claim("one")).await;
-        // a folder in its place can neither be written nor removed as a file
+        // A folder in its place can neither be written nor removed as a file.
         std::fs::remove_file(&path).unwrap();
         std::fs::create_dir(&path).unwrap();
         assert!(!note.is_taken_back().await, "who holds its token claims another");

@@ -1,4 +1,4 @@
-//! What all tasks of the node share: the devices, the verdict, the lease, and the switches that people turn.
+//! The values that all tasks of the node share: the devices, the verdict, the lease, and the switches that people turn.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -51,7 +51,7 @@ pub struct ControlRoom {
     pub ruling: watch::Receiver<Ruling>,
     /// The lease.
     pub hold: watch::Receiver<Hold>,
-    /// Said when a device knows a newer token than ours.
+    /// Notified when a device knows a newer token than ours.
     pub doubt: Arc<Notify>,
     /// The robotic switch.
     pub robotic: watch::Sender<bool>,
@@ -63,27 +63,27 @@ pub struct ControlRoom {
     pub versions: Versions,
     /// Counts orders to read the schedule again.
     pub reload: watch::Sender<u64>,
-    /// What was begun and finished, on disk.
+    /// The record on disk of all that was begun and finished.
     pub journal: Journal,
-    /// What the verdict rests on.
+    /// The rules of the verdict.
     pub rules: Arc<Rules>,
-    /// What people have ordered of the verdict.
+    /// People's operator orders.
     pub standing: Kept<Standing>,
-    /// What was last said of it on the bus.
+    /// The operator orders as last published.
     pub standing_said: watch::Sender<Option<StandingOrders>>,
-    /// What people have done about alerts.
+    /// People's answers to alerts.
     pub annunciator: Kept<Annunciator>,
-    /// What the commander before is heard to say.
+    /// What the commander before this node publishes.
     pub before: Before,
-    /// The alerts as people are to hear of them; `None` while another node speaks for this telescope.
+    /// The alerts as people receive them; `None` while another node publishes for this telescope.
     pub alerts: watch::Sender<Option<Alerts>>,
     /// Frames announced and stored.
     pub ledger: Ledger,
-    /// What was said of frames.
+    /// The facts of frames as published.
     pub facts: Telling,
-    /// What the newest frames showed, for who acts on it.
+    /// What the newest frames showed, for the tasks that act on it.
     pub looks: Looks,
-    /// What is taken off frames before they are measured.
+    /// The darks that are taken off frames before they are measured.
     pub darks: Darks,
     /// The star catalogue, once it is open.
     pub catalogue: StarCatalogue,
@@ -91,36 +91,36 @@ pub struct ControlRoom {
     pub mounts: Mounts,
     /// What solved frames taught.
     pub optics: Kept<OpticsState>,
-    /// What was looked up of names of targets.
+    /// The looked-up names of targets.
     pub names: watch::Sender<Known>,
-    /// The pointing, as it is shown.
+    /// The published state of the pointing.
     pub pointing: watch::Sender<PointingState>,
-    /// What was learnt of it.
+    /// The learned pointing models.
     pub pointing_book: Kept<Book>,
-    /// The guide loop, as it is shown.
+    /// The published state of the guide loop.
     pub guiding: watch::Sender<GuidingState>,
-    /// What guiding has learnt and keeps.
+    /// What guiding has learned and stores.
     pub guide_learnt: Kept<Learnt>,
-    /// Where the corrections of the guiding are said.
+    /// The publisher of the guiding's corrections.
     pub corrections: OnceCell<Publisher<Correction>>,
-    /// The focus, as it is shown.
+    /// The published state of the focus.
     pub focus: watch::Sender<FocusState>,
     /// What focus runs have taught.
     pub focus_learnt: Kept<crate::focus::Learnt>,
-    /// Takes the runs that have ended, to be told.
+    /// Takes the runs that have ended, to publish them.
     pub focus_runs: mpsc::UnboundedSender<FocusRun>,
     /// The site's own script.
     pub hooks: Hooks,
-    /// What is shown of the night.
+    /// The published state of the night.
     pub board: Board,
     /// This node was asked to end and nobody takes over.
     pub leaves_alone: AtomicBool,
-    /// What people ordered, and what became of it.
+    /// People's orders and their outcomes.
     pub audit: Audit,
 }
 
 impl ControlRoom {
-    /// Tells the audit why everything is closed; the commands that follow from it are recorded by the device nodes.
+    /// Records in the audit log why everything is closed; the device nodes record the commands that follow from it.
     pub fn note_closing(&self, why: &str) {
         self.audit.note(Entry {
             from: self.node.signature(),
@@ -144,12 +144,12 @@ impl ControlRoom {
         self.ruling.borrow().is_safe(self.node.bus.clock().machine())
     }
 
-    /// Does the safety loop judge? Whatever it says: a loop that hangs says nothing new.
+    /// Does the safety loop judge, whatever its verdict? A loop that hangs publishes nothing new.
     pub fn is_judging(&self) -> bool {
         self.ruling.borrow().is_fresh(self.node.bus.clock().machine())
     }
 
-    /// A standby says nothing, nor does a node that may find itself to be one: one writer per key.
+    /// A standby publishes nothing, nor does a node that may turn out to be one: one writer per key.
     pub fn may_speak(&self) -> bool {
         match *self.hold.borrow() {
             Hold::Claiming | Hold::Holding { .. } => true,
@@ -157,9 +157,9 @@ impl ControlRoom {
         }
     }
 
-    /// What stands against a row's action, or against any where there is none.
+    /// The objection to a row's action, or to any action if there is no row.
     pub fn objection(&self, row: Option<&Row>) -> Option<Objection> {
-        // a row that began now would open again what is closed before the end
+        // A row that began now would open again what is closed before the end.
         if self.node.ending.is_stopped() {
             return Some(Objection::Ending);
         }
@@ -183,14 +183,14 @@ impl ControlRoom {
         self.node.config.place.on_earth()
     }
 
-    /// Waits until something stands against a row's action.
+    /// Waits until there is an objection to a row's action.
     pub async fn objected(&self, row: &Row) -> Objection {
         let (mut ruling, mut hold, mut robotic) = (self.ruling.clone(), self.hold.clone(), self.robotic.subscribe());
         loop {
             if let Some(objection) = self.objection(Some(row)) {
                 return objection;
             }
-            // the second is for a ruling that grows old because nobody renews it
+            // The timer is for a verdict that grows old because nothing renews it.
             tokio::select! {
                 _ = ruling.changed() => {}
                 _ = hold.changed() => {}
@@ -200,7 +200,7 @@ impl ControlRoom {
         }
     }
 
-    /// Goes on without a device that failed, where the policy for its kind says so.
+    /// Goes on without a device that failed, where the policy for its kind allows it.
     pub fn or_without(&self, done: Result<(), Trouble>) -> Result<(), Trouble> {
         let policy = |kind| self.node.config.faults.policy(kind);
         match done {
@@ -212,11 +212,11 @@ impl ControlRoom {
         }
     }
 
-    /// Wishes everything closed, and waits until it is verified closed.
+    /// Requests that everything be closed, and waits until it is verified closed.
     pub async fn close(&self, why: &str) {
         self.wish_closed.send_replace(Some(why.to_owned()));
         let mut wish = self.wish_closed.subscribe();
-        // the sender lives in self, so waiting cannot fail
+        // The sender lives in self, so waiting cannot fail.
         let _ = wish.wait_for(Option::is_none).await;
     }
 }

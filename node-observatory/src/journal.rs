@@ -19,8 +19,8 @@ use schedule::RowId;
 enum Line {
     /// A frame may have been started under this id.
     Intended { at_utc: Utc, row: RowId, frame: CommandId, sequence: u32 },
-    /// A frame beside the row's own may have been started under this id, such as one that shows where the telescope
-    /// looks; it never counts.
+    /// A frame in addition to the row's own may have been started under this id, such as one that shows where the
+    /// telescope looks; it never counts.
     Aside { at_utc: Utc, row: RowId, frame: CommandId, sequence: u32 },
     /// A frame was taken of another place than the row's target, so far from it; it does not count.
     Astray { at_utc: Utc, row: RowId, frame: CommandId, off_target_arcmin: f64 },
@@ -99,7 +99,7 @@ struct Record {
     /// Flats that were judged good, with their filter.
     judged: BTreeMap<String, Option<String>>,
     ended: Option<(RowStatus, String)>,
-    /// Intended by this life and not sent.
+    /// Intended by this incarnation and not sent.
     spare: Option<Intent>,
 }
 
@@ -108,7 +108,7 @@ struct Book {
     rows: BTreeMap<RowId, Record>,
     row_of: HashMap<String, RowId>,
     robotic: Option<(Utc, bool)>,
-    /// Learnt, and perhaps not on disk yet: whoever reads the disk meanwhile must not forget them.
+    /// Known in memory, and perhaps not on disk yet: code that reads the disk meanwhile must not forget them.
     on_the_way: Vec<Line>,
 }
 
@@ -140,11 +140,11 @@ impl Journal {
         self.read_anew(&mut self.file.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// While the file is held, nothing comes to disk; what waits to is learnt all the same.
+    /// While the file is locked, no line reaches the disk; the memory has the waiting lines all the same.
     fn read_anew(&self, file: &mut Option<File>) -> io::Result<()> {
         let (mut lines, damage) = read(&self.path)?;
         if let Some(damage) = damage {
-            // it is written anew without them
+            // It is written anew without them.
             bus::aside::keep_copy(
                 &self.path,
                 &damage,
@@ -198,7 +198,7 @@ impl Journal {
         Ok(intent)
     }
 
-    /// Makes an id for a frame beside the row's own, which never counts, and returns when it is on disk.
+    /// Makes an id for a frame in addition to the row's own, which never counts, and returns when it is on disk.
     pub fn aside(&self, row: &RowId, at_utc: Utc) -> io::Result<Intent> {
         let sequence = self.book().rows.entry(row.clone()).or_default().intended;
         let intent = Intent { frame: CommandId::fresh(), sequence };
@@ -206,7 +206,8 @@ impl Journal {
         Ok(intent)
     }
 
-    /// A frame shows another place than the row's target: it does not count, whoever says that it was exposed.
+    /// A frame shows another place than the row's target: it does not count, whichever node reports that it was
+    /// exposed.
     pub fn astray(&self, row: &RowId, frame: &CommandId, off_target_arcmin: f64, at_utc: Utc) -> io::Result<()> {
         self.write(Line::Astray { at_utc, row: row.clone(), frame: frame.clone(), off_target_arcmin })
     }
@@ -218,11 +219,11 @@ impl Journal {
         }
     }
 
-    /// A frame was exposed, whoever says so and however often; counted at once, written before this returns.
-    /// Returns false for a frame that is not of this journal, was counted already, or does not count.
+    /// A frame was exposed, whichever node reports this and however often; counted at once, written before this
+    /// returns. Returns false for a frame that is not of this journal, was counted already, or does not count.
     pub fn taken(&self, frame: &CommandId, at_utc: Utc) -> io::Result<bool> {
         let line = {
-            // looked up and counted in one step: two may say so at the same time
+            // Looked up and counted in one step: two may report it at the same time.
             let mut book = self.book();
             let Some(row) = book.row_of.get(&frame.0).cloned() else { return Ok(false) };
             let known = |record: &Record| record.taken.contains(&frame.0) || record.spoilt.contains(&frame.0);
@@ -237,8 +238,8 @@ impl Journal {
         Ok(true)
     }
 
-    /// The dome hid so much of a frame's light, percent; one that does not count never will, whoever says that it was
-    /// exposed.
+    /// The dome hid so much of a frame's light, percent; one that does not count never will, whoever reports that it
+    /// was exposed.
     pub fn hidden(
         &self,
         row: &RowId,
@@ -280,7 +281,8 @@ impl Journal {
         self.write(Line::Ended { at_utc, row: row.clone(), status, detail: detail.to_owned() })
     }
 
-    /// Somebody turned the robotic switch: off is learnt whatever the disk does, on only once it is on disk.
+    /// Records an order to turn the robotic switch: off counts at once whatever the disk does, on only once it is on
+    /// disk.
     pub fn robotic(&self, on: bool, at_utc: Utc) -> io::Result<()> {
         let line = Line::Robotic { at_utc, on };
         if !on {
@@ -300,7 +302,7 @@ impl Journal {
         self.book.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Learns a line at once and puts it on disk; what was learnt stays true when the disk fails.
+    /// Applies a line in memory at once and writes it to disk; the memory stays true when the disk fails.
     fn write(&self, line: Line) -> io::Result<()> {
         self.book().send(&line);
         self.arrive(&line)
@@ -321,7 +323,7 @@ impl Journal {
         text.push('\n');
         match &mut *self.file.lock().unwrap_or_else(PoisonError::into_inner) {
             Some(file) => append(file, &text),
-            // after a new line: the last one may be half of what a crash left
+            // After a new line: the last one may be half of what a crash left.
             None => append(&mut OpenOptions::new().append(true).create(true).open(&self.path)?, &format!("\n{text}")),
         }
     }
@@ -406,7 +408,7 @@ impl Book {
     }
 }
 
-/// Writes a whole new file beside the old one and puts it in its place.
+/// Writes a whole new file next to the old one and renames it into its place.
 fn rewrite(path: &Path, lines: &[Line]) -> io::Result<()> {
     let mut beside: PathBuf = path.to_owned();
     beside.set_extension("jsonl.new");

@@ -29,12 +29,12 @@ fn a_restart_goes_on_counting_where_the_crash_was() {
         (first, second)
     };
     assert_eq!((first.sequence, second.sequence), (0, 1));
-    // the crash left half a line
+    // The crash left half a line.
     OpenOptions::new().append(true).open(&path).unwrap().write_all(b"{\"is\":\"tak").unwrap();
 
     let journal = own(&path);
     assert_eq!(journal.progress(&row), Progress { taken: 1, open: vec![second.frame.clone()], ended: None });
-    // the announcement of the frame that was under way arrives after the restart
+    // The announcement of the frame that was under way arrives after the restart.
     assert!(journal.taken(&second.frame, at(NOW)).unwrap());
     assert_eq!(journal.progress(&row).taken, 2);
     assert_eq!(journal.intend(&row, at(NOW)).unwrap().sequence, 2);
@@ -138,7 +138,7 @@ fn the_robotic_switch_is_on_once_that_is_on_disk_and_off_at_once() {
     let data = folder.path().join("data");
     let journal = Journal::open(&data.join("j.jsonl")).unwrap();
     assert!(!journal.is_there());
-    // the disk is gone
+    // The disk is gone.
     std::fs::remove_dir(&data).unwrap();
     assert!(journal.robotic(true, at(NOW)).is_err());
     assert_eq!(journal.last_robotic(), None);
@@ -159,11 +159,11 @@ fn who_takes_over_knows_what_was_done_and_the_one_before_disturbs_it_no_more() {
     let frame = first.intend(&row, at(NOW)).unwrap().frame;
     first.sent(&row);
     first.taken(&frame, at(NOW)).unwrap();
-    // an order that a standby heard while nobody commanded
+    // An order that a standby received while nobody commanded.
     standby.robotic(false, at(NOW)).unwrap();
     standby.take_over().unwrap();
     assert_eq!((standby.progress(&row).taken, standby.last_robotic()), (1, Some((at(NOW), false))));
-    // it was only stopped, and goes on
+    // It was only stopped, and goes on.
     first.ended(&row, RowStatus::Finished, "", at(NOW)).unwrap();
     assert_eq!(standby.intend(&row, at(NOW)).unwrap().sequence, 1);
     drop((first, standby));
@@ -185,7 +185,7 @@ fn a_frame_that_is_counted_while_the_journal_is_taken_over_is_not_forgotten() {
     let journal = Journal::open(&path).unwrap();
     std::thread::scope(|scope| {
         let mut file = journal.file.lock().unwrap();
-        // announced while the file is being read: its line waits
+        // Announced while the file is being read: its line waits.
         let counting = scope.spawn(|| journal.taken(&frame, at(NOW)).unwrap());
         let began = std::time::Instant::now();
         while journal.progress(&row).taken == 0 {
@@ -267,7 +267,7 @@ fn a_journal_that_is_cut_off_at_any_byte_counts_what_was_whole_and_uses_no_numbe
     let cut_path = folder.path().join("cut.jsonl");
     for cut in 0..=whole.len() {
         let part = &whole[..cut];
-        // a line without its end counts where all of it but the end is there
+        // A line without its end counts where all of it but the end is there.
         let lines: Vec<&[u8]> = part.split(|byte| *byte == b'\n').collect();
         let is_whole = |line: &&&[u8]| serde_json::from_slice::<serde_json::Value>(line).is_ok();
         let count = |word: &str| {
@@ -280,7 +280,7 @@ fn a_journal_that_is_cut_off_at_any_byte_counts_what_was_whole_and_uses_no_numbe
         assert_eq!(progress.taken, count("taken"), "cut at {cut}");
         assert_eq!(progress.taken as usize + progress.open.len(), count("intended") as usize, "cut at {cut}");
         assert_eq!(progress.ended.is_some(), count("ended") == 1, "cut at {cut}");
-        // as a life that dies within a line, and the next one, would go on
+        // As an incarnation that dies within a line, and the next one, would go on.
         if cut % 97 == 0 {
             journal.take_over().unwrap();
             assert_eq!(journal.progress(&row), progress, "cut at {cut}");
@@ -300,7 +300,7 @@ fn a_journal_with_a_spoilt_line_is_kept_aside_before_it_is_written_anew() {
         journal.intend(&row, at(NOW)).unwrap();
         journal.ended(&row, RowStatus::Finished, "done", at(NOW)).unwrap();
     }
-    // a disk that lost power gave back zeros in place of a line
+    // A disk that lost power gave back zeros in place of a line.
     let mut spoilt = std::fs::read(&path).unwrap();
     let first_line = spoilt.iter().position(|byte| *byte == b'\n').unwrap();
     spoilt[..first_line].fill(0);

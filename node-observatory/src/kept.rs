@@ -1,7 +1,8 @@
-//! A value that outlives this life of the node: in memory, and in one file that is written whole, by one at a time.
+//! A value that survives a restart of the node: in memory, and in one file that is written whole, by one writer at a
+//! time.
 //!
-//! What loosens something is on disk before it counts ([`Kept::change_when_written`]); what must act at once counts at
-//! once, and is written as soon as the disk takes it ([`Kept::change`], [`keep_on_disk`]).
+//! A change that permits more is on disk before it counts ([`Kept::change_when_written`]). A change that must act at
+//! once counts at once, and is written as soon as the disk takes it ([`Kept::change`], [`keep_on_disk`]).
 
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
@@ -24,7 +25,7 @@ const AGAIN: Duration = Duration::from_secs(2);
 #[derive(Debug)]
 pub struct Kept<T> {
     live: watch::Sender<T>,
-    /// Counts the changes of this life; changed only while `live` is locked.
+    /// Counts the changes of this incarnation; changed only while `live` is locked.
     version: AtomicU64,
     /// The newest of them that is on disk.
     written: watch::Sender<u64>,
@@ -44,15 +45,15 @@ pub enum Unchanged {
     Disk {
         /// The file.
         path: String,
-        /// What the disk says.
+        /// The error of the disk.
         #[source]
         source: io::Error,
     },
 }
 
 impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
-    /// A value that is on disk, or need not be. Nodes that share the folder write beside one another under the names
-    /// that they have as `writer`.
+    /// A value that is on disk, or need not be. Nodes that share the folder write different temporary files, under the
+    /// names that they have as `writer`.
     pub fn new(path: PathBuf, writer: &Name, value: T) -> Self {
         let mut part = path.clone().into_os_string();
         part.push(format!(".{writer}.part"));
@@ -76,7 +77,7 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
         self.live.subscribe()
     }
 
-    /// Changes it at once, to be written later; `change` says whether it changed anything.
+    /// Changes it at once, to be written later; `change` returns whether it changed anything.
     pub fn change(&self, change: impl FnOnce(&mut T) -> bool) {
         self.live.send_if_modified(|value| {
             let changed = change(value);
@@ -87,7 +88,7 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
         });
     }
 
-    /// Takes over what another node keeps on its disk: nothing of this life is left to be written.
+    /// Takes over what another node has persisted: no change of this incarnation is left to be written.
     pub fn adopt(&self, change: impl FnOnce(&mut T) -> bool) {
         self.live.send_if_modified(|value| {
             self.note_written(self.version.load(Ordering::SeqCst));
@@ -95,20 +96,20 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
         });
     }
 
-    /// Changes it once the change is on disk. `change` is asked twice, for the disk and for the memory: what it says
-    /// the second time, when something else may have changed, decides.
+    /// Changes it once the change is on disk. `change` is called twice, for the disk and for the memory: the second
+    /// result, when something else may have changed, decides.
     pub async fn change_when_written(&self, change: impl Fn(&mut T) -> Result<(), String>) -> Result<(), Unchanged> {
         let pen = self.pen.clone().lock_owned().await;
         let (version, mut next) = self.snapshot();
         change(&mut next).map_err(Unchanged::Refused)?;
-        // the pen is held until the memory has it too
+        // The lock `pen` is held until the memory has it too.
         let (_pen, put) = self.put(pen, next).await;
         put.map_err(|source| Unchanged::Disk { path: self.path.display().to_string(), source })?;
         let mut done = Ok(());
         self.live.send_if_modified(|value| {
             done = change(value);
             if done.is_err() {
-                // the disk knows of what did not come to be
+                // The disk knows of what did not come to be.
                 self.version.fetch_add(1, Ordering::SeqCst);
             } else {
                 self.note_written(version);
@@ -118,7 +119,7 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
         done.map_err(Unchanged::Refused)
     }
 
-    /// Is every change of this life on disk?
+    /// Is every change of this incarnation on disk?
     pub fn is_on_disk(&self) -> bool {
         *self.written.borrow() >= self.version.load(Ordering::SeqCst)
     }
@@ -126,7 +127,7 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
     /// Waits until every change made until now is on disk.
     pub async fn on_disk(&self) {
         let version = self.version.load(Ordering::SeqCst);
-        // the sender lives in self, so waiting cannot fail
+        // The sender lives in self, so waiting cannot fail.
         let _ = self.written.subscribe().wait_for(|written| *written >= version).await;
     }
 
@@ -160,7 +161,7 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
         });
     }
 
-    /// Whoever gives up waiting leaves the pen with the writing, so that nobody writes into it.
+    /// If the caller gives up waiting, the write keeps `pen`, so that no other write disturbs it.
     async fn put(&self, pen: OwnedMutexGuard<()>, value: T) -> (Option<OwnedMutexGuard<()>>, io::Result<()>) {
         let (path, part) = (self.path.clone(), self.part.clone());
         let put = tokio::task::spawn_blocking(move || (Some(pen), write_whole(&path, &part, &value))).await;
@@ -168,8 +169,8 @@ impl<T: Clone + Serialize + Send + Sync + 'static> Kept<T> {
     }
 }
 
-/// What an earlier life wrote down; nothing where there is no file. Of one that cannot be read a copy is kept, and what it
-/// held begins anew: nothing that is unsafe hangs on it.
+/// Reads what an earlier incarnation wrote; the default if there is no file. If the file cannot be read, a copy of it
+/// is stored and the default is returned: nothing unsafe depends on it.
 pub fn read_or_anew<T: Default + DeserializeOwned>(path: &Path, what: &str) -> T {
     let why = match std::fs::read(path) {
         Ok(bytes) => match serde_json::from_slice(&bytes) {
@@ -189,7 +190,7 @@ pub fn write_whole<T: Serialize>(path: &Path, part: &Path, value: &T) -> io::Res
     file.write_all(&serde_json::to_vec_pretty(value)?)?;
     file.sync_all()?;
     std::fs::rename(part, path)?;
-    // the new name is on disk with its folder; Windows opens no folders
+    // The new name is on disk with its folder; Windows opens no folders.
     #[cfg(unix)]
     if let Some(folder) = path.parent() {
         std::fs::File::open(folder)?.sync_all()?;
@@ -254,7 +255,7 @@ mod tests {
         list.change_when_written(add(1)).await.unwrap();
         assert_eq!((list.get(), on_disk(folder.path())), (vec![1], vec![1]));
         assert!(list.is_on_disk());
-        // a folder where the file is to be written: no disk takes that, whoever asks
+        // A folder where the file is to be written: no disk takes that, whichever user asks.
         std::fs::create_dir(folder.path().join("list.json.main.part")).unwrap();
         let refused = list.change_when_written(add(2)).await.unwrap_err();
         assert!(matches!(refused, Unchanged::Disk { .. }), "{refused}");
@@ -280,7 +281,7 @@ mod tests {
         list.write().await.unwrap();
         assert!(list.is_on_disk());
         assert_eq!(on_disk(folder.path()), [7]);
-        // what is another node's to write is not ours
+        // This node must not write a value that is another node's to write.
         list.adopt(|list| {
             list.clear();
             true
@@ -294,7 +295,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let list = kept(folder.path());
         let times = AtomicU64::new(0);
-        // between the disk and the memory somebody says 9: the loosening does not come to be
+        // Between the disk and the memory, another change says 9: the change that permits more does not happen.
         let refused = list
             .change_when_written(|list| {
                 if times.fetch_add(1, Ordering::SeqCst) == 1 {

@@ -16,10 +16,10 @@ use crate::rig::guards::{self, LeaseKnown};
 use crate::takeover;
 use crate::trouble::Trouble;
 
-/// How this node stands to the lease.
+/// Whether this node has the lease.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Hold {
-    /// The arbiter was asked and may yet say that somebody else commands: nothing is said or done.
+    /// The arbiter was asked and may yet answer that another node commands: nothing is published or done.
     Asking,
     /// The arbiter does not answer; nobody is known to command.
     Claiming,
@@ -48,20 +48,20 @@ impl Hold {
 const ASKING: Duration = Duration::from_secs(10);
 /// An arbiter that has lost its memory publishes an older lease for good; right after a grant it does so for a moment.
 const FORGOTTEN: Duration = Duration::from_secs(5);
-/// A commander says its lease every second.
+/// A commander publishes its lease every second.
 const RIVAL: Duration = Duration::from_secs(5);
 
-/// An older node of this very name is heard within this time, and this one leaves before it claims: the arbiter would
-/// give the lease to one of them alone, but perhaps to the one that leaves. No restart takes longer for it: the arbiter
-/// waits 5 s for the life before.
+/// If this node receives from an older node of this very name within this time, it leaves before it claims: the arbiter
+/// would give the lease to one of them alone, but perhaps to the one that leaves. This delays no restart: the arbiter
+/// waits 5 s for the incarnation before.
 const TWIN: Duration = Duration::from_secs(3);
 
-/// Where the lease is said.
+/// The publisher of the lease.
 #[derive(Clone)]
 pub struct Line(Arc<Publisher<Lease>>);
 
 impl Line {
-    /// Says nothing yet.
+    /// Publishes nothing yet.
     pub async fn open(room: &ControlRoom) -> Result<Self, BusError> {
         let line = room.node.bus.publisher(&room.key(Part::Lease), Quality::State { cache: 1 }).await?;
         Ok(Self(Arc::new(line)))
@@ -96,7 +96,7 @@ pub async fn keep_holding(room: Arc<ControlRoom>, hold: watch::Sender<Hold>, lea
     let mut left = note.left();
     let mut id = left.clone().unwrap_or_else(CommandId::fresh);
     loop {
-        // a living rival refuses; what is refused needs no note
+        // A living rival refuses; what is refused needs no note.
         let own = [room.node.signature(), String::new()];
         let rival = said.fresh(RIVAL).is_some_and(|lease| !own.contains(&lease.said.body.holder));
         if !rival {
@@ -135,13 +135,13 @@ pub async fn keep_holding(room: Arc<ControlRoom>, hold: watch::Sender<Hold>, lea
             }
             Err(trouble) => {
                 let silent_for = clock.machine().since(asked_since);
-                // somebody may command although the arbiter cannot say so just now
+                // Another node may command although the arbiter cannot answer just now.
                 let rival = said.fresh(RIVAL).is_some_and(|lease| lease.said.boot_id != *room.node.bus.boot_id());
                 hold.send_if_modified(|hold| {
                     let waits = *hold != Hold::Claiming && (rival || silent_for < ASKING);
                     !waits && std::mem::replace(hold, Hold::Claiming) != Hold::Claiming
                 });
-                // a refusal is an answer; after silence the same claim is asked again
+                // A refusal is an answer; after silence the same claim is asked again.
                 if matches!(trouble, Trouble::Refused { .. }) {
                     (id, left) = (CommandId::fresh(), None);
                 }
@@ -171,14 +171,14 @@ async fn claim(room: &ControlRoom, id: &CommandId) -> Result<u64, Trouble> {
     let granted = match (room.rig.domes.first(), room.rig.mounts.first()) {
         (Some(dome), _) => dome.instrument.claim_as(id.clone(), dome::Command::Claim).await?,
         (None, Some(mount)) => mount.instrument.claim_as(id.clone(), telescope::Command::Claim).await?,
-        // nothing moves and nothing opens: there is nobody to contend with
+        // Nothing moves and nothing opens: there is nobody to contend with.
         (None, None) => Some(1),
     };
     granted.ok_or_else(|| Trouble::Impossible(format!("{} answered a claim without a token", arbiter(room))))
 }
 
-/// Publishes the lease every second until the arbiter's guard publishes a newer one, or forgets it, or a device refuses our token
-/// as old.
+/// Publishes the lease every second until the arbiter's guard publishes a newer one, or forgets it, or a device refuses
+/// our token as old.
 async fn until_lost(room: &ControlRoom, token: u64, lease: &Line, clock: &Clock) {
     let since_utc = clock.utc();
     let telescope = room.node.config.place.telescope.as_str();

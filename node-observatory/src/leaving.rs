@@ -1,4 +1,5 @@
-//! An end in good order (SIGTERM, Ctrl-C, `systemctl stop`): the node that commands closes first, unless another one is on standby.
+//! An end in good order (SIGTERM, Ctrl-C, `systemctl stop`): the node that commands closes first, unless another one is
+//! on standby.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -45,7 +46,7 @@ pub async fn close_first(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         tracing::warn!(within_s = CLOSE_WITHIN.as_secs(), "the node was asked to end; everything is closed first");
         let closing = room.close("the observatory node was asked to end and no other one is on standby");
         let is_closed = tokio::time::timeout(CLOSE_WITHIN, closing).await.is_ok();
-        // a guard need not wait until the last permit has run out
+        // A guard need not wait until the last permit has run out.
         room.leaves_alone.store(true, Ordering::Relaxed);
         if !is_closed {
             tracing::error!(
@@ -55,6 +56,6 @@ pub async fn close_first(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         }
     }
     room.node.stop.stop();
-    // the node ends by its stop and not by this task
+    // The node ends by its stop and not by this task.
     std::future::pending().await
 }

@@ -32,7 +32,7 @@ struct Expected {
 }
 
 impl Frames {
-    /// Has its camera's node told that it is on disk?
+    /// Has its camera's node announced that it is on disk?
     pub fn is_announced(&self, frame: &CommandId) -> bool {
         self.announced.contains_key(&frame.0)
     }
@@ -85,7 +85,7 @@ impl Ledger {
         });
     }
 
-    /// Frames that were not announced in time, each told once; nobody waits for them any more.
+    /// Frames that were not announced in time, each reported once; nothing waits for them any more.
     fn lost(&self, now: MachineTime) -> Vec<(String, Name)> {
         let mut lost = Vec::new();
         self.frames.send_if_modified(|frames| {
@@ -105,7 +105,8 @@ impl Ledger {
     }
 }
 
-/// Hears announced frames: counts those of this life, and tells the journal of those that a crash left open.
+/// Receives announced frames: counts those of this incarnation, and reports to the journal those that a crash left
+/// open.
 pub async fn keep_counting_frames(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let (own, started_utc) = (room.node.config.address(), room.node.bus.clock().utc());
     let expression = format!("{}/{own}/device/{}/*/frame", contract::key::ROOT, Kind::Camera);
@@ -128,7 +129,7 @@ pub async fn keep_counting_frames(room: Arc<ControlRoom>) -> anyhow::Result<()> 
         if let Err(error) = noted.await? {
             tracing::warn!(%error, "an announced frame is not in the journal; a restart may take it again");
         }
-        // after the journal: whoever sees it here finds it counted there
+        // After the journal: a task that sees it here finds it counted there.
         let is_new = room.ledger.announced(&frame.id, &frame.purpose.night);
         if is_new && heard.said.at_utc >= started_utc {
             room.board.frame(&frame.id);
@@ -136,7 +137,7 @@ pub async fn keep_counting_frames(room: Arc<ControlRoom>) -> anyhow::Result<()> 
     }
 }
 
-/// Hears what the archives have stored.
+/// Receives what the archives have stored.
 pub async fn keep_counting_files(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let key = Key::Stored(room.node.config.address()).to_string();
     let stored = room.node.bus.subscribe::<Stored>(&key, Catch::All, 1000).await?;
@@ -145,7 +146,7 @@ pub async fn keep_counting_files(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         if stored.header_complete {
             room.ledger.complete(&stored.frame);
         }
-        // one that was announced, stored and forgotten by its spool while this node was away
+        // One that was announced, stored and forgotten by its spool while this node was away.
         let (at, frame) = (room.clone(), stored.frame);
         let noted = tokio::task::spawn_blocking(move || at.journal.taken(&frame, at.node.bus.clock().utc()));
         if let Err(error) = noted.await? {

@@ -1,23 +1,27 @@
 //! The observatory node: runs one telescope.
 //!
-//! It judges whether the sky is safe ([`safety`]), says so once a second to every dome's guard ([`permit`]), holds
+//! It judges whether the sky is safe ([`safety`]), sends a permit each second to every dome's guard ([`permit`]), holds
 //! the right to command ([`lease`]), works through the schedule ([`runner`], [`action`]) while the sky allows, and
-//! closes ([`closing`]) when it does not, when people order it ([`order`]), and at the night's end. It measures and solves
-//! each frame ([`frames`]), finds the focus ([`focus`]), proves where the telescope looks ([`pointing`]), and holds fields in
-//! their place ([`guiding`]). Each of these is a task of its own; they meet in the [`control_room`]. The safety loop waits for none of them.
+//! closes ([`closing`]) when it does not, when people order it ([`order`]), and at the night's end. It measures and
+//! solves each frame ([`frames`]), finds the focus ([`focus`]), proves where the telescope looks ([`pointing`]), and
+//! holds fields in their place ([`guiding`]). Each of these is a task of its own; they meet in the [`control_room`].
+//! The safety loop waits for none of them.
 //!
 //! # Invariants
 //!
 //! Commanding:
 //!
-//! - Two programs that publish one safety input at the same time are both not believed (`safety/writers.rs`, decision 0042).
+//! - Two programs that publish one safety input at the same time are both not believed (`safety/writers.rs`, decision
+//!   0042).
 //! - What loosens is on disk before it counts; what closes counts at once (`obey.rs`, `kept.rs`):
 //!   `an_order_that_the_disk_does_not_take_is_refused_and_closing_acts_all_the_same`.
-//! - A turn of the dome never delays closing: it is ordered only of an open dome under a safe sky, and closing interrupts it:
-//!   `a_dome_that_hangs_while_it_follows_closes_as_fast_as_any_and_is_not_turned_any_more`.
-//! - The site's script asks, and the node acts. The default closing waits for the script at most `close_wait_s`; guards, verdict and permits never wait (decision
-//!   0031): `a_script_that_loops_for_ever_in_close_holds_it_up_for_close_wait_s_and_no_longer`.
-//! - A device fault ends one attempt of a row, never the night (decision 0011): `each_rest_is_twice_as_long_up_to_ten_times_the_first`.
+//! - A turn of the dome never delays closing: it is ordered only of an open dome under a safe sky, and closing
+//!   interrupts it: `a_dome_that_hangs_while_it_follows_closes_as_fast_as_any_and_is_not_turned_any_more`.
+//! - The site's script asks, and the node acts. The default closing waits for the script at most `close_wait_s`;
+//!   guards, verdict and permits never wait (decision 0031):
+//!   `a_script_that_loops_for_ever_in_close_holds_it_up_for_close_wait_s_and_no_longer`.
+//! - A device fault ends one attempt of a row, never the night (decision 0011):
+//!   `each_rest_is_twice_as_long_up_to_ten_times_the_first`.
 //!
 //! Rows:
 //!
@@ -25,26 +29,31 @@
 //!
 //! Frames:
 //!
-//! - A frame counts when its camera's node has it on disk (`action/spooled.rs`); no two frames have one id, also where a focus run comes between:
-//!   `the_id_is_on_disk_before_it_is_used`. Only the death of a camera's node before its disk has a frame may lose that frame, and what the journal
-//!   has learned and not yet written survives a takeover (decision 0035): `a_frame_that_is_counted_while_the_journal_is_taken_over_is_not_forgotten`.
-//! - A frame that the dome hid never counts (decision 0016): `a_frame_that_the_dome_hid_does_not_count_whoever_announces_it_and_whenever`.
-//! - No frame of a row with `pointing` counts before a solved frame has proven where the telescope points, and the frames taken to find that out never
-//!   count (decision 0019): `no_frame_counts_where_none_shows_where_it_looks_unless_the_row_says_so`.
-//! - A flat counts only by its measured level; a panel is dark after its row, and its cover opens again only under a safe sky (decision 0028):
-//!   `a_panel_is_lit_behind_its_cover_and_left_dark_also_by_a_row_that_is_stopped`.
-//! - Measuring never delays an exposure and never waits for the archive: newest frame first, on a thread of low priority. A frame that cannot be
-//!   measured says why (decision 0017): `a_frame_that_cannot_be_had_gives_the_reason_and_a_person_is_told_of_three`.
+//! - A frame counts when its camera's node has it on disk (`action/spooled.rs`); no two frames have one id, also where
+//!   a focus run comes between: `the_id_is_on_disk_before_it_is_used`. Only the death of a camera's node before its
+//!   disk has a frame may lose that frame, and what the journal has learned and not yet written survives a takeover
+//!   (decision 0035): `a_frame_that_is_counted_while_the_journal_is_taken_over_is_not_forgotten`.
+//! - A frame that the dome hid never counts (decision 0016):
+//!   `a_frame_that_the_dome_hid_does_not_count_whoever_announces_it_and_whenever`.
+//! - No frame of a row with `pointing` counts before a solved frame has proven where the telescope points, and the
+//!   frames taken to find that out never count (decision 0019):
+//!   `no_frame_counts_where_none_shows_where_it_looks_unless_the_row_says_so`.
+//! - A flat counts only by its measured level; a panel is dark after its row, and its cover opens again only under a
+//!   safe sky (decision 0028): `a_panel_is_lit_behind_its_cover_and_left_dark_also_by_a_row_that_is_stopped`.
+//! - Measuring never delays an exposure and never waits for the archive: newest frame first, on a thread of low
+//!   priority. A frame that cannot be measured says why (decision 0017):
+//!   `a_frame_that_cannot_be_had_gives_the_reason_and_a_person_is_told_of_three`.
 //!
 //! What is learned:
 //!
 //! - One odd solution never changes what is known of the optics (decision 0018):
 //!   `a_camera_that_was_turned_is_learnt_anew_by_its_second_frame_and_one_odd_frame_changes_nothing`.
-//! - A guide pulse is given only to a mount that tracks and does not slew, for a row that nothing prevents (decision 0020).
-//! - What is stored about the focus is the list of runs; numbers are computed from it when needed, and move nothing before runs prove them (decision
-//!   0021): `a_coefficient_that_is_not_proven_moves_nothing`.
-//! - What is learned about pointing, optics, guiding and focus is published; a standby adopts it, and writes it to disk once it commands:
-//!   `a_standby_points_solves_and_holds_the_field_as_the_commander_did`.
+//! - A guide pulse is given only to a mount that tracks and does not slew, for a row that nothing prevents (decision
+//!   0020).
+//! - What is stored about the focus is the list of runs; numbers are computed from it when needed, and move nothing
+//!   before runs prove them (decision 0021): `a_coefficient_that_is_not_proven_moves_nothing`.
+//! - What is learned about pointing, optics, guiding and focus is published; a standby adopts it, and writes it to disk
+//!   once it commands: `a_standby_points_solves_and_holds_the_field_as_the_commander_did`.
 
 pub mod action;
 mod alerting;
@@ -92,10 +101,10 @@ use tokio::task::JoinSet;
 
 pub use trouble::Trouble;
 
-/// Runs the telescope until the node is told to stop.
+/// Runs the telescope until the node is ordered to stop.
 ///
-/// A task that ends early ends the node, which is then started afresh; meanwhile the guards of the domes, hearing
-/// no permit, close.
+/// A task that ends early ends the node, which is then started afresh; meanwhile the guards of the domes receive no
+/// permit, and close.
 pub async fn run(node: Node) -> anyhow::Result<()> {
     let start::Start { room, ruling, hold, loaded, focus_runs, neighbours } = start::start(&node).await?;
     let (schedule, named, control_room) = (loaded.subscribe(), loaded.subscribe(), room.clone());
@@ -163,7 +172,7 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
 
     let ended = node.stop.or(tasks.join_next()).await;
     tasks.shutdown().await;
-    // nothing of this life commands any more, so that whoever waits need not wait for its silence
+    // Nothing of this incarnation commands any more, so that a standby need not wait for its silence.
     lease.release(&control_room).await;
     control_room.audit.end().await;
     let Some(ended) = ended else { return Ok(()) };

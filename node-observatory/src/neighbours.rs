@@ -10,7 +10,7 @@ use contract::{Chunk, Key, Part};
 
 use crate::rig::dome::Dome;
 
-/// What the neighbours said last of their night. Cheap to clone.
+/// The last published nights of the other telescopes. Cheap to clone.
 #[derive(Clone, Default)]
 pub struct Neighbours {
     nights: Arc<Mutex<BTreeMap<Chunk, (bool, MachineTime)>>>,
@@ -18,11 +18,11 @@ pub struct Neighbours {
 
 /// Telescopes of one site.
 const MOST_NEIGHBOURS: usize = 256;
-/// A neighbour that said nothing for so long does not work.
+/// Another telescope that published nothing for so long does not work.
 const SILENCE: Duration = Duration::from_secs(10);
 
 impl Neighbours {
-    /// Hears the nights of the site for ever; only sites with shared roofs need it.
+    /// Receives the nights of the site for ever; only sites with shared roofs need it.
     pub async fn keep_hearing(self, node: Node) -> anyhow::Result<()> {
         if node.config.shared.dome.is_empty() {
             return std::future::pending().await;

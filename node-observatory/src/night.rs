@@ -1,4 +1,4 @@
-//! What is shown of the night: posture, actions under way, the rows of the schedule.
+//! The published state of the night: posture, actions under way, the rows of the schedule.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -21,7 +21,7 @@ use crate::rig::dome::Dome;
 pub struct Board {
     tonight: watch::Sender<Tonight>,
     schedule: watch::Sender<ScheduleState>,
-    /// Where rows stand now that began at another place, or that they stand nowhere any more.
+    /// The present places of rows that began at another one; `None` for rows that have no place any more.
     moved: Mutex<BTreeMap<u32, Option<u32>>>,
 }
 
@@ -37,7 +37,7 @@ struct Tonight {
 }
 
 impl Board {
-    /// An empty board for a schedule file.
+    /// An empty status for a schedule file.
     pub fn new(file: String) -> Self {
         let schedule = ScheduleState { file, revision: 0, refused: None, rows: Vec::new(), findings: Vec::new() };
         let (tonight, schedule) = (watch::channel(Tonight::default()).0, watch::channel(schedule).0);
@@ -76,7 +76,7 @@ impl Board {
         });
     }
 
-    /// What the newest frames say together.
+    /// What the newest frames show together.
     pub fn triggers(&self, triggers: Vec<Trigger>) {
         self.tonight.send_if_modified(|tonight| {
             let is_new = tonight.triggers != triggers;
@@ -103,7 +103,7 @@ impl Board {
         self.tonight.send_if_modified(|tonight| std::mem::replace(&mut tonight.ended, ended) != ended);
     }
 
-    /// Changes what is shown of the schedule.
+    /// Changes the published state of the schedule.
     pub fn schedule(&self, change: impl FnOnce(&mut ScheduleState)) {
         self.schedule.send_modify(change);
     }
@@ -117,7 +117,7 @@ impl Board {
         });
     }
 
-    /// A row that is at work and began at one place of the schedule stands at another one now, or nowhere any more.
+    /// A row that is at work and began at one place of the schedule is at another one now, or nowhere any more.
     pub fn moved_to(&self, began: u32, now: Option<u32>) {
         self.moved().insert(began, now);
         self.tonight.send_if_modified(|tonight| {
@@ -130,7 +130,7 @@ impl Board {
         self.moved.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Changes what is shown of a row at work, wherever it stands now; `began` is where it began.
+    /// Changes the published state of a row at work, wherever it is now; `began` is where it began.
     pub fn row(&self, began: u32, change: impl FnOnce(&mut RowState)) {
         let now = self.moved().get(&began).copied().unwrap_or(Some(began));
         if let Some(now) = now {
@@ -138,7 +138,7 @@ impl Board {
         }
     }
 
-    /// Changes what is shown of the row at a place of the schedule in force.
+    /// Changes the published state of the row at a place of the schedule in force.
     pub fn at(&self, row: u32, change: impl FnOnce(&mut RowState)) {
         self.schedule.send_if_modified(|schedule| {
             let index = usize::try_from(row).unwrap_or(usize::MAX);
@@ -206,7 +206,7 @@ pub async fn keep_telling_night(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     }
 }
 
-/// How the observatory stands to the sky, as its enclosures say; a telescope without one is closed when parked.
+/// The posture of the observatory by the states of its enclosures; a telescope without one is closed when parked.
 pub fn posture(room: &ControlRoom) -> Posture {
     if room.rig.domes.is_empty() {
         let parked = room
@@ -216,7 +216,7 @@ pub fn posture(room: &ControlRoom) -> Posture {
             .map(|mount| mount.instrument.fresh().and_then(|state| state.fields.at_park.known().copied()));
         return of_parks(parked);
     }
-    // a dome whose status is closed without proof is not known to be closed
+    // A dome whose status is closed without proof is not known to be closed.
     let shutter = |dome: &Dome| dome.shutter().filter(|shutter| *shutter != Shutter::Closed || !dome.is_doubted());
     of_shutters(room.rig.domes.iter().map(shutter))
 }
@@ -275,7 +275,7 @@ pub async fn keep_telling_safety(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         ruling.changed().await?;
         let newest = ruling.borrow_and_update().clone();
         let verdict = newest.state.verdict;
-        // each arrival is judged, but said only once a second while nothing changes
+        // Each arrival is judged, but published only once a second while nothing changes.
         let due = said.is_none_or(|(at, was)| was != verdict || newest.judged.since(at) >= Duration::from_millis(900));
         if due {
             said = Some((newest.judged, verdict));
@@ -293,7 +293,7 @@ where
     keep_saying(&room, &line, state.subscribe()).await
 }
 
-/// Says a state on a line whenever it changes, and every 10 s.
+/// Publishes a state whenever it changes, and every 10 s.
 pub async fn keep_saying<T>(
     room: &ControlRoom,
     line: &Publisher<T>,
@@ -310,7 +310,8 @@ where
         tokio::time::sleep(LEAST).await;
         tokio::select! {
             changed = state.changed() => changed?,
-            // who becomes the commander says at once what it knows: its own end may come before 10 s are over
+            // A node that becomes the commander publishes at once what it knows: its own end may come before 10 s are
+            // over.
             changed = hold.changed() => changed?,
             () = tokio::time::sleep(Duration::from_secs(10)) => {}
         }

@@ -1,7 +1,7 @@
 //! What a person's order does.
 //!
 //! An order that closes, or makes the verdict stricter, acts at once, whatever the disk does. Any other that is to
-//! outlive this node is on disk before it acts, and refused where the disk fails.
+//! survive this node is on disk before it acts, and refused where the disk fails.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -74,7 +74,7 @@ pub fn at_once(room: &Arc<ControlRoom>, tightened: &Tightened, order: &Order) ->
             tightened.note();
             let why = format!("{} ordered it", order.from);
             robotic_off(room, &why);
-            // also when it was off already
+            // Also when it was off already.
             room.wish_closed.send_replace(Some(why));
         }
         OrderKind::ReloadSchedule => room.reload.send_modify(|count| *count += 1),
@@ -109,7 +109,7 @@ pub async fn settle(room: &ControlRoom) {
     let settled = async {
         room.standing.on_disk().await;
         let mut said = room.standing_said.subscribe();
-        // the sender lives in the room, so waiting cannot fail
+        // The sender lives in the room, so waiting cannot fail.
         let _ = said.wait_for(|said| said.as_ref().is_some_and(|said| *said == standing_line::orders(room))).await;
     };
     let _ = tokio::time::timeout(SETTLED, settled).await;
@@ -215,7 +215,7 @@ pub fn robotic_off(room: &Arc<ControlRoom>, why: &str) {
     }
 }
 
-/// Writes down that the switch is off, beside whatever acts.
+/// Records that the switch is off, in parallel with all else.
 fn note_off(room: &Arc<ControlRoom>) {
     let room = room.clone();
     tokio::task::spawn_blocking(move || match room.journal.robotic(false, room.node.bus.clock().utc()) {
@@ -231,7 +231,7 @@ fn tell(order: &Order) {
     tracing::info!(from = order.from, kind = ?brief(&order.kind), reason = order.reason, "order");
 }
 
-/// An order as it is told in a line: of a schedule its length, the text stands among the versions.
+/// An order in short for a line of text: of a schedule only its length, because the versions hold the text.
 pub fn brief(kind: &OrderKind) -> OrderKind {
     match kind {
         OrderKind::PutSchedule { text } => OrderKind::PutSchedule { text: format!("{} bytes", text.len()) },
@@ -239,7 +239,7 @@ pub fn brief(kind: &OrderKind) -> OrderKind {
     }
 }
 
-/// Who ordered it, why, and that it was now.
+/// The person who gave the order, the reason, and the present time.
 pub fn said(room: &ControlRoom, order: &Order) -> Said {
     Said { from: order.from.clone(), reason: order.reason.clone(), at_utc: room.node.bus.clock().utc() }
 }

@@ -1,6 +1,6 @@
 //! Opening: the slit to where the telescope looks, the roof, then cover and mount, each only while the sky stays safe.
 //!
-//! A site's script may stand around it or in its place ([`crate::hooks`]).
+//! A site's script may wrap it or replace it ([`crate::hooks`]).
 
 use contract::device::dome::Shutter::Open;
 
@@ -12,12 +12,12 @@ use crate::slit;
 use crate::trouble::Trouble;
 use schedule::plan::overheads::{Span, TOOK};
 
-/// Opens as the site's script has it, or by default where it says nothing.
+/// Opens as the site's script has it, or by default where it does not define it.
 ///
 /// The runner drops this as soon as the sky is not safe.
 pub async fn open(room: &ControlRoom, chain: &Chain<'_>) -> Result<(), Trouble> {
     only_while_safe(room)?;
-    // whatever was to be closed gives way to what is observed now
+    // A pending close request gives way to what is observed now.
     room.wish_closed.send_if_modified(|wish| wish.take().is_some());
     let (clock, was_shut) = (room.node.bus.clock(), room.rig.domes.iter().any(|dome| dome.shutter() != Some(Open)));
     let began = clock.utc();

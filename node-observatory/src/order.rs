@@ -1,4 +1,4 @@
-//! A person's orders are answered here, each once, while this node speaks for the telescope; `obey.rs` follows them.
+//! Answers a person's orders, each once, while this node publishes for the telescope; `obey.rs` executes them.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -79,7 +79,7 @@ impl Desk {
             return reply;
         }
         let _turn = self.turn.lock().await;
-        // a repeat that waited for the first
+        // A repeat that waited for the first.
         if let Some(reply) = self.answered(&order.id) {
             return reply;
         }
@@ -154,7 +154,7 @@ impl Desk {
     }
 }
 
-/// Tells the audit what became of an order; what it moves has records of its own.
+/// Records in the audit log the outcome of an order; the movements that it causes have records of their own.
 fn account(room: &ControlRoom, order: Option<&Order>, reply: &Reply) {
     let outcome = match reply {
         Reply::Accepted(_) => Outcome::Accepted,

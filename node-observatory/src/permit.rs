@@ -13,11 +13,11 @@ use crate::control_room::ControlRoom;
 use crate::rig::dome::Dome;
 use crate::rig::guards::Guards;
 
-/// A guard says a number each second, and the permit that answers it is as young as it can be; when no guard is heard,
-/// permits go out all the same.
+/// A guard publishes a number each second, and the permit that answers it is as young as it can be. While no guard is
+/// received, permits go out all the same.
 const PERIOD: Duration = Duration::from_millis(1200);
 
-/// Renews every permit as its guard is heard and at each change of the verdict, while this node commands.
+/// Renews every permit when its guard's number arrives and at each change of the verdict, while this node commands.
 pub async fn keep_renewing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let mut lines: Vec<(&Dome, Publisher<Permit>)> = Vec::new();
     for dome in &room.rig.domes {
@@ -61,8 +61,9 @@ fn verdict(room: &ControlRoom) -> Verdict {
     if room.is_safe() && !leaves { Verdict::Safe } else { Verdict::Unsafe }
 }
 
-/// A permit needs a lease, a guard's number to answer to, and a verdict that was formed on heard inputs. Whoever speaks in
-/// a guard's name is answered, each with its own number, so that a stranger takes nothing from the real one.
+/// A permit needs a lease, a guard's number to answer to, and a verdict that was formed on received inputs. Every node
+/// that publishes in a guard's name is answered, each with its own number, so that a stranger takes nothing from the
+/// real one.
 fn permits(room: &ControlRoom, dome: &Dome, verdict: Verdict) -> Vec<Permit> {
     let Some(token) = room.hold.borrow().token().filter(|_| room.ruling.borrow().settled) else { return Vec::new() };
     let mut guards = dome.guards.living(room.node.bus.clock().machine());

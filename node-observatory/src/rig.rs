@@ -1,4 +1,4 @@
-//! The devices of one telescope, as this node hears and commands them.
+//! The devices of one telescope, as this node receives and commands them.
 
 pub mod camera;
 pub mod cover_calibrator;
@@ -59,7 +59,7 @@ pub struct Chain<'a> {
 }
 
 impl Rig {
-    /// Begins to hear all devices of the configuration.
+    /// Subscribes to all devices of the configuration.
     pub async fn listen(node: &Node, voice: &Voice, focus: watch::Receiver<Learnt>) -> anyhow::Result<Self> {
         let config = &node.config;
         let mut rig = Self {
@@ -105,7 +105,7 @@ impl Rig {
         Ok(rig)
     }
 
-    /// Changes whenever a dome, a mount or a cover says something new.
+    /// Changes whenever a dome, a mount or a cover publishes something new.
     pub fn stirred(&self) -> watch::Receiver<u64> {
         self.stirred.clone()
     }
@@ -169,7 +169,7 @@ fn find<'a, T>(list: &'a [T], device: impl Fn(&T) -> &Device, name: Option<&Name
     list.iter().find(|item| Some(&device(item).name) == name)
 }
 
-/// State older than this says nothing about what is true now: 5 s, or 2.5 of its periods where those are longer.
+/// A state older than this does not show what is true now: 5 s, or 2.5 of its periods where those are longer.
 pub fn freshness(period_s: f64) -> Duration {
     units::seconds((2.5 * period_s).clamp(5.0, 60.0))
 }

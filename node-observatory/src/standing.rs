@@ -1,4 +1,4 @@
-//! A person's standing orders ([`safety::standing`](::safety::standing)) as a file, and the alerts that remind of them.
+//! A person's operator orders ([`safety::standing`](::safety::standing)) as a file, and the alerts that remind of them.
 //!
 //! The file is `standing-TELESCOPE.json` in the data folder.
 
@@ -28,12 +28,12 @@ pub fn read(path: &Path) -> OnDisk {
     }
 }
 
-/// Where the standing orders of a telescope are kept.
+/// The file of a telescope's operator orders.
 pub fn path(config: &config::Observatory) -> PathBuf {
     config.folders.data.join(format!("standing-{}.json", config.place.telescope))
 }
 
-/// Keeps an alert for every standing order, so that none is forgotten.
+/// Raises an alert for every operator order, so that none is forgotten.
 pub async fn keep_reminding(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let mut standing = room.standing.subscribe();
     let mut shown: BTreeSet<(AlertKind, String)> = BTreeSet::new();

@@ -1,4 +1,4 @@
-//! The standing orders on the bus: said by whoever commands, heard by whoever stands by.
+//! The operator orders on the bus: the commander publishes them, a standby receives them.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,12 +12,12 @@ use crate::control_room::ControlRoom;
 
 const SECOND: Duration = Duration::from_secs(1);
 
-/// What this node says now.
+/// The orders that this node publishes now.
 pub fn orders(room: &ControlRoom) -> StandingOrders {
     room.standing.get().published(room.hold.borrow().token(), room.annunciator.get().shelf())
 }
 
-/// Publishes them at each change and every second, while this node speaks for the telescope.
+/// Publishes them at each change and every second, while this node publishes for the telescope.
 pub async fn keep_telling(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let line =
         room.node.bus.publisher::<StandingOrders>(&room.key(Part::Standing), Quality::State { cache: 1 }).await?;
@@ -28,7 +28,7 @@ pub async fn keep_telling(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     loop {
         if room.may_speak() {
             let now = orders(&room);
-            // alerts come and go without touching the shelf
+            // Alerts come and go without a change of the shelved ones.
             let is_due = said_at.is_none_or(|at| clock.machine().since(at) >= SECOND - SECOND / 20);
             if is_due || room.standing_said.borrow().as_ref() != Some(&now) {
                 line.put(now.clone()).await?;
@@ -45,7 +45,7 @@ pub async fn keep_telling(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     }
 }
 
-/// Takes over what the commander says for as long as this node stands by, so that its verdict is the commander's
+/// Takes over what the commander publishes for as long as this node stands by, so that its verdict is the commander's
 /// before it commands.
 pub async fn keep_hearing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let mut orders = room.before.standing.clone();

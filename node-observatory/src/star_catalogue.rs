@@ -1,7 +1,7 @@
-//! The star catalogue of this telescope, opened once and read by whoever looks at the sky.
+//! The star catalogue of this telescope, opened once and read by all code that looks at the sky.
 //!
-//! A large table may take a while to open, so a thread does it while the node already judges and closes. One that cannot
-//! be opened is told and tried again: the night goes on without it.
+//! A large table may take a while to open, so a thread does it while the node already judges and closes. One that
+//! cannot be opened is reported and tried again: the night goes on without it.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -34,7 +34,7 @@ impl StarCatalogue {
         self.opened.borrow().clone()
     }
 
-    /// Waits until it is open. Ends only then: the caller has the patience.
+    /// Waits until it is open. It has no timeout: the caller sets one.
     pub async fn opened(&self) -> Arc<Catalogue> {
         let mut opened = self.opened.subscribe();
         loop {
@@ -42,7 +42,7 @@ impl StarCatalogue {
             if let Some(catalogue) = now {
                 return catalogue;
             }
-            // the sender lives in self, so waiting cannot fail
+            // The sender lives in self, so waiting cannot fail.
             let _ = opened.changed().await;
         }
     }
@@ -66,7 +66,7 @@ pub async fn keep_open(room: Arc<ControlRoom>) -> anyhow::Result<()> {
                 room.node.alerts.clear(AlertKind::CatalogueUnusable, "");
                 tracing::info!(stars = catalogue.stars(), "the star catalogue is open");
                 room.catalogue.opened.send_replace(Some(Arc::new(catalogue)));
-                // it stays open for as long as the node lives
+                // It stays open for as long as the node lives.
                 return std::future::pending().await;
             }
             Err(error) => room.node.alerts.raise(AlertKind::CatalogueUnusable, "", &format!("{error:#}")),

@@ -1,4 +1,4 @@
-//! What must be there before the tasks run: the journal, the devices, and the channels between the tasks.
+//! Prepares all that the tasks need before they run: the journal, the devices, and the channels between the tasks.
 
 use std::future::Future;
 use std::path::PathBuf;
@@ -48,9 +48,9 @@ pub type Task = Pin<Box<dyn Future<Output = anyhow::Result<()>> + Send>>;
 pub struct Start {
     /// What all share.
     pub room: Arc<ControlRoom>,
-    /// Where the safety loop puts its ruling.
+    /// The safety loop sends its verdict here.
     pub ruling: watch::Sender<Ruling>,
-    /// Where the lease is kept.
+    /// The lease.
     pub hold: watch::Sender<Hold>,
     /// Where the schedule is put.
     pub loaded: watch::Sender<Loaded>,
@@ -60,7 +60,7 @@ pub struct Start {
     pub neighbours: Neighbours,
 }
 
-/// Prepares everything and says nothing yet.
+/// Prepares everything and publishes nothing yet.
 pub async fn start(node: &Node) -> anyhow::Result<Start> {
     let (config, clock) = (&node.config, node.bus.clock());
     ensure!(
@@ -155,7 +155,7 @@ async fn open_journal(node: &Node) -> anyhow::Result<Journal> {
             }
             Err(error) => format!("folders.data: cannot open the journal {shown}: {error}"),
         };
-        // without it nothing is opened, and the guards close: that is logged once, and tried again
+        // Without it nothing is opened, and the guards close: that is logged once, and tried again.
         let told = format!("{why}; nothing is opened until it can be, which is tried each 15 s");
         node.alerts.raise(AlertKind::Configuration, "folders.data", &told);
         ensure!(node.stop.or(tokio::time::sleep(AGAIN)).await.is_some(), "{why}");

@@ -20,19 +20,19 @@ use crate::{annunciator, standing};
 
 /// An order from last night is no order for this one, sky s.
 const ORDER_HOLDS_S: f64 = 18.0 * 3600.0;
-/// A commander says each second how it stands; what is older than this is no last word.
+/// A commander publishes its state each second; one that is older than this does not count as its last.
 const LAST_WORD: Duration = Duration::from_secs(60);
-/// It says each second what it was ordered, and keeps the lease until it was silent for 5 s: one that was heard within
-/// this time can hardly have accepted what was not heard, and one that was not may have.
+/// It publishes its orders each second, and holds the lease until it was silent for 5 s. If its orders were received
+/// within this time, it can hardly have accepted others after them; if not, it may have.
 const LAST_ORDERS: Duration = Duration::from_secs(10);
 /// A disk that hangs keeps nobody from commanding.
 const DISK: Duration = Duration::from_secs(2);
-/// A ruling that is not renewed for so long is no safe one any more.
+/// A verdict that is not renewed for so long no longer counts as safe.
 const RULING: Duration = Duration::from_secs(5);
 
-/// What the commander before is heard to say.
+/// What the commander before publishes.
 pub struct Before {
-    /// How it stood.
+    /// Its state of the night.
     pub night: Latest<NightState>,
     /// What people ordered of it.
     pub standing: Latest<StandingOrders>,
@@ -41,7 +41,7 @@ pub struct Before {
 }
 
 impl Before {
-    /// Begins to listen, so that its last word is known.
+    /// Subscribes, so that its last state is known.
     pub async fn listen(bus: &Bus, address: &Address) -> Result<Self, BusError> {
         let key = |part| Key::Observatory(address.clone(), part);
         Ok(Self {
@@ -60,8 +60,9 @@ pub fn robotic(journal: &Journal, configured: bool, now: Utc) -> bool {
     }
 }
 
-/// Learns it all, before this node commands with the token that it was granted; `held` is the token that this life held
-/// before, and with `unused` ones nobody commanded. A disk that fails is told, and keeps nobody from commanding: who commands can close.
+/// Learns it all, before this node commands with the token that it was granted. `held` is the token that this
+/// incarnation held before; with `unused` tokens nobody commanded. A disk that fails is reported, and prevents nobody
+/// from commanding: a node that commands can close.
 pub async fn learn(room: &Arc<ControlRoom>, granted: Option<u64>, held: Option<u64>, unused: &BTreeSet<u64>) {
     let (disk, is_older_version) = read(room).await;
     let now = room.node.bus.clock().utc();
@@ -82,7 +83,7 @@ pub async fn learn(room: &Arc<ControlRoom>, granted: Option<u64>, held: Option<u
     if let Err(error) = written.and_then(|written| written.map_err(|error| error.to_string())) {
         let cause = format!("the standing orders are not on disk: {error}");
         room.node.alerts.raise(AlertKind::StandingOrders, "", &cause);
-        // such a disk may not have taken the last order of the life before either
+        // Such a disk may not have taken the last order of the incarnation before either.
         if source == Source::Disk && standing.stay_closed.is_none() {
             let reason = format!("{cause}; what was ordered last may be lost. Order open-again once the disk is well");
             standing.stay_closed = Some(Said::by_node(reason, now));
@@ -103,7 +104,8 @@ fn put(room: &ControlRoom, standing: &Standing) {
     });
 }
 
-/// What the folder holds, and whether a version that kept no tokens commanded from it; makes the journal this node's.
+/// The content of the folder, and whether a version that wrote no tokens commanded from it; makes the journal this
+/// node's.
 async fn read(room: &Arc<ControlRoom>) -> (OnDisk, bool) {
     let at = room.clone();
     let reading = tokio::task::spawn_blocking(move || {
@@ -128,13 +130,13 @@ async fn read(room: &Arc<ControlRoom>) -> (OnDisk, bool) {
     (disk, is_older_version)
 }
 
-/// What another life than this one said last.
+/// The last payload of another incarnation than this one.
 fn foreign<T: Payload + Clone>(room: &ControlRoom, latest: &Latest<T>) -> Option<Heard<T>> {
     latest.get().filter(|heard| heard.said.boot_id != *room.node.bus.boot_id())
 }
 
-/// What people did about alerts, from where the orders come: a record of an older reign would acknowledge what it never
-/// saw. What nobody knows stands as new.
+/// People's answers to alerts, from the source of the orders: a record of an earlier commander would acknowledge what
+/// it never saw. An alert that no record has is new.
 async fn learn_alerts(room: &Arc<ControlRoom>, source: Source, orders: Option<&Heard<StandingOrders>>) {
     match source {
         Source::Own => {}
@@ -152,7 +154,7 @@ async fn learn_alerts(room: &Arc<ControlRoom>, source: Source, orders: Option<&H
             let orders = orders.filter(|_| source == Source::Bus).map(|heard| &heard.said);
             let alerts = foreign(room, &room.before.alerts).map(|heard| heard.said);
             let heard = match (orders, alerts) {
-                // both of one life, or the acknowledgements are not the commander's
+                // Both of one incarnation, or the acknowledgements are not the commander's.
                 (Some(orders), Some(alerts)) if orders.boot_id == alerts.boot_id => {
                     Annunciator::heard(&alerts.body, &orders.body.shelved)
                 }
@@ -171,7 +173,7 @@ async fn learn_alerts(room: &Arc<ControlRoom>, source: Source, orders: Option<&H
 async fn judged_anew(room: &ControlRoom) {
     let mut ruling = room.ruling.clone();
     let twice = async {
-        // the first may have been under way
+        // The first may have been under way.
         for _ in 0..2 {
             let since = room.node.bus.clock().machine();
             if ruling.wait_for(|ruling| ruling.judged > since).await.is_err() {
@@ -185,7 +187,7 @@ async fn judged_anew(room: &ControlRoom) {
 fn learn_robotic(room: &ControlRoom, now: Utc) {
     let age = |heard: &Heard<NightState>| room.node.bus.clock().machine().since(heard.arrived);
     let heard = foreign(room, &room.before.night).filter(|heard| age(heard) <= LAST_WORD);
-    // the journal of a commander on another host is out of reach, its last word is not
+    // The journal of a commander on another host is not accessible, but its last state is.
     let on = match heard {
         Some(heard) => heard.said.body.robotic,
         None => robotic(&room.journal, *room.robotic.borrow(), now),

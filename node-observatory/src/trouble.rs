@@ -1,4 +1,4 @@
-//! What can go wrong while a row of the schedule is worked on.
+//! The errors of a row of the schedule.
 
 use contract::{Kind, Reason};
 use units::Utc;
@@ -33,7 +33,7 @@ pub enum Trouble {
         device: String,
         /// What.
         verb: String,
-        /// As the device says.
+        /// The device's reason.
         reason: String,
     },
     /// Something did not become true in time.
@@ -80,7 +80,7 @@ pub enum Trouble {
         /// A later try may succeed, and is wanted.
         again: bool,
     },
-    /// The target stands behind the horizon of the site, or too low, and will stand clear later in the row's window.
+    /// The target is behind the horizon of the site, or too low, and will be clear later in the row's window.
     #[error("{why}; it stands clear from {clear} on")]
     Hidden {
         /// What hides it, with numbers and units.
@@ -88,7 +88,7 @@ pub enum Trouble {
         /// From when on it does not, to a minute.
         clear: Utc,
     },
-    /// Where a named target stands is not known yet.
+    /// The place of a named target is not known yet.
     #[error("{0}")]
     Unnamed(String),
     /// A function of the site's script failed, or the script cannot be read.

@@ -1,4 +1,4 @@
-//! The life of a node's own alerts: shown after the on-delay, gone after the hold.
+//! The on-delay and the hold of a node's own alerts: an alert is published after the on-delay and gone after the hold.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -26,7 +26,7 @@ struct Raised {
 }
 
 impl AlertLife {
-    /// Takes an alert; one that is there keeps its time and takes the new words. True for a new one.
+    /// Takes an alert; one that is there keeps its time and takes the new cause. True for a new one.
     pub fn raise(&mut self, kind: AlertKind, mut alert: Alert, now: MachineTime) -> bool {
         let known = self.raised.get(&alert.id);
         let is_new = known.is_none();
@@ -46,7 +46,7 @@ impl AlertLife {
         let Some(raised) = self.raised.get_mut(id) else { return false };
         let had_cause = raised.gone_at.is_none();
         if raised.show_at > now {
-            // nobody has seen it
+            // Nobody has seen it.
             self.raised.remove(id);
         } else if had_cause {
             raised.gone_at = Some(now.plus(seconds(kind.entry().hold_s)));
@@ -54,7 +54,7 @@ impl AlertLife {
         had_cause
     }
 
-    /// What stands now, the most urgent first.
+    /// The alerts that are active now, the most urgent first.
     pub fn shown(&mut self, now: MachineTime) -> Alerts {
         self.raised.retain(|_, raised| raised.gone_at.is_none_or(|at| at > now));
         let shown = self.raised.values().filter(|raised| raised.show_at <= now);
@@ -63,7 +63,7 @@ impl AlertLife {
         Alerts { alerts, told: Vec::new() }
     }
 
-    /// How long until time alone changes what stands.
+    /// How long until time alone changes the active alerts.
     pub fn next_change(&self, now: MachineTime) -> Option<Duration> {
         let times = self.raised.values().filter_map(|raised| raised.gone_at.or(Some(raised.show_at)));
         times.filter(|at| *at > now).map(|at| at.since(now)).min()
@@ -81,7 +81,7 @@ mod tests {
     const DELAYED: AlertKind = AlertKind::NodeSilent;
     const HELD: AlertKind = AlertKind::DomeUncommandedOpen;
 
-    /// Plays `+` (raise) and `-` (clear) at machine seconds, and tells whether it stands at `at_s`.
+    /// Plays `+` (raise) and `-` (clear) at machine seconds, and returns whether it is active at `at_s`.
     fn stands(kind: AlertKind, story: &[(u64, char)], at_s: u64) -> bool {
         let at = |s| MachineTime::from_boot(Duration::from_secs(1000 + s));
         let mut life = AlertLife::default();
@@ -96,7 +96,7 @@ mod tests {
         !life.shown(at(at_s)).alerts.is_empty()
     }
 
-    /// Name, kind, what happens at which second, when it is looked at, whether it stands then.
+    /// Name, kind, what happens at which second, when it is looked at, whether it is active then.
     type Story<'a> = (&'a str, AlertKind, &'a [(u64, char)], u64, bool);
 
     #[test]

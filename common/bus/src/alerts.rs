@@ -23,16 +23,16 @@ pub struct AlertBoard {
 }
 
 impl AlertBoard {
-    /// An empty board.
+    /// No alerts.
     pub fn new(clock: Clock) -> Self {
         let shown = Arc::new(watch::channel(Alerts::default()).0);
         Self { life: Arc::default(), told: Arc::default(), shown, changed: Arc::default(), clock }
     }
 
-    /// Raises an alert; one that stands already keeps its time and takes the new cause. `instance` tells alerts of one
-    /// kind apart; it is empty where there is only one.
+    /// Raises an alert; one that is active already keeps its time and takes the new cause. `instance` distinguishes
+    /// alerts of one kind; it is empty where there is only one.
     pub fn raise(&self, kind: AlertKind, instance: impl Display, cause: &str) {
-        // a cause holds what servers answered and schedules say
+        // A cause holds what servers answered and schedules say.
         let cause = &*printable(cause);
         let alert = kind.alert(instance, self.clock.utc(), cause);
         let mut life = self.life();
@@ -55,14 +55,14 @@ impl AlertBoard {
         }
     }
 
-    /// What this node told one receiver of alerts that stand; it is said with its alerts, so that a node which sends in
-    /// its place does not tell it again.
+    /// The notifications that this node sent to one receiver, of alerts that are active. They are published with its
+    /// alerts, so that a node which sends in its place does not send them again.
     pub fn told(&self, receiver: &str, told: Vec<Told>) {
         self.told.lock().unwrap_or_else(PoisonError::into_inner).insert(receiver.to_owned(), told);
         self.show(&mut self.life());
     }
 
-    /// The standing alerts, the most urgent first, as a value that can be followed.
+    /// The active alerts, the most urgent first, as a value that can be followed.
     pub fn watch(&self) -> watch::Receiver<Alerts> {
         self.shown.subscribe()
     }
@@ -92,7 +92,7 @@ impl AlertBoard {
         self.life.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Shows what stands now.
+    /// Publishes the alerts that are active now.
     fn show(&self, life: &mut AlertLife) {
         let mut now = life.shown(self.clock.machine());
         now.told = self.told.lock().unwrap_or_else(PoisonError::into_inner).values().flatten().cloned().collect();

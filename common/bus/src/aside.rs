@@ -9,8 +9,9 @@ const MOST_COPIES: usize = 20;
 /// A larger file is none of ours.
 const MOST_BYTES: u64 = 256 << 20;
 
-/// Copies a damaged file to `NAME.bad-HASH` beside it and says so; the same damage is kept once. The file itself stays where
-/// it is: other nodes may read it too, and whoever may write it replaces it. Never fails: a disk that takes no copy is told.
+/// Copies a damaged file to `NAME.bad-HASH` next to it and logs this; the same damage is copied once. The file itself
+/// stays where it is: other nodes may read it too, and the node that may write it replaces it. Never fails: if the disk
+/// takes no copy, this is logged.
 pub fn keep_copy(file: &Path, what_is_wrong: &str, what_now: &str) {
     let shown = file.display();
     match copy(file) {

@@ -31,7 +31,7 @@ pub enum AskError {
     /// Nobody answered, or too late: whether it was done is unknown, look at the state.
     #[error("no answer from {key} within {timeout_s} s; whether it was done is unknown")]
     Unknown {
-        /// Who was asked.
+        /// The key that was asked.
         key: String,
         /// How long was waited.
         timeout_s: f64,
@@ -39,7 +39,7 @@ pub enum AskError {
     /// The answer could not be read.
     #[error("{key} answered what cannot be read: {detail}")]
     Unreadable {
-        /// Who was asked.
+        /// The key that was asked.
         key: String,
         /// What is wrong.
         detail: String,
@@ -47,7 +47,7 @@ pub enum AskError {
     /// Programs that claim the same key answered differently.
     #[error("{key} was answered by {count} programs that contradict each other; whether it was done is unknown")]
     Contested {
-        /// Who was asked.
+        /// The key that was asked.
         key: String,
         /// How many answered.
         count: usize,
@@ -55,9 +55,9 @@ pub enum AskError {
     /// The answer is a refusal.
     #[error("{key}: {refusal}")]
     Refused {
-        /// Who was asked.
+        /// The key that was asked.
         key: String,
-        /// What it said.
+        /// The refusal.
         #[source]
         refusal: Refusal,
     },
@@ -69,7 +69,7 @@ pub struct Service {
 }
 
 impl Bus {
-    /// Asks one question, and returns the answer of the program that publishes the state beside the key; answers of
+    /// Asks one question, and returns the answer of the program that publishes the state next to the key; answers of
     /// others do not count.
     pub async fn ask<Q: Payload, A: DeserializeOwned>(
         &self,
@@ -92,7 +92,7 @@ impl Bus {
         let mut strangers = 0;
         loop {
             let left = until.saturating_duration_since(Instant::now());
-            // an end of the answers and a timeout are told apart: the latter may hide an answer
+            // An end of the answers differs from a timeout: the latter may hide an answer.
             let Ok(next) = tokio::time::timeout(left, answers.recv()).await else { return Err(unknown()) };
             let Some(Answer { who, bytes }) = next else { break };
             let writers = match &states {
@@ -100,7 +100,7 @@ impl Bus {
                 None => Vec::new(),
             };
             if writers.is_empty() && !moves {
-                // nobody else claims the key; what is answered moves nothing
+                // No other program claims the key; the answer moves nothing.
                 return serde_json::from_slice(&bytes).map_err(|error| unreadable(error.to_string()));
             }
             if !writers.contains(&who) {
@@ -110,7 +110,7 @@ impl Bus {
             if writers.len() == 1 {
                 return serde_json::from_slice(&bytes).map_err(|error| unreadable(error.to_string()));
             }
-            // several programs claim the key: an old life of the node, or a stranger
+            // Several programs claim the key: an old incarnation of the node, or a stranger.
             if counted.len() < MOST_WRITERS {
                 counted.push((who, bytes));
             }
@@ -140,10 +140,10 @@ impl Bus {
             .consolidation(ConsolidationMode::None)
             .timeout(timeout)
             .callback(move |reply| {
-                // an error reply is zenoh's own word for a timeout; our refusals are ordinary answers
+                // An error reply is zenoh's own word for a timeout; our refusals are ordinary answers.
                 let (Some(who), Ok(sample)) = (reply.replier_id(), reply.result()) else { return };
                 if sample.key_expr().as_str() == own_key {
-                    // full only in a flood of answers, which no node makes
+                    // It is full only in a flood of answers, which no node makes.
                     let _ = tell.try_send(Answer { who: who.zid(), bytes: sample.payload().to_bytes().into_owned() });
                 }
             });
@@ -227,7 +227,7 @@ impl Bus {
             .consolidation(ConsolidationMode::None)
             .timeout(timeout)
             .callback(move |reply| {
-                // what does not fit is a flood
+                // An answer that does not fit is part of a flood.
                 if let Ok(sample) = reply.into_result() {
                     let _ = tell.try_send(sample);
                 }

@@ -18,7 +18,7 @@ pub struct Clock {
 enum Source {
     /// The machine's own clocks, at speed 1.
     Machine,
-    /// A simulator's clock, as it stood at one machine time.
+    /// A simulator's clock, as it was at one machine time.
     Simulated { origin: MachineTime, origin_utc: Utc, speed: f64 },
 }
 
@@ -57,7 +57,7 @@ impl Clock {
         Self { source: Arc::new(Source::Machine) }
     }
 
-    /// A clock that stands at `utc` now and runs `speed` times as fast as the machine's.
+    /// A clock that shows `utc` now and runs `speed` times as fast as the machine's.
     pub fn simulated(utc: Utc, speed: f64) -> Self {
         Self { source: Arc::new(Source::Simulated { origin: machine::now(), origin_utc: utc, speed }) }
     }

@@ -8,7 +8,7 @@ use tracing_subscriber::fmt::format::{Writer, debug_fn};
 /// Writes the fields of an event: the message, then `name=value`, with control characters spelled out.
 pub(crate) fn fields() -> impl for<'writer> FormatFields<'writer> + Send + Sync + 'static {
     debug_fn(|writer: &mut Writer<'_>, field, value| {
-        // of a whole text, so that what a value writes in parts is looked at too
+        // The whole text is checked, so that what a value writes in parts is checked too.
         let text = format!("{value:?}");
         let text = printable(&text);
         if field.name() == "message" { write!(writer, "{text}") } else { write!(writer, "{}={text}", field.name()) }

@@ -35,7 +35,7 @@ impl<S: Subscriber> Layer<S> for DiaryLayer {
         event.record(&mut words);
         let target = event.metadata().target().to_owned();
         let line = DiaryLine { level, target, message: words.message, fields: words.fields };
-        // full only while the bus is not up or is stuck; the console keeps the line
+        // It is full only while the bus is not up or is stuck; the console keeps the line.
         let _ = self.lines.try_send(line);
     }
 }

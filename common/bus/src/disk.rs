@@ -12,7 +12,7 @@ use crate::{AlertBoard, Clock};
 
 const PERIOD: Duration = Duration::from_secs(15);
 
-/// Tells it until the node ends.
+/// Reports it until the node ends.
 pub(crate) async fn keep_telling(
     config: &Observatory,
     role: Role,
@@ -29,7 +29,7 @@ pub(crate) async fn keep_telling(
         for (name, folder) in &watched {
             let asked = folder.clone();
             let Some(free_gb) = tokio::task::spawn_blocking(move || free_gb(asked)).await? else { continue };
-            // hundredths: a state that changes with every byte would say nothing more
+            // Hundredths: a state that changes with every byte would show nothing more.
             figures.set(&format!("{name}_free_gb"), Scalar::Float((free_gb * 100.0).floor() / 100.0));
             tell(config.safety.disk_free_min_gb, alerts, name, folder, free_gb);
         }
@@ -45,8 +45,8 @@ fn tell(least_gb: f64, alerts: &AlertBoard, name: &str, folder: &Path, free_gb: 
     alerts.raise(AlertKind::Disk, name, &cause);
 }
 
-/// Room for this process in a folder, or in the nearest one above it that exists, GB (1e9 bytes); `None` where the
-/// system does not tell.
+/// Room for this process in a folder, or in the nearest one above it that exists, GB (1e9 bytes); `None` if the system
+/// does not report it.
 #[cfg(target_os = "linux")]
 fn free_gb(mut folder: PathBuf) -> Option<f64> {
     while !folder.exists() && folder.pop() {}

@@ -1,4 +1,4 @@
-//! Keeps a flood of log lines from filling a disk or the bus: each place in the code may say only so much at a time.
+//! Keeps a flood of log lines from filling a disk or the bus: each place in the code may log only so much at a time.
 //!
 //! zenoh complains about each sample of a peer whose clock is off, thousands of times an hour; and a diary that carries
 //! complaints about its own transport would feed itself.
@@ -12,11 +12,11 @@ use tracing::callsite::Identifier;
 use tracing::{Event, Metadata};
 use tracing_subscriber::layer::{Context, Filter};
 
-/// Lines that each place of our own code may say in one window.
+/// Lines that each place of our own code may log in one window.
 const OWN: Allowance = Allowance { lines: 300, window: Duration::from_secs(10) };
 /// Those of libraries.
 const FOREIGN: Allowance = Allowance { lines: 10, window: Duration::from_secs(60) };
-/// What our libraries call themselves; `log` is whoever logs by that crate.
+/// What our libraries call themselves; `log` is any library that logs by that crate.
 const LIBRARIES: [&str; 5] = ["zenoh", "log", "uhlc", "hyper", "rustls"];
 
 static LEFT_OUT: AtomicU64 = AtomicU64::new(0);
@@ -38,7 +38,7 @@ pub struct Flood {
     places: Mutex<HashMap<Identifier, Count>>,
 }
 
-/// How much one place has said in its window.
+/// How much one place has logged in its window.
 #[derive(Debug)]
 struct Count {
     since: Instant,

@@ -1,15 +1,15 @@
-//! One payload as it was heard.
+//! One received payload.
 
 use contract::{Key, Stamped};
 
 use crate::MachineTime;
 
-/// One payload as it was heard.
+/// One received payload.
 #[derive(Debug, Clone)]
 pub struct Heard<T> {
     /// On which key.
     pub key: Key,
-    /// What was said.
+    /// The payload with boot id, sequence number and time.
     pub said: Stamped<T>,
     /// When it arrived, on this machine's own clock, less what it was held or on its way longer than others were;
     /// ages are judged by it.

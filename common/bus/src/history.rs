@@ -1,4 +1,4 @@
-//! What publishers said before a subscriber came: asked of each publisher's cache as soon as it is seen.
+//! The earlier samples of publishers: asked of each publisher's cache as soon as it is seen.
 //!
 //! zenoh-ext's subscriber can ask too, but drops the answer when a new sample arrives before it
 //! (docs/decisions/0007-history-on-the-bus.md), and a publisher at 10 Hz makes that common.
@@ -29,13 +29,13 @@ const MOST_ASKED: usize = 2048;
 /// Watches for publishers; ends when dropped.
 pub type Watch = zenoh::pubsub::Subscriber<()>;
 
-/// Fills `queue` with what every publisher of `expression` said before, now and whenever one (re)appears.
+/// Fills `queue` with the earlier samples of every publisher of `expression`, now and whenever one (re)appears.
 pub async fn recall<T: Payload>(
     session: &Session,
     expression: &str,
     queue: &Arc<Queue<T>>,
 ) -> Result<Watch, zenoh::Error> {
-    // where zenoh-ext's publishers show that they live; the same key asks their cache
+    // Where zenoh-ext's publishers show that they live; the same key asks their cache.
     let publishers = format!("{expression}/@adv/pub/**");
     let (asker, queue) = (session.clone(), Arc::downgrade(queue));
     let runtime = tokio::runtime::Handle::current();
@@ -79,7 +79,7 @@ async fn ask<T: Payload>(session: Session, cache: KeyExpr<'static>, queue: Weak<
         if let Err(error) = asked.await {
             tracing::debug!(%error, %cache, "a publisher could not be asked for its past");
         }
-        // zenoh drops the callback after the last answer
+        // zenoh drops the callback after the last answer.
         ended.recv().await;
         if answered.load(Ordering::Relaxed) {
             return;

@@ -1,5 +1,5 @@
-//! Lines for people leave this process on a thread of their own. A terminal that is stopped (Ctrl-S), a pipe that nobody reads or
-//! a disk that hangs takes no line for hours, and what closes a dome must not wait for that.
+//! Lines for people leave this process on a thread of their own. A terminal that is stopped (Ctrl-S), a pipe that
+//! nobody reads or a disk that hangs takes no line for hours, and what closes a dome must not wait for that.
 
 use std::fmt::Display;
 use std::fs::File;
@@ -37,11 +37,11 @@ pub fn complain(text: impl Display) {
     send(Wanted::Error(format!("{text}\n").into_bytes()));
 }
 
-/// Waits until what was said is written, for a second at most. For a process that ends.
+/// Waits until the logged lines are written, for a second at most. For a process that ends.
 pub fn flush() {
     let Some(Some(queue)) = QUEUE.get() else { return };
     let (written, is_written) = sync_channel(1);
-    // a full queue is one that nobody reads
+    // A full queue is one that nobody reads.
     if queue.try_send(Wanted::Written(written)).is_ok() {
         let _ = is_written.recv_timeout(LAST);
     }
@@ -59,9 +59,9 @@ fn send(wanted: Wanted) {
     }
 }
 
-/// Writes until the process ends. Who reads has perhaps gone: then the lines are nobody's.
+/// Writes until the process ends. If the reader has gone, the lines are lost.
 fn write(lines: &Receiver<Wanted>) {
-    // of our own: a write that takes hours must not hold the lock that a panic elsewhere waits for
+    // Handles of our own: a write that takes hours must not hold the lock that a panic elsewhere waits for.
     let (Some(mut out), Some(mut error)) = (own(&io::stdout()), own(&io::stderr())) else { return };
     while let Ok(wanted) = lines.recv() {
         let _ = match wanted {

@@ -1,8 +1,8 @@
-//! Mends links over which nothing comes, while zenoh says that the peer is connected.
+//! Mends links over which nothing comes, while zenoh reports that the peer is connected.
 //!
 //! Two peers that dial each other share one transport of two TCP links. When one of them is stopped or cut off long
-//! enough, the other begins anew while the first still holds the old transport, takes the new link into it, and
-//! does not say again what it publishes, hears and answers. Neither side notices, for good (zenoh issue 2806).
+//! enough, the other begins anew while the first still holds the old transport, takes the new link into it, and does
+//! not declare again its publishers, subscribers and queryables. Neither side notices, for good (zenoh issue #2806).
 //! zenoh offers no way to end one transport, so its sockets are shut down; both sides then begin anew.
 
 use std::collections::BTreeMap;
@@ -14,7 +14,7 @@ use zenoh::session::ZenohId;
 
 use crate::{Bus, MachineTime, machine};
 
-/// A node says how it is every 5 s; three are missed by then.
+/// A node publishes its state every 5 s; three are missed by then.
 const SILENT: Duration = Duration::from_secs(17);
 /// The second cut of one peer comes so much later at the earliest, each next one twice as late: its node may hang.
 const FIRST_PAUSE: Duration = Duration::from_secs(30);
@@ -30,7 +30,7 @@ pub async fn keep_mending(bus: &Bus) -> anyhow::Result<()> {
     let states = "starmesh/v1/*/*/node/*/*/state";
     let subscriber = session.declare_subscriber(states).callback(move |sample| {
         if let Some(source) = sample.source_info() {
-            // full only while this task hangs; the next state is 5 s away
+            // It is full only while this task hangs; the next state is 5 s away.
             let _ = tell.try_send(source.source_id().zid());
         }
     });
@@ -79,7 +79,7 @@ fn cut(ends: &[(SocketAddr, SocketAddr)]) -> std::io::Result<usize> {
     let mut count = 0;
     for entry in std::fs::read_dir("/proc/self/fd")? {
         let Some(number) = entry?.file_name().to_str().and_then(|name| name.parse().ok()) else { continue };
-        // what has been closed since, and what is no socket, is not meant
+        // Links that have been closed since, and descriptors that are no sockets, are not meant.
         let Ok(descriptor) = pidfd_getfd(&own, number, PidfdGetfdFlags::empty()) else { continue };
         let socket = std::net::TcpStream::from(descriptor);
         let (Ok(here), Ok(there)) = (socket.local_addr(), socket.peer_addr()) else { continue };
@@ -120,13 +120,13 @@ impl<P: Ord + Copy> Silence<P> {
         self.peers.insert(peer, Peer { heard: now, connected: now, cut: None });
     }
 
-    /// Peers whose links must be cut; only those of which something was heard before.
+    /// Peers whose links must be cut; only those from which something was received before.
     fn look(&mut self, connected: &[P], now: MachineTime) -> Vec<P> {
         self.peers.retain(|_, peer| now.since(peer.connected) < FORGET);
         let mut silent = Vec::new();
         for (id, peer) in &mut self.peers {
             if !connected.contains(id) {
-                // silence counts from the next connection on
+                // Silence counts from the next connection on.
                 peer.heard = now;
                 continue;
             }
@@ -154,7 +154,7 @@ mod tests {
         MachineTime::from_boot(Duration::from_secs(seconds))
     }
 
-    /// Seconds at which peer 1 is cut when it is heard and connected at these.
+    /// Seconds at which peer 1 is cut when it is received from and connected at these.
     fn cuts(seconds: u64, heard: impl Fn(u64) -> bool, connected: impl Fn(u64) -> bool) -> Vec<u64> {
         let mut silence = Silence::default();
         let mut cuts = Vec::new();
@@ -192,7 +192,8 @@ mod tests {
         Bus::open(&config, Clock::machine_clock()).await.unwrap()
     }
 
-    /// A peer that said once how it is and then hangs, or whose words are lost in a transport that zenoh holds for whole.
+    /// A peer that published its state once and then hangs, or whose samples are lost in a transport that zenoh takes
+    /// for whole.
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
     async fn links_over_which_nothing_comes_begin_anew() {
         let own = open(Vec::new()).await;
@@ -215,7 +216,7 @@ mod tests {
         assert_eq!(next().await, SampleKind::Put);
 
         let publisher = silent.publisher(&node_key(Role::Archive, NodeTopic::State), Quality::State { cache: 1 }).await;
-        // the subscriber of the mending task must stand by then
+        // The subscriber of the mending task must be declared by then.
         tokio::time::sleep(Duration::from_secs(1)).await;
         publisher.unwrap().put(state).await.unwrap();
         let began = std::time::Instant::now();

@@ -1,8 +1,9 @@
-//! Where a session listens when several programs of one host were told the same address.
+//! Where a session listens when several programs of one host are configured with the same address.
 //!
-//! The roles of one `observatory.toml` read the same `[bus] listen`, and only one of them can have it. The others listen
-//! on a free port of the same interface and meet the one that has it, which introduces them to everybody. They go on
-//! asking for the address: who was told to connect to it must find somebody there when that one has ended.
+//! The roles of one `observatory.toml` read the same `[bus] listen`, and only one of them can have it. The others
+//! listen on a free port of the same interface and meet the one that has it, which introduces them to everybody. They
+//! go on asking for the address: a program that is configured to connect to it must find a node there when that one has
+//! ended.
 
 use std::io::ErrorKind;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, ToSocketAddrs as _, UdpSocket};
@@ -11,12 +12,13 @@ use std::path::Path;
 /// How often an address is tried again that could not be had.
 const AGAIN_MS: u32 = 3000;
 
-/// The same settings with a free port beside each address that cannot be had yet, and whoever has it met.
+/// The same settings with a free port for each address that cannot be had yet, and a connection to the program that has
+/// it.
 pub(crate) fn share(config: &config::Bus) -> config::Bus {
     let mut shared = config::Bus { listen: Vec::new(), ..config.clone() };
-    // an address of one's own is nobody to meet
+    // An address of one's own is nobody to meet.
     shared.connect.retain(|peer| !config.listen.contains(peer));
-    // an address is held while the others are tried: two of one list may be the same one
+    // An address is held while the others are tried: two of one list may be the same one.
     let mut held: Vec<(&str, SocketAddr, Held)> = Vec::new();
     for endpoint in in_order(&config.listen) {
         let (protocol, _) = endpoint.split_once('/').unwrap_or(("tcp", ""));
@@ -49,7 +51,7 @@ pub(crate) fn share(config: &config::Bus) -> config::Bus {
                     error.to_string()
                 };
                 shared.listen.extend(instead(endpoint, protocol, &why));
-                // whoever has that address is met there
+                // The program that has that address is met there.
                 if address.port() != 0 {
                     shared.connect.push(format!("{protocol}/{}", reachable(address)));
                 }
@@ -75,7 +77,7 @@ fn instead(endpoint: &str, protocol: &str, why: &str) -> [String; 2] {
     [format!("{protocol}/127.0.0.1:0"), when_it_can_be_had(endpoint)]
 }
 
-/// The endpoint, with what makes zenoh try it again and again beside its other work.
+/// The endpoint, with the options that make zenoh try it again and again in parallel with its other work.
 fn when_it_can_be_had(endpoint: &str) -> String {
     let joint = if endpoint.contains('#') { ';' } else { '#' };
     format!(
@@ -145,7 +147,7 @@ mod tests {
             (shared.listen, shared.connect),
             (vec!["udp/127.0.0.1:0".to_owned(), when_it_can_be_had(&udp)], vec![udp])
         );
-        // 192.0.2.0/24 is of no host: an interface that is not up yet must not keep a node from its start
+        // 192.0.2.0/24 is of no host: an interface that is not up yet must not keep a node from its start.
         let away = config::Bus { listen: vec!["tcp/192.0.2.1:7447".to_owned()], connect: Vec::new(), multicast: true };
         assert_eq!(share(&away).listen, ["tcp/127.0.0.1:0".to_owned(), when_it_can_be_had("tcp/192.0.2.1:7447")]);
     }
@@ -158,7 +160,7 @@ mod tests {
 
     #[test]
     fn what_this_host_has_not_is_gone_without_also_on_a_free_port() {
-        // the nodes of `up` get the interface of the file with a port of their own
+        // The nodes of `up` get the interface of the file with a port of their own.
         for endpoint in ["tcp/192.0.2.1:0", "tcp/no-such-host.invalid:7447", "tcp/*:7447", "udp/192.0.2.1:0"] {
             let here = format!("{}/127.0.0.1:0", &endpoint[..3]);
             assert_eq!(listened(&[endpoint]), (vec![here, when_it_can_be_had(endpoint)], Vec::new()));

@@ -11,7 +11,7 @@ pub(crate) fn now() -> MachineTime {
 
 #[cfg(target_os = "linux")]
 fn boot_time() -> Duration {
-    // CLOCK_BOOTTIME counts suspend, unlike the clock behind std::time::Instant
+    // CLOCK_BOOTTIME counts suspend, unlike the clock behind std::time::Instant.
     let time = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
     let nanos = u32::try_from(time.tv_nsec).unwrap_or(0);
     Duration::new(u64::try_from(time.tv_sec).unwrap_or(0), nanos)

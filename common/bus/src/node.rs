@@ -35,8 +35,8 @@ pub struct NodeOptions {
     /// The telescope's observatory.toml.
     #[arg(long, value_name = "FILE")]
     pub config: PathBuf,
-    /// This node's name; needed where several nodes of one role serve one telescope. Where absent: `main`; all device nodes
-    /// of the file, each as a process of its own, for the role `device`.
+    /// This node's name; needed where several nodes of one role serve one telescope. Where absent: `main`; all device
+    /// nodes of the file, each as a process of its own, for the role `device`.
     #[arg(long)]
     pub id: Option<Name>,
     /// Prove the configuration and stop.
@@ -45,7 +45,7 @@ pub struct NodeOptions {
     /// Listen here instead of where the configuration says, such as tcp/127.0.0.1:7447.
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
-    /// Meet this peer, beside those of the configuration.
+    /// Meet this peer, in addition to those of the configuration.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     /// Do not look for peers by multicast, whatever the configuration says.
@@ -74,10 +74,10 @@ pub struct Node {
     pub id: Name,
     /// Its alerts.
     pub alerts: AlertBoard,
-    /// Said when somebody asks the node to end. Observatory and device nodes first do what an end in good order needs,
-    /// and then say [`Self::stop`] themselves; for the others both come together.
+    /// Set when somebody asks the node to end. Observatory and device nodes first do what an end in good order needs,
+    /// and then set [`Self::stop`] themselves; for the others both come together.
     pub ending: Stop,
-    /// Said when it is time to end, at once.
+    /// Set when it is time to end, at once.
     pub stop: Stop,
     figures: Figures,
 }
@@ -114,7 +114,7 @@ impl Node {
         self.figures.set(name, value);
     }
 
-    /// Runs a node's work beside its own voice (presence, health, alerts, diary) until it is stopped.
+    /// Runs a node's work in parallel with its own publications (presence, health, alerts, diary) until it is stopped.
     pub async fn live<W>(self, diary: Option<mpsc::Receiver<DiaryLine>>, work: W) -> anyhow::Result<()>
     where
         W: Future<Output = anyhow::Result<()>>,
@@ -207,8 +207,8 @@ fn read_header(config: &Observatory) -> anyhow::Result<HeaderTable> {
     text.parse().with_context(|| format!("archive.fits_header: {shown} is not a valid FITS-header table"))
 }
 
-/// As [`read_config`], for a node that goes on with the built-in rows where the FITS-header table cannot be used: no dome
-/// stays open because of a table. What is wrong with it comes with the rest.
+/// As [`read_config`], for a node that goes on with the built-in rows where the FITS-header table cannot be used: no
+/// dome stays open because of a table. The returned text is the table's error.
 fn read_config_of_node(file: &Path) -> anyhow::Result<(Observatory, HeaderTable, Option<String>)> {
     let config = read_observatory(file)?;
     Ok(match read_header(&config) {
@@ -314,8 +314,8 @@ where
     result
 }
 
-/// The file by which a supervisor lets a node know what it said when it ended last, so that a node that cannot start for
-/// the same reason each time says so once.
+/// The file by which a supervisor passes to a node the error that it logged when it ended last, so that a node that
+/// cannot start for the same reason each time logs it once.
 pub const LAST_WORDS: &str = "STARMESH_LAST_WORDS";
 
 fn was_said_before(words: &str) -> bool {
@@ -323,7 +323,7 @@ fn was_said_before(words: &str) -> bool {
     if std::fs::read_to_string(&file).is_ok_and(|before| before == words) {
         return true;
     }
-    // where it cannot be written it is said again
+    // If it cannot be written, the error is logged again.
     let _ = std::fs::write(&file, words);
     false
 }
@@ -350,14 +350,14 @@ fn asked_to_end(node: &Node) {
 
 /// Log lines on the console, for a process that is no node.
 pub fn log_to_console() {
-    // a second subscriber is not needed
+    // A second subscriber is not needed.
     let _ = console_at("info").try_init();
 }
 
 /// Console at the level of `STARMESH_LOG` (default info), and the diary; `None` where a subscriber is set already.
 fn init_tracing() -> Option<mpsc::Receiver<DiaryLine>> {
     let (diary, lines) = DiaryLayer::new();
-    // what the bus complains of stays off the bus: it would complain of that, too
+    // The bus's own complaints stay off the bus: it would complain of them, too.
     let diary_filter = tracing_subscriber::EnvFilter::new("info,zenoh=off,uhlc=off").and(Flood::default());
     let set = on_console().with(diary.with_filter(diary_filter)).try_init();
     set.is_ok().then_some(lines)
@@ -365,7 +365,7 @@ fn init_tracing() -> Option<mpsc::Receiver<DiaryLine>> {
 
 /// Shows what a command does on the console, at the level of `STARMESH_LOG` (default warnings).
 pub fn show_log() {
-    // a second subscriber is not needed
+    // A second subscriber is not needed.
     let _ = console_at("warn").try_init();
 }
 
@@ -373,7 +373,7 @@ fn on_console() -> impl tracing::Subscriber + for<'a> LookupSpan<'a> + Send + Sy
     console_at("info")
 }
 
-/// The console. zenoh's own lines are shown only where `STARMESH_LOG` names zenoh; what they mean is said otherwise.
+/// The console. zenoh's own lines are printed only if `STARMESH_LOG` names zenoh; our own lines report what they mean.
 fn console_at(level: &str) -> impl tracing::Subscriber + for<'a> LookupSpan<'a> + Send + Sync {
     let mut words = std::env::var("STARMESH_LOG").unwrap_or_else(|_| level.to_owned());
     if !words.contains("zenoh") {
@@ -391,7 +391,7 @@ fn console_at(level: &str) -> impl tracing::Subscriber + for<'a> LookupSpan<'a> 
 pub async fn parent_end() {
     let (ended, end) = tokio::sync::oneshot::channel();
     std::thread::spawn(move || {
-        // whatever comes is not for us; an error ends the reading as the end of the file does
+        // Later input is not for us; an error ends the reading as the end of the file does.
         let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
         let _ = ended.send(());
     });
@@ -406,12 +406,13 @@ pub async fn end_asked() {
     }
 }
 
-/// Waits until the terminal ends. A shell may say so twice, so this is never the second signal, which ends at once.
+/// Waits until the terminal ends. A shell may signal this twice, so this is never the second signal, which ends at
+/// once.
 #[cfg(unix)]
 async fn hangup() {
     use tokio::signal::unix::{SignalKind, signal};
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    // under `nohup` the end of the terminal means nothing
+    // Under `nohup` the end of the terminal means nothing.
     if heeds_hangup(&status)
         && let Ok(mut hangup) = signal(SignalKind::hangup())
     {
@@ -426,7 +427,7 @@ async fn hangup() {
     std::future::pending().await
 }
 
-/// Does a process with this status, as Linux tells it, not ignore SIGHUP? One of which nothing is told does.
+/// Does a process with this status, as Linux reports it, not ignore SIGHUP? An unknown status counts as ignoring it.
 #[cfg(unix)]
 fn heeds_hangup(status: &str) -> bool {
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));

@@ -1,9 +1,9 @@
-//! Tells the service manager that this process is up and its loops turn (`sd_notify` of systemd).
+//! Notifies the service manager that this process is up and its loops turn (`sd_notify` of systemd).
 //!
 //! The protocol is one datagram to the socket that `NOTIFY_SOCKET` names; nothing happens where there is none.
 
-/// Says that the process is ready and alive. Whoever stops saying so is ended and started again by the manager's
-/// `WatchdogSec`. Cheap: at most one datagram each second.
+/// Reports that the process is ready and alive. The manager's `WatchdogSec` ends and restarts a process that stops
+/// reporting. Cheap: at most one datagram each second.
 pub fn alive() {
     #[cfg(target_os = "linux")]
     linux::send();
@@ -26,7 +26,7 @@ mod linux {
             return;
         }
         *last = Some(Instant::now());
-        // a manager that does not listen is no business of this process
+        // A manager that does not listen is no business of this process.
         let _ = socket.send_to_addr(b"READY=1\nWATCHDOG=1\n", manager);
     }
 
@@ -37,7 +37,7 @@ mod linux {
             None => SocketAddr::from_pathname(&name).ok()?,
         };
         let socket = UnixDatagram::unbound().ok()?;
-        // a full queue must not hold the loop up that says it lives
+        // A full queue must not block the loop that reports that it is alive.
         socket.set_nonblocking(true).ok()?;
         Some((socket, manager))
     }

@@ -1,4 +1,4 @@
-//! Which numbered payloads of each sender were heard: each counts once, and what never came is known.
+//! Which numbered payloads of each sender were received: each counts once, and what never came is known.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -11,7 +11,7 @@ const MOST_MISSING_OF_ALL: usize = 10 * MOST_MISSING;
 /// Senders remembered; a key with an id in it (a frame's facts) makes one each.
 const MOST_SENDERS: usize = 4_096;
 
-/// The numbers heard, by sender: one life of a node on one key.
+/// The received numbers, by sender: one incarnation of a node on one key.
 #[derive(Debug, Default)]
 pub struct Numbers {
     senders: HashMap<(BootId, Key), Span>,
@@ -22,7 +22,7 @@ pub struct Numbers {
     given_up: u64,
 }
 
-/// From the oldest to the newest number heard, all but the missing ones.
+/// From the oldest to the newest received number, all but the missing ones.
 #[derive(Debug)]
 struct Span {
     oldest: u64,
@@ -30,12 +30,12 @@ struct Span {
     missing: BTreeSet<u64>,
     /// Missing too, and too many to remember which.
     forgotten: u64,
-    /// When it was last heard, counted in payloads.
+    /// When it was last received from, counted in payloads.
     last: u64,
 }
 
 impl Numbers {
-    /// Takes a number in; false if it was heard before.
+    /// Takes a number in; false if it was received before.
     pub fn hear(&mut self, boot_id: &BootId, key: &Key, seq: u64) -> bool {
         self.heard += 1;
         if let Some(span) = self.senders.get_mut(&(boot_id.clone(), key.clone())) {
@@ -53,7 +53,7 @@ impl Numbers {
         true
     }
 
-    /// How many were said between others that were heard, and never came.
+    /// How many were published between others that were received, and never came.
     pub fn missing(&self) -> u64 {
         self.senders.values().map(Span::count).fold(self.given_up, u64::saturating_add)
     }

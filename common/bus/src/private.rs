@@ -1,5 +1,5 @@
-//! Who may read what a node writes: files of the data folder belong to its user alone; images are for everybody whom the
-//! system's own settings (umask) let read them.
+//! The permissions of the files that a node writes: files of the data folder belong to its user alone; images are for
+//! everybody whom the system's own settings (umask) let read them.
 
 use std::fs;
 use std::io;
@@ -33,7 +33,7 @@ pub fn make_folder(folder: &Path) -> io::Result<()> {
 /// Makes a folder that others may read, as far as the system's settings let them.
 pub fn make_public_folder(folder: &Path) -> io::Result<()> {
     match fs::create_dir(folder) {
-        // somebody else made it meanwhile, with rights of their own
+        // Another process made it meanwhile, with permissions of its own.
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(()),
         made => made.and_then(|()| make_public(folder, 0o777)),
     }
@@ -55,7 +55,8 @@ fn make_public(path: &Path, mode: u32) -> io::Result<()> {
 }
 
 /// Takes from others what they may do with files of a data folder that an older version wrote. What belongs to another
-/// user stays as it is, links are not followed, and `images` within it stays as it is with the folders on the way there.
+/// user stays as it is, links are not followed, and `images` within it stays as it is with the folders on the way
+/// there.
 pub fn tighten(data: &Path, images: &Path) {
     #[cfg(unix)]
     tighten_below(data, images, DEEPEST, &mut MOST_ENTRIES.clone());
@@ -74,7 +75,7 @@ fn tighten_below(path: &Path, images: &Path, deep: usize, left: &mut usize) {
     *left -= 1;
     let mode = found.permissions().mode() & 0o777;
     if mode & 0o077 != 0 && !images.starts_with(path) {
-        // a file system without rights has nothing to take away
+        // A file system without rights has nothing to take away.
         let _ = fs::set_permissions(path, fs::Permissions::from_mode(mode & 0o700));
     }
     if found.is_dir() && deep > 0 {
@@ -84,7 +85,7 @@ fn tighten_below(path: &Path, images: &Path, deep: usize, left: &mut usize) {
     }
 }
 
-/// Warns of a file with a secret that others may read. Says nothing of one that cannot be looked at.
+/// Warns of a file with a secret that others may read. Logs nothing for one that cannot be looked at.
 pub fn is_open_to_others(file: &Path) -> bool {
     #[cfg(unix)]
     {

@@ -1,4 +1,4 @@
-//! Saying typed payloads, stamped and counted.
+//! Publishes typed payloads, stamped and counted.
 
 use std::marker::PhantomData;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -16,8 +16,8 @@ use crate::{Bus, BusError, MachineTime, machine, transit};
 /// How a key is carried; every quality drops rather than blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quality {
-    /// Said again regularly; kept for so many samples, so that a subscriber catches up after a cut, and the
-    /// newest is answered to a plain `get`.
+    /// Repeated regularly; so many samples are retained, so that a subscriber catches up after a cut, and the newest is
+    /// answered to a plain `get`.
     State {
         /// Samples kept for those who were away.
         cache: usize,
@@ -31,7 +31,7 @@ pub enum Quality {
     Urgent,
 }
 
-/// Says payloads of one type on one key.
+/// Publishes payloads of one type on one key.
 pub struct Publisher<T> {
     key: String,
     line: Line,
@@ -66,7 +66,7 @@ impl Bus {
                 Line::Plain(urgent.await.map_err(failed)?)
             }
             Quality::State { cache } | Quality::Event { cache } => {
-                // no heartbeat: states repeat, and events are followed by states, so the next sample shows a gap
+                // No heartbeat: states repeat, and events are followed by states, so the next sample shows a gap.
                 let advanced = builder
                     .cache(CacheConfig::default().max_samples(cache))
                     .sample_miss_detection(MissDetectionConfig::default())
@@ -98,7 +98,8 @@ impl Bus {
             .callback(move |query| {
                 let (key, newest) = (own_key.clone(), newest.clone());
                 runtime.spawn(async move {
-                    // looked up by this task and not before it: a runtime that hangs must not answer with what was newest then
+                    // Looked up by this task and not before it: a runtime that hangs must not answer with the value of
+                    // an earlier time.
                     let held = newest.lock().unwrap_or_else(PoisonError::into_inner).clone();
                     let Some((bytes, published)) = held else { return };
                     let bytes = transit::held(bytes, machine::now().since(published));
@@ -112,7 +113,7 @@ impl Bus {
 }
 
 impl<T: Payload> Publisher<T> {
-    /// Says a payload now, stamped with this node's boot id, the next number and sky time.
+    /// Publishes a payload now, stamped with this node's boot id, the next number and sky time.
     pub async fn put(&self, body: T) -> Result<(), BusError> {
         let now = machine::now();
         let stamped = Stamped {
@@ -126,7 +127,7 @@ impl<T: Payload> Publisher<T> {
         let failed = |detail: String| BusError::Publish { key: self.key.clone(), detail };
         let bytes = serde_json::to_vec(&stamped).map_err(|error| failed(error.to_string()))?;
         if bytes.len() > MOST_BYTES {
-            // every receiver would drop it, and the link with it
+            // Every receiver would drop it, and the link with it.
             let (key, bytes, most) = (&self.key, bytes.len(), MOST_BYTES);
             tracing::error!(key, bytes, most, "a payload is too large for the bus and was not sent");
             return Ok(());
@@ -141,12 +142,12 @@ impl<T: Payload> Publisher<T> {
         sent.map_err(|error| failed(error.to_string()))
     }
 
-    /// The number that the next payload will be said with.
+    /// The number with which the next payload will be published.
     pub fn next_seq(&self) -> u64 {
         self.seq.load(Ordering::Relaxed)
     }
 
-    /// Says the newest value of a watch at each change and at least every `period`, until the sender is gone.
+    /// Publishes the newest value of a watch at each change and at least every `period`, until the sender is gone.
     pub async fn follow(&self, mut values: tokio::sync::watch::Receiver<T>, period: Duration) -> Result<(), BusError> {
         loop {
             let value = values.borrow_and_update().clone();

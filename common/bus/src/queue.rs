@@ -16,11 +16,11 @@ use crate::transit::Transit;
 /// Payloads of one subscriber that wait take at most so much as they came, whatever its capacity.
 const MOST_WAITING_BYTES: usize = 32 << 20;
 
-/// Payloads that wait to be heard.
+/// Payloads that wait to be received.
 pub(crate) struct Queue<T> {
     waiting: Mutex<Waiting<T>>,
     capacity: usize,
-    /// Where each payload counts once: which were heard.
+    /// The received numbers, where each payload counts once.
     numbers: Option<Mutex<Numbers>>,
     arrived: Notify,
     transit: Arc<Mutex<Transit>>,
@@ -73,7 +73,7 @@ impl<T> Queue<T> {
     /// Waits for the next payload.
     pub(crate) async fn next(&self) -> Heard<T> {
         loop {
-            // registered before looking, so that an arrival in between is not missed
+            // Registered before looking, so that an arrival in between is not missed.
             let arrived = self.arrived.notified();
             let next = lock(&self.waiting).pop();
             match next {
@@ -88,7 +88,7 @@ impl<T> Queue<T> {
         self.lost.load(Ordering::Relaxed)
     }
 
-    /// Payloads that were said between others that were heard, and never came; only where each counts once.
+    /// Payloads that were published between others that were received, and never came; only where each counts once.
     pub(crate) fn missing(&self) -> u64 {
         self.numbers.as_ref().map_or(0, |numbers| lock(numbers).missing())
     }
@@ -105,7 +105,7 @@ impl<T: Payload> Queue<T> {
         if sample.kind() != SampleKind::Put {
             return;
         }
-        // keys of other programs and of zenoh itself (`@adv`) are none of ours
+        // Keys of other programs and of zenoh itself (`@adv`) are none of ours.
         let Some(key) = Key::parse(sample.key_expr().as_str()) else { return };
         let bytes = sample.payload().to_bytes();
         match serde_json::from_slice(&bytes) {

@@ -1,4 +1,4 @@
-//! One zenoh session per node, with the settings that spec/technology.md measured.
+//! One zenoh session per node, with measured settings.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -24,7 +24,7 @@ pub enum BusError {
         listen: Vec<String>,
         /// Whom it should meet.
         connect: Vec<String>,
-        /// What zenoh said.
+        /// The error of zenoh.
         source: zenoh::Error,
     },
     /// A declaration failed.
@@ -34,7 +34,7 @@ pub enum BusError {
         what: &'static str,
         /// On which key.
         key: String,
-        /// What zenoh said.
+        /// The error of zenoh.
         source: zenoh::Error,
     },
     /// A payload could not be sent.
@@ -71,7 +71,7 @@ impl Bus {
     pub async fn open(config: &config::Bus, clock: Clock) -> Result<Self, BusError> {
         let mut tries = 0;
         loop {
-            // roles of one file are started together: an address that was free may be taken a moment later
+            // Roles of one file are started together: an address that was free may be taken a moment later.
             let config = listening::share(config);
             let opened = match zenoh::Config::from_json5(&settings(&config).to_string()) {
                 Ok(settings) => zenoh::open(settings).await,
@@ -96,7 +96,7 @@ impl Bus {
         &self.clock
     }
 
-    /// This life of this node.
+    /// This incarnation of this node.
     pub fn boot_id(&self) -> &BootId {
         &self.boot_id
     }
@@ -134,28 +134,28 @@ fn settings(config: &config::Bus) -> serde_json::Value {
     };
     json!({
         "mode": "peer",
-        // without a time zenoh tries no address twice, also none that is to be tried again
+        // Without a time zenoh tries no address twice, also none that is to be tried again.
         "listen": { "endpoints": listen, "timeout_ms": 300 },
         "connect": {
             "endpoints": config.connect,
-            // -1: never give a peer up; zenoh tries in the background, so opening does not wait (0 would try just once)
+            // -1: never give a peer up. zenoh tries in the background, so opening does not wait; 0 would try just once.
             "timeout_ms": -1, "exit_on_failure": false,
             "retry": { "period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5 },
         },
-        // peers do not relay: gossip is what connects those that met through a third
+        // Peers do not relay: gossip is what connects those that met through a third.
         "scouting": { "delay": 200, "multicast": { "enabled": config.multicast }, "gossip": { "enabled": true } },
         "timestamping": { "enabled": true },
         "queries_default_timeout": 3000,
         "transport": {
             "unicast": { "open_timeout": 3000, "accept_timeout": 3000 },
             "link": {
-                // zenoh's own limit is 1 GiB: one message of 400 MB took a node from 33 to 854 MB
+                // zenoh's own limit is 1 GiB: one message of 400 MB took a node from 33 to 854 MB.
                 "rx": { "max_message_size": MOST_MESSAGE },
                 "tx": {
-                // no safety decision rests on the lease; each keep-alive wakes both ends of a link, and an idle
-                // node does little else
+                // No safety decision depends on the lease; each keep-alive wakes both ends of a link, and an idle
+                // node does little else.
                 "lease": 4000, "keep_alive": 3,
-                // what blocks (queries, declarations) may stall the others for 0.3 s, not for zenoh's 5 s
+                // Messages that block (queries, declarations) may stall the others for 0.3 s, not for zenoh's 5 s.
                     "queue": { "congestion_control": { "block": { "wait_before_close": 300_000 } } },
                 },
             },

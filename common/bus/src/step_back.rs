@@ -4,13 +4,13 @@
 #[cfg(target_os = "linux")]
 const NICER: i32 = 5;
 
-/// Gives the calling thread, and the threads it starts, a smaller share of the processor, for good: so it is for threads
-/// of its own, never for one of a pool. Does nothing where the system knows no priority of a single thread.
+/// Gives the calling thread, and the threads it starts, a smaller share of the processor, for good: so it is for
+/// threads of its own, never for one of a pool. Does nothing where the system knows no priority of a single thread.
 pub fn step_back() {
     #[cfg(target_os = "linux")]
     {
         use rustix::process::{getpriority_process, setpriority_process};
-        // Linux keeps the priority per thread, and no id means the calling one; who is nicer already stays so
+        // Linux keeps the priority per thread, and no id means the calling one; who is nicer already stays so.
         let lowered = getpriority_process(None).and_then(|now| setpriority_process(None, now.max(NICER)));
         if let Err(error) = lowered {
             tracing::debug!(%error, "a thread keeps its priority");

@@ -1,10 +1,10 @@
-//! The word that ends a node.
+//! The signal that ends a node.
 
 use std::sync::Arc;
 
 use tokio::sync::watch;
 
-/// Says once, to all who hold a clone, that it is time to end.
+/// Signals once, to all holders of a clone, that it is time to end.
 #[derive(Debug, Clone)]
 pub struct Stop {
     said: Arc<watch::Sender<bool>>,
@@ -17,24 +17,24 @@ impl Default for Stop {
 }
 
 impl Stop {
-    /// Says it.
+    /// Sets it.
     pub fn stop(&self) {
         self.said.send_replace(true);
     }
 
-    /// Was it said?
+    /// Is it set?
     pub fn is_stopped(&self) -> bool {
         *self.said.borrow()
     }
 
-    /// Waits until it is said.
+    /// Waits until it is set.
     pub async fn wait(&self) {
         let mut heard = self.said.subscribe();
-        // the sender lives in self, so waiting cannot fail
+        // The sender lives in self, so waiting cannot fail.
         let _ = heard.wait_for(|stopped| *stopped).await;
     }
 
-    /// Runs a future until it ends or the stop is said; `None` for the latter.
+    /// Runs a future until it ends or the stop is set; `None` for the latter.
     pub async fn or<T>(&self, work: impl Future<Output = T>) -> Option<T> {
         tokio::select! {
             biased;

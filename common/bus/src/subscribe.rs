@@ -1,4 +1,4 @@
-//! Hearing typed payloads: each as it comes, or the newest value with its age.
+//! Receives typed payloads: each as it comes, or the newest value with its age.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -12,7 +12,7 @@ use crate::history::{self, Watch};
 use crate::queue::Queue;
 use crate::{Bus, BusError, Heard, Succession, machine};
 
-/// What a subscriber wants to hear.
+/// Which samples a subscriber wants to receive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Catch {
     /// The newest values: those of now at once, then each new one; older ones may be lost.
@@ -22,7 +22,7 @@ pub enum Catch {
     All,
 }
 
-/// Hears payloads of one type on the keys of an expression.
+/// Receives payloads of one type on the keys of an expression.
 pub struct Subscriber<T> {
     queue: Arc<Queue<T>>,
     _line: Line,
@@ -34,7 +34,7 @@ enum Line {
 }
 
 impl Bus {
-    /// Subscribes to a key expression; at most `capacity` payloads wait, the oldest give way.
+    /// Subscribes to a key expression; at most `capacity` payloads wait, and new ones replace the oldest.
     pub async fn subscribe<T: Payload>(
         &self,
         expression: &str,
@@ -72,7 +72,7 @@ impl Bus {
             for pause_ms in [0, 300, 1500] {
                 tokio::time::sleep(Duration::from_millis(pause_ms)).await;
                 let into = Arc::downgrade(&queue);
-                // all that answer, and all that they say: a stranger's answer must not take the place of the writer's
+                // All that answer, and all their samples: a stranger's answer must not take the place of the writer's.
                 let asked = session
                     .get(&expression)
                     .target(QueryTarget::All)
@@ -119,7 +119,7 @@ impl<T> Subscriber<T> {
         self.queue.lost()
     }
 
-    /// Payloads that were said between others that were heard, and never came; [`Catch::All`] only.
+    /// Payloads that were published between others that were received, and never came; [`Catch::All`] only.
     pub fn missing(&self) -> u64 {
         self.queue.missing()
     }
@@ -161,7 +161,7 @@ impl<T: Clone> Latest<T> {
         self.get().filter(|heard| machine::now().since(heard.arrived) <= age)
     }
 
-    /// Do two nodes speak on the key at the same time? Then neither is to be believed.
+    /// Do two nodes publish on the key at the same time? Then neither is to be believed.
     pub fn has_rivals(&self) -> bool {
         lock(&self.succession).rivals(machine::now()).is_some()
     }
@@ -169,7 +169,7 @@ impl<T: Clone> Latest<T> {
     /// Waits for the next change after the newest payload that this clone has seen.
     pub async fn changed(&mut self) {
         if self.receiver.changed().await.is_err() {
-            // the follower ended with the runtime; nothing will ever change again
+            // The follower ended with the runtime; nothing will ever change again.
             std::future::pending::<()>().await;
         }
     }

@@ -2,8 +2,8 @@
 //!
 //! zenoh 1.10.2 opens its TCP links with SO_LINGER of 10 s and closes them on a thread of its runtimes, which have one
 //! or two each. A link to a host whose cable was pulled has bytes that nobody acknowledges, so that close blocks its
-//! thread, and with it all other links: 7 s without a permit were measured (tests/faults, "cable pulled"). The number of
-//! threads can only be told by the environment of the process, before its first thread.
+//! thread, and with it all other links: 7 s without a permit were measured (tests/faults, "cable pulled"). Only the
+//! environment of the process can set the number of threads, before its first thread.
 
 /// What zenoh reads.
 const VARIABLE: &str = "ZENOH_RUNTIME";
@@ -23,7 +23,7 @@ pub(crate) fn ensure() {
 fn restart() {
     use std::os::unix::process::CommandExt as _;
     let Ok(program) = std::env::current_exe() else { return };
-    // the same process: its id, its parent and its open files stay
+    // The same process: its id, its parent and its open files stay.
     let failed = std::process::Command::new(program).args(std::env::args_os().skip(1)).env(VARIABLE, THREADS).exec();
     eprintln!("the threads of the bus stay as zenoh has them: {failed}");
 }

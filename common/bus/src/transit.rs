@@ -19,7 +19,7 @@ const WINDOW: Duration = Duration::from_secs(600);
 
 /// Boot-time clock in seconds, as payloads carry it.
 pub(crate) fn sent_s(now: MachineTime) -> f64 {
-    // whole microseconds: shorter, and more exact than any transport
+    // Whole microseconds: shorter, and more exact than any transport.
     (seconds(now) * 1e6).round() / 1e6
 }
 
@@ -55,7 +55,7 @@ impl Transit {
     pub(crate) fn arrived<T>(&mut self, said: &Stamped<T>, now: MachineTime) -> MachineTime {
         let held_s = said.held_s.filter(|s| s.is_finite()).unwrap_or(0.0).max(0.0);
         let late_s = match said.sent_s.filter(|sent_s| sent_s.is_finite()) {
-            // without its sender's clock only what the sender says of itself is known
+            // Without its sender's clock only what the sender reports of itself is known.
             None => held_s,
             Some(sent_s) => {
                 let difference_s = seconds(now) - sent_s - held_s;
@@ -105,10 +105,10 @@ mod tests {
     #[test]
     fn a_burst_after_a_stall_is_as_old_as_it_is() {
         let (mut transit, boot) = (Transit::default(), BootId::fresh());
-        // the sender was booted 500 s later than this machine
+        // The sender was booted 500 s later than this machine.
         assert_eq!(late_ms(&mut transit, &said(&boot, Some(100.0), None), 600.005), 0);
         assert_eq!(late_ms(&mut transit, &said(&boot, Some(101.0), None), 601.001), 0);
-        // this machine stood still for 12 s, and what came meanwhile is read at once
+        // This machine stood still for 12 s, and what came meanwhile is read at once.
         assert_eq!(late_ms(&mut transit, &said(&boot, Some(102.0), None), 614.001), 12_000);
         assert_eq!(late_ms(&mut transit, &said(&boot, Some(110.0), None), 614.001), 4000);
         assert_eq!(late_ms(&mut transit, &said(&boot, Some(114.0), None), 614.001), 0);
@@ -129,7 +129,7 @@ mod tests {
         let (mut transit, boot) = (Transit::default(), BootId::fresh());
         let mut worst = 0;
         for second in 0..36_000 {
-            // the sender's clock loses 50 parts in a million
+            // The sender's clock loses 50 parts in a million.
             let sent_s = f64::from(second) * (1.0 - 50e-6);
             worst = worst.max(late_ms(&mut transit, &said(&boot, Some(sent_s), None), f64::from(second)));
         }

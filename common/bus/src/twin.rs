@@ -1,7 +1,7 @@
-//! One node of a role and id per telescope: a second one is told, and on one host the younger leaves.
+//! One node of a role and id per telescope: a second one is reported, and on one host the younger leaves.
 //!
-//! What is said on the bus ends no node: anybody may say it. A node leaves only to a process that this host itself shows, and
-//! that was started before it, by the host's own count.
+//! No sample on the bus ends a node: anybody may publish there. A node leaves only to a process that this host itself
+//! shows, and that was started before it, by the host's own count.
 
 use std::path::Path;
 use std::time::Duration;
@@ -14,11 +14,11 @@ use contract::{Key, Name};
 use crate::host::host_name;
 use crate::{AlertBoard, Bus, Catch};
 
-/// A node says how it is every 5 s; a twin that was silent for three of them is gone.
+/// A node publishes its state every 5 s; a twin that was silent for three of them is gone.
 const GONE: Duration = Duration::from_secs(15);
 
-/// Listens for a twin for ever; ends with an error when an older one runs on this host. `key` is that of the state of this
-/// node, `id` its name.
+/// Listens for a twin for ever; ends with an error when an older one runs on this host. `key` is that of the state of
+/// this node, `id` its name.
 pub async fn leave_to_older(key: &Key, id: &Name, bus: &Bus, alerts: &AlertBoard) -> anyhow::Result<()> {
     let heard = bus.subscribe::<NodeState>(&key.to_string(), Catch::Newest, 8).await?;
     let (own, clock) = (bus.boot_id(), bus.clock());
@@ -42,13 +42,13 @@ pub async fn leave_to_older(key: &Key, id: &Name, bus: &Bus, alerts: &AlertBoard
     }
 }
 
-/// Does a process run here with the very same command line, which was started before this one and is not stopped? Where the
-/// host does not show its processes, no.
+/// Does a process run here with the very same command line, which was started before this one and is not stopped? Where
+/// the host does not show its processes, no.
 fn is_older_twin(processes: &Path, own: u32, other: u32) -> bool {
     let words = |pid: u32| std::fs::read(processes.join(pid.to_string()).join("cmdline")).ok().map(arguments);
     let started = |pid: u32| {
         let text = std::fs::read_to_string(processes.join(pid.to_string()).join("stat")).ok()?;
-        // the name stands in parentheses and may hold spaces; after it the state is the first word, the start the 20th
+        // The name is in parentheses and may hold spaces; after it the state is the first word, the start the 20th.
         let mut rest = text.rsplit_once(')')?.1.split_whitespace();
         let is_stopped = matches!(rest.next()?, "T" | "t" | "Z" | "X");
         let at: u64 = rest.nth(18)?.parse().ok()?;

@@ -1,4 +1,4 @@
-//! Which program on the bus may answer for a key: the one that publishes the state beside it.
+//! Which program on the bus may answer for a key: the one that publishes the state next to it.
 //!
 //! A query reaches every queryable that matches its key, and a stranger's may be among them. Without keys nobody can
 //! prove who it is. But each key has one writer, so the program that publishes the state of a device is the one that
@@ -16,7 +16,7 @@ use zenoh::session::ZenohId;
 
 /// So many keys are remembered with their writers.
 const REMEMBERED: usize = 512;
-/// So many programs that claim one key are told apart.
+/// So many programs that claim one key are distinguished.
 pub(crate) const MOST_WRITERS: usize = 16;
 /// How long writers are waited for, once one is known.
 const OTHERS: Duration = Duration::from_millis(200);
@@ -71,7 +71,7 @@ async fn ask(session: &zenoh::Session, states: &str, limit: Duration) -> Vec<Zen
         session.get(states).target(QueryTarget::All).consolidation(ConsolidationMode::None).timeout(limit).callback(
             move |reply| {
                 if let (Some(who), Ok(_)) = (reply.replier_id(), reply.result()) {
-                    // more answers than fit come from a flood
+                    // More answers than fit come from a flood.
                     let _ = tell.try_send(who.zid());
                 }
             },
@@ -81,7 +81,7 @@ async fn ask(session: &zenoh::Session, states: &str, limit: Duration) -> Vec<Zen
     }
     let mut found = Vec::new();
     loop {
-        // a program that hangs holds the question open until its timeout
+        // A program that hangs holds the question open until its timeout.
         let wait = if found.is_empty() { limit } else { OTHERS };
         match tokio::time::timeout(wait, told.recv()).await {
             Ok(Some(who)) if found.len() < MOST_WRITERS => {

@@ -1,8 +1,8 @@
 //! What zenoh logs, in the words of an operator, and only what an operator can act on.
 //!
-//! zenoh warns of much that it mends by itself within a second: samples that come before their key is declared, addresses
-//! of a peer that only its own host can reach, answers that come after their question has ended. A start of a few nodes
-//! prints dozens of such lines. `STARMESH_LOG=zenoh=debug` shows all of them as they are.
+//! zenoh warns of much that it mends by itself within a second: samples that come before their key is declared,
+//! addresses of a peer that only its own host can reach, answers that come after their question has ended. A start of a
+//! few nodes prints dozens of such lines. `STARMESH_LOG=zenoh=debug` shows all of them as they are.
 
 use std::collections::HashMap;
 use std::fmt::{Debug, Write as _};
@@ -14,12 +14,12 @@ use tracing::field::{Field, Visit};
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::layer::{Context, Layer};
 
-/// Each of our sentences is said again after so long at the earliest.
+/// Each of our sentences is logged again after so long at the earliest.
 const PAUSE: Duration = Duration::from_secs(600);
 /// The details of zenoh are cut there.
 const DETAIL_CHARS: usize = 300;
 
-/// A part of what zenoh says, and what it means for the site.
+/// A part of a line of zenoh, and what it means for the site.
 const MEANINGS: &[(&str, &str)] = &[
     (
         "increase the system open file limit",
@@ -57,7 +57,7 @@ const MEANINGS: &[(&str, &str)] = &[
     ),
 ];
 
-/// Says in our words what matters of zenoh's.
+/// Logs in our words the lines of zenoh that matter.
 #[derive(Debug)]
 pub(crate) struct ZenohLog {
     said: Mutex<HashMap<&'static str, Instant>>,
@@ -66,7 +66,7 @@ pub(crate) struct ZenohLog {
 }
 
 impl ZenohLog {
-    /// Starts the thread that says what is found.
+    /// Starts the thread that logs what is found.
     pub fn new() -> Self {
         let (lines, found) = sync_channel::<(&str, String)>(16);
         std::thread::spawn(move || {
@@ -77,7 +77,7 @@ impl ZenohLog {
         Self { said: Mutex::default(), lines }
     }
 
-    /// The sentence for a line of zenoh, unless it was said a short time ago.
+    /// The sentence for a line of zenoh, unless it was logged a short time ago.
     fn due(&self, line: &str, now: Instant) -> Option<&'static str> {
         let (_, meaning) = MEANINGS.iter().find(|(part, _)| line.contains(part))?;
         let mut said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
@@ -104,7 +104,7 @@ impl<S: Subscriber> Layer<S> for ZenohLog {
         event.record(&mut line);
         if let Some(meaning) = self.due(&line.0, Instant::now()) {
             let detail: String = line.0.chars().filter(|c| !c.is_control()).take(DETAIL_CHARS).collect();
-            // full only while the console hangs
+            // It is full only while the console hangs.
             let _ = self.lines.try_send((meaning, detail));
         }
     }

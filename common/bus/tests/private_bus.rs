@@ -48,7 +48,8 @@ async fn a_late_joiner_hears_the_newest_state_at_once() {
     publisher.put(permit(1)).await.unwrap();
     publisher.put(permit(2)).await.unwrap();
     let mut latest = second.latest::<Permit>(&key).await.unwrap();
-    // while two sessions still tell each other what they want, zenoh sends everything: the first may come late, never last
+    // While two sessions still exchange their subscriptions, zenoh sends everything: the first may come late, never
+    // last.
     let newest = async {
         while latest.get().is_none_or(|heard| heard.said.seq < 1) {
             latest.changed().await;
@@ -90,7 +91,7 @@ async fn one_that_joins_while_much_is_said_hears_each_once() {
             publisher
         });
         tokio::time::sleep(Duration::from_millis(300)).await;
-        // the first new payloads come before the answer about those of before
+        // The first new payloads come before the answer about those of before.
         let second = open(first.locators().await).await;
         let all = second.subscribe::<Permit>(&key.to_string(), Catch::All, 5000).await.unwrap();
         let mut heard = Vec::new();
@@ -121,10 +122,10 @@ async fn a_slow_subscriber_loses_the_oldest_and_stalls_nobody() {
     while last < 49 {
         last = tokio::time::timeout(Duration::from_secs(5), quick.hear()).await.unwrap().said.body.guard_number;
     }
-    // both hear the same samples, one callback after the other
+    // Both receive the same samples, one callback after the other.
     tokio::time::sleep(Duration::from_millis(200)).await;
     assert_eq!(slow.hear().await.said.body.guard_number, 46, "only the newest four are left");
-    // the first samples may have been said before the subscription was known
+    // The first samples may have been published before the subscription was known.
     assert!(slow.lost() > 20, "{}", slow.lost());
 }
 
@@ -155,7 +156,7 @@ async fn a_command_is_accepted_or_refused_at_once() {
     let ask = |action| Command { id: CommandId::fresh(), from: "test".to_owned(), token: None, boot_id: None, action };
     let timeout = Duration::from_secs(3);
     let close = ask(dome::Command::CloseShutter);
-    // a service is not known everywhere at once; until then the outcome is unknown, and asking again is harmless
+    // A service is not known everywhere at once; until then the outcome is unknown, and asking again is harmless.
     let mut taken = second.command(&device, &close, timeout).await;
     for _ in 0..50 {
         if !matches!(taken, Err(AskError::Unknown { .. })) {

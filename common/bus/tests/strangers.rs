@@ -1,4 +1,5 @@
-//! What other programs on the bus can do to a node that asks, answers and listens: zenoh sessions with no code of ours.
+//! The effect of other programs on the bus on a node that asks, answers and listens: zenoh sessions with no code of
+//! ours.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends at the first surprise")]
 
 use std::sync::Arc;
@@ -142,7 +143,7 @@ async fn what_only_a_stranger_answers_is_unknown() {
         let error = ask(&asker, &order()).await.unwrap_err();
         assert!(matches!(error, AskError::Unknown { .. }), "{error}");
     }
-    // it also claims the state of the telescope: then it is the only one that there is, and still no order was taken
+    // It also claims the state of the telescope: then it is the only one that there is, and still no order was taken.
     let own = open(asker.locators().await).await;
     let observatory = Observatory::start(&own).await;
     ask_until_taken(&asker).await;
@@ -196,7 +197,7 @@ async fn a_look_at_everything_is_no_order_and_no_question() {
     }
     assert!(keys.iter().any(|key| key.ends_with("/night/state")), "states are answered: {keys:?}");
     assert!(!keys.iter().any(|key| key.ends_with("/order")), "{keys:?}");
-    // the key itself, with nothing asked: a refusal, and nothing for the node to note
+    // The key itself, with nothing asked: a refusal, and nothing for the node to note.
     let replies = stranger.get("starmesh/v1/test/alpha/observatory/order").await.unwrap();
     let reply = replies.recv_async().await.unwrap();
     let body = reply.result().unwrap().payload().to_bytes().into_owned();
@@ -240,7 +241,7 @@ async fn a_message_of_many_megabytes_reaches_nobody_and_ours_still_do() {
     }
     assert_eq!(permits, 5);
     let grown = resident_bytes().saturating_sub(before);
-    // this process is also the sender: three copies of the text are its own
+    // This process is also the sender: three copies of the text are its own.
     assert!(grown < 500_000_000, "{grown} bytes");
 }
 
@@ -259,7 +260,7 @@ async fn nodes_that_were_told_the_same_address_all_start_and_all_meet() {
     }
     let visitor = open(vec![format!("tcp/{free}")]).await;
     all_know_each_other(nodes.iter().chain([&visitor]), 5, "five nodes and a visitor").await;
-    // who has the address ends: one of the others has it now
+    // The program that has the address ends: one of the others has it now.
     let holder = bus_that_listens(&nodes, &free.to_string()).await.unwrap();
     nodes.remove(holder).close().await;
     let late = open(vec![format!("tcp/{free}")]).await;

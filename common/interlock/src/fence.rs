@@ -19,8 +19,8 @@ pub fn fence(token: Option<u64>, highest: u64, is_arbiter: bool) -> Result<(), T
     }
 }
 
-/// Which telescope's lease counts for a command from `from` (`observatory/alpha/main`): the sender's own where the device
-/// serves several (`served`, of a dome), else that of the device's telescope.
+/// Which telescope's lease counts for a command from `from` (`observatory/alpha/main`): the sender's own where the
+/// device serves several (`served`, of a dome), else that of the device's telescope.
 pub fn commanded(from: &str, served: &[Chunk], telescope: &str) -> Result<String, Turned> {
     match served {
         [] => Ok(telescope.to_owned()),

@@ -1,8 +1,8 @@
-//! The guard: permission to be open must be renewed; without it the dome closes, whoever is dead.
+//! The guard: permission to be open must be renewed; without it the dome closes, whichever node is dead.
 //!
-//! A pure state machine: everything it knows comes in as an argument, everything it wants goes out as a
-//! [`Deed`]. The device node's `guard_task` gives it eyes and hands. Two facts are kept apart: *may it be open* (permits), and
-//! *is it closed* (fresh readings of the shutter; nothing else proves it).
+//! A pure state machine: everything it knows comes in as an argument, everything it wants goes out as a [`Deed`]. The
+//! device node's `guard_task` gives it eyes and hands. Two facts are kept apart: *may it be open* (permits), and *is it
+//! closed* (fresh readings of the shutter; nothing else proves it).
 //!
 //! ```text
 //!             no permit, or unsafe, and not verified closed;
@@ -34,17 +34,17 @@ const AGAIN: Duration = Duration::from_secs(2);
 const MOST_AGAIN: u32 = 3;
 /// After so many tries without success all movement is stopped before the next.
 const PATIENCE: u32 = 2;
-/// Whoever commands sends the mounts to their park within this time; after it the guard process asks them itself.
+/// The commander sends the mounts to their park within this time; after it the guard process asks them itself.
 const PARKS_WITHIN: Duration = Duration::from_secs(10);
 /// A shutter reading that is older proves nothing.
 pub const FRESH: Duration = Duration::from_secs(5);
 /// Added to the travel time before a closing counts as failed.
 const GRACE: Duration = Duration::from_secs(5);
 
-/// What a guard is told at its birth.
+/// What a guard gets when it is created.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Settings {
-    /// Life of this guard.
+    /// Incarnation of this guard.
     pub boot_id: BootId,
     /// Telescopes under the dome; each must permit.
     pub telescopes: Vec<Chunk>,
@@ -65,16 +65,16 @@ pub enum Deed {
     Close,
     /// Stop all movement, then close the shutter.
     AbortThenClose,
-    /// An alarm begins to stand.
+    /// An alarm becomes active.
     Raise(Alarm),
-    /// An alarm stands no more.
+    /// An alarm is no longer active.
     Clear(Alarm),
 }
 
 /// What a person must know.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Alarm {
-    /// It should be closed and is not, or nobody can tell.
+    /// It should be closed and is not, or its state is unknown.
     NotClosed,
     /// It opened and nobody had commanded it.
     Uncommanded,
@@ -168,7 +168,8 @@ impl Guard {
         }
     }
 
-    /// The same with another time of grace: until when the dome might have been open, had this guard not been started anew.
+    /// The same with another time of grace: until when the dome might have been open, had this guard not been started
+    /// anew.
     pub fn with_grace_until(mut self, until: MachineTime) -> Self {
         self.grace_until = until.min(self.grace_until);
         self
@@ -242,7 +243,7 @@ impl Guard {
         if self.holds() {
             return refused("the guard closed the dome and holds it; the commander must send resume first");
         }
-        // one whose status is closed and that only waits for the proof of it may be opened again
+        // One whose status is closed and that only waits for the proof of it may be opened again.
         if self.closing.is_some() && !self.evidence.says_closed() {
             return refused("the guard is closing the dome");
         }
@@ -314,13 +315,13 @@ impl Guard {
     }
 
     /// Where the shutter must wait for the park, a command only begins the guard's own closing, which knows all mounts:
-    /// whoever commands may know some of them or none.
+    /// the commander may know some of them or none.
     pub fn closes_by_itself(&self) -> bool {
         self.settings.policy != CloseWithMount::Beside
     }
 
-    /// It must close, and waits for mounts that are not known to be `parked` and that nobody has sent to their park yet. Of
-    /// one that says closed only the proof is missing, for which no mount need move before this node ends.
+    /// It must close, and waits for mounts that are not known to be `parked` and that nobody has sent to their park
+    /// yet. Of one that reports closed only the proof is missing, for which no mount need move before this node ends.
     pub fn needs_help_with_mounts(&self, now: MachineTime, parked: bool) -> bool {
         let is_late = self.closing.is_some_and(|closing| now.since(closing.since) >= PARKS_WITHIN);
         let is_open = is_late && !self.evidence.is_credible(now, FRESH);
@@ -340,8 +341,8 @@ impl Guard {
         Ok(())
     }
 
-    /// Looks at the dome: `seen` is a fresh reading of the shutter and when it was asked for, or none; `parked` means that
-    /// every mount is known to be parked.
+    /// Looks at the dome: `seen` is a fresh reading of the shutter and when it was asked for, or none; `parked` means
+    /// that every mount is known to be parked.
     pub fn look(&mut self, now: MachineTime, seen: Option<(Shutter, MachineTime)>, parked: bool) -> Vec<Deed> {
         if let Some((shutter, asked)) = seen {
             self.evidence.read(shutter, asked);
@@ -393,7 +394,7 @@ impl Guard {
                 false
             }
             Some(Shutter::Closed) => {
-                // right after the command a dome may still say closed
+                // Right after the command a dome may still report closed.
                 let about_to_open =
                     matches!(self.expected, Expected::Open { since } if now.since(since) < self.settings.travel);
                 if !about_to_open {
@@ -406,7 +407,7 @@ impl Guard {
     }
 
     fn must_close(&self, now: MachineTime) -> bool {
-        // a node that was restarted in the middle of the night gives its commander time to speak
+        // A node that was restarted in the middle of the night gives its commander time to publish.
         let starting = now < self.grace_until && self.permits.none_heard();
         self.ending || self.permits.is_said_unsafe(now) || (!self.may_be_open(now) && !starting)
     }
@@ -429,16 +430,17 @@ impl Guard {
         };
         let says_closed = seen.is_some_and(|(shutter, _)| shutter == Shutter::Closed);
         if !may_move {
-            // of one whose status is closed, and that nobody is known to have opened since, only the proof is missing
+            // For a shutter whose status is closed, and that nobody is known to have opened since, only the proof is
+            // missing.
             if waited && (!says_closed || self.evidence.is_doubted()) {
                 alarms.push(Alarm::MountNotParked);
             }
             return;
         }
         let due = closing.last_try.is_none_or(|last| now.since(last) >= RETRY);
-        // on its way: a second command, let alone a stop, would only disturb it
+        // On its way: a second command, let alone a stop, would only disturb it.
         if due && !self.evidence.is_on_its_way(now) {
-            // what reports that it does not move is not stopped: it may be closing all the same
+            // A dome that reports that it does not move is not stopped: it may be closing all the same.
             let stops = closing.tries >= PATIENCE && !says_closed;
             deeds.push(if stops { Deed::AbortThenClose } else { Deed::Close });
             closing.tries += 1;
@@ -448,7 +450,7 @@ impl Guard {
             && closing.agains < MOST_AGAIN
             && closing.last_request().is_none_or(|at| now.since(at) >= AGAIN)
         {
-            // a request to open that came late, or another client: what it shows is no reason to wait for the next try
+            // A request to open that came late, or another client: what it shows is no reason to wait for the next try.
             deeds.push(Deed::Close);
             (closing.last_again, closing.went) = (Some(now), false);
             closing.agains += 1;
@@ -459,17 +461,17 @@ impl Guard {
         }
     }
 
-    /// The difference between the alarms that stood and those that stand now.
+    /// The difference between the alarms that were active and those that are active now.
     fn show(&mut self, alarms: Vec<Alarm>) -> Vec<Deed> {
         let begun = alarms.iter().filter(|alarm| !self.standing.contains(alarm)).map(|alarm| Deed::Raise(*alarm));
         let ended = self.standing.iter().filter(|alarm| !alarms.contains(alarm)).map(|alarm| Deed::Clear(*alarm));
-        // of two causes of one alarm the new one counts
+        // Of two causes of one alarm the new one counts.
         let changes = ended.chain(begun).collect();
         self.standing = alarms;
         changes
     }
 
-    /// What the guard publishes with a number; `malformed` permits were dropped before it heard them.
+    /// What the guard publishes with a number; `malformed` permits were dropped before they reached it.
     pub fn says(&self, number: u64, now: MachineTime, malformed: u64) -> Said {
         let granted = self.permits.granted();
         Said {

@@ -39,7 +39,7 @@ fn a_status_that_sticks_at_closed_suppresses_no_close_request_and_is_told() {
     let raised = (8, Deed::Raise(Alarm::Contradicts(Contradiction::StuckAtClosed)));
     assert!(all.contains(&raised), "{all:?}");
     assert!(all.iter().any(|(_, deed)| *deed == Deed::Raise(Alarm::NotClosed)));
-    // after the time that the shutter needs nothing more can be asked; the contradiction stays
+    // After the time that the shutter needs nothing more can be asked; the contradiction stays.
     assert!(!guard.is_closing() && guard.is_closed(at(120.0)), "{all:?}");
     assert!(!all.contains(&(120, Deed::Clear(Alarm::Contradicts(Contradiction::StuckAtClosed)))));
     assert_eq!(guard.says(0, at(120.0), 0).verified_closed, Some(true));
@@ -48,11 +48,11 @@ fn a_status_that_sticks_at_closed_suppresses_no_close_request_and_is_told() {
 #[test]
 fn a_shutter_that_opens_again_while_it_must_close_is_asked_at_once() {
     use Shutter::{Closing, Open, Opening};
-    // by the half second from the first request on: what is seen
+    // By the half second from the first request on: what is seen.
     for (seen, asked_at) in [
-        // a request to open that the server carried out late
+        // A request to open that the server carried out late.
         (vec![Open, Open, Opening, Opening, Opening, Opening], 5.0),
-        // another client, while it closes
+        // Another client, while it closes.
         (vec![Closing, Closing, Closing, Closing, Opening, Opening], 5.5),
         (vec![Closing, Closing, Closing, Closing, Open, Open], 5.5),
     ] {
@@ -90,7 +90,7 @@ fn a_status_that_sticks_at_anything_else_is_asked_to_close_for_ever() {
 fn what_was_read_before_the_request_proves_nothing() {
     let mut guard = opened(Shutter::Open);
     unsafe_at(&mut guard, 3.0);
-    // the reading was under way while the request left
+    // The reading was under way while the request left.
     let deeds = guard.look(at(3.2), Some((Shutter::Closed, at(2.9))), true);
     assert!(closes(&deeds), "{deeds:?}");
     assert!(guard.is_closing() && !guard.is_closed(at(3.2)));
@@ -99,7 +99,7 @@ fn what_was_read_before_the_request_proves_nothing() {
 #[test]
 fn a_server_that_restarts_and_says_closed_by_default_is_asked_all_the_same() {
     let mut guard = opened(Shutter::Open);
-    // 4 s without a reading, and then it is closed although nobody asked
+    // 4 s without a reading, and then it is closed although nobody asked.
     let deeds = guard.sees(at(7.0), Some(Shutter::Closed), true);
     assert_eq!(deeds, [Deed::Raise(Alarm::Contradicts(Contradiction::ClosedUnseen))]);
     unsafe_at(&mut guard, 8.0);
@@ -138,7 +138,7 @@ fn a_shutter_that_says_closed_much_sooner_than_it_moves_is_not_believed_at_once(
             guard.open_sent(at(0.5));
         }
     }
-    // it took 29.5 s to open; asked to close at second 41, its status is closed one second later
+    // It took 29.5 s to open; asked to close at second 41, its status is closed one second later.
     unsafe_at(&mut guard, 41.0);
     assert!(closes(&guard.sees(at(41.0), Some(Shutter::Open), true)));
     let mut believed = None;
@@ -264,13 +264,13 @@ fn of_two_that_speak_with_one_lease_in_one_name_the_safer_word_counts() {
     let mut guard = guard();
     let number = guard.beat(at(0.0));
     guard.hear(&telescope("alpha"), &safe(1, number)).unwrap();
-    // somebody else counts far ahead; one such sample ends nothing
+    // Another process counts far ahead; one such sample ends nothing.
     let number = guard.beat(at(1.0));
     guard.hear(&telescope("alpha"), &safe(u64::MAX, number)).unwrap();
     let number = guard.beat(at(2.0));
     assert_eq!(guard.hear(&telescope("alpha"), &safe(2, number)), Ok(Taken::Contested));
     assert!(guard.may_be_open(at(2.0)), "both publish safe");
-    // now the commander publishes unsafe, and the other one still publishes safe
+    // Now the commander publishes unsafe, and the other one still publishes safe.
     let number = guard.beat(at(3.0));
     guard.hear(&telescope("alpha"), &safe(u64::MAX, number)).unwrap();
     let number = guard.beat(at(4.0));

@@ -99,7 +99,7 @@ fn a_permit_is_as_old_as_the_number_in_it_and_not_as_its_arrival() {
 fn permits_that_waited_in_a_socket_do_not_come_back_to_life() {
     let mut guard = open_guard();
     let numbers: Vec<u64> = (1..=9).map(|second| guard.beat(at(f64::from(second)))).collect();
-    // the observatory was frozen at second 9; its permits arrive all at once at second 30
+    // The observatory was frozen at second 9; its permits arrive all at once at second 30.
     assert!(closes(&guard.sees(at(12.0), Some(Shutter::Open), true)));
     for (seq, number) in numbers.into_iter().enumerate() {
         let _ = guard.hear(&telescope("alpha"), &safe(1 + seq as u64, number));
@@ -139,7 +139,7 @@ fn closing_is_tried_for_ever_and_never_believed_without_the_shutter() {
     assert_eq!(*commands[1], (20.0, Deed::Close));
     assert_eq!(*commands[2], (30.0, Deed::AbortThenClose));
     assert!(tries.contains(&(30.0, Deed::Raise(Alarm::NotClosed))));
-    // a shutter of which nothing is known is not closed either
+    // A shutter of which nothing is known is not closed either.
     assert!(closes(&guard.sees(at(160.0), None, true)));
     let deeds = guard.sees(at(161.0), Some(Shutter::Closed), true);
     assert!(deeds.contains(&Deed::Clear(Alarm::NotClosed)) && !guard.is_closing());
@@ -206,9 +206,9 @@ fn a_commanded_closing_of_a_shared_roof_waits_for_all_mounts_under_it() {
             roof.close_sent(at(3.0));
             roof.close_answered(true, at(3.0));
         }
-        // the commander's own mount may be parked: the other one is not
+        // The commander's own mount may be parked: the other one is not.
         assert_eq!((roof.is_closing(), roof.sees(at(3.0), Some(Shutter::Open), false)), (waits, vec![]));
-        // beside the mounts the command itself has moved the shutter
+        // With `CloseWithMount::Beside` the command itself has moved the shutter.
         let closes = if waits { vec![Deed::Close] } else { vec![] };
         assert_eq!(roof.sees(at(8.0), Some(Shutter::Open), true), closes, "{policy:?}");
         roof.sees(at(9.0), Some(Shutter::Closing), true);
@@ -230,7 +230,7 @@ fn a_replayed_permit_is_dropped_and_counted() {
     guard.hear(&telescope("alpha"), &permit(5, number, Verdict::Unsafe)).unwrap();
     assert_eq!(guard.hear(&telescope("alpha"), &safe(5, number)), Err(Dropped::Replayed));
     assert_eq!(guard.hear(&telescope("alpha"), &safe(4, number)), Err(Dropped::Replayed));
-    // another life of the sender does not help an older number
+    // Another incarnation of the sender does not help an older number.
     let mut other = safe(0, 0);
     other.boot_id = boot("observatory-2");
     assert_eq!(guard.hear(&telescope("alpha"), &other), Err(Dropped::Replayed));
@@ -316,7 +316,7 @@ fn a_dome_over_two_telescopes_opens_for_both_or_not_at_all() {
     let number = guard.beat(at(1.0));
     guard.hear(&telescope("alpha"), &permit(1, number, Verdict::Unsafe)).unwrap();
     assert_eq!(guard.sees(at(1.0), Some(Shutter::Open), true), [Deed::Close]);
-    // tokens are kept per telescope
+    // Tokens are kept per telescope.
     assert_eq!(guard.hear(&telescope("alpha"), &safe(2, number)), Ok(Taken::Next));
 }
 
@@ -357,7 +357,7 @@ fn a_roof_whose_mounts_nobody_parks_asks_for_help_after_10_s_and_at_an_end_at_on
 }
 
 proptest! {
-    /// Whatever arrives, however often and in whatever order: what carries no number younger than its validity
+    /// Whatever arrives, however often and in whatever order: a permit that carries no number younger than its validity
     /// keeps nothing open.
     #[test]
     fn no_sequence_of_permits_older_than_their_validity_keeps_a_dome_open(
@@ -381,7 +381,7 @@ proptest! {
         }
     }
 
-    /// The guard never says that it may be open without a safe permit whose number it sent within the validity.
+    /// The guard never reports that it may be open without a safe permit whose number it sent within the validity.
     #[test]
     fn what_may_be_open_rests_on_a_young_safe_permit(
         steps in prop::collection::vec((0_u64..4000, 0_usize..30, any::<bool>()), 1..80),

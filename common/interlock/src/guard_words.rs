@@ -1,7 +1,9 @@
-//! What the guards of a site publish, each incarnation for itself: numbers, granted tokens, and whether a roof must close; pure.
+//! The newest payloads of the guards of a site, each incarnation for itself: numbers, granted tokens, and whether a
+//! roof must close; pure.
 //!
-//! A peer that publishes in a guard's name takes nothing away from the real one: a permit that answers either is an answer,
-//! and the smaller of two tokens fences. A roof counts as closing, and as not closed, when one of them publishes that.
+//! A peer that publishes in a guard's name takes nothing away from the real one: a permit that answers either is an
+//! answer, and the smaller of two tokens fences. A roof counts as closing, and as not closed, when one of them
+//! publishes that.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -49,7 +51,7 @@ pub struct GuardWords {
 }
 
 impl GuardWords {
-    /// A guard has spoken.
+    /// A guard has published.
     pub fn hear(&mut self, dome: Device, life: &BootId, said: &Guard, arrived: MachineTime) {
         if let Some(waits) = said.waits_for_mounts {
             self.waits.insert(dome.clone(), waits);
@@ -71,7 +73,7 @@ impl GuardWords {
         of_name.filter_map(|(_, lives)| lives.get(&permit.guard_boot_id)).any(|(word, arrived)| {
             let age_s = word.number.saturating_sub(permit.guard_number);
             let is_young = age_s <= PERMIT_VALID.as_secs() && now.since(*arrived) <= PERMIT_VALID;
-            // on its way here the permit may have overtaken the number that it answers
+            // On its way here the permit may have overtaken the number that it answers.
             permit.guard_number <= word.number.saturating_add(1) && is_young
         })
     }
@@ -138,7 +140,7 @@ mod tests {
         let (real, stranger, mut words) = (BootId::fresh(), BootId::fresh(), GuardWords::default());
         words.hear(roof(), &real, &says(40, 3), at(0));
         words.hear(roof(), &stranger, &says(u64::MAX, u64::MAX), at(0));
-        // also with the real one's boot id
+        // Also with the real one's boot id.
         words.hear(roof(), &real, &says(u64::MAX, u64::MAX), at(0));
         words.hear(roof(), &real, &says(41, 3), at(1));
         assert!(words.is_answered("roof", &answer(&real, 41), at(1)));

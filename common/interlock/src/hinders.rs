@@ -1,4 +1,4 @@
-//! What nobody may do while a closing is due.
+//! The commands that nobody may give while a closing is due.
 
 use contract::Reason;
 
@@ -9,7 +9,7 @@ use crate::turned::Turned;
 pub enum Hinders {
     /// No.
     No,
-    /// Yes, whoever gives it.
+    /// Yes, whichever process gives it.
     Yes,
     /// Yes, unless the commander gives it.
     FromOthers,
@@ -17,7 +17,7 @@ pub enum Hinders {
     FromTheUnaware,
 }
 
-/// The closing that a device stands in the way of.
+/// The closing that a device may obstruct.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct DueClosing {
     /// The dome itself must close and is not proven closed.

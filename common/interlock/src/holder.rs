@@ -1,4 +1,5 @@
-//! Who holds a telescope's lease, as its arbiter knows: one life of one process, and not whoever has its name.
+//! The holder of a telescope's lease, as its arbiter knows it: one incarnation of one process, and not each process of
+//! that name.
 
 use std::time::Duration;
 
@@ -12,31 +13,32 @@ pub const SILENT: Duration = Duration::from_secs(5);
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Default)]
 pub struct Holding {
     holder: Option<Holder>,
-    /// What was said with this token, or an older one, holds nothing any more: its life has released the lease.
+    /// Messages with this token, or an older one, hold nothing any more: the incarnation that held it has released the
+    /// lease.
     released_token: u64,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Holder {
     name: String,
-    /// Its life, as it claimed or as its permits tell.
+    /// Its incarnation, as it claimed or as its permits show.
     life: Option<BootId>,
-    /// It claimed with its life, so that a claim in its name without one is somebody else's.
+    /// It claimed with its boot id, so that a claim in its name without one is another process's.
     claims_with_life: bool,
     heard: MachineTime,
 }
 
-/// Who claims, or speaks as the holder.
+/// A process that claims, or publishes as the holder.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Claimant<'a> {
     /// Such as `observatory/callisto/main`.
     pub name: &'a str,
-    /// Its life; nodes from before leases were held by lives do not tell it when they claim.
+    /// Its incarnation; nodes of versions in which a lease had no boot id do not send it when they claim.
     pub life: Option<&'a BootId>,
 }
 
 impl Holding {
-    /// The name of another process that was heard, or was granted the lease, within the last 5 s.
+    /// The name of another process that was received from, or was granted the lease, within the last 5 s.
     pub fn rival(&self, claimant: Claimant, now: MachineTime) -> Option<&str> {
         let holder = self.holder.as_ref()?;
         let is_alive = now.since(holder.heard) < SILENT;
@@ -53,7 +55,7 @@ impl Holding {
         });
     }
 
-    /// Somebody spoke with the newest token: it holds the lease, unless it has released it.
+    /// A process published with the newest token: it holds the lease, unless it has released it.
     pub fn hear(&mut self, name: &str, life: &BootId, token: u64, arrived: MachineTime) {
         if token <= self.released_token {
             return;
@@ -65,7 +67,7 @@ impl Holding {
             Some(Holder { name: name.to_owned(), life: Some(life.clone()), claims_with_life, heard: arrived });
     }
 
-    /// The life that holds the lease gives it up; from any other this is no word at all.
+    /// The incarnation that holds the lease gives it up; from any other this has no effect.
     pub fn release(&mut self, life: &BootId, token: u64) {
         let is_other = |holder: &Holder| holder.life.as_ref().is_some_and(|held_by| held_by != life);
         if !self.holder.as_ref().is_some_and(is_other) {
@@ -80,9 +82,9 @@ impl Holder {
         self.name == claimant.name
             && match (&self.life, claimant.life) {
                 (Some(held_by), Some(life)) => held_by == life,
-                // an old node is known by its name, unless the holder is a newer one
+                // An old node is known by its name, unless the holder is a newer one.
                 (_, None) => !self.claims_with_life,
-                // the holder claimed without a life, so this one is not it
+                // The holder claimed without a boot id, so this one is not it.
                 (None, Some(_)) => false,
             }
     }
@@ -146,7 +148,7 @@ mod tests {
         assert_eq!(lease.rival(OLD, at(1.1)), None, "and after it");
         let other = Claimant { name: "observatory/alpha/second", life: None };
         assert_eq!(lease.rival(other, at(1.1)), Some(MAIN));
-        // the arbiter was restarted and knows the holder by its permits alone
+        // The arbiter was restarted and knows the holder by its permits alone.
         let mut lease = Holding::default();
         lease.hear(MAIN, &life, 1, at(1.0));
         assert_eq!(lease.rival(OLD, at(1.1)), None);

@@ -1,5 +1,5 @@
-//! The newest sample of each incarnation that publishes under one key: a name can be used by two, and a stranger takes nothing away
-//! from the real one by using it too.
+//! The newest sample of each incarnation that publishes under one key: a name can be used by two, and a stranger takes
+//! nothing away from the real one by using it too.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -47,7 +47,7 @@ impl<T> Lives<T> {
         self.newest.get(life)
     }
 
-    /// Was there one within this time that had no room? What it says is not known.
+    /// Was there one within this time that had no room? Its payload is not known.
     pub fn had_no_room_within(&self, time: Duration, now: MachineTime) -> bool {
         self.turned_away.is_some_and(|at| now.since(at) <= time)
     }

@@ -1,4 +1,5 @@
-//! The mount's node receives its enclosure's permit and guard too: when the roof must close it stops, and parks, whoever is dead.
+//! The mount's node receives its enclosure's permit and guard too: when the roof must close it stops, and parks,
+//! whichever node is dead.
 
 use std::time::Duration;
 
@@ -40,7 +41,7 @@ pub struct MountWatch {
     lost_since: MachineTime,
     last_deed: Option<MachineTime>,
     tries: u32,
-    /// It has stopped or parked since the permit was lost: whoever moves it later does so on purpose.
+    /// It has stopped or parked since the permit was lost: a person who moves it later does so on purpose.
     rested: bool,
     answered: bool,
     called: bool,
@@ -62,7 +63,7 @@ impl MountWatch {
         answers: bool,
     ) -> Option<Command> {
         let must_park = calls.must_park();
-        // one that comes back, and one that is needed now, is asked at once
+        // One that comes back, and one that is needed now, is asked at once.
         if (answers && !self.answered) || (must_park && !self.called) {
             self.last_deed = None;
         }
@@ -80,7 +81,7 @@ impl MountWatch {
         let is_due = self.last_deed.is_none_or(|last| now.since(last) >= pause);
         let command = command.filter(|_| is_due)?;
         self.last_deed = Some(now);
-        // what was asked of a mount that is away is no try
+        // A command to a mount that is away does not count as a try.
         self.tries += u32::from(answers);
         Some(command)
     }

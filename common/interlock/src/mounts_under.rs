@@ -1,7 +1,8 @@
 //! Which mounts under a roof are parked, by the states of their device nodes; pure.
 //!
-//! A roof that waits for the park may hit a mount, so one that is not known to be parked is not. Whoever publishes for a
-//! mount counts, each incarnation for itself: of two that contradict each other, the one with "not parked".
+//! A roof that waits for the park may hit a mount, so one that is not known to be parked is not. Every node that
+//! publishes for a mount counts, each incarnation for itself: of two that contradict each other, the one with "not
+//! parked".
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -48,7 +49,7 @@ impl MountsUnder {
         let parked = |lives: &Lives<bool>| {
             let mut fresh = lives.within(FRESH, now).peekable();
             let all = fresh.peek().is_some() && fresh.all(|(_, is_parked)| *is_parked);
-            // the one that found no room may be the mount itself
+            // The one that found no room may be the mount itself.
             all && !lives.had_no_room_within(FRESH, now)
         };
         if let Some(known) = &self.known {
@@ -58,7 +59,7 @@ impl MountsUnder {
             let of_it = |address: &Address| address.telescope == *telescope;
             let mut there = self.heard.iter().filter(|(device, _)| of_it(&device.address)).peekable();
             let is_there = |lives: &Lives<bool>| lives.within(GONE, now).next().is_some();
-            // until its state is received, a telescope counts as one mount that is not parked
+            // Until its state is received, a telescope counts as one mount that is not parked.
             let mut some = false;
             let all = there.all(|(_, lives)| {
                 some |= parked(lives);

@@ -1,9 +1,9 @@
-//! What a command needs before it is taken.
+//! The permits and tokens that a command needs before it is accepted.
 
 /// What a command needs before it is taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Need {
-    /// Nothing: anyone who may speak at all may stop and close.
+    /// Nothing: anyone who may send commands at all may stop and close.
     Nothing,
     /// The newest token, but only while a valid safe permit exists: park and tracking off.
     TokenWhileSafe,

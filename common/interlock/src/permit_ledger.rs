@@ -111,7 +111,7 @@ impl PermitLedger {
             Ok((held, taken)) => {
                 let before = self.permits.insert(telescope.clone(), held.clone());
                 if taken == Taken::Contested {
-                    // of two that publish in one name nobody can know which is the commander: the safer permit counts
+                    // If two publish in one name, nobody can know which is the commander: the safer permit counts.
                     let both = before.iter().chain([&held]);
                     if let Some(sent) = both.filter(|one| !one.safe).map(|one| one.sent).max() {
                         self.contested.insert(telescope.clone(), sent);
@@ -136,7 +136,7 @@ impl PermitLedger {
         }
         let sent = self.sent.iter().find(|(number, _)| *number == permit.guard_number).map(|(_, at)| *at);
         let sent = sent.ok_or(Dropped::UnknownNumber)?;
-        // the arbiter alone grants: a token that it never granted teaches it nothing
+        // The arbiter alone grants: a token that it never granted teaches it nothing.
         let granted = self.granted.get(telescope).cloned().unwrap_or_default();
         match permit.token.cmp(&granted.token) {
             Ordering::Less => return Err(Dropped::OldToken),
@@ -148,7 +148,7 @@ impl PermitLedger {
         }
         let mut taken = Taken::Next;
         if let Some(have) = self.permits.get(telescope).filter(|have| have.token == permit.token) {
-            // of one lease nothing goes back: not the number, and not the sender's count
+            // Within one lease nothing goes back: not the number, and not the sender's count.
             let counts_on = have.life == said.boot_id && said.seq > have.seq;
             let says_more = have.life != said.boot_id || (have.safe && permit.verdict == Verdict::Unsafe);
             let repeats = permit.guard_number == have.number && !counts_on && !says_more;

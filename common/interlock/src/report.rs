@@ -35,7 +35,7 @@ impl DomeReport {
     /// Until when the dome may be open, as far as this machine's processes share one boot-time clock.
     pub fn open_until(&self, now: MachineTime) -> MachineTime {
         let said = MachineTime::from_boot(Duration::from_nanos(self.at_ns));
-        // a stamp of the future is of another clock
+        // A stamp of the future is of another clock.
         let from = if cfg!(target_os = "linux") && said <= now { said } else { now };
         from.plus(Duration::from_millis(self.may_be_open_ms.min(60_000)))
     }

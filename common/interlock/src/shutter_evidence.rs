@@ -1,8 +1,8 @@
 //! Is the shutter closed? A conclusion from what was asked of it and from its status before and after; pure.
 //!
-//! A status alone proves nothing: a controller that was restarted reports "closed" by default, and a status that does not
-//! change any more shows for ever what was true once. So, whatever may have opened the shutter since it was last proven
-//! closed, it is closed only if
+//! A status alone proves nothing: a controller that was restarted reports "closed" by default, and a status that does
+//! not change any more shows for ever what was true once. So, whatever may have opened the shutter since it was last
+//! proven closed, it is closed only if
 //!
 //! - it was asked to close since then, and a reading that was asked for *after* that request is closed, and
 //! - its status changed on the way (it was something else before the request, or it was closing). Where
@@ -41,7 +41,7 @@ pub enum Contradiction {
     TooFast,
     /// The status changes again and again although nobody asks for it.
     Flips,
-    /// The status is a percentage and none of ASCOM's words.
+    /// The status is a percentage and none of ASCOM's values.
     Percent,
 }
 
@@ -205,7 +205,7 @@ impl ShutterEvidence {
         let was_closed = before.is_some_and(|before| before.shutter == Shutter::Closed);
         self.closed_since = None;
         if let Doubt::Opened { at } = self.doubt {
-            // a reading that was under way when the opening was accepted proves nothing about it
+            // A reading that was under way when the opening was accepted proves nothing about it.
             if asked < at {
                 return;
             }
@@ -251,7 +251,8 @@ impl ShutterEvidence {
         says_closed && !self.is_doubted() && !self.speaks_percent()
     }
 
-    /// Its status was closed after a request, or nobody can have opened it: what the newest reading, asked for then, comes to.
+    /// Its status was closed after a request, or nobody can have opened it: what the newest reading, asked for then,
+    /// comes to.
     fn is_concluded(&self, asked: MachineTime) -> bool {
         let Some(since) = self.closed_since else { return false };
         if self.speaks_percent() || (self.flips_at(asked) && asked.since(since) < STEADY) {

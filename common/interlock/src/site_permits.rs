@@ -1,4 +1,4 @@
-//! Who commands each telescope of a site, as the permits, leases and guards on the bus tell; pure.
+//! Which process commands each telescope of a site, as the permits, leases and guards on the bus show; pure.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use crate::holder::{Claimant, Holding};
 /// The arbiter counts one by one; a commander's permit that leaps farther does not count at once.
 const STEP: u64 = 1000;
 
-/// What was heard last, by telescope.
+/// The newest of what was received, by telescope.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Default)]
 pub struct SitePermits {
     newest: BTreeMap<String, Newest>,
@@ -39,13 +39,13 @@ struct HeardPermit {
 }
 
 impl SitePermits {
-    /// Does a permit say safe, and is it young?
+    /// Is there a permit that is safe and young?
     pub fn is_safe(&self, telescope: &str, now: MachineTime) -> bool {
         let permit = self.newest.get(telescope).and_then(|newest| newest.permit.as_ref());
         permit.is_some_and(|permit| permit.safe && now.since(permit.arrived) <= PERMIT_VALID)
     }
 
-    /// Another process that holds the lease and was heard within the last 5 s, by its name.
+    /// Another process that holds the lease and was received from within the last 5 s, by its name.
     pub fn rival(&self, telescope: &str, claimant: Claimant, now: MachineTime) -> Option<&str> {
         self.newest.get(telescope)?.holding.rival(claimant, now)
     }
@@ -55,7 +55,7 @@ impl SitePermits {
         self.newest.entry(telescope.to_owned()).or_default().holding.grant(claimant, now);
     }
 
-    /// A lease was spoken of: an empty holder has released it. Where permits are spoken, they alone keep it alive.
+    /// A lease was published: an empty holder has released it. Where permits are published, they alone keep it alive.
     pub fn lease(&mut self, telescope: &str, said: &Stamped<Lease>, arrived: MachineTime) {
         let (lease, life) = (&said.body, &said.boot_id);
         let entry = self.newest.entry(telescope.to_owned()).or_default();
@@ -71,7 +71,7 @@ impl SitePermits {
         self.guards.roofs(enclosures, now)
     }
 
-    /// A dome's guard has spoken.
+    /// A dome's guard has published.
     pub fn guard(&mut self, dome: Device, life: &BootId, said: &Guard, arrived: MachineTime) {
         self.guards.hear(dome, life, said, arrived);
     }
@@ -81,13 +81,14 @@ impl SitePermits {
         self.guards.token(telescope, now)
     }
 
-    /// Does a permit answer a number that its dome's guard has said lately? The guard itself would drop it otherwise.
+    /// Does a permit answer a number that its dome's guard has published lately? The guard itself would drop it
+    /// otherwise.
     pub fn is_answer(&self, dome: &str, permit: &Permit, now: MachineTime) -> bool {
         self.guards.is_answered(dome, permit, now)
     }
 
-    /// The token of a lease that no guard publishes, by its commander's permits: one step of a count follows another, and a
-    /// larger leap, or a step back, counts only once the one before it is silent.
+    /// The token of a lease that no guard publishes, by its commander's permits: one step of a count follows another,
+    /// and a larger leap, or a step back, counts only once the one before it is silent.
     pub fn told_by_lease(&mut self, telescope: &str, token: u64, arrived: MachineTime) -> Option<u64> {
         if let Some((known, at)) = self.leases.get(telescope) {
             let follows = token >= *known && token - known <= STEP;

@@ -1,7 +1,9 @@
-//! Which of a key's payloads is the newest: by number within one life of its sender, by arrival from life to life.
+//! Which of a key's payloads is the newest: by number within one incarnation of its sender, by arrival between
+//! incarnations.
 //!
-//! Boot ids sort by the wall clock of their hosts, and a clock may be put back between two lives, so they decide nothing
-//! here. What an earlier life said may still arrive: the answer to a first question crosses the first sample.
+//! Boot ids sort by the wall clock of their hosts, and a clock may be set back between two incarnations, so they decide
+//! nothing here. A payload of an earlier incarnation may still arrive: the answer to a first query crosses the first
+//! sample.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -9,35 +11,36 @@ use std::time::Duration;
 use contract::BootId;
 use units::MachineTime;
 
-/// Earlier lives that are remembered.
+/// Earlier incarnations that are remembered.
 const REMEMBERED: usize = 8;
-/// A life that was followed by another speaks again once that one is silent for so long: it was a twin, and left.
+/// An incarnation that another one followed counts again once the other is silent for so long: that one was a twin, and
+/// left.
 const SILENT: Duration = Duration::from_secs(2);
 
-/// A life that speaks on its own of a key does so at least each 15 s.
+/// An incarnation that publishes on its own on a key does so at least each 15 s.
 const GONE: Duration = Duration::from_secs(16);
-/// Numbers of one life that are so far apart are not of one count.
+/// Numbers of one incarnation that are so far apart are not of one count.
 const LEAP: u64 = 1000;
-/// What one life said may arrive so much later than the first words of the next one.
+/// A payload of one incarnation may arrive so much later than the first payloads of the next one.
 const CROSSING: Duration = Duration::from_millis(500);
 
-/// What was said last on one key, and by which life.
+/// The newest payload on one key, and its incarnation.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Default)]
 pub struct Succession {
     newest: Option<(BootId, u64, MachineTime)>,
-    /// The newest life counts lower than it did, while what it counted before is silent.
+    /// The newest incarnation counts lower than it did, while its earlier count is silent.
     lower: Option<u64>,
     before: VecDeque<BootId>,
     lives: VecDeque<Life>,
     rivals: Option<(BootId, BootId)>,
 }
 
-/// One life, by what it said on this key.
+/// One incarnation, by its payloads on this key.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Life {
     boot_id: BootId,
     high: Count,
-    /// What it counted before its number leapt ahead; somebody else may have said the greater one in its name.
+    /// The count before its number leapt ahead; another process may have published the greater one in its name.
     low: Option<Count>,
 }
 
@@ -74,7 +77,7 @@ impl Life {
         let Some(low) = self.low.as_mut().filter(|low| seq > low.seq) else { return false };
         low.follow(seq, arrived);
         if arrived.since(self.high.last) >= SILENT {
-            // the greater number was one alone
+            // The greater number was one alone.
             (self.high, self.low) = (*low, None);
         }
         true
@@ -103,8 +106,8 @@ impl Succession {
         self.note(boot_id, seq, arrived);
         if let Some((life, last, at)) = &mut self.newest {
             if life == boot_id {
-                // a number far ahead, which somebody else may have said in its name, does not silence it for good: two that
-                // follow each other count again. One alone may be an old one that came late.
+                // A number far ahead, which another process may have published in its name, does not silence it for
+                // good: two that follow each other count again. One alone may be an old one that came late.
                 let goes_on = self.lower.is_some_and(|lower| seq > lower) && arrived.since(*at) >= SILENT;
                 if seq <= *last && !goes_on {
                     let is_late = seq == *last || arrived.since(*at) < SILENT;
@@ -130,9 +133,9 @@ impl Succession {
         true
     }
 
-    /// Two lives that speak at the same time: each has said something new after the other began, and both within the
-    /// last 16 s. A restart is none: an earlier life says nothing new after the next one has begun. Twice the same life is one
-    /// that counts at two heights.
+    /// Two incarnations that publish at the same time: each has published something new after the other began, and both
+    /// within the last 16 s. A restart is not such a case: an earlier incarnation publishes nothing new after the next
+    /// one has begun. Twice the same incarnation means one that counts at two heights.
     pub fn rivals(&self, now: MachineTime) -> Option<(&BootId, &BootId)> {
         let (one, other) = self.rivals.as_ref()?;
         let lives =

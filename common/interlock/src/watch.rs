@@ -1,4 +1,4 @@
-//! Who guards: the device node, or the guard process itself. A pure state machine.
+//! Which process guards: the device node, or the guard process itself. A pure state machine.
 //!
 //! ```text
 //!   the node reports, and sees its shutter (or asks the same server) ──> the node guards
@@ -6,7 +6,8 @@
 //!   it does not, and the last permit has run out, or an end is asked ──> this process closes
 //! ```
 //!
-//! What may have been open before this process started counts on from its last value: a crash loop gains no time.
+//! The countdown of a dome that may have been open before this process started goes on from its last value: a crash
+//! loop gains no time.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -19,7 +20,7 @@ use crate::report::{DomeReport, Report};
 /// How often [`Watch::tick`] is called.
 pub const TICK: Duration = Duration::from_millis(250);
 /// A node that was silent for so many ticks does not guard. Ticks, not time: when this process itself was stopped, the
-/// node's reports lie unread.
+/// node's reports are unread.
 const SILENT: u32 = 12;
 /// A node that was silent for so many ticks hangs, and is started again.
 const HANGS: u32 = 60;
@@ -40,7 +41,7 @@ pub enum Effect {
     Kill(&'static str),
 }
 
-/// Who looks after a dome now.
+/// Which process guards a dome now.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Who {
     /// The device node.
@@ -176,7 +177,7 @@ impl Watch {
         }
     }
 
-    /// Who looks after a dome.
+    /// Which process guards a dome?
     pub fn who(&self, dome: &str, now: MachineTime) -> Who {
         let speaks = matches!(self.node, Node::Runs { silent, has_spoken: true, .. } if silent < SILENT);
         let same_server = self.same_server.iter().any(|one| one == dome);

@@ -42,7 +42,7 @@ fn a_crash_loop_with_lives_of_any_length_gains_no_time() {
     for life_ms in [100, 1_000, 3_000, 8_000, 9_900] {
         let (mut now_ms, mut before) = (0, Before::Nothing);
         let mut closes_at = None;
-        // both processes die each time, and only what was written is left
+        // Both processes die each time, and only what was written is left.
         while closes_at.is_none() && now_ms < 60_000 {
             let mut watch = watch(at(now_ms), &before);
             let end_ms = now_ms + life_ms;
@@ -51,7 +51,7 @@ fn a_crash_loop_with_lives_of_any_length_gains_no_time() {
                 if watch.who("d", at(now_ms)) == Who::This {
                     closes_at = Some(now_ms);
                 }
-                // a node in its time of grace gets the deadline, and grants no more
+                // A node in its time of grace gets the deadline, and grants no more.
                 let left = watch.deadlines()["d"].since(at(now_ms));
                 if now_ms + 2_000 > end_ms {
                     watch.heard(at(now_ms), &report(now_ms, left.as_millis() as u64, false));
@@ -99,7 +99,7 @@ fn a_guard_process_that_was_stopped_itself_takes_the_unread_reports_for_what_the
     watch.started(at(0), vec![]);
     watch.heard(at(0), &report(0, 9_000, true));
     watch.tick(at(250));
-    // 20 s of nothing, then one tick before the reports are read
+    // 20 s of nothing, then one tick before the reports are read.
     watch.tick(at(20_250));
     assert_eq!(watch.who("d", at(20_250)), Who::Node);
 }

@@ -1,12 +1,12 @@
-//! What people did about alerts: acknowledged, shelved, and those that returned before anybody looked.
+//! People's answers to alerts: acknowledged, shelved, and those that returned before anybody looked.
 //!
 //! ```text
 //!            ┌────────── acknowledge ──────────▶ acknowledged ── cause gone ──▶ cleared
 //!  raised ───┤
 //!            └─ cause gone, critical or high ──▶ returned ────── acknowledge ─▶ cleared
 //! ```
-//! The shelf lies beside it: whom it holds, nobody is told of, until it expires or somebody takes it off. Nothing here
-//! is heard by the verdict or a guard. It outlives a restart of the node.
+//! Shelved alerts are kept apart: nobody is notified of one until its shelving expires or somebody takes it back. The
+//! verdict and the guards use nothing of this. The state survives a restart of the node.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -22,21 +22,22 @@ pub const LONGEST_SHELF_S: f64 = 24.0 * 3600.0;
 /// The alerts with what people did about them.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Annunciator {
-    /// By id: as they were heard, with acknowledgement and return.
+    /// By id: as they were received, with acknowledgement and return.
     #[serde(default)]
     alerts: BTreeMap<String, Alert>,
     /// By id of the alert; what is shelved may come and go meanwhile.
     #[serde(default)]
     shelved: BTreeMap<String, Shelved>,
-    /// What people were told of these alerts, by this life or another: who is told goes on where that ended.
+    /// The notifications that people got of these alerts, from this incarnation or another: the notifier goes on where
+    /// that ended.
     #[serde(default)]
     told: Vec<Told>,
-    /// Ids of the life before that this one has not heard of: their nodes may not have spoken yet.
+    /// Ids from the incarnation before that this one has not received: their nodes may not have published yet.
     #[serde(skip)]
     awaited: BTreeSet<String>,
 }
 
-/// One alert on the shelf.
+/// One shelved alert.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Shelved {
     #[serde(flatten)]
@@ -45,8 +46,8 @@ struct Shelved {
 }
 
 impl Annunciator {
-    /// Takes what all nodes say now. `settled`: every node had time to speak, so that what the life before knew and
-    /// nobody says is gone.
+    /// Takes the alerts that all nodes publish now. With `settled`, every node had time to publish, so that an alert
+    /// that the incarnation before knew and no node publishes is gone.
     pub fn hear(&mut self, standing: &Alerts, settled: bool, now: Utc) {
         self.shelved.retain(|_, shelved| holds(shelved, now));
         if settled {
@@ -59,7 +60,7 @@ impl Annunciator {
             if let Some(known) = known {
                 alert.acknowledged_by.clone_from(&known.acknowledged_by);
                 alert.acknowledged_utc = known.acknowledged_utc;
-                // one alert of several nodes stands since the first of them told it
+                // One alert of several nodes is active since the first of them raised it.
                 alert.raised_utc = known.raised_utc;
             }
             self.alerts.insert(alert.id.clone(), alert);
@@ -94,8 +95,8 @@ impl Annunciator {
         Ok(())
     }
 
-    /// Silence takes nothing back: the shutter that a dead node could not close is still open. Of what a node that is away
-    /// said last, only what a person has acknowledged goes.
+    /// Silence takes nothing back: the shutter that a dead node could not close is still open. Of the last alerts of a
+    /// node that is away, only those that a person has acknowledged are dropped.
     pub fn stand_on(&self, said_last: &mut Alerts) {
         said_last.alerts.retain(|alert| !self.is_acknowledged(&alert.id));
     }
@@ -104,7 +105,7 @@ impl Annunciator {
         self.alerts.get(id).is_some_and(|alert| alert.acknowledged_by.is_some())
     }
 
-    /// Tells nobody of it for so many sky seconds.
+    /// Suppresses notifications of it for so many sky seconds.
     pub fn shelve(&mut self, id: &str, for_s: f64, said: Said) -> Result<(), String> {
         if !self.alerts.contains_key(id) {
             return Err(self.unknown(id));
@@ -120,7 +121,7 @@ impl Annunciator {
         Ok(())
     }
 
-    /// Takes it from the shelf.
+    /// Ends its shelving.
     pub fn unshelve(&mut self, id: &str) -> Result<(), String> {
         match self.shelved.remove(id) {
             Some(_) => Ok(()),
@@ -128,7 +129,7 @@ impl Annunciator {
         }
     }
 
-    /// What is shown, the most urgent first, with what people were told of it.
+    /// The alerts to publish, the most urgent first, with the notifications that people got of them.
     pub fn shown(&self, now: Utc) -> Alerts {
         let mut alerts: Vec<Alert> = self.alerts.values().cloned().collect();
         for alert in &mut alerts {
@@ -146,11 +147,11 @@ impl Annunciator {
         format!("no alert \"{id}\" stands; {}", listed("standing", self.alerts.keys()))
     }
 
-    /// What a commander on another host said last: its alerts as people heard of them, and its shelf.
+    /// The last state of a commander on another host: its alerts as people received them, and the shelved ones.
     pub fn heard(alerts: &Alerts, shelf: &[standing::Shelved]) -> Self {
         let told = alerts.told.clone();
         let alerts = alerts.alerts.iter().cloned().map(|mut alert| {
-            // the shelf itself tells this
+            // The published list of shelved alerts holds this.
             (alert.shelved_by, alert.shelved_until_utc, alert.shelved_reason) = (None, None, None);
             (alert.id.clone(), alert)
         });
@@ -161,7 +162,7 @@ impl Annunciator {
         Self { alerts: alerts.collect(), shelved: shelved.collect(), told, ..Self::default() }.of_the_life_before()
     }
 
-    /// What lies on the shelf, as it is said on the bus.
+    /// The shelved alerts, as they are published.
     pub fn shelf(&self) -> Vec<standing::Shelved> {
         let shelf = self.shelved.iter().map(|(id, shelved)| {
             let (alert, ordered) = (id.clone(), shelved.said.clone().into());
@@ -170,13 +171,14 @@ impl Annunciator {
         shelf.collect()
     }
 
-    /// What an earlier life persisted, for the life that goes on with it: until every node had time to speak, nothing is gone.
+    /// The persisted state of an earlier incarnation, for the one that goes on with it: until every node had time to
+    /// publish, nothing is gone.
     pub fn of_the_life_before(self) -> Self {
         Self { awaited: self.alerts.keys().cloned().collect(), ..self }
     }
 }
 
-/// A clock that was put back cannot make a shelf last longer than an order may.
+/// A clock that was set back cannot make a shelving last longer than an order may.
 fn holds(shelved: &Shelved, now: Utc) -> bool {
     let left_s = shelved.until_utc.seconds_since(now);
     left_s > 0.0 && left_s <= LONGEST_SHELF_S
@@ -204,7 +206,7 @@ mod tests {
         Said { from: "web/ana".to_owned(), reason: "known".to_owned(), at_utc: at(seconds) }
     }
 
-    /// What happens in a story, one step a sky second.
+    /// The steps of a scenario, one each sky second.
     enum Step {
         Up(AlertKind),
         Down,
@@ -216,7 +218,8 @@ mod tests {
     }
     use Step::*;
 
-    /// How the first shown alert stands after the story: letters for acknowledged, shelved, returned; `-` for none.
+    /// The state of the first published alert after the scenario: letters for acknowledged, shelved, returned; `-` for
+    /// none.
     fn tell(story: Vec<Step>) -> String {
         let (mut desk, mut now, mut standing) = (Annunciator::default(), 0.0, Alerts::default());
         for step in story {
@@ -296,12 +299,12 @@ mod tests {
         desk.hear(&Alerts { alerts: alerts.clone(), told: vec![told(AlertEvent::Raised, 1.0)] }, true, at(1.0));
         let text = serde_json::to_vec(&desk).unwrap();
         let mut next = serde_json::from_slice::<Annunciator>(&text).unwrap().of_the_life_before();
-        // its own nodes have not spoken yet
+        // Its own nodes have not published yet.
         next.hear(&Alerts::default(), false, at(2.0));
         assert_eq!(next.shown(at(2.0)).told, [told(AlertEvent::Raised, 1.0)]);
         let standby = Annunciator::heard(&desk.shown(at(2.0)), &[]);
         assert_eq!(standby.shown(at(2.0)), desk.shown(at(2.0)));
-        // what is told later takes the place of it, and an older word does not
+        // A later notification takes the place of it, and an older one does not.
         next.hear(&Alerts { alerts: alerts.clone(), told: vec![told(AlertEvent::Acknowledged, 3.0)] }, true, at(3.0));
         next.hear(&Alerts { alerts, told: vec![told(AlertEvent::Raised, 1.0)] }, true, at(4.0));
         assert_eq!(next.shown(at(4.0)).told, [told(AlertEvent::Acknowledged, 3.0)]);
@@ -325,7 +328,7 @@ mod tests {
         desk.shelve("cooling-failed/x", 60.0, said(1.0)).unwrap();
         let mut next = Annunciator::heard(&desk.shown(at(2.0)), &desk.shelf());
         assert_eq!(next.shown(at(2.0)), desk.shown(at(2.0)));
-        // its own nodes have not spoken yet
+        // Its own nodes have not published yet.
         next.hear(&Alerts::default(), false, at(3.0));
         assert_eq!(next.shown(at(3.0)), desk.shown(at(3.0)));
         assert_eq!(next.shelf(), desk.shelf());

@@ -1,8 +1,9 @@
-//! What time it may be: this node's wall clock compared with its boot-time clock, the other nodes' stamps and the mounts' clocks.
+//! The times that it may be: this node's wall clock compared with its boot-time clock, the other nodes' stamps and the
+//! mounts' clocks.
 //!
 //! The Sun, and the end of what a person ordered, follow the wall clock, and a step of an hour as the Sun rises leaves
-//! a dome open. Nobody here decides which clock is right: while they disagree, each of them may be, and what is the worst of
-//! them counts.
+//! a dome open. Nobody here decides which clock is right: while they disagree, each of them may be, and what is the
+//! worst of them counts.
 
 use std::time::Duration;
 
@@ -56,11 +57,11 @@ pub struct Clocks {
 }
 
 impl Clocks {
-    /// Begins to watch. `boot` is which boot of the machine this is, empty where nobody knows; `kept` is the anchor that was
-    /// persisted before, so that a restart of the node does not forget a step.
+    /// Begins to watch. `boot` is which boot of the machine this is, empty where nobody knows; `kept` is the anchor
+    /// that was persisted before, so that a restart of the node does not forget a step.
     pub fn new(kept: Option<Anchor>, boot: String, speed: f64, utc: Utc, now: MachineTime) -> Self {
         let fresh = Anchor { boot, utc, machine_s: seconds(now) };
-        // it means nothing for another boot of the machine
+        // It means nothing for another boot of the machine.
         let kept =
             kept.filter(|kept| !kept.boot.is_empty() && kept.boot == fresh.boot && kept.machine_s <= fresh.machine_s);
         let is_new = kept.is_none();
@@ -83,7 +84,7 @@ impl Clocks {
         let own_s = self.own_s(utc, now);
         let agrees = |witness: &Witness| witness.offset_s.abs() <= AGREE_S;
         let others: Vec<&Witness> = witnesses.iter().filter(|witness| witness.of_other_machine).collect();
-        // a wall clock that others confirm was set right, and the time before was wrong
+        // A wall clock that others confirm was set right, and the time before was wrong.
         if own_s.abs() > AGREE_S && !others.is_empty() && others.iter().all(|witness| agrees(witness)) {
             let since = *self.right_since.get_or_insert(now);
             if now.since(since) >= SET_RIGHT {
@@ -140,12 +141,12 @@ mod tests {
     fn a_step_of_the_wall_clock_is_seen_and_both_times_may_be_right() {
         let mut clocks = Clocks::new(None, String::new(), 1.0, utc(0.0), at(100.0));
         assert!(clocks.doubts(utc(3600.0), at(3700.0), &[]).is_empty());
-        // an hour back, as the Sun rises
+        // An hour back, as the Sun rises.
         let doubts = clocks.doubts(utc(1.0), at(3701.0), &[]);
         assert_eq!(offsets(&doubts), [3600]);
         assert_eq!(between(utc(1.0), &doubts), (utc(1.0), utc(3601.0)));
         assert!(doubts[0].to_string().contains("boot-time clock is +3600 s off"), "{}", doubts[0]);
-        // an hour ahead: an override that would have ended has not, and an active one may have ended
+        // An hour ahead: an override that would have ended has not, and an active one may have ended.
         assert_eq!(between(utc(7202.0), &clocks.doubts(utc(7202.0), at(3702.0), &[])), (utc(3602.0), utc(7202.0)));
     }
 

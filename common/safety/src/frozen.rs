@@ -35,16 +35,17 @@ impl Still {
 }
 
 impl Freeze {
-    /// Takes in what a station said; machine time, because a fast simulation polls seldom. True if a channel moved.
+    /// Takes in a station's state; machine time, because a fast simulation polls seldom. Returns true if a channel
+    /// moved.
     pub fn hear(&mut self, station: &Device, fields: &Fields, now: MachineTime) -> bool {
         let fresh = Still { values: BTreeMap::new(), since: now };
         let still = self.stations.entry(station.clone()).or_insert(fresh);
         let mut moved = false;
         for name in ANALOGUE {
-            // a calm is exactly zero for hours; a channel that falls silent does not move the others
+            // A calm is exactly zero for hours; a channel that falls silent does not move the others.
             let value = fields.by_ascom_name(name).and_then(|datum| datum.known()).filter(|value| **value != 0.0);
             if let Some(bits) = value.map(|value| value.to_bits()) {
-                // a first value shows no movement: it may have been the same before this node listened
+                // A first value shows no movement: it may have been the same before this node listened.
                 moved |= still.values.insert(name, bits).is_some_and(|before| before != bits);
             }
         }
@@ -54,12 +55,12 @@ impl Freeze {
         moved
     }
 
-    /// Are enough channels of a station known to tell whether it stands still?
+    /// Are enough channels of a station known to decide whether its values stand still?
     pub fn knows(&self, station: &Device) -> bool {
         self.stations.get(station).is_some_and(Still::is_enough)
     }
 
-    /// Forgets a station, to hear it anew from its record.
+    /// Forgets a station, to observe it anew from its record.
     pub fn forget(&mut self, station: &Device) {
         self.stations.remove(station);
     }

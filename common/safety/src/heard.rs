@@ -1,4 +1,4 @@
-//! What the safety inputs said, as the rules see it.
+//! The received states of the safety inputs, as the rules see them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -26,10 +26,10 @@ const MOST_ALLOWED: Duration = Duration::from_secs(60);
 /// What answers may take.
 const ANSWERS: Duration = Duration::from_secs(2);
 
-/// What a safety monitor said.
+/// The received state of a safety monitor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MonitorReading {
-    /// Its word.
+    /// Its `IsSafe`.
     pub is_safe: bool,
     /// Length of the gapless safe record that its device node vouches for, sky time.
     pub gapless_safe: Duration,
@@ -46,7 +46,7 @@ pub struct Measured {
     pub unknown_for: Duration,
 }
 
-/// What all inputs said.
+/// The received states of all inputs.
 #[derive(Debug, Clone)]
 pub struct History {
     /// When the listening began.
@@ -57,30 +57,30 @@ pub struct History {
     pub limits: Vec<Record<Measured>>,
     /// What the limits' measures are made of.
     windows: Vec<Window>,
-    /// Devices whose nodes were not heard out on the time before.
+    /// Devices whose record of the time before was not received to its end.
     awaited: BTreeSet<Device>,
     /// Since when the stations' values stand still.
     pub freeze: Freeze,
     /// What wind blows.
     pub winds: Winds,
-    /// How the machines stand.
+    /// The state of the machines.
     pub nodes: Nodes,
     /// How often each device is asked, as its node publishes, machine time.
     polls: BTreeMap<Device, Duration>,
     /// Sky seconds in a machine second.
     pub speed: f64,
-    /// Where the Sun stands.
+    /// Where the Sun is.
     pub sun: SunNow,
 }
 
 impl History {
-    /// Nothing heard yet.
+    /// Nothing received yet.
     pub fn new(rules: &Rules, since: SkyTime) -> Self {
         Self {
             since,
             monitors: rules.monitors.iter().map(|_| Record::default()).collect(),
             limits: rules.limits.iter().map(|_| Record::default()).collect(),
-            // where each value is needed, silence before the first one is as a hole
+            // If each value is needed, silence before the first one counts as a hole.
             windows: rules
                 .limits
                 .iter()
@@ -99,7 +99,8 @@ impl History {
     /// The age at which a monitor's reading is worth nothing any more, machine time.
     pub fn allowed_of_monitor(&self, rule: &MonitorRule) -> Duration {
         match self.polls.get(&rule.device).filter(|_| rule.by_period) {
-            // five polls, so that one lost answer is no alarm; whatever a node publishes, no monitor is silent for minutes
+            // Five polls, so that one lost answer raises no alarm; whatever a node publishes, no monitor is silent for
+            // minutes.
             Some(poll) => (*poll * 5).clamp(LEAST_ALLOWED, MOST_ALLOWED).max(rule.max_age),
             None => rule.max_age,
         }
@@ -108,7 +109,7 @@ impl History {
     /// The same of a value with a limit.
     pub fn allowed(&self, rule: &LimitRule) -> Duration {
         match self.polls.get(&rule.device).filter(|_| rule.by_period) {
-            // one lost answer, and the time that answers take
+            // One lost answer, and the time that answers take.
             Some(poll) => (*poll * 2 + ANSWERS).min(MOST_ALLOWED).max(rule.max_age),
             None => rule.max_age,
         }
@@ -116,7 +117,7 @@ impl History {
 
     fn note_poll<F>(&mut self, device: &Device, state: &DeviceState<F>) {
         let poll = Duration::try_from_secs_f64(state.poll_s.unwrap_or(state.period_s));
-        // a state from a record does not contain it
+        // A state from a record does not contain it.
         if let Ok(poll) = poll
             && !poll.is_zero()
         {
@@ -191,8 +192,9 @@ impl History {
         });
     }
 
-    /// Takes in all that a weather station said before this node listened and since, in place of what was heard; `told`
-    /// is empty where there is no record. An error says why it is not taken, and what was heard stands.
+    /// Takes in all states of a weather station, from before this node subscribed and since, in place of the received
+    /// ones. `told` is empty if there is no record. An error gives the reason why it is not taken; the received states
+    /// then remain.
     pub fn recall_weather(
         &mut self,
         rules: &Rules,
@@ -205,7 +207,7 @@ impl History {
         let answers = told.iter().filter(|told| told.link == Link::Connected);
         let moves = answers.filter(|told| freeze.hear(device, &told.fields, told.at.machine)).count();
         if (moves == 0 || !freeze.knows(device)) && !told.is_empty() && !rules.frozen_after.is_zero() {
-            // since when it stands still is not known, and it may be too long
+            // Since when it stands still is not known, and it may be too long.
             return Err("its values do not move in all of its record".to_owned());
         }
         self.forget(rules, device, told.first().map(|first| first.at));
@@ -227,7 +229,7 @@ impl History {
         }
     }
 
-    /// Forgets what was heard of a device, to hear it anew from its record, which begins then.
+    /// Forgets the received states of a device, to observe it anew from its record, which begins then.
     fn forget(&mut self, rules: &Rules, device: &Device, begins: Option<Now>) {
         let Some(begins) = begins else { return };
         let kept = self.limits.iter_mut().zip(&mut self.windows).zip(&rules.limits);
@@ -262,7 +264,7 @@ impl History {
             window.miss(rule.measure, rule.needs_each());
         }
         let outcome = value.and_then(|value| window.measure(rule.measure, at.sky, value)).map(|value| {
-            // where every value is needed a missing one is as bad as a bad one; else the last one stands
+            // If every value is needed, a missing one is as bad as a bad one; else the last one remains valid.
             let before = if rule.needs_each() { record.newest().filter(|_| !is_gap) } else { record.last_known() };
             let was_good = before.is_some_and(|entry| entry.outcome.as_ref().is_ok_and(|before| !before.tripped));
             let good = rule.bad.contain(value) && (was_good || rule.reopen.contain(value));
@@ -273,7 +275,7 @@ impl History {
         record.forget(at, rule.dwell);
     }
 
-    /// Has every input been heard at least once, and what its node knows of the time before?
+    /// Has every input been received at least once, and its node's record of the time before?
     pub fn all_heard(&self) -> bool {
         self.awaited.is_empty()
             && !self.monitors.iter().any(Record::is_empty)
@@ -326,8 +328,8 @@ fn monitor_reading(state: &DeviceState<Monitor>) -> Result<MonitorReading, Strin
     Ok(MonitorReading { is_safe, gapless_safe: seconds(state.fields.gapless_safe_s) })
 }
 
-/// The value of a parameter in a station's state, or why there is none; `told_s` is how long ago the station published how old
-/// its own measurement is.
+/// The value of a parameter in a station's state, or why there is none; `told_s` is how long ago the station published
+/// how old its own measurement is.
 fn parameter(
     state: &DeviceState<Weather>,
     name: &str,
@@ -339,7 +341,7 @@ fn parameter(
     measured_lately(&state.fields.sensor_age_s, "its own measurement", told_s, max_age, speed)?;
     for sensor in made_of(name) {
         if let Some(age_s) = state.fields.sensor_ages_s.get(sensor) {
-            // the sensor may have measured since it was asked, so that the time since then counts for nothing
+            // The sensor may have measured since it was asked, so that the time since then counts for nothing.
             measured_lately(age_s, &format!("{sensor}'s measurement"), 0.0, max_age, speed)?;
         }
     }
@@ -354,17 +356,17 @@ fn parameter(
     }
 }
 
-/// Refuses a measurement that the station calls old; `told_s` is how long ago it said so, s of machine time.
+/// Refuses a measurement that the station calls old; `told_s` is the age of that statement, s of machine time.
 fn measured_lately(age_s: &Datum<f64>, what: &str, told_s: f64, max_age: Duration, speed: f64) -> Result<(), String> {
     let age_s = match age_s {
         Datum::Known(age_s) => *age_s,
-        // an answer, and no age; where none came nothing is said
+        // An answer, and no age; without an answer there is nothing to check.
         Datum::Missing { no_data } if no_data.is_no_number() => {
             return Err(format!("the station's word for the age of {what} is no age: {no_data}"));
         }
         Datum::Missing { .. } => return Ok(()),
     };
-    // ASCOM's word for "nothing was ever measured"; what it says beside that is no measurement
+    // ASCOM's value for "nothing was ever measured"; its other values are then no measurements.
     if age_s < 0.0 {
         return Err(format!("never measured: the station says that {what} is {age_s} s old"));
     }
@@ -378,7 +380,7 @@ fn measured_lately(age_s: &Datum<f64>, what: &str, told_s: f64, max_age: Duratio
 /// Refuses what no weather on Earth does: a broken sensor is a missing sensor.
 fn plausible(name: &str, value: f64) -> Result<f64, String> {
     let (low, high) = match name {
-        // fog reads 100 and some sensors a little more
+        // Fog reads 100 and some sensors a little more.
         "Humidity" => (0.0, 105.0),
         "CloudCover" => (0.0, 100.0),
         "Temperature" | "DewPoint" => (-90.0, 65.0),
@@ -423,7 +425,7 @@ mod tests {
         assert!(parameter(&weather(fields(f64::NAN)), "Humidity", MAX_AGE, 1.0, 0.0).is_err());
         let never = parameter(&weather(fields(-1.0)), "Humidity", MAX_AGE, 1.0, 0.0);
         assert_eq!(never.unwrap_err(), "never measured: the station says that its own measurement is -1 s old");
-        // at 100 x speed a sky minute is 0.6 s of the machine
+        // At 100 x speed a sky minute is 0.6 s of the machine.
         assert_eq!(parameter(&weather(fields(5000.0)), "Humidity", MAX_AGE, 100.0, 0.0), Ok(50.0));
     }
 

@@ -1,4 +1,4 @@
-//! What the safety inputs said, as far back as the dwell times look.
+//! The received states of the safety inputs, as far back as the dwell times look.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -14,7 +14,7 @@ pub struct Now {
     pub machine: MachineTime,
 }
 
-/// One thing that an input said, or why it said nothing.
+/// One value of an input, or why there was none.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Entry<T> {
     /// When it arrived here.
@@ -23,7 +23,7 @@ pub struct Entry<T> {
     pub outcome: Result<T, String>,
 }
 
-/// What one input said, oldest first.
+/// The values of one input, oldest first.
 #[derive(Debug, Clone)]
 pub struct Record<T> {
     entries: VecDeque<Entry<T>>,
@@ -42,7 +42,7 @@ impl<T> Default for Record<T> {
     }
 }
 
-/// What a record speaks for.
+/// What a record proves.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Evidence<T> {
     /// No value now, for this reason.
@@ -59,7 +59,7 @@ pub enum Evidence<T> {
 }
 
 impl<T: Clone> Record<T> {
-    /// Adds what was said last.
+    /// Adds the newest value.
     pub fn push(&mut self, entry: Entry<T>) {
         if entry.outcome.is_ok() {
             self.last_known = Some(entry.clone());
@@ -78,7 +78,7 @@ impl<T: Clone> Record<T> {
         }
     }
 
-    /// Was anything ever said?
+    /// Was no value ever received?
     pub fn is_empty(&self) -> bool {
         self.entries.is_empty()
     }
@@ -103,7 +103,7 @@ impl<T: Clone> Record<T> {
         self.entries.iter()
     }
 
-    /// What the record speaks for; silence longer than `max_age` is a gap, and at its end a missing value.
+    /// What the record proves; silence longer than `max_age` is a gap, and at its end a missing value.
     pub fn evidence(&self, now: Now, max_age: Duration, is_good: impl Fn(&T) -> bool) -> Evidence<T> {
         let Some(newest) = self.newest() else { return Evidence::Missing("nothing heard yet".to_owned()) };
         let age = now.machine.since(newest.at.machine);

@@ -1,9 +1,9 @@
-//! Which standing orders hold for a node that becomes the commander, and whether it can know.
+//! Which operator orders are active for a node that becomes the commander, and whether it can know.
 //!
-//! Who commanded last wrote its token beside its orders, and said it with them on the bus. The arbiter grants tokens
-//! one after another: whoever is granted token n knows everything if it has the last word of token n - 1. Where nobody
-//! has it, an order to stay closed may stand, and so it stands. Tokens whose holders were ended before they commanded
-//! (`node-observatory/src/claim_note.rs`) are passed over.
+//! The last commander wrote its token with its orders to disk, and published it with them on the bus. The arbiter
+//! grants tokens one after another: a node that is granted token n knows everything if it has the last orders of token
+//! n - 1. If no node has them, an order to stay closed may be active, and so it is taken as active. Tokens whose
+//! holders were ended before they commanded (`node-observatory/src/claim_note.rs`) are passed over.
 
 use std::collections::BTreeSet;
 
@@ -20,7 +20,7 @@ pub struct Known<'a> {
     pub granted: Option<u64>,
     /// What it has in memory.
     pub own: &'a Standing,
-    /// The token that this very life held last.
+    /// The token that this very incarnation held last.
     pub held: Option<u64>,
     /// Tokens whose holders never commanded.
     pub unused: &'a BTreeSet<u64>,
@@ -28,11 +28,11 @@ pub struct Known<'a> {
     pub disk: &'a OnDisk,
     /// A version that wrote no tokens has commanded from this folder.
     pub is_older_version: bool,
-    /// What was heard last of another node.
+    /// The last orders that were received from another node.
     pub heard: Option<Word<'a>>,
 }
 
-/// What another node said last.
+/// The last orders of another node.
 #[derive(Debug, Clone)]
 pub struct Word<'a> {
     /// Its orders.
@@ -41,14 +41,14 @@ pub struct Word<'a> {
     pub is_last: bool,
 }
 
-/// Whose last word is known.
+/// The node whose last orders are known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Source {
-    /// This life commanded, and nobody since.
+    /// This incarnation commanded, and nobody since.
     Own,
     /// The one whose orders are in the folder.
     Disk,
-    /// The one that was heard.
+    /// The one that was received from.
     Bus,
     /// Nobody's.
     Nobody,
@@ -63,7 +63,7 @@ impl Known<'_> {
             Some(before) => token.is_some_and(|token| before.contains(&token)),
         };
         let heard = self.heard.as_ref().filter(|word| {
-            // one that speaks without a token does so because nobody commands: its orders hold too
+            // A node publishes without a token because nobody commands: its orders hold too.
             follows(word.orders.token) || (word.orders.token.is_none() && word.is_last)
         });
         let on_disk = match self.disk {
@@ -80,7 +80,7 @@ impl Known<'_> {
         } else {
             Source::Nobody
         };
-        // what this node has in memory it adopted from the commander, or was ordered itself
+        // The orders in this node's memory were adopted from the commander, or given to this node itself.
         let mut standing = self.own.clone();
         for known in on_disk.into_iter().chain(heard.map(|word| word.orders)) {
             standing = standing.stricter(known);
@@ -93,8 +93,8 @@ impl Known<'_> {
         (standing, source)
     }
 
-    /// The tokens of which one is the last commander's: the one before, and those before that one which nobody commanded
-    /// with; none where there is no arbiter.
+    /// The tokens of which one is the last commander's: the one before, and those before that one which nobody
+    /// commanded with; none where there is no arbiter.
     fn before(&self) -> Option<std::ops::RangeInclusive<u64>> {
         let last = self.granted?.saturating_sub(1);
         let unused = (0..=last).rev().take_while(|token| self.unused.contains(token)).count() as u64;

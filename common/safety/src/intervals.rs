@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use contract::observatory::{Interval, Unsafe, Verdict};
 use units::Utc;
 
-/// So many are shown.
+/// So many are published.
 const SHOWN: usize = 20;
 
 /// The intervals, the newest last.
@@ -17,7 +17,8 @@ pub struct Intervals {
 }
 
 impl Intervals {
-    /// Those that ended in earlier lives, one in each line; lines that cannot be read are passed over, the file is for people.
+    /// Those that ended in earlier incarnations, one in each line. It skips lines that cannot be read: the file is for
+    /// people.
     pub fn of_lines(lines: &[&str]) -> Self {
         let shown = lines.iter().filter_map(|line| serde_json::from_str(line).ok()).collect::<Vec<Interval>>();
         let shown = shown.into_iter().rev().take(SHOWN).rev().collect();
@@ -29,7 +30,7 @@ impl Intervals {
         let words = |reason: &Unsafe| format!("{}: {}", reason.input, reason.why);
         match &mut self.now {
             Some(current) if current.verdict == verdict => {
-                // what joins later is told too, by input: values change every second
+                // Reasons that join later are listed too, by input: values change every second.
                 for reason in reasons {
                     let begins = format!("{}: ", reason.input);
                     if !current.reasons.iter().any(|known| known.starts_with(&begins)) {

@@ -1,8 +1,8 @@
-//! The verdict: a pure function of the rules, of what was heard, and of now.
+//! The verdict: a pure function of the rules, of the received states, and of now.
 //!
-//! Unknown, stale, NaN and missing are unsafe with a reason; any unsafe input makes the whole unsafe. Nothing is
-//! safe from the start: the dwell window of every input must be filled with good readings without a gap. The device
-//! nodes may vouch for the time before this node was started (`recall.rs`; a safety monitor's state tells how long).
+//! Unknown, stale, NaN and missing are unsafe with a reason; any unsafe input makes the whole unsafe. Nothing is safe
+//! from the start: the dwell window of every input must be filled with good readings without a gap. The device nodes
+//! may vouch for the time before this node was started (`recall.rs`; a safety monitor's state contains how long).
 
 use std::time::Duration;
 
@@ -20,9 +20,9 @@ pub struct Judgement {
     pub verdict: Verdict,
     /// Why it is unsafe; empty when safe.
     pub reasons: Vec<Unsafe>,
-    /// Why the sky is not to be exposed, beside the reasons.
+    /// Why the sky is not to be exposed, in addition to the reasons.
     pub suspended: Vec<Unsafe>,
-    /// What is only told.
+    /// What is only reported.
     pub advisories: Vec<Unsafe>,
     /// Sky seconds until all known dwell times have run out; `None` where nobody can know.
     pub time_to_safe_s: Option<f64>,
@@ -30,7 +30,7 @@ pub struct Judgement {
     pub inputs: Vec<InputState>,
     /// Directions that no telescope is to point to.
     pub avoid: Vec<Sector>,
-    /// Some input says something bad now, as opposed to saying nothing.
+    /// Some input has a bad value now, as opposed to no value.
     pub speaks_against: bool,
 }
 
@@ -76,7 +76,7 @@ pub fn judge(rules: &Rules, history: &History, now: Now) -> Judgement {
     Judgement { avoid, ..hearing.close() }
 }
 
-/// The limits with what was heard of them; both were made from the same rules.
+/// The limits with their received values; both were made from the same rules.
 fn limits<'a>(
     rules: &'a Rules,
     history: &'a History,
@@ -108,7 +108,7 @@ impl Hearing {
         self.against(Response::Close, input, why, clears_in);
     }
 
-    /// A limit that is violated now, or of whose window too little is known; `when` is told behind a value.
+    /// A limit that is violated now, or of whose window too little is known; `when` follows a value in the reason.
     fn violated(&mut self, rule: &LimitRule, measured: Measured, when: &str) {
         let Measured { value, unknown_for, .. } = measured;
         if rule.reopen.contain(value) && !unknown_for.is_zero() {
@@ -118,7 +118,8 @@ impl Hearing {
             let left = (rule.dwell != Duration::MAX).then(|| unknown_for.saturating_add(rule.dwell));
             return self.against(rule.response, &rule.input, why, left);
         }
-        // what is not good enough to reopen is not bad yet: a record of the time before may know that it was good
+        // A value that is not good enough to reopen is not bad yet: a record of the time before may know that it was
+        // good.
         self.speaks_against |= rule.response == Response::Close && !rule.bad.contain(value);
         self.against(rule.response, &rule.input, violation(rule, value) + when, None);
     }
@@ -127,7 +128,7 @@ impl Hearing {
     fn unproven(&mut self, response: Response, input: &str, proven: Duration, dwell: Duration) {
         if proven < dwell {
             let why = format!("good for {:.1} of {:.1} min", minutes(proven), minutes(dwell));
-            // a dwell that never ends has no end to tell
+            // A dwell that never ends has no end to report.
             let left = (dwell != Duration::MAX).then_some(dwell.saturating_sub(proven));
             self.against(response, input, why, left);
         }
@@ -196,7 +197,7 @@ fn hear_monitor(
     }
 }
 
-/// What a limit's record speaks for, noted among the inputs.
+/// What a limit's record proves, noted among the inputs.
 fn weigh(
     rule: &LimitRule,
     record: &Record<Measured>,
@@ -227,8 +228,8 @@ fn hear_required(rule: &LimitRule, record: &Record<Measured>, allowed: Duration,
 }
 
 /// A limit that the site can do without, or that others vote with: a missing value is no violation, but a bad one stays
-/// one until a good one has come, and the dwell counts from the last bad one or the start of the listening; a record of the
-/// time before counts from the first value that it holds, since a bad one may have come before.
+/// one until a good one has come, and the dwell counts from the last bad one or the start of the listening; a record of
+/// the time before counts from the first value that it holds, since a bad one may have come before.
 fn hear_optional(rule: &LimitRule, record: &Record<Measured>, history: &History, now: Now, hearing: &mut Hearing) {
     weigh(rule, record, history.allowed(rule), now, hearing);
     if let Some(Ok(measured)) = record.last_known().map(|entry| &entry.outcome)
@@ -305,7 +306,7 @@ fn violation(rule: &LimitRule, value: f64) -> String {
         (_, Some(lower), ..) if value < lower => format!("{words} is below {}", number(lower)),
         (_, _, Some(upper), _) if value > upper => format!("{words} is not down to {} yet", number(upper)),
         (_, _, _, Some(lower)) if value < lower => format!("{words} is not up to {} yet", number(lower)),
-        // it is within both bounds
+        // It is within both bounds.
         _ => format!("{words} is not known to be good"),
     }
 }

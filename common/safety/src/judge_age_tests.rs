@@ -27,16 +27,16 @@ fn an_old_reading_in_a_new_state_is_old_and_its_record_with_it() {
         story.judged(second)
     };
     assert_eq!(hear(100, 0.0, 3600.0).verdict, Verdict::Safe);
-    // its node was stalled for 12 s and goes on with what it had read
+    // Its node was stalled for 12 s and goes on with what it had read.
     let stalled = hear(112, 12.0, 3600.0);
     assert_eq!(stalled.verdict, Verdict::Unsafe);
     assert!(why(&stalled).starts_with("stale: last heard 12.0 s ago"), "{stalled:?}");
-    // the state comes again and again, and the reading grows no younger
+    // The state comes again and again, and the reading grows no younger.
     assert_eq!(hear(113, 13.0, 3600.0).verdict, Verdict::Unsafe);
-    // a fresh reading after that has no record to show
+    // A fresh reading after that has no record to show.
     assert_eq!(why(&hear(114, 0.0, 0.0)), "good for 0.0 of 1.0 min");
     for age_s in [-1.0, f64::NAN, f64::INFINITY] {
-        // NaN and infinity are null in JSON, and an age that is none is no age
+        // NaN and infinity are null in JSON, and an age that is none is no age.
         let mut state = monitor_state(0.0, 3600.0, 1.0);
         state.readings.get_mut("IsSafe").unwrap().age_s = Some(age_s);
         story.history.hear_monitor(&rules, &m, &state, at(200));

@@ -1,4 +1,4 @@
-//! Stories of stations that freeze, winds, and switches.
+//! Scenarios of stations that freeze, winds, and switches.
 
 use contract::{Datum, DeviceState, Kind, Link, NoData};
 
@@ -18,7 +18,7 @@ fn state<F>(fields: F) -> DeviceState<F> {
     }
 }
 
-/// A good monitor beside one weather station that says this at these seconds; all of its limits are advice.
+/// A good monitor and one weather station that has these values at these seconds; all of its limits are advice.
 fn station_says(
     rules: Rules,
     said: impl Fn(u64) -> (f64, f64),

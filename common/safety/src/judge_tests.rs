@@ -51,7 +51,7 @@ fn word(is_safe: bool, gapless_s: u64) -> MonitorReading {
     MonitorReading { is_safe, gapless_safe: Duration::from_secs(gapless_s) }
 }
 
-/// What one monitor (safe every second from `from` to `to`) and one weather station said.
+/// The states of one monitor (safe every second from `from` to `to`) and of one weather station.
 pub(super) struct Story {
     pub(super) rules: Rules,
     pub(super) history: History,
@@ -142,7 +142,7 @@ fn a_gust_over_a_window_that_is_longer_than_the_dwell_needs_the_whole_window_and
         assert!(!judged.speaks_against, "who has not heard enough says nothing bad");
         let verdict = |until: u64| story().weather_says(0, (0..=until).step_by(10), Ok(50.0)).judged(until).verdict;
         assert_eq!((verdict(640), verdict(660)), (Verdict::Unsafe, Verdict::Safe), "{required}");
-        // a hole in the record does not blow the gust before it away
+        // A hole in the record does not blow the gust before it away.
         let story = story().weather_says(0, (0..=700).step_by(10), Ok(50.0)).weather_says(0, [710], Ok(90.0));
         let story =
             story.weather_says(0, [720], Err("timeout: 2 s")).weather_says(0, (730..=1000).step_by(10), Ok(50.0));
@@ -185,7 +185,7 @@ fn a_missing_reading_is_unsafe_with_its_reason() {
 
 #[test]
 fn any_monitor_that_says_unsafe_decides() {
-    // 1-out-of-n with required inputs: all 27 cases of three monitors
+    // 1-out-of-n with required inputs: all 27 cases of three monitors.
     for case in 0..27_u32 {
         let rules = Rules { monitors: vec![monitor("a", 0), monitor("b", 0), monitor("c", 0)], ..Rules::default() };
         let mut story = Story::new(rules);
@@ -365,7 +365,7 @@ fn told(words: &[(usize, u64, u8)], upper: f64) -> Story {
         ..Rules::default()
     };
     let mut words = words.to_vec();
-    // in order of time, and dense enough that some histories are safe
+    // In order of time, and dense enough that some histories are safe.
     for second in 0..120 {
         words.extend((0..5).map(|input| (input, second, 0)));
     }

@@ -1,11 +1,12 @@
-//! The decisions about safety: whether the sky is safe, what people have ordered of that, and what stands against an action.
+//! The decisions about safety: whether the sky is safe, what people have ordered of that, and what stands against an
+//! action.
 //!
-//! Everything here is a value or a function of values. Time comes in as a value too ([`history::Now`]); nothing here reads a
-//! clock, a file or the bus. The observatory node (`node-observatory/src/safety`) receives the inputs, calls [`judge::judge`] at
-//! each arrival and each second, and publishes the result.
+//! Everything here is a value or a function of values. Time comes in as a value too ([`history::Now`]); nothing here
+//! reads a clock, a file or the bus. The observatory node (`node-observatory/src/safety`) receives the inputs, calls
+//! [`judge::judge`] at each arrival and each second, and publishes the result.
 //!
-//! One rule holds everywhere: what is missing, stale, unknown or no number is unsafe, and has a reason. Nothing is safe at the
-//! start; each input must have been good, without a gap, for its whole dwell.
+//! One rule holds everywhere: what is missing, stale, unknown or no number is unsafe, and has a reason. Nothing is safe
+//! at the start; each input must have been good, without a gap, for its whole dwell.
 //!
 //! ```text
 //!   configuration --> Rules --- people's orders (Standing) ---> the rules as they hold now --.
@@ -13,7 +14,7 @@
 //!   states of devices --> History <-- records of the time before (recall)               judge(rules, history, now)
 //!   clocks --> Doubts --> Sun -----^                                                          |
 //!                                                                                             v
-//!                                 Objection to an action <-- Ruling (with its age) <-- Judgement (with its reasons)
+//!                                 Objection to an action <-- Verdict (with its age) <-- Judgement (with its reasons)
 //! ```
 //!
 //! # Contents
@@ -21,35 +22,39 @@
 //! What the verdict rests on:
 //!
 //! - [`rules`]: the configured inputs and limits; [`measure`]: what of a parameter a limit is put on.
-//! - [`history`]: what one input said, as far back as its dwell looks; [`heard`]: what all inputs said.
+//! - [`history`]: the states of one input, as far back as its dwell looks; [`heard`]: the states of all inputs.
 //! - [`recall`]: what a device node recorded before this node listened, placed on this node's clocks.
 //! - [`frozen`]: a weather station whose values do not move; [`wind`]: directions to avoid.
-//! - [`nodes`]: clocks and disks of the other machines; [`clocks`]: what time it may be; [`sun`]: where the Sun stands then.
+//! - [`nodes`]: clocks and disks of the other machines; [`clocks`]: what time it may be; [`sun`]: where the Sun stands
+//!   then.
 //!
 //! The verdict:
 //!
 //! - [`judge`]: the verdict with its reasons; [`ruling`]: the newest one, and whether it still counts.
 //! - [`intervals`]: the verdicts of the last day.
-//! - [`objection`]: what stands against an action.
+//! - [`objection`]: the objections to an action.
 //!
 //! What people order:
 //!
-//! - [`said`]: who ordered something, and why; [`standing`]: the orders that hold until they end or are taken back.
-//! - [`on_disk`]: what the file of these orders holds; [`inherit`]: what holds for a node that becomes the commander.
-//! - [`operators`]: who has the telescope.
+//! - [`said`]: the person who ordered something, and the reason; [`standing`]: the orders that hold until they end or
+//! are taken back.
+//! - [`on_disk`]: the content of the file of these orders; [`inherit`]: what holds for a node that becomes the
+//! commander.
+//! - [`operators`]: which operator has the telescope, or the schedule.
 //! - [`annunciator`]: what people did about alerts.
 //!
 //! # Invariants
 //!
 //! - Nothing is safe by default: every dwell begins unsafe: `the_dwell_must_be_filled_before_the_first_safe`.
-//! - The Sun follows every clock that may be right: `a_step_of_the_wall_clock_is_seen_and_both_times_may_be_right` (`clocks.rs`).
-//! - Evidence from the past counts only where it joins the live states; live states alone say what is true now (decision 0012):
-//!   `recalled_evidence_without_live_states_is_not_what_is_now`.
-//! - What may have happened before this node subscribed is unknown, and unknown is unsafe, also within the window of a largest value:
-//!   `a_maximum_is_known_once_its_window_has_filled_since_the_listening_began`.
+//! - The Sun follows every clock that may be right: `a_step_of_the_wall_clock_is_seen_and_both_times_may_be_right`
+//!   (`clocks.rs`).
+//! - Evidence from the past counts only where it joins the live states; live states alone show what is true now
+//!   (decision 0012): `recalled_evidence_without_live_states_is_not_what_is_now`.
+//! - What may have happened before this node subscribed is unknown, and unknown is unsafe, also within the window of a
+//!   largest value: `a_maximum_is_known_once_its_window_has_filled_since_the_listening_began`.
 //! - A dome without any input that reports rain stays closed (decision 0056): `without_any_input_it_is_never_safe`.
-//! - A commander that does not know the last operator orders of the commander before it stays closed (`inherit.rs`, decision 0015):
-//!   `what_holds_is_what_the_commander_before_was_told_and_stays_closed_where_nobody_knows`.
+//! - A commander that does not know the last operator orders of the commander before it stays closed (`inherit.rs`,
+//!   decision 0015): `what_holds_is_what_the_commander_before_was_told_and_stays_closed_where_nobody_knows`.
 
 pub mod annunciator;
 pub mod clocks;

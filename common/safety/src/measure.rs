@@ -20,7 +20,7 @@ pub enum Measure {
 #[derive(Debug, Clone, Default)]
 pub struct Window {
     values: VecDeque<(SkyTime, f64)>,
-    /// What was before this is not known; nothing is before the first value.
+    /// The values before this are not known; `None` before the first value.
     known_since: Option<SkyTime>,
 }
 
@@ -64,8 +64,8 @@ impl Window {
         }
     }
 
-    /// How long it takes until no value of the time before can be within the window, sky time; zero once it is so. A rate
-    /// has no value before that.
+    /// How long it takes until no value of the time before can be within the window, sky time; zero once it is so. A
+    /// rate has no value before that.
     pub fn unknown_for(&self, measure: Measure, at: SkyTime) -> Duration {
         match measure {
             Measure::Value | Measure::Rate(_) => Duration::ZERO,
@@ -73,8 +73,9 @@ impl Window {
         }
     }
 
-    /// A value is missing. A rate across it would be a guess, so its window begins anew; the largest value that is known stays,
-    /// but where `each` value is needed it is not known to be the largest until the window has filled again.
+    /// A value is missing. A rate across it would be a guess, so its window begins anew; the largest value that is
+    /// known stays, but where `each` value is needed it is not known to be the largest until the window has filled
+    /// again.
     pub fn miss(&mut self, measure: Measure, each: bool) {
         if !matches!(measure, Measure::Max(_)) {
             self.values.clear();
@@ -114,7 +115,7 @@ mod tests {
         let unknown_s = |window: &Window, second| window.unknown_for(measure, at(second)).as_secs();
         assert_eq!((unknown_s(&window, 110), unknown_s(&window, 159), unknown_s(&window, 160)), (50, 1, 0));
         assert_eq!(window.unknown_for(Measure::Value, at(100)), Duration::ZERO);
-        // of an input that nobody needs at each poll a hole hides nothing more than its silence did
+        // For an input that is not needed at each poll, a hole hides nothing more than its silence did.
         window.miss(measure, false);
         assert_eq!(unknown_s(&window, 160), 0);
         window.miss(measure, true);

@@ -9,7 +9,7 @@ use contract::node::{MOUNT_CLOCK_OFFSET_S, NodeState};
 use units::MachineTime;
 use units::Utc;
 
-/// A node that was silent for so long has no say, machine time.
+/// A node that was silent for so long does not count, machine time.
 const SILENT: Duration = Duration::from_secs(30);
 /// An offset is judged from this many messages: what comes from a cache, or late, looks like a slow clock.
 const MESSAGES: usize = 3;
@@ -44,7 +44,7 @@ struct Heard {
     at: Option<MachineTime>,
 }
 
-/// What speaks against exposing.
+/// A complaint against exposing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Complaint {
     /// Which node: `node/callisto/device/main`.
@@ -54,10 +54,11 @@ pub struct Complaint {
 }
 
 impl Nodes {
-    /// Takes in the state of a node (`callisto/device/main`): `said` is its own stamp, `own` this clock when it arrived.
+    /// Takes in the state of a node (`callisto/device/main`): `said` is its own stamp, `own` this clock when it
+    /// arrived.
     pub fn hear(&mut self, node: String, state: &NodeState, said: Utc, own: Utc, now: MachineTime) {
         let heard = self.heard.entry(node).or_default();
-        // sky time runs at its speed, and two clocks of one simulation part at that speed too
+        // Sky time runs at its speed, and two clocks of one simulation part at that speed too.
         heard.offsets_s.push_back(said.seconds_since(own) / state.speed.max(1.0));
         if heard.offsets_s.len() > MESSAGES {
             heard.offsets_s.pop_front();
@@ -89,7 +90,7 @@ impl Nodes {
         witnesses
     }
 
-    /// What speaks against exposing, for nodes that were heard lately.
+    /// The complaints against exposing, about nodes that were received from lately.
     pub fn complaints(&self, offset_max_s: f64, free_min_gb: f64, now: MachineTime) -> Vec<Complaint> {
         let mut complaints = Vec::new();
         for (node, heard) in &self.heard {

@@ -1,4 +1,5 @@
-//! What stands against an action: the robotic switch, the lease, the verdict, and the direction in which the action looks.
+//! The objections to an action: the robotic switch, the lease, the verdict, and the direction in which the action
+//! looks.
 
 use contract::observatory::Sector;
 use units::MachineTime;
@@ -32,7 +33,7 @@ impl std::fmt::Display for Objection {
     }
 }
 
-/// What stands against an action: the robotic switch, that another node commands, and, where it needs a safe sky, what
+/// An objection to an action: the robotic switch, that another node commands, and, where it needs a safe sky, what
 /// `sky` has against it.
 pub fn stands_against(
     is_robotic: bool,
@@ -49,7 +50,7 @@ pub fn stands_against(
     if needs_safe { sky() } else { None }
 }
 
-/// What the newest ruling has against the sky, or against the direction in which an action looks.
+/// The objection of the newest verdict to the sky, or to the direction in which an action looks.
 pub fn sky_stands_against(
     ruling: &Ruling,
     now: MachineTime,

@@ -1,11 +1,11 @@
-//! What the file of the standing orders holds, and what holds by it.
+//! The content of the file of the operator orders, and what holds by it.
 
 use units::Utc;
 
 use crate::said::Said;
 use crate::standing::Standing;
 
-/// What stands in the file of the standing orders.
+/// The content of the file of the operator orders.
 #[derive(Debug, Clone, PartialEq)]
 pub enum OnDisk {
     /// There is no file.
@@ -17,7 +17,7 @@ pub enum OnDisk {
 }
 
 impl OnDisk {
-    /// What holds by it; one that cannot be read keeps the dome closed until a person decides anew.
+    /// The orders that hold by it; a file that cannot be read keeps the dome closed until a person decides anew.
     pub fn orders(self, now: Utc) -> Standing {
         match self {
             Self::Absent => Standing::default(),

@@ -1,7 +1,8 @@
-//! Who has the telescope: the schedule, or an operator by name. Closing is everybody's, the rest is taken over with a reason.
+//! Which operator has the telescope, or the schedule. Closing is everybody's; all else is taken over with a reason.
 //!
 //! An operator who closes, stops or keeps the telescope closed has it from then on, until somebody starts it again. To
-//! loosen what another operator ordered, or to start what another one stopped, a reason is needed; the audit records it.
+//! loosen what another operator ordered, or to start what another one stopped, a reason is needed; the audit records
+//! it.
 
 use contract::{Order, OrderKind, Reason, command::operator};
 use units::Utc;
@@ -12,21 +13,21 @@ use crate::standing::Standing;
 /// Control that was taken so long ago is nobody's any more, sky s: an operator of last night is asleep.
 const LAPSES_S: f64 = 18.0 * 3600.0;
 
-/// What an order does to who has the telescope.
+/// The effect of an order on which operator has the telescope.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Weighed {
     /// The operator that it is taken from, with this order's reason.
     pub from: Option<Said>,
-    /// Who has it then.
+    /// The holder of the telescope then.
     pub then: Then,
 }
 
-/// Who has the telescope once an order was followed.
+/// The holder of the telescope after an order was executed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Then {
     /// As before.
     Same,
-    /// Who gave the order.
+    /// The person who gave the order.
     Orderer,
     /// The schedule.
     Schedule,
@@ -88,7 +89,7 @@ fn loosens(kind: &OrderKind) -> bool {
 /// The operator whose order this one would undo: the one who ordered it to stay closed, else the one who has taken it.
 fn holder<'a>(order: &Order, standing: &'a Standing, now: Utc) -> Option<&'a Said> {
     let closed = standing.stay_closed.as_ref().filter(|_| order.kind == OrderKind::StayClosed(false));
-    // what a node ordered by itself, and what a name without a way to it ordered, is no operator's
+    // An order that a node gave by itself, or that came under a name without a path, is no operator's order.
     let control = standing.control.as_ref().filter(|held| now.seconds_since(held.at_utc).abs() < LAPSES_S);
     closed.or(control).filter(|held| held.from.contains('/'))
 }
@@ -140,7 +141,7 @@ mod tests {
             assert!(refused.contains("ana has the telescope") && refused.contains("a visitor"), "{refused}");
             let taken = weigh(&order("web/ben", kind.clone(), "she left"), &of_ana(), true, at(1.0)).unwrap();
             assert_eq!(taken.from, of_ana().control, "{kind:?}");
-            // her own, from anywhere, a day later, and where nobody has it
+            // Her own, from anywhere, a day later, and where nobody has it.
             for (from, standing, now) in [
                 ("web/ana", of_ana(), at(1.0)),
                 ("cli/ana@other", of_ana(), at(1.0)),

@@ -1,9 +1,9 @@
-//! What a device node kept of the time before this observatory node listened, placed on this node's own clocks.
+//! The record of a device node of the time before this observatory node listened, placed on this node's own clocks.
 //!
-//! A record is evidence for the past only. It is taken where it joins what was heard live: same life of the device
-//! node, numbers without a gap, and the first state that was heard live among them, with the same content. What is now
-//! is told by live states alone; states that the record has and nobody heard after the newest live one are left out.
-//! A record that does not fit is refused as a whole, and the dwell runs as without one.
+//! A record is evidence for the past only. It is taken if it joins the live states: same incarnation of the device
+//! node, numbers without a gap, and the first live state among them, with the same content. Live states alone decide
+//! what is now; states in the record after the newest live one that nobody received are left out. A record that does
+//! not fit is refused as a whole, and the dwell runs as without one.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -19,12 +19,12 @@ use super::history::Now;
 const DOUBT: Duration = Duration::from_secs(1);
 /// Two reckonings of one moment may differ by the drift of two machines' clocks.
 const DRIFT: Duration = Duration::from_millis(100);
-/// Nothing that is older says anything; machine time.
+/// Older states are no evidence; machine time.
 const OLDEST: Duration = Duration::from_secs(10 * 86_400);
 /// More states than any device node keeps.
 const MOST_ENTRIES: usize = 20_000;
 
-/// One state at the time when it was said.
+/// One state at the time when it was published.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Told<F> {
     /// When, on this node's clocks.
@@ -42,7 +42,7 @@ pub fn ages_s<F>(state: &DeviceState<F>) -> BTreeMap<String, f64> {
     state.readings.iter().filter_map(|(name, reading)| Some((name.clone(), reading.age_s?))).collect()
 }
 
-/// What was heard live of one device while its node is asked for the time before.
+/// The live states of one device while its node is asked for the time before.
 #[derive(Debug)]
 pub struct Recall<F> {
     boot_id: BootId,
@@ -61,14 +61,15 @@ pub struct Asked {
 }
 
 impl<F: Payload + PartialEq> Recall<F> {
-    /// Begins with the first state that was heard.
+    /// Begins with the first state that was received.
     pub fn new(first: &Stamped<DeviceState<F>>, at: Now) -> Self {
         let mut recall = Self { boot_id: first.boot_id.clone(), live: Vec::new() };
         recall.hear(first, at);
         recall
     }
 
-    /// Takes in a live state, newer than those before; false if it is of another life, which knows nothing of the first.
+    /// Takes in a live state, newer than those before; false if it is of another incarnation, which knows nothing of
+    /// the first.
     pub fn hear(&mut self, said: &Stamped<DeviceState<F>>, at: Now) -> bool {
         let told =
             Told { at, link: said.body.link.clone(), fields: said.body.fields.clone(), ages_s: ages_s(&said.body) };
@@ -79,12 +80,12 @@ impl<F: Payload + PartialEq> Recall<F> {
         same_life
     }
 
-    /// Everything that was said up to the newest live state, oldest first, or why the record is not taken.
+    /// All states up to the newest live one, oldest first, or why the record is not taken.
     pub fn place(&self, record: &Record<F>, asked: Asked) -> Result<Vec<Told<F>>, String> {
         if record.boot_id != self.boot_id {
             return Err("it is of another life of the device node than what is heard".to_owned());
         }
-        // false for NaN too
+        // False for NaN too.
         let same_speed = (record.speed - asked.speed).abs() <= 1e-6 * asked.speed;
         if !same_speed {
             return Err(format!("its sky time ran at {} x, here it runs at {} x", record.speed, asked.speed));
@@ -107,8 +108,9 @@ impl<F: Payload + PartialEq> Recall<F> {
         Ok(placed.chain(later).collect())
     }
 
-    /// The latest moment at which the record can have been told: before it was here, before what was said later was
-    /// heard, and before a state of that age was. Late is the safe side: what was bad is the younger for it.
+    /// The latest moment at which the record can have been answered: before it arrived, before a later state arrived,
+    /// and before the time at which a state had the age that the record gives. Late is the safe side: what was bad is
+    /// the younger for it.
     fn answered(&self, said: &[(&Entry<F>, Duration)], asked: Asked) -> Result<MachineTime, String> {
         let mut answered = asked.answered.machine;
         for (seq, live) in &self.live {

@@ -1,4 +1,4 @@
-//! Where recalled states are placed, what is refused, and stories of an observatory that is restarted in a night.
+//! Where recalled states are placed, what is refused, and scenarios of an observatory that is restarted in a night.
 
 use std::collections::BTreeMap;
 
@@ -15,9 +15,9 @@ use crate::judge::{Judgement, judge};
 use crate::measure::Measure;
 use crate::rules::{Bounds, LimitRule, Rules};
 
-/// Sky seconds in a machine second, in all stories.
+/// Sky seconds in a machine second, in all scenarios.
 const SPEED: f64 = 10.0;
-/// Machine time of the stories' zero: the machine has run for a day.
+/// Machine time of the scenarios' zero: the machine has run for a day.
 const ZERO_MS: u64 = 86_400_000;
 
 fn machine(ms: i64) -> MachineTime {
@@ -29,7 +29,7 @@ fn now(ms: i64) -> Now {
     Now { sky: SkyTime::from_start(since_boot.mul_f64(SPEED)), machine: machine(ms) }
 }
 
-/// A weather station's node: what it said, and when.
+/// A weather station's node: its states, and their times.
 #[derive(Debug)]
 struct Station {
     boot_id: BootId,
@@ -41,7 +41,7 @@ impl Station {
         Self { boot_id: BootId::fresh(), said: Vec::new() }
     }
 
-    /// Says a humidity at each of these machine seconds; its thermometer always moves.
+    /// Publishes a humidity at each of these machine seconds; its thermometer always moves.
     fn says(mut self, seconds: impl IntoIterator<Item = i64>, humidity: f64) -> Self {
         for second in seconds {
             self.said.push((second * 1000, Link::Connected, air(second, Datum::Known(humidity))));
@@ -98,7 +98,7 @@ fn asked(at_ms: i64, answered_ms: i64) -> Asked {
     Asked { at: machine(at_ms), answered: now(answered_ms), speed: SPEED }
 }
 
-/// What was heard live of a station from this state on, in time.
+/// The live states of a station from this one on, in time.
 fn heard(station: &Station, indices: std::ops::Range<usize>) -> Recall<Fields> {
     let at = |index: usize| now(station.said[index].0);
     let mut recall = Recall::new(&station.stamped(indices.start), at(indices.start));
@@ -117,7 +117,7 @@ fn placed_ms(told: &[Told<Fields>]) -> Vec<i64> {
 #[test]
 fn states_are_placed_where_they_were_said_and_the_newest_is_a_live_one() {
     let station = Station::new().says([0, 5, 10, 15, 20], 50.0);
-    // 10 was heard live, 15 got lost, 20 came live; the answer took half a second and was told half way
+    // 10 was received live, 15 got lost, 20 came live; the answer took half a second and was given half way.
     let mut recall = heard(&station, 2..3);
     recall.hear(&station.stamped(4), now(20_000));
     let told = recall.place(&station.record(20_350), asked(20_100, 20_600)).unwrap();
@@ -131,7 +131,7 @@ fn states_are_placed_where_they_were_said_and_the_newest_is_a_live_one() {
 #[test]
 fn a_first_state_that_came_late_is_placed_when_it_was_said() {
     let station = Station::new().says([0, 5], 50.0).says([30, 35], 50.0);
-    // asked for what is true now at 29 s, the node was suspended and answers with the state of 5 s
+    // Asked for what is true now at 29 s, the node was suspended and answers with the state of 5 s.
     let mut recall = Recall::new(&station.stamped(1), now(29_000));
     recall.hear(&station.stamped(2), now(30_000));
     let told = recall.place(&station.record(30_200), asked(30_100, 30_300)).unwrap();
@@ -167,7 +167,7 @@ fn a_record_that_does_not_fit_is_refused_as_a_whole() {
     }
     let other = |record: &mut Record<Fields>| record.entries[11].fields.humidity_percent = Datum::Known(49.0);
     assert!(spoilt(other).contains("its state 11 is another one"));
-    // ages that a delay has spoilt
+    // Ages that a delay has spoilt.
     assert!(refused(good(), asked(52_000, 57_000)).contains("took 4"), "not known well enough");
     assert!(refused(station.record(55_500), asked(55_900, 56_100)).contains("younger than the question"));
 }
@@ -199,7 +199,7 @@ fn rules(limits: Vec<LimitRule>) -> Rules {
     Rules { limits, frozen_after: Duration::from_secs(3600), ..Rules::default() }
 }
 
-/// Hears a state of the station as it is said.
+/// Observes a state of the station when it is published.
 fn hear(history: &mut History, rules: &Rules, station: &Station, index: usize, at: Now) {
     history.hear_weather(rules, &wx(), &station.stamped(index).body, SPEED, at);
 }
@@ -213,8 +213,8 @@ fn listened(rules: &Rules, station: &Station, judged_ms: i64) -> Judgement {
     judge(rules, &history, now(judged_ms))
 }
 
-/// The verdict of one that was started at some moment: it asks for the state of that moment (`late`) or hears the
-/// next one, then asks for the record, which takes so long. With it comes whether the record was taken.
+/// The verdict of a node that was started at some moment: it asks for the state of that moment (`late`) or receives the
+/// next one, then asks for the record, which takes so long. Also returns whether the record was taken.
 fn restarted(
     rules: &Rules,
     station: &Station,
@@ -250,7 +250,7 @@ fn restarted(
     Some((judge(rules, &history, now(judged_ms)), taken))
 }
 
-/// Seconds of the machine until it is safe, told by one that was started at 100 s and judges at 106 s.
+/// Seconds of the machine until it is safe, by a node that was started at 100 s and judges at 106 s.
 fn waits_s(limits: Vec<LimitRule>, station: &Station) -> Option<f64> {
     let (judged, _) = restarted(&rules(limits), station, 100_000, (false, 20), 106_000).unwrap();
     judged.time_to_safe_s.map(|sky_s| (sky_s / SPEED).round())
@@ -266,7 +266,7 @@ fn a_restart_in_the_middle_of_a_good_night_waits_for_nothing() {
 #[test]
 fn a_bad_reading_within_the_dwell_leaves_the_rest_of_it() {
     let station = Station::new().says((0..=80).step_by(5), 50.0).says([85], 90.0).says((90..=105).step_by(5), 50.0);
-    // good since 90 s, so 14 s of the 30 s are left
+    // Good since 90 s, so 14 s of the 30 s are left.
     assert_eq!(waits_s(vec![limit()], &station), Some(14.0));
     let optional = LimitRule { required: false, ..limit() };
     assert_eq!(waits_s(vec![optional], &station), Some(9.0), "counts from the bad one");
@@ -294,7 +294,7 @@ fn what_reopens_at_less_than_it_closes_at_is_remembered() {
 
 #[test]
 fn a_measure_over_a_window_needs_the_whole_window_before_the_dwell() {
-    // the largest of five sky minutes, good for five: an hour of the record would do, and a minute of the machine
+    // The largest of five sky minutes, good for five: an hour of the record would do, and a minute of the machine.
     let gust = || LimitRule { measure: Measure::Max(Duration::from_secs(300)), ..limit() };
     assert_eq!(waits_s(vec![gust()], &Station::new().says((40..=105).step_by(5), 50.0)), Some(0.0));
     assert_eq!(waits_s(vec![gust()], &Station::new().says((70..=105).step_by(5), 50.0)), Some(24.0));
@@ -319,7 +319,7 @@ fn a_record_in_which_nothing_moves_may_be_that_of_a_frozen_station() {
     for (_, _, fields) in &mut still.said {
         fields.air_c = Datum::Known(5.0);
     }
-    // good since 105 s, when this observatory heard it first
+    // Good since 105 s, when this observatory received it first.
     assert_eq!(waits_s(vec![limit()], &still), Some(29.0));
     let heedless = Rules { frozen_after: Duration::ZERO, ..rules(vec![limit()]) };
     let (judged, taken) = restarted(&heedless, &still, 100_000, (false, 20), 106_000).unwrap();
@@ -334,12 +334,12 @@ fn recalled_evidence_without_live_states_is_not_what_is_now() {
     assert_eq!((judged.verdict, taken), (Verdict::Safe, true));
     let (later, _) = restarted(&rules, &station, 99_000, (false, 20), 116_000).unwrap();
     assert!(later.reasons[0].why.starts_with("stale"), "{later:?}");
-    // and a late first state is as old as it is
+    // And a late first state is as old as it is.
     let (late, _) = restarted(&rules, &station, 117_000, (true, 20), 118_000).unwrap();
     assert!(late.reasons[0].why.starts_with("stale"), "{late:?}");
 }
 
-/// A station that says something after each pause (s), of each kind: mostly good.
+/// A station that publishes after each pause (s), of each kind: mostly good.
 fn stations() -> impl Strategy<Value = Station> {
     let pause = prop_oneof![12 => 1..=5_i64, 1 => 14..=18_i64];
     let humidity = prop_oneof![8 => Just(Some(50.0)), 3 => Just(Some(75.0)), 1 => Just(Some(85.0)), 1 => Just(None)];
@@ -354,7 +354,7 @@ fn stations() -> impl Strategy<Value = Station> {
             if lost {
                 station = station.loses_link(second);
             } else {
-                // a thermometer that may stand still, be zero or be missing
+                // A thermometer that may stand still, be zero or be missing.
                 let fields = Fields { air_c: datum(air_c), ..air(second, datum(humidity)) };
                 station.said.push((second * 1000, Link::Connected, fields));
             }
@@ -399,18 +399,18 @@ proptest! {
         let rules = Rules { frozen_after: Duration::from_secs(frozen_s), ..rules(limits) };
         let last_ms = station.said.last().unwrap().0;
         let started_ms = (last_ms as f64 * started) as i64;
-        // its node was started after a part of this was said, or has forgotten it
+        // Its node was started after the first of these states, or has forgotten them.
         let mut younger = Station { boot_id: station.boot_id.clone(), said: station.said.clone() };
         let known = forgotten.min(younger.said.iter().filter(|(said_ms, ..)| *said_ms <= started_ms).count());
         younger.said.drain(..known.saturating_sub(1));
         for judged_ms in (started_ms..last_ms + 20_000).step_by(2900) {
             let restarted = restarted(&rules, &younger, started_ms, (late, answer_ms), judged_ms);
-            // one that stands still: what is refused is as if there were no record
+            // One that stands still: what is refused is as if there were no record.
             let Some((judged, true)) = restarted else { continue };
             let truth = listened(&rules, &station, judged_ms);
-            // when a state was said that was first heard late is known to the time that the answer took
+            // The time of a state that was first received late is known to the time that the answer took.
             let a_moment_ago = listened(&rules, &station, judged_ms - answer_ms);
-            // a record without a single value is none: a limit that the site can do without needs no value to be safe
+            // A record without a single value is none: a limit that the site can do without needs no value to be safe.
             let knows = younger.said.iter().any(|(said_ms, _, fields)| {
                 *said_ms <= judged_ms && fields.humidity_percent.known().is_some()
             });
@@ -453,7 +453,7 @@ proptest! {
         mut limit in limits(),
         started in 0.0..1.0_f64,
     ) {
-        // of a limit that the site can do without, the last bad value may be one that the later one never heard
+        // For a limit that the site can do without, the last bad value may be one that the later node never received.
         (limit.required, limit.vote) = (true, None);
         let rules = Rules { frozen_after: Duration::ZERO, ..rules(vec![limit]) };
         let last_ms = station.said.last().unwrap().0;

@@ -12,14 +12,14 @@ use super::measure::Measure;
 /// No record of the time before reaches farther back, sky time.
 const LONGEST: Duration = Duration::from_secs(86_400);
 
-/// A safety monitor that is heeded.
+/// A safety monitor whose state counts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MonitorRule {
     /// As reasons name it: `safetymonitor/monitor`.
     pub input: String,
     /// Which device.
     pub device: Device,
-    /// Safe only after so long without any other word, sky time.
+    /// Safe only after so long without any other value, sky time.
     pub dwell: Duration,
     /// A reading older than this is unsafe, machine time.
     pub max_age: Duration,
@@ -40,7 +40,7 @@ pub struct LimitRule {
     pub measure: Measure,
     /// Bad above and below.
     pub bad: Bounds,
-    /// What was bad is good again only within these.
+    /// A value that was bad is good again only within these.
     pub reopen: Bounds,
     /// Safe only after so long without a violation, sky time.
     pub dwell: Duration,
@@ -91,7 +91,7 @@ pub struct Rules {
     pub disk_free_min_gb: f64,
     /// Where not to point in a wind.
     pub wind_sector: Option<WindSector>,
-    /// Limits that are not heeded, with the reason.
+    /// Limits that are not applied, with the reason.
     pub disabled: Vec<(String, String)>,
     /// There is an enclosure, and no input that decides whether it may be open.
     pub nothing_tells: bool,
@@ -109,7 +109,7 @@ impl Rules {
                 .iter()
                 .find(|own| device.address == config.address() && own.common.name == device.name);
             let (dwell_min, max_age_s) = match own {
-                // five polls, so that one lost answer is no alarm
+                // Five polls, so that one lost answer is no alarm.
                 Some(own) => (own.dwell_min, own.max_age_s),
                 None => (config.shared.dwell_min, config.shared.max_age_s),
             };
@@ -150,7 +150,7 @@ impl Rules {
         let nothing_tells = !config.enclosures().is_empty()
             && monitors.is_empty()
             && !limits.iter().any(closes)
-            // a person who disables an input answers for it
+            // A person who disables an input answers for it.
             && disabled.is_empty();
         Self {
             nothing_tells,
@@ -186,7 +186,7 @@ fn dwell(minutes: f64) -> Duration {
 }
 
 impl LimitRule {
-    /// A missing value speaks against safety by itself.
+    /// A missing value is unsafe by itself.
     pub fn needs_each(&self) -> bool {
         self.required && self.vote.is_none()
     }

@@ -14,12 +14,12 @@ pub struct Ruling {
     pub state: SafetyState,
     /// When it was given.
     pub judged: MachineTime,
-    /// False for the first seconds of a node that has not heard all of its inputs yet: nobody acts on the verdict
-    /// then, so that a restart in a safe night does not shut the roof. Bad news ends this at once.
+    /// False for the first seconds of a node that has not received all of its inputs yet: nobody acts on the verdict
+    /// then, so that a restart in a safe night does not shut the roof. A bad input ends this at once.
     pub settled: bool,
 }
 
-/// A loop that judges every second is dead or starved when its ruling is older than this.
+/// A loop that judges every second is dead or starved when its verdict is older than this.
 const MOST_AGE: Duration = Duration::from_secs(5);
 
 impl Ruling {
@@ -57,12 +57,12 @@ impl Ruling {
         self.settled |= settled;
     }
 
-    /// Safe, and said so recently enough to count.
+    /// Safe, and judged recently enough to count.
     pub fn is_safe(&self, now: MachineTime) -> bool {
         self.state.verdict == Verdict::Safe && self.is_fresh(now)
     }
 
-    /// Said recently enough to count.
+    /// Judged recently enough to count.
     pub fn is_fresh(&self, now: MachineTime) -> bool {
         now.since(self.judged) <= MOST_AGE
     }

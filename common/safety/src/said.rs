@@ -1,13 +1,13 @@
-//! Who ordered something, why, and when.
+//! The person who ordered something, the reason, and the time.
 
 use contract::observatory::Ordered;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
-/// Who ordered something, and why.
+/// The person who ordered something, and the reason.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Said {
-    /// Who.
+    /// The person.
     pub from: String,
     /// Why.
     pub reason: String,
@@ -16,7 +16,7 @@ pub struct Said {
 }
 
 impl Said {
-    /// What this node decides itself, because it cannot know what people want.
+    /// An order that this node gives itself, because it cannot know what people want.
     pub fn by_node(reason: String, at_utc: Utc) -> Self {
         Self { from: "observatory node".to_owned(), reason, at_utc }
     }

@@ -1,7 +1,7 @@
-//! A person's standing orders to the verdict: stay closed, and do without one limit for a while.
+//! A person's operator orders about the verdict: stay closed, and do without one limit for a while.
 //!
-//! They outlive a restart of the node and a takeover (`inherit.rs`). Staying closed has no end of its own; an override has,
-//! at most eight hours, and only limits and the Sun can be overridden: no safety monitor, no vote.
+//! They survive a restart of the node and a takeover (`inherit.rs`). Staying closed has no end of its own; an override
+//! has, at most eight hours, and only limits and the Sun can be overridden: no safety monitor, no vote.
 
 use std::collections::BTreeMap;
 
@@ -28,13 +28,13 @@ pub struct Override {
     pub until_utc: Utc,
 }
 
-/// The standing orders.
+/// The operator orders.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Standing {
     /// Fencing token of the commander that keeps them; absent in files of versions that did not write it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub token: Option<u64>,
-    /// Nothing opens while this stands.
+    /// Nothing opens while this is active.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stay_closed: Option<Said>,
     /// The operator who has taken the telescope from the schedule.
@@ -46,7 +46,8 @@ pub struct Standing {
 }
 
 impl Standing {
-    /// What holds where two records are told: whatever keeps it closed, and no override that only one of them knows.
+    /// The orders that hold when there are two records: any that keeps it closed, and no override that only one of them
+    /// has.
     pub fn stricter(self, other: &Self) -> Self {
         let mut overrides = BTreeMap::new();
         for (input, order) in self.overrides {
@@ -60,12 +61,12 @@ impl Standing {
         Self { token: self.token, stay_closed, control, overrides }
     }
 
-    /// Do both say the same, whoever keeps them?
+    /// Are both the same, whichever commander holds them?
     pub fn says_as(&self, other: &Self) -> bool {
         self.stay_closed == other.stay_closed && self.overrides == other.overrides
     }
 
-    /// As they are published by a node that has this token, with what lies on the shelf.
+    /// As they are published by a node that has this token, with the shelved alerts.
     pub fn published(self, token: Option<u64>, shelved: Vec<Shelved>) -> StandingOrders {
         let overrides = self.overrides.into_iter().map(|(input, Override { said, until_utc })| observatory::Override {
             input,
@@ -95,7 +96,7 @@ impl Standing {
         closed.chain(overrides).collect()
     }
 
-    /// Takes an override, or says why not.
+    /// Takes an override, or returns why not.
     pub fn do_without(&mut self, rules: &Rules, input: &str, for_s: f64, said: Said) -> Result<(), String> {
         let known: Vec<&str> = rules.limits.iter().map(|rule| rule.input.as_str()).chain([SUN]).collect();
         if !known.contains(&input) {

@@ -43,7 +43,7 @@ impl Sun {
         Self { place: Place::new(latitude, longitude, place.elevation_m), most_deg, low: None }
     }
 
-    /// The highest that it stands at the times that it may be.
+    /// Its highest altitude at the times that it may be.
     pub fn stands(&mut self, utc: Utc, doubts: &[Doubt]) -> SunNow {
         let mut highest = SunNow { altitude_deg: self.altitude_deg(utc), ..SunNow::default() };
         for doubt in doubts.iter().filter(|doubt| doubt.counts) {
@@ -97,7 +97,7 @@ mod tests {
     #[test]
     fn the_sun_stands_as_high_as_by_any_clock_that_may_be_right() {
         let mut sun = paranal(-1.0);
-        // half an hour before sunrise, by a wall clock that was put back by an hour
+        // Half an hour before sunrise, by a wall clock that was put back by an hour.
         let utc: Utc = "2026-11-21T08:55:00Z".parse().unwrap();
         let doubt = |offset_s, counts| Doubt { clock: "the clock of mount m".to_owned(), offset_s, counts };
         let alone = sun.stands(utc, &[]);
@@ -116,14 +116,14 @@ mod tests {
         let mut utc: Utc = "2026-11-21T20:00:00Z".parse().unwrap();
         let low_in = sun.stands(utc, &[]).low_in.unwrap();
         let at = utc.plus(low_in);
-        // a minute later it is a minute less, also where it was asked before
+        // A minute later it is a minute less, also where it was asked before.
         utc = utc.plus_seconds(60.0);
         let left_s = sun.stands(utc, &[]).low_in.unwrap().as_secs_f64();
         assert!((left_s + 60.0 - low_in.as_secs_f64()).abs() < 0.01, "{left_s}");
         assert!(sun.stands(at.plus_seconds(-1.0), &[]).altitude_deg.unwrap() > -1.0);
         let low = sun.stands(at.plus_seconds(1.0), &[]);
         assert!(low.altitude_deg.unwrap() < -1.0 && low.low_in.is_none());
-        // a clock that goes back by a day is asked anew
+        // A clock that goes back by a day is asked anew.
         utc = "2026-11-20T20:00:00Z".parse().unwrap();
         assert!((sun.stands(utc, &[]).low_in.unwrap().as_secs_f64() - low_in.as_secs_f64()).abs() < 120.0);
     }

@@ -15,12 +15,12 @@ const MOST_AGE: Duration = Duration::from_secs(60);
 /// The newest wind of each station.
 #[derive(Debug, Clone, Default)]
 pub struct Winds {
-    /// Speed m/s, direction degrees, when it was strong enough or heard last.
+    /// Speed m/s, direction degrees, when it was received.
     stations: BTreeMap<Device, (f64, f64, MachineTime)>,
 }
 
 impl Winds {
-    /// Takes in what a station said; without speed or direction there is no wind to avoid.
+    /// Takes in a station's state; without speed or direction there is no wind to avoid.
     pub fn hear(&mut self, station: &Device, fields: &Fields, now: MachineTime) {
         let gust = fields.gust_mps.known().copied().unwrap_or_default();
         let wind = fields.wind_mps.known().map(|wind| wind.max(gust));

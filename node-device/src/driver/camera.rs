@@ -1,4 +1,4 @@
-//! The camera; how a frame is taken stands in `exposure`.
+//! The camera; `exposure` takes a frame.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -48,7 +48,7 @@ pub(super) struct Memory {
     pub max_adu: Option<f64>,
     /// Sensor size, unbinned pixels.
     pub sensor_px: (u32, u32),
-    /// The camera tells when its last exposure began.
+    /// The camera reports when its last exposure began.
     pub tells_start: bool,
 }
 
@@ -125,7 +125,7 @@ impl Driver for Camera {
     fn moves(&self, command: &Command) -> bool {
         match command {
             Command::Expose { .. } | Command::Abort | Command::Cool { .. } | Command::Warm => true,
-            // the spool forgets a frame
+            // The spool forgets a frame.
             Command::Release { .. } => false,
         }
     }
@@ -148,7 +148,7 @@ impl Driver for Camera {
                 Ok(()) => accepted(),
                 Err(detail) => Some(Reply::Refusal(Refusal { id: id.clone(), reason: Reason::Malformed, detail })),
             },
-            // the frame of this id was taken before this node restarted
+            // The frame of this id was taken before this node restarted.
             Command::Expose { .. } if self.spool.holds(id) => accepted(),
             Command::Expose { .. } | Command::Abort | Command::Cool { .. } | Command::Warm => None,
         }

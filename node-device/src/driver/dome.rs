@@ -36,9 +36,9 @@ pub struct Dome {
 impl Dome {
     async fn close(&self, alpaca: &Alpaca, fields: &Fields) -> Result<(), AlpacaError> {
         match alpaca.put("closeshutter", &[]).await {
-            // there are domes that move no shutter while they turn
+            // There are domes that move no shutter while they turn.
             Err(error) if !error.is_unknown_outcome() && fields.slewing.known() == Some(&true) => {
-                // if it cannot be stopped, the closing itself decides
+                // If it cannot be stopped, the closing itself decides.
                 let _ = alpaca.put("abortslew", &[]).await;
                 alpaca.put("closeshutter", &[]).await
             }
@@ -103,7 +103,7 @@ impl Driver for Dome {
             Some(Shutter::Open | Shutter::Closed | Shutter::Error) => false,
             Some(Shutter::Opening | Shutter::Closing) | None => true,
         };
-        // a roof that does not turn does not know Slewing
+        // A roof that does not turn does not know Slewing.
         shutter || fields.slewing.known() == Some(&true)
     }
 
@@ -148,7 +148,7 @@ impl Driver for Dome {
             Command::OpenShutter if !can.set_shutter => not("open its shutter"),
             Command::Park if !can.park => not("park"),
             Command::SlewToAzimuth { .. } if !can.set_azimuth => not("turn"),
-            // many domes cannot do both at once, and a shutter that closes must not be hindered
+            // Many domes cannot do both at once, and a shutter that closes must not be hindered.
             Command::SlewToAzimuth { .. } if shutter_moves => {
                 Some((Reason::WrongState, "the shutter moves; turn when it rests".to_owned()))
             }
@@ -157,7 +157,7 @@ impl Driver for Dome {
             Command::Vendor(command) => {
                 vendor::refuse(&[&self.vendor_commands, &self.vendor_commands_to_close], command)
             }
-            // closing is tried whatever the dome says of itself
+            // Closing is tried whatever the dome reports of itself.
             Command::OpenShutter
             | Command::CloseShutter
             | Command::Abort
@@ -177,7 +177,7 @@ impl Driver for Dome {
     ) -> Result<Obeyed, AlpacaError> {
         match command {
             Command::OpenShutter => {
-                // the permit may have gone since the command was taken
+                // The permit may have gone since the command was taken.
                 if !self.guard().may_be_open(self.clock.machine()) {
                     return Err(AlpacaError::Value(NoData::new("no permit", "it ran out before the shutter moved")));
                 }
@@ -188,7 +188,7 @@ impl Driver for Dome {
                 }
                 opened?;
             }
-            // the guard has begun to: the shutter moves as soon as its policy about the mounts lets it
+            // The guard has begun to: the shutter moves as soon as its policy about the mounts lets it.
             Command::CloseShutter if self.guard().closes_by_itself() => {}
             Command::CloseShutter if self.guard().is_on_its_way(self.clock.machine()) => {}
             Command::CloseShutter => {
@@ -204,12 +204,12 @@ impl Driver for Dome {
             }
             Command::Slave { on } => alpaca.put("slaved", &[("Slaved", if *on { "True" } else { "False" })]).await?,
             Command::Vendor(words) => {
-                // the permit may have gone since the command was taken
+                // The permit may have gone since the command was taken.
                 let needs_permit = self.need(command) == Need::TokenAndPermit;
                 if needs_permit && !self.guard().may_be_open(self.clock.machine()) {
                     return Err(AlpacaError::Value(NoData::new("no permit", "it ran out before this was sent")));
                 }
-                // a site may close by its maker's own command
+                // A site may close by its maker's own command.
                 let closes = vendor::is_listed(&self.vendor_commands_to_close, words);
                 if closes {
                     self.guard().close_sent(self.clock.machine());
@@ -246,7 +246,7 @@ impl Driver for Dome {
                 Progress::Failed("the shutter is in error".to_owned())
             }
             Command::OpenShutter => Progress::done_if(shutter == Some(&Shutter::Open)),
-            // a status of closed is no proof of it
+            // A status of closed is no proof of it.
             Command::CloseShutter => {
                 Progress::done_if(shutter == Some(&Shutter::Closed) && self.guard().is_closed(self.clock.machine()))
             }

@@ -1,4 +1,4 @@
-//! How a frame is taken: set, start, read what is fixed, wait, download; storing it runs beside the next one.
+//! The steps of a frame: set, start, read what is fixed, wait, download; storing it runs in parallel with the next one.
 
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ use crate::spool::About;
 
 /// Image readiness is asked so often near the end of an exposure.
 const READY_PERIOD: Duration = Duration::from_millis(10);
-/// The image must be ready so long after the end of the exposure, sky s (spec/reliability.md D10).
+/// The image must be ready so long after the end of the exposure, sky s.
 const READOUT_LIMIT_S: f64 = 60.0;
 /// So many failed questions in a row and the exposure has failed.
 const MOST_FAILURES: u32 = 3;
@@ -68,10 +68,10 @@ impl Camera {
         if let Err(error) = &taken {
             tracing::warn!(camera = %self.name, frame = %id, %error, "exposure failed");
             self.memory(|memory| memory.setting = None);
-            // the camera may still be exposing; whether it is shows in its state
+            // The camera may still be exposing; whether it is shows in its state.
             let _ = alpaca.at_once().put("abortexposure", &[]).await;
         }
-        // the outcome of an exposure is known here; the camera's later state says nothing about it
+        // The outcome of an exposure is known here; the camera's later state does not show it.
         taken.map_err(|error| AlpacaError::Value(error.no_data()))
     }
 
@@ -125,7 +125,7 @@ impl Camera {
         Ok(())
     }
 
-    /// Opens the shutter, once. A lost answer is no failure where the camera says that it exposes, and when the loss
+    /// Opens the shutter, once. A lost answer is no failure where the camera reports that it exposes, and when the loss
     /// was noticed so soon that the time of the start is still known.
     async fn begin(&self, alpaca: &Alpaca, parameters: &[(&str, &str)]) -> Result<(), AlpacaError> {
         let asked = Instant::now();
@@ -178,7 +178,7 @@ impl Camera {
             if let Err(error) = &answer
                 && error.is_transport()
             {
-                // a header value is not worth one deadline after the other
+                // A header value is not worth one deadline after the other.
                 gone = Some(error.no_data());
             }
             readings.keep(property, answer.map_err(|error| error.no_data()), self.clock.utc());
@@ -203,7 +203,7 @@ impl Camera {
                     }
                 }
             }
-            // a long readout is not shortened by asking often
+            // A long readout is not shortened by asking often.
             let late = began.elapsed().saturating_sub(light) > Duration::from_secs(2);
             sleep(if late { READY_PERIOD * 5 } else { READY_PERIOD }).await;
         }
@@ -211,7 +211,7 @@ impl Camera {
         Err(AlpacaError::Value(NoData::new("timeout", format!("no image {waited:.0} s after the exposure began"))))
     }
 
-    /// The camera knows best when its shutter opened, if it says so to a fraction of a second and believably.
+    /// The camera knows best when its shutter opened, if it reports this to a fraction of a second and believably.
     async fn as_the_camera_tells(&self, alpaca: &Alpaca, started_utc: Utc, exposure_s: f64) -> (Utc, f64) {
         if !self.memory(|memory| memory.tells_start) {
             return (started_utc, exposure_s);
@@ -223,14 +223,14 @@ impl Camera {
         }
         let told = start.ok().and_then(|start| value::text(&start).ok()).filter(|text| text.contains('.'));
         let told = told.and_then(|text| text.parse::<Utc>().ok());
-        // a camera computer's own clock may be off
+        // A camera computer's own clock may be off.
         let started = told.filter(|told| told.seconds_since(started_utc).abs() <= 0.5 * self.clock.speed());
         let light = light.ok().and_then(|light| value::number(&light).ok());
         let light = light.filter(|light| (light - exposure_s).abs() <= 0.1 * exposure_s + 0.1);
         (started.unwrap_or(started_utc), light.unwrap_or(exposure_s))
     }
 
-    /// Decodes, writes, hashes and announces beside the next exposure.
+    /// Decodes, writes, hashes and announces in parallel with the next exposure.
     fn store(&self, place: crate::spool::Place, raw: RawImage, about: About) {
         let max_adu = self.memory(|memory| memory.max_adu);
         let spool = self.spool.clone();

@@ -39,7 +39,7 @@ impl Driver for FilterWheel {
         let position = match readings.whole("Position") {
             Datum::Known(number) => match u32::try_from(number) {
                 Ok(position) => Datum::Known(position),
-                // ASCOM: -1 while it turns
+                // ASCOM: -1 while it turns.
                 Err(_) => Datum::missing(NoData::new("missing", "the wheel turns")),
             },
             Datum::Missing { no_data } => Datum::missing(no_data),

@@ -1,4 +1,5 @@
-//! One driver per ASCOM kind: what it can do, what is true of it, how it obeys. Pure mapping; `serve` does the rest.
+//! One driver per ASCOM kind: its capabilities, its state, and how it executes commands. Pure mapping; `serve` does the
+//! rest.
 
 pub mod camera;
 pub mod cover_calibrator;
@@ -111,7 +112,7 @@ pub trait Driver: Send + Sync + 'static {
         Hinders::No
     }
 
-    /// Answers commands that are no deeds of the device, such as a frame's release.
+    /// Answers commands that the device itself does not execute, such as a frame's release.
     fn answer(&self, _id: &CommandId, _command: &Command<Self>) -> Option<Reply> {
         None
     }
@@ -149,7 +150,7 @@ pub trait Driver: Send + Sync + 'static {
 
 /// Is a number one that a device may be sent?
 pub(crate) fn within(name: &str, number: f64, low: f64, high: f64) -> Option<(Reason, String)> {
-    // false for NaN too
+    // False for NaN too.
     let fits = number >= low && number <= high;
     (!fits).then(|| (Reason::Malformed, format!("{name} = {number}: expected {low} to {high}")))
 }

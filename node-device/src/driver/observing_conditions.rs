@@ -53,7 +53,7 @@ impl Driver for ObservingConditions {
 
     fn moves(&self, command: &Command) -> bool {
         match command {
-            // a measurement
+            // A measurement.
             Command::Refresh => false,
         }
     }

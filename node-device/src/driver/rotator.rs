@@ -8,7 +8,7 @@ use interlock::Need;
 use super::{Driver, Obeyed, Progress, apart_deg, within};
 use crate::readings::Readings;
 
-/// A rotator that stands this close to its target has reached it.
+/// A rotator that is this close to its target has reached it.
 const AT_TARGET_DEG: f64 = 0.1;
 
 /// Drives a rotator.

@@ -1,4 +1,4 @@
-//! The safety monitor, and the record of its word that outlives the observatory node.
+//! The safety monitor, and the record of its state, which survives a restart of the observatory node.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -21,7 +21,7 @@ pub struct SafetyMonitor {
 impl SafetyMonitor {
     /// One that is polled every `period_s` machine seconds.
     pub fn new(period_s: f64) -> Self {
-        // five missed polls are a gap, as they are a loss for those who listen
+        // Five missed polls are a gap, as they are a loss for those who listen.
         let longest_gap = Duration::from_secs_f64((period_s * 5.0).clamp(5.0, 86_400.0));
         Self { record: Mutex::new(SafeRecord::new(longest_gap)) }
     }
@@ -39,7 +39,7 @@ impl Driver for SafetyMonitor {
     }
 
     fn observed(&self, readings: &Readings, now: Now) {
-        // a reading counts from when it was asked for, however often it is seen
+        // A reading counts from when it was asked for, however often it is seen.
         let asked = readings.asked("IsSafe").filter(|_| readings.strict_flag("IsSafe").known() == Some(&true));
         let at = asked.unwrap_or(now);
         self.record.lock().unwrap_or_else(PoisonError::into_inner).observe(asked.is_some(), at.machine, at.sky);
@@ -101,7 +101,7 @@ mod tests {
     use units::Utc;
 
     fn observe(record: &mut SafeRecord, second: u64, safe: bool) -> u64 {
-        // sky time runs ten times as fast as the machine
+        // Sky time runs ten times as fast as the machine.
         let machine = MachineTime::from_boot(Duration::from_secs(1000 + second));
         record.observe(safe, machine, SkyTime::from_start(Duration::from_secs(second * 10)));
         record.gapless().as_secs()

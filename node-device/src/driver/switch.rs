@@ -70,7 +70,7 @@ impl Driver for Switch {
 
     async fn obey(&self, alpaca: &Alpaca, _: &CommandId, command: &Command, _: &Fields) -> Result<Obeyed, AlpacaError> {
         let Command::Set { number, value } = command;
-        // the switch rounds to its own step, so its answer is the proof, not its value
+        // The switch rounds to its own step, so its answer is the proof, not its value.
         alpaca.put("setswitchvalue", &[("Id", &number.to_string()), ("Value", &value.to_string())]).await?;
         Ok(Obeyed::Done)
     }

@@ -16,9 +16,10 @@ use crate::readings::Readings;
 /// report positions after their own pointing model.
 const AT_TARGET_DEG: f64 = 0.5;
 
-/// The fastest that a mount is sent beside the stars, arcsec per second: a satellite at 300 km overhead needs 5000.
+/// The fastest that a mount may move relative to the stars, arcsec per second: a satellite at 300 km overhead needs
+/// 5000.
 const MOST_ARCSEC_PER_S: f64 = 20_000.0;
-/// The same in right ascension, s per sidereal second: beside the pole that coordinate runs faster.
+/// The same in right ascension, s per sidereal second: near the pole that coordinate runs faster.
 const MOST_RA_S_PER_SIDEREAL_S: f64 = 20_000.0;
 
 /// A mount that parks is asked to forget its rates no longer than this.
@@ -32,7 +33,7 @@ pub struct Telescope {
     settle_s: f64,
     /// What of its maker's own it may be sent.
     vendor_commands: Vec<VendorPattern>,
-    /// Rates beside the stars may be set: ours, or those of somebody before this node began.
+    /// Rates relative to the stars may be set: ours, or those that another program set before this node began.
     may_drift: AtomicBool,
 }
 
@@ -44,12 +45,12 @@ impl Telescope {
         Self { slew_timeout_s, settle_s, vendor_commands, may_drift: AtomicBool::new(true) }
     }
 
-    /// Sets both rates beside the stars.
+    /// Sets both rates relative to the stars.
     async fn set_rates(&self, alpaca: &Alpaca, ra: f64, dec: f64) -> Result<(), AlpacaError> {
         self.may_drift.store(true, Ordering::Relaxed);
         alpaca.put("rightascensionrate", &[("RightAscensionRate", ra.to_string().as_str())]).await?;
         alpaca.put("declinationrate", &[("DeclinationRate", dec.to_string().as_str())]).await?;
-        // forgotten only when both are known to be zero
+        // Forgotten only when both are known to be zero.
         self.may_drift.store(ra != 0.0 || dec != 0.0, Ordering::Relaxed);
         Ok(())
     }
@@ -127,7 +128,7 @@ impl Driver for Telescope {
     }
 
     fn is_busy(&self, fields: &Fields) -> bool {
-        // a mount that cannot be guided does not know IsPulseGuiding
+        // A mount that cannot be guided does not know IsPulseGuiding.
         fields.slewing.known() != Some(&false) || fields.pulse_guiding.known() == Some(&true)
     }
 
@@ -149,7 +150,7 @@ impl Driver for Telescope {
 
     fn hinders(&self, command: &Command) -> Hinders {
         match command {
-            // the park that a roof waits for is begun by a stop of its own
+            // The park that a roof waits for is begun by a stop of its own.
             Command::Abort => Hinders::Yes,
             Command::Track { on: false } => Hinders::FromOthers,
             Command::Slew { .. } | Command::Track { on: true } | Command::Unpark => Hinders::FromTheUnaware,
@@ -221,7 +222,7 @@ impl Driver for Telescope {
         match command {
             Command::Slew { ra_deg, dec_deg } => {
                 if fields.tracking.known() == Some(&false) {
-                    // ASCOM refuses equatorial slews of a mount that does not track
+                    // ASCOM refuses equatorial slews of a mount that does not track.
                     alpaca.put("tracking", &[("Tracking", "True")]).await?;
                 }
                 self.end_rates(alpaca).await?;
@@ -238,7 +239,7 @@ impl Driver for Telescope {
             Command::Track { on } => {
                 alpaca.put("tracking", &[("Tracking", if *on { "True" } else { "False" })]).await?;
                 match self.end_rates(alpaca).await {
-                    // a mount that stands goes nowhere; the next slew ends its rates
+                    // A mount that stands goes nowhere; the next slew ends its rates.
                     Err(error) if !on => tracing::debug!(%error, "rates of a moving target are still set"),
                     ended => ended?,
                 }
@@ -250,11 +251,11 @@ impl Driver for Telescope {
             Command::Abort => alpaca.put("abortslew", &[]).await?,
             Command::Park => {
                 if fields.slewing.known() != Some(&false) {
-                    // some mounts refuse to park while they slew; the park itself decides
+                    // Some mounts refuse to park while they slew; the park itself decides.
                     let _ = alpaca.put("abortslew", &[]).await;
                 }
                 alpaca.put("park", &[]).await?;
-                // the park goes on meanwhile, whatever becomes of this; what is left of rates, the next slew ends
+                // The park goes on meanwhile, whatever becomes of this; what is left of rates, the next slew ends.
                 let _ = tokio::time::timeout(END_RATES, self.end_rates(alpaca)).await;
             }
             Command::Unpark => alpaca.put("unpark", &[]).await?,
@@ -267,7 +268,7 @@ impl Driver for Telescope {
                 };
                 let pulse = Duration::from_millis(u64::from(*duration_ms));
                 let duration = duration_ms.to_string();
-                // some mounts answer only when the pulse is over
+                // Some mounts answer only when the pulse is over.
                 let deadline = pulse + Duration::from_secs(5);
                 let parameters = [("Direction", direction), ("Duration", duration.as_str())];
                 alpaca.put_within("pulseguide", &parameters, deadline).await?;
@@ -298,7 +299,7 @@ impl Driver for Telescope {
                 (Some(false), Datum::Known(ra), Datum::Known(dec)) => {
                     let across = apart_deg(*ra, *ra_deg) * dec_deg.to_radians().cos();
                     let distance = across.hypot(dec - dec_deg);
-                    // right after the command some mounts do not say yet that they slew, so this is no failure
+                    // Right after the command some mounts do not report yet that they slew, so this is no failure.
                     if distance <= AT_TARGET_DEG { Progress::Settling(self.settle_s) } else { Progress::Running }
                 }
                 _ => Progress::Running,
@@ -314,7 +315,7 @@ impl Driver for Telescope {
     }
 }
 
-/// A guide rate, degrees per second; one that is no speed is not told.
+/// A guide rate, degrees per second; `None` if it is no speed.
 async fn guide_rate(alpaca: &Alpaca, property: &str) -> Result<Option<f64>, AlpacaError> {
     let rate = optional(alpaca, property, value::number).await?;
     Ok(rate.ok().filter(|rate| rate.is_finite() && *rate > 0.0))

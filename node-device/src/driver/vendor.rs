@@ -1,4 +1,4 @@
-//! Commands of a maker's own: checked against what the device's block lists, sent, and their answer told.
+//! Commands of a maker's own: checked against the list in the device's block, sent, and their answer returned.
 
 use alpaca::{Alpaca, AlpacaError};
 use config::VendorPattern;

@@ -93,7 +93,7 @@ impl Closer {
         self.guard.is_closed(now)
     }
 
-    /// Its server has told where the shutter is, at least once.
+    /// Its server has reported the state of the shutter, at least once.
     pub fn has_answered(&self) -> bool {
         self.shutter.is_some()
     }
@@ -115,7 +115,7 @@ impl Closer {
                 }
                 Ok(Answer::Done(what, result)) => {
                     self.acting = false;
-                    // without an answer it may have been heard all the same
+                    // Without an answer, the server may have received it all the same.
                     if !result.as_ref().is_err_and(AlpacaError::is_unknown_outcome) {
                         self.guard.close_answered(result.is_ok(), now);
                     }
@@ -123,7 +123,7 @@ impl Closer {
                         words.push(Word::Failed(what, error.to_string()));
                     }
                 }
-                // a request that panicked must not count as one that is under way
+                // A request that panicked must not count as one that is under way.
                 Err(_) => (self.looking, self.asking_mounts, self.acting) = (false, false, false),
             }
         }
@@ -146,7 +146,7 @@ impl Closer {
             let (alpaca, connect) = (self.alpaca.clone(), self.dome.target.connect);
             self.answers.spawn(async move { Answer::Shutter(shutter(&alpaca, connect).await, now) });
         }
-        // what may be closed already is looked at first; a server that is away does not prevent the attempt
+        // A shutter that may be closed already is looked at first; a server that is away does not prevent the attempt.
         if !self.has_looked {
             return;
         }
@@ -159,7 +159,7 @@ impl Closer {
         let parked = !waits || (self.knows_all_mounts && mounts_parked);
         for deed in self.guard.look(now, self.fresh(now), parked) {
             match deed {
-                // it holds nothing, because it gives nothing free
+                // It holds nothing, because it gives nothing free.
                 Deed::Raise(Alarm::Hold | Alarm::Uncommanded) | Deed::Clear(Alarm::Hold | Alarm::Uncommanded) => {}
                 Deed::Raise(alarm) => words.push(Word::Alarm(alarm, true)),
                 Deed::Clear(alarm) => words.push(Word::Alarm(alarm, false)),
@@ -188,7 +188,7 @@ impl Closer {
         }
         let mounts = Arc::new(self.mounts.clone());
         self.answers.spawn(async move {
-            // one that hangs holds up no other's park, and no answer becomes old behind it
+            // One that hangs delays no other's park, and no answer becomes old behind it.
             let each = mounts.iter().map(|(mount, connect)| parked(mount.at_once(), *connect, orders));
             Answer::Parked(join_all(each).await.into_iter().all(|is_parked| is_parked), now)
         });
@@ -215,7 +215,7 @@ fn guard(dome: &DomeCopy, now: MachineTime) -> Guard {
 async fn get(alpaca: &Alpaca, connect: bool, member: &str) -> Result<serde_json::Value, AlpacaError> {
     match alpaca.get(member).await {
         Err(error) if connect && error.is_not_connected() => {
-            // the second try shows whether it connected
+            // The second try shows whether it connected.
             let _ = alpaca.put("connected", &[("Connected", "True")]).await;
             alpaca.get(member).await
         }
@@ -239,7 +239,7 @@ async fn shutter(alpaca: &Alpaca, connect: bool) -> Result<Shutter, AlpacaError>
 
 async fn close(alpaca: &Alpaca, stop_first: bool, connect: bool) -> Result<(), AlpacaError> {
     if stop_first {
-        // whether it stopped or not, closing follows
+        // Closing follows whether it stopped or not.
         let _ = alpaca.put("abortslew", &[]).await;
     }
     put(alpaca, connect, "closeshutter").await

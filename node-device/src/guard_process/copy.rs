@@ -191,7 +191,7 @@ pub mod tests {
         before.target.server = "old:1".to_owned();
         now.leaving = vec![before];
         assert_eq!(Copy::unsealed(&now.sealed(8).unwrap()), Some((8, now.clone())));
-        // a copy of a version that knew no such domes
+        // A copy of a version that knew no such domes.
         let text = String::from_utf8(copy().sealed(7).unwrap()).unwrap();
         assert!(!text.contains("leaving") && Copy::unsealed(text.as_bytes()).is_some());
     }

@@ -18,7 +18,7 @@ pub enum Written {
     NoLastWords,
 }
 
-/// Starts the thread. What finds no room in the queue is left out; the next countdown follows within a second.
+/// Starts the thread. A write that finds no room in the queue is left out; the next countdown follows within a second.
 pub fn start(places: Places) -> SyncSender<Written> {
     let (disk, writes) = sync_channel(4);
     std::thread::spawn(move || {

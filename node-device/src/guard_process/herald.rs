@@ -1,5 +1,5 @@
-//! Publishes alerts on the bus while the device node cannot: with a session of its own, on threads of its own, so that nothing
-//! that closes waits for it. The session is opened with the first alert and not before.
+//! Publishes alerts on the bus while the device node cannot: with a session of its own, on threads of its own, so that
+//! nothing that closes waits for it. The session is opened with the first alert and not before.
 
 use std::time::Duration;
 
@@ -51,7 +51,7 @@ impl Herald {
             }
         }
         if let Some(changes) = &self.changes {
-            // without its thread the error is in the log
+            // Without its thread the error is in the log.
             let _ = changes.send(Change { kind, instance: instance.to_owned(), cause });
         }
     }
@@ -90,7 +90,7 @@ async fn publish(
     };
     let node = Node::new(Role::Device, format!("{id}-guard").parse()?, config, Default::default(), bus);
     let alerts = node.alerts.clone();
-    // alerts and nothing else: it is no node whose clock and disk anything rests on
+    // Alerts and nothing else: it is no node whose clock and disk anything depends on.
     let line = node.bus.publisher(&node.key(NodeTopic::Alerts), Quality::State { cache: 100 }).await?;
     let tell = async {
         while let Some(Change { kind, instance, cause }) = heard.recv().await {

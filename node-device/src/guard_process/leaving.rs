@@ -1,5 +1,5 @@
-//! A dome that the configuration does not name any more: another address stands there, or none. It may be open, and nobody else
-//! closes it, so this process does, until it is verified closed.
+//! A dome that the configuration does not name any more: another address is there, or none. It may be open, and
+//! nobody else closes it, so this process does, until it is verified closed.
 
 use std::collections::BTreeSet;
 use std::time::Duration;

@@ -1,8 +1,8 @@
 //! What the guard process and the device node send each other through the node's standard input and output.
 //!
-//! The node writes one line for each beat of its guard's own loop; a thread of its own writes, so that a guard process that
-//! does not read holds nothing up. The guard process writes `end` when the node is to close and leave; the end of the input
-//! means that the guard process has died.
+//! The node writes one line for each beat of its guard's own loop; a thread of its own writes, so that a guard process
+//! that does not read holds nothing up. The guard process writes `end` when the node is to close and leave; the end of
+//! the input means that the guard process has died.
 
 use std::io::{BufRead as _, Write as _};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
@@ -105,7 +105,7 @@ fn write(shared: &Shared) {
     }
 }
 
-/// What the device node writes to the guard process; nothing once it has ended.
+/// The lines that the device node writes to the guard process; nothing once it has ended.
 pub(super) type NodeLines = Option<Lines<BufReader<ChildStdout>>>;
 
 /// The next line of the device node; none at its end, and never one after it.
@@ -118,9 +118,10 @@ pub(super) async fn next_line(lines: &mut NodeLines) -> Option<String> {
     line
 }
 
-/// Asks the node to end. Its line stays open for so long afterwards: to the node its end means that the guard process has died.
+/// Asks the node to end. Its line stays open for so long afterwards: to the node its end means that the guard process
+/// has died.
 pub async fn ask_to_end(mut orders: ChildStdin, open_for: Duration) {
-    // it may have ended; then it needs no order
+    // It may have ended; then it needs no order.
     let _ = orders.write_all(format!("{END}\n").as_bytes()).await;
     let _ = orders.flush().await;
     tokio::time::sleep(open_for).await;

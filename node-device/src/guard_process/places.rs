@@ -1,4 +1,5 @@
-//! Where the guard process stores its copy, its countdown and its locks, so that they are found without the configuration.
+//! Where the guard process stores its copy, its countdown and its locks, so that they are found without the
+//! configuration.
 //!
 //! The files are next to the configuration and in the state folder of the service or user; what can be written is
 //! written, and of what can be read the newest counts.
@@ -72,7 +73,7 @@ impl Places {
     /// Removes that file: the reason no longer holds.
     pub fn forget_last_words(&self) {
         if let Some(file) = self.last_words() {
-            // mostly there is none
+            // Mostly there is none.
             let _ = fs::remove_file(file);
         }
     }
@@ -108,8 +109,8 @@ impl Places {
         }
     }
 
-    /// Writes the countdown; false where it can be written nowhere. It needs no fsync, because it is of no use after the
-    /// kernel has gone. Blocks.
+    /// Writes the countdown; false where it can be written nowhere. It needs no fsync, because it is of no use after
+    /// the kernel has gone. Blocks.
     pub fn keep_countdown(&self, now: MachineTime, deadlines: &Deadlines) -> bool {
         let open_until_ns = deadlines.iter().map(|(dome, at)| (dome.clone(), nanos(*at))).collect();
         let countdown = Countdown { kernel_boot_id: kernel_boot_id(), written_ns: nanos(now), open_until_ns };
@@ -122,14 +123,14 @@ impl Places {
     pub fn lock(&self, what: &str) -> Result<Option<File>, Taken> {
         for path in self.paths(what) {
             if let Some(folder) = path.parent() {
-                // where it cannot be made, the file below cannot either
+                // If it cannot be made, the file below cannot either.
                 let _ = fs::create_dir_all(folder);
             }
             let Ok(file) = File::options().create(true).truncate(false).write(true).open(&path) else { continue };
             return match file.try_lock() {
                 Ok(()) => Ok(Some(file)),
                 Err(fs::TryLockError::WouldBlock) => Err(Taken { path }),
-                // a file system without locks
+                // A file system without locks.
                 Err(fs::TryLockError::Error(_)) => continue,
             };
         }
@@ -153,7 +154,7 @@ pub fn nanos(at: MachineTime) -> u64 {
 fn state_folder() -> Option<PathBuf> {
     let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
     if let Some(folders) = set("STATE_DIRECTORY") {
-        // several are separated by colons
+        // Several are separated by colons.
         return std::env::split_paths(&folders).next();
     }
     let base = set("XDG_STATE_HOME").or_else(|| set("LOCALAPPDATA")).map(PathBuf::from);
@@ -181,7 +182,7 @@ fn write(path: &Path, bytes: &[u8], synced: bool) -> bool {
         .and_then(|()| if synced { write_synced(&part, bytes) } else { fs::write(&part, bytes) })
         .and_then(|()| fs::rename(&part, path));
     if written.is_err() {
-        // half a file on a full disk is in nobody's way but takes room
+        // Half a file on a full disk is in nobody's way but takes room.
         let _ = fs::remove_file(&part);
     } else if synced {
         sync_folder(folder);
@@ -203,7 +204,7 @@ mod tests {
         let newer = Copy { multicast: false, ..copy() };
         assert!(Places::in_folders(&[other.path()]).keep_copy(2, &newer));
         assert_eq!(both.copy(), Some((2, newer)));
-        // half a write of the newest leaves the other
+        // Half a write of the newest leaves the other.
         let file = other.path().join("x.guard");
         let whole = fs::read(&file).unwrap();
         fs::write(&file, &whole[..whole.len() / 2]).unwrap();

@@ -1,4 +1,4 @@
-//! What the guard process is asked for by signals and by its parent, also while it waits for its turn.
+//! The requests to the guard process, by signals and by its parent, also while it waits for its turn.
 
 use std::fs::File;
 use std::time::Duration;
@@ -38,7 +38,7 @@ impl Signals {
         if with_parent {
             tokio::spawn(async move {
                 bus::node::parent_end().await;
-                // nobody listens any more when this process ends
+                // The receiver is gone when this process ends.
                 let _ = parent.send(Asked::ParentDied);
             });
         }

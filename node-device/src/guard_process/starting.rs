@@ -1,4 +1,5 @@
-//! A start of the device node, as far as it needs the disk: on a thread, because a disk that hangs must not hold up what closes.
+//! A start of the device node, as far as it needs the disk: on a thread, because a disk that hangs must not hold up
+//! what closes.
 
 use std::sync::mpsc::{Receiver, sync_channel};
 
@@ -43,11 +44,11 @@ pub fn ask(
         for dome in copy.iter().flat_map(|copy| &copy.domes) {
             deadlines.entry(dome.name.to_string()).or_insert_with(|| now.plus(dome.permit_valid()));
         }
-        // a node that lost its guard process leaves as soon as it sees the new one
+        // A node that lost its guard process leaves as soon as it sees the new one.
         let may_start = copy.is_ok() && places.lock(NODE_LOCK).is_ok();
         let _within = runtime.enter();
         let node = may_start.then(|| spawn(&verb, &options, &id, &places, &deadlines));
-        // nobody waits any more where this process ends
+        // The receiver is gone when this process ends.
         let _ = tell.send(Ready { copy, node });
     });
     told

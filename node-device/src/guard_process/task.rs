@@ -235,7 +235,8 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// Stores the last-good copy with the domes that are not let go yet: a restart of this process must still know both.
+    /// Stores the last-good copy with the domes that are not let go yet: a restart of this process must still know
+    /// both.
     fn save(&mut self) {
         if let Some((number, good)) = self.good.as_mut().filter(|_| self.unsaved) {
             let copy = Copy { leaving: self.leaving.iter().map(|old| old.dome().clone()).collect(), ..good.clone() };
@@ -288,7 +289,7 @@ impl<'a> Work<'a> {
             Ok(Some(status)) => (status.to_string(), status.success()),
             Err(error) => (error.to_string(), false),
         };
-        // its last words
+        // The last lines of its log.
         while self.lines.is_some() {
             match tokio::time::timeout(Duration::from_millis(50), next_line(&mut self.lines)).await {
                 Ok(Some(line)) => self.heard(Some(line)),
@@ -320,7 +321,7 @@ impl<'a> Work<'a> {
             return;
         }
         let told = self.asking.as_ref().map(Receiver::try_recv);
-        // while the disk says nothing this process guards alone
+        // While the disk does not answer, this process guards alone.
         if matches!(told, Some(Err(TryRecvError::Empty))) {
             return;
         }
@@ -366,7 +367,7 @@ impl<'a> Work<'a> {
             let mut words = Vec::new();
             closer.take_answers(now, &mut words);
             match self.watch.who(name, now) {
-                // it waits for mounts that maybe nobody else sends to their park, or that it does not hear
+                // It waits for mounts that maybe nobody else sends to their park, or whose states it does not receive.
                 Who::Both => closer.close(now, &mut words),
                 Who::Node | Who::Permit => closer.rest(now, &mut words),
                 Who::This => {
@@ -399,7 +400,7 @@ impl<'a> Work<'a> {
             !names.is_empty() && names.iter().all(|name| matches!(self.watch.who(name, now), Who::Node | Who::Both));
         if guards || self.end_by.is_some() {
             if self.complaint.take().is_some() {
-                // no room in the queue: the file is removed at the next start
+                // No room in the queue: the file is removed at the next start.
                 let _ = self.disk.try_send(Written::NoLastWords);
                 tracing::info!(domes = self.names(), "the device node guards again");
                 if let Some(copy) = known(&self.good, &self.tried) {
@@ -410,7 +411,7 @@ impl<'a> Work<'a> {
             }
             return;
         }
-        // one short restart is nobody's business
+        // One short restart is nobody's business.
         let is_known = self.watch.failures() > 1 || self.tried.is_none() || !self.acts_for.is_empty();
         let Some(trouble) = self.trouble.clone().filter(|_| is_known) else { return };
         let is_told = self.complaint.as_ref().is_some_and(|(told, at)| *told == trouble && at.elapsed() < COMPLAIN);
@@ -459,7 +460,7 @@ impl<'a> Work<'a> {
         if let Some(node) = &mut self.node
             && !is_late
         {
-            // one that waits for a mount has asked the dome for nothing, and so cannot prove that it is closed
+            // One that waits for a mount has asked the dome for nothing, and so cannot prove that it is closed.
             let hangs = |name: &String| matches!(self.watch.who(name, now), Who::This | Who::Both);
             let is_closed = self.closers.iter().all(|(name, closer)| hangs(name) && closer.is_verified_closed(now));
             if is_closed && !self.closers.is_empty() {

@@ -1,4 +1,4 @@
-//! One command of a device from its start to its end: what was sent, what the readings say of it, and how it ended.
+//! One command of a device from its start to its end: what was sent, what the readings show of it, and how it ended.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use crate::deadline::machine_limit;
 use crate::driver::{Command, Driver, Obeyed, Progress};
 use crate::front::Order;
 
-/// A device that rests for so long after a command without an answer has not heard it.
+/// A device that rests for so long after a command without an answer has not received it.
 const DOUBT: Duration = Duration::from_secs(3);
 
 /// An accepted command under way.
@@ -22,7 +22,7 @@ pub(super) struct Running<D: Driver> {
     sent: Option<Instant>,
     pub(super) deadline: Option<Instant>,
     standing_since: Option<Instant>,
-    /// No answer came: perhaps it was never heard.
+    /// No answer came: perhaps the device never received it.
     in_doubt: bool,
     resting_since: Option<Instant>,
 }
@@ -50,7 +50,7 @@ impl<D: Driver> Loop<D> {
         let alpaca = if urgent { self.serve.alpaca.at_once() } else { self.serve.alpaca.clone() };
         let fields = driver.fields(&self.readings);
         let (id, deed) = (order.id.clone(), order.deed.clone());
-        // dropping the job before ends its requests
+        // Dropping the job before ends its requests.
         self.job = Some(Box::pin(async move { driver.obey(&alpaca, &id, &deed, &fields).await }));
         self.running = Some(Running {
             order,
@@ -75,7 +75,7 @@ impl<D: Driver> Loop<D> {
                 self.end(Outcome::Done);
             }
             Err(error) if !error.is_unknown_outcome() => self.end(Outcome::Failed { reason: error.to_string() }),
-            // no answer says nothing about whether it was done; the state will
+            // A missing answer does not show whether it was done; the state will.
             answer @ (Ok(Obeyed::Watch) | Err(_)) => {
                 running.in_doubt = answer.is_err();
                 let limit = self.serve.driver.limit(&running.order.deed);
@@ -138,7 +138,7 @@ impl<D: Driver> Loop<D> {
         }
     }
 
-    /// Tells the audit how a command ended.
+    /// Records in the audit log how a command ended.
     pub(super) fn account(&self, order: &Order<Command<D>>, how: Ended) {
         if self.serve.driver.moves(&order.deed) {
             self.serve.front.accounts.note(order.asked(), &order.deed, how);
@@ -148,7 +148,7 @@ impl<D: Driver> Loop<D> {
 
 fn ended(outcome: &Outcome) -> Ended {
     match outcome {
-        // a command ends only once
+        // A command ends only once.
         Outcome::Done | Outcome::Running => Ended::Done,
         Outcome::Failed { reason } => Ended::Failed { detail: reason.clone() },
     }

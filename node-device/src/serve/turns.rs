@@ -13,11 +13,12 @@ use crate::driver::Driver;
 /// A loop that wakes up so much later than planned was stalled: its process was stopped, its runtime was blocked,
 /// or its host slept.
 const STALL: Duration = Duration::from_secs(2);
-/// What was read before a stall is not published again; the device has so long to answer anew.
+/// A reading from before a stall is not published again; the device has so long to answer anew.
 const READ_ANEW: Duration = Duration::from_millis(2500);
 
 impl<D: Driver> Loop<D> {
-    /// What decides is read apart from the rest, where it is not the whole; while a command is done, its progress is.
+    /// Properties that decide are read apart from the rest, unless there are no others. While a command runs, its
+    /// progress is read instead.
     pub(super) fn splits(&self) -> bool {
         self.running.is_none() && self.serve.driver.moving().is_empty() && !self.deciding().is_empty()
     }
@@ -41,7 +42,7 @@ impl<D: Driver> Loop<D> {
             return whole(self.wanted(), true);
         }
         let deciding = self.deciding();
-        // what is asked in one go is published at its end, so a round that lasts is asked one by one
+        // Properties that are asked in one round are published at its end, so a long round is asked one by one.
         let round = self.each.saturating_mul(u32::try_from(deciding.len()).unwrap_or(u32::MAX));
         if self.lanes == 1 && (round * 4 > self.period() || !self.parts.is_empty()) {
             return self.next_part(now, deciding);
@@ -52,12 +53,12 @@ impl<D: Driver> Loop<D> {
             return Wanted { properties, full: true, device_state: false, lanes, told_after };
         }
         if self.rest_is_due && !self.rest.is_empty() {
-            // a part of the rest that takes no longer than a quarter of a period, and what decides has its turn again
+            // A part of the rest that takes no longer than a quarter of a period, and what decides has its turn again.
             let room = (self.period() / 4).as_secs_f64() / self.each.as_secs_f64().max(1e-3);
             let count = (room as usize).clamp(lanes, self.rest.len().max(lanes)).min(self.rest.len());
             let properties = self.rest.drain(..count).collect();
             self.rest_is_due = false;
-            // a device that becomes slow meanwhile does not keep what decides waiting for all of it
+            // A device that becomes slow meanwhile does not keep what decides waiting for all of it.
             let told_after = Some(self.period() / 4);
             return Wanted { properties, full: false, device_state: false, lanes, told_after };
         }
@@ -66,13 +67,13 @@ impl<D: Driver> Loop<D> {
         }
         self.rest_is_due = !self.rest.is_empty();
         self.next_full = now + self.serve.node.bus.clock().machine().to_tick(self.period());
-        // a safety monitor is asked itself, whatever its server has cached
+        // A safety monitor is asked itself, whatever its server has cached.
         let device_state = device_state && deciding.len() > 1;
         Wanted { properties: deciding, full: true, device_state, lanes, told_after }
     }
 
-    /// A slow device that can answer one question at a time is asked one, and its answer is published, before the next: what
-    /// decides in turn, and one property of the rest in each round.
+    /// A slow device that can answer one question at a time is asked one, and its answer is published, before the next:
+    /// what decides in turn, and one property of the rest in each round.
     fn next_part(&mut self, now: Instant, deciding: Vec<String>) -> Wanted {
         self.rest_is_due = false;
         if self.parts.is_empty() {
@@ -86,7 +87,8 @@ impl<D: Driver> Loop<D> {
         Wanted { properties, full: false, device_state: false, lanes: 1, told_after: None }
     }
 
-    /// Measures by a poll how fast the device is: a slow one is asked several things at once, as long as it can bear that.
+    /// Measures by a poll how fast the device is: a slow one is asked several things at once, as long as it can bear
+    /// that.
     pub(super) fn pace(&mut self, poll: &Poll) {
         let took = poll.began_at.elapsed();
         self.each = took / u32::try_from(poll.answers.len().max(1)).unwrap_or(1);
@@ -95,7 +97,7 @@ impl<D: Driver> Loop<D> {
         if poll.full {
             self.parts.extend(poll.unasked.iter().cloned());
         } else {
-            // of the rest: what decides has its turn before
+            // For the rest, properties that decide have their turn before.
             poll.unasked.iter().rev().for_each(|property| self.rest.push_front(property.clone()));
         }
         if self.one_lane {

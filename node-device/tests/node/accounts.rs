@@ -1,4 +1,4 @@
-//! What the device node keeps of every command, in its file and on the bus.
+//! The record that the device node writes of every command, in its file and on the bus.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -74,7 +74,7 @@ async fn a_domes_night_stands_in_the_audit_from_the_claim_to_the_guards_closing(
     let by_guard = all.iter().filter(|record| record.from == "guard" && record.outcome == Outcome::Accepted).count();
     assert!(by_guard >= closings, "{closings} closings, {by_guard} records");
 
-    // the bus says the same, byte for byte
+    // The bus has the same, byte for byte.
     let mut said = Vec::new();
     while said.len() < all.len() {
         let one = tokio::time::timeout(LIMIT, heard.hear()).await.unwrap();
@@ -83,7 +83,7 @@ async fn a_domes_night_stands_in_the_audit_from_the_claim_to_the_guards_closing(
     said.sort_by_key(|record| record.number);
     assert_eq!(said[..all.len()], all[..]);
 
-    // and so does the node when it is asked, in portions
+    // And so does the node when it is asked, in portions.
     let key = stage.node().key(NodeTopic::AuditSince);
     let (mut after, mut asked) = (None, Vec::new());
     loop {
@@ -141,7 +141,7 @@ async fn a_command_that_another_one_takes_the_place_of_says_so() {
 async fn a_disk_that_takes_no_audit_is_an_alert_and_delays_no_closing() {
     let hardware = a_dome().await;
     let devices = block("dome", "dome", &hardware, "period_s = 0.5\npermit_valid_s = 10.0");
-    // a folder where the file should be
+    // A folder where the file should be.
     let stage = Stage::start_in(&devices, |folder| {
         std::fs::create_dir_all(folder.join("data/audit-device-alpha-main.jsonl")).unwrap();
     })
@@ -155,7 +155,7 @@ async fn a_disk_that_takes_no_audit_is_an_alert_and_delays_no_closing() {
     let alerts = stage.node().alerts.watch().borrow().clone();
     assert!(alerts.alerts.iter().any(|alert| alert.id == "audit"), "{alerts:?}");
 
-    // the disk is repaired: nothing was lost
+    // The disk is repaired: nothing was lost.
     std::fs::remove_dir(file(&stage)).unwrap();
     until_recorded(&stage, "the closing", |record| record.id.0 == "c9" && record.outcome == Outcome::Done).await;
     let all = records(&stage);

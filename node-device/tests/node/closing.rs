@@ -31,7 +31,7 @@ async fn a_mount() -> Fake {
         ("slewing", json!(false)),
     ])
     .await;
-    // it takes the command, and never arrives
+    // It takes the command, and never arrives.
     mount.on("park", |mount, _| mount.say("slewing", Says::Value(json!(true))));
     mount
 }
@@ -61,7 +61,7 @@ async fn a_dome_whose_status_sticks_at_closed_after_an_opening_is_closed_and_tol
     until("the opening arrives", || hardware.puts("openshutter").len() == 1).await;
     let before = hardware.puts("closeshutter").len();
 
-    // a close order of the commander is sent, and its end is not believed
+    // A close order of the commander is sent, and its end is not believed.
     let close = command("c2", Some(token), dome::Command::CloseShutter);
     accepted(&stage.command(Kind::Dome, "dome", &close).await);
     until("the close request arrives", || hardware.puts("closeshutter").len() > before).await;
@@ -69,7 +69,7 @@ async fn a_dome_whose_status_sticks_at_closed_after_an_opening_is_closed_and_tol
     let state = stage.until::<dome::Dome>("dome", |_| true).await;
     assert!(!state.has_done(&close.id), "a status that never changed proves nothing");
 
-    // and the guard sends it by itself
+    // And the guard sends it by itself.
     let before = hardware.puts("closeshutter").len();
     drop(commander);
     until("the guard's close request arrives", || hardware.puts("closeshutter").len() > before).await;
@@ -124,10 +124,10 @@ async fn a_bare_close_moves_a_roof_only_over_its_parked_mount_and_has_it_parked(
     let before = hardware.puts("closeshutter").len();
     accepted(&stage.command(Kind::Dome, "dome", &command("x1", None, dome::Command::CloseShutter)).await);
     until("the mount is asked to park", || !mount.puts("park").is_empty()).await;
-    // an abort from anybody ends no park that a roof waits for, nor does a commander that does not know of it
+    // An abort from anybody ends no park that a roof waits for, nor does a commander that does not know of it.
     for what in [telescope::Command::Abort, telescope::Command::Slew { ra_deg: 1.0, dec_deg: 2.0 }] {
         let reply = stage.command(Kind::Telescope, "mount", &command("s1", None, what.clone())).await;
-        // the park that is being done refuses a slew as well
+        // The park that is being done refuses a slew as well.
         assert!(matches!(refused(&reply), Reason::WrongState | Reason::Busy), "{what:?}: {reply:?}");
     }
     tokio::time::sleep(Duration::from_secs(2)).await;

@@ -1,4 +1,4 @@
-//! The record of a weather station outlives whoever listens.
+//! The record of a weather station survives every subscriber.
 
 use std::time::{Duration, Instant};
 
@@ -25,7 +25,7 @@ async fn a_weather_stations_record_is_what_was_heard_of_it() {
             loop {
                 let state = states.hear().await;
                 let is_wanted = wanted(&state.said.body.link, &state.said.body.fields);
-                // the first states may come twice: as an answer, and as they are said
+                // The first states may come twice: as an answer, and as they are published.
                 if !heard.iter().any(|known: &bus::Heard<_>| known.said.seq == state.said.seq) {
                     heard.push(state);
                 }
@@ -57,7 +57,7 @@ async fn a_weather_stations_record_is_what_was_heard_of_it() {
             (told.seq, &told.link, &told.fields),
             (state.said.seq, &state.said.body.link, &state.said.body.fields)
         );
-        // it was said before it arrived, and the age is that of the moment of the answer
+        // It was published before it arrived, and the age is that of the moment of the answer.
         let age = Duration::from_secs_f64(told.age_s);
         assert!(state.arrived.plus(age) >= asked.minus(Duration::from_millis(1)), "{told:?}");
         assert!(age <= answered.since(heard[0].arrived) + Duration::from_secs(5), "{told:?}");
@@ -69,7 +69,7 @@ async fn a_weather_stations_record_is_what_was_heard_of_it() {
     assert!(short.entries.len() <= 2 && short.entries.last().unwrap().seq >= record.entries.last().unwrap().seq);
     let nonsense: Record<Fields> = stage.bus.ask(&key, &json!({"back_s": "long"}), limit).await.unwrap();
     assert!(nonsense.entries.is_empty());
-    // a safety monitor tells the length of its record with its state
+    // A safety monitor's state contains the length of its record.
     let other = Key::Record(stage.device(Kind::SafetyMonitor, "monitor"));
     assert!(stage.bus.ask::<_, Record<Fields>>(&other, &Question { back_s: 600.0 }, limit).await.is_err());
     stage.end().await;
@@ -87,7 +87,7 @@ async fn rain_is_told_after(one_at_a_time: bool) -> Duration {
     let stage = Stage::start(&block("observingconditions", "wx", hardware.address, limits)).await;
     stage.until::<ObservingConditions>("wx", |state| state.fields.rain_mm_per_h.known() == Some(&0.0)).await;
     hardware.slow(Duration::from_millis(1200), one_at_a_time);
-    // until the node has measured how slow it is
+    // Until the node has measured how slow it is.
     tokio::time::sleep(Duration::from_secs(25)).await;
     let states = stage.states::<ObservingConditions>("wx").await;
     let began = Instant::now();

@@ -12,12 +12,13 @@ use test_support::{ALPHA, LIMIT, private_bus};
 use crate::block;
 use crate::fake::Fake;
 
-/// Nothing has worked yet, so there is no copy of a configuration that worked; the alert needs only one that can be read.
+/// Nothing has worked yet, so there is no copy of a configuration that worked; the alert needs only one that can be
+/// read.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_device_node_that_fails_from_its_first_start_on_raises_guard_process() {
     let hardware = Fake::start(&[("shutterstatus", json!(1))]).await;
     let folder = tempfile::tempdir().unwrap();
-    // a file takes the place of the data folder
+    // A file takes the place of the data folder.
     fs::write(folder.path().join("data"), "").unwrap();
     let bus = private_bus(Clock::machine_clock()).await;
     let meeting = format!("[bus]\nconnect = {:?}\nmulticast = false\n", bus.locators().await);

@@ -1,4 +1,4 @@
-//! The lease on a real bus: one process holds it, not whoever has its name.
+//! The lease on a real bus: one process holds it, not each process of that name.
 
 use std::time::{Duration, Instant};
 
@@ -36,7 +36,7 @@ async fn until_granted(stage: &Stage, name: &str, life: &BootId) -> (u64, Durati
 async fn a_second_process_of_the_same_name_gets_the_lease_when_the_first_is_silent_or_has_released_it() {
     let hardware = a_dome().await;
     let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5")).await;
-    // whoever speaks on this test's session is the first
+    // The process that publishes on this test's session is the first.
     let (first, twin) = (stage.bus.boot_id().clone(), BootId::fresh());
     let token = accepted(&stage.command(Kind::Dome, "dome", &claim("a", Some(&first))).await).unwrap();
     let commander = Commander::start(&stage, "dome", token).await;
@@ -55,7 +55,7 @@ async fn a_second_process_of_the_same_name_gets_the_lease_when_the_first_is_sile
 
     let reply = stage.command(Kind::Dome, "dome", &claim("e", Some(&first))).await;
     assert_eq!(refused(&reply), Reason::LeaseHeld, "the twin holds it");
-    // a release counts only from the life that holds the lease, and the twin's is not on this session
+    // A release counts only from the incarnation that holds the lease, and the twin's is not on this session.
     let key = Key::Observatory(Address::new("site", "alpha").unwrap(), Part::Lease);
     let line = stage.bus.publisher::<Lease>(&key, Quality::State { cache: 1 }).await.unwrap();
     let released = Lease { holder: String::new(), token: taken, since_utc: Utc::EPOCH, arbiter: String::new() };

@@ -52,7 +52,7 @@ async fn a_hung_device_delays_no_other_by_more_than_50_ms() {
         }
         longest
     };
-    // the machine itself may be busy, so the same gaps without a hung device are the measure
+    // The machine itself may be busy, so the same gaps without a hung device are the measure.
     let before = longest_gap(3).await;
     hung.hang(true);
     let during = longest_gap(5).await;
@@ -131,7 +131,7 @@ async fn a_device_that_vanishes_from_its_server_is_lost_and_comes_back() {
         state.fields.is_safe.known() == Some(&true)
     };
     stage.until::<SafetyMonitor>("monitor", is_safe).await;
-    // the server was restarted and knows no such number for a while
+    // The server was restarted and knows no such number for a while.
     monitor.deny("issafe");
     stage.until::<SafetyMonitor>("monitor", |state| matches!(state.link, Link::Lost { .. })).await;
     monitor.say("issafe", Says::Value(json!(true)));
@@ -207,12 +207,12 @@ async fn a_dome_closes_by_itself_when_its_commander_dies_even_while_its_polls_ha
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
     let took = hardware.puts("closeshutter")[before].at - died;
-    // 3 s from the last number, which is at most 1 s old, and one look of the guard
+    // 3 s from the last number, which is at most 1 s old, and one look of the guard.
     assert!(took > Duration::from_millis(1500), "{took:?}");
     assert!(took < lateness.bound(Duration::from_millis(4000)), "{took:?}");
     hardware.hang(false);
 
-    // it holds the dome until the commander resumes
+    // It holds the dome until the commander resumes.
     let commander = Commander::start(&stage, "dome", token).await;
     let key = Key::Guard(stage.device(Kind::Dome, "dome")).to_string();
     let guard = stage.bus.subscribe::<dome::Guard>(&key, Catch::Newest, 8).await.unwrap();
@@ -222,7 +222,7 @@ async fn a_dome_closes_by_itself_when_its_commander_dies_even_while_its_polls_ha
             break;
         }
     }
-    // the poll that hung has lost the link, and without it every command is refused for that reason
+    // The poll that hung has lost the link, and without it every command is refused for that reason.
     stage.until::<dome::Dome>("dome", |state| state.link == Link::Connected).await;
     let go = command("o4", Some(token), dome::Command::OpenShutter);
     assert_eq!(refused(&stage.command(Kind::Dome, "dome", &go).await), Reason::NoPermit);
@@ -240,7 +240,7 @@ async fn a_close_command_waits_for_no_hung_poll_and_needs_no_token() {
     let (_, _commander) = open(&stage).await;
     let before = hardware.puts("closeshutter").len();
     hardware.hang(true);
-    // a poll is under way now, and hangs
+    // A poll is under way now, and hangs.
     tokio::time::sleep(Duration::from_millis(700)).await;
     let (asked, lateness) = (Instant::now(), Lateness::begin());
     let close = command("c9", None, dome::Command::CloseShutter);
@@ -342,7 +342,8 @@ async fn frames_are_taken_one_after_another_announced_served_and_released() {
     let mut dead: Vec<Duration> = ends.iter().zip(&starts[1..]).map(|(end, start)| start.at - *end).collect();
     dead.sort();
     println!("dead time between exposures: {dead:?}");
-    // the figure of 50 ms is judged by tests/bench on a release build; this catches a lost design, which every pause shows
+    // A bench judges the figure of 50 ms on a release build (tests/bench); this test catches a lost design, which every
+    // pause shows.
     assert!(dead[0] < Duration::from_millis(150), "{dead:?}");
 
     let mut heard = Vec::new();
@@ -359,7 +360,7 @@ async fn frames_are_taken_one_after_another_announced_served_and_released() {
         let response = request.send().await.unwrap();
         (response.status().as_u16(), response.bytes().await.unwrap().to_vec())
     };
-    // columns 1 2 | 3 4 | 5 6 as rows
+    // Columns 1 2 | 3 4 | 5 6 as rows.
     let pixels: Vec<u8> = [1_u16, 3, 5, 2, 4, 6].into_iter().flat_map(u16::to_le_bytes).collect();
     assert_eq!(get(None, &frame.url).await, (200, pixels.clone()));
     assert_eq!(get(Some("bytes=4-"), &frame.url).await, (206, pixels[4..].to_vec()));
@@ -373,7 +374,7 @@ async fn frames_are_taken_one_after_another_announced_served_and_released() {
     assert_eq!(refused(&stage.command(Kind::Camera, "cam", &release("0")).await), Reason::Malformed);
     accepted(&stage.command(Kind::Camera, "cam", &release(&frame.sha256)).await);
     stage.until::<camera::Camera>("cam", |state| state.fields.spooled == count as u32 - 1).await;
-    // it can still be fetched for a while
+    // It can still be fetched for a while.
     assert_eq!(get(None, &frame.url).await.0, 200);
     stage.end().await;
 }

@@ -8,7 +8,7 @@ use crate::block;
 use crate::fake::{Fake, Says};
 use crate::stage::{Stage, accepted, command, refused};
 
-/// A mount in the open that does at once what it is told.
+/// A mount in the open that does at once what it is ordered.
 async fn a_mount(takes_rates: bool) -> Fake {
     let mount = Fake::start(&[
         ("rightascension", json!(3.0)),
@@ -26,7 +26,7 @@ async fn a_mount(takes_rates: bool) -> Fake {
         ("cansetrightascensionrate", json!(takes_rates)),
         ("cansetdeclinationrate", json!(takes_rates)),
         ("equatorialsystem", json!(2)),
-        // what somebody left behind before this node began
+        // Rates that another program left behind before this node began.
         ("rightascensionrate", json!(0.5)),
         ("declinationrate", json!(-3.0)),
     ])
@@ -69,7 +69,7 @@ async fn rates_end_with_a_slew_with_tracking_and_with_a_park() {
         moon(),
         Command::Park,
     ];
-    // PUTs of rates so far: those of before are ended once, each slew after rates, and nothing without a reason
+    // PUTs of rates so far: those of before are ended once, each slew after rates, and nothing without a reason.
     let expected = [1, 2, 3, 3, 4, 5, 5, 6, 7];
     for (number, (deed, puts)) in deeds.into_iter().zip(expected).enumerate() {
         let asked = command(&format!("d{number}"), token, deed);
@@ -100,7 +100,7 @@ async fn rates_are_refused_by_a_mount_that_takes_none_or_does_not_track_and_wher
     stage.until::<Telescope>("mount", |state| state.fields.tracking.known() == Some(&false)).await;
     let reply = stage.command(Kind::Telescope, "mount", &command("r2", token, rates(0.1))).await;
     assert_eq!(refused(&reply), Reason::WrongState);
-    // to follow the stars is no motion of its own
+    // To follow the stars is no motion of its own.
     accepted(&stage.command(Kind::Telescope, "mount", &command("r3", token, rates(0.0))).await);
     stage.end().await;
 }

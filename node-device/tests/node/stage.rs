@@ -1,4 +1,4 @@
-//! A device node on a private bus, and a second place on it from which a test listens and speaks.
+//! A device node on a private bus, and a second place on it from which a test receives and publishes.
 
 use std::time::{Duration, Instant};
 

@@ -34,7 +34,7 @@ async fn a_command_of_the_makers_own_needs_the_token_and_the_permit_and_to_be_li
     stage.until::<Dome>("dome", |state| state.link == contract::Link::Connected).await;
     let token = accepted(&stage.command(Kind::Dome, "dome", &command("c", None, dome::Command::Claim)).await);
 
-    // without a permit only what closing may need, and never without the token
+    // Without a permit only what closing may need, and never without the token.
     assert_eq!(refused(&ask(&stage, "a", token, "STATUS").await), Reason::NoPermit);
     assert_eq!(refused(&ask(&stage, "b", None, "RESET 4").await), Reason::StaleToken);
     assert_eq!(refused(&ask(&stage, "d", token, "OPEN").await), Reason::NotImplemented);

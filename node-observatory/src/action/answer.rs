@@ -1,4 +1,4 @@
-//! Tells on the bus which actions there are and what their parameters may be: for forms, and for programs that write
+//! Publishes which actions there are and which parameters they accept: for forms, and for programs that write
 //! schedules.
 
 use bus::{BusError, Node, Service};
@@ -45,7 +45,7 @@ mod tests {
         assert_eq!((&of("bin")["default"], &of("bin")["minimum"]), (&1.into(), &1.into()));
         assert_eq!(of("subframe_center_x")["default"], 0.5);
         assert_eq!(told.example["object"], "TRAPPIST-1");
-        // no line ends and no widths of Rust's numbers
+        // No line ends and no widths of Rust's numbers.
         let text = schema.to_string();
         assert!(!text.contains("\\n") && !text.contains("uint32") && !text.contains("\"double\""), "{text}");
     }

@@ -90,7 +90,7 @@ impl Execute for Autofocus {
     }
 }
 
-/// The run for a focuser that stands at `start`, its best focus; `usual` is the half width where the row names none.
+/// The run for a focuser at `start`, its best focus; `usual` is the half width where the row names none.
 fn plan(search: &Search, focuser: &Focuser, start: i64, usual: i64, max_step: i64) -> Result<Plan, Wrong> {
     let (centre, half_range) = search.range(start, usual, max_step);
     let (coarse, fine) = search.positions();

@@ -90,7 +90,7 @@ async fn frame(
     let looked = async {
         loop {
             match pixels.recv().await {
-                // the frames before were waited for, so the next one of the row is this one
+                // The frames before were waited for, so the next one of the row is this one.
                 Ok(fetched) if fetched.frame.camera == camera && fetched.frame.purpose.row == Some(stage.index) => {
                     return stage.room.looks.of(&fetched.frame.id).await;
                 }
@@ -106,7 +106,7 @@ async fn frame(
     })
 }
 
-/// How to step: as the row says, or so that the stars go their way in as many steps as it says, or ten.
+/// How to step: as the row orders, or so that the stars go their way in as many steps as it orders, or ten.
 fn settings(calibrate: &CalibrateGuiding, looked: &Looked, mount: &Mount, target: &Icrs) -> pulses::Settings {
     let rates = mount.instrument.can().as_ref().and_then(guide_rates);
     let scale = looked.solved.as_ref().and_then(|solved| solved.as_ref().ok()).map(|s| s.scale_arcsec_px);
@@ -114,8 +114,8 @@ fn settings(calibrate: &CalibrateGuiding, looked: &Looked, mount: &Mount, target
     calibrate.settings_of(rates.zip(scale), Some(frame.width_px.min(frame.height_px)), side(mount), target)
 }
 
-/// Steps until a run has ended; one during which the tube went to the other side of the pier, or of which the mount told
-/// that only now, is begun anew where it stands then.
+/// Steps until a run has ended. A run begins anew at the present place when the tube went to the other side of the pier
+/// during it, or when the mount reported only during it that the tube had gone there.
 async fn step(
     calibrate: &CalibrateGuiding,
     stage: &Stage,
@@ -190,9 +190,9 @@ async fn once(
 
 /// How a run ended.
 enum Ended {
-    /// With what is worth telling.
+    /// With a summary for the row's status.
     Calibrated(String),
-    /// The tube went elsewhere meanwhile: what was measured so far holds for neither place.
+    /// The tube went elsewhere meanwhile: the measurements so far are valid for neither place.
     Turned(String),
 }
 
@@ -214,7 +214,7 @@ async fn still(stage: &Stage, mount: &Mount) -> Result<(), Trouble> {
     }
 }
 
-/// Where the stars of the first frame stand.
+/// Where the stars of the first frame are.
 fn reference(looked: &Looked) -> Result<Reference, Trouble> {
     let (width, height) = (looked.frame.width_px as usize, looked.frame.height_px as usize);
     Reference::from_lists(&[stars(looked)], width, height).map_err(|why| {

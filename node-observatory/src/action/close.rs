@@ -10,7 +10,7 @@ impl Execute for Close {
         stage.step("closing");
         let left_s = stage.row.end.seconds_since(stage.clock().utc());
         let most = crate::patience::patience(stage.clock(), units::seconds(left_s));
-        // past its window the row has failed; the closing itself goes on
+        // Past its window the row has failed; the closing itself goes on.
         tokio::time::timeout(most, stage.room.close("the schedule says so"))
             .await
             .map_err(|_| Trouble::Impossible(TOO_LATE.to_owned()))?;

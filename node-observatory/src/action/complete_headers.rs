@@ -10,7 +10,7 @@ use units::Angle;
 use super::{Execute, Stage};
 use crate::trouble::Trouble;
 
-/// How often the archive is asked about files whose word was missed.
+/// How often the archive is asked about files whose announcement was missed.
 const ASK: Duration = Duration::from_secs(15);
 
 impl Execute for CompleteHeaders {

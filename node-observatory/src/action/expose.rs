@@ -1,4 +1,5 @@
-//! One frame after another, with nothing between them: the next is sent as soon as the state says the last is done.
+//! One frame after another, with nothing between them: the next is sent as soon as the state shows that the last is
+//! done.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -46,8 +47,8 @@ pub struct Series {
     pub metadata: BTreeMap<String, String>,
 }
 
-/// Takes frames until `next` has none left; it is told how many the row has, those of before a restart included.
-/// Returns that number.
+/// Takes frames until `next` returns none. `next` gets the number of the row's frames, including those from before a
+/// restart. Returns that number.
 pub async fn expose(
     stage: &Stage,
     series: &Series,
@@ -59,24 +60,24 @@ pub async fn expose(
     let Some(mut shot) = next(taken, stage.clock().utc()) else { return Ok(taken) };
     let camera = stage.chain()?.camera;
     loop {
-        // not held in this future's own space: it is large, and rarely does anything
+        // Not held in this future's own space: it is large, and rarely does anything.
         Box::pin(focus::between_frames(stage, series)).await?;
-        // the id that was prepared, unless a focus run has taken it meanwhile: no two frames have one
+        // The id that was prepared, unless a focus run has taken it meanwhile: no two frames have one.
         let intent = intend(stage).await?;
         ready(stage, series, &shot, &intent.frame).await?;
         stage.room.journal.sent(&stage.row.id);
         camera.instrument.ask_in_turn(&intent.frame, own(stage, series, &shot, intent.sequence)).await?;
-        // the next id goes to disk while this frame collects light
+        // The next id goes to disk while this frame collects light.
         let prepared = intend(stage).await;
         exposed(stage, camera, &intent.frame, shot.exposure_s, series.open_sky).await?;
         taken += 1;
         unspooled.add(&intent.frame);
         stage.room.board.row(stage.index, |row| row.frames = taken);
-        // here a row that the schedule has no longer is ended: no frame is under way
+        // Here a row that the schedule has no longer is ended: no frame is under way.
         tokio::task::yield_now().await;
         let mut following = next(taken, stage.clock().utc());
         if following.is_none() {
-            // these are enough only if each of them is on disk
+            // These are enough only if each of them is on disk.
             let shut = stage.clock().utc();
             let lost = unspooled.settle(stage).await?;
             stage.took(Span::Spool, shut);
@@ -94,8 +95,8 @@ pub async fn expose(
     }
 }
 
-/// Takes one frame beside the row's own, of the sort `action`: it is kept, and never counts. Returns its id when its light
-/// is in.
+/// Takes one frame in addition to the row's own frames, with the purpose `action`: the file is stored, and the frame
+/// never counts. Returns its id when its exposure has ended.
 pub async fn aside(stage: &Stage, series: &Series, shot: &Shot, action: &str) -> Result<CommandId, Trouble> {
     let (room, row) = (stage.room.clone(), stage.row.id.clone());
     let intent = tokio::task::spawn_blocking(move || room.journal.aside(&row, room.node.bus.clock().utc()));
@@ -125,14 +126,14 @@ fn own(stage: &Stage, series: &Series, shot: &Shot, sequence: u32) -> Command {
     command(stage, series, shot, series.action.unwrap_or(stage.row.action.name()), sequence)
 }
 
-/// Takes one frame whose id was made before ([`intend`]); the next one waits for what it shows. Where it does not count,
-/// it is none of those that the row was asked for.
+/// Takes one frame whose id was made before ([`intend`]); the next one waits for what it shows. Where it does not
+/// count, it is none of those that the row was asked for.
 pub async fn single(stage: &Stage, series: &Series, shot: &Shot, intent: &Intent, counts: bool) -> Result<(), Trouble> {
     let camera = stage.chain()?.camera;
     ready(stage, series, shot, &intent.frame).await?;
     stage.room.journal.sent(&stage.row.id);
     if !counts {
-        // before its announcement or a restart can make it count; nothing of it was hidden
+        // Before its announcement or a restart can make it count; nothing of it was hidden.
         let (room, row, frame) = (stage.room.clone(), stage.row.id.clone(), intent.frame.clone());
         let noted = tokio::task::spawn_blocking(move || {
             room.journal.hidden(&row, &frame, 0.0, false, room.node.bus.clock().utc())
@@ -177,7 +178,7 @@ fn command(stage: &Stage, series: &Series, shot: &Shot, action: &str, sequence: 
     }
 }
 
-/// A dome that says anything but "open" hides the sky; one that says nothing right now may still be open.
+/// A dome that reports anything but "open" hides the sky; one that reports nothing right now may still be open.
 fn roof_is_open(stage: &Stage) -> Result<(), Trouble> {
     for dome in &stage.room.rig.domes {
         if let Some(shutter) = dome.shutter().filter(|shutter| *shutter != Shutter::Open) {
@@ -189,7 +190,7 @@ fn roof_is_open(stage: &Stage) -> Result<(), Trouble> {
     Ok(())
 }
 
-/// A mount that says that it does not track smears the sky: its device node may have stopped it.
+/// A mount that reports that it does not track smears the sky: its device node may have stopped it.
 fn sky_is_followed(stage: &Stage) -> Result<(), Trouble> {
     let Some(mount) = stage.chain()?.mount else { return Ok(()) };
     let stands = mount.instrument.fresh().is_some_and(|state| state.fields.tracking.known() == Some(&false));
@@ -236,8 +237,8 @@ async fn exposed(
     }
 }
 
-/// Writes what a frame lost behind the dome, before its announcement or a restart can make it count, and tells it to
-/// those who keep the frame.
+/// Records how much light a frame lost behind the dome, before its announcement or a restart can make it count, and
+/// reports it to the archives that store the frame.
 async fn note_hidden(stage: &Stage, frame: &CommandId, lost: f64, counts: bool) -> Result<(), Trouble> {
     let lost_percent = (1000.0 * lost).round() / 10.0;
     tracing::warn!(%frame, lost_percent, counts, "the dome hid a part of the frame's light");
@@ -264,7 +265,7 @@ pub async fn adopt(stage: &Stage, open_sky: bool) -> Result<(), Trouble> {
     stage.step("finishing the frame that was under way");
     let mut unspooled = Unspooled::of(stage)?;
     exposed(stage, camera, &exposure.id, exposure.exposure_s, open_sky).await?;
-    // what counts next counts with it, or without it where it was lost
+    // What counts next counts with it, or without it where it was lost.
     unspooled.add(&exposure.id);
     unspooled.settle(stage).await?;
     Ok(())

@@ -1,7 +1,7 @@
-//! Executes the actions of a schedule: one file each, which tells it as an observer would.
+//! Executes the actions of a schedule. Each file holds one action and describes its steps in an observer's order.
 //!
-//! What the parameters of an action are stands in `schedule::action`. The runner owns waiting, safety, retrying and settling: an
-//! action may be dropped at any `.await`.
+//! `schedule::action` defines the parameters of each action. The runner does the waiting, safety checks, retries and
+//! settling: it may drop an action at any `.await`.
 
 mod answer;
 mod autofocus;
@@ -33,11 +33,11 @@ use crate::trouble::Trouble;
 
 /// Executes one type of action.
 trait Execute {
-    /// Does it; returns what is worth telling about how it went.
+    /// Executes the action; returns a summary of how it went.
     fn run(&self, stage: &Stage) -> impl Future<Output = Result<String, Trouble>> + Send;
 }
 
-/// Executes the action of a row; returns what is worth telling about how it went.
+/// Executes the action of a row; returns a summary of how it went.
 pub fn run<'a>(
     action: &'a Action,
     stage: &'a Stage,

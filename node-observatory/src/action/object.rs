@@ -23,11 +23,11 @@ impl Execute for Object {
             tracing::warn!(object = self.object, "{word}");
         }
         chain.camera.start_cooling().await?;
-        // what was learnt since may lead the slew a little beside where that frame looks
+        // The solutions since then may lead the slew a little away from the place of that frame.
         adopt(stage, self.moves()).await?;
         let (target, body) = goal(self, stage, stage.clock().utc())?;
         let pointed = target.filter(|_| self.moves()).zip(chain.mount);
-        // the slit goes there beside the mount
+        // The slit goes there while the mount slews.
         let _aimed = pointed.map(|(target, mount)| Aimed::at(&stage.room, mount, target));
 
         let point = async {
@@ -89,8 +89,8 @@ fn goal(object: &Object, stage: &Stage, at: Utc) -> Result<(Option<Icrs>, Option
     }
 }
 
-/// Takes the frames of a row whose target moves; where it asks for `pointing`, the telescope is first proven to go where it is
-/// sent beside that target. Returns how many count.
+/// Takes the frames of a row whose target moves. If the row asks for `pointing`, the node first proves on a place near
+/// that target that the telescope goes where it is sent. Returns how many frames count.
 async fn along(
     object: &Object,
     stage: &Stage,

@@ -10,7 +10,7 @@ impl Execute for Open {
     async fn run(&self, stage: &Stage) -> Result<String, Trouble> {
         let chain = stage.chain()?;
         if let Err(trouble) = chain.camera.start_cooling().await {
-            // the rows that need a cold camera will say so
+            // The rows that need a cold camera will report the failure.
             tracing::warn!(%trouble, "the cooler was not started");
         }
         stage.step("opening");

@@ -44,7 +44,7 @@ impl Execute for PointingModel {
             else {
                 break;
             };
-            // the slit goes there beside the mount
+            // The slit goes there while the mount slews.
             let _aimed = Aimed::at(&stage.room, mount, target);
             solved += u32::from(look_at(self, stage, mount, &series, target).await?);
             looked_at += 1;
@@ -73,7 +73,8 @@ async fn series(model: &PointingModel, stage: &Stage) -> Result<Series, Trouble>
     })
 }
 
-/// One place: slews there, takes a frame, and learns where it looks. False where the frame does not tell.
+/// One place: slews there, takes a frame, and learns where the telescope looks. Returns false if the frame does not
+/// show that.
 async fn look_at(
     model: &PointingModel,
     stage: &Stage,

@@ -1,5 +1,5 @@
-//! A frame counts once its camera's node has it on disk: a node that dies between the end of the light and the disk takes
-//! the frame with it, and then another one is taken in its place.
+//! A frame counts once its camera's node has it on disk: a node that dies between the end of the light and the disk
+//! takes the frame with it, and then another one is taken in its place.
 
 use std::time::Duration;
 
@@ -10,7 +10,8 @@ use crate::trouble::Trouble;
 
 /// The largest frames are on a slow disk within this time, three of them one after another, machine time.
 const LONGEST: Duration = Duration::from_secs(60);
-/// A new life of the node announces at its start what its spool holds; what it has not named by then is lost.
+/// A new incarnation of the device node announces at its start what its spool holds. A frame that it has not announced
+/// within this time is lost.
 const NEW_LIFE: Duration = Duration::from_secs(3);
 
 /// Frames whose light is in and which are not known to be on disk.
@@ -20,7 +21,7 @@ pub struct Unspooled {
 }
 
 impl Unspooled {
-    /// None yet; the life of the camera's node is the one that is heard now, before the first of them.
+    /// No frames yet. Before the first of them, this records the incarnation of the camera's node that is received now.
     pub fn of(stage: &Stage) -> Result<Self, Trouble> {
         Ok(Self { frames: Vec::new(), life: life(stage)? })
     }
@@ -46,7 +47,7 @@ impl Unspooled {
                 return Ok(0);
             }
             let now = clock.machine();
-            // a link that is down for a while is no new life
+            // A link that is down for a while is no new incarnation.
             let is_another = life(stage)?.zip(self.life.clone()).is_some_and(|(now, then)| now != then);
             if new_life.is_none() && is_another {
                 new_life = Some(now);

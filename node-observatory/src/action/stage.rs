@@ -1,4 +1,4 @@
-//! What an action works with: its row, the devices of its camera, and the building blocks that actions share.
+//! The context of an action: its row, the devices of its camera, and the building blocks that actions share.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -59,7 +59,7 @@ impl Stage {
         self.room.node.bus.clock()
     }
 
-    /// Tells what is done now.
+    /// Reports what the row does now.
     pub fn step(&self, step: impl Into<String>) {
         let step = step.into();
         tracing::info!(row = self.index, action = self.row.action.name(), step, "step");
@@ -95,7 +95,7 @@ impl Stage {
         self.last.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Remembers where the focuser stood before a run, so that it goes back there when the action is dropped.
+    /// Remembers where the focuser was before a run, so that it goes back there when the action is dropped.
     pub fn set_focus_before(&self, position: Option<i64>) {
         *self.focus_before.lock().unwrap_or_else(PoisonError::into_inner) = position;
     }
@@ -131,8 +131,8 @@ impl Stage {
         }
     }
 
-    /// The mount follows the stars again. One that is parked or closing meanwhile is left to that: its device node ends the
-    /// rates too.
+    /// The mount follows the stars again. One that is parked or closing meanwhile is left to that: its device node ends
+    /// the rates too.
     async fn stop_following(&self) {
         if !self.following.swap(false, Ordering::Relaxed) {
             return;
@@ -165,10 +165,10 @@ impl Stage {
         Ok(self.room.observer(at)?)
     }
 
-    /// The sky now, if the target stands in what the site leaves of it to the row's mount.
+    /// The sky now, if the target is in what the site leaves of it to the row's mount.
     ///
     /// # Errors
-    /// [`Trouble::Hidden`] where it will stand there later in the row's window, else [`Trouble::Impossible`].
+    /// [`Trouble::Hidden`] where it will be there later in the row's window, else [`Trouble::Impossible`].
     pub fn visible(&self, target: &Icrs) -> Result<Observer, Trouble> {
         let now = self.clock().utc();
         let observer = self.observer(now)?;
@@ -229,7 +229,7 @@ impl Stage {
         }
     }
 
-    /// Runs the cooler and waits until the sensor is cold; an alert stands while a sensor does not get there.
+    /// Runs the cooler and waits until the sensor is cold. An alert is active while a sensor does not get there.
     pub async fn cool(&self) -> Result<(), Trouble> {
         let camera = self.chain()?.camera;
         let (alerts, name) = (&self.room.node.alerts, &self.row.camera);

@@ -1,4 +1,4 @@
-//! What must be done to be closed: a pure function of what the devices say now.
+//! The steps to be closed: a pure function of the devices' present states.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -9,14 +9,15 @@ use contract::device::dome::Shutter;
 
 use crate::rig::dome::ParkSight;
 
-/// A dome as it is seen now; `None` where no fresh state over a standing link tells.
+/// A dome as it is seen now; `None` where no fresh state over a link that is up shows it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DomeSight {
     /// The shutter.
     pub shutter: Option<Shutter>,
     /// It may be open whatever its status: it was opened, and is not proven closed since.
     pub doubted: bool,
-    /// Left alone: a neighbour works under the same roof, and only a wish, not the sky, asks for closing.
+    /// Left alone: another telescope works under the same roof, and only a close request, not the sky, asks for
+    /// closing.
     pub spared: bool,
     /// How far its parking is, for a dome that is parked when it is closed.
     pub park: Option<ParkSight>,
@@ -25,13 +26,13 @@ pub struct DomeSight {
 /// A mount as it is seen now.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MountSight {
-    /// Stands at its park position.
+    /// It is at its park position.
     pub parked: Option<bool>,
     /// Moves to a target.
     pub slewing: Option<bool>,
     /// Follows the sky.
     pub tracking: Option<bool>,
-    /// It says that it cannot park.
+    /// It reports that it cannot park.
     pub cannot_park: bool,
     /// Its newest command is a park that is being done.
     pub parking: bool,
@@ -42,7 +43,7 @@ pub struct MountSight {
 pub struct CoverSight {
     /// The cover.
     pub cover: Option<Cover>,
-    /// It says that it has no cover.
+    /// It reports that it has no cover.
     pub has_none: bool,
 }
 
@@ -57,7 +58,7 @@ pub struct Sight {
     pub covers: Vec<CoverSight>,
 }
 
-/// One thing to do; the number is the device's place in the rig.
+/// One thing to do; the number is the device's index among the devices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Step {
     /// Close a dome's shutter.
@@ -72,8 +73,8 @@ pub enum Step {
 
 /// A shutter waits no longer for the park of its dome, machine time.
 pub(super) const PARK_WAIT: Duration = Duration::from_secs(60);
-/// A shutter that has not begun to close after so long under a sky that calls for it may be one that has power at the park
-/// position alone, machine time.
+/// A shutter that has not begun to close after so long under a sky that calls for it may be one that has power at the
+/// park position alone, machine time.
 const PARK_HELPS: Duration = Duration::from_secs(30);
 
 impl DomeSight {
@@ -87,8 +88,8 @@ impl DomeSight {
         self.park.is_some_and(|park| park.may_wait && park.parked != Some(true)) && closing_for < PARK_WAIT
     }
 
-    /// The dome is to be parked now: before its shutter closes where that may wait; else behind it, or where it may help a
-    /// shutter that does not move.
+    /// The dome is to be parked now: before its shutter closes where that may wait; else behind it, or where it may
+    /// help a shutter that does not move.
     fn is_to_park(&self, closing_for: Duration) -> bool {
         let Some(park) = self.park.filter(|park| park.parked != Some(true) && !self.spared) else { return false };
         let stays_open = matches!(self.shutter, Some(Shutter::Open | Shutter::Error)) && closing_for >= PARK_HELPS;
@@ -119,7 +120,7 @@ impl Sight {
             && self.covers.iter().all(CoverSight::is_closed)
     }
 
-    /// What is to be done now. A roof that waits for the mounts is asked at once too: its device node, which knows all
+    /// The steps to take now. A roof that waits for the mounts is asked at once too: its device node, which knows all
     /// mounts under it, moves it as soon as its policy allows, and nobody else does.
     pub fn wanted(&self, closing_for: Duration) -> Vec<Step> {
         let mut steps = Vec::new();
@@ -150,7 +151,7 @@ pub struct Closing {
 const AGAIN: Duration = Duration::from_secs(10);
 /// A step that was not taken is sent again sooner.
 const AGAIN_REFUSED: Duration = Duration::from_secs(2);
-/// A mount that says it parks is not disturbed for so long.
+/// A mount that reports that it parks is not disturbed for so long.
 const PARKING: Duration = Duration::from_secs(60);
 
 impl Closing {
@@ -162,7 +163,7 @@ impl Closing {
     /// The steps to be sent now; each is then due again after a while.
     pub fn due(&mut self, sight: &Sight, now: MachineTime) -> Vec<Step> {
         let wanted = sight.wanted(now.since(self.began));
-        // what is done may be undone, and must then be sent at once
+        // A step that is done may be undone, and must then be sent at once.
         self.due.retain(|step, _| wanted.contains(step));
         let ripe: Vec<Step> =
             wanted.into_iter().filter(|step| self.due.get(step).is_none_or(|due| *due <= now)).collect();
@@ -227,7 +228,7 @@ mod tests {
 
     #[test]
     fn beside_sends_everything_at_once_whatever_is_there_and_whatever_hangs() {
-        // every subset of devices, each in every state that is not done
+        // Every subset of devices, each in every state that is not done.
         for domes in [vec![], vec![Some(Shutter::Open)], vec![None], vec![Some(Shutter::Error), Some(Shutter::Closing)]]
         {
             for mounts in [vec![], vec![None], vec![Some(false)], vec![Some(false), None]] {

@@ -51,7 +51,7 @@ pub async fn keep_closed(room: Arc<ControlRoom>, neighbours: Neighbours) -> anyh
                 Closing::begin(now)
             });
             script.see(sight.is_closed());
-            // the site's script has its moment before; the guards of the domes do not wait for it
+            // The site's script has its moment before; the guards of the domes do not wait for it.
             let due = if script.holds(now) { Vec::new() } else { closing.due(&sight, now) };
             for step in due {
                 if under_way.insert(step) {
@@ -78,7 +78,7 @@ pub async fn keep_closed(room: Arc<ControlRoom>, neighbours: Neighbours) -> anyh
         }
         tokio::select! {
             Some(done) = sent.join_next() => {
-                // a send that panicked leaves its step under way for ever: end, and be restarted
+                // A send that panicked leaves its step under way for ever: end, and be restarted.
                 let (step, result) = done?;
                 under_way.remove(&step);
                 if let (Err(trouble), Some(closing)) = (result, closing.as_mut()) {
@@ -99,7 +99,7 @@ pub async fn keep_closed(room: Arc<ControlRoom>, neighbours: Neighbours) -> anyh
 /// Why everything must be closed now, if so.
 fn why_close(room: &ControlRoom, now: MachineTime) -> Option<String> {
     if !room.may_speak() {
-        // whoever commands closes; a standby that knows less must not shut a safe roof
+        // The commander closes; a standby that knows less must not shut a safe roof.
         return None;
     }
     if room.ruling.borrow().calls_for_closing(now) {
@@ -108,7 +108,7 @@ fn why_close(room: &ControlRoom, now: MachineTime) -> Option<String> {
     room.wish_closed.borrow().clone()
 }
 
-/// What the devices say now.
+/// The devices' present states.
 pub(crate) fn look(room: &ControlRoom, neighbours: &Neighbours, now: MachineTime) -> Sight {
     let sky_calls = room.ruling.borrow().calls_for_closing(now);
     let domes = room.rig.domes.iter().map(|dome| DomeSight {
@@ -154,8 +154,8 @@ async fn send(room: &ControlRoom, step: Step) -> Result<(), Trouble> {
         Step::StopMount(index) => {
             let Some(mount) = rig.mounts.get(index) else { return Ok(()) };
             let fields = mount.instrument.fresh().map(|state| state.fields).unwrap_or_default();
-            // one after the other, since a newer command ends the one before it; each for itself, since a mount
-            // that cannot abort may well park
+            // One after the other, since a newer command ends the one before it; each for itself, since a mount
+            // that cannot abort may well park.
             if fields.slewing.known() != Some(&false) {
                 stop_mount(mount, telescope::Command::Abort).await;
             }

@@ -30,7 +30,7 @@ pub async fn run(run: &mut Run<'_>, brightness: Option<i64>) -> Result<(), Troub
     let mut light = Light::new(run.want, run.wish.filters.len(), 0.0);
     let mut changes = 0;
     loop {
-        // a lamp waits for nobody: in the order of the list, each filter with the brightness that suits it
+        // A lamp waits for nobody: in the order of the list, each filter with the brightness that suits it.
         let known = |filter: Candidate| Candidate { is_fresh: filter.ready.is_some(), ..filter };
         let candidates: Vec<Candidate> = run.candidates(&light).into_iter().map(known).collect();
         match next(Order::Listed, Trend::Stays, &candidates, None) {
@@ -49,7 +49,7 @@ pub async fn run(run: &mut Run<'_>, brightness: Option<i64>) -> Result<(), Troub
                         changes += 1;
                         lamp.now = brightness;
                         lamp.light(stage).await?;
-                        // another brightness is another light
+                        // Another brightness is another light.
                         (0..run.wish.filters.len()).for_each(|filter| light.forget(filter));
                     }
                     None => {
@@ -126,12 +126,12 @@ impl Lamp<'_> {
 fn brightness(now: i64, most: i64, rate: f64, want: &Want) -> i64 {
     let good_s = GOOD_S.clamp(want.min_s, want.max_s);
     let wanted = now as f64 * (want.target_adu - want.bias_adu) / good_s / rate.max(1e-9);
-    // `as` saturates
+    // `as` saturates.
     (wanted.round() as i64).clamp(1, most)
 }
 
-/// Darkens the panel, and opens the cover again if it was found open and the sky is safe; a cover that was found shut, or
-/// is wanted shut by now, stays shut. Does nothing where no panel was used.
+/// Darkens the panel, and opens the cover again if it was found open and the sky is safe; a cover that was found shut,
+/// or is wanted shut by now, stays shut. Does nothing where no panel was used.
 pub async fn put_back(stage: &Stage) -> Result<(), Trouble> {
     let Some(found) = stage.take_panel() else { return Ok(()) };
     let room = &stage.room;
@@ -151,7 +151,7 @@ mod tests {
     #[test]
     fn the_brightness_follows_what_is_missing_within_what_the_panel_has() {
         let want = Want { target_adu: 30_500.0, tolerance_adu: 6000.0, bias_adu: 500.0, min_s: 1.0, max_s: 60.0 };
-        // 30000 ADU in 5 s are 6000 per s
+        // 30000 ADU in 5 s are 6000 per s.
         for (now, rate, expected) in
             [(128, 6000.0, 128), (128, 96_000.0, 8), (10, 60.0, 255), (1, 1e9, 1), (9, 0.0, 255)]
         {

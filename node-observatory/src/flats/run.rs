@@ -1,4 +1,4 @@
-//! The frames of a row of flats: looks aside that tell how bright it is, frames that are judged, and what counts of each
+//! The frames of a row of flats: test frames that show how bright it is, flats that are judged, and the count for each
 //! filter, also after a restart.
 
 use std::collections::BTreeMap;
@@ -20,11 +20,11 @@ use schedule::flats::exposure::{Level, Light, Seen, Want};
 use schedule::flats::order::{Candidate, Order};
 use schedule::shot::{Shot, fits};
 
-/// ASTRATYP of the frames that only tell how bright it is.
+/// ASTRATYP of the frames that only show how bright it is.
 const ACTION: &str = "flats_level";
 /// IMAGETYP of a flat.
 const FLAT: &str = "Flat Frame";
-/// ... and of a frame that only tells how bright it is: whoever collects flats does not want a part of one.
+/// IMAGETYP of a frame that only shows how bright it is: a program that collects flats does not want a part of one.
 const TEST: &str = "Test Frame";
 /// Side of the part of the sensor that a look reads, binned px: enough for a median, and quickly read.
 const PART_PX: u32 = 256;
@@ -211,7 +211,7 @@ impl<'a> Run<'a> {
         Ok(seen)
     }
 
-    /// Writes down whether a frame counts, and tells who keeps it when it does not.
+    /// Records whether a frame counts, and reports it to the archives when it does not.
     async fn note(&self, frame: &CommandId, filter: Option<String>, seen: Option<&Seen>) -> Result<bool, Trouble> {
         let counts = seen.is_some_and(|seen| self.want.accepts(seen.level));
         let level_adu = seen.and_then(|seen| match seen.level {

@@ -1,4 +1,4 @@
-//! Flats of the twilight sky, as an observer would tell it.
+//! Flats of the twilight sky, step by step.
 
 use ::sky::{Horizontal, Icrs, separation};
 use units::seconds;
@@ -18,7 +18,7 @@ use schedule::shot::fits;
 /// The place opposite to the Sun is gone to again when it is further off than this, deg.
 const ASTRAY_DEG: f64 = 10.0;
 
-/// Takes the flats of a row while the Sun stands right; what it could not take is told by the run.
+/// Takes the flats of a row while the Sun has the right altitude; `run` reports the flats that it could not take.
 pub async fn run(run: &mut Run<'_>) -> Result<(), Trouble> {
     let stage = run.stage;
     let config = stage.chain()?.camera.config.flats;
@@ -76,7 +76,7 @@ pub async fn run(run: &mut Run<'_>) -> Result<(), Trouble> {
                 }
                 run.turn_to(index).await?;
                 let frame = run.take(index, exposure_s).await?;
-                // the telescope goes on to the next place while the frame is read and measured
+                // The telescope goes on to the next place while the frame is read and measured.
                 let dither = async {
                     match &mut aim {
                         Some(aim) => aim.dither().await,
@@ -102,7 +102,7 @@ fn sun(stage: &Stage) -> Result<(Horizontal, f64), Trouble> {
     Ok((sun, (later.altitude.degrees() - sun.altitude.degrees()) / AHEAD_S))
 }
 
-/// Waits until the Sun stands right; false where it does not while the row may run, or did before.
+/// Waits until the Sun has the right altitude; false if it does not get it while the row may run, or did before.
 async fn wait_for(stage: &Stage, window: &Window) -> Result<bool, Trouble> {
     let has_begun = stage.room.journal.progress(&stage.row.id).taken > 0;
     loop {
@@ -111,7 +111,7 @@ async fn wait_for(stage: &Stage, window: &Window) -> Result<bool, Trouble> {
             return Ok(true);
         }
         if has_begun {
-            // what dusk has left over does not keep the other rows waiting until dawn
+            // Flats that dusk has left over do not make the other rows wait until dawn.
             return Ok(false);
         }
         let Some(opens) = window.opens(stage.room.site()?, now)?.filter(|opens| *opens < stage.row.end) else {
@@ -119,12 +119,12 @@ async fn wait_for(stage: &Stage, window: &Window) -> Result<bool, Trouble> {
         };
         let (sun_deg, at) = (sun.altitude.degrees(), opens.strftime("%H:%M:%S"));
         stage.step(format!("waiting for the Sun, now at {sun_deg:.1} deg, until {at} UTC"));
-        // a second more: the window has no end of its own
+        // A second more: the window has no end of its own.
         stage.clock().sleep_sky(seconds(opens.seconds_since(now) + 1.0)).await;
     }
 }
 
-/// Where the telescope looks: opposite to the Sun, each frame beside the last one.
+/// Where the telescope looks: opposite to the Sun, each frame a little away from the last one.
 struct Aim<'a> {
     stage: &'a Stage,
     mount: &'a Mount,
@@ -143,7 +143,7 @@ impl<'a> Aim<'a> {
             Trouble::Impossible(format!("{} {why}", stage.row.camera))
         })?;
         let base = opposite(stage)?;
-        // the slit goes there beside the mount
+        // The slit goes there while the mount slews.
         let aimed = Some(Aimed::at(&stage.room, mount, base));
         let index = stage.room.journal.progress(&stage.row.id).taken;
         let aim = Self { stage, mount, base, index, step_arcsec, aimed };
@@ -161,7 +161,7 @@ impl<'a> Aim<'a> {
             return Ok(());
         }
         self.base = base;
-        // the end of the old one takes back what it told
+        // The end of the old value takes back the aim that it published.
         self.aimed = None;
         self.aimed = Some(Aimed::at(&self.stage.room, self.mount, base));
         self.go().await

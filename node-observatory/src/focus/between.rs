@@ -31,20 +31,21 @@ pub async fn between_frames(stage: &Stage, series: &Series) -> Result<(), Troubl
     Ok(())
 }
 
-/// The filter that the row named, its offset, and its offset as the wheel says, steps.
+/// The filter that the row named, its offset, and its offset by the wheel, steps.
 pub fn offset(stage: &Stage, series: &Series, focuser: &Focuser) -> Option<(String, i64, i64)> {
     let filter = series.filter.as_ref()?;
     let of_wheel = stage.chain().ok()?.wheel?.offset_of(filter)?;
     Some((filter.clone(), focuser.offset(filter, of_wheel), of_wheel))
 }
 
-/// How far a run looks to either side, steps: as configured, else by what the last run showed, else a share of the travel.
+/// How far a run looks to either side, steps: as configured, else by what the last run showed, else a share of the
+/// travel.
 pub fn half_range(stage: &Stage, focuser: &Focuser, max_step: i64) -> i64 {
     reach(focuser.config.search_steps, stage.room.focus_learnt.get().critical_zone(focuser.name()), max_step)
 }
 
 fn reach(configured: Option<i64>, zone: Option<f64>, max_step: i64) -> i64 {
-    // `as` saturates
+    // `as` saturates.
     let by_zone = zone.filter(|zone| zone.is_finite()).map(|zone| (ZONES * zone).ceil() as i64);
     let steps = configured.or(by_zone).unwrap_or(max_step / SHARE_OF_TRAVEL);
     steps.clamp(LEAST_STEPS, max_step.max(LEAST_STEPS))
@@ -52,7 +53,7 @@ fn reach(configured: Option<i64>, zone: Option<f64>, max_step: i64) -> i64 {
 
 /// A plan about a position, with the focuser's own play and side.
 pub fn plan(focuser: &Focuser, start: i64, centre: i64, half_range: i64, max_step: i64) -> Plan {
-    // saturates; ASCOM's positions are 32 bits wide
+    // Saturates; ASCOM's positions are 32 bits wide.
     let steps = |steps: i64| i32::try_from(steps).unwrap_or(i32::MAX);
     Plan {
         start: steps(start),
@@ -83,8 +84,9 @@ fn wants_a_run(stage: &Stage, series: &Series, wanted: FocusWanted) -> bool {
     is_due(last, since, stage.clock().utc(), focusing.refocus_after_min)
 }
 
-/// Whether the focus is to be found anew because the stars are wide since an instant. Where the last run found it, stars
-/// that were wide before the run say nothing, and stars that stay wide are seeing; one that failed is tried again.
+/// Whether the focus is to be found anew because the stars are wide since an instant. Where the last run found it,
+/// stars that were wide before the run prove nothing, and stars that stay wide are seeing; one that failed is tried
+/// again.
 fn is_due(last: Option<(Utc, bool)>, wide_since: Utc, now: Utc, rest_min: f64) -> bool {
     last.is_none_or(|(ended, found)| {
         let rested = now.seconds_since(ended) >= 60.0 * rest_min;
@@ -114,7 +116,7 @@ async fn refocus(stage: &Stage, series: &Series, focuser: &Focuser) -> Result<()
     Ok(())
 }
 
-/// An alert stands while the last run of a camera failed.
+/// Keeps an alert active while the last run of a camera failed.
 pub fn tell(stage: &Stage, run: &contract::observatory::FocusRun) {
     let (alerts, camera) = (&stage.room.node.alerts, &stage.row.camera);
     match run.outcome {
@@ -126,8 +128,8 @@ pub fn tell(stage: &Stage, run: &contract::observatory::FocusRun) {
     }
 }
 
-/// Moves the focuser as the temperature asks, once that is known and more than a trifle. What fails is told: the row goes
-/// on at the focus as it is.
+/// Moves the focuser for the temperature, if the model is known and the move is more than a trifle. A failure is
+/// reported: the row goes on at the present focus.
 async fn follow_temperature(stage: &Stage, focuser: &Focuser, wanted: FocusWanted) {
     let learnt = stage.room.focus_learnt.get();
     let (Some(zone), true) = (learnt.critical_zone(focuser.name()), learnt.model(focuser.name()).is_some()) else {

@@ -10,10 +10,10 @@ use crate::trouble::Trouble;
 
 /// Julian date of J2000.0, and days of a Julian year.
 const J2000: (f64, f64) = (2_451_545.0, 365.25);
-/// The camera's field where nothing tells it, degrees.
+/// The camera's field where neither frames nor configuration give it, degrees.
 pub const USUAL_FIELD_DEG: f64 = 0.5;
 
-/// A field, with a word on how it was chosen.
+/// A field, and how it was chosen.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chosen {
     /// Where to point.
@@ -40,7 +40,7 @@ pub async fn for_run(asked: &FieldParameters, stage: &Stage) -> Result<Chosen, T
     near_zenith(stage, asked.observation_time.unwrap_or(stage.clock().utc()), wanted).await
 }
 
-/// Chooses a field near the zenith of an instant. Whatever the catalogue cannot tell ends at the zenith.
+/// Chooses a field near the zenith of an instant. Falls back to the zenith where the catalogue has no answer.
 pub async fn near_zenith(stage: &Stage, at: Utc, wanted: Option<Wanted>) -> Result<Chosen, Trouble> {
     let up = Horizontal { altitude: Angle::from_degrees(90.0), azimuth: Angle::default() };
     let zenith = stage.observer(at)?.to_icrs(&up);
@@ -79,7 +79,7 @@ pub async fn of_camera(stage: &Stage) -> Result<(Angle, Angle), Trouble> {
     let scale_arcsec_px = optics.optics.iter().rev().find(|optics| optics.camera == name);
     let scale_arcsec_px = scale_arcsec_px.map(|optics| optics.scale_arcsec_px / f64::from(optics.bin.max(1)));
     let scale_arcsec_px = scale_arcsec_px.or(camera.config.scale_arcsec_px);
-    // a field of n pixels, each of this scale: the focal length of one millimetre pixels that gives it
+    // A field of n pixels, each of this scale: the focal length of one millimetre pixels that gives it.
     let along = |pixels: u32| match scale_arcsec_px {
         Some(scale) => {
             let focal_length_mm = 1.0 / Angle::from_arcseconds(scale).radians().tan();

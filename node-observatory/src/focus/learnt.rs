@@ -1,6 +1,7 @@
-//! What runs have taught about each focuser: the best position, how it follows the temperature, the offsets of filters.
+//! The learned state of each focuser: the best position, how it follows the temperature, the offsets of filters.
 //!
-//! It outlives a restart (`focus-TELESCOPE.json` in the data folder). A standby takes over what the commander says of it.
+//! It survives a restart (`focus-TELESCOPE.json` in the data folder). A standby takes over what the commander
+//! publishes.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,18 +16,18 @@ use units::Celsius;
 const REMEMBERED: usize = 200;
 /// Runs through two filters this near in time are compared, sky s: the seeing may change, the tube hardly does.
 const NEAR_S: f64 = 2.0 * 3600.0;
-/// Pairs of runs that tell an offset, at least.
+/// Fewest pairs of runs that give an offset.
 const PAIRS: usize = 2;
-/// An offset gives way to what was learnt when it is off by so many standard errors.
+/// The wheel's offset is replaced by the learned one when they differ by so many standard errors.
 const SURELY: f64 = 3.0;
 /// Differences further than so many standard errors from their median teach nothing.
 const FAR: f64 = 4.0;
-/// Runs that tell the critical zone.
+/// Runs that give the critical zone.
 const ZONES: usize = 5;
 /// Standard error of a run that knows none, steps.
 const USUAL_ERROR: f64 = 10.0;
 
-/// All that was learnt; its file and what is told of it are the same.
+/// The learned state of the focus; the file and the payload are the same.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Learnt(FocusLearnt);
 
@@ -36,17 +37,18 @@ pub fn path(config: &config::Observatory) -> PathBuf {
 }
 
 impl Learnt {
-    /// What the life before kept; nothing where there is no file, or none that can be read, which is then told.
+    /// What the incarnation before stored. Empty if there is no file, or if the file cannot be read, which is then
+    /// reported.
     pub fn read(path: &Path) -> Self {
         crate::kept::read_or_anew(path, "what is known of the focus")
     }
 
-    /// As it is told to who stands by.
+    /// The payload for a standby node.
     pub fn told(&self) -> FocusLearnt {
         self.0.clone()
     }
 
-    /// Takes over all that another node has learnt, instead of what was known; false where that is the same.
+    /// Takes over all that another node has learned, instead of what was known; false if that is the same.
     pub fn adopt(&mut self, told: FocusLearnt) -> bool {
         let is_new = self.0 != told;
         self.0 = told;
@@ -112,8 +114,8 @@ impl Learnt {
         TemperatureModel::fit(&runs).ok().filter(TemperatureModel::is_proven)
     }
 
-    /// Offset of a filter, steps: what runs through it and through the filter of most runs tell, where they surely tell
-    /// something else than the wheel; else what the wheel says.
+    /// Offset of a filter, steps. The runs through it and through the filter of most runs give it, if they surely
+    /// differ from the wheel's value; else the wheel gives it.
     pub fn offset(&self, focuser: &str, filter: &str, wheel_offset: i64) -> i64 {
         let Some((reference, reference_offset)) = self.reference(focuser).filter(|(name, _)| name != filter) else {
             return wheel_offset;
@@ -129,7 +131,7 @@ impl Learnt {
         without_offset(run.position, offset as f64)
     }
 
-    /// The filter of most runs, and what the wheel says of it.
+    /// The filter of most runs, and its offset by the wheel.
     fn reference(&self, focuser: &str) -> Option<(String, i64)> {
         let mut counts: BTreeMap<&str, (usize, i64)> = BTreeMap::new();
         for run in self.runs(focuser) {
@@ -148,7 +150,7 @@ impl Learnt {
         let through =
             |name: &str| runs.iter().filter(move |run| run.filter.as_deref() == Some(name)).collect::<Vec<_>>();
         let references = through(reference);
-        // difference and its variance
+        // Difference and its variance.
         let mut pairs: Vec<(f64, f64)> = Vec::new();
         for run in through(filter) {
             let apart_s = |other: &&&Found| run.at_utc.seconds_since(other.at_utc).abs();

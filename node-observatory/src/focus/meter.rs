@@ -1,4 +1,4 @@
-//! What a frame says of the focus: one value, by the operator that the row asks for. Pure, and slow.
+//! What a frame shows of the focus: one value, by the operator that the row asks for. Pure, and slow.
 
 use contract::device::camera::Frame;
 use contract::observatory::FocusValue;
@@ -12,10 +12,10 @@ use crate::frames::measure::{Plane, camera};
 
 /// Stars that are measured, the brightest.
 const STARS: usize = 100;
-/// Stars whose peaks tell that an exposure is too long.
+/// Stars whose peaks show that an exposure is too long.
 const BRIGHTEST: usize = 5;
 
-/// What a frame says.
+/// What a frame shows.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Read {
     /// Its value, if it has one.
@@ -86,7 +86,7 @@ fn places(stars: &[Star], least_snr: f64) -> Vec<(f64, f64)> {
     stars.iter().filter(is_good).take(STARS).map(|star| (star.x_px, star.y_px)).collect()
 }
 
-/// The operator's value; of sizes of stars the two halves of the stars tell the error.
+/// The operator's value. For sizes of stars, the two halves of the stars give the error.
 fn by_operator(operator: &Operator, image: &Image, places: &[(f64, f64)]) -> Result<(Estimate, Option<u32>), String> {
     let none = || format!("{} has no value for this frame; {} stars", operator.name, places.len());
     if !operator.needs_stars {
@@ -99,7 +99,7 @@ fn by_operator(operator: &Operator, image: &Image, places: &[(f64, f64)]) -> Res
     let value = operator.measure(image, places).ok_or_else(none)?;
     let half = |odd: usize| -> Vec<(f64, f64)> { places.iter().skip(odd).step_by(2).copied().collect() };
     let halves = operator.measure(image, &half(0)).zip(operator.measure(image, &half(1)));
-    // one star tells no scatter: its size is then as sure as seeing lets it be
+    // One star shows no scatter: its size is then as sure as seeing lets it be.
     let error = halves.map_or(0.05 * value.abs(), |(a, b)| 0.5 * (a - b).abs());
     Ok((Estimate { value, error }, u32::try_from(places.len()).ok()))
 }

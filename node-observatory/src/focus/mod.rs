@@ -1,8 +1,8 @@
 //! Where the focus is: found by a run of frames, remembered, and followed from row to row and between frames.
 //!
-//! [`run`] drives the focuser and the camera as `imaging::focus::sweep` plans it; [`meter`] makes a value of each frame;
-//! [`shown`] says how it goes. What was found is [`learnt`]: `rig/focuser.rs` asks it for the best position. A field
-//! for a run is chosen in [`field`]; [`between_frames`] looks after the focus of a row that is under way.
+//! [`run`] drives the focuser and the camera as `imaging::focus::sweep` plans it; [`meter`] makes a value of each
+//! frame; [`shown`] holds its progress. [`learnt`] holds the results: `rig/focuser.rs` asks it for the best position. A
+//! field for a run is chosen in [`field`]; [`between_frames`] looks after the focus of a row that is under way.
 
 mod between;
 pub mod field;

@@ -24,7 +24,7 @@ use schedule::shot::{Shot, fits};
 
 /// Pixels are here so long after the exposure, or the frame counts as one without stars; machine time.
 const PIXELS: Duration = Duration::from_secs(60);
-/// Times an exposure is halved because stars are saturated, and the shortest that comes of it, s (algorithms.md 4.3).
+/// Times an exposure is halved because stars are saturated, and the shortest that results, s.
 const HALVINGS: u32 = 5;
 const SHORTEST_S: f64 = 0.1;
 /// Machine time that two looks at the pixels are apart when a frame is known but its pixels were missed.
@@ -45,7 +45,7 @@ pub struct Wish {
     pub reduce_exposure: bool,
     /// Size of the stars at the begin, px, where it is known.
     pub expected_px: Option<f64>,
-    /// Filter that the row named, its offset, and its offset as the wheel says, steps.
+    /// Filter that the row named, its offset, and its offset by the wheel, steps.
     pub filter: Option<(String, i64, i64)>,
     /// Whether rows take the position that was found from now on.
     pub keep: bool,
@@ -53,9 +53,9 @@ pub struct Wish {
     pub counts: bool,
 }
 
-/// Runs until the focus is found and verified, or surely is not; the focuser then stands there, or where it stood.
+/// Runs until the focus is found and verified, or surely is not; the focuser is then there, or back where it was.
 ///
-/// Of a run that is dropped or meets a trouble, [`Stage::settle`] brings the focuser back.
+/// After a run that is dropped or fails, [`Stage::settle`] brings the focuser back.
 pub async fn find(stage: &Stage, series: &Series, focuser: &Focuser, wish: &Wish) -> Result<FocusRun, Trouble> {
     let mut sweep = Sweep::new(wish.plan.clone()).map_err(|bad| Trouble::Impossible(format!("focus run: {bad}")))?;
     stage.set_focus_before(Some(i64::from(wish.plan.start)));
@@ -76,7 +76,7 @@ pub async fn find(stage: &Stage, series: &Series, focuser: &Focuser, wish: &Wish
                 }
                 let words = words(&sweep, pass);
                 let (value, about) = camera.look(focuser, count, &words, expected_px).await?;
-                // it was asked for just now
+                // It was asked for just now.
                 let _ = sweep.measured(value);
                 expected_px = expected(&sweep).or(value.map(|value| value.value)).or(expected_px);
                 shown.measured(&sweep, about);
@@ -154,7 +154,7 @@ struct Lens<'a> {
 }
 
 impl Lens<'_> {
-    /// What so many frames at one position say together.
+    /// What so many frames at one position show together.
     async fn look(
         &mut self,
         focuser: &Focuser,
@@ -196,7 +196,7 @@ impl Lens<'_> {
             Ok(caught.ok().flatten())
         };
         let missed = async {
-            // what was looked at has been fetched, or never will be
+            // Once the frame was looked at, its pixels have been fetched, or never will be.
             let looked = room.looks.of(&intent.frame).await;
             looked.facts.reason.clone()
         };

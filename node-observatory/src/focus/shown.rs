@@ -1,4 +1,4 @@
-//! A run as it is shown while it is under way, and as it is told when it has ended, however it ends.
+//! The state of a run while it is under way, and its record when it has ended, however it ends.
 
 use contract::CommandId;
 use contract::observatory::{FocusCurve, FocusOutcome, FocusPass, FocusPoint, FocusRun};
@@ -8,18 +8,18 @@ use imaging::focus::sweep::{Fit, Focused, Pass, Point, Sweep};
 use super::meter::Read;
 use crate::control_room::ControlRoom;
 
-/// What is known of a point beside its value.
+/// What is known of a point in addition to its value.
 #[derive(Debug, Clone, Default)]
 pub struct About {
     /// The frames.
     pub frames: Vec<CommandId>,
-    /// What the last of them said.
+    /// What the last of them gave.
     pub read: Read,
     /// Temperature at the focuser, degrees Celsius.
     pub temperature_c: Option<f64>,
 }
 
-/// A run that is shown; one that is dropped before its end was interrupted.
+/// A published run; one that is dropped before its end was interrupted.
 pub struct Shown<'a> {
     room: &'a ControlRoom,
     run: FocusRun,
@@ -47,7 +47,7 @@ impl<'a> Shown<'a> {
         self.show(format!("{} positions measured", self.run.points.len()));
     }
 
-    /// The run found the focus; `keep` says whether it is what rows take from now on.
+    /// The run found the focus; with `keep`, rows take it from now on.
     pub fn focused(mut self, focused: &Focused, keep: bool) -> FocusRun {
         let (fit, run) = (&focused.fit, &mut self.run);
         let best = finite(fit.best_position()).unwrap_or(f64::from(focused.position));
@@ -76,7 +76,7 @@ impl<'a> Shown<'a> {
         self.room.focus_learnt.change(|learnt| learnt.learn(&self.run));
         tracing::info!(camera = self.run.camera, points = self.run.points.len(), detail, "focus run");
         self.show(detail);
-        // the receiver lives as long as the node
+        // The receiver lives as long as the node.
         let _ = self.room.focus_runs.send(self.run.clone());
         self.run.clone()
     }
@@ -130,7 +130,7 @@ fn points(points: &[Point], about: &[About], fit: Option<&Fit>) -> Vec<FocusPoin
     told.collect()
 }
 
-/// A curve as it is told; one whose numbers are not finite is none.
+/// A curve as it is published; `None` if one of its numbers is not finite.
 fn curve(fit: &Fit) -> Option<FocusCurve> {
     let (best_position, best_value) = (finite(fit.best_position())?, finite(fit.best_value())?);
     match fit {

@@ -1,4 +1,4 @@
-//! What is said of the focus while no run is under way, and of runs that have ended.
+//! Publishes the focus while no run is under way, and the runs that have ended.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -19,10 +19,10 @@ const PERIOD: Duration = Duration::from_secs(1);
 const RECOVERABLE: usize = 100;
 /// Runs that wait to be looked at.
 const WAITING: usize = 256;
-/// Temperatures are told in steps of this, degrees: they tremble.
+/// Published temperatures are rounded to this, degrees: the readings jitter.
 const TEMPERATURE_STEP_C: f64 = 0.1;
 
-/// Keeps what is shown of each focuser true.
+/// Keeps the published state of each focuser true.
 pub async fn keep_showing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     loop {
         let focusers: Vec<FocuserFocus> = room.rig.focusers.iter().map(|focuser| known(&room, focuser)).collect();
@@ -46,7 +46,7 @@ fn known(room: &ControlRoom, focuser: &Focuser) -> FocuserFocus {
     FocuserFocus {
         focuser: focuser.name().to_owned(),
         best_position: focuser.best(),
-        // without the digits of the multiplication
+        // Without the digits of the multiplication.
         temperature_c: temperature_c.map(|c| (c * 1000.0).round() / 1000.0),
         runs: u32::try_from(learnt.runs(focuser.name()).len()).unwrap_or(u32::MAX),
         steps_per_c: model.map(|model| model.steps_per_c.value),
@@ -54,7 +54,7 @@ fn known(room: &ControlRoom, focuser: &Focuser) -> FocuserFocus {
     }
 }
 
-/// Says each run once more when it has ended; they can be recovered by who was away.
+/// Publishes each run once more when it has ended; a node that was away can recover them.
 pub async fn keep_telling_runs(
     room: Arc<ControlRoom>,
     mut runs: mpsc::UnboundedReceiver<FocusRun>,
@@ -64,11 +64,11 @@ pub async fn keep_telling_runs(
     while let Some(run) = runs.recv().await {
         line.put(run).await?;
     }
-    // the sender lives in the room
+    // The sender lives in the room.
     std::future::pending().await
 }
 
-/// Learns from the runs of another life or node, so that a standby goes on with what the commander has found.
+/// Learns from the runs of another incarnation or node, so that a standby goes on with what the commander has found.
 pub async fn keep_hearing_runs(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let key = Key::FocusRun(room.node.config.address());
     let runs = room.node.bus.subscribe::<FocusRun>(&key.to_string(), Catch::All, WAITING).await?;
@@ -80,7 +80,8 @@ pub async fn keep_hearing_runs(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     }
 }
 
-/// Says what runs have taught at each change and every 10 s: also runs of earlier lives, which are no events any more.
+/// Publishes what runs have taught at each change and every 10 s. It includes runs of earlier incarnations, whose
+/// events are no longer published.
 pub async fn keep_telling_learnt(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let key = room.key(Part::FocusLearnt);
     let line = room.node.bus.publisher::<FocusLearnt>(&key, Quality::State { cache: 1 }).await?;
@@ -97,7 +98,7 @@ async fn follow(mut learnt: watch::Receiver<Learnt>, tell: watch::Sender<FocusLe
     }
 }
 
-/// Takes over what the commander has learnt for as long as this node stands by, so that its first row begins in focus.
+/// Takes over what the commander has learned for as long as this node stands by, so that its first row begins in focus.
 pub async fn keep_hearing_learnt(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let mut told = room.node.bus.latest::<FocusLearnt>(&room.key(Part::FocusLearnt)).await?;
     loop {
@@ -105,7 +106,7 @@ pub async fn keep_hearing_learnt(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         let own = room.node.bus.boot_id();
         let Some(heard) = told.get().filter(|heard| heard.said.boot_id != *own) else { continue };
         if !room.may_speak() {
-            // written to this node's own disk once it commands
+            // Written to this node's own disk once it commands.
             room.focus_learnt.change(|learnt| learnt.adopt(heard.said.body));
         }
     }

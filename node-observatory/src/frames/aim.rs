@@ -13,7 +13,7 @@ use super::solving::middle_of;
 use crate::control_room::ControlRoom;
 use crate::rig::Chain;
 
-/// A mount that says to be further from the target than this does not point there, whatever the frame is for.
+/// A mount that reports to be further from the target than this does not point there, whatever the frame is for.
 const ON_TARGET: Angle = Angle::from_degrees(5.0);
 /// Focal lengths above are mm, though ASCOM asks for metres: no tube is as long, and no camera has a shorter lens.
 const LONGEST_M: f64 = 20.0;
@@ -36,7 +36,7 @@ pub struct Aim {
 }
 
 impl Aim {
-    /// What devices, configuration and the frame's purpose tell.
+    /// Collects what devices, configuration and the frame's purpose give.
     pub fn of(room: &ControlRoom, frame: &Frame) -> Self {
         let target = frame.purpose.ra_deg.zip(frame.purpose.dec_deg);
         let target = target.map(|(ra, dec)| Icrs::from_degrees(ra, dec)).and_then(|icrs| icrs.checked().ok());
@@ -80,7 +80,7 @@ impl Aim {
     /// sensor's middle should be.
     ///
     /// # Errors
-    /// When nobody tells where the telescope pointed.
+    /// When nothing gives the place where the telescope pointed.
     pub fn frame_centre(&self, frame: &Frame, learnt: Option<&Learnt>) -> Result<Icrs, Unsolved> {
         let place = self.place.ok_or_else(|| Unsolved {
             class: UnsolvedClass::NoPlace,
@@ -92,17 +92,17 @@ impl Aim {
         let scale = learnt.scale_arcsec_px / 3600.0;
         let (sin, cos) = Angle::from_degrees(learnt.rotation_deg).radians().sin_cos();
         let sense = if learnt.mirrored { -1.0 } else { 1.0 };
-        // +y points to the position angle of the rotation, +x is a quarter turn from it, on the side of the parity
+        // +y points to the position angle of the rotation, +x is a quarter turn from it, on the side of the parity.
         let cd_deg_px = [[sense * scale * cos, scale * sin], [-sense * scale * sin, scale * cos]];
         let wcs = Wcs { ra: place.ra, dec: place.dec, x_px, y_px, cd_deg_px, sip: None };
         let (ra, dec) = wcs.pixel_to_sky(centre_x, centre_y);
         Ok(Icrs { ra, dec })
     }
 
-    /// Where the middle of a part of the sensor looks once pointing has brought it to the target; None where that is no
-    /// other place than [`Self::frame_centre`] tells, or the mount says to be elsewhere.
+    /// Where the middle of a part of the sensor looks once pointing has brought it to the target. `None` if that is the
+    /// same place as [`Self::frame_centre`], or if the mount reports that it is elsewhere.
     pub fn part_on_target(&self, frame: &Frame) -> Option<Icrs> {
-        // what lies within a quarter of the field is found from either place
+        // A place within a quarter of the field is found from either place.
         let is_aside = self.off_middle_px(frame) > 0.25 * f64::from(frame.width_px.min(frame.height_px));
         self.target.filter(|_| is_aside && self.place == self.target)
     }
@@ -118,7 +118,7 @@ impl Aim {
     }
 }
 
-/// The target where the mount does not say to be elsewhere; else the mount.
+/// The target, unless the mount reports to be elsewhere; else the mount.
 fn place(target: Option<Icrs>, says: Option<Icrs>) -> Option<Icrs> {
     match (target, says) {
         (Some(target), Some(says)) if sky::separation(&target, &says).degrees() > ON_TARGET.degrees() => Some(says),
@@ -127,7 +127,7 @@ fn place(target: Option<Icrs>, says: Option<Icrs>) -> Option<Icrs> {
     }
 }
 
-/// Where a mount says to have pointed in the middle of the exposure.
+/// Where a mount reports to have pointed in the middle of the exposure.
 fn direction(room: &ControlRoom, frame: &Frame, chain: &Chain<'_>, fields: &Fields) -> Option<Icrs> {
     let (ra, dec) = fields.ra_deg.known().zip(fields.dec_deg.known())?;
     let (ra, dec) = (Angle::from_degrees(*ra), Angle::from_degrees(*dec));
@@ -136,7 +136,7 @@ fn direction(room: &ControlRoom, frame: &Frame, chain: &Chain<'_>, fields: &Fiel
             Some(room.observer(middle_of(frame)).ok()?.of_date_to_icrs(&OfDate { ra, dec }))
         }
         EquatorialSystem::J2000 | EquatorialSystem::Other => Icrs { ra, dec }.checked().ok(),
-        // nobody points by them either
+        // Nobody points by them either.
         EquatorialSystem::J2050 | EquatorialSystem::B1950 => None,
     }
 }
@@ -186,7 +186,7 @@ mod tests {
 
     #[test]
     fn a_focal_length_is_metres_or_what_it_can_only_be() {
-        // 13.5 um at 8 m, a SPECULOOS camera: 0.348 arcsec
+        // 13.5 um at 8 m, a SPECULOOS camera: 0.348 arcsec.
         assert!((of_focal_length(13.5, 8.0) - 0.348).abs() < 1e-3);
         assert!((of_focal_length(13.5, 8000.0) - 0.348).abs() < 1e-3);
         assert!((of_focal_length(3.76, 0.135) - 5.745).abs() < 1e-2);
@@ -211,7 +211,7 @@ mod tests {
             let centre = aim.frame_centre(&part, Some(&learnt)).unwrap();
             let away = sky::separation(&place, &centre).arcseconds();
             assert!((away - 2.0 * aim.off_middle_px(&part)).abs() < 0.1, "{away}");
-            // a solution with these optics that has its centre there has the target in the sensor's middle
+            // A solution with these optics that has its centre there has the target in the sensor's middle.
             let sense = if mirrored { -1.0 } else { 1.0 };
             let (sin, cos) = rotation_deg.to_radians().sin_cos();
             let s = 2.0 / 3600.0;
@@ -223,7 +223,7 @@ mod tests {
             assert!((wcs.scale_arcsec_px() - 2.0).abs() < 1e-9);
             let here = wcs.sky_to_pixel(centre.ra, centre.dec).unwrap();
             assert!((here.0 - 49.5).hypot(here.1 - 39.5) < 1e-6, "{here:?}");
-            // pointing brings the part's middle to the target, and how far off it is is told of the same place
+            // Pointing brings the part's middle to the target, and the offset is reported for the same place.
             let sensor = Aim { target: Some(place), ..aim.clone() };
             let off = sensor.off_target(&part, &wcs).unwrap().arcseconds();
             assert!((off - away).abs() < 1e-6, "the sensor's middle on the target leaves the part beside it: {off}");
@@ -231,7 +231,7 @@ mod tests {
             assert!(brought.off_target(&part, &wcs).unwrap().arcseconds() < 1e-6);
         }
         assert_eq!(aim.frame_centre(&part, None), Ok(place));
-        // it is looked for there too, unless the mount is elsewhere or the part lies in the middle
+        // It is looked for there too, unless the mount is elsewhere or the part lies in the middle.
         let on_target = Aim { target: Some(place), ..aim.clone() };
         assert_eq!(on_target.part_on_target(&part), Some(place));
         let elsewhere = Aim { place: Some(Icrs::from_degrees(10.0, 60.0)), ..on_target.clone() };

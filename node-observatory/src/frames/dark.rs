@@ -1,4 +1,5 @@
-//! A dark that is taken off the frames of one row before they are measured, for cameras whose hot pixels pass for stars.
+//! A dark that is taken off the frames of one row before they are measured, for cameras whose hot pixels pass for
+//! stars.
 //!
 //! Only what stands out of the dark is taken off, not its level: bias and sky keep their sum, and saturation its place.
 
@@ -19,7 +20,7 @@ use schedule::shot::Shot;
 
 /// Pixels of a dark are here so long after its exposure, or frames are measured without it; machine time.
 const PIXELS: Duration = Duration::from_secs(60);
-/// Largest count of 16 bits, where the camera does not say what its largest is.
+/// Largest count of 16 bits, where the camera does not report its own.
 const MOST_ADU: f32 = 65_535.0;
 
 /// What stands out of a dark.
@@ -53,7 +54,7 @@ impl Dark {
         is_of_row && self.shape == shape(frame)
     }
 
-    /// What is saturated stays so.
+    /// Saturated pixels stay saturated.
     fn taken_off(&self, frame: &Frame, plane: Plane) -> Plane {
         let light = values(&plane);
         if light.len() != self.excess_adu.len() {
@@ -104,7 +105,7 @@ impl Drop for InForce<'_> {
     }
 }
 
-/// Takes a dark like the frames of a series, which never counts as one of them; or says why there is none.
+/// Takes a dark like the frames of a series, which never counts as one of them; or returns why there is none.
 pub async fn take<'a>(
     stage: &'a Stage,
     series: &Series,
@@ -118,7 +119,7 @@ pub async fn take<'a>(
         tokio::select! {
             biased;
             fetched = caught(&mut pixels, &id) => fetched.ok_or_else(|| "the node ends".to_owned()),
-            // what was looked at has been fetched, or never will be
+            // Once the frame was looked at, its pixels have been fetched, or never will be.
             looked = stage.room.looks.of(&id) => Err(looked.facts.reason.clone().unwrap_or_default()),
         }
     };

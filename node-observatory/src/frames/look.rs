@@ -22,8 +22,8 @@ pub struct Before {
     pub unmatched: u32,
 }
 
-/// Looks at a frame's pixels, as the spool has them; takes a while. `on_measured` is told as soon as its stars are known,
-/// with the facts where its place is still to be found.
+/// Looks at a frame's pixels, as the spool has them; takes a while. `on_measured` gets the facts as soon as the stars
+/// are known, if the place is still to be found.
 pub fn look(
     room: &ControlRoom,
     frame: Frame,
@@ -38,7 +38,7 @@ pub fn look(
     room.looks.fetched(&fetched);
     let (facts, measured) = measure(&fetched.frame, &fetched.plane, before.width);
     let mut looked = Looked { frame: fetched.frame.clone(), facts, measured, solved: None };
-    // whoever follows the pixels has its own hold of them
+    // A task that follows the pixels holds its own reference to them.
     drop(fetched);
     let is_sought = looked.measured.is_some() && room.node.config.imaging.solve;
     let measuring_s = Some(clock.machine().since(began).as_secs_f64());

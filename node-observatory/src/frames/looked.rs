@@ -1,4 +1,4 @@
-//! What the newest frames showed, for those who act on it while the night goes on: pointing, guiding, focus.
+//! The results of the newest frames, for the tasks that act on them while the night goes on: pointing, guiding, focus.
 //!
 //! Pixels are handed on as soon as they are fetched, before they are measured, and only to who follows them; what was
 //! found on a frame is kept for a while for who asks late.
@@ -33,7 +33,7 @@ pub struct Fetched {
 pub struct Looked {
     /// As it was announced.
     pub frame: Frame,
-    /// What is told of it; with a reason where something could not be had.
+    /// The facts to publish; with a reason where something could not be had.
     pub facts: FrameFacts,
     /// Its stars; `None` where it shows none by its nature, or could not be measured.
     pub measured: Option<Measured>,
@@ -61,9 +61,9 @@ impl Looks {
         self.pixels.subscribe()
     }
 
-    /// Hands pixels to whoever follows them.
+    /// Sends pixels to all subscribers.
     pub fn fetched(&self, fetched: &Arc<Fetched>) {
-        // nobody needs to follow
+        // There may be no receiver.
         let _ = self.pixels.send(fetched.clone());
     }
 
@@ -75,7 +75,7 @@ impl Looks {
         if recent.len() > LOOKS {
             recent.pop_front();
         }
-        // within the lock, so that who subscribes and then looks back misses nothing
+        // Within the lock, so that who subscribes and then looks back misses nothing.
         let _ = self.looked.send(looked);
     }
 
@@ -84,7 +84,7 @@ impl Looks {
         self.looked.subscribe()
     }
 
-    /// Waits for what this frame shows, which may be known already. Ends only when it is: the caller has the patience.
+    /// Waits for what this frame shows, which may be known already. It has no timeout: the caller sets one.
     pub async fn of(&self, frame: &CommandId) -> Arc<Looked> {
         let (mut next, known) = {
             let recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
@@ -104,7 +104,7 @@ impl Looks {
                         return known.clone();
                     }
                 }
-                // the sender lives in self
+                // The sender lives in self.
                 Err(broadcast::error::RecvError::Closed) => std::future::pending().await,
             }
         }

@@ -24,7 +24,7 @@ pub fn shows_stars(image_type: &str) -> bool {
 
 /// Measures the pixels of a frame; `fwhm_px` is the width of the stars on the last frame of this camera and binning.
 ///
-/// Takes a while: not for async threads. What cannot be measured is absent, with the reason.
+/// Takes a while: not for async threads. A value that cannot be measured is absent, with the reason.
 pub fn measure(frame: &Frame, plane: &Plane, fwhm_px: Option<f32>) -> (FrameFacts, Option<Measured>) {
     let mut facts = unmeasured(frame);
     let camera = camera(frame);
@@ -49,7 +49,7 @@ pub fn measure(frame: &Frame, plane: &Plane, fwhm_px: Option<f32>) -> (FrameFact
     (facts, measured)
 }
 
-/// What the device's readings tell of the camera.
+/// What the device's readings show of the camera.
 pub fn camera(frame: &Frame) -> Camera<'static> {
     let number = |property: &str| {
         let value = frame.readings.get(property)?.value()?.number()?;
@@ -215,7 +215,7 @@ mod tests {
             let (facts, known_px) = look(counts);
             assert!((known_px / 3.9 - 1.0).abs() < 0.1, "{known_px} px is handed on after {facts:?}");
         }
-        // a focus that is lost is followed at the third frame
+        // A focus that is lost is followed at the third frame.
         let lost = drawn(400, 300, 9.0, 20);
         let known: Vec<f64> = (0..3).map(|_| look(&lost).1).collect();
         assert!(known[1] < 4.5 && (known[2] / 9.0 - 1.0).abs() < 0.1, "{known:?}");

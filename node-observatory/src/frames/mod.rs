@@ -1,16 +1,16 @@
-//! Measures and solves every frame of this telescope as soon as it is announced, and says what it shows.
+//! Measures and solves every frame of this telescope as soon as it is announced, and publishes the facts.
 //!
-//! The frame is fetched from its device node's spool, whether there is an archive or not, and measured on a thread that
-//! steps back behind all others: neither the safety loop nor the next exposure waits for it. One frame per camera is
-//! worked on at a time, the newest first ([`waiting`]); a frame that cannot be had or measured gets facts with a reason.
-//! Only the commander measures; a standby remembers what nobody has measured yet. What several frames say together are
-//! [`triggers`], shown in the night's state and as alerts; a row may have its focus found anew for one (`focus/between.rs`).
-//! Who acts on single frames gets pixels, stars and solution from [`looked`].
+//! The frame is fetched from its device node's spool, whether there is an archive or not. It is measured on a thread
+//! that yields to all others: neither the safety loop nor the next exposure waits for it. The task works on one frame
+//! per camera at a time, the newest first ([`waiting`]); a frame that cannot be had or measured gets facts with a
+//! reason. Only the commander measures; a standby remembers which frames have no facts yet. [`triggers`] hold what
+//! several frames show together; the night's state and alerts contain them, and a row may have its focus found anew for
+//! one (`focus/between.rs`). Code that acts on single frames gets pixels, stars and solution from [`looked`].
 //!
 //! A row that asks for it has a dark taken off its frames first ([`dark`]).
 //!
-//! A frame with stars is solved ([`solving`]) from where it was pointed ([`aim`]) with what earlier frames taught of the
-//! optics ([`optics`]); its catalogue stars tell the zero point ([`zero_point`]).
+//! A frame with stars is solved ([`solving`]) from where it was pointed ([`aim`]) with what earlier frames taught of
+//! the optics ([`optics`]); its catalogue stars give the zero point ([`zero_point`]).
 
 pub mod aim;
 pub mod dark;
@@ -55,10 +55,10 @@ const MEASURED_AT_ONCE: usize = 1;
 const FETCH_DEADLINE: Duration = Duration::from_secs(30);
 /// Announcements and facts of others that wait to be looked at.
 const HEARD: usize = 1000;
-/// So many frames of a camera in a row without facts, and a person is told.
+/// After so many frames of a camera in a row without facts, an alert informs a person.
 const FAILURES_BEFORE_ALERT: u32 = 3;
-/// A frame whose place is still sought so long after its stars were measured is told twice, first without its place:
-/// facts are there within a second of the pixels. Machine time.
+/// If the search for a frame's place takes so long after its stars were measured, the facts are published twice, first
+/// without the place: facts are there within a second of the pixels. Machine time.
 const SOON: Duration = Duration::from_millis(300);
 /// Triggers grow old at this pace, machine time.
 const PERIOD: Duration = Duration::from_secs(5);
@@ -89,7 +89,7 @@ pub async fn keep_measuring(room: Arc<ControlRoom>) -> anyhow::Result<()> {
                 desk.announced(Announced { frame: heard.said.body, is_old }).await?;
             }
             heard = facts.hear() => {
-                // another commander's, while this node stood by
+                // Another commander's, while this node stood by.
                 if heard.said.boot_id != *bus.boot_id() {
                     desk.waiting.settle(&heard.said.body.frame);
                 }
@@ -152,7 +152,7 @@ impl Desk {
         self.room.hold.borrow().token().is_some()
     }
 
-    /// A frame is there; one that finds no room any more is told to be unmeasured.
+    /// A frame is there. One that finds no room any more is published as unmeasured.
     async fn announced(&mut self, announced: Announced) -> anyhow::Result<()> {
         let Some(Announced { frame, is_old }) = self.waiting.push(announced) else { return Ok(()) };
         self.waiting.settle(&frame.id);
@@ -179,15 +179,15 @@ impl Desk {
             let looked = match pixels {
                 Ok(pixels) => {
                     let of = frame.clone();
-                    // it is never closed, and without a turn the frame is measured all the same
+                    // It is never closed, and without a turn the frame is measured all the same.
                     let turn = turns.acquire_owned().await;
                     let ((tell, measured), here) = (oneshot::channel(), room.clone());
                     let looking = stepped_back(move || {
                         look(&here, of, pixels, before, move |facts| {
-                            // one core is enough for what follows
+                            // One core is enough for what follows.
                             drop(turn);
                             if let Some(facts) = facts {
-                                // whoever waits may be gone
+                                // The receiver may be gone.
                                 let _ = tell.send(facts);
                             }
                         })
@@ -210,7 +210,7 @@ impl Desk {
         self.busy.remove(&frame.camera);
         let had_pixels = facts.measuring_s.is_some();
         if had_pixels {
-            // without pixels it is tried again when the spool announces it again
+            // Without pixels it is tried again when the spool announces it again.
             self.waiting.settle(&frame.id);
         }
         if !self.commands() || (is_old && !had_pixels) {
@@ -230,7 +230,7 @@ impl Desk {
         match &facts.unsolved {
             None if facts.wcs.is_some() => before.unmatched = 0,
             Some(unsolved) if solving::may_be_scale(unsolved.class) => before.unmatched += 1,
-            // clouds and few stars say nothing of the scale
+            // Clouds and few stars do not show the scale.
             _ => {}
         }
         self.triggers.hear(&frame, &facts);
@@ -258,7 +258,7 @@ impl Desk {
         }
     }
 
-    /// Shows the triggers that stand, in the night's state and as alerts; who does not command has none.
+    /// Publishes the active triggers, in the night's state and as alerts; a node that does not command has none.
     fn show(&mut self) {
         let standing = match self.commands() {
             true => self.triggers.standing(self.room.node.bus.clock().utc()),
@@ -284,7 +284,7 @@ impl Desk {
     }
 }
 
-/// The alert that tells a person of a trigger.
+/// The alert that informs a person of a trigger.
 fn alert(kind: TriggerKind) -> AlertKind {
     match kind {
         TriggerKind::FocusDrift => AlertKind::FocusDrift,
@@ -294,7 +294,7 @@ fn alert(kind: TriggerKind) -> AlertKind {
     }
 }
 
-/// Waits for a look at a frame; where it takes long, what was measured is told meanwhile.
+/// Waits for a look at a frame. If it takes long, the measurements are published meanwhile.
 async fn told_early<T, F: Future<Output = ()>>(
     measured: oneshot::Receiver<FrameFacts>,
     looking: impl Future<Output = T>,
@@ -334,7 +334,7 @@ pub(crate) async fn stepped_back<T: Send + 'static>(work: impl FnOnce() -> T + S
     let (tell, told) = oneshot::channel();
     let run = move || {
         bus::step_back();
-        // who asked may be gone
+        // The receiver may be gone.
         let _ = tell.send(work());
     };
     let thread = std::thread::Builder::new().name("measuring".to_owned()).spawn(run);
@@ -403,7 +403,7 @@ pub(crate) mod tests {
         tell.send(facts()).unwrap();
         assert_eq!(told_early(measured, std::future::ready(1), never).await, 1);
 
-        // the place is found only after what was measured is told
+        // The place is found only after the measurements are published.
         let (tell, measured) = oneshot::channel();
         tell.send(facts()).unwrap();
         let ((say, said), began) = (oneshot::channel(), std::time::Instant::now());
@@ -411,7 +411,7 @@ pub(crate) mod tests {
         assert_eq!(slow.await.unwrap(), Some(7));
         assert!((SOON..Duration::from_secs(5)).contains(&began.elapsed()), "{:?}", began.elapsed());
 
-        // no place is sought: there is one word, however long it takes
+        // No place is sought: the facts are published once, however long it takes.
         let (tell, measured) = oneshot::channel();
         drop(tell);
         let looking = async {

@@ -12,22 +12,22 @@ use crate::control_room::ControlRoom;
 
 /// States kept of each mount: an hour at one a second.
 const KEPT: usize = 3600;
-/// A state further away in time says nothing of an instant, sky s at speed 1.
+/// A state further away in time does not count for an instant, sky s at speed 1.
 const REACH_S: f64 = 30.0;
 
-/// What the mounts of the telescope said lately.
+/// The recent states of the telescope's mounts.
 #[derive(Debug, Default)]
 pub struct Mounts {
     lately: Mutex<BTreeMap<Name, VecDeque<(Utc, Fields)>>>,
 }
 
 impl Mounts {
-    /// Takes in what a mount said at an instant.
+    /// Adds the state of a mount at an instant.
     pub fn note(&self, mount: &Name, at: Utc, fields: Fields) {
         let mut lately = self.lately.lock().unwrap_or_else(PoisonError::into_inner);
         let states = lately.entry(mount.clone()).or_default();
         if states.back().is_some_and(|(last, _)| at < *last) {
-            // the clock was put back: what was said before cannot be placed any more
+            // The clock was set back: earlier states cannot be placed any more.
             states.clear();
         }
         states.push_back((at, fields));
@@ -36,7 +36,7 @@ impl Mounts {
         }
     }
 
-    /// What a mount said nearest to an instant, if that is near; sky time runs `speed` times as fast as polls.
+    /// The state of a mount nearest to an instant, if that is near; sky time runs `speed` times as fast as polls.
     pub fn at(&self, mount: &Name, at: Utc, speed: f64) -> Option<Fields> {
         let lately = self.lately.lock().unwrap_or_else(PoisonError::into_inner);
         let states = lately.get(mount)?;
@@ -48,7 +48,7 @@ impl Mounts {
     }
 }
 
-/// Notes what the mounts say until the node ends.
+/// Collects the mounts' states until the node ends.
 pub async fn keep_noting(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let mut followers = JoinSet::new();
     for mount in &room.rig.mounts {
@@ -65,7 +65,7 @@ pub async fn keep_noting(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         });
     }
     while followers.join_next().await.transpose()?.is_some() {}
-    // a telescope without a mount has nothing to note
+    // A telescope without a mount has nothing to note.
     std::future::pending().await
 }
 

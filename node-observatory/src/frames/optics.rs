@@ -19,21 +19,22 @@ use super::zero_point;
 const SAME_SCALE: f64 = 0.005;
 /// ... and their rotations by no more than this, degrees: flexure of a camera's mount, and north turning near the pole.
 const SAME_ROTATION_DEG: f64 = 1.0;
-/// What is known is written down again when it moved by so much of that, or is older than [`OLD_S`].
+/// The known optics are written again when they changed by so much of that, or are older than [`OLD_S`].
 const MOVED: f64 = 0.02;
 const OLD_S: f64 = 1800.0;
-/// Optics that are remembered, at most: a wheel of ten filters on two cameras, both sides of the pier and some binnings.
+/// Optics that are remembered, at most: a wheel of ten filters on two cameras, both sides of the pier and some
+/// binnings.
 const MOST: usize = 200;
 /// A zero point counts for the best one when its standard error is below this, mag.
 const SURE_MAG: f64 = 0.05;
-/// Mirrors grow dusty: the best zero point is forgotten at this rate, mag per day (algorithms.md has no figure; washed
-/// mirrors lose a few tenths a year).
+/// Mirrors grow dusty: the best zero point is forgotten at this rate, mag per day. This is our choice; washed mirrors
+/// lose a few tenths a year.
 const DUST_MAG_PER_DAY: f64 = 0.001;
 
 /// A frame that was solved, as far as optics are concerned.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lesson {
-    /// What it says of the optics.
+    /// The optics that it shows.
     pub optics: Optics,
     /// Its zero point, where that is fit to be compared with others.
     pub zero_point: Option<(zero_point::Measured, ZeroPoint)>,
@@ -70,8 +71,8 @@ pub fn known<'a>(state: &'a OpticsState, frame: &Frame, pier_side: Option<PierSi
     })
 }
 
-/// What the solver is told of known optics. Distortion belongs to the middle of one part of the sensor: a frame of another
-/// part goes without.
+/// What the solver gets of known optics. Distortion is valid for the middle of one part of the sensor: a frame of
+/// another part goes without.
 pub fn learnt(optics: &Optics, frame: &Frame) -> Learnt {
     let same_part = (optics.size_px, optics.origin_px) == ([frame.width_px, frame.height_px], frame.origin_px);
     Learnt {
@@ -82,16 +83,16 @@ pub fn learnt(optics: &Optics, frame: &Frame) -> Learnt {
     }
 }
 
-/// Magnitude of the faintest stars that such a frame shows under a clear sky: 1.25 mag more for ten times the exposure on a
-/// frame that the sky limits.
+/// Magnitude of the faintest stars that such a frame shows under a clear sky: 1.25 mag more for ten times the exposure
+/// on a frame that the sky limits.
 pub fn faintest_mag(optics: &Optics, frame: &Frame) -> Option<f64> {
     let ratio = frame.exposure_s / optics.exposure_s;
-    // short frames are limited by readout instead, and lose more: nothing is said far away
+    // Short frames are limited by readout instead, and lose more: far from this exposure time there is no value.
     let near = (0.1..=10.0).contains(&ratio);
     optics.faintest_mag.filter(|_| near).map(|mag| mag + 1.25 * ratio.log10())
 }
 
-/// What the newest solutions say against what is known; one each.
+/// The newest solutions that contradict what is known; one each.
 #[derive(Debug, Clone, Default)]
 pub struct Rivals {
     optics: Vec<Optics>,
@@ -160,7 +161,7 @@ impl Rivals {
             self.zero_points.push(new);
             return false;
         };
-        // of the two that were brighter, the one that both showed
+        // The fainter of the two brighter values, which both frames showed.
         if rival.best_mag < new.best_mag {
             *known = rival;
             self.zero_points.push(new);
@@ -179,7 +180,7 @@ pub fn best_zero_point(state: &OpticsState, frame: &Frame) -> Option<f64> {
     state.zero_points.iter().find(same).map(|known| best_mag(known, frame.started_utc))
 }
 
-/// Gain that a camera was set to, as ASCOM tells it: a number of the camera's own scale.
+/// Gain that a camera was set to, as ASCOM reports it: a number of the camera's own scale.
 pub fn gain(frame: &Frame) -> Option<f64> {
     frame.readings.get("Gain")?.value()?.number().filter(|gain| gain.is_finite())
 }
@@ -192,7 +193,7 @@ fn is_for(a: &Optics, b: &Optics) -> bool {
     (&a.camera, &a.filter, a.pier_side, a.bin) == (&b.camera, &b.filter, b.pier_side, b.bin)
 }
 
-/// Do two say the same within a share of what still counts as the same?
+/// Do two agree within a share of what still counts as the same?
 fn agree(a: &Optics, b: &Optics, share: f64) -> bool {
     let turned = Angle::from_degrees(a.rotation_deg - b.rotation_deg).wrapped_signed().degrees().abs();
     let scaled = (a.scale_arcsec_px / b.scale_arcsec_px - 1.0).abs();
@@ -204,7 +205,7 @@ pub fn path(config: &config::Observatory) -> PathBuf {
     config.folders.data.join(format!("optics-{}.json", config.place.telescope))
 }
 
-/// What was learnt before; nothing where there is no file, or none that can be read: it is learnt anew.
+/// What was learned before; empty if there is no file, or if it cannot be read: it is learned anew.
 pub fn read(path: &Path) -> OpticsState {
     crate::kept::read_or_anew(path, "what is known of the optics")
 }

@@ -1,4 +1,4 @@
-//! The optics on the bus: said by whoever commands, taken over by whoever stands by.
+//! The optics on the bus: the commander publishes them, a standby takes them over.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ pub async fn keep_telling(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     night::keep_saying(&room, &line, state).await
 }
 
-/// Takes over what the commander learnt for as long as this node stands by: its first frame is then as quick as any.
+/// Takes over what the commander learned for as long as this node stands by: its first frame is then as quick as any.
 pub async fn keep_hearing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let mut optics = room.node.bus.latest::<OpticsState>(&room.key(Part::Optics)).await?;
     loop {
@@ -26,7 +26,7 @@ pub async fn keep_hearing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         if room.may_speak() {
             continue;
         }
-        // written down once this node commands: its folder may be its own
+        // Written down once this node commands: its folder may be its own.
         room.optics.change(|known| {
             let is_new = *known != heard.said.body;
             *known = heard.said.body;

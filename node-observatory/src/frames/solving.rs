@@ -1,7 +1,7 @@
 //! From the stars of a frame to its place on the sky, and to what follows from that.
 //!
-//! What is known is tried first: optics that were learnt, the target or the mount for the place. Where that does not fit,
-//! the search widens within a budget, so that a hopeless frame does not hold up the next.
+//! The search first tries what is known: learned optics, and the place of the target or the mount. If that does not
+//! fit, it widens within a budget, so that a hopeless frame does not delay the next.
 
 use std::time::Duration;
 
@@ -21,9 +21,9 @@ use super::zero_point;
 
 /// Hypotheses that one try may cost: some 0.3 s of one core.
 const MOST_HYPOTHESES: u64 = 15_000_000;
-/// ... and one that also tries scales that were not told, in units of it: there are 14 of them.
+/// The cost of a search that also tries scales other than the given one, in units of it: there are 14 of them.
 const WRONG_SCALES_COST: u64 = 4;
-/// Of frames in a row that are not solved, each so manyth tries them.
+/// One in so many unsolved frames in a row tries them.
 const WRONG_SCALES_EVERY: u32 = 3;
 /// How far from where the telescope should point a frame is looked for.
 const FURTHEST: Angle = Angle::from_degrees(2.0);
@@ -32,12 +32,12 @@ const PATIENCE: Duration = Duration::from_millis(600);
 /// Julian date of J2000.0.
 const J2000_JD: f64 = 2_451_545.0;
 
-/// How a frame may be solved, beside its stars.
+/// How a frame may be solved, in addition to its stars.
 #[derive(Debug, Clone)]
 pub struct Known<'a> {
     /// Where it was pointed, and with what.
     pub aim: &'a Aim,
-    /// Optics that were learnt.
+    /// Learned optics.
     pub optics: Option<&'a Optics>,
     /// How far away it is looked for ...
     pub furthest: Angle,
@@ -45,7 +45,7 @@ pub struct Known<'a> {
     pub patience: Duration,
     /// Hypotheses that one try may cost.
     pub most_hypotheses: u64,
-    /// Scales that were not told are tried too.
+    /// Scales other than the given one are tried too.
     pub wrong_scales: bool,
 }
 
@@ -56,8 +56,8 @@ impl<'a> Known<'a> {
         Self { aim, optics, furthest: FURTHEST, patience: PATIENCE, most_hypotheses, wrong_scales: false }
     }
 
-    /// As known of a camera of which so many frames in a row fitted nowhere: where none ever did, its pixels may be of
-    /// another size than told (a reducer, another binning).
+    /// As known of a camera of which so many frames in a row fitted nowhere: if no frame ever did, its pixels may have
+    /// another size than configured (a reducer, another binning).
     pub fn after(self, unmatched: u32, was_ever_solved: bool) -> Self {
         let wrong_scales = !was_ever_solved && unmatched % WRONG_SCALES_EVERY == WRONG_SCALES_EVERY - 1;
         Self { wrong_scales, ..self }
@@ -67,7 +67,7 @@ impl<'a> Known<'a> {
 /// The catalogue for a search with an end: beyond the hinted field there are no stars any more once the time is up.
 struct Hurried<'a> {
     stars: At<'a>,
-    /// Around the hint, as far as the field itself reaches, the stars are always told.
+    /// Around the hint, as far as the field itself extends, the search always gets the stars.
     near: (Angle, Angle),
     reach: Angle,
     clock: &'a Clock,
@@ -125,7 +125,7 @@ pub fn solve_frame(
     };
     if let Some(optics) = known.optics {
         let hint = learnt_hint(frame, known, optics)?;
-        // a part of the sensor looks beside the target until pointing has brought it there
+        // A part of the sensor does not look at the target until pointing has brought it there.
         let brought = known.aim.part_on_target(frame).map(|at| Hint { ra: at.ra, dec: at.dec, ..hint.clone() });
         for hint in [Some(hint), brought].into_iter().flatten() {
             let found = search(&hint)?;
@@ -134,11 +134,12 @@ pub fn solve_frame(
             }
         }
     }
-    // another place, or other optics: as on first light
+    // Another place, or other optics: as on first light.
     search(&first_hint(frame, known)?)
 }
 
-/// Why stars that are drawn out so far that each is seen as several are not solved: a solution would fit pieces of them.
+/// Why stars that are drawn out so far that each is seen as several are not solved: a solution would fit pieces of
+/// them.
 fn streaked(measured: &Measured) -> Option<NoSolution> {
     measured.quality.trail_px.map(|length_px| NoSolution::Trailed { stars: measured.quality.stars, length_px })
 }
@@ -149,7 +150,7 @@ fn learnt_hint(frame: &Frame, known: &Known<'_>, optics: &Optics) -> Result<Hint
     Ok(Hint {
         scale_tolerance: KNOWN_OPTICS,
         learnt: Some(learnt),
-        // within one field; whatever is further away may as well have other optics
+        // Within one field; whatever is further away may as well have other optics.
         furthest: Angle::default(),
         most_hypotheses: known.most_hypotheses,
         faintest_mag: optics::faintest_mag(optics, frame),
@@ -169,7 +170,7 @@ fn first_hint(frame: &Frame, known: &Known<'_>) -> Result<Hint, Unsolved> {
             frame.camera
         ),
     })?;
-    // a part of the sensor lies so far from the middle, on a side that is not known
+    // A part of the sensor lies so far from the middle, on a side that is not known.
     let away = Angle::from_arcseconds(scale_arcsec_px * aim.off_middle_px(frame));
     Ok(Hint {
         scale_tolerance: FIRST_LIGHT,
@@ -205,7 +206,8 @@ pub fn describe(
     if let Some(zero) = zero_point::measure(solution, frame.exposure_s) {
         facts.zero_point_mag = told(zero.mag);
         facts.zero_point_error_mag = told(zero.error_mag);
-        // a focus run blurs its stars, and a dome's wall takes of their light: what the frame is for tells
+        // A frame of a focus run has blurred stars, and the dome's wall may take some of their light. The purpose of
+        // the frame shows that it is one.
         if frame.purpose.action != "autofocus" {
             let best = ZeroPoint {
                 camera: frame.camera.clone(),
@@ -236,7 +238,7 @@ pub fn unsolved(reason: &NoSolution) -> Unsolved {
     Unsolved { class, detail: reason.to_string() }
 }
 
-/// May a frame fail like this because its pixels are of another size than told?
+/// May a frame fail like this because its pixels have another size than configured?
 pub fn may_be_scale(class: UnsolvedClass) -> bool {
     use UnsolvedClass::{Ambiguous, CatalogueTooShallow, NoMatch};
     matches!(class, NoMatch | Ambiguous | CatalogueTooShallow)

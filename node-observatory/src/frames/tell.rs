@@ -1,4 +1,4 @@
-//! Says the facts of frames: each frame has a key of its own, and one voice.
+//! Publishes the facts of frames: each frame has a key of its own, and one publisher.
 
 use std::collections::VecDeque;
 
@@ -12,7 +12,7 @@ use crate::control_room::ControlRoom;
 /// Frames whose facts are kept for those who were away: three hours of 30 s frames.
 const KEPT: usize = 360;
 
-/// What was said of the last frames.
+/// The published facts of the last frames.
 #[derive(Default)]
 pub struct Telling {
     said: Mutex<VecDeque<Said>>,
@@ -25,8 +25,8 @@ struct Said {
 }
 
 impl Telling {
-    /// Says what was measured on a frame; a frame that is told again goes out on the same line, with the next number and
-    /// with what the dome hid of it.
+    /// Publishes what was measured on a frame. If the frame's facts are published again, the same publisher is used,
+    /// with the next number and with what the dome hid of the frame.
     pub async fn tell(&self, room: &ControlRoom, facts: FrameFacts) -> anyhow::Result<()> {
         self.join(room, &facts.frame.clone(), |said| FrameFacts {
             dome_hid_percent: facts.dome_hid_percent.or(said.dome_hid_percent),
@@ -36,12 +36,12 @@ impl Telling {
         .await
     }
 
-    /// Says what the dome hid of a frame's light, percent, beside what was measured on it before.
+    /// Publishes what the dome hid of a frame's light, percent, together with the earlier measurements.
     pub async fn tell_hidden(&self, room: &ControlRoom, frame: &CommandId, percent: f64) -> anyhow::Result<()> {
         self.join(room, frame, |said| FrameFacts { dome_hid_percent: Some(percent), ..said }).await
     }
 
-    /// Says why a frame does not count, beside what was measured on it before.
+    /// Publishes why a frame does not count, together with the earlier measurements.
     pub async fn tell_refused(&self, room: &ControlRoom, frame: &CommandId, why: String) -> anyhow::Result<()> {
         self.join(room, frame, |said| FrameFacts { refused: Some(why), ..said }).await
     }

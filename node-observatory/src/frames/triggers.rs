@@ -1,6 +1,6 @@
-//! What the facts of several frames say together: the focus drifts, clouds come, the stars trail, the field is wrong.
+//! What the facts of several frames show together: the focus drifts, clouds come, the stars trail, the field is wrong.
 //!
-//! Pure: frames with their facts in, standing triggers out. Frames are compared only within a *run*: one camera and
+//! Pure: frames with their facts in, active triggers out. Frames are compared only within a *run*: one camera and
 //! filter on one row of the schedule, with the same object, exposure time and binning, because another field has other
 //! stars and another row may want another focus. Only `object` frames count: a focus sweep is blurred on purpose.
 
@@ -12,21 +12,21 @@ use units::Utc;
 
 use super::widths::Widths;
 
-/// Frames whose median width is compared: one frame of bad seeing says nothing.
+/// Frames whose median width is compared: one frame of bad seeing proves nothing.
 const WIDE: usize = 5;
 /// Wider than the best by this ratio is a drift; it ends at the lower one.
 const DRIFT: (f64, f64) = (1.3, 1.15);
-/// The best width is that of so many frames: what has stood for longer is how it is now.
+/// The best width is that of so many frames: a width that has lasted for longer is the present one.
 const REACH: usize = 60;
 /// Fewer stars than this share of the usual number are clouds; it ends at the higher one.
 const CLOUDS: (f64, f64) = (0.3, 0.5);
 /// Extinction of clear air is no more, mag per airmass: that of the ultraviolet.
 const EXTINCTION_MAG: f64 = 0.6;
-/// Frames that tell the usual number: at least, at most.
+/// Frames that give the usual number: at least, at most.
 const USUAL: (usize, usize) = (3, 20);
 /// Fewer stars than this come and go by themselves.
 const FEWEST: f64 = 10.0;
-/// A run whose last frame began so long ago, and twice its exposure, says nothing of now, sky s.
+/// A run whose last frame began so long ago, and twice its exposure, does not show what is now, sky s.
 const STALE_S: f64 = 900.0;
 
 /// The triggers of one telescope.
@@ -67,7 +67,7 @@ struct Field {
 
 impl Field {
     fn is_like(&self, other: &Self) -> bool {
-        // cameras tell the time that the shutter was open, which differs a little from frame to frame
+        // Cameras report the time that the shutter was open, which differs a little from frame to frame.
         let as_long = (self.exposure_s - other.exposure_s).abs() <= 0.02 * self.exposure_s.max(other.exposure_s);
         let same = |field: &Self| (field.row, field.bin, field.size_px);
         as_long && same(self) == same(other) && self.night == other.night && self.object == other.object
@@ -75,7 +75,7 @@ impl Field {
 }
 
 impl Triggers {
-    /// Takes a measured frame in. One that is older than the newest of its run says nothing of now.
+    /// Takes a measured frame in. One that is older than the newest of its run does not show what is now.
     pub fn hear(&mut self, frame: &Frame, facts: &FrameFacts) {
         let Some(stars) = facts.stars.filter(|_| frame.purpose.action == "object") else { return };
         let field = Field {
@@ -114,7 +114,7 @@ impl Triggers {
         }
     }
 
-    /// The triggers that stand, by camera, filter and kind.
+    /// The active triggers, by camera, filter and kind.
     pub fn standing(&self, now: Utc) -> Vec<Trigger> {
         let fresh = |run: &&Run| now.seconds_since(run.newest) <= STALE_S + 2.0 * run.exposure_s;
         self.runs.values().filter(fresh).flat_map(|run| run.standing.values().cloned()).collect()
@@ -153,7 +153,7 @@ impl Run {
     }
 
     /// Two solved frames, one after the other, that are further off their target than half of the shorter side. A frame
-    /// that is not solved says nothing of it.
+    /// that is not solved does not count.
     fn wrong_field(&mut self, at: Utc, facts: &FrameFacts) -> Option<(Utc, String)> {
         let Some((off_arcmin, scale)) = facts.off_target_arcmin.zip(facts.scale_arcsec_px) else {
             let stands = self.standing.get(&TriggerKind::WrongField);

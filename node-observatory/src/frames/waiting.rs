@@ -1,4 +1,4 @@
-//! Frames that wait to be measured: the newest first, because it says what is true now.
+//! Frames that wait to be measured: the newest first, because it shows what is true now.
 
 use std::collections::{BTreeSet, VecDeque};
 
@@ -13,9 +13,9 @@ const REMEMBERED: usize = 4096;
 /// A frame that was announced.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Announced {
-    /// What was said of it.
+    /// The announcement.
     pub frame: Frame,
-    /// It was said before this node lived: somebody else may have measured it.
+    /// It was announced before this node started: another node may have measured it.
     pub is_old: bool,
 }
 
@@ -39,7 +39,7 @@ impl Waiting {
             known.frame = announced.frame;
             return None;
         }
-        // what is recovered from before a cut comes after what is new
+        // Frames that are recovered from before a cut come after new ones.
         let place = self.frames.partition_point(|known| known.frame.started_utc <= announced.frame.started_utc);
         self.frames.insert(place, announced);
         (self.frames.len() > MOST).then(|| self.frames.pop_front()).flatten()

@@ -1,7 +1,7 @@
 //! Which widths of stars are believed, frame after frame of one camera.
 //!
-//! Pure. One frame whose stars are much wider or narrower than before may show cosmic rays, a gust or a cloud's edge: it
-//! teaches nothing. Frames that follow one another and agree are the new state: the focus or the seeing has changed.
+//! Pure. One frame whose stars are much wider or narrower than before may show cosmic rays, a gust or a cloud's edge:
+//! it teaches nothing. Frames that follow one another and agree are the new state: the focus or the seeing has changed.
 
 use contract::observatory::FrameFacts;
 
@@ -11,7 +11,7 @@ const NARROWEST_PX: f64 = 0.68;
 const SAME: f64 = 1.5;
 /// So many frames, one after the other, that agree among themselves are believed against what was known.
 const AGREED: usize = 3;
-/// A width whose standard error is more than this share of it says nothing.
+/// A width whose standard error is more than this share of it does not count.
 const UNSURE: f64 = 0.25;
 
 /// What is known of the width of a camera's stars.
@@ -23,10 +23,10 @@ pub struct Widths {
 }
 
 impl Widths {
-    /// Takes a measured frame in. Answers the widths that are believed now, in the order of their frames: its own, that of
-    /// some frames before it too, or none (yet).
+    /// Takes a measured frame in. Answers the widths that are believed now, in the order of their frames: its own, that
+    /// of some frames before it too, or none (yet).
     pub fn observe_facts(&mut self, facts: &FrameFacts) -> Vec<f64> {
-        // a trailed star is wide for another reason
+        // A trailed star is wide for another reason.
         let fwhm_px = facts.fwhm_px.filter(|_| facts.trailed != Some(true));
         fwhm_px.map_or_else(Vec::new, |fwhm_px| self.observe(fwhm_px, facts.fwhm_error_px))
     }

@@ -2,7 +2,7 @@
 
 use imaging::Solution;
 
-/// Fewest stars that tell a zero point.
+/// Fewest stars that give a zero point.
 const FEWEST: usize = 5;
 /// Stars further from the median than so many standard deviations are variable, blended or no stars of the catalogue.
 const CLIP: f64 = 3.0;
@@ -16,7 +16,7 @@ pub struct Measured {
     pub mag: f64,
     /// Its standard error, mag.
     pub error_mag: f64,
-    /// Stars that tell it.
+    /// Stars that give it.
     pub stars: usize,
 }
 
@@ -36,7 +36,7 @@ fn of(mut mags: Vec<f64>) -> Option<Measured> {
     mags.retain(|mag| (mag - middle).abs() <= CLIP * spread);
     let stars = mags.len();
     let (mag, spread) = middle_of_enough(&mags)?;
-    // the standard error of a median of normal deviates
+    // The standard error of a median of normal deviates.
     Some(Measured { mag, error_mag: 1.2533 * spread / (stars as f64).sqrt(), stars })
 }
 

@@ -1,6 +1,6 @@
-//! Which calibration holds: the one that pulses gave, unless the camera was turned since; else the one of a plate
-//! solution; on the other side of the pier either one turned round. Before anything was learnt here, what the
-//! configuration says.
+//! Chooses the valid calibration: the one that pulses gave, unless the camera was turned since; else the one of a plate
+//! solution; on the other side of the pier either one turned round. Before anything was learned here, the values of the
+//! configuration.
 
 use contract::device::telescope::PierSide;
 use contract::observatory::{CalibrationSource, GuideCalibration};
@@ -51,7 +51,7 @@ pub fn unbinned(made: &Calibration, bin: u32, source: CalibrationSource, made_ut
 /// and declination per second.
 ///
 /// # Errors
-/// [`CalibrationError`] when matrix or rates tell no directions.
+/// [`CalibrationError`] when matrix or rates give no directions.
 pub fn of_solution(
     cd_deg_px: [[f64; 2]; 2],
     rates_deg_s: [f64; 2],
@@ -63,7 +63,7 @@ pub fn of_solution(
     Ok(unbinned(&made, bin, CalibrationSource::PlateSolution, now))
 }
 
-/// A plate solution tells where north is, and not which way the declination motor turns. Beyond the pole, with the tube
+/// A plate solution shows where north is, and not which way the declination motor turns. Beyond the pole, with the tube
 /// west of the pier, a mount that leaves the motor as it was (`dec_reversed`) goes south by North pulses.
 pub fn as_the_motor_turns(made: GuideCalibration, dec_reversed: bool) -> GuideCalibration {
     match dec_reversed && made.pier_side == Some(PierSide::West) {
@@ -73,12 +73,13 @@ pub fn as_the_motor_turns(made: GuideCalibration, dec_reversed: bool) -> GuideCa
 }
 
 impl Learnt {
-    /// What holds for a camera on a side of the pier; `dec_reversed` tells that North pulses go south after a flip.
+    /// The valid calibration of a camera on a side of the pier; with `dec_reversed`, North pulses go south after a
+    /// flip.
     pub fn calibration(&self, camera: &str, side: Option<PierSide>, dec_reversed: bool) -> Option<GuideCalibration> {
         let of = |source| best(&self.calibrations_of(camera, source), side, dec_reversed);
         match (of(CalibrationSource::Pulses), of(CalibrationSource::PlateSolution)) {
             (Some(pulses), Some(solved)) if is_turned(&pulses, &solved) && solved.made_utc > pulses.made_utc => {
-                // gear and motor are the same, whatever the camera does, and pulses have shown how they turn
+                // Gear and motor are the same, whatever the camera does, and pulses have shown how they turn.
                 let is_reversed = dec_reversed && is_right_handed(&pulses) != is_right_handed(&solved);
                 let sense = if is_reversed { -1.0 } else { 1.0 };
                 let north_px_per_s = solved.north_px_per_s.map(|v| sense * v);
@@ -90,7 +91,7 @@ impl Learnt {
     }
 }
 
-/// What the configuration says that pulses do, for a side of the pier: the work of other programs, which told no time.
+/// What pulses do by the configuration, for a side of the pier: measured by other programs, which gave no time.
 pub fn configured(start: &config::GuideStart, side: Option<PierSide>, dec_reversed: bool) -> Option<GuideCalibration> {
     let given = GuideCalibration {
         source: CalibrationSource::Pulses,
@@ -170,7 +171,7 @@ mod tests {
         let turned = learnt(&[pulsed(10.0, PierSide::East, 1.0), solved(100.0, PierSide::East, 2.0)]);
         let now = turned.calibration("cam", east, false).unwrap();
         assert_eq!((now.source, now.backlash_s), (CalibrationSource::PlateSolution, Some(0.4)));
-        // pulses have shown that North goes south there, so it does after the camera was turned
+        // Pulses have shown that North goes south there, so it does after the camera was turned.
         let mirrored = GuideCalibration {
             north_px_per_s: pulsed(10.0, PierSide::East, 1.0).north_px_per_s.map(|v| -v),
             ..pulsed(10.0, PierSide::East, 1.0)
@@ -201,7 +202,7 @@ mod tests {
         let beyond = on(east, west, true);
         assert_eq!((beyond.east_px_per_s, beyond.north_px_per_s), ([-14.0, -0.0], [0.0, -13.0]));
         assert_eq!(on(east, west, false).north_px_per_s, [-0.0, 13.0]);
-        // a mount that does not tell its side, or has none
+        // A mount that does not report its side, or has none.
         assert_eq!(on(east, None, true).east_px_per_s, [14.0, 0.0]);
         assert_eq!(on(None, west, true).east_px_per_s, [14.0, 0.0]);
     }
@@ -216,7 +217,7 @@ mod tests {
         assert_eq!((west.pier_side, west.backlash_s), (Some(PierSide::West), Some(0.4)));
         let reversed = one.calibration("cam", Some(PierSide::West), true).unwrap();
         assert_eq!(reversed.north_px_per_s, east.north_px_per_s, "such mounts leave the motor as it was");
-        // the same by solved frames alone, of either side
+        // The same by solved frames alone, of either side.
         let beyond = as_the_motor_turns(solved(180.0, PierSide::West, 1.0), true);
         let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).abs() < 1e-9 && (a[1] - b[1]).abs() < 1e-9;
         assert!(

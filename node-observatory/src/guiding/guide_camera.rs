@@ -1,4 +1,5 @@
-//! A camera of its own for guiding: exposed again and again beside the row's camera, as long as guiding lasts.
+//! A camera of its own for guiding: exposed again and again in parallel with the row's camera, as long as guiding
+//! lasts.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,7 +15,7 @@ use schedule::Row;
 
 /// A camera that failed rests so long, machine time.
 const REST: Duration = Duration::from_secs(5);
-/// Nothing is exposed while something stands against the row; asked again after this, machine time.
+/// Nothing is exposed while there is an objection to the row; asked again after this, machine time.
 const AGAIN: Duration = Duration::from_secs(1);
 
 /// Stops the exposure that is under way when it is dropped.
@@ -30,7 +31,7 @@ impl Drop for UnderWay {
             return;
         }
         let (room, camera) = (self.room.clone(), self.camera.clone());
-        // outside of a runtime the node is ending, and the exposure ends by itself
+        // Outside of a runtime the node is ending, and the exposure ends by itself.
         if let Ok(runtime) = tokio::runtime::Handle::try_current() {
             runtime.spawn(async move {
                 if let Ok(chain) = room.rig.chain(&camera) {
@@ -46,7 +47,7 @@ pub async fn keep_exposing(room: Arc<ControlRoom>, row: Row, index: u32, wanted:
     let mut under_way = UnderWay { room: room.clone(), camera: camera.clone(), exposing: false };
     let mut sequence = 0;
     loop {
-        // `begin` has found it, and the configuration does not change
+        // `begin` has found it, and the configuration does not change.
         let Ok(chain) = room.rig.chain(&camera) else { return };
         if room.objection(Some(&row)).is_some() {
             tokio::time::sleep(AGAIN).await;

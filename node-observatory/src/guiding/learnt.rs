@@ -1,5 +1,5 @@
-//! What guiding has learnt and keeps over a restart: what pulses do to the stars of a camera, and where the stars of a
-//! field stood. One file, `guiding-TELESCOPE.json` in the data folder.
+//! The learned state of guiding, which survives a restart: what pulses do to the stars of a camera, and where the stars
+//! of a field were. One file, `guiding-TELESCOPE.json` in the data folder.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use contract::observatory::{
 use imaging::star::{Flags, Star};
 use serde::{Deserialize, Serialize};
 
-/// References that are kept; the oldest give way.
+/// References that are retained; a new one replaces the oldest.
 pub const REFERENCES: usize = 60;
 
 /// All of it.
@@ -18,7 +18,7 @@ pub struct Learnt {
     /// What pulses do, newest last.
     #[serde(default)]
     pub calibrations: Vec<CameraCalibration>,
-    /// Where fields stood, newest last.
+    /// The references of fields, newest last.
     #[serde(default)]
     pub references: Vec<GuideReference>,
 }
@@ -60,7 +60,7 @@ pub fn star(kept: &ReferenceStar) -> Star {
 }
 
 impl Learnt {
-    /// Reads the file; one that cannot be read is told and begun anew: nothing that is unsafe hangs on it.
+    /// Reads the file. If it cannot be read, this is reported and the state begins anew: nothing unsafe depends on it.
     pub fn read(path: &Path) -> Self {
         crate::kept::read_or_anew(path, "what guiding knows of the mount")
     }
@@ -88,7 +88,7 @@ impl Learnt {
         self.references.drain(..surplus);
     }
 
-    /// Takes in a reference that another node keeps; tells whether it is news. An older one of the same field is none.
+    /// Adopts a reference that another node has; returns whether it is new. An older one of the same field is not.
     pub fn hear_reference(&mut self, heard: &GuideReference) -> bool {
         if self.reference(&heard.field).is_some_and(|known| known.made_utc >= heard.made_utc) {
             return false;
@@ -102,7 +102,7 @@ impl Learnt {
         self.references.iter().rev().find(|kept| kept.field == *field)
     }
 
-    /// Forgets the reference of a field; tells whether there was one.
+    /// Forgets the reference of a field; returns whether there was one.
     pub fn forget_reference(&mut self, field: &GuideField) -> bool {
         let before = self.references.len();
         self.references.retain(|kept| kept.field != *field);

@@ -1,7 +1,7 @@
-//! What was learnt of guiding, on the bus: said by whoever commands, taken over by whoever stands by.
+//! The learned state of guiding on the bus: the commander publishes it, a standby takes it over.
 //!
-//! What pulses do is part of the state. A reference, some ten kilobytes, is said once when it is made, and once more by
-//! each life that commands: who comes late asks its publisher for all of them.
+//! The calibration is part of the state. A reference, some ten kilobytes, is published once when it is made, and once
+//! more by each incarnation that commands: a late subscriber asks its publisher for all of them.
 
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -13,10 +13,10 @@ use contract::{CommandId, Key, Part};
 use super::learnt::REFERENCES;
 use crate::control_room::ControlRoom;
 
-/// References that wait to be looked at: more than one life says at once.
+/// Bound of the queue of received references: more than one incarnation publishes at once.
 const WAITING: usize = 4 * REFERENCES;
 
-/// Says what is learnt as soon as it is.
+/// Publishes each learned reference as soon as it is there.
 pub async fn keep_telling(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let key = Key::GuideReference(room.node.config.address());
     let line = room.node.bus.publisher::<GuideReference>(&key, Quality::Event { cache: REFERENCES }).await?;
@@ -30,7 +30,7 @@ pub async fn keep_telling(room: Arc<ControlRoom>) -> anyhow::Result<()> {
             is_new
         });
         said.retain(|frame| known.references.iter().any(|reference| reference.frame == *frame));
-        // a standby has said nothing when it begins to command
+        // A standby has published nothing when it begins to command.
         for reference in known.references.into_iter().filter(|_| room.may_speak()) {
             if said.insert(reference.frame.clone()) {
                 line.put(reference).await?;
@@ -43,8 +43,8 @@ pub async fn keep_telling(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     }
 }
 
-/// Takes over what the commander learnt for as long as this node stands by: it holds a field where the commander held
-/// it, and knows what pulses do. Written down once this node commands.
+/// Takes over what the commander learned for as long as this node stands by: it holds a field where the commander held
+/// it, and knows what pulses do. The state is written to disk once this node commands.
 pub async fn keep_hearing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let bus = &room.node.bus;
     let mut state = bus.latest::<GuidingState>(&room.key(Part::Guiding)).await?;
@@ -55,7 +55,7 @@ pub async fn keep_hearing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         tokio::select! {
             () = state.changed() => {
                 let heard = state.get().filter(|heard| is_commanders(&heard.said.boot_id));
-                // one of an older version says none
+                // A node of an older version publishes none.
                 let Some(heard) = heard.filter(|heard| !heard.said.body.calibrations.is_empty()) else { continue };
                 room.guide_learnt.change(|learnt| {
                     let is_new = learnt.calibrations != heard.said.body.calibrations;

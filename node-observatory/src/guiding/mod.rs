@@ -1,17 +1,17 @@
 //! Guiding: holds a row's field where its reference frame saw it, with guide pulses, as long as the row exposes.
 //!
 //! ```text
-//!   frame fetched --> reference and calibration known? --no--> learnt from this frame, or a person is told
+//!   frame fetched --> reference and calibration known? --no--> learned from this frame, or a person is informed
 //!                          | yes
 //!                     measured (boxes, else star list) --> decided (imaging::guide) --> pulses, record, state
 //!                                                              '--lost--> star list; slew back; plate solution; alarm
 //! ```
 //! A task per row works on the newest frame of the camera that is guided on ([`task`]); frames that began before a slew
-//! are left out. Nothing waits for the archive. What is learnt outlives a restart ([`learnt`]): where a field's stars
-//! stood, by object, filter, exposure, camera and side of the pier, and what pulses do ([`calibrated`]). A pulse is given
-//! only to a mount that is known to track, not to slew, under a sky that the row may use ([`pulse`]).
+//! are left out. Nothing waits for the archive. The learned state survives a restart ([`learnt`]): where a field's
+//! stars were, by object, filter, exposure, camera and side of the pier, and what pulses do ([`calibrated`]). A pulse
+//! is given only to a mount that is known to track, not to slew, under a sky that the row may use ([`pulse`]).
 //!
-//! Who guides holds a [`Guided`]; dropping it ends the loop. A pulse that runs then ends by itself.
+//! The row that guides holds a [`Guided`]; dropping it ends the loop. A pulse that runs then ends by itself.
 
 pub mod calibrated;
 mod guide_camera;
@@ -127,7 +127,7 @@ impl Drop for Guided {
     fn drop(&mut self) {
         self.task.abort();
         let alerts = &self.room.node.alerts;
-        // a row that stopped for it is to be seen: the alert ends with the next field that is held
+        // A row that stopped for it is to be seen: the alert ends with the next field that is held.
         if self.given_up.borrow().is_none() {
             alerts.clear(AlertKind::GuidingLost, &self.camera);
         }
@@ -139,7 +139,7 @@ impl Drop for Guided {
     }
 }
 
-/// A trouble that is told a second time.
+/// A copy of an error, to report it a second time.
 fn told_again(trouble: &Trouble) -> Trouble {
     match trouble {
         Trouble::Failed { device, verb, reason } => {

@@ -11,10 +11,10 @@ use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
 use schedule::Row;
 
-/// What the mount took of a pulse: when it began, sky s, and how long it was, ms.
+/// The part of a pulse that the mount executed: when it began, sky s, and how long it was, ms.
 pub type Taken = Option<(f64, i32)>;
 
-/// What became of a decision's pulses; None for an axis that was not to be pulsed.
+/// The outcome of a decision's pulses; None for an axis that was not to be pulsed.
 #[derive(Debug, Default)]
 pub struct Given {
     /// Right ascension.
@@ -28,7 +28,7 @@ pub struct Given {
 /// A pulse is over within this beyond its length, sky time.
 const OVER_WITHIN: Duration = Duration::from_secs(10);
 
-/// What stands against pushing the mount now, if anything does. Only what is known to be good is good.
+/// The objection to pulses now, if there is one. Only a state that is known to be good is good.
 pub fn objection(room: &ControlRoom, row: &Row, mount: &Mount) -> Option<String> {
     if let Some(objection) = room.objection(Some(row)) {
         return Some(objection.to_string());
@@ -95,7 +95,7 @@ async fn push(
 /// Gives a pulse of so many ms and waits until it is over.
 pub async fn pulse(mount: &Mount, direction: Direction, duration_ms: u32) -> Result<(), Trouble> {
     let mount = &mount.instrument;
-    // no turn is waited for: a pulse that comes late pushes a field that stands elsewhere
+    // No turn is waited for: a pulse that comes late pushes a field that is elsewhere by then.
     let id = mount.ask(Command::PulseGuide { direction, duration_ms }).await?;
     let most = patience(mount.clock(), Duration::from_millis(u64::from(duration_ms)) + OVER_WITHIN);
     mount.done(&id, "pulse_guide", most).await.map(|_| ())

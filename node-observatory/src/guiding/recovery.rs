@@ -16,7 +16,7 @@ use schedule::Row;
 /// Guiding slews no further than this: what is further off is another field, and pointing's business, degrees.
 const FURTHEST_DEG: f64 = 2.0;
 
-/// Guide rates in right ascension and declination, degrees of each coordinate per second, where the mount tells them.
+/// Guide rates in right ascension and declination, degrees of each coordinate per second, if the mount reports them.
 pub fn guide_rates(can: &Capabilities) -> Option<[f64; 2]> {
     let good = |rate: &f64| rate.is_finite() && *rate > 0.0;
     let ra = can.guide_rate_ra_deg_per_s.filter(good)?;
@@ -39,7 +39,7 @@ pub fn offset_to_reference_deg(session: &Session, solution: &Solution) -> Result
     Ok([east, dec - solution.dec.degrees()])
 }
 
-/// Slews by an offset from where the mount says it stands, which its device node lets settle.
+/// Slews by an offset from where the mount reports to be, which its device node lets settle.
 ///
 /// # Errors
 /// In words, when it may not be moved, the way is too far, or it does not arrive.
@@ -97,7 +97,7 @@ mod tests {
             size_px: [100, 100],
             origin_px: [0, 0],
         };
-        // 1 arcsec/px unbinned, half the sidereal rate: North pulses move stars down
+        // 1 arcsec/px unbinned, half the sidereal rate: North pulses move stars down.
         let calibration = GuideCalibration {
             source: CalibrationSource::Pulses,
             made_utc: Utc::EPOCH,
@@ -114,7 +114,7 @@ mod tests {
     #[test]
     fn a_field_that_is_off_on_the_detector_asks_for_the_same_way_on_the_sky() {
         let rates = [7.5 / 3600.0; 2];
-        // binned px of 2 arcsec
+        // Binned px of 2 arcsec.
         let [ra, dec] = offset_deg(&session(60.0), rates, [30.0, 15.0]).unwrap();
         assert!((ra * 3600.0 - 60.0 / 0.5).abs() < 1e-6, "right ascension is wider at dec 60: {}", ra * 3600.0);
         assert!((dec * 3600.0 + 30.0).abs() < 1e-6, "stars move up when it looks south: {}", dec * 3600.0);

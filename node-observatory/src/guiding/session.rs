@@ -1,4 +1,4 @@
-//! One field that is held: where its stars stood, what pulses do there, and the guider that decides.
+//! One field that is held: where its stars were, what pulses do there, and the guider that decides.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,7 +15,7 @@ use crate::control_room::ControlRoom;
 use crate::frames::looked::Fetched;
 use crate::frames::measure;
 
-/// With fewer stars than this a field may be told by its sums over rows and columns.
+/// With fewer stars than this, a field may be recognized by its sums over rows and columns.
 const FEW_STARS: usize = 5;
 /// The list of a frame's stars is there within this time, machine time.
 pub const LISTED_WITHIN: Duration = Duration::from_secs(30);
@@ -45,7 +45,7 @@ pub struct Session {
 
 /// What a frame showed of the field.
 pub struct Seen {
-    /// How far it moved, or why nobody can tell.
+    /// How far it moved, or why this cannot be measured.
     pub measured: Result<Measurement, NoShift>,
     /// By what it was measured.
     pub method: GuideMethod,
@@ -56,7 +56,7 @@ pub struct Seen {
 /// Why a field cannot be held.
 #[derive(Debug, thiserror::Error)]
 pub enum NoSession {
-    /// The first frame tells no reference.
+    /// The first frame gives no reference.
     #[error("no reference: {0}")]
     Reference(#[from] NoShift),
     /// The calibration does not hold there.
@@ -65,7 +65,7 @@ pub enum NoSession {
 }
 
 impl Session {
-    /// Begins to hold a field where `stars` stand.
+    /// Begins to hold a field where `stars` are.
     ///
     /// # Errors
     /// [`NoSession`] when there is no good star, or the calibration does not hold at this declination.
@@ -139,7 +139,7 @@ impl Session {
         seen
     }
 
-    /// Measures how far the field moved: in boxes where its stars should be; where it may stand anywhere, or the boxes
+    /// Measures how far the field moved: in boxes where its stars should be; where it may be anywhere, or the boxes
     /// are empty, by the list of all stars; and only in fields of few stars by sums over rows and columns, which find a
     /// shift between any two fields.
     async fn look_for_shift(&mut self, room: &ControlRoom, fetched: &Arc<Fetched>) -> Seen {
@@ -166,7 +166,7 @@ impl Session {
     async fn look_in_boxes(&mut self, fetched: &Arc<Fetched>) -> Result<Measurement, NoShift> {
         let expected_px = self.guider.expected_px(Self::exposure(fetched));
         let expected_px = [expected_px[0] + self.hold_px[0], expected_px[1] + self.hold_px[1]];
-        // a copy of some ten kilobytes, so that nothing is lost when the loop is dropped meanwhile
+        // A copy of some ten kilobytes, so that nothing is lost when the loop is dropped meanwhile.
         let (mut reference, fetched) = (self.reference.clone(), fetched.clone());
         let look = move || {
             let camera = measure::camera(&fetched.frame);

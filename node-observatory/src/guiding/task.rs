@@ -26,14 +26,15 @@ use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
 use schedule::Row;
 
-/// So many frames in a row that could not be guided on, or that the mount took no pulse after, and a person is told.
+/// After so many frames in a row that could not be guided on, or that the mount took no pulse after, an alert is
+/// raised.
 const FAILURES_BEFORE_ALERT: u32 = 3;
-/// Without a frame for so many exposures and this long, sky s, a person is told.
+/// Without a frame for so many exposures and this long, sky s, an alert is raised.
 const SILENT_EXPOSURES: f64 = 3.0;
 const SILENT_S: f64 = 180.0;
-/// A frame that is so much older than the last one tells of a clock that was set back, sky s.
+/// A frame that is so much older than the last one shows that a clock was set back, sky s.
 const SET_BACK_S: f64 = 600.0;
-/// How often that is looked after where the mount says nothing, sky time.
+/// How often that is checked if the mount reports nothing, sky time.
 const LOOKED_AFTER: Duration = Duration::from_secs(30);
 
 /// The loop of one row.
@@ -88,7 +89,7 @@ impl Loop {
     /// Guides until it is dropped.
     pub async fn run(mut self) {
         let room = self.room.clone();
-        // `begin` has found it, and the configuration does not change
+        // `begin` has found it, and the configuration does not change.
         let Ok(Some(mount)) = room.rig.chain(&self.row.camera).map(|chain| chain.mount) else { return };
         let (mut pixels, mut states) = (room.looks.follow_pixels(), mount.instrument.follow());
         let silent_s = SILENT_S + SILENT_EXPOSURES * self.exposure_s();
@@ -118,7 +119,7 @@ impl Loop {
         if self.camera == self.row.camera { self.wanted.exposure_s } else { self.config().exposure_s }
     }
 
-    /// After a slew the field stands elsewhere; frames that saw it are left out.
+    /// After a slew the field is elsewhere; frames that saw it are left out.
     fn note_slew(&mut self, slews: bool, now: Utc) {
         if slews || self.slews {
             self.since = now;
@@ -136,12 +137,12 @@ impl Loop {
     async fn take(&mut self, mount: &Mount, fetched: Arc<Fetched>) {
         let frame = &fetched.frame;
         let mid = frame.started_utc.plus_seconds(0.5 * frame.exposure_s);
-        // frames of a focus run between those of the row show other stars, or the same at another width
+        // Frames of a focus run between those of the row show other stars, or the same at another width.
         let is_of_row = frame.purpose.action == self.row.action.name() || self.camera != self.row.camera;
         let is_ours = frame.purpose.row == Some(self.index) && is_of_row && shows_stars(&frame.purpose.image_type);
         let is_due = self.last_mid.is_none_or(|last| {
             let after_s = mid.seconds_since(last);
-            // one that was fetched late is passed over; a clock that was set back is the guider's to notice
+            // One that was fetched late is passed over; a clock that was set back is the guider's to notice.
             (after_s > 0.0 && after_s >= self.config().interval_min_s) || after_s < -SET_BACK_S
         });
         let rests = self.rests_until.is_some_and(|until| mid < until);
@@ -187,7 +188,7 @@ impl Loop {
         }
     }
 
-    /// Begins to hold a field: where it stood before, or where this frame shows it.
+    /// Begins to hold a field: where it was before, or where this frame shows it.
     async fn meet(&mut self, mount: &Mount, fetched: &Arc<Fetched>, field: GuideField) -> Result<Session, String> {
         let frame = &fetched.frame;
         let looked = tokio::time::timeout(LISTED_WITHIN, self.room.looks.of(&frame.id)).await;
@@ -219,7 +220,7 @@ impl Loop {
         Ok(session)
     }
 
-    /// What the configuration says that pulses do to the stars of a field's camera.
+    /// What pulses do, by the configuration, to the stars of a field's camera.
     fn configured(&self, field: &GuideField) -> Option<GuideCalibration> {
         let mut cameras = self.room.node.config.camera.iter();
         let start = cameras.find(|camera| camera.common.name.as_str() == field.camera)?.guide_calibration?;
@@ -255,7 +256,7 @@ impl Loop {
         Ok(session)
     }
 
-    /// A solved frame tells what pulses do, if the mount tells how fast they are.
+    /// Learns from a solved frame what pulses do, if the mount reports how fast they are.
     fn learn_from_solution(&self, mount: &Mount, looked: &Looked, field: &GuideField) {
         let Some(Ok(solution)) = &looked.solved else { return };
         let Some(rates) = mount.instrument.can().as_ref().and_then(recovery::guide_rates) else { return };
@@ -276,7 +277,7 @@ impl Loop {
         solved.or_else(|| self.wanted.target_deg.map(|[_, dec]| dec)).or_else(told).filter(|dec| dec.is_finite())
     }
 
-    /// Measures, decides, pushes the mount, and tells it.
+    /// Measures, decides, sends pulses to the mount, and publishes the correction.
     async fn guide(&mut self, mount: &Mount, fetched: &Arc<Fetched>) {
         let room = self.room.clone();
         let Some(session) = &mut self.session else { return };
@@ -300,7 +301,7 @@ impl Loop {
         tell::say(&room, record).await;
     }
 
-    /// Does what the guider asks for beside pulses; tells it in words.
+    /// Does what the guider asks for in addition to pulses; returns a description of it.
     async fn follow_up(&mut self, mount: &Mount, fetched: &Fetched, decision: &Decision) -> Option<String> {
         match decision.ask? {
             Ask::Register => Some("looking for the field in the whole next frame".to_owned()),
@@ -334,7 +335,7 @@ impl Loop {
         recovery::offset_deg(session, rates.ok_or("the mount does not tell its guide rates")?, way_px)
     }
 
-    /// Slews by an offset; what stands against it is told, and the next frame asks again.
+    /// Slews by an offset. An obstacle is reported in the result, and the next frame asks again.
     async fn slew(&mut self, mount: &Mount, offset: Result<[f64; 2], String>) -> String {
         let slewed = match offset {
             Ok(offset) => recovery::slew_by(&self.room, &self.row, mount, offset).await.map(|()| offset),
@@ -373,7 +374,7 @@ impl Loop {
         }
     }
 
-    /// Alerts that stand or end with this frame.
+    /// Raises or clears the alerts that depend on this frame.
     fn judge(&self, decision: &Decision, given: &Given) {
         let (alerts, camera) = (&self.room.node.alerts, &self.camera);
         if self.refusals >= FAILURES_BEFORE_ALERT {
@@ -461,7 +462,7 @@ async fn newest(pixels: &mut broadcast::Receiver<Arc<Fetched>>, camera: &str) ->
                 None => match pixels.recv().await {
                     Ok(fetched) if fetched.frame.camera == camera => found = Some(fetched),
                     Ok(_) | Err(broadcast::error::RecvError::Lagged(_)) => {}
-                    // the sender lives in the control room
+                    // The sender lives in the control room.
                     Err(broadcast::error::RecvError::Closed) => std::future::pending().await,
                 },
             },
@@ -484,7 +485,7 @@ mod tests {
             let frame = contract::device::camera::Frame { camera: camera.to_owned(), ..frame(id) };
             looks.fetched(&Arc::new(Fetched { frame, plane: Plane::Counts(Vec::new()) }));
         };
-        // more than wait: the oldest is gone
+        // More than wait: the oldest is gone.
         for (id, camera) in [("a", "cam"), ("b", "cam"), ("c", "cam")] {
             fetched(id, camera);
         }

@@ -1,4 +1,4 @@
-//! What guiding says: a record of each frame, and how well the field stands.
+//! The publications of guiding: a record of each frame, and how well the field is held.
 
 use std::collections::VecDeque;
 
@@ -24,7 +24,7 @@ pub struct Residuals {
 }
 
 impl Residuals {
-    /// Notes how far the stars stood off while the field was held, px.
+    /// Notes how far the stars were off while the field was held, px.
     pub fn note(&mut self, distance_px: f64) {
         if distance_px.is_finite() {
             self.squares_px2.push_back(distance_px.powi(2));
@@ -84,7 +84,7 @@ pub fn correction(
 }
 
 fn axis(why: Why, log: &AxisLog, pulse_ms: i32, given: Taken) -> AxisCorrection {
-    // before the first frame nothing is expected, with any spread
+    // Before the first frame nothing is expected, with any spread.
     let told = |value: f64| if value.is_finite() { rounded(value) } else { 0.0 };
     AxisCorrection {
         why: pulse_why(why),
@@ -103,7 +103,7 @@ fn rounded(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }
 
-/// Where the guider stands, as it is told.
+/// The published form of the guider's state.
 pub fn stage(state: State) -> GuideStage {
     match state {
         State::Acquire => GuideStage::Acquire,
@@ -148,7 +148,8 @@ pub fn unstable(unstable: Unstable) -> &'static str {
     }
 }
 
-/// Says a record; all of this life of the node go out on one line, so that their numbers tell a gap.
+/// Publishes a record. All records of this incarnation of the node go out through one publisher, so that their numbers
+/// reveal a gap.
 pub async fn say(room: &ControlRoom, correction: Correction) {
     let key = Key::Correction(room.node.config.address());
     let line = room.corrections.get_or_try_init(|| room.node.bus.publisher(&key, Quality::Event { cache: KEPT })).await;

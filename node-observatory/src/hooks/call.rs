@@ -29,7 +29,7 @@ pub enum CallError {
     },
 }
 
-/// What went wrong, with its place; of a script that was ended also why, which the language does not say.
+/// What went wrong, with its place; of a script that was ended also why, which the language does not report.
 fn words(error: &EvalAltResult) -> String {
     match error.unwrap_inner() {
         EvalAltResult::ErrorTerminated(why, place) => format!("{why} ({place})"),
@@ -73,7 +73,7 @@ impl Script {
             let options = CallFnOptions::new().eval_ast(false);
             let engine = engine::with_line(&line);
             let result = engine.call_fn_with_options::<Dynamic>(options, &mut Scope::new(), &ast, function.name(), ());
-            // whoever asked may be gone
+            // The receiver may be gone.
             let _ = end.send(result.map_err(|error| words(&error)));
         };
         let thread = std::thread::Builder::new().name("site script".to_owned()).stack_size(STACK);
@@ -87,7 +87,7 @@ impl Script {
                         return result.map_err(CallError::Failed);
                     }
                     Some(Asked { request, back }) = asked.recv() => {
-                        // the script may have been cut meanwhile
+                        // The script may have been cut meanwhile.
                         let _ = back.send(host.answer(request).await);
                     }
                 }
@@ -96,7 +96,7 @@ impl Script {
         let told = tokio::time::timeout(most, talk).await;
         let late = CallError::Late { after_s: most.as_secs_f64() };
         match told {
-            // the thread may notice the end before this task does
+            // The thread may notice the end before this task does.
             Ok(Err(CallError::Failed(_))) if Instant::now() >= until => Err(late),
             Ok(result) => result,
             Err(_) => Err(late),

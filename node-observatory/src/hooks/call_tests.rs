@@ -90,7 +90,7 @@ async fn an_endless_loop_is_ended_by_its_time() {
         "fn open() { loop { } }",
         "fn open() { sleep(3600); }",
         "fn open() { sleep(3600.5); }",
-        // nothing of it can be caught
+        // Nothing of it can be caught.
         "fn open() { loop { try { sleep(3600); } catch { } } }",
         "fn open() { loop { try { loop { } } catch { } } }",
     ] {

@@ -1,7 +1,7 @@
 //! Calls in a script's text that were probably meant to be calls of this node's functions.
 //!
-//! The language finds out whether a called function exists when it is called, which is at night. A slip of the pen in one
-//! of the names of [`engine::CALLS`] is found here instead.
+//! The language finds out whether a called function exists when it is called, which is at night. A misspelling in
+//! one of the names of [`engine::CALLS`] is found here instead.
 
 use super::engine;
 use config::{distance, nearest};
@@ -60,7 +60,7 @@ pub fn misspelt(text: &str, own: &[&str]) -> Vec<String> {
     let slip = |(line, name): (usize, &str)| {
         let is_known = engine::CALLS.contains(&name) || own.contains(&name);
         let meant = nearest(name, engine::CALLS).filter(|_| !is_known)?;
-        // farther off it may well be a function of the language
+        // Farther off it may well be a function of the language.
         let is_near = distance(name, meant) <= (meant.len() / 3).max(1);
         is_near.then(|| format!("line {line}: no function is called {name}; did you mean {meant}?"))
     };

@@ -32,7 +32,7 @@ struct Running {
 }
 
 impl AtClosing {
-    /// A closing begins. What is not known to be open is closed without a word to the script.
+    /// A closing begins. Parts that are not known to be open are closed without a call of the script.
     pub fn begin(&mut self, room: &Arc<ControlRoom>, sight: &Sight, now: MachineTime) {
         self.running = None;
         self.calls = JoinSet::new();
@@ -57,11 +57,11 @@ impl AtClosing {
     /// Must the default wait?
     pub fn holds(&self, now: MachineTime) -> bool {
         let waits = |running: &Running| now < running.until && !*running.released.borrow();
-        // the other end is gone where the script is over, however it ended
+        // The other end is gone where the script is over, however it ended.
         self.running.as_ref().is_some_and(|running| waits(running) && running.released.has_changed().is_ok())
     }
 
-    /// Tells the script whether everything is verified closed.
+    /// Informs the script whether everything is verified closed.
     pub fn see(&self, is_closed: bool) {
         if let Some(running) = &self.running {
             running.closed.send_if_modified(|closed| std::mem::replace(closed, is_closed) != is_closed);
@@ -72,7 +72,7 @@ impl AtClosing {
     pub async fn freed(&mut self, now: MachineTime) {
         let holds = self.holds(now);
         let Some(running) = self.running.as_mut().filter(|_| holds) else { return std::future::pending().await };
-        // the script's end counts as a release, and so does the end of the wait
+        // The script's end counts as a release, and so does the end of the wait.
         let _ = tokio::time::timeout(running.until.since(now), running.released.changed()).await;
     }
 }
@@ -101,7 +101,7 @@ async fn tell(room: &ControlRoom, script: &Script, release: watch::Sender<bool>,
     if script.has(Function::AfterClose) && closed.wait_for(|closed| *closed).await.is_ok() {
         let function = Function::AfterClose;
         let result = script.call(function, most, &Doing { room, function, release: &release, closed }).await;
-        // told by its alert
+        // Its alert reports the result.
         let _ = host::told(room, function, result);
     }
 }

@@ -37,8 +37,8 @@ const EXPRESSION_DEPTH: usize = 64;
 const TEXT: usize = 64 * 1024;
 /// Entries of one list or map, with what they hold in turn; a device's state has some dozens.
 const ENTRIES: usize = 1_000;
-/// Variables of one function at one time. With the three limits above all that a script can hold is some 100 MB: a text of
-/// 64 KiB, or a map of as much, in each variable at each depth.
+/// Variables of one function at one time. With the three limits above all that a script can hold is some 100 MB: a text
+/// of 64 KiB, or a map of as much, in each variable at each depth.
 const VARIABLES: usize = 64;
 
 /// An engine that can compile and count, and reaches nothing.
@@ -61,7 +61,7 @@ pub fn bare() -> Engine {
 
 type Fallible<T> = Result<T, Box<EvalAltResult>>;
 
-/// An engine whose functions speak over a line.
+/// An engine whose functions exchange requests and answers over a line.
 pub fn with_line(line: &Line) -> Engine {
     let mut engine = bare();
     let progress = line.clone();
@@ -86,7 +86,7 @@ pub fn with_line(line: &Line) -> Engine {
     engine.register_fn("is_safe", move || truth(&at, Request::IsSafe));
     let at = line.clone();
     engine.register_fn("note", move |text: &str| done(&at, Request::Note(text.to_owned())));
-    // the language has a sleep of its own, which nothing could interrupt: these stand before it
+    // The language has a sleep of its own, which nothing could interrupt: these replace it.
     let at = line.clone();
     engine.register_fn("sleep", move |seconds: FLOAT| done(&at, Request::Sleep(seconds)));
     let at = line.clone();
@@ -142,7 +142,7 @@ fn asked(line: &Line, request: Request) -> Fallible<Reply> {
     match line.ask(request) {
         Ok(Ok(reply)) => Ok(reply),
         Ok(Err(why)) => Err(EvalAltResult::ErrorRuntime(why.into(), Position::NONE).into()),
-        // unlike a runtime error, no `try` catches this
+        // Unlike a runtime error, no `try` catches this.
         Err(Over) => Err(EvalAltResult::ErrorTerminated("its time is over".into(), Position::NONE).into()),
     }
 }

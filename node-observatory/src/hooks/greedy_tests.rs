@@ -1,7 +1,7 @@
 //! Scripts that want all there is: of memory, of the stack, of time, of this node's own functions, and of the reader.
 //!
-//! Each ends with a fault that can be told, soon and small. What a fault leads to, closing by default, is a story of its own
-//! (`obeys_the_sites_script`).
+//! Each ends with a fault that can be reported, soon and small. The consequence of a fault, closing by default, is a
+//! scenario of its own (`obeys_the_sites_script`).
 
 use std::fmt::Write as _;
 use std::sync::Mutex;
@@ -129,7 +129,7 @@ async fn a_map_that_is_filled_entry_by_entry_is_ended_by_the_memory_that_it_take
 #[cfg(target_os = "linux")]
 #[tokio::test(flavor = "multi_thread")]
 async fn full_variables_at_every_depth_are_some_hundred_megabytes_and_no_more() {
-    // each variable a map of its own, in functions as deep as they go, and none is given back before the end
+    // Each variable a map of its own, in functions as deep as they go, and none is given back before the end.
     let copies = (0..60).fold(String::new(), |mut text, n| {
         let _ = write!(text, "let v{n} = m; v{n}.own = {n};");
         text
@@ -138,7 +138,7 @@ async fn full_variables_at_every_depth_are_some_hundred_megabytes_and_no_more() 
         "fn close() {{ let m = #{{}}; for n in 0..490 {{ m[`key number ${{n}} of the map`] = n; }} deeper(m); }}\n\
          private fn deeper(m) {{ {copies} deeper(m); }}"
     );
-    // (the other tests of this process run meanwhile)
+    // (the other tests of this process run meanwhile).
     let (before, over) = (resident(), AtomicBool::new(false));
     let watching = async {
         let mut most = 0;
@@ -156,7 +156,7 @@ async fn full_variables_at_every_depth_are_some_hundred_megabytes_and_no_more() 
     let (told, most) = tokio::join!(calling, watching);
     let told = told.unwrap_err();
     assert!(told.to_lowercase().contains("stack overflow"), "{told}");
-    // the other tests of this process need some too
+    // The other tests of this process need some too.
     assert!(most < 500 << 20, "{} MiB", most >> 20);
     assert!(most > 10 << 20, "{} MiB: it was not seen at work", most >> 20);
 }
@@ -174,7 +174,7 @@ fn refused(text: &str) -> String {
 fn a_text_without_end_is_refused_before_it_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("hooks.rhai");
-    // an endless line, and one whose character is cut in the middle
+    // An endless line, and one whose character is cut in the middle.
     for filling in ["/", "a", "é"] {
         std::fs::write(&path, format!("fn close() {{ }}\n//{}", filling.repeat(8 << 20))).unwrap();
         let told = Script::read(&path).map(|_| ()).unwrap_err().to_string();
@@ -194,7 +194,7 @@ fn brackets_within_brackets_are_refused_before_the_stack_ends() {
         let most = (LONGEST - 100) / (open.len() + close.len());
         let told = refused(&format!("fn close() {{ let x = {}1{}; }}", open.repeat(most), close.repeat(most)));
         assert!(!told.is_empty());
-        // and without their other halves
+        // And without their other halves.
         refused(&format!("fn close() {{ let x = {}", open.repeat(LONGEST / open.len() - 100)));
     }
 }

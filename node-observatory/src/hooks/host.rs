@@ -1,4 +1,4 @@
-//! What a script of any function is answered: commands of the makers' own, states, waits, notes.
+//! The answers to a script's requests, of any function: commands of the makers' own, states, waits, notes.
 
 use std::time::Duration;
 
@@ -16,7 +16,7 @@ use crate::control_room::ControlRoom;
 use crate::rig::instrument::Instrument;
 use crate::trouble::Trouble;
 
-/// A device node gives a command of the maker's own 5 s; so long until its answer is heard here.
+/// A device node gives a command of the maker's own 5 s; its answer arrives here within this time.
 const ANSWER: Duration = Duration::from_secs(10);
 /// No single wait of a script is longer, sky s.
 const LONGEST_SLEEP_S: f64 = 600.0;
@@ -112,7 +112,7 @@ fn of(device: &Device) -> String {
     format!("{}/{}", device.kind, device.name)
 }
 
-/// Raises or clears the alert of a function, and makes a trouble of what went wrong.
+/// Raises or clears the alert of a function, and converts its failure into an error of the action.
 pub fn told<T>(room: &ControlRoom, function: Function, result: Result<T, CallError>) -> Result<T, Trouble> {
     let alerts = &room.node.alerts;
     result

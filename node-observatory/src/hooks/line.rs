@@ -58,7 +58,7 @@ pub struct Asked {
     pub back: oneshot::Sender<Answer>,
 }
 
-/// Who answers a script.
+/// The part that answers a script.
 pub trait Host: Sync {
     /// Answers; dropping the future in the middle must be harmless.
     fn answer(&self, request: Request) -> impl Future<Output = Answer> + Send;
@@ -77,7 +77,7 @@ pub struct Line {
     pub memory: Meter,
 }
 
-/// The script is over, whatever it says.
+/// The script is over, whatever its result.
 pub struct Over;
 
 impl Line {

@@ -1,10 +1,11 @@
 //! How much memory this process has taken since a script began.
 //!
-//! The language bounds each text, list and map where one is made or handed on, but not a map into which entry after entry is
-//! put in its place (`map[key] = value`; rhai 1.27, `eval/indexing.rs`). So the whole is looked at too, now and then.
+//! The language bounds each text, list and map where one is made or handed on, but not a map into which entry after
+//! entry is put in its place (`map[key] = value`; rhai 1.27, `eval/indexing.rs`). So the whole is looked at too, now
+//! and then.
 
-/// A script that is at work while the process grows by more than this is ended, bytes: well beyond what its variables can
-/// hold by the engine's other limits, and what a small computer can spare.
+/// A script that is at work while the process grows by more than this is ended, bytes: well beyond what its variables
+/// can hold by the engine's other limits, and what a small computer can spare.
 pub const MOST: u64 = 256 << 20;
 /// Looked at once in so many steps of work: each step adds at most one text.
 const EVERY: u64 = 256;
@@ -22,7 +23,7 @@ impl Meter {
         Self { before: resident(), most }
     }
 
-    /// Is it too much? Looked at in some steps of work only; where the system does not tell, never.
+    /// Is it too much? Looked at in some steps of work only; never where the system does not report it.
     pub fn is_full(&self, step: u64) -> bool {
         let grown = || Some(resident()?.saturating_sub(self.before?));
         step.is_multiple_of(EVERY) && grown().is_some_and(|grown| grown > self.most)
@@ -34,9 +35,9 @@ impl Meter {
     }
 }
 
-/// Resident memory of this process, bytes; Linux says it in pages.
+/// Resident memory of this process, bytes; Linux reports it in pages.
 fn resident() -> Option<u64> {
-    // every kernel that this runs on without being told otherwise has pages of this size, and others have larger ones
+    // Every kernel that this runs on by default has pages of this size, and others have larger ones.
     const PAGE: u64 = 4096;
     let told = std::fs::read_to_string("/proc/self/statm").ok()?;
     told.split_whitespace().nth(1)?.parse::<u64>().ok().map(|pages| pages * PAGE)

@@ -46,7 +46,7 @@ pub enum Hooks {
 }
 
 impl Hooks {
-    /// Reads and proves the script of the configuration; an alert stands where it cannot be used.
+    /// Reads and proves the script of the configuration; an alert is active if it cannot be used.
     pub async fn load(node: &Node) -> Self {
         let Some(file) = node.config.hooks.script.clone() else { return Self::None };
         let shown = file.display().to_string();

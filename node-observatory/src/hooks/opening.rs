@@ -23,7 +23,7 @@ const CLOSED: Duration = Duration::from_secs(300);
 /// Opens, unless everything is open already.
 ///
 /// # Errors
-/// When the script or a device fails, or it is not ready in time; everything has then been told to close.
+/// When the script or a device fails, or it is not ready in time; everything was then ordered to close.
 pub async fn open(room: &ControlRoom, chain: &Chain<'_>, script: &Script) -> Result<(), Trouble> {
     if is_open(room, chain) {
         return Ok(());
@@ -31,7 +31,7 @@ pub async fn open(room: &ControlRoom, chain: &Chain<'_>, script: &Script) -> Res
     let opened = tell(&Opening { room, chain, script }).await;
     if let Err(trouble) = &opened {
         let most = patience(room.node.bus.clock(), CLOSED);
-        // half open is no state to leave things in; the closing itself never gives up
+        // Half open is no state to leave things in; the closing itself never gives up.
         let _ = tokio::time::timeout(most, room.close(&format!("opening failed: {trouble}"))).await;
     }
     opened
@@ -85,7 +85,7 @@ impl Opening<'_> {
         host::told(self.room, function, result)
     }
 
-    /// Asks `is_ready` each second until it says so.
+    /// Calls `is_ready` each second until it returns true.
     async fn wait_until_ready(&self) -> Result<(), Trouble> {
         if !self.script.has(Function::IsReady) {
             return Ok(());

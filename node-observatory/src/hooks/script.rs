@@ -13,11 +13,11 @@ use config::nearest;
 
 /// Bytes of a script's text: a site's own steps are some pages, and reading must not take long.
 pub(super) const LONGEST: usize = 64 * 1024;
-/// So many faults are told; somebody who mends them is told the next ones.
+/// So many faults are reported; after these are fixed, the next ones are reported.
 const TOLD: usize = 20;
-/// Of a name that is told, so many characters; of a fault.
+/// Longest reported part of a name, characters.
 const NAME: usize = 60;
-/// See above.
+/// Longest reported part of a fault, characters.
 const FAULT: usize = 300;
 
 /// A function that a script may have.
@@ -82,7 +82,7 @@ pub enum ScriptError {
 /// A proven script. Cheap to clone.
 #[derive(Clone)]
 pub struct Script {
-    /// What it says.
+    /// Its text.
     pub(super) ast: Arc<AST>,
     functions: BTreeSet<Function>,
 }
@@ -95,7 +95,7 @@ impl Script {
     pub fn read(path: &Path) -> Result<Self, ScriptError> {
         let file = path.display().to_string();
         let mut bytes = Vec::new();
-        // one byte more than it may have, so that what is longer is seen to be, and is not in memory
+        // One byte more than it may have, so that what is longer is seen to be, and is not in memory.
         let most = u64::try_from(LONGEST + 1).unwrap_or(u64::MAX);
         let read = File::open(path).and_then(|script| script.take(most).read_to_end(&mut bytes));
         let text = match read {
@@ -112,9 +112,9 @@ impl Script {
     /// Compiles a text and proves its functions.
     ///
     /// # Errors
-    /// Syntax with line and column; functions that are neither known nor `private`, and calls that are a slip of the pen
-    /// in one of this node's functions, with the nearest known name; parameters where there are none; a text of more than
-    /// 64 KiB. At most 20 faults are told.
+    /// Syntax with line and column; functions that are neither known nor `private`, and calls that are a misspelling of
+    /// one of this node's functions, with the nearest known name; parameters where there are none; a text of more than
+    /// 64 KiB. At most 20 faults are reported.
     pub fn compile(text: &str) -> Result<Self, Vec<String>> {
         if text.len() > LONGEST {
             return Err(vec![too_long()]);
@@ -126,7 +126,7 @@ impl Script {
                 break;
             }
             let (name, parameters) = (function.name, function.params.len());
-            // `|x| ...` within a function is one without a name of the script's own
+            // `|x| ...` within a function is one without a name of the script's own.
             if name.starts_with("anon$") {
                 continue;
             }

@@ -1,13 +1,13 @@
 //! Where a mount is under the rates that it was given, and which rates keep it on a body; pure.
 //!
-//! A rate that was the body's own when it was sent would let each error stay: what the path bends away between two rates, and
-//! what the body goes while a command is on its way. So new rates lead from where the mount is reckoned to be to where the
-//! body will be.
+//! A rate that was the body's own when it was sent would let each error stay: what the path bends away between two
+//! rates, and what the body goes while a command is on its way. So new rates lead from where the mount is reckoned to
+//! be to where the body will be.
 
 use sky::Rates;
 use units::{Angle, Utc};
 
-/// Rates are renewed when keeping them would lead so far from the body, arcsec on the sky (spec core.md 7.4).
+/// Rates are renewed when keeping them would lead so far from the body, arcsec on the sky.
 pub const TRAIL_ARCSEC: f64 = 0.5;
 
 /// A place in the mount's own frame.
@@ -37,7 +37,7 @@ impl Spot {
     }
 }
 
-/// A mount on its way beside the stars.
+/// The path of a mount that moves relative to the stars.
 #[derive(Debug, Clone, Copy)]
 pub struct Course {
     at: Utc,
@@ -48,7 +48,7 @@ pub struct Course {
 }
 
 impl Course {
-    /// A mount that follows the stars, and stood at a spot then.
+    /// A mount that follows the stars, and was at a spot then.
     pub fn begun(at: Utc, spot: Spot) -> Self {
         Self { at, spot, rates: Rates::default(), looked: None }
     }
@@ -63,8 +63,8 @@ impl Course {
         self.looked.map_or(0.0, |looked| (interval_s - now.seconds_since(looked)).max(0.0))
     }
 
-    /// Looks at the rates: new ones, where the present ones would lead astray until the next look, by which the body will be
-    /// at `then`. The first look always gives some.
+    /// Looks at the rates: new ones, where the present ones would lead astray until the next look, by which the body
+    /// will be at `then`. The first look always gives some.
     pub fn look(&mut self, now: Utc, then: &Spot, interval_s: f64) -> Option<Rates> {
         let is_first = self.looked.replace(now).is_none();
         let astray = self.spot(now.plus_seconds(interval_s)).apart_arcsec(then);
@@ -89,7 +89,7 @@ mod tests {
         "2026-11-21T03:00:00Z".parse().unwrap()
     }
 
-    /// A body beside the seam of right ascension whose speed turns about once in 20 minutes.
+    /// A body near the seam of right ascension whose speed turns about once in 20 minutes.
     fn body(at: Utc) -> Spot {
         let t = at.seconds_since(start());
         let turn = t * std::f64::consts::TAU / 1200.0;

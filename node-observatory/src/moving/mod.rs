@@ -5,9 +5,9 @@
 //!            ^                                                                                           |
 //!            +------------- nonsidereal_recenter_interval has passed, between two frames ---------------+
 //! ```
-//! Where a body stands is `sky::moving`; which rates keep a mount on it is [`course`]. The rates end in every way out of a
-//! row: at its end and after a fault by this node, and by the mount's device node before the next slew, whatever became of
-//! this one. Decision 0029.
+//! `sky::moving` computes the place of a body, and [`course`] the rates that keep a mount on it. The rates end in every
+//! way out of a row: at its end and after a fault by this node, and by the mount's device node before the next slew,
+//! whatever became of this one. Decision 0029.
 
 mod course;
 mod observe;

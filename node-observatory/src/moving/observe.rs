@@ -14,13 +14,14 @@ use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
 use schedule::shot::Shot;
 
-/// A body that has moved less than this during a slew is still met, arcsec (spec core.md 7.4).
+/// A body that has moved less than this during a slew is still met, arcsec.
 const MET_ARCSEC: f64 = 1.0;
 /// Slews that miss a body because it is gone when they end.
 const SLEWS: u32 = 4;
 /// A slew may take so much longer than the one before, s: it is shorter, but has to begin and to settle too.
 const SPARE_S: f64 = 3.0;
-/// The place in the headers of frames is renewed when the body has left it by this, arcsec: less than what pointing means.
+/// The place in the headers of frames is renewed when the body has left it by this, arcsec: less than what pointing
+/// means.
 const STALE_ARCSEC: f64 = 30.0;
 /// Between two looks at rates, at least: machine time.
 const BREATH: Duration = Duration::from_millis(20);
@@ -34,11 +35,11 @@ pub struct Wish {
     pub update_s: Option<f64>,
     /// The telescope is brought back onto the body after so long, s; never where 0.
     pub recenter_s: f64,
-    /// What is commanded less what is wanted, as solved frames have shown it beside the body.
+    /// The commanded place minus the wanted one, as solved frames have shown it near the body.
     pub correction: Option<[Angle; 2]>,
 }
 
-/// Refuses a mount that cannot go beside the stars.
+/// Refuses a mount that cannot move relative to the stars.
 pub async fn can_follow(mount: &Mount) -> Result<(), Trouble> {
     if mount.instrument.capabilities().await?.set_rates {
         return Ok(());
@@ -49,8 +50,8 @@ pub async fn can_follow(mount: &Mount) -> Result<(), Trouble> {
     )))
 }
 
-/// Takes the frames of a row while the telescope goes along with `body`; returns how many there are. `shot` is told how many
-/// there are already, the time, and when the last must have ended.
+/// Takes the frames of a row while the telescope follows `body`; returns how many there are. `shot` gets the number of
+/// frames so far, the time, and when the last must have ended.
 pub async fn observe(
     stage: &Stage,
     mount: &Mount,
@@ -115,7 +116,7 @@ async fn meet(stage: &Stage, mount: &Mount, path: &Path<'_>, wish: &Wish) -> Res
         let place = path.icrs(meeting)?;
         stage.step("slewing to the moving target");
         send(stage, mount, &place, wish.correction).await?;
-        // a mount that tracks the place of date holds what it was sent at the time of the slew
+        // A mount that tracks the place of date holds what it was sent at the time of the slew.
         let arrived = clock.utc();
         let spot = path.of_mount(&place, &stage.observer(arrived)?)?;
         if arrived <= meeting {
@@ -126,7 +127,7 @@ async fn meet(stage: &Stage, mount: &Mount, path: &Path<'_>, wish: &Wish) -> Res
         if path.spot(arrived)?.apart_arcsec(&spot) < MET_ARCSEC {
             return Ok(Course::begun(arrived, spot));
         }
-        // the next slew is no longer than this one was
+        // The next slew is no longer than this one was.
         lead_s = arrived.seconds_since(began) + SPARE_S;
     }
     let (device, verb) = (mount.instrument.device.to_string(), "reach a moving target".to_owned());

@@ -9,7 +9,7 @@ use crate::action::Stage;
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
 
-/// Rates are renewed no more often than this where the row says nothing else, s (spec core.md 7.4).
+/// Rates are renewed no more often than this where the row gives no other interval, s.
 const INTERVAL_S: f64 = 10.0;
 /// Where a path bends faster than straight pieces of that length can follow, shorter ones are tried.
 const SHORTER_S: [f64; 3] = [5.0, 2.0, 1.0];
@@ -26,12 +26,12 @@ impl<'a> Path<'a> {
         Self { stage, mount, body }
     }
 
-    /// Where it stands among the stars.
+    /// Its place among the stars.
     pub fn icrs(&self, at: Utc) -> Result<Icrs, Trouble> {
         Ok(self.body.seen(&self.stage.observer(at)?)?.icrs)
     }
 
-    /// Where it stands in the mount's frame.
+    /// Its place in the mount's frame.
     pub fn spot(&self, at: Utc) -> Result<Spot, Trouble> {
         let observer = self.stage.observer(at)?;
         self.of_mount(&self.body.seen(&observer)?.icrs, &observer)
@@ -63,7 +63,7 @@ impl<'a> Path<'a> {
         Ok(SHORTER_S[SHORTER_S.len() - 1])
     }
 
-    /// Until when it stands in what the site leaves of the sky from `from` on, but not beyond `to`.
+    /// Until when it is in what the site leaves of the sky from `from` on, but not beyond `to`.
     ///
     /// # Errors
     /// [`Trouble::Impossible`] where it does not at `from`.

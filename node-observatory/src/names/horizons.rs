@@ -27,7 +27,7 @@ pub fn question(base: &str, name: &str, at: Utc) -> String {
     format!("{base}?{}", parameters.join("&"))
 }
 
-/// What the answer says; `None`: no small body has this name.
+/// The content of the answer; `None`: no small body has this name.
 ///
 /// # Errors
 /// When several have it, or the answer is none of Horizons'.

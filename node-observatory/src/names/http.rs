@@ -24,7 +24,7 @@ pub async fn get(url: &str) -> anyhow::Result<String> {
 async fn exchange(url: &str) -> anyhow::Result<String> {
     let uri: Uri = url.parse().with_context(|| format!("{url} is no web address"))?;
     let provider = rustls::crypto::ring::default_provider();
-    // reading the host's certificates takes some milliseconds of the disk
+    // Reading the host's certificates takes some milliseconds of the disk.
     let own = provider.clone();
     let believing = tokio::task::spawn_blocking(|| HttpsConnectorBuilder::new().with_provider_and_native_roots(own));
     let connector = match believing.await? {

@@ -1,7 +1,8 @@
 //! Names of targets that are looked up online: stars and deep-sky objects by Sesame, small bodies by JPL's Horizons.
 //!
-//! Looked up as soon as a schedule names them, beside everything else ([`task`]), and kept on disk: a row asks what is known
-//! ([`Known`]) and never the network. One whose name is not known yet rests and is tried again; all others go on.
+//! A name is looked up as soon as a schedule has it, in parallel with everything else ([`task`]), and stored on disk: a
+//! row asks what is known ([`Known`]) and never the network. A row whose name is not known yet rests and is tried
+//! again; all others go on.
 
 mod horizons;
 mod http;

@@ -4,12 +4,13 @@ use schedule::names::Meaning;
 
 use super::http::encoded;
 
-/// The question for a name. `-oI` asks for everything as lines, `A` for the first of SIMBAD, NED and VizieR that knows it.
+/// The question for a name. `-oI` asks for everything as lines, `A` for the first of SIMBAD, NED and VizieR that knows
+/// it.
 pub fn question(base: &str, name: &str) -> String {
     format!("{}/-oI/A?{}", base.trim_end_matches('/'), encoded(name))
 }
 
-/// What the answer says; `None`: the name is not known there.
+/// The content of the answer; `None`: the name is not known there.
 ///
 /// # Errors
 /// When the answer is none of Sesame's.

@@ -1,4 +1,4 @@
-//! Looks names up beside everything else, as soon as a schedule has them.
+//! Looks names up in parallel with everything else, as soon as a schedule has them.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use crate::control_room::ControlRoom;
 use crate::kept::write_whole;
 use crate::schedule_file::Loaded;
 
-/// What was not found, or could not be asked for, is asked for again after this, machine time.
+/// A name that was not found, or could not be asked for, is asked for again after this, machine time.
 const AGAIN: Duration = Duration::from_secs(60);
 
 /// Looks up what the schedule names and nobody knows yet, for ever.
@@ -78,7 +78,7 @@ async fn ask(names: &Names, name: &str, at: Utc) -> Result<Meaning, String> {
     meaning.ok_or_else(|| "neither Horizons nor Sesame knows the name; give ra and dec".to_owned())
 }
 
-/// Writes what was found; without a disk it is looked up again in the next life.
+/// Writes what was found; without a disk it is looked up again after a restart.
 async fn keep(room: &ControlRoom) {
     let path = Known::path(&room.node.config);
     let mut part = path.clone().into_os_string();
@@ -131,12 +131,12 @@ mod tests {
     async fn a_service_that_is_away_or_answers_nonsense_is_a_reason_and_no_meaning() {
         let (mut names, at) = (services().await, "2026-11-21T03:00:00Z".parse().unwrap());
         let good = names.sesame_url.clone();
-        // the port of a listener that is gone
+        // The port of a listener that is gone.
         let gone = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap();
         names.sesame_url = format!("http://{gone}");
         let why = ask(&names, "Vega", at).await.unwrap_err();
         assert!(why.starts_with("Sesame: it cannot be reached"), "{why}");
-        // Horizons' address leads to what is not Horizons: the star must not be taken for it
+        // Horizons' address leads to what is not Horizons: the star must not be taken for it.
         names.horizons_url = format!("{good}/-oI/A");
         let why = ask(&names, "Vega", at).await.unwrap_err();
         assert!(why.starts_with("Horizons: the answer is none"), "{why}");

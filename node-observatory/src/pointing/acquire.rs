@@ -30,7 +30,7 @@ pub struct Way {
     pub exptime_s: f64,
     /// Frames that may yet be taken on the way.
     pub frames_left: u32,
-    /// No frame has shown yet where the last slew led: after hours of tracking it tells of drift, not of pointing.
+    /// No frame has shown yet where the last slew led: after hours of tracking a frame shows drift, not pointing.
     pub is_fresh: bool,
 }
 
@@ -41,8 +41,8 @@ impl Way {
         Self { target, commanded, exptime_s, frames_left, is_fresh: true }
     }
 
-    /// Slews to where it was sent last: whoever moved the mount meanwhile moved it away from there, and a correction of that
-    /// by the frames alone would overshoot.
+    /// Slews to where it was sent last: a person who moved the mount meanwhile moved it away from there, and a
+    /// correction of that by the frames alone would overshoot.
     pub async fn again(&mut self, stage: &Stage, mount: &Mount) -> Result<(), Trouble> {
         mount.point(&self.commanded, &stage.visible(&self.commanded)?).await?;
         self.is_fresh = true;
@@ -147,7 +147,7 @@ async fn frames(stage: &Stage, mount: &Mount, series: &Series, way: &mut Way) ->
         };
         tracing::warn!(%frame, why, "a frame does not show where it looks");
         if let Some(next_s) = exposure_s(deed, shot_s, changes) {
-            // another exposure time is no try at the target
+            // Another exposure time is no try at the target.
             (shot_s, changes, way.frames_left) = (next_s, changes + 1, way.frames_left + 1);
         }
         match deed {

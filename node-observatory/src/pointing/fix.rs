@@ -52,13 +52,14 @@ fn lacks(class: UnsolvedClass) -> bool {
     matches!(class, UnsolvedClass::NoCatalogue | UnsolvedClass::NoScale | UnsolvedClass::NoPlace)
 }
 
-/// Side of the pier that the mount says it is on.
+/// Pier side that the mount reports.
 pub fn pier_side(mount: &Mount) -> Option<PierSide> {
     let side = mount.instrument.fresh()?.fields.pier_side.known().copied();
     side.filter(|side| *side != PierSide::Unknown)
 }
 
-/// Where the middle of the sensor looks, whatever part of it a row reads: what a mount is told of, and its error.
+/// Where the middle of the sensor looks, whatever part of it a row reads: a mount is synchronised on it, and its error
+/// is measured there.
 pub fn sensor_looks_at(stage: &Stage, frame: &Frame, solution: &Solution) -> Icrs {
     let (x_px, y_px) = Aim::of(&stage.room, frame).middle_px(frame);
     icrs(solution.wcs.pixel_to_sky(x_px, y_px))
@@ -91,7 +92,7 @@ pub fn learn(stage: &Stage, commanded: &Icrs, frame: &Frame, solution: &Solution
     room.pointing.send_modify(|state| state.models = room.pointing_book.get().models);
 }
 
-/// Forgets what the cameras of a mount missed by: it was told where it points.
+/// Forgets what the cameras of a mount missed by: the mount was synchronised.
 pub fn forget(stage: &Stage, mount: &Mount) {
     let room = &stage.room;
     let mount_of = |camera: &str| room.rig.chain(&camera.parse::<Name>().ok()?).ok()?.mount;

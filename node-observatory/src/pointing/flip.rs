@@ -1,7 +1,7 @@
 //! The meridian flip of a German mount: between two frames, once the next one would end too far past the meridian.
 //!
-//! A slew to the same place is what turns such a mount over. One that stays on its side is left there: frames go on until the
-//! mount's device node stops it at its limit (`telescope.limits.meridian_past_min`), whatever this node does.
+//! A slew to the same place is what turns such a mount over. One that stays on its side is left there: frames go on
+//! until the mount's device node stops it at its limit (`telescope.limits.meridian_past_min`), whatever this node does.
 
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ use super::fix::pier_side;
 use crate::action::Stage;
 use crate::rig::telescope::Mount;
 
-/// A mount that has turned over tells its other side within this, machine time: some drivers are late with it.
+/// A mount that has turned over reports its other side within this, machine time: some drivers are late with it.
 const TOLD_WITHIN: Duration = Duration::from_secs(10);
 /// How often that is looked after.
 const LOOKED_AFTER: Duration = Duration::from_millis(50);
@@ -43,7 +43,8 @@ impl<'a> Flip<'a> {
         is_past(pier_side(self.mount), then.hour_angle(target), config.meridian_flip_min)
     }
 
-    /// After the slew that should have turned it over: says so where it did not. One that is late to tell its side is waited for.
+    /// After the slew that should have turned it over: returns a note if it did not. This waits for a mount that
+    /// reports its side late.
     pub async fn note(&mut self) -> Option<String> {
         if !stays(TOLD_WITHIN, || pier_side(self.mount)).await {
             return None;
@@ -54,7 +55,7 @@ impl<'a> Flip<'a> {
     }
 }
 
-/// Does a mount tell all the time that its tube is west of the pier?
+/// Does a mount report all the time that its tube is west of the pier?
 async fn stays(within: Duration, side: impl Fn() -> Option<PierSide> + Send + Sync) -> bool {
     let told_otherwise = async {
         while side() == Some(PierSide::West) {
@@ -72,7 +73,7 @@ mod tests {
 
     use super::*;
 
-    /// What is concluded of a mount that tells this at one look after the other, and the last for ever.
+    /// The conclusion about a mount that reports these sides one after the other, and the last for ever.
     async fn concluded(told: &[Option<PierSide>]) -> bool {
         let looks = AtomicUsize::new(0);
         let side = || told[looks.fetch_add(1, Ordering::Relaxed).min(told.len() - 1)];
@@ -90,11 +91,11 @@ mod tests {
 
     #[tokio::test]
     async fn a_mount_that_tells_its_sides_the_wrong_way_round_is_asked_to_turn_over_once_and_left_alone() {
-        // truly east of the pier and looking west, where it belongs; its driver says west
+        // Truly east of the pier and looking west, where it belongs; its driver reports west.
         let half_an_hour = Angle::from_hours(0.5);
         assert!(is_past(Some(PierSide::West), half_an_hour, 5.0), "one slew to where it stands already");
         assert!(concluded(&[Some(PierSide::West)]).await, "which is noted, and not tried again");
-        // truly west of the pier, as it was before the meridian; its driver says east: its device node stops it
+        // Truly west of the pier, as it was before the meridian; its driver reports east: its device node stops it.
         assert!(!is_past(Some(PierSide::East), half_an_hour, 5.0));
     }
 }

@@ -1,4 +1,4 @@
-//! The truth gate: watches the frames of a row whose pointing was proven, and says when that holds no more.
+//! The truth gate: watches the frames of a row whose pointing was proven, and reports when that is no longer valid.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -27,12 +27,12 @@ pub struct Gate<'a> {
     mount: &'a Mount,
     target: Icrs,
     looks: Receiver<Arc<Looked>>,
-    /// Frames of before do not speak for what is now.
+    /// Earlier frames do not show what is now.
     since_utc: Utc,
     side: Option<PierSide>,
     /// Further off than this a frame does not count, arcmin; none where the row asks for no proof.
     tolerance_arcmin: Option<f64>,
-    /// What was commanded last, while the first frame after it is yet to be learnt from.
+    /// The place commanded last, while the node has yet to learn from the first frame after it.
     to_learn: Option<Icrs>,
     astray: Vec<(CommandId, f64)>,
     lost: Option<String>,
@@ -63,7 +63,7 @@ impl<'a> Gate<'a> {
         }
     }
 
-    /// Why the telescope is not known to be on target any more, by all that frames and mount have said until now.
+    /// Why the telescope is not known to be on target any more, by all that frames and mount have shown until now.
     pub fn lost(&mut self) -> Option<&str> {
         loop {
             match self.looks.try_recv() {
@@ -89,7 +89,7 @@ impl<'a> Gate<'a> {
         if self.tolerance_arcmin.is_some()
             && let Some(last) = self.stage.last_frame()
         {
-            // one that is late counts: the row was proven
+            // One that is late counts: the row was proven.
             let _ = tokio::time::timeout(LAST_LOOK, self.stage.room.looks.of(&last)).await;
             self.lost();
         }

@@ -1,7 +1,7 @@
-//! What was learnt of how cameras miss where their mounts are sent, by camera and pier side.
+//! The learned pointing models: how cameras miss where their mounts are sent, by camera and pier side.
 //!
-//! A few dozen points, spread over the sky: a new one takes the place of those beside it. The model made of them corrects
-//! first slews only once it has proven to help, and never by more than is believed: each point is foretold from the
+//! A few dozen points, spread over the sky: a new one takes the place of those near it. The model made of them corrects
+//! first slews only once it has proven to help, and never by more than is believed: each point is predicted from the
 //! others, and each new one from all before.
 
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ const FEWEST: usize = 4;
 const HELPS: f64 = 0.7;
 /// Foretellings that are remembered.
 const CHECKS: usize = 10;
-/// So many in a row that harm, and what was learnt before them holds no more: the mount was synchronised or moved.
+/// After so many in a row that harm, the earlier points are no longer valid: the mount was synchronised or moved.
 const HARMFUL: usize = 4;
 /// A model that is wrong by less than this is no sign of anything, arcmin.
 const HARMLESS_ARCMIN: f64 = 0.5;
@@ -36,13 +36,13 @@ pub struct Book {
 }
 
 impl Book {
-    /// Reads what an earlier life kept; nothing is known where it cannot be read.
+    /// Reads what an earlier incarnation stored; nothing is known if it cannot be read.
     pub fn read(path: &Path) -> Self {
         crate::kept::read_or_anew(path, "what is known of the pointing")
     }
 
-    /// What a camera is expected to miss a place by; on the side of the pier where the nearest point was seen. None while
-    /// nothing trustworthy is known, and where it is more than `most`.
+    /// The expected miss of a camera at a place; on the side of the pier where the nearest point was seen. None
+    /// while nothing trustworthy is known, and where it is more than `most`.
     pub fn expected(&self, camera: &str, hour_angle: Angle, dec: Angle, most: Angle) -> Option<Miss> {
         let away = |model: &PointingModel| {
             let points = model.points.iter().map(|point| separation(place(point), (hour_angle, dec)).degrees());
@@ -76,8 +76,8 @@ impl Book {
         model.used = helps(model);
     }
 
-    /// Forgets all of some cameras: their mount was told where it points, so that what it missed before it misses no more.
-    /// Tells whether anything was known of them.
+    /// Forgets all of some cameras: their mount was synchronised, so that their earlier misses are no longer valid.
+    /// Returns whether anything was known of them.
     pub fn forget(&mut self, is_of: impl Fn(&str) -> bool) -> bool {
         let before = self.models.len();
         self.models.retain(|model| !is_of(&model.camera));
@@ -85,7 +85,7 @@ impl Book {
     }
 }
 
-/// What was learnt before a mount was synchronised or moved misleads: only the newest points are kept.
+/// Points from before a mount was synchronised or moved mislead: only the newest points are retained.
 fn forget(model: &mut PointingModel) {
     let Some(last) = model.checks.len().checked_sub(HARMFUL) else { return };
     let harms = |check: &PointingCheck| check.with_arcmin > check.without_arcmin && check.with_arcmin > HARMLESS_ARCMIN;
@@ -96,7 +96,7 @@ fn forget(model: &mut PointingModel) {
     }
 }
 
-/// Whether the model is better than none, by what it tells of points that it has not learnt.
+/// Whether the model is better than none, by its predictions of points that it has not learned.
 fn helps(model: &PointingModel) -> bool {
     if model.points.len() < FEWEST {
         return false;
@@ -107,7 +107,7 @@ fn helps(model: &PointingModel) -> bool {
         Some(check(&fit(&others)?, &point))
     });
     let others: Vec<PointingCheck> = others.collect();
-    // the newest foretellings count only once there are a few
+    // The newest foretellings count only once there are a few.
     better(&others) && (model.checks.len() < FEWEST || better(&model.checks))
 }
 
@@ -184,7 +184,7 @@ mod tests {
         assert_eq!(expected(&book, -30.0, -30.0, 0.05), None, "more than is believed");
         assert_eq!(book.expected("other", deg(-30.0), deg(-30.0), deg(1.0)), None);
         assert!(book.models[0].used && book.models[0].rms_arcmin.unwrap() < 0.1);
-        // one point on the other side is no model, and its side is not this one's
+        // One point on the other side is no model, and its side is not this one's.
         book.learn("cam", Some(PierSide::East), at(30.0, -30.0, -4.0, 3.0));
         assert_eq!(expected(&book, 30.0, -20.0, 1.0), None);
         assert!(expected(&book, -30.0, -30.0, 1.0).is_some());
@@ -226,7 +226,7 @@ mod tests {
             if n >= HARMFUL {
                 assert!(here.is_none_or(|miss| miss.size().degrees() * 60.0 < 1.0), "{n}: {here:?}");
             }
-            // it misses nothing any more
+            // It misses nothing any more.
             book.learn("cam", Some(PierSide::West), at(hour_angle + 4.0, dec + 4.0, 0.05, -0.05));
         }
     }

@@ -1,4 +1,4 @@
-//! What was learnt of the pointing, on the bus: taken over by whoever stands by.
+//! The learned pointing models on the bus: a standby takes them over.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use contract::observatory::PointingState;
 use super::learnt::Book;
 use crate::control_room::ControlRoom;
 
-/// Takes over what the commander learnt for as long as this node stands by: its first slew is then as good as any.
+/// Takes over what the commander learned for as long as this node stands by: its first slew is then as good as any.
 pub async fn keep_hearing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
     let mut pointing = room.node.bus.latest::<PointingState>(&room.key(Part::Pointing)).await?;
     loop {
@@ -20,7 +20,7 @@ pub async fn keep_hearing(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         }
         let models = heard.said.body.models;
         room.pointing.send_modify(|state| state.models.clone_from(&models));
-        // written down once this node commands: its folder may be its own
+        // Written down once this node commands: its folder may be its own.
         room.pointing_book.change(|known| {
             let is_new = known.models != models;
             *known = Book { models };

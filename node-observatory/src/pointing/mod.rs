@@ -1,17 +1,17 @@
 //! A telescope that proves where it looks.
 //!
 //! ```text
-//!  first slew, corrected by what was learnt (learnt) --> frame, solved --> on target ------> the row's frames
+//!  first slew, corrected by the pointing model   --> frame, solved --> on target ------> the row's frames
 //!                                                          ^      |                              |
-//!                                                          |      | off: slew (acquire)          | one of them is astray, or the
-//!                                                          +------+                              | pier side changed (gate)
+//!                                                          |      | off: slew (acquire)          | astray, or the pier
+//!                                                          +------+                              | side changed (gate)
 //!                                                          ^                                     |
 //!                                                          +-------------------------------------+
 //! ```
 //! Frames taken to find out where the telescope looks are kept and never count ([`acquire`]). Once it is proven, frames
 //! count until one of them shows itself to be off ([`gate`]); one that cannot be solved proves nothing either way. Each
-//! solved frame after a slew teaches the pointing model ([`learnt`]). What pure geometry there is, is `imaging::pointing`;
-//! decision 0019.
+//! solved frame after a slew teaches the pointing model ([`learnt`]). The pure geometry is
+//! `imaging::pointing`; decision 0019.
 
 mod acquire;
 mod failure;
@@ -33,7 +33,7 @@ use crate::action::Stage;
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
 
-/// Slews to a target, corrected by what was learnt; returns the direction that was commanded.
+/// Slews to a target, corrected by the learned model; returns the direction that was commanded.
 pub async fn send(stage: &Stage, mount: &Mount, target: &Icrs) -> Result<Icrs, Trouble> {
     let observer = stage.visible(target)?;
     let expected = expected(stage, target, observer.hour_angle(target));
@@ -46,7 +46,7 @@ pub async fn send(stage: &Stage, mount: &Mount, target: &Icrs) -> Result<Icrs, T
     Ok(commanded)
 }
 
-/// What the camera would miss the target by, if anything trustworthy is known of it.
+/// The expected miss of the camera at the target, if a trustworthy model exists.
 fn expected(stage: &Stage, target: &Icrs, hour_angle: Angle) -> Option<Miss> {
     let config = &stage.room.node.config.pointing;
     if !config.model {

@@ -21,17 +21,18 @@ pub struct Camera {
 /// Readout, download and spool of the largest sensors, sky s, on top of the exposure.
 const READOUT: Duration = Duration::from_secs(120);
 
-/// What a cooler may take to be told its set point and switched on, sky s: what the device node gives that command.
+/// The longest that a cooler may take to accept its set point and to switch on, sky s: the device node's own timeout
+/// for that command.
 const COOLER: Duration = Duration::from_secs(60);
 
 impl Camera {
-    /// Begins to hear a camera.
+    /// Subscribes to a camera.
     pub async fn listen(voice: &Voice, device: Device, config: config::Camera) -> anyhow::Result<Self> {
         Ok(Self { instrument: Instrument::listen(voice, device).await?, config })
     }
 
-    /// Starts the cooler towards the configured set point, unless it runs there already; no cooler, nothing to do. An error
-    /// when it refuses.
+    /// Starts the cooler towards the configured set point, unless it runs there already; no cooler, nothing to do. An
+    /// error when it refuses.
     pub async fn start_cooling(&self) -> Result<(), Trouble> {
         let Some(set_c) = self.config.temperature_c else { return Ok(()) };
         let fields = self.instrument.fresh().map(|state| state.fields).unwrap_or_default();
@@ -39,7 +40,7 @@ impl Camera {
         if set_already && fields.cooler_on.known() == Some(&true) {
             return Ok(());
         }
-        // a cooler that refuses is found out now, not when the sensor is still warm half an hour later
+        // A cooler that refuses is found out now, not when the sensor is still warm half an hour later.
         self.instrument.obey(Command::Cool { set_c }, COOLER).await.map(|_| ())
     }
 
@@ -84,7 +85,7 @@ pub fn subframe(sensor_px: (u32, u32), bin: u32, size_px: (u32, u32), centre: (f
         let binned = sensor / bin.max(1);
         let size = size.min(binned);
         let room = f64::from(binned - size);
-        // `as` saturates, and the centre was checked to lie within 0 to 1
+        // `as` saturates, and the centre was checked to lie within 0 to 1.
         ((room * centre.clamp(0.0, 1.0)).floor() as u32, size)
     };
     let (x_px, width_px) = along(sensor_px.0, size_px.0, centre.0);

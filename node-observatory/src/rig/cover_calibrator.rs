@@ -19,7 +19,7 @@ pub const TRAVEL: Duration = Duration::from_secs(120);
 const WARM_UP: Duration = Duration::from_secs(120);
 
 impl Cover {
-    /// The cover as the device says now; `None` where that is not known.
+    /// The cover as the device reports it now; `None` where that is not known.
     pub fn cover(&self) -> Option<cover_calibrator::Cover> {
         self.instrument.fresh().and_then(|state| state.fields.cover.known().copied())
     }

@@ -19,7 +19,7 @@ use crate::trouble::Trouble;
 pub struct Dome {
     /// The device.
     pub instrument: Instrument<dome::Dome>,
-    /// What its guard says.
+    /// The state of its guard.
     pub guard: Latest<Guard>,
     /// All that publish in the guard's name.
     pub guards: Guards,
@@ -29,9 +29,9 @@ pub struct Dome {
     pub parked_within: Duration,
     /// A shutter that moves longer is stuck, sky time.
     pub travel: Duration,
-    /// Stands over this telescope alone.
+    /// It serves this telescope alone.
     pub is_own: bool,
-    /// Who turns it.
+    /// The part that turns it.
     pub follow: Follow,
     /// Its slit.
     pub slit: config::Slit,
@@ -54,11 +54,11 @@ pub struct ParkSight {
     pub may_wait: bool,
 }
 
-/// A guard that was not heard for so long is not there.
+/// A guard that published nothing for so long is not there.
 const GUARD_AGE: Duration = Duration::from_secs(5);
 
 impl Dome {
-    /// Begins to hear a dome; `own` is its block, where it is of this telescope's own file.
+    /// Subscribes to a dome; `own` is its block, if it is in this telescope's own file.
     pub async fn listen(voice: &Voice, device: Device, own: Option<&config::Dome>) -> anyhow::Result<Self> {
         let guard = voice.bus.latest(&Key::Guard(device.clone())).await?;
         let guards = Guards::listen(&voice.bus, &device).await?;
@@ -71,7 +71,7 @@ impl Dome {
             parked_within: seconds(own.map_or(120.0, |own| own.parked_within_s)),
             travel: seconds(own.map_or(90.0, |own| own.travel_timeout_s)),
             is_own: own.is_some(),
-            // a dome over several telescopes has no slit for one of them
+            // A dome over several telescopes has no slit for one of them.
             follow: own.filter(|own| own.telescopes.len() < 2).map_or(Follow::Off, |own| own.follow),
             slit: own.map(|own| own.slit).unwrap_or_default(),
             parks: own.is_some_and(|own| own.park_at_close),
@@ -95,7 +95,7 @@ impl Dome {
         })
     }
 
-    /// Azimuth of the slit, degrees; of a dome that says nothing of it right now, where it stood at rest before.
+    /// Azimuth of the slit, degrees; if the dome does not report it right now, the last one at rest.
     pub fn azimuth_deg(&self) -> Option<f64> {
         let fields = self.instrument.newest()?.said.body.fields;
         let mut stands = self.stands_deg.lock().unwrap_or_else(PoisonError::into_inner);
@@ -106,7 +106,7 @@ impl Dome {
         said.or(*stands)
     }
 
-    /// Forgets where it stood: it is about to turn.
+    /// Forgets where it was at rest: it is about to turn.
     pub fn forget_azimuth(&self) {
         *self.stands_deg.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }
@@ -121,13 +121,14 @@ impl Dome {
         self.turning_fails.store(fails, Ordering::Relaxed);
     }
 
-    /// The shutter as the dome itself says now; `None` where that is not known.
+    /// The shutter as the dome itself reports it now; `None` where that is not known.
     pub fn shutter(&self) -> Option<Shutter> {
         self.instrument.fresh_reading("ShutterStatus").and_then(|state| state.fields.shutter.known().copied())
     }
 
-    /// Is its status closed although that is not proven? Its guard publishes that, which knows what was asked of the shutter and how it
-    /// followed; where no guard publishes, one that this node had opened is not closed until a command has closed it.
+    /// Is its status closed although that is not proven? Its guard publishes that, which knows what was asked of the
+    /// shutter and how it followed; where no guard publishes, one that this node had opened is not closed until a
+    /// command has closed it.
     pub fn is_doubted(&self) -> bool {
         let living = self.guards.living(self.instrument.clock().machine());
         let told: Vec<bool> = living.iter().filter_map(|(_, said)| said.verified_closed).collect();

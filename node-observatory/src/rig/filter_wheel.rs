@@ -32,7 +32,7 @@ impl FilterWheel {
         Ok(can.focus_offsets.get(index).copied().unwrap_or(0))
     }
 
-    /// Focus offset of a filter as the wheel says, steps; `None` for a filter that it does not have, or while it says nothing.
+    /// Focus offset of a filter by the wheel, steps; `None` for a filter that it does not have, or while it is silent.
     pub fn offset_of(&self, filter: &str) -> Option<i64> {
         let can = self.instrument.can()?;
         let index = can.names.iter().position(|name| name == filter)?;

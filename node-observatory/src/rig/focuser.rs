@@ -28,7 +28,7 @@ pub struct Focuser {
 const TRAVEL: Duration = Duration::from_secs(180);
 
 impl Focuser {
-    /// Begins to hear a focuser.
+    /// Subscribes to a focuser.
     pub async fn listen(
         voice: &Voice,
         device: Device,
@@ -44,11 +44,11 @@ impl Focuser {
         self.config.common.name.as_str()
     }
 
-    /// The best position without a filter's offset: as learnt, at the present temperature; else as configured, or where
-    /// the focuser was first seen.
+    /// The best position without a filter's offset: as learned, at the present temperature; else as configured, or
+    /// where the focuser was first seen.
     pub fn best(&self) -> Option<i64> {
         let learnt = self.learnt.borrow().best(self.name(), self.temperature_c());
-        // saturates; positions are far below
+        // Saturates; positions are far below.
         if let Some(best) = learnt.filter(|best| best.is_finite()) {
             return Some(best.round() as i64);
         }
@@ -61,7 +61,7 @@ impl Focuser {
         self.found_at_start.get().copied()
     }
 
-    /// Offset of a filter, steps: as learnt, else what the wheel says.
+    /// Offset of a filter, steps: as learned, else the wheel's value.
     pub fn offset(&self, filter: &str, wheel_offset: i64) -> i64 {
         self.learnt.borrow().offset(self.name(), filter, wheel_offset)
     }
@@ -71,12 +71,12 @@ impl Focuser {
         self.instrument.fresh().and_then(|state| state.fields.temperature_c.known().copied()).filter(|c| c.is_finite())
     }
 
-    /// Where it stands, steps, where that is known.
+    /// Its position, steps, if it is known.
     pub fn position(&self) -> Option<i64> {
         self.instrument.fresh().and_then(|state| state.fields.position.known().copied())
     }
 
-    /// Whether a row can do with the focus as it stands: it asks for nothing of its own, and as far as is known the
+    /// Whether a row can do with the present focus: it asks for nothing of its own, and as far as is known the
     /// focuser is where it belongs.
     pub fn may_stay(&self, wanted: FocusWanted) -> bool {
         let last_heard = self.instrument.newest().and_then(|heard| heard.said.body.fields.position.known().copied());
@@ -94,7 +94,7 @@ impl Focuser {
         }
         let best = self.best();
         if best.is_none() && wanted.position.is_none() {
-            // it may only be away for a while
+            // It may only be away for a while.
             let (device, verb) = (self.instrument.device.to_string(), "focus".to_owned());
             return Err(Trouble::Failed { device, verb, reason: "its position is not known".to_owned() });
         }

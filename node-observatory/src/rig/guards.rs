@@ -1,4 +1,5 @@
-//! What publishes in the name of a dome's guard: each incarnation for itself, since a stranger may use that name too.
+//! The nodes that publish in the name of a dome's guard: each incarnation for itself, since a stranger may use that
+//! name too.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;

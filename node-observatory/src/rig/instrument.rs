@@ -13,7 +13,7 @@ use crate::patience::patience;
 use crate::rig::freshness;
 use crate::trouble::Trouble;
 
-/// A device node answers within milliseconds or is in trouble.
+/// A device node answers within milliseconds, or something is wrong.
 const ANSWER: Duration = Duration::from_secs(2);
 /// An unanswered command is repeated under its own id, which does it at most once.
 const REPEATS: u32 = 3;
@@ -31,7 +31,7 @@ pub struct Voice {
     pub signature: String,
     /// The lease, whose token goes with every command.
     pub lease: watch::Receiver<Hold>,
-    /// Said when a device knows a newer token than ours.
+    /// Notified when a device knows a newer token than ours.
     pub doubt: Arc<Notify>,
 }
 
@@ -45,7 +45,7 @@ pub struct Instrument<K: DeviceKind> {
 }
 
 impl<K: DeviceKind> Instrument<K> {
-    /// Begins to hear a device.
+    /// Subscribes to a device.
     pub async fn listen(voice: &Voice, device: Device) -> anyhow::Result<Self> {
         let state = voice.bus.latest(&Key::State(device.clone())).await?;
         let about = voice.bus.latest(&Key::Capabilities(device.clone())).await?;
@@ -93,12 +93,12 @@ impl<K: DeviceKind> Instrument<K> {
         (age <= freshness(state.period_s)).then_some(state)
     }
 
-    /// What it can do, once that was heard.
+    /// The capabilities, once they were received.
     pub fn can(&self) -> Option<K::Capabilities> {
         self.about.get().map(|heard| heard.said.body.can)
     }
 
-    /// What it can do, waiting a few seconds for the word.
+    /// Its capabilities; waits a few seconds for them.
     pub async fn capabilities(&self) -> Result<K::Capabilities, Trouble> {
         let mut about = self.about.clone();
         let wait = async {
@@ -109,7 +109,7 @@ impl<K: DeviceKind> Instrument<K> {
                 about.changed().await;
             }
         };
-        // they are said every 10 s
+        // They are published every 10 s.
         let most = Duration::from_secs(15);
         tokio::time::timeout(most, wait).await.map_err(|_| self.late("heard of", most))
     }
@@ -148,7 +148,7 @@ impl<K: DeviceKind> Instrument<K> {
                     return Err(Trouble::Refused { device, verb, reason: refusal.reason, detail });
                 }
                 Err(AskError::Unknown { .. } | AskError::Unreadable { .. } | AskError::Contested { .. }) => {
-                    // unknown is not undone: the state tells
+                    // Unknown is not undone: the state shows it.
                     let taken = self.newest().and_then(|heard| heard.said.body.last_command);
                     if taken.is_some_and(|last| last.id == id) {
                         return Ok(None);
@@ -172,7 +172,7 @@ impl<K: DeviceKind> Instrument<K> {
         loop {
             match self.ask_as(id.clone(), action.clone()).await {
                 Err(Trouble::Refused { reason: Reason::Busy, .. }) if self.clock().machine().since(started) < turn => {
-                    // the end of a readout is caught at once, that of a slew need not be
+                    // The end of a readout is caught at once, that of a slew need not be.
                     let long = self.clock().machine().since(started) > Duration::from_secs(5);
                     tokio::time::sleep(Duration::from_millis(if long { 250 } else { 20 })).await;
                 }
@@ -204,12 +204,12 @@ impl<K: DeviceKind> Instrument<K> {
                     Some(Err(Trouble::Failed { device, verb, reason: reason.clone() }))
                 }
                 (Some(Outcome::Done | Outcome::Running), _) => None,
-                // a new life of the node knows nothing of it, whatever it was told since
+                // A new incarnation of the node knows nothing of it, whatever commands it got since.
                 (None, _) if life.as_ref().is_some_and(|life| heard.said.boot_id != *life) => {
                     (!state.busy).then(|| Err(Trouble::Restarted { device: self.device.to_string() }))
                 }
-                // somebody's later command, such as the archive's release of a frame, stands in the place of ours:
-                // that nothing moves is then all that can be seen, once the state is surely newer than ours
+                // A later command of another node, such as the archive's release of a frame, has replaced ours:
+                // that nothing moves is then all that can be seen, once the state is surely newer than ours.
                 (None, Some(_)) if !state.busy && (seen || heard.arrived >= taken.plus(SETTLED)) => {
                     Some(Ok(state.clone()))
                 }
@@ -236,7 +236,7 @@ impl<K: DeviceKind> Instrument<K> {
                 Some((Outcome::Done, answer)) => Some(Ok(answer.clone().unwrap_or_default())),
                 Some((Outcome::Failed { reason }, _)) => failed(reason.as_str()),
                 Some((Outcome::Running, _)) => None,
-                // unlike a movement, an answer cannot be seen any more
+                // Unlike a movement, an answer cannot be seen any more.
                 None if seen || heard.arrived >= taken.plus(SETTLED) => {
                     failed("another command came in between, so that the answer is lost")
                 }
@@ -271,7 +271,7 @@ impl<K: DeviceKind> Instrument<K> {
     }
 }
 
-/// The word of a command, as it stands in JSON.
+/// The name of a command in JSON.
 fn verb<C: Payload>(command: &C) -> String {
     match serde_json::to_value(command) {
         Ok(serde_json::Value::String(word)) => word,

@@ -16,7 +16,7 @@ use schedule::horizon_limits::HorizonLimits;
 use schedule::plan::overheads::{Span, TOOK};
 use schedule::slew_limits;
 
-/// Slews over less than this are not told, deg.
+/// Slews over less than this are not reported, deg.
 const WORTH_TELLING_DEG: f64 = 1.0;
 
 /// A mount.
@@ -30,7 +30,7 @@ pub struct Mount {
 }
 
 impl Mount {
-    /// Begins to hear a mount.
+    /// Subscribes to a mount.
     pub async fn listen(
         voice: &Voice,
         device: Device,
@@ -59,8 +59,8 @@ impl Mount {
         self.instrument.obey(Command::Track { on }, Duration::from_secs(60)).await.map(|_| ())
     }
 
-    /// Slews to a place of the catalogue, tracks it, and returns when the mount has settled, for which its device node waits. Every slew of this node goes through here, and none goes
-    /// beyond the mount's limits.
+    /// Slews to a place of the catalogue, tracks it, and returns when the mount has settled, for which its device node
+    /// waits. Every slew of this node goes through here, and none goes beyond the mount's limits.
     pub async fn point(&self, target: &Icrs, observer: &Observer) -> Result<(), Trouble> {
         if let Some(why) = slew_limits::beyond(&self.config.limits, target, observer) {
             return Err(Trouble::Impossible(why));
@@ -74,9 +74,9 @@ impl Mount {
         let slew = Command::Slew { ra_deg: ra.degrees(), dec_deg: dec.degrees() };
         let (began, way_deg) = (self.instrument.clock().utc(), self.way_deg(ra, dec));
         self.instrument.obey(slew, self.slew_timeout()).await?;
-        // some mounts drop tracking with a slew
+        // Some mounts drop tracking with a slew.
         self.track(true).await?;
-        // small corrections come with frames, and would fill the diary
+        // Small corrections come with frames, and would fill the diary.
         if let Some(deg) = way_deg.filter(|deg| *deg >= WORTH_TELLING_DEG) {
             let took_s = took_s(self.instrument.clock(), began);
             let (deg, device) = ((10.0 * deg).round() / 10.0, self.instrument.device.to_string());
@@ -92,7 +92,8 @@ impl Mount {
         Some(separation(&here, &Icrs { ra, dec }).degrees()).filter(|deg| deg.is_finite())
     }
 
-    /// Goes at these rates beside the stars; returns when the device node had taken them, which its mount then does at once.
+    /// Moves at these rates relative to the stars. Returns when the device node had accepted them; its mount then does
+    /// so at once.
     pub async fn set_rates(&self, rates: Rates) -> Result<Utc, Trouble> {
         let Rates { ra_s_per_sidereal_s, dec_arcsec_per_s } = rates;
         let (id, clock) = (CommandId::fresh(), self.instrument.clock());
@@ -107,7 +108,7 @@ impl Mount {
         in_mount_frame(target, observer, self.frame())
     }
 
-    /// Tells the mount that it looks at a place of the catalogue now.
+    /// Synchronises the mount: it looks at this place of the catalogue now.
     pub async fn sync(&self, seen: &Icrs, observer: &Observer) -> Result<(), Trouble> {
         let (ra, dec) = in_mount_frame(seen, observer, self.frame())?;
         let sync = Command::Sync { ra_deg: ra.degrees(), dec_deg: dec.degrees() };
@@ -161,7 +162,7 @@ mod tests {
         let (ra, dec) = in_mount_frame(&target, &observer, EquatorialSystem::J2000).unwrap();
         assert_eq!((ra.degrees(), dec.degrees()), (78.0, -8.0));
         let (ra, _) = in_mount_frame(&target, &observer, EquatorialSystem::Topocentric).unwrap();
-        // 27 years of precession are about a third of a degree
+        // 27 years of precession are about a third of a degree.
         assert!((0.2..0.5).contains(&(ra.degrees() - 78.0)), "{}", ra.degrees());
         assert!(in_mount_frame(&target, &observer, EquatorialSystem::B1950).is_err());
     }

@@ -25,7 +25,7 @@ use crate::control_room::ControlRoom;
 use crate::schedule_file::Loaded;
 use schedule::{Row, RowId};
 
-/// How the night's end stands.
+/// The progress of the night's end.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Farewell {
     /// Rows are left.
@@ -54,9 +54,9 @@ struct Runner {
 /// A row at work.
 struct Begun {
     row: Row,
-    /// Its place in the schedule when it began: under this number its frames and steps are told.
+    /// Its place in the schedule when it began: its frames and steps are published under this number.
     number: u32,
-    /// Says that the schedule has it no longer.
+    /// Signals that the schedule has it no longer.
     withdrawn: watch::Sender<bool>,
 }
 
@@ -106,11 +106,11 @@ pub async fn keep_observing(room: Arc<ControlRoom>, mut loaded: watch::Receiver<
 }
 
 impl Runner {
-    /// Takes a newer schedule at once: rows that were done stay done, one at work that is unchanged goes on, and one that
-    /// the schedule has no longer ends with the frame that is under way (docs/decisions/0030).
+    /// Takes a newer schedule at once: rows that were done stay done, one at work that is unchanged goes on, and one
+    /// that the schedule has no longer ends with the frame that is under way (docs/decisions/0030).
     fn take_schedule(&mut self, loaded: &Loaded) {
         self.room.board.schedule_refused(&loaded.refused);
-        // a new lease may come with a journal that another node went on writing: it is read once nothing runs
+        // A new lease may come with a journal that another node went on writing: it is read once nothing runs.
         let token = self.room.hold.borrow().token().or(self.token);
         let is_same_reign = token == self.token;
         if (loaded.revision == self.revision && is_same_reign) || (!is_same_reign && !self.sequence.is_idle()) {
@@ -118,7 +118,7 @@ impl Runner {
         }
         (self.revision, self.token) = (loaded.revision, token);
         self.farewell = Farewell::NotYet;
-        // before the rows are shown: what a row at work counts meanwhile is not shown at another one's place
+        // Before the rows are published: the counts of a row at work must not appear at another one's place.
         for (id, begun) in &self.begun {
             let place = loaded.rows.iter().position(|row| row.id == *id);
             self.room.board.moved_to(begun.number, place.map(number));
@@ -168,7 +168,7 @@ impl Runner {
     fn start_next(&mut self) -> bool {
         let now = self.room.node.bus.clock().utc();
         let machine = self.room.node.bus.clock().machine();
-        // a number tells whose frames they are, so a row waits for one that began at its place
+        // A number identifies whose frames they are, so a row waits for one that began at its place.
         let is_taken = |index| self.begun.values().any(|begun| begun.number == number(index));
         let may = |index, row: &Row| {
             !self.rests.rests(&row.id, machine) && !is_taken(index) && self.room.objection(Some(row)).is_none()
@@ -197,7 +197,7 @@ impl Runner {
     fn note_end(&mut self, id: &RowId, end: RowEnd) {
         let Some(Begun { row, number, .. }) = self.begun.remove(id) else { return };
         if end == RowEnd::Interrupted(Objection::NotRobotic) {
-            // an opening that was under way may have taken the wish back in the very moment
+            // An opening that was under way may have taken the close request back in the very moment.
             let why = || Some("the robotic switch is off".to_owned());
             self.room.wish_closed.send_if_modified(|wish| wish.is_none() && std::mem::replace(wish, why()).is_none());
         }
@@ -236,7 +236,7 @@ impl Runner {
         });
     }
 
-    /// Lets a row rest for a device's sake, as the policy for that kind has it; returns what is shown.
+    /// Lets a row rest for a device's sake, as the policy for that kind has it; returns the state to publish.
     fn postpone(&mut self, id: &RowId, number: u32, detail: String, kind: Option<Kind>) -> String {
         let (faults, clock) = (&self.room.node.config.faults, self.room.node.bus.clock());
         let rest = self.rests.begin(id, seconds(faults.rest_s), clock.machine());
@@ -249,7 +249,7 @@ impl Runner {
         format!("{detail}; tried again in {:.0} s", rest.as_secs_f64())
     }
 
-    /// After the last row: closes everything, and says that the night has ended once that is verified.
+    /// After the last row: closes everything, and publishes that the night has ended once that is verified.
     fn say_farewell(&mut self) {
         if !self.sequence.is_over() {
             self.farewell = Farewell::NotYet;
@@ -289,12 +289,12 @@ impl Runner {
     }
 }
 
-/// A place in the schedule as it is told.
+/// The published number of a place in the schedule.
 fn number(index: usize) -> u32 {
     u32::try_from(index).unwrap_or(u32::MAX)
 }
 
-/// A row as it is shown when a schedule is taken: as it was shown before, else as the journal has it.
+/// The published state of a row when a schedule is taken: as it was before, else as the journal has it.
 fn state_of(room: &ControlRoom, row: &Row, index: u32, before: Option<&RowState>) -> RowState {
     let progress = room.journal.progress(&row.id);
     let known = before.map(|before| (before.status, before.detail.clone())).or(progress.ended);

@@ -15,15 +15,15 @@ use crate::trouble::Trouble;
 /// How a row ended.
 #[derive(Debug, Clone, PartialEq)]
 pub enum RowEnd {
-    /// Done, with what is worth telling.
+    /// Done, with a summary.
     Finished(String),
     /// Not done, and not to be tried again.
     Failed(String),
     /// Not done because of a device: to be tried again later.
     Postponed(String, Option<Kind>),
-    /// Its target is hidden, and stands clear from then on: other rows go on until then.
+    /// Its target is hidden, and is clear from then on: other rows go on until then.
     Waits(String, Utc),
-    /// Stopped; goes on when nothing stands against it any more.
+    /// Stopped; goes on when there is no objection to it any more.
     Interrupted(Objection),
     /// Ended between two frames, because the schedule has it no longer.
     Withdrawn,
@@ -54,7 +54,7 @@ pub async fn run_row(stage: &Stage, withdrawn: watch::Receiver<bool>) -> RowEnd 
             }
         };
         stage.settle().await;
-        // a fault an hour ago is no reason to give up now
+        // A fault an hour ago is no reason to give up now.
         if taken() > had {
             (retried, had) = (0, taken());
         }
@@ -63,7 +63,7 @@ pub async fn run_row(stage: &Stage, withdrawn: watch::Receiver<bool>) -> RowEnd 
             rest(stage).await;
             return RowEnd::Waits(trouble.to_string(), *clear);
         }
-        // each try of a script may open and close the roof, and a name is looked up by others: such a row rests at once
+        // Each try of a script may open and close the roof, and another task looks names up: such a row rests at once.
         let rests = matches!(trouble, Trouble::Script { .. } | Trouble::Unnamed(_));
         if rests || !trouble.may_pass() || retried >= faults.retries || !in_time {
             rest(stage).await;
@@ -86,15 +86,15 @@ pub async fn run_row(stage: &Stage, withdrawn: watch::Receiver<bool>) -> RowEnd 
     }
 }
 
-/// Waits until the schedule has the row no longer and no frame is under way. What else the row does is not worth waiting
-/// for: nobody wants its outcome any more.
+/// Waits until the schedule has the row no longer and no frame is under way. What else the row does is not worth
+/// waiting for: nobody wants its outcome any more.
 async fn withdrawn_between_frames(stage: &Stage, mut withdrawn: watch::Receiver<bool>) {
     loop {
         if withdrawn.wait_for(|withdrawn| *withdrawn).await.is_err() {
-            // the runner is gone, and this row with it
+            // The runner is gone, and this row with it.
             return std::future::pending().await;
         }
-        // the row runs in the same task, so whenever it wakes this is looked at, before the row goes on
+        // The row runs in the same task, so whenever it wakes this is looked at, before the row goes on.
         let is_back = poll_fn(|_| match (*withdrawn.borrow(), stage.is_exposing()) {
             (false, _) => Poll::Ready(true),
             (true, false) => Poll::Ready(false),

@@ -28,7 +28,7 @@ impl Postponed {
     pub fn add(&mut self, id: &RowId, number: u32, kind: Option<Kind>, detail: &str, alerts: &AlertBoard) {
         let instance = kind.map_or(NO_DEVICE, Kind::word);
         let reason = Reason { number, instance, detail: detail.to_owned() };
-        // it may have rested for another device before
+        // It may have rested for another device before.
         let before =
             self.0.insert(id.clone(), reason).map(|before| before.instance).filter(|before| *before != instance);
         for instance in before.into_iter().chain([instance]) {
@@ -87,7 +87,7 @@ mod tests {
         let [(camera, cause), (dome, _)] = &active()[..] else { panic!("{:?}", active()) };
         assert_eq!((camera.as_str(), dome.as_str()), ("row-postponed/camera", "row-postponed/dome"));
         assert_eq!(cause, "100 rows rest; the first of them, row 1: the camera hangs");
-        // one goes on, one now waits for another device, and a new schedule has only two of them
+        // One goes on, one now waits for another device, and a new schedule has only two of them.
         postponed.remove(&row(1), &alerts);
         postponed.add(&row(200), 200, Some(Kind::Camera), "the camera hangs", &alerts);
         postponed.keep_only(|id| [row(7), row(8)].contains(id), &alerts);

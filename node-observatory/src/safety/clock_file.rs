@@ -1,4 +1,5 @@
-//! Where the anchor of the clocks is persisted, so that a restart of this node does not forget a step of the wall clock.
+//! Where the anchor of the clocks is persisted, so that a restart of this node does not forget a step of the wall
+//! clock.
 
 use std::path::{Path, PathBuf};
 

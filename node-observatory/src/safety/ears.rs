@@ -1,7 +1,7 @@
-//! The ears of the safety loop: one for each device that it rests on.
+//! The subscribers of the safety loop: one for each device that it rests on.
 //!
-//! Live states go on at once. Beside them an ear asks the device node, when it hears it first, for the record of the
-//! time before, so that a restarted observatory need not wait again for what is known.
+//! Live states go on at once. In addition, a subscriber asks the device node, at the first state from it, for the
+//! record of the time before, so that a restarted observatory need not wait again for what is known.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -23,7 +23,7 @@ use tokio::task::JoinSet;
 
 use super::writers::{self, Manners, Writers};
 
-/// What an ear has to say.
+/// What a subscriber passes on.
 pub enum Word {
     /// A state of a safety monitor.
     Monitor(Device, Box<DeviceState<Monitor>>, Now),
@@ -31,16 +31,16 @@ pub enum Word {
     Weather(Device, Box<DeviceState<Weather>>, Now),
     /// A state of a set of switches.
     Switch(Device, Box<DeviceState<Switches>>, Now),
-    /// All that a weather station said, before this node listened and since; empty where no record was to be had.
+    /// All states of a weather station, from before this node subscribed and since; empty if there was no record.
     WeatherBefore(Device, Vec<Told<Weather>>),
     /// The same of a set of switches.
     SwitchBefore(Device, Vec<Told<Switches>>),
 }
 
-/// Makes a word of all that a device said.
+/// Makes a `Word` of all states of a device.
 type Retell<F> = fn(Device, Vec<Told<F>>) -> Word;
 
-/// How an ear speaks of the devices of a kind.
+/// How a subscriber handles the devices of a kind.
 struct Voice<F> {
     manners: Manners<F>,
     state: fn(Device, Box<DeviceState<F>>, Now) -> Word,
@@ -53,7 +53,7 @@ const TRIES_MS: [u64; 3] = [0, 300, 800];
 /// An answer that takes longer is none; with the pauses before the end of the safety loop's grace.
 const TIMEOUT: Duration = Duration::from_millis(1200);
 
-/// Opens an ear for each device of the rules; what they hear comes out of the channel.
+/// Starts a subscriber for each device of the rules; the channel gives what they receive.
 pub async fn open(node: &Node, rules: &Rules) -> anyhow::Result<(JoinSet<()>, mpsc::Receiver<Word>)> {
     let (words, heard) = mpsc::channel(256);
     let mut ears = JoinSet::new();
@@ -152,7 +152,7 @@ struct Before<F> {
     bus: Bus,
     device: Device,
     back: Duration,
-    /// Of the first life that is heard; a later one knows no more than was heard live.
+    /// For the first incarnation that is received; a later one knows no more than was received live.
     recall: Option<Recall<F>>,
     over: bool,
     tries: std::slice::Iter<'static, u64>,
@@ -188,7 +188,7 @@ impl<F: Payload + PartialEq> Before<F> {
         }));
     }
 
-    /// Waits for all that was said up to now; empty where there is no record, or none that can be taken.
+    /// Waits for all states up to now; empty if there is no record, or none that can be taken.
     ///
     /// May be dropped and called again.
     async fn told(&mut self) -> Vec<Told<F>> {

@@ -1,4 +1,5 @@
-//! The safety loop: receives the inputs, evaluates them by the rules of [`safety`](::safety), and never stops doing both.
+//! The safety loop: receives the inputs, evaluates them by the rules of [`safety`](::safety), and never stops doing
+//! both.
 
 mod clock_file;
 mod ears;

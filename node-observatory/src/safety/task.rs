@@ -1,4 +1,4 @@
-//! The safety loop: hears the inputs, judges at each arrival and each second, and waits for nothing else.
+//! The safety loop: receives the inputs, judges at each arrival and each second, and waits for nothing else.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -22,10 +22,10 @@ use super::clock_file::ClockFile;
 use super::ears::{self, Word};
 use super::verdict_file;
 
-/// So long after its start a node may be without a word from an input before that counts.
+/// So long after its start, a node may lack a value of an input before that counts.
 const GRACE: Duration = Duration::from_secs(5);
 
-/// Judges until the node ends; the ruling is all that leaves this task.
+/// Judges until the node ends; this task publishes its verdict and nothing else.
 pub async fn keep_judging(
     node: Node,
     rules: Arc<Rules>,
@@ -34,7 +34,7 @@ pub async fn keep_judging(
 ) -> anyhow::Result<()> {
     let clock = node.bus.clock().clone();
     let (ears, mut heard) = ears::open(&node, &rules).await?;
-    // a file without any input has nobody to listen to: the verdict goes on without
+    // A file without any input has nobody to listen to: the verdict goes on without.
     let is_deaf = ears.is_empty();
     let nodes = listen_to_nodes(&node).await?;
 
@@ -82,7 +82,7 @@ pub async fn keep_judging(
             word = heard.recv(), if !is_deaf => {
                 let Some(word) = word else { anyhow::bail!("nothing listens to the safety inputs any more") };
                 take_in(&mut history, &rules, word, clock.speed());
-                // all that waits, before judging once
+                // All that waits, before judging once.
                 while let Ok(word) = heard.try_recv() {
                     take_in(&mut history, &rules, word, clock.speed());
                 }
@@ -120,7 +120,7 @@ fn take_in(history: &mut History, rules: &Rules, word: Word, speed: f64) {
     }
 }
 
-/// Keeps a verdict that ended, beside the loop: no disk delays the next one.
+/// Stores a verdict that ended, outside of the loop: no disk delays the next one.
 fn keep(path: PathBuf, ended: Interval) {
     tokio::task::spawn_blocking(move || {
         if let Err(error) = verdict_file::append(&path, &ended) {

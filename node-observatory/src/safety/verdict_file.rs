@@ -9,9 +9,9 @@ use safety::intervals::Intervals;
 /// Lines of the file that are read back, and beyond which it is written anew at the next start.
 const KEPT: usize = 1000;
 
-/// Reads those that ended in earlier lives; lines that cannot be read are passed over, the file is for people.
+/// Reads those that ended in earlier incarnations. It skips lines that cannot be read: the file is for people.
 pub fn read(path: &Path) -> Intervals {
-    // half a line of a crash may end within a character
+    // Half a line of a crash may end within a character.
     let text = String::from_utf8_lossy(&std::fs::read(path).unwrap_or_default()).into_owned();
     let lines: Vec<&str> = text.lines().collect();
     let kept = lines.get(lines.len().saturating_sub(KEPT)..).unwrap_or_default();

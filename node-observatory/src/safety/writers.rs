@@ -1,5 +1,5 @@
-//! Who publishes a safety input. Of two nodes that do so at the same time neither counts, and the value of a new one
-//! does not cancel the warning of the one before.
+//! Tracks which node publishes a safety input. Of two nodes that do so at the same time neither counts, and the value
+//! of a new one does not cancel the warning of the one before.
 
 use bus::{MachineTime, Succession};
 use contract::device::safety_monitor::Fields as Monitor;
@@ -35,12 +35,12 @@ pub struct Writers<F> {
     succession: Succession,
     first: Option<BootId>,
     disputed: bool,
-    /// Who gave the last warning, when, and how long such a node may be silent, s.
+    /// The node that gave the last warning, the time, and how long such a node may be silent, s.
     warned: Option<(BootId, MachineTime, f64)>,
 }
 
 impl<F> Writers<F> {
-    /// Nobody has spoken yet.
+    /// No node has published yet.
     pub fn new(manners: Manners<F>) -> Self {
         Self { manners, succession: Succession::default(), first: None, disputed: false, warned: None }
     }
@@ -58,7 +58,7 @@ impl<F> Writers<F> {
         }
         let first = self.first.get_or_insert_with(|| said.boot_id.clone());
         if self.disputed || *first != said.boot_id {
-            // what another incarnation, or one of two, publishes of the time before was not received here
+            // This node did not receive the record of another incarnation, or of one of two, from the time before.
             (self.manners.forget_record)(&mut said.body);
         }
         if (self.manners.warns)(&said.body) {
@@ -67,7 +67,7 @@ impl<F> Writers<F> {
             return true;
         }
         match &self.warned {
-            // whether the one that warned is dead or will publish again is not known yet
+            // It is not known yet whether the node that warned is dead or will publish again.
             Some((boot_id, at, silent_s))
                 if *boot_id != said.boot_id && arrived.since(*at).as_secs_f64() < *silent_s =>
             {
@@ -156,7 +156,7 @@ mod tests {
             for second_at in [2.4, 3.4, 9.4, 17.9] {
                 assert!(scene.hear(second, second_at, true).unwrap().0.is_err(), "{second_at}");
             }
-            // the real one is gone: what is left counts, but its record was not received here
+            // The real one is gone: what is left counts, but its record was not received here.
             assert_eq!(scene.hear(second, 18.4, true), Some((Ok(true), 0.0)));
         }
     }

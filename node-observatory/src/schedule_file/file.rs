@@ -23,13 +23,13 @@ pub struct Loaded {
     pub refused: Option<String>,
 }
 
-/// How often the file is looked at, machine time: one question to the file system, and a change is active within 1 s also
-/// on a machine that is busy.
+/// How often the file is looked at, machine time: one question to the file system, and a change is active within 1 s
+/// also on a machine that is busy.
 const LOOK: Duration = Duration::from_millis(250);
 /// A version that the disk does not take is tried again after this.
 const AGAIN: Duration = Duration::from_secs(10);
 
-/// What tells that a file has changed: any other time or size, also an older one.
+/// The properties that show that a file has changed: any other time or size, also an older one.
 type Mark = Option<(SystemTime, u64)>;
 
 /// Reads the file now, at each change of its time or size, and whenever the room's `reload` counts on. While this node
@@ -42,12 +42,12 @@ pub async fn keep_reading(room: Arc<ControlRoom>, loaded: watch::Sender<Loaded>)
     loop {
         let mark = mark(&path).await;
         if read != Some(mark) {
-            // a file that is being written is read again when it has come to rest
+            // A file that is being written is read again when it has come to rest.
             let text = read_file(path.clone(), room.clone()).await;
             unkept = take(&room, &loaded, text).or(unkept);
             read = Some(mark);
         }
-        // a standby may share the folder: the commander keeps the versions
+        // A standby may share the folder: the commander keeps the versions.
         if unkept.is_some() && room.hold.borrow().token().is_some() && tokio::time::Instant::now() >= keep_after {
             unkept = keep_version(&room, unkept).await;
             if unkept.is_some() {
@@ -85,7 +85,7 @@ async fn read_file(path: PathBuf, room: Arc<ControlRoom>) -> Result<(String, Vec
     read.map_err(|why| format!("{shown}: {why}"))
 }
 
-/// Puts what was read in force, or tells why not; returns the text that is to be kept.
+/// Puts what was read in force, or reports why not; returns the text to store.
 fn take(
     room: &ControlRoom,
     loaded: &watch::Sender<Loaded>,

@@ -1,4 +1,4 @@
-//! Tells what was found in the active schedule, and answers on the bus what is wrong with any other.
+//! Publishes the findings of the active schedule, and answers on the bus what is wrong with any other.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,12 +14,12 @@ use tokio::sync::watch;
 use super::file::Loaded;
 use crate::control_room::ControlRoom;
 
-/// So many findings are shown of the active schedule; they are said every 10 s.
+/// So many findings are published of the active schedule, every 10 s.
 const MOST_SHOWN: usize = 100;
-/// How often it is looked whether a wheel tells other filters, machine time.
+/// How often the task checks whether a wheel reports other filters, machine time.
 const LOOK: Duration = Duration::from_secs(10);
 
-/// What is known now: the configuration with its horizon files, and the filters that the wheels tell. Reads files.
+/// What is known now: the configuration with its horizon files, and the filters that the wheels report. Reads files.
 pub fn known(room: &ControlRoom) -> Known {
     let mut known = Known::of(room.node.config.clone()).with_names(room.names.borrow().clone());
     for wheel in &room.rig.wheels {
@@ -30,7 +30,7 @@ pub fn known(room: &ControlRoom) -> Known {
     known
 }
 
-/// Shows what is found in the active schedule, at each version and whenever other filters are heard.
+/// Publishes the findings of the active schedule, at each version and whenever a wheel reports other filters.
 pub async fn keep_surveying(room: Arc<ControlRoom>, mut loaded: watch::Receiver<Loaded>) -> anyhow::Result<()> {
     let (mut revision, mut taken_at, mut held_before) = (0, room.node.bus.clock().utc(), None);
     loop {
@@ -39,10 +39,10 @@ pub async fn keep_surveying(room: Arc<ControlRoom>, mut loaded: watch::Receiver<
         let now_known = tokio::task::spawn_blocking(move || known(&here)).await?;
         let is_new = newest.revision != revision;
         if is_new {
-            // windows that pass while it is worked through are no finding
+            // Windows that pass while it is worked through are no finding.
             (revision, taken_at) = (newest.revision, room.node.bus.clock().utc());
         }
-        // filters that a wheel reports later, and names that are found later
+        // Filters that a wheel reports later, and names that are found later.
         let changing = (now_known.filters.clone(), now_known.names.clone());
         if newest.revision > 0 && (is_new || held_before.as_ref() != Some(&changing)) {
             held_before = Some(changing);
@@ -79,7 +79,7 @@ pub async fn keep_answering(room: Arc<ControlRoom>) -> anyhow::Result<()> {
 
 async fn serve(room: &Arc<ControlRoom>) -> anyhow::Result<Service> {
     let at = room.clone();
-    // one at a time: the other core is for the night
+    // One at a time: the other core is for the night.
     let turn = Arc::new(tokio::sync::Mutex::new(()));
     let key = Key::ScheduleCheck(room.node.config.address());
     let service = room.node.bus.serve(&key, move |asked: Result<ScheduleDraft, String>| {

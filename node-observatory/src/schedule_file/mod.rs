@@ -1,6 +1,6 @@
 //! The schedule file of the telescope: read when it changes, replaced by order, and its findings published.
 //!
-//! What a schedule is stands in the crate `schedule`.
+//! The crate `schedule` defines what a schedule is.
 
 mod file;
 pub mod findings;

@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 use units::Utc;
 
-/// Older versions than so many are forgotten: some years of a schedule a night, or a few weeks of one that is changed all
-/// the time.
+/// Older versions than so many are forgotten: some years of a schedule a night, or a few weeks of one that is changed
+/// all the time.
 pub const MOST_VERSIONS: usize = 1000;
 /// And so are those beyond so many bytes of text, but for the newest.
 const MOST_BYTES: u64 = 100_000_000;
@@ -21,10 +21,10 @@ const MOST_INDEX_BYTES: u64 = 20_000_000;
 /// A reason is cut after so many letters.
 const MOST_REASON: usize = 1000;
 
-/// Who brought a schedule, and why.
+/// The author of a schedule, and the reason for it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Author {
-    /// Such as `web/ana`; `file` for whoever wrote the file itself.
+    /// Such as `web/ana`; `file` for a person or program that wrote the file itself.
     pub name: String,
     /// In their words.
     pub reason: String,
@@ -37,7 +37,7 @@ pub struct Version {
     pub version: u64,
     /// Sky time when it was taken.
     pub at_utc: Utc,
-    /// Who brought it.
+    /// The author.
     pub author: String,
     /// Why.
     #[serde(default, skip_serializing_if = "String::is_empty")]
@@ -68,7 +68,8 @@ impl Versions {
         Self { folder: data.join(format!("schedules-{telescope}")), pen: Arc::default() }
     }
 
-    /// All that are kept, oldest first; none where there is no folder yet. A line that a crash left half is passed over.
+    /// All that are kept, oldest first; none where there is no folder yet. A line that a crash left half is passed
+    /// over.
     ///
     /// # Errors
     ///
@@ -134,7 +135,7 @@ impl Versions {
         }
         let mut version = kept.last().map_or(1, |newest| newest.version + 1);
         if let Some(damage) = &damage {
-            // the text of a line that is lost keeps its number
+            // The text of a line that is lost keeps its number.
             version = version.max(self.newest_text() + 1);
             bus::aside::keep_copy(&self.index(), damage, "The texts of its lost lines stay in the folder.");
         }
@@ -144,7 +145,7 @@ impl Versions {
         kept.push(Version { version, at_utc, author: author.name.clone(), reason, rows, bytes, sha256 });
         let written = self.write_index(bounded(&kept));
         if written.is_err() {
-            // without its line it is no version
+            // Without its line it is no version.
             let _ = fs::remove_file(self.path(version));
         }
         written?;
@@ -227,14 +228,14 @@ pub(super) fn write_whole(path: &Path, text: &str) -> io::Result<()> {
     part.push(".part");
     let part = PathBuf::from(part);
     if let Err(error) = write_synced(&part, text).and_then(|()| fs::rename(&part, path)) {
-        // half a text would only take the room that is missing
+        // Half a text would only take the room that is missing.
         let _ = fs::remove_file(&part);
         return Err(error);
     }
-    // the new name is on disk with its folder; Windows opens no folders
+    // The new name is on disk with its folder; Windows opens no folders.
     #[cfg(unix)]
     {
-        // a file named without its folder lies in the working one
+        // A file named without its folder is in the working folder.
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         fs::File::open(folder)?.sync_all()?;
     }

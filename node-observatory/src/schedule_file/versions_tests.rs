@@ -47,7 +47,7 @@ fn a_crash_that_left_half_a_line_or_a_text_without_its_line_costs_no_version() {
     fs::write(versions.path(2), "a text whose line was never written").unwrap();
     assert_eq!(versions.keep("two\n", 1, &ana(""), at(NOW)).unwrap(), (2, true));
     assert_eq!(versions.text(2).unwrap(), "two\n");
-    // a line that is lost leaves its text, its number and the whole index as it was found
+    // A line that is lost leaves its text, its number and the whole index as it was found.
     let mut index = fs::OpenOptions::new().append(true).open(versions.index()).unwrap();
     index.write_all(b"{\"version\": 3, \"at").unwrap();
     fs::write(versions.path(3), "three\n").unwrap();
@@ -87,7 +87,7 @@ fn what_the_disk_does_not_take_leaves_what_was_kept() {
     let folder = tempfile::tempdir().unwrap();
     let versions = versions(folder.path());
     versions.keep("one\n", 1, &ana(""), at(NOW)).unwrap();
-    // a folder where the file is to be written: no disk takes that, whoever asks
+    // A folder where the file is to be written: no disk takes that, whichever user asks.
     fs::create_dir(versions.folder.join("index.jsonl.part")).unwrap();
     assert!(versions.keep("two\n", 1, &ana(""), at(NOW)).is_err());
     assert_eq!(versions.list().unwrap().len(), 1);

@@ -15,7 +15,7 @@ use crate::rig::camera::Camera;
 use crate::rig::dome::Dome;
 use crate::trouble::Trouble;
 
-/// What a dome says may be so late, machine s: a poll and the bus, with room for a busy machine.
+/// A dome's state may be so late, machine s: a poll and the bus, with room for a busy machine.
 const LATE_S: f64 = 2.0;
 /// The slit is looked at at least so often.
 const LOOK: Duration = Duration::from_millis(250);
@@ -46,7 +46,8 @@ pub async fn through_the_slit(
     let mut stirred = room.rig.stirred();
     let exposed = camera.exposed(frame, exposure_s);
     tokio::pin!(exposed);
-    // a camera that is asked each 5 s tells late that it exposes; the slit is watched from its word that it will
+    // A camera that is polled each 5 s reports late that it exposes; the slit is watched from its acceptance of the
+    // command.
     let (accepted, mut began) = (stage.clock().sky(), None);
     let is_over = loop {
         tokio::select! {
@@ -72,7 +73,7 @@ pub async fn through_the_slit(
     let worth = worst.light.as_ref().map_or(Worth::Whole, Light::worth);
     let (lost, what) = match (is_over, worth) {
         (true, Worth::Whole) => {
-            // whether it turns is the follower's word
+            // The follower reports whether it turns.
             if !worst.dome.turning_fails() {
                 alerts.clear(AlertKind::DomeNotTurned, name);
             }
@@ -90,7 +91,7 @@ pub async fn through_the_slit(
     Ok(if is_over { Seen::Spoilt(lost, fault) } else { Seen::Hopeless(lost, fault) })
 }
 
-/// When a frame's exposure began, once its camera says that it exposes.
+/// When a frame's exposure began, once its camera reports that it exposes.
 fn begin(stage: &Stage, camera: &Camera, frame: &CommandId) -> Option<SkyTime> {
     let exposure = camera.instrument.fresh()?.fields.exposure.filter(|exposure| exposure.id == *frame)?;
     let age_s = stage.clock().utc().seconds_since(exposure.started_utc);

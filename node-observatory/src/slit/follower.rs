@@ -1,4 +1,4 @@
-//! Keeps the slit of an open dome where the telescope looks, beside whatever the rows do.
+//! Turns the slit of an open dome to where the telescope looks, in parallel with the rows.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -43,13 +43,13 @@ async fn follow(room: &ControlRoom, dome: &Dome) {
         let Some(view) = View::of(room, dome) else { continue };
         let turned = tokio::select! {
             biased;
-            // what is on its way is left to the closing
+            // A move that is under way is left to the closing.
             () = forbidden(room, dome) => continue,
             turned = follow_once(&view) => turned,
         };
         match turned {
             None => {}
-            // a shutter that began to move, or a lease that went: no fault of the turning
+            // A shutter that began to move, or a lease that went: no fault of the turning.
             Some(Err(Trouble::Refused { reason: Reason::WrongState | Reason::StaleToken, .. })) => {}
             Some(Ok(())) => {
                 failed = 0;

@@ -1,8 +1,8 @@
-//! What the slit leaves of an exposure's light, and what becomes of the frame: arithmetic only.
+//! The share of an exposure's light that the slit leaves, and the fate of the frame: arithmetic only.
 //!
 //! ```text
-//!  loses nothing, or no more than LITTLE: counted                  (a loss that can be seen is told with the frame)
-//!  has lost more, and most of its light is still to come: ended    (it would be repeated anyway, and waits for nothing)
+//!  loses nothing, or no more than LITTLE: counted                  (a visible loss is reported with the frame)
+//!  has lost more, and most of its light is still to come: ended    (it would be repeated anyway)
 //!  has lost more, and most of its light is in: kept and repeated   (a flagged frame is better than none)
 //! ```
 
@@ -10,7 +10,7 @@
 const LITTLE: f64 = 0.1;
 /// A frame with so much of its light in is not thrown away any more.
 const MOST: f64 = 0.75;
-/// Less than this is not told: the sum is not better than that.
+/// Less than this is not reported: the sum is not better than that.
 const SEEN: f64 = 0.01;
 
 /// What a frame is worth once it is exposed.
@@ -37,7 +37,7 @@ pub struct Light {
 }
 
 impl Light {
-    /// Of an exposure that begins, or is first seen, at `seen_s` from its start.
+    /// The light of an exposure that begins, or is first seen, at `seen_s` from its start.
     pub fn new(exposure_s: f64, seen_s: f64) -> Self {
         Self { exposure_s, seen_s: seen_s.clamp(0.0, exposure_s), lost_s: 0.0, free: 1.0, hidden_since_s: None }
     }
@@ -46,7 +46,7 @@ impl Light {
     pub fn look(&mut self, now_s: f64, free: f64) {
         let now_s = now_s.clamp(self.seen_s, self.exposure_s);
         let free = if free.is_finite() { free.clamp(0.0, 1.0) } else { 0.0 };
-        // how it went in between is not known: evenly
+        // How it went in between is not known: evenly.
         self.lost_s += (now_s - self.seen_s) * (1.0 - 0.5 * (self.free + free));
         (self.seen_s, self.free) = (now_s, free);
         self.hidden_since_s = if free < 1.0 { self.hidden_since_s.or(Some(now_s)) } else { None };
@@ -57,15 +57,15 @@ impl Light {
         if self.exposure_s > 0.0 { self.lost_s / self.exposure_s } else { 0.0 }
     }
 
-    /// Is it to be ended? Only when a part has been hidden for `sure_s` without a break, so that what is said late is
-    /// not taken for a fault. A dome that does not mend within `patience_s` is not waited for.
+    /// Should the exposure end early? Only when a part has been hidden for `sure_s` without a break, so that a late
+    /// report is not taken for a fault. A dome that does not recover within `patience_s` is not waited for.
     pub fn is_hopeless(&self, sure_s: f64, patience_s: f64) -> bool {
         let Some(since_s) = self.hidden_since_s else { return false };
         let (hidden_s, left_s) = (self.seen_s - since_s, self.exposure_s - self.seen_s);
         let too_much = self.lost() > LITTLE || hidden_s >= patience_s;
         let at_the_end = (self.lost_s + left_s * (1.0 - self.free)) / self.exposure_s;
         let is_in = (self.seen_s - self.lost_s) / self.exposure_s;
-        // what is being read out is let be
+        // A frame that is being read out is not ended.
         left_s > 0.0 && hidden_s >= sure_s && too_much && at_the_end > LITTLE && is_in < MOST
     }
 
@@ -83,7 +83,7 @@ impl Light {
 mod tests {
     use super::*;
 
-    /// An exposure that is looked at each second while `free` tells what the slit leaves.
+    /// An exposure that is looked at each second while `free` gives what the slit leaves.
     fn exposed(exposure_s: f64, free: impl Fn(f64) -> f64) -> (Light, Option<f64>) {
         let mut light = Light::new(exposure_s, 0.0);
         let seconds = (1..=exposure_s as u32).map(f64::from);

@@ -6,12 +6,11 @@
 //!                     the slit hides a part, |          |  turned ahead, to where it stays clear for longest,
 //!                     or will before long    +----------+  for a slew straight to its end
 //! ```
-//! Who turns a dome is settled by `dome.follow` and by what the dome says ([`view`]). The geometry is `sky::slit`. An
-//! exposure of the sky waits until the slit is clear ([`wait_until_clear`]), and is watched while it runs: what it loses
-//! behind a dome that does not come along is summed, and decides what becomes of the frame ([`exposure`], [`light`]).
-//! Nothing here is waited for by the closing:
-//! a turn is a command like any other, which closing interrupts, and none is given to a dome that closes, is closed, or
-//! should be ([`follower`]).
+//! `dome.follow` and the dome's own state settle which part turns a dome ([`view`]). The geometry is `sky::slit`. An
+//! exposure of the sky waits until the slit is clear ([`wait_until_clear`]), and is watched while it runs: the light
+//! that it loses behind a dome that does not follow is summed, and decides what becomes of the frame ([`exposure`],
+//! [`light`]). Closing waits for nothing here: a turn is a command like any other, which closing interrupts, and none
+//! is given to a dome that closes, is closed, or should be ([`follower`]).
 
 mod exposure;
 mod follower;
@@ -44,7 +43,7 @@ pub struct Aimed<'a> {
 }
 
 impl<'a> Aimed<'a> {
-    /// Tells the slits where a mount is about to look.
+    /// Publishes to the slits where a mount is about to look.
     pub fn at(room: &'a ControlRoom, mount: &Mount, target: Icrs) -> Self {
         let name: Name = mount.instrument.device.name.clone();
         room.aim.send_replace(Some((name, target)));
@@ -135,7 +134,7 @@ pub async fn wait_until_clear(stage: &Stage, exposure_s: f64) -> Result<(), Trou
         if told {
             stage.took(Span::Slit, waits);
         }
-        // a dome that follows by itself is told of by nobody else
+        // Nothing else reports on a dome that follows by itself.
         if told || (dome.turning_fails() && view.way() != Some(Way::Turn)) {
             note(room, dome, &Ok(()));
         }

@@ -13,20 +13,20 @@ use crate::rig::dome::Dome;
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
 
-/// Who turns a dome.
+/// The part that turns a dome.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Way {
     /// Nobody: there is nothing to turn and nothing to wait for.
     Alone,
     /// This node.
     Turn,
-    /// The dome, once it is told to.
+    /// The dome, once this node slaves it.
     Slave,
-    /// The dome, because somebody else has told it to.
+    /// The dome, because another program has slaved it.
     Itself,
 }
 
-/// Who turns a dome that says this of itself.
+/// Which part turns a dome with these capabilities and this slaving.
 pub fn way(follow: Follow, can: &Capabilities, slaved: Option<bool>) -> Way {
     match follow {
         Follow::Off => Way::Alone,
@@ -38,7 +38,8 @@ pub fn way(follow: Follow, can: &Capabilities, slaved: Option<bool>) -> Way {
     }
 }
 
-/// A mount that stands so near to where it was sent is there; mounts speak of date or of J2000, and point with errors.
+/// A mount that is so near to where it was sent has arrived; mounts use coordinates of date or of J2000, and point
+/// with errors.
 const THERE: Angle = Angle::from_degrees(2.0);
 /// So far ahead the best azimuth is looked for, sky s.
 const AHEAD_S: f64 = 4.0 * 3600.0;
@@ -77,13 +78,13 @@ impl<'a> View<'a> {
         mount.is_some_and(|mount| mount.instrument.device == self.mount.instrument.device)
     }
 
-    /// Who turns it; none while that cannot be told.
+    /// The part that turns it; `None` while that is not known.
     pub fn way(&self) -> Option<Way> {
         let slaved = self.fields().and_then(|fields| fields.slaved.known().copied());
         Some(way(self.dome.follow, &self.dome.instrument.can()?, slaved))
     }
 
-    /// What the dome said last, however old: it stands where it stood.
+    /// The newest state of the dome, however old: the dome is where it was then.
     fn fields(&self) -> Option<Fields> {
         self.dome.instrument.newest().map(|heard| heard.said.body.fields)
     }
@@ -106,7 +107,7 @@ impl<'a> View<'a> {
         now.filter(|now| now.separation(&target) < THERE).or(Some(target))
     }
 
-    /// Where the mount stands, whether it follows anything or not.
+    /// Where the mount is, whether it follows anything or not.
     pub fn mount_aim(&self) -> Option<Aim> {
         let mount = self.mount.instrument.newest()?.said.body.fields;
         let pair = |a: Option<&f64>, b: Option<&f64>| Some((*a?, *b?)).filter(|(a, b)| a.is_finite() && b.is_finite());
@@ -148,10 +149,11 @@ impl<'a> View<'a> {
             return Err("the dome is not slaved to the mount".to_owned());
         }
         if way != Way::Turn && self.dome.slit.width_m.is_none() {
-            // a dome that follows by itself knows its geometry; here nothing is known to judge it by
+            // A dome that follows by itself knows its geometry; here nothing is known to judge it by.
             return Ok(());
         }
-        // nobody brings the slit along if the dome does not turn; what a dome that follows by itself will do is not known
+        // Nothing turns the slit if the dome does not turn; the next move of a dome that follows by itself is not
+        // known.
         let need_s = if way == Way::Turn && self.dome.turning_fails() { exposure_s } else { 0.0 };
         self.is_clear(need_s)
     }
@@ -172,8 +174,8 @@ impl<'a> View<'a> {
         })
     }
 
-    /// The part of the aperture that looks out free now, 0 to 1, whether the dome turns or not. Where that cannot be
-    /// told it is none: a frame is to be taken of the sky for sure.
+    /// The part of the aperture that looks out free now, 0 to 1, whether the dome turns or not. Zero where that is not
+    /// known: a frame is to be taken of the sky for sure.
     pub fn free(&self) -> f64 {
         let Some(way) = self.way() else { return 0.0 };
         let strays = self.fields().is_some_and(|fields| fields.slaved.known() == Some(&false));
@@ -224,13 +226,13 @@ impl<'a> View<'a> {
         self.dome.instrument.obey(Command::Slave { on: true }, SLAVING).await.map(|_| ())
     }
 
-    /// Does the dome say that it follows by itself?
+    /// Does the dome report that it follows by itself?
     pub fn is_slaved(&self) -> bool {
         self.fields().is_some_and(|fields| fields.slaved.known() == Some(&true))
     }
 }
 
-/// Where a slit that stands at `azimuth` is to be turned now, if it is: only when it hides a part of the view or will
+/// Where a slit at `azimuth` is to be turned now, if it is: only when it hides a part of the view or will
 /// before a turn that begins later could be done, and then to where it stays clear for longest.
 fn better(slit: &Slit, aim: &Aim, azimuth: Angle, error: Angle, speed: f64) -> Option<Angle> {
     let least_s = LEAD_S + LAG_S * speed;
@@ -239,15 +241,15 @@ fn better(slit: &Slit, aim: &Aim, azimuth: Angle, error: Angle, speed: f64) -> O
     if clear_s.is_some_and(|s| s >= most_s) {
         return None;
     }
-    // the dome may stop beside its aim
+    // The dome may stop off its aim.
     let Some((to, lasts_s)) = slit.lasting(aim, azimuth, error + error, AHEAD_S) else {
-        // as near as can be; what it hides is told when it matters
+        // As near as can be; what it hides is reported when it matters.
         let to = slit.azimuth(aim);
         return ((to - azimuth).wrapped_signed().abs() > error).then_some(to);
     };
     let Some(clear_s) = clear_s else { return Some(to) };
     let lead_s = least_s + S_PER_DEG * (to - azimuth).wrapped_signed().abs().degrees();
-    // a sky so fast that it outruns any lead is not turned after at every look
+    // A sky so fast that it outruns any lead is not turned after at every look.
     (clear_s < lead_s.min(lasts_s / 3.0) && lasts_s >= clear_s + GAIN_S).then_some(to)
 }
 
@@ -263,7 +265,7 @@ fn geometry(latitude: Angle, dome: &config::Slit, mount: &config::Telescope) -> 
         past_zenith_m: dome.past_zenith_m.unwrap_or(0.5 * width_m),
         axes_m: [dome.east_m, dome.north_m, dome.up_m],
         arm_m: mount.arm_m,
-        // the configuration's check asks for it beside a width
+        // The configuration's check asks for it together with a width.
         aperture_m: mount.aperture_m.unwrap_or_default(),
     }
 }
@@ -298,7 +300,7 @@ mod tests {
         let aim = Aim::at(deg(-45.0), deg(-30.0));
         let wanted = better(&slit, &aim, deg(300.0), deg(1.0), 1.0).unwrap();
         assert_eq!(better(&slit, &aim, wanted, deg(1.0), 1.0), None, "it has just turned there");
-        // it is followed to the end of what is clear, and turned before that
+        // It is followed to the end of what is clear, and turned before that.
         let clear_s = slit.clear_for_s(&aim, wanted, deg(1.0), 1e5).unwrap();
         assert!(clear_s > 600.0, "{clear_s}");
         let soon = aim.after(clear_s - 30.0);

@@ -1,4 +1,4 @@
-//! The observatory node on a real bus, with devices of make-believe: opens, observes, closes, goes on.
+//! The observatory node on a real bus, with fake devices: opens, observes, closes, goes on.
 
 #[allow(dead_code, reason = "shared with the stories of the slit")]
 use std::sync::atomic::Ordering;
@@ -13,7 +13,7 @@ use contract::observatory::{Posture, RowStatus};
 use test_support::Lateness;
 
 const MOST: Duration = Duration::from_secs(90);
-/// Near the zenith of the site at the start of the stories.
+/// Near the zenith of the site at the start of the scenarios.
 const TARGET: &str = r#""ra": 45.0, "dec": -24.6"#;
 
 fn statuses(site: &Site) -> Vec<RowStatus> {
@@ -132,7 +132,7 @@ async fn frames_follow_each_other_without_a_pause() {
     let mut gaps: Vec<Duration> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
     gaps.sort();
     // 100 ms of exposure and 20 ms of readout are the camera's own
-    // of 19 gaps the fifth: a machine with other things to do lengthens some, a lost design all of them
+    // of 19 gaps the fifth: a machine with other things to do lengthens some, a lost design all of them.
     let dead = gaps[gaps.len() / 4].saturating_sub(Duration::from_millis(120));
     println!("dead time beyond exposure and readout, lower quartile: {dead:?}");
     assert!(dead < Duration::from_millis(50), "{gaps:?}");

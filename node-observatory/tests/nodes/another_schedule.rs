@@ -13,7 +13,7 @@ use test_support::Lateness;
 const MOST: Duration = Duration::from_secs(90);
 /// A change is seen and active within this time while nothing runs; the machine of a test may be busy with others.
 const SEEN: Duration = Duration::from_secs(1);
-/// Near the zenith of the site at the start of the stories.
+/// Near the zenith of the site at the start of the scenarios.
 const TARGET: &str = r#""ra": 45.0, "dec": -24.6"#;
 
 fn rows(site: &Site) -> Vec<RowState> {
@@ -45,7 +45,7 @@ const LATER: [(&str, &str, &str, &str); 3] = [
     ("calibration", CALIBRATION, "07:00:00", "08:00:00"),
 ];
 
-/// Waits until so many rows are shown, and returns how long that took, without what this machine was late.
+/// Waits until so many rows are published, and returns how long that took, without what this machine was late.
 async fn until_rows(site: &Site, count: usize) -> Duration {
     let (began, lateness) = (Instant::now(), Lateness::begin());
     site.until(&format!("{count} rows"), MOST, |site| rows(site).len() == count).await;
@@ -64,7 +64,7 @@ async fn a_change_while_nothing_runs_is_active_within_a_second_also_one_with_an_
     let took = until_rows(&site, 2).await;
     assert!(took < SEEN, "{took:?}");
 
-    // as a copy of last year's file would come: of an older time than the one in force
+    // As a copy of last year's file would come: of an older time than the one in force.
     let kept = std::fs::read(file(&site)).unwrap();
     site.write_schedule(&LATER);
     let old = std::fs::File::options().write(true).open(file(&site)).unwrap();
@@ -80,7 +80,7 @@ async fn a_change_while_nothing_runs_is_active_within_a_second_also_one_with_an_
     let took = until_rows(&site, 2).await;
     assert!(took < SEEN, "{took:?}");
 
-    // half of a file, and none at all: the rows stay, and why is told
+    // Half of a file, and none at all: the rows stay, and the reason is published.
     std::fs::write(file(&site), "{\"device_name\": \"cam\", \"act").unwrap();
     site.until("refused", MOST, |site| refused(site).is_some_and(|why| why.contains("line 1"))).await;
     std::fs::remove_file(file(&site)).unwrap();
@@ -108,7 +108,7 @@ async fn a_row_at_work_goes_on_where_it_stays_and_ends_with_its_frame_where_it_i
     let exposing = |site: &Site| site.camera.state.borrow().fields.exposure.is_some();
     site.until("in the second frame", MOST, |site| site.exposures() == 1 && exposing(site)).await;
 
-    // a row before it: the one at work stands at another place now, and its frames are counted there
+    // A row before it: the one at work is at another place now, and its frames are counted there.
     site.write_schedule(&[("calibration", CALIBRATION, "01:00:00", "02:00:00"), row_x]);
     site.until("two rows", MOST, |site| rows(site).len() == 2).await;
     assert_eq!(rows(&site)[1].status, RowStatus::Running);
@@ -117,7 +117,7 @@ async fn a_row_at_work_goes_on_where_it_stays_and_ends_with_its_frame_where_it_i
     assert_eq!(shown.iter().map(|action| action.row).collect::<Vec<_>>(), [1]);
     assert_eq!(rows(&site)[0].frames, 0);
 
-    // another target: the frame under way is the last one of the old
+    // Another target: the frame under way is the last one of the old.
     site.until("in a frame", MOST, exposing).await;
     site.write_schedule(&[row_y]);
     site.until("y is done", MOST, |site| {
@@ -157,7 +157,7 @@ async fn a_schedule_by_order_is_proven_put_whole_and_kept_with_who_and_why() {
     let (reason, why) = refusal(site.order(OrderKind::PutSchedule { text: " ".repeat(1_000_001) }).await);
     assert!(reason == Reason::Malformed && why.contains("at most 1000000"), "{why}");
 
-    // a folder where the new file is to be written: as a disk that takes nothing
+    // A folder where the new file is to be written: as a disk that takes nothing.
     let good = format!("{before}{}", before.replace("05:00:00", "05:30:00"));
     let part = site.folder.path().join("schedule.jsonl.part");
     std::fs::create_dir(&part).unwrap();

@@ -14,7 +14,7 @@ async fn asked(site: &Site, text: &str) -> ScheduleFindings {
     let key = Key::ScheduleCheck(site.address.clone());
     let begun = Instant::now();
     loop {
-        // a session that has just opened does not know all its peers
+        // A session that has just opened does not know all its peers.
         match site.bus.ask(&key, &draft, Duration::from_secs(10)).await {
             Err(error) if begun.elapsed() > MOST => panic!("{error}"),
             Err(_) => tokio::time::sleep(Duration::from_millis(200)).await,
@@ -26,7 +26,7 @@ async fn asked(site: &Site, text: &str) -> ScheduleFindings {
 #[tokio::test(flavor = "multi_thread")]
 async fn findings_are_answered_for_a_draft_and_shown_of_the_active_schedule() {
     let site = Site::new(1.0).await;
-    // sets long before its window ends
+    // Sets long before its window ends.
     let sinking = r#"{"object": "x", "exptime": 10, "ra": 345.0, "dec": -24.6, "n": 1}"#;
     site.write_schedule(&[("object", sinking, "03:00:00", "09:00:00")]);
     let node = site.start().await;

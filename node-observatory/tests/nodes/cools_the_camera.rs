@@ -1,5 +1,5 @@
-//! `cool_camera` before the simulated camera: a cooler that refuses is asked again, and a sensor that stays too warm fails its
-//! row, exposes nothing, and raises an alert that stands until the sensor is cold.
+//! `cool_camera` before the simulated camera: a cooler that refuses is asked again, and a sensor that stays too warm
+//! fails its row, exposes nothing, and raises an alert that is active until the sensor is cold.
 
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use contract::observatory::{Alerts, RowStatus};
 use contract::{Address, CommandId, Key, Order, OrderKind, Part, Reply};
 use simulator::{Fault, Kind, Quantity};
 
-/// Beside what is waited for, a sensor gets 20 s of the machine's time before it is given up in a simulation.
+/// In a simulation, a sensor gets 20 s of the machine's time in addition to its timeout before it is given up.
 const MOST: Duration = Duration::from_secs(60);
 const CAMERA: &str = "temperature_c = -10.0\ncooling_timeout_min = 2.0\n";
 const BIAS: (&str, &str) = ("calibration", r#"{"exptime": [0], "n": [2]}"#);
@@ -50,7 +50,7 @@ async fn a_sensor_that_stays_warm_fails_its_row_and_is_told_until_it_is_cold() {
     let stands =
         || alerts.get().is_some_and(|heard| heard.said.body.alerts.iter().any(|a| a.id == "cooling-failed/camera"));
     sim.write_schedule(&[("cool_camera", "{}"), BIAS], 7200.0);
-    // 45 K below such air the sensor is at 10 C
+    // 45 K below such air the sensor is at 10 C.
     sim.simulator.world().set_weather(Quantity::Temperature, Some(55.0));
     sim.start().await;
     sim.until("given up", MOST, |sim| row(sim, 0).is_some_and(|(status, _)| status == RowStatus::Failed)).await;

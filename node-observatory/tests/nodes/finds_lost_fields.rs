@@ -1,5 +1,5 @@
-//! A field that guiding has lost is found again: first the stars themselves, then a slew back to where they were; and where
-//! the site wants it, the row stops for it, nothing else moves, and the row begins again at its target.
+//! A field that guiding has lost is found again: first the stars themselves, then a slew back to where they were; and
+//! where the site wants it, the row stops for it, nothing else moves, and the row begins again at its target.
 
 use std::time::Duration;
 
@@ -13,9 +13,10 @@ use units::Angle;
 const MOST: Duration = Duration::from_secs(90);
 /// Seconds of sky time in one of machine time.
 const SPEED: f64 = 25.0;
-/// A field that is held again looks so near to where it did, arcsec: two frames of residual, and a correction under way.
+/// A field that is held again looks so near to where it did, arcsec: two frames of residual, and a correction under
+/// way.
 const NEAR_ARCSEC: f64 = 2.0;
-/// A mount that somebody has moved says so in a slew of this member.
+/// A mount that somebody has moved shows it in a slew of this member.
 const SLEW: &str = "slewtocoordinatesasync";
 
 /// A telescope whose camera is turned, that knows what pulses do, and a row that guides, in the west of the meridian.
@@ -48,7 +49,7 @@ fn frames(sim: &Sim) -> u32 {
     sim.guiding.get().and_then(|heard| heard.said.body.frames).unwrap_or(0)
 }
 
-/// How far the telescope truly looks beside a place, arcsec.
+/// How far the telescope truly looks from a place, arcsec.
 fn beside(sim: &Sim, place: &Icrs) -> f64 {
     sky::separation(place, &sim.simulator.world().looks_at()).arcseconds()
 }
@@ -76,7 +77,7 @@ async fn hidden_stars_and_a_mount_moved_by_hand_within_the_field_are_held_again(
     let (place, before) = (sim.simulator.world().looks_at(), sim.last_put());
     let held_to = sim.guiding.get().unwrap().said.body.reference;
 
-    // as a bank of clouds hides them, with a clear edge
+    // As a bank of clouds hides them, with a clear edge.
     sim.by_hand("covercalibrator", "connected", &[("Connected", "True".to_owned())]).await;
     sim.by_hand("covercalibrator", "closecover", &[]).await;
     sim.until("lost", MOST, |sim| stage(sim) == Some(GuideStage::Lost)).await;
@@ -86,7 +87,7 @@ async fn hidden_stars_and_a_mount_moved_by_hand_within_the_field_are_held_again(
     let off_arcsec = beside(&sim, &place);
     assert!(off_arcsec < NEAR_ARCSEC, "after the clouds {off_arcsec:.2} arcsec beside");
 
-    // 137 px on the detector: more than pulses take back, and most of the stars are still on it
+    // 137 px on the detector: more than pulses take back, and most of the stars are still on it.
     let (moved_at, seen) = (sim.last_put(), frames(&sim));
     nudge(&sim, [1.4, -1.8]).await;
     sim.until("off", MOST, |sim| beside(sim, &place) > 100.0).await;
@@ -102,12 +103,12 @@ async fn hidden_stars_and_a_mount_moved_by_hand_within_the_field_are_held_again(
     let corrections = sim.said().await;
     let back = told(&corrections, "slewed back by");
     assert_eq!((back.len(), slews(&sim, moved_at)), (1, 1), "one slew is enough: {corrections:#?}");
-    // two frames agree before anything is slewed; the stars moved by that much, and were told by the whole frame
+    // Two frames agree before anything is slewed; the stars moved by that much, and the whole frame showed it.
     let off_px = back[0].dx_px.unwrap().hypot(back[0].dy_px.unwrap());
     assert!((120.0..155.0).contains(&off_px), "{off_px}");
     let at = corrections.iter().position(|correction| correction.frame == back[0].frame).unwrap();
     assert_eq!(corrections[at - 1].besides.as_deref(), Some("looking for the field in the whole next frame"));
-    // frames that were taken while it was lost say so, and were not pulsed after
+    // Frames that were taken while it was lost show it, and were not pulsed after.
     let lost: Vec<&Correction> = corrections.iter().filter(|c| c.stage == GuideStage::Lost).collect();
     assert!(lost.iter().any(|c| c.dx_px.is_none() && c.reason.is_some()), "behind the clouds: {lost:#?}");
     let off: Vec<&&Correction> = lost.iter().filter(|c| c.east.why == PulseWhy::Lost).collect();
@@ -121,7 +122,7 @@ async fn a_mount_moved_by_hand_to_another_field_is_slewed_back_by_a_solved_frame
     let sim = guiding(30, "", true).await;
     let (place, before) = (sim.simulator.world().looks_at(), sim.last_put());
     let held_to = sim.guiding.get().unwrap().said.body.reference;
-    // the field is 6.7 arcmin wide: none of its stars is seen any more
+    // The field is 6.7 arcmin wide: none of its stars is seen any more.
     nudge(&sim, [6.5, 5.5]).await;
     sim.until("off", MOST, |sim| beside(sim, &place) > 400.0).await;
     sim.until("slewed back", MOST, |sim| slews(sim, before) > 0).await;
@@ -150,7 +151,7 @@ fn motions(sim: &Sim, since: u64) -> Vec<String> {
 #[tokio::test(flavor = "multi_thread")]
 async fn where_the_site_wants_it_a_row_that_lost_its_field_stops_and_begins_again_at_its_target() {
     let frames_wanted = 60;
-    // a drift is not held behind clouds, so that every motion in the dark shows; a pause of the row that nobody misses
+    // A drift is not held behind clouds, so that every motion in the dark shows; a pause of the row that nobody misses.
     let more = "[guiding]\nwhen_lost = \"stop\"\nhold_drift_s = 0.0\n[faults]\npause_s = 6.0\n";
     let sim = guiding(frames_wanted, more, false).await;
     let alerts: Latest<Alerts> =
@@ -163,7 +164,7 @@ async fn where_the_site_wants_it_a_row_that_lost_its_field_stops_and_begins_agai
     let (place, held_to) = (sim.simulator.world().looks_at(), sim.guiding.get().unwrap().said.body.reference);
     assert!(!is_alerted(&sim));
 
-    // four fields away: no star of the reference is there, and nobody solves what is
+    // Four fields away: no star of the reference is there, and nobody solves what is.
     nudge(&sim, [-22.0, 18.0]).await;
     sim.until("at rest elsewhere", MOST, |sim| beside(sim, &place) > 1500.0 && !sim.simulator.world().is_slewing())
         .await;
@@ -174,7 +175,7 @@ async fn where_the_site_wants_it_a_row_that_lost_its_field_stops_and_begins_agai
         steps(sim).contains("trying again after: ") && steps(sim).contains("be guided: field is lost")
     })
     .await;
-    // until the row stopped, and while it pauses, nothing is tried in the dark
+    // Until the row stopped, and while it pauses, nothing is tried in the dark.
     assert_eq!(motions(&sim, lost_at), [""; 0]);
     assert!(is_alerted(&sim), "it stands while the row pauses");
 

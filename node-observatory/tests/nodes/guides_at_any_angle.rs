@@ -1,9 +1,9 @@
-//! Acceptance test 5 through real nodes: a drift of 0.05 px/s and 2 s of play in declination, or a worm, at cadences of 2,
-//! 30 and 120 s with the camera at five angles. All of it takes hours of waiting on a free machine (what a busy one loses
-//! counts as often as the clock runs faster), so a test run has one short case, and the measurement is made by hand:
-//! `STARMESH_GUIDE_ALL=1 cargo test -p node-observatory --test nodes any_angle -- --nocapture`; `STARMESH_GUIDE_CADENCE_S` and
-//! `STARMESH_GUIDE_ANGLE_DEG` choose single ones of it. The same cases run in seconds without nodes in
-//! `common/imaging/tests/pixels/guide_loop.rs`.
+//! Acceptance test 5 through real nodes: a drift of 0.05 px/s and 2 s of play in declination, or a worm, at cadences of
+//! 2, 30 and 120 s with the camera at five angles. All of it takes hours of waiting on a free machine (what a busy one
+//! loses counts as often as the clock runs faster), so a test run has one short case, and the measurement is made by
+//! hand: `STARMESH_GUIDE_ALL=1 cargo test -p node-observatory --test nodes any_angle -- --nocapture`;
+//! `STARMESH_GUIDE_CADENCE_S` and `STARMESH_GUIDE_ANGLE_DEG` choose single ones of it. The same cases run in seconds
+//! without nodes in `common/imaging/tests/pixels/guide_loop.rs`.
 
 use std::time::Duration;
 
@@ -16,7 +16,8 @@ use units::Angle;
 /// What is asked for: the predecessor's published median, px.
 const ASKED_PX: f64 = 0.35;
 const SCALE_ARCSEC_PX: f64 = 0.35;
-/// Cadence, sky s; exposure, sky s; sky seconds per machine second; frames to settle (a worm: one turn) and to be judged.
+/// Cadence, sky s; exposure, sky s; sky seconds per machine second; frames to settle (a worm: one turn) and to be
+/// judged.
 const CADENCES: [(f64, f64, f64, u32, u32); 3] =
     [(2.0, 1.0, 1.0, 100, 120), (30.0, 27.0, 6.0, 12, 60), (120.0, 117.0, 10.0, 12, 30)];
 const ANGLES_DEG: [f64; 5] = [0.0, 17.0, 45.0, 90.0, 200.0];
@@ -34,13 +35,13 @@ async fn held(
     worm: bool,
 ) -> f64 {
     let (worm_period_s, worm_arcsec) = if cadence_s > 60.0 { (1000.0, 1.0) } else { (480.0, 8.0) };
-    // its first turn is learnt from
+    // The guider learns from its first turn.
     let first = if worm { (worm_period_s / cadence_s).ceil() as u32 } else { settling };
     let mut options = telescope(speed);
     (options.camera.width, options.camera.height) = (1024, 1024);
     options.camera.focal_length_mm /= SCALE_ARCSEC_PX;
     options.camera.readout_s = 1.0;
-    // a second of light shows stars of a field of 6 arcmin
+    // A second of light shows stars of a field of 6 arcmin.
     options.camera.aperture_mm = 2500.0;
     options.camera.position_angle = Angle::from_degrees(angle_deg);
     options.mount.scatter_arcsec = 0.0;
@@ -50,14 +51,14 @@ async fn held(
         (options.mount.worm_period_s, options.mount.periodic_error_arcsec) = (worm_period_s, worm_arcsec);
         options.mount.drift_arcsec_per_min = (0.0, 0.0);
     } else {
-        // 2 s of pulse at half the sidereal rate
+        // 2 s of pulse at half the sidereal rate.
         options.mount.dec_backlash_arcsec = 15.04;
     }
     let (sin, cos) = options.camera.position_angle.radians().sin_cos();
     let (s, rate) = (options.camera.pixel_scale().degrees(), 0.5 * 15.041_067 / 3600.0);
     let cd = [[-s * cos, s * sin], [s * sin, s * cos]];
     let known = calibrated::of_solution(cd, [rate; 2], 1, Some(PierSide::West), options.start).unwrap();
-    // the tube is west of the pier: the camera is turned by 180 deg
+    // The tube is west of the pier: the camera is turned by 180 deg.
     let turn = |way: [f64; 2]| way.map(|v| -v);
     let known = GuideCalibration {
         source: CalibrationSource::Pulses,
@@ -81,14 +82,14 @@ async fn held(
         all.push(heard.said.body);
     }
     sim.stop().await;
-    // what came of each frame, for whoever looks into a figure
+    // The result of each frame, for a person who looks into a figure.
     for c in &all {
         let (east, north) = (&c.east, &c.north);
         println!("{} {:?} {:?} {:?} {:?} {:?} {:?}", c.mid_utc, c.stage, c.dx_px, c.dy_px, east, north, c.besides);
     }
     let settled = all.iter().skip(first as usize).filter(|c| c.stage == GuideStage::Guide);
     let squares: Vec<f64> = settled.filter_map(|c| Some(c.dx_px?.powi(2) + c.dy_px?.powi(2))).collect();
-    // frames of a busy machine may be passed over for newer ones
+    // Frames of a busy machine may be passed over for newer ones.
     assert!(
         squares.len() * 2 > judged as usize,
         "only {} of {frames} frames were guided on; last: {:#?}",

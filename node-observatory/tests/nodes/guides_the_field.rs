@@ -1,6 +1,6 @@
 //! Guiding closes its loop on the simulated mount: calibrated by pulses, held against drift and worm, and held again on
 //! the other side of the pier. Residuals are judged twice: as the node publishes them, and, where the row's own camera
-//! guides, by where the simulator says that the telescope truly looked.
+//! guides, by where the telescope truly looked in the simulator.
 
 use std::time::Duration;
 
@@ -23,7 +23,7 @@ fn object((ra, dec): (f64, f64), exposure_s: f64, frames: u32) -> String {
 /// Frames until the drift and the play of the gear are known; acceptance test 5 gives twelve.
 const SETTLES: usize = 5;
 
-/// Root mean square of how far frames stood off while the field was held, px, and their number.
+/// Root mean square of how far frames were off while the field was held, px, and their number.
 fn rms_px<'a>(corrections: impl Iterator<Item = &'a Correction>) -> (f64, usize) {
     let squares: Vec<f64> = corrections
         .filter(|correction| correction.stage == GuideStage::Guide)
@@ -42,13 +42,13 @@ impl Truth {
         self.0.push((sim.clock.utc().seconds(), sim.simulator.world().looks_at()));
     }
 
-    /// Root mean square of how far frames truly stood off their mean while the field was held, px of one arcsec.
+    /// Root mean square of how far frames truly were off their mean while the field was held, px of one arcsec.
     fn rms_px<'a>(&self, exposure_s: f64, corrections: impl Iterator<Item = &'a Correction>) -> f64 {
         let held = corrections.filter(|correction| correction.stage == GuideStage::Guide).skip(SETTLES);
         let seen: Vec<Option<[f64; 2]>> =
             held.map(|correction| self.mean(correction.mid_utc.seconds(), exposure_s)).collect();
         let places: Vec<[f64; 2]> = seen.iter().flatten().copied().collect();
-        // on a busy machine the test may not get to look during each of the short exposures
+        // On a busy machine the test may not get to look during each of the short exposures.
         assert!(2 * places.len() > seen.len(), "looked during {} of {} exposures", places.len(), seen.len());
         let count = places.len() as f64;
         let middle = [0, 1].map(|n| places.iter().map(|place| place[n]).sum::<f64>() / count);
@@ -107,7 +107,7 @@ async fn pulses_teach_what_they_do_and_a_drifting_field_is_held() {
     {
         let (turned_deg, faster) = apart(learnt, true_px_s);
         println!("turned by {turned_deg:.2} deg, off by {faster:.4} in speed");
-        // the mount drifts meanwhile, by a pixel or so on the way of 25
+        // The mount drifts meanwhile, by a pixel or so on the way of 25.
         assert!(turned_deg < 2.0 && faster < 0.05, "{learnt:?}, by geometry {true_px_s:?}");
     }
     let (rms_px, frames) = rms_px(corrections.iter());
@@ -115,7 +115,7 @@ async fn pulses_teach_what_they_do_and_a_drifting_field_is_held() {
     println!("held to {rms_px:.3} px rms on {frames} of {} frames, in truth {true_px:.3} px", corrections.len());
     assert!(corrections.len() >= 18 && frames >= 12 && rms_px <= ASKED_PX, "{corrections:#?}");
     assert!(true_px <= ASKED_PX, "in truth {true_px:.3} px rms: {corrections:#?}");
-    // without pulses the drift alone would have been 1 px in each 55 s
+    // Without pulses the drift alone would have been 1 px in each 55 s.
     assert!(corrections.iter().any(|correction| correction.east.given_ms != 0 || correction.north.given_ms != 0));
     assert!(!shown.active, "the row has ended");
     sim.stop().await;
@@ -126,7 +126,7 @@ async fn a_calibration_during_which_the_tube_turns_over_succeeds_at_the_first_tr
     let options = telescope(20.0);
     let once = "[imaging]\nsolve = false\n[faults]\nretries = 0\n[faults.policy]\ntelescope = \"skip\"\n";
     let mut sim = Sim::new(options, once).await;
-    // it stands in the east when the row slews, and crosses the meridian soon after
+    // It is in the east when the row slews, and crosses the meridian soon after.
     let (ra, dec) = sim.place(-0.05, -10.0);
     let calibrate = format!(r#"{{"exptime": 3, "pulse_time": 900, "settle_time": 0.5, "ra": {ra}, "dec": {dec}}}"#);
     sim.write_schedule(&[("calibrate_guiding", &calibrate)], 7200.0);
@@ -142,7 +142,7 @@ async fn a_calibration_during_which_the_tube_turns_over_succeeds_at_the_first_tr
     sim.until("calibrated", MOST, |sim| sim.ended(0).is_some()).await;
     let told = sim.ended(0).unwrap();
     assert!(told.contains("px/s") && told.contains("pulses"), "{told}");
-    // a whole run on the side where it stands then
+    // A whole run on the side where it is then.
     let sent = sim.sent_to_mount(0);
     let turned = sent.iter().rposition(|(member, _)| member.eq_ignore_ascii_case("slewtocoordinatesasync")).unwrap();
     let pulses = sent[turned..].iter().filter(|(member, _)| member.eq_ignore_ascii_case("pulseguide")).count();
@@ -158,10 +158,10 @@ async fn a_field_is_held_on_both_sides_of_the_pier() {
     options.mount.scatter_arcsec = 1.0;
     let truth = by_geometry(&options.camera);
     let mut sim = Sim::new(options, "[imaging]\nsolve = false\n").await;
-    // it crosses the meridian after some frames, and a slew from then on puts the tube on the other side; the half degree
-    // below is that between J2000 and date
+    // It crosses the meridian after some frames, and a slew from then on puts the tube on the other side; the half
+    // degree below is that between J2000 and date.
     let field = sim.place(-0.07, -10.0);
-    // known on the side where it begins; the other side's is that turned round
+    // Known on the side where it begins; the other side's is that turned round.
     let west = GuideCalibration { pier_side: Some(PierSide::West), ..turned(&truth) };
     sim.keep_calibration("camera", GuideCalibration { source: CalibrationSource::Pulses, ..west });
     sim.write_schedule(&[("object", &object(field, 20.0, 30))], 7200.0);
@@ -194,7 +194,7 @@ async fn flipped_under_way(sim: &Sim, field: (f64, f64)) -> (Truth, Vec<Correcti
         crossed(sim) && state.is_some_and(|state| state.frames.unwrap_or(0) >= 12)
     })
     .await;
-    // as from the handbox: to where it points already
+    // As from the handbox: to where it points already.
     sim.slew_by_hand(field).await;
     sim.until("the field observed", MOST, |sim| {
         looked.look(sim);
@@ -230,10 +230,10 @@ async fn a_proven_row_is_held_on_both_sides_also_by_a_mount_that_goes_south_by_n
         let true_px = looked.rms_px(20.0, held.iter());
         println!("tube in the {side}: held to {rms_px:.3} px rms on {frames} frames, in truth {true_px:.3}");
         assert!(frames >= 4 && rms_px <= ASKED_PX && true_px <= ASKED_PX, "{side}: {corrections:#?}");
-        // a drift to the north is to be taken back, whatever the motor calls that
+        // A drift to the north is to be taken back, whatever the motor calls that.
         assert!(held.iter().any(|c| c.north.given_ms != 0), "{side}: {held:#?}");
     }
-    // solved frames of each side taught it, and where the motor is left as it was, North is what South is on the sky
+    // Solved frames of each side taught it, and where the motor is left as it was, North is what South is on the sky.
     let learnt = node_observatory::guiding::learnt::Learnt::read(&sim.data().join("guiding-alpha.json"));
     for (side, east, north) in [(PierSide::East, 1.0, 1.0), (PierSide::West, -1.0, 1.0)] {
         let made = learnt.calibration("camera", Some(side), true).unwrap();

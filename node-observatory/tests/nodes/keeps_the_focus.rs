@@ -1,5 +1,6 @@
-//! A row that is under way keeps its focus on the simulated telescope: found anew when the stars grow wide, moved with the
-//! temperature by what many runs taught, also by the node that takes over, and set apart where the row asks for that.
+//! A row that is under way keeps its focus on the simulated telescope: found anew when the stars grow wide, moved with
+//! the temperature by what many runs taught, also by the node that takes over, and set apart where the row asks for
+//! that.
 
 use std::time::Duration;
 
@@ -57,7 +58,7 @@ fn object(sim: &Sim, more: &str) -> String {
     format!(r#"{{"object": "field", "ra": {ra}, "dec": {dec}, "exptime": {EXPOSURE_S}, {more}}}"#)
 }
 
-/// What is said of the telescope while a test waits.
+/// What the telescope publishes while a test waits.
 struct Heard {
     frames: Subscriber<Frame>,
     facts: Subscriber<FrameFacts>,
@@ -84,8 +85,7 @@ impl Heard {
         self.alerts.get().is_some_and(|heard| heard.said.body.alerts.iter().any(|alert| alert.id == id))
     }
 
-    /// Every frame that was announced, in order of its exposure, with the last word on it; waits until there is a word on
-    /// so many.
+    /// Every frame that was announced, in order of its exposure, with its last facts; waits until so many have facts.
     async fn seen(&self, least: usize) -> Vec<(Frame, Option<FrameFacts>)> {
         let (began, mut seen) = (std::time::Instant::now(), Vec::<(Frame, Option<FrameFacts>)>::new());
         let mut facts = Vec::new();
@@ -181,7 +181,7 @@ async fn a_focus_that_drifts_away_is_found_anew_between_two_frames_of_the_row() 
     sim.write_schedule(&[("object", &value)], 7200.0);
     let heard = Heard::on(&sim).await;
     sim.start().await;
-    // nine degrees colder, a degree a frame; no coefficient is known, so the focuser stays
+    // Nine degrees colder, a degree a frame; no coefficient is known, so the focuser stays.
     for colder in 0..=9 {
         sim.until("exposing", MOST, |sim| frames(sim, 0) >= 5 + colder).await;
         sim.simulator.world().set_weather(Quantity::Temperature, Some(10.0 - f64::from(colder)));
@@ -198,7 +198,7 @@ async fn a_focus_that_drifts_away_is_found_anew_between_two_frames_of_the_row() 
     println!("found {best:.0} of {truth:.0}, zone {zone:.0}, {} positions", run.points.len());
     assert!(truth > BEST + 0.8 * ZONE && (best - truth).abs() < 0.2 * zone, "{best}, in truth {truth}, zone {zone}");
 
-    // frames are accounted for: those of the run beside those of the row, each with facts
+    // Every frame is accounted for: those of the run and those of the row, each with facts.
     sim.until("the drift is over", MOST, |sim| !trigger(sim, TriggerKind::FocusDrift)).await;
     sim.until("no alert", MOST, |_| !heard.alert("focus-drift/camera")).await;
     let of_run: Vec<_> = run.points.iter().flat_map(|point| point.frames.clone()).collect();
@@ -219,7 +219,7 @@ async fn a_focus_that_drifts_away_is_found_anew_between_two_frames_of_the_row() 
 /// Twelve runs of earlier nights from 4 to 15 C, found within some steps of the truth.
 fn many_runs() -> FocusLearnt {
     let found = |n: usize| {
-        // the newest one at 10 C
+        // The newest one at 10 C.
         let temperature_c = 4.0 + ((n + 7) % 12) as f64;
         FocusFound {
             id: format!("run-{n}"),
@@ -255,11 +255,11 @@ async fn the_focus_follows_the_temperature_between_frames_and_the_node_that_take
     sim.start().await;
     sim.start_standby().await;
     sim.until("exposing", MOST, |sim| frames(sim, 0) >= 2).await;
-    // a thermometer that reads 9.9 C asks for a step or two
+    // A thermometer that reads 9.9 C asks for a step or two.
     sim.until("in the focus that was found last", MOST, |_| near(newest.position)).await;
     let found = position();
 
-    // 15 steps are an eighth of the critical zone: not worth a move
+    // 15 steps are an eighth of the critical zone: not worth a move.
     sim.simulator.world().set_weather(Quantity::Temperature, Some(9.0));
     let taken = frames(&sim, 0);
     sim.until("three more", MOST, |sim| frames(sim, 0) >= taken + 3).await;
@@ -293,7 +293,7 @@ async fn the_focus_follows_the_temperature_between_frames_and_the_node_that_take
 
     assert!(drained(&heard.runs).await.is_empty(), "no run was needed");
     assert!(focus_of_exposures(&sim, Some(died)).len() >= 8);
-    // at 1 C without following, they would be 1.5 times as wide
+    // At 1 C without following, they would be 1.5 times as wide.
     let seen = heard.seen(12).await;
     let widths: Vec<f64> = seen.iter().filter(|(_, facts)| facts.is_some()).map(width_px).collect();
     let (first, last) = (widths[0], median(widths[widths.len() - 3..].to_vec()));
@@ -311,7 +311,7 @@ async fn a_shift_counts_from_the_filters_own_focus_and_clouds_are_told_and_sat_o
     let heard = Heard::on(&sim).await;
     sim.start().await;
     sim.until("under way", MOST, |sim| frames(sim, 1) >= 4).await;
-    // as thick as the safety monitor lets pass: a quarter of the light
+    // As thick as the safety monitor lets pass: a quarter of the light.
     sim.simulator.world().set_weather(Quantity::CloudCover, Some(79.0));
     sim.until("clouds noticed", MOST, |sim| trigger(sim, TriggerKind::Clouds)).await;
     sim.until("a person is told", MOST, |_| heard.alert("stars-gone/camera")).await;
@@ -322,7 +322,7 @@ async fn a_shift_counts_from_the_filters_own_focus_and_clouds_are_told_and_sat_o
     sim.until("all frames taken", MOST, |sim| sim.ended(0).is_some() && sim.ended(1).is_some()).await;
     assert_eq!((frames(&sim, 0), frames(&sim, 1)), (2, 24));
 
-    // the simulated wheel has B 40 steps further out than V, and R 20 further in
+    // The simulated wheel has B 40 steps further out than V, and R 20 further in.
     let focus = focus_of_exposures(&sim, None);
     assert_eq!((&focus[..2], &focus[2..]), (&[25_240_i64; 2][..], &[24_980_i64; 24][..]));
     let seen = heard.seen(26).await;
@@ -335,7 +335,7 @@ async fn a_shift_counts_from_the_filters_own_focus_and_clouds_are_told_and_sat_o
 
 #[tokio::test(flavor = "multi_thread")]
 async fn stars_that_trail_are_told_while_the_row_goes_on() {
-    // 25 arcsec in each exposure, ten pixels
+    // 25 arcsec in each exposure, ten pixels.
     let mut sim = telescope(|options| options.mount.drift_arcsec_per_min = (150.0, 0.0), "").await;
     let value = object(&sim, r#""n": 5, "filter": "V""#);
     sim.write_schedule(&[("object", &value)], 7200.0);

@@ -1,5 +1,6 @@
-//! Device and observatory nodes in one process, on a bus of their own: against the simulated observatory (`sim`), or devices
-//! that do what a story asks of them (`site`, `starfield`). One binary, since each costs a link with all of zenoh.
+//! Device and observatory nodes in one process, on a bus of their own: against the simulated observatory (`sim`), or
+//! against devices that do what a scenario asks of them (`site`, `starfield`). One binary, since each costs a link with
+//! all of zenoh.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends by panicking")]
 

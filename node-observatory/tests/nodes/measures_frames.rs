@@ -134,7 +134,7 @@ async fn frames_are_measured_without_an_archive_and_vanished_stars_are_told() {
         assert!((facts.fwhm_px.unwrap() - FWHM_PX).abs() < 0.1, "{:?}", facts.fwhm_px);
         assert!((facts.sky_adu.unwrap() - 500.0).abs() < 1.0, "{:?}", facts.sky_adu);
         assert!((facts.noise_adu.unwrap() - 6.0).abs() < 0.3, "{:?}", facts.noise_adu);
-        // 1 s is promised of a release build
+        // 1 s is promised of a release build.
         assert!(after < lateness.bound(Duration::from_secs(5)), "{after:?}");
     }
     let id = spool.announce(4, "empty", &empty).await;
@@ -166,7 +166,7 @@ async fn a_frame_that_cannot_be_had_gives_the_reason_and_a_person_is_told_of_thr
     assert!(!alerts(&site).contains(&"frames-unmeasured/guider".to_owned()));
     spool.announce(2, "gone", b"").await;
     site.until("an alert", MOST, |site| alerts(site).contains(&"frames-unmeasured/guider".to_owned())).await;
-    // announced again, and there this time: measured after all
+    // Announced again, and there this time: measured after all.
     let id = spool.announce(2, "stars", &sky(STARS)).await;
     spool.facts_of(&id).await;
     assert_eq!(spool.facts_of(&id).await.said.body.stars, Some(STARS), "the second word on the same frame");
@@ -183,7 +183,7 @@ async fn a_standby_measures_nothing_until_it_commands_and_then_what_nobody_has_m
     tokio::time::sleep(Duration::from_secs(5)).await;
     let stars = sky(STARS);
     let (first, second) = (spool.announce(0, "stars", &stars).await, spool.announce(1, "stars", &stars).await);
-    // the commander's word on the first of them
+    // The commander's facts of the first of them.
     let key = Key::Facts(site.address.clone(), first.0.parse().unwrap());
     let line = site.bus.publisher::<FrameFacts>(&key, Quality::Event { cache: 1 }).await.unwrap();
     line.put(FrameFacts { frame: first.clone(), stars: Some(1), ..FrameFacts::default() }).await.unwrap();

@@ -53,7 +53,7 @@ fn place(puts: &[String], what: &str) -> Option<usize> {
     puts.iter().position(|put| put == what)
 }
 
-/// When the shutter was first told to close after it was told to open.
+/// When the shutter first got a command to close after one to open.
 fn shut(sim: &Sim) -> Option<Instant> {
     let log = sim.simulator.world().puts_since(0);
     let mut after = log.iter().skip_while(|entry| entry.member != "openshutter");
@@ -86,7 +86,7 @@ async fn opening_acknowledges_latched_errors_and_waits_until_the_mount_is_ready_
 
     let told = puts(&sim);
     let at = |what: &str| place(&told, what).unwrap_or_else(|| panic!("no {what} in {told:#?}"));
-    // 4 + 2: the levels count once each; then the error that came after
+    // 4 + 2: the levels count once each; then the error that came after.
     assert!(at("commandstring STATUS_LIST") < at("commandstring CLEAR_ERRORS 6"), "{told:#?}");
     assert!(at("commandstring CLEAR_ERRORS 6") < at("commandstring CLEAR_ERRORS 2"), "{told:#?}");
     assert!(at("commandstring CLEAR_ERRORS 2") < at("openshutter"), "{told:#?}");
@@ -96,7 +96,7 @@ async fn opening_acknowledges_latched_errors_and_waits_until_the_mount_is_ready_
     assert!(!sim.simulator.world().has_vendor_errors());
     assert_eq!(stands(&alerts, "site-script/open"), None);
 
-    // the schedule has ended, so everything is closed: the error is acknowledged then, too
+    // The schedule has ended, so everything is closed: the error is acknowledged then, too.
     sim.until("closed", MOST, |sim| sim.simulator.world().dome_open() == 0.0 && sim.simulator.world().is_parked())
         .await;
     let told = puts(&sim);
@@ -122,7 +122,7 @@ async fn an_error_that_nobody_calls_harmless_keeps_the_roof_shut_and_is_told() {
     assert_eq!(place(&told, "openshutter"), None);
     assert!(sim.simulator.world().has_vendor_errors(), "nothing was acknowledged");
 
-    // a person acknowledges at the controller; the row goes on by itself
+    // A person acknowledges at the controller; the row goes on by itself.
     latch(&sim, &json!([]), &json!([]));
     sim.until("opened", MOST, |sim| sim.ended(0).is_some()).await;
     sim.until("calm", MOST, |_| stands(&alerts, "site-script/open").is_none()).await;
@@ -159,7 +159,7 @@ async fn a_script_that_throws_in_close_is_told_and_everything_closes_at_once() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_script_that_loops_for_ever_in_close_holds_it_up_for_close_wait_s_and_no_longer() {
     let (waited, _, whole) = closes_after("close_wait_s = 2\n", "fn close() { loop { } }").await;
-    // counted from when this test has heard that the row ended, which is a little late
+    // Counted from when this test has received that the row ended, which is a little late.
     assert!(whole.as_secs_f64() > 0.8 && waited.as_secs_f64() < 5.0, "{whole:?}, without lateness {waited:?}");
 }
 
@@ -206,7 +206,7 @@ async fn a_script_that_fills_its_memory_in_close_is_told_and_everything_closes_a
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_guard_does_not_wait_for_a_script_when_the_sky_is_not_safe_and_nothing_unlisted_is_sent() {
-    // nothing after the opening: the night does not end while the script still opens
+    // Nothing after the opening: the night does not end while the script still opens.
     let script = "fn after_open() { try { command_string(\"telescope\", \"FIRE\"); } catch (why) { note(why); throw why; } }\n\
                   fn close() { loop { } }";
     let (mut sim, alerts) = site("close_wait_s = 10\n", script).await;
@@ -216,7 +216,7 @@ async fn the_guard_does_not_wait_for_a_script_when_the_sky_is_not_safe_and_nothi
     let cause = stands(&alerts, "site-script/after_open").unwrap();
     assert!(cause.contains("\"command_string FIRE\" is not in vendor_commands"), "{cause}");
     assert!(!puts(&sim).iter().any(|put| put.contains("FIRE")), "{:#?}", puts(&sim));
-    // what its own script left open is being closed, after close_wait_s; the rain is faster
+    // The script left something open, which is being closed after close_wait_s; the rain is faster.
     assert_eq!(shut(&sim), None);
     sim.simulator.world().set_unsafe(true);
     let (unsafe_at, lateness) = (Instant::now(), Lateness::begin());

@@ -15,7 +15,7 @@ async fn a_focuser_settles_once_before_the_exposure() {
     let mut sim = Sim::new(wide_field(10.0), &more).await;
     let (ra, dec) = sim.place(-1.0, -25.0);
     let row = format!(r#"{{"object": "field", "ra": {ra}, "dec": {dec}, "exptime": 1, "n": 1, "focus_shift": 400}}"#);
-    // the mount is there long before
+    // The mount is there long before.
     sim.write_schedule(&[("object", &row)], 3600.0);
     sim.start().await;
     sim.until("the row ends", Duration::from_secs(120), |sim| sim.ended(0).is_some()).await;

@@ -1,5 +1,5 @@
 //! The observatory node finds where a frame points: by the target, with optics that it learns, also on a part of the
-//! sensor; and says why where it does not.
+//! sensor; and reports why where it does not.
 
 #[allow(dead_code, reason = "shared with the stories of the night")]
 use std::time::Duration;
@@ -13,7 +13,7 @@ use imaging::Wcs;
 use units::Angle;
 
 const MOST: Duration = Duration::from_secs(90);
-/// Where the telescope is told to point; the shipped catalogue has some forty stars to 12.5 mag in the field.
+/// Where the telescope should point; the shipped catalogue has some forty stars to 12.5 mag in the field.
 const TARGET: (f64, f64) = (83.0, 22.0);
 const GUIDER: &str = "
     [[camera]]
@@ -23,7 +23,7 @@ const GUIDER: &str = "
     scale_arcsec_px = 6.0
 ";
 
-/// A site with a camera that is told to have pixels of 6 arcsec, 3 % wrong.
+/// A site with a camera that is configured to have pixels of 6 arcsec, 3 % wrong.
 async fn site() -> Site {
     let mut site = Site::new(1.0).await;
     site.more = GUIDER;
@@ -56,7 +56,7 @@ async fn frames_are_solved_and_what_they_teach_outlives_a_restart() {
     let optics = optics(&site).await;
     let (camera, node) = (Camera::start(&site).await, site.start().await);
     site.until("commanding", MOST, commands).await;
-    // 3 arcmin beside the target, turned by 33 degrees
+    // 3 arcmin from the target, turned by 33 degrees.
     let truth = wcs((TARGET.0 + 0.05, TARGET.1 - 0.01), 33.0, false);
     let first = camera.take(&Shot { target: Some(TARGET), ..Shot::of(truth, 1) }).await;
     println!("first light: {:?} s of {:?} s, {:?} stars", first.solving_s, first.measuring_s, first.matched);
@@ -72,7 +72,7 @@ async fn frames_are_solved_and_what_they_teach_outlives_a_restart() {
     let (ra, dec) = truth.pixel_to_sky(middle.0, middle.1);
     let off = imaging::tangent::separation((ra, dec), (angle(TARGET.0), angle(TARGET.1))).degrees() * 60.0;
     assert!((off - 2.85).abs() < 0.05 && (first.off_target_arcmin.unwrap() - off).abs() < 0.02, "{off} {first:?}");
-    // the corners, as the WCS that is told has them
+    // The corners, as the published WCS has them.
     let told = first.wcs.unwrap();
     let told = Wcs {
         ra: angle(told.ra_deg),
@@ -91,7 +91,7 @@ async fn frames_are_solved_and_what_they_teach_outlives_a_restart() {
     assert!((first.zero_point_mag.unwrap() - zero).abs() < 0.03, "{first:?}");
     assert_eq!(first.transparency, None, "nothing to compare it with yet");
 
-    // a frame of half the light, with what the first one taught
+    // A frame of half the light, with what the first one taught.
     site.until("optics on the bus", MOST, |_| optics.get().is_some_and(|heard| !heard.said.body.optics.is_empty()))
         .await;
     let taught = optics.get().unwrap().said.body;
@@ -101,7 +101,7 @@ async fn frames_are_solved_and_what_they_teach_outlives_a_restart() {
     assert!((dim.transparency.unwrap() - 0.5).abs() < 0.03, "{dim:?}");
     node.stop().await;
 
-    // another life: it knows the optics, so that a corner of the sensor with few stars is enough
+    // Another incarnation: it knows the optics, so that a corner of the sensor with few stars is enough.
     let node = site.start().await;
     site.until("told again", MOST, |_| optics.get().is_some_and(|heard| !heard.said.body.optics.is_empty())).await;
     let part = camera.take(&Shot { target: Some(TARGET), part: [0, 0, 200, 180], ..Shot::of(truth, 3) }).await;
@@ -131,7 +131,7 @@ async fn a_wrong_field_and_a_turned_camera_are_noticed_by_the_second_frame() {
     assert!(!wrong(&site), "one frame may be the one before the correction");
     camera.take(&shot(beside, 3)).await;
     site.until("a wrong field", MOST, wrong).await;
-    // turned by hand, and a mirror less
+    // Turned by hand, and a mirror less.
     let turned = wcs(TARGET, 120.0, false);
     let facts = camera.take(&shot(turned, 4)).await;
     assert!((facts.rotation_deg.unwrap() - 120.0).abs() < 0.05 && facts.mirrored == Some(false), "{facts:?}");
@@ -141,11 +141,11 @@ async fn a_wrong_field_and_a_turned_camera_are_noticed_by_the_second_frame() {
     camera.take(&shot(turned, 5)).await;
     site.until("learnt anew", MOST, |_| (rotation() - 120.0).abs() < 0.1).await;
 
-    // stars of no catalogue, and a frame of nowhere
+    // Stars of no catalogue, and a frame of nowhere.
     let nowhere = camera.take(&Shot { target: Some((TARGET.0, -TARGET.1)), ..Shot::of(turned, 6) }).await;
     println!("nowhere: {:?} s, {:?}", nowhere.solving_s, nowhere.unsolved);
     assert_eq!(nowhere.unsolved.unwrap().class, UnsolvedClass::NoMatch);
-    // how long that takes is for the bench to say: a debug build searches many times slower
+    // The bench measures how long that takes: a debug build searches many times slower.
     assert!(nowhere.wcs.is_none() && nowhere.reason.is_none() && nowhere.solving_s.is_some());
     let lost = camera.take(&Shot::of(turned, 7)).await;
     assert_eq!(lost.unsolved.unwrap().class, UnsolvedClass::NoPlace);
@@ -157,7 +157,7 @@ async fn a_wrong_field_and_a_turned_camera_are_noticed_by_the_second_frame() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_camera_whose_pixels_are_half_as_large_as_told_is_understood_by_its_third_frame() {
     let mut site = Site::new(1.0).await;
-    // somebody forgot that it does not bin any more
+    // Somebody forgot that it does not bin any more.
     site.more = "[[camera]]\nname = \"guider\"\nserver = \"a:1\"\nnumber = 1\nscale_arcsec_px = 12.3\n";
     site.write_schedule(&[]);
     let optics = optics(&site).await;
@@ -174,7 +174,7 @@ async fn a_camera_whose_pixels_are_half_as_large_as_told_is_understood_by_its_th
     println!("frame 3: {:?} s, {:?} arcsec/px", third.solving_s, third.scale_arcsec_px);
     assert!(off_px(&third, &truth, crate::starfield::middle()) < 0.1, "{third:?}");
     assert!((third.scale_arcsec_px.unwrap() / SCALE_ARCSEC_PX - 1.0).abs() < 5e-4, "{third:?}");
-    // and what it taught holds from then on
+    // And what it taught holds from then on.
     let learnt = |_: &Site| optics.get().is_some_and(|heard| !heard.said.body.optics.is_empty());
     site.until("learnt", MOST, learnt).await;
     let fourth = camera.take(&shot(4)).await;

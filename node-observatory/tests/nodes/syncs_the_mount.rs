@@ -1,5 +1,5 @@
-//! `pointing_model` with `sync`: the mount itself is told where it looks, what was learnt of its misses is forgotten, and
-//! its next slew is right.
+//! `pointing_model` with `sync`: the mount itself is synchronised to where it looks, the learned misses are forgotten,
+//! and its next slew is right.
 
 use std::collections::{BTreeMap, HashMap};
 use std::time::Duration;
@@ -12,7 +12,7 @@ use contract::{Address, Key, Part};
 use simulator::Quantity;
 
 const MOST: Duration = Duration::from_secs(90);
-/// How far the telescope looks beside where it is sent, arcmin to the east and to the north.
+/// How far the telescope looks from where it is sent, arcmin to the east and to the north.
 const MISS: [f64; 2] = [6.0, -4.0];
 /// Drift and chance of the mount, and the error of a solution, arcmin.
 const NEAR_ARCMIN: f64 = 0.3;
@@ -22,12 +22,12 @@ async fn a_mount_that_was_misled_is_told_where_it_looks_and_its_next_slew_is_rig
     let mut sim = Sim::new(wide_field(20.0), "").await;
     sim.simulator.world().set_weather(Quantity::StarFwhm, Some(0.1));
     sim.mislead(MISS).await;
-    // the node knows, and corrects by it; after the sync that would be wrong by as much
+    // The node knows, and corrects by it; after the sync that would be wrong by as much.
     sim.keep_pointing(&misses(MISS));
     let object =
         |(ra, dec): (f64, f64)| format!(r#"{{"object": "field", "ra": {ra}, "dec": {dec}, "exptime": 10, "n": 2}}"#);
     let (west, east) = (object(sim.place(1.5, -20.0)), object(sim.place(-1.5, -45.0)));
-    // read out beside the middle: it is the sensor's middle that the mount is told of
+    // Read out off the middle: the mount is synchronised on the sensor's middle.
     let part = r#""subframe_width": 300, "subframe_height": 300, "subframe_center_x": 0.3, "subframe_center_y": 0.7"#;
     let sync = format!(r#"{{"n": 3, "exptime": 10, "sync": true, {part}}}"#);
     sim.write_schedule(&[("object", &west), ("pointing_model", &sync), ("object", &east)], 7200.0);
@@ -49,7 +49,7 @@ async fn a_mount_that_was_misled_is_told_where_it_looks_and_its_next_slew_is_rig
                 if let Some((ra, dec)) = frame.purpose.ra_deg.zip(frame.purpose.dec_deg).filter(|_| row != 1) {
                     let looks_at = sim.simulator.world().looks_at();
                     let beside = sky::separation(&sky::Icrs::from_degrees(ra, dec), &looks_at).degrees() * 60.0;
-                    // the first one, so that the mount is not yet on its way to the next row
+                    // The first one, so that the mount is not yet on its way to the next row.
                     truth.entry(row).or_insert(beside);
                 }
                 row_of.insert(frame.id, row);
@@ -76,7 +76,7 @@ async fn a_mount_that_was_misled_is_told_where_it_looks_and_its_next_slew_is_rig
             "row {row}: {off:?} {truth:?}"
         );
     }
-    // what the node had learnt of the mount before holds no more, here and for whoever stands by
+    // The points that the node had learned of the mount before are no longer valid, here and for a standby.
     let models = pointing.get().unwrap().said.body.models;
     assert!(models.iter().all(|model| !model.used && model.points.len() <= 1), "{models:?}");
     sim.stop().await;

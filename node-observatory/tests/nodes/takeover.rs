@@ -17,7 +17,7 @@ const SHELVED: &str = "override/sun";
 /// A site that opens whenever it may.
 async fn eager_site() -> Site {
     let site = Site::new(1.0).await;
-    // near the zenith, and without an end
+    // Near the zenith, and without an end.
     let object = r#"{"object": "x", "exptime": 10, "ra": 45.0, "dec": -24.6}"#;
     site.write_schedule(&[("object", object, "03:00:00", "05:00:00")]);
     site
@@ -72,7 +72,7 @@ async fn a_veto_an_override_and_acknowledgements_outlive_the_commander_and_its_d
             && alert(site, SHELVED).is_some_and(|alert| alert.shelved_until_utc.is_some())
     };
     site.until("marked", MOST, marked).await;
-    // the standby has had its two seconds
+    // The standby has had its two seconds.
     tokio::time::sleep(Duration::from_secs(2)).await;
     let (before, opened) = (site.alerts.get().unwrap().said.boot_id, openings(&site));
 
@@ -89,7 +89,7 @@ async fn a_veto_an_override_and_acknowledgements_outlive_the_commander_and_its_d
     tokio::time::sleep(Duration::from_secs(3)).await;
     assert_eq!((openings(&site), is_shut(&site)), (opened, true), "the second does not open");
 
-    // and nothing but the order kept it shut
+    // And nothing but the order kept it shut.
     accepted(site.order(OrderKind::StayClosed(false)).await);
     site.until("open again", MOST, is_open).await;
     second.stop().await;
@@ -108,7 +108,7 @@ async fn a_standby_that_never_heard_the_commander_stays_closed_until_a_person_de
     assert_eq!(openings(&site), opened);
     accepted(site.order(OrderKind::StayClosed(false)).await);
     site.until("open again", MOST, is_open).await;
-    // which a restart knows: it released the lease, and is granted it at once
+    // A restart knows this: it released the lease, and is granted it at once.
     second.stop().await;
     let moved = site.dome.log.lock().unwrap().len();
     let restarted = Instant::now();
@@ -123,7 +123,7 @@ async fn a_standby_that_never_heard_the_commander_stays_closed_until_a_person_de
     second.stop().await;
 }
 
-/// Makes a disk fail for one file of the node `main`: a folder lies where the file would be written.
+/// Makes a disk fail for one file of the node `main`: a folder is where the file would be written.
 fn part(site: &Site, file: &str) -> PathBuf {
     site.folder.path().join("data").join(format!("{file}-callisto.json.main.part"))
 }
@@ -136,7 +136,7 @@ async fn an_order_that_the_disk_does_not_take_is_refused_and_closing_acts_all_th
     accepted(site.order(OrderKind::Override { input: "sun".to_owned(), for_s: 3600.0 }).await);
     site.until("the alert stands", MOST, |site| alert(site, SHELVED).is_some()).await;
     for file in ["standing", "alerts"] {
-        // a change that is just being written stands there for a moment
+        // A change that is just being written is there for a moment.
         site.until("a folder in the way", MOST, |site| std::fs::create_dir(part(site, file)).is_ok()).await;
     }
     let refusals = [
@@ -162,7 +162,7 @@ async fn an_order_that_the_disk_does_not_take_is_refused_and_closing_acts_all_th
     assert!(why.contains("the disk does not take it"), "{why}");
     site.until("still closed", MOST, |site| is_shut(site) && reason(site).contains("a test")).await;
 
-    // the disk is repaired: what acted is written, and can be taken back
+    // The disk is repaired: what acted is written, and can be taken back.
     for file in ["standing", "alerts"] {
         std::fs::remove_dir(part(&site, file)).unwrap();
     }

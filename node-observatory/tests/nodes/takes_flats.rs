@@ -21,7 +21,7 @@ const DEVICES: [(&str, &str); 2] = [("filterwheel", "wheel"), ("covercalibrator"
 const LEVEL: (f64, f64) = (28_000.0, 5600.0);
 const CAMERA: &str = "flats = { target_adu = 28000 }\n";
 
-/// The night of the other stories, from the moment at which the Sun passes an altitude.
+/// The night of the other scenarios, from the moment at which the Sun passes an altitude.
 fn twilight(sun_deg: f64, rising: bool) -> Options {
     let options = telescope(SPEED);
     let place = Place::new(options.latitude, options.longitude, options.elevation_m).unwrap();
@@ -31,7 +31,7 @@ fn twilight(sun_deg: f64, rising: bool) -> Options {
     Options { start, ..options }
 }
 
-/// What is heard of the frames.
+/// The received frames and facts.
 struct Ears {
     frames: Subscriber<Frame>,
     facts: Subscriber<FrameFacts>,
@@ -47,24 +47,24 @@ impl Ears {
         Self { frames, facts, heard: Vec::new(), told: BTreeMap::new() }
     }
 
-    /// Takes in what was said until now.
+    /// Takes in all samples until now.
     async fn listen(&mut self) {
         let quiet = Duration::from_millis(20);
         while let Ok(heard) = tokio::time::timeout(quiet, self.frames.hear()).await {
             let frame = heard.said.body;
-            // a spool announces again what nobody has taken
+            // A spool announces again what nobody has taken.
             if !self.heard.iter().any(|known| known.id == frame.id) {
                 self.heard.push(frame);
             }
         }
-        // a frame that has just come is still being measured
+        // A frame that has just come is still being measured.
         let untold = |ears: &Self| ears.flats().iter().any(|(frame, _)| !ears.told.contains_key(&frame.id.0));
         while let Ok(heard) = tokio::time::timeout(if untold(self) { MOST } else { quiet }, self.facts.hear()).await {
             self.told.insert(heard.said.body.frame.0.clone(), heard.said.body);
         }
     }
 
-    /// The flats, and whether each counts by what is told of it.
+    /// The flats, and whether each counts by its facts.
     fn flats(&self) -> Vec<(&Frame, bool)> {
         let flats = self.heard.iter().filter(|frame| frame.purpose.image_type == "Flat Frame");
         flats.map(|frame| (frame, self.told.get(&frame.id.0).is_some_and(|facts| facts.refused.is_none()))).collect()
@@ -122,14 +122,14 @@ async fn at_dusk_the_least_sensitive_filter_comes_first_and_a_restart_goes_on_co
     ears.judged_rightly();
     assert_eq!(ears.filters(), [("B".to_owned(), 3), ("Clear".to_owned(), 2)]);
     assert_eq!(row(&sim, 0).unwrap(), (RowStatus::Finished, 5, String::new()));
-    // the light goes, so what is exposed grows, filter by filter
+    // The light goes, so what is exposed grows, filter by filter.
     let exposures: Vec<f64> = ears.flats().iter().filter(|(_, counts)| *counts).map(|(f, _)| f.exposure_s).collect();
     assert!(exposures[..3].is_sorted() && exposures[3..].is_sorted(), "{exposures:?}");
-    // looks that only tell the level are none of the flats, and are small
+    // Test frames that only show the level are none of the flats, and are small.
     let looks = ears.heard.iter().filter(|frame| frame.purpose.image_type == "Test Frame");
     assert!(looks.clone().count() >= 2);
     assert!(looks.clone().all(|frame| frame.width_px == 256 && frame.purpose.action == "flats_level"));
-    // each flat looked elsewhere, and none near the Sun
+    // Each flat looked elsewhere, and none near the Sun.
     let slews = sim.simulator.world().puts_since(0).into_iter().filter(|put| put.member == "slewtocoordinatesasync");
     let places: Vec<String> = slews.map(|put| put.parameters).collect();
     let others: std::collections::BTreeSet<&String> = places.iter().collect();
@@ -168,7 +168,7 @@ async fn a_panel_is_lit_behind_its_cover_and_left_dark_also_by_a_row_that_is_sto
     let taken = ears.filters();
     assert!(taken.len() == 2 && taken[0] == ("V".to_owned(), 2), "{taken:?}");
     assert!(taken[1].0 == "B" && taken[1].1 >= 2, "that of the first row, and the second row's: {taken:?}");
-    // closed, lit, dark, and open as it was found on a safe sky; and the same again
+    // Closed, lit, dark, and open as it was found on a safe sky; and the same again.
     let before = puts(&sim, "covercalibrator");
     let told: Vec<&str> = before.iter().map(String::as_str).filter(|put| *put != "connected").collect();
     assert_eq!(told.first(), Some(&"closecover"), "{told:?}");
@@ -191,7 +191,7 @@ async fn a_panel_is_lit_behind_its_cover_and_left_dark_also_by_a_row_that_is_sto
         .await;
     let after = puts(&sim, "covercalibrator")[before.len()..].to_vec();
     assert!(!after.contains(&"opencover".to_owned()), "{after:?}");
-    // nothing of the sky was needed
+    // Nothing of the sky was needed.
     assert!(!puts(&sim, "dome").contains(&"openshutter".to_owned()));
     assert!(!puts(&sim, "telescope").contains(&"unpark".to_owned()));
     sim.stop().await;

@@ -1,5 +1,5 @@
-//! A standby with a data folder of its own goes on with all that the commander had learnt: the pointing model, the optics,
-//! what guide pulses do, and where the field stood.
+//! A standby with a data folder of its own goes on with all that the commander had learned: the pointing model, the
+//! optics, what guide pulses do, and where the field was.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use node_observatory::pointing::learnt::Book;
 use simulator::Quantity;
 
 const MOST: Duration = Duration::from_secs(90);
-/// How far the telescope looks beside where it is sent, arcmin to the east and to the north.
+/// How far the telescope looks from where it is sent, arcmin to the east and to the north.
 const MISS: [f64; 2] = [-6.0, 4.0];
 
 #[tokio::test(flavor = "multi_thread")]
@@ -24,7 +24,7 @@ async fn a_standby_points_solves_and_holds_the_field_as_the_commander_did() {
     let mut sim = Sim::new(options, "").await;
     sim.simulator.world().set_weather(Quantity::StarFwhm, Some(0.1));
     sim.mislead(MISS).await;
-    // of nights before, on the first one's disk only
+    // Models of earlier nights, on the first node's disk only.
     sim.keep_calibration("camera", pulsed.clone());
     sim.keep_pointing(&misses(MISS));
     let (ra, dec) = sim.place(0.7, -20.0);
@@ -42,7 +42,7 @@ async fn a_standby_points_solves_and_holds_the_field_as_the_commander_did() {
     let first = sim.guiding.get().unwrap().said;
     assert_eq!(first.body.calibration.as_ref().unwrap().source, CalibrationSource::Pulses);
 
-    // it comes late: the reference was said before it was there
+    // It comes late: the reference was published before it was there.
     let folder = sim.start_standby().await;
     tokio::time::sleep(Duration::from_secs(4)).await;
     assert!(!folder.join("guiding-alpha.json").exists(), "a standby writes nothing");
@@ -57,7 +57,7 @@ async fn a_standby_points_solves_and_holds_the_field_as_the_commander_did() {
     let calibration = second.calibration.unwrap();
     assert_eq!((calibration.source, calibration.backlash_s), (CalibrationSource::Pulses, Some(0.2)));
     assert_eq!(calibration.made_utc, pulsed.made_utc, "of nights before, and none that it made itself");
-    // the first slew was corrected by a model that is not on its disk
+    // The first slew was corrected by a model that is not on its disk.
     let (mut sent, mut off) = (None, None);
     while let Ok(heard) = tokio::time::timeout(Duration::from_millis(300), frames.hear()).await {
         let frame = heard.said.body;
@@ -66,14 +66,15 @@ async fn a_standby_points_solves_and_holds_the_field_as_the_commander_did() {
         }
     }
     while let Ok(heard) = tokio::time::timeout(Duration::from_millis(300), facts.hear()).await {
-        // a frame whose place takes long is told twice
+        // The facts of a frame whose place takes long are published twice.
         if Some(&heard.said.body.frame) == sent.as_ref() {
             off = heard.said.body.off_target_arcmin.or(off);
         }
     }
     println!("first frame to point by: {sent:?}, {off:?} arcmin off");
     assert!(off.unwrap() < 0.5, "its first frame looks {off:?} arcmin beside the target; without a model it is 7.2");
-    // its first word of the optics is what the commander had learnt, or goes on from there: the next frame may be quicker
+    // Its first state of the optics is what the commander had learned, or goes on from there: the next frame may be
+    // quicker.
     let (mut had, mut told) = (None, None);
     while let Ok(heard) = tokio::time::timeout(Duration::from_millis(300), optics.hear()).await {
         let optics = heard.said.body.optics.into_iter().find(|optics| optics.camera == "camera");
@@ -86,7 +87,7 @@ async fn a_standby_points_solves_and_holds_the_field_as_the_commander_did() {
     let goes_on = told.at_utc > killed && told.frames > had.frames;
     assert!((told.at_utc, told.frames) == (had.at_utc, had.frames) || goes_on, "{told:?} after {had:?}");
 
-    // and it is on its own disk, for its next life
+    // And it is on its own disk, for its next incarnation.
     let reference = first.body.reference.unwrap();
     let is_written = |_: &Sim| {
         let learnt = Learnt::read(&folder.join("guiding-alpha.json"));

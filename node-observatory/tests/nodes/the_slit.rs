@@ -1,4 +1,4 @@
-//! The dome's slit on a real bus, with a dome of make-believe that turns as fast as it is told.
+//! The dome's slit on a real bus, with a fake dome that turns as fast as it is ordered.
 
 #[allow(dead_code, reason = "shared with the other stories of the site")]
 use std::time::{Duration, Instant};
@@ -12,7 +12,7 @@ use contract::observatory::{FrameFacts, RowStatus};
 use test_support::Lateness;
 
 const MOST: Duration = Duration::from_secs(120);
-/// Some 45 deg high in the east, and in the west, at the start of the stories.
+/// Some 45 deg high in the east, and in the west, at the start of the scenarios.
 const EAST: &str = r#""ra": 95.0, "dec": -24.6"#;
 const WEST: &str = r#""ra": 355.0, "dec": -24.6"#;
 
@@ -53,7 +53,7 @@ fn alert_stands(site: &Site, id: &str) -> bool {
         .is_some_and(|heard| heard.said.body.alerts.iter().any(|alert| alert.id == id && alert.returned_utc.is_none()))
 }
 
-/// The dome slips: it stands far from where it stood, and says so.
+/// The dome slips: it is far from where it was, and reports it.
 fn slip(site: &Site) {
     site.dome.state.send_modify(|state| {
         let stands_deg = state.fields.azimuth_deg.known().copied().unwrap();
@@ -67,14 +67,14 @@ fn aborts(site: &Site) -> Vec<Instant> {
     log.iter().filter(|(_, command)| *command == Camera::Abort).map(|(at, _)| *at).collect()
 }
 
-/// From a dome that stands in the north: some 100 deg to each target.
+/// From a dome whose slit is in the north: some 100 deg to each target.
 fn is_east(azimuth_deg: f64) -> bool {
     (75.0..120.0).contains(&azimuth_deg)
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_slit_turns_before_the_shutter_opens_and_no_frame_begins_before_it_is_clear() {
-    // 1 deg/s at 50 x: the way from east to west takes about 3.4 s of machine time, the slew of the mount 50 ms
+    // 1 deg/s at 50 x: the way from east to west takes about 3.4 s of machine time, the slew of the mount 50 ms.
     let site = Site::with_dome(50.0, Some(1.0)).await;
     let (east, west) = (object("east", EAST, 2), object("west", WEST, 2));
     site.write_schedule(&[("object", &east, "03:00:00", "05:00:00"), ("object", &west, "03:00:01", "05:00:00")]);
@@ -90,7 +90,7 @@ async fn the_slit_turns_before_the_shutter_opens_and_no_frame_begins_before_it_i
     let to_west = turns.iter().find(|(_, azimuth_deg)| (240.0..285.0).contains(azimuth_deg)).unwrap();
     let slewed = site.mount.log.lock().unwrap().iter().filter(|(_, c)| format!("{c:?}").contains("Slew")).count();
     assert_eq!((slewed, turns.len()), (2, 2), "one turn for each slew, to its end: {turns:?}");
-    // 140 deg and more at 1 deg/s and 50 x
+    // 140 deg and more at 1 deg/s and 50 x.
     let waited = frames[2].duration_since(to_west.0);
     assert!(waited >= Duration::from_millis(2800), "the first frame in the west began {waited:?} after the turn");
     assert!(!alert_stands(&site, "dome-not-turned/dome"));
@@ -141,7 +141,7 @@ async fn a_dome_that_hangs_while_it_follows_closes_as_fast_as_any_and_is_not_tur
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_long_exposure_behind_a_dome_that_is_too_slow_is_ended_and_taken_again_when_the_slit_is_there() {
-    // 1200 s are 12 s here, 90 deg at 0.25 deg/s 3.6 s
+    // 1200 s are 12 s here, 90 deg at 0.25 deg/s 3.6 s.
     let mut site = Site::with_dome(100.0, Some(50.0)).await;
     site.more = "[faults]\npause_s = 0.2\n";
     let long = format!(r#"{{"object": "east", "exptime": 1200, {EAST}, "n": 1}}"#);
@@ -153,7 +153,7 @@ async fn a_long_exposure_behind_a_dome_that_is_too_slow_is_ended_and_taken_again
     let slipped = Instant::now();
     slip(&site);
     site.until("ended", Duration::from_secs(6), |site| !aborts(site).is_empty()).await;
-    // what is said late is no fault, and what is surely late is not waited for
+    // A late report is no fault, and a dome that is surely too late is not waited for.
     let took = aborts(&site)[0].duration_since(slipped);
     assert!((Duration::from_millis(1900)..Duration::from_secs(5)).contains(&took), "{took:?}");
     site.until("alerted", MOST, |site| alert_stands(site, "dome-not-turned/dome")).await;
@@ -168,7 +168,7 @@ async fn a_long_exposure_behind_a_dome_that_is_too_slow_is_ended_and_taken_again
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_exposure_that_is_nearly_done_is_let_end_and_what_it_lost_is_told_with_it() {
-    // 600 s are 12 s here
+    // 600 s are 12 s here.
     let site = Site::with_dome(50.0, Some(50.0)).await;
     let long = format!(r#"{{"object": "east", "exptime": 600, {EAST}, "n": 1}}"#);
     site.write_schedule(&[("object", &long, "03:00:00", "06:00:00")]);

@@ -1,4 +1,4 @@
-//! Frames that do not show where they look: none counts, unless the row or the site says so.
+//! Frames that do not show where they look: none counts, unless the row or the site allows it.
 
 #[allow(dead_code, reason = "shared with the stories of the night")]
 use std::time::Duration;
@@ -7,7 +7,7 @@ use crate::site::Site;
 use contract::observatory::{RowState, RowStatus};
 
 const MOST: Duration = Duration::from_secs(60);
-/// Near the zenith of the site at the start of the stories.
+/// Near the zenith of the site at the start of the scenarios.
 const TARGET: &str = r#""exptime": 1, "ra": 45.0, "dec": -24.6, "pointing": true"#;
 
 fn rows(site: &Site) -> Vec<RowState> {
@@ -60,7 +60,7 @@ async fn no_frame_counts_where_none_shows_where_it_looks_unless_the_row_says_so(
     let row = rows(&site).remove(1);
     assert_eq!((row.frames, frames(&site, 1, "pointing"), frames(&site, 1, "object")), (2, 3, 2), "{row:?}");
     assert!(row.detail.contains("not proven"), "it is told: {row:?}");
-    // all have numbers of their own
+    // All have numbers of their own.
     let purposes = site.purposes.lock().unwrap().clone();
     let numbers = purposes.iter().filter(|(_, purpose)| purpose.row == Some(1)).map(|(_, purpose)| purpose.sequence);
     assert_eq!(numbers.collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
@@ -78,7 +78,7 @@ async fn an_unproven_row_rests_and_is_tried_again_while_its_window_is_open() {
     site.more = "[pointing]\nattempts = 1\n[faults]\nretries = 1\npause_s = 0.2\nrest_s = 1.0\n";
     site.write_schedule(&[("object", &format!(r#"{{"object": "x", {TARGET}, "n": 2}}"#), "03:00:00", "04:00:00")]);
     let node = site.start().await;
-    // one try and one more, a rest, and again
+    // One try and one more, a rest, and again.
     site.until("tried again after a rest", MOST, |site| frames(site, 0, "pointing") >= 3).await;
     let row = rows(&site).remove(0);
     assert!(row.frames == 0 && !matches!(row.status, RowStatus::Failed | RowStatus::Finished), "{row:?}");

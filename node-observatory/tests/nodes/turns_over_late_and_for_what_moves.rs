@@ -1,5 +1,5 @@
-//! The meridian flip beyond the plain one: of a target that moves among the stars, and of a mount that is late to tell the side
-//! of its pier.
+//! The meridian flip beyond the plain one: of a target that moves among the stars, and of a mount that is late to
+//! report the side of its pier.
 
 use std::time::Duration;
 
@@ -57,7 +57,7 @@ fn slews(sim: &Sim) -> usize {
 async fn a_mount_is_turned_over_under_the_moon_and_follows_it_on_the_other_side() {
     let mut options = options();
     let moon = Body::Moon;
-    // from sunset on, until it stands so long before the meridian
+    // From sunset on, until it stands so long before the meridian.
     let before = |at: Utc| {
         let sky = observer(&options, at);
         sky.hour_angle(&moon.seen(&sky).unwrap().icrs).hours() * 60.0 + BEFORE_MIN
@@ -89,7 +89,7 @@ async fn a_mount_that_is_late_to_tell_its_side_is_not_said_to_have_stayed() {
     let target: Icrs = sky.of_date_to_icrs(&OfDate { ra, dec: Angle::from_degrees(-45.0) });
     let (ra, dec) = (target.ra.wrapped_positive().degrees(), target.dec.degrees());
     let sim = observing(options, &format!("\"object\": \"field\", \"ra\": {ra}, \"dec\": {dec}")).await;
-    // from now on its driver repeats the side of before
+    // From now on its driver repeats the side of before.
     sim.simulator.world().fault(Kind::Telescope, Fault::stale().only(&["sideofpier"]));
     let before = slews(&sim);
     sim.until("turned over", MOST, |sim| side(sim) == PierSide::East && !sim.simulator.world().is_slewing()).await;

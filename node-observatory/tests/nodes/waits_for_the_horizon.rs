@@ -1,5 +1,5 @@
-//! A row whose target stands behind the horizon of the site waits until it stands clear, and others run meanwhile; one whose
-//! target never will fails at once.
+//! A row whose target is behind the horizon of the site waits until it is clear, and others run meanwhile; one
+//! whose target never will fails at once.
 
 use std::time::Duration;
 

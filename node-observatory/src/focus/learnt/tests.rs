@@ -2,7 +2,7 @@ use contract::CommandId;
 
 use super::*;
 
-/// A run `hours` after the first, through a filter whose offset the wheel says to be nothing.
+/// A run `hours` after the first, through a filter whose offset is zero by the wheel.
 fn run(hours: f64, filter: Option<&str>, position: f64, temperature_c: f64) -> FocusRun {
     let sample = r#"{"id": "", "camera": "cam", "focuser": "f", "filter_offset": 0, "night": "20261121",
         "started_utc": "2026-11-21T00:00:00Z", "outcome": "focused", "start_position": 0, "operator": "hfd",
@@ -30,7 +30,7 @@ fn the_newest_run_tells_the_best_position_and_ten_runs_how_it_follows_the_temper
         let temperature_c = 12.0 - f64::from(n);
         assert!(learnt.learn(&run(f64::from(n), None, 5000.0 - 15.0 * temperature_c, temperature_c)));
     }
-    // 4 C: nine runs say nothing of the temperature yet
+    // 4 C: nine runs do not show the effect of temperature yet.
     assert_eq!((learnt.best("f", Some(0.0)), learnt.model("f")), (Some(5000.0 - 60.0), None));
     assert!(learnt.learn(&run(9.0, None, 5000.0 - 45.0, 3.0)));
     assert!(!learnt.learn(&run(9.0, None, 1.0, 3.0)), "known already");
@@ -44,7 +44,7 @@ fn the_newest_run_tells_the_best_position_and_ten_runs_how_it_follows_the_temper
 #[test]
 fn a_coefficient_that_is_not_proven_moves_nothing() {
     let mut learnt = Learnt::default();
-    // seeing and chance: 40 steps of scatter that lean a little with the temperature
+    // Seeing and chance: 40 steps of scatter that lean a little with the temperature.
     let leans = [30.0, -45.0, 38.0, -20.0, -41.0, 44.0, 12.0, -33.0, 50.0, 9.0, -12.0, 35.0];
     for (n, steps) in leans.into_iter().enumerate() {
         learnt.learn(&run(n as f64, None, 5000.0 + steps, 0.6 * n as f64));
@@ -78,16 +78,16 @@ fn runs_through_two_filters_teach_what_the_wheel_does_not_say() {
     assert_eq!((offset("V"), offset("B")), (0, 41));
     assert_eq!(offset("R"), 0, "its only run is far in time from any other");
     assert_eq!(learnt.offset("f", "B", 45), 45, "the wheel is right within the errors");
-    // the newest run is one through B: without its offset it tells the best position
+    // The newest run is one through B: without its offset it gives the best position.
     assert_eq!(learnt.best("f", Some(10.0)), Some(1021.0));
 }
 
 #[test]
 fn one_bad_run_teaches_neither_offset_nor_coefficient_nor_zone() {
-    // the bad run may come first, last or between
+    // The bad run may come first, last or between.
     for bad in 0..12 {
         let mut learnt = Learnt::default();
-        // one run more than through B, so that offsets count from V
+        // One run more than through B, so that offsets count from V.
         learnt.learn(&run(-48.0, Some("V"), 5000.0 - 15.0 * 14.0, 14.0));
         for n in 0..12 {
             let (hours, temperature_c) = (24.0 * f64::from(n), 12.0 - f64::from(n));
@@ -104,7 +104,7 @@ fn one_bad_run_teaches_neither_offset_nor_coefficient_nor_zone() {
         assert!((model.steps_per_c.value + 15.0).abs() < 0.5, "bad {bad}: {model:?}");
         assert_eq!(learnt.critical_zone("f"), Some(120.0), "bad {bad}");
     }
-    // of two pairs that do not agree nobody knows which one is right
+    // If two pairs do not agree, nobody knows which one is right.
     let mut learnt = Learnt::default();
     for (hours, filter, position) in [(0.0, "V", 1000.0), (0.3, "B", 1040.0), (24.0, "V", 1000.0), (24.3, "B", 1900.0)]
     {

@@ -18,7 +18,7 @@ fn facts(stars: u32, fwhm_px: f64) -> FrameFacts {
     FrameFacts { stars: Some(stars), fwhm_px: Some(fwhm_px), trailed: Some(false), ..FrameFacts::default() }
 }
 
-/// What stands after each frame of a story.
+/// The active triggers after each frame of a scenario.
 fn told(story: &[FrameFacts]) -> Vec<Vec<TriggerKind>> {
     let mut triggers = Triggers::default();
     let tell = |(n, facts): (usize, &FrameFacts)| {
@@ -36,7 +36,7 @@ fn kinds(of: &[Option<TriggerKind>]) -> Vec<Vec<TriggerKind>> {
 fn stars_that_vanish_are_clouds_until_half_of_them_are_back() {
     let story = [100, 90, 110, 31, 29, 0, 49, 51, 29].map(|stars| facts(stars, 3.0));
     let clouds = Some(TriggerKind::Clouds);
-    // the 31 are not clouds, and count among the usual from then on: (100, 90, 110, 31) have the median 95
+    // The 31 are not clouds, and count among the usual from then on: (100, 90, 110, 31) have the median 95.
     assert_eq!(
         told(&story),
         kinds(&[None, None, None, None, None, clouds, None, None, None]),
@@ -67,7 +67,8 @@ fn one_blurred_frame_is_seeing_and_five_are_a_drift() {
     let widths = [3.0, 3.1, 2.9, 3.0, 3.1, 6.0, 3.0, 4.2, 4.3, 4.1, 4.2, 4.3];
     let told = told(&widths.map(|width| facts(50, width)));
     let drift = told.iter().position(|kinds| *kinds == [TriggerKind::FocusDrift]);
-    // the 6.0 stands alone and does not count: the median of the last five is above 1.3 x 3.0 px with the third wide one
+    // The 6.0 stays alone and does not count: the median of the last five is above 1.3 x 3.0 px with the third wide
+    // one.
     assert_eq!(drift, Some(9), "{told:?}");
     assert!(told[9..].iter().all(|kinds| *kinds == [TriggerKind::FocusDrift]));
 }
@@ -148,7 +149,7 @@ fn a_frame_that_could_not_be_measured_changes_nothing() {
 
 #[test]
 fn two_frames_off_target_are_a_wrong_field_until_one_is_on_target() {
-    // frames of 2 x 1 px: half of the shorter side is 0.5 arcmin
+    // Frames of 2 x 1 px: half of the shorter side is 0.5 arcmin.
     let off = |arcmin: Option<f64>| FrameFacts {
         off_target_arcmin: arcmin,
         scale_arcsec_px: arcmin.map(|_| 60.0),
@@ -179,7 +180,7 @@ fn frames_of_nothing_but_cosmic_rays_are_not_the_best_focus() {
             let widths = [vec![3.9; 6], vec![bad; many], vec![3.9; 10]].concat();
             let told = told(&widths.iter().map(|width| facts(50, *width)).collect::<Vec<_>>());
             let drifts = told.iter().filter(|kinds| !kinds.is_empty()).count();
-            // twelve frames in a row that agree are believed, if a pixel can show it
+            // Twelve frames in a row that agree are believed, if a pixel can show it.
             assert!(drifts == 0 || (many > 2 && bad > 1.0), "{many} frames of {bad} px: {told:?}");
         }
     }

@@ -21,11 +21,11 @@ use units::Utc;
 /// An hour after nautical dusk on Paranal.
 pub const NIGHT: f64 = 1_795_228_200.0;
 
-/// A parameter that no device knows, which tells what was done by hand.
+/// A parameter that no device knows, which marks what was done by hand.
 const BY_HAND: &str = "ByHand=True";
 
-/// The skies of these tests run up to 20 times as fast as life, with images that are made, measured and solved by this very
-/// process: more of them at once than cores would show what the machine cannot do, not what Starmesh does.
+/// The skies of these tests run up to 20 times as fast as real time, with images that this very process makes, measures
+/// and solves: more of them at once than cores would show what the machine cannot do, not what Starmesh does.
 static SEATS: tokio::sync::Semaphore = tokio::sync::Semaphore::const_new(2);
 
 /// The simulated observatory with its nodes.
@@ -55,8 +55,8 @@ pub fn telescope(speed: f64) -> simulator::Options {
     options
 }
 
-/// A field of 1.5 deg with stars of 2.4 px, all of the shipped catalogue, and a mount that errs by nothing but what a test
-/// does to it.
+/// A field of 1.5 deg with stars of 2.4 px, all of the shipped catalogue, and a mount that errs by nothing but what a
+/// test does to it.
 pub fn wide_field(speed: f64) -> simulator::Options {
     let mut options = simulator::Options { start: Utc::from_seconds(NIGHT), speed, ..Default::default() };
     let camera = &mut options.camera;
@@ -77,7 +77,7 @@ pub fn by_geometry(camera: &simulator::CameraOptions) -> GuideCalibration {
     calibrated::of_solution(cd_deg_px, [rate; 2], 1, Some(PierSide::East), Utc::from_seconds(NIGHT)).unwrap()
 }
 
-/// A pointing model of a camera that everywhere looks this far beside where its mount is sent, arcmin to the east and to
+/// A pointing model of a camera that everywhere looks this far from where its mount is sent, arcmin to the east and to
 /// the north.
 pub fn misses([east_arcmin, north_arcmin]: [f64; 2]) -> Book {
     let (mut book, at_utc) = (Book::default(), Utc::from_seconds(NIGHT - 86_400.0));
@@ -190,7 +190,7 @@ impl Sim {
         self.keep(&path(&self.config), &learnt);
     }
 
-    /// Puts what was learnt of the pointing on disk, before the nodes start.
+    /// Writes the learned pointing model to disk, before the nodes start.
     pub fn keep_pointing(&self, book: &Book) {
         self.keep(&node_observatory::pointing::learnt::path(&self.config), book);
     }
@@ -200,7 +200,7 @@ impl Sim {
         std::fs::write(path, serde_json::to_vec(what).unwrap()).unwrap();
     }
 
-    /// Writes the sky around a place as a catalogue, `sky.smcat` beside the configuration: real and invented stars.
+    /// Writes the sky around a place as a catalogue, `sky.smcat` next to the configuration: real and invented stars.
     pub fn write_catalogue(&self, (ra_deg, dec_deg): (f64, f64)) {
         let (centre, radius) = (sky::Icrs::from_degrees(ra_deg, dec_deg), units::Angle::from_degrees(0.6));
         let sky = simulator::faint::written_out(self.options.seed, centre, radius, 2026.9);
@@ -222,7 +222,7 @@ impl Sim {
         folder
     }
 
-    /// Ends the first observatory node as a power cut would: without a word.
+    /// Ends the first observatory node as a power cut would: without a message.
     pub async fn kill_commander(&mut self) {
         let is_it = |it: &RunningNode| it.node.role == Role::Observatory && it.node.id.as_str() == "main";
         self.nodes.remove(self.nodes.iter().position(is_it).unwrap()).kill().await;
@@ -233,18 +233,18 @@ impl Sim {
         &self.config.folders.data
     }
 
-    /// Does something to a device by hand, beside all nodes: an Alpaca `PUT`.
+    /// Does something to a device by hand, without the nodes: an Alpaca `PUT`.
     pub async fn by_hand(&self, device: &str, member: &str, form: &[(&str, String)]) {
         let url = format!("http://{}/api/v1/{device}/0/{member}", self.simulator.address());
         let mut body: Vec<String> = form.iter().map(|(key, value)| format!("{key}={value}")).collect();
-        // the log keeps no clients' numbers, so that a hand shows itself otherwise
+        // The log keeps no clients' numbers, so that a hand shows itself otherwise.
         body.push(format!("ClientID=9&{BY_HAND}"));
         let put = reqwest::Client::new().put(url).header("content-type", "application/x-www-form-urlencoded");
         let answer = put.body(body.join("&")).send().await.unwrap().text().await.unwrap();
         assert!(answer.contains("\"ErrorNumber\":0"), "{member}: {answer}");
     }
 
-    /// Somebody synchronises the parked mount wrongly: it looks this far beside where it is sent from now on, arcmin to
+    /// Somebody synchronises the parked mount wrongly: it looks this far from where it is sent from now on, arcmin to
     /// the east and to the north.
     pub async fn mislead(&self, [east_arcmin, north_arcmin]: [f64; 2]) {
         self.by_hand("telescope", "connected", &[("Connected", "True".to_owned())]).await;
@@ -277,7 +277,7 @@ impl Sim {
         state.is_some_and(|state| state.stage == Some(GuideStage::Guide) && state.frames.unwrap_or(0) >= frames)
     }
 
-    /// All corrections said until now that were not taken before.
+    /// All corrections published until now that were not taken before.
     pub async fn said(&self) -> Vec<Correction> {
         let mut all = Vec::new();
         while let Ok(heard) = tokio::time::timeout(Duration::from_millis(300), self.corrections.hear()).await {
@@ -286,7 +286,7 @@ impl Sim {
         all
     }
 
-    /// Slews the mount by hand to where its encoders will say this, ICRS degrees.
+    /// Slews the mount by hand to where its encoders will report this, ICRS degrees.
     pub async fn slew_by_hand(&self, (ra_deg, dec_deg): (f64, f64)) {
         let form = [("RightAscension", (ra_deg / 15.0).to_string()), ("Declination", dec_deg.to_string())];
         self.by_hand("telescope", "slewtocoordinatesasync", &form).await;
@@ -315,7 +315,7 @@ impl Sim {
         }
     }
 
-    /// What a row's end is told with, once it has ended; panics when it did not end well.
+    /// The summary of a row's end, once it has ended; panics when it did not end well.
     pub fn ended(&self, row: usize) -> Option<String> {
         let state = self.schedule.get()?.said.body.rows.get(row)?.clone();
         use contract::observatory::RowStatus::{Failed, Finished};

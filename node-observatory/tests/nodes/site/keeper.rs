@@ -1,4 +1,4 @@
-//! The make-believe dome's device node: its guard, its shutter, and the lease that it grants.
+//! The fake dome's device node: its guard, its shutter, and the lease that it grants.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -22,7 +22,7 @@ pub struct Keeper {
     pub turn_deg_per_s: Arc<Mutex<Option<f64>>>,
 }
 
-/// The lease: one life holds it, until it is silent or has released it.
+/// The lease: one incarnation holds it, until it is silent or has released it.
 struct Arbiter {
     token: Arc<AtomicU64>,
     holder: Mutex<Option<BootId>>,
@@ -44,7 +44,7 @@ impl Arbiter {
 }
 
 impl Keeper {
-    /// Takes the dome's commands, and says the guard's numbers.
+    /// Takes the dome's commands, and publishes the guard's numbers.
     pub async fn serve(self, bus: &Bus, dome: &Arc<Device<Dome>>, address: &Address) -> Service {
         let permit: Latest<Permit> = bus.latest(&Key::Permit(address.clone(), dome.key.name.clone())).await.unwrap();
         let lease = bus.latest(&Key::Observatory(address.clone(), Part::Lease)).await.unwrap();
@@ -65,7 +65,7 @@ impl Keeper {
                     action: GuardAction::Watching,
                     hold: held.load(Ordering::Relaxed),
                     dropped: 0,
-                    // this shutter never lies: what it says is proven
+                    // This shutter never lies: its reports are proven.
                     verified_closed: Some(is_closed),
                     waits_for_mounts: None,
                     granted: vec![],

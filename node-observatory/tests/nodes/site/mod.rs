@@ -1,4 +1,4 @@
-//! A site of make-believe devices on a real bus: what a device node says and answers, without hardware behind it.
+//! A site of fake devices on a real bus: what a device node publishes and answers, without hardware behind it.
 
 mod keeper;
 
@@ -20,7 +20,7 @@ use tempfile::TempDir;
 use test_support::{PARANAL, RunningNode, block, join, private, private_bus, schedule_line, within};
 use tokio::sync::watch;
 
-/// One make-believe device.
+/// One fake device.
 pub struct Device<K: DeviceKind> {
     pub key: contract::Device,
     pub state: watch::Sender<DeviceState<K::Fields>>,
@@ -139,7 +139,7 @@ impl Site {
         Self::with_dome(speed, None).await
     }
 
-    /// As [`Self::new`], with a dome that turns at so many degrees per sky second and stands in the north.
+    /// As [`Self::new`], with a dome that turns at so many degrees per sky second and whose slit is in the north.
     pub async fn with_dome(speed: f64, turns: Option<f64>) -> Self {
         let clock = Clock::simulated("2026-11-21T03:00:00Z".parse().unwrap(), speed);
         let address = Address::new("paranal", "callisto").unwrap();

@@ -99,7 +99,7 @@ impl Shot {
     }
 }
 
-/// The camera, its spool, and what is said of its frames.
+/// The camera, its spool, and the published facts of its frames.
 pub struct Camera {
     _device: Arc<Device<camera::Camera>>,
     url: String,
@@ -126,7 +126,8 @@ impl Camera {
         Self { _device: device, url, spool, frames, facts: site.bus.subscribe(&all, Catch::All, 100).await.unwrap() }
     }
 
-    /// Takes a frame and waits for the last word on it: one whose place takes long is told without it first.
+    /// Takes a frame and waits for its last facts: for a frame whose place takes long, facts are first published
+    /// without it.
     pub async fn take(&self, shot: &Shot) -> FrameFacts {
         let (id, pixels) = (format!("frame-{}", shot.n), shot.pixels());
         let sha256 = Sha256::digest(&pixels).iter().map(|byte| format!("{byte:02x}")).collect();
