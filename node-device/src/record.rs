@@ -1,7 +1,7 @@
 //! The voice of a device, and the memory of what it said: evidence that outlives an observatory node.
 //!
 //! Kept is what verdicts are made of, as it was said, of weather stations and switches, since limits are put on them
-//! (design.md section 4; a safety monitor's state tells the length of its own record). Ages are told as they are at the
+//! (a safety monitor's state tells the length of its own record). Ages are told as they are at the
 //! moment of the answer, on this node's own boot-time clock, which counts a suspension: silence shows as a gap.
 
 use std::collections::{BTreeMap, VecDeque};

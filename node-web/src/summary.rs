@@ -321,7 +321,8 @@ fn safety_words(said: Option<&(&Entry, SafetyState)>, now: MachineTime) -> Safet
     }
 }
 
-/// What the two words together ask of an operator (spec/web.md 5.3.2).
+/// How urgently the two words together ask for an operator; nothing for what is usual, such as unsafe weather over a
+/// closed dome. 1 is the most urgent: a dome that is open, or may be, and not known to be safe.
 fn concern(safety: SafetyWord, posture: Posture, held_s: f64) -> Option<u8> {
     let after_grace = |late, early| if held_s > GRACE_S { late } else { early };
     match (safety, posture) {

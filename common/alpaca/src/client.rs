@@ -145,7 +145,7 @@ impl Alpaca {
     /// Fetches the image of a camera as it comes; `pixels` is what is expected, for the deadline.
     pub async fn image(&self, pixels: u64) -> Result<RawImage, AlpacaError> {
         let _turn = self.my_turn().await;
-        // 1 MB/s for 4 bytes a pixel and 10 s to begin with (spec/reliability.md D1)
+        // 1 MB/s for 4 bytes a pixel and 10 s to begin with: a body that trickles must not hold the camera for ever
         let deadline = Duration::from_secs(10) + Duration::from_micros(pixels.saturating_mul(4));
         let fetching = async {
             let (asked, ids) = self.ids();

@@ -1,4 +1,4 @@
-//! One zenoh session per node, with the settings that spec/technology.md measured.
+//! One zenoh session per node, and its settings.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;

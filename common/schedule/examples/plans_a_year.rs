@@ -1,7 +1,7 @@
 //! How long the plans of a year take: `cargo run --release -p schedule --example plans_a_year [NIGHTS]`.
 //!
 //! A night has some 40 rows: opening, flats at dusk and at dawn, a focus run, thirty targets through the night, one of them
-//! until its window ends, a planet, closing, calibrations and headers. Issue 5 asks for a year in under ten minutes.
+//! until its window ends, a planet, closing, calibrations and headers. Asked for: a year in under ten minutes.
 
 use std::path::Path;
 use std::sync::Arc;

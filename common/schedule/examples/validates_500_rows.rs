@@ -1,7 +1,7 @@
 //! How long the validation of 500 rows takes: `cargo run --release -p schedule --example validates_500_rows`.
 //!
 //! Half of the rows follow each other through one night, the other half may run all night long, which is the most that
-//! visibility has to look at. Issue 5 asks for less than 50 ms.
+//! visibility has to look at. Asked for: less than 50 ms.
 
 use std::path::Path;
 use std::sync::Arc;

@@ -5,9 +5,9 @@ use units::Angle;
 
 use crate::horizon_limits::HorizonLimits;
 
-/// Not nearer to the Moon than this (algorithms.md 5.5).
+/// Not nearer to the Moon than this, as in the predecessor.
 const MOON: Angle = Angle::from_degrees(20.0);
-/// The lowest places, unless the mount's limit is higher (algorithms.md 5.5), deg.
+/// The lowest places, unless the mount's limit is higher, as in the predecessor, deg.
 const LOWEST_DEG: f64 = 30.0;
 /// The highest, and how far the spiral goes down from there, deg.
 const HIGHEST_DEG: f64 = 85.0;
@@ -17,7 +17,8 @@ const STEP: f64 = 0.01;
 /// The direction of place `index` of `of`, from 0; keeps clear of the Moon, above the least altitude and above what hides the
 /// sky. None where the spiral has no such place any more.
 ///
-/// `t = sqrt(i / (n - 1))`, altitude `85 - 55 t` deg and not below 30, azimuth `360 sqrt(n / 2) t` deg (algorithms.md 5.5).
+/// `t = sqrt(i / (n - 1))`, altitude `85 - 55 t` deg and not below 30, azimuth `360 sqrt(n / 2) t` deg: the spiral
+/// of the predecessor, with places that are about equally far apart.
 pub fn place(index: u32, of: u32, outlook: &HorizonLimits, moon: &Horizontal) -> Option<Horizontal> {
     let last = f64::from(of.saturating_sub(1)).max(1.0);
     let mut t = (f64::from(index) / last).sqrt();

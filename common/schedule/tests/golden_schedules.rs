@@ -176,7 +176,7 @@ fn what_a_wheel_tells_counts_before_what_is_written_of_it() {
     assert!(!validate(&row("V"), &heard).valid && validate(&row("Sloan r"), &heard).valid);
 }
 
-/// The figure of issue 5 is measured by the example `validates_500_rows`; here it must end at all, and tell all.
+/// The time that 500 rows take is measured by the example `validates_500_rows`; here it must end at all, and tell all.
 #[test]
 fn hundreds_of_rows_with_something_to_say_of_each_are_told_without_end_of_memory() {
     let rows: String = (0..3000)

@@ -15,7 +15,8 @@ use crate::spool::About;
 
 /// Image readiness is asked so often near the end of an exposure.
 const READY_PERIOD: Duration = Duration::from_millis(10);
-/// The image must be ready so long after the end of the exposure, sky s (spec/reliability.md D10).
+/// The image must be ready so long after the end of the exposure, sky s: a camera that never
+/// has one must not hold up the night.
 const READOUT_LIMIT_S: f64 = 60.0;
 /// So many failed questions in a row and the exposure has failed.
 const MOST_FAILURES: u32 = 3;

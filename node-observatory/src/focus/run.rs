@@ -24,7 +24,8 @@ use schedule::shot::{Shot, fits};
 
 /// Pixels are here so long after the exposure, or the frame counts as one without stars; machine time.
 const PIXELS: Duration = Duration::from_secs(60);
-/// Times an exposure is halved because stars are saturated, and the shortest that comes of it, s (algorithms.md 4.3).
+/// Times an exposure is halved because stars are saturated, and the shortest that comes of it, s; as in the
+/// predecessor.
 const HALVINGS: u32 = 5;
 const SHORTEST_S: f64 = 0.1;
 /// Machine time that two looks at the pixels are apart when a frame is known but its pixels were missed.

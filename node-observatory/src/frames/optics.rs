@@ -26,8 +26,8 @@ const OLD_S: f64 = 1800.0;
 const MOST: usize = 200;
 /// A zero point counts for the best one when its standard error is below this, mag.
 const SURE_MAG: f64 = 0.05;
-/// Mirrors grow dusty: the best zero point is forgotten at this rate, mag per day (algorithms.md has no figure; washed
-/// mirrors lose a few tenths a year).
+/// Mirrors grow dusty: the best zero point is forgotten at this rate, mag per day (an estimate: washed mirrors
+/// lose a few tenths a year).
 const DUST_MAG_PER_DAY: f64 = 0.001;
 
 /// A frame that was solved, as far as optics are concerned.

@@ -7,7 +7,7 @@
 use sky::Rates;
 use units::{Angle, Utc};
 
-/// Rates are renewed when keeping them would lead so far from the body, arcsec on the sky (spec core.md 7.4).
+/// Rates are renewed when keeping them would lead so far from the body, arcsec on the sky; as in the predecessor.
 pub const TRAIL_ARCSEC: f64 = 0.5;
 
 /// A place in the mount's own frame.

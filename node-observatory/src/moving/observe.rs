@@ -14,7 +14,7 @@ use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
 use schedule::shot::Shot;
 
-/// A body that has moved less than this during a slew is still met, arcsec (spec core.md 7.4).
+/// A body that has moved less than this during a slew is still met, arcsec; as in the predecessor.
 const MET_ARCSEC: f64 = 1.0;
 /// Slews that miss a body because it is gone when they end.
 const SLEWS: u32 = 4;

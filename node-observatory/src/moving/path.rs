@@ -9,7 +9,7 @@ use crate::action::Stage;
 use crate::rig::telescope::Mount;
 use crate::trouble::Trouble;
 
-/// Rates are renewed no more often than this where the row says nothing else, s (spec core.md 7.4).
+/// Rates are renewed no more often than this where the row says nothing else, s; as in the predecessor.
 const INTERVAL_S: f64 = 10.0;
 /// Where a path bends faster than straight pieces of that length can follow, shorter ones are tried.
 const SHORTER_S: [f64; 3] = [5.0, 2.0, 1.0];

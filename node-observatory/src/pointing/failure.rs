@@ -17,7 +17,7 @@ pub enum Deed {
     Nothing,
 }
 
-/// The deed for a class of failure (algorithms.md 6.2, "Failure classes").
+/// What to do about a class of failure.
 pub fn deed(failure: &NoSolution) -> Deed {
     match failure {
         NoSolution::TooFewStars { .. } => Deed::Longer,

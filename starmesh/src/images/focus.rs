@@ -90,7 +90,7 @@ fn point(file: &Path, chosen: Chosen) -> anyhow::Result<Point> {
     Ok(Point { file: exposure.file, position, size })
 }
 
-/// The answer of issue 4: steps of the focuser and px; null where there is no focus.
+/// The answer as JSON: steps of the focuser and px; null where there is no focus.
 fn answer(points: &[Point], curve: &anyhow::Result<Hyperbola>) -> Value {
     let fit = curve.as_ref().ok();
     let point = |(n, point): (usize, &Point)| {

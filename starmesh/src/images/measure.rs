@@ -34,7 +34,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     })
 }
 
-/// The answer of issue 4: ADU of a pixel, px with (0, 0) at the centre of the first pixel; null where no star tells.
+/// The answer as JSON: ADU of a pixel, px with (0, 0) at the centre of the first pixel; null where no star tells.
 fn answer(exposure: &Exposure, measured: &Measured) -> Value {
     let quality = &measured.quality;
     let star = |star: &Star| {

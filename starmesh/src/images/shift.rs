@@ -85,7 +85,7 @@ fn rotation_deg(shift: &Shift) -> Option<f64> {
     (shift.covariance[2][2] > 0.0).then_some(shift.rotation_deg)
 }
 
-/// The answer of issue 4: check minus reference at the frame's centre.
+/// The answer as JSON: check minus reference at the frame's centre.
 fn answer(shift: &Shift) -> Value {
     json!({
         "dx_px": rounded(shift.dx_px, 4),

@@ -308,7 +308,7 @@ fn detected<'a>(exposure: &Exposure, measured: &'a Measured) -> Detected<'a> {
     }
 }
 
-/// The answer of issue 4: the geometric centre, ICRS at the epoch of the frame; null where there is no solution.
+/// The answer as JSON: the geometric centre, ICRS at the epoch of the frame; null where there is no solution.
 fn object(exposure: &Exposure, answer: &Result<Solved, String>) -> Value {
     let solved = answer.as_ref().ok();
     let verified = solved.and_then(|s| s.verified);

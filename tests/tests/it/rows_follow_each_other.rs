@@ -13,7 +13,7 @@ const ROWS: usize = 6;
 const FRAMES: u32 = 2;
 const EXPOSURE_S: f64 = 0.5;
 const READOUT_S: f64 = 0.2;
-/// Beyond what the devices take; issue 5.
+/// Asked for: no more than this beyond what the devices take.
 const MOST: Duration = Duration::from_millis(500);
 
 /// In real time, with devices that take no time themselves but for exposing and reading out.

@@ -2,7 +2,7 @@
 //!
 //! With the rate `R` at the start of an exposure and `b` the slope of its logarithm, an exposure of `T` collects
 //! `R (exp(b T) - 1) / b`, so a wanted signal `S` takes `T = ln(1 + b S / R) / b`, and `S / R` where nothing changes
-//! (algorithms.md 6.7). For a panel `b` is 0.
+//! (docs/formulae.md, "Twilight"). For a panel `b` is 0.
 
 use units::Utc;
 

@@ -16,7 +16,7 @@ use super::{Site, steps};
 use crate::row::{Row, RowId};
 use crate::sequence::{Sequence, passed_words};
 
-/// A plan of more days is none; the year of issue 5 is one file a night.
+/// A plan of more days is none; the example `plans_a_year` plans one file a night.
 const LONGEST_S: f64 = 400.0 * 86_400.0;
 /// With the Sun so far down the sky is dark, deg.
 const DARK_DEG: f64 = -18.0;
