@@ -1,7 +1,9 @@
 //! The bus as nodes see it: typed publish, subscribe, ask and serve, presence, the clock, and node start-up.
 //!
-//! Only this crate names zenoh. Publishers drop rather than block, receivers overwrite in bounded queues, and no slow
-//! work runs in a callback. One [`Bus`] per node.
+//! Only this crate names zenoh. Publishers drop rather than block, receivers overwrite in bounded queues, and
+//! no slow work runs in a callback. Measured with zenoh 1.10.2: one frozen subscriber stalls a publisher with
+//! `CongestionControl::Block`, and all its healthy subscribers, for 5 s; two full `FifoChannel`s (256 samples) stop all
+//! traffic of the process, since they block both of its receiving threads. One [`Bus`] per node.
 //!
 //! # Invariants
 //!

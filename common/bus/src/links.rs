@@ -2,7 +2,7 @@
 //!
 //! Two peers that dial each other share one transport of two TCP links. When one of them is stopped or cut off long
 //! enough, the other begins anew while the first still holds the old transport, takes the new link into it, and does
-//! not declare again its publishers, subscribers and queryables. Neither side notices, for good (zenoh issue #2806).
+//! not declare again its publishers, subscribers and queryables. Neither side notices, for good (eclipse-zenoh/zenoh#2806).
 //! zenoh offers no way to end one transport, so its sockets are shut down; both sides then begin anew.
 
 use std::collections::BTreeMap;

@@ -3,7 +3,8 @@
 //! The frame is divided into nearly equal cells of about 64 px (32 px where the shorter side is under 1500 px),
 //! so that no narrow cell is left over at an edge. Each cell gives the clipped median and 1.4826 MAD of its pixels
 //! ([`cell`]); cells with less than half of their pixels in use are filled from their neighbours, and the mesh is
-//! smoothed and interpolated ([`mesh`]). No full-size map is made. (algorithms.md 6.1, step 2.)
+//! smoothed and interpolated ([`mesh`]). No full-size map is made.
+//! Sources: docs/formulae.md, "Sky level and noise".
 
 mod cell;
 mod mesh;

@@ -1,7 +1,7 @@
 //! Which maxima of the matched filter are objects of their own?
 //!
 //! Noise makes maxima on the wings of a bright star, along a trail and on the plateau of a defocused disc. From the
-//! brightest down, a maximum is kept when no kept one lies within 1 FWHM (algorithms.md 6.1, step 4), when a valley
+//! brightest down, a maximum is kept when no kept one lies within 1 FWHM, when a valley
 //! parts it from brighter neighbours, and when it stands out of its own surroundings too: fitted together with a
 //! constant, a Gaussian must have a significant height above the scatter found there.
 

@@ -1,10 +1,10 @@
 //! Single pixels that no star can have made, and what stands in their place.
 //!
 //! A star of width FWHM, wherever it falls on the pixels, leaves in the brighter of two opposite neighbours at least
-//! `q = exp(-4 ln 2 / FWHM^2)` of its brightest pixel, along the rows *and* along the columns. A pixel that stands
-//! 6 sigma above the median of its neighbours with less than 0.4 q on one of the axes is a defect: a hot pixel, one
-//! of a pair, or one of a hot column. A pixel 6 sigma below the sky is one too. (algorithms.md 6.1, step 3; the test
-//! there looks at the brightest of four neighbours, which a pair of hot pixels passes.)
+//! `q = exp(-4 ln 2 / FWHM^2)` of its brightest pixel, along the rows *and* along the columns. A pixel that stands 6
+//! sigma above the median of its neighbours with less than 0.4 q on one of the axes is a defect: a hot pixel, one of a
+//! pair, or one of a hot column. A pixel 6 sigma below the sky is one too. To look at the brightest of all four
+//! neighbours would not do: a pair of hot pixels passes. (docs/formulae.md, "Single bad pixels".)
 //!
 //! Defects become NaN and are filled with the median of their good neighbours. No median filter touches the rest.
 

@@ -6,7 +6,7 @@
 //! - [`field`] chooses where to point for a run; [`correction`] says where focus is at another temperature or filter.
 //! - [`plot`] draws a run.
 //!
-//! Positions are the focuser's steps. Nothing here knows a device. (algorithms.md 4 and 6.5.)
+//! Positions are the focuser's steps. Nothing here knows a device. Formulae and sources: docs/formulae.md, "Focus".
 
 pub mod classic;
 mod contrast;

@@ -1,7 +1,7 @@
 //! Guiding: holding a field where the reference frame saw it.
 //!
-//! Pure: no clock, no mount. Each frame's shift and time go in, pulses and their reason come out
-//! (algorithms.md 6.4).
+//! Pure: no clock, no mount. Each frame's shift and time go in, pulses and their reason come out. Formulae and sources:
+//! docs/formulae.md, "Guiding".
 //!
 //! - [`reference`] remembers the stars and measures how far they moved, in boxes around where they should be.
 //! - [`calibration`] knows what pulses do to the stars: from pulses, or from a plate solution.
@@ -48,7 +48,7 @@ pub struct Exposure {
 const GREATEST_ERROR_PX: f64 = 0.5;
 const FEW_STARS_PX: f64 = 5.0;
 
-/// The last gate before the controller: only finite numbers with errors, of enough stars (algorithms.md 6.4).
+/// The last gate before the controller: only finite numbers with errors, of enough stars.
 pub(crate) fn usable(shift: Shift) -> Result<Shift, NoShift> {
     let Shift { dx_px, dy_px, rotation_deg, covariance, stars, .. } = shift;
     let error_px = covariance[0][0].max(covariance[1][1]).sqrt();

@@ -1,9 +1,9 @@
 //! Half-flux diameters: the size of stars that grows evenly with the defocus, rings included.
 //!
-//! The HFD is the diameter of the circle that holds half of a star's light. It is the FWHM for a Gaussian, 0.707 D
-//! for a disc of diameter D, and for the ring of a telescope with a secondary mirror linear in the defocus too
-//! (algorithms.md 6.5). Each frame is searched anew; the sky comes from a ring around each star, neighbours are
-//! covered by what lies on the other side of the star, and large stars are looked for in binned frames.
+//! The HFD is the diameter of the circle that holds half of a star's light. It is the FWHM for a Gaussian, 0.707 D for
+//! a disc of diameter D, and for the ring of a telescope with a secondary mirror linear in the defocus too
+//! (docs/formulae.md, "Half-flux diameter"). Each frame is searched anew; the sky comes from a ring around each star,
+//! neighbours are covered by what lies on the other side of the star, and large stars are looked for in binned frames.
 
 mod aperture;
 

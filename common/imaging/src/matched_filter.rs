@@ -1,9 +1,9 @@
 //! A Gaussian of the stars' width, run over the image: where does a star stand out of the noise?
 //!
 //! Significance `S = (A * g) / (sigma sqrt(sum g^2))` is the signal-to-noise ratio of the best-fitting Gaussian of
-//! that width (algorithms.md 6.1, step 4). The kernel is separable; the filtered image exists only as three rows
-//! per thread. Where noise is correlated from pixel to pixel (mosaics, debayered frames), S scatters by more than 1:
-//! its scatter is measured on the frame itself and divided out.
+//! that width (docs/formulae.md, "Matched filter"). The kernel is separable; the filtered image exists only as three
+//! rows per thread. Where noise is correlated from pixel to pixel (mosaics, debayered frames), S scatters by more than
+//! 1: its scatter is measured on the frame itself and divided out.
 
 use crate::background::median_in_place;
 use crate::clean::Clean;

@@ -19,7 +19,7 @@ use crate::window::{Seen, Window};
 const FIRST_FWHM_PX: f64 = 4.0;
 /// Widths between which stars are looked for, px.
 const WIDTHS_PX: (f64, f64) = (1.0, 40.0);
-/// A kernel that is wrong by more than this is replaced (algorithms.md 6.1, step 5).
+/// A kernel that is wrong by more than this is replaced.
 const KERNEL_TOLERANCE: f64 = 1.3;
 /// ... and one so wide that it runs over sums of 2 x 2 px or more, px, by more than this: to search again costs little, and
 /// the width that is handed on is too great for doughnuts.

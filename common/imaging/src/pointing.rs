@@ -62,8 +62,8 @@ const ENOUGH_RAD: f64 = 5e-9;
 
 /// How the commanded directions of one target came to be, and what follows: the loop of corrections.
 ///
-/// Each correction rests on where the telescope was sent and where it was seen to look, so that nothing learnt by the
-/// corrections before is lost (algorithms.md 6.3; D-10 is what happens otherwise).
+/// Each correction rests on where the telescope was sent and where it was seen to look, so that nothing learned by the
+/// corrections before is lost (docs/formulae.md, "Correction of the pointing").
 #[derive(Debug, Clone, PartialEq)]
 pub struct Approach {
     target: (Angle, Angle),
@@ -154,7 +154,7 @@ mod tests {
 
     #[test]
     fn within_two_corrections_a_miss_of_5_arcmin_is_within_a_tenth_and_a_third_never_harms() {
-        // algorithms.md 8, test 3: constant error 5', random 2"
+        // constant error 5', random 2"
         for seed in 0..100 {
             let mut chance = rand::rngs::StdRng::seed_from_u64(seed);
             let mut scatter = || arcmin(chance.random_range(-2.0..2.0) / 60.0).degrees() * 60.0;

@@ -1,9 +1,9 @@
 //! How far the light moved, for frames whose stars cannot be listed: crowded, defocused, saturated or nebulous fields.
 //!
-//! The way of donuts (McCormac et al. 2013, PASP 125, 548; algorithms.md 3.2 and 6.4), sums over rows and over columns,
-//! but of each bright patch for itself: sums over a whole frame find a shift between any two frames. Patches are where
-//! 4 x 4 pixels together stand out of the noise; their places are the middles of their sums. The shift is the one that
-//! most patches agree on, and only if chance alone would hardly bring as many together.
+//! The way of donuts (McCormac et al. 2013, PASP 125, 548), sums over rows and over columns, but of each bright patch
+//! for itself: sums over a whole frame find a shift between any two frames. Patches are where 4 x 4 pixels together
+//! stand out of the noise; their places are the middles of their sums. The shift is the one that most patches agree
+//! on, and only if chance alone would hardly bring as many together.
 
 use crate::clean::Clean;
 use crate::shift::{Method, NoShift, Shift, chance, most_frequent_difference};

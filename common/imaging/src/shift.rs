@@ -1,9 +1,9 @@
 //! How far the stars moved from one frame to another, from their measured places.
 //!
-//! Star lists are paired by voting for the most frequent difference of places, then a shift and a small rotation
-//! about the frame's centre are fitted by weighted least squares with Huber's weights (algorithms.md 6.4). The
-//! errors follow from the stars' own centroid errors. dx and dy are *check minus reference*: a star that stood at
-//! x stands at x + dx now. Rotation is positive from +x towards +y.
+//! Star lists are paired by voting for the most frequent difference of places, then a shift and a small rotation about
+//! the frame's centre are fitted by weighted least squares with Huber's weights (Huber 1964, Ann. Math. Statist. 35,
+//! 73). The errors follow from the stars' own centroid errors. dx and dy are *check minus reference*: a star that
+//! stood at x stands at x + dx now. Rotation is positive from +x towards +y.
 
 pub(crate) mod chance;
 mod fit;

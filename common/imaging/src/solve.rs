@@ -1,6 +1,6 @@
 //! Plate solving: which piece of the sky a list of stars shows.
 //!
-//! What is known shortens the search, and each level knows less than the one before (algorithms.md 6.2):
+//! What is known shortens the search, and each level knows less than the one before:
 //!
 //! | level | known | method |
 //! |---|---|---|

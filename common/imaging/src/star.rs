@@ -67,7 +67,7 @@ impl Flags {
 }
 
 /// At most `count` stars that cover the frame evenly: the brightest of each cell of 4 x 4, then the second of each,
-/// and so on, so that one cluster or bleeding column cannot take all places (algorithms.md 6.1, step 8). What is
+/// and so on, so that one cluster or bleeding column cannot take all places. What is
 /// flagged as cosmic is left out. Each round is in order of flux.
 pub fn spread_evenly(stars: &[Star], width: usize, height: usize, count: usize) -> Vec<Star> {
     const SIDE: usize = 4;

@@ -1,9 +1,9 @@
 //! Place, flux and shape of one star, seen through a Gaussian window.
 //!
-//! The window moves until the weighted first moment vanishes. Each step divides by the slope of that moment, which
-//! for a window as wide as the star is half the weighted flux: the factor 2 of SExtractor's `XWIN`
-//! (algorithms.md 6.1, step 6). The errors carry the noise of each pixel, sky and photons, through the same sums.
-//! Second moments `M` under a window `W` belong to a Gaussian of covariance `C = (M^-1 - W^-1)^-1`.
+//! The window moves until the weighted first moment vanishes. Each step divides by the slope of that moment, which for
+//! a window as wide as the star is half the weighted flux: the factor 2 of SExtractor's `XWIN` (docs/formulae.md,
+//! "Windowed centroid"). The errors carry the noise of each pixel, sky and photons, through the same sums. Second
+//! moments `M` under a window `W` belong to a Gaussian of covariance `C = (M^-1 - W^-1)^-1`.
 
 use crate::clean::Clean;
 use crate::matched_filter::FWHM_PER_SIGMA;
@@ -15,7 +15,7 @@ const CLOSE_PX: f64 = 1e-3;
 const REACH_SIGMA: f64 = 3.0;
 /// A window narrower than this is not sampled well enough by pixels, px.
 const NARROWEST_SIGMA_PX: f64 = 1.0;
-/// Systematic error of a centroid, px: pixel phase, flat field (algorithms.md 6.1, step 6).
+/// Systematic error of a centroid, px: pixel phase, flat field.
 const FLOOR_PX: f64 = 0.01;
 /// Moments above this share of the window's are cut off by it.
 const WIDEST: f64 = 0.9;

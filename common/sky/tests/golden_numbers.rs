@@ -1,4 +1,4 @@
-//! The golden numbers of the sky.
+//! The golden numbers of the sky: airmass (docs/formulae.md, "Airmass") and the ratio of sidereal to solar time.
 
 #![allow(clippy::unwrap_used, reason = "a test ends by panicking")]
 

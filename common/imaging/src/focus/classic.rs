@@ -1,5 +1,5 @@
-//! The predecessor's two formulae for star sizes, by least squares on the plain points (algorithms.md 4.6). They know
-//! no outliers and no errors; [`super::hyperbola`] does.
+//! The predecessor's two formulae for star sizes (docs/formulae.md, "The predecessor's curves"), by least squares on
+//! the plain points. They know no outliers and no errors; [`super::hyperbola`] does.
 
 use super::least_squares;
 

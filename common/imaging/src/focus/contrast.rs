@@ -1,7 +1,7 @@
 //! How sharp is the picture as a whole? Sums over differences and moments of pixels.
 //!
-//! Formulae of algorithms.md 4.5, in f64: counts that wrapped made several of them useless (D-22). All of them grow
-//! towards focus.
+//! Formulae and sources: docs/formulae.md, "Measures of sharpness". They are computed in f64, because differences and
+//! products of 16-bit counts wrap. All of them grow towards focus.
 
 use super::image::Image;
 
@@ -50,7 +50,7 @@ pub(super) fn auto_correlation(image: &Image) -> f64 {
     rows_apart(image, 1, |a, b| a * b) - rows_apart(image, 2, |a, b| a * b)
 }
 
-/// For a focus that is lost (algorithms.md 6.5): squared gradients over the square of the mean light, of 4 x 4 bins.
+/// For a focus that is lost: squared gradients over the square of the mean light, of 4 x 4 bins.
 /// Exposure and transparency cancel. Pixels below the sky count as none in the mean, so that it cannot vanish.
 pub(super) fn relative_gradient(image: &Image) -> f64 {
     let binned = image.binned(4);

@@ -46,7 +46,7 @@ pub enum NoModel {
     },
 }
 
-/// Runs, and degrees between the coldest and the warmest, that a line needs (algorithms.md 6.5).
+/// Runs, and degrees between the coldest and the warmest, that a line needs: chosen, not measured.
 const RUNS: usize = 10;
 const SPAN_C: f64 = 5.0;
 /// Runs are not told apart by errors below this, steps: a very small one must not decide alone.
@@ -167,7 +167,7 @@ fn line(runs: &[PastRun]) -> Line {
 }
 
 /// What is kept as the best focus: the position that a run found, less the offset of the filter it was made through.
-/// The offset is added again whenever that filter is set (leaving it in counts it twice, D-27).
+/// The offset is added again whenever that filter is set (leaving it in counts it twice).
 pub fn without_offset(found_position: f64, filter_offset_steps: f64) -> f64 {
     found_position - filter_offset_steps
 }

@@ -1,7 +1,7 @@
-//! Where to point for a focus run: a star near the zenith, from the catalogue (algorithms.md 4.2).
+//! Where to point for a focus run: a star near the zenith, from the catalogue.
 //!
-//! Stars are chosen by their real distance from the zenith (the predecessor threw its order away, D-20), neighbours
-//! are counted in the tangent plane of each star, so that neither RA = 0 nor the poles are special.
+//! Stars are chosen by their real distance from the zenith (the predecessor sorts them and then drops the order);
+//! neighbours are counted in the tangent plane of each star, so that neither RA = 0 nor the poles are special.
 
 use units::Angle;
 
@@ -69,7 +69,7 @@ pub fn zenith_limit(airmass: f64) -> Angle {
 }
 
 /// Field of view of so many pixels. The pixels are those of the frame, binned or not, and the size is theirs: the
-/// predecessor mixed them up (D-19).
+/// predecessor takes the number of binned pixels and the size of unbinned ones.
 pub fn field_of_view(pixels: usize, pixel_um: f64, focal_length_mm: f64) -> Angle {
     let sensor_mm = pixels as f64 * pixel_um * 1e-3;
     Angle::from_radians(2.0 * (0.5 * sensor_mm / focal_length_mm).atan())

@@ -1,4 +1,5 @@
-//! The size of stars against the focuser's position: `y^2 = c^2 + a^2 (x - x0)^2` (algorithms.md 6.5).
+//! The size of stars against the focuser's position: `y^2 = c^2 + a^2 (x - x0)^2`
+//! (docs/formulae.md, "Size of stars against position").
 //!
 //! Far from focus the size grows linearly with the defocus, near it seeing rounds the V off; the two meet about
 //! c/a from focus, which is called the critical zone here.

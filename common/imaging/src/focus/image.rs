@@ -34,7 +34,7 @@ impl Image {
     }
 
     /// The frame without its sky, bands and defects: what an operator should see, since a pedestal dilutes most of
-    /// them (algorithms.md 6.5, D-24).
+    /// them (docs/formulae.md, "The predecessor's star sizes").
     ///
     /// # Errors
     /// As [`Clean::new`].

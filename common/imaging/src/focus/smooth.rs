@@ -1,7 +1,7 @@
 //! Smoothed curves through a run, by name, and where they are best: for operators that no formula describes.
 //!
-//! The predecessor's four (algorithms.md 4.7). A hyperbola through star sizes ([`super::hyperbola`]) is better where
-//! there are stars: it needs fewer frames and knows its error.
+//! The predecessor's four (docs/formulae.md, "The predecessor's curves"). A hyperbola through star sizes
+//! ([`super::hyperbola`]) is better where there are stars: it needs fewer frames and knows its error.
 
 mod lowess;
 mod radial;
@@ -115,7 +115,7 @@ mod tests {
 
     use super::*;
 
-    /// The run of algorithms.md 8.
+    /// A run whose curves were computed with statsmodels and scipy.
     pub(super) const RUN: [(f64, f64); 10] = [
         (0.0, 9.0),
         (1.0, 7.2),

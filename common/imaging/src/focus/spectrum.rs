@@ -1,4 +1,4 @@
-//! Sharpness in the frequencies of the picture (algorithms.md 4.5).
+//! Sharpness in the frequencies of the picture (docs/formulae.md, "Measures of sharpness").
 
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;

@@ -1,5 +1,5 @@
 //! The predecessor's two star sizes, kept for comparison: pixels as they are, no sky taken off unless the image comes
-//! without it (algorithms.md 4.5). [`crate::hfd`] is what to focus with.
+//! without it (docs/formulae.md, "The predecessor's star sizes"). [`crate::hfd`] is what to focus with.
 
 use super::image::Image;
 use super::least_squares;
@@ -9,7 +9,7 @@ const HALF: f64 = 15.0;
 /// FWHM over sigma of a Gaussian.
 const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949;
 
-/// Four times the mean radius, weighed with the light: a pedestal draws it to that of the empty cutout, 45.9 (D-24).
+/// Four times the mean radius, weighed with the light: a pedestal draws it to that of the empty cutout, 45.9.
 pub(super) fn hfr(image: &Image, places: &[(f64, f64)]) -> f64 {
     mean(image, places, |cutout| {
         let sum: f64 = cutout.pixels().map(|(_, _, value)| value).sum();
@@ -93,7 +93,7 @@ fn mean(image: &Image, places: &[(f64, f64)], size: impl Fn(&Cutout) -> f64) -> 
 mod tests {
     use super::*;
 
-    /// algorithms.md 4.5 and 8: sizes of round Gaussians of flux 60000 on a pedestal.
+    /// Sizes of round Gaussians of flux 60000 on a pedestal: docs/formulae.md, "The predecessor's star sizes".
     #[test]
     fn a_pedestal_dilutes_both_sizes() {
         let image = |sigma: f64, pedestal: f64| {

@@ -10,7 +10,7 @@
 //! ```
 //!
 //! The caller does what [`Sweep::next`] says, in order, and tells each frame's value with [`Sweep::measured`]. All
-//! positions are approached from one side. The run needs 16 to 20 frames. (algorithms.md 6.5.)
+//! positions are approached from one side. The run needs 16 to 20 frames.
 
 mod judge;
 mod plan;

@@ -2,7 +2,7 @@
 //!
 //! The columns are the velocities (px/s) of a star's image while the mount is pulsed East and North. East moves the
 //! pointing towards greater right ascension, so stars move the other way. The East column shrinks with cos(dec).
-//! (algorithms.md 6.4.)
+//! (docs/formulae.md, "Pulses to pixels".)
 
 mod fit;
 mod oddity;
@@ -70,7 +70,7 @@ pub enum CalibrationError {
     Declination(f64),
 }
 
-/// Beyond this a calibration tells nothing about other declinations, degrees (as PHD2 has it, algorithms.md 6.4).
+/// Beyond this a calibration tells nothing about other declinations, degrees (as in PHD2).
 const HIGHEST_DEC_DEG: f64 = 60.0;
 /// Relative change of cos(dec) that needs no compensation.
 const SAME_COSINE: f64 = 0.05;

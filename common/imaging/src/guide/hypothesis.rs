@@ -3,7 +3,7 @@
 //! State: place (px), drift (px/s), and the two components of a sine (px) whose period is part of the opinion.
 //! `place' = place + drift dt`; the sine turns by `2 pi dt / period`; what is measured is place + sine. Without a
 //! period the last two stay zero. Process noise: random walks of place, drift and sine; the measurement's own error
-//! and the air's jitter add. (Kalman 1960, J. Basic Eng. 82, 35; algorithms.md 6.4.)
+//! and the air's jitter add. (Kalman 1960, J. Basic Eng. 82, 35.)
 
 use std::f64::consts::TAU;
 

@@ -1,6 +1,6 @@
 //! The predecessor's controller, for those who want it: proportional, integral, differential, per frame.
 //!
-//! `u = kp e + ki sum(e) + kd (e - e_before)`, the sum held within 500 px; no time in it (algorithms.md 3.5).
+//! `u = kp e + ki sum(e) + kd (e - e_before)`, the sum held within 500 px; no time in it.
 
 /// Gains of one axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,7 +53,7 @@ mod tests {
 
     #[test]
     fn the_golden_numbers_of_the_predecessor_come_out() {
-        // algorithms.md, section 8
+        // computed with Astra 1.2.0
         let mut pid = Pid::new(Gains::FIRST_AXIS);
         for (error_px, golden) in [(2.0, 1.44), (1.0, 0.76), (-0.5, -0.30), (0.0, 0.05)] {
             assert!((pid.output_px(error_px) - golden).abs() < 1e-12);

@@ -3,7 +3,7 @@
 //!
 //! In each box a Gaussian of the stars' width finds the star and a Gaussian window its place, as in
 //! [`crate::measure()`]. All places together give shift and rotation with their covariance. What never moves while the
-//! others do is a hot pixel and is dropped (algorithms.md 6.4).
+//! others do is a hot pixel and is dropped.
 
 use super::patch::Patch;
 use super::usable;

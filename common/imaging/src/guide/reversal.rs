@@ -1,8 +1,8 @@
 //! When Dec may turn round: each reversal costs the backlash, so noise must not cause one.
 //!
-//! The resist-switch rule (algorithms.md 6.4): of the last ten errors beyond the dead band at least three more lie on
-//! the new side than on the old, and the newest three sum to more than the oldest three; or the error is beyond three
-//! dead bands, and no fluke: then at once.
+//! The rule of PHD2's "resist switch" (its manual, "Guide Algorithms"): of the last ten errors beyond the dead band at
+//! least three more lie on the new side than on the old, and the newest three sum to more than the oldest three; or the
+//! error is beyond three dead bands, and no fluke: then at once.
 
 use std::collections::VecDeque;
 

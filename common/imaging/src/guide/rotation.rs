@@ -4,7 +4,7 @@
 
 /// Weight of the past falls to 1/e in this time, s.
 const MEMORY_S: f64 = 3600.0;
-/// Rotation that is told, deg/h, if it is so many standard errors from none (algorithms.md 6.4).
+/// Rotation that is reported, deg/h, if it is so many standard errors from none: chosen, not measured.
 const TOLD_DEG_H: f64 = 0.05;
 const BEYOND_DOUBT: f64 = 3.0;
 const FEWEST: f64 = 5.0;

@@ -57,7 +57,7 @@ impl Settings {
     }
 }
 
-/// The greatest dead band that is chosen by itself, px (algorithms.md 6.4).
+/// The greatest dead band that is chosen by itself, px.
 const DEAD_BAND_PX: f64 = 0.15;
 
 impl Settings {

@@ -57,8 +57,7 @@ pub(super) struct Acceptance {
 }
 
 impl Candidate {
-    /// Refits a hypothesis on the stars within 4 px and counts again (algorithms.md 6.2, "Acceptance"). None when
-    /// fewer than two stars agree.
+    /// Refits a hypothesis on the stars within 4 px and counts again. None when fewer than two stars agree.
     pub(super) fn examine(field: &Field, tile: &Tile, start: Similarity, by: By) -> Option<Self> {
         let few = (0.5 * field.fwhm_px).clamp(1.5, 2.0);
         let radius = if field.spots.len() > MANY { SEARCH_PX } else { few };
@@ -92,7 +91,7 @@ impl Candidate {
         self.chance * hypotheses.max(1) as f64
     }
 
-    /// Whether it is believed (algorithms.md 6.2, "Acceptance").
+    /// Whether it is believed (docs/formulae.md, "Probability of agreement by chance").
     pub(super) fn is_accepted(&self, field: &Field, acceptance: &Acceptance) -> bool {
         let (fewest, greatest) = match self.by {
             By::Shift => (3, 1e-4),

@@ -1,4 +1,4 @@
-//! How probable it is that stars agree by chance (algorithms.md 6.2, "Acceptance").
+//! How probable it is that stars agree by chance (docs/formulae.md, "Probability of agreement by chance").
 
 /// Probability that at least `hits` of `trials` independent stars agree, each with probability `p`.
 pub(super) fn at_least(hits: usize, trials: usize, p: f64) -> f64 {

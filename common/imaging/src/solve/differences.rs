@@ -1,7 +1,7 @@
 //! Level 0: rotation, scale and parity are known, so that one shift takes all catalogue stars to their places.
 //!
 //! All differences between places in the frame and in the catalogue fall into the cells of a histogram; the true
-//! shift is the cell in which they gather (algorithms.md 6.2, "Level 0").
+//! shift is the cell in which they gather.
 
 use super::candidate::{By, Candidate};
 use super::field::Field;

@@ -11,7 +11,7 @@ pub(super) const FEWEST_KNOWN: usize = 3;
 pub(super) const FEWEST: usize = 4;
 /// Stars that a catalogue should show in a field of which it is expected to tell the place.
 const SHALLOW: f64 = 6.0;
-/// Fewer detected stars than this share of the expected ones are clouds (algorithms.md 6.2, "Failure classes").
+/// Fewer detected stars than this share of the expected ones are clouds: chosen, not measured.
 const CLOUDY: f64 = 0.3;
 /// More than this share of pixels or of stars saturated.
 const SATURATED: f64 = 0.25;

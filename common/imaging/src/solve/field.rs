@@ -6,7 +6,7 @@ use super::{Detected, trail};
 use crate::grid::Grid;
 use crate::star::{Star, spread_evenly};
 
-/// Stars that take part in matching (algorithms.md 6.1, step 8).
+/// Stars that take part in matching.
 const STARS: usize = 60;
 /// Stars of a frame that is hidden in part keep so much of their mean distance: the edge of what hides is full of false
 /// ones.

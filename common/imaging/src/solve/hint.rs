@@ -4,7 +4,7 @@ use units::Angle;
 
 use crate::wcs::Sip;
 
-/// Scale error before the first solution of a camera, as a share (algorithms.md 6.2: 5 % on first light).
+/// Scale error before the first solution of a camera, as a share.
 pub const FIRST_LIGHT: f64 = 0.05;
 /// Scale error of optics that are known, as a share.
 pub const KNOWN_OPTICS: f64 = 0.02;

@@ -1,7 +1,7 @@
 //! From a similarity to a WCS: pairing all stars again and again, and fitting as much distortion as they prove.
 //!
 //! Mutual nearest neighbours, weights `1 / (sigma^2 + 0.1^2)`, a limit that closes in to three rms, and by number of
-//! stars a similarity, an affine, a cubic radial or a full cubic polynomial (algorithms.md 6.2, "Refinement").
+//! stars a similarity, an affine, a cubic radial or a full cubic polynomial.
 
 use units::Angle;
 

@@ -20,8 +20,7 @@ use super::votes::{self, CERTAIN, Effort};
 use crate::tangent::{TangentPlane, separation};
 use crate::wcs::Wcs;
 
-/// Bright stars of the frame whose pairs vote (algorithms.md 6.2: 12 to 15): the first ones, and those that then join
-/// in, each with all before it.
+/// Bright stars of the frame whose pairs vote: the first ones, and those that then join in, each with all before it.
 const FIRST_VOTERS: Range<usize> = 0..8;
 const MORE_VOTERS: Range<usize> = 8..15;
 const ALL_VOTERS: Range<usize> = 0..15;

@@ -6,7 +6,7 @@ use super::field::Field;
 use super::source::{Stars, brightest};
 use crate::tangent::TangentPlane;
 
-/// Fewest and most catalogue stars of a tile (algorithms.md 6.2, "Catalogue").
+/// Fewest and most catalogue stars of a tile.
 const STARS: (f64, f64) = (30.0, 300.0);
 /// ... and so many times the most for a frame that is hidden in part.
 const DEEPER: f64 = 3.0;

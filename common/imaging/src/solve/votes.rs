@@ -1,7 +1,8 @@
 //! Level 1: the scale is known to a few percent; pairs of stars of equal length vote for rotation and place.
 //!
 //! A pair of the frame's bright stars laid on a pair of the catalogue fixes a similarity. Each is tested on the other
-//! stars, first by one bit per star (`mask`), and what survives is refitted and counted (algorithms.md 6.2, "Level 1").
+//! stars, first by one bit per star (`mask`), and what survives is refitted and counted
+//! (docs/formulae.md, "Pairs that vote").
 
 use std::ops::Range;
 

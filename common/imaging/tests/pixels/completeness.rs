@@ -1,6 +1,6 @@
-//! Acceptance test 1 of algorithms.md, section 8: of stars with a matched-filter significance of 7 at least 95 % are
-//! found, and less than one detection per frame is false, at widths from 1.5 to 12 px, on a gradient, with bias bands
-//! and 0.3 % of hot pixels. 100 seeds.
+//! What is asked of the detection: of stars with a matched-filter significance of 7 at least 95 % are found, and less
+//! than one detection per frame is false, at widths from 1.5 to 12 px, on a gradient, with bias bands and 0.3 % of hot
+//! pixels. 100 seeds.
 
 use crate::sky::{Psf, Sky, make_hot, seen_fwhm, sigma};
 use imaging::{Camera, Frame, Measured, Pixels, Search, measure};

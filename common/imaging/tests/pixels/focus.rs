@@ -1,4 +1,4 @@
-//! Acceptance test 6 of algorithms.md, section 8: focus runs on drawn star fields of 100 seeds. Pedestals of 0 to
+//! What is asked of the autofocus: focus runs on drawn star fields of 100 seeds. Pedestals of 0 to
 //! 2000 ADU, discs and rings, 1 px of drift per frame, two frames spoilt, a start 3 critical zones off (in every
 //! second run beyond the end of the first range): the focus is found within 0.2 critical zones.
 

@@ -1,4 +1,5 @@
-//! The whole files of `shared/golden`, where `$STARMESH_GOLDEN` names that folder: pieces of some stand in `tests/golden`.
+//! Whole golden files, where `$STARMESH_GOLDEN` names a folder that has them (it is not in the repository): pieces of
+//! some are in `tests/golden`.
 //! What the predecessor's libraries found is the least that must be found here; where both differ, the truth decides.
 
 use std::path::{Path, PathBuf};

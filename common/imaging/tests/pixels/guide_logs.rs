@@ -92,7 +92,7 @@ fn replay(log: &Log) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
                 let seen = [0, 1].map(|n| alone[n] + pulsed[n]);
                 theirs.push(*raw_px);
                 ours.push([0, 1].map(|n| seen[n] - dithered[n]));
-                // of a centroid; algorithms.md 6.4
+                // of a centroid: docs/formulae.md, "Windowed centroid"
                 let variance = (0.42 * log.hfd_px / snr).powi(2) + 0.01_f64.powi(2);
                 let shift = Shift {
                     dx_px: seen[0],

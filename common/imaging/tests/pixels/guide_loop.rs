@@ -1,5 +1,5 @@
-//! Closed loops on a simulated mount: acceptance test 5 of algorithms.md, section 8. One pixel is 0.35 arcsec, pulses
-//! run at half the sidereal rate, the worm's arcsec are the distance of its extremes from the middle.
+//! Closed loops on a simulated mount; what is asked of them is in docs/imaging.md, "Measured". One pixel is 0.35
+//! arcsec, pulses run at half the sidereal rate, the worm's arcsec are the distance of its extremes from the middle.
 
 use crate::mount::{Mount, exposure, guide, guide_late, rms, shift};
 use imaging::NoShift;

@@ -114,7 +114,7 @@ impl Night {
         Self { mount, calibration, cadence_s, late_s, happens, sign_is_wrong: rng.random() }
     }
 
-    /// The night of issue 11: four blank frames, a gust, a jump.
+    /// One night with three faults: four blank frames, a gust, a jump.
     fn of_the_issue(seed: u64, cadence_s: f64) -> Self {
         let rng = &mut StdRng::seed_from_u64(seed);
         let night = Self::new(seed, false);

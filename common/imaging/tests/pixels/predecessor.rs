@@ -1,5 +1,6 @@
-//! The golden numbers of operators that are not built here (algorithms.md, section 8): each is computed again in this file,
-//! so that it is known what it does, and put beside what took its place, on frames whose truth is known.
+//! The golden numbers of operators that are not built here (docs/formulae.md, "What tests compare with"): each is
+//! computed again in this file, so that it is known what it does, and compared with what took its place, on frames
+//! whose truth is known.
 
 use crate::sky::{Psf, Sky, sigma};
 use imaging::projection::from_projections;
@@ -8,7 +9,7 @@ use imaging::{Camera, Clean, Frame, Pixels, Search, Star, measure};
 use rand::{SeedableRng, rngs::StdRng};
 use rand_distr::{Distribution, StandardNormal};
 
-/// DAOFIND's kernel for round stars (algorithms.md 1.4).
+/// DAOFIND's kernel for round stars (docs/formulae.md, "DAOFIND's kernel").
 struct Daofind {
     sigma: f64,
     /// Half width, px.
@@ -228,7 +229,7 @@ fn the_5x5_median_hides_noise_and_narrow_stars_alike_and_ours_neither() {
     assert!(old == 0 && ours == places.len(), "{old}, {ours}");
 }
 
-/// The hash of four points, by brightness (algorithms.md 2.5).
+/// The hash of four points, by brightness (docs/formulae.md, "Hash of four stars").
 fn quad_hash(points: [(f64, f64); 4]) -> [f64; 4] {
     let apart = |i: usize, j: usize| (points[i].0 - points[j].0).hypot(points[i].1 - points[j].1);
     let pairs = (0..4).flat_map(|i| (i + 1..4).map(move |j| (i, j)));
@@ -259,8 +260,8 @@ fn the_old_quad_hash_is_the_golden_one_and_depends_on_which_star_is_the_brighter
     }
 }
 
-/// The predecessor's shift along one axis: sums, circular cross-correlation, a parabola through its peak (algorithms.md
-/// 3.2). It tells how to move back: minus the way of the stars.
+/// The predecessor's shift along one axis: sums, circular cross-correlation, a parabola through its peak
+/// (docs/formulae.md, "Shift by projections"). The result is how to move back: minus the way of the stars.
 fn donuts(reference: &[f64], check: &[f64]) -> f64 {
     let n = reference.len();
     let phi: Vec<f64> = (0..n).map(|lag| (0..n).map(|k| reference[k] * check[(k + lag) % n]).sum()).collect();

@@ -40,8 +40,8 @@ fn golden_pairs_are_registered_by_stars_and_by_projections() {
     }
 }
 
-/// Acceptance test 4 of algorithms.md, section 8: error below 0.02 px with 20 stars of signal-to-noise 50, at all
-/// phases between the pixels.
+/// What is asked of a guide measurement: an error below 0.02 px with 20 stars of signal-to-noise 50, at all phases
+/// between the pixels.
 #[test]
 fn a_guide_measurement_is_good_to_a_fiftieth_of_a_pixel() {
     let fwhm = 4.0;

@@ -1,5 +1,5 @@
 //! The golden frames that the predecessor solves (and the one it must not): star lists of their truth always, the
-//! frames themselves where `$STARMESH_GOLDEN` names the folder `shared/golden`.
+//! frames themselves where `$STARMESH_GOLDEN` names a folder that has them (it is not in the repository).
 
 use std::io::Read;
 use std::path::{Path, PathBuf};

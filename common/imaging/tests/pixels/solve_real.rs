@@ -1,4 +1,4 @@
-//! Real sky: the frames of `$STARMESH_REAL_SKY` (`shared/real` of the project) against the catalogue that ships.
+//! Real sky: the frames in the folder `$STARMESH_REAL_SKY` (not in the repository) against the catalogue that ships.
 
 use std::path::{Path, PathBuf};
 

@@ -1,8 +1,8 @@
 //! How long to expose: light that changes exponentially, estimated from the levels of the earlier frames.
 //!
-//! With the rate `R` at the start of an exposure and `b` the slope of its logarithm, an exposure of `T` collects `R
-//! (exp(b T) - 1) / b`, so a wanted signal `S` takes `T = ln(1 + b S / R) / b`, and `S / R` where nothing changes . For
-//! a panel `b` is 0.
+//! With the rate `R` at the start of an exposure and `b` the slope of its logarithm, an exposure of `T` collects
+//! `R (exp(b T) - 1) / b`, so a wanted signal `S` takes `T = ln(1 + b S / R) / b`, and `S / R` where nothing changes
+//! (docs/formulae.md, "Twilight"). For a panel `b` is 0.
 
 use units::Utc;
 

@@ -4,7 +4,7 @@
 use sky::{EarthOrientation, Horizontal, Icrs, Place, SkyError, Tangent, next_sun_crossing};
 use units::{Angle, Utc};
 
-/// Altitude of the evenest place of the twilight sky, opposite to the Sun, deg.
+/// Altitude of the evenest place of the twilight sky, opposite to the Sun, deg (docs/formulae.md, "Twilight").
 const ALTITUDE_DEG: f64 = 75.0;
 /// Never nearer to the Sun than this, deg; the place opposite to it is some 100 deg away.
 const SUN_DISTANCE_DEG: f64 = 60.0;

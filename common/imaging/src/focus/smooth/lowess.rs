@@ -66,7 +66,7 @@ fn robust_weights(points: &[(f64, f64)], fitted: &[f64]) -> Vec<f64> {
 mod tests {
     use super::super::tests::RUN;
 
-    /// algorithms.md 8, from statsmodels.
+    /// The golden numbers are from statsmodels 0.15.0.
     #[test]
     fn the_curve_agrees_with_the_golden_numbers() {
         let golden =

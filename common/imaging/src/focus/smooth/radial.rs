@@ -1,4 +1,5 @@
-//! Radial functions -|x - xi| and a constant, smoothed: solves `(K + 20) a + c = y, sum a = 0` (algorithms.md 4.7).
+//! Radial functions -|x - xi| and a constant, smoothed: solves `(K + 20) a + c = y, sum a = 0`, as
+//! scipy's `RBFInterpolator` with the kernel `linear` and smoothing 20.
 
 use nalgebra::{DMatrix, DVector};
 

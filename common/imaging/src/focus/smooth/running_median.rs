@@ -30,7 +30,7 @@ fn filter(values: &[f64], size: usize) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    /// algorithms.md 8, from scipy.
+    /// The golden numbers are from scipy 1.17.1.
     #[test]
     fn the_filter_agrees_with_the_golden_numbers() {
         let values = super::super::tests::RUN.map(|(_, y)| y);

@@ -4,10 +4,10 @@
 //!   West ----25 px----> East back ----> ClearNorth --3 good moves--> North ----25 px----> South back ----> Done
 //!     '--60 steps--> Failed                 '--60 steps--> Failed      '--60 steps--> Failed
 //! ```
-//! The way South goes on until the gear holds there too; if it never does, the play is said to be more than that.
-//! A pure state machine: told when and where the star was (px from where it was at the start), it says which pulse comes
-//! next. Steps and limits are PHD2's (algorithms.md 6.4). At the end all ways are fitted together with the mount's drift
-//! and the play of the declination gear ([`super::fit`]).
+//! The way South goes on until the gear holds there too; if it never does, the play is said to be more than that. A
+//! pure state machine: told when and where the star was (px from where it was at the start), it says which pulse comes
+//! next. Steps and limits are PHD2's (docs/formulae.md, "Pulses to pixels"). At the end all ways are fitted together
+//! with the mount's drift and the play of the declination gear ([`super::fit`]).
 
 use super::fit::{self, Motion, Step, Way};
 pub use super::oddity::{Failure, Warning};
