@@ -37,9 +37,9 @@
 //! What people order:
 //!
 //! - [`said`]: the person who ordered something, and the reason; [`standing`]: the orders that hold until they end or
-//! are taken back.
+//!   are taken back.
 //! - [`on_disk`]: the content of the file of these orders; [`inherit`]: what holds for a node that becomes the
-//! commander.
+//!   commander.
 //! - [`operators`]: which operator has the telescope, or the schedule.
 //! - [`annunciator`]: what people did about alerts.
 //!
