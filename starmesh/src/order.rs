@@ -153,7 +153,8 @@ pub async fn give(telescope: &str, kind: OrderKind, by: By, wait: Duration, join
                 tried += 1;
                 // A mistyped name is reported at once where others answer.
                 let known = telescopes::known(&bus).await;
-                if !known.is_empty() && !known.contains(&address) {
+                let is_mistyped = !known.is_empty() && !known.contains(&address);
+                if is_mistyped && !telescopes::has_node(&address, &bus).await {
                     return Err(telescopes::unanswered(&address, &bus).await);
                 }
             }

@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use anyhow::anyhow;
 use bus::Bus;
+use contract::node::NodeState;
 use contract::observatory::NightState;
-use contract::{Address, Part};
+use contract::{Address, NodeTopic, Part, Role};
 
 /// So often the command asks which telescopes are on the bus: a session that has just opened does not know all its
 /// peers.
@@ -34,10 +35,15 @@ pub async fn unanswered(address: &Address, bus: &Bus) -> anyhow::Error {
     if known.contains(address) {
         return anyhow!("the observatory node of {address} is on the bus and gives no answer; look at its log");
     }
+    if has_node(address, bus).await {
+        return anyhow!(
+            "the observatory node of {address} is on the bus and does not command yet; try again in some seconds"
+        );
+    }
     anyhow!("no observatory node of a telescope {address} answers on the bus; {}", meant(&address.to_string(), &known))
 }
 
-/// Telescopes whose observatory nodes answer.
+/// Telescopes whose observatory nodes command.
 pub async fn known(bus: &Bus) -> BTreeSet<Address> {
     let nights = format!("{}/*/*/observatory/{}/state", contract::key::ROOT, Part::Night.word());
     let mut found = BTreeSet::new();
@@ -52,6 +58,13 @@ pub async fn known(bus: &Bus) -> BTreeSet<Address> {
         tokio::time::sleep(Duration::from_millis(300)).await;
     }
     found
+}
+
+/// Whether an observatory node of a telescope is on the bus, also one that does not command yet: a node that has just
+/// started asks for the lease first.
+pub async fn has_node(address: &Address, bus: &Bus) -> bool {
+    let nodes = format!("{}/{address}/node/{}/*/{}", contract::key::ROOT, Role::Observatory, NodeTopic::State.word());
+    !bus.get_all::<NodeState>(&nodes, TIMEOUT).await.is_empty()
 }
 
 /// The names that were probably meant, and the names on the bus.

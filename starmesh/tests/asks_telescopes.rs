@@ -12,9 +12,10 @@ use std::time::Duration;
 
 use bus::{Bus, Clock, Quality, Service};
 use command::{Said, starmesh};
+use contract::node::NodeState;
 use contract::observatory::{NightState, OrderTaken, SafetyState, ScheduleDraft, ScheduleFindings, ScheduleState};
-use contract::{Accepted, Address, Key, Order, OrderKind, Part, Reason, Refusal, Reply};
-use serde_json::json;
+use contract::{Accepted, Address, Key, NodeTopic, Order, OrderKind, Part, Reason, Refusal, Reply, Role};
+use serde_json::{Value, json};
 use tokio::sync::watch;
 
 /// Text that would end its line, write another one, and clear the terminal.
@@ -32,8 +33,13 @@ struct Telescope {
 impl Telescope {
     async fn start() -> Self {
         let bus = test_support::private_bus(Clock::machine_clock()).await;
+        Self::command(bus, Address::new("paranal", "callisto").unwrap()).await
+    }
+
+    /// A telescope whose observatory node commands.
+    async fn command(bus: Bus, address: Address) -> Self {
         let connect = bus.locators().await.first().unwrap().clone();
-        let address = Address::new("paranal", "callisto").unwrap();
+        let shown_at = Key::Observatory(address.clone(), Part::Night);
         let (order, check) = (Key::Order(address.clone()), Key::ScheduleCheck(address));
         // Closed, and it shows the order that it took last.
         let night = json!({
@@ -41,7 +47,7 @@ impl Telescope {
             "ended": false,
         });
         let night = watch::channel(serde_json::from_value::<NightState>(night).unwrap()).0;
-        let nights = bus.publisher::<NightState>(&Self::key(Part::Night), Quality::State { cache: 1 }).await.unwrap();
+        let nights = bus.publisher::<NightState>(&shown_at, Quality::State { cache: 1 }).await.unwrap();
         let shown = night.subscribe();
         tokio::spawn(async move { nights.follow(shown, Duration::from_secs(1)).await });
         let (clock, taken_by) = (bus.clock().clone(), night.clone());
@@ -79,6 +85,28 @@ impl Telescope {
         all.extend(["--no-multicast".to_owned(), "--connect".to_owned(), self.connect.clone()]);
         tokio::task::spawn_blocking(move || starmesh(all)).await.unwrap()
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_order_waits_for_a_node_that_has_just_started_and_does_not_command_yet() {
+    let callisto = Telescope::start().await;
+    let io = Address::new("paranal", "io").unwrap();
+    let bus = test_support::join(&callisto.bus).await;
+    let state = Key::Node(io.clone(), Role::Observatory, "main".parse().unwrap(), NodeTopic::State);
+    let node = bus.publisher::<NodeState>(&state, Quality::State { cache: 1 }).await.unwrap();
+    let sample: Value = serde_json::from_str(include_str!("../../common/contract/golden/v1/node.state.json")).unwrap();
+    node.put(serde_json::from_value(sample).unwrap()).await.unwrap();
+
+    let said = callisto.starmesh(&["order", "paranal/io", "start"]).await;
+    assert!(!said.success && said.err.contains("does not command yet; try again"), "{}", said.err);
+
+    let ordered = callisto.starmesh(&["order", "paranal/io", "start"]);
+    let granted = async {
+        tokio::time::sleep(Duration::from_secs(3)).await;
+        Telescope::command(bus, io).await
+    };
+    let (said, _io) = tokio::join!(ordered, granted);
+    assert!(said.success && said.out.contains("accepted"), "{}{}", said.out, said.err);
 }
 
 #[tokio::test(flavor = "multi_thread")]
