@@ -97,16 +97,16 @@ async fn an_order_waits_for_a_node_that_has_just_started_and_does_not_command_ye
     let sample: Value = serde_json::from_str(include_str!("../../common/contract/golden/v1/node.state.json")).unwrap();
     node.put(serde_json::from_value(sample).unwrap()).await.unwrap();
 
-    let said = callisto.starmesh(&["order", "paranal/io", "start"]).await;
-    assert!(!said.success && said.err.contains("does not command yet; try again"), "{}", said.err);
+    let output = callisto.starmesh(&["order", "paranal/io", "start"]).await;
+    assert!(!output.success && output.err.contains("does not command yet; try again"), "{}", output.err);
 
     let ordered = callisto.starmesh(&["order", "paranal/io", "start"]);
     let granted = async {
         tokio::time::sleep(Duration::from_secs(3)).await;
         Telescope::command(bus, io).await
     };
-    let (said, _io) = tokio::join!(ordered, granted);
-    assert!(said.success && said.out.contains("accepted"), "{}{}", said.out, said.err);
+    let (output, _io) = tokio::join!(ordered, granted);
+    assert!(output.success && output.out.contains("accepted"), "{}{}", output.out, output.err);
 }
 
 #[tokio::test(flavor = "multi_thread")]
