@@ -17,8 +17,8 @@ const BIASES: &str = r#"{"exptime": [0, EXPTIME], "n": [3, 4], "execute_parallel
 /// again.
 const AFTER_S: f64 = 2.0 + 2.0 + 10.0;
 
-/// A slew, also that of a meridian flip, that begins within the window may end after it.
-const SLEW_S: f64 = 40.0;
+/// An opening, a slew, also that of a meridian flip, and an acquisition that begin within the window may end after it.
+const SLEW_S: f64 = 90.0;
 
 /// A row: sort, second camera, parallel, begin in minutes after 20:00, length in minutes, exposure, right ascension.
 type Drawn = (usize, bool, bool, u32, u32, f64, f64);
