@@ -1,25 +1,27 @@
-//! 100 headers completed: real files, a real database, the same code as the pass (figures, not a test).
+//! 100 headers of 2048 x 2048 px completed: real files, a real database, the same code as the pass (figures, not a test). With
+//! `BENCH_FOLDER` the frames stay there as they were before, for `tests/bench/headers.py`.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a bench ends at the first surprise")]
 
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;
 
-use bus::{AlertBoard, Clock};
+use bus::Clock;
 use config::header::HeaderTable;
 use contract::device::camera::{Frame, Pixel, Purpose};
-use contract::{BootId, CommandId, Kind, Scalar};
+use contract::{CommandId, Kind, Scalar};
+use node::NodeAlerts;
 use node_archive::completion::Completer;
 use node_archive::database::{Database, StoredImage, Write};
 use node_archive::fits::{FitsFile, Shape};
-use node_archive::header::{Known, base, room};
+use node_archive::header::{HeaderFacts, base, room};
 use node_archive::pass::{Site, complete_image};
 use node_archive::reader::Reader;
 use node_archive::telemetry::Newest;
 use units::Utc;
 
 const FRAMES: u32 = 100;
-const SHAPE: Shape = Shape { pixel: Pixel::U16, width_px: 1024, height_px: 1024, planes: 1 };
+const SHAPE: Shape = Shape { pixel: Pixel::U16, width_px: 2048, height_px: 2048, planes: 1 };
 const KINDS: [Kind; 7] = [
     Kind::Telescope,
     Kind::Camera,
@@ -56,8 +58,8 @@ fn frame(index: u32, start: Utc) -> Frame {
         id: CommandId::fresh(),
         camera: "camera".to_owned(),
         purpose,
-        width_px: 1024,
-        height_px: 1024,
+        width_px: 2048,
+        height_px: 2048,
         planes: 1,
         pixel: Pixel::U16,
         bin: 1,
@@ -65,7 +67,7 @@ fn frame(index: u32, start: Utc) -> Frame {
         started_utc: start.plus_seconds(2.5 + 10.0 * f64::from(index)),
         exposure_s: 5.0,
         url: String::new(),
-        bytes: 1024 * 1024 * 2,
+        bytes: 2048 * 2048 * 2,
         sha256: String::new(),
         readings: BTreeMap::new(),
     }
@@ -77,16 +79,14 @@ async fn main() {
     let (config, table) = (observatory(folder.path()), HeaderTable::default());
     let start: Utc = "2026-11-21T02:00:00Z".parse().unwrap();
     let path = folder.path().join("archive.db");
-    let (database, _writer) = Database::open(&path, AlertBoard::new(Clock::machine_clock())).unwrap();
-    let boot = BootId::fresh();
+    let (database, _writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
     for kind in KINDS {
         let device = config.address().device(kind, &kind.word().parse().unwrap());
         for property in table.properties(kind, false) {
             for poll in 0..=(10 * FRAMES / 5 + 2) {
                 let at = start.plus_seconds(5.0 * f64::from(poll));
                 let value = Ok(Scalar::Float(f64::from(poll) * 0.01));
-                let said = (boot.clone(), u64::from(poll));
-                let row = Write::Reading { device: device.clone(), property: property.clone(), value, at, said };
+                let row = Write::Reading { device: device.clone(), property: property.clone(), value, at };
                 database.put(row).await.unwrap();
             }
         }
@@ -96,7 +96,7 @@ async fn main() {
     for index in 0..FRAMES {
         let frame = frame(index, start);
         let path = folder.path().join(format!("{index}.fits"));
-        let known = Known { frame: &frame, place: &config.place, written: start, newest: &|_, _| None };
+        let known = HeaderFacts { frame: &frame, place: &config.place, written: start, newest: &|_, _| None };
         let mut file = FitsFile::create(&path, &SHAPE).unwrap();
         for card in base(&table, &known) {
             file.set(&card).unwrap();
@@ -108,12 +108,17 @@ async fn main() {
         // As the archive does before it names a file.
         std::fs::File::open(&path).unwrap().sync_all().unwrap();
         let file = format!("{index}.fits");
-        images.push(StoredImage { frame, path, file, bytes: 2_097_152, stored: start });
+        images.push(StoredImage { frame, path, file, bytes: 8_388_608, stored: start });
     }
     let last = images.last().cloned().unwrap();
     database.commit(vec![Write::Stored(Box::new(last))]).await.unwrap();
 
-    let (reader, newest) = (Reader::open(&path).unwrap(), Newest::default());
+    if let Some(stored) = std::env::var_os("BENCH_FOLDER") {
+        for image in images.iter().take(20) {
+            std::fs::copy(&image.path, Path::new(&stored).join(&image.file)).unwrap();
+        }
+    }
+    let (reader, newest) = (Reader::open(&path, "callisto").unwrap(), Newest::default());
     std::fs::create_dir(folder.path().join(".part")).unwrap();
     let completer = Completer::new(folder.path());
     let site = Site { config: &config, table: &table, newest: &newest, speed: 1.0, completer: &completer };

@@ -9,6 +9,8 @@ use crate::card::CardValue;
 /// The sky over the site when an exposure began.
 pub struct Exposure {
     observer: Observer,
+    /// The same site in the middle of the exposure.
+    middle: Observer,
     start: Utc,
     end: Utc,
     /// The direction of the target, where it is known.
@@ -20,8 +22,9 @@ impl Exposure {
     pub fn new(place: &config::Place, start: Utc, exposure_s: f64, target: Option<Icrs>) -> Result<Self, SkyError> {
         let (site, orientation) = place.on_earth()?;
         let observer = Observer::new(&site, &orientation, start)?;
+        let middle = Observer::new(&site, &orientation, start.plus_seconds(exposure_s / 2.0))?;
         let target = target.and_then(|target| target.checked().ok());
-        Ok(Self { observer, start, end: start.plus_seconds(exposure_s), target })
+        Ok(Self { observer, middle, start, end: start.plus_seconds(exposure_s), target })
     }
 
     /// Takes this as the direction of the target, unless one is known already.
@@ -59,6 +62,13 @@ impl Exposure {
             "BJD-OBS" => CardValue::Float(sum(self.observer.barycentric_jd_tdb(&self.target?))),
             "HA" => CardValue::Text(hours_minutes_seconds(self.observer.hour_angle(&self.target?).hours())),
             "AIRMASS" => CardValue::Float(sky::airmass(Angle::from_degrees(self.direction()?.0))?),
+            "DATE-AVG" => CardValue::Text(fits_date(self.middle.at())),
+            "MJD-AVG" => CardValue::Float(self.middle.at().mjd()),
+            "AIRMMID" => CardValue::Float(sky::airmass(self.middle.to_horizontal(&self.target?).altitude)?),
+            "SUNALT" => CardValue::Float(self.middle.sun().altitude.degrees()),
+            "MOONALT" => CardValue::Float(self.middle.moon().altitude.degrees()),
+            "MOONDIST" => CardValue::Float(sky::separation(&self.middle.moon_icrs(), &self.target?).degrees()),
+            "MOONFRAC" => CardValue::Float(self.middle.moon_illumination()),
             _ => return None,
         };
         Some(value)
@@ -66,8 +76,10 @@ impl Exposure {
 }
 
 /// Keywords that [`Exposure::keyword`] knows.
-pub const KEYWORDS: [&str; 10] =
-    ["JD-OBS", "JD-END", "MJD-OBS", "MJD-END", "DATE-END", "LST", "HJD-OBS", "BJD-OBS", "HA", "AIRMASS"];
+pub const KEYWORDS: [&str; 17] = [
+    "JD-OBS", "JD-END", "MJD-OBS", "MJD-END", "DATE-END", "LST", "HJD-OBS", "BJD-OBS", "HA", "AIRMASS", "DATE-AVG",
+    "MJD-AVG", "AIRMMID", "SUNALT", "MOONALT", "MOONDIST", "MOONFRAC",
+];
 
 /// A date as headers have it, to the microsecond: `2026-11-21T03:00:00.123456`.
 pub fn fits_date(at: Utc) -> String {

@@ -11,11 +11,12 @@ use std::time::Duration;
 use anyhow::Context as _;
 use audit::chain::prove_value;
 use audit::{Broken, Link, Proven};
-use bus::{Bus, Catch, MachineTime, Node, Subscriber};
-use contract::audit::{Answer, Question, Said};
+use bus::{Bus, Catch, MachineTime, Subscriber};
+use contract::audit::{AuditAnswer, AuditQuestion, PublishedRecord};
 use contract::node::NodeState;
 use contract::observatory::AlertKind;
-use contract::{Address, BootId, Key, Name, NodeTopic, Role};
+use contract::{Address, BootId, Key, Name, NodeTopic, Role, Topic};
+use node::Node;
 use serde_json::Value;
 
 use crate::database::{Database, StoredRecord, Write};
@@ -29,7 +30,7 @@ const ASK_AGAIN: Duration = Duration::from_secs(60);
 /// A node that did not answer is asked again after so long.
 const RETRY: Duration = Duration::from_secs(10);
 /// After so many fetches in vain an alert is raised.
-const PATIENCE: u32 = 3;
+const FETCHES: u32 = 3;
 const ANSWER: Duration = Duration::from_secs(5);
 
 /// Which node: its telescope, role and id.
@@ -39,7 +40,7 @@ type Who = (Address, Role, Name);
 #[derive(Default)]
 struct Follow {
     last: Option<Link>,
-    life: Option<BootId>,
+    boot_id: Option<BootId>,
     asked: Option<MachineTime>,
     /// The node is known to have more records than were fetched.
     lacks: bool,
@@ -66,29 +67,29 @@ impl Keeper {
 
 /// Stores the audit of all nodes.
 pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
-    let (mut records, mut states): (Vec<Subscriber<Said<Value>>>, Vec<Subscriber<NodeState>>) =
+    let (mut records, mut states): (Vec<Subscriber<PublishedRecord<Value>>>, Vec<Subscriber<NodeState>>) =
         (Vec::new(), Vec::new());
-    for keys in watch_keys(&node.config, "node/*/*/audit") {
+    for keys in watch_keys(&node.config, Topic::Node(NodeTopic::Audit)) {
         records.push(node.bus.subscribe(&keys, Catch::Newest, WAITING).await?);
     }
-    for keys in watch_keys(&node.config, "node/*/*/state") {
+    for keys in watch_keys(&node.config, Topic::Node(NodeTopic::State)) {
         states.push(node.bus.subscribe(&keys, Catch::Newest, 256).await?);
     }
     let mut keeper = Keeper { bus: node.bus.clone(), node, database, nodes: HashMap::new() };
     loop {
         tokio::select! {
-            heard = first(&records) => {
-                if let Key::Node(address, role, id, NodeTopic::Audit) = heard.key
+            received = first(&records) => {
+                if let Key::Node(address, role, id, NodeTopic::Audit) = received.key
                     && keeper.has_room(&(address.clone(), role, id.clone()))
                 {
-                    keeper.hear((address, role, id), &heard.said.body.record).await?;
+                    keeper.receive((address, role, id), &received.sample.body.record).await?;
                 }
             }
-            heard = first(&states) => {
-                if let Key::Node(address, role @ (Role::Device | Role::Observatory), id, NodeTopic::State) = heard.key
+            received = first(&states) => {
+                if let Key::Node(address, role @ (Role::Device | Role::Observatory), id, NodeTopic::State) = received.key
                     && keeper.has_room(&(address.clone(), role, id.clone()))
                 {
-                    keeper.look((address, role, id), heard.said.boot_id).await?;
+                    keeper.look((address, role, id), received.sample.boot_id).await?;
                 }
             }
         }
@@ -100,7 +101,8 @@ impl Keeper {
     async fn follow(&mut self, who: &Who) -> anyhow::Result<&mut Follow> {
         if !self.nodes.contains_key(who) {
             let (path, name) = (self.database.path().to_owned(), signature(who));
-            let look = move || Reader::open(&path).and_then(|reader| reader.audit_end(&name));
+            let telescope = who.0.telescope.clone();
+            let look = move || Reader::open(&path, telescope.as_str())?.audit_end(&name);
             let last = tokio::task::spawn_blocking(look).await??;
             self.nodes.insert(who.clone(), Follow { last, ..Follow::default() });
         }
@@ -108,7 +110,7 @@ impl Keeper {
     }
 
     /// Takes a record that was received.
-    async fn hear(&mut self, who: Who, record: &Value) -> anyhow::Result<()> {
+    async fn receive(&mut self, who: Who, record: &Value) -> anyhow::Result<()> {
         let follow = self.follow(&who).await?;
         let last = follow.last.clone();
         match prove_value(record) {
@@ -127,15 +129,15 @@ impl Keeper {
     }
 
     /// Takes a sign that a node is alive.
-    async fn look(&mut self, who: Who, life: BootId) -> anyhow::Result<()> {
+    async fn look(&mut self, who: Who, boot_id: BootId) -> anyhow::Result<()> {
         let now = self.bus.clock().machine();
         let follow = self.follow(&who).await?;
         let pause = if follow.lacks { RETRY } else { ASK_AGAIN };
         let due = follow.asked.is_none_or(|asked| now.since(asked) >= pause);
-        if !due && follow.life.as_ref() == Some(&life) {
+        if !due && follow.boot_id.as_ref() == Some(&boot_id) {
             return Ok(());
         }
-        follow.life = Some(life);
+        follow.boot_id = Some(boot_id);
         self.fetch(&who).await
     }
 
@@ -151,11 +153,11 @@ impl Keeper {
         let mut last = follow.last.clone();
         let key = Key::Node(who.0.clone(), who.1, who.2.clone(), NodeTopic::AuditSince);
         loop {
-            let question = Question { after_sha256: last.as_ref().map(|last| last.sha256.clone()), limit: None };
-            let answer: Answer<Value> = match self.bus.ask(&key, &question, ANSWER).await {
+            let question = AuditQuestion { after_sha256: last.as_ref().map(|last| last.sha256.clone()), limit: None };
+            let answer: AuditAnswer<Value> = match self.bus.ask(&key, &question, ANSWER).await {
                 Ok(answer) => answer,
                 Err(error) => {
-                    tracing::debug!(%error, "a node does not tell its audit; it is asked again");
+                    tracing::debug!(%error, "a node does not send its audit log; it is asked again");
                     self.lack(who, true).await?;
                     return Ok(());
                 }
@@ -163,7 +165,7 @@ impl Keeper {
             if let (false, Some(end)) = (answer.known, &last) {
                 let gone =
                     format!("number {} of chain {} is stored here and not in its own file", end.number, end.chain);
-                self.tell(who, &gone);
+                self.report(who, &gone);
                 // From the beginning: the database counts a record that it has only once.
                 last = None;
                 continue;
@@ -187,9 +189,9 @@ impl Keeper {
                 Ok(proven) => proven.follows(last.as_ref()).err(),
                 Err(broken) => Some(broken.clone()),
             };
-            let stored = StoredRecord::told(name.clone(), record, proven.as_ref().ok(), fault.as_ref());
+            let stored = StoredRecord::received(name.clone(), record, proven.as_ref().ok(), fault.as_ref());
             if let Some(fault) = &fault {
-                self.tell(who, &format!("number {} of chain {}: {fault}", stored.number, stored.chain));
+                self.report(who, &format!("number {} of chain {}: {fault}", stored.number, stored.chain));
             }
             last = Some(stored.link());
             writes.push(Write::Audit(Box::new(stored)));
@@ -203,9 +205,9 @@ impl Keeper {
         follow.lacks = lacks;
         follow.failures = if lacks { follow.failures.saturating_add(1) } else { 0 };
         let (failures, last) = (follow.failures, follow.last.clone());
-        if failures >= PATIENCE {
+        if failures >= FETCHES {
             let from = last.map_or("all of it".to_owned(), |last| format!("what follows number {}", last.number));
-            let cause = format!("{} does not tell its audit; the archive lacks {from}", signature(who));
+            let cause = format!("{} does not send its audit log; the archive lacks {from}", signature(who));
             self.node.alerts.raise(AlertKind::AuditLacking, signature(who), &cause);
         } else if failures == 0 {
             self.node.alerts.clear(AlertKind::AuditLacking, signature(who));
@@ -214,7 +216,7 @@ impl Keeper {
     }
 
     /// Raises an alert for a broken chain: a person should look. It stays active until this node ends.
-    fn tell(&self, who: &Who, what: &str) {
+    fn report(&self, who: &Who, what: &str) {
         let cause = format!("the audit of {} is broken: {what}", signature(who));
         self.node.alerts.raise(AlertKind::AuditBroken, signature(who), &cause);
     }
@@ -246,7 +248,7 @@ impl StoredRecord {
     }
 
     /// A record as it was received, with what is wrong with it.
-    fn told(node: String, record: &Value, proven: Option<&Proven>, fault: Option<&Broken>) -> Self {
+    fn received(node: String, record: &Value, proven: Option<&Proven>, fault: Option<&Broken>) -> Self {
         let fault = fault.map(ToString::to_string);
         if let Some(proven) = proven {
             return Self { fault, ..Self::of(node, proven) };

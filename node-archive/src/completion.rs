@@ -12,7 +12,8 @@ use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
-use crate::folder::{PART_FOLDER, is_taken};
+use crate::folder::{PART_FOLDER, is_taken, sync_folder};
+use crate::header::UNKNOWN;
 use crate::plan::Plan;
 use crate::solution;
 use crate::stored_header::Header;
@@ -64,6 +65,7 @@ impl Completer {
         for card in &plan.cards {
             header.set(card);
         }
+        header.forget_history(UNKNOWN);
         for line in &plan.history {
             header.add_history(line);
         }
@@ -183,21 +185,12 @@ fn rewrite(path: &Path, header: &[u8], old_length: u64) -> Result<(), Completion
         let mut new = OpenOptions::new().write(true).create_new(true).open(&part)?;
         new.write_all(header)?;
         io::copy(&mut old, &mut new)?;
-        bus::private::make_public_file(&part)?;
+        node::private::make_public_file(&part)?;
         new.sync_all()
     });
     written.map_err(|source| failed("write", &part, source))?;
     let renamed = fs::rename(&part, path).and_then(|()| sync_folder(path));
     renamed.map_err(|source| failed("replace", path, source))
-}
-
-/// Makes a new name in a folder survive a power loss; Windows does so by itself.
-pub fn sync_folder(file: &Path) -> io::Result<()> {
-    if cfg!(unix) {
-        let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        File::open(folder)?.sync_all()?;
-    }
-    Ok(())
 }
 
 fn failed(what: &'static str, file: &Path, source: io::Error) -> CompletionError {

@@ -1,8 +1,9 @@
 //! Writes what guiding did about each frame into the table `guiding` of the database.
 
-use bus::{Catch, Node};
+use bus::Catch;
 use contract::observatory::Correction;
 use contract::{Key, Scalar};
+use node::Node;
 
 use crate::database::{Database, StoredCorrection, Write};
 
@@ -12,13 +13,13 @@ const WAITING: usize = 4096;
 /// Stores the corrections of this telescope.
 pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
     let address = node.config.address();
-    let said = Key::Correction(address.clone()).to_string();
-    let corrections = node.bus.subscribe::<Correction>(&said, Catch::All, WAITING).await?;
+    let payload = Key::Correction(address.clone()).to_string();
+    let corrections = node.bus.subscribe::<Correction>(&payload, Catch::All, WAITING).await?;
     let mut count = 0;
     loop {
-        let heard = corrections.hear().await.said;
+        let sample = corrections.recv().await.sample;
         let telescope = address.telescope.to_string();
-        let stored = StoredCorrection { correction: heard.body, telescope, said: (heard.boot_id, heard.seq) };
+        let stored = StoredCorrection { correction: sample.body, telescope, origin: (sample.boot_id, sample.seq) };
         database.commit(vec![Write::Correction(Box::new(stored))]).await?;
         count += 1;
         node.figure("corrections_heard", Scalar::Int(count));

@@ -1,8 +1,17 @@
 //! The archive's SQLite file: one thread writes, in batches, and reports each row that it loses.
 
+mod backup;
 mod damage;
 mod guiding;
+mod happenings;
+mod make;
+mod migrations;
+mod owner;
 mod rows;
+mod stamp;
+mod streams;
+mod telemetry;
+mod whole_file;
 mod write;
 
 use std::path::{Path, PathBuf};
@@ -10,26 +19,33 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use bus::AlertBoard;
 use contract::observatory::AlertKind;
-use rusqlite::Connection;
+use node::NodeAlerts;
+use rusqlite::{Connection, OpenFlags};
 use tokio::sync::{Notify, mpsc, oneshot};
 
-pub use rows::stamp;
-pub use write::{StoredCorrection, StoredFacts, StoredImage, StoredRecord, StoredRun, Write};
+pub(crate) use backup::restore;
+pub use backup::{backup, copy_now};
+pub(crate) use make::make;
+pub use stamp::stamp;
+use streams::Streams;
+use telemetry::Telemetry;
+pub(crate) use telemetry::{MINUTE_US, scalar};
+pub use write::{
+    StarFlux, StoredAlerts, StoredCorrection, StoredFacts, StoredFluxes, StoredImage, StoredRecord, StoredRow,
+    StoredRun, StoredState, Write,
+};
 
 /// Rows of one commit, at most.
-const BATCH: usize = 200;
+const BATCH: usize = 5000;
 /// The longest that a row waits for others to be committed with it; a kill loses none of them, for the archive asks for
 /// the last ten minutes after a restart.
-const PATIENCE: Duration = Duration::from_secs(1);
+const TIMEOUT: Duration = Duration::from_millis(250);
 /// Rows that wait for the writer; beyond that, the tasks that bring them wait too.
 const WAITING: usize = 10_000;
 /// A writer that cannot commit tries again after so long, and when the node ends for so many times.
 const RETRY: Duration = Duration::from_secs(1);
 const LAST_TRIES: u32 = 5;
-/// Version of the tables; older files are brought up to it, newer ones are refused.
-const VERSION: i64 = 4;
 
 /// The database could not be opened or asked.
 #[derive(Debug, thiserror::Error)]
@@ -55,16 +71,35 @@ pub enum DatabaseError {
         source: std::io::Error,
     },
     /// A newer Starmesh wrote it.
-    #[error("the database {} has version {found}; this Starmesh knows up to {VERSION}", file.display())]
+    #[error(
+        "the database {} has version {found}, of a newer Starmesh; this one knows up to {}. Install that Starmesh again, \
+         or name another file in [archive] database", file.display(), migrations::VERSION
+    )]
     Newer {
         /// Which file.
         file: PathBuf,
         /// Its version.
         found: i64,
     },
+    /// The tables could not be brought up to date.
+    #[error("cannot bring the tables of {} up to date: {why}", file.display())]
+    Migration {
+        /// Which file.
+        file: PathBuf,
+        /// Why.
+        why: String,
+    },
     /// The writer ended and takes nothing more.
     #[error("the database's writer has ended")]
     Ended,
+}
+
+/// Opens a database that exists to read from it; it waits while another one changes what is read.
+pub(crate) fn read_only(path: &Path) -> rusqlite::Result<Connection> {
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let connection = Connection::open_with_flags(path, flags)?;
+    connection.busy_timeout(Duration::from_secs(5))?;
+    Ok(connection)
 }
 
 struct Job {
@@ -95,8 +130,8 @@ impl Writer {
 }
 
 impl Database {
-    /// Opens the file, makes its tables where they are missing, and starts the writer.
-    pub fn open(path: &Path, alerts: AlertBoard) -> Result<(Self, Writer), DatabaseError> {
+    /// Opens the file, makes its tables where they are missing, and starts the writer for the rows of a telescope.
+    pub fn open(path: &Path, telescope: &str, alerts: NodeAlerts) -> Result<(Self, Writer), DatabaseError> {
         let io = |source| DatabaseError::Io { file: path.to_owned(), source };
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder).map_err(io)?;
@@ -109,10 +144,10 @@ impl Database {
         let rows = Arc::new(AtomicU64::new(0));
         let (counted, runtime, file) = (rows.clone(), tokio::runtime::Handle::current(), path.to_owned());
         let renewal = Arc::new(Notify::new());
-        let told = renewal.clone();
+        let (renewed, telescope) = (renewal.clone(), telescope.to_owned());
         let thread = std::thread::Builder::new()
             .name("database".to_owned())
-            .spawn(move || write_all(connection, &file, taken, &runtime, &alerts, (&counted, &told)))
+            .spawn(move || write_all(connection, (&file, &telescope), taken, &runtime, &alerts, (&counted, &renewed)))
             .map_err(io)?;
         Ok((Self { jobs, path: Arc::new(path.to_owned()), rows, renewal }, Writer(thread)))
     }
@@ -152,67 +187,37 @@ impl Database {
     }
 }
 
-fn prepare(path: &Path) -> Result<Connection, DatabaseError> {
-    let failed = |what| move |source| DatabaseError::Sqlite { what, file: path.to_owned(), source };
-    let mut connection = Connection::open(path).map_err(failed("open"))?;
-    let settings = "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA busy_timeout = 5000;
-        PRAGMA wal_autocheckpoint = 4000;";
-    connection.execute_batch(settings).map_err(failed("set up"))?;
-    let found: i64 =
-        connection.query_row("PRAGMA user_version", [], |row| row.get(0)).map_err(failed("read the version of"))?;
-    if found > VERSION {
-        return Err(DatabaseError::Newer { file: path.to_owned(), found });
-    }
-    if found < VERSION {
-        let make = |connection: &mut Connection| {
-            let transaction = connection.transaction()?;
-            if found < 1 {
-                transaction.execute_batch(rows::SCHEMA)?;
-            }
-            if found < 2 {
-                transaction.execute_batch(rows::AUDIT)?;
-            }
-            if found < 3 {
-                transaction.execute_batch(rows::FACTS)?;
-            }
-            transaction.execute_batch(rows::SOLUTIONS)?;
-            transaction.pragma_update(None, "user_version", VERSION)?;
-            transaction.commit()
-        };
-        make(&mut connection).map_err(failed("make the tables of"))?;
-    }
-    // An older Starmesh that opens this file does not know these tables, and does not need them.
-    connection.execute_batch(guiding::SCHEMA).map_err(failed("make the tables of"))?;
-    connection.execute_batch(rows::FOCUS).map_err(failed("make the tables of"))?;
-    Ok(connection)
-}
-
 /// The writer's loop: gathers a batch, commits it, wakes the callers that wait; a batch that fails stays until it
 /// succeeds.
 fn write_all(
     mut connection: Connection,
-    path: &Path,
+    (path, telescope): (&Path, &str),
     mut taken: mpsc::Receiver<Job>,
     runtime: &tokio::runtime::Handle,
-    alerts: &AlertBoard,
+    alerts: &NodeAlerts,
     (rows, renewal): (&AtomicU64, &Notify),
 ) {
+    let mut memory = Memory { telemetry: Telemetry::default(), streams: Streams::of(telescope) };
     while let Some(batch) = gather(&mut taken, runtime) {
         let (mut last_tries, mut is_renewed) = (LAST_TRIES, false);
         loop {
-            match write_batch(&mut connection, &batch) {
+            match write_batch(&mut connection, telescope, &mut memory, &batch) {
                 Ok(count) => {
+                    memory.streams.end(true);
                     rows.fetch_add(count, Ordering::Relaxed);
                     alerts.clear(AlertKind::ArchiveDatabase, "");
                     break;
                 }
                 Err(error) => {
+                    // Nothing of the batch was written: numbers of series that were made in it do not exist.
+                    memory.telemetry = Telemetry::default();
+                    memory.streams.end(false);
                     // Once for a batch: a disk that damages what it just took is no reason for a third file.
                     let may_renew = damage::is_damage(&error) && !std::mem::replace(&mut is_renewed, true);
                     let renewed = may_renew.then(|| damage::renew(&mut connection, path, &error));
                     let cause = match renewed {
-                        Some(Ok(told)) => {
-                            alerts.raise(AlertKind::ArchiveDatabase, "", &told);
+                        Some(Ok(text)) => {
+                            alerts.raise(AlertKind::ArchiveDatabase, "", &text);
                             renewal.notify_one();
                             continue;
                         }
@@ -238,13 +243,13 @@ fn write_all(
     }
 }
 
-/// The next batch: at once when a caller waits for it, else all rows that come within [`PATIENCE`]. `None` at the end.
+/// The next batch: at once when a caller waits for it, else all rows that come within [`TIMEOUT`]. `None` at the end.
 fn gather(taken: &mut mpsc::Receiver<Job>, runtime: &tokio::runtime::Handle) -> Option<Vec<Job>> {
     let first = taken.blocking_recv()?;
     let mut is_awaited = first.done.is_some();
     let mut batch = vec![first];
     runtime.block_on(async {
-        let deadline = tokio::time::Instant::now() + PATIENCE;
+        let deadline = tokio::time::Instant::now() + TIMEOUT;
         while batch.len() < BATCH {
             let next = match taken.try_recv() {
                 Ok(job) => Some(job),
@@ -259,12 +264,25 @@ fn gather(taken: &mut mpsc::Receiver<Job>, runtime: &tokio::runtime::Handle) -> 
     Some(batch)
 }
 
-fn write_batch(connection: &mut Connection, batch: &[Job]) -> rusqlite::Result<u64> {
+/// What the writer knows of the file.
+struct Memory {
+    telemetry: Telemetry,
+    streams: Streams,
+}
+
+fn write_batch(
+    connection: &mut Connection,
+    telescope: &str,
+    memory: &mut Memory,
+    batch: &[Job],
+) -> rusqlite::Result<u64> {
     let transaction = connection.transaction()?;
     let mut count = 0;
     for job in batch {
-        count += rows::write(&transaction, &job.write)? as u64;
+        count += rows::write(&transaction, telescope, memory, &job.write)? as u64;
     }
+    memory.telemetry.write_minutes(&transaction)?;
+    memory.streams.write(&transaction)?;
     transaction.commit()?;
     Ok(count)
 }

@@ -1,11 +1,12 @@
 //! Writes the log lines of all nodes of this telescope into the database.
 
-use bus::{Catch, Node};
-use contract::Key;
 use contract::node::DiaryLine;
+use contract::{Key, NodeTopic, Topic};
+use node::Node;
 
 use crate::database::{Database, Write};
-use crate::telemetry::{first, watch_keys};
+use crate::streams::{self, Lost, Stream};
+use crate::telemetry::watch_keys;
 
 /// Lines that wait here when the database is slow.
 const WAITING: usize = 16_384;
@@ -13,13 +14,22 @@ const WAITING: usize = 16_384;
 /// Stores the lines of the nodes' diaries.
 pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
     let mut diaries = Vec::new();
-    for keys in watch_keys(&node.config, "node/*/*/diary") {
-        diaries.push(node.bus.subscribe::<DiaryLine>(&keys, Catch::All, WAITING).await?);
+    for keys in watch_keys(&node.config, Topic::Node(NodeTopic::Diary)) {
+        diaries.push(Stream::<DiaryLine>::open(&node, &database, keys, WAITING).await?);
     }
+    let mut looks = tokio::time::interval(streams::LOOK);
+    let mut lost = Lost::new(&node, ("log lines", "log"));
     loop {
-        let heard = first(&diaries).await;
-        let Key::Node(address, role, id, _) = heard.key else { continue };
-        let line = heard.said.body;
+        let received = tokio::select! {
+            received = streams::first(&diaries) => received,
+            _ = looks.tick() => {
+                lost.look(&database, &diaries).await?;
+                continue;
+            }
+        };
+        let written = streams::received(&received);
+        let Key::Node(address, role, id, _) = received.key else { continue };
+        let line = received.sample.body;
         let mut message = line.message;
         for (name, value) in &line.fields {
             message.push_str(&format!(" {name}={value}"));
@@ -32,9 +42,10 @@ pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
             target: line.target,
             level: line.level,
             message,
-            at: heard.said.at_utc,
-            said: (heard.said.boot_id, heard.said.seq),
+            at: received.sample.at_utc,
+            origin: (received.sample.boot_id, received.sample.seq),
         };
         database.put(write).await?;
+        database.put(written).await?;
     }
 }

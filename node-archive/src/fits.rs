@@ -9,6 +9,9 @@
 )]
 
 use std::ffi::{CString, c_char, c_int, c_long, c_void};
+use std::fs::OpenOptions;
+use std::io::{self, Write as _};
+use std::num::FpCategory;
 use std::path::{Path, PathBuf};
 use std::ptr::{self, NonNull};
 
@@ -16,6 +19,7 @@ use contract::device::camera::{Frame, Pixel};
 use fits::cfitsio::Turn;
 
 use crate::card::Card;
+use crate::stored_header::Header;
 
 /// cfitsio's `FLEN_FILENAME`, with its closing zero.
 const LONGEST_PATH: usize = 1024;
@@ -74,6 +78,24 @@ pub struct FitsFile {
 impl FitsFile {
     /// Creates a file that must not exist, with the mandatory keywords of an image (BZERO for 16 bits without sign).
     pub fn create(path: &Path, shape: &Shape) -> Result<Self, FitsError> {
+        let file = Self::open_with("create", path, |raw, name, status| {
+            // SAFETY: `raw` and `status` point to locals that outlive the call, `name` is a closed C string.
+            unsafe { fitsio_sys::ffdkinit(raw, name, status) }
+        })?;
+        file.with_image(shape)
+    }
+
+    /// As [`Self::create`], in memory; [`Self::compress_to`] writes it to `path`.
+    pub fn in_memory(path: &Path, shape: &Shape) -> Result<Self, FitsError> {
+        let file = Self::open_with("create", path, |raw, _, status| {
+            // SAFETY: `raw` and `status` point to locals that outlive the call, the name is a closed C string.
+            unsafe { fitsio_sys::ffinit(raw, c"mem://frame".as_ptr(), status) }
+        })?;
+        file.with_image(shape)
+    }
+
+    fn with_image(mut self, shape: &Shape) -> Result<Self, FitsError> {
+        let path = self.path.as_path();
         let bitpix = match shape.pixel {
             Pixel::U16 => 20,  // USHORT_IMG: BITPIX 16 with BZERO 32768
             Pixel::I32 => 32,  // LONG_IMG
@@ -87,16 +109,50 @@ impl FitsFile {
         if shape.planes == 1 {
             axes.pop();
         }
-        let mut file = Self::open_with("create", path, |raw, name, status| {
-            // SAFETY: `raw` and `status` point to locals that outlive the call, `name` is a closed C string.
-            unsafe { fitsio_sys::ffdkinit(raw, name, status) }
-        })?;
         let count = axes.len() as c_int;
         // SAFETY: `raw` is open; `axes` holds `count` numbers and is only read.
-        file.call("create the image in", |raw, status| unsafe {
+        self.call("create the image in", |raw, status| unsafe {
             fitsio_sys::ffcrim(raw, bitpix, count, axes.as_mut_ptr(), status)
         })?;
-        Ok(file)
+        Ok(self)
+    }
+
+    /// Writes the image of this file as compressed tiles, each a row, into a new file: whole numbers by Rice's method,
+    /// floats by GZIP_2 without quantization, so that nothing is lost. The header and its spare room stay, and so do the
+    /// sums, under the names ZHECKSUM and ZDATASUM (FITS Standard 4.0, section 10). This file is given up.
+    pub fn compress_to(mut self, path: &Path, pixel: Pixel) -> Result<(), FitsError> {
+        let method = match pixel {
+            Pixel::U16 | Pixel::I32 => 11, // RICE_1
+            Pixel::F64 => 22,              // GZIP_2
+        };
+        let name = c_path("create", path)?;
+        self.call("compress", |raw, status| {
+            let (mut tiled, mut kind) = (ptr::null_mut(), 0);
+            // SAFETY: `raw` is open; `tiled`, `kind` and `status` are locals or outlive the calls, `name` is a closed C
+            // string. Each of the calls does nothing where `status` is set.
+            unsafe {
+                fitsio_sys::ffdkinit(&mut tiled, name.as_ptr(), status);
+                if tiled.is_null() {
+                    return *status;
+                }
+                fitsio_sys::fits_set_compression_type(tiled, method, status);
+                // Zero is "do not quantize".
+                fitsio_sys::fits_set_quantize_level(tiled, 0.0, status);
+                fitsio_sys::fits_img_compress(raw, tiled, status);
+                fitsio_sys::ffpcks(tiled, status);
+                fitsio_sys::ffmahd(tiled, 1, &mut kind, status);
+                fitsio_sys::ffpcks(tiled, status);
+                let mut closed = 0;
+                fitsio_sys::ffclos(tiled, &mut closed);
+                if *status == 0 {
+                    *status = closed;
+                }
+            }
+            // SAFETY: `status` points to a number.
+            unsafe { *status }
+        })?;
+        self.close()?;
+        sum_up(path).map_err(|source| error("write the checksums of", path, source.to_string()))
     }
 
     fn open_with(
@@ -104,8 +160,7 @@ impl FitsFile {
         path: &Path,
         open: impl FnOnce(*mut *mut fitsio_sys::fitsfile, *const c_char, *mut c_int) -> c_int,
     ) -> Result<Self, FitsError> {
-        let name = path.to_str().filter(|name| name.len() < LONGEST_PATH).and_then(|name| CString::new(name).ok());
-        let name = name.ok_or_else(|| error(what, path, "the path is too long or no UTF-8".to_owned()))?;
+        let name = c_path(what, path)?;
         let turn = Turn::wait();
         let (mut raw, mut status) = (ptr::null_mut(), 0);
         open(&mut raw, name.as_ptr(), &mut status);
@@ -143,7 +198,9 @@ impl FitsFile {
         match shape.pixel {
             Pixel::U16 => self.write_values(20, spooled.as_chunks().0.iter().map(|bytes| u16::from_le_bytes(*bytes))),
             Pixel::I32 => self.write_values(31, spooled.as_chunks().0.iter().map(|bytes| i32::from_le_bytes(*bytes))),
-            Pixel::F64 => self.write_values(82, spooled.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes))),
+            Pixel::F64 => {
+                self.write_values(82, spooled.as_chunks().0.iter().map(|bytes| one_nan(f64::from_le_bytes(*bytes))))
+            }
         }
     }
 
@@ -196,11 +253,43 @@ impl Drop for FitsFile {
     }
 }
 
+/// Whether pixels in compressed tiles come back as they were. cfitsio, and so `funpack`, makes NaN of infinite numbers, and
+/// zero of those below the least normal one and of -0.
+pub fn is_restored_whole(shape: &Shape, spooled: &[u8]) -> bool {
+    let is_restored = |bytes: &[u8; 8]| {
+        let number = f64::from_le_bytes(*bytes);
+        match number.classify() {
+            FpCategory::Nan | FpCategory::Normal => true,
+            FpCategory::Zero => number.is_sign_positive(),
+            FpCategory::Infinite | FpCategory::Subnormal => false,
+        }
+    };
+    shape.pixel != Pixel::F64 || spooled.as_chunks().0.iter().all(is_restored)
+}
+
+/// cfitsio compresses every NaN as this one, so that sums would not fit those of any other.
+fn one_nan(value: f64) -> f64 {
+    if value.is_nan() { f64::from_bits(u64::MAX) } else { value }
+}
+
+/// Sets the sums of a file with tiles, ZHECKSUM among them: the plain header that is restored from this one may have
+/// another block of room than the one that was compressed.
+fn sum_up(path: &Path) -> io::Result<()> {
+    let mut header = Header::read(path)?.ok_or_else(|| io::Error::other("its header has no end"))?;
+    header.update_checksum();
+    OpenOptions::new().write(true).open(path)?.write_all(&header.to_bytes())
+}
+
+fn c_path(what: &'static str, path: &Path) -> Result<CString, FitsError> {
+    let name = path.to_str().filter(|name| name.len() < LONGEST_PATH).and_then(|name| CString::new(name).ok());
+    name.ok_or_else(|| error(what, path, "the path is too long or no UTF-8".to_owned()))
+}
+
 fn error(what: &'static str, file: &Path, detail: String) -> FitsError {
     FitsError { what, file: file.to_owned(), detail }
 }
 
-/// A C string of text that [`printable`] has cleaned; a zero would end it early.
+/// A C string of text that [`printable`](contract::printable()) has cleaned; a zero would end it early.
 fn c_text(text: &str) -> CString {
     CString::new(text.replace('\0', "?")).unwrap_or_default()
 }

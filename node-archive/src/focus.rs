@@ -3,20 +3,17 @@
 //! The observatory node publishes a run once, when it has ended, with all its points; an archive that was away can
 //! recover it from the bus. The archive draws the plot from the points, so that only numbers are published.
 
-use std::io::{self, Write as _};
-use std::path::Path;
-
-use bus::{Catch, Node};
+use bus::Catch;
 use contract::observatory::{FocusCurve, FocusPass, FocusRun};
 use contract::{Key, Scalar};
 use imaging::focus::plot::Plot;
-use imaging::focus::sweep::{Fit, Pass, Point};
+use imaging::focus::sweep::{FocusFit, FocusMeasurement, Pass};
 use imaging::focus::{Better, Hyperbola, SMOOTHERS};
 use imaging::quality::Estimate;
+use node::Node;
 
-use crate::completion::sync_folder;
 use crate::database::{Database, StoredRun, Write};
-use crate::folder::{is_taken, without_links};
+use crate::folder::put;
 use crate::name::part;
 
 /// Folder of the plots, inside the folder of images.
@@ -30,13 +27,20 @@ pub async fn keep(node: Node, database: Database) -> anyhow::Result<()> {
     let runs = node.bus.subscribe::<FocusRun>(&key.to_string(), Catch::All, WAITING).await?;
     let mut count = 0;
     loop {
-        let heard = runs.hear().await;
-        let (run, at) = (heard.said.body, heard.said.at_utc);
+        let received = runs.recv().await;
+        let (run, at) = (received.sample.body, received.sample.at_utc);
         let plot = plot_name(&run);
-        let stored = StoredRun { plot: plot.clone(), at, said: (heard.said.boot_id, heard.said.seq), run: run.clone() };
+        let stored = StoredRun {
+            plot: plot.clone(),
+            at,
+            origin: (received.sample.boot_id, received.sample.seq),
+            run: run.clone(),
+        };
         database.commit(vec![Write::Focus(Box::new(stored))]).await?;
         let (images, title) = (node.config.folders.images.clone(), node.config.place.telescope.to_string());
-        let drawn = tokio::task::spawn_blocking(move || draw(&images, &plot, &svg(&run, &title))).await?;
+        let drawn =
+            tokio::task::spawn_blocking(move || put(&images, &images.join(&plot), svg(&run, &title).as_bytes()))
+                .await?;
         if let Err(error) = drawn {
             // The numbers are in the database.
             tracing::warn!(%error, "the plot of a focus run could not be written");
@@ -58,7 +62,7 @@ fn plot_name(run: &FocusRun) -> String {
 pub fn svg(run: &FocusRun, telescope: &str) -> String {
     let filter = run.filter.as_deref().unwrap_or("no filter named");
     let at = run.started_utc.strftime("%Y-%m-%d %H:%M:%S");
-    let points: Vec<Point> = run.points.iter().filter_map(point).collect();
+    let points: Vec<FocusMeasurement> = run.points.iter().filter_map(point).collect();
     let fit = run.curve.as_ref().and_then(|curve| fit(curve, run));
     Plot {
         title: &format!("{telescope} {}, {filter}, {at} UTC", run.camera),
@@ -71,20 +75,20 @@ pub fn svg(run: &FocusRun, telescope: &str) -> String {
     .svg()
 }
 
-fn point(point: &contract::observatory::FocusPoint) -> Option<Point> {
+fn point(point: &contract::observatory::FocusPoint) -> Option<FocusMeasurement> {
     let pass = match point.pass {
         FocusPass::Coarse => Pass::Coarse,
         FocusPass::Fine => Pass::Fine,
         FocusPass::Verification => Pass::Verification,
     };
     let value = point.value.map(|value| Estimate { value, error: point.error.unwrap_or(f64::NAN) });
-    Some(Point { position: i32::try_from(point.position).ok()?, pass, value })
+    Some(FocusMeasurement { position: i32::try_from(point.position).ok()?, pass, value })
 }
 
-fn fit(curve: &FocusCurve, run: &FocusRun) -> Option<Fit> {
+fn fit(curve: &FocusCurve, run: &FocusRun) -> Option<FocusFit> {
     if let Some(slope) = curve.slope_per_step {
         let of_curve = run.points.iter().filter(|point| point.pass != FocusPass::Verification);
-        return Some(Fit::Hyperbola(Hyperbola {
+        return Some(FocusFit::Hyperbola(Hyperbola {
             best_position: curve.best_position,
             best_position_error: run.best_position_error.unwrap_or(f64::NAN),
             least_size: curve.best_value,
@@ -94,33 +98,12 @@ fn fit(curve: &FocusCurve, run: &FocusRun) -> Option<Fit> {
         }));
     }
     let smoother = SMOOTHERS.iter().find(|smoother| smoother.name == curve.model)?;
-    Some(Fit::Smoothed {
+    Some(FocusFit::Smoothed {
         smoother: smoother.name,
         better: if curve.larger_is_better { Better::Larger } else { Better::Smaller },
         curve: curve.places.iter().map(|[position, value]| (*position, *value)).collect(),
         best: (curve.best_position, curve.best_value),
     })
-}
-
-/// Writes a file of the folder of images whole or not at all.
-fn draw(images: &Path, plot: &str, text: &str) -> io::Result<()> {
-    let file = images.join(plot);
-    without_links(images, &file)?;
-    if let Some(folder) = file.parent() {
-        for folder in [folder.parent().unwrap_or(folder), folder] {
-            bus::private::make_public_folder(folder)?;
-        }
-    }
-    let part = file.with_extension("svg.part");
-    if is_taken(&part) {
-        std::fs::remove_file(&part)?;
-    }
-    let mut written = std::fs::File::create_new(&part)?;
-    written.write_all(text.as_bytes())?;
-    bus::private::make_public_file(&part)?;
-    written.sync_all()?;
-    std::fs::rename(&part, &file)?;
-    sync_folder(&file)
 }
 
 #[cfg(test)]
@@ -141,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn the_picture_shows_what_was_told() {
+    fn the_picture_shows_what_was_published() {
         let smoothed = svg(&sample(), "callisto");
         let count = |svg: &str, what: &str| svg.matches(what).count();
         assert!(smoothed.contains("callisto andor, V, 2026-11-21 03:08:00 UTC"), "{smoothed}");

@@ -31,7 +31,7 @@ pub struct Claim {
 /// Another archive of this telescope writes there, or a lock file cannot be made.
 pub async fn claim(images: &Path, database: &Path, telescope: &Address, who: &str) -> anyhow::Result<Claim> {
     prepare(images, telescope).with_context(|| format!("cannot use the folder of images {}", images.display()))?;
-    let name = format!("{}-{}.lock", telescope.site, telescope.telescope);
+    let name = lock_name(telescope);
     let mut of_database = database.as_os_str().to_owned();
     of_database.push(format!(".{name}"));
     let places = [
@@ -41,6 +41,25 @@ pub async fn claim(images: &Path, database: &Path, telescope: &Address, who: &st
     let mut locks = Vec::new();
     for (what, place, file) in places {
         locks.extend(lock(what, place, &file, who).await?);
+    }
+    Ok(Claim { _locks: locks })
+}
+
+fn lock_name(telescope: &Address) -> String {
+    format!("{}-{}.lock", telescope.site, telescope.telescope)
+}
+
+/// Takes a database from the archives of the other telescopes that share it.
+pub async fn claim_from_others(database: &Path, telescope: &Address, who: &str) -> anyhow::Result<Claim> {
+    let folder = database.parent().unwrap_or(Path::new("."));
+    let begins = format!("{}.", database.file_name().unwrap_or_default().to_string_lossy());
+    let (own, mut locks) = (lock_name(telescope), Vec::new());
+    for entry in fs::read_dir(folder).with_context(|| format!("cannot read the folder {}", folder.display()))? {
+        let file = entry?.path();
+        let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if name.starts_with(&begins) && name.ends_with(".lock") && !name.ends_with(&format!(".{own}")) {
+            locks.extend(lock("the database", database, &file, who).await?);
+        }
     }
     Ok(Claim { _locks: locks })
 }
@@ -76,7 +95,7 @@ async fn lock(what: &str, place: &Path, file: &Path, who: &str) -> anyhow::Resul
         }
     }
     // Its text is for people only.
-    let note = format!("archive node {who}, process {} on host {}\n", std::process::id(), bus::host_name());
+    let note = format!("archive node {who}, process {} on host {}\n", std::process::id(), node::host_name());
     let _ = lock.set_len(0).and_then(|()| lock.rewind()).and_then(|()| lock.write_all(note.as_bytes()));
     Ok(opened.ok())
 }
@@ -98,7 +117,7 @@ fn prepare(images: &Path, telescope: &Address) -> io::Result<()> {
             tracing::warn!(path = %folder.display(), "a link or file is in the place of the archive's own folder; it is removed");
             fs::remove_file(&folder)?;
         }
-        bus::private::make_public_folder(&folder)?;
+        node::private::make_public_folder(&folder)?;
     }
     Ok(())
 }
@@ -141,7 +160,7 @@ fn real_folder(inside: &Path, name: &str) -> io::Result<PathBuf> {
                 tracing::warn!(taken = %folder.display(), "a link or a file is in the place of a folder; it is not followed");
             }
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                return bus::private::make_public_folder(&folder).map(|()| folder);
+                return node::private::make_public_folder(&folder).map(|()| folder);
             }
             Err(error) => return Err(error),
         }
@@ -163,6 +182,37 @@ pub fn without_links(images: &Path, path: &Path) -> io::Result<()> {
         }
     }
     Ok(())
+}
+
+/// Makes a new name in a folder survive a power loss; Windows does so by itself.
+pub fn sync_folder(file: &Path) -> io::Result<()> {
+    if cfg!(unix) {
+        let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        File::open(folder)?.sync_all()?;
+    }
+    Ok(())
+}
+
+/// Writes a file of the folder of images whole or not at all, and makes the folders that it needs.
+pub fn put(images: &Path, file: &Path, bytes: &[u8]) -> io::Result<()> {
+    without_links(images, file)?;
+    let mut folders: Vec<&Path> = file.ancestors().skip(1).take_while(|folder| *folder != images).collect();
+    folders.reverse();
+    for folder in folders {
+        node::private::make_public_folder(folder)?;
+    }
+    let mut part = file.as_os_str().to_owned();
+    part.push(".part");
+    let part = PathBuf::from(part);
+    if is_taken(&part) {
+        fs::remove_file(&part)?;
+    }
+    let mut written = File::create_new(&part)?;
+    written.write_all(bytes)?;
+    node::private::make_public_file(&part)?;
+    written.sync_all()?;
+    fs::rename(&part, file)?;
+    sync_folder(file)
 }
 
 /// Is there anything of this name, a link that leads nowhere included?

@@ -28,12 +28,19 @@ const LEFT_TO_FITS: [&str; 14] = [
     "SIMPLE", "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "NAXIS3", "EXTEND", "BZERO", "BSCALE", "BLANK", "CHECKSUM",
     "DATASUM", "END", "PCOUNT",
 ];
-/// Room that a new file keeps beyond the rows of the table: what was measured (22), a plate solution with its
+/// The begin of the lines of history that name what was not polled near the exposure.
+pub const UNKNOWN: &str = "not known at DATE-OBS";
+/// Room that a new file keeps beyond the rows of the table: what was measured (24), a plate solution with its
 /// distortion (73), the history, the odd keyword.
-const SPARE_CARDS: usize = 120;
+const SPARE_CARDS: usize = 128;
+
+/// Whether no table decides about a keyword: the file's structure, compressed or not.
+fn is_left_to_fits(keyword: &str) -> bool {
+    LEFT_TO_FITS.contains(&keyword) || fits::restore::is_about_tiles(keyword)
+}
 
 /// All that is known when a file is made.
-pub struct Known<'a> {
+pub struct HeaderFacts<'a> {
     /// The frame.
     pub frame: &'a Frame,
     /// The site.
@@ -44,10 +51,10 @@ pub struct Known<'a> {
     pub newest: &'a dyn Fn(Kind, &str) -> Option<Scalar>,
 }
 
-type Compute = fn(&Known<'_>) -> Option<CardValue>;
+type Compute = fn(&HeaderFacts<'_>) -> Option<CardValue>;
 
 /// Keywords that Starmesh knows when a file is made, with the comment for a table that does not list them.
-const COMPUTED: [(&str, Compute, &str); 18] = [
+const COMPUTED: [(&str, Compute, &str); 22] = [
     ("DATE-OBS", |k| Some(CardValue::Text(fits_date(k.frame.started_utc))), "UTC at start of exposure"),
     ("DATE", |k| Some(CardValue::Text(fits_date(k.written))), "UTC when the file was written"),
     ("EXPTIME", |k| Some(CardValue::Float(k.frame.exposure_s)), "[s] exposure time"),
@@ -66,13 +73,22 @@ const COMPUTED: [(&str, Compute, &str); 18] = [
     ("APTDIA", |k| Some(CardValue::Float(k.number(Kind::Telescope, "ApertureDiameter")?)), ""),
     ("FOCALLEN", |k| Some(CardValue::Float(k.number(Kind::Telescope, "FocalLength")?)), ""),
     ("INSTRUME", |k| Some(k.frame.camera.as_str().into()), ""),
+    ("OBSERVAT", |k| Some(k.place.site.as_str().into()), "site"),
+    ("NIGHT", |k| night(k.frame).map(CardValue::from), "date of the evening of the night"),
+    ("SCHEDROW", |k| Some(CardValue::Int(k.frame.purpose.row?.into())), "row of the schedule, the first is 0"),
+    ("PROGID", |k| k.frame.purpose.programme.as_deref().map(CardValue::from), "programme of the schedule's row"),
 ];
 
 /// The keywords of [`COMPUTED`] that every file has, whatever the table lists.
-const ALWAYS: [&str; 11] =
-    ["DATE-OBS", "DATE", "EXPTIME", "IMAGETYP", "ASTRA", "ASTRATYP", "FRAMEID", "RA", "DEC", "RADESYS", "OBJECT"];
+const ALWAYS: [&str; 12] = [
+    "DATE-OBS", "DATE", "EXPTIME", "IMAGETYP", "ASTRA", "ASTRATYP", "FRAMEID", "RA", "DEC", "RADESYS", "OBJECT",
+    "PROGID",
+];
 
-impl Known<'_> {
+/// The keywords of [`COMPUTED`] that every file has, unless the table gives them another value. Archives ask for them.
+const UNLESS_GIVEN: [&str; 3] = ["OBSERVAT", "NIGHT", "SCHEDROW"];
+
+impl HeaderFacts<'_> {
     fn number(&self, kind: Kind, property: &str) -> Option<f64> {
         (self.newest)(kind, property)?.number().filter(|number| number.is_finite())
     }
@@ -84,10 +100,15 @@ fn target(frame: &Frame) -> Option<Icrs> {
     Icrs::from_degrees(ra, dec).checked().ok()
 }
 
+/// The night that the frame was taken in, `YYYYMMDD`.
+fn night(frame: &Frame) -> Option<&str> {
+    Some(frame.purpose.night.as_str()).filter(|night| !night.is_empty())
+}
+
 /// Rows of a table that will leave no trace in a header, and why.
 pub fn check(table: &HeaderTable) -> Vec<String> {
     let mut notes = Vec::new();
-    for row in table.rows.iter().filter(|row| !LEFT_TO_FITS.contains(&row.keyword.as_str())) {
+    for row in table.rows.iter().filter(|row| !is_left_to_fits(&row.keyword)) {
         let known = COMPUTED.iter().any(|(keyword, ..)| *keyword == row.keyword)
             || astronomy::KEYWORDS.contains(&row.keyword.as_str())
             || quality::makes(&row.keyword)
@@ -109,15 +130,21 @@ pub fn check(table: &HeaderTable) -> Vec<String> {
     notes
 }
 
+/// The keywords that every file has, whatever the table lists, with their comments.
+pub fn of_every_file() -> impl Iterator<Item = (&'static str, &'static str)> {
+    let is_always = |keyword: &str| ALWAYS.contains(&keyword) || UNLESS_GIVEN.contains(&keyword);
+    COMPUTED.iter().filter(move |(keyword, ..)| is_always(keyword)).map(|(keyword, _, comment)| (*keyword, *comment))
+}
+
 /// Cards that a new file of this table should keep room for.
 pub fn room(table: &HeaderTable) -> usize {
     table.rows.len() + SPARE_CARDS
 }
 
 /// The header of a new file, in the table's order, then what every file has.
-pub fn base(table: &HeaderTable, known: &Known<'_>) -> Vec<Card> {
+pub fn base(table: &HeaderTable, known: &HeaderFacts<'_>) -> Vec<Card> {
     let mut cards: Vec<Card> = Vec::new();
-    for row in table.rows.iter().filter(|row| !LEFT_TO_FITS.contains(&row.keyword.as_str())) {
+    for row in table.rows.iter().filter(|row| !is_left_to_fits(&row.keyword)) {
         if let Some(value) = base_value(row, known)
             && !cards.iter().any(|card| card.keyword == row.keyword)
         {
@@ -137,10 +164,17 @@ pub fn base(table: &HeaderTable, known: &Known<'_>) -> Vec<Card> {
             }
         }
     }
+    for (keyword, compute, comment) in COMPUTED.iter().filter(|(keyword, ..)| UNLESS_GIVEN.contains(keyword)) {
+        if let Some(value) = compute(known)
+            && !cards.iter().any(|card| card.keyword == *keyword)
+        {
+            cards.push(Card::new(keyword, value, comment));
+        }
+    }
     cards
 }
 
-fn base_value(row: &HeaderRow, known: &Known<'_>) -> Option<CardValue> {
+fn base_value(row: &HeaderRow, known: &HeaderFacts<'_>) -> Option<CardValue> {
     let keyword = row.keyword.as_str();
     let compute = || COMPUTED.iter().find(|(name, ..)| *name == keyword).and_then(|(_, compute, _)| compute(known));
     match &row.source {
@@ -214,7 +248,7 @@ pub struct Around {
     /// The first value at it or after it.
     pub after: Option<Sample>,
     /// The device has published a state after the instant, with a value or without.
-    pub heard_since: bool,
+    pub received_since: bool,
 }
 
 /// All that is known when a header is completed.
@@ -226,7 +260,7 @@ pub struct Later<'a> {
     /// Frame that the mount's coordinates are in.
     pub mount: EquatorialSystem,
     /// A poll further from the start of the exposure is not used, sky s.
-    pub reach_s: f64,
+    pub holds_s: f64,
     /// Keywords that the file has already.
     pub present: &'a BTreeSet<String>,
     /// The polls of a property around the start; `None` where no such device is paired with the camera.
@@ -251,7 +285,7 @@ pub fn completion(table: &HeaderTable, later: &Later<'_>) -> Result<Plan, SkyErr
     }
     let mut plan = Plan::default();
     let mut missing = Vec::new();
-    let rows = table.rows.iter().filter(|row| !LEFT_TO_FITS.contains(&row.keyword.as_str()));
+    let rows = table.rows.iter().filter(|row| !is_left_to_fits(&row.keyword));
     for row in rows {
         let keyword = row.keyword.as_str();
         let value = match &row.source {
@@ -296,7 +330,7 @@ impl Later<'_> {
     fn interpolated(&self, kind: Kind, property: &str, dtype: Dtype, around: &Around) -> Option<Scalar> {
         let rule = Rule::of(kind, property, dtype);
         let (before, after) = (around.before.as_ref(), around.after.as_ref());
-        value_at(rule, before, after, self.frame.started_utc, self.reach_s)
+        value_at(rule, before, after, self.frame.started_utc, self.holds_s)
     }
 
     fn polled(&self, row: &HeaderRow, kind: Kind, property: &str, around: &Around) -> Option<CardValue> {
@@ -337,7 +371,7 @@ impl Later<'_> {
 }
 
 fn missing_lines(missing: &[&str]) -> Vec<String> {
-    missing.chunks(5).map(|keywords| format!("not known at DATE-OBS: {}", keywords.join(", "))).collect()
+    missing.chunks(5).map(|keywords| format!("{UNKNOWN}: {}", keywords.join(", "))).collect()
 }
 
 #[cfg(test)]

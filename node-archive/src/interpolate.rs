@@ -47,12 +47,12 @@ impl Rule {
     }
 }
 
-/// The value at an instant, from the last poll before it and the first at or after it.  A poll further than `reach_s`
+/// The value at an instant, from the last poll before it and the first at or after it.  A poll further than `holds_s`
 /// from the instant is not used; with only one poll in reach its value holds. `None` when there is none.
-pub fn value_at(rule: Rule, before: Option<&Sample>, after: Option<&Sample>, at: Utc, reach_s: f64) -> Option<Scalar> {
+pub fn value_at(rule: Rule, before: Option<&Sample>, after: Option<&Sample>, at: Utc, holds_s: f64) -> Option<Scalar> {
     let distance_s = |sample: &&Sample| sample.at.seconds_since(at).abs();
-    let before = before.filter(|sample| distance_s(sample) <= reach_s);
-    let after = after.filter(|sample| distance_s(sample) <= reach_s);
+    let before = before.filter(|sample| distance_s(sample) <= holds_s);
+    let after = after.filter(|sample| distance_s(sample) <= holds_s);
     let (Some(first), Some(second)) = (before, after) else {
         return before.or(after).map(|sample| sample.value.clone());
     };
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn one_poll_holds_within_reach_and_says_nothing_beyond() {
+    fn one_poll_holds_within_its_time_and_shows_nothing_beyond() {
         let poll = sample(0.0, Scalar::Float(5.0));
         let at = |second: f64| Utc::from_seconds(1e9 + second);
         assert_eq!(value_at(Rule::Linear, Some(&poll), None, at(9.0), 10.0), Some(Scalar::Float(5.0)));

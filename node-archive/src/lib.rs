@@ -4,9 +4,19 @@
 //! them ([`name`]), writes them as FITS ([`fits`], [`header`]) under a temporary name, syncs, renames and records them,
 //! and only then releases them. The values that devices poll and the lines of the nodes' diaries go into one SQLite
 //! file ([`telemetry`], [`diary`], [`database`]), together with a copy of all nodes' audit ([`audit`]), the facts of
-//! each frame ([`facts`]), the corrections of guiding ([`corrections`]), and the focus runs with their plots
-//! ([`focus`]). From this file questions are answered ([`history`]) and headers completed ([`pass`], [`completion`])
-//! with what was true when the exposure began ([`interpolate`], [`astronomy`]).
+//! each frame ([`facts`]), the corrections of guiding ([`corrections`]), the fluxes of stars ([`photometry`]), and the focus runs with their plots
+//! ([`focus`]), and what the observatory node did and why ([`happenings`]). From this file questions are answered ([`history`]), of single
+//! frames and reports those in [`frames`], and headers completed ([`pass`], [`completion`])
+//! with what was true when the exposure began ([`interpolate`], [`astronomy`]). The frames of one night ([`night`]) are what
+//! is reported ([`night_report`]) and handed over.
+//!
+//! Values that are older than the site wants are left out of it, and it is copied each day ([`care`]). Finished nights are
+//! written as Parquet into the network's archive, from which a database can be made again ([`parquet`]).
+//! Each night is handed over to the destinations that the site names, and verified there ([`delivery`]), or copied by hand
+//! with what is known of it ([`export`]).
+//!
+//! The samples of each publisher are followed by their numbers: what an archive that was away lacks comes from the
+//! publishers, and what they hold no more is reported ([`streams`]).
 //!
 //! One archive of a telescope writes in a folder ([`folder`]); a slow spool delays no other ([`turns`]); files that an
 //! older database does not know are found again ([`rebuild`]).
@@ -24,10 +34,16 @@
 //! - A plate solution is whole or not in the header at all:
 //!   `a_table_with_a_word_of_its_own_gets_no_half_of_a_solution`.
 //! - Measured facts are never replaced by a reason why there are none:
-//!   `facts_are_kept_once_and_what_was_measured_never_gives_way_to_a_reason`.
+//!   `facts_are_stored_once_and_what_was_measured_never_gives_way_to_a_reason`.
 //! - One archive of a telescope writes in a folder of images, and below that folder no link is followed (decision
-//!   0064): `a_second_archive_of_one_telescope_is_refused_and_told_by_whom`,
+//!   0064): `a_second_archive_of_one_telescope_is_refused_and_the_first_one_named`,
 //!   `no_link_below_the_folder_of_images_is_followed`.
+//! - A telescope is answered with its own rows, whoever shares its database (decision 0105):
+//!   `every_question_about_a_night_is_answered_for_one_telescope`.
+//! - A question about the past ends in time, and no frame waits for it (decision 0106):
+//!   `frames_are_stored_while_the_largest_questions_are_looked_up`.
+//! - The bytes, pictures and values of a frame are those of its own row's file, and no path or link leads elsewhere:
+//!   `no_row_and_no_link_leads_out_of_the_folder_of_images`.
 //! - A damaged database is put aside whole before a new one is written:
 //!   `a_damaged_database_is_put_aside_and_a_new_one_takes_rows`.
 //! - The audit here is a copy: the archive asks the nodes, whose own files decide:
@@ -36,39 +52,52 @@
 pub mod astronomy;
 mod audit;
 pub mod card;
+mod care;
 pub mod completion;
 pub mod corrections;
 pub mod database;
+pub mod delivery;
 mod diary;
+pub mod export;
 pub mod facts;
 pub mod fits;
 pub mod focus;
 mod folder;
+mod frames;
+mod guided;
+mod happenings;
 pub mod header;
 mod history;
 pub mod interpolate;
+pub mod keywords;
 pub mod name;
+pub mod night;
+pub mod night_report;
 mod pairing;
+pub mod parquet;
 pub mod pass;
+mod photometry;
 pub mod plan;
 mod quality;
 pub mod reader;
 mod rebuild;
+mod recompletion;
 pub mod solution;
 mod store;
 pub mod stored_header;
+mod streams;
 pub mod telemetry;
 mod turns;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicI64;
 use std::time::Duration;
 
 use anyhow::Context as _;
-use bus::{Node, Quality};
 use contract::observatory::AlertKind;
 use contract::{Address, Key, Scalar};
+use node::Node;
 use tokio::sync::Notify;
 use tokio::task::JoinSet;
 
@@ -93,27 +122,35 @@ pub async fn run(node: Node) -> anyhow::Result<()> {
     let (images, file, telescope) = (&config.folders.images, &config.archive.database, config.address());
     let Some(_claim) = claim_folder(&node, images, file, &telescope).await? else { return Ok(()) };
     let Some((database, writer)) = open_database(&node).await? else { return Ok(()) };
-    let (stored_before, complete_before) = Reader::open(database.path())?.image_counts()?;
+    let (stored_before, complete_before) =
+        Reader::open(database.path(), config.place.telescope.as_str())?.image_counts()?;
     for (figure, count) in
         [("frames_stored", stored_before), ("headers_complete", complete_before), ("rows_written", 0)]
     {
         node.figure(figure, Scalar::Int(count));
     }
     let stored = Key::Stored(config.address());
-    let stored = Arc::new(node.bus.publisher(&stored, Quality::Event { cache: 1000 }).await?);
+    let stored = Arc::new(node.bus.publisher(&stored).await?);
     let (newest, incomplete) = (Newest::default(), Arc::new(Notify::new()));
     let _history = history::serve(&node).await?;
+    let _frames = frames::serve(&node).await?;
 
     let mut tasks = JoinSet::new();
     let (on_disk, found) = rebuild::OnDisk::new(node.bus.clock().utc());
     tasks.spawn(rebuild::keep(node.clone(), database.clone(), incomplete.clone(), found));
     tasks.spawn(telemetry::keep(node.clone(), database.clone(), newest.clone()));
-    tasks.spawn(notify::keep_standing_in(node.clone()));
+    tasks.spawn(notify::keep_substituting(node.clone()));
     tasks.spawn(diary::keep(node.clone(), database.clone()));
     tasks.spawn(audit::keep(node.clone(), database.clone()));
+    tasks.spawn(happenings::keep(node.clone(), database.clone()));
     tasks.spawn(facts::keep(node.clone(), database.clone(), incomplete.clone()));
     tasks.spawn(focus::keep(node.clone(), database.clone()));
     tasks.spawn(corrections::keep(node.clone(), database.clone()));
+    tasks.spawn(photometry::keep(node.clone(), database.clone()));
+    tasks.spawn(night_report::keep(node.clone(), database.clone()));
+    tasks.spawn(care::keep(node.clone(), database.clone()));
+    tasks.spawn(delivery::keep(node.clone(), database.path().to_owned()));
+    tasks.spawn(recompletion::keep(node.clone(), database.clone(), incomplete.clone()));
     tasks.spawn(store::keep(store::Store {
         node: node.clone(),
         database: database.clone(),
@@ -181,7 +218,7 @@ async fn claim_folder(
 async fn open_database(node: &Node) -> anyhow::Result<Option<(Database, database::Writer)>> {
     loop {
         let file = node.config.archive.database.clone();
-        let why = match Database::open(&file, node.alerts.clone()) {
+        let why = match Database::open(&file, node.config.place.telescope.as_str(), node.alerts.clone()) {
             Ok(open) => {
                 node.alerts.clear(AlertKind::Configuration, "archive.database");
                 return Ok(Some(open));
@@ -195,4 +232,18 @@ async fn open_database(node: &Node) -> anyhow::Result<Option<(Database, database
             return Ok(None);
         }
     }
+}
+
+/// Puts a copy in the place of the telescope's database; returns under which name the database of before is kept.
+///
+/// # Errors
+/// An archive node uses the database, or the copy is no database of an archive.
+pub async fn restore(config: &config::Observatory, copy: &Path) -> anyhow::Result<Option<PathBuf>> {
+    let database = &config.archive.database;
+    let who = "starmesh archive restore";
+    let telescope = config.address();
+    let _claim = folder::claim(&config.folders.images, database, &telescope, who).await?;
+    let _others = folder::claim_from_others(database, &telescope, who).await?;
+    let (copy, database) = (copy.to_owned(), database.clone());
+    tokio::task::spawn_blocking(move || database::restore(&copy, &database)).await?
 }

@@ -30,6 +30,17 @@ const DEFAULTS: [(&str, &str); 7] = [
     ("default", "{action_date}/{device}_{filter_name}_{imagetype}_{exptime:.3f}_{timestamp}.fits"),
 ];
 
+/// What the name of a file with compressed tiles ends with, behind its other ending.
+pub const COMPRESSED: &str = ".fz";
+
+/// The path of a file, where its image is compressed.
+pub fn compressed(mut path: PathBuf) -> PathBuf {
+    if !path.to_string_lossy().ends_with(COMPRESSED) {
+        path.as_mut_os_string().push(COMPRESSED);
+    }
+    path
+}
+
 /// Longest part of a path, bytes; file systems take 255, and a collision adds a stamp.
 const LONGEST_PART: usize = 180;
 
@@ -45,14 +56,14 @@ pub struct NameError {
 
 /// A value that a template may use.
 #[derive(Debug, Clone, PartialEq)]
-enum Value {
+enum TemplateValue {
     Text(String),
     Int(i64),
     Float(f64),
     Date(Utc),
 }
 
-type Values = BTreeMap<&'static str, Value>;
+type Values = BTreeMap<&'static str, TemplateValue>;
 
 /// Names files.
 pub struct Namer {
@@ -136,7 +147,7 @@ impl Namer {
         let named = |name: Option<&String>| {
             let name =
                 name.map(|name| clean(&name.replace('\'', ""))).filter(|name| !name.trim_matches('.').is_empty());
-            Value::Text(name.unwrap_or_else(|| "NA".to_owned()))
+            TemplateValue::Text(name.unwrap_or_else(|| "NA".to_owned()))
         };
         values(Fields {
             action: clean(&purpose.action),
@@ -155,8 +166,8 @@ impl Namer {
 struct Fields {
     action: String,
     device: String,
-    filter: Value,
-    object: Value,
+    filter: TemplateValue,
+    object: TemplateValue,
     image_type: &'static str,
     exposure_s: f64,
     sequence: u32,
@@ -169,17 +180,17 @@ fn values(fields: Fields) -> Values {
     let (year, month, day) = fields.night.ymd();
     let midnight = format!("{year:04}-{month:02}-{day:02}T00:00:00Z").parse().unwrap_or(Utc::EPOCH);
     BTreeMap::from([
-        ("action_type", Value::Text(fields.action)),
-        ("device", Value::Text(fields.device)),
+        ("action_type", TemplateValue::Text(fields.action)),
+        ("device", TemplateValue::Text(fields.device)),
         ("filter_name", fields.filter),
         ("object_name", fields.object),
-        ("imagetype", Value::Text(fields.image_type.to_owned())),
-        ("exptime", Value::Float(fields.exposure_s)),
-        ("timestamp", Value::Text(fields.written.strftime("%Y%m%d_%H%M%S.%3f"))),
-        ("datetime_timestamp", Value::Date(fields.written)),
-        ("action_date", Value::Text(date)),
-        ("action_datetime", Value::Date(midnight)),
-        ("sequence_counter", Value::Int(fields.sequence.into())),
+        ("imagetype", TemplateValue::Text(fields.image_type.to_owned())),
+        ("exptime", TemplateValue::Float(fields.exposure_s)),
+        ("timestamp", TemplateValue::Text(fields.written.strftime("%Y%m%d_%H%M%S.%3f"))),
+        ("datetime_timestamp", TemplateValue::Date(fields.written)),
+        ("action_date", TemplateValue::Text(date)),
+        ("action_datetime", TemplateValue::Date(midnight)),
+        ("sequence_counter", TemplateValue::Int(fields.sequence.into())),
     ])
 }
 
@@ -188,8 +199,8 @@ fn trial() -> Values {
     values(Fields {
         action: "object".to_owned(),
         device: "camera".to_owned(),
-        filter: Value::Text("Clear".to_owned()),
-        object: Value::Text("Object".to_owned()),
+        filter: TemplateValue::Text("Clear".to_owned()),
+        object: TemplateValue::Text("Object".to_owned()),
         image_type: "light",
         exposure_s: 1.5,
         sequence: 0,
@@ -282,8 +293,9 @@ pub(crate) fn part(text: &str) -> String {
 
 /// The path for a file whose own is taken: the time of writing is added to its name, and a number if need be.
 pub fn other_than(taken: &Path, written: Utc) -> PathBuf {
-    let stem = taken.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let ending = taken.extension().map(|ending| format!(".{}", ending.to_string_lossy())).unwrap_or_default();
+    let name = taken.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let inner = name.strip_suffix(COMPRESSED).unwrap_or(&name);
+    let (stem, ending) = name.split_at(inner.rfind('.').filter(|at| *at > 0).unwrap_or(inner.len()));
     let stamp = written.strftime("%Y%m%d_%H%M%S-%6f");
     let mut other = taken.with_file_name(format!("{stem}-v{stamp}{ending}"));
     let mut count = 1;

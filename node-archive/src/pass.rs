@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
 
 use anyhow::Context as _;
-use bus::{MachineTime, Node, Publisher};
+use bus::{MachineTime, Publisher};
 use config::header::{HeaderTable, Source};
 use config::{EquatorialChoice, Observatory};
 use contract::archive::Stored;
@@ -14,6 +14,7 @@ use contract::device::camera::Frame;
 use contract::device::telescope::EquatorialSystem;
 use contract::observatory::{AlertKind, FrameFacts};
 use contract::{BootId, CommandId, Device, Kind, Scalar};
+use node::Node;
 use tokio::sync::Notify;
 
 use crate::completion::{Completer, read_header};
@@ -25,17 +26,17 @@ use crate::pairing::pairing;
 use crate::plan::Plan;
 use crate::reader::Reader;
 use crate::telemetry::Newest;
-use crate::{quality, solution};
+use crate::{guided, quality, solution};
 
 /// How often frames that wait for telemetry are looked at again at least, machine time.
 const PERIOD: Duration = Duration::from_millis(500);
 /// Frames looked at in one go.
 const AT_ONCE: u32 = 64;
 /// A header waits so long for telemetry, machine time; then it is completed with a note of what is missing.
-const PATIENCE: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 /// A poll further away than this is not used, sky s at speed 1; or three periods of a slow device.
-const REACH_S: f64 = 60.0;
-const REACH_PERIODS: f64 = 3.0;
+const HOLDS_S: f64 = 60.0;
+const HOLDS_PERIODS: f64 = 3.0;
 /// First and longest wait before a file that failed is tried again.
 const FIRST_WAIT: Duration = Duration::from_secs(5);
 const LONGEST_WAIT: Duration = Duration::from_secs(600);
@@ -112,8 +113,8 @@ pub fn complete_image(
         let Some(device) = devices.get(&kind) else { continue };
         let around = reader.around(device, property, frame.started_utc)?;
         // A property that never had a value is not waited for once its device has published a state.
-        let is_void = around.before.is_none() && site.newest.heard_since(device, frame.started_utc);
-        if !around.heard_since && !is_void && !impatient {
+        let is_void = around.before.is_none() && site.newest.received_since(device, frame.started_utc);
+        if !around.received_since && !is_void && !impatient {
             return Ok(None);
         }
         polls.insert((kind, property), around);
@@ -133,13 +134,16 @@ pub fn complete_image(
     };
     let mount = devices.get(&Kind::Telescope).map_or(EquatorialSystem::Other, |mount| site.mount_frame(mount));
     let later =
-        Later { frame, place: &config.place, mount, reach_s: site.reach_s(), present: &present, around: &around };
+        Later { frame, place: &config.place, mount, holds_s: site.holds_s(), present: &present, around: &around };
     let mut plan = completion(site.table, &later)?;
     if let Some(facts) = facts {
         let measured = measured(site.table, facts, frame);
         plan.cards.extend(measured.cards);
         plan.history.extend(measured.history);
     }
+    let guided = guided::plan(reader, config.place.telescope.as_str(), frame)?;
+    plan.cards.extend(guided.cards);
+    plan.history.extend(guided.history);
     site.completer.complete(&image.path, stored, &plan)?;
     Ok(Some(plan))
 }
@@ -173,9 +177,9 @@ impl Site<'_> {
     }
 
     /// Polls keep machine time, so in a fast simulation they lie further apart on the sky's.
-    fn reach_s(&self) -> f64 {
+    fn holds_s(&self) -> f64 {
         let slowest = self.config.devices().iter().map(|(_, common)| common.period_s).fold(0.0, f64::max);
-        REACH_S.max(slowest * REACH_PERIODS) * self.speed.max(1.0)
+        HOLDS_S.max(slowest * HOLDS_PERIODS) * self.speed.max(1.0)
     }
 }
 
@@ -208,11 +212,11 @@ pub async fn keep(pass: Pass) -> anyhow::Result<()> {
         let completed: Vec<(&StoredImage, &Option<(BootId, u64)>)> = done
             .iter()
             .filter_map(|(image, outcome)| match outcome {
-                Outcome::Complete(said) => Some((image, said)),
+                Outcome::Complete(origin) => Some((image, origin)),
                 Outcome::NotYet | Outcome::Failed(_) => None,
             })
             .collect();
-        pass.tell(&completed).await?;
+        pass.publish(&completed).await?;
         let progress = !completed.is_empty();
         for (image, outcome) in &done {
             match outcome {
@@ -237,13 +241,14 @@ impl Pass {
     async fn look(&self, failing: usize) -> anyhow::Result<Vec<StoredImage>> {
         let database = self.database.path().to_owned();
         let most = u32::try_from(failing).unwrap_or(u32::MAX).saturating_add(AT_ONCE * 16);
-        let look = move || Reader::open(&database).and_then(|reader| reader.incomplete(most));
+        let telescope = self.node.config.place.telescope.clone();
+        let look = move || Reader::open(&database, telescope.as_str())?.incomplete(most);
         Ok(tokio::task::spawn_blocking(look).await??)
     }
 
     /// Completes those that are ready, at most [`AT_ONCE`]; each comes with how long it has waited.
     fn complete_all(&self, due: Vec<(StoredImage, Duration)>) -> anyhow::Result<Vec<(StoredImage, Outcome)>> {
-        let reader = Reader::open(self.database.path())?;
+        let reader = Reader::open(self.database.path(), self.node.config.place.telescope.as_str())?;
         let mut done = Vec::new();
         let mut completed = 0;
         for (image, waited) in due {
@@ -262,7 +267,11 @@ impl Pass {
 
     fn complete(&self, reader: &Reader, image: &StoredImage, waited: Duration) -> anyhow::Result<Outcome> {
         let known = reader.facts(&image.frame.id)?;
-        if known.is_none() && waited < facts::PATIENCE {
+        if known.is_none() && waited < facts::TIMEOUT {
+            return Ok(Outcome::NotYet);
+        }
+        let telescope = self.node.config.place.telescope.as_str();
+        if waited < facts::TIMEOUT && guided::is_awaited(reader, telescope, &image.frame)? {
             return Ok(Outcome::NotYet);
         }
         let completer = Completer::new(&self.node.config.folders.images);
@@ -274,23 +283,23 @@ impl Pass {
             completer: &completer,
         };
         let facts = known.as_ref().map(|known| &known.facts);
-        let Some(plan) = complete_image(&site, reader, image, facts, waited >= PATIENCE)? else {
+        let Some(plan) = complete_image(&site, reader, image, facts, waited >= TIMEOUT)? else {
             return Ok(Outcome::NotYet);
         };
         for line in &plan.history {
             tracing::info!(file = image.file, "{line}");
         }
-        Ok(Outcome::Complete(known.map(|known| known.said)))
+        Ok(Outcome::Complete(known.map(|known| known.origin)))
     }
 
     /// Puts facts that came late into headers that are complete already.
     async fn amend(&self) -> anyhow::Result<()> {
         let (database, node) = (self.database.path().to_owned(), self.node.clone());
         let work = move || -> anyhow::Result<Vec<Write>> {
-            let late = Reader::open(&database)?.late_facts(AT_ONCE)?;
+            let late = Reader::open(&database, node.config.place.telescope.as_str())?.late_facts(AT_ONCE)?;
             let completer = Completer::new(&node.config.folders.images);
             let images = &node.config.folders.images;
-            let amended = late.into_iter().map(|(image, StoredFacts { facts, said, .. })| {
+            let amended = late.into_iter().map(|(image, StoredFacts { facts, origin, .. })| {
                 let reached = without_links(images, &image.path).map_err(anyhow::Error::from);
                 let put = reached.and_then(|()| {
                     completer.recover(&image.path)?;
@@ -301,20 +310,21 @@ impl Pass {
                     // The facts are in the database; a file that was moved away or changed is left as it is.
                     tracing::warn!(file = image.file, %error, "late facts could not be put into a header");
                 }
-                Write::FactsTaken { frame: image.frame.id, said, in_header: put.is_ok() }
+                Write::FactsTaken { frame: image.frame.id, origin, in_header: put.is_ok() }
             });
             Ok(amended.collect())
         };
         Ok(self.database.commit(tokio::task::spawn_blocking(work).await??).await?)
     }
 
-    async fn tell(&self, completed: &[(&StoredImage, &Option<(BootId, u64)>)]) -> anyhow::Result<()> {
+    async fn publish(&self, completed: &[(&StoredImage, &Option<(BootId, u64)>)]) -> anyhow::Result<()> {
         if completed.is_empty() {
             return Ok(());
         }
-        let writes = completed.iter().flat_map(|(image, said)| {
+        let writes = completed.iter().flat_map(|(image, origin)| {
             let frame = image.frame.id.clone();
-            let taken = (*said).clone().map(|said| Write::FactsTaken { frame: frame.clone(), said, in_header: true });
+            let taken =
+                (*origin).clone().map(|origin| Write::FactsTaken { frame: frame.clone(), origin, in_header: true });
             std::iter::once(Write::Complete(frame)).chain(taken)
         });
         self.database.commit(writes.collect()).await?;

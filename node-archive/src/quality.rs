@@ -9,10 +9,10 @@ use contract::observatory::FrameFacts;
 use crate::card::{Card, CardValue};
 use crate::plan::Plan;
 
-type Value = fn(&FrameFacts) -> Option<CardValue>;
+type FactValue = fn(&FrameFacts) -> Option<CardValue>;
 
 /// Keyword, value and comment; units stand in brackets as the FITS standard 4.0, 4.3 has them.
-const KEYWORDS: [(&str, Value, &str); 23] = [
+const KEYWORDS: [(&str, FactValue, &str); 23] = [
     ("NSTARS", |f| Some(CardValue::Int(f.stars?.into())), "stars found"),
     ("FWHM", |f| f.fwhm_px.map(CardValue::Float), "[pix] median FWHM of the best stars"),
     ("FWHMERR", |f| f.fwhm_error_px.map(CardValue::Float), "[pix] standard error of FWHM"),
@@ -42,14 +42,22 @@ const KEYWORDS: [(&str, Value, &str); 23] = [
     ("OFFTARG", |f| f.off_target_arcmin.map(CardValue::Float), "[arcmin] frame's middle to target"),
 ];
 
-/// Whether facts make this keyword.
+/// The keywords that facts make, with their comments.
+pub fn all() -> impl Iterator<Item = (&'static str, &'static str)> {
+    KEYWORDS.iter().map(|(keyword, _, comment)| (*keyword, *comment))
+}
+
+/// The keyword that guiding makes, which is not in the facts of a frame.
+pub const GUIDED: &str = "GUIDERMS";
+
+/// Whether facts or guiding make this keyword.
 pub fn makes(keyword: &str) -> bool {
-    KEYWORDS.iter().any(|(known, ..)| *known == keyword)
+    keyword == GUIDED || KEYWORDS.iter().any(|(known, ..)| *known == keyword)
 }
 
 /// The keywords that facts add to a header.
 pub fn plan(table: &HeaderTable, facts: &FrameFacts) -> Plan {
-    let card = |(keyword, value, comment): &(&str, Value, &str)| {
+    let card = |(keyword, value, comment): &(&str, FactValue, &str)| {
         let row = table.rows.iter().find(|row| row.keyword == *keyword);
         let comment = match row {
             None => comment,
@@ -114,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_was_not_measured_says_why() {
+    fn a_frame_that_was_not_measured_gives_the_reason() {
         let facts = FrameFacts { reason: Some("not fetched: HTTP 404".to_owned()), ..FrameFacts::default() };
         assert_eq!(plan(&HeaderTable::default(), &facts).history, ["not fetched: HTTP 404"]);
         let unsolved = Unsolved { class: UnsolvedClass::Clouds, detail: "clouds: 3 stars".to_owned() };
@@ -125,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_does_not_count_says_so_and_why() {
+    fn a_frame_that_does_not_count_is_marked_with_the_reason() {
         let why = "flat: 12345 ADU, expected 31500 within 6300 ADU";
         let plan =
             plan(&HeaderTable::default(), &FrameFacts { refused: Some(why.to_owned()), ..FrameFacts::default() });

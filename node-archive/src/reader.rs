@@ -1,42 +1,66 @@
 //! Asks the database; a reader never waits for the writer.
 
+mod answer;
+mod night;
+mod search;
+mod telemetry;
+
+use std::cell::Cell;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use audit::Link;
-use contract::archive::{Answer, Ask, Question, Row};
-use contract::node::Level;
-use contract::{CommandId, Device, Scalar};
+use contract::{BootId, CommandId, Key};
 use rusqlite::config::DbConfig;
-use rusqlite::{Connection, OpenFlags, OptionalExtension as _, params};
+use rusqlite::{Connection, ErrorCode, OptionalExtension as _, Row, params};
+use serde::de::DeserializeOwned;
 use units::Utc;
 
-use crate::database::{DatabaseError, StoredFacts, StoredImage, stamp};
-use crate::header::Around;
-use crate::interpolate::Sample;
+pub use search::FoundFrames;
 
-/// Rows of an answer where the question has no limit, and at most.
-const USUAL_LIMIT: u32 = 1000;
-const HIGHEST_LIMIT: u32 = 100_000;
-/// Before and after all times that can be stored.
-const EVER: (&str, &str) = ("", "~");
+use crate::database::{DatabaseError, StoredFacts, StoredImage, read_only, stamp};
+use crate::night::NightFrame;
 
-/// A read-only connection.
+/// What [`image`] reads, and whether the header is complete.
+const IMAGES: &str = "SELECT file, frame, filename, bytes, stored, complete_hdr FROM images";
+/// Steps of SQLite's machine between two looks at the clock: some 0.1 ms.
+const STEPS_BETWEEN_LOOKS: i32 = 10_000;
+
+/// A read-only connection that sees what one telescope has, and what has no known owner: rows that an older Starmesh wrote
+/// into a database of several telescopes.
 pub struct Reader {
     connection: Connection,
     path: PathBuf,
+    telescope: String,
+    deadline: Option<Instant>,
+    is_cut: Cell<bool>,
 }
 
 impl Reader {
-    /// Opens a database that exists.
-    pub fn open(path: &Path) -> Result<Self, DatabaseError> {
-        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    /// Opens a database that exists, for the rows of a telescope.
+    pub fn open(path: &Path, telescope: &str) -> Result<Self, DatabaseError> {
         let failed = |source| DatabaseError::Sqlite { what: "open", file: path.to_owned(), source };
-        let connection = Connection::open_with_flags(path, flags).map_err(failed)?;
-        connection.busy_timeout(std::time::Duration::from_secs(5)).map_err(failed)?;
+        let connection = read_only(path).map_err(failed)?;
         // Without this a statement is planned again at each use, which costs more than its rows.
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_QPSG, true).map_err(failed)?;
         connection.set_prepared_statement_cache_capacity(32);
-        Ok(Self { connection, path: path.to_owned() })
+        let (path, telescope) = (path.to_owned(), telescope.to_owned());
+        Ok(Self { connection, path, telescope, deadline: None, is_cut: Cell::new(false) })
+    }
+
+    /// A reader that stops looking at an instant: what it had found until then is then all, and [`Self::is_cut`].
+    pub fn until(mut self, deadline: Instant) -> Result<Self, DatabaseError> {
+        let is_over = move || Instant::now() >= deadline;
+        let set = self.connection.progress_handler(STEPS_BETWEEN_LOOKS, Some(is_over));
+        set.map_err(|source| self.failed(source))?;
+        self.deadline = Some(deadline);
+        Ok(self)
+    }
+
+    /// Time was over before everything was looked at.
+    pub fn is_cut(&self) -> bool {
+        self.is_cut.get()
     }
 
     /// Holds the database as it is now until the snapshot is dropped; many questions cost less under one.
@@ -44,40 +68,12 @@ impl Reader {
         self.connection.unchecked_transaction().map_err(|source| self.failed(source))
     }
 
-    /// The polls of a property around an instant.
-    pub fn around(&self, device: &Device, property: &str, at: Utc) -> Result<Around, DatabaseError> {
-        let find = |sql: &str| {
-            let mut statement = self.connection.prepare_cached(sql)?;
-            let (kind, telescope) = (device.kind.ascom(), device.address.telescope.as_str());
-            let key = params![kind, device.name.as_str(), property, stamp(at), telescope];
-            let row = statement.query_row(key, |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)));
-            row.optional().map(|row| row.and_then(|(value, value_type, at)| sample(value, value_type, at)))
-        };
-        let key = "FROM polling WHERE device_type = ?1 AND device_name = ?2 AND device_command = ?3";
-        let values = "SELECT device_value, value_type, datetime";
-        let told = "AND telescope = ?5 AND device_value IS NOT NULL ORDER BY datetime";
-        let look = || -> rusqlite::Result<Around> {
-            let before = find(&format!("{values} {key} AND datetime < ?4 {told} DESC LIMIT 1"))?;
-            let after = find(&format!("{values} {key} AND datetime >= ?4 {told} LIMIT 1"))?;
-            let heard_since = after.is_some()
-                || self
-                    .connection
-                    .prepare_cached(&format!("SELECT 1 {key} AND datetime >= ?4 AND telescope = ?5 LIMIT 1"))?
-                    .exists(params![
-                        device.kind.ascom(),
-                        device.name.as_str(),
-                        property,
-                        stamp(at),
-                        device.address.telescope.as_str()
-                    ])?;
-            Ok(Around { before, after, heard_since })
-        };
-        look().map_err(|source| self.failed(source))
-    }
-
     /// Images whose headers are not complete, the oldest first.
     pub fn incomplete(&self, limit: u32) -> Result<Vec<StoredImage>, DatabaseError> {
-        self.images("WHERE complete_hdr = 0 ORDER BY date_obs LIMIT ?1", params![limit])
+        self.images(
+            "WHERE complete_hdr = 0 AND telescope IN (?1, '') ORDER BY date_obs LIMIT ?2",
+            params![self.telescope, limit],
+        )
     }
 
     /// The image of a frame, once it is stored.
@@ -85,24 +81,43 @@ impl Reader {
         Ok(self.images("WHERE frame_id = ?1", params![frame.0])?.pop())
     }
 
-    /// Hands over the file of each image that is stored, relative to the folder of images.
+    /// Hands over the file of each image that is stored: relative to the folder of images, of another telescope its whole path.
     pub fn each_file(&self, mut take: impl FnMut(&str)) -> Result<(), DatabaseError> {
-        let mut look = || -> rusqlite::Result<()> {
-            let mut statement = self.connection.prepare("SELECT file FROM images")?;
-            let mut rows = statement.query([])?;
-            while let Some(row) = rows.next()? {
-                take(row.get_ref(0)?.as_str()?);
-            }
-            Ok(())
-        };
-        look().map_err(|source| self.failed(source))
+        let sql = "SELECT iif(telescope IN (?1, ''), file, filename) FROM images";
+        self.each_row(sql, params![self.telescope], |row| {
+            take(row.get_ref(0)?.as_str()?);
+            Ok(true)
+        })
     }
 
     /// How many images are stored, and how many of them have complete headers.
     pub fn image_counts(&self) -> Result<(i64, i64), DatabaseError> {
-        let counted = self.connection.query_row("SELECT count(*), total(complete_hdr) FROM images", [], |row| {
-            Ok((row.get(0)?, row.get::<_, f64>(1)? as i64))
-        });
+        let sql = "SELECT count(*), total(complete_hdr) FROM images WHERE telescope IN (?1, '')";
+        let counted =
+            self.connection.query_row(sql, [&self.telescope], |row| Ok((row.get(0)?, row.get::<_, f64>(1)? as i64)));
+        counted.map_err(|source| self.failed(source))
+    }
+
+    /// Of the newest streams of samples: incarnation, key, and the first and the last number of those that are stored.
+    pub fn streams(&self) -> Result<Vec<(BootId, Key, u64, u64)>, DatabaseError> {
+        let sql = "SELECT boot_id, key, first, whole_to FROM streams WHERE telescope = ?
+            ORDER BY whole_us DESC LIMIT 4096";
+        let look = || -> rusqlite::Result<Vec<(String, String, i64, i64)>> {
+            let mut statement = self.connection.prepare(sql)?;
+            statement
+                .query_map([&self.telescope], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?)))?
+                .collect()
+        };
+        let rows = look().map_err(|source| self.failed(source))?;
+        let stream = |(boot_id, key, first, last): (String, String, i64, i64)| {
+            Some((BootId::try_from(boot_id).ok()?, Key::parse(&key)?, first as u64, last as u64))
+        };
+        Ok(rows.into_iter().filter_map(stream).collect())
+    }
+
+    /// Days of which polled values are kept.
+    pub fn days_of_values(&self) -> Result<u32, DatabaseError> {
+        let counted = self.connection.query_row("SELECT count(*) FROM days", [], |row| row.get(0));
         counted.map_err(|source| self.failed(source))
     }
 
@@ -113,11 +128,31 @@ impl Reader {
         look().map_err(|source| self.failed(source))
     }
 
+    /// How far the guided frames of a telescope that were in the middle of their exposures in a span of time were from
+    /// their reference, px of their cameras, which are the keys.
+    pub fn guide_errors(
+        &self,
+        telescope: &str,
+        from: Utc,
+        to: Utc,
+    ) -> Result<BTreeMap<String, Vec<f64>>, DatabaseError> {
+        let sql = "SELECT camera_name, error_px FROM guiding
+                   WHERE datetime >= ?1 AND datetime <= ?2 AND telescope = ?3 AND error_px IS NOT NULL";
+        let errors: Vec<(String, f64)> =
+            self.list(sql, params![stamp(from), stamp(to), telescope], |row| Ok((row.get(0)?, row.get(1)?)))?;
+        let mut errors_px = BTreeMap::<String, Vec<f64>>::new();
+        for (camera, error_px) in errors {
+            errors_px.entry(camera).or_default().push(error_px);
+        }
+        Ok(errors_px)
+    }
+
     /// Images with complete headers whose facts are not in them, because they came later.
     pub fn late_facts(&self, limit: u32) -> Result<Vec<(StoredImage, StoredFacts)>, DatabaseError> {
-        let late = "JOIN facts USING (frame_id) WHERE in_header = 0 AND complete_hdr = 1 LIMIT ?1";
+        let late = "JOIN facts USING (frame_id)
+                    WHERE in_header = 0 AND complete_hdr = 1 AND images.telescope IN (?1, '') LIMIT ?2";
         let mut found = Vec::new();
-        for image in self.images(late, params![limit])? {
+        for image in self.images(late, params![self.telescope, limit])? {
             let facts = self.facts(&image.frame.id)?;
             found.extend(facts.map(|facts| (image, facts)));
         }
@@ -143,132 +178,150 @@ impl Reader {
 
     /// Every record of the audit as its node wrote it, with the node, by node in the order of storing.
     pub fn audit_lines(&self) -> Result<Vec<(String, String)>, DatabaseError> {
-        let look = || -> rusqlite::Result<Vec<(String, String)>> {
-            let mut statement = self.connection.prepare("SELECT node, line FROM audit ORDER BY node, rowid")?;
-            statement.query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?.collect()
-        };
-        look().map_err(|source| self.failed(source))
+        self.list("SELECT node, line FROM audit ORDER BY node, rowid", params![], |row| Ok((row.get(0)?, row.get(1)?)))
     }
 
-    /// Answers a question about the past with the newest rows that fit, oldest first.
-    pub fn answer(&self, question: &Question) -> Result<Answer, DatabaseError> {
-        let limit = question.limit.unwrap_or(USUAL_LIMIT).min(HIGHEST_LIMIT);
-        let from = question.from_utc.map_or(EVER.0.to_owned(), stamp);
-        let to = question.to_utc.map_or(EVER.1.to_owned(), stamp);
-        // One row more than requested shows that there are more.
-        let more = limit + 1;
-        let rows = match &question.ask {
-            Ask::Readings { kind, device, property } => self.rows(
-                "SELECT datetime, device_value, value_type FROM polling WHERE device_type = ? AND device_name = ?
-                 AND device_command = ? AND datetime >= ? AND datetime < ? ORDER BY datetime DESC LIMIT ?",
-                params![kind.ascom(), device, property, from, to, more],
-                |row| {
-                    let value: Option<String> = row.get(1)?;
-                    let value_type: String = row.get(2)?;
-                    Ok(Row::Reading { at_utc: time(row, 0)?, value: value.and_then(|text| parse(&text, &value_type)) })
-                },
-            ),
-            Ask::Frames => self.rows(
-                "SELECT date_obs, frame_id, camera_name, file, complete_hdr FROM images
-                 WHERE date_obs >= ? AND date_obs < ? ORDER BY date_obs DESC LIMIT ?",
-                params![from, to, more],
-                |row| {
-                    Ok(Row::Frame {
-                        id: CommandId(row.get(1)?),
-                        at_utc: time(row, 0)?,
-                        camera: row.get(2)?,
-                        file: row.get(3)?,
-                        header_complete: row.get(4)?,
-                    })
-                },
-            ),
-            Ask::Log => self.rows(
-                "SELECT datetime, level, node, message FROM log WHERE datetime >= ? AND datetime < ?
-                 ORDER BY datetime DESC LIMIT ?",
-                params![from, to, more],
-                |row| {
-                    let level: String = row.get(1)?;
-                    let level = match level.as_str() {
-                        "error" => Level::Error,
-                        "warning" => Level::Warn,
-                        _ => Level::Info,
-                    };
-                    Ok(Row::Log { at_utc: time(row, 0)?, level, node: row.get(2)?, message: row.get(3)? })
-                },
-            ),
-            Ask::Audit => self.rows(
-                "SELECT line FROM audit WHERE fault IS NULL AND datetime >= ? AND datetime < ?
-                 ORDER BY datetime DESC, rowid DESC LIMIT ?",
-                params![from, to, more],
-                |row| {
-                    let line: String = row.get(0)?;
-                    let record = serde_json::from_str(&line).map_err(|error| {
-                        rusqlite::Error::FromSqlConversionFailure(0, rusqlite::types::Type::Text, Box::new(error))
-                    })?;
-                    Ok(Row::Audit(Box::new(record)))
-                },
-            ),
-        };
-        let mut rows = rows?;
-        let truncated = rows.len() > limit as usize;
-        rows.truncate(limit as usize);
-        rows.reverse();
-        Ok(Answer { rows, truncated })
+    /// The frames whose exposures began in a span of time, the oldest first.
+    ///
+    /// # Errors
+    /// The database cannot be read, or one of them cannot: a night is not handed over without it.
+    pub fn frames(&self, from: Utc, to: Utc) -> Result<Vec<NightFrame>, DatabaseError> {
+        let mut unreadable = Unreadable::new();
+        let frames = self.readable_frames((from, to), &mut unreadable)?;
+        unreadable.into_iter().next().map_or(Ok(frames), |(_, error)| Err(self.failed(error)))
     }
 
-    fn rows(
+    /// The same, without those that cannot be read.
+    fn readable_frames(
         &self,
-        sql: &str,
-        params: &[&dyn rusqlite::ToSql],
-        read: impl FnMut(&rusqlite::Row<'_>) -> rusqlite::Result<Row>,
-    ) -> Result<Vec<Row>, DatabaseError> {
-        let look = || -> rusqlite::Result<Vec<Row>> {
-            self.connection.prepare_cached(sql)?.query_map(params, read)?.collect()
+        (from, to): (Utc, Utc),
+        unreadable: &mut Unreadable,
+    ) -> Result<Vec<NightFrame>, DatabaseError> {
+        let _snapshot = self.snapshot()?;
+        let sql =
+            format!("{IMAGES} WHERE date_obs >= ?1 AND date_obs < ?2 AND telescope IN (?3, '') ORDER BY date_obs");
+        let of = params![stamp(from), stamp(to), self.telescope];
+        let images = self.readable(("the frame", &sql), of, unreadable, |row| Ok((image(row)?, row.get(5)?)))?;
+        let mut frames = Vec::with_capacity(images.len());
+        for (image, is_complete) in images {
+            let facts = match self.facts(&image.frame.id) {
+                Err(DatabaseError::Sqlite { source, .. }) if is_unreadable(&source) => {
+                    unreadable.push((format!("the facts of the frame {}", image.file), source));
+                    None
+                }
+                facts => facts?.map(|stored| stored.facts),
+            };
+            frames.push(NightFrame { image, is_complete, facts });
+        }
+        Ok(frames)
+    }
+
+    /// How many frames began in a span of time.
+    pub fn count_frames(&self, from: Utc, to: Utc) -> Result<u64, DatabaseError> {
+        let sql = "SELECT count(*) FROM images WHERE date_obs >= ?1 AND date_obs < ?2 AND telescope IN (?3, '')";
+        let of = params![stamp(from), stamp(to), self.telescope];
+        let counted = self.connection.query_row(sql, of, |row| row.get::<_, i64>(0));
+        counted.map(i64::unsigned_abs).map_err(|source| self.failed(source))
+    }
+
+    /// When the first and the last stored frame began; absent where there is none.
+    pub fn span_of_frames(&self) -> Result<Option<(Utc, Utc)>, DatabaseError> {
+        let look = || {
+            let sql = "SELECT min(date_obs), max(date_obs) FROM images WHERE telescope IN (?1, '')";
+            self.connection.query_row(sql, [&self.telescope], |row| {
+                let has_any = row.get_ref(0)? != rusqlite::types::ValueRef::Null;
+                has_any.then(|| Ok((time(row, 0)?, time(row, 1)?))).transpose()
+            })
         };
         look().map_err(|source| self.failed(source))
     }
 
     /// The images that were begun last, the newest first.
     pub fn newest_images(&self, limit: u32) -> Result<Vec<StoredImage>, DatabaseError> {
-        self.images("ORDER BY date_obs DESC LIMIT ?1", params![limit])
+        self.images("WHERE telescope IN (?1, '') ORDER BY date_obs DESC LIMIT ?2", params![self.telescope, limit])
     }
 
     /// Lines of the nodes' diaries that begin so, the newest of them, in the order of time.
     pub fn diary(&self, begins: &str, limit: u32) -> Result<Vec<(Utc, String)>, DatabaseError> {
-        let sql = "SELECT datetime, message FROM log WHERE substr(message, 1, ?1) = ?2 ORDER BY datetime DESC LIMIT ?3";
-        let look = || -> rusqlite::Result<Vec<(Utc, String)>> {
-            let mut statement = self.connection.prepare(sql)?;
-            let letters = i64::try_from(begins.chars().count()).unwrap_or(i64::MAX);
-            let found = statement.query_map(params![letters, begins, limit], |row| Ok((time(row, 0)?, row.get(1)?)))?;
-            found.collect()
-        };
-        let mut lines = look().map_err(|source| self.failed(source))?;
+        let sql = "SELECT datetime, message FROM log WHERE substr(message, 1, ?1) = ?2 AND telescope IN (?3, 'shared')
+                   ORDER BY datetime DESC LIMIT ?4";
+        let letters = i64::try_from(begins.chars().count()).unwrap_or(i64::MAX);
+        let mut lines =
+            self.list(sql, params![letters, begins, self.telescope, limit], |row| Ok((time(row, 0)?, row.get(1)?)))?;
         lines.reverse();
         Ok(lines)
     }
 
     fn images(&self, condition: &str, params: &[&dyn rusqlite::ToSql]) -> Result<Vec<StoredImage>, DatabaseError> {
-        let sql = format!("SELECT frame, filename, file, bytes, stored FROM images {condition}");
-        let look = || -> rusqlite::Result<Vec<StoredImage>> {
-            let mut statement = self.connection.prepare_cached(&sql)?;
-            let images = statement.query_map(params, |row| {
-                let json: String = row.get(0)?;
-                let frame = serde_json::from_str(&json).map_err(|e| {
-                    rusqlite::Error::FromSqlConversionFailure(0, rusqlite::types::Type::Text, Box::new(e))
-                })?;
-                let path: String = row.get(1)?;
-                let bytes: i64 = row.get(3)?;
-                Ok(StoredImage {
-                    frame,
-                    path: path.into(),
-                    file: row.get(2)?,
-                    bytes: bytes.unsigned_abs(),
-                    stored: time(row, 4)?,
-                })
-            })?;
-            images.collect()
+        self.list(&format!("{IMAGES} {condition}"), params, image)
+    }
+
+    /// Every row that a question gives.
+    fn list<T>(
+        &self,
+        sql: &str,
+        params: &[&dyn rusqlite::ToSql],
+        mut read: impl FnMut(&Row<'_>) -> rusqlite::Result<T>,
+    ) -> Result<Vec<T>, DatabaseError> {
+        let mut found = Vec::new();
+        self.each_row(sql, params, |row| {
+            found.push(read(row)?);
+            Ok(true)
+        })?;
+        Ok(found)
+    }
+
+    /// Every row that can be read; the others are named by their first column.
+    fn readable<T>(
+        &self,
+        (what, sql): (&str, &str),
+        params: &[&dyn rusqlite::ToSql],
+        unreadable: &mut Unreadable,
+        mut read: impl FnMut(&Row<'_>) -> rusqlite::Result<T>,
+    ) -> Result<Vec<T>, DatabaseError> {
+        let mut found = Vec::new();
+        self.each_row(sql, params, |row| {
+            match read(row) {
+                Ok(one) => found.push(one),
+                Err(error) if is_unreadable(&error) => {
+                    unreadable.push((format!("{what} {}", row.get::<_, String>(0).unwrap_or_default()), error));
+                }
+                Err(error) => return Err(error),
+            }
+            Ok(true)
+        })?;
+        Ok(found)
+    }
+
+    /// Hands over row by row, until `take` returns false or time is over.
+    fn each_row(
+        &self,
+        sql: &str,
+        params: &[&dyn rusqlite::ToSql],
+        mut take: impl FnMut(&Row<'_>) -> rusqlite::Result<bool>,
+    ) -> Result<(), DatabaseError> {
+        let mut look = || -> rusqlite::Result<()> {
+            let mut statement = self.connection.prepare_cached(sql)?;
+            let mut rows = statement.query(params)?;
+            while let Some(row) = rows.next()? {
+                // What is done with a row may take longer than to find it.
+                if self.deadline.is_some_and(|deadline| Instant::now() >= deadline) {
+                    self.is_cut.set(true);
+                    break;
+                }
+                if !take(row)? {
+                    break;
+                }
+            }
+            Ok(())
         };
-        look().map_err(|source| self.failed(source))
+        match look() {
+            Err(error) if error.sqlite_error_code() == Some(ErrorCode::OperationInterrupted) => {
+                self.is_cut.set(true);
+                Ok(())
+            }
+            looked => looked.map_err(|source| self.failed(source)),
+        }
     }
 
     fn failed(&self, source: rusqlite::Error) -> DatabaseError {
@@ -276,32 +329,36 @@ impl Reader {
     }
 }
 
-fn facts(row: &rusqlite::Row<'_>) -> rusqlite::Result<StoredFacts> {
-    let (json, boot_id, seq): (String, String, i64) = (row.get(0)?, row.get(2)?, row.get(3)?);
-    let read = |error| rusqlite::Error::FromSqlConversionFailure(0, rusqlite::types::Type::Text, Box::new(error));
-    let boot_id = serde_json::from_value(boot_id.into()).map_err(read)?;
-    let facts = serde_json::from_str(&json).map_err(read)?;
-    Ok(StoredFacts { facts, at: time(row, 1)?, said: (boot_id, seq.unsigned_abs()) })
+fn facts(row: &Row<'_>) -> rusqlite::Result<StoredFacts> {
+    let (boot_id, seq): (String, i64) = (row.get(2)?, row.get(3)?);
+    let boot_id = serde_json::from_value(boot_id.into()).map_err(|error| unreadable(2, error))?;
+    Ok(StoredFacts { facts: json(row, 0)?, at: time(row, 1)?, origin: (boot_id, seq.unsigned_abs()) })
 }
 
-fn time(row: &rusqlite::Row<'_>, column: usize) -> rusqlite::Result<Utc> {
+/// Rows that cannot be read: which, and why.
+type Unreadable = Vec<(String, rusqlite::Error)>;
+
+/// The row is there, and something in it is not as this program writes it.
+fn is_unreadable(error: &rusqlite::Error) -> bool {
+    use rusqlite::Error::{FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnType};
+    matches!(error, FromSqlConversionFailure(..) | IntegralValueOutOfRange(..) | InvalidColumnType(..))
+}
+
+fn image(row: &Row<'_>) -> rusqlite::Result<StoredImage> {
+    let (path, bytes): (String, i64) = (row.get(2)?, row.get(3)?);
+    let (file, stored) = (row.get(0)?, time(row, 4)?);
+    Ok(StoredImage { frame: json(row, 1)?, path: path.into(), file, bytes: bytes.unsigned_abs(), stored })
+}
+
+fn json<T: DeserializeOwned>(row: &Row<'_>, column: usize) -> rusqlite::Result<T> {
+    serde_json::from_str(row.get_ref(column)?.as_str()?).map_err(|error| unreadable(column, error))
+}
+
+fn unreadable(column: usize, error: impl std::error::Error + Send + Sync + 'static) -> rusqlite::Error {
+    rusqlite::Error::FromSqlConversionFailure(column, rusqlite::types::Type::Text, Box::new(error))
+}
+
+fn time(row: &Row<'_>, column: usize) -> rusqlite::Result<Utc> {
     let text: String = row.get(column)?;
-    text.parse().map_err(|error: units::BadTime| {
-        rusqlite::Error::FromSqlConversionFailure(column, rusqlite::types::Type::Text, Box::new(error))
-    })
-}
-
-fn sample(value: String, value_type: String, at: String) -> Option<Sample> {
-    Some(Sample { at: at.parse().ok()?, value: parse(&value, &value_type)? })
-}
-
-/// A value as it was before it became text.
-fn parse(text: &str, value_type: &str) -> Option<Scalar> {
-    Some(match value_type {
-        "bool" => Scalar::Bool(text == "True"),
-        "int" => Scalar::Int(text.parse().ok()?),
-        "float" => Scalar::Float(text.parse().ok()?),
-        "list" => serde_json::from_str(text).ok()?,
-        _ => Scalar::Text(text.to_owned()),
-    })
+    text.parse().map_err(|error: units::BadTime| unreadable(column, error))
 }

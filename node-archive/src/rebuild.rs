@@ -4,22 +4,24 @@
 use std::collections::{HashMap, HashSet};
 use std::fs::{self, File};
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
-use std::io::{self, Read as _, Seek as _, SeekFrom};
+use std::io::{self, Read, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use bus::Node;
 use config::Observatory;
 use contract::CommandId;
 use contract::device::camera::{Frame, Pixel, Purpose};
+use node::Node;
 use sha2::{Digest as _, Sha256};
 use tokio::sync::{Notify, watch};
 use units::{Angle, Utc};
 
 use crate::astronomy;
 use crate::database::{Database, StoredImage, Write};
+use crate::delivery::hash::hex;
 use crate::fits::Shape;
 use crate::folder::{PART_FOLDER, relative_text as relative};
+use crate::name::COMPRESSED;
 use crate::reader::Reader;
 use crate::stored_header::Header;
 
@@ -79,7 +81,8 @@ pub async fn keep(
 ) -> anyhow::Result<()> {
     loop {
         let (images, path) = (node.config.folders.images.clone(), database.path().to_owned());
-        let files = tokio::task::spawn_blocking(move || unknown(&images, &path)).await?;
+        let telescope = node.config.place.telescope.clone();
+        let files = tokio::task::spawn_blocking(move || unknown(&images, &path, telescope.as_str())).await?;
         // Frames wait for the answer: after an error the answer is empty.
         let files = Arc::new(files.unwrap_or_else(|error| {
             tracing::warn!(error = format!("{error:#}"), "files that the database does not know are not looked for");
@@ -91,7 +94,7 @@ pub async fn keep(
             let (config, id, path, file) = (node.config.clone(), id.clone(), path.clone(), database.path().to_owned());
             let work = move || -> anyhow::Result<Option<(StoredImage, bool)>> {
                 // A copy of a file that is known has another name and the same frame.
-                if Reader::open(&file)?.image(&id)?.is_some() {
+                if Reader::open(&file, config.place.telescope.as_str())?.image(&id)?.is_some() {
                     return Ok(None);
                 }
                 let Some(image) = read(&config.folders.images, &path)? else { return Ok(None) };
@@ -121,14 +124,15 @@ pub async fn keep(
 }
 
 /// The files of frames that the database does not know. Blocks.
-fn unknown(images: &Path, database: &Path) -> anyhow::Result<Files> {
+fn unknown(images: &Path, database: &Path, telescope: &str) -> anyhow::Result<Files> {
     let mut known = HashSet::new();
-    Reader::open(database)?.each_file(|file| {
+    Reader::open(database, telescope)?.each_file(|file| {
         known.insert(short(file));
     })?;
     let mut files = Files::new();
     walk(images, images, DEEPEST, &mut |path| {
-        if known.contains(&short(&relative(images, &path))) {
+        // Of telescopes that share the database, others have their own folders, with the same names.
+        if known.contains(&short(&relative(images, &path))) || known.contains(&short(&path.to_string_lossy())) {
             return;
         }
         if let Ok(Some(id)) = Header::read(&path).map(|header| header?.value("FRAMEID")) {
@@ -151,7 +155,8 @@ impl Found {
     /// The row of this telescope's frame, and whether its header is complete; `None` for a frame of another telescope.
     fn row(self, config: &Observatory, id: CommandId, path: PathBuf) -> Option<(StoredImage, bool)> {
         let text = |keyword: &str| self.header.value(keyword).filter(|text| !text.is_empty());
-        let number = |keyword: &str| text(keyword)?.parse::<f64>().ok();
+        // JSON has no other numbers, and one frame that cannot be read back would hide all others.
+        let number = |keyword: &str| text(keyword)?.parse::<f64>().ok().filter(|number| number.is_finite());
         let time = |keyword: &str| format!("{}Z", text(keyword)?.trim_end_matches('Z')).parse::<Utc>().ok();
         let own = config.place.telescope.as_str();
         let telescope = text("TELESCOP");
@@ -175,7 +180,9 @@ impl Found {
             filter: text("FILTER"),
             ra_deg: number("OBJALT").and_then(|_| number("RA")),
             dec_deg: number("OBJALT").and_then(|_| number("DEC")),
-            night,
+            night: text("NIGHT").filter(|text| is_date(text)).unwrap_or(night),
+            row: text("SCHEDROW").and_then(|row| row.parse().ok()),
+            programme: text("PROGID"),
             ..Purpose::default()
         };
         let frame = Frame {
@@ -205,18 +212,32 @@ impl Found {
     }
 }
 
+/// Whether a text is a night as [`Purpose::night`] has it; a site's own table may write something else under NIGHT.
+fn is_date(text: &str) -> bool {
+    text.len() == 8 && text.bytes().all(|byte| byte.is_ascii_digit())
+}
+
 /// Reads a file that this archive may have written; `None` where its shape is not one of ours.
 fn read(images: &Path, path: &Path) -> io::Result<Option<Found>> {
     crate::folder::without_links(images, path)?;
     let Some(header) = Header::read(path)? else { return Ok(None) };
+    let bytes = fs::metadata(path)?.len();
+    let restored = if header.is_tiled() { fits::restore::plain_file(path).map_err(io::Error::other)? } else { None };
+    let header = header.plain();
     let Some(shape) = shape(&header) else { return Ok(None) };
-    let (Some(length), mut file) = (shape.bytes(), File::open(path)?) else { return Ok(None) };
-    let bytes = file.metadata()?.len();
-    if bytes < (header.length() + length) as u64 {
+    let Some(length) = shape.bytes() else { return Ok(None) };
+    let first = header.length() as u64;
+    if restored.as_ref().map_or(bytes, |plain| plain.len() as u64) < first + length as u64 {
         return Ok(None);
     }
-    file.seek(SeekFrom::Start(header.length() as u64))?;
-    let sha256 = hash(&mut file, shape.pixel, length)?;
+    let sha256 = match restored {
+        Some(plain) => hash(&mut &plain[header.length()..], shape.pixel, length)?,
+        None => {
+            let mut file = File::open(path)?;
+            file.seek(SeekFrom::Start(first))?;
+            hash(&mut file, shape.pixel, length)?
+        }
+    };
     Ok(Some(Found { header, shape, sha256, bytes }))
 }
 
@@ -240,7 +261,7 @@ fn shape(header: &Header) -> Option<Shape> {
 
 /// The hash of the pixels as they lay in the spool, little endian, from those of a FITS file, most significant byte
 /// first.
-fn hash(file: &mut File, pixel: Pixel, length: usize) -> io::Result<String> {
+fn hash(file: &mut impl Read, pixel: Pixel, length: usize) -> io::Result<String> {
     let (mut hasher, mut chunk, mut left) = (Sha256::new(), vec![0; CHUNK], length);
     while left > 0 {
         let part = &mut chunk[..left.min(CHUNK)];
@@ -255,7 +276,7 @@ fn hash(file: &mut File, pixel: Pixel, length: usize) -> io::Result<String> {
         hasher.update(&*part);
         left -= part.len();
     }
-    Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+    Ok(hex(&hasher.finalize()))
 }
 
 /// Hands over every FITS file in a folder, without following links.
@@ -267,10 +288,15 @@ fn walk(images: &Path, folder: &Path, deep: usize, take: &mut impl FnMut(PathBuf
         let is_parts = folder == images && entry.file_name() == PART_FOLDER;
         if kind.is_dir() && deep > 0 && !is_parts {
             walk(images, &path, deep - 1, take);
-        } else if kind.is_file() && path.extension().is_some_and(|extension| extension == "fits") {
+        } else if kind.is_file() && is_image(&entry.file_name().to_string_lossy()) {
             take(path);
         }
     }
+}
+
+/// Whether a file of this name may be one of ours, compressed or not.
+fn is_image(name: &str) -> bool {
+    name.strip_suffix(COMPRESSED).unwrap_or(name).ends_with(".fits")
 }
 
 /// A name in eight bytes: a folder may hold a million.

@@ -20,9 +20,9 @@ const FRAME: [&str; 2] = ["RADESYS", "EQUINOX"];
 
 /// The keywords that the solution of a frame adds to its header; none where there is no solution.
 pub fn plan(table: &HeaderTable, facts: &FrameFacts, frame: &Frame) -> Plan {
-    let Some(told) = &facts.wcs else { return Plan::default() };
+    let Some(solution) = &facts.wcs else { return Plan::default() };
     let (width, height) = (frame.width_px as usize, frame.height_px as usize);
-    let mut cards: Vec<Card> = wcs(told).cards(width, height).iter().map(card).collect();
+    let mut cards: Vec<Card> = wcs(solution).cards(width, height).iter().map(card).collect();
     cards.push(Card::new("EQUINOX", CardValue::Float(2000.0), "equinox of CRVAL1 and CRVAL2"));
     let row = |keyword: &str| table.rows.iter().find(|row| row.keyword == keyword);
     cards.retain(|card| !(FRAME.contains(&card.keyword.as_str()) && row(&card.keyword).is_some()));
@@ -34,12 +34,14 @@ pub fn plan(table: &HeaderTable, facts: &FrameFacts, frame: &Frame) -> Plan {
     Plan { cards, history: Vec::new() }
 }
 
+/// The keywords of a solution without distortion.
+pub const PLAIN: [&str; 15] = [
+    "WCSAXES", "CTYPE1", "CTYPE2", "CUNIT1", "CUNIT2", "RADESYS", "EQUINOX", "CRVAL1", "CRVAL2", "CRPIX1", "CRPIX2",
+    "CD1_1", "CD1_2", "CD2_1", "CD2_2",
+];
+
 /// Whether a solution makes this keyword.
 pub fn makes(keyword: &str) -> bool {
-    const PLAIN: [&str; 15] = [
-        "WCSAXES", "CTYPE1", "CTYPE2", "CUNIT1", "CUNIT2", "RADESYS", "EQUINOX", "CRVAL1", "CRVAL2", "CRPIX1",
-        "CRPIX2", "CD1_1", "CD1_2", "CD2_1", "CD2_2",
-    ];
     let distortion = ["A_", "B_", "AP_", "BP_"].iter().any(|begins| keyword.starts_with(begins));
     PLAIN.contains(&keyword) || distortion
 }
@@ -59,14 +61,15 @@ pub fn stays(keyword: &str, cards: &[Card]) -> bool {
     !(is_solved && is_distortion(keyword)) || cards.iter().any(|card| card.keyword == keyword)
 }
 
-fn wcs(told: &FrameWcs) -> Wcs {
+/// The solution as the imaging crate computes with it.
+pub fn wcs(solution: &FrameWcs) -> Wcs {
     Wcs {
-        ra: Angle::from_degrees(told.ra_deg),
-        dec: Angle::from_degrees(told.dec_deg),
-        x_px: told.x_px,
-        y_px: told.y_px,
-        cd_deg_px: told.cd_deg_px,
-        sip: told.sip.map(|sip| Sip { a: sip.a, b: sip.b }),
+        ra: Angle::from_degrees(solution.ra_deg),
+        dec: Angle::from_degrees(solution.dec_deg),
+        x_px: solution.x_px,
+        y_px: solution.y_px,
+        cd_deg_px: solution.cd_deg_px,
+        sip: solution.sip.map(|sip| Sip { a: sip.a, b: sip.b }),
     }
 }
 
@@ -104,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn pixels_are_counted_from_one_and_the_frame_of_coordinates_is_told() {
+    fn pixels_are_counted_from_one_and_the_frame_of_coordinates_is_reported() {
         let plan = plan(&table(""), &facts(None), &frame());
         let records: Vec<String> = plan.cards.iter().map(|card| card.record().unwrap()).collect();
         for begin in [

@@ -7,21 +7,21 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::Context as _;
-use bus::{AskError, Catch, Node, Publisher};
+use bus::{AskError, Catch, Publisher};
 use contract::archive::Stored;
 use contract::device::camera::{self, Frame};
 use contract::observatory::AlertKind;
-use contract::{Command, CommandId, Device, Key, Kind, Reason, Scalar};
+use contract::{Command, CommandId, Device, Key, Kind, Reason, Scalar, Topic};
+use node::Node;
 use tokio::sync::{Notify, Semaphore, watch};
 use tokio::task::JoinSet;
 use units::Utc;
 
-use crate::completion::sync_folder;
 use crate::database::{Database, StoredImage, Write};
-use crate::fits::{FitsFile, Shape};
-use crate::folder::{self, is_taken, make_way, relative_text, without_links};
+use crate::fits::{FitsFile, Shape, is_restored_whole};
+use crate::folder::{self, is_taken, make_way, relative_text, sync_folder, without_links};
 use crate::header;
-use crate::name::{Namer, other_than};
+use crate::name::{Namer, compressed, other_than};
 use crate::pairing::pairing;
 use crate::reader::Reader;
 use crate::rebuild::OnDisk;
@@ -73,23 +73,23 @@ impl Failing {
     fn add(&self, frame: &CommandId, cause: String) -> String {
         let mut failing = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         failing.insert(frame.0.clone(), cause.clone());
-        said_of(failing.len(), cause)
+        text_of(failing.len(), cause)
     }
 
     /// Notes that a frame is stored; returns the alert's cause for the others, if there are any.
     fn remove(&self, frame: &CommandId) -> Option<String> {
         let mut failing = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         failing.remove(&frame.0);
-        failing.values().next_back().map(|cause| said_of(failing.len(), cause.clone()))
+        failing.values().next_back().map(|cause| text_of(failing.len(), cause.clone()))
     }
 }
 
-fn said_of(count: usize, newest: String) -> String {
+fn text_of(count: usize, newest: String) -> String {
     if count < 2 { newest } else { format!("{count} frames cannot be stored; one of them: {newest}") }
 }
 
 /// The state of a frame that is announced.
-enum Known {
+enum FrameState {
     Stored(Box<StoredImage>),
     /// Its file had its name when a kill came, and is not recorded.
     Named {
@@ -105,8 +105,7 @@ pub async fn keep(store: Store) -> anyhow::Result<()> {
     let telescope = store.node.config.address();
     folder::clear_parts(images, &telescope)
         .with_context(|| format!("cannot use the folder of images {}", images.display()))?;
-    let cameras = format!("{}/{}/device/camera/*/frame", contract::key::ROOT, store.node.config.address());
-    let frames = store.node.bus.subscribe::<Frame>(&cameras, Catch::All, WAITING).await?;
+    let frames = store.node.bus.subscribe::<Frame>(Topic::Frame.at(&telescope), Catch::All, WAITING).await?;
     let client = local_http::client_builder().connect_timeout(Duration::from_secs(5)).build()?;
     let (store, turns) = (Arc::new(store), Arc::new(Turns::default()));
     let disk = Arc::new(Semaphore::new(WRITTEN_AT_ONCE));
@@ -114,9 +113,9 @@ pub async fn keep(store: Store) -> anyhow::Result<()> {
     let mut tasks = JoinSet::new();
     loop {
         tokio::select! {
-            heard = frames.hear() => {
-                let Key::Frame(camera) = heard.key else { continue };
-                let frame = heard.said.body;
+            received = frames.recv() => {
+                let Key::Frame(camera) = received.key else { continue };
+                let frame = received.sample.body;
                 match under_way.get(&frame.id) {
                     // Announced again, perhaps with a new address.
                     Some(known) => { known.send_replace(frame); }
@@ -188,34 +187,42 @@ impl Store {
             own.or_else(|| self.newest.value(devices.get(&kind)?, property))
         };
         let place = &self.node.config.place;
-        let cards = header::base(&self.node.header, &header::Known { frame: &frame, place, written, newest: &newest });
+        let cards =
+            header::base(&self.node.header, &header::HeaderFacts { frame: &frame, place, written, newest: &newest });
         let room = header::room(&self.node.header);
         let images = self.node.config.folders.images.clone();
         let parts = folder::parts(&images, &self.node.config.address());
         let part = parts.join(format!("{}.fits", part_name(&frame.id)));
 
         let (shape, part_path) = (Shape::of(&frame), part.clone());
+        let compress = self.node.config.archive.compress && is_restored_whole(&shape, &pixels);
         let write = move || -> anyhow::Result<u64> {
             if is_taken(&part_path) {
                 std::fs::remove_file(&part_path)?;
             }
-            let mut fits = FitsFile::create(&part_path, &shape)?;
+            let mut fits =
+                if compress { FitsFile::in_memory(&part_path, &shape) } else { FitsFile::create(&part_path, &shape) }?;
             for card in &cards {
                 fits.set(card)?;
             }
             fits.reserve(room)?;
             fits.write_pixels(&shape, &pixels)?;
             fits.write_checksums()?;
-            fits.close()?;
+            if compress {
+                fits.compress_to(&part_path, shape.pixel)?
+            } else {
+                fits.close()?
+            }
             let file = std::fs::OpenOptions::new().write(true).open(&part_path)?;
             file.sync_all()?;
-            bus::private::make_public_file(&part_path)?;
+            node::private::make_public_file(&part_path)?;
             Ok(file.metadata()?.len())
         };
         let bytes = tokio::task::spawn_blocking(write).await?.context("cannot write the file")?;
 
         let naming = self.naming.lock().await;
         let relative = self.namer.path(&frame, written);
+        let relative = if compress { compressed(relative) } else { relative };
         let path = free_path(&images, &relative, written)?;
         let file = relative_text(&images, &path);
         self.database.commit(vec![Write::Writing { frame: frame.id.clone(), file: file.clone() }]).await?;
@@ -229,29 +236,29 @@ impl Store {
     /// The row of a frame that is stored already, also of one that was named just before a kill.
     async fn known(&self, frame: &Frame) -> anyhow::Result<Option<StoredImage>> {
         let (database, images) = (self.database.path().to_owned(), self.node.config.folders.images.clone());
-        let id = frame.id.clone();
-        let look = move || -> anyhow::Result<Known> {
-            let reader = Reader::open(&database)?;
+        let (id, telescope) = (frame.id.clone(), self.node.config.place.telescope.clone());
+        let look = move || -> anyhow::Result<FrameState> {
+            let reader = Reader::open(&database, telescope.as_str())?;
             if let Some(image) = reader.image(&id)? {
-                return Ok(Known::Stored(Box::new(image)));
+                return Ok(FrameState::Stored(Box::new(image)));
             }
             let file = reader.writing(&id)?;
             let whole = file.and_then(|file| Some((length_if_whole(&images, &file, &id)?, file)));
-            Ok(whole.map_or(Known::Not, |(bytes, file)| Known::Named { file, bytes }))
+            Ok(whole.map_or(FrameState::Not, |(bytes, file)| FrameState::Named { file, bytes }))
         };
         let found = match tokio::task::spawn_blocking(look).await?? {
             // A database that is older than the files does not know all of them.
-            Known::Not => self
+            FrameState::Not => self
                 .on_disk
                 .find(frame, &self.node.config.folders.images)
                 .await
-                .map_or(Known::Not, |(file, bytes)| Known::Named { file, bytes }),
+                .map_or(FrameState::Not, |(file, bytes)| FrameState::Named { file, bytes }),
             found => found,
         };
         match found {
-            Known::Stored(image) => Ok(Some(*image)),
-            Known::Not => Ok(None),
-            Known::Named { file, bytes } => {
+            FrameState::Stored(image) => Ok(Some(*image)),
+            FrameState::Not => Ok(None),
+            FrameState::Named { file, bytes } => {
                 let path = self.node.config.folders.images.join(&file);
                 let stored = self.node.bus.clock().utc();
                 let image = StoredImage { frame: frame.clone(), path, file, bytes, stored };

@@ -1,4 +1,5 @@
-//! The primary header of a FITS file as it stands on disk: read, changed in memory, with its checksum.
+//! The header of a frame's file as it stands on disk: read, changed in memory, with its checksum. Where the image is in
+//! compressed tiles, it is the header of the table that holds them.
 //!
 //! Layout and checksum are those of the FITS standard 4.0, sections 4.2 and 4.4.2.7 and appendix J.
 
@@ -7,14 +8,15 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
+use fits::checksum::{add, encode, sum};
+use fits::restore::{self, FirstHeaders};
+
 use crate::card::{Card, printable};
 
 /// FITS files are made of blocks of so many bytes.
 const BLOCK: usize = 2880;
 const CARD: usize = 80;
 const CARDS_PER_BLOCK: usize = BLOCK / CARD;
-/// A header longer than this is none; ours have about 100 cards, and a block takes 36.
-const MOST_BLOCKS: usize = 1000;
 /// Room for more cards, where a header has to grow.
 const SPARE_BLOCKS: usize = 1;
 /// The characters of one card of history.
@@ -26,6 +28,8 @@ pub struct Header {
     /// Before the end, without the blank ones that keep room.
     cards: Vec<[u8; CARD]>,
     blocks: usize,
+    /// What stands before it in the file: the empty first part of a file with tiles.
+    before: Vec<u8>,
 }
 
 impl Header {
@@ -36,22 +40,27 @@ impl Header {
 
     /// Reads the header with which these bytes begin; `None` if it has no end.
     pub fn read_from(mut file: impl Read) -> std::io::Result<Option<Self>> {
-        let (mut cards, mut block) = (Vec::<[u8; CARD]>::new(), [0; BLOCK]);
-        for blocks in 1..=MOST_BLOCKS {
-            match file.read_exact(&mut block) {
-                Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => return Ok(None),
-                read => read?,
-            }
-            let (in_block, _) = block.as_chunks::<CARD>();
-            let end = in_block.iter().position(|card| card.starts_with(b"END     "));
-            cards.extend(&in_block[..end.unwrap_or(CARDS_PER_BLOCK)]);
-            if end.is_some() {
-                let used = cards.iter().rposition(|card| !card.trim_ascii().is_empty()).map_or(0, |last| last + 1);
-                cards.truncate(used);
-                return Ok(Some(Self { cards, blocks }));
-            }
-        }
-        Ok(None)
+        let Some(FirstHeaders { first, table }) = FirstHeaders::read(&mut file)? else { return Ok(None) };
+        let (before, own) = table.map_or((Vec::new(), first.clone()), |table| (first, table));
+        Ok(Some(Self { before, ..Self::of(&own) }))
+    }
+
+    /// The header of these blocks, which has an end.
+    fn of(bytes: &[u8]) -> Self {
+        let records = bytes.as_chunks::<CARD>().0;
+        let end = records.iter().position(|card| card.starts_with(b"END     ")).unwrap_or(records.len());
+        let used = records[..end].iter().rposition(|card| !card.trim_ascii().is_empty()).map_or(0, |last| last + 1);
+        Self { cards: records[..used].to_vec(), blocks: bytes.len() / BLOCK, before: Vec::new() }
+    }
+
+    /// Whether the image is in compressed tiles.
+    pub fn is_tiled(&self) -> bool {
+        !self.before.is_empty()
+    }
+
+    /// The header of the plain image.
+    pub fn plain(self) -> Self {
+        if self.is_tiled() { Self::of(&restore::header(&self.own_bytes())) } else { self }
     }
 
     /// The cards that are not blank, without trailing blanks.
@@ -111,17 +120,37 @@ impl Header {
         }
     }
 
+    /// Takes out the lines of history that begin so.
+    pub fn forget_history(&mut self, begins: &str) {
+        let start = format!("HISTORY {begins}");
+        self.cards.retain(|card| !card.starts_with(start.as_bytes()));
+    }
+
     /// Brings CHECKSUM up to date with the DATASUM that stands here; a header without one has no checksum to keep.
     pub fn update_checksum(&mut self) {
         let Some(data_sum) = self.value("DATASUM").and_then(|sum| sum.parse().ok()) else { return };
-        let card = |value: &str| Card::new("CHECKSUM", value.into(), "ones' complement of the sum of this HDU");
-        self.set(&card("0000000000000000"));
-        let sum = add(sum(&self.to_bytes()), data_sum);
-        self.set(&card(&encode(!sum)));
+        let card =
+            |keyword: &str, value: &str| Card::new(keyword, value.into(), "ones' complement of the sum of this HDU");
+        const NONE: &str = "0000000000000000";
+        if self.is_tiled()
+            && let Some(sum_of_pixels) = self.value("ZDATASUM").and_then(|sum| sum.parse().ok())
+        {
+            // The sum of the plain file, which gets it back when it is restored.
+            self.set(&card("ZHECKSUM", NONE));
+            let sum = add(sum(&restore::header(&self.own_bytes())), sum_of_pixels);
+            self.set(&card("ZHECKSUM", &encode(!sum)));
+        }
+        self.set(&card("CHECKSUM", NONE));
+        let sum = add(sum(&self.own_bytes()), data_sum);
+        self.set(&card("CHECKSUM", &encode(!sum)));
     }
 
-    /// The header as it is to stand on disk: as long as it was, or longer where its cards need it.
+    /// All up to the data as it is to stand on disk: as long as it was, or longer where its cards need it.
     pub fn to_bytes(&self) -> Vec<u8> {
+        [self.before.as_slice(), &self.own_bytes()].concat()
+    }
+
+    fn own_bytes(&self) -> Vec<u8> {
         let needed = (self.cards.len() + 1).div_ceil(CARDS_PER_BLOCK);
         let blocks = if needed <= self.blocks { self.blocks } else { needed + SPARE_BLOCKS };
         let mut bytes = self.cards.as_flattened().to_vec();
@@ -132,44 +161,10 @@ impl Header {
         bytes
     }
 
-    /// Its length on disk before any change, bytes.
+    /// Bytes up to the data on disk before any change.
     pub fn length(&self) -> usize {
-        self.blocks * BLOCK
+        self.before.len() + self.blocks * BLOCK
     }
-}
-
-/// Ones' complement sum of 32-bit words, most significant byte first.
-fn sum(bytes: &[u8]) -> u32 {
-    bytes.as_chunks().0.iter().fold(0, |total, word| add(total, u32::from_be_bytes(*word)))
-}
-
-fn add(a: u32, b: u32) -> u32 {
-    let (sum, carried) = a.overflowing_add(b);
-    sum + u32::from(carried)
-}
-
-/// The 16 letters and digits of a checksum, whose own sum, where CHECKSUM stands, is `value`.
-fn encode(value: u32) -> String {
-    let mut text = [0; 16];
-    for (place, byte) in value.to_be_bytes().into_iter().enumerate() {
-        // Four characters that add up to the byte and four times '0'.
-        let mut four = [byte / 4 + b'0'; 4];
-        four[0] += byte % 4;
-        // Adjacent characters move apart until no punctuation is left between digits, capitals and small letters.
-        while four.iter().any(|c| (0x3a..=0x40).contains(c) || (0x5b..=0x60).contains(c)) {
-            for pair in four.as_chunks_mut::<2>().0 {
-                if pair.iter().any(|c| (0x3a..=0x40).contains(c) || (0x5b..=0x60).contains(c)) {
-                    pair[0] += 1;
-                    pair[1] -= 1;
-                }
-            }
-        }
-        for (row, c) in four.into_iter().enumerate() {
-            // The text begins at the card's column 12, the last of a word, so all moves one to the right.
-            text[(row * 4 + place + 1) % 16] = c;
-        }
-    }
-    text.iter().map(|c| char::from(*c)).collect()
 }
 
 #[cfg(test)]
@@ -177,23 +172,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_sum_is_written_as_letters_and_digits_that_add_up_to_it() {
-        // The example of the FITS standard 4.0, appendix J.
-        assert_eq!(encode(!868_229_149), "hcHjjc9ghcEghc9g");
-        for value in [0, 1, 0x0a0b_0c0d, 0x7fff_ffff, 0xdead_beef, u32::MAX] {
-            let text = encode(value);
-            assert!(text.bytes().all(|c| c.is_ascii_alphanumeric()), "{text}");
-            let mut turned = text.into_bytes();
-            turned.rotate_left(1);
-            let zeros = sum(&[b'0'; 16]);
-            let told = add(sum(&turned), !zeros);
-            assert!(told == value || (told == u32::MAX && value == 0), "{told:x} for {value:x}");
-        }
-    }
-
-    #[test]
     fn a_header_grows_by_whole_blocks_and_keeps_its_end_last() {
-        let mut header = Header { cards: Vec::new(), blocks: 1 };
+        let mut header = Header { cards: Vec::new(), blocks: 1, before: Vec::new() };
         for i in 0..35 {
             header.set(&Card::new(&format!("K{i}"), crate::card::CardValue::Int(i), ""));
         }

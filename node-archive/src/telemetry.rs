@@ -3,15 +3,17 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use bus::{Catch, Heard, Node};
+use bus::{Catch, Received};
 use config::Observatory;
-use contract::device::Description;
+use contract::device::DeviceDescription;
 use contract::device::telescope::EquatorialSystem;
-use contract::{Address, Device, DeviceState, Key, NoData, Reading, Scalar};
+use contract::{Device, DeviceState, Key, NoData, Reading, Scalar, Topic};
+use node::Node;
 use serde_json::Value;
 use units::Utc;
 
 use crate::database::{Database, Write};
+use crate::streams::{self, Lost, Stream};
 
 /// States that wait here when the database is slow: at ten devices and 10 Hz, ten minutes.
 const WAITING_STATES: usize = 65_536;
@@ -19,11 +21,11 @@ const WAITING_STATES: usize = 65_536;
 /// The newest state of every device. Cheap to clone.
 #[derive(Clone, Default)]
 pub struct Newest {
-    devices: Arc<Mutex<HashMap<Device, Told>>>,
+    devices: Arc<Mutex<HashMap<Device, DeviceTelemetry>>>,
 }
 
 #[derive(Default)]
-struct Told {
+struct DeviceTelemetry {
     readings: BTreeMap<String, Reading>,
     capabilities: Option<Value>,
 }
@@ -32,10 +34,10 @@ impl Newest {
     /// The newest value of a property; some that are not read as such are among the capabilities.
     pub fn value(&self, device: &Device, property: &str) -> Option<Scalar> {
         let devices = self.devices.lock().unwrap_or_else(PoisonError::into_inner);
-        let told = devices.get(device)?;
-        let read = told.readings.get(property).and_then(Reading::value).cloned();
+        let known = devices.get(device)?;
+        let read = known.readings.get(property).and_then(Reading::value).cloned();
         read.or_else(|| {
-            let description = told.capabilities.as_ref()?;
+            let description = known.capabilities.as_ref()?;
             let value = match property {
                 "Name" => description.get("device_name")?,
                 "DriverVersion" | "DriverInfo" => description.get("driver")?,
@@ -50,15 +52,16 @@ impl Newest {
     /// The frame of a mount's coordinates, as the mount reports it.
     pub fn equatorial_system(&self, mount: &Device) -> EquatorialSystem {
         let devices = self.devices.lock().unwrap_or_else(PoisonError::into_inner);
-        let told = devices.get(mount).and_then(|told| told.capabilities.as_ref());
-        told.and_then(|description| serde_json::from_value(description["can"]["equatorial_system"].clone()).ok())
+        let known = devices.get(mount).and_then(|known| known.capabilities.as_ref());
+        known
+            .and_then(|description| serde_json::from_value(description["can"]["equatorial_system"].clone()).ok())
             .unwrap_or_default()
     }
 
     /// Has the device published anything at this instant or later?
-    pub fn heard_since(&self, device: &Device, at: Utc) -> bool {
+    pub fn received_since(&self, device: &Device, at: Utc) -> bool {
         let devices = self.devices.lock().unwrap_or_else(PoisonError::into_inner);
-        devices.get(device).is_some_and(|told| told.readings.values().any(|reading| reading.at_utc >= at))
+        devices.get(device).is_some_and(|known| known.readings.values().any(|reading| reading.at_utc >= at))
     }
 
     /// Takes a state; returns the readings that are new.
@@ -83,9 +86,9 @@ impl Newest {
         new
     }
 
-    fn take_capabilities(&self, device: &Device, said: Value) {
+    fn take_capabilities(&self, device: &Device, capabilities: Value) {
         let mut devices = self.devices.lock().unwrap_or_else(PoisonError::into_inner);
-        devices.entry(device.clone()).or_default().capabilities = Some(said);
+        devices.entry(device.clone()).or_default().capabilities = Some(capabilities);
     }
 }
 
@@ -96,34 +99,37 @@ const MOST_PROPERTIES: usize = 512;
 pub async fn keep(node: Node, database: Database, newest: Newest) -> anyhow::Result<()> {
     let mut states = Vec::new();
     let mut capabilities = Vec::new();
-    for keys in watch_keys(&node.config, "device/*/*/state") {
-        states.push(node.bus.subscribe::<DeviceState<Value>>(&keys, Catch::All, WAITING_STATES).await?);
+    for keys in watch_keys(&node.config, Topic::State) {
+        states.push(Stream::<DeviceState<Value>>::open(&node, &database, keys, WAITING_STATES).await?);
     }
-    for keys in watch_keys(&node.config, "device/*/*/capabilities") {
-        capabilities.push(node.bus.subscribe::<Description<Value>>(&keys, Catch::Newest, 256).await?);
+    for keys in watch_keys(&node.config, Topic::Capabilities) {
+        capabilities.push(node.bus.subscribe::<DeviceDescription<Value>>(&keys, Catch::Newest, 256).await?);
     }
-    let mut told = (0, 0, 0);
+    let mut reported = (0, 0, 0);
     let mut known = KnownDevices::of(&node.config);
+    let mut looks = tokio::time::interval(streams::LOOK);
+    let mut lost = Lost::new(&node, ("device states", "telemetry"));
     loop {
         tokio::select! {
-            heard = first(&states) => {
-                if matches!(&heard.key, Key::State(device) if known.admits(device)) {
-                    keep_state(heard, &database, &newest).await?;
+            received = streams::first(&states) => {
+                if matches!(&received.key, Key::State(device) if known.admits(device)) {
+                    keep_state(received, &database, &newest).await?;
                 }
             }
-            heard = first(&capabilities) => {
-                if let Key::Capabilities(device) = &heard.key
+            _ = looks.tick() => lost.look(&database, &states).await?,
+            received = first(&capabilities) => {
+                if let Key::Capabilities(device) = &received.key
                     && known.admits(device)
                 {
-                    newest.take_capabilities(device, serde_json::to_value(&heard.said.body)?);
+                    newest.take_capabilities(device, serde_json::to_value(&received.sample.body)?);
                 }
             }
         }
-        let lost = states.iter().map(bus::Subscriber::lost).sum::<u64>();
-        let missing = states.iter().map(bus::Subscriber::missing).sum::<u64>();
-        let now = (database.rows(), missing, lost);
-        if now != told {
-            told = now;
+        let given_way = states.iter().map(Stream::lost).sum::<u64>();
+        let missing = states.iter().map(Stream::missing).sum::<u64>();
+        let now = (database.rows(), missing, given_way);
+        if now != reported {
+            reported = now;
             for (figure, value) in [("rows_written", now.0), ("gaps", now.1), ("states_lost", now.2)] {
                 node.figure(figure, Scalar::Int(value as i64));
             }
@@ -144,7 +150,7 @@ const MOST_OTHERS: usize = 128;
 impl KnownDevices {
     fn of(config: &Observatory) -> Self {
         let own = config.devices().into_iter().map(|(kind, common)| config.address().device(kind, &common.name));
-        let shared = config.heeded_safety_monitors().into_iter().chain(config.heeded_weather());
+        let shared = config.used_safety_monitors().into_iter().chain(config.used_weather());
         Self { named: own.chain(shared).chain(config.enclosures()).collect(), others: BTreeSet::new() }
     }
 
@@ -164,18 +170,22 @@ impl KnownDevices {
     }
 }
 
-async fn keep_state(heard: Heard<DeviceState<Value>>, database: &Database, newest: &Newest) -> anyhow::Result<()> {
-    let said = (heard.said.boot_id, heard.said.seq);
-    let Key::State(device) = heard.key else { return Ok(()) };
-    for (property, reading) in newest.take(&device, heard.said.body.readings) {
+async fn keep_state(
+    received: Received<DeviceState<Value>>,
+    database: &Database,
+    newest: &Newest,
+) -> anyhow::Result<()> {
+    let written = streams::received(&received);
+    let Key::State(device) = received.key else { return Ok(()) };
+    for (property, reading) in newest.take(&device, received.sample.body.readings) {
         let at: Utc = reading.at_utc;
         let value = match reading.value() {
             Some(value) => Ok(value.clone()),
             None => Err(reason(&reading)),
         };
-        database.put(Write::Reading { device: device.clone(), property, value, at, said: said.clone() }).await?;
+        database.put(Write::Reading { device: device.clone(), property, value, at }).await?;
     }
-    Ok(())
+    Ok(database.put(written).await?)
 }
 
 fn reason(reading: &Reading) -> String {
@@ -186,17 +196,17 @@ fn reason(reading: &Reading) -> String {
 }
 
 /// The next payload of any of these.
-pub(crate) async fn first<T: contract::Payload>(subscribers: &[bus::Subscriber<T>]) -> Heard<T> {
-    let waits = subscribers.iter().map(|subscriber| Box::pin(subscriber.hear()));
+pub(crate) async fn first<T: contract::Payload>(subscribers: &[bus::Subscriber<T>]) -> Received<T> {
+    let waits = subscribers.iter().map(|subscriber| Box::pin(subscriber.recv()));
     futures_util::future::select_all(waits).await.0
 }
 
-/// Keys of this telescope, and of what it shares with other telescopes, below which samples are published.
-pub fn watch_keys(config: &Observatory, below: &str) -> Vec<String> {
+/// The keys of a topic of this telescope, and of what it shares with other telescopes.
+pub fn watch_keys(config: &Observatory, topic: Topic) -> Vec<String> {
     let own = config.address();
     let mut addresses = vec![own.clone(), own.shared()];
     addresses.dedup();
-    addresses.iter().map(|address: &Address| format!("{}/{address}/{below}", contract::key::ROOT)).collect()
+    addresses.iter().map(|address| topic.at(address).to_string()).collect()
 }
 
 #[cfg(test)]
@@ -217,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn a_million_invented_devices_take_no_room_and_those_of_the_file_are_kept() {
+    fn a_million_invented_devices_take_no_room_and_those_of_the_file_stay() {
         let text = "[observatory]\nsite = \"paranal\"\ntelescope = \"callisto\"\nlatitude_deg = -24.6\n\
                     longitude_deg = -70.4\nelevation_m = 2500\n[[telescope]]\nname = \"mount\"\nserver = \"127.0.0.1:1\"\n";
         let mut known = KnownDevices::of(&config::parse(text, std::path::Path::new(".")).unwrap());
@@ -244,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn capabilities_tell_what_was_not_read() {
+    fn capabilities_show_what_was_not_read() {
         let newest = Newest::default();
         newest.take_capabilities(
             &device(),

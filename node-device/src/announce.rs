@@ -3,10 +3,11 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use bus::{Node, Publisher, Quality};
+use bus::Publisher;
 use contract::device::camera::Frame;
 use contract::observatory::AlertKind;
 use contract::{CommandId, Key, Kind, Name};
+use node::Node;
 use tokio::sync::mpsc;
 use tokio::time::{MissedTickBehavior, interval};
 
@@ -24,15 +25,15 @@ pub async fn run(
     cameras: Vec<Name>,
     mut stored: mpsc::UnboundedReceiver<Result<CommandId, (CommandId, SpoolError)>>,
 ) -> anyhow::Result<()> {
-    let mut voices = Vec::new();
+    let mut publishers = Vec::new();
     for camera in cameras {
         let key = Key::Frame(node.config.address().device(Kind::Camera, &camera));
-        voices.push((camera, node.bus.publisher::<Frame>(&key, Quality::Event { cache: 1000 }).await?));
+        publishers.push((camera, node.bus.publisher::<Frame>(&key).await?));
     }
     let clock = node.bus.clock().clone();
-    let say = async |voice: &Publisher<Frame>, frame: Frame| {
+    let announce = async |publisher: &Publisher<Frame>, frame: Frame| {
         let id = frame.id.clone();
-        match voice.put(frame).await {
+        match publisher.put(frame).await {
             Ok(()) => spool.announced(&id, clock.machine()),
             Err(error) => tracing::warn!(frame = %id, %error, "a frame could not be announced; it will be again"),
         }
@@ -49,8 +50,8 @@ pub async fn run(
                     node.alerts.clear(AlertKind::SpoolCannotWrite, "");
                     let Some(frame) = spool.frame(&id) else { continue };
                     tracing::info!(camera = frame.camera, frame = %id, exposure_s = frame.exposure_s, "frame in the spool");
-                    if let Some((_, voice)) = voices.iter().find(|(name, _)| name.as_str() == frame.camera) {
-                        say(voice, frame).await;
+                    if let Some((_, publisher)) = publishers.iter().find(|(name, _)| name.as_str() == frame.camera) {
+                        announce(publisher, frame).await;
                     }
                 }
                 Err((id, error)) => {
@@ -61,9 +62,9 @@ pub async fn run(
             },
             // The first tick is now: frames that waited for a restart.
             _ = again.tick() => {
-                for (camera, voice) in &voices {
+                for (camera, publisher) in &publishers {
                     for frame in spool.unreleased(camera) {
-                        say(voice, frame).await;
+                        announce(publisher, frame).await;
                     }
                 }
             }

@@ -3,20 +3,20 @@
 use std::process::Stdio;
 
 use anyhow::Context as _;
-use bus::NodeOptions;
+use node::NodeOptions;
 use tokio::process::{Child, Command};
 
 /// A device node ends within this time after it was asked to, an open enclosure included (docs/deploy.md).
 pub const END_LIMIT: std::time::Duration = std::time::Duration::from_secs(300);
 
-/// A command of this program that runs the device node `id`: `verb` comes first, then the options of this process.
+/// A command of this program that runs the device node `id` with the options of this process.
 ///
 /// The node gets a process group of its own, so that Ctrl-C in a terminal reaches the process that supervises it, and
 /// that process alone decides in which order nodes end.
-pub fn command(verb: &[&str], options: &NodeOptions, id: &str) -> anyhow::Result<Command> {
+pub fn command(options: &NodeOptions, id: &str) -> anyhow::Result<Command> {
     let program = std::env::current_exe().context("cannot find this program's own file")?;
     let mut command = Command::new(program);
-    command.args(verb).args(["--id", id, "--config"]).arg(&options.config);
+    command.args(["node", "device", "--id", id, "--config"]).arg(&options.config);
     for (flag, values) in [("--listen", &options.listen), ("--connect", &options.connect)] {
         for value in values {
             command.args([flag, value]);

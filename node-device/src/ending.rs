@@ -3,12 +3,12 @@
 use std::time::Duration;
 
 use anyhow::bail;
-use bus::{Node, NodeOptions};
 use contract::observatory::AlertKind;
 use interlock::Deadlines;
+use node::{Node, NodeOptions};
 
 use crate::child::END_LIMIT;
-use crate::guard_process::link::GuardLink;
+use crate::guard_process::link::{GuardLink, SHARES_CLOCK};
 use crate::guard_process::places::Places;
 use crate::guard_process::{GUARD_LOCK, NODE_LOCK};
 use crate::start::Enclosure;
@@ -84,7 +84,7 @@ pub async fn outlive_guard_process(
         let (places, now, clock) = (places.clone(), node.bus.clock().machine(), node.bus.clock().clone());
         let last = link.last();
         let looking = tokio::task::spawn_blocking(move || {
-            let until = last.domes.iter().map(|(dome, said)| (dome.clone(), said.open_until(now)));
+            let until = last.domes.iter().map(|(dome, report)| (dome.clone(), report.open_until(now, SHARES_CLOCK)));
             // A disk that is full only shortens the time until the dome closes.
             let _ = places.keep_countdown(clock.machine(), &until.collect::<Deadlines>());
             places.lock(GUARD_LOCK).is_err()

@@ -2,11 +2,13 @@
 //!
 //! A reading takes this way: `alpaca` asks the server and accepts sloppy answers; a `driver` (one file per ASCOM kind,
 //! pure mapping) selects the properties and defines their meaning; `serve`, the one loop for all kinds, polls,
-//! publishes, executes commands and reconnects. A command takes this way: `front` answers it at once, after `gate` has
-//! checked its token and the guard the permits; the loop executes it, and the device's own state shows when it is done.
+//! publishes, executes commands and reconnects. A command takes this way: `command_server` answers it at once,
+//! after `interlock::Authorization` has checked its token and the guard the permits; the loop executes it, and the
+//! device's own state shows when it is done.
 //!
 //! Frames go to the `spool` on disk, are announced, served by HTTP, and removed when the archive releases them.
-//! The dome's guard (`interlock::Guard`, a pure state machine) has a task and a connection of its own: `guard_task`.
+//! The dome's guard (`interlock::Guard` and `interlock::GuardLoop`, pure state machines) has a task and a connection of
+//! its own: `guard_task`.
 //!
 //! # Invariants
 //!
@@ -21,18 +23,18 @@
 //! - A frame leaves the spool only after the archive has sent its hash:
 //!   `a_frame_survives_a_restart_and_goes_only_when_it_is_released_and_old`.
 //! - The hardware watchdog is fed only while the permit is valid:
-//!   `it_is_fed_four_times_in_its_limit_and_only_while_the_permit_lives`.
+//!   `it_is_fed_four_times_in_its_limit_and_only_while_the_permit_is_valid` (`common/interlock/src/watchdog.rs`).
 
-mod accounts;
 mod announce;
+mod audit_log;
 mod child;
-mod contact;
+mod close_request;
+mod command_check;
+mod command_server;
 mod deadline;
 mod deciding;
 pub mod driver;
 mod ending;
-mod front;
-mod gate;
 mod guard_process;
 mod guard_task;
 mod has;
@@ -41,6 +43,7 @@ mod mount_limits;
 mod node_part;
 mod now;
 mod permits;
+mod polling;
 mod readings;
 mod record;
 mod second_writer;
@@ -57,32 +60,34 @@ mod watchdog;
 
 use anyhow::Context as _;
 use audit::Audit;
-use bus::{Node, NodeOptions};
-use guard_process::link::GuardLink;
+use node::{Node, NodeOptions};
 use tokio::task::JoinSet;
+
+use guard_process::link::GuardLink;
 
 /// `starmesh node device`: one node, or without `--id` all device nodes of the file, each as a process of its own.
 ///
-/// A node that serves an enclosure runs inside a guard process, which this process then is. `verb` comes before
-/// the options on the command line of this program.
-pub fn main(mut options: NodeOptions, verb: &[&str]) -> std::process::ExitCode {
+/// A node that serves an enclosure runs inside a guard process, which this process then is.
+pub fn main(mut options: NodeOptions) -> std::process::ExitCode {
+    // Before anything is read: an open enclosure is closed also when the end is ordered while this process starts.
+    node::signals::listen();
     if options.check {
-        return bus::node::main_with(options, contract::Role::Device, run);
+        return node::start::main(options, contract::Role::Device, run);
     }
     if options.guarded {
         let own = options.clone();
-        return bus::node::main_with(options, contract::Role::Device, |node| run_guarded(node, own));
+        return node::start::main(options, contract::Role::Device, |node| run_guarded(node, own));
     }
     if options.id.is_none() {
-        match bus::node::read_observatory(&options.config) {
+        match node::configuration::read_observatory(&options.config) {
             Ok(config) if config.device_nodes().len() == 1 => {
                 options.id = config.device_nodes().first().and_then(|id| id.parse().ok());
             }
             // A file without devices: the node reports it.
             Ok(config) if config.device_nodes().is_empty() => {}
-            Ok(_) => return several::main(&options, verb),
+            Ok(_) => return several::main(&options),
             Err(_) if guard_process::is_needed(&options, config::ENCLOSURE_NODE) => {
-                return several::main(&options, verb);
+                return several::main(&options);
             }
             // The node reports what is wrong with the file.
             Err(_) => {}
@@ -91,16 +96,16 @@ pub fn main(mut options: NodeOptions, verb: &[&str]) -> std::process::ExitCode {
     if let Some(id) = options.id.clone()
         && guard_process::is_needed(&options, id.as_str())
     {
-        return guard_process::main(&options, verb, id.as_str());
+        return guard_process::main(&options, id.as_str());
     }
     let is_enclosure = options.id.as_ref().is_none_or(|id| id.as_str() == config::ENCLOSURE_NODE);
-    if is_enclosure && bus::node::read_observatory(&options.config).is_err() {
-        bus::lines::complain(format_args!(
+    if is_enclosure && node::configuration::read_observatory(&options.config).is_err() {
+        node::lines::complain(format_args!(
             "NOBODY GUARDS the enclosure of {}: the file cannot be used, and no copy of one that worked exists",
             options.config.display()
         ));
     }
-    bus::node::main_with(options, contract::Role::Device, run)
+    node::start::main(options, contract::Role::Device, run)
 }
 
 /// Is enough known of the enclosure of a configuration file to close it although the file cannot be used?

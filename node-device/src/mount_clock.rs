@@ -3,9 +3,10 @@
 use std::time::Duration;
 
 use alpaca::{Alpaca, value};
-use bus::{MachineTime, Node};
+use bus::MachineTime;
 use contract::node::MOUNT_CLOCK_OFFSET_S;
 use contract::{Name, Scalar};
+use node::Node;
 use units::Utc;
 
 use crate::simulated::is_simulated;
@@ -26,11 +27,11 @@ struct MountClock {
 impl MountClock {
     /// By how much the mount's clock is ahead of ours, s; `None` of one that does not go evenly with the boot-time
     /// clock.
-    fn offset_s(&mut self, said: Utc, own: Utc, now: MachineTime, speed: f64) -> Option<f64> {
-        let (before, at) = self.before.replace((said, now))?;
+    fn offset_s(&mut self, mount_utc: Utc, own: Utc, now: MachineTime, speed: f64) -> Option<f64> {
+        let (before, at) = self.before.replace((mount_utc, now))?;
         let passed_s = now.since(at).as_secs_f64() * speed;
-        let even = (said.seconds_since(before) - passed_s).abs() <= UNEVEN_S * speed.max(1.0);
-        even.then(|| said.seconds_since(own))
+        let even = (mount_utc.seconds_since(before) - passed_s).abs() <= UNEVEN_S * speed.max(1.0);
+        even.then(|| mount_utc.seconds_since(own))
     }
 }
 
@@ -47,12 +48,13 @@ pub async fn watch(node: Node, mount: Name, server: String, alpaca: Alpaca) -> a
             let before = clock.utc();
             let answer = alpaca.get("utcdate").await.ok().and_then(|answer| value::text(&answer).ok());
             let half_way = before.plus_seconds(clock.utc().seconds_since(before) / 2.0);
-            let said = answer.and_then(|text| text.parse::<Utc>().ok());
-            offset_s = said.and_then(|said| known.offset_s(said, half_way, clock.machine(), clock.speed()));
+            let mount_utc = answer.and_then(|text| text.parse::<Utc>().ok());
+            offset_s =
+                mount_utc.and_then(|mount_utc| known.offset_s(mount_utc, half_way, clock.machine(), clock.speed()));
         }
-        let shown =
+        let value =
             offset_s.map_or_else(|| Scalar::Text("not known".to_owned()), |s| Scalar::Float((s * 10.0).round() / 10.0));
-        node.figure(&figure, shown);
+        node.figure(&figure, value);
         if node.stop.or(clock.tick(PERIOD)).await.is_none() {
             return Ok(());
         }

@@ -30,7 +30,7 @@ impl Approach {
     fn note(&mut self, fields: &Fields, hour_angle_h: f64) {
         // By six hours from the meridian it is the other passage, below the pole.
         if (-6.0..0.0).contains(&hour_angle_h) {
-            self.side = told_side(fields).or(self.side);
+            self.side = reported_side(fields).or(self.side);
         } else if !(0.0..6.0).contains(&hour_angle_h) {
             self.side = None;
         }
@@ -38,11 +38,11 @@ impl Approach {
 
     /// Is the mount past the meridian on the side on which it came?
     fn stayed(&self, fields: &Fields) -> bool {
-        self.side.is_some() && told_side(fields).is_none_or(|side| self.side == Some(side))
+        self.side.is_some() && reported_side(fields).is_none_or(|side| self.side == Some(side))
     }
 }
 
-fn told_side(fields: &Fields) -> Option<PierSide> {
+fn reported_side(fields: &Fields) -> Option<PierSide> {
     fields.pier_side.known().copied().filter(|side| *side != PierSide::Unknown)
 }
 
@@ -108,8 +108,8 @@ impl LimitWatch {
 }
 
 #[cfg(test)]
-#[path = "mount_limits_story_tests.rs"]
-mod story_tests;
+#[path = "mount_limits_scenario_tests.rs"]
+mod scenario_tests;
 
 #[cfg(test)]
 mod tests {
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mount_that_does_not_tell_its_altitude_is_reckoned() {
+    fn the_altitude_of_a_mount_that_does_not_report_it_is_reckoned() {
         // A star of declination = latitude passes the zenith, and stands 20 deg high 5.17 h later.
         assert_eq!(why(&mount(4.9, None, PierSide::East)), "");
         let low = mount(5.3, None, PierSide::East);
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_told_again_until_it_obeys() {
+    fn the_command_is_sent_again_until_the_device_executes_it() {
         let at = |s| MachineTime::from_boot(Duration::from_secs(s));
         let mut watch = LimitWatch::default();
         let off = Command::Track { on: false };

@@ -1,9 +1,9 @@
 //! Which devices of the configuration this node serves.
 
 use anyhow::bail;
-use bus::Node;
 use config::Common;
 use contract::{Kind, Name};
+use node::Node;
 
 /// The devices of one node.
 pub struct NodePart<'a> {

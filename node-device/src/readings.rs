@@ -14,12 +14,12 @@ use crate::now::Now;
 /// The newest answers of one device.
 #[derive(Debug, Clone, Default)]
 pub struct Readings {
-    answers: BTreeMap<String, Kept>,
+    answers: BTreeMap<String, StoredAnswer>,
 }
 
 /// One answer.
 #[derive(Debug, Clone)]
-struct Kept {
+struct StoredAnswer {
     answer: Result<Value, NoData>,
     at_utc: Utc,
     /// When the device was asked; the answer is at least as new as that. `None` of what does not change.
@@ -29,25 +29,25 @@ struct Kept {
 impl Readings {
     /// Stores an answer whose age is of no interest.
     pub fn keep(&mut self, property: &str, answer: Result<Value, NoData>, at_utc: Utc) {
-        self.answers.insert(property.to_owned(), Kept { answer, at_utc, asked: None });
+        self.answers.insert(property.to_owned(), StoredAnswer { answer, at_utc, asked: None });
     }
 
     /// Stores an answer to a question that was asked then.
     pub fn keep_asked(&mut self, property: &str, answer: Result<Value, NoData>, at_utc: Utc, asked: Now) {
-        self.answers.insert(property.to_owned(), Kept { answer, at_utc, asked: Some(asked) });
+        self.answers.insert(property.to_owned(), StoredAnswer { answer, at_utc, asked: Some(asked) });
     }
 
     /// Every property is missing now, for one reason.
     pub fn lose(&mut self, reason: &NoData, at_utc: Utc) {
-        for kept in self.answers.values_mut() {
-            *kept = Kept { answer: Err(reason.clone()), at_utc, asked: None };
+        for stored in self.answers.values_mut() {
+            *stored = StoredAnswer { answer: Err(reason.clone()), at_utc, asked: None };
         }
     }
 
     /// Every property that is polled is missing now, for one reason; what does not change stays.
     pub fn drop_polled(&mut self, reason: &NoData, at_utc: Utc) {
-        for kept in self.answers.values_mut().filter(|kept| kept.asked.is_some()) {
-            *kept = Kept { answer: Err(reason.clone()), at_utc, asked: None };
+        for stored in self.answers.values_mut().filter(|stored| stored.asked.is_some()) {
+            *stored = StoredAnswer { answer: Err(reason.clone()), at_utc, asked: None };
         }
     }
 
@@ -58,8 +58,8 @@ impl Readings {
 
     fn read<T>(&self, property: &str, read: impl Fn(&Value) -> Result<T, NoData>) -> Datum<T> {
         match self.answers.get(property) {
-            Some(Kept { answer: Ok(value), .. }) => read(value).into(),
-            Some(Kept { answer: Err(reason), .. }) => Datum::missing(reason.clone()),
+            Some(StoredAnswer { answer: Ok(value), .. }) => read(value).into(),
+            Some(StoredAnswer { answer: Err(reason), .. }) => Datum::missing(reason.clone()),
             None => Datum::default(),
         }
     }
@@ -107,8 +107,8 @@ impl Readings {
     }
 
     /// All of it as the contract shows it, in ASCOM's units, with its ages `now`.
-    pub fn shown(&self, kind: Kind, now: MachineTime) -> BTreeMap<String, Reading> {
-        let shown = self.answers.iter().map(|(property, Kept { answer, at_utc, asked })| {
+    pub fn published(&self, kind: Kind, now: MachineTime) -> BTreeMap<String, Reading> {
+        let published = self.answers.iter().map(|(property, StoredAnswer { answer, at_utc, asked })| {
             let unit = unit(kind, property).unwrap_or_default();
             // Whole milliseconds: more exact than any answer.
             let age_s = asked
@@ -116,7 +116,7 @@ impl Readings {
                 .map(|asked| (now.since(asked.machine).as_secs_f64() * 1e3).round() / 1e3);
             (property.clone(), Reading { outcome: outcome(answer, unit), at_utc: *at_utc, age_s })
         });
-        shown.collect()
+        published.collect()
     }
 }
 
@@ -200,19 +200,21 @@ fn unit(kind: Kind, property: &str) -> Option<&'static str> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use bus::SkyTime;
-    use serde_json::json;
     use std::time::Duration;
 
+    use bus::SkyTime;
+    use serde_json::json;
+
+    use super::*;
+
     #[test]
-    fn a_reading_that_is_shown_again_is_older_and_what_was_never_asked_has_no_age() {
+    fn a_reading_that_is_published_again_is_older_and_what_was_never_asked_has_no_age() {
         let at = |s| MachineTime::from_boot(Duration::from_secs(s));
         let asked = Now { machine: at(100), sky: SkyTime::from_start(Duration::ZERO) };
         let mut readings = Readings::default();
         readings.keep_asked("IsSafe", Ok(json!(true)), Utc::EPOCH, asked);
         readings.keep("Name", Ok(json!("x")), Utc::EPOCH);
-        let age_s = |readings: &Readings, name: &str, now| readings.shown(Kind::SafetyMonitor, at(now))[name].age_s;
+        let age_s = |readings: &Readings, name: &str, now| readings.published(Kind::SafetyMonitor, at(now))[name].age_s;
         assert_eq!((age_s(&readings, "IsSafe", 100), age_s(&readings, "IsSafe", 112)), (Some(0.0), Some(12.0)));
         assert_eq!(age_s(&readings, "Name", 112), None);
         readings.drop_polled(&NoData::new("stale", "x"), Utc::EPOCH);
@@ -226,11 +228,11 @@ mod tests {
         readings.keep("RightAscension", Ok(json!("5.5")), Utc::EPOCH);
         readings.keep("Declination", Ok(json!("NaN")), Utc::EPOCH);
         readings.keep("Tracking", Err(NoData::not_implemented()), Utc::EPOCH);
-        let shown =
-            serde_json::to_value(readings.shown(Kind::Telescope, MachineTime::from_boot(Duration::ZERO))).unwrap();
-        assert_eq!(shown["RightAscension"], json!({"value": 5.5, "unit": "h", "at_utc": Utc::EPOCH}));
-        assert_eq!(shown["Declination"]["no_data"], "not a number");
-        assert_eq!(shown["Tracking"]["no_data"], "not implemented");
+        let published =
+            serde_json::to_value(readings.published(Kind::Telescope, MachineTime::from_boot(Duration::ZERO))).unwrap();
+        assert_eq!(published["RightAscension"], json!({"value": 5.5, "unit": "h", "at_utc": Utc::EPOCH}));
+        assert_eq!(published["Declination"]["no_data"], "not a number");
+        assert_eq!(published["Tracking"]["no_data"], "not implemented");
         assert_eq!(readings.number("RightAscension"), Datum::Known(5.5));
         assert_eq!(readings.number("Altitude"), Datum::missing(NoData::never_read()));
     }

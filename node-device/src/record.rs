@@ -8,9 +8,10 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use bus::{Bus, BusError, Clock, MachineTime, Node, Publisher, Quality, Service};
-use contract::device::record::{Entry, Question, Record};
-use contract::{BootId, Device, DeviceState, Key, Kind, Link, Payload};
+use bus::{Bus, BusError, Clock, MachineTime, Publisher, Quality, Service};
+use contract::device::record::{RecordQuestion, StateEntry, StateRecord};
+use contract::{BootId, Device, DeviceState, Key, Kind, Link, Payload, Topic};
+use node::Node;
 use serde_json::Value;
 
 /// Kept at least, sky time: telescopes that share a station have limits that its node does not know.
@@ -24,23 +25,23 @@ const MOST: Duration = Duration::from_secs(86_400);
 const LEAST_AGE_S: f64 = 0.5;
 
 /// Publishes a device's states, and records them where limits may be put on them.
-pub struct Voice<F> {
+pub struct StatePublisher<F> {
     states: Publisher<DeviceState<F>>,
-    memory: Option<Arc<Mutex<Memory<F>>>>,
+    memory: Option<Arc<Mutex<StateMemory<F>>>>,
     clock: Clock,
     _service: Option<Service>,
 }
 
-impl<F: Payload> Voice<F> {
+impl<F: Payload> StatePublisher<F> {
     /// For this device; `cache` states are kept for subscribers that were away.
     pub async fn open(node: &Node, device: &Device, cache: usize) -> Result<Self, BusError> {
         let (bus, clock) = (&node.bus, node.bus.clock().clone());
-        let states = bus.publisher(&Key::State(device.clone()), Quality::State { cache }).await?;
-        if !device.kind.keeps_record() {
+        let states = bus.publisher_as(&Key::State(device.clone()), Quality::State { cache }).await?;
+        if !Topic::Record.kinds().contains(&device.kind) {
             return Ok(Self { states, memory: None, clock, _service: None });
         }
         let back = longest(&node.config, device).clamp(LEAST, MOST);
-        let memory = Arc::new(Mutex::new(Memory::new(clock.machine_duration(back))));
+        let memory = Arc::new(Mutex::new(StateMemory::new(clock.machine_duration(back))));
         let service = answer(bus, device, memory.clone()).await?;
         Ok(Self { states, memory: Some(memory), clock, _service: Some(service) })
     }
@@ -53,7 +54,7 @@ impl<F: Payload> Voice<F> {
             let ages_s = ages.filter(|(_, age_s)| *age_s >= LEAST_AGE_S).map(|(name, age_s)| (name.clone(), age_s));
             let ages_s = ages_s.collect();
             let mut memory = memory.lock().unwrap_or_else(PoisonError::into_inner);
-            memory.keep(Said { seq: self.states.next_seq(), at: now, link, fields, ages_s });
+            memory.keep(RecordedState { seq: self.states.next_seq(), at: now, link, fields, ages_s });
         }
         self.states.put(state).await
     }
@@ -72,23 +73,27 @@ fn longest(config: &config::Observatory, device: &Device) -> Duration {
     looks_s.map(|s| Duration::try_from_secs_f64(s).unwrap_or(MOST)).max().unwrap_or_default()
 }
 
-async fn answer<F: Payload>(bus: &Bus, device: &Device, memory: Arc<Mutex<Memory<F>>>) -> Result<Service, BusError> {
+async fn answer<F: Payload>(
+    bus: &Bus,
+    device: &Device,
+    memory: Arc<Mutex<StateMemory<F>>>,
+) -> Result<Service, BusError> {
     let (boot_id, clock) = (bus.boot_id().clone(), bus.clock().clone());
-    let answer = move |question: Result<Question, String>| {
+    let answer = move |question: Result<RecordQuestion, String>| {
         // A question that cannot be read is answered with no evidence at all.
         let back = question.ok().and_then(|question| Duration::try_from_secs_f64(question.back_s).ok());
         let back = back.map(|back| clock.machine_duration(back.min(MOST)));
         let memory = memory.lock().unwrap_or_else(PoisonError::into_inner);
-        let record = memory.tell(back, &clock, &boot_id);
+        let record = memory.answer(back, &clock, &boot_id);
         drop(memory);
         let answer = serde_json::to_value(record).unwrap_or(Value::Null);
         async move { answer }
     };
-    bus.serve::<Question, Value, _, _>(&Key::Record(device.clone()), answer).await
+    bus.serve::<RecordQuestion, Value, _, _>(&Key::Record(device.clone()), answer).await
 }
 
 /// One state as it was published.
-struct Said<F> {
+struct RecordedState<F> {
     seq: u64,
     at: MachineTime,
     link: Link,
@@ -98,42 +103,44 @@ struct Said<F> {
 }
 
 /// The published states, oldest first.
-struct Memory<F> {
+struct StateMemory<F> {
     back: Duration,
-    said: VecDeque<Said<F>>,
+    published: VecDeque<RecordedState<F>>,
 }
 
-impl<F: Payload> Memory<F> {
+impl<F: Payload> StateMemory<F> {
     /// One that reaches so far back, machine time.
     fn new(back: Duration) -> Self {
-        Self { back, said: VecDeque::new() }
+        Self { back, published: VecDeque::new() }
     }
 
-    fn keep(&mut self, said: Said<F>) {
-        let now = said.at;
+    fn keep(&mut self, state: RecordedState<F>) {
+        let now = state.at;
         // The newest of those that are too old shows what was true when the window began.
-        while self.said.get(1).is_some_and(|second| now.since(second.at) > self.back) {
-            self.said.pop_front();
+        while self.published.get(1).is_some_and(|second| now.since(second.at) > self.back) {
+            self.published.pop_front();
         }
-        if self.said.len() >= MOST_ENTRIES {
-            self.said.pop_front();
+        if self.published.len() >= MOST_ENTRIES {
+            self.published.pop_front();
         }
-        self.said.push_back(said);
+        self.published.push_back(state);
     }
 
-    fn tell(&self, back: Option<Duration>, clock: &Clock, boot_id: &BootId) -> Record<F> {
+    fn answer(&self, back: Option<Duration>, clock: &Clock, boot_id: &BootId) -> StateRecord<F> {
         let now = clock.machine();
-        let inside = self.said.iter().rev().take_while(|said| back.is_some_and(|back| now.since(said.at) <= back));
+        let inside =
+            self.published.iter().rev().take_while(|state| back.is_some_and(|back| now.since(state.at) <= back));
         // And the one before.
-        let told = if back.is_some() { inside.count() + 1 } else { 0 };
-        let entries = self.said.iter().skip(self.said.len().saturating_sub(told)).map(|said| Entry {
-            seq: said.seq,
-            age_s: now.since(said.at).as_secs_f64(),
-            reading_ages_s: said.ages_s.clone(),
-            link: said.link.clone(),
-            fields: said.fields.clone(),
-        });
-        Record { boot_id: boot_id.clone(), speed: clock.speed(), entries: entries.collect() }
+        let reported = if back.is_some() { inside.count() + 1 } else { 0 };
+        let entries =
+            self.published.iter().skip(self.published.len().saturating_sub(reported)).map(|state| StateEntry {
+                seq: state.seq,
+                age_s: now.since(state.at).as_secs_f64(),
+                reading_ages_s: state.ages_s.clone(),
+                link: state.link.clone(),
+                fields: state.fields.clone(),
+            });
+        StateRecord { boot_id: boot_id.clone(), speed: clock.speed(), entries: entries.collect() }
     }
 }
 
@@ -145,49 +152,55 @@ mod tests {
     use super::*;
 
     /// A memory of a minute in which number n was published n x `step` s after the machine had booted.
-    fn memory(numbers: std::ops::Range<u64>, step: u64) -> Memory<Fields> {
-        let mut memory = Memory::new(Duration::from_secs(60));
+    fn memory(numbers: std::ops::Range<u64>, step: u64) -> StateMemory<Fields> {
+        let mut memory = StateMemory::new(Duration::from_secs(60));
         for seq in numbers {
             let fields = Fields { values: vec![Datum::Known(seq as f64)] };
             let at = MachineTime::from_boot(Duration::from_secs(seq * step));
-            memory.keep(Said { seq, at, link: Link::Connected, fields, ages_s: BTreeMap::new() });
+            memory.keep(RecordedState { seq, at, link: Link::Connected, fields, ages_s: BTreeMap::new() });
         }
         memory
     }
 
-    fn kept(memory: &Memory<Fields>) -> Vec<u64> {
-        memory.said.iter().map(|said| said.seq).collect()
+    fn stored(memory: &StateMemory<Fields>) -> Vec<u64> {
+        memory.published.iter().map(|state| state.seq).collect()
     }
 
-    fn told(memory: &Memory<Fields>, back: Option<Duration>) -> Vec<u64> {
-        let record = memory.tell(back, &Clock::machine_clock(), &BootId::fresh());
+    fn answered(memory: &StateMemory<Fields>, back: Option<Duration>) -> Vec<u64> {
+        let record = memory.answer(back, &Clock::machine_clock(), &BootId::fresh());
         assert!(record.entries.is_sorted_by(|a, b| a.age_s >= b.age_s && a.seq + 1 == b.seq));
         record.entries.iter().map(|entry| entry.seq).collect()
     }
 
     #[test]
     fn what_is_older_than_the_window_goes_but_for_the_one_that_began_it() {
-        assert_eq!(kept(&memory(0..4, 20)), [0, 1, 2, 3]);
-        assert_eq!(kept(&memory(0..6, 20)), [1, 2, 3, 4, 5]);
-        assert_eq!(kept(&memory(0..3, 1000)), [1, 2]);
+        assert_eq!(stored(&memory(0..4, 20)), [0, 1, 2, 3]);
+        assert_eq!(stored(&memory(0..6, 20)), [1, 2, 3, 4, 5]);
+        assert_eq!(stored(&memory(0..3, 1000)), [1, 2]);
     }
 
     #[test]
     fn the_memory_is_bounded() {
         let memory = memory(0..MOST_ENTRIES as u64 + 10, 0);
-        assert_eq!((memory.said.len(), memory.said[0].seq), (MOST_ENTRIES, 10));
+        assert_eq!((memory.published.len(), memory.published[0].seq), (MOST_ENTRIES, 10));
     }
 
     #[test]
-    fn told_is_the_window_and_the_one_state_before_it() {
+    fn the_answer_is_the_window_and_the_one_state_before_it() {
         let now = Clock::machine_clock().machine().since(MachineTime::from_boot(Duration::ZERO));
         let mut memory = memory(0..0, 0);
         for (seq, age_s) in [(7, 50), (8, 30), (9, 10), (10, 0)] {
             let at = MachineTime::from_boot(now.saturating_sub(Duration::from_secs(age_s)));
-            memory.keep(Said { seq, at, link: Link::Connected, fields: Fields::default(), ages_s: BTreeMap::new() });
+            memory.keep(RecordedState {
+                seq,
+                at,
+                link: Link::Connected,
+                fields: Fields::default(),
+                ages_s: BTreeMap::new(),
+            });
         }
-        assert_eq!(told(&memory, Some(Duration::from_secs(20))), [8, 9, 10]);
-        assert_eq!(told(&memory, Some(Duration::from_secs(3600))), [7, 8, 9, 10]);
-        assert_eq!(told(&memory, None), [0_u64; 0], "a question that nobody can read");
+        assert_eq!(answered(&memory, Some(Duration::from_secs(20))), [8, 9, 10]);
+        assert_eq!(answered(&memory, Some(Duration::from_secs(3600))), [7, 8, 9, 10]);
+        assert_eq!(answered(&memory, None), [0_u64; 0], "a question that nobody can read");
     }
 }

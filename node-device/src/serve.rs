@@ -14,40 +14,40 @@ use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use alpaca::{Alpaca, AlpacaError};
-use bus::{MachineTime, Node, Publisher, Quality};
+use bus::{MachineTime, Publisher};
 use config::Common;
-use contract::audit::Outcome as Ended;
-use contract::device::Description;
+use contract::audit::AuditOutcome as Ended;
+use contract::device::DeviceDescription;
 use contract::{Device, DeviceKind as _, DeviceState, Key, LastCommand, Link, NoData};
+use node::Node;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 
-use self::command::Running;
-use crate::contact::{Answer, Greeting, Poll, Questions, lost_reason};
-use crate::driver::{Capabilities, Command, Driver, Fields, Obeyed};
-use crate::front::{Front, Order};
+use self::command::RunningCommand;
+use crate::command_server::{CommandServer, Order};
+use crate::driver::{Capabilities, Command, Driver, Executed, Fields};
 use crate::has::Has;
 use crate::now::Now;
+use crate::polling::{Greeting, Poll, PropertyAnswer, Questions, lost_reason};
 use crate::readings::Readings;
-use crate::record::Voice;
+use crate::record::StatePublisher;
 
 /// While something moves or exposes.
 const FAST: Duration = Duration::from_millis(100);
 /// A device that is busy for so long without a command is polled at leisure again.
 const BUSY_LIMIT: Duration = Duration::from_secs(600);
 /// A state is published at least so often.
-const SAY: Duration = Duration::from_secs(5);
+const PUBLISH_EVERY: Duration = Duration::from_secs(5);
 /// Capabilities are published so often.
 const CAPABILITIES: Duration = Duration::from_secs(10);
-/// States kept for those who were away: eleven minutes at the poll period, and as many more for changes.
-const CACHED: Duration = Duration::from_secs(660);
-const CACHED_CHANGES: usize = 600;
+/// States kept for those who were away, in addition to those at the poll period: so many changes per minute.
+const CHANGES_PER_MIN: f64 = 60.0;
 /// Longest wait before the next try to connect.
 const LONGEST_BACK_OFF_S: f64 = 30.0;
 
 type Task<T> = Option<Pin<Box<dyn Future<Output = T> + Send>>>;
 
-enum Contact<D: Driver> {
+enum Polling<D: Driver> {
     Greeted(Result<Greeting<D>, AlpacaError>),
     Polled(Poll),
 }
@@ -67,7 +67,7 @@ pub struct Serve<D: Driver> {
     /// Its server.
     pub alpaca: Alpaca,
     /// Where its commands are taken.
-    pub front: Arc<Front<D>>,
+    pub command_server: Arc<CommandServer<D>>,
     /// Polled rows of the FITS-header table.
     pub polled: Vec<String>,
     /// Fixed rows of it.
@@ -76,23 +76,23 @@ pub struct Serve<D: Driver> {
 
 struct Loop<D: Driver> {
     serve: Serve<D>,
-    states: Voice<Fields<D>>,
-    descriptions: Publisher<Description<Capabilities<D>>>,
+    states: StatePublisher<Fields<D>>,
+    descriptions: Publisher<DeviceDescription<Capabilities<D>>>,
     readings: Readings,
     link: Link,
     device_state: bool,
     has: Has,
-    description: Option<Description<Capabilities<D>>>,
+    description: Option<DeviceDescription<Capabilities<D>>>,
     last_command: Option<LastCommand>,
-    running: Option<Running<D>>,
-    job: Task<Result<Obeyed, AlpacaError>>,
-    contact: Task<Contact<D>>,
-    next_contact: Instant,
+    running: Option<RunningCommand<D>>,
+    job: Task<Result<Executed, AlpacaError>>,
+    polling: Task<Polling<D>>,
+    next_turn: Instant,
     next_full: Instant,
     next_description: Instant,
     busy_since: Option<Instant>,
     failures: i32,
-    said: Option<(DeviceState<Fields<D>>, Instant)>,
+    published: Option<(DeviceState<Fields<D>>, Instant)>,
     /// What of the rest is still to be asked in this round, where what decides is read apart.
     rest: VecDeque<String>,
     /// What is still to be asked singly in this round.
@@ -115,14 +115,15 @@ impl<D: Driver> Serve<D> {
     /// Serves the device until the node is stopped.
     pub async fn run(self, mut orders: mpsc::UnboundedReceiver<Order<Command<D>>>) -> anyhow::Result<()> {
         let (bus, stop) = (self.node.bus.clone(), self.node.stop.clone());
-        let cache = (CACHED.as_secs_f64() / self.common.period_s).ceil() as usize + CACHED_CHANGES;
-        let states = Voice::open(&self.node, &self.device, cache).await?;
+        let per_min = 60.0 / self.common.period_s + CHANGES_PER_MIN;
+        let cache = (self.node.config.spool.hold_min * per_min).ceil() as usize;
+        let states = StatePublisher::open(&self.node, &self.device, cache).await?;
         let key = Key::Capabilities(self.device.clone());
-        let descriptions = bus.publisher(&key, Quality::State { cache: 1 }).await?;
-        let front = self.front.clone();
+        let descriptions = bus.publisher(&key).await?;
+        let command_server = self.command_server.clone();
         let answer = move |command| {
-            let front = front.clone();
-            async move { front.answer(command).await }
+            let command_server = command_server.clone();
+            async move { command_server.answer(command).await }
         };
         let driver = self.driver.clone();
         let _service = bus.serve(&Key::Command(self.device.clone()), answer).await?;
@@ -141,13 +142,13 @@ impl<D: Driver> Serve<D> {
             last_command: None,
             running: None,
             job: None,
-            contact: None,
-            next_contact: now + phase.min(Duration::from_millis(900)),
+            polling: None,
+            next_turn: now + phase.min(Duration::from_millis(900)),
             next_full: now,
             next_description: now,
             busy_since: None,
             failures: 0,
-            said: None,
+            published: None,
             rest: VecDeque::new(),
             parts: VecDeque::new(),
             rest_is_due: false,
@@ -157,7 +158,7 @@ impl<D: Driver> Serve<D> {
             quiet_until: None,
             waits: (bus.clock().machine(), Duration::ZERO),
         };
-        lap.say(true).await;
+        lap.publish(true).await;
         loop {
             let wake = lap.wake();
             lap.waits.1 += wake.saturating_duration_since(Instant::now());
@@ -171,27 +172,27 @@ impl<D: Driver> Serve<D> {
                     return Ok(());
                 }
                 Some(order) = orders.recv() => Turn::Order(order),
-                result = finished(&mut lap.job) => Turn::Obeyed(result),
-                contact = finished(&mut lap.contact) => Turn::Contact(contact),
+                result = finished(&mut lap.job) => Turn::Executed(result),
+                polling = finished(&mut lap.polling) => Turn::Polling(polling),
                 () = driver.stirred() => Turn::Stirred,
                 () = sleep_until(wake) => Turn::Due,
             };
             let stood_still = lap.stood_still();
             match turn {
                 Turn::Order(order) => lap.start(order),
-                Turn::Obeyed(result) => lap.obeyed(result),
+                Turn::Executed(result) => lap.executed(result),
                 // It was asked before the node was stalled, and means nothing for now.
-                Turn::Contact(_) if stood_still => {}
-                Turn::Contact(Contact::Greeted(greeting)) => lap.greeted(greeting),
-                Turn::Contact(Contact::Polled(poll)) => {
+                Turn::Polling(_) if stood_still => {}
+                Turn::Polling(Polling::Greeted(greeting)) => lap.greeted(greeting),
+                Turn::Polling(Polling::Polled(poll)) => {
                     let full = poll.full;
                     lap.polled(poll);
-                    lap.say(full).await;
+                    lap.publish(full).await;
                 }
                 Turn::Stirred => {}
                 Turn::Due => lap.due(),
             }
-            lap.say(false).await;
+            lap.publish(false).await;
         }
     }
 }
@@ -199,8 +200,8 @@ impl<D: Driver> Serve<D> {
 /// What the loop woke up for.
 enum Turn<D: Driver> {
     Order(Order<Command<D>>),
-    Obeyed(Result<Obeyed, AlpacaError>),
-    Contact(Contact<D>),
+    Executed(Result<Executed, AlpacaError>),
+    Polling(Polling<D>),
     Stirred,
     Due,
 }
@@ -218,19 +219,19 @@ impl<D: Driver> Loop<D> {
         Duration::from_secs_f64(self.serve.common.period_s)
     }
 
-    fn say_period(&self) -> Duration {
+    fn publish_period(&self) -> Duration {
         // A poll under way will publish by itself; a state of a device that hangs is published later, but not never.
-        let patience = if self.contact.is_some() { 3 } else { 1 };
-        self.period().min(SAY) * patience
+        let periods = if self.polling.is_some() { 3 } else { 1 };
+        self.period().min(PUBLISH_EVERY) * periods
     }
 
     fn wake(&self) -> Instant {
-        let mut wake = self.said.as_ref().map_or_else(Instant::now, |(_, at)| *at + self.say_period());
+        let mut wake = self.published.as_ref().map_or_else(Instant::now, |(_, at)| *at + self.publish_period());
         if let Some(until) = self.quiet_until {
             wake = wake.max(until);
         }
-        if self.contact.is_none() {
-            wake = wake.min(self.next_contact);
+        if self.polling.is_none() {
+            wake = wake.min(self.next_turn);
         }
         if self.description.is_some() {
             wake = wake.min(self.next_description);
@@ -247,19 +248,19 @@ impl<D: Driver> Loop<D> {
         if self.running.as_ref().and_then(|running| running.deadline).is_some_and(|deadline| now >= deadline) {
             self.judge(None);
         }
-        if self.contact.is_some() || now < self.next_contact {
+        if self.polling.is_some() || now < self.next_turn {
             return;
         }
         let Serve { driver, common, alpaca, fixed, node, .. } = &self.serve;
         let questions = Questions { alpaca: alpaca.clone(), clock: node.bus.clock().clone() };
         if self.link != Link::Connected {
             let (driver, common, fixed) = (driver.clone(), common.clone(), fixed.clone());
-            let greet = async move { Contact::<D>::Greeted(questions.greet(driver, &common, &fixed).await) };
-            self.contact = Some(Box::pin(greet));
+            let greet = async move { Polling::<D>::Greeted(questions.greet(driver, &common, &fixed).await) };
+            self.polling = Some(Box::pin(greet));
             return;
         }
         let wanted = self.next_wanted(now);
-        self.contact = Some(Box::pin(async move { Contact::<D>::Polled(questions.poll(wanted).await) }));
+        self.polling = Some(Box::pin(async move { Polling::<D>::Polled(questions.poll(wanted).await) }));
     }
 
     /// All polled properties that the device has.
@@ -278,7 +279,7 @@ impl<D: Driver> Loop<D> {
             tracing::info!(device = %self.serve.device, name = greeting.description.device_name, "device connected");
         }
         self.has.ask_again();
-        for Answer { property, result, at_utc, .. } in greeting.answers {
+        for PropertyAnswer { property, result, at_utc, .. } in greeting.answers {
             self.has.learn(&property, &result);
             self.readings.keep(&property, result.map_err(|error| error.no_data()), at_utc);
         }
@@ -287,16 +288,16 @@ impl<D: Driver> Loop<D> {
         self.parts.clear();
         self.device_state = greeting.device_state;
         self.link = Link::Connected;
-        self.front().can = Some(greeting.description.can.clone());
+        self.status().can = Some(greeting.description.can.clone());
         self.description = Some(greeting.description);
         self.failures = 0;
         let now = Instant::now();
-        (self.next_contact, self.next_full, self.next_description) = (now, now, now);
+        (self.next_turn, self.next_full, self.next_description) = (now, now, now);
         self.observe_now();
     }
 
-    fn keep(&mut self, answers: Vec<Answer>) {
-        for Answer { property, result, at_utc, asked } in answers {
+    fn keep(&mut self, answers: Vec<PropertyAnswer>) {
+        for PropertyAnswer { property, result, at_utc, asked } in answers {
             self.has.learn(&property, &result);
             self.readings.keep_asked(&property, result.map_err(|error| error.no_data()), at_utc, asked);
         }
@@ -319,7 +320,7 @@ impl<D: Driver> Loop<D> {
         let now = Instant::now();
         if splits {
             self.note_slowness(self.each * u32::try_from(self.wanted().len()).unwrap_or(u32::MAX));
-            self.next_contact = if self.rest_is_due || !self.parts.is_empty() { now } else { self.next_full };
+            self.next_turn = if self.rest_is_due || !self.parts.is_empty() { now } else { self.next_full };
             return;
         }
         let pause = if self.is_fast(now) { FAST } else { self.period() };
@@ -328,7 +329,7 @@ impl<D: Driver> Loop<D> {
         }
         let tick = now + self.serve.node.bus.clock().machine().to_tick(pause);
         // A poll that took longer than its period is followed by the next at once.
-        self.next_contact = if now.duration_since(poll.began_at) < pause { tick } else { now };
+        self.next_turn = if now.duration_since(poll.began_at) < pause { tick } else { now };
     }
 
     fn is_fast(&mut self, now: Instant) -> bool {
@@ -362,7 +363,7 @@ impl<D: Driver> Loop<D> {
         self.failures = (self.failures + 1).min(10);
         // Several devices of one server come back one after another.
         let jitter = 1.0 + f64::from(self.serve.index % 8) * 0.03;
-        self.next_contact = Instant::now() + Duration::from_secs_f64(back_off * jitter);
+        self.next_turn = Instant::now() + Duration::from_secs_f64(back_off * jitter);
     }
 
     fn observe_now(&self) {
@@ -370,8 +371,8 @@ impl<D: Driver> Loop<D> {
         self.serve.driver.observed(&self.readings, Now { machine: clock.machine(), sky: clock.sky() });
     }
 
-    fn front(&self) -> std::sync::MutexGuard<'_, crate::front::Face<D>> {
-        self.serve.front.face.lock().unwrap_or_else(PoisonError::into_inner)
+    fn status(&self) -> std::sync::MutexGuard<'_, crate::command_server::DeviceStatus<D>> {
+        self.serve.command_server.status.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn state(&self) -> DeviceState<Fields<D>> {
@@ -379,46 +380,47 @@ impl<D: Driver> Loop<D> {
         DeviceState {
             link: self.link.clone(),
             busy: self.running.is_some() || self.serve.driver.is_busy(&fields),
-            period_s: self.period().min(SAY).as_secs_f64(),
+            period_s: self.period().min(PUBLISH_EVERY).as_secs_f64(),
             poll_s: Some(self.period().as_secs_f64()),
             last_command: self.last_command.clone(),
             fields,
-            readings: self.readings.shown(D::Kind::KIND, self.serve.node.bus.clock().machine()),
+            readings: self.readings.published(D::Kind::KIND, self.serve.node.bus.clock().machine()),
         }
     }
 
     /// Publishes the state if it has changed, if it is time, or in any case.
-    async fn say(&mut self, in_any_case: bool) {
+    async fn publish(&mut self, in_any_case: bool) {
         let now = Instant::now();
         let state = self.state();
         {
-            let mut face = self.front();
-            face.link = state.link.clone();
-            face.fields = state.fields.clone();
+            let mut status = self.status();
+            status.link = state.link.clone();
+            status.fields = state.fields.clone();
         }
-        if self.contact.is_some() && self.quiet_until.is_some_and(|until| now < until) {
+        if self.polling.is_some() && self.quiet_until.is_some_and(|until| now < until) {
             return;
         }
         self.quiet_until = None;
-        let same = |said: &DeviceState<Fields<D>>| {
+        let same = |before: &DeviceState<Fields<D>>| {
             let words = |state: &DeviceState<Fields<D>>| serde_json::to_value(&state.fields).ok();
-            said.link == state.link
-                && said.busy == state.busy
-                && said.last_command == state.last_command
-                && words(said) == words(&state)
+            before.link == state.link
+                && before.busy == state.busy
+                && before.last_command == state.last_command
+                && words(before) == words(&state)
         };
-        let due = self.said.as_ref().is_none_or(|(said, at)| now >= *at + self.say_period() || !same(said));
+        let due =
+            self.published.as_ref().is_none_or(|(before, at)| now >= *at + self.publish_period() || !same(before));
         if in_any_case || due {
             if let Err(error) = self.states.put(state.clone()).await {
-                tracing::warn!(device = %self.serve.device, %error, "the state could not be said");
+                tracing::warn!(device = %self.serve.device, %error, "the state could not be published");
             }
-            self.said = Some((state, now));
+            self.published = Some((state, now));
         }
         if let Some(description) = &self.description
             && now >= self.next_description
         {
             if let Err(error) = self.descriptions.put(description.clone()).await {
-                tracing::warn!(device = %self.serve.device, %error, "the capabilities could not be said");
+                tracing::warn!(device = %self.serve.device, %error, "the capabilities could not be published");
             }
             self.next_description = now + CAPABILITIES;
         }

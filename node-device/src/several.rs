@@ -4,7 +4,7 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
-use bus::{NodeOptions, Stop, lines};
+use node::{NodeOptions, Stop, lines};
 use tokio::task::JoinSet;
 
 use crate::child::{self, END_LIMIT};
@@ -19,9 +19,9 @@ const READ_AGAIN: Duration = Duration::from_secs(5);
 /// Runs all device nodes of the file until a signal; then ends them one after another, enclosures first, because one
 /// that waits for the mount needs the mount's node until it is closed. If a file cannot be read, the enclosure's
 /// node runs, whose guard process knows what last worked; the others follow when it can be read.
-pub fn main(options: &NodeOptions, verb: &[&str]) -> ExitCode {
+pub fn main(options: &NodeOptions) -> ExitCode {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    let ended = runtime.context("cannot start the runtime").and_then(|runtime| runtime.block_on(run(options, verb)));
+    let ended = runtime.context("cannot start the runtime").and_then(|runtime| runtime.block_on(run(options)));
     if let Err(error) = &ended {
         lines::complain(format_args!("node-device: {error:#}"));
     }
@@ -30,18 +30,18 @@ pub fn main(options: &NodeOptions, verb: &[&str]) -> ExitCode {
 }
 
 /// One node.
-struct Running {
+struct RunningNode {
     id: String,
     stop: Stop,
     tasks: JoinSet<anyhow::Result<bool>>,
 }
 
-async fn run(options: &NodeOptions, verb: &[&str]) -> anyhow::Result<()> {
-    let mut nodes: Vec<Running> = Vec::new();
+async fn run(options: &NodeOptions) -> anyhow::Result<()> {
+    let mut nodes: Vec<RunningNode> = Vec::new();
     let asked = async {
         tokio::select! {
-            () = bus::node::end_asked() => {}
-            () = bus::node::parent_end(), if options.with_parent => {}
+            () = node::signals::end_asked() => {}
+            () = node::signals::parent_end(), if options.with_parent => {}
         }
     };
     tokio::pin!(asked);
@@ -49,11 +49,11 @@ async fn run(options: &NodeOptions, verb: &[&str]) -> anyhow::Result<()> {
     loop {
         let is_whole = match read(options) {
             Ok(ids) => {
-                start_missing(&mut nodes, options, verb, &ids);
+                start_missing(&mut nodes, options, &ids);
                 true
             }
             Err(error) => {
-                start_missing(&mut nodes, options, verb, &[(config::ENCLOSURE_NODE.to_owned(), true)]);
+                start_missing(&mut nodes, options, &[(config::ENCLOSURE_NODE.to_owned(), true)]);
                 if complaint != error {
                     lines::complain(format_args!(
                         "node-device: {error}; what last worked guards the enclosure, and the file is read again"
@@ -74,7 +74,7 @@ async fn run(options: &NodeOptions, verb: &[&str]) -> anyhow::Result<()> {
     ));
     let ending = async {
         let mut failed = false;
-        for Running { stop, mut tasks, .. } in nodes {
+        for RunningNode { stop, mut tasks, .. } in nodes {
             stop.stop();
             while let Some(ended) = tasks.join_next().await {
                 failed |= !matches!(ended, Ok(Ok(true)));
@@ -93,7 +93,7 @@ async fn run(options: &NodeOptions, verb: &[&str]) -> anyhow::Result<()> {
         } else {
             Ok(())
         },
-        () = bus::node::termination() => bail!("ended at once by a second signal; look whether the enclosures are closed"),
+        () = node::signals::termination() => bail!("ended at once by a second signal; look whether the enclosures are closed"),
         () = alive => Ok(()),
     }
 }
@@ -102,27 +102,27 @@ async fn run(options: &NodeOptions, verb: &[&str]) -> anyhow::Result<()> {
 async fn alive_for(time: Duration) {
     let began = Instant::now();
     while began.elapsed() < time {
-        bus::notify::alive();
+        node::service_manager::alive();
         tokio::time::sleep(time.saturating_sub(began.elapsed()).min(Duration::from_secs(5))).await;
     }
 }
 
 /// The device nodes of the file, enclosures first; true: it serves an enclosure.
 fn read(options: &NodeOptions) -> Result<Vec<(String, bool)>, String> {
-    let config = bus::node::read_observatory(&options.config).map_err(|error| format!("{error:#}"))?;
+    let config = node::configuration::read_observatory(&options.config).map_err(|error| format!("{error:#}"))?;
     let is_enclosure = |id: &str| config.served_by(id).iter().any(|(kind, _)| *kind == contract::Kind::Dome);
     let ids = config.device_nodes().into_iter().map(|id| (id.to_owned(), is_enclosure(id)));
     let ids: Vec<(String, bool)> = ids.collect();
     let names = |id: &str| config.served_by(id).iter().map(|(_, common)| common.name.to_string()).collect::<Vec<_>>();
-    let told: Vec<String> = ids.iter().map(|(id, _)| format!("{id} ({})", names(id).join(", "))).collect();
+    let listed: Vec<String> = ids.iter().map(|(id, _)| format!("{id} ({})", names(id).join(", "))).collect();
     lines::complain(format_args!(
         "node-device: each device node runs as a process of its own: {}; --id starts one alone",
-        told.join(", ")
+        listed.join(", ")
     ));
     Ok(ids)
 }
 
-fn start_missing(nodes: &mut Vec<Running>, options: &NodeOptions, verb: &[&str], ids: &[(String, bool)]) {
+fn start_missing(nodes: &mut Vec<RunningNode>, options: &NodeOptions, ids: &[(String, bool)]) {
     for (id, is_enclosure) in ids {
         if nodes.iter().any(|node| node.id == *id) {
             continue;
@@ -130,20 +130,18 @@ fn start_missing(nodes: &mut Vec<Running>, options: &NodeOptions, verb: &[&str],
         let (stop, mut tasks) = (Stop::default(), JoinSet::new());
         // An enclosure's node survives this process, however that ends; the others do not.
         let options = NodeOptions { with_parent: options.with_parent || !is_enclosure, ..options.clone() };
-        let verb: Vec<String> = verb.iter().map(ToString::to_string).collect();
         let (own_id, stopped) = (id.clone(), stop.clone());
-        tasks.spawn(async move { keep(&options, &verb, &own_id, stopped).await });
-        nodes.push(Running { id: id.clone(), stop, tasks });
+        tasks.spawn(async move { keep(&options, &own_id, stopped).await });
+        nodes.push(RunningNode { id: id.clone(), stop, tasks });
     }
 }
 
 /// Runs one node and starts it again; true where it ended in good order after it was asked to.
-async fn keep(options: &NodeOptions, verb: &[String], id: &str, stop: Stop) -> anyhow::Result<bool> {
-    let verb: Vec<&str> = verb.iter().map(String::as_str).collect();
+async fn keep(options: &NodeOptions, id: &str, stop: Stop) -> anyhow::Result<bool> {
     let mut pause = Duration::from_secs(1);
     loop {
         let started = Instant::now();
-        let spawned = child::command(&verb, options, id)?.kill_on_drop(options.with_parent).spawn();
+        let spawned = child::command(options, id)?.kill_on_drop(options.with_parent).spawn();
         let mut child = spawned.with_context(|| format!("cannot start the device node {id}"))?;
         // Waiting would close it, and the node would take that for our end.
         let lifeline = child.stdin.take();

@@ -7,36 +7,40 @@
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
-use bus::Node;
 use config::Follow;
 use contract::Address;
 use contract::device::dome::Capabilities;
 use contract::observatory::AlertKind;
+use node::Node;
 
+use crate::command_server::CommandServer;
 use crate::driver::dome::Dome;
-use crate::front::Front;
 
 /// The capabilities of a dome are read again whenever it connects; nobody needs to know of a change sooner.
 const LOOK: Duration = Duration::from_secs(2);
 
 /// Raises the alert of such a dome, and clears it when the dome reports that it does not turn or that another program
 /// has slaved it; for ever.
-pub async fn keep_noticing(node: Node, block: config::Dome, front: Arc<Front<Dome>>) -> anyhow::Result<()> {
+pub async fn keep_noticing(
+    node: Node,
+    block: config::Dome,
+    command_server: Arc<CommandServer<Dome>>,
+) -> anyhow::Result<()> {
     let name = &block.common.name;
     let is_shared = node.config.place.telescope.as_str() == Address::SHARED;
-    let mut told = None;
+    let mut reported = None;
     loop {
         let cause = {
-            let face = front.face.lock().unwrap_or_else(PoisonError::into_inner);
-            let slaved = face.fields.slaved.known() == Some(&true);
-            face.can.as_ref().filter(|_| !slaved).and_then(|can| complaint(&block, is_shared, can))
+            let status = command_server.status.lock().unwrap_or_else(PoisonError::into_inner);
+            let slaved = status.fields.slaved.known() == Some(&true);
+            status.can.as_ref().filter(|_| !slaved).and_then(|can| complaint(&block, is_shared, can))
         };
-        if cause != told {
+        if cause != reported {
             match &cause {
                 Some(cause) => node.alerts.raise(AlertKind::DomeShared, name, cause),
                 None => node.alerts.clear(AlertKind::DomeShared, name),
             }
-            told = cause;
+            reported = cause;
         }
         tokio::time::sleep(LOOK).await;
     }
@@ -59,7 +63,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_a_dome_that_turns_over_several_telescopes_and_of_which_nothing_is_said_is_complained_of() {
+    fn only_a_dome_that_turns_over_several_telescopes_without_settings_is_complained_of() {
         let dome = |more: &str| {
             let text = format!(
                 "[observatory]\nsite = \"p\"\ntelescope = \"t\"\nlatitude_deg = 1\nlongitude_deg = 2\nelevation_m = 3\n\
@@ -69,7 +73,7 @@ mod tests {
         };
         let several = "telescopes = [\"t\", \"u\"]";
         let off = format!("{several}\nfollow = \"off\"");
-        let stories = [
+        let scenarios = [
             ("", false, true, false),
             ("", true, true, true),
             ("telescopes = [\"t\"]", false, true, false),
@@ -77,10 +81,10 @@ mod tests {
             (several, false, false, false),
             (&off, false, true, false),
         ];
-        for (more, is_shared, set_azimuth, wanted) in stories {
+        for (more, is_shared, set_azimuth, wanted) in scenarios {
             let can = Capabilities { set_azimuth, ..Capabilities::default() };
-            let told = complaint(&dome(more), is_shared, &can);
-            assert_eq!(told.is_some(), wanted, "{more} {is_shared} {set_azimuth}: {told:?}");
+            let complained = complaint(&dome(more), is_shared, &can);
+            assert_eq!(complained.is_some(), wanted, "{more} {is_shared} {set_azimuth}: {complained:?}");
         }
     }
 }

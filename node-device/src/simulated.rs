@@ -10,7 +10,7 @@ use contract::Kind;
 use serde::Deserialize;
 
 /// A simulator may still be starting when its nodes are.
-const PATIENCE: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 
 #[derive(Deserialize)]
 struct Served {
@@ -61,5 +61,5 @@ async fn asked(server: &str) -> anyhow::Result<bool> {
             tokio::time::sleep(Duration::from_millis(250)).await;
         }
     };
-    Ok(tokio::time::timeout(PATIENCE, asking).await?)
+    Ok(tokio::time::timeout(TIMEOUT, asking).await?)
 }

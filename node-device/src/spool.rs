@@ -1,6 +1,6 @@
 //! Frames on disk until the archive has them: written whole or not at all, announced until released.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use std::time::Duration;
 use alpaca::{Image, RawImage};
 use bus::MachineTime;
 use contract::device::camera::{Frame, Purpose};
-use contract::{CommandId, Datum, Name, NoData, Reading};
+use contract::{Chunk, CommandId, Datum, Name, NoData, Reading, Role};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore, mpsc};
@@ -71,6 +71,8 @@ pub struct Spool {
     folder: PathBuf,
     /// `http://host:port`, where the frames are served.
     base: String,
+    /// The archive nodes that must have a frame before it is removed, as they sign; any one where empty.
+    archives: BTreeSet<String>,
     entries: Mutex<BTreeMap<String, Entry>>,
     free: Mutex<Datum<u64>>,
     places: Arc<Semaphore>,
@@ -80,14 +82,23 @@ pub struct Spool {
 
 #[derive(Debug, Clone)]
 struct Entry {
-    kept: Kept,
+    stored: SpooledFrame,
     announced: Option<MachineTime>,
+    /// Every archive that must have it has it.
     released: bool,
+    /// Those that have it.
+    released_by: BTreeSet<String>,
+}
+
+impl Entry {
+    fn new(stored: SpooledFrame) -> Self {
+        Self { stored, announced: None, released: false, released_by: BTreeSet::new() }
+    }
 }
 
 /// The content of a frame's JSON file.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-struct Kept {
+struct SpooledFrame {
     token: String,
     frame: Frame,
 }
@@ -95,11 +106,13 @@ struct Kept {
 impl Spool {
     /// Opens a spool folder, removes what a crash left half written, and takes up the frames that still wait.
     ///
-    /// The receiver gets a message for each frame that is safe, or why it is not.
-    #[allow(clippy::type_complexity, reason = "said once")]
+    /// A frame stays until all of these archive nodes of `telescope` have it; until any archive has it where there are
+    /// none. The receiver gets a message for each frame that is safe, or why it is not.
+    #[allow(clippy::type_complexity, reason = "written once")]
     pub fn open(
         folder: &Path,
         base: String,
+        (telescope, archives): (&Chunk, &[Name]),
     ) -> Result<(Self, mpsc::UnboundedReceiver<Result<CommandId, (CommandId, SpoolError)>>), SpoolError> {
         let disk = |source| SpoolError::Disk { path: folder.to_owned(), source };
         fs::create_dir_all(folder).map_err(disk)?;
@@ -108,8 +121,8 @@ impl Spool {
             let path = file.map_err(disk)?.path();
             match path.extension().and_then(|extension| extension.to_str()) {
                 Some("json") => match read_entry(&path) {
-                    Ok(kept) => {
-                        entries.insert(kept.frame.id.0.clone(), Entry { kept, announced: None, released: false });
+                    Ok(saved) => {
+                        entries.insert(saved.frame.id.0.clone(), Entry::new(saved));
                     }
                     Err(reason) => {
                         tracing::warn!(path = %path.display(), reason, "a spooled frame is not whole; set aside");
@@ -127,20 +140,21 @@ impl Spool {
                 _ => {}
             }
         }
-        let (stored, told) = mpsc::unbounded_channel();
+        let (stored, receiver) = mpsc::unbounded_channel();
         let free = Mutex::new(Datum::default());
         let places = Arc::new(Semaphore::new(WAITING_FOR_DISK));
         Ok((
             Self {
                 folder: folder.to_owned(),
                 base,
+                archives: archives.iter().map(|id| format!("{}/{telescope}/{id}", Role::Archive)).collect(),
                 entries: Mutex::new(entries),
                 free,
                 places,
                 change: Notify::new(),
                 stored,
             },
-            told,
+            receiver,
         ))
     }
 
@@ -192,11 +206,14 @@ impl Spool {
             sha256,
             readings: about.readings,
         };
-        let kept = Kept { token: uuid::Uuid::now_v7().simple().to_string(), frame };
+        let stored = SpooledFrame { token: uuid::Uuid::now_v7().simple().to_string(), frame };
         self.write(&format!("{name}.pixels"), &image.bytes)?;
-        self.write(&format!("{name}.json"), &serde_json::to_vec(&kept)?)?;
+        self.write(&format!("{name}.json"), &serde_json::to_vec(&stored)?).inspect_err(|_| {
+            // Pixels that nobody will ever fetch must not take the last room.
+            let _ = fs::remove_file(self.folder.join(format!("{name}.pixels")));
+        })?;
         sync_folder(&self.folder);
-        self.entries().insert(name, Entry { kept, announced: None, released: false });
+        self.entries().insert(name, Entry::new(stored));
         self.change.notify_waiters();
         Ok(())
     }
@@ -218,26 +235,26 @@ impl Spool {
 
     /// A frame as it is announced, with the address of its pixels.
     pub fn frame(&self, id: &CommandId) -> Option<Frame> {
-        self.entries().get(&id.0).map(|entry| self.with_url(&entry.kept))
+        self.entries().get(&id.0).map(|entry| self.with_url(&entry.stored))
     }
 
     /// Frames of a camera that the archive has not released, oldest id first.
     pub fn unreleased(&self, camera: &Name) -> Vec<Frame> {
         let entries = self.entries();
-        let mine = entries.values().filter(|entry| !entry.released && entry.kept.frame.camera == camera.as_str());
-        mine.map(|entry| self.with_url(&entry.kept)).collect()
+        let mine = entries.values().filter(|entry| !entry.released && entry.stored.frame.camera == camera.as_str());
+        mine.map(|entry| self.with_url(&entry.stored)).collect()
     }
 
     /// How many those are.
     pub fn waiting(&self, camera: &Name) -> u32 {
         let entries = self.entries();
-        let mine = entries.values().filter(|entry| !entry.released && entry.kept.frame.camera == camera.as_str());
+        let mine = entries.values().filter(|entry| !entry.released && entry.stored.frame.camera == camera.as_str());
         u32::try_from(mine.count()).unwrap_or(u32::MAX)
     }
 
-    fn with_url(&self, kept: &Kept) -> Frame {
-        let mut frame = kept.frame.clone();
-        frame.url = format!("{}/frame/{}?token={}", self.base, frame.id, kept.token);
+    fn with_url(&self, stored: &SpooledFrame) -> Frame {
+        let mut frame = stored.frame.clone();
+        frame.url = format!("{}/frame/{}?token={}", self.base, frame.id, stored.token);
         frame
     }
 
@@ -253,16 +270,20 @@ impl Spool {
         self.entries().contains_key(&id.0)
     }
 
-    /// The archive has the frame; it is removed by a later [`Self::sweep`]. An unknown frame was released before.
-    pub fn release(&self, id: &CommandId, sha256: &str) -> Result<(), String> {
+    /// The archive with this signature has the frame. When all have it, it is removed by a later [`Self::sweep`]. An
+    /// unknown frame was released before.
+    pub fn release(&self, id: &CommandId, sha256: &str, archive: &str) -> Result<(), String> {
         match self.entries().get_mut(&id.0) {
             None => Ok(()),
-            Some(entry) if entry.kept.frame.sha256.eq_ignore_ascii_case(sha256) => {
-                entry.released = true;
+            Some(entry) if entry.stored.frame.sha256.eq_ignore_ascii_case(sha256) => {
+                if self.archives.contains(archive) {
+                    entry.released_by.insert(archive.to_owned());
+                }
+                entry.released = entry.released_by.len() == self.archives.len();
                 self.change.notify_waiters();
                 Ok(())
             }
-            Some(entry) => Err(format!("frame {id} has the hash {}, not {sha256}", entry.kept.frame.sha256)),
+            Some(entry) => Err(format!("frame {id} has the hash {}, not {sha256}", entry.stored.frame.sha256)),
         }
     }
 
@@ -289,8 +310,8 @@ impl Spool {
     /// File and length of a frame's pixels, for those who know its token.
     pub fn pixels(&self, id: &str, token: &str) -> Option<(PathBuf, u64)> {
         let entries = self.entries();
-        let kept = &entries.get(id)?.kept;
-        (kept.token == token).then(|| (self.folder.join(format!("{id}.pixels")), kept.frame.bytes))
+        let stored = &entries.get(id)?.stored;
+        (stored.token == token).then(|| (self.folder.join(format!("{id}.pixels")), stored.frame.bytes))
     }
 
     /// Free space where the spool lies, as it was measured last.
@@ -307,7 +328,7 @@ impl Spool {
             let nearest = holding.max_by_key(|disk| disk.mount_point().as_os_str().len());
             nearest.map(sysinfo::Disk::available_space)
         });
-        let free = free.ok_or_else(|| NoData::new("missing", "this system does not tell"));
+        let free = free.ok_or_else(|| NoData::new("missing", "this system does not report it"));
         *self.free.lock().unwrap_or_else(PoisonError::into_inner) = free.into();
     }
 
@@ -316,17 +337,17 @@ impl Spool {
     }
 }
 
-fn read_entry(json: &Path) -> Result<Kept, String> {
+fn read_entry(json: &Path) -> Result<SpooledFrame, String> {
     let text = fs::read(json).map_err(|error| error.to_string())?;
-    let kept: Kept = serde_json::from_slice(&text).map_err(|error| error.to_string())?;
+    let stored: SpooledFrame = serde_json::from_slice(&text).map_err(|error| error.to_string())?;
     let length = fs::metadata(json.with_extension("pixels")).map_err(|error| error.to_string())?.len();
-    if json.file_stem().and_then(|stem| stem.to_str()) != Some(kept.frame.id.0.as_str()) {
-        return Err(format!("it describes frame {}", kept.frame.id));
+    if json.file_stem().and_then(|stem| stem.to_str()) != Some(stored.frame.id.0.as_str()) {
+        return Err(format!("it describes frame {}", stored.frame.id));
     }
-    if length != kept.frame.bytes {
-        return Err(format!("{length} of {} bytes", kept.frame.bytes));
+    if length != stored.frame.bytes {
+        return Err(format!("{length} of {} bytes", stored.frame.bytes));
     }
-    Ok(kept)
+    Ok(stored)
 }
 
 /// Writes a file and waits until the disk has it.

@@ -10,8 +10,8 @@ use axum::extract::{Path, Query, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use bus::Stop;
 use local_http::{Limits, Room};
+use node::Stop;
 use serde::Deserialize;
 use tokio::io::{AsyncReadExt as _, AsyncSeekExt as _};
 use tokio::net::TcpListener;
@@ -53,11 +53,11 @@ async fn frame(
     // An unknown frame and a wrong token look the same.
     let Some((path, length)) = spool.pixels(&id, &token) else { return StatusCode::NOT_FOUND.into_response() };
     let asked = headers.get(header::RANGE).and_then(|value| value.to_str().ok());
-    let asked = asked.map_or(Asked::Whole, |range| parse(range, length));
+    let asked = asked.map_or(RequestedRange::Whole, |range| parse(range, length));
     let part = match asked {
-        Asked::Whole => Part { first: 0, length },
-        Asked::Part(part) => part,
-        Asked::Outside => {
+        RequestedRange::Whole => Part { first: 0, length },
+        RequestedRange::Part(part) => part,
+        RequestedRange::Outside => {
             let range = format!("bytes */{length}");
             return (StatusCode::RANGE_NOT_SATISFIABLE, [(header::CONTENT_RANGE, range)]).into_response();
         }
@@ -73,7 +73,7 @@ async fn frame(
         .header(header::CONTENT_TYPE, "application/octet-stream")
         .header(header::ACCEPT_RANGES, "bytes")
         .header(header::CONTENT_LENGTH, part.length);
-    if asked != Asked::Whole {
+    if asked != RequestedRange::Whole {
         let last = part.first + part.length - 1;
         response = response
             .status(StatusCode::PARTIAL_CONTENT)
@@ -84,7 +84,7 @@ async fn frame(
 
 /// What a `Range` header asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Asked {
+enum RequestedRange {
     /// Everything, or something that this server does not do.
     Whole,
     /// One part.
@@ -99,22 +99,22 @@ struct Part {
     length: u64,
 }
 
-fn parse(range: &str, length: u64) -> Asked {
+fn parse(range: &str, length: u64) -> RequestedRange {
     // Several ranges, other units and nonsense are answered with the whole, as RFC 9110 allows.
     let Some((first, last)) = range.trim().strip_prefix("bytes=").and_then(|range| range.split_once('-')) else {
-        return Asked::Whole;
+        return RequestedRange::Whole;
     };
     match (first.trim().parse::<u64>(), last.trim().parse::<u64>()) {
-        (Ok(first), Ok(last)) if first > last => Asked::Whole,
-        (Ok(first), _) if first >= length => Asked::Outside,
-        (Ok(first), Ok(last)) => Asked::Part(Part { first, length: last.min(length - 1) - first + 1 }),
-        (Ok(first), Err(_)) if last.trim().is_empty() => Asked::Part(Part { first, length: length - first }),
-        (Err(_), Ok(0)) if first.trim().is_empty() => Asked::Outside,
+        (Ok(first), Ok(last)) if first > last => RequestedRange::Whole,
+        (Ok(first), _) if first >= length => RequestedRange::Outside,
+        (Ok(first), Ok(last)) => RequestedRange::Part(Part { first, length: last.min(length - 1) - first + 1 }),
+        (Ok(first), Err(_)) if last.trim().is_empty() => RequestedRange::Part(Part { first, length: length - first }),
+        (Err(_), Ok(0)) if first.trim().is_empty() => RequestedRange::Outside,
         (Err(_), Ok(count)) if first.trim().is_empty() && length > 0 => {
             let count = count.min(length);
-            Asked::Part(Part { first: length - count, length: count })
+            RequestedRange::Part(Part { first: length - count, length: count })
         }
-        _ => Asked::Whole,
+        _ => RequestedRange::Whole,
     }
 }
 
@@ -122,25 +122,25 @@ fn parse(range: &str, length: u64) -> Asked {
 mod tests {
     use super::*;
 
-    fn part(first: u64, length: u64) -> Asked {
-        Asked::Part(Part { first, length })
+    fn part(first: u64, length: u64) -> RequestedRange {
+        RequestedRange::Part(Part { first, length })
     }
 
     #[test]
-    fn single_ranges_are_read_as_rfc_9110_says() {
+    fn single_ranges_are_read_as_rfc_9110_defines() {
         for (range, expected) in [
             ("bytes=0-9", part(0, 10)),
             ("bytes=90-", part(90, 10)),
             ("bytes=90-1000", part(90, 10)),
             ("bytes=-10", part(90, 10)),
             ("bytes=-1000", part(0, 100)),
-            ("bytes=100-", Asked::Outside),
-            ("bytes=-0", Asked::Outside),
-            ("bytes=9-0", Asked::Whole),
-            ("bytes=0-1,5-6", Asked::Whole),
-            ("bytes=x-", Asked::Whole),
-            ("lines=0-1", Asked::Whole),
-            ("", Asked::Whole),
+            ("bytes=100-", RequestedRange::Outside),
+            ("bytes=-0", RequestedRange::Outside),
+            ("bytes=9-0", RequestedRange::Whole),
+            ("bytes=0-1,5-6", RequestedRange::Whole),
+            ("bytes=x-", RequestedRange::Whole),
+            ("lines=0-1", RequestedRange::Whole),
+            ("", RequestedRange::Whole),
         ] {
             assert_eq!(parse(range, 100), expected, "{range}");
         }

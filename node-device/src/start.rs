@@ -7,20 +7,22 @@ use std::time::Duration;
 use alpaca::{Alpaca, http_client};
 use anyhow::Context as _;
 use audit::Audit;
-use bus::Node;
 use config::{CloseWithMount, Device as _, MountLimits};
 use contract::device::telescope::Command as MountCommand;
 use contract::observatory::AlertKind;
 use contract::{Chunk, Device, DeviceKind as _, Kind, Link, Name};
 use interlock::guard::Settings;
-use interlock::{Calls, Guard, MountWatch};
+use interlock::{Calls, Guard, MountWatch, RoofCall};
+use node::Node;
 use sky::{EarthOrientation, Observer, Place};
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use units::Angle;
 
-use crate::accounts::Accounts;
+use crate::audit_log::AuditLog;
+use crate::command_check::CommandCheck;
+use crate::command_server::CommandServer;
 use crate::deadline::machine_limit;
 use crate::driver::Driver;
 use crate::driver::camera::{Camera, frame_properties};
@@ -33,27 +35,24 @@ use crate::driver::rotator::Rotator;
 use crate::driver::safety_monitor::SafetyMonitor;
 use crate::driver::switch::Switch;
 use crate::driver::telescope::Telescope;
-use crate::front::Front;
-use crate::gate::Gate;
 use crate::guard_process::link::{GuardLink, deadline_of};
 use crate::guard_task::GuardTask;
 use crate::mount_clock;
 use crate::mount_limits::{self, Approach, LimitWatch};
 use crate::node_part::NodePart;
-use crate::permits::{self, Permits};
+use crate::permits;
 use crate::serve::Serve;
 use crate::spool::Spool;
 use crate::token::Tokens;
-use crate::watchdog::Watchdog;
+use crate::watchdog::Feeder;
 use crate::{announce, second_writer, shared_dome, spool_http};
 
 type Tasks = JoinSet<anyhow::Result<()>>;
 
 /// What all devices of a node share.
-struct Shared<'a> {
+struct SharedParts<'a> {
     node: &'a Node,
     tokens: Arc<Tokens>,
-    permits: Arc<Permits>,
     tasks: &'a mut Tasks,
     http: reqwest::Client,
     audit: &'a Audit,
@@ -87,16 +86,14 @@ pub async fn all(
     if part.has_enclosure() {
         tokens.adopt_from_siblings(data, node.config.place.telescope.as_str())?;
     }
-    let permits = Arc::new(Permits::default());
     let (bus, site) = (node.bus.clone(), node.config.place.site.clone());
-    let (heard_tokens, heard_permits, stop) = (tokens.clone(), permits.clone(), node.stop.clone());
+    let (followed, stop) = (tokens.clone(), node.stop.clone());
     tasks.spawn(async move {
-        let listening = permits::listen(bus, site, heard_tokens, heard_permits);
-        stop.or(listening).await.transpose()?;
+        stop.or(permits::listen(bus, site, followed)).await.transpose()?;
         Ok(())
     });
     let http = http_client().context("no HTTP client")?;
-    let mut shared = Shared { node, tokens, permits, tasks, http, audit, index: 0, link, enclosures: Vec::new() };
+    let mut shared = SharedParts { node, tokens, tasks, http, audit, index: 0, link, enclosures: Vec::new() };
     let config = &node.config;
     // Enclosures first: what closes must not wait for anything else to start.
     for dome in config.dome.iter().filter(|dome| part.serves(Kind::Dome, &dome.common)) {
@@ -132,26 +129,25 @@ pub async fn all(
     Ok((spool, shared.enclosures))
 }
 
-impl Shared<'_> {
+impl SharedParts<'_> {
     fn device<D: Driver>(&self, common: &config::Common) -> Device {
         self.node.config.address().device(D::Kind::KIND, &common.name)
     }
 
-    fn gate(&self, guard: Option<Arc<Mutex<Guard>>>, is_arbiter: bool) -> Gate {
-        Gate {
+    fn command_check(&self, guard: Option<Arc<Mutex<Guard>>>, is_arbiter: bool) -> CommandCheck {
+        CommandCheck {
             telescope: self.node.config.place.telescope.to_string(),
             tokens: self.tokens.clone(),
-            permits: self.permits.clone(),
             clock: self.node.bus.clock().clone(),
             guard,
             is_arbiter,
-            roof: Arc::default(),
+            roof: Mutex::default(),
         }
     }
 
     fn plain<D: Driver>(&mut self, common: &config::Common, driver: D) -> anyhow::Result<()> {
-        let gate = self.gate(None, false);
-        self.serve(common, driver, gate)?;
+        let authorization = self.command_check(None, false);
+        self.serve(common, driver, authorization)?;
         Ok(())
     }
 
@@ -159,14 +155,15 @@ impl Shared<'_> {
         &mut self,
         common: &config::Common,
         driver: D,
-        gate: Gate,
-    ) -> anyhow::Result<(Arc<Front<D>>, Alpaca)> {
+        authorization: CommandCheck,
+    ) -> anyhow::Result<(Arc<CommandServer<D>>, Alpaca)> {
         let (driver, kind) = (Arc::new(driver), D::Kind::KIND);
         let alpaca = Alpaca::new(self.http.clone(), &common.server, kind, common.number)
             .with_context(|| format!("{kind} \"{}\": no HTTP client", common.name))?;
         let device = self.device::<D>(common);
-        let (front, orders) = Front::new(driver.clone(), gate, Accounts::of(&device, self.audit.clone()));
-        let front = Arc::new(front);
+        let (command_server, orders) =
+            CommandServer::new(driver.clone(), authorization, AuditLog::of(&device, self.audit.clone()));
+        let command_server = Arc::new(command_server);
         let serve = Serve {
             node: self.node.clone(),
             device: device.clone(),
@@ -174,14 +171,14 @@ impl Shared<'_> {
             index: self.index,
             driver,
             alpaca: alpaca.clone(),
-            front: front.clone(),
+            command_server: command_server.clone(),
             polled: self.node.header.properties(kind, false),
             fixed: fixed_properties(self.node, kind),
         };
         self.index += 1;
         self.tasks.spawn(serve.run(orders));
         self.tasks.spawn(second_writer::watch(self.node.clone(), device));
-        Ok((front, alpaca))
+        Ok((command_server, alpaca))
     }
 
     fn dome(&mut self, dome: &config::Dome) -> anyhow::Result<()> {
@@ -221,11 +218,11 @@ impl Shared<'_> {
             vendor_commands: dome.vendor_commands.clone(),
             vendor_commands_to_close: dome.vendor_commands_to_close.clone(),
         };
-        let gate = self.gate(Some(guard.clone()), true);
-        let (front, alpaca) = self.serve(&dome.common, driver, gate)?;
+        let authorization = self.command_check(Some(guard.clone()), true);
+        let (command_server, alpaca) = self.serve(&dome.common, driver, authorization)?;
         let (node, stop, block) = (self.node.clone(), self.node.stop.clone(), dome.clone());
         self.tasks.spawn(async move {
-            stop.or(shared_dome::keep_noticing(node, block, front)).await.transpose()?;
+            stop.or(shared_dome::keep_noticing(node, block, command_server)).await.transpose()?;
             Ok(())
         });
         let device = self.device::<Dome>(&dome.common);
@@ -236,13 +233,13 @@ impl Shared<'_> {
             link: self.link.cloned(),
             closed,
             node: self.node.clone(),
-            accounts: Accounts::of(&device, self.audit.clone()),
+            audit_log: AuditLog::of(&device, self.audit.clone()),
             device,
             alpaca,
             connect: dome.common.connect,
             seen,
-            heeds_mounts: dome.close_with_mount != CloseWithMount::Beside,
-            watchdog: Watchdog::of(dome),
+            waits_for_mounts: dome.close_with_mount != CloseWithMount::Alongside,
+            feeder: Feeder::of(dome),
         };
         self.tasks.spawn(task.run());
         Ok(())
@@ -254,14 +251,14 @@ impl Shared<'_> {
         if enclosures.is_empty() {
             self.tokens.arbitrate(self.node.config.place.telescope.as_str());
         }
-        let gate = self.gate(None, enclosures.is_empty());
-        let (front, alpaca) = self.serve(mount.common(), driver, gate)?;
+        let authorization = self.command_check(None, enclosures.is_empty());
+        let (command_server, alpaca) = self.serve(mount.common(), driver, authorization)?;
         let (name, server) = (mount.common().name.clone(), mount.common().server.clone());
         self.tasks.spawn(mount_clock::watch(self.node.clone(), name, server, alpaca));
         let limits = (mount.common().name.clone(), mount.limits.clone());
-        self.tasks.spawn(watch_limits(self.node.clone(), front.clone(), limits));
+        self.tasks.spawn(watch_limits(self.node.clone(), command_server.clone(), limits));
         if !enclosures.is_empty() {
-            self.tasks.spawn(watch_mount(self.node.clone(), self.permits.clone(), front, enclosures));
+            self.tasks.spawn(watch_mount(self.node.clone(), self.tokens.clone(), command_server, enclosures));
         }
         Ok(())
     }
@@ -283,7 +280,7 @@ impl Shared<'_> {
         };
         let folder = format!("spool-{}-{}", node.config.place.telescope, node.id);
         let folder = node.config.folders.data.join(folder);
-        let (spool, stored) = Spool::open(&folder, base)?;
+        let (spool, stored) = Spool::open(&folder, base, (&node.config.place.telescope, &node.config.archive.nodes))?;
         let spool = Arc::new(spool);
         let names = cameras.iter().map(|camera| camera.common.name.clone()).collect();
         self.tasks.spawn(announce::run(node.clone(), spool.clone(), names, stored));
@@ -315,7 +312,7 @@ fn fixed_properties(node: &Node, kind: Kind) -> Vec<String> {
 /// Stops a mount that reaches its limits.
 async fn watch_limits(
     node: Node,
-    front: Arc<Front<Telescope>>,
+    command_server: Arc<CommandServer<Telescope>>,
     (name, limits): (Name, MountLimits),
 ) -> anyhow::Result<()> {
     let (clock, site) = (node.bus.clock().clone(), &node.config.place);
@@ -333,11 +330,11 @@ async fn watch_limits(
                 continue;
             }
         };
-        let fields = front.face.lock().unwrap_or_else(PoisonError::into_inner).fields.clone();
+        let fields = command_server.status.lock().unwrap_or_else(PoisonError::into_inner).fields.clone();
         let reached = mount_limits::reached(&limits, &mut approach, &fields, &sky);
         for command in watch.look(clock.machine(), reached.is_some()) {
             tracing::warn!(mount = %name, ?command, why = reached, "a limit of the mount is reached");
-            front.insist(&node.signature(), command);
+            command_server.insist(&node.signature(), command);
         }
         match reached {
             Some(why) => node.alerts.raise(AlertKind::MountLimit, &name, &format!("mount {name}: {why}")),
@@ -352,14 +349,14 @@ async fn watch_limits(
 /// Stops and parks a mount whose enclosure has no permit, or closes and waits for it.
 async fn watch_mount(
     node: Node,
-    permits: Arc<Permits>,
-    front: Arc<Front<Telescope>>,
+    tokens: Arc<Tokens>,
+    command_server: Arc<CommandServer<Telescope>>,
     enclosures: Vec<Device>,
 ) -> anyhow::Result<()> {
     let clock = node.bus.clock().clone();
     let telescope = node.config.place.telescope.to_string();
     // The state of the roof in the own file is known, also while its guard has never published.
-    let own_waits = node.config.dome.iter().any(|dome| dome.close_with_mount != CloseWithMount::Beside);
+    let own_waits = node.config.dome.iter().any(|dome| dome.close_with_mount != CloseWithMount::Alongside);
     let mut watch = MountWatch::new(clock.machine());
     let mut second = tokio::time::interval(Duration::from_secs(1));
     loop {
@@ -367,22 +364,22 @@ async fn watch_mount(
             return Ok(());
         }
         let now = clock.machine();
-        let mut roofs = permits.roofs(&enclosures, now);
+        let mut roofs = tokens.leases().roofs(&enclosures, now);
         if own_waits && !roofs.waits {
             (roofs.waits, roofs.closed) = (true, false);
         }
-        let calls = Calls { permitted: permits.is_safe(&telescope, now), roofs };
-        front.gate.roof.set(calls.must_park(), calls.permitted);
+        let calls = Calls { permitted: tokens.leases().is_safe(&telescope, now), roofs };
+        *command_server.command_check.roof.lock().unwrap_or_else(PoisonError::into_inner) = RoofCall::of(calls);
         let command = {
-            let face = front.face.lock().unwrap_or_else(PoisonError::into_inner);
-            let can_park = face.can.as_ref().is_some_and(|can| can.park);
-            watch.look(now, calls, &face.fields, can_park, face.link == Link::Connected)
+            let status = command_server.status.lock().unwrap_or_else(PoisonError::into_inner);
+            let can_park = status.can.as_ref().is_some_and(|can| can.park);
+            watch.look(now, calls, &status.fields, can_park, status.link == Link::Connected)
         };
         if let Some(command) = command {
             let word = if command == MountCommand::Park { "parks" } else { "stops tracking" };
             let why = if calls.permitted { "the roof over it closes" } else { "no permit" };
             tracing::warn!(telescope, why, "the mount {word}");
-            front.insist(audit::GUARD, command);
+            command_server.insist(audit::GUARD, command);
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Fencing tokens on disk: the newest one of each telescope, and in a second file the process that it was granted to.
 //!
-//! Which tokens count is decided in `interlock::KnownTokens`.
+//! Which tokens count, and who may be granted one, is decided in `interlock::Leases`.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::Context as _;
-use contract::BootId;
-use interlock::KnownTokens;
+use contract::{BootId, CommandId};
+use interlock::{KnownTokens, Leases};
 use serde::{Deserialize, Serialize};
 
 use crate::spool::{sync_folder, write_synced};
@@ -22,13 +22,15 @@ const HOLDERS: &str = "holders";
 #[derive(Serialize, Deserialize)]
 struct Holder {
     token: u64,
-    life: BootId,
+    boot_id: BootId,
+    /// The claim that the token answers; none in a file of an earlier version.
+    claim: Option<CommandId>,
 }
 
-/// The newest tokens known, by telescope.
+/// The newest tokens known, by telescope, and who commands with them; shared by the devices of a node.
 pub struct Tokens {
     file: PathBuf,
-    known: Mutex<KnownTokens>,
+    leases: Mutex<Leases>,
     writing: Mutex<()>,
 }
 
@@ -47,17 +49,12 @@ impl Tokens {
         for (telescope, token) in &never_granted {
             tracing::error!(telescope, token, "a fencing token in the file was never granted; counting begins anew");
         }
-        Ok(Self { file: file.to_owned(), known: Mutex::new(known), writing: Mutex::new(()) })
+        Ok(Self { file: file.to_owned(), leases: Mutex::new(Leases::new(known)), writing: Mutex::new(()) })
     }
 
     /// This node grants the leases of a telescope: what the bus carries of them counts no more.
     pub fn arbitrate(&self, telescope: &str) {
-        self.known().arbitrate(telescope);
-    }
-
-    /// Does this node grant the leases of a telescope?
-    pub fn is_arbiter(&self, telescope: &str) -> bool {
-        self.known().is_arbiter(telescope)
+        self.leases().tokens_mut().arbitrate(telescope);
     }
 
     /// Takes over the highest tokens that other device nodes of this host have in the same folder. Until an enclosure
@@ -87,27 +84,39 @@ impl Tokens {
 
     /// Highest token of a telescope; 0 where none is known.
     pub fn highest(&self, telescope: &str) -> u64 {
-        self.known().highest(telescope)
+        self.leases().tokens().highest(telescope)
     }
 
-    /// Grants the next token to an incarnation, on disk before it is returned. Blocks.
-    pub fn grant(&self, telescope: &str, life: Option<&BootId>) -> io::Result<u64> {
+    /// Grants the next token to an incarnation, on disk before it is returned. The same claim of the same incarnation
+    /// is asked again when its answer was lost, perhaps because this node was ended meanwhile: it has the same token,
+    /// since a second one would say that somebody unknown had commanded with the first. Blocks.
+    pub fn grant(&self, telescope: &str, boot_id: Option<&BootId>, claim: &CommandId) -> io::Result<u64> {
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
-        let token = self.known().next(telescope);
+        if let Some(holder) = self.newest_holder(telescope)
+            && (boot_id, Some(claim)) == (Some(&holder.boot_id), holder.claim.as_ref())
+        {
+            return Ok(holder.token);
+        }
+        let token = self.leases().tokens().next(telescope);
         // Without this file a token is as good; only a forged permit cannot be distinguished from a true one.
-        if let Err(error) = self.note_holder(telescope, token, life) {
+        if let Err(error) = self.note_holder(telescope, token, boot_id, claim) {
             tracing::warn!(telescope, token, %error, "who holds the lease could not be written");
         }
-        self.write(telescope, token)?;
-        self.learn(telescope, token);
+        let newest = self.leases().tokens().with(telescope, token);
+        self.write(&newest)?;
+        self.leases().tokens_mut().learn(telescope, token);
         Ok(token)
     }
 
     /// The process that the newest token of a telescope was granted to; `None` if the file has another token, or
     /// nothing.
     pub fn holder(&self, telescope: &str) -> Option<BootId> {
+        self.newest_holder(telescope).map(|holder| holder.boot_id)
+    }
+
+    fn newest_holder(&self, telescope: &str) -> Option<Holder> {
         let holder = self.holders().remove(telescope)?;
-        (holder.token == self.highest(telescope)).then_some(holder.life)
+        (holder.token == self.highest(telescope)).then_some(holder)
     }
 
     fn holders(&self) -> BTreeMap<String, Holder> {
@@ -115,45 +124,38 @@ impl Tokens {
         read.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default()
     }
 
-    fn note_holder(&self, telescope: &str, token: u64, life: Option<&BootId>) -> io::Result<()> {
+    fn note_holder(&self, telescope: &str, token: u64, boot_id: Option<&BootId>, claim: &CommandId) -> io::Result<()> {
         let mut holders = self.holders();
         holders.remove(telescope);
-        if let Some(life) = life {
-            holders.insert(telescope.to_owned(), Holder { token, life: life.clone() });
+        if let Some(boot_id) = boot_id {
+            holders
+                .insert(telescope.to_owned(), Holder { token, boot_id: boot_id.clone(), claim: Some(claim.clone()) });
         }
         self.replace(&self.file.with_extension(HOLDERS), &serde_json::to_vec_pretty(&holders)?)
     }
 
     fn raise(&self, telescope: &str, token: u64) -> io::Result<()> {
-        let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
-        if !self.known().is_raised_by(telescope, token) {
+        if !self.leases().tokens().is_raised_by(telescope, token) {
             return Ok(());
         }
-        self.learn(telescope, token);
-        self.write(telescope, token)
+        self.leases().tokens_mut().learn(telescope, token);
+        self.persist()
     }
 
-    /// Follows the arbiter's count, in memory even where the disk refuses; the arbiter itself follows nobody. Blocks.
-    pub fn follow(&self, telescope: &str, token: u64) -> io::Result<()> {
+    /// Writes the tokens that count. Blocks.
+    pub fn persist(&self) -> io::Result<()> {
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
-        if !self.known().follows(telescope, token) {
-            return Ok(());
-        }
-        self.learn(telescope, token);
-        self.write(telescope, token)
+        let newest = self.leases().tokens().newest().clone();
+        self.write(&newest)
     }
 
-    fn known(&self) -> MutexGuard<'_, KnownTokens> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    /// What is known of the leases of the site.
+    pub fn leases(&self) -> MutexGuard<'_, Leases> {
+        self.leases.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn learn(&self, telescope: &str, token: u64) {
-        self.known().learn(telescope, token);
-    }
-
-    fn write(&self, telescope: &str, token: u64) -> io::Result<()> {
-        let newest = self.known().with(telescope, token);
-        self.replace(&self.file, &serde_json::to_vec_pretty(&newest)?)
+    fn write(&self, newest: &BTreeMap<String, u64>) -> io::Result<()> {
+        self.replace(&self.file, &serde_json::to_vec_pretty(newest)?)
     }
 
     /// Replaces a file as a whole, so that it is never half-written.
@@ -172,17 +174,23 @@ impl Tokens {
 mod tests {
     use super::*;
 
+    /// Follows the arbiter's count as published, and persists it.
+    fn follow(tokens: &Tokens, telescope: &str, token: u64) -> io::Result<()> {
+        let followed = tokens.leases().follow(telescope, token);
+        followed.map_or(Ok(()), |_| tokens.persist())
+    }
+
     #[test]
     fn a_granted_token_outlives_the_node_and_is_never_granted_again() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("tokens.json");
         let tokens = Tokens::open(&file).unwrap();
-        assert_eq!(tokens.grant("alpha", None).unwrap(), 1);
-        assert_eq!(tokens.grant("alpha", None).unwrap(), 2);
-        assert_eq!(tokens.grant("beta", None).unwrap(), 1);
+        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 1);
+        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 2);
+        assert_eq!(tokens.grant("beta", None, &CommandId::fresh()).unwrap(), 1);
         let tokens = Tokens::open(&file).unwrap();
         assert_eq!(tokens.highest("alpha"), 2);
-        assert_eq!(tokens.grant("alpha", None).unwrap(), 3);
+        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 3);
     }
 
     #[test]
@@ -191,15 +199,15 @@ mod tests {
         let file = folder.path().join("tokens.json");
         let tokens = Tokens::open(&file).unwrap();
         tokens.arbitrate("alpha");
-        assert_eq!(tokens.grant("alpha", None).unwrap(), 1);
+        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 1);
         for invented in [2, 7, u64::MAX] {
-            tokens.follow("alpha", invented).unwrap();
+            follow(&tokens, "alpha", invented).unwrap();
             assert_eq!(tokens.highest("alpha"), 1);
         }
-        assert_eq!(tokens.grant("alpha", None).unwrap(), 2);
+        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 2);
         // Another node's telescope.
-        for (told, known) in [(7, 7), (u64::MAX, 7), (3, 3)] {
-            tokens.follow("beta", told).unwrap();
+        for (reported, known) in [(7, 7), (u64::MAX, 7), (3, 3)] {
+            follow(&tokens, "beta", reported).unwrap();
             assert_eq!(tokens.highest("beta"), known);
         }
         assert_eq!(Tokens::open(&file).unwrap().highest("beta"), 3);
@@ -211,54 +219,101 @@ mod tests {
         let file = folder.path().join("tokens.json");
         fs::write(&file, r#"{"alpha": 18446744073709551615, "beta": 9}"#).unwrap();
         let tokens = Tokens::open(&file).unwrap();
-        assert_eq!(tokens.grant("alpha", None).unwrap(), 1);
-        assert_eq!(tokens.grant("beta", None).unwrap(), 10);
+        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 1);
+        assert_eq!(tokens.grant("beta", None, &CommandId::fresh()).unwrap(), 10);
     }
 
     #[test]
     fn an_enclosure_that_got_a_node_of_its_own_goes_on_from_the_tokens_of_the_node_that_served_it() {
         let folder = tempfile::tempdir().unwrap();
-        Tokens::open(&folder.path().join("tokens-alpha-main.json")).unwrap().follow("alpha", 41).unwrap();
-        Tokens::open(&folder.path().join("tokens-beta-main.json")).unwrap().follow("alpha", 99).unwrap();
+        for (file, token) in [("tokens-alpha-main.json", 41), ("tokens-beta-main.json", 99)] {
+            follow(&Tokens::open(&folder.path().join(file)).unwrap(), "alpha", token).unwrap();
+        }
         fs::write(folder.path().join("tokens-alpha-pc.json"), "{").unwrap();
         let tokens = Tokens::open(&folder.path().join("tokens-alpha-enclosure.json")).unwrap();
         tokens.adopt_from_siblings(folder.path(), "alpha").unwrap();
-        assert_eq!(tokens.grant("alpha", None).unwrap(), 42);
+        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 42);
     }
 
     #[test]
     fn who_holds_a_lease_is_known_after_a_restart_and_only_of_that_lease() {
         let folder = tempfile::tempdir().unwrap();
-        let (file, life) = (folder.path().join("tokens.json"), BootId::fresh());
+        let (file, boot_id) = (folder.path().join("tokens.json"), BootId::fresh());
         let tokens = Tokens::open(&file).unwrap();
-        tokens.grant("alpha", Some(&life)).unwrap();
-        tokens.grant("beta", None).unwrap();
+        tokens.grant("alpha", Some(&boot_id), &CommandId::fresh()).unwrap();
+        tokens.grant("beta", None, &CommandId::fresh()).unwrap();
         let tokens = Tokens::open(&file).unwrap();
-        assert_eq!((tokens.holder("alpha"), tokens.holder("beta")), (Some(life), None));
+        assert_eq!((tokens.holder("alpha"), tokens.holder("beta")), (Some(boot_id), None));
         // Killed between the two files, or the newer one lost.
         fs::write(&file, r#"{"alpha": 5}"#).unwrap();
         assert_eq!(Tokens::open(&file).unwrap().holder("alpha"), None);
         fs::write(file.with_extension(HOLDERS), "{\"al").unwrap();
         let tokens = Tokens::open(&file).unwrap();
-        assert_eq!((tokens.holder("alpha"), tokens.grant("alpha", None).unwrap()), (None, 6));
+        assert_eq!((tokens.holder("alpha"), tokens.grant("alpha", None, &CommandId::fresh()).unwrap()), (None, 6));
+    }
+
+    #[test]
+    fn a_claim_whose_answer_was_lost_has_the_same_token_after_a_restart() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("tokens.json");
+        let (boot_id, claim) = (BootId::fresh(), CommandId::fresh());
+        assert_eq!(Tokens::open(&file).unwrap().grant("alpha", Some(&boot_id), &claim).unwrap(), 1);
+        let tokens = Tokens::open(&file).unwrap();
+        assert_eq!(tokens.grant("alpha", Some(&boot_id), &claim).unwrap(), 1);
+        // Another incarnation, another claim, a later token: each is a lease of its own.
+        assert_eq!(tokens.grant("alpha", Some(&BootId::fresh()), &claim).unwrap(), 2);
+        assert_eq!(tokens.grant("alpha", Some(&boot_id), &claim).unwrap(), 3);
+        assert_eq!(tokens.grant("alpha", Some(&boot_id), &CommandId::fresh()).unwrap(), 4);
+        assert_eq!(tokens.grant("alpha", Some(&boot_id), &claim).unwrap(), 5);
+        // A file of an earlier version names no claim.
+        fs::write(file.with_extension(HOLDERS), format!(r#"{{"alpha": {{"token": 5, "boot_id": "{boot_id}"}}}}"#))
+            .unwrap();
+        let tokens = Tokens::open(&file).unwrap();
+        assert_eq!(tokens.holder("alpha"), Some(boot_id.clone()));
+        assert_eq!(tokens.grant("alpha", Some(&boot_id), &claim).unwrap(), 6);
     }
 
     #[test]
     fn a_token_that_cannot_be_written_is_not_granted() {
         let folder = tempfile::tempdir().unwrap();
         let tokens = Tokens::open(&folder.path().join("absent").join("tokens.json")).unwrap();
-        assert!(tokens.grant("alpha", None).is_err());
+        assert!(tokens.grant("alpha", None, &CommandId::fresh()).is_err());
         assert_eq!(tokens.highest("alpha"), 0);
         // The arbiter's count binds even so.
-        assert!(tokens.follow("alpha", 4).is_err());
+        assert!(follow(&tokens, "alpha", 4).is_err());
         assert_eq!(tokens.highest("alpha"), 4);
     }
 
     #[test]
-    fn a_broken_file_is_an_error_and_not_an_empty_one() {
+    fn a_file_that_is_cut_or_holds_no_tokens_is_an_error_that_names_it_and_the_remedy() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("tokens.json");
-        fs::write(&file, "{").unwrap();
-        assert!(Tokens::open(&file).is_err());
+        for text in ["", "{\"alpha\": 4", "[4]", "{\"alpha\": \"4\"}", "{\"alpha\": -4}", "{\"alpha\": 4.5}", "null"] {
+            fs::write(&file, text).unwrap();
+            let error = format!("{:#}", Tokens::open(&file).map(|_| ()).unwrap_err());
+            let names_it = error.contains("tokens.json is no token file");
+            assert!(names_it && error.contains("make sure that no other node commands"), "{text}: {error}");
+            assert_eq!(fs::read_to_string(&file).unwrap(), text, "it stays for people");
+        }
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_full_disk_grants_no_token_and_leaves_the_file_as_it_was() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("tokens.json");
+        let tokens = Tokens::open(&file).unwrap();
+        tokens.grant("alpha", Some(&BootId::fresh()), &CommandId::fresh()).unwrap();
+        let before = [fs::read(&file).unwrap(), fs::read(file.with_extension(HOLDERS)).unwrap()];
+        // What is written next finds no room.
+        let part = file.with_extension("part");
+        std::os::unix::fs::symlink("/dev/full", &part).unwrap();
+        let error = tokens.grant("alpha", None, &CommandId::fresh()).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::StorageFull);
+        assert_eq!([fs::read(&file).unwrap(), fs::read(file.with_extension(HOLDERS)).unwrap()], before);
+        assert_eq!(tokens.highest("alpha"), 1);
+        fs::remove_file(part).unwrap();
+        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 2, "once there is room");
+        assert_eq!(Tokens::open(&file).unwrap().highest("alpha"), 2);
     }
 }

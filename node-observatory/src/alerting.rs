@@ -4,12 +4,19 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use bus::{Catch, MachineTime, Quality};
+use bus::{Catch, MachineTime};
 use contract::node::NodeState;
 use contract::observatory::{AlertKind, Alerts};
-use contract::{Key, Name, NodeTopic, Part, Role};
+use contract::{Key, Name, NodeTopic, Part, Role, Topic};
+use node::Node;
+use safety::annunciator::Annunciator;
+use tokio::sync::watch;
+use units::Utc;
 
-use crate::control_room::ControlRoom;
+use crate::active_orders::OrderState;
+use crate::authority::Authority;
+use crate::persisted::Persisted;
+use crate::tasks::Tasks;
 
 /// Each node publishes its alerts every 10 s; a node that is silent for longer than this is away. For as long after
 /// this node began to publish, it takes nothing for gone: by then it has received from every node that is there.
@@ -22,47 +29,67 @@ const LOST: Duration = Duration::from_secs(15);
 const MOST_NODES: usize = 64;
 const MOST_ALERTS_OF_NODE: usize = 100;
 
+/// Starts the tasks about alerts.
+pub fn start(tasks: &mut Tasks, authority: &Arc<Authority>, orders: &OrderState) {
+    let annunciator = &orders.annunciator;
+    let (node, hold) = (&authority.node, authority.hold.clone());
+    let (kind, what) = (AlertKind::AlertsNotSaved, "what people did about alerts");
+    tasks.spawn("alerts on disk", annunciator.clone().keep_on_disk(node.alerts.clone(), hold, kind, what));
+    // `None` while another node publishes for this telescope.
+    let (merged, alerts) = watch::channel(None);
+    tasks.spawn("alerts", keep_merging(authority.clone(), annunciator.clone(), merged));
+    tasks.spawn("alerts out", notify::keep_sending(node.clone(), alerts));
+    let pinging = authority.clone();
+    let is_well = move || pinging.is_judging() && pinging.is_publishing();
+    tasks.spawn("ping", notify::keep_pinging(node.clone(), is_well));
+    tasks.spawn("silent nodes", keep_noticing_silence(node.clone()));
+}
+
 /// Publishes the merged alerts at each change and every 10 s.
-pub async fn keep_merging(room: Arc<ControlRoom>) -> anyhow::Result<()> {
-    let address = room.node.config.address();
-    let expression = format!("{}/{address}/node/*/*/{}", contract::key::ROOT, NodeTopic::Alerts.word());
-    let others = room.node.bus.subscribe::<Alerts>(&expression, Catch::Newest, 256).await?;
-    let line = room.node.bus.publisher::<Alerts>(&room.key(Part::Alerts), Quality::State { cache: 1 }).await?;
-    let clock = room.node.bus.clock().clone();
-    let mut own = room.node.alerts.watch();
-    let mut orders = room.annunciator.subscribe();
-    let mut heard: BTreeMap<(Role, Name), (Alerts, MachineTime)> = BTreeMap::new();
-    let mut said: Option<(Alerts, MachineTime)> = None;
+async fn keep_merging(
+    authority: Arc<Authority>,
+    annunciator: Arc<Persisted<Annunciator>>,
+    merged: watch::Sender<Option<Alerts>>,
+) -> anyhow::Result<()> {
+    let address = authority.node.config.address();
+    let expression = Topic::Node(NodeTopic::Alerts).at(&address);
+    let others = authority.node.bus.subscribe::<Alerts>(expression, Catch::Newest, 256).await?;
+    let line = authority.node.bus.publisher::<Alerts>(&authority.key(Part::Alerts)).await?;
+    let clock = authority.node.bus.clock().clone();
+    let mut own = authority.node.alerts.watch();
+    let mut orders = annunciator.subscribe();
+    let mut received: BTreeMap<(Role, Name), (Alerts, MachineTime)> = BTreeMap::new();
+    let mut published: Option<(Alerts, MachineTime)> = None;
     let mut speaks_since: Option<MachineTime> = None;
     loop {
         let now = clock.machine();
-        let known = room.annunciator.get();
-        for (alerts, _) in heard.values_mut().filter(|(_, arrived)| now.since(*arrived) > SILENCE) {
+        let known = annunciator.get();
+        for (alerts, _) in received.values_mut().filter(|(_, arrived)| now.since(*arrived) > SILENCE) {
             known.stand_on(alerts);
         }
         let nodes = std::iter::once(own.borrow_and_update().clone());
-        let standing = contract::observatory::merge(nodes.chain(heard.values().map(|(alerts, _)| alerts.clone())));
-        if room.may_speak() {
+        let active = contract::observatory::merge(nodes.chain(received.values().map(|(alerts, _)| alerts.clone())));
+        if authority.is_publishing() {
             let began = *speaks_since.get_or_insert(now);
             let _ = orders.borrow_and_update();
-            let all = hear(&room, &standing, now.since(began) > SILENCE);
-            if said.as_ref().is_none_or(|(was, at)| *was != all || now.since(*at) >= Duration::from_secs(10)) {
+            let all = observe(&annunciator, &merged, &active, (now.since(began) > SILENCE, clock.utc()));
+            if published.as_ref().is_none_or(|(was, at)| *was != all || now.since(*at) >= Duration::from_secs(10)) {
                 line.put(all.clone()).await?;
-                said = Some((all, now));
+                published = Some((all, now));
             }
         } else {
             speaks_since = None;
-            room.alerts.send_if_modified(|shown| shown.take().is_some());
+            merged.send_if_modified(|merged| merged.take().is_some());
         }
         tokio::select! {
-            alerts = others.hear() => {
+            alerts = others.recv() => {
                 if let Key::Node(_, role, id, NodeTopic::Alerts) = alerts.key
-                    && (role, &id) != (room.node.role, &room.node.id)
-                    && (heard.len() < MOST_NODES || heard.contains_key(&(role, id.clone())))
+                    && (role, &id) != (authority.node.role, &authority.node.id)
+                    && (received.len() < MOST_NODES || received.contains_key(&(role, id.clone())))
                 {
-                    let mut said = alerts.said.body;
-                    said.alerts.truncate(MOST_ALERTS_OF_NODE);
-                    heard.insert((role, id), (said, alerts.arrived));
+                    let mut list = alerts.sample.body;
+                    list.alerts.truncate(MOST_ALERTS_OF_NODE);
+                    received.insert((role, id), (list, alerts.arrived));
                 }
             }
             changed = own.changed() => changed?,
@@ -73,43 +100,47 @@ pub async fn keep_merging(room: Arc<ControlRoom>) -> anyhow::Result<()> {
 }
 
 /// Takes the active alerts, and returns the ones to publish.
-fn hear(room: &ControlRoom, standing: &Alerts, settled: bool) -> Alerts {
-    let utc = room.node.bus.clock().utc();
-    room.annunciator.change(|known| {
+fn observe(
+    annunciator: &Persisted<Annunciator>,
+    merged: &watch::Sender<Option<Alerts>>,
+    active: &Alerts,
+    (settled, utc): (bool, Utc),
+) -> Alerts {
+    annunciator.change(|known| {
         let was = known.clone();
-        known.hear(standing, settled, utc);
+        known.observe(active, settled, utc);
         *known != was
     });
-    let all = room.annunciator.get().shown(utc);
-    room.alerts.send_if_modified(|shown| {
-        let is_new = shown.as_ref() != Some(&all);
-        *shown = Some(all.clone());
+    let all = annunciator.get().published(utc);
+    merged.send_if_modified(|published| {
+        let is_new = published.as_ref() != Some(&all);
+        *published = Some(all.clone());
         is_new
     });
     all
 }
 
-/// Raises an alert for each node of this telescope that this node received from and receives from no more.
-pub async fn keep_noticing_silence(room: Arc<ControlRoom>) -> anyhow::Result<()> {
-    let address = room.node.config.address();
-    let expression = format!("{}/{address}/node/*/*/{}", contract::key::ROOT, NodeTopic::State.word());
-    let states = room.node.bus.subscribe::<NodeState>(&expression, Catch::Newest, 256).await?;
-    let clock = room.node.bus.clock().clone();
-    let mut heard: BTreeMap<(Role, Name), (String, MachineTime)> = BTreeMap::new();
+/// Raises an alert for each node of this telescope that has published and is silent now.
+async fn keep_noticing_silence(node: Node) -> anyhow::Result<()> {
+    let address = node.config.address();
+    let expression = Topic::Node(NodeTopic::State).at(&address);
+    let states = node.bus.subscribe::<NodeState>(expression, Catch::Newest, 256).await?;
+    let clock = node.bus.clock().clone();
+    let mut received: BTreeMap<(Role, Name), (String, MachineTime)> = BTreeMap::new();
     loop {
-        if let Ok(state) = tokio::time::timeout(Duration::from_secs(1), states.hear()).await
+        if let Ok(state) = tokio::time::timeout(Duration::from_secs(1), states.recv()).await
             && let Key::Node(_, role, id, NodeTopic::State) = state.key
-            && (role, &id) != (room.node.role, &room.node.id)
+            && (role, &id) != (node.role, &node.id)
         {
-            room.node.alerts.clear(AlertKind::NodeSilent, format_args!("{role}/{id}"));
-            if heard.len() < MOST_NODES || heard.contains_key(&(role, id.clone())) {
-                heard.insert((role, id), (state.said.body.host, state.arrived));
+            node.alerts.clear(AlertKind::NodeSilent, format_args!("{role}/{id}"));
+            if received.len() < MOST_NODES || received.contains_key(&(role, id.clone())) {
+                received.insert((role, id), (state.sample.body.host, state.arrived));
             }
         }
         let now = clock.machine();
-        for ((role, id), (host, _)) in heard.iter().filter(|(_, (_, arrived))| now.since(*arrived) > LOST) {
+        for ((role, id), (host, _)) in received.iter().filter(|(_, (_, arrived))| now.since(*arrived) > LOST) {
             let cause = format!("the {role} node {id} on host \"{host}\" has fallen silent");
-            room.node.alerts.raise(AlertKind::NodeSilent, format_args!("{role}/{id}"), &cause);
+            node.alerts.raise(AlertKind::NodeSilent, format_args!("{role}/{id}"), &cause);
         }
     }
 }

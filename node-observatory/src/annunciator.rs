@@ -1,5 +1,5 @@
-//! What people did about alerts ([`safety::annunciator`](::safety::annunciator)) as a file: `alerts-TELESCOPE.json` in
-//! the data folder.
+//! What people did about alerts ([`::safety::annunciator`]) as a file: `alerts-TELESCOPE.json` in the
+//! data folder.
 
 use std::path::{Path, PathBuf};
 
@@ -9,13 +9,13 @@ use safety::annunciator::Annunciator;
 pub fn read(path: &Path) -> Annunciator {
     let read = match std::fs::read(path) {
         Ok(bytes) => {
-            serde_json::from_slice(&bytes).map(Annunciator::of_the_life_before).map_err(|error| error.to_string())
+            serde_json::from_slice(&bytes).map(Annunciator::of_the_boot_before).map_err(|error| error.to_string())
         }
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Annunciator::default()),
         Err(error) => Err(error.to_string()),
     };
     read.unwrap_or_else(|error| {
-        bus::aside::keep_copy(path, &error, "What people did about alerts is not known; all alerts are new.");
+        node::aside::keep_copy(path, &error, "What people did about alerts is not known; all alerts are new.");
         Annunciator::default()
     })
 }
@@ -28,28 +28,28 @@ pub fn path(config: &config::Observatory) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use contract::observatory::{AlertKind, Alerts};
-    use safety::said::Said;
+    use safety::ordered_by::OrderedBy;
     use units::Utc;
 
     use super::*;
 
     #[test]
-    fn it_is_kept_on_disk_and_a_broken_file_forgets_it() {
+    fn it_survives_on_disk_and_a_broken_file_forgets_it() {
         let at = Utc::from_seconds;
-        let said = Said { from: "web/ana".to_owned(), reason: "known".to_owned(), at_utc: at(1.0) };
+        let ordered_by = OrderedBy { from: "web/ana".to_owned(), reason: "known".to_owned(), at_utc: at(1.0) };
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("alerts.json");
         assert_eq!(read(&path), Annunciator::default());
-        let mut desk = Annunciator::default();
+        let mut annunciator = Annunciator::default();
         let alerts = vec![AlertKind::DomeNotClosed.alert("d", at(0.0), "c")];
-        desk.hear(&Alerts { alerts, ..Alerts::default() }, true, at(0.0));
-        desk.acknowledge("dome-not-closed/d", &said).unwrap();
-        desk.shelve("dome-not-closed/d", 60.0, said).unwrap();
-        crate::kept::write_whole(&path, &folder.path().join("part"), &desk).unwrap();
+        annunciator.observe(&Alerts { alerts, ..Alerts::default() }, true, at(0.0));
+        annunciator.acknowledge("dome-not-closed/d", &ordered_by).unwrap();
+        annunciator.shelve("dome-not-closed/d", 60.0, ordered_by).unwrap();
+        crate::persisted::write_whole(&path, &folder.path().join("part"), &annunciator).unwrap();
         let again = read(&path);
-        assert_eq!(again, desk.clone().of_the_life_before());
-        assert_ne!(again, desk, "its nodes may not have spoken yet");
-        assert_eq!(again.shown(at(2.0)), desk.shown(at(2.0)));
+        assert_eq!(again, annunciator.clone().of_the_boot_before());
+        assert_ne!(again, annunciator, "its nodes may not have spoken yet");
+        assert_eq!(again.published(at(2.0)), annunciator.published(at(2.0)));
         std::fs::write(&path, "{").unwrap();
         assert_eq!(read(&path), Annunciator::default());
     }

@@ -8,15 +8,14 @@ use std::sync::{Mutex, PoisonError};
 
 use contract::CommandId;
 use contract::observatory::RowStatus;
+use schedule::RowId;
 use serde::{Deserialize, Serialize};
 use units::Utc;
-
-use schedule::RowId;
 
 /// One line of the file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "is", rename_all = "snake_case")]
-enum Line {
+enum JournalLine {
     /// A frame may have been started under this id.
     Intended { at_utc: Utc, row: RowId, frame: CommandId, sequence: u32 },
     /// A frame in addition to the row's own may have been started under this id, such as one that shows where the
@@ -45,7 +44,7 @@ enum Line {
     Robotic { at_utc: Utc, on: bool },
 }
 
-impl Line {
+impl JournalLine {
     fn at(&self) -> Utc {
         match self {
             Self::Intended { at_utc, .. }
@@ -59,6 +58,11 @@ impl Line {
         }
     }
 }
+
+/// A line that counts already and is not on disk yet.
+#[derive(Debug)]
+#[must_use = "it is not on disk until it arrives"]
+pub struct Sent(JournalLine);
 
 /// A frame that may be started now: its id is on disk.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -104,12 +108,12 @@ struct Record {
 }
 
 #[derive(Debug, Default)]
-struct Book {
+struct Records {
     rows: BTreeMap<RowId, Record>,
     row_of: HashMap<String, RowId>,
     robotic: Option<(Utc, bool)>,
     /// Known in memory, and perhaps not on disk yet: code that reads the disk meanwhile must not forget them.
-    on_the_way: Vec<Line>,
+    on_the_way: Vec<JournalLine>,
 }
 
 /// The journal of one telescope. Nodes that stand by for one another may share its file: only the one that commands
@@ -119,11 +123,11 @@ pub struct Journal {
     path: PathBuf,
     /// Open for the one that commands.
     file: Mutex<Option<File>>,
-    book: Mutex<Book>,
+    records: Mutex<Records>,
 }
 
 /// Lines older than this, against the newest, are dropped when a node takes over, sky s.
-const KEPT_S: f64 = 3.0 * 86_400.0;
+const STORED_S: f64 = 3.0 * 86_400.0;
 
 impl Journal {
     /// Reads a journal; half a line at its end is the mark of a crash.
@@ -131,8 +135,8 @@ impl Journal {
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder)?;
         }
-        let book = Book::of(&read(path)?.0);
-        Ok(Self { path: path.to_owned(), file: Mutex::new(None), book: Mutex::new(book) })
+        let records = Records::of(&read(path)?.0);
+        Ok(Self { path: path.to_owned(), file: Mutex::new(None), records: Mutex::new(records) })
     }
 
     /// Learns what another node wrote meanwhile, drops what is old, and makes the file this node's own.
@@ -145,33 +149,28 @@ impl Journal {
         let (mut lines, damage) = read(&self.path)?;
         if let Some(damage) = damage {
             // It is written anew without them.
-            bus::aside::keep_copy(
+            node::aside::keep_copy(
                 &self.path,
                 &damage,
                 "What its other lines say holds; frames of a lost line may be taken again.",
             );
         }
-        let newest = lines.iter().map(Line::at).max().unwrap_or(Utc::EPOCH);
-        lines.retain(|line| newest.seconds_since(line.at()) <= KEPT_S);
+        let newest = lines.iter().map(JournalLine::at).max().unwrap_or(Utc::EPOCH);
+        lines.retain(|line| newest.seconds_since(line.at()) <= STORED_S);
         rewrite(&self.path, &lines)?;
         *file = Some(OpenOptions::new().append(true).open(&self.path)?);
-        let mut book = self.book();
-        let on_the_way = std::mem::take(&mut book.on_the_way);
-        *book = Book::of(&lines);
-        on_the_way.iter().filter(|line| !lines.contains(line)).for_each(|line| book.learn(line));
-        book.on_the_way = on_the_way;
+        let mut records = self.records();
+        let on_the_way = std::mem::take(&mut records.on_the_way);
+        *records = Records::of(&lines);
+        on_the_way.iter().filter(|line| !lines.contains(line)).for_each(|line| records.learn(line));
+        records.on_the_way = on_the_way;
         Ok(())
-    }
-
-    /// Has a node commanded from this folder before?
-    pub fn is_there(&self) -> bool {
-        self.path.exists()
     }
 
     /// How far a row got.
     pub fn progress(&self, row: &RowId) -> Progress {
-        let book = self.book();
-        let Some(record) = book.rows.get(row) else { return Progress::default() };
+        let records = self.records();
+        let Some(record) = records.rows.get(row) else { return Progress::default() };
         Progress {
             taken: u32::try_from(record.taken.len()).unwrap_or(u32::MAX),
             open: record.open.clone(),
@@ -182,39 +181,42 @@ impl Journal {
     /// Makes an id for the next frame of a row and returns when it is on disk.
     pub fn intend(&self, row: &RowId, at_utc: Utc) -> io::Result<Intent> {
         let (intent, line) = {
-            let mut book = self.book();
-            let record = book.rows.entry(row.clone()).or_default();
+            let mut records = self.records();
+            let record = records.rows.entry(row.clone()).or_default();
             if let Some(spare) = &record.spare {
                 return Ok(spare.clone());
             }
             let intent = Intent { frame: CommandId::fresh(), sequence: record.intended };
-            let line =
-                Line::Intended { at_utc, row: row.clone(), frame: intent.frame.clone(), sequence: intent.sequence };
-            book.send(&line);
-            (intent, line)
+            let line = JournalLine::Intended {
+                at_utc,
+                row: row.clone(),
+                frame: intent.frame.clone(),
+                sequence: intent.sequence,
+            };
+            (intent, records.send(line))
         };
-        self.arrive(&line)?;
-        self.book().rows.entry(row.clone()).or_default().spare = Some(intent.clone());
+        self.arrive(line)?;
+        self.records().rows.entry(row.clone()).or_default().spare = Some(intent.clone());
         Ok(intent)
     }
 
     /// Makes an id for a frame in addition to the row's own, which never counts, and returns when it is on disk.
     pub fn aside(&self, row: &RowId, at_utc: Utc) -> io::Result<Intent> {
-        let sequence = self.book().rows.entry(row.clone()).or_default().intended;
+        let sequence = self.records().rows.entry(row.clone()).or_default().intended;
         let intent = Intent { frame: CommandId::fresh(), sequence };
-        self.write(Line::Aside { at_utc, row: row.clone(), frame: intent.frame.clone(), sequence })?;
+        self.write(JournalLine::Aside { at_utc, row: row.clone(), frame: intent.frame.clone(), sequence })?;
         Ok(intent)
     }
 
     /// A frame shows another place than the row's target: it does not count, whichever node reports that it was
     /// exposed.
     pub fn astray(&self, row: &RowId, frame: &CommandId, off_target_arcmin: f64, at_utc: Utc) -> io::Result<()> {
-        self.write(Line::Astray { at_utc, row: row.clone(), frame: frame.clone(), off_target_arcmin })
+        self.write(JournalLine::Astray { at_utc, row: row.clone(), frame: frame.clone(), off_target_arcmin })
     }
 
     /// The intended frame is being sent; the next one needs a new id.
     pub fn sent(&self, row: &RowId) {
-        if let Some(record) = self.book().rows.get_mut(row) {
+        if let Some(record) = self.records().rows.get_mut(row) {
             record.spare = None;
         }
     }
@@ -224,17 +226,15 @@ impl Journal {
     pub fn taken(&self, frame: &CommandId, at_utc: Utc) -> io::Result<bool> {
         let line = {
             // Looked up and counted in one step: two may report it at the same time.
-            let mut book = self.book();
-            let Some(row) = book.row_of.get(&frame.0).cloned() else { return Ok(false) };
+            let mut records = self.records();
+            let Some(row) = records.row_of.get(&frame.0).cloned() else { return Ok(false) };
             let known = |record: &Record| record.taken.contains(&frame.0) || record.spoilt.contains(&frame.0);
-            if book.rows.get(&row).is_some_and(known) {
+            if records.rows.get(&row).is_some_and(known) {
                 return Ok(false);
             }
-            let line = Line::Taken { at_utc, row, frame: frame.clone() };
-            book.send(&line);
-            line
+            records.send(JournalLine::Taken { at_utc, row, frame: frame.clone() })
         };
-        self.arrive(&line)?;
+        self.arrive(line)?;
         Ok(true)
     }
 
@@ -248,7 +248,7 @@ impl Journal {
         counts: bool,
         at_utc: Utc,
     ) -> io::Result<()> {
-        self.write(Line::Hidden { at_utc, row: row.clone(), frame: frame.clone(), lost_percent, counts })
+        self.write(JournalLine::Hidden { at_utc, row: row.clone(), frame: frame.clone(), lost_percent, counts })
     }
 
     /// A flat was judged: it counts of its filter, or never will.
@@ -261,13 +261,13 @@ impl Journal {
         counts: bool,
         at_utc: Utc,
     ) -> io::Result<()> {
-        self.write(Line::Judged { at_utc, row: row.clone(), frame: frame.clone(), filter, level_adu, counts })
+        self.write(JournalLine::Judged { at_utc, row: row.clone(), frame: frame.clone(), filter, level_adu, counts })
     }
 
     /// What is known of a row's flats.
     pub fn flats(&self, row: &RowId) -> Flats {
-        let (book, mut flats) = (self.book(), Flats::default());
-        let Some(record) = book.rows.get(row) else { return flats };
+        let (records, mut flats) = (self.records(), Flats::default());
+        let Some(record) = records.rows.get(row) else { return flats };
         for filter in record.judged.values() {
             *flats.good.entry(filter.clone().unwrap_or_default()).or_default() += 1;
         }
@@ -276,49 +276,54 @@ impl Journal {
         flats
     }
 
-    /// A row ended.
-    pub fn ended(&self, row: &RowId, status: RowStatus, detail: &str, at_utc: Utc) -> io::Result<()> {
-        self.write(Line::Ended { at_utc, row: row.clone(), status, detail: detail.to_owned() })
+    /// A row ended: that counts at once, and is on disk when [`Journal::arrive`] returns.
+    pub fn end(&self, row: &RowId, status: RowStatus, detail: &str, at_utc: Utc) -> Sent {
+        self.send(JournalLine::Ended { at_utc, row: row.clone(), status, detail: detail.to_owned() })
     }
 
-    /// Records an order to turn the robotic switch: off counts at once whatever the disk does, on only once it is on
-    /// disk.
-    pub fn robotic(&self, on: bool, at_utc: Utc) -> io::Result<()> {
-        let line = Line::Robotic { at_utc, on };
-        if !on {
-            return self.write(line);
-        }
+    /// The robotic switch was turned off: that counts at once whatever the disk does, and is on disk when
+    /// [`Journal::arrive`] returns.
+    pub fn robotic_off(&self, at_utc: Utc) -> Sent {
+        self.send(JournalLine::Robotic { at_utc, on: false })
+    }
+
+    /// The robotic switch is turned on: that counts only once it is on disk.
+    pub fn robotic_on(&self, at_utc: Utc) -> io::Result<()> {
+        let line = JournalLine::Robotic { at_utc, on: true };
         self.put_down(&line)?;
-        self.book().learn(&line);
+        self.records().learn(&line);
         Ok(())
     }
 
     /// The robotic switch as it was last turned, and when.
     pub fn last_robotic(&self) -> Option<(Utc, bool)> {
-        self.book().robotic
+        self.records().robotic
     }
 
-    fn book(&self) -> std::sync::MutexGuard<'_, Book> {
-        self.book.lock().unwrap_or_else(PoisonError::into_inner)
+    fn records(&self) -> std::sync::MutexGuard<'_, Records> {
+        self.records.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Applies a line in memory at once and writes it to disk; the memory stays true when the disk fails.
-    fn write(&self, line: Line) -> io::Result<()> {
-        self.book().send(&line);
-        self.arrive(&line)
+    fn write(&self, line: JournalLine) -> io::Result<()> {
+        self.arrive(self.send(line))
+    }
+
+    fn send(&self, line: JournalLine) -> Sent {
+        self.records().send(line)
     }
 
     /// Puts a line on disk that was sent there.
-    fn arrive(&self, line: &Line) -> io::Result<()> {
-        let there = self.put_down(line);
-        let mut book = self.book();
-        if let Some(place) = book.on_the_way.iter().position(|sent| sent == line) {
-            book.on_the_way.remove(place);
+    pub fn arrive(&self, Sent(line): Sent) -> io::Result<()> {
+        let there = self.put_down(&line);
+        let mut records = self.records();
+        if let Some(place) = records.on_the_way.iter().position(|sent| *sent == line) {
+            records.on_the_way.remove(place);
         }
         there
     }
 
-    fn put_down(&self, line: &Line) -> io::Result<()> {
+    fn put_down(&self, line: &JournalLine) -> io::Result<()> {
         let mut text = serde_json::to_string(line)?;
         text.push('\n');
         match &mut *self.file.lock().unwrap_or_else(PoisonError::into_inner) {
@@ -335,13 +340,13 @@ fn append(file: &mut File, text: &str) -> io::Result<()> {
 }
 
 /// All lines that can be read, and what is wrong with others.
-fn read(path: &Path) -> io::Result<(Vec<Line>, Option<String>)> {
+fn read(path: &Path) -> io::Result<(Vec<JournalLine>, Option<String>)> {
     let text = match std::fs::read(path) {
         Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
         Err(error) if error.kind() == io::ErrorKind::NotFound => String::new(),
         Err(error) => return Err(error),
     };
-    let (mut lines, mut damage): (Vec<Line>, Option<String>) = (Vec::new(), None);
+    let (mut lines, mut damage): (Vec<JournalLine>, Option<String>) = (Vec::new(), None);
     for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         match serde_json::from_str(line) {
             Ok(line) => lines.push(line),
@@ -351,75 +356,76 @@ fn read(path: &Path) -> io::Result<(Vec<Line>, Option<String>)> {
     Ok((lines, damage))
 }
 
-impl Book {
-    fn of(lines: &[Line]) -> Self {
-        let mut book = Self::default();
-        lines.iter().for_each(|line| book.learn(line));
-        book
+impl Records {
+    fn of(lines: &[JournalLine]) -> Self {
+        let mut records = Self::default();
+        lines.iter().for_each(|line| records.learn(line));
+        records
     }
 
     /// Learns a line that is going to disk.
-    fn send(&mut self, line: &Line) {
-        self.learn(line);
+    fn send(&mut self, line: JournalLine) -> Sent {
+        self.learn(&line);
         self.on_the_way.push(line.clone());
+        Sent(line)
     }
 
-    fn learn(&mut self, line: &Line) {
+    fn learn(&mut self, line: &JournalLine) {
         match line {
-            Line::Intended { row, frame, sequence, .. } => {
+            JournalLine::Intended { row, frame, sequence, .. } => {
                 self.row_of.insert(frame.0.clone(), row.clone());
                 let record = self.rows.entry(row.clone()).or_default();
                 record.intended = record.intended.max(sequence + 1);
                 record.open.push(frame.clone());
             }
-            Line::Aside { row, frame, sequence, .. } => {
+            JournalLine::Aside { row, frame, sequence, .. } => {
                 self.row_of.insert(frame.0.clone(), row.clone());
                 let record = self.rows.entry(row.clone()).or_default();
                 record.intended = record.intended.max(sequence + 1);
                 record.spoilt.insert(frame.0.clone());
             }
-            Line::Taken { row, frame, .. } => {
+            JournalLine::Taken { row, frame, .. } => {
                 let record = self.rows.entry(row.clone()).or_default();
                 record.open.retain(|open| open != frame);
                 if !record.spoilt.contains(&frame.0) {
                     record.taken.insert(frame.0.clone());
                 }
             }
-            Line::Hidden { counts: true, .. } => {}
-            Line::Hidden { row, frame, counts: false, .. }
-            | Line::Judged { row, frame, counts: false, .. }
-            | Line::Astray { row, frame, .. } => {
+            JournalLine::Hidden { counts: true, .. } => {}
+            JournalLine::Hidden { row, frame, counts: false, .. }
+            | JournalLine::Judged { row, frame, counts: false, .. }
+            | JournalLine::Astray { row, frame, .. } => {
                 let record = self.rows.entry(row.clone()).or_default();
                 record.open.retain(|open| open != frame);
                 record.taken.remove(&frame.0);
                 record.spoilt.insert(frame.0.clone());
             }
-            Line::Judged { row, frame, filter, counts: true, .. } => {
+            JournalLine::Judged { row, frame, filter, counts: true, .. } => {
                 let record = self.rows.entry(row.clone()).or_default();
                 record.open.retain(|open| open != frame);
                 record.taken.insert(frame.0.clone());
                 record.judged.insert(frame.0.clone(), filter.clone());
             }
-            Line::Ended { row, status, detail, .. } => {
+            JournalLine::Ended { row, status, detail, .. } => {
                 self.rows.entry(row.clone()).or_default().ended = Some((*status, detail.clone()));
             }
-            Line::Robotic { at_utc, on } => self.robotic = Some((*at_utc, *on)),
+            JournalLine::Robotic { at_utc, on } => self.robotic = Some((*at_utc, *on)),
         }
     }
 }
 
 /// Writes a whole new file next to the old one and renames it into its place.
-fn rewrite(path: &Path, lines: &[Line]) -> io::Result<()> {
-    let mut beside: PathBuf = path.to_owned();
-    beside.set_extension("jsonl.new");
-    let mut file = File::create(&beside)?;
+fn rewrite(path: &Path, lines: &[JournalLine]) -> io::Result<()> {
+    let mut new: PathBuf = path.to_owned();
+    new.set_extension("jsonl.new");
+    let mut file = File::create(&new)?;
     for line in lines {
         serde_json::to_writer(&mut file, line)?;
         file.write_all(b"\n")?;
     }
     file.sync_all()?;
     drop(file);
-    std::fs::rename(&beside, path)
+    std::fs::rename(&new, path)
 }
 
 #[cfg(test)]

@@ -23,7 +23,7 @@ fn a_restart_goes_on_counting_where_the_crash_was() {
         let first = journal.intend(&row, at(NOW)).unwrap();
         journal.sent(&row);
         assert!(journal.taken(&first.frame, at(NOW)).unwrap());
-        assert!(!journal.taken(&first.frame, at(NOW)).unwrap(), "told twice, counted once");
+        assert!(!journal.taken(&first.frame, at(NOW)).unwrap(), "reported twice, counted once");
         let second = journal.intend(&row, at(NOW)).unwrap();
         journal.sent(&row);
         (first, second)
@@ -38,7 +38,7 @@ fn a_restart_goes_on_counting_where_the_crash_was() {
     assert!(journal.taken(&second.frame, at(NOW)).unwrap());
     assert_eq!(journal.progress(&row).taken, 2);
     assert_eq!(journal.intend(&row, at(NOW)).unwrap().sequence, 2);
-    journal.ended(&row, RowStatus::Finished, "", at(NOW)).unwrap();
+    journal.arrive(journal.end(&row, RowStatus::Finished, "", at(NOW))).unwrap();
     drop(journal);
 
     let journal = own(&path);
@@ -70,7 +70,7 @@ fn a_frame_that_the_dome_hid_does_not_count_whoever_announces_it_and_whenever() 
 }
 
 #[test]
-fn a_frame_beside_the_rows_own_and_one_of_another_place_never_count() {
+fn a_frame_in_addition_to_the_rows_own_and_one_of_another_place_never_count() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("j.jsonl");
     let row = RowId("a".to_owned());
@@ -121,9 +121,9 @@ fn old_nights_are_dropped_and_strangers_are_not_counted() {
     let path = folder.path().join("j.jsonl");
     let (old, new) = (RowId("old".to_owned()), RowId("new".to_owned()));
     let journal = own(&path);
-    journal.ended(&old, RowStatus::Finished, "", at("2026-11-01T03:00:00Z")).unwrap();
-    journal.ended(&new, RowStatus::Failed, "why", at(NOW)).unwrap();
-    journal.robotic(true, at(NOW)).unwrap();
+    journal.arrive(journal.end(&old, RowStatus::Finished, "", at("2026-11-01T03:00:00Z"))).unwrap();
+    journal.arrive(journal.end(&new, RowStatus::Failed, "why", at(NOW))).unwrap();
+    journal.robotic_on(at(NOW)).unwrap();
     assert!(!journal.taken(&CommandId("of another program".to_owned()), at(NOW)).unwrap());
     drop(journal);
     let journal = own(&path);
@@ -137,16 +137,14 @@ fn the_robotic_switch_is_on_once_that_is_on_disk_and_off_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     let journal = Journal::open(&data.join("j.jsonl")).unwrap();
-    assert!(!journal.is_there());
     // The disk is gone.
     std::fs::remove_dir(&data).unwrap();
-    assert!(journal.robotic(true, at(NOW)).is_err());
+    assert!(journal.robotic_on(at(NOW)).is_err());
     assert_eq!(journal.last_robotic(), None);
-    assert!(journal.robotic(false, at(NOW)).is_err());
+    assert!(journal.arrive(journal.robotic_off(at(NOW))).is_err());
     assert_eq!(journal.last_robotic(), Some((at(NOW), false)));
     std::fs::create_dir(&data).unwrap();
-    journal.robotic(true, at(NOW)).unwrap();
-    assert!(journal.is_there());
+    journal.robotic_on(at(NOW)).unwrap();
     assert_eq!(journal.last_robotic(), Some((at(NOW), true)));
 }
 
@@ -160,11 +158,11 @@ fn who_takes_over_knows_what_was_done_and_the_one_before_disturbs_it_no_more() {
     first.sent(&row);
     first.taken(&frame, at(NOW)).unwrap();
     // An order that a standby received while nobody commanded.
-    standby.robotic(false, at(NOW)).unwrap();
+    standby.arrive(standby.robotic_off(at(NOW))).unwrap();
     standby.take_over().unwrap();
     assert_eq!((standby.progress(&row).taken, standby.last_robotic()), (1, Some((at(NOW), false))));
     // It was only stopped, and goes on.
-    first.ended(&row, RowStatus::Finished, "", at(NOW)).unwrap();
+    first.arrive(first.end(&row, RowStatus::Finished, "", at(NOW))).unwrap();
     assert_eq!(standby.intend(&row, at(NOW)).unwrap().sequence, 1);
     drop((first, standby));
     let next = own(&path);
@@ -203,23 +201,23 @@ fn a_frame_that_is_counted_while_the_journal_is_taken_over_is_not_forgotten() {
 }
 
 #[test]
-fn a_frame_that_two_tell_of_at_once_is_counted_and_written_once() {
+fn a_frame_that_two_report_at_once_is_counted_and_written_once() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("j.jsonl");
     let (row, journal) = (RowId("a".to_owned()), own(&path));
     for _ in 0..50 {
         let frame = journal.intend(&row, at(NOW)).unwrap().frame;
         journal.sent(&row);
-        let told = std::thread::scope(|scope| {
-            let tell = || journal.taken(&frame, at(NOW)).unwrap();
-            let (announced, stored) = (scope.spawn(tell), scope.spawn(tell));
+        let counted = std::thread::scope(|scope| {
+            let take = || journal.taken(&frame, at(NOW)).unwrap();
+            let (announced, stored) = (scope.spawn(take), scope.spawn(take));
             usize::from(announced.join().unwrap()) + usize::from(stored.join().unwrap())
         });
-        assert_eq!(told, 1);
+        assert_eq!(counted, 1);
     }
     let lines = read(&path).unwrap();
-    assert_eq!(lines.0.iter().filter(|line| matches!(line, Line::Taken { .. })).count(), 50);
-    assert!(journal.book().on_the_way.is_empty());
+    assert_eq!(lines.0.iter().filter(|line| matches!(line, JournalLine::Taken { .. })).count(), 50);
+    assert!(journal.records().on_the_way.is_empty());
 }
 
 #[test]
@@ -261,7 +259,7 @@ fn a_journal_that_is_cut_off_at_any_byte_counts_what_was_whole_and_uses_no_numbe
             journal.sent(&row);
             journal.taken(&intent.frame, at(NOW)).unwrap();
         }
-        journal.ended(&row, RowStatus::Finished, "done", at(NOW)).unwrap();
+        journal.arrive(journal.end(&row, RowStatus::Finished, "done", at(NOW))).unwrap();
     }
     let whole = std::fs::read(&path).unwrap();
     let cut_path = folder.path().join("cut.jsonl");
@@ -291,14 +289,14 @@ fn a_journal_that_is_cut_off_at_any_byte_counts_what_was_whole_and_uses_no_numbe
 }
 
 #[test]
-fn a_journal_with_a_spoilt_line_is_kept_aside_before_it_is_written_anew() {
+fn a_journal_with_a_spoilt_line_is_put_aside_before_it_is_written_anew() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("j.jsonl");
     let row = RowId("a".to_owned());
     {
         let journal = own(&path);
         journal.intend(&row, at(NOW)).unwrap();
-        journal.ended(&row, RowStatus::Finished, "done", at(NOW)).unwrap();
+        journal.arrive(journal.end(&row, RowStatus::Finished, "done", at(NOW))).unwrap();
     }
     // A disk that lost power gave back zeros in place of a line.
     let mut spoilt = std::fs::read(&path).unwrap();
@@ -316,4 +314,30 @@ fn a_journal_with_a_spoilt_line_is_kept_aside_before_it_is_written_anew() {
     assert_eq!(std::fs::read(&asides()[0]).unwrap(), spoilt);
     Journal::open(&path).unwrap().take_over().unwrap();
     assert_eq!(asides().len(), 1);
+}
+
+#[test]
+fn an_end_counts_before_it_is_on_disk_and_a_new_lease_meanwhile_does_not_lose_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("j.jsonl");
+    let row = RowId("a".to_owned());
+    let journal = own(&path);
+    journal.robotic_on(at(NOW)).unwrap();
+    let ended = journal.end(&row, RowStatus::Finished, "done", at(NOW));
+    let off = journal.robotic_off(at(NOW));
+    let is_known = || {
+        let finished = Some((RowStatus::Finished, "done".to_owned()));
+        journal.progress(&row).ended == finished && journal.last_robotic() == Some((at(NOW), false))
+    };
+    assert!(is_known());
+    // The disk is slow, and another lease comes: the file has neither line yet.
+    journal.take_over().unwrap();
+    assert!(is_known());
+    journal.arrive(ended).unwrap();
+    journal.arrive(off).unwrap();
+    assert!(is_known());
+    let lines = std::fs::read_to_string(&path).unwrap();
+    assert_eq!(lines.matches("\"ended\"").count(), 1);
+    drop(journal);
+    assert_eq!(own(&path).progress(&row).ended, Some((RowStatus::Finished, "done".to_owned())));
 }

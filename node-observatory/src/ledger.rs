@@ -8,10 +8,13 @@ use bus::{Catch, MachineTime};
 use contract::archive::Stored;
 use contract::device::camera::Frame;
 use contract::observatory::AlertKind;
-use contract::{CommandId, Key, Kind, Name};
+use contract::{CommandId, Key, Name, Topic};
+use node::Node;
 use tokio::sync::watch;
 
-use crate::control_room::ControlRoom;
+use crate::journal::Journal;
+use crate::night::PublishedNight;
+use crate::tasks::Tasks;
 
 /// What is known of the frames.
 #[derive(Debug, Clone, Default)]
@@ -105,50 +108,67 @@ impl Ledger {
     }
 }
 
+/// Starts the tasks that count frames.
+pub fn start(
+    tasks: &mut Tasks,
+    node: &Node,
+    ledger: &Arc<Ledger>,
+    journal: &Arc<Journal>,
+    night: &Arc<PublishedNight>,
+) {
+    let counting = keep_counting_frames(node.clone(), ledger.clone(), journal.clone(), night.clone());
+    tasks.spawn("frames", counting);
+    tasks.spawn("files", keep_counting_files(node.clone(), ledger.clone(), journal.clone()));
+}
+
 /// Receives announced frames: counts those of this incarnation, and reports to the journal those that a crash left
 /// open.
-pub async fn keep_counting_frames(room: Arc<ControlRoom>) -> anyhow::Result<()> {
-    let (own, started_utc) = (room.node.config.address(), room.node.bus.clock().utc());
-    let expression = format!("{}/{own}/device/{}/*/frame", contract::key::ROOT, Kind::Camera);
-    let frames = room.node.bus.subscribe::<Frame>(&expression, Catch::All, 1000).await?;
-    let clock = room.node.bus.clock().clone();
+async fn keep_counting_frames(
+    node: Node,
+    ledger: Arc<Ledger>,
+    journal: Arc<Journal>,
+    night: Arc<PublishedNight>,
+) -> anyhow::Result<()> {
+    let (own, started_utc) = (node.config.address(), node.bus.clock().utc());
+    let frames = node.bus.subscribe::<Frame>(Topic::Frame.at(&own), Catch::All, 1000).await?;
+    let clock = node.bus.clock().clone();
     loop {
-        let heard = tokio::time::timeout(Duration::from_secs(10), frames.hear()).await;
-        for (frame, camera) in room.ledger.lost(clock.machine()) {
+        let received = tokio::time::timeout(Duration::from_secs(10), frames.recv()).await;
+        for (frame, camera) in ledger.lost(clock.machine()) {
             let cause = format!("frame {frame} of {camera} was exposed and never announced");
-            room.node.alerts.raise(AlertKind::FrameLost, camera, &cause);
+            node.alerts.raise(AlertKind::FrameLost, camera, &cause);
         }
-        let Ok(heard) = heard else { continue };
-        let frame = heard.said.body;
-        if let Key::Frame(device) = &heard.key {
-            room.node.alerts.clear(AlertKind::FrameLost, &device.name);
+        let Ok(received) = received else { continue };
+        let frame = received.sample.body;
+        if let Key::Frame(device) = &received.key {
+            node.alerts.clear(AlertKind::FrameLost, &device.name);
         }
         tracing::debug!(frame = %frame.id, camera = frame.camera, "announced");
-        let (at, id) = (room.clone(), frame.id.clone());
-        let noted = tokio::task::spawn_blocking(move || at.journal.taken(&id, at.node.bus.clock().utc()));
+        let (journal, clock, id) = (journal.clone(), clock.clone(), frame.id.clone());
+        let noted = tokio::task::spawn_blocking(move || journal.taken(&id, clock.utc()));
         if let Err(error) = noted.await? {
             tracing::warn!(%error, "an announced frame is not in the journal; a restart may take it again");
         }
         // After the journal: a task that sees it here finds it counted there.
-        let is_new = room.ledger.announced(&frame.id, &frame.purpose.night);
-        if is_new && heard.said.at_utc >= started_utc {
-            room.board.frame(&frame.id);
+        let is_new = ledger.announced(&frame.id, &frame.purpose.night);
+        if is_new && received.sample.at_utc >= started_utc {
+            night.frame(&frame.id);
         }
     }
 }
 
 /// Receives what the archives have stored.
-pub async fn keep_counting_files(room: Arc<ControlRoom>) -> anyhow::Result<()> {
-    let key = Key::Stored(room.node.config.address()).to_string();
-    let stored = room.node.bus.subscribe::<Stored>(&key, Catch::All, 1000).await?;
+async fn keep_counting_files(node: Node, ledger: Arc<Ledger>, journal: Arc<Journal>) -> anyhow::Result<()> {
+    let key = Key::Stored(node.config.address()).to_string();
+    let stored = node.bus.subscribe::<Stored>(&key, Catch::All, 1000).await?;
     loop {
-        let stored = stored.hear().await.said.body;
+        let stored = stored.recv().await.sample.body;
         if stored.header_complete {
-            room.ledger.complete(&stored.frame);
+            ledger.complete(&stored.frame);
         }
         // One that was announced, stored and forgotten by its spool while this node was away.
-        let (at, frame) = (room.clone(), stored.frame);
-        let noted = tokio::task::spawn_blocking(move || at.journal.taken(&frame, at.node.bus.clock().utc()));
+        let (journal, clock, frame) = (journal.clone(), node.bus.clock().clone(), stored.frame);
+        let noted = tokio::task::spawn_blocking(move || journal.taken(&frame, clock.utc()));
         if let Err(error) = noted.await? {
             tracing::warn!(%error, "a stored frame is not in the journal");
         }
@@ -185,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_is_exposed_and_never_announced_is_told_once() {
+    fn a_frame_that_is_exposed_and_never_announced_is_reported_once() {
         let at = |s| MachineTime::from_boot(Duration::from_secs(s));
         let (ledger, camera) = (Ledger::default(), "cam".parse().unwrap());
         ledger.expect(&id("a"), "20261121", &camera, at(0));

@@ -4,25 +4,30 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use bus::{Publisher, Quality};
 use contract::device::dome::Shutter;
 use contract::observatory::{
     ActionNow, NightState, OrderTaken, Posture, RowState, ScheduleState, Trigger, TriggerKind,
 };
 use contract::{CommandId, Part};
+use orders::RecentStates;
 use tokio::sync::watch;
 use units::Utc;
 
-use crate::control_room::ControlRoom;
-use crate::rig::dome::Dome;
+use crate::authority::Authority;
+use crate::devices::Devices;
+use crate::devices::dome::Dome;
+use crate::publishing::{LEAST, publish};
+use crate::tasks::Tasks;
 
 /// What the runner and the actions write and the publishers read.
 #[derive(Debug)]
-pub struct Board {
+pub struct PublishedNight {
     tonight: watch::Sender<Tonight>,
     schedule: watch::Sender<ScheduleState>,
     /// The present places of rows that began at another one; `None` for rows that have no place any more.
     moved: Mutex<BTreeMap<u32, Option<u32>>>,
+    /// When which state was published; an order names one of them.
+    pub states: RecentStates,
 }
 
 #[derive(Debug, Clone, Default)]
@@ -36,12 +41,13 @@ struct Tonight {
     last_order: Option<OrderTaken>,
 }
 
-impl Board {
+impl PublishedNight {
     /// An empty status for a schedule file.
     pub fn new(file: String) -> Self {
-        let schedule = ScheduleState { file, revision: 0, refused: None, rows: Vec::new(), findings: Vec::new() };
+        let (refused, sha256, rows, findings) = Default::default();
+        let schedule = ScheduleState { file, revision: 0, refused, sha256, rows, findings };
         let (tonight, schedule) = (watch::channel(Tonight::default()).0, watch::channel(schedule).0);
-        Self { tonight, schedule, moved: Mutex::default() }
+        Self { tonight, schedule, moved: Mutex::default(), states: RecentStates::default() }
     }
 
     /// An action begins.
@@ -88,9 +94,9 @@ impl Board {
     /// Since when one of these stands for a camera and filter, if it does.
     pub fn trigger(&self, kind: TriggerKind, camera: &str, filter: Option<&str>) -> Option<Utc> {
         let tonight = self.tonight.borrow();
-        let mut standing = tonight.triggers.iter();
+        let mut active = tonight.triggers.iter();
         let is_it = |t: &&Trigger| t.kind == kind && t.camera == camera && t.filter.as_deref() == filter;
-        standing.find(is_it).map(|trigger| trigger.since_utc)
+        active.find(is_it).map(|trigger| trigger.since_utc)
     }
 
     /// An order was accepted.
@@ -150,21 +156,35 @@ impl Board {
     }
 }
 
-/// No two samples of a state follow each other faster; a fast demo changes hundreds of times a second.
-const LEAST: Duration = Duration::from_millis(50);
 const SECOND: Duration = Duration::from_secs(1);
 
+/// Starts the tasks that publish the night.
+pub fn start(
+    tasks: &mut Tasks,
+    authority: &Arc<Authority>,
+    devices: &Arc<Devices>,
+    published_night: &Arc<PublishedNight>,
+) {
+    tasks.spawn("publish safety", keep_publishing_safety(authority.clone()));
+    tasks.spawn("publish night", keep_publishing_night(authority.clone(), devices.clone(), published_night.clone()));
+    tasks.spawn("publish schedule", keep_publishing_schedule(authority.clone(), published_night.clone()));
+}
+
 /// Publishes the night each second and at each change.
-pub async fn keep_telling_night(room: Arc<ControlRoom>) -> anyhow::Result<()> {
-    let night = room.node.bus.publisher::<NightState>(&room.key(Part::Night), Quality::State { cache: 1 }).await?;
-    let clock = room.node.bus.clock().clone();
-    let (mut tonight, mut stirred) = (room.board.tonight.subscribe(), room.rig.stirred());
-    let mut robotic = room.robotic.subscribe();
+async fn keep_publishing_night(
+    authority: Arc<Authority>,
+    devices: Arc<Devices>,
+    published_night: Arc<PublishedNight>,
+) -> anyhow::Result<()> {
+    let night = authority.node.bus.publisher::<NightState>(&authority.key(Part::Night)).await?;
+    let clock = authority.node.bus.clock().clone();
+    let (mut tonight, mut stirred) = (published_night.tonight.subscribe(), devices.stirred());
+    let mut robotic = authority.robotic.subscribe();
     let (mut open_s, mut looked) = (0.0, clock.sky());
     let mut was = Posture::Unknown;
-    let (mut said_at, mut touched) = (None, true);
+    let (mut published_at, mut touched) = (None, true);
     loop {
-        let posture = posture(&room);
+        let posture = posture(&devices);
         let now = clock.sky();
         if was == Posture::Open {
             open_s += now.since(looked).as_secs_f64();
@@ -175,26 +195,27 @@ pub async fn keep_telling_night(room: Arc<ControlRoom>) -> anyhow::Result<()> {
         looked = now;
         touched |= was != posture;
         was = posture;
-        let due = said_at.is_none_or(|at| clock.machine().since(at) >= SECOND - LEAST * 2);
-        if (touched || due) && room.may_speak() {
-            let shown = tonight.borrow_and_update().clone();
+        let due = published_at.is_none_or(|at| clock.machine().since(at) >= SECOND - LEAST * 2);
+        if (touched || due) && authority.is_publishing() {
+            let published = tonight.borrow_and_update().clone();
             let robotic_now = *robotic.borrow();
+            published_night.states.note(night.next_seq(), clock.machine());
             night
                 .put(NightState {
                     robotic: robotic_now,
                     posture,
-                    actions: shown.actions.into_values().collect(),
-                    frames: shown.frames,
+                    actions: published.actions.into_values().collect(),
+                    frames: published.frames,
                     open_s,
                     speed: clock.speed(),
                     simulated: clock.is_simulated(),
-                    ended: shown.ended,
-                    last_frame: shown.last_frame,
-                    triggers: shown.triggers,
-                    last_order: shown.last_order,
+                    ended: published.ended,
+                    last_frame: published.last_frame,
+                    triggers: published.triggers,
+                    last_order: published.last_order,
                 })
                 .await?;
-            said_at = Some(clock.machine());
+            published_at = Some(clock.machine());
         }
         tokio::time::sleep(LEAST).await;
         touched = tokio::select! {
@@ -207,10 +228,9 @@ pub async fn keep_telling_night(room: Arc<ControlRoom>) -> anyhow::Result<()> {
 }
 
 /// The posture of the observatory by the states of its enclosures; a telescope without one is closed when parked.
-pub fn posture(room: &ControlRoom) -> Posture {
-    if room.rig.domes.is_empty() {
-        let parked = room
-            .rig
+pub fn posture(devices: &Devices) -> Posture {
+    if devices.domes.is_empty() {
+        let parked = devices
             .mounts
             .iter()
             .map(|mount| mount.instrument.fresh().and_then(|state| state.fields.at_park.known().copied()));
@@ -218,7 +238,7 @@ pub fn posture(room: &ControlRoom) -> Posture {
     }
     // A dome whose status is closed without proof is not known to be closed.
     let shutter = |dome: &Dome| dome.shutter().filter(|shutter| *shutter != Shutter::Closed || !dome.is_doubted());
-    of_shutters(room.rig.domes.iter().map(shutter))
+    of_shutters(devices.domes.iter().map(shutter))
 }
 
 fn of_shutters(shutters: impl Iterator<Item = Option<Shutter>>) -> Posture {
@@ -253,12 +273,15 @@ fn worst(each: impl Iterator<Item = Posture>) -> Posture {
 }
 
 /// Publishes the schedule at each change and every 10 s.
-pub async fn keep_telling_schedule(room: Arc<ControlRoom>) -> anyhow::Result<()> {
-    let line = room.node.bus.publisher::<ScheduleState>(&room.key(Part::Schedule), Quality::State { cache: 1 }).await?;
-    let mut schedule = room.board.schedule.subscribe();
+async fn keep_publishing_schedule(
+    authority: Arc<Authority>,
+    published_night: Arc<PublishedNight>,
+) -> anyhow::Result<()> {
+    let line = authority.node.bus.publisher::<ScheduleState>(&authority.key(Part::Schedule)).await?;
+    let mut schedule = published_night.schedule.subscribe();
     loop {
-        let shown = schedule.borrow_and_update().clone();
-        say(&room, &line, shown).await?;
+        let published = schedule.borrow_and_update().clone();
+        publish(&authority, &line, published).await?;
         tokio::time::sleep(LEAST).await;
         if let Ok(changed) = tokio::time::timeout(Duration::from_secs(10), schedule.changed()).await {
             changed?;
@@ -267,62 +290,22 @@ pub async fn keep_telling_schedule(room: Arc<ControlRoom>) -> anyhow::Result<()>
 }
 
 /// Publishes the verdict whenever the safety loop renews it; a loop that is dead falls silent.
-pub async fn keep_telling_safety(room: Arc<ControlRoom>) -> anyhow::Result<()> {
-    let line = room.node.bus.publisher(&room.key(Part::Safety), Quality::State { cache: 1000 }).await?;
-    let mut ruling = room.ruling.clone();
-    let mut said = None;
+async fn keep_publishing_safety(authority: Arc<Authority>) -> anyhow::Result<()> {
+    let line = authority.node.bus.publisher(&authority.key(Part::Safety)).await?;
+    let mut current_verdict = authority.verdict.clone();
+    let mut published = None;
     loop {
-        ruling.changed().await?;
-        let newest = ruling.borrow_and_update().clone();
+        current_verdict.changed().await?;
+        let newest = current_verdict.borrow_and_update().clone();
         let verdict = newest.state.verdict;
         // Each arrival is judged, but published only once a second while nothing changes.
-        let due = said.is_none_or(|(at, was)| was != verdict || newest.judged.since(at) >= Duration::from_millis(900));
+        let due =
+            published.is_none_or(|(at, was)| was != verdict || newest.judged.since(at) >= Duration::from_millis(900));
         if due {
-            said = Some((newest.judged, verdict));
-            say(&room, &line, newest.state).await?;
+            published = Some((newest.judged, verdict));
+            publish(&authority, &line, newest.state).await?;
         }
     }
-}
-
-/// Publishes a state of the telescope whenever it changes, and every 10 s.
-pub async fn keep_telling<T>(room: Arc<ControlRoom>, part: Part, state: watch::Sender<T>) -> anyhow::Result<()>
-where
-    T: contract::Payload + Clone,
-{
-    let line = room.node.bus.publisher::<T>(&room.key(part), Quality::State { cache: 1 }).await?;
-    keep_saying(&room, &line, state.subscribe()).await
-}
-
-/// Publishes a state whenever it changes, and every 10 s.
-pub async fn keep_saying<T>(
-    room: &ControlRoom,
-    line: &Publisher<T>,
-    mut state: watch::Receiver<T>,
-) -> anyhow::Result<()>
-where
-    T: contract::Payload + Clone,
-{
-    let mut hold = room.hold.clone();
-    loop {
-        hold.mark_unchanged();
-        let shown = state.borrow_and_update().clone();
-        say(room, line, shown).await?;
-        tokio::time::sleep(LEAST).await;
-        tokio::select! {
-            changed = state.changed() => changed?,
-            // A node that becomes the commander publishes at once what it knows: its own end may come before 10 s are
-            // over.
-            changed = hold.changed() => changed?,
-            () = tokio::time::sleep(Duration::from_secs(10)) => {}
-        }
-    }
-}
-
-async fn say<T: contract::Payload>(room: &ControlRoom, line: &Publisher<T>, body: T) -> anyhow::Result<()> {
-    if room.may_speak() {
-        line.put(body).await?;
-    }
-    Ok(())
 }
 
 #[cfg(test)]
@@ -332,8 +315,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_row_at_work_counts_is_shown_where_it_stands_now() {
-        let board = Board::new("schedule.jsonl".to_owned());
+    fn what_a_row_at_work_counts_is_published_where_it_stands_now() {
+        let published_night = PublishedNight::new("schedule.jsonl".to_owned());
         let row = |row| RowState {
             row,
             action: "object".to_owned(),
@@ -346,18 +329,18 @@ mod tests {
             frames_wanted: None,
             detail: String::new(),
         };
-        board.schedule(|schedule| schedule.rows = vec![row(0), row(1)]);
-        let frames = || board.schedule.borrow().rows.iter().map(|row| row.frames).collect::<Vec<_>>();
-        board.row(0, |row| row.frames = 1);
+        published_night.schedule(|schedule| schedule.rows = vec![row(0), row(1)]);
+        let frames = || published_night.schedule.borrow().rows.iter().map(|row| row.frames).collect::<Vec<_>>();
+        published_night.row(0, |row| row.frames = 1);
         assert_eq!(frames(), [1, 0]);
-        board.moved_to(0, Some(1));
-        board.row(0, |row| row.frames = 2);
+        published_night.moved_to(0, Some(1));
+        published_night.row(0, |row| row.frames = 2);
         assert_eq!(frames(), [1, 2]);
-        board.moved_to(0, None);
-        board.row(0, |row| row.frames = 3);
+        published_night.moved_to(0, None);
+        published_night.row(0, |row| row.frames = 3);
         assert_eq!(frames(), [1, 2], "nowhere any more");
-        board.end(0);
-        board.row(0, |row| row.frames = 4);
+        published_night.end(0);
+        published_night.row(0, |row| row.frames = 4);
         assert_eq!(frames(), [4, 2], "the next row that begins there");
     }
 

@@ -9,9 +9,8 @@ use std::time::Duration;
 use anyhow::Context as _;
 use catalogue::{Catalogue, Reading};
 use contract::observatory::AlertKind;
+use node::Node;
 use tokio::sync::watch;
-
-use crate::control_room::ControlRoom;
 
 /// A catalogue that cannot be opened is tried again after this.
 const AGAIN: Duration = Duration::from_secs(60);
@@ -58,18 +57,18 @@ pub fn open(config: &config::Imaging) -> anyhow::Result<Catalogue> {
 }
 
 /// Opens it, again and again until that succeeds.
-pub async fn keep_open(room: Arc<ControlRoom>) -> anyhow::Result<()> {
+pub async fn keep_open(node: Node, catalogue: Arc<StarCatalogue>) -> anyhow::Result<()> {
     loop {
-        let config = room.node.config.imaging.clone();
+        let config = node.config.imaging.clone();
         match tokio::task::spawn_blocking(move || open(&config)).await? {
-            Ok(catalogue) => {
-                room.node.alerts.clear(AlertKind::CatalogueUnusable, "");
-                tracing::info!(stars = catalogue.stars(), "the star catalogue is open");
-                room.catalogue.opened.send_replace(Some(Arc::new(catalogue)));
+            Ok(opened) => {
+                node.alerts.clear(AlertKind::CatalogueUnusable, "");
+                tracing::info!(stars = opened.stars(), "the star catalogue is open");
+                catalogue.opened.send_replace(Some(Arc::new(opened)));
                 // It stays open for as long as the node lives.
                 return std::future::pending().await;
             }
-            Err(error) => room.node.alerts.raise(AlertKind::CatalogueUnusable, "", &format!("{error:#}")),
+            Err(error) => node.alerts.raise(AlertKind::CatalogueUnusable, "", &format!("{error:#}")),
         }
         tokio::time::sleep(AGAIN).await;
     }

@@ -5,13 +5,14 @@ use std::collections::BTreeMap;
 use bus::MachineTime;
 use contract::observatory::{Alert, AlertKind, Alerts, Priority};
 use contract::{Key, NodeTopic, Part};
+use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize};
 
 use crate::freshness::Quality;
 use crate::model::Telescope;
 
 /// Alerts by priority.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, JsonSchema, Serialize)]
 #[allow(missing_docs, reason = "P1 to P4")]
 pub struct Counts {
     pub p1: usize,
@@ -34,7 +35,7 @@ impl Counts {
 }
 
 /// Alerts of the observatory node and of each node itself, and one for each node that fell silent.
-pub fn standing(telescope: &Telescope, now: MachineTime) -> Vec<Alert> {
+pub fn active(telescope: &Telescope, now: MachineTime) -> Vec<Alert> {
     let mut found: BTreeMap<String, Alert> = BTreeMap::new();
     // The observatory node's own list contains what people did about each.
     let (first, then): (Vec<_>, Vec<_>) =
@@ -42,8 +43,8 @@ pub fn standing(telescope: &Telescope, now: MachineTime) -> Vec<Alert> {
     for entry in first.into_iter().chain(then) {
         match &entry.key {
             Key::Observatory(_, Part::Alerts) | Key::Node(_, _, _, NodeTopic::Alerts) => {
-                let said = Alerts::deserialize(entry.body.as_ref()).unwrap_or_default();
-                for alert in said.alerts {
+                let list = Alerts::deserialize(entry.body.as_ref()).unwrap_or_default();
+                for alert in list.alerts {
                     // The observatory node merges the alerts of the other nodes: the same alert may come twice.
                     let known = found.values().any(|a| a.cause == alert.cause && a.raised_utc == alert.raised_utc);
                     if !known {
@@ -73,17 +74,17 @@ mod tests {
     use serde_json::{Value, json};
 
     use super::*;
-    use crate::model::tests::heard;
+    use crate::model::tests::received;
     use crate::network::Network;
 
-    fn ids(said: &[(&str, Value)], now_s: u64) -> Vec<String> {
+    fn ids(samples: &[(&str, Value)], now_s: u64) -> Vec<String> {
         let address = Address::new("paranal", "callisto").unwrap();
         let network = Network::new(Clock::machine_clock(), address.clone());
-        for (key, body) in said {
-            network.accept(heard(&format!("paranal/callisto/{key}"), "b", 0, 100, body.clone()));
+        for (key, body) in samples {
+            network.accept(received(&format!("paranal/callisto/{key}"), "b", 0, 100, body.clone()));
         }
         let now = MachineTime::from_boot(Duration::from_secs(now_s));
-        standing(&network.read().telescopes[&address], now).into_iter().map(|alert| alert.id).collect()
+        active(&network.read().telescopes[&address], now).into_iter().map(|alert| alert.id).collect()
     }
 
     fn alert(id: &str, priority: &str) -> Value {
@@ -95,22 +96,22 @@ mod tests {
     fn an_alert_that_the_observatory_repeats_for_another_node_stands_once() {
         let own = json!({ "alerts": [alert("spool-full/andor", "medium")] });
         let merged = json!({ "alerts": [alert("device/main/spool-full/andor", "medium")] });
-        let said = [("node/device/main/alerts", own), ("observatory/alerts/state", merged)];
-        assert_eq!(ids(&said, 101).len(), 1);
+        let samples = [("node/device/main/alerts", own), ("observatory/alerts/state", merged)];
+        assert_eq!(ids(&samples, 101).len(), 1);
     }
 
     #[test]
     fn the_most_urgent_stands_first_and_silence_does_not_clear_it() {
         let mut low = alert("low", "advisory");
         low["cause"] = json!("another");
-        let said = [("observatory/alerts/state", json!({ "alerts": [low, alert("high", "critical")] }))];
-        assert_eq!(ids(&said, 100_000), ["high", "low"]);
+        let samples = [("observatory/alerts/state", json!({ "alerts": [low, alert("high", "critical")] }))];
+        assert_eq!(ids(&samples, 100_000), ["high", "low"]);
     }
 
     #[test]
     fn a_node_that_falls_silent_is_an_alert() {
-        let said = [("node/archive/main/state", json!({}))];
-        assert!(ids(&said, 110).is_empty());
-        assert_eq!(ids(&said, 130), ["node-silent/archive/main"]);
+        let samples = [("node/archive/main/state", json!({}))];
+        assert!(ids(&samples, 110).is_empty());
+        assert_eq!(ids(&samples, 130), ["node-silent/archive/main"]);
     }
 }

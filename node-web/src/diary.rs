@@ -1,20 +1,23 @@
 //! The last log lines of a telescope's nodes.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 
 use contract::BootId;
-use contract::node::DiaryLine;
+use contract::node::{DiaryLine, Level};
+use schemars::JsonSchema;
 use serde::Serialize;
 use units::Utc;
 
+use crate::ring::Ring;
+
 /// So many lines are kept per telescope.
-const KEPT: usize = 500;
+const MOST_STORED: usize = 500;
 
 /// Nodes of one telescope; more are the invention of a faulty program.
 const MOST_NODES: usize = 256;
 
 /// One line with the node that wrote it.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, JsonSchema, Serialize)]
 pub struct Line {
     /// Grows with each line of the whole network; gaps mean nothing.
     pub number: u64,
@@ -33,11 +36,19 @@ pub struct Line {
     pub line: DiaryLine,
 }
 
-/// A ring of lines, in the order of their arrival.
-#[derive(Debug, Default)]
+/// The last lines, in the order of their arrival.
+#[derive(Debug)]
 pub struct Diary {
-    lines: VecDeque<Line>,
+    lines: Ring<Line>,
     newest: BTreeMap<String, (BootId, u64)>,
+    /// Number of the newest line of each level that is no longer here.
+    forgotten: BTreeMap<Level, u64>,
+}
+
+impl Default for Diary {
+    fn default() -> Self {
+        Self { lines: Ring::of(MOST_STORED), newest: BTreeMap::new(), forgotten: BTreeMap::new() }
+    }
 }
 
 impl Diary {
@@ -51,25 +62,38 @@ impl Diary {
             return false;
         }
         self.newest.insert(line.node.clone(), (line.boot_id.clone(), line.seq));
-        if self.lines.len() >= KEPT {
-            self.lines.pop_front();
+        if let Some((number, line)) = self.lines.push(line.number, line) {
+            self.forgotten.insert(line.line.level, number);
         }
-        self.lines.push_back(line);
         true
     }
 
     /// Lines after a number, oldest first.
     pub fn after(&self, number: u64) -> impl Iterator<Item = &Line> {
-        let first = self.lines.partition_point(|line| line.number <= number);
-        self.lines.range(first..)
+        self.lines.after(number).map(|(_, line)| line)
+    }
+
+    /// The number of the newest line of this level, or of a more urgent one, that is no longer here; 0 while all are.
+    pub fn forgotten(&self, level: Level) -> u64 {
+        self.forgotten.range(..=level).map(|(_, number)| *number).max().unwrap_or(0)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use contract::node::Level;
-
     use super::*;
+
+    #[test]
+    fn a_line_of_another_level_is_not_missed() {
+        let mut diary = Diary::default();
+        for i in 0..700 {
+            let mut line = line(i + 1, i);
+            line.line.level = if i == 100 { Level::Warn } else { Level::Info };
+            diary.write(line);
+        }
+        let forgotten = [Level::Error, Level::Warn, Level::Info].map(|level| diary.forgotten(level));
+        assert_eq!(forgotten, [0, 101, 200]);
+    }
 
     fn line(number: u64, seq: u64) -> Line {
         Line {
@@ -94,8 +118,8 @@ mod tests {
             assert!(diary.write(line(i + 1, i)));
         }
         assert!(!diary.write(line(701, 699)));
-        assert_eq!(diary.after(0).count(), KEPT);
+        assert_eq!(diary.after(0).count(), MOST_STORED);
         assert_eq!(diary.after(698).map(|line| line.seq).collect::<Vec<_>>(), [698, 699]);
-        assert_eq!(diary.after(700).count(), 0);
+        assert_eq!((diary.after(700).count(), diary.forgotten(Level::Info)), (0, 200));
     }
 }

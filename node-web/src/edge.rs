@@ -5,25 +5,7 @@
 //! the page; so each payload is decoded as its type here. A payload that cannot be decoded is not shown; the page
 //! reports its key with the telescope.
 
-use contract::archive::Stored;
-use contract::device::camera::{Camera, Frame};
-use contract::device::cover_calibrator::CoverCalibrator;
-use contract::device::dome::{Dome, Guard};
-use contract::device::filter_wheel::FilterWheel;
-use contract::device::focuser::Focuser;
-use contract::device::observing_conditions::ObservingConditions;
-use contract::device::rotator::Rotator;
-use contract::device::safety_monitor::SafetyMonitor;
-use contract::device::switch::Switch;
-use contract::device::telescope::Telescope;
-use contract::device::{Description, DeviceKind};
-use contract::node::{DiaryLine, NodeState};
-use contract::observatory::{
-    Alerts, FocusLearnt, FocusState, FrameFacts, GuidingState, Lease, NightState, OpticsState, PointingState,
-    SafetyState, ScheduleState, StandingOrders,
-};
-use contract::{DeviceState, Key, Kind, NodeTopic, Part};
-use serde::de::DeserializeOwned;
+use contract::{Key, Part};
 use serde_json::Value;
 
 /// A payload may weigh so much in memory.
@@ -37,7 +19,7 @@ const WEIGHT_OF_VALUE: usize = 48;
 pub fn check(key: &Key, body: &Value) -> Result<(), String> {
     let weight = weight(body);
     let most = match key {
-        Key::Observatory(_, Part::Schedule | Part::FocusLearnt | Part::Optics | Part::Focus | Part::Pointing) => {
+        Key::Observatory(_, Part::Schedule | Part::FocusLearned | Part::Optics | Part::Focus | Part::Pointing) => {
             MOST_WEIGHT_OF_LISTS
         }
         _ => MOST_WEIGHT,
@@ -49,68 +31,16 @@ pub fn check(key: &Key, body: &Value) -> Result<(), String> {
 }
 
 fn read_as_promised(key: &Key, body: &Value) -> Result<(), serde_json::Error> {
-    match key {
-        Key::State(device) => (Checks::of(device.kind).state)(body),
-        Key::Capabilities(device) => (Checks::of(device.kind).capabilities)(body),
-        Key::Guard(_) => is::<Guard>(body),
+    // Nothing else than what is published is subscribed to.
+    let Some(payload) = key.published() else { return Ok(()) };
+    match (key, body) {
         // Its URL is not for browsers and was taken out.
-        Key::Frame(_) => {
-            let mut whole = body.clone();
-            if let Value::Object(fields) = &mut whole {
-                fields.entry("url").or_insert_with(|| Value::String(String::new()));
-            }
-            is::<Frame>(&whole)
+        (Key::Frame(_), Value::Object(fields)) if !fields.contains_key("url") => {
+            let mut whole = fields.clone();
+            whole.insert("url".to_owned(), Value::String(String::new()));
+            (payload.check)(&Value::Object(whole))
         }
-        Key::Facts(..) => is::<FrameFacts>(body),
-        Key::Stored(_) => is::<Stored>(body),
-        Key::Observatory(_, part) => match part {
-            Part::Safety => is::<SafetyState>(body),
-            Part::Lease => is::<Lease>(body),
-            Part::Night => is::<NightState>(body),
-            Part::Schedule => is::<ScheduleState>(body),
-            Part::Alerts => is::<Alerts>(body),
-            Part::Pointing => is::<PointingState>(body),
-            Part::Guiding => is::<GuidingState>(body),
-            Part::Focus => is::<FocusState>(body),
-            Part::Standing => is::<StandingOrders>(body),
-            Part::Optics => is::<OpticsState>(body),
-            Part::FocusLearnt => is::<FocusLearnt>(body),
-        },
-        Key::Node(_, _, _, NodeTopic::State) => is::<NodeState>(body),
-        Key::Node(_, _, _, NodeTopic::Alerts) => is::<Alerts>(body),
-        Key::Node(_, _, _, NodeTopic::Diary) => is::<DiaryLine>(body),
-        // Nothing else is subscribed to.
-        _ => Ok(()),
-    }
-}
-
-fn is<T: DeserializeOwned>(body: &Value) -> Result<(), serde_json::Error> {
-    T::deserialize(body).map(drop)
-}
-
-/// The checks of the two payloads that every kind of device has.
-struct Checks {
-    state: fn(&Value) -> Result<(), serde_json::Error>,
-    capabilities: fn(&Value) -> Result<(), serde_json::Error>,
-}
-
-impl Checks {
-    fn of(kind: Kind) -> Self {
-        fn of<D: DeviceKind>() -> Checks {
-            Checks { state: is::<DeviceState<D::Fields>>, capabilities: is::<Description<D::Capabilities>> }
-        }
-        match kind {
-            Kind::Telescope => of::<Telescope>(),
-            Kind::Camera => of::<Camera>(),
-            Kind::FilterWheel => of::<FilterWheel>(),
-            Kind::Focuser => of::<Focuser>(),
-            Kind::Dome => of::<Dome>(),
-            Kind::SafetyMonitor => of::<SafetyMonitor>(),
-            Kind::ObservingConditions => of::<ObservingConditions>(),
-            Kind::CoverCalibrator => of::<CoverCalibrator>(),
-            Kind::Switch => of::<Switch>(),
-            Kind::Rotator => of::<Rotator>(),
-        }
+        _ => (payload.check)(body),
     }
 }
 
@@ -127,6 +57,8 @@ pub fn weight(value: &Value) -> usize {
 
 #[cfg(test)]
 mod tests {
+    use contract::{Address, Kind, Name, NodeTopic, Role};
+
     use super::*;
 
     fn golden(name: &str) -> Vec<Value> {
@@ -139,30 +71,24 @@ mod tests {
 
     /// A key of each sort that is subscribed to, with its golden sample.
     fn all() -> Vec<(Key, Value)> {
-        let mut found = Vec::new();
-        let mut add = |key: &str, sample: &str| {
-            let key = Key::parse(&format!("{}/paranal/callisto/{key}", contract::key::ROOT)).unwrap();
-            found.extend(golden(sample).into_iter().map(|sample| (key.clone(), sample)));
-        };
-        for kind in Kind::ALL {
-            add(&format!("device/{kind}/d/state"), &format!("{kind}.state"));
-            add(&format!("device/{kind}/d/capabilities"), &format!("{kind}.capabilities"));
-        }
-        for part in Part::ALL {
-            let sample = match part {
-                Part::Alerts => "alerts".to_owned(),
-                part => format!("observatory.{}", part.word().replace('-', "_")),
-            };
-            add(&format!("observatory/{}/state", part.word()), &sample);
-        }
-        add("device/dome/d/guard", "dome.guard");
-        add("device/camera/d/frame", "camera.frame");
-        add("observatory/frame/f/facts", "observatory.facts");
-        add("archive/stored", "archive.stored");
-        add("node/web/main/state", "node.state");
-        add("node/web/main/alerts", "alerts");
-        add("node/web/main/diary", "node.diary");
-        found
+        let address = Address::new("paranal", "callisto").unwrap();
+        let name = |name: &str| name.parse::<Name>().unwrap();
+        let node = |topic| Key::Node(address.clone(), Role::Web, name("main"), topic);
+        let mut keys: Vec<Key> = Kind::ALL
+            .into_iter()
+            .map(|kind| address.device(kind, &name("d")))
+            .flat_map(|device| [Key::State(device.clone()), Key::Capabilities(device)])
+            .collect();
+        keys.extend(Part::ALL.map(|part| Key::Observatory(address.clone(), part)));
+        keys.extend([NodeTopic::State, NodeTopic::Alerts, NodeTopic::Diary].map(node));
+        keys.extend([
+            Key::Guard(address.device(Kind::Dome, &name("d"))),
+            Key::Frame(address.device(Kind::Camera, &name("d"))),
+            Key::Facts(address.clone(), name("f")),
+            Key::Stored(address.clone()),
+        ]);
+        let samples = |key: &Key| golden(key.published().unwrap().name);
+        keys.iter().flat_map(|key| samples(key).into_iter().map(|sample| (key.clone(), sample))).collect()
     }
 
     #[test]

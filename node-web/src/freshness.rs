@@ -2,12 +2,13 @@
 
 use std::time::Duration;
 
-use contract::{Key, NodeTopic, Part};
+use contract::Key;
+use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value;
 
 /// How much a value is worth by its age.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Quality {
     /// As expected.
@@ -31,7 +32,7 @@ impl Quality {
             Self::Fresh => "fresh",
             Self::Stale => "stale",
             Self::Lost => "lost",
-            Self::Never => "never heard",
+            Self::Never => "never received",
         }
     }
 
@@ -47,29 +48,8 @@ impl Quality {
 
 /// How often a key is published again at least; `None` for events.
 pub fn period(key: &Key, body: &Value) -> Option<Duration> {
-    let seconds = match key {
-        Key::State(_) => body["period_s"].as_f64().filter(|s| (0.001..3600.0).contains(s)).unwrap_or(5.0),
-        Key::Guard(_) | Key::Permit(..) => 1.0,
-        Key::Observatory(_, Part::Safety | Part::Lease | Part::Night | Part::Standing) => 1.0,
-        Key::Observatory(
-            _,
-            Part::Schedule
-            | Part::Alerts
-            | Part::Pointing
-            | Part::Guiding
-            | Part::Focus
-            | Part::Optics
-            | Part::FocusLearnt,
-        ) => 10.0,
-        Key::Capabilities(_) | Key::Node(_, _, _, NodeTopic::Alerts) => 10.0,
-        Key::Node(_, _, _, NodeTopic::State) => 5.0,
-        Key::Node(_, _, _, NodeTopic::Diary | NodeTopic::Audit | NodeTopic::AuditSince | NodeTopic::Alive) => {
-            return None;
-        }
-        Key::Frame(_) | Key::Facts(..) | Key::Correction(_) | Key::GuideReference(_) => return None,
-        Key::FocusRun(_) | Key::Stored(_) | Key::Actions(_) | Key::ScheduleCheck(_) => return None,
-        Key::Command(_) | Key::Record(_) | Key::Order(_) | Key::History(_) => return None,
-    };
+    let Key::State(_) = key else { return key.topic().row().rate.period() };
+    let seconds = body["period_s"].as_f64().filter(|s| (0.001..3600.0).contains(s)).unwrap_or(5.0);
     Some(Duration::from_secs_f64(seconds))
 }
 
@@ -94,10 +74,10 @@ mod tests {
 
     #[test]
     fn a_device_names_its_own_period_and_an_event_has_none() {
-        let key = Key::parse("starmesh/v1/a/b/device/dome/d/state").unwrap();
+        let key = Key::from_path("a/b/device/dome/d/state").unwrap();
         assert_eq!(period(&key, &serde_json::json!({"period_s": 2.0})), Some(Duration::from_secs(2)));
         assert_eq!(period(&key, &serde_json::json!({"period_s": -1.0})), Some(Duration::from_secs(5)));
-        let event = Key::parse("starmesh/v1/a/b/device/camera/c/frame").unwrap();
+        let event = Key::from_path("a/b/device/camera/c/frame").unwrap();
         assert_eq!(period(&event, &Value::Null), None);
         assert_eq!(Quality::of(Duration::from_secs(9999), None), Quality::Fresh);
     }

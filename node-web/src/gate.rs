@@ -1,5 +1,5 @@
-//! Controls access to this server: the names that it answers to, the pages that may open a socket, and what browsers
-//! may do with its answers.
+//! Controls access to this server: the names that it answers to, the pages that may command and open a socket, and what
+//! browsers may do with its answers.
 //!
 //! A page of another server can make a browser on this machine ask `http://evil.example:8080`, with that name pointing
 //! at 127.0.0.1 (DNS rebinding). Answering only to our own names ends that; an address literal cannot be rebound, so
@@ -9,11 +9,11 @@ use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse as _, Response};
 
-use crate::problem::Problem;
+use crate::problem::{Code, Problem};
 
 /// A page of ours loads everything from this server; no other script may run, no other page may frame it, and it sends
 /// data to no other server.
@@ -25,12 +25,13 @@ const CONTENT_SECURITY_POLICY: &str =
 pub struct Gate {
     listens: IpAddr,
     host_name: String,
+    names: Vec<String>,
 }
 
 impl Gate {
-    /// For a server that listens here.
-    pub fn new(listens: SocketAddr, host_name: String) -> Self {
-        Self { listens: listens.ip(), host_name }
+    /// For a server that listens here, with the names that the site gave it.
+    pub fn new(listens: SocketAddr, host_name: String, names: Vec<String>) -> Self {
+        Self { listens: listens.ip(), host_name, names }
     }
 
     /// Is this one of our names? Takes the `Host` header, with or without a port.
@@ -40,17 +41,27 @@ impl Gate {
         let own_name = !self.host_name.is_empty() && name.eq_ignore_ascii_case(&self.host_name);
         match literal.parse::<IpAddr>() {
             Ok(address) => address == self.listens || address.is_loopback() || self.listens.is_unspecified(),
-            Err(_) => name.eq_ignore_ascii_case("localhost") || (own_name && !self.listens.is_loopback()),
+            Err(_) => {
+                name.eq_ignore_ascii_case("localhost")
+                    || (own_name && !self.listens.is_loopback())
+                    || self.names.iter().any(|own| own.eq_ignore_ascii_case(name))
+            }
         }
     }
 
-    /// May the page that asks open a socket here? Programs send no `Origin`; pages must be our own.
-    pub fn same_origin(headers: &HeaderMap) -> bool {
+    /// Is this a request of a page of ours, or of a program? Programs send no `Origin`; of a page, the browser names where it
+    /// is from. A server that speaks TLS does not trust a page that came without.
+    pub fn is_of_our_page(headers: &HeaderMap, encrypted: bool) -> bool {
+        let site = headers.get_all("sec-fetch-site").iter();
+        if site.into_iter().any(|site| site != "same-origin" && site != "none") {
+            return false;
+        }
         let text = |name| headers.get(name).and_then(|value: &HeaderValue| value.to_str().ok());
         match (headers.contains_key(header::ORIGIN), text(header::ORIGIN), text(header::HOST)) {
             (false, ..) => true,
             (true, Some(origin), Some(host)) => {
-                let authority = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"));
+                let plain = origin.strip_prefix("http://").filter(|_| !encrypted);
+                let authority = plain.or_else(|| origin.strip_prefix("https://"));
                 authority.is_some_and(|authority| authority.eq_ignore_ascii_case(host))
             }
             (true, ..) => false,
@@ -72,10 +83,9 @@ pub async fn guard(State(gate): State<Arc<Gate>>, request: Request, next: Next) 
     let mut response = match host {
         Some(host) if gate.knows(host) => next.run(request).await,
         _ => Problem::new(
-            StatusCode::MISDIRECTED_REQUEST,
-            "misdirected",
+            Code::Misdirected,
             "This server does not answer to that name",
-            "Use localhost, an IP address, or the name of this host.",
+            "Use localhost, an IP address, or the name of this host; other names are given in web.names.",
         )
         .into_response(),
     };
@@ -86,17 +96,20 @@ pub async fn guard(State(gate): State<Arc<Gate>>, request: Request, next: Next) 
         (header::REFERRER_POLICY, "no-referrer"),
         (header::HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
     ] {
-        headers.insert(name, HeaderValue::from_static(value));
+        // A page of another kind has a policy of its own.
+        headers.entry(name).or_insert(HeaderValue::from_static(value));
     }
     response
 }
 
 #[cfg(test)]
 mod tests {
+    use axum::http::HeaderName;
+
     use super::*;
 
     fn gate(listens: &str) -> Gate {
-        Gate::new(listens.parse().unwrap(), "mountain-pc".to_owned())
+        Gate::new(listens.parse().unwrap(), "mountain-pc".to_owned(), vec!["dome.example.org".to_owned()])
     }
 
     #[test]
@@ -117,22 +130,33 @@ mod tests {
             assert!(gate.knows(host), "{host}");
         }
         assert!(!gate.knows("evil.example:8080"));
+        assert!(gate.knows("Dome.example.org:8080") && !gate.knows("a.dome.example.org"));
     }
 
     #[test]
-    fn only_our_own_page_opens_a_socket() {
-        let headers = |origin: Option<&str>| {
+    fn only_our_own_page_opens_a_socket_and_commands() {
+        let is_ours = |encrypted, own: &[(&'static str, &str)]| {
             let mut headers = HeaderMap::new();
             headers.insert(header::HOST, "127.0.0.1:8080".parse().unwrap());
-            if let Some(origin) = origin {
-                headers.insert(header::ORIGIN, origin.parse().unwrap());
-            }
-            headers
+            headers.extend(own.iter().map(|(name, value)| (HeaderName::from_static(name), value.parse().unwrap())));
+            Gate::is_of_our_page(&headers, encrypted)
         };
-        assert!(Gate::same_origin(&headers(None)));
-        assert!(Gate::same_origin(&headers(Some("http://127.0.0.1:8080"))));
-        for origin in ["http://127.0.0.1:9999", "http://evil.example", "null", "127.0.0.1:8080"] {
-            assert!(!Gate::same_origin(&headers(Some(origin))), "{origin}");
+        assert!(is_ours(false, &[]) && is_ours(true, &[("sec-fetch-site", "none")]));
+        assert!(is_ours(false, &[("origin", "http://127.0.0.1:8080"), ("sec-fetch-site", "same-origin")]));
+        assert!(is_ours(true, &[("origin", "https://127.0.0.1:8080")]));
+        assert!(
+            !is_ours(true, &[("origin", "http://127.0.0.1:8080")]),
+            "anybody on the way could have changed that page"
+        );
+        for site in ["cross-site", "same-site", "", "nonsense"] {
+            assert!(!is_ours(false, &[("sec-fetch-site", site)]), "{site}");
+            let headers = [("origin", "http://127.0.0.1:8080"), ("sec-fetch-site", site)];
+            assert!(!is_ours(false, &headers), "{site}");
+        }
+        for origin in
+            ["http://127.0.0.1:9999", "http://evil.example", "null", "127.0.0.1:8080", "http://127.0.0.1:8080.evil"]
+        {
+            assert!(!is_ours(false, &[("origin", origin)]), "{origin}");
         }
     }
 }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use sysinfo::{DiskRefreshKind, Disks, System};
 
@@ -12,7 +13,7 @@ const EVERY: Duration = Duration::from_secs(5);
 const DISK_EVERY: u32 = 12;
 
 /// Parts of the machine in use, percent; absent until measured, or where the system does not report them.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, JsonSchema, Serialize)]
 pub struct Usage {
     /// Processor, all cores.
     pub cpu_percent: Option<f64>,
@@ -36,7 +37,8 @@ impl Host {
 
     /// Measures for ever.
     pub async fn measure(self: Arc<Self>, data_folder: PathBuf) -> anyhow::Result<()> {
-        let mut system = System::new().inspect_err(|error| tracing::debug!(%error, "this system tells no usage")).ok();
+        let mut system =
+            System::new().inspect_err(|error| tracing::debug!(%error, "this system reports no usage")).ok();
         let mut usage = Usage::default();
         for round in 0u32.. {
             if round.is_multiple_of(DISK_EVERY) {

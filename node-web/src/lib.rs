@@ -1,57 +1,85 @@
 //! The web node: the whole telescope network on one page, and the same as JSON.
 //!
-//! It subscribes to every site and telescope on the bus (`hear`), stores the newest payload of each key with its time
-//! of arrival (`model`), and shows that: a page with everything it needs built in (`routes::page`), updated over one
-//! WebSocket (`ws`), the newest image of each telescope (`preview`), the heartbeat document that monitoring scripts
+//! It subscribes to every site and telescope on the bus (`receive`), stores the newest payload of each key with its
+//! time of arrival (`model`), and shows that: a page with everything it needs built in (`routes::page`), updated over
+//! one WebSocket (`socket`), the newest image of each telescope (`preview`), the heartbeat document that monitoring scripts
 //! know (`routes::heartbeat`), and native JSON (`routes::network`). Ages are judged by this machine's clock at arrival
 //! (`freshness`), so that a silent node is shown as silent.
+//!
+//! Drafts of schedules are checked, forecast and put in force by the observatory node (`schedules`).
+//!
+//! Each request gets the principal who asks, or is refused (`authentication`).
 //!
 //! It is never in the safety path: it decides nothing, and nothing waits for it.
 //!
 //! # Invariants
 //!
 //! - Every payload that is shown was decoded as the type of its key: `a_required_field_of_a_wrong_type_is_not_taken`,
-//!   `a_field_of_a_wrong_type_is_told_and_never_shown`.
+//!   `a_field_of_a_wrong_type_is_reported_and_never_displayed`.
 //! - A silent node is shown as silent: `a_value_grows_stale_after_two_periods_and_is_lost_after_five`,
 //!   `a_silent_observatory_is_an_error_and_never_safe`.
 //! - Payloads of unknown programs push no telescope of the configuration off the page (decision 0050):
 //!   `a_million_keys_of_a_stranger_leave_room_for_the_telescope_of_the_file`.
+//! - Without a proof of who asks, nothing is answered that is not for everybody (decision 0110):
+//!   `with_users_everybody_is_asked_and_each_proof_opens_what_it_should`.
+//! - A draft is never overwritten unseen, and an activation replaces the schedule that its caller saw:
+//!   `of_two_who_edit_one_draft_the_second_is_asked_to_look_again`,
+//!   `a_schedule_that_somebody_else_put_meanwhile_is_not_replaced`.
 //! - A slow page delays nobody: `a_slow_page_gets_the_newest_value_of_each_key_once`.
 
 mod alerts;
+mod api;
+mod authentication;
+mod command_store;
+mod commands;
 mod diary;
+mod drafts;
 mod edge;
 mod freshness;
 mod gate;
-mod hear;
 mod host;
+mod in_words;
+mod json_body;
 mod model;
 mod network;
+mod plain_errors;
 mod preview;
 mod problem;
+mod receive;
+mod ring;
 mod router;
 mod routes;
+mod schedules;
 mod server;
 mod shrink;
-mod stretch;
+mod socket;
 mod summary;
-mod ws;
+mod tls;
 
 use std::net::SocketAddr;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context as _;
+use bus::Bus;
 use contract::Scalar;
 use contract::observatory::AlertKind;
 use local_http::{Limits, Places, Room};
+use orders::RecentStates;
 use tokio::net::TcpListener;
+use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
+use tokio_rustls::TlsAcceptor;
 
+pub use crate::api::readable_paths;
+use crate::authentication::Authentication;
+pub use crate::authentication::may_listen;
 use crate::gate::Gate;
 use crate::server::Server;
+pub use crate::tls::CertificateFiles;
 
-/// Sockets of pages that are open are counted apart (`ws`).
+/// Sockets of pages that are open are counted apart (`socket`).
 const LIMITS: Limits = Limits {
     room: Room { total: 400, per_address: 64, trusted: 80 },
     header: Duration::from_secs(5),
@@ -60,22 +88,28 @@ const LIMITS: Limits = Limits {
 /// An address that is taken is tried again after this.
 const LISTEN_AGAIN: Duration = Duration::from_secs(5);
 const FORGET_EVERY: Duration = Duration::from_secs(600);
+const SECOND: Duration = Duration::from_secs(1);
 
 /// Serves the page until the node is stopped.
-pub async fn run(node: bus::Node) -> anyhow::Result<()> {
-    let listen = node.config.web.listen;
-    let Some(listener) = listen_on(&node, listen).await else { return Ok(()) };
+pub async fn run(node: node::Node) -> anyhow::Result<()> {
+    let web = &node.config.web;
+    let Some(Ready { listener, tls, renewal }) = get_ready(&node).await else { return Ok(()) };
     let address = listener.local_addr()?;
+    let authentication = Authentication::new(web)?;
 
     let network = Arc::new(network::Network::new(node.bus.clock().clone(), node.config.address()));
     let previews = Arc::new(preview::Previews::new(network.clone())?);
     let host = Arc::new(host::Host::default());
     let mut tasks = JoinSet::new();
-    hear::everything(&node.bus, &network, &previews, &mut tasks).await?;
+    receive::everything(&node.bus, &network, &previews, &mut tasks).await?;
     tasks.spawn(previews.clone().make());
     tasks.spawn(host.clone().measure(node.config.folders.data.clone()));
     tasks.spawn(forget(network.clone()));
-    tasks.spawn(notify::keep_standing_in(node.clone()));
+    tasks.spawn(notify::keep_substituting(node.clone()));
+    tasks.spawn(authentication.clone().follow(node.alerts.clone(), address));
+    tasks.spawn(renewal);
+    let seconds = Arc::new(RecentStates::default());
+    tasks.spawn(count_seconds(node.bus.clone(), seconds.clone()));
 
     let server = Server {
         network,
@@ -84,37 +118,72 @@ pub async fn run(node: bus::Node) -> anyhow::Result<()> {
         bus: node.bus.clone(),
         stop: node.stop.clone(),
         heartbeats: Default::default(),
-        sockets: Places::new(ws::ROOM),
+        commands: Default::default(),
+        seconds,
+        drafts: drafts::Drafts::of(&node.config),
+        forecasts: Semaphore::new(server::FORECASTS),
+        sockets: Places::new(socket::ROOM),
+        config: node.config.clone(),
     };
-    let app = router::router(Arc::new(server), Gate::new(address, host_name()));
-    let url = format!("http://{}/", reachable(address));
+    let gate = Gate::new(address, host_name(), web.names.clone());
+    let app = router::router(Arc::new(server), gate, authentication);
+    let scheme = if tls.is_some() { "https" } else { "http" };
+    let url = format!("{scheme}://{}/", reachable(address));
     node.figure("page_url", Scalar::Text(url.clone()));
     tracing::info!("page: {url}");
 
     let stop = node.stop.clone();
     tokio::select! {
-        () = local_http::serve(listener, app, LIMITS, async move { stop.wait().await }) => Ok(()),
+        () = local_http::serve_tls(listener, tls, app, LIMITS, async move { stop.wait().await }) => Ok(()),
         Some(ended) = tasks.join_next() => ended.context("a task of the web node failed")?,
     }
 }
 
-/// Takes the page's address, again and again until it is free; absent when the node is stopped before.
-async fn listen_on(node: &bus::Node, listen: SocketAddr) -> Option<TcpListener> {
+/// What the page is served with.
+struct Ready {
+    listener: TcpListener,
+    tls: Option<TlsAcceptor>,
+    /// Follows the files of the certificate, for ever.
+    renewal: Pin<Box<dyn Future<Output = anyhow::Result<()>> + Send>>,
+}
+
+/// Takes the page's address, again and again until it may be served there and is free; absent when the node is stopped
+/// before.
+async fn get_ready(node: &node::Node) -> Option<Ready> {
     loop {
-        let why = match TcpListener::bind(listen).await {
-            Ok(listener) => {
-                node.alerts.clear(AlertKind::Configuration, "web.listen");
-                return Some(listener);
+        let (key, why) = match try_once(node).await {
+            Ok(ready) => {
+                for key in ["web.listen", "web.certificate"] {
+                    node.alerts.clear(AlertKind::Configuration, key);
+                }
+                return Some(ready);
             }
-            Err(error) => error,
+            Err(failed) => failed,
         };
-        let why = format!(
-            "web.listen: the page cannot be served on {listen}: {why}; end the program that has this address, or choose \
-             another port; it is tried again each 5 s"
-        );
-        node.alerts.raise(AlertKind::Configuration, "web.listen", &why);
+        node.alerts.raise(AlertKind::Configuration, key, &format!("{why}; it is tried again each 5 s"));
         node.stop.or(tokio::time::sleep(LISTEN_AGAIN)).await?;
     }
+}
+
+/// The failed key, and why.
+async fn try_once(node: &node::Node) -> Result<Ready, (&'static str, String)> {
+    let web = &node.config.web;
+    may_listen(web).map_err(|why| ("web.listen", why))?;
+    let mut tls = None;
+    let mut renewal: Pin<Box<dyn Future<Output = _> + Send>> = Box::pin(std::future::pending());
+    if let Some(files) = CertificateFiles::of(web) {
+        let (acceptor, follow) = files.serve(node.alerts.clone()).map_err(|why| ("web.certificate", why))?;
+        (tls, renewal) = (Some(acceptor), Box::pin(follow));
+    }
+    let listen = web.listen;
+    let listener = TcpListener::bind(listen).await.map_err(|why| {
+        let why = format!(
+            "web.listen: the page cannot be served on {listen}: {why}; end the program that has this address, or choose \
+             another port"
+        );
+        ("web.listen", why)
+    })?;
+    Ok(Ready { listener, tls, renewal })
 }
 
 async fn forget(network: Arc<network::Network>) -> anyhow::Result<()> {
@@ -122,6 +191,15 @@ async fn forget(network: Arc<network::Network>) -> anyhow::Result<()> {
         tokio::time::sleep(FORGET_EVERY).await;
         network.forget();
     }
+}
+
+/// Knows that this node runs.
+async fn count_seconds(bus: Bus, seconds: Arc<RecentStates>) -> anyhow::Result<()> {
+    for second in 0.. {
+        seconds.note(second, bus.clock().machine());
+        tokio::time::sleep(SECOND).await;
+    }
+    Ok(())
 }
 
 /// An address that a browser on this machine can open.

@@ -8,17 +8,19 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use bus::{Heard, MachineTime};
-use contract::key::ROOT;
+use bus::{MachineTime, Received};
 use contract::node::DiaryLine;
-use contract::{Address, BootId, CommandId, Key, NodeTopic};
-use serde::{Deserialize as _, Serialize};
+use contract::{Address, CommandId, Key, NodeTopic, Stamped};
+use interlock::Succession;
+use schemars::JsonSchema;
+use serde::{Deserialize as _, Serialize, Serializer};
 use serde_json::Value;
 use units::Utc;
 
 use crate::diary::{Diary, Line};
 use crate::edge::weight;
 use crate::freshness::{Quality, period};
+use crate::ring::Ring;
 
 /// A broken or hostile publisher must not fill the memory.
 const MOST_KEYS: usize = 2000;
@@ -35,8 +37,11 @@ const MOST_UNREADABLE: usize = 20;
 const UNREADABLE_FOR: Duration = Duration::from_secs(60);
 /// A telescope or node that has been silent for so long was taken away.
 const FORGET_AFTER: Duration = Duration::from_secs(24 * 3600);
-/// Two writers of one key: the younger one counts while it has published within this time.
-const YOUNGER_HOLDS: Duration = Duration::from_secs(3);
+/// The memory that the succession of an entry takes at most: it remembers eight incarnations with ids of 128 bytes.
+/// So many announced frames are remembered per telescope, none of which weighs more than this.
+const MOST_FRAMES: usize = 100;
+const MOST_WEIGHT_OF_FRAME: usize = 16 << 10;
+const WEIGHT_OF_SUCCESSION: usize = 4 << 10;
 
 /// The known state; readers hold it for one expression.
 #[derive(Default)]
@@ -52,13 +57,32 @@ pub struct Model {
     full: Option<MachineTime>,
 }
 
+/// A frame as its device node announced it.
+#[derive(Debug, Serialize)]
+pub struct AnnouncedFrame {
+    /// Key of the announcement, without its root.
+    pub key: String,
+    /// Sky time of the announcement.
+    pub at_utc: Utc,
+    /// The announcement, as the AsyncAPI document of the bus describes it.
+    #[serde(serialize_with = "shared")]
+    pub body: Arc<Value>,
+}
+
+fn shared<S: Serializer>(body: &Arc<Value>, serializer: S) -> Result<S::Ok, S::Error> {
+    body.as_ref().serialize(serializer)
+}
+
 /// The payloads received from one address.
-#[derive(Default)]
 pub struct Telescope {
     /// The newest payload of each key, under the key without its root.
     pub states: BTreeMap<String, Entry>,
     /// The last log lines.
     pub diary: Diary,
+    /// The last frames that were announced.
+    pub frames: Ring<AnnouncedFrame>,
+    /// Number of the newest announced frame that is no longer there.
+    pub forgotten_frame: u64,
     /// The newest frame that could be turned into an image, or why it could not.
     pub image: Option<Image>,
     unreadable: BTreeMap<String, (String, MachineTime)>,
@@ -67,7 +91,7 @@ pub struct Telescope {
 }
 
 /// A key whose newest payload is not what the contract promises.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize)]
 pub struct Unreadable {
     /// The key without its root.
     pub key: String,
@@ -90,8 +114,7 @@ pub struct Entry {
     pub revision: u64,
     /// Revision at which the body last differed.
     pub changed: u64,
-    boot_id: BootId,
-    seq: u64,
+    succession: Succession,
     weight: usize,
 }
 
@@ -106,6 +129,21 @@ pub struct Image {
     pub arrived: MachineTime,
     /// Why a newer frame has no image; absent when the newest one has.
     pub problem: Option<String>,
+}
+
+impl Default for Telescope {
+    fn default() -> Self {
+        Self {
+            states: BTreeMap::new(),
+            diary: Diary::default(),
+            frames: Ring::of(MOST_FRAMES),
+            forgotten_frame: 0,
+            image: None,
+            unreadable: BTreeMap::new(),
+            weight: 0,
+            full: None,
+        }
+    }
 }
 
 impl Entry {
@@ -147,11 +185,11 @@ impl Model {
     }
 
     /// Takes a payload in; true when it is new.
-    pub fn accept(&mut self, heard: Heard<Value>) -> bool {
-        let address = heard.key.address().clone();
+    pub fn accept(&mut self, received: Received<Value>) -> bool {
+        let address = received.key.address().clone();
         if self.telescopes.len() >= MOST_TELESCOPES
             && !self.telescopes.contains_key(&address)
-            && !self.give_way(heard.arrived)
+            && !self.give_way(received.arrived)
         {
             return false;
         }
@@ -160,19 +198,26 @@ impl Model {
         let telescope = self.telescopes.entry(address).or_default();
         let before = telescope.weight;
         let revision = self.revision + 1;
-        let taken = match &heard.key {
-            Key::Node(_, role, id, NodeTopic::Diary) => match DiaryLine::deserialize(&heard.said.body) {
+        let taken = match &received.key {
+            Key::Node(_, role, id, NodeTopic::Diary) => match DiaryLine::deserialize(&received.sample.body) {
                 Ok(line) => telescope.diary.write(Line {
                     number: revision,
                     node: format!("{role}/{id}"),
-                    at_utc: heard.said.at_utc,
-                    boot_id: heard.said.boot_id.clone(),
-                    seq: heard.said.seq,
+                    at_utc: received.sample.at_utc,
+                    boot_id: received.sample.boot_id.clone(),
+                    seq: received.sample.seq,
                     line,
                 }),
                 Err(_) => false,
             },
-            _ => telescope.keep(heard, revision, room),
+            _ => {
+                let key = received.key.clone();
+                let taken = telescope.keep(received, revision, room);
+                if taken && matches!(key, Key::Frame(_)) {
+                    telescope.remember_frame(&key, revision);
+                }
+                taken
+            }
         };
         self.weight = (self.weight + telescope.weight).saturating_sub(before);
         if taken {
@@ -242,13 +287,24 @@ impl Telescope {
         true
     }
 
+    fn remember_frame(&mut self, key: &Key, revision: u64) {
+        let name = short(key);
+        if let Some(Entry { at_utc, body, changed, weight, .. }) = self.states.get(&name)
+            && *changed == revision
+            && *weight <= MOST_WEIGHT_OF_FRAME + WEIGHT_OF_SUCCESSION
+        {
+            let frame = AnnouncedFrame { key: name, at_utc: *at_utc, body: body.clone() };
+            self.forgotten_frame = self.frames.push(revision, frame).map_or(self.forgotten_frame, |(number, _)| number);
+        }
+    }
+
     /// Stores a payload unless it is old or there is no room for it; all others may weigh `room` more.
-    fn keep(&mut self, heard: Heard<Value>, revision: u64, room: usize) -> bool {
-        let name = short(&heard.key);
+    fn keep(&mut self, received: Received<Value>, revision: u64, room: usize) -> bool {
+        let name = short(&received.key);
         // Of some keys a telescope has only one: a flood of others must not keep them out.
-        let is_single = matches!(heard.key, Key::Observatory(..) | Key::Facts(..) | Key::Stored(_));
-        let Heard { key, said, arrived } = heard;
-        let weight = weight(&said.body);
+        let is_single = matches!(received.key, Key::Observatory(..) | Key::Facts(..) | Key::Stored(_));
+        let Received { key, sample: Stamped { boot_id, seq, at_utc, body, .. }, arrived } = received;
+        let weight = weight(&body) + WEIGHT_OF_SUCCESSION;
         let had = self.states.get(&name).map_or(0, |have| have.weight);
         let room = room.min(MOST_WEIGHT.saturating_sub(self.weight));
         if weight > had && weight - had > room {
@@ -260,18 +316,24 @@ impl Telescope {
         }
         let mut entry = Entry {
             key,
-            body: Arc::new(said.body),
-            at_utc: said.at_utc,
+            body: Arc::new(body),
+            at_utc,
             arrived,
             revision,
             changed: revision,
-            boot_id: said.boot_id,
-            seq: said.seq,
+            succession: Succession::default(),
             weight,
         };
         match self.states.get_mut(&name) {
-            Some(have) if is_older(&entry, have) => return false,
             Some(have) => {
+                // The facts of two frames share an entry but not a counter.
+                if have.key == entry.key {
+                    entry.succession = std::mem::take(&mut have.succession);
+                }
+                if !entry.succession.is_newer(&boot_id, seq, arrived) {
+                    have.succession = entry.succession;
+                    return false;
+                }
                 if have.body == entry.body {
                     entry.body = have.body.clone();
                     entry.changed = have.changed;
@@ -279,6 +341,7 @@ impl Telescope {
                 *have = entry;
             }
             None => {
+                entry.succession.is_newer(&boot_id, seq, arrived);
                 self.states.insert(name.clone(), entry);
             }
         }
@@ -292,36 +355,22 @@ impl Telescope {
 pub fn short(key: &Key) -> String {
     match key {
         Key::Facts(address, _) => format!("{address}/observatory/frame/facts"),
-        _ => {
-            let text = key.to_string();
-            text.strip_prefix(ROOT).and_then(|rest| rest.strip_prefix('/')).unwrap_or(&text).to_owned()
-        }
-    }
-}
-
-/// Is `new` from before `have`? The answers to the question at start may cross the first published samples.
-fn is_older(new: &Entry, have: &Entry) -> bool {
-    if new.boot_id == have.boot_id {
-        // The facts of two frames share an entry but not a counter.
-        new.seq <= have.seq && new.key == have.key
-    } else {
-        new.boot_id < have.boot_id && new.arrived.since(have.arrived) < YOUNGER_HOLDS
+        _ => key.path(),
     }
 }
 
 #[cfg(test)]
 pub(crate) mod tests {
     use bus::Clock;
-    use contract::Stamped;
     use serde_json::json;
 
     use super::*;
     use crate::network::Network;
 
-    pub fn heard(key: &str, boot: &str, seq: u64, at_s: u64, body: Value) -> Heard<Value> {
-        Heard {
-            key: Key::parse(&format!("{ROOT}/{key}")).unwrap(),
-            said: Stamped {
+    pub fn received(key: &str, boot: &str, seq: u64, at_s: u64, body: Value) -> Received<Value> {
+        Received {
+            key: Key::from_path(key).unwrap(),
+            sample: Stamped {
                 boot_id: serde_json::from_value(json!(boot)).unwrap(),
                 seq,
                 at_utc: Utc::from_seconds(1.8e9 + at_s as f64),
@@ -346,36 +395,53 @@ pub(crate) mod tests {
     #[test]
     fn a_repeat_refreshes_the_arrival_but_is_no_change() {
         let network = network();
-        assert!(network.accept(heard(NIGHT, "b1", 0, 10, json!({"frames": 1}))));
-        assert!(network.accept(heard(NIGHT, "b1", 1, 11, json!({"frames": 1}))));
+        assert!(network.accept(received(NIGHT, "b1", 0, 10, json!({"frames": 1}))));
+        assert!(network.accept(received(NIGHT, "b1", 1, 11, json!({"frames": 1}))));
         let repeated = entry(&network);
         assert_eq!((repeated.revision, repeated.changed), (2, 1));
         assert_eq!(repeated.age(MachineTime::from_boot(Duration::from_secs(12))), Duration::from_secs(1));
-        assert!(network.accept(heard(NIGHT, "b1", 2, 12, json!({"frames": 2}))));
+        assert!(network.accept(received(NIGHT, "b1", 2, 12, json!({"frames": 2}))));
         assert_eq!(entry(&network).changed, 3);
     }
 
     #[test]
     fn an_answer_that_crossed_a_newer_sample_is_dropped() {
         let network = network();
-        assert!(network.accept(heard(NIGHT, "b1", 5, 10, json!({"frames": 5}))));
-        assert!(!network.accept(heard(NIGHT, "b1", 4, 10, json!({"frames": 4}))));
-        assert!(!network.accept(heard(NIGHT, "b0", 99, 10, json!({"frames": 9}))), "an older life of the node");
+        assert!(network.accept(received(NIGHT, "b1", 5, 10, json!({"frames": 5}))));
+        assert!(!network.accept(received(NIGHT, "b1", 4, 10, json!({"frames": 4}))));
         assert_eq!(*entry(&network).body, json!({"frames": 5}));
     }
 
     #[test]
-    fn an_older_life_counts_again_when_the_younger_one_has_gone_silent() {
+    fn a_restarted_node_counts_at_once_whatever_its_clock_is_and_the_one_before_only_if_it_is_silent() {
+        for (before, after) in [("b1", "b2"), ("b2", "b1")] {
+            let network = network();
+            for (boot, seq, at_s, is_newer, why) in [
+                (before, 700, 10, true, "the first one"),
+                (after, 0, 10, true, "restarted"),
+                (before, 701, 11, false, "it crossed on its way"),
+                (before, 702, 12, true, "the other has left"),
+            ] {
+                assert_eq!(network.accept(received(NIGHT, boot, seq, at_s, json!({"frames": seq}))), is_newer, "{why}");
+            }
+            assert_eq!(*entry(&network).body, json!({"frames": 702}));
+        }
+    }
+
+    #[test]
+    fn the_facts_of_each_frame_have_a_counter_of_their_own() {
         let network = network();
-        network.accept(heard(NIGHT, "b2", 5, 10, json!({"frames": 5})));
-        assert!(network.accept(heard(NIGHT, "b1", 700, 14, json!({"frames": 9}))));
+        let facts = |id: &str| format!("paranal/callisto/observatory/frame/{id}/facts");
+        for (id, seq, is_new) in [("a", 0, true), ("a", 0, false), ("a", 1, true), ("b", 0, true), ("b", 0, false)] {
+            assert_eq!(network.accept(received(&facts(id), "b1", seq, 10, json!({}))), is_new, "{id} {seq}");
+        }
     }
 
     #[test]
     fn telescopes_of_all_sites_are_found_and_never_mixed() {
         let network = network();
         for (i, address) in ["paranal/io", "teide/artemis"].iter().enumerate() {
-            network.accept(heard(&format!("{address}/observatory/night/state"), "b", 0, 1, json!({ "frames": i })));
+            network.accept(received(&format!("{address}/observatory/night/state"), "b", 0, 1, json!({ "frames": i })));
         }
         let model = network.read();
         let found: Vec<String> = model.telescopes.keys().map(ToString::to_string).collect();
@@ -389,41 +455,41 @@ pub(crate) mod tests {
         for i in 0..1_000_000 {
             let (site, name) = (i % 1000, i / 1000);
             let body = json!({"text": "x".repeat(200)});
-            network.accept(heard(&format!("s{site}/t/device/switch/n{name}/state"), "b", 0, 1, body));
+            network.accept(received(&format!("s{site}/t/device/switch/n{name}/state"), "b", 0, 1, body));
         }
         let model = network.read();
         assert!(model.telescopes.len() <= MOST_TELESCOPES && model.weight <= MOST_WEIGHT_OF_ALL, "{}", model.weight);
         let weighed: usize = model.telescopes.values().flat_map(|t| t.states.values()).map(|entry| entry.weight).sum();
         assert_eq!(weighed, model.weight);
         drop(model);
-        assert!(network.accept(heard(NIGHT, "b", 0, 2, json!({"frames": 1}))));
+        assert!(network.accept(received(NIGHT, "b", 0, 2, json!({"frames": 1}))));
         let late = "teide/artemis/observatory/night/state";
-        assert!(!network.accept(heard(late, "b", 0, 30, json!({}))), "all others were heard a moment ago");
-        assert!(network.accept(heard(late, "b", 0, 90, json!({}))), "what has fallen silent gives way");
+        assert!(!network.accept(received(late, "b", 0, 30, json!({}))), "all others were received a moment ago");
+        assert!(network.accept(received(late, "b", 0, 90, json!({}))), "what has fallen silent gives way");
     }
 
     #[test]
-    fn what_cannot_be_read_is_told_until_it_can_be_read_again() {
+    fn what_cannot_be_read_is_reported_until_it_can_be_read_again() {
         let network = network();
-        network.accept(heard(NIGHT, "b1", 0, 10, json!({"frames": 1})));
-        let key = Key::parse(&format!("{ROOT}/{NIGHT}")).unwrap();
+        network.accept(received(NIGHT, "b1", 0, 10, json!({"frames": 1})));
+        let key = Key::from_path(NIGHT).unwrap();
         let at = |s| MachineTime::from_boot(Duration::from_secs(s));
         network.refuse(&key, "frames is a text".to_owned(), at(11));
-        let told = |s| {
+        let unreadable = |s| {
             let model = network.read();
             model.telescopes[&Address::new("paranal", "callisto").unwrap()].unreadable(at(s)).len()
         };
-        assert_eq!([told(12), told(72)], [1, 0]);
+        assert_eq!([unreadable(12), unreadable(72)], [1, 0]);
         assert_eq!(*entry(&network).body, json!({"frames": 1}), "the last good one stays, and grows old");
-        network.accept(heard(NIGHT, "b1", 1, 13, json!({"frames": 2})));
-        assert_eq!(told(14), 0);
+        network.accept(received(NIGHT, "b1", 1, 13, json!({"frames": 2})));
+        assert_eq!(unreadable(14), 0);
     }
 
     #[test]
     fn the_memory_for_one_telescope_is_bounded() {
         let network = network();
         for i in 0..MOST_KEYS + 50 {
-            network.accept(heard(&format!("paranal/callisto/device/switch/s{i}/state"), "b", 0, 1, json!({})));
+            network.accept(received(&format!("paranal/callisto/device/switch/s{i}/state"), "b", 0, 1, json!({})));
         }
         let model = network.read();
         assert_eq!(model.telescopes[&Address::new("paranal", "callisto").unwrap()].states.len(), MOST_KEYS);

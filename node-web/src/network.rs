@@ -3,15 +3,18 @@
 use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::Duration;
 
-use bus::{Clock, Heard, MachineTime};
+use bus::{Clock, MachineTime, Received};
+use contract::node::Level;
 use contract::{Address, Key};
 use serde_json::Value;
+use users::Principal;
 
-use crate::model::{Image, Model};
+use crate::diary::Line;
+use crate::model::{Image, Model, Telescope};
 use crate::summary::Summary;
 
 /// Several clients and scripts share one summary for so long.
-const SUMMARY_KEPT: Duration = Duration::from_millis(200);
+const SUMMARY_VALID: Duration = Duration::from_millis(200);
 
 /// The model of the whole network.
 pub struct Network {
@@ -41,8 +44,8 @@ impl Network {
     }
 
     /// Takes a payload in; true when it is new.
-    pub fn accept(&self, heard: Heard<Value>) -> bool {
-        self.write().accept(heard)
+    pub fn accept(&self, received: Received<Value>) -> bool {
+        self.write().accept(received)
     }
 
     /// Notes that a payload was not taken, and why.
@@ -76,16 +79,44 @@ impl Network {
     /// One summary per telescope, `shared` included, at most 200 ms old.
     pub fn summaries(&self) -> Arc<Vec<Summary>> {
         let now = self.clock.machine();
-        let mut kept = self.summaries.lock().unwrap_or_else(PoisonError::into_inner);
-        match &*kept {
-            Some((made, summaries)) if now.since(*made) < SUMMARY_KEPT => summaries.clone(),
+        let mut cached = self.summaries.lock().unwrap_or_else(PoisonError::into_inner);
+        match &*cached {
+            Some((made, summaries)) if now.since(*made) < SUMMARY_VALID => summaries.clone(),
             _ => {
                 let model = self.read();
                 let made = model.telescopes.iter().map(|(address, telescope)| Summary::of(address, telescope, now));
                 let made = Arc::new(made.collect::<Vec<_>>());
-                *kept = Some((now, made.clone()));
+                *cached = Some((now, made.clone()));
                 made
             }
         }
     }
+}
+
+/// The telescopes of which somebody may read the log: all, or one and what its site shares.
+pub fn logs<'a>(
+    model: &'a Model,
+    caller: &'a Principal,
+    telescope: Option<&'a Address>,
+) -> impl Iterator<Item = (&'a Address, &'a Telescope)> {
+    let is_of =
+        move |address: &Address| telescope.is_none_or(|wanted| address == wanted || *address == wanted.shared());
+    model.telescopes.iter().filter(move |(address, _)| caller.right_at(address).is_some() && is_of(address))
+}
+
+/// Their lines after a number, at least so urgent, in the order of their arrival.
+pub fn lines<'a>(
+    model: &'a Model,
+    caller: &'a Principal,
+    telescope: Option<&'a Address>,
+    level: Level,
+    after: u64,
+) -> Vec<(&'a Address, &'a Line)> {
+    let of = |(address, telescope): (&'a Address, &'a Telescope)| {
+        telescope.diary.after(after).map(move |line| (address, line))
+    };
+    let mut lines: Vec<_> =
+        logs(model, caller, telescope).flat_map(of).filter(|(_, line)| line.line.level <= level).collect();
+    lines.sort_by_key(|(_, line)| line.number);
+    lines
 }

@@ -13,16 +13,16 @@ use bus::MachineTime;
 use contract::device::camera::Frame;
 use contract::{Address, CommandId, Device, Name};
 use futures_util::StreamExt as _;
+use picture::jpeg::{JpegError, encode};
+use picture::stretch::Look;
 use tokio::sync::{Notify, mpsc};
 
 use crate::model::Image;
 use crate::network::Network;
-use crate::shrink::{Shrink, Small};
-use crate::stretch::stretch;
+use crate::shrink::Shrink;
 
 /// Longest side of the image, pixels: a phone's and a tile's worth.
 const LONGEST_SIDE_PX: usize = 1024;
-const QUALITY_PERCENT: u8 = 82;
 /// A frame of more pixels is a mistake or an attack.
 const MOST_PIXELS: u64 = 500_000_000;
 /// Cameras of all telescopes whose images are kept.
@@ -50,7 +50,7 @@ pub enum PreviewError {
     },
     /// The JPEG could not be written.
     #[error("its image cannot be encoded: {0}")]
-    Encode(#[from] jpeg_encoder::EncodingError),
+    Encode(#[from] JpegError),
 }
 
 /// An image ready to be served.
@@ -122,12 +122,12 @@ impl Previews {
 
     /// The newest image of a telescope, or of one of its cameras.
     pub fn newest(&self, address: &Address, camera: Option<&str>) -> Option<Jpeg> {
-        let shown = self.network.read().telescopes.get(address)?.image.as_ref().map(|image| image.id.clone());
+        let displayed = self.network.read().telescopes.get(address)?.image.as_ref().map(|image| image.id.clone());
         let made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
         let cameras = made.get(address)?;
         match camera {
             Some(camera) => cameras.iter().find(|(name, _)| name.as_str() == camera).map(|(_, jpeg)| jpeg.clone()),
-            None => cameras.values().find(|jpeg| Some(&jpeg.frame) == shown.as_ref()).cloned(),
+            None => cameras.values().find(|jpeg| Some(&jpeg.frame) == displayed.as_ref()).cloned(),
         }
     }
 
@@ -196,7 +196,7 @@ impl Previews {
             while let Some(portion) = arrive.blocking_recv() {
                 shrink.take(&portion);
             }
-            encode(&shrink.finish().ok_or(PreviewError::CutShort)?)
+            Ok(encode(&shrink.finish().ok_or(PreviewError::CutShort)?, Look::default())?)
         });
         let mut left = pixels * frame.pixel.bytes() as u64;
         while left > 0
@@ -214,17 +214,6 @@ impl Previews {
     }
 }
 
-fn encode(small: &Small) -> Result<Vec<u8>, PreviewError> {
-    let (width_px, height_px) = (small.width as u32, small.height as u32);
-    let (Ok(width), Ok(height)) = (u16::try_from(width_px), u16::try_from(height_px)) else {
-        return Err(PreviewError::Size { width_px, height_px });
-    };
-    let mut bytes = Vec::new();
-    let encoder = jpeg_encoder::Encoder::new(&mut bytes, QUALITY_PERCENT);
-    encoder.encode(&stretch(small), width, height, jpeg_encoder::ColorType::Luma)?;
-    Ok(bytes)
-}
-
 #[cfg(test)]
 mod tests {
     use contract::device::camera::Pixel;
@@ -237,7 +226,7 @@ mod tests {
         for i in 0..3000 * 40u32 {
             shrink.take(&((i % 4096) as u16).to_le_bytes());
         }
-        let jpeg = encode(&shrink.finish().unwrap()).unwrap();
+        let jpeg = encode(&shrink.finish().unwrap(), Look::default()).unwrap();
         assert_eq!(jpeg[..3], [0xFF, 0xD8, 0xFF]);
         // Start-of-frame marker: height and width follow the precision.
         let sof = jpeg.windows(2).position(|pair| pair == [0xFF, 0xC0]).unwrap();

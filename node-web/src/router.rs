@@ -3,38 +3,44 @@
 use std::sync::Arc;
 
 use axum::Router;
-use axum::http::{StatusCode, Uri};
+use axum::extract::DefaultBodyLimit;
+use axum::http::{Method, Uri};
+use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::get;
 
+use crate::api;
+use crate::authentication::{Authentication, authenticate};
 use crate::gate::{Gate, guard};
-use crate::problem::Problem;
-use crate::routes::{health, heartbeat, network, page, preview};
+use crate::plain_errors::plain_errors_are_problems;
+use crate::problem::{Code, Problem};
+use crate::routes::page;
 use crate::server::Server;
-use crate::ws;
 
-/// All routes, behind the check of access (`Gate`).
-pub fn router(server: Arc<Server>, gate: Gate) -> Router {
+/// The longest body of a request: a schedule.
+const LONGEST_BODY: usize = 2 << 20;
+
+/// All routes, behind the check of access (`Gate`) and the question who asks (`authentication`).
+pub fn router(server: Arc<Server>, gate: Gate, authentication: Authentication) -> Router {
     Router::new()
         .route("/", get(page::index))
         .route("/t/{site}/{telescope}", get(page::index))
         .route("/assets/{name}", get(page::asset))
         .route("/favicon.ico", get(page::favicon))
-        .route("/healthz", get(health::healthz))
-        .route("/api/heartbeat", get(heartbeat::heartbeat))
-        .route("/api/v1/network", get(network::network))
-        .route("/api/v1/telescopes/{site}/{telescope}", get(network::telescope))
-        .route("/api/v1/telescopes/{site}/{telescope}/image.jpg", get(preview::image))
-        .route("/api/v1/ws", get(ws::open))
+        .merge(api::router())
         .fallback(nothing_here)
-        .method_not_allowed_fallback(read_only)
+        .method_not_allowed_fallback(other_method)
         .with_state(server)
-        .layer(axum::middleware::from_fn_with_state(Arc::new(gate), guard))
+        .layer(DefaultBodyLimit::max(LONGEST_BODY))
+        .layer(from_fn_with_state(authentication, authenticate))
+        .layer(from_fn(plain_errors_are_problems))
+        .layer(from_fn_with_state(Arc::new(gate), guard))
 }
 
 async fn nothing_here(uri: Uri) -> Problem {
     Problem::not_found(format!("There is nothing at {}.", uri.path()))
 }
 
-async fn read_only() -> Problem {
-    Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method", "Only GET is answered here", "This server only shows.")
+async fn other_method(method: Method, uri: Uri) -> Problem {
+    let detail = format!("{method} is not answered at {}; see /api/docs.", uri.path());
+    Problem::new(Code::Method, "Another method is expected", detail)
 }

@@ -4,13 +4,21 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
 use axum::body::Bytes;
-use bus::{Bus, MachineTime, Stop};
+use bus::{Bus, MachineTime};
 use contract::Address;
 use local_http::Places;
+use node::Stop;
+use orders::RecentStates;
+use tokio::sync::Semaphore;
 
+use crate::command_store::Commands;
+use crate::drafts::Drafts;
 use crate::host::Host;
 use crate::network::Network;
 use crate::preview::Previews;
+
+/// Checks and forecasts of schedules that this node asks for at the same time.
+pub const FORECASTS: usize = 4;
 
 /// The state that the routes share.
 pub struct Server {
@@ -26,6 +34,16 @@ pub struct Server {
     pub stop: Stop,
     /// Heartbeat documents that were made a moment ago.
     pub heartbeats: Mutex<BTreeMap<Option<Address>, (MachineTime, Bytes)>>,
+    /// Commands of the last day.
+    pub commands: Commands,
+    /// This node's own seconds: a request that waited in a node that was stopped orders nothing.
+    pub seconds: Arc<RecentStates>,
+    /// Drafts of schedules.
+    pub drafts: Drafts,
+    /// Checks and forecasts of schedules that may be made at the same time.
+    pub forecasts: Semaphore,
     /// Sockets open now.
     pub sockets: Arc<Places>,
+    /// The file of this node: the place of its site, and the limits of its telescope.
+    pub config: Arc<config::Observatory>,
 }

@@ -1,6 +1,7 @@
 //! Shrinking a frame while its bytes arrive: a big sensor never lies in memory as a whole.
 
 use contract::device::camera::Pixel;
+use picture::Small;
 
 /// Averages blocks of pixels; fed with the bytes of a frame as they come.
 #[derive(Debug)]
@@ -13,17 +14,6 @@ pub struct Shrink {
     counts: Vec<u32>,
     next: usize,
     left_over: Vec<u8>,
-}
-
-/// A small picture: rows one after another from the first row; a pixel without any finite value is `NaN`.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Small {
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// Mean of each block.
-    pub pixels: Vec<f32>,
 }
 
 impl Shrink {

@@ -10,15 +10,16 @@ use contract::observatory::{
     ActionNow, Alert, NightState, Posture, RowStatus, SafetyState, ScheduleState, Unsafe, Verdict,
 };
 use contract::{Address, Chunk, Key, NodeTopic, Part};
+use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize};
 use units::Utc;
 
-use crate::alerts::{Counts, standing};
+use crate::alerts::{Counts, active};
 use crate::freshness::Quality;
 use crate::model::{Entry, Telescope, Unreadable};
 
 /// A tile of the overview, and the head of the telescope page.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, JsonSchema, Serialize)]
 pub struct Summary {
     /// The content of the tile; sent again only when it differs.
     #[serde(flatten)]
@@ -29,7 +30,7 @@ pub struct Summary {
 }
 
 /// The part that changes only when something happens.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize)]
 pub struct Face {
     /// `site/telescope`, unique on the network.
     pub id: String,
@@ -80,7 +81,7 @@ pub struct Face {
 }
 
 /// Ages on this machine's own clock, s; the reader adds the time since it read them.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, JsonSchema, Serialize)]
 pub struct Ages {
     /// Since the observatory node last published safety or the night; absent when it never did.
     pub age_s: Option<f64>,
@@ -91,7 +92,7 @@ pub struct Ages {
 }
 
 /// The verdict as the page shows it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize)]
 pub struct Safety {
     /// The word.
     pub state: SafetyWord,
@@ -110,7 +111,7 @@ pub struct Safety {
 }
 
 /// The three words of safety.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SafetyWord {
     /// The observatory node's verdict is safe, and fresh.
@@ -122,7 +123,7 @@ pub enum SafetyWord {
 }
 
 /// How a telescope is run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Mode {
     /// It works through its schedule by itself.
@@ -134,7 +135,7 @@ pub enum Mode {
 }
 
 /// How far the schedule is.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize)]
 pub struct ScheduleSummary {
     /// Rows in all.
     pub rows: usize,
@@ -151,7 +152,7 @@ pub struct ScheduleSummary {
 }
 
 /// How many there are, and how many of them are silent or without link.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, JsonSchema, Serialize)]
 pub struct Heads {
     /// Known since start.
     pub known: usize,
@@ -160,7 +161,7 @@ pub struct Heads {
 }
 
 /// The caption under the image.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize)]
 pub struct ImageCaption {
     /// Which frame.
     pub frame: String,
@@ -186,7 +187,7 @@ pub struct ImageCaption {
 }
 
 /// One node, for `/api/v1/network`.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, JsonSchema, Serialize)]
 pub struct NodeSummary {
     /// Its name.
     pub id: String,
@@ -218,10 +219,10 @@ impl Summary {
         let fresh_night = night.as_ref().filter(|(entry, _)| entry.quality(now) == Quality::Fresh).map(|(_, n)| n);
         let posture = fresh_night.map_or(Posture::Unknown, |night| night.posture);
         let words = safety_words(safety.as_ref(), now);
-        let held_s = safety.as_ref().map_or(f64::INFINITY, |(entry, said)| {
-            entry.at_utc.seconds_since(said.since_utc) / speed + entry.age(now).as_secs_f64()
+        let held_s = safety.as_ref().map_or(f64::INFINITY, |(entry, state)| {
+            entry.at_utc.seconds_since(state.since_utc) / speed + entry.age(now).as_secs_f64()
         });
-        let alerts = standing(telescope, now);
+        let alerts = active(telescope, now);
         let image = telescope.image.as_ref();
         let face = Face {
             id: address.to_string(),
@@ -286,28 +287,28 @@ pub fn nodes(telescope: &Telescope, now: MachineTime) -> Vec<NodeSummary> {
     telescope.states.values().filter_map(of).collect()
 }
 
-fn safety_words(said: Option<&(&Entry, SafetyState)>, now: MachineTime) -> Safety {
-    match said {
-        Some((entry, said)) => {
+fn safety_words(state: Option<&(&Entry, SafetyState)>, now: MachineTime) -> Safety {
+    match state {
+        Some((entry, state)) => {
             let fresh = entry.quality(now) == Quality::Fresh;
-            let word = match said.verdict {
+            let word = match state.verdict {
                 _ if !fresh => SafetyWord::Unknown,
                 Verdict::Safe => SafetyWord::Safe,
                 Verdict::Unsafe => SafetyWord::Unsafe,
             };
             let silent = Unsafe {
                 input: "observatory node".to_owned(),
-                why: format!("its verdict is {}, the last one was {:?}", entry.quality(now).word(), said.verdict)
+                why: format!("its verdict is {}, the last one was {:?}", entry.quality(now).word(), state.verdict)
                     .to_lowercase(),
                 clears_in_s: None,
             };
             Safety {
                 state: word,
-                since_utc: fresh.then_some(said.since_utc),
-                reasons: if fresh { said.reasons.clone() } else { vec![silent] },
-                suspended: if fresh { said.suspended.clone() } else { Vec::new() },
-                advisories: if fresh { said.advisories.clone() } else { Vec::new() },
-                time_to_safe_s: said.time_to_safe_s.filter(|_| fresh),
+                since_utc: fresh.then_some(state.since_utc),
+                reasons: if fresh { state.reasons.clone() } else { vec![silent] },
+                suspended: if fresh { state.suspended.clone() } else { Vec::new() },
+                advisories: if fresh { state.advisories.clone() } else { Vec::new() },
+                time_to_safe_s: state.time_to_safe_s.filter(|_| fresh),
             }
         }
         None => Safety {

@@ -9,9 +9,10 @@ use crate::answer::{Answer, DONE, Refusal, within};
 use crate::exposure::{Exposure, Plan, Sample};
 use crate::frame::Frame;
 use crate::kind::Kind;
-use crate::options::{CameraOptions, FocusOptions};
+use crate::options::{CameraOptions, FocusOptions, Options};
 use crate::request::Request;
 use crate::scene::Scene;
+use crate::transit::Transit;
 use crate::weather::Quantity;
 
 /// Properties that are read without parameters, in ASCOM's case.
@@ -88,6 +89,7 @@ pub struct Camera {
     options: CameraOptions,
     focus: FocusOptions,
     seed: u64,
+    transits: Arc<[Transit]>,
     binning: u32,
     start: [u32; 2],
     size: [u32; 2],
@@ -105,13 +107,14 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Warm, idle, whole sensor, no binning.
-    pub fn new(kind: Kind, options: CameraOptions, focus: FocusOptions, seed: u64, air_c: f64) -> Self {
+    /// One of an observatory's cameras: warm, idle, whole sensor, no binning.
+    pub fn new(kind: Kind, options: CameraOptions, seed: u64, observatory: &Options, air_c: f64) -> Self {
         Self {
             kind,
             options,
-            focus,
+            focus: observatory.focus,
             seed,
+            transits: observatory.transits.as_slice().into(),
             binning: 1,
             start: [0, 0],
             size: [options.width, options.height],
@@ -200,6 +203,7 @@ impl Camera {
             dark_e_per_s: self.options.dark_e_per_s * (self.ccd_c / 6.5).exp2(),
             camera: self.options,
             seed: self.seed,
+            transits: Arc::clone(&self.transits),
         });
     }
 

@@ -20,7 +20,7 @@ impl SkyClock {
     }
 
     /// A clock that stands at `start` until it is started.
-    pub fn standing(start: Utc, speed: f64) -> Self {
+    pub fn stopped(start: Utc, speed: f64) -> Self {
         Self { stands: true, ..Self::at(start, speed) }
     }
 

@@ -85,14 +85,14 @@ fn is_common(member: &str) -> bool {
 
 /// `DeviceState`: all properties that change, in one answer. As in ASCOM, a property that has no value now is left out.
 fn state(observatory: &mut Observatory, kind: Kind) -> Value {
-    let mut told = Vec::new();
+    let mut answer = Vec::new();
     for name in Observatory::state_properties(kind) {
         let request = Request::new(false, &name.to_ascii_lowercase(), "");
         if let Ok(value) = observatory.ask(kind, &request) {
-            told.push(json!({ "Name": name, "Value": value }));
+            answer.push(json!({ "Name": name, "Value": value }));
         }
     }
     let now = observatory.scene().now.strftime("%Y-%m-%dT%H:%M:%S.%6fZ");
-    told.push(json!({ "Name": "TimeStamp", "Value": now }));
-    Value::Array(told)
+    answer.push(json!({ "Name": "TimeStamp", "Value": now }));
+    Value::Array(answer)
 }

@@ -48,18 +48,18 @@ pub async fn clock(State(world): State<Arc<World>>) -> Json<Value> {
 
 /// `GET /simulator/v1/world`.
 pub async fn world(State(world): State<Arc<World>>) -> Json<Value> {
-    Json(world.told())
+    Json(world.state())
 }
 
 /// `PUT /simulator/v1/world/{thing}`.
 pub async fn change(State(world): State<Arc<World>>, Path(thing): Path<String>, body: axum::body::Bytes) -> Response {
-    match serde_json::from_slice(&body).map_err(|error| error.to_string()).and_then(|v| obey(&world, &thing, &v)) {
-        Ok(()) => Json(world.told()).into_response(),
+    match serde_json::from_slice(&body).map_err(|error| error.to_string()).and_then(|v| execute(&world, &thing, &v)) {
+        Ok(()) => Json(world.state()).into_response(),
         Err(message) => text(StatusCode::BAD_REQUEST, message),
     }
 }
 
-fn obey(world: &World, thing: &str, order: &Value) -> Result<(), String> {
+fn execute(world: &World, thing: &str, order: &Value) -> Result<(), String> {
     let truth = |name: &str| order[name].as_bool().ok_or(format!("expected {{\"{name}\": true or false}}"));
     match thing {
         "site" => crate::site::begin(world, order)?,

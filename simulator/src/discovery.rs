@@ -19,11 +19,11 @@ pub async fn bind(port: u16) -> io::Result<UdpSocket> {
 /// Answers until dropped.
 pub async fn answer(socket: UdpSocket, alpaca_port: u16) {
     let mut question = [0; 64];
-    let told = format!("{{\"AlpacaPort\":{alpaca_port}}}");
+    let answer = format!("{{\"AlpacaPort\":{alpaca_port}}}");
     loop {
         match socket.recv_from(&mut question).await {
             Ok((length, from)) if question[..length].starts_with(QUESTION) => {
-                let _ = socket.send_to(told.as_bytes(), from).await;
+                let _ = socket.send_to(answer.as_bytes(), from).await;
             }
             Ok(_) => {}
             // An earlier answer was refused by its receiver; the server goes on.

@@ -57,7 +57,7 @@ pub struct Dome {
     pub watchdog_s: Option<f64>,
     /// How often the watchdog has closed the dome.
     pub watchdog_closings: u32,
-    heard: Instant,
+    received: Instant,
     turns: u32,
     turned_deg: f64,
     exposed_s: f64,
@@ -80,7 +80,7 @@ impl Dome {
             shutter_needs_rest: false,
             watchdog_s: options.watchdog_s,
             watchdog_closings: 0,
-            heard: Instant::now(),
+            received: Instant::now(),
             turns: 0,
             turned_deg: 0.0,
             exposed_s: 0.0,
@@ -118,7 +118,7 @@ impl Dome {
     }
 
     /// The true state; `free` of the aperture is not hidden by the slit.
-    pub fn told(&self, free: f64) -> Value {
+    pub fn state(&self, free: f64) -> Value {
         json!({
             "open": self.open(),
             "sticks_half_open": self.sticks_half_open,
@@ -165,7 +165,7 @@ impl Dome {
 
     /// The hardware watchdog: an open dome that receives no commands closes itself.
     fn bark(&mut self) {
-        let due = self.watchdog_s.is_some_and(|limit_s| self.heard.elapsed().as_secs_f64() > limit_s);
+        let due = self.watchdog_s.is_some_and(|limit_s| self.received.elapsed().as_secs_f64() > limit_s);
         if due && self.shutter.target() > 0.0 {
             self.shutter.send(0.0);
             self.watchdog_closings += 1;
@@ -185,7 +185,7 @@ impl Dome {
 
     /// Feeds the watchdog.
     pub fn feed(&mut self) {
-        self.heard = Instant::now();
+        self.received = Instant::now();
     }
 
     /// Answers a GET.
@@ -210,7 +210,7 @@ impl Dome {
 
     /// Executes a PUT; any PUT feeds the watchdog.
     pub fn put(&mut self, request: &Request) -> Answer {
-        self.heard = Instant::now();
+        self.received = Instant::now();
         match request.member.as_str() {
             "abortslew" => {
                 self.slaved = false;
@@ -250,7 +250,7 @@ impl Dome {
 
     /// `Action`: feeds the watchdog (any PUT has done so already), or sets its limit (`off` or seconds).
     pub fn action(&mut self, action: &str, parameters: &str) -> Answer {
-        self.heard = Instant::now();
+        self.received = Instant::now();
         match action {
             "feedwatchdog" => Ok(Value::from("fed")),
             "watchdog" => {

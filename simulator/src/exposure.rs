@@ -1,11 +1,14 @@
 //! The light that a camera receives while its shutter is open, and the plan for the frame that results.
 
+use std::sync::Arc;
+
 use sky::{Icrs, airmass};
 use units::{Angle, Utc};
 
 use crate::kind::Kind;
 use crate::options::{CameraOptions, FocusOptions};
 use crate::scene::Scene;
+use crate::transit::Transit;
 use crate::weather::Quantity;
 
 /// Photons per second and square metre from a star of magnitude 0 in V (Bessell 1979: 1000 per s, cm2 and A).
@@ -88,6 +91,8 @@ pub struct Plan {
     pub camera: CameraOptions,
     /// Chance of this camera.
     pub seed: u64,
+    /// Stars whose light falls for some time.
+    pub transits: Arc<[Transit]>,
 }
 
 /// An exposure under way.

@@ -1,6 +1,6 @@
 //! Faint stars beyond the catalogue: an invented sky, the same for the same seed, cell by cell.
 
-use imaging::catalogue::{Entry, Star, build};
+use imaging::catalogue::{CatalogueStar, Entry, build};
 use imaging::healpix::{self, FacePoint};
 use sky::{Icrs, separation};
 use units::Angle;
@@ -18,13 +18,13 @@ const PER_SQUARE_DEGREE: f64 = 2_600.0;
 const SKY_SQUARE_DEGREES: f64 = 41_252.96;
 
 /// The invented stars within a cone.
-pub fn cone(seed: u64, center: Icrs, radius: Angle) -> Vec<Star> {
+pub fn cone(seed: u64, center: Icrs, radius: Angle) -> Vec<CatalogueStar> {
     let cells = healpix::cells_in_cone(ORDER, center.ra, center.dec, radius);
     let all = cells.into_iter().flat_map(|cell| of_cell(seed, cell));
     all.filter(|star| separation(&center, &Icrs { ra: star.ra, dec: star.dec }) <= radius).collect()
 }
 
-fn of_cell(seed: u64, cell: u64) -> Vec<Star> {
+fn of_cell(seed: u64, cell: u64) -> Vec<CatalogueStar> {
     let mut chance = Chance::new(seed, cell);
     let mean = PER_SQUARE_DEGREE * SKY_SQUARE_DEGREES / healpix::cells(ORDER) as f64;
     let count = (mean + mean.sqrt() * chance.normal()).max(0.0) as usize;
@@ -36,7 +36,7 @@ fn of_cell(seed: u64, cell: u64) -> Vec<Star> {
             // The faces map to the sphere with equal areas, so even on the face is even on the sky.
             let (x, y) = (corner.x + side * chance.even(), corner.y + side * chance.even());
             let (ra, dec) = healpix::direction(FacePoint { face: corner.face, x, y });
-            Star { ra, dec, mag: (low + chance.even() * (high - low)).log10() / SLOPE }
+            CatalogueStar { ra, dec, mag: (low + chance.even() * (high - low)).log10() / SLOPE }
         })
         .collect()
 }
@@ -54,8 +54,9 @@ pub fn written_out(seed: u64, center: Icrs, radius: Angle, epoch_year: f64) -> V
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use imaging::catalogue::Catalogue;
+
+    use super::*;
 
     #[test]
     fn the_same_seed_shows_the_same_sky_from_any_cone() {
@@ -75,7 +76,7 @@ mod tests {
         let invented = cone(7, center, radius);
         assert!(read.len() >= invented.len() && invented.len() > 100);
         for star in &invented[..20] {
-            let near = |other: &Star| {
+            let near = |other: &CatalogueStar| {
                 let apart = separation(&Icrs { ra: star.ra, dec: star.dec }, &Icrs { ra: other.ra, dec: other.dec });
                 apart.arcseconds() < 0.05 && (star.mag - other.mag).abs() < 0.011
             };

@@ -89,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn json_and_image_bytes_tell_the_same_pixels() {
+    fn json_and_image_bytes_hold_the_same_pixels() {
         let counts: [u16; 6] = [0, 7, 65_535, 10, 100, 9999];
         let columns = counts.iter().flat_map(|count| count.to_le_bytes()).collect();
         let frame = Frame { width: 2, height: 3, columns, started: Utc::EPOCH, exposure_s: 1.0, number: 1 };

@@ -10,7 +10,8 @@
 //! The stars are real. The camera sees the catalogue that Starmesh ships, where the mount truly points (which differs a
 //! little from what it reports), through filter, focus, seeing and clouds; so the same right ascension and declination
 //! always show the same stars, and solving, guiding and focusing work on it as on the real sky. Faint stars for narrow
-//! fields come from a seeded sky ([`faint`]) that can be written out as a catalogue.
+//! fields come from a seeded sky ([`faint`]) that can be written out as a catalogue. A star can dim for some time, as in a
+//! transit ([`Transit`]).
 //!
 //! Faults happen on request: through methods of [`World`] in tests, through HTTP ([`control`]) from anywhere.
 //!
@@ -61,6 +62,7 @@ pub mod site;
 mod slit;
 mod switch;
 mod telescope;
+mod transit;
 mod travel;
 mod vendor;
 mod weather;
@@ -75,6 +77,7 @@ pub use options::{
     CameraOptions, DomeOptions, Filter, FocusOptions, GuideCameraOptions, MountOptions, Options, SlitOptions,
 };
 pub use server::{Simulator, SimulatorError, run};
+pub use transit::Transit;
 pub use vendor::Vendor;
 pub use weather::{Conditions, Quantity};
 pub use world::World;

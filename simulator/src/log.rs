@@ -10,7 +10,7 @@ use crate::clock::wall_clock;
 use crate::kind::Kind;
 
 /// Entries kept; older ones are forgotten.
-const KEPT: usize = 20_000;
+const MOST_STORED: usize = 20_000;
 
 /// One PUT to a device.
 #[derive(Debug, Clone, Serialize)]
@@ -69,7 +69,7 @@ impl Log {
             parameters,
             error: None,
         });
-        if self.puts.len() > KEPT {
+        if self.puts.len() > MOST_STORED {
             self.puts.pop_front();
         }
         self.last_seq

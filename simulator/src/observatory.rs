@@ -79,10 +79,10 @@ impl Observatory {
         let air_c = conditions.of(Quantity::Temperature);
         Ok(Self {
             telescope: Telescope::new(options, &observer),
-            camera: Camera::new(Kind::Camera, options.camera, options.focus, options.seed, air_c),
+            camera: Camera::new(Kind::Camera, options.camera, options.seed, options, air_c),
             guide_camera: options.guide_camera.map(|guide| {
                 // Its hot pixels differ.
-                Camera::new(Kind::GuideCamera, guide.camera, options.focus, options.seed ^ GUIDE_SEED, air_c)
+                Camera::new(Kind::GuideCamera, guide.camera, options.seed ^ GUIDE_SEED, options, air_c)
             }),
             filter_wheel: FilterWheel::new(&options.filters),
             focuser: Focuser::new(&options.focus),

@@ -5,6 +5,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 use units::{Angle, Utc};
 
 use crate::clock::wall_clock;
+use crate::transit::Transit;
 
 /// A simulated observatory.
 #[derive(Debug, Clone)]
@@ -39,6 +40,8 @@ pub struct Options {
     pub focus: FocusOptions,
     /// The filters, in wheel order.
     pub filters: Vec<Filter>,
+    /// Stars whose light falls for some time.
+    pub transits: Vec<Transit>,
 }
 
 /// The mount and its imperfections.
@@ -125,7 +128,8 @@ pub struct GuideCameraOptions {
 }
 
 impl Default for GuideCameraOptions {
-    /// A guide scope of 60 mm and 240 mm with small pixels: a field of 1.6 x 1.2 deg, turned and beside the main one.
+    /// A guide scope of 60 mm and 240 mm with small pixels: a field of 1.6 x 1.2 deg, turned against the main one
+    /// and pointed next to it.
     fn default() -> Self {
         let camera = CameraOptions {
             width: 1280,
@@ -234,6 +238,7 @@ impl Default for Options {
                 Filter::new("I", -60, 0.4),
                 Filter::new("Clear", 15, 0.95),
             ],
+            transits: Vec::new(),
         }
     }
 }

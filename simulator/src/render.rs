@@ -2,9 +2,9 @@
 
 use std::sync::LazyLock;
 
-use imaging::catalogue::Star;
+use imaging::catalogue::CatalogueStar;
 use sky::{Icrs, Tangent, separation};
-use units::Angle;
+use units::{Angle, Utc};
 
 use crate::chance::Chance;
 use crate::exposure::{Plan, Sample};
@@ -37,8 +37,10 @@ pub fn render(plan: &Plan) -> Frame {
     let stretches = if is_sharp(plan) { mean(&plan.samples).into_iter().collect() } else { plan.samples.clone() };
     if !stretches.is_empty() {
         let stars = visible(plan, &stretches);
+        let mut began = plan.started;
         for stretch in &stretches {
-            draw_stars(plan, stretch, &stars, &mut electrons);
+            draw_stars(plan, stretch, began.plus_seconds(stretch.duration_s / 2.0), &stars, &mut electrons);
+            began = began.plus_seconds(stretch.duration_s);
         }
     }
     let columns = develop(plan, &electrons);
@@ -99,7 +101,7 @@ fn mean(samples: &[Sample]) -> Option<Sample> {
 }
 
 /// All stars that any stretch may show.
-fn visible(plan: &Plan, stretches: &[Sample]) -> Vec<Star> {
+fn visible(plan: &Plan, stretches: &[Sample]) -> Vec<CatalogueStar> {
     let center = stretches[0].center;
     let diagonal_px = f64::from(plan.camera.width).hypot(f64::from(plan.camera.height));
     let field = plan.camera.pixel_scale() * (diagonal_px / 2.0 + 60.0);
@@ -115,13 +117,16 @@ fn visible(plan: &Plan, stretches: &[Sample]) -> Vec<Star> {
     found
 }
 
-fn draw_stars(plan: &Plan, stretch: &Sample, stars: &[Star], electrons: &mut [f32]) {
+/// Draws the stars as they are at `middle`, the middle of the stretch.
+fn draw_stars(plan: &Plan, stretch: &Sample, middle: Utc, stars: &[CatalogueStar], electrons: &mut [f32]) {
     let bin = f64::from(plan.binning);
     // A Moffat profile of exponent 3: FWHM = 2 alpha sqrt(2^(1/3) - 1).
     let alpha = stretch.fwhm_arcsec / plan.camera.pixel_scale().arcseconds() / bin / 1.019_65;
     for star in stars {
-        let total_e = stretch.zero_e_per_s * stretch.duration_s * 10.0_f64.powf(-0.4 * star.mag);
-        let Some((x, y)) = pixel_of(plan, stretch, Icrs { ra: star.ra, dec: star.dec }) else { continue };
+        let place = Icrs { ra: star.ra, dec: star.dec };
+        let mag = star.mag + plan.transits.iter().map(|transit| transit.dims_mag(place, middle)).sum::<f64>();
+        let total_e = stretch.zero_e_per_s * stretch.duration_s * 10.0_f64.powf(-0.4 * mag);
+        let Some((x, y)) = pixel_of(plan, stretch, place) else { continue };
         let x = (x + 0.5) / bin - 0.5 - f64::from(plan.start[0]);
         let y = (y + 0.5) / bin - 0.5 - f64::from(plan.start[1]);
         if total_e > 0.0 {
@@ -221,8 +226,6 @@ fn hot_pixels(plan: &Plan) -> Vec<(usize, usize, f64)> {
 mod tests {
     use std::time::Instant;
 
-    use units::Utc;
-
     use super::*;
     use crate::options::CameraOptions;
 
@@ -242,6 +245,7 @@ mod tests {
             dark_e_per_s: 0.1,
             camera,
             seed: 1,
+            transits: [].into(),
         }
     }
 
@@ -288,6 +292,33 @@ mod tests {
         let moved = Sample { center: Icrs::from_degrees(83.82, -5.4), ..sample() };
         assert!(is_sharp(&plan(vec![sample(), sample()])));
         assert!(!is_sharp(&plan(vec![sample(), moved])));
+    }
+
+    #[test]
+    fn a_transit_takes_its_light_from_one_star_at_its_time() {
+        // A star of the catalogue, in a narrow field without invented stars around it.
+        let transit: crate::Transit =
+            "ra=24.3543,dec=-45.6779,depth-mmag=500,mid=2026-11-21T03:00:00Z,duration-min=60,ingress-min=0"
+                .parse()
+                .unwrap();
+        let light = |after_min: f64, transits: &[crate::Transit]| {
+            let center = Icrs { ra: transit.place.ra + Angle::from_degrees(0.01), ..transit.place };
+            let sample = Sample { center, ..sample() };
+            let mut plan = plan(vec![sample]);
+            (plan.transits, plan.started) = (transits.into(), plan.started.plus_seconds(60.0 * after_min));
+            let frame = render(&plan);
+            let (x, y) = pixel_of(&plan, &sample, transit.place).unwrap();
+            let (x, y) = (x.round() as usize, y.round() as usize);
+            let at = |x: usize, y: usize| {
+                let first = 2 * (2048 * x + y);
+                f64::from(u16::from_le_bytes([frame.columns[first], frame.columns[first + 1]]))
+            };
+            let square =
+                |x: usize, y: usize| (x - 6..=x + 6).flat_map(|x| (y - 6..=y + 6).map(move |y| at(x, y))).sum::<f64>();
+            square(x, y) - square(x + 60, y + 60)
+        };
+        let (full, low, after) = (light(0.0, &[]), light(0.0, &[transit]), light(40.0, &[transit]));
+        assert!((low / full - 0.631).abs() < 0.01 && (after / full - 1.0).abs() < 0.01, "{full} {low} {after}");
     }
 
     #[test]

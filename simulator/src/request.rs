@@ -25,7 +25,7 @@ impl Request {
     }
 
     /// All parameters but the client's numbers, as `Name=value&...`, for the log.
-    pub fn told(&self) -> String {
+    pub fn summary(&self) -> String {
         let own = self.parameters.iter().filter(|(name, _)| !name.to_ascii_lowercase().starts_with("client"));
         own.map(|(name, value)| format!("{name}={value}")).collect::<Vec<_>>().join("&")
     }
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn escapes_are_undone_and_broken_ones_kept() {
+    fn escapes_are_undone_and_broken_ones_stay() {
         assert_eq!(decode("a%20b+c%3D%C3%A9%2"), "a b c=é%2");
         assert!(Request::new(true, "x", "V=NaN").number("V").is_err());
     }

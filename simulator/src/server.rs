@@ -47,6 +47,16 @@ pub enum SimulatorError {
     /// A speed that is no positive number.
     #[error("speed {0} is not a positive number")]
     Speed(f64),
+    /// A transit of a star that the sky does not have.
+    #[error(
+        "no star is within 5 arcsec of ra={ra_deg},dec={dec_deg}; the place of a transit is that of a star of the simulated sky"
+    )]
+    NoStar {
+        /// As asked for, degrees.
+        ra_deg: f64,
+        /// As asked for, degrees.
+        dec_deg: f64,
+    },
 }
 
 /// A running simulator; dropping it ends it.
@@ -65,6 +75,10 @@ impl Simulator {
     pub async fn start(options: Options) -> Result<Self, SimulatorError> {
         if !(options.speed > 0.0 && options.speed.is_finite()) {
             return Err(SimulatorError::Speed(options.speed));
+        }
+        if let Some(transit) = options.transits.iter().find(|transit| !transit.has_star(options.seed)) {
+            let (ra_deg, dec_deg) = (transit.place.ra.degrees(), transit.place.dec.degrees());
+            return Err(SimulatorError::NoStar { ra_deg, dec_deg });
         }
         let bound = listen(options.bind).await;
         let (listener, address) = bound.map_err(|source| SimulatorError::Bind { address: options.bind, source })?;

@@ -95,9 +95,9 @@ mod tests {
         options.mount.arm_m = 0.5;
         let (west, east) = (free_at(&options, 30.0, 0.0, true, 0.0), free_at(&options, 30.0, 0.0, false, 0.0));
         assert!(west < 1.0 && east < 1.0, "{west} {east}");
-        let beside = (0.5_f64 / (2.5 * 30.0_f64.to_radians().cos())).asin().to_degrees();
-        assert_eq!(free_at(&options, 30.0, 0.0, true, -beside), 1.0);
-        assert_eq!(free_at(&options, 30.0, 0.0, false, beside), 1.0);
+        let edge_deg = (0.5_f64 / (2.5 * 30.0_f64.to_radians().cos())).asin().to_degrees();
+        assert_eq!(free_at(&options, 30.0, 0.0, true, -edge_deg), 1.0);
+        assert_eq!(free_at(&options, 30.0, 0.0, false, edge_deg), 1.0);
     }
 
     #[test]

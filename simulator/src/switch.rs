@@ -141,7 +141,7 @@ impl Switch {
     }
 
     /// Charge and mains, for tests and people.
-    pub fn told(&self) -> Value {
+    pub fn state(&self) -> Value {
         json!({ "on_mains": self.sockets[ON_MAINS].value > 0.0, "battery_percent": self.sockets[BATTERY].value })
     }
 }

@@ -342,7 +342,7 @@ fn guide_rate(request: &Request, name: &str) -> Result<f64, Refusal> {
 }
 
 /// The true state, for tests and people.
-pub fn told(telescope: &Telescope, scene: &Scene) -> Value {
+pub fn state(telescope: &Telescope, scene: &Scene) -> Value {
     json!({
         "ra_deg": scene.pointing.icrs.ra.degrees(),
         "dec_deg": scene.pointing.icrs.dec.degrees(),

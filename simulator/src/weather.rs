@@ -94,7 +94,7 @@ impl Conditions {
     }
 
     /// All by their ASCOM names.
-    pub fn told(&self) -> Map<String, Value> {
+    pub fn state(&self) -> Map<String, Value> {
         Quantity::ALL.into_iter().map(|q| (q.ascom().to_owned(), Value::from(self.of(q)))).collect()
     }
 }
@@ -150,7 +150,7 @@ impl Weather {
                 conditions.set(quantity, value);
             }
         }
-        self.obey(&mut conditions);
+        self.apply(&mut conditions);
 
         // Quantities that follow from the others, unless they were ordered too.
         let (temperature, cloud) = (conditions.of(Temperature), conditions.of(CloudCover) / 100.0);
@@ -161,11 +161,11 @@ impl Weather {
         conditions.set(SkyQuality, clear_sky_mag - 0.3 * cloud);
         // 10.8e4 cd/m2 is magnitude 0 per square arcsec; a uniform sky of L cd/m2 gives pi L lux.
         conditions.set(SkyBrightness, 3.39e5 * 10.0_f64.powf(-0.4 * clear_sky_mag));
-        self.obey(&mut conditions);
+        self.apply(&mut conditions);
         conditions
     }
 
-    fn obey(&self, conditions: &mut Conditions) {
+    fn apply(&self, conditions: &mut Conditions) {
         for (quantity, ordered) in Quantity::ALL.into_iter().zip(self.ordered) {
             if let Some(value) = ordered {
                 conditions.set(quantity, value);

@@ -115,7 +115,7 @@ impl World {
         inner.connected.clear();
         inner.faults.clear();
         let mut clock = self.clock.lock().unwrap_or_else(PoisonError::into_inner);
-        *clock = SkyClock::standing(options.start, clock.speed());
+        *clock = SkyClock::stopped(options.start, clock.speed());
         Ok(())
     }
 
@@ -152,7 +152,7 @@ impl World {
         let mut guard = self.lock();
         let inner = &mut *guard;
         inner.log.count(kind);
-        let logged = request.is_put.then(|| inner.log.note(kind, &request.member, request.told(), now));
+        let logged = request.is_put.then(|| inner.log.note(kind, &request.member, request.summary(), now));
         let in_force = inner.faults.get(&kind).filter(|it| it.fault.concerns(&request.member));
         let fault = in_force.map(|it| it.fault.clone()).unwrap_or_default();
         // A device that hangs, drops the line or shows an error page does not execute the request.
@@ -166,7 +166,7 @@ impl World {
         };
         let answer = match inner.faults.get_mut(&kind) {
             Some(it) if fault.stale && !request.is_put => {
-                it.frozen(format!("{}?{}", request.member, request.told()), answer)
+                it.frozen(format!("{}?{}", request.member, request.summary()), answer)
             }
             _ => answer,
         };
@@ -310,7 +310,8 @@ impl World {
         (scene.now, scene.pointing.icrs)
     }
 
-    /// Rates of the mount beside the stars, arcsec per second of right ascension (the coordinate) and declination.
+    /// Rates of the mount relative to the stars, arcsec per second of right ascension (the coordinate) and
+    /// declination.
     pub fn rates_arcsec_per_s(&self) -> [f64; 2] {
         self.lock().observatory.telescope.rates
     }
@@ -376,11 +377,6 @@ impl World {
         self.lock().log.since(seq)
     }
 
-    /// Requests to devices within the last minute of machine time.
-    pub fn requests_last_minute(&self) -> usize {
-        self.lock().log.last_minute()
-    }
-
     /// Number and shares of all requests since the start.
     pub fn request_counts(&self) -> Value {
         let inner = self.lock();
@@ -392,7 +388,7 @@ impl World {
     }
 
     /// The truth about everything, as JSON.
-    pub fn told(&self) -> Value {
+    pub fn state(&self) -> Value {
         let inner = self.lock();
         let observatory = &inner.observatory;
         let scene = observatory.scene();
@@ -407,9 +403,9 @@ impl World {
                 "frame_px": site.camera.width,
             },
             "sun_altitude_deg": observatory.sun().altitude.degrees(),
-            "weather": observatory.conditions.told(),
+            "weather": observatory.conditions.state(),
             "safe": observatory.safety_monitor.is_safe(&observatory.conditions),
-            "telescope": telescope::told(&observatory.telescope, &scene),
+            "telescope": telescope::state(&observatory.telescope, &scene),
             "camera": {
                 "position_angle_deg": scene.light.position_angle.degrees(),
                 "defocus_steps": scene.light.defocus_steps,
@@ -421,8 +417,8 @@ impl World {
                 "position_angle_deg": it.light.position_angle.degrees(),
             })),
             "focuser": { "backlash_steps": observatory.focuser.backlash_steps() },
-            "dome": observatory.dome.told(scene.light.slit_free),
-            "ups": observatory.switch.told(),
+            "dome": observatory.dome.state(scene.light.slit_free),
+            "ups": observatory.switch.state(),
         })
     }
 

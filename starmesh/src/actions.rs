@@ -21,7 +21,7 @@ pub struct Options {
     /// The configuration whose camera and filters the example rows name; observatory.toml of this folder where absent.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// One JSON object a line, as the bus tells it, with the JSON Schema of the parameters.
+    /// One JSON object a line, as the bus shows it, with the JSON Schema of the parameters.
     #[arg(long)]
     json: bool,
 }
@@ -31,7 +31,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     let site = site(options.config.as_deref())?;
     for entry in wanted(options.action.as_deref())? {
         if options.json {
-            line(format_args!("{}", serde_json::to_string(&entry.told())?))?;
+            line(format_args!("{}", serde_json::to_string(&entry.summary())?))?;
         } else {
             line(format_args!("{}", text(entry)))?;
             line(format_args!(
@@ -55,8 +55,8 @@ fn wanted(name: Option<&str>) -> anyhow::Result<Vec<&'static Entry>> {
 fn site(named: Option<&Path>) -> anyhow::Result<Option<Observatory>> {
     let here = Path::new("observatory.toml");
     match named {
-        Some(file) => Ok(Some(bus::node::read_observatory(file)?)),
-        None if here.exists() => Ok(bus::node::read_observatory(here).ok()),
+        Some(file) => Ok(Some(node::configuration::read_observatory(file)?)),
+        None if here.exists() => Ok(node::configuration::read_observatory(here).ok()),
         None => Ok(None),
     }
 }
@@ -120,16 +120,16 @@ fn text(entry: &Entry) -> String {
 
 #[cfg(test)]
 mod tests {
-    use schedule::validate::{Known, validate};
+    use schedule::validate::{KnownFacts, validate};
 
     use super::*;
 
     #[test]
-    fn a_parameter_is_told_with_unit_range_default_and_help() {
-        let told = text(wanted(Some("calibrate_guiding")).unwrap()[0]);
-        assert!(told.starts_with("calibrate_guiding\n  Learns from pulses"), "{told}");
+    fn a_parameter_is_printed_with_unit_range_default_and_help() {
+        let printed = text(wanted(Some("calibrate_guiding")).unwrap()[0]);
+        assert!(printed.starts_with("calibrate_guiding\n  Learns from pulses"), "{printed}");
         let settle = "\n  settle_time: number; 0 to 600 s; default 1.0\n    Rest between a pulse and the exposure.\n";
-        assert!(told.contains(settle), "{told}");
+        assert!(printed.contains(settle), "{printed}");
         assert!(text(wanted(Some("object")).unwrap()[0]).contains("\n  object: text; required\n    OBJECT keyword"));
         assert!(text(wanted(Some("open")).unwrap()[0]).contains("No parameters."));
     }
@@ -143,7 +143,7 @@ mod tests {
         let now: Utc = "2026-11-21T12:00:00Z".parse().unwrap();
         for text in [place.to_owned(), format!("{place}{wheel}")] {
             let site = config::parse(&text, Path::new("/none")).unwrap();
-            let known = Known::of(std::sync::Arc::new(site.clone())).at(now);
+            let known = KnownFacts::of(std::sync::Arc::new(site.clone())).at(now);
             for entry in ACTIONS.iter() {
                 let row = example(entry, Some(&site), now);
                 let found = validate(&row, &known);

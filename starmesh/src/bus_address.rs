@@ -5,7 +5,8 @@
 
 use std::net::UdpSocket;
 
-use bus::{Bus, lines};
+use bus::Bus;
+use node::lines;
 
 /// The addresses of the supervisor: as the file has them, and on this host.
 pub fn of_supervisor(file: &config::Bus) -> config::Bus {
@@ -85,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_that_the_supervisor_did_not_get_is_told() {
+    fn an_address_that_the_supervisor_did_not_get_is_reported() {
         let locators = ["tcp/10.0.0.5:7447".to_owned(), "tcp/127.0.0.1:40001".to_owned()];
         assert!(!is_elsewhere("tcp/0.0.0.0:7447", &locators) && !is_elsewhere("tcp/0.0.0.0:0", &locators));
         assert!(is_elsewhere("tcp/10.0.0.5:7448", &locators));

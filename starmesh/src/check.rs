@@ -10,7 +10,7 @@ use clap::Args;
 use config::Observatory;
 use contract::observatory::{Finding, ScheduleFindings, Severity};
 use schedule::read_text;
-use schedule::validate::{self, Known};
+use schedule::validate::{self, KnownFacts};
 use units::Utc;
 
 use crate::console::{foreign_line, line};
@@ -20,7 +20,7 @@ use crate::console::{foreign_line, line};
 pub struct Options {
     /// An observatory.toml, which is proven with all that it names; or a schedule, which ends in .jsonl.
     file: PathBuf,
-    /// For a schedule: the configuration that it is for; observatory.toml beside it where absent.
+    /// For a schedule: the configuration that it is for; observatory.toml next to it where absent.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Take windows for past that end before this instant, UTC; now where absent.
@@ -34,9 +34,9 @@ pub struct Options {
 /// The reason why a file is refused; a schedule whose rows are only at risk is valid.
 pub fn run(options: &Options) -> anyhow::Result<()> {
     if options.file.extension().is_some_and(|ending| ending == "jsonl") {
-        let beside = options.file.with_file_name("observatory.toml");
-        let of = options.config.as_deref().unwrap_or(&beside);
-        let (config, _) = bus::node::read_config(of)
+        let default = options.file.with_file_name("observatory.toml");
+        let of = options.config.as_deref().unwrap_or(&default);
+        let (config, _) = node::configuration::read_config(of)
             .context("a schedule is checked with the configuration of its telescope; name it by --config")?;
         return schedule(&options.file, config, options.at);
     }
@@ -51,7 +51,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
 
 /// Prints all faults of a configuration and of the files that it names, and its content if there are none.
 fn configuration(file: &Path) -> anyhow::Result<Observatory> {
-    let text = bus::node::config_text(file)?;
+    let text = node::configuration::config_text(file)?;
     let folder = file.parent().unwrap_or(Path::new("."));
     let (config, mut faults) = config::examine(&text, folder);
     let mut held = Vec::new();
@@ -104,10 +104,10 @@ fn schedule(file: &Path, config: Observatory, at: Option<Utc>) -> anyhow::Result
     let text = read_text(file).with_context(|| format!("cannot read {shown}"))?;
     // A simulated night has another time than this machine.
     let now = at.or((config.clock.simulator.is_none()).then(|| bus::Clock::machine_clock().utc()));
-    let known = Known::of(Arc::new(config));
-    let found = validate::validate(&text, &now.into_iter().fold(known, Known::at));
+    let known = KnownFacts::of(Arc::new(config));
+    let found = validate::validate(&text, &now.into_iter().fold(known, KnownFacts::at));
     let ScheduleFindings { valid, rows, errors, warnings, findings, unchecked } = found;
-    say(file, &text, &findings)?;
+    print_findings(file, &text, &findings)?;
     let left_out = (errors + warnings) as usize - findings.len();
     if left_out > 0 {
         line(format_args!("{shown}: and {left_out} more"))?;
@@ -124,7 +124,7 @@ fn schedule(file: &Path, config: Observatory, at: Option<Utc>) -> anyhow::Result
 }
 
 /// Prints each finding with its place in the file.
-pub fn say(file: &Path, text: &str, findings: &[Finding]) -> anyhow::Result<()> {
+pub fn print_findings(file: &Path, text: &str, findings: &[Finding]) -> anyhow::Result<()> {
     for finding in findings {
         let Finding { line: number, column, severity, .. } = finding;
         foreign_line(format_args!("{}:{number}:{column}: {severity}: {}", file.display(), finding.words()))?;

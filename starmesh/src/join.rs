@@ -6,7 +6,7 @@ use clap::Args;
 #[derive(Debug, Clone, Args)]
 pub struct Join {
     /// Meet this peer, such as tcp/10.0.0.5:7447; peers on the local network are found without it.
-    #[arg(long, value_name = "ENDPOINT", global = true)]
+    #[arg(long, value_name = "ENDPOINT", global = true, value_parser = config::endpoints::peer)]
     connect: Vec<String>,
     /// Do not look for peers by multicast.
     #[arg(long, global = true)]

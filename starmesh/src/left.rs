@@ -29,7 +29,7 @@ struct Started {
 }
 
 #[derive(Debug, Default, Serialize, Deserialize)]
-struct Told {
+struct Processes {
     up: Option<Process>,
     nodes: Vec<Started>,
 }
@@ -38,7 +38,7 @@ struct Told {
 #[derive(Debug)]
 pub struct Left {
     path: PathBuf,
-    told: std::sync::Mutex<Told>,
+    processes: std::sync::Mutex<Processes>,
 }
 
 impl Left {
@@ -48,7 +48,7 @@ impl Left {
         let name = config.file_name().unwrap_or_default().to_string_lossy();
         let path = config.with_file_name(format!(".{name}.up"));
         // A file that is not whole names no process.
-        let before: Told =
+        let before: Processes =
             std::fs::read(&path).ok().and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default();
         if let Some(up) = before.up.filter(|up| is_alive(*up)) {
             bail!(
@@ -59,7 +59,7 @@ impl Left {
         }
         for Started { role, id, process } in before.nodes.into_iter().filter(|node| is_alive(node.process)) {
             let pid = process.pid;
-            bus::lines::say(format_args!(
+            node::lines::print_line(format_args!(
                 "an earlier `starmesh up` left the {role} node {id} as process {pid}: it is asked to end"
             ));
             ask_to_end(pid);
@@ -68,30 +68,30 @@ impl Left {
                 tokio::time::sleep(Duration::from_millis(200)).await;
             }
             if is_alive(process) {
-                bus::lines::say(format_args!(
+                node::lines::print_line(format_args!(
                     "process {pid} still closes its enclosure; the new {role} node {id} waits for it and then takes over \
                      (kill -9 {pid} ends it at once, and nobody closes meanwhile)"
                 ));
             }
         }
-        let left = Self { path, told: std::sync::Mutex::default() };
-        left.change(|told| told.up = process(std::process::id()));
+        let left = Self { path, processes: std::sync::Mutex::default() };
+        left.change(|processes| processes.up = process(std::process::id()));
         Ok(left)
     }
 
     /// A node was started.
     pub fn started(&self, role: Role, id: &str, pid: u32) {
         let Some(process) = process(pid) else { return };
-        self.change(|told| {
-            told.nodes.retain(|node| (node.role, node.id.as_str()) != (role, id));
-            told.nodes.push(Started { role, id: id.to_owned(), process });
+        self.change(|processes| {
+            processes.nodes.retain(|node| (node.role, node.id.as_str()) != (role, id));
+            processes.nodes.push(Started { role, id: id.to_owned(), process });
         });
     }
 
     /// The processes that were started and still run.
     pub fn names(&self) -> String {
-        let told = self.told.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        let alive = told.nodes.iter().filter(|node| is_alive(node.process));
+        let processes = self.processes.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let alive = processes.nodes.iter().filter(|node| is_alive(node.process));
         let each = alive.map(|node| format!("the {} node {} as process {}", node.role, node.id, node.process.pid));
         let each: Vec<String> = each.collect();
         if each.is_empty() { "nothing".to_owned() } else { each.join(", ") }
@@ -103,20 +103,20 @@ impl Left {
         let _ = std::fs::remove_file(&self.path);
     }
 
-    fn change(&self, change: impl FnOnce(&mut Told)) {
-        let mut told = self.told.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        change(&mut told);
-        if let Err(error) = write(&self.path, &told) {
-            bus::lines::complain(format_args!(
+    fn change(&self, change: impl FnOnce(&mut Processes)) {
+        let mut processes = self.processes.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        change(&mut processes);
+        if let Err(error) = write(&self.path, &processes) {
+            node::lines::complain(format_args!(
                 "starmesh: {error:#}; a later `starmesh up` will not know what this one left"
             ));
         }
     }
 }
 
-fn write(path: &Path, told: &Told) -> anyhow::Result<()> {
+fn write(path: &Path, processes: &Processes) -> anyhow::Result<()> {
     let part = path.with_extension("up-part");
-    std::fs::write(&part, serde_json::to_vec(told)?)
+    std::fs::write(&part, serde_json::to_vec(processes)?)
         .and_then(|()| std::fs::rename(&part, path))
         .with_context(|| format!("cannot write {}", path.display()))
 }
@@ -143,7 +143,7 @@ fn ask_to_end(pid: u32) {
 
 #[cfg(not(unix))]
 fn ask_to_end(pid: u32) {
-    bus::lines::say(format_args!("end process {pid} by hand: this system has no signal for it"));
+    node::lines::print_line(format_args!("end process {pid} by hand: this system has no signal for it"));
 }
 
 #[cfg(test)]
@@ -182,9 +182,9 @@ mod tests {
         left.started(Role::Device, "main", node.id().unwrap());
         // The earlier one has died.
         let text = std::fs::read_to_string(&left.path).unwrap();
-        let mut told: Told = serde_json::from_str(&text).unwrap();
-        told.up = None;
-        write(&left.path, &told).unwrap();
+        let mut processes: Processes = serde_json::from_str(&text).unwrap();
+        processes.up = None;
+        write(&left.path, &processes).unwrap();
         let (found, ended) = tokio::join!(Left::find(&config), node.wait());
         assert!(found.is_ok() && !ended.unwrap().success());
     }

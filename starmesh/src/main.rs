@@ -1,6 +1,7 @@
 //! The command line: try it, run it, look at it.
 
 mod actions;
+mod archive;
 mod audit;
 mod bus_address;
 mod catalogues;
@@ -11,11 +12,13 @@ mod demo;
 mod discover;
 #[cfg(test)]
 mod documents_tests;
+mod fits_files;
 mod images;
 mod import;
 mod init;
 mod join;
 mod left;
+mod night;
 mod order;
 mod plan;
 mod schedules;
@@ -25,6 +28,7 @@ mod supervise;
 mod tail;
 mod telescopes;
 mod up;
+mod user;
 
 use std::process::ExitCode;
 
@@ -41,7 +45,7 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// A whole simulated night: simulator, all four nodes as processes, and the page.
+    /// A whole simulated night: simulator, all nodes as processes, and the page.
     Demo(demo::Options),
     /// Write the first files of a telescope: configuration, header table and example schedule, from the devices that answer.
     Init(init::Options),
@@ -55,14 +59,26 @@ enum Command {
     Actions(actions::Options),
     /// One table of all telescopes on the bus.
     Status(status::Options),
-    /// Close, stay closed, start, stop, or do without a limit for a while.
+    /// Close, stay closed, start, stop, or override a limit for a while.
     Order(order::Options),
     /// Put another schedule in force; list and show those that were.
     #[command(subcommand)]
-    Schedule(schedules::Command),
+    Schedule(schedules::ScheduleCommand),
     /// Prove and print the records of what was ordered and moved.
     Audit(audit::Options),
-    /// Print what is said on the bus.
+    /// Copy the archive's database, or put a copy back in its place.
+    #[command(subcommand)]
+    Archive(archive::ArchiveCommand),
+    /// What the archive has of a night.
+    #[command(subcommand)]
+    Night(night::NightCommand),
+    /// Prove FITS files for an archive, and make the copies that it accepts.
+    #[command(subcommand)]
+    Fits(fits_files::FitsCommand),
+    /// Let people and programs use the page and the API, and say what each may do.
+    #[command(subcommand)]
+    User(user::UserCommand),
+    /// Print what is published on the bus.
     Tail(tail::Options),
     /// Sky, noise, width and stars of FITS images.
     Measure(images::measure::Options),
@@ -74,7 +90,7 @@ enum Command {
     Focus(images::focus::Options),
     /// Star catalogues: make one of what you have.
     #[command(subcommand)]
-    Catalogue(catalogues::Command),
+    Catalogue(catalogues::CataloguesCommand),
     /// Make observatory.toml, header table and schedule of a site's files of Astra.
     ImportAstra(import::Options),
     /// Find Alpaca devices on the network and print them as blocks for observatory.toml.
@@ -86,7 +102,7 @@ enum Command {
         /// Which one.
         role: NodeRole,
         #[command(flatten)]
-        options: bus::NodeOptions,
+        options: node::NodeOptions,
     },
 }
 
@@ -111,6 +127,10 @@ fn main() -> ExitCode {
         Command::Order(options) => block_on(order::run(options)),
         Command::Schedule(command) => block_on(schedules::run(command)),
         Command::Audit(options) => audit::run(options),
+        Command::Archive(command) => block_on(archive::run(command)),
+        Command::Night(command) => block_on(night::run(command)),
+        Command::Fits(command) => fits_files::run(&command),
+        Command::User(command) => user::run(command),
         Command::Tail(options) => block_on(tail::run(options)),
         Command::Measure(options) => images::measure::run(&options),
         Command::Shift(options) => images::shift::run(&options),
@@ -123,18 +143,18 @@ fn main() -> ExitCode {
     };
     let failed = result.err().filter(|error| !console::reader_has_gone(error));
     if let Some(error) = &failed {
-        bus::lines::complain(format_args!("starmesh: {error:#}"));
+        node::lines::complain(format_args!("starmesh: {error:#}"));
     }
-    bus::lines::flush();
+    node::lines::flush();
     if failed.is_some() { ExitCode::FAILURE } else { ExitCode::SUCCESS }
 }
 
-fn node(role: NodeRole, options: bus::NodeOptions) -> ExitCode {
+fn node(role: NodeRole, options: node::NodeOptions) -> ExitCode {
     match role {
-        NodeRole::Device => node_device::main(options, &["node", "device"]),
-        NodeRole::Observatory => bus::node::main_with(options, Role::Observatory, node_observatory::run),
-        NodeRole::Archive => bus::node::main_with(options, Role::Archive, node_archive::run),
-        NodeRole::Web => bus::node::main_with(options, Role::Web, node_web::run),
+        NodeRole::Device => node_device::main(options),
+        NodeRole::Observatory => node::start::main(options, Role::Observatory, node_observatory::run),
+        NodeRole::Archive => node::start::main(options, Role::Archive, node_archive::run),
+        NodeRole::Web => node::start::main(options, Role::Web, node_web::run),
     }
 }
 

@@ -1,19 +1,18 @@
 //! `starmesh order`: what a person may order of one telescope, from any machine on its bus.
 
-use std::collections::BTreeMap;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use anyhow::{anyhow, bail};
-use bus::{AskError, Catch, Subscriber};
-use clap::{Args, Subcommand};
+use anyhow::bail;
+use clap::{Arg, ArgMatches, Args, FromArgMatches, Subcommand};
 use contract::command::operator;
-use contract::device::dome::Guard;
-use contract::observatory::{NightState, Posture, StandingOrders};
-use contract::{Address, CommandId, Device, Key, Kind, Order, OrderKind, Part, Reply, printable};
+use contract::observatory::OperatorOrders;
+use contract::order_form::{ORDERS, OrderForm, OrderParameter, ParameterValue, check_reason};
+use contract::{Address, CommandId, Key, Order, OrderKind, Part, printable};
+use orders::{Follower, NotAccepted};
+use serde_json::{Map, Value, json};
 
 use crate::console::{foreign_line, line};
 use crate::join::Join;
-use crate::status::posture_word;
 use crate::telescopes;
 
 /// Options of `starmesh order`.
@@ -22,11 +21,11 @@ pub struct Options {
     /// Which telescope, as SITE/TELESCOPE.
     telescope: String,
     #[command(subcommand)]
-    what: What,
+    what: OrderCommand,
     /// Why, for the log. An override, a shelved alert, and taking over from another operator need it.
     #[arg(long, default_value = "", global = true)]
     reason: String,
-    /// Who orders, by name; by default $STARMESH_OPERATOR, else the name of the account.
+    /// The name of the person who orders; by default $STARMESH_OPERATOR, else the name of the account.
     #[arg(long, value_name = "NAME", global = true)]
     operator: Option<String>,
     /// How long to wait until a close order is verified closed, s; 0 does not wait.
@@ -36,97 +35,89 @@ pub struct Options {
     join: Join,
 }
 
-#[derive(Debug, Subcommand)]
-enum What {
-    /// Stop everything and close now; the robotic switch goes off. Waits until it is verified closed.
-    Close,
-    /// Work through the schedule.
-    Start,
-    /// Stop working through the schedule, after closing. Waits until it is verified closed.
-    Stop,
-    /// Read the schedule file again.
-    Reload,
-    /// Close, and open for nobody until `open-again`. Waits until it is verified closed.
-    StayClosed,
-    /// Take `stay-closed` back; the schedule goes on once the sky is safe, where somebody has ordered `start`.
-    OpenAgain,
-    /// Do without one limit of the weather, or the Sun's, for a while.
-    Override {
-        /// The input as `starmesh status` and the page name it, such as wx/Humidity or sun.
-        input: String,
-        /// For so many minutes of sky time, at most 480.
-        #[arg(long, default_value_t = 60.0)]
-        minutes: f64,
-    },
-    /// Heed an overridden limit again.
-    Heed {
-        /// The input.
-        input: String,
-    },
-    /// Somebody knows of an alert and sees to it: it is not escalated, and clears when its cause is gone.
-    Ack {
-        /// Id of the alert, such as dome-not-closed/dome_1.
-        alert: String,
-    },
-    /// Tell nobody of one alert for a while; needs a reason.
-    Shelve {
-        /// Id of the alert.
-        alert: String,
-        /// For so many minutes of sky time, at most 1440.
-        #[arg(long, default_value_t = 60.0)]
-        for_min: f64,
-    },
-    /// Run a camera's cooler now; the next row that exposes wants the configured set point again.
-    Cool {
-        /// Name of the camera.
-        camera: String,
-        /// Set point, degrees Celsius; that of the configuration where absent.
-        #[arg(long, allow_negative_numbers = true)]
-        temperature_c: Option<f64>,
-    },
-    /// Switch a camera's cooler off, until a row wants it.
-    Warm {
-        /// Name of the camera.
-        camera: String,
-    },
-    /// Tell of a shelved alert again.
-    Unshelve {
-        /// Id of the alert.
-        alert: String,
-    },
+/// One order with its parameters, as they stand on the command line.
+#[derive(Debug)]
+struct OrderCommand {
+    form: &'static OrderForm,
+    given: Map<String, Value>,
 }
 
-impl What {
-    fn kind(self) -> OrderKind {
-        match self {
-            Self::Close => OrderKind::Close,
-            Self::Start => OrderKind::Robotic(true),
-            Self::Stop => OrderKind::Robotic(false),
-            Self::Reload => OrderKind::ReloadSchedule,
-            Self::StayClosed => OrderKind::StayClosed(true),
-            Self::OpenAgain => OrderKind::StayClosed(false),
-            Self::Override { input, minutes } => OrderKind::Override { input, for_s: minutes * 60.0 },
-            Self::Heed { input } => OrderKind::Override { input, for_s: 0.0 },
-            Self::Ack { alert } => OrderKind::Acknowledge(alert),
-            Self::Shelve { alert, for_min } => OrderKind::Shelve { alert, for_s: for_min * 60.0 },
-            Self::Cool { camera, temperature_c } => OrderKind::Cool { camera, set_c: temperature_c },
-            Self::Warm { camera } => OrderKind::Warm(camera),
-            Self::Unshelve { alert } => OrderKind::Unshelve(alert),
+/// A whole schedule is put in force by `starmesh schedule put`.
+fn forms() -> impl Iterator<Item = &'static OrderForm> {
+    let has_document =
+        |form: &&OrderForm| form.parameters.iter().any(|parameter| matches!(parameter.value, ParameterValue::Document));
+    ORDERS.iter().filter(move |form| !has_document(form))
+}
+
+fn argument(parameter: &'static OrderParameter) -> Arg {
+    let argument = Arg::new(parameter.name).value_name(parameter.name.to_uppercase()).help(parameter.meaning);
+    match parameter.value {
+        ParameterValue::Text | ParameterValue::Document => argument.required(true),
+        ParameterValue::OptionalText => argument.long(parameter.name.replace('_', "-")),
+        ParameterValue::Number { min, max, default } => {
+            let value = move |text: &str| match text.parse::<f64>() {
+                Ok(number) if (min..=max).contains(&number) => Ok(number),
+                _ => Err(format!("expected a number from {min} to {max}")),
+            };
+            let argument =
+                argument.long(parameter.name.replace('_', "-")).allow_negative_numbers(true).value_parser(value);
+            match default {
+                Some(default) => argument.default_value(default.to_string()),
+                None => argument,
+            }
         }
+    }
+}
+
+impl Subcommand for OrderCommand {
+    fn augment_subcommands(command: clap::Command) -> clap::Command {
+        command.subcommand_required(true).subcommands(forms().map(|form| {
+            let waits = if form.closes { " Waits until it is verified closed." } else { "" };
+            let reason = if form.needs_reason { " Needs --reason." } else { "" };
+            let about = format!("{}{waits}{reason}", form.meaning);
+            clap::Command::new(form.word).about(about).args(form.parameters.iter().map(argument))
+        }))
+    }
+
+    fn augment_subcommands_for_update(command: clap::Command) -> clap::Command {
+        Self::augment_subcommands(command)
+    }
+
+    fn has_subcommand(name: &str) -> bool {
+        forms().any(|form| form.word == name)
+    }
+}
+
+impl FromArgMatches for OrderCommand {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let missing = || clap::Error::new(clap::error::ErrorKind::MissingSubcommand);
+        let (word, matches) = matches.subcommand().ok_or_else(missing)?;
+        let form = OrderForm::of(word).map_err(|_| missing())?;
+        let value = |parameter: &OrderParameter| match parameter.value {
+            ParameterValue::Text | ParameterValue::OptionalText | ParameterValue::Document => {
+                matches.get_one::<String>(parameter.name).map(|text| json!(text))
+            }
+            ParameterValue::Number { .. } => matches.get_one::<f64>(parameter.name).map(|number| json!(number)),
+        };
+        let given = form.parameters.iter().filter_map(|parameter| Some((parameter.name.to_owned(), value(parameter)?)));
+        Ok(Self { form, given: given.collect() })
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
     }
 }
 
 /// How often an order that nobody answered is given again; a session that has just opened does not know all its peers.
 const TRIES: u32 = 5;
 
-/// An observatory node publishes each second which order it took last.
-const SHOWN: Duration = Duration::from_secs(10);
-
 /// Gives the order and prints what became of it.
 pub async fn run(options: Options) -> anyhow::Result<()> {
     let Options { telescope, what, reason, operator, wait, join } = options;
     let wait = Duration::from_secs_f64(wait.clamp(0.0, 86_400.0));
-    give(&telescope, what.kind(), By { operator, reason }, wait, join).await
+    let kind = what.form.fill(&what.given, &reason)?;
+    give(&telescope, kind, By { operator, reason }, wait, join).await
 }
 
 /// The operator of an order, where a name was given, and the reason.
@@ -140,45 +131,45 @@ pub struct By {
 /// Gives an order to a telescope, named as SITE/TELESCOPE, and prints the result; waits so long until a close order is
 /// verified closed.
 pub async fn give(telescope: &str, kind: OrderKind, by: By, wait: Duration, join: Join) -> anyhow::Result<()> {
-    let order = Order { id: CommandId::fresh(), from: from(by.operator)?, reason: by.reason, kind };
+    check_reason(&by.reason)?;
+    let order = Order { id: CommandId::fresh(), from: from(by.operator)?, reason: by.reason, kind, seen: None };
     let bus = join.open().await?;
     let address = telescopes::read(telescope, &bus).await?;
     // The subscriptions begin before the order is given, so that no effect is missed.
-    let sight = Sight::open(&bus, &address).await?;
-    let key = Key::Order(address.clone());
+    let follower = Follower::open(&bus, &address).await?;
+    let given_utc = bus.clock().utc();
     let mut tried = 0;
-    let reply = loop {
-        match bus.ask::<_, Reply>(&key, &order, Duration::from_secs(3)).await {
-            Err(AskError::Unknown { .. }) if tried < TRIES => {
+    loop {
+        match orders::give(&bus, &address, &order).await {
+            Ok(()) => break,
+            Err(error) if error.is_silence() && tried < TRIES => {
                 tried += 1;
                 // A mistyped name is reported at once where others answer.
                 let known = telescopes::known(&bus).await;
                 let is_mistyped = !known.is_empty() && !known.contains(&address);
                 if is_mistyped && !telescopes::has_node(&address, &bus).await {
-                    return Err(telescopes::unanswered(&address, &bus).await);
+                    return Err(telescopes::mistyped(&address, &known));
                 }
             }
-            Err(AskError::Unknown { .. }) => return Err(telescopes::unanswered(&address, &bus).await),
-            answered => break answered.map_err(|error| anyhow!("{}", printable(&error.to_string())))?,
+            Err(error) if error.is_silence() => {
+                return Err(telescopes::unanswered(&address, &bus).await);
+            }
+            Err(NotAccepted::Refused(refusal)) => {
+                bail!("refused, {}: {}", refusal.reason, printable(&refusal.detail))
+            }
+            Err(error) => bail!("{}", printable(&error.to_string())),
         }
         tokio::time::sleep(Duration::from_millis(500)).await;
-    };
-    match reply {
-        Reply::Accepted(accepted) if accepted.id != order.id => {
-            bail!("{key} answered for another order; whether it was done is unknown, see `starmesh status`")
+    }
+    if closes(&order.kind) && !wait.is_zero() {
+        line(format_args!("accepted; waiting until it is verified closed, at most {:.0} s", wait.as_secs_f64()))?;
+        follower.until_closed(&order.id, given_utc, wait).await?;
+        line(format_args!("verified closed"))?;
+    } else {
+        line(format_args!("accepted"))?;
+        if matches!(order.kind, OrderKind::Robotic(true)) {
+            print_hold(&bus, &address).await?;
         }
-        Reply::Accepted(_) if closes(&order.kind) && !wait.is_zero() => {
-            line(format_args!("accepted; waiting until it is verified closed, at most {:.0} s", wait.as_secs_f64()))?;
-            sight.until_closed(&order.id, wait).await?;
-            line(format_args!("verified closed"))?;
-        }
-        Reply::Accepted(_) => {
-            line(format_args!("accepted"))?;
-            if matches!(order.kind, OrderKind::Robotic(true)) {
-                tell_of_hold(&bus, &address).await?;
-            }
-        }
-        Reply::Refusal(refusal) => bail!("refused, {}: {}", refusal.reason, printable(&refusal.detail)),
     }
     bus.close().await;
     Ok(())
@@ -186,10 +177,10 @@ pub async fn give(telescope: &str, kind: OrderKind, by: By, wait: Duration, join
 
 /// Prints the operator who ordered that the telescope stays closed, if there is such an order: a start opens nothing
 /// then.
-async fn tell_of_hold(bus: &bus::Bus, address: &Address) -> anyhow::Result<()> {
-    let key = Key::Observatory(address.clone(), Part::Standing).to_string();
-    for (_, said) in bus.get_all::<StandingOrders>(&key, Duration::from_secs(1)).await {
-        if let Some(hold) = said.body.stay_closed {
+async fn print_hold(bus: &bus::Bus, address: &Address) -> anyhow::Result<()> {
+    let key = Key::Observatory(address.clone(), Part::OperatorOrders).to_string();
+    for (_, sample) in bus.get_all::<OperatorOrders>(&key, Duration::from_secs(1)).await {
+        if let Some(hold) = sample.body.stay_closed {
             let reason = if hold.reason.is_empty() { "no reason given" } else { &hold.reason };
             foreign_line(format_args!(
                 "it stays closed all the same: {} ordered so at {} ({reason}). `starmesh order {address} open-again` takes that back, \
@@ -204,15 +195,16 @@ async fn tell_of_hold(bus: &bus::Bus, address: &Address) -> anyhow::Result<()> {
 
 /// The name of an operator at a command line: `cli/ana@dome-pc`.
 fn from(operator: Option<String>) -> anyhow::Result<String> {
-    let told = |name: &str| std::env::var(name).ok().filter(|value| !value.trim().is_empty());
-    let account =
-        || told("STARMESH_OPERATOR").or_else(|| told("USER")).or_else(|| told("USERNAME")).or_else(of_account);
+    let variable = |name: &str| std::env::var(name).ok().filter(|value| !value.trim().is_empty());
+    let account = || {
+        variable("STARMESH_OPERATOR").or_else(|| variable("USER")).or_else(|| variable("USERNAME")).or_else(of_account)
+    };
     let name = operator.or_else(account).unwrap_or_default();
     let name = name.trim();
     if name.is_empty() || name.contains(['/', '@']) || name.chars().any(char::is_control) {
         bail!("who orders? expected --operator NAME, without '/' and '@', such as --operator ana; got {name:?}");
     }
-    Ok(format!("cli/{name}@{}", bus::node::host_name()).trim_end_matches('@').to_owned())
+    Ok(format!("cli/{name}@{}", node::host_name()).trim_end_matches('@').to_owned())
 }
 
 /// The name of this process's account where its environment does not contain it, as in a container.
@@ -230,77 +222,6 @@ fn of_account() -> Option<String> {
 
 fn closes(kind: &OrderKind) -> bool {
     matches!(kind, OrderKind::Close | OrderKind::Robotic(false) | OrderKind::StayClosed(true))
-}
-
-/// The states of one telescope while an order is given.
-struct Sight {
-    address: Address,
-    nights: Subscriber<NightState>,
-    guards: Subscriber<Guard>,
-}
-
-impl Sight {
-    async fn open(bus: &bus::Bus, address: &Address) -> anyhow::Result<Self> {
-        let night = Key::Observatory(address.clone(), Part::Night).to_string();
-        let guard = format!("{}/{}/*/device/{}/*/guard", contract::key::ROOT, address.site, Kind::Dome);
-        Ok(Self {
-            address: address.clone(),
-            nights: bus.subscribe(&night, Catch::Newest, 64).await?,
-            guards: bus.subscribe(&guard, Catch::Newest, 64).await?,
-        })
-    }
-
-    /// Waits until the observatory node shows the order, reports that all is closed, and no guard of its domes contradicts it.
-    async fn until_closed(&self, order: &CommandId, wait: Duration) -> anyhow::Result<()> {
-        let began = Instant::now();
-        let (mut seen, mut posture) = (false, None);
-        let mut domes: BTreeMap<String, bool> = BTreeMap::new();
-        while began.elapsed() < wait {
-            let left = wait.saturating_sub(began.elapsed()).min(Duration::from_secs(1));
-            tokio::select! {
-                heard = self.nights.hear() => {
-                    let night = heard.said.body;
-                    // Somebody else may publish in its name: only a sample that contains the order counts.
-                    if night.last_order.as_ref().is_some_and(|last| last.id == *order) {
-                        (seen, posture) = (true, Some(night.posture));
-                    }
-                }
-                heard = self.guards.hear() => {
-                    if let Key::Guard(dome) = &heard.key && self.is_over(dome, &heard.said.body) {
-                        domes.insert(dome.to_string(), heard.said.body.verified_closed != Some(false));
-                    }
-                }
-                () = tokio::time::sleep(left) => {}
-            }
-            if seen && posture == Some(Posture::Closed) && domes.values().all(|closed| *closed) {
-                return Ok(());
-            }
-            if !seen && began.elapsed() > SHOWN {
-                bail!(
-                    "NOT VERIFIED: somebody answered \"accepted\", but the observatory node of {} does not show the order \
-                     after {} s. Look at the dome, and close it at its own controls",
-                    self.address,
-                    SHOWN.as_secs()
-                );
-            }
-        }
-        let open: Vec<&str> = domes.iter().filter(|(_, closed)| !**closed).map(|(dome, _)| dome.as_str()).collect();
-        let posture = posture.map_or("unknown", posture_word).to_lowercase();
-        let open = if open.is_empty() { String::new() } else { format!("; not closed: {}", open.join(", ")) };
-        bail!(
-            "NOT verified closed within {:.0} s: {} is {posture}{open}. The closing goes on; look at the alerts and at the dome",
-            wait.as_secs_f64(),
-            self.address
-        )
-    }
-
-    /// Is this the guard of a dome over the telescope?
-    fn is_over(&self, dome: &Device, said: &Guard) -> bool {
-        let telescope = self.address.telescope.as_str();
-        dome.address == self.address
-            || said.granted.iter().any(|granted| granted.telescope == telescope)
-            || said.permits.iter().any(|permit| permit.telescope == telescope)
-    }
 }
 
 #[cfg(test)]

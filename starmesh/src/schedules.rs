@@ -22,7 +22,7 @@ const ASKED: u32 = 3;
 
 /// What `starmesh schedule` does.
 #[derive(Debug, Subcommand)]
-pub enum Command {
+pub enum ScheduleCommand {
     /// Put a file in the place of the schedule in force; a bad one is refused, and nothing changes.
     Put(Put),
     /// Make a short night of a long one, to try it.
@@ -30,11 +30,11 @@ pub enum Command {
     /// The rows of the schedule in force and how far each is, from any machine on the bus.
     Rows(Rows),
     /// Every schedule that was in force: number, time, author, rows, reason.
-    List(Kept),
+    List(VersionsFolder),
     /// Print one of them.
     Show {
         #[command(flatten)]
-        kept: Kept,
+        folder: VersionsFolder,
         /// Its number in the list; the newest where absent.
         version: Option<u64>,
     },
@@ -50,7 +50,7 @@ pub struct Put {
     /// Why, for the list of versions and the log.
     #[arg(long)]
     reason: String,
-    /// Who puts it, by name; by default $STARMESH_OPERATOR, else the name of the account.
+    /// The name of the person who puts it; by default $STARMESH_OPERATOR, else the name of the account.
     #[arg(long, value_name = "NAME")]
     operator: Option<String>,
     #[command(flatten)]
@@ -68,25 +68,25 @@ pub struct Rows {
 
 /// Where the versions are: in the data folder of the observatory node, which this must be the host of.
 #[derive(Debug, Args)]
-pub struct Kept {
+pub struct VersionsFolder {
     /// The telescope's configuration.
     #[arg(long, default_value = "observatory.toml")]
     config: PathBuf,
 }
 
-impl Kept {
+impl VersionsFolder {
     fn versions(&self) -> anyhow::Result<Versions> {
         let shown = self.config.display();
-        let (config, _) = bus::node::read_config(&self.config)
+        let (config, _) = node::configuration::read_config(&self.config)
             .with_context(|| format!("{shown} names the folder of the versions; name the configuration by --config"))?;
         Ok(Versions::of(&config))
     }
 }
 
 /// Runs the command.
-pub async fn run(command: Command) -> anyhow::Result<()> {
+pub async fn run(command: ScheduleCommand) -> anyhow::Result<()> {
     match command {
-        Command::Put(put) => {
+        ScheduleCommand::Put(put) => {
             let shown = put.file.display();
             let text = read_text(&put.file).with_context(|| format!("cannot read {shown}"))?;
             if let Some(ScheduleFindings { valid: false, errors, warnings, .. }) = findings(&put, &text).await? {
@@ -95,12 +95,13 @@ pub async fn run(command: Command) -> anyhow::Result<()> {
                 );
             }
             let by = By { operator: put.operator, reason: put.reason };
-            order::give(&put.telescope, OrderKind::PutSchedule { text }, by, Duration::ZERO, put.join).await
+            order::give(&put.telescope, OrderKind::PutSchedule { text, instead_of: None }, by, Duration::ZERO, put.join)
+                .await
         }
-        Command::Compress(options) => crate::compress::run(&options),
-        Command::Rows(rows) => show_rows(rows).await,
-        Command::List(kept) => list(&kept.versions()?),
-        Command::Show { kept, version } => show(&kept.versions()?, version),
+        ScheduleCommand::Compress(options) => crate::compress::run(&options),
+        ScheduleCommand::Rows(rows) => show_rows(rows).await,
+        ScheduleCommand::List(folder) => list(&folder.versions()?),
+        ScheduleCommand::Show { folder, version } => show(&folder.versions()?, version),
     }
 }
 
@@ -119,7 +120,7 @@ async fn findings(put: &Put, text: &str) -> anyhow::Result<Option<ScheduleFindin
     }
     bus.close().await;
     if let Some(found) = &found {
-        check::say(&put.file, text, &found.findings)?;
+        check::print_findings(&put.file, text, &found.findings)?;
         for what in &found.unchecked {
             foreign_line(format_args!("{}: not checked: {what}", put.file.display()))?;
         }
@@ -132,17 +133,17 @@ async fn show_rows(rows: Rows) -> anyhow::Result<()> {
     let bus = rows.join.open().await?;
     let address = telescopes::read(&rows.telescope, &bus).await?;
     let key = Key::Observatory(address.clone(), Part::Schedule).to_string();
-    let mut told = None;
+    let mut found = None;
     for _ in 0..TRIES {
-        told = bus.get_all::<ScheduleState>(&key, Duration::from_secs(1)).await.into_iter().next();
-        if told.is_some() {
+        found = bus.get_all::<ScheduleState>(&key, Duration::from_secs(1)).await.into_iter().next();
+        if found.is_some() {
             break;
         }
         tokio::time::sleep(Duration::from_millis(300)).await;
     }
-    let Some((_, said)) = told else { return Err(telescopes::unanswered(&address, &bus).await) };
+    let Some((_, sample)) = found else { return Err(telescopes::unanswered(&address, &bus).await) };
     bus.close().await;
-    for text in row_lines(&said.body) {
+    for text in row_lines(&sample.body) {
         foreign_line(format_args!("{text}"))?;
     }
     Ok(())
@@ -195,9 +196,9 @@ fn status_word(status: RowStatus) -> &'static str {
 }
 
 fn list(versions: &Versions) -> anyhow::Result<()> {
-    for kept in versions.list().context("the versions cannot be read")? {
-        let (version, at_utc, author, rows) = (kept.version, kept.at_utc, kept.author, kept.rows);
-        foreign_line(format_args!("{version:6}  {at_utc}  {rows:5} rows  {author}  {}", kept.reason))?;
+    for stored in versions.list().context("the versions cannot be read")? {
+        let (version, at_utc, author, rows) = (stored.version, stored.at_utc, stored.author, stored.rows);
+        foreign_line(format_args!("{version:6}  {at_utc}  {rows:5} rows  {author}  {}", stored.reason))?;
     }
     Ok(())
 }

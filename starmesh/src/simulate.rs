@@ -3,14 +3,14 @@
 use std::net::SocketAddr;
 
 use clap::Args;
-use simulator::Simulator;
+use simulator::{Simulator, Transit};
 use units::{Angle, Utc};
 
 /// Options of `starmesh simulator`.
 #[derive(Debug, Args)]
 pub struct Options {
     /// Where the Alpaca server listens.
-    #[arg(long, default_value = "127.0.0.1:11111")]
+    #[arg(long, default_value = "127.0.0.1:11111", value_parser = address)]
     bind: SocketAddr,
     /// Sky time at the start, such as 2026-11-21T01:00:00Z; now where absent.
     #[arg(long)]
@@ -57,6 +57,11 @@ pub struct Options {
     /// A guide scope on the same mount, as camera 1.
     #[arg(long)]
     guide_camera: bool,
+    /// A star whose light falls and returns, as when a planet passes before it: its place (ICRS, degrees), depth, mid-time, duration from
+    /// the first loss of light to the last, and duration of either slope, such as
+    /// ra=24.3543,dec=-45.6779,depth-mmag=15,mid=2026-11-21T01:20:00Z,duration-min=50,ingress-min=8; may be given several times.
+    #[arg(long)]
+    transit: Vec<Transit>,
     /// Answer Alpaca discovery on this UDP port (32227 is Alpaca's).
     #[arg(long)]
     discovery_port: Option<u16>,
@@ -99,6 +104,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     if let Some(size) = options.size_px {
         (chosen.camera.width, chosen.camera.height) = (size, size);
     }
+    chosen.transits = options.transit;
     chosen.camera.pixel_um = options.pixel_um.unwrap_or(chosen.camera.pixel_um);
     chosen.camera.optics_fwhm_arcsec = options.optics_fwhm_arcsec.unwrap_or(chosen.camera.optics_fwhm_arcsec);
     let simulator = Simulator::start(chosen).await?;
@@ -106,4 +112,8 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     tokio::signal::ctrl_c().await?;
     simulator.stop().await;
     Ok(())
+}
+
+fn address(text: &str) -> Result<SocketAddr, String> {
+    text.parse().map_err(|_| "expected an address and a port, such as 127.0.0.1:11111".to_owned())
 }

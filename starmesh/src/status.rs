@@ -7,10 +7,10 @@ use clap::Args;
 use contract::command::operator;
 use contract::node::NodeState;
 use contract::observatory::{
-    Alert, Alerts, NightState, Posture, RowState, RowStatus, SafetyState, ScheduleState, StandingOrders, Unsafe,
+    Alert, Alerts, NightState, OperatorOrders, Posture, RowState, RowStatus, SafetyState, ScheduleState, Unsafe,
     Verdict,
 };
-use contract::{Address, Key, NodeTopic, Part};
+use contract::{Address, Key, NodeTopic, Part, Topic};
 use units::Utc;
 
 use crate::console::{foreign_line, line};
@@ -31,7 +31,7 @@ pub struct Options {
 
 /// The states that one telescope published.
 #[derive(Default)]
-struct Told {
+struct Status {
     night: Option<NightState>,
     /// Sky time of the newest sample.
     at: Option<Utc>,
@@ -52,13 +52,13 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     anyhow::ensure!(options.seconds.is_finite(), "--seconds {}: expected 0.5 to 60", options.seconds);
     let bus = options.join.open().await?;
     let until = Instant::now() + Duration::from_secs_f64(options.seconds.clamp(0.5, 60.0));
-    let mut telescopes: BTreeMap<Address, Told> = BTreeMap::new();
+    let mut telescopes: BTreeMap<Address, Status> = BTreeMap::new();
     // Peers are found one after another: the command asks until the time is up or an answer brings nothing new.
     let mut known = 0;
     while Instant::now() < until {
         ask(&bus, &mut telescopes).await;
-        let all_tell = telescopes.values().all(|told| told.night.is_some());
-        if all_tell && !telescopes.is_empty() && telescopes.len() == known {
+        let all_report = telescopes.values().all(|status| status.night.is_some());
+        if all_report && !telescopes.is_empty() && telescopes.len() == known {
             break;
         }
         known = telescopes.len();
@@ -75,58 +75,58 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         "{:28} {:8} {:9} {:8} {:14} {:>6}  NOW",
         "TELESCOPE", "SAFETY", "POSTURE", "MODE", "SKY", "ALERTS"
     ))?;
-    for (address, told) in &telescopes {
-        for text in told.lines(address) {
+    for (address, status) in &telescopes {
+        for text in status.lines(address) {
             foreign_line(format_args!("{text}"))?;
         }
     }
     Ok(())
 }
 
-async fn ask(bus: &bus::Bus, telescopes: &mut BTreeMap<Address, Told>) {
+async fn ask(bus: &bus::Bus, telescopes: &mut BTreeMap<Address, Status>) {
     let timeout = Duration::from_secs(1);
-    let part = |part: Part| format!("{}/*/*/observatory/{}/state", contract::key::ROOT, part.word());
+    let part = |part| Topic::Observatory(part).everywhere();
     // A telescope whose observatory node is dead or hangs is the one that must not be absent here.
-    let nodes = format!("{}/*/*/node/*/*/{}", contract::key::ROOT, NodeTopic::State.word());
-    for (key, _) in bus.get_all::<NodeState>(&nodes, timeout).await {
+    let nodes = Topic::Node(NodeTopic::State).everywhere();
+    for (key, _) in bus.get_all::<NodeState>(nodes, timeout).await {
         if let Key::Node(address, role, id, _) = &key
             && address.telescope.as_str() != Address::SHARED
         {
             telescopes.entry(address.clone()).or_default().nodes.insert(format!("{}/{id}", role.word()));
         }
     }
-    for (key, said) in bus.get_all::<NightState>(&part(Part::Night), timeout).await {
-        let told = telescopes.entry(key.address().clone()).or_default();
-        told.at = Some(said.at_utc);
-        told.night = Some(said.body);
+    for (key, sample) in bus.get_all::<NightState>(part(Part::Night), timeout).await {
+        let status = telescopes.entry(key.address().clone()).or_default();
+        status.at = Some(sample.at_utc);
+        status.night = Some(sample.body);
     }
-    for (key, said) in bus.get_all::<SafetyState>(&part(Part::Safety), timeout).await {
-        telescopes.entry(key.address().clone()).or_default().safety = Some(said.body);
+    for (key, sample) in bus.get_all::<SafetyState>(part(Part::Safety), timeout).await {
+        telescopes.entry(key.address().clone()).or_default().safety = Some(sample.body);
     }
-    for (key, said) in bus.get_all::<ScheduleState>(&part(Part::Schedule), timeout).await {
-        telescopes.entry(key.address().clone()).or_default().schedule = Some(said.body);
+    for (key, sample) in bus.get_all::<ScheduleState>(part(Part::Schedule), timeout).await {
+        telescopes.entry(key.address().clone()).or_default().schedule = Some(sample.body);
     }
-    for (key, said) in bus.get_all::<StandingOrders>(&part(Part::Standing), timeout).await {
+    for (key, sample) in bus.get_all::<OperatorOrders>(part(Part::OperatorOrders), timeout).await {
         let because = |why: &str| if why.is_empty() { String::new() } else { format!(": {why}") };
-        if let Some(closed) = said.body.stay_closed {
+        if let Some(closed) = sample.body.stay_closed {
             let (name, why) = (operator(&closed.from), because(&closed.reason));
-            let told = telescopes.entry(key.address().clone()).or_default();
-            told.stay_closed = Some(format!("{name} ordered at {} that it stays closed{why}", closed.at_utc));
+            let status = telescopes.entry(key.address().clone()).or_default();
+            status.stay_closed = Some(format!("{name} ordered at {} that it stays closed{why}", closed.at_utc));
         }
-        if let Some(held) = said.body.control {
+        if let Some(held) = sample.body.control {
             let why = because(&held.reason);
-            let told = telescopes.entry(key.address().clone()).or_default();
-            told.held = Some(format!("{} has it since {}{why}", operator(&held.from), held.at_utc));
+            let status = telescopes.entry(key.address().clone()).or_default();
+            status.held = Some(format!("{} has it since {}{why}", operator(&held.from), held.at_utc));
         }
     }
-    for (key, said) in bus.get_all::<Alerts>(&part(Part::Alerts), timeout).await {
+    for (key, sample) in bus.get_all::<Alerts>(part(Part::Alerts), timeout).await {
         if matches!(key, Key::Observatory(..)) {
-            telescopes.entry(key.address().clone()).or_default().alerts = said.body.alerts;
+            telescopes.entry(key.address().clone()).or_default().alerts = sample.body.alerts;
         }
     }
 }
 
-impl Told {
+impl Status {
     /// The telescope's line of the table, and a line for each reason.
     fn lines(&self, address: &Address) -> Vec<String> {
         let safety = self.safety.as_ref().map_or("-", |safety| match safety.verdict {
@@ -274,8 +274,8 @@ mod tests {
 
     use super::*;
 
-    fn told(night: &str, safety: &str, rows: &str) -> Told {
-        Told {
+    fn shown(night: &str, safety: &str, rows: &str) -> Status {
+        Status {
             night: Some(serde_json::from_str(night).unwrap()),
             at: Some("2026-11-21T02:00:00Z".parse().unwrap()),
             safety: Some(serde_json::from_str(safety).unwrap()),
@@ -306,7 +306,7 @@ mod tests {
     #[test]
     fn every_reason_stands_there_with_the_time_at_which_it_can_clear() {
         let address = Address::new("paranal", "io").unwrap();
-        let lines = told(&night(true), UNSAFE, &ROW.replace("START", "2026-11-21T01:00:00Z")).lines(&address);
+        let lines = shown(&night(true), UNSAFE, &ROW.replace("START", "2026-11-21T01:00:00Z")).lines(&address);
         assert!(lines[0].contains("UNSAFE") && lines[0].contains("ROBOTIC  simulated x60"), "{lines:#?}");
         assert!(lines[0].ends_with("row 2, object M42 waits for a safe sky"), "{lines:#?}");
         assert_eq!(lines[1], "    not safe: wx/Humidity: 91 is above 80; when it clears cannot be known");
@@ -314,15 +314,16 @@ mod tests {
         assert_eq!(lines[3], "    when it will be safe again cannot be known yet");
         assert!(lines[4].starts_with("    CRITICAL dome-not-closed/dome: it says open; "), "{lines:#?}");
         let six =
-            Told { alerts: vec![told(&night(true), SAFE, "").alerts.remove(0); 7], ..told(&night(true), SAFE, "") };
+            Status { alerts: vec![shown(&night(true), SAFE, "").alerts.remove(0); 7], ..shown(&night(true), SAFE, "") };
         let last = six.lines(&address).pop().unwrap();
-        assert_eq!(last, "    2 more alerts: starmesh tail 'starmesh/v1/paranal/io/observatory/alerts/state'");
+        let alerts = Key::Observatory(address, Part::Alerts);
+        assert_eq!(last, format!("    2 more alerts: starmesh tail '{alerts}'"));
     }
 
     #[test]
     fn a_telescope_whose_observatory_node_is_silent_is_not_left_out() {
         let nodes = ["device/main", "archive/main"].map(str::to_owned).into();
-        let lines = Told { nodes, ..Told::default() }.lines(&Address::new("paranal", "europa").unwrap());
+        let lines = Status { nodes, ..Status::default() }.lines(&Address::new("paranal", "europa").unwrap());
         assert!(lines[0].starts_with("paranal/europa               -        -"), "{lines:#?}");
         assert!(
             lines[0]
@@ -331,16 +332,16 @@ mod tests {
     }
 
     #[test]
-    fn between_rows_it_says_what_is_waited_for() {
+    fn between_rows_it_prints_what_is_waited_for() {
         let address = Address::new("paranal", "io").unwrap();
         let later = ROW.replace("START", "2026-11-21T02:30:00Z");
-        let now = |night: &str, safety: &str, rows: &str| told(night, safety, rows).now(&address);
+        let now = |night: &str, safety: &str, rows: &str| shown(night, safety, rows).now(&address);
         assert_eq!(
             now(&night(true), SAFE, &later),
             "waits for row 2, object M42, which starts at 11-21 02:30:00 UTC (in 30 min)"
         );
         assert_eq!(now(&night(false), SAFE, &later), "waits for a person: starmesh order paranal/io start");
-        let closed = Told { stay_closed: Some("ana ordered it".to_owned()), ..told(&night(false), UNSAFE, &later) };
+        let closed = Status { stay_closed: Some("ana ordered it".to_owned()), ..shown(&night(false), UNSAFE, &later) };
         assert_eq!(closed.now(&address), "ana ordered it: starmesh order paranal/io open-again");
         assert_eq!(now(&night(true), SAFE, ""), "waits for a schedule");
         let done = later.replace("pending", "finished");

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use bus::Stop;
 use contract::Role;
+use node::Stop;
 use tokio::process::{Child, Command};
 
 use crate::left::Left;
@@ -68,7 +68,7 @@ impl NodeProcess {
             command.stdin(Stdio::null());
         }
         if let Some(file) = last_words {
-            command.env(bus::node::LAST_WORDS, file);
+            command.env(node::start::LAST_WORDS, file);
         }
         // Ctrl-C in a terminal is for the supervisor alone, which ends its nodes in order.
         #[cfg(unix)]
@@ -88,7 +88,7 @@ impl NodeProcess {
     pub async fn keep(&self, stop: Stop) -> anyhow::Result<()> {
         let mut pause = Duration::from_secs(1);
         let words = tempfile::NamedTempFile::new().context("no temporary file")?.into_temp_path();
-        let mut said_before = String::new();
+        let mut printed_before = String::new();
         loop {
             let started = Instant::now();
             let mut child = self.spawn_with(Some(&words))?;
@@ -101,7 +101,7 @@ impl NodeProcess {
             // A process that has run for a while, or was killed, prints the cause of its end again.
             let is_known_failure = ended.as_ref().is_ok_and(|status| status.code() == Some(1));
             if !is_known_failure || started.elapsed() > HEALTHY {
-                said_before.clear();
+                printed_before.clear();
                 // Where the file cannot be emptied, a line is left out at most.
                 let _ = std::fs::write(&words, "");
             }
@@ -111,15 +111,15 @@ impl NodeProcess {
             } else {
                 (pause * 2).min(self.longest_pause())
             };
-            let said = std::fs::read_to_string(&words).unwrap_or_default();
-            if said.is_empty() || said != said_before {
-                bus::lines::complain(format_args!(
+            let text = std::fs::read_to_string(&words).unwrap_or_default();
+            if text.is_empty() || text != printed_before {
+                node::lines::complain(format_args!(
                     "starmesh: the {} node {} ended ({status}); next start in {pause:?}, and again without a further word \
                      while it ends for the same reason",
                     self.role, self.id
                 ));
             }
-            said_before = said;
+            printed_before = text;
             if stop.or(tokio::time::sleep(pause)).await.is_none() {
                 return Ok(());
             }

@@ -9,7 +9,7 @@ use crate::join::Join;
 #[derive(Debug, Args)]
 pub struct Options {
     /// Zenoh key expression, such as 'starmesh/v1/*/callisto/**'.
-    #[arg(default_value = "starmesh/**")]
+    #[arg(default_value = contract::EVERYTHING)]
     expression: String,
     #[command(flatten)]
     join: Join,
@@ -18,9 +18,9 @@ pub struct Options {
 /// Prints until it is interrupted.
 pub async fn run(options: Options) -> anyhow::Result<()> {
     let bus = options.join.open().await?;
-    let heard = bus.subscribe::<serde_json::Value>(&options.expression, bus::Catch::Newest, 4096).await?;
+    let samples = bus.subscribe::<serde_json::Value>(&options.expression, bus::Catch::Newest, 4096).await?;
     loop {
-        let sample = heard.hear().await;
-        foreign_line(format_args!("{} {} {}", sample.said.at_utc, sample.key, sample.said.body))?;
+        let received = samples.recv().await;
+        foreign_line(format_args!("{} {} {}", received.sample.at_utc, received.key, received.sample.body))?;
     }
 }

@@ -7,7 +7,7 @@ use anyhow::anyhow;
 use bus::Bus;
 use contract::node::NodeState;
 use contract::observatory::NightState;
-use contract::{Address, NodeTopic, Part, Role};
+use contract::{Address, NodeTopic, Part, Role, Topic};
 
 /// So often the command asks which telescopes are on the bus: a session that has just opened does not know all its
 /// peers.
@@ -40,18 +40,22 @@ pub async fn unanswered(address: &Address, bus: &Bus) -> anyhow::Error {
             "the observatory node of {address} is on the bus and does not command yet; try again in some seconds"
         );
     }
-    anyhow!("no observatory node of a telescope {address} answers on the bus; {}", meant(&address.to_string(), &known))
+    mistyped(address, &known)
+}
+
+/// The error for a telescope without a node on the bus, where these telescopes are known.
+pub fn mistyped(address: &Address, known: &BTreeSet<Address>) -> anyhow::Error {
+    anyhow!("no observatory node of a telescope {address} answers on the bus; {}", meant(&address.to_string(), known))
 }
 
 /// Telescopes whose observatory nodes command.
 pub async fn known(bus: &Bus) -> BTreeSet<Address> {
-    let nights = format!("{}/*/*/observatory/{}/state", contract::key::ROOT, Part::Night.word());
+    let nights = Topic::Observatory(Part::Night).everywhere();
     let mut found = BTreeSet::new();
     for _ in 0..TRIES {
         let before = found.len();
-        found.extend(
-            bus.get_all::<NightState>(&nights, TIMEOUT).await.into_iter().map(|(key, _)| key.address().clone()),
-        );
+        found
+            .extend(bus.get_all::<NightState>(nights, TIMEOUT).await.into_iter().map(|(key, _)| key.address().clone()));
         if !found.is_empty() && found.len() == before {
             break;
         }
@@ -63,8 +67,8 @@ pub async fn known(bus: &Bus) -> BTreeSet<Address> {
 /// Whether an observatory node of a telescope is on the bus, also one that does not command yet: a node that has just
 /// started asks for the lease first.
 pub async fn has_node(address: &Address, bus: &Bus) -> bool {
-    let nodes = format!("{}/{address}/node/{}/*/{}", contract::key::ROOT, Role::Observatory, NodeTopic::State.word());
-    !bus.get_all::<NodeState>(&nodes, TIMEOUT).await.is_empty()
+    let nodes = Topic::Node(NodeTopic::State).at(address).of_role(Role::Observatory);
+    !bus.get_all::<NodeState>(nodes, TIMEOUT).await.is_empty()
 }
 
 /// The names that were probably meant, and the names on the bus.
@@ -85,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_mistyped_telescope_is_told_with_those_that_there_are() {
+    fn a_mistyped_telescope_is_reported_with_those_that_exist() {
         let known: BTreeSet<Address> = [("paranal", "io"), ("paranal", "callisto")]
             .into_iter()
             .map(|(s, t)| Address::new(s, t).unwrap())

@@ -1,12 +1,13 @@
-//! `starmesh up`: starts and supervises the nodes of one telescope, one process per role.
+//! `starmesh up`: starts and supervises the nodes of one telescope, one process per role, and one more device node per dome.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use bus::{Bus, Clock, Stop, lines};
+use bus::{Bus, Clock};
 use clap::Args;
 use contract::Role;
+use node::{Stop, lines};
 use tokio::task::JoinSet;
 
 use crate::bus_address;
@@ -14,7 +15,7 @@ use crate::left::Left;
 use crate::supervise::NodeProcess;
 
 /// How often the command prints what it waits for.
-const TELL: Duration = Duration::from_secs(10);
+const REPORT_AFTER: Duration = Duration::from_secs(10);
 
 /// A file that cannot be used is read again so often.
 const READ_AGAIN: Duration = Duration::from_secs(2);
@@ -32,7 +33,7 @@ pub struct Options {
 /// Runs until Ctrl-C or SIGTERM; then enclosures are closed before their device nodes end.
 pub async fn run(options: Options) -> anyhow::Result<()> {
     let left = Arc::new(Left::find(&options.file).await?);
-    let config = match bus::node::read_observatory(&options.file) {
+    let config = match node::configuration::read_observatory(&options.file) {
         Ok(config) => config,
         Err(error) => match guarded_until_readable(&options, error, &left).await? {
             Some(config) => config,
@@ -43,7 +44,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         },
     };
     // The nodes of one host meet here even where multicast does not work, and are introduced to each other by gossip.
-    bus::node::show_log();
+    node::log::show_log();
     let bus = Bus::open(&bus_address::of_supervisor(&config.bus), Clock::machine_clock()).await?;
     let mut arguments = options.node_arguments.clone();
     arguments.extend(bus_address::of_nodes(&config.bus, &bus).await);
@@ -74,9 +75,9 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         let (node, stop) = (node(role, config::MAIN_NODE), brains.clone());
         others.spawn(async move { node.keep(stop).await });
     }
-    lines::say(format_args!("{}: nodes started; {page}; Ctrl-C stops", config.address()));
-    bus::node::end_asked().await;
-    lines::say(
+    lines::print_line(format_args!("{}: nodes started; {page}; Ctrl-C stops", config.address()));
+    node::signals::end_asked().await;
+    lines::print_line(
         "stopping: the observatory node closes first (at most 15 s), then each enclosure's device node (at most 300 s)",
     );
     brains.stop();
@@ -85,8 +86,8 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         for (id, stop, mut task) in devices {
             stop.stop();
             let began = Instant::now();
-            while tokio::time::timeout(TELL, task.join_next()).await.is_err() {
-                lines::say(format_args!(
+            while tokio::time::timeout(REPORT_AFTER, task.join_next()).await.is_err() {
+                lines::print_line(format_args!(
                     "waiting for the device node {id} to close its enclosure, since {} s, at most 300 s; Ctrl-C again leaves \
                      it: it goes on closing until then, and the next `starmesh up` of this file waits for it",
                     began.elapsed().as_secs()
@@ -96,12 +97,12 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     };
     let in_good_order = tokio::select! {
         () = ending => true,
-        () = bus::node::termination() => false,
+        () = node::signals::termination() => false,
     };
     bus.close().await;
     anyhow::ensure!(in_good_order, "ended by a second signal; what still runs: {}", left.names());
     left.nothing();
-    lines::say("stopped: every node has ended");
+    lines::print_line("stopped: every node has ended");
     Ok(())
 }
 
@@ -145,14 +146,14 @@ async fn guarded_until_readable(
     let readable = async {
         loop {
             tokio::time::sleep(READ_AGAIN).await;
-            if let Ok(config) = bus::node::read_observatory(&options.file) {
+            if let Ok(config) = node::configuration::read_observatory(&options.file) {
                 return config;
             }
         }
     };
     let config = tokio::select! {
         config = readable => Some(config),
-        () = bus::node::end_asked() => None,
+        () = node::signals::end_asked() => None,
     };
     stop.stop();
     while task.join_next().await.is_some() {}

@@ -7,15 +7,14 @@ scripts/test (eclipse-zenoh): `target/venv/bin/python tests/bench/frames.py [SID
 
 import os
 import pathlib
-import re
 import statistics
 import sys
 import time
 
 sys.path.append(str(pathlib.Path(__file__).resolve().parents[1] / "python"))
 
-from ear import Ear  # noqa: E402
-from run import BINARY, telescope  # noqa: E402
+from bus_subscriber import BusSubscriber  # noqa: E402
+from run import BINARY, greatest_mib, telescope  # noqa: E402
 
 COUNT = int(os.environ.get("FRAMES_N", "12"))
 # long enough that a poll of every device falls within it, so that no header waits for telemetry
@@ -23,7 +22,7 @@ EXPOSURE_S = 12.0
 PLACE = {"alt": 70.0, "az": 90.0}
 
 
-class Watch(Ear):
+class Watch(BusSubscriber):
     """Notes when something was first said of a frame, monotonic s, by topic and frame."""
 
     def __init__(self, endpoint: str):
@@ -31,9 +30,9 @@ class Watch(Ear):
         self.facts: dict[str, dict] = {}
         super().__init__(endpoint)
 
-    def _hear(self, sample):
+    def _receive(self, sample):
         now = time.monotonic()
-        super()._hear(sample)
+        super()._receive(sample)
         key = str(sample.key_expr)
         payload = self.newest.get(key, {})
         if key.endswith("/frame"):
@@ -46,29 +45,23 @@ class Watch(Ear):
             self.times.setdefault(("header", payload["frame"]), now)
 
 
-def greatest_mib(pid: int) -> float:
-    """The most that was resident at any moment."""
-    status = pathlib.Path(f"/proc/{pid}/status").read_text()
-    return int(re.search(r"^VmHWM:\s+(\d+) kB", status, re.M).group(1)) / 1024
-
-
 def measure(side_px: int):
     rows = [("open", {}), ("object", {"object": "Field", **PLACE, "exptime": EXPOSURE_S, "n": COUNT})]
     with telescope(rows=rows, size_px=side_px, robotic=True) as rig:
-        ear = Watch(f"tcp/127.0.0.1:{rig.bus}")
+        subscriber = Watch(f"tcp/127.0.0.1:{rig.bus}")
 
         def frames(topic: str) -> list[str]:
-            return [frame for what, frame in list(ear.times) if what == topic]
+            return [frame for what, frame in list(subscriber.times) if what == topic]
 
         try:
-            ear.wait_for("every frame has facts and header", lambda _: len(frames("facts")) >= COUNT
-                         and len(frames("header")) >= COUNT, 120 + 4 * COUNT * EXPOSURE_S)
+            subscriber.wait_for("every frame has facts and header", lambda _: len(frames("facts")) >= COUNT
+                                and len(frames("header")) >= COUNT, 120 + 4 * COUNT * EXPOSURE_S)
             memory = {role: greatest_mib(rig.processes[role].pid) for role in ("observatory", "archive", "device")}
         finally:
-            ear.close()
-        after = {topic: sorted(1000 * (ear.times[topic, frame] - ear.times["announced", frame]) for frame in frames(topic))
+            subscriber.close()
+        after = {topic: sorted(1000 * (subscriber.times[topic, frame] - subscriber.times["announced", frame]) for frame in frames(topic))
                  for topic in ("facts", "header")}
-        facts = [ear.facts[frame] for frame in frames("facts")]
+        facts = [subscriber.facts[frame] for frame in frames("facts")]
     unsolved = [fact.get("unsolved") or fact.get("reason") for fact in facts if not fact.get("wcs")]
 
     def shown(values: list[float]) -> str:

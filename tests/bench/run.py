@@ -51,6 +51,7 @@ simulator = "http://127.0.0.1:{self.alpaca}"
 robotic = {str(robotic).lower()}
 [web]
 listen = "127.0.0.1:{self.web}"
+requests_per_s = 10000
 """]
         extra = {"safetymonitor": "dwell_min = 0.02", "camera": "temperature_c = 5.0\ntemperature_tolerance_c = 30.0"}
         for kind in ["telescope", "camera", "filterwheel", "focuser", "dome", "safetymonitor", "observingconditions",
@@ -113,6 +114,12 @@ def cpu_s(pid: int) -> float:
 def pss_mib(pid: int) -> float:
     text = pathlib.Path(f"/proc/{pid}/smaps_rollup").read_text()
     return int(re.search(r"^Pss:\s+(\d+) kB", text, re.M).group(1)) / 1024
+
+
+def greatest_mib(pid: int) -> float:
+    """The most that was resident at any moment."""
+    status = pathlib.Path(f"/proc/{pid}/status").read_text()
+    return int(re.search(r"^VmHWM:\s+(\d+) kB", status, re.M).group(1)) / 1024
 
 
 def idle():

@@ -75,10 +75,10 @@ def wire(program) -> list[str]:
     count, took_s, chance = int(os.environ.get("WIRE_N", "10")), [], random.Random(5)
     with started(program, exptime=10.0) as site:
         for _ in range(count):
-            site.say_safe(True)
+            site.set_safe(True)
             wait("it exposes", lambda: site.get("dome/0/shutterstatus") == 0 and site.get("camera/0/camerastate") == 2, 180, 0.5)
             time.sleep(6 + 5 * chance.random())
-            began_s = site.say_safe(False)
+            began_s = site.set_safe(False)
             took_s.append(wait("closeshutter arrives", lambda: site.puts("closeshutter", began_s))[0] - began_s)
             wait("the mount is parked", lambda: site.get("telescope/0/atpark") and site.get("dome/0/shutterstatus") == 1, 60, 0.5)
             time.sleep(5)

@@ -149,15 +149,15 @@ class Site:
     def get(self, path: str):
         return fetch(f"http://127.0.0.1:{self.alpaca}/api/v1/{path}")["Value"]
 
-    def say(self, path: str, **form) -> float:
+    def set_value(self, path: str, **form) -> float:
         """Sets what a simulator will say; the time at which that arrived."""
         request = urllib.request.Request(f"http://127.0.0.1:{self.alpaca}/api/v1/{path}",
                                          data=urllib.parse.urlencode(form).encode(), method="PUT")
         urllib.request.urlopen(request, timeout=5).close()
         return self.puts(path.rsplit("/", 1)[-1])[-1]
 
-    def say_safe(self, is_safe: bool) -> float:
-        return self.say("safetymonitor/0/issafe", IsSafe=is_safe)
+    def set_safe(self, is_safe: bool) -> float:
+        return self.set_value("safetymonitor/0/issafe", IsSafe=is_safe)
 
     def puts(self, member: str, since_s: float = 0.0) -> list[float]:
         """Wall times at which a PUT arrived at the simulators."""
@@ -179,7 +179,7 @@ def starmesh(site: Site):
     blocks = [f'[observatory]\nsite = "bench"\ntelescope = "sim"\nlatitude_deg = 48.0\nlongitude_deg = {LONGITUDE_DEG}\n'
               f'elevation_m = 1000.0\n[folders]\ndata = "{site.disk}/data"\nimages = "{site.disk}/images"\n'
               f'[bus]\nmulticast = false\n[safety]\nsun_altitude_max_deg = 90.0\ndisk_free_min_gb = 0.002\n'
-              f'[schedule]\nrobotic = {str(bool(site.exposures)).lower()}\n[web]\nlisten = "127.0.0.1:{site.port}"\n']
+              f'[schedule]\nrobotic = {str(bool(site.exposures)).lower()}\n[web]\nlisten = "127.0.0.1:{site.port}"\nrequests_per_s = 10000\n']
     limits = ", ".join(f'{{ parameter = "{name}", upper = {upper}, dwell_min = {DWELL_MIN} }}' for name, upper in LIMITS.items())
     extra = {"camera": "temperature_c = -20.0", "safetymonitor": f"dwell_min = {DWELL_MIN}",
              "observingconditions": f"limit = [{limits}]"}
@@ -234,9 +234,9 @@ def predecessor(site: Site):
 
 def is_well(url: str) -> bool:
     """Its watchdog runs, finds no error, and calls the sky safe."""
-    said = fetch(f"{url}/heartbeat")["data"]
-    age = datetime.datetime.now(datetime.UTC) - datetime.datetime.fromisoformat(said["datetime"] + "+00:00")
-    return said["error_free"] and said["weather_safe"] and age.total_seconds() < 5
+    status = fetch(f"{url}/heartbeat")["data"]
+    age = datetime.datetime.now(datetime.UTC) - datetime.datetime.fromisoformat(status["datetime"] + "+00:00")
+    return status["error_free"] and status["weather_safe"] and age.total_seconds() < 5
 
 
 def restart_watchdog(url: str):

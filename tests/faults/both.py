@@ -69,12 +69,12 @@ class FaultSite(systems.Site):
         self.t0 = time.time()
 
     def unsafe(self):
-        self.t0 = self.say_safe(False)
+        self.t0 = self.set_safe(False)
 
     def weather(self, **values: float):
         """What the simulated station measures from now on, in its own words."""
         names = {"humidity": "Humidity", "rainrate": "RainRate"}
-        self.t0 = max(self.say(f"observingconditions/0/{name}", **{names[name]: value}) for name, value in values.items())
+        self.t0 = max(self.set_value(f"observingconditions/0/{name}", **{names[name]: value}) for name, value in values.items())
 
     def stop_process(self, pid: int):
         os.kill(pid, signal.SIGSTOP)
@@ -84,8 +84,8 @@ class FaultSite(systems.Site):
         """Properties of which the predecessor has a fresh value; what failed once it polls no more."""
         now = datetime.datetime.now(datetime.UTC)
         kinds = fetch(f"http://127.0.0.1:{self.port}/api/heartbeat")["data"]["polling"]
-        return {f"{name} {word}" for devices in kinds.values() for name, values in devices.items() for word, said in values.items()
-                if said["datetime"] and (now - datetime.datetime.fromisoformat(said["datetime"])).total_seconds() < 20.0}
+        return {f"{name} {word}" for devices in kinds.values() for name, values in devices.items() for word, reading in values.items()
+                if reading["datetime"] and (now - datetime.datetime.fromisoformat(reading["datetime"])).total_seconds() < 20.0}
 
     def restarted_by_hand(self) -> bool:
         """The predecessor's operator clears its errors and turns its switch; false if it needs a new process."""
@@ -107,7 +107,7 @@ class FaultSite(systems.Site):
         """Honest servers, a fair sky, and nobody stopped."""
         for relay in self.relays.values():
             relay.honest()
-        self.say_safe(True)
+        self.set_safe(True)
         self.weather(**FAIR)
         if self.stopped:
             os.kill(self.stopped, signal.SIGCONT)
@@ -142,9 +142,9 @@ def inject(run, site: FaultSite, limit_s: float, heal_s: float) -> Outcome:
     outcome = Outcome()
     site.exposes(60.0)
     time.sleep(2.0)
-    story = run(site)
+    scenario = run(site)
     try:
-        next(story)
+        next(scenario)
         while time.time() < site.t0 + limit_s:
             if first := site.puts("closeshutter", site.t0):
                 outcome.took_s = first[0] - site.t0
@@ -155,7 +155,7 @@ def inject(run, site: FaultSite, limit_s: float, heal_s: float) -> Outcome:
             time.sleep(3.0)
         outcome.closed = site.is_closed()
     finally:
-        for _ in story:
+        for _ in scenario:
             pass
         site.heal()
     healed_s = time.time()

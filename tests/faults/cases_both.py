@@ -69,7 +69,7 @@ def monitor_html(relay):
 
 
 for value in ["NaN", "null", '"False"', "0"]:
-    monitor(f"IsSafe is {value}")(lambda relay, value=value: relay.say_value("issafe", value))
+    monitor(f"IsSafe is {value}")(lambda relay, value=value: relay.answer_value("issafe", value))
 
 
 @case("safety monitor answers 20 s late, and it is unsafe")

@@ -3,11 +3,12 @@
 import itertools
 import json
 import random
+import signal
 import time
 import uuid
 
 from case import ISSAFE, case
-from rig import PREFIX, Late
+from harness import PREFIX, Late, wait
 
 GROUP = "bad motion commands and permits on the bus"
 # the soak asks for more
@@ -31,29 +32,29 @@ MALFORMED = [b"", b"{", b"null", b"[]", b"\xff\xfe", b'{"id": 7}', b'{"id": "x",
 
 def bad_command(chance: random.Random, token: int, last_id: str) -> tuple[str, bytes, str]:
     """Key, payload and sort of one command that must be refused while a safe permit is valid."""
-    device, deed = chance.choice(MOTIONS)
+    device, movement = chance.choice(MOTIONS)
     sort = chance.choice(["malformed", "tokenless", "lower token", "zero token", "replayed", "never granted"])
     if sort == "malformed":
         return device, chance.choice(MALFORMED), sort
-    command = {"id": str(uuid.uuid4()), "from": "observatory/alpha/main", "do": deed}
+    command = {"id": str(uuid.uuid4()), "from": "observatory/alpha/main", "do": movement}
     if sort == "lower token":
         command["token"] = chance.randrange(1, token)
     elif sort == "zero token":
         command["token"] = 0
     elif sort == "replayed":
         # the mount has done a command of this id already
-        device, deed = MOUNT, chance.choice([deed for where, deed in MOTIONS if where == MOUNT])
-        command.update(id=last_id, token=token, do=deed)
+        device, movement = MOUNT, chance.choice([movement for where, movement in MOTIONS if where == MOUNT])
+        command.update(id=last_id, token=token, do=movement)
     elif sort == "never granted":
         # only the arbiter knows what was granted; other devices learn a higher token from it
-        device, deed = DOME, chance.choice([deed for where, deed in MOTIONS if where == DOME])
-        command.update(do=deed, token=token + chance.randrange(1, 1000))
+        device, movement = DOME, chance.choice([movement for where, movement in MOTIONS if where == DOME])
+        command.update(do=movement, token=token + chance.randrange(1, 1000))
     return device, json.dumps(command).encode(), sort
 
 
-def bad_permit(chance: random.Random, guard: dict, heard: list[dict], verdict: str) -> bytes:
+def bad_permit(chance: random.Random, guard: dict, received: list[dict], verdict: str) -> bytes:
     """A permit that is none: of an older lease, of another guard, for a number never sent, heard before, or unreadable."""
-    permit = {"boot_id": heard[-1]["boot_id"], "seq": heard[-1]["seq"] + 1000, "at_utc": heard[-1]["at_utc"],
+    permit = {"boot_id": received[-1]["boot_id"], "seq": received[-1]["seq"] + 1000, "at_utc": received[-1]["at_utc"],
               "verdict": verdict, "commander": "observatory/alpha/main", "token": guard["token"],
               "guard_number": guard["number"], "guard_boot_id": guard["boot_id"]}
     sort = chance.choice(["older token", "other guard", "number never sent", "replayed", "older life", "malformed"])
@@ -64,7 +65,7 @@ def bad_permit(chance: random.Random, guard: dict, heard: list[dict], verdict: s
     elif sort == "number never sent":
         permit["guard_number"] += chance.randrange(5, 10 ** 6)
     elif sort == "replayed":
-        permit = chance.choice(heard[:-3] or heard)
+        permit = chance.choice(received[:-3] or received)
     elif sort == "older life":
         permit["boot_id"] = "00000000-0000-7000-8000-000000000000"
     else:
@@ -73,38 +74,38 @@ def bad_permit(chance: random.Random, guard: dict, heard: list[dict], verdict: s
     return json.dumps(permit).encode()
 
 
-def second_token(rig, ear) -> int:
+def second_token(harness, subscriber) -> int:
     """The lease's token, at least 3, so that there are older ones."""
     for _ in range(3):
-        token = ear.newest[GUARD]["token"]
+        token = subscriber.newest[GUARD]["token"]
         if token >= 3:
             return token
-        rig.restart("observatory")
-        ear.wait_for("the next lease", lambda newest: newest[GUARD]["token"] > token, 40)
-    rig.exposes(60)
-    return ear.newest[GUARD]["token"]
+        harness.restart("observatory")
+        subscriber.wait_for("the next lease", lambda newest: newest[GUARD]["token"] > token, 40)
+    harness.exposes()
+    return subscriber.newest[GUARD]["token"]
 
 
 @case("bad motion commands under a safe sky: none is obeyed", "B3 N13", group=GROUP, watch_s=2.0)
-def commands(rig):
-    ear, chance = rig.fresh_ear(), random.Random(next(ATTACK_RUNS))
-    token = second_token(rig, ear)
-    rig.exposes(60)
-    last = ear.wait_for("the mount's last command",
-                        lambda newest: (newest.get(f"{MOUNT}/state") or {}).get("last_command"), 10)
-    rig.mark()
-    since, accepted, answered = rig.wire.last(), [], 0
+def commands(harness):
+    subscriber, chance = harness.fresh_subscriber(), random.Random(next(ATTACK_RUNS))
+    token = second_token(harness, subscriber)
+    harness.exposes()
+    last = subscriber.wait_for("the mount's last command",
+                               lambda newest: (newest.get(f"{MOUNT}/state") or {}).get("last_command"), 10)
+    harness.mark()
+    since, accepted, answered = harness.wire.last(), [], 0
     for _ in range(ATTACKS):
         device, payload, sort = bad_command(chance, token, last["id"])
-        for reply in ear.session.get(f"{device}/command", payload=payload, timeout=3.0):
+        for reply in subscriber.session.get(f"{device}/command", payload=payload, timeout=3.0):
             if reply.ok is not None:
                 answered += 1
-                said = json.loads(bytes(reply.ok.payload))
+                answer = json.loads(bytes(reply.ok.payload))
                 # a repeat of an accepted command is answered as then, and must not be done again
-                if said.get("answer") == "accepted" and sort != "replayed":
-                    accepted.append((sort, payload[:200], said))
+                if answer.get("answer") == "accepted" and sort != "replayed":
+                    accepted.append((sort, payload[:200], answer))
     time.sleep(0.5)
-    moved = [put for put in rig.wire.puts(since) if put["member"] in MOVED]
+    moved = [put for put in harness.wire.puts(since) if put["member"] in MOVED]
     # without a safe permit some commands need no token; then the dome closes, too
     if any(put["member"] == "closeshutter" for put in moved):
         raise Late(f"the dome closed under a safe sky, after which {len(accepted)} commands were taken: {accepted[:2]}")
@@ -116,64 +117,96 @@ def commands(rig):
 
 
 @case("bad permits that say unsafe: the valid one counts, nothing closes, no fence falls", "B3 N2", group=GROUP, watch_s=3.0)
-def unsafe_permits(rig):
-    ear = rig.fresh_ear()
-    second_token(rig, ear)
-    rig.exposes(60)
-    rig.mark()
-    say_permits(rig, ear, "unsafe")
-    replies = ear.ask(f"{MOUNT}/command", {"id": str(uuid.uuid4()), "from": "web/ops", "do": {"track": {"on": False}}})
+def unsafe_permits(harness):
+    subscriber = harness.fresh_subscriber()
+    second_token(harness, subscriber)
+    harness.exposes()
+    harness.mark()
+    publish_permits(harness, subscriber, "unsafe")
+    replies = subscriber.ask(f"{MOUNT}/command", {"id": str(uuid.uuid4()), "from": "web/ops", "do": {"track": {"on": False}}})
     if [reply["answer"] for reply in replies] != ["refusal"]:
         raise Late(f"a bad permit took the fence from the mount: tracking off without a token was answered {replies}")
     yield
 
 
 @case("the dome's device node restarts, then bad permits that say unsafe: the valid one counts", "B3 N2", group=GROUP, watch_s=3.0)
-def unsafe_permits_after_a_restart(rig):
+def unsafe_permits_after_a_restart(harness):
     # the guard's new life must know who holds the lease
-    ear = rig.fresh_ear()
-    second_token(rig, ear)
-    rig.restart("dome")
-    yield from unsafe_permits(rig)
+    subscriber = harness.fresh_subscriber()
+    second_token(harness, subscriber)
+    harness.restart("dome")
+    yield from unsafe_permits(harness)
 
 
 @case("bad permits that say safe while it is unsafe: nothing opens", "B3 N2", ISSAFE, takes_frames_first=True)
-def safe_permits(rig):
-    ear = rig.fresh_ear()
-    second_token(rig, ear)
-    rig.exposes(60)
-    since = rig.wire.last()
-    rig.mark()
-    rig.wire.change("safety", unsafe=True)
-    say_permits(rig, ear, "safe")
-    if rig.puts("openshutter", since):
+def safe_permits(harness):
+    subscriber = harness.fresh_subscriber()
+    second_token(harness, subscriber)
+    harness.exposes()
+    since = harness.wire.last()
+    harness.mark()
+    harness.wire.change("safety", unsafe=True)
+    publish_permits(harness, subscriber, "safe")
+    if harness.puts("openshutter", since):
         raise Late("a bad permit opened the dome")
     yield
 
 
-def say_permits(rig, ear, verdict: str):
+def publish_permits(harness, subscriber, verdict: str):
     chance = random.Random(next(ATTACK_RUNS))
-    permits = ear.wait_for("some permits", lambda _: [p for key, p in list(ear.heard) if key == PERMIT][-30:] or None, 10)
-    before = ear.newest[GUARD]["dropped"]
-    voice = ear.session.declare_publisher(PERMIT)
+    permits = subscriber.wait_for("some permits", lambda _: [p for key, p in list(subscriber.received) if key == PERMIT][-30:] or None, 10)
+    before = subscriber.newest[GUARD]["dropped"]
+    publisher = subscriber.session.declare_publisher(PERMIT)
     for n in range(ATTACKS):
-        voice.put(bad_permit(chance, ear.newest[GUARD], permits, verdict))
+        publisher.put(bad_permit(chance, subscriber.newest[GUARD], permits, verdict))
         time.sleep(0.01)
     time.sleep(1.5)
-    dropped = ear.newest[GUARD]["dropped"] - before
-    voice.undeclare()
+    dropped = subscriber.newest[GUARD]["dropped"] - before
+    publisher.undeclare()
     if dropped < ATTACKS * 0.5:
         raise Late(f"the guard dropped only {dropped} of {ATTACKS} bad permits")
 
 
 @case("a token that is not the newest cannot open even when it is safe", "N13 B3", group=GROUP, watch_s=2.0, short=False)
-def old_token_opens_nothing(rig):
-    ear = rig.fresh_ear()
-    token = second_token(rig, ear)
-    rig.exposes(60)
-    rig.mark()
-    replies = ear.ask(f"{DOME}/command", {"id": str(uuid.uuid4()), "from": "observatory/alpha/main", "token": token - 1,
-                                          "do": "open_shutter"})
+def old_token_opens_nothing(harness):
+    subscriber = harness.fresh_subscriber()
+    token = second_token(harness, subscriber)
+    harness.exposes()
+    harness.mark()
+    replies = subscriber.ask(f"{DOME}/command", {"id": str(uuid.uuid4()), "from": "observatory/alpha/main", "token": token - 1,
+                                                 "do": "open_shutter"})
     if [r["answer"] for r in replies] != ["refusal"] or replies[0]["reason"] != "stale_token":
         raise Late(f"an old token was answered {replies}")
+    yield
+
+
+@case("an order to open reaches a stopped observatory node, which goes on 7 s later: nothing opens", "N2 B3", group=GROUP,
+      may_close=True, watch_s=4.0)
+def late_order(harness):
+    subscriber = harness.fresh_subscriber()
+    night, orders = f"{PREFIX}/observatory/night/state", f"{PREFIX}/observatory/order"
+    seen = subscriber.wait_for("the night is heard", lambda newest: newest.get(night), 20)
+
+    def order(name: str, do, **more):
+        payload = {"id": f"late-{name}-{time.time_ns()}", "from": "cli/ana@test", "reason": "a test", "do": do, **more}
+        return subscriber.ask(orders, payload, 3.0)
+    if not any(answer["answer"] == "accepted" for answer in order("hold", {"stay_closed": True})):
+        raise Late("the order to stay closed was not accepted")
+    wait("closed", lambda: harness.wire.open_fraction() == 0.0, 30)
+    since = harness.wire.last()
+    seen = subscriber.wait_for("a new state of the night", lambda newest: newest[night] if newest[night]["seq"] > seen["seq"] else None, 20)
+    harness.signal(signal.SIGSTOP, "observatory")
+    stopped = time.monotonic()
+    late = [{"seen": {"boot_id": seen["boot_id"], "seq": seen["seq"]}}, {}]
+    answered = [order(f"open-{n}", {"stay_closed": False}, **more) for n, more in enumerate(late)]
+    time.sleep(max(0.0, stopped + 7.0 - time.monotonic()))
+    harness.signal(signal.SIGCONT, "observatory")
+    harness.mark()
+    time.sleep(12.0)
+    if any(answered) or harness.puts("openshutter", since):
+        raise Late(f"a late order was executed: answers {answered}")
+    # one that is given now is executed
+    fresh = subscriber.wait_for("the night goes on", lambda newest: newest[night], 5)
+    if not order("open", {"stay_closed": False}, seen={"boot_id": fresh["boot_id"], "seq": fresh["seq"]}):
+        raise Late("an order that is given in time was not answered")
     yield

@@ -3,20 +3,20 @@
 import time
 
 from case import DOME_FAULT, MOUNT, UNCOMMANDED, case
-from rig import Late, wait
+from harness import Late, wait
 
 ALONE = "mount or dome at fault for a while, sky safe"
 
 
 def with_unsafe(kind, heal_after_s=None, **fault):
     """The device is at fault, and then the sky turns."""
-    def run(rig):
-        rig.wire.fault(kind, **fault)
-        rig.mark()
-        rig.wire.change("safety", unsafe=True)
+    def run(harness):
+        harness.wire.fault(kind, **fault)
+        harness.mark()
+        harness.wire.change("safety", unsafe=True)
         if heal_after_s is not None:
             time.sleep(heal_after_s)
-            rig.wire.fault(kind)
+            harness.wire.fault(kind)
         yield
     return run
 
@@ -34,10 +34,10 @@ case("mount refuses to park, and it is unsafe", "D7", MOUNT, short=False)(
 
 
 @case("mount's park flag lies, and it is unsafe", "D7", MOUNT)
-def lying_park(rig):
-    rig.wire.change("park", lies=True)
-    rig.mark()
-    rig.wire.change("safety", unsafe=True)
+def lying_park(harness):
+    harness.wire.change("park", lies=True)
+    harness.mark()
+    harness.wire.change("safety", unsafe=True)
     yield
 
 
@@ -52,55 +52,55 @@ case("dome is frozen at open for 8 s, and it is unsafe", "D4 D5", DOME_FAULT, cl
 
 
 @case("shutter sticks half way for 12 s, and it is unsafe", "D4 D5", DOME_FAULT, close_within_s=15.0 + 3.0)
-def sticks(rig):
-    rig.wire.change("shutter", sticks_half_open=True)
-    rig.mark()
-    rig.wire.change("safety", unsafe=True)
-    wait("the shutter sticks", lambda: rig.wire.open_fraction() == 0.5, 10)
+def sticks(harness):
+    harness.wire.change("shutter", sticks_half_open=True)
+    harness.mark()
+    harness.wire.change("safety", unsafe=True)
+    wait("the shutter sticks", lambda: harness.wire.open_fraction() == 0.5, 10)
     time.sleep(12.0)
-    rig.wire.change("shutter", sticks_half_open=False)
+    harness.wire.change("shutter", sticks_half_open=False)
     yield
 
 
 @case("shutter half closed and in error, then the observatory dies", "D4 N1", DOME_FAULT, close_within_s=18.0, short=False)
-def sticks_and_dies(rig):
-    rig.wire.change("shutter", sticks_half_open=True)
-    rig.mark()
-    rig.wire.change("safety", unsafe=True)
-    wait("the shutter sticks", lambda: rig.wire.open_fraction() == 0.5, 10)
-    t0 = rig.t0
-    rig.kill("observatory")
-    rig.t0 = t0
+def sticks_and_dies(harness):
+    harness.wire.change("shutter", sticks_half_open=True)
+    harness.mark()
+    harness.wire.change("safety", unsafe=True)
+    wait("the shutter sticks", lambda: harness.wire.open_fraction() == 0.5, 10)
+    t0 = harness.t0
+    harness.kill("observatory")
+    harness.t0 = t0
     time.sleep(11.0)
-    rig.wire.change("shutter", sticks_half_open=False)
+    harness.wire.change("shutter", sticks_half_open=False)
     yield
 
 
 @case("dome loses its connection, and it is unsafe", "D9", DOME_FAULT, close_within_s=18.0)
-def dome_disconnected(rig):
-    rig.wire.change("connection", lose="dome")
-    rig.mark()
-    rig.wire.change("safety", unsafe=True)
+def dome_disconnected(harness):
+    harness.wire.change("connection", lose="dome")
+    harness.mark()
+    harness.wire.change("safety", unsafe=True)
     yield
 
 
 @case("somebody else opens the closed dome", "D6 D12", UNCOMMANDED)
-def stranger_opens(rig):
-    since = rig.wire.last()
-    rig.wire.change("safety", unsafe=True)
-    wait("closed", lambda: rig.puts("closeshutter", since) and rig.wire.open_fraction() == 0.0, 15)
+def stranger_opens(harness):
+    since = harness.wire.last()
+    harness.wire.change("safety", unsafe=True)
+    wait("closed", lambda: harness.puts("closeshutter", since) and harness.wire.open_fraction() == 0.0, 15)
     time.sleep(2.5)
-    rig.mark()
-    rig.wire.ask_alpaca("dome", "openshutter")
+    harness.mark()
+    harness.wire.ask_alpaca("dome", "openshutter")
     yield
 
 
 def alone(kind, seconds, **fault):
     """At fault for a while under a safe sky: whatever it does, the night goes on afterwards."""
-    def run(rig):
-        rig.wire.fault(kind, **fault)
+    def run(harness):
+        harness.wire.fault(kind, **fault)
         time.sleep(seconds)
-        rig.wire.fault(kind)
+        harness.wire.fault(kind)
         yield
     return run
 
@@ -112,25 +112,25 @@ case("dome hangs for 6 s", "D3 D1", group=ALONE, may_close=True, short=False)(al
 
 
 @case("focuser at fault, and the observatory restarts: the night goes on", "D1 N1", group=ALONE, may_close=True, watch_s=0.0)
-def focuser_away(rig):
-    rig.wire.fault("focuser", html=True)
-    rig.restart("observatory")
-    rig.exposes(40)
+def focuser_away(harness):
+    harness.wire.fault("focuser", html=True)
+    harness.restart("observatory")
+    harness.exposes()
     yield
 
 
 @case("camera never says that an image is ready", "D10", group=ALONE, may_close=True, short=False)
-def no_image(rig):
-    rig.wire.fault("camera", stale=True, only=["imageready", "camerastate", "devicestate"])
+def no_image(harness):
+    harness.wire.fault("camera", stale=True, only=["imageready", "camerastate", "devicestate"])
     time.sleep(10.0)
-    rig.wire.fault("camera")
+    harness.wire.fault("camera")
     yield
 
 
 @case("device that vanishes and returns: mount not connected any more", "D9", group=ALONE, may_close=True)
-def vanishes(rig):
-    rig.wire.change("connection", lose="telescope")
+def vanishes(harness):
+    harness.wire.change("connection", lose="telescope")
     time.sleep(3.0)
-    if not rig.wire.requests():
+    if not harness.wire.requests():
         raise Late("the simulator counts no requests")
     yield

@@ -5,12 +5,12 @@ import time
 
 from case import ISSAFE, MONITOR_SILENT, SUN, WEATHER, WEATHER_SILENT, case
 from relay import RESET
-from rig import DWELL_MIN, PREFIX, Late, arrived_s, wait
+from harness import DWELL_MIN, PREFIX, Late, arrived_s, wait
 
 
-def unsafe(rig):
-    rig.mark()
-    rig.wire.change("safety", unsafe=True)
+def unsafe(harness):
+    harness.mark()
+    harness.wire.change("safety", unsafe=True)
     yield
 
 
@@ -19,25 +19,25 @@ for phase in ["opening", "slewing", "exposing", "downloading"]:
 
 
 @case("rain", "S1 S7", ISSAFE)
-def rain(rig):
-    rig.mark()
-    rig.wire.change("rain", on=True)
+def rain(harness):
+    harness.mark()
+    harness.wire.change("rain", on=True)
     yield
 
 
 @case("IsSafe flaps: one false is enough, and it stays closed for its dwell", "S9 D6", ISSAFE)
-def flaps(rig):
-    rig.mark()
-    rig.wire.change("safety", unsafe=True)
+def flaps(harness):
+    harness.mark()
+    harness.wire.change("safety", unsafe=True)
     time.sleep(2.2)
-    rig.wire.change("safety", unsafe=False)
+    harness.wire.change("safety", unsafe=False)
     yield
 
 
 def weather(**values):
-    def run(rig):
-        rig.mark()
-        rig.wire.change("weather", **values)
+    def run(harness):
+        harness.mark()
+        harness.wire.change("weather", **values)
         yield
     return run
 
@@ -48,17 +48,17 @@ case("wind beyond its limit", "S1 S7", WEATHER, short=False)(weather(WindSpeed=1
 
 
 def monitor_fault(**fault):
-    def run(rig):
-        rig.mark()
-        rig.wire.fault("safetymonitor", **fault)
+    def run(harness):
+        harness.mark()
+        harness.wire.fault("safetymonitor", **fault)
         yield
     return run
 
 
 def weather_fault(**fault):
-    def run(rig):
-        rig.mark()
-        rig.wire.fault("observingconditions", **fault)
+    def run(harness):
+        harness.mark()
+        harness.wire.fault("observingconditions", **fault)
         yield
     return run
 
@@ -73,14 +73,14 @@ for word, fault in FAULTS.items():
 
 
 @case("predecessor A: no weather at all", "S3 S4", WEATHER_SILENT)
-def no_weather(rig):
-    rig.mark()
-    rig.relays["observingconditions"].gone = True
+def no_weather(harness):
+    harness.mark()
+    harness.relays["observingconditions"].gone = True
     yield
 
 
 @case("predecessor B: the rain sensor is missing while humidity reports", "S4 S7", WEATHER_SILENT)
-def no_rain_sensor(rig):
+def no_rain_sensor(harness):
     def spoil(member, raw):
         if member not in ("devicestate", "rainrate"):
             return None
@@ -91,22 +91,22 @@ def no_rain_sensor(rig):
         else:
             envelope["Value"] = [entry for entry in envelope["Value"] if entry["Name"] != "RainRate"]
         return json.dumps(envelope).encode()
-    rig.mark()
-    rig.relays["observingconditions"].spoil = spoil
+    harness.mark()
+    harness.relays["observingconditions"].spoil = spoil
     yield
 
 
 @case("predecessor C: the newest measurement is 25 minutes old", "S3", WEATHER_SILENT)
-def old_weather(rig):
-    rig.mark()
-    rig.relays["observingconditions"].say_value("timesincelastupdate", "1500.0")
+def old_weather(harness):
+    harness.mark()
+    harness.relays["observingconditions"].answer_value("timesincelastupdate", "1500.0")
     yield
 
 
 def old_sensor(age: str):
-    def run(rig):
-        rig.mark()
-        rig.relays["observingconditions"].say_value("timesincelastupdate(RainRate)", age)
+    def run(harness):
+        harness.mark()
+        harness.relays["observingconditions"].answer_value("timesincelastupdate(RainRate)", age)
         yield
     return run
 
@@ -118,41 +118,41 @@ case("predecessor D: every value is NaN", "S4", WEATHER_SILENT)(weather_fault(na
 
 
 @case("predecessor E: one IsSafe poll is missing; the next false closes", "S4 S6", ISSAFE)
-def one_poll_missing(rig):
+def one_poll_missing(harness):
     left = [2]  # a reading is asked for twice when the connection breaks
-    since = rig.wire.last()
-    rig.mark()
+    since = harness.wire.last()
+    harness.mark()
 
     def spoil(member, raw):
         if member == "issafe" and left[0] > 0:
             left[0] -= 1
             return RESET
         return None
-    rig.relays["safetymonitor"].spoil = spoil
+    harness.relays["safetymonitor"].spoil = spoil
     wait("the poll is missed", lambda: left[0] == 0, 5)
     time.sleep(1.5)
-    if not rig.puts("closeshutter", since):  # a single miss need not close, but what follows must
-        rig.mark()
-    rig.wire.change("safety", unsafe=True)
+    if not harness.puts("closeshutter", since):  # a single miss need not close, but what follows must
+        harness.mark()
+    harness.wire.change("safety", unsafe=True)
     yield
 
 
-def said(value: str):
-    def run(rig):
-        rig.mark()
-        rig.relays["safetymonitor"].say_value("issafe", value)
+def answers_with(value: str):
+    def run(harness):
+        harness.mark()
+        harness.relays["safetymonitor"].answer_value("issafe", value)
         yield
     return run
 
 
 for value in ['"True"', "1", "null"]:
-    case(f"IsSafe is {value}", "S4", MONITOR_SILENT, short=value != "1")(said(value))
+    case(f"IsSafe is {value}", "S4", MONITOR_SILENT, short=value != "1")(answers_with(value))
 
 
 def changed(change):
-    def run(rig):
-        rig.mark()
-        rig.relays["safetymonitor"].change_answer("issafe", change)
+    def run(harness):
+        harness.mark()
+        harness.relays["safetymonitor"].change_answer("issafe", change)
         yield
     return run
 
@@ -165,10 +165,10 @@ case("IsSafe true beside an error number", "S5", MONITOR_SILENT)(
 
 
 @case("safety monitor vanishes and returns as another number", "D9", MONITOR_SILENT)
-def another_number(rig):
+def another_number(harness):
     """The server answers, and device 0 is not there any more."""
-    rig.mark()
-    rig.relays["safetymonitor"].renumber = {"0": "9"}
+    harness.mark()
+    harness.relays["safetymonitor"].renumber = {"0": "9"}
     yield
 
 
@@ -188,10 +188,10 @@ BAD = bad_values()
 
 @case(f"{len(BAD)} bad values of IsSafe: none reads as safe", "S4 S6", group="bad IsSafe values",
       may_close=True, watch_s=0.0)
-def none_reads_safe(rig):
-    relay, served = rig.relays["safetymonitor"], [0]
+def none_reads_safe(harness):
+    relay, served = harness.relays["safetymonitor"], [0]
     key = f"{PREFIX}/device/safetymonitor/monitor/state"
-    config = rig.configuration
+    config = harness.configuration
     text = config.read_text()
     # ten polls a second, so that each value is asked for
     config.write_text(text.replace(f"dwell_min = {DWELL_MIN}\n", f"dwell_min = {DWELL_MIN}\nperiod_s = 0.1\n", 1))
@@ -205,52 +205,42 @@ def none_reads_safe(rig):
         served[0] += 1
         return json.dumps(envelope).replace('"\\u0000"', current[0]).encode()
     relay.spoil = spoil
-    rig.restart("hands")
+    harness.restart("hands")
     # three in a row, so that what was safe before the first has been said
     before = served[0]
     wait("the monitor is asked again", lambda: served[0] > before + 3, 20)
-    ear = rig.fresh_ear()
-    heard = len(ear.heard)
-    since = rig.wire.last()
+    subscriber = harness.fresh_subscriber()
+    received = len(subscriber.received)
+    since = harness.wire.last()
     for value in BAD:
         before, current[0] = served[0], value
         wait(f"IsSafe {value} is asked for", lambda: served[0] >= before + 1, 10, 0.01)
     time.sleep(0.5)
-    states = [payload["fields"]["is_safe"] for where, payload in ear.heard[heard:] if where == key]
-    read_safe = [said for said in states if said is True or (isinstance(said, dict) and said.get("value") is True)]
+    states = [payload["fields"]["is_safe"] for where, payload in subscriber.received[received:] if where == key]
+    read_safe = [reading for reading in states
+                 if reading is True or (isinstance(reading, dict) and reading.get("value") is True)]
     if len(states) < 20:
         raise Late(f"only {len(states)} states of the monitor were heard")
     config.write_text(text)
-    if read_safe or rig.puts("openshutter", since):
+    if read_safe or harness.puts("openshutter", since):
         raise Late(f"{len(read_safe)} of {len(BAD)} bad values read as safe, or something opened")
     yield
-    rig.restart("hands")
+    harness.restart("hands")
 
 
 @case("the Sun rises above its limit while the schedule runs", "S11", SUN, takes_frames_first=True)
-def sun(rig):
-    before, began = rig.wire.world()["sun_altitude_deg"], time.monotonic()
-    time.sleep(3.0)
-    altitude_deg = rig.wire.world()["sun_altitude_deg"]
-    rises_deg_per_s = (altitude_deg - before) / (time.monotonic() - began)
-    if rises_deg_per_s <= 0.0:
-        raise Late("the Sun does not rise in this rig's night")
-    limit_deg = rises_deg_per_s * 16.0
-    rig.sun_max_deg = altitude_deg + limit_deg
-    rig.write_config()
-    rig.restart("observatory")
-    rig.exposes(30)
-    since = rig.wire.last()
+def sun(harness):
+    # a loaded machine takes 20 s and more until the restarted node exposes
+    rises_deg_per_s = harness.sun_rises(lead_s=45.0)
+    since = harness.wire.last()
     # the node's Sun may cross a moment before the simulator's
-    wait("the Sun crosses the limit", lambda: rig.puts("closeshutter", since)
-         or rig.wire.world()["sun_altitude_deg"] > rig.sun_max_deg, 60, 0.05)
-    left_deg = rig.sun_max_deg - rig.wire.world()["sun_altitude_deg"]
+    wait("the Sun crosses the limit", lambda: harness.puts("closeshutter", since)
+         or harness.wire.world()["sun_altitude_deg"] > harness.sun_max_deg, 60, 0.05)
+    left_deg = harness.sun_max_deg - harness.wire.world()["sun_altitude_deg"]
     if left_deg > 2.0 * rises_deg_per_s:
         raise Late(f"it closed {left_deg / rises_deg_per_s:.1f} s before the Sun crossed the limit")
-    rig.mark()
-    told = rig.puts("closeshutter", since)
-    rig.t0 = min([rig.t0, *map(arrived_s, told)])
+    harness.mark()
+    closing = harness.puts("closeshutter", since)
+    harness.t0 = min([harness.t0, *map(arrived_s, closing)])
     yield
-    rig.sun_max_deg = 90.0
-    rig.write_config()
-    rig.restart("observatory")
+    harness.sun_is_down()

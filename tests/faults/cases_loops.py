@@ -7,7 +7,7 @@ import time
 
 from case import DOME_NODE, GUARD_PROCESS, HANDS, ISSAFE, SILENCE, UNCOMMANDED, Bound, case, watchdog
 from freeze import Frozen
-from rig import PREFIX, WATCHDOG_S, Late, arrived_s, free_port, wait
+from harness import PREFIX, WATCHDOG_S, Late, arrived_s, free_port, wait
 
 # from the beginning of an exposure until it should have been read out
 EXPOSED_S = 5.0
@@ -21,11 +21,11 @@ RESTARTED = "a node is restarted at once: nothing need close"
 
 
 def deadlocked(node: str, arm: bool = False):
-    def run(rig):
+    def run(harness):
         if arm:
-            rig.wire.change("watchdog", limit_s=WATCHDOG_S)
-        rig.mark()
-        frozen = Frozen(rig.loops(node), *LOOPS)
+            harness.wire.change("watchdog", limit_s=WATCHDOG_S)
+        harness.mark()
+        frozen = Frozen(harness.loops(node), *LOOPS)
         try:
             yield
         finally:
@@ -42,24 +42,24 @@ case("loops of the dome's device node deadlock while its session lives: the guar
 
 
 @case("the runner waits for a camera that never answers, then it is unsafe", "N3 D10", ISSAFE)
-def stuck_runner(rig):
-    rig.wire.fault("camera", stale=True, only=["imageready", "camerastate", "devicestate"])
+def stuck_runner(harness):
+    harness.wire.fault("camera", stale=True, only=["imageready", "camerastate", "devicestate"])
     time.sleep(EXPOSED_S)
-    rig.mark()
-    rig.wire.change("safety", unsafe=True)
+    harness.mark()
+    harness.wire.change("safety", unsafe=True)
     yield
 
 
 @case("observatory gets a twentieth of a processor, then it is unsafe", "N11", SILENCE, watch_s=20.0)
-def starved(rig):
+def starved(harness):
     pid_stops = 0
-    rig.mark()
-    rig.wire.change("safety", unsafe=True)
+    harness.mark()
+    harness.wire.change("safety", unsafe=True)
     until = time.monotonic() + 16.0
-    while time.monotonic() < until and rig.wire.open_fraction() > 0.0:
-        rig.signal(signal.SIGSTOP, "observatory")
+    while time.monotonic() < until and harness.wire.open_fraction() > 0.0:
+        harness.signal(signal.SIGSTOP, "observatory")
         time.sleep(0.19)
-        rig.signal(signal.SIGCONT, "observatory")
+        harness.signal(signal.SIGCONT, "observatory")
         time.sleep(0.01)
         pid_stops += 1
     if pid_stops < 3:
@@ -68,27 +68,27 @@ def starved(rig):
 
 
 @case("all nodes suspended for 15 s, as with their machine, and resumed", "N18 N2", RESUMED)
-def suspended(rig):
+def suspended(harness):
     nodes = ["dome", "hands", "observatory", "archive", "web"]
-    rig.signal(signal.SIGSTOP, *nodes)
+    harness.signal(signal.SIGSTOP, *nodes)
     time.sleep(15.0)
-    rig.mark()
-    rig.signal(signal.SIGCONT, *nodes)
+    harness.mark()
+    harness.signal(signal.SIGCONT, *nodes)
     yield
 
 
-def crash_loop(life_s: float, pause_s: float):
+def crash_loop(run_s: float, pause_s: float):
     """It starts and is killed for ever; it is judged meanwhile. No life is long enough for a permit to run out in it."""
-    def run(rig):
+    def run(harness):
         healed = threading.Event()
 
         def loop():
             while not healed.wait(pause_s):
-                rig.start("dome")
-                healed.wait(life_s)
-                rig.processes["dome"].kill()
-                rig.processes["dome"].wait()
-        rig.kill("observatory", "dome")
+                harness.start("dome")
+                healed.wait(run_s)
+                harness.processes["dome"].kill()
+                harness.processes["dome"].wait()
+        harness.kill("observatory", "dome")
         looping = threading.Thread(target=loop, daemon=True)
         looping.start()
         try:
@@ -100,19 +100,19 @@ def crash_loop(life_s: float, pause_s: float):
 
 
 # the pauses of systemd and of `starmesh up` before a device node
-for life_s, pause_s in [(8.0, 2.0), (8.0, 0.2), (3.0, 5.0)]:
-    case(f"dome's device node killed every {life_s:.0f} s, started again after {pause_s:g} s, and nobody permits", "N15 N4",
-         DOME_NODE)(crash_loop(life_s, pause_s))
+for run_s, pause_s in [(8.0, 2.0), (8.0, 0.2), (3.0, 5.0)]:
+    case(f"dome's device node killed every {run_s:.0f} s, started again after {pause_s:g} s, and nobody permits", "N15 N4",
+         DOME_NODE)(crash_loop(run_s, pause_s))
 
 
 @case("under `starmesh up`: dome's device node killed again and again", "N15 N4", group=RESTARTED, may_close=True,
       watch_s=12.0, flavour="up")
-def up_crash_loop(rig):
+def up_crash_loop(harness):
     pauses = []
     for _ in range(4):
-        rig.kill_nodes("node device --id dome")
+        harness.kill_nodes("node device --id dome")
         killed = time.monotonic()
-        wait("the dome's device node is started again", lambda: rig.pids("node device --id dome"), 20)
+        wait("the dome's device node is started again", lambda: harness.pids("node device --id dome"), 20)
         pauses.append(time.monotonic() - killed)
     if max(pauses) > 6.0:
         raise Late(f"restarted after {max(pauses):.1f} s, at most 5 s are allowed")
@@ -121,24 +121,24 @@ def up_crash_loop(rig):
 
 def twice(node: str):
     """A second device node for the same devices, as after a mistaken start on another host."""
-    def run(rig):
-        ear = rig.fresh_ear()
+    def run(harness):
+        subscriber = harness.fresh_subscriber()
         endpoint = f"tcp/127.0.0.1:{free_port()}"
-        rig.mark()  # what the other says while it connects may close already
+        harness.mark()  # what the other says while it connects may close already
         # a file of its own, as on another host: a second guard process of one file waits for the first one's lock
-        other = rig.folder / "other.toml"
-        other.write_text(rig.configuration.read_text())
+        other = harness.folder / "other.toml"
+        other.write_text(harness.configuration.read_text())
         command = [str(other) if node == "dome" and word.endswith("observatory.toml") else word
-                   for word in rig.command(node, node, endpoint)]
-        rig.spawn("twin", command + ["--connect", rig.endpoint("observatory")])
+                   for word in harness.command(node, node, endpoint)]
+        harness.spawn("twin", command + ["--connect", harness.endpoint("observatory")])
         time.sleep(TWICE_S)
-        rig.wire.change("safety", unsafe=True)
+        harness.wire.change("safety", unsafe=True)
         yield
         # the younger of the two leaves, maybe before it has said what would make it a second writer
-        ear.wait_for("an alert about the other node", lambda newest: any(
-            word in json.dumps(said) for key, said in newest.items() if "alert" in key
+        subscriber.wait_for("an alert about the other node", lambda newest: any(
+            word in json.dumps(payload) for key, payload in newest.items() if "alert" in key
             for word in ("second-writer", '"twin')), 30)
-        rig.end("twin")
+        harness.end("twin")
     return run
 
 
@@ -148,10 +148,10 @@ case("two device nodes for the other devices, then it is unsafe", "N14", TWICE)(
 
 def mute(kind: str, *members: str):
     """Commands are obeyed, and their answers lost: nothing may be done twice for that, and nothing be left undone."""
-    def run(rig):
-        rig.wire.fault(kind, mute=True, only=list(members))
-        rig.mark()
-        rig.wire.change("safety", unsafe=True)
+    def run(harness):
+        harness.wire.fault(kind, mute=True, only=list(members))
+        harness.mark()
+        harness.wire.change("safety", unsafe=True)
         yield
     return run
 
@@ -161,35 +161,35 @@ case("dome closes, and the answer is lost", "D11 D4", UNCOMMANDED, short=False)(
 
 @case("an exposure begins, and the answer is lost: it is not begun twice", "D11", group="mount or dome at fault for a while, sky safe",
       watch_s=2.0)
-def exposure_mute(rig):
-    since = rig.wire.last()
-    rig.wire.fault("camera", mute=True, only=["startexposure"])
-    wait("three exposures", lambda: len(rig.puts("startexposure", since)) >= 3, 40)
-    rig.wire.fault("camera")
-    starts = [arrived_s(put) for put in rig.puts("startexposure", since)]
+def exposure_mute(harness):
+    since = harness.wire.last()
+    harness.wire.fault("camera", mute=True, only=["startexposure"])
+    wait("three exposures", lambda: len(harness.puts("startexposure", since)) >= 3, 40)
+    harness.wire.fault("camera")
+    starts = [arrived_s(put) for put in harness.puts("startexposure", since)]
     gaps = [later - earlier for earlier, later in zip(starts, starts[1:])]
     if min(gaps) < 3.0:
         raise Late(f"an exposure of 3 s was begun again after {min(gaps):.2f} s")
-    rig.mark()
+    harness.mark()
     yield
 
 
 @case("a peer of another version speaks on the bus, then it is unsafe", "N16 B1", ISSAFE)
-def versions(rig):
-    ear = rig.fresh_ear()
+def versions(harness):
+    subscriber = harness.fresh_subscriber()
     state = f"{PREFIX}/device/safetymonitor/monitor/state"
-    heard = ear.wait_for("the monitor", lambda newest: newest.get(state), 10)
+    received = subscriber.wait_for("the monitor", lambda newest: newest.get(state), 10)
     # the next major version beside ours, ours with fields of tomorrow, and words that are not known yet
-    foreign = {**heard, "boot_id": "ffffffff-ffff-7fff-bfff-ffffffffffff", "seq": 1}
-    for key, said in [(state.replace("/v1/", "/v2/"), {**foreign, "fields": {"is_safe": "yes"}}),
-                      (f"{PREFIX}/device/safetymonitor/tomorrow/state", {**foreign, "fields": {"is_safe": True, "mood": 7}}),
-                      (f"{PREFIX}/observatory/permit/dome", {**foreign, "verdict": "probably", "token": "x"}),
-                      (f"{PREFIX}/device/telescope/mount/command", {"id": "x", "from": "y", "do": {"dance": {}}})]:
+    foreign = {**received, "boot_id": "ffffffff-ffff-7fff-bfff-ffffffffffff", "seq": 1}
+    for key, payload in [(state.replace("/v1/", "/v2/"), {**foreign, "fields": {"is_safe": "yes"}}),
+                         (f"{PREFIX}/device/safetymonitor/tomorrow/state", {**foreign, "fields": {"is_safe": True, "mood": 7}}),
+                         (f"{PREFIX}/observatory/permit/dome", {**foreign, "verdict": "probably", "token": "x"}),
+                         (f"{PREFIX}/device/telescope/mount/command", {"id": "x", "from": "y", "do": {"dance": {}}})]:
         for _ in range(20):
-            ear.session.put(key, json.dumps(said).encode())
+            subscriber.session.put(key, json.dumps(payload).encode())
     time.sleep(2.0)
-    if rig.wire.open_fraction() != 1.0:
+    if harness.wire.open_fraction() != 1.0:
         raise Late("words of another version closed the dome")
-    rig.mark()
-    rig.wire.change("safety", unsafe=True)
+    harness.mark()
+    harness.wire.change("safety", unsafe=True)
     yield

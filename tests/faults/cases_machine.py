@@ -9,7 +9,7 @@ import time
 
 import exhaust
 from case import MACHINE, MONITOR_SILENT, SILENCE, case
-from rig import Late
+from harness import Late
 
 WALL = {"flavour": "wall"}
 NOTHING = "clock, disk or files, sky safe: nothing closes"
@@ -18,22 +18,22 @@ HOUR_S = 3600
 
 def jump(node: str, seconds: int):
     """The wall clock of one node jumps under its feet (libfaketime; its monotonic clocks stay exact)."""
-    def run(rig):
-        rig.jump(node, seconds)
+    def run(harness):
+        harness.jump(node, seconds)
         time.sleep(4.0)
-        rig.mark()
-        rig.wire.change("safety", unsafe=True)
+        harness.mark()
+        harness.wire.change("safety", unsafe=True)
         yield
-        rig.jump(node, 0)
+        harness.jump(node, 0)
         time.sleep(2.0)
     return run
 
 
 def only_jump(node: str, seconds: int):
-    def run(rig):
-        rig.jump(node, seconds)
+    def run(harness):
+        harness.jump(node, seconds)
         yield
-        rig.jump(node, 0)
+        harness.jump(node, 0)
         time.sleep(2.0)
     return run
 
@@ -49,57 +49,57 @@ for node, word in [("observatory", "observatory"), ("hands", "other device node"
 
 @case("clock of the other device node goes back 1 h, and it is restarted: the night goes on", "N17 N4",
       group="clock, disk or files: the night goes on", may_close=True, watch_s=0.0, **WALL)
-def restarted_in_the_past(rig):
-    rig.jump("hands", -HOUR_S)
-    rig.restart("hands")
+def restarted_in_the_past(harness):
+    harness.jump("hands", -HOUR_S)
+    harness.restart("hands")
     time.sleep(3.0)
-    rig.jump("hands", 0)  # the clock is right again; the name of its life stays an hour older than that of the one before
-    rig.exposes(60)
+    harness.jump("hands", 0)  # the clock is right again; the name of its life stays an hour older than that of the one before
+    harness.exposes()
     yield
 
 
 @case("clock of the observatory goes back 1 h, and it is restarted: the night goes on", "N17 N1",
       group="clock, disk or files: the night goes on", may_close=True, watch_s=0.0, **WALL)
-def observatory_in_the_past(rig):
-    rig.jump("observatory", -HOUR_S)
-    rig.restart("observatory")
+def observatory_in_the_past(harness):
+    harness.jump("observatory", -HOUR_S)
+    harness.restart("observatory")
     time.sleep(3.0)
-    rig.jump("observatory", 0)
-    rig.exposes(60)
+    harness.jump("observatory", 0)
+    harness.exposes()
     yield
 
 
 @case("disk full, then it is unsafe", "N20 S10", MACHINE, **WALL)
-def full_unsafe(rig):
-    with exhaust.room(rig.data):
+def full_unsafe(harness):
+    with exhaust.room(harness.data):
         time.sleep(3.0)
-        rig.mark()
-        rig.wire.change("safety", unsafe=True)
+        harness.mark()
+        harness.wire.change("safety", unsafe=True)
         yield
 
 
 @case("disk full, then the observatory dies", "N20 N1", SILENCE, short=False, **WALL)
-def full_dead(rig):
-    with exhaust.room(rig.data):
-        rig.kill("observatory")
+def full_dead(harness):
+    with exhaust.room(harness.data):
+        harness.kill("observatory")
         yield
 
 
 @case("data folder read-only, then it is unsafe", "N21 S10", MACHINE, **WALL)
-def read_only_unsafe(rig):
-    with exhaust.writing(rig.data):
+def read_only_unsafe(harness):
+    with exhaust.writing(harness.data):
         time.sleep(3.0)
-        rig.mark()
-        rig.wire.change("safety", unsafe=True)
+        harness.mark()
+        harness.wire.change("safety", unsafe=True)
         yield
 
 
 @case("data folder read-only, and the dome's device node restarts without a commander", "N21 N4 N19",
       SILENCE, short=False, **WALL)
-def read_only_restart(rig):
-    with exhaust.writing(rig.data):
-        rig.kill("observatory", "dome")
-        rig.restart("dome")
+def read_only_restart(harness):
+    with exhaust.writing(harness.data):
+        harness.kill("observatory", "dome")
+        harness.restart("dome")
         yield
 
 
@@ -127,18 +127,18 @@ class Lock:
 
 
 @case("database locked by another process", "N22 S10 N9", group=NOTHING, watch_s=8.0)
-def locked(rig):
-    lock = Lock(rig.data / "archive.db")
+def locked(harness):
+    lock = Lock(harness.data / "archive.db")
     yield
     lock.release()
 
 
 def exhausted(node: str):
-    def run(rig):
-        with exhaust.files(rig.loops(node)):
+    def run(harness):
+        with exhaust.files(harness.loops(node)):
             time.sleep(1.0)
-            rig.mark()
-            rig.wire.change("safety", unsafe=True)
+            harness.mark()
+            harness.wire.change("safety", unsafe=True)
             yield
     return run
 
@@ -150,21 +150,21 @@ case("other device node out of files, then it is unsafe", "N23 S2", MONITOR_SILE
 
 def nobody_reads(*nodes: str):
     """Their lines go into a pipe that is full: a stopped terminal (Ctrl-S), `| less`, a log collector that stands still."""
-    def run(rig):
+    def run(harness):
         read, write = os.pipe()
         fcntl.fcntl(write, fcntl.F_SETPIPE_SZ, 4096)
         os.write(write, b"." * 4096)
         try:
             for node in nodes:
-                rig.end(node)
-                rig.spawn(node, rig.command(node), out=write)
-            rig.exposes(90.0)
-            rig.mark()
-            rig.wire.change("safety", unsafe=True)
+                harness.end(node)
+                harness.spawn(node, harness.command(node), out=write)
+            harness.exposes(90.0)
+            harness.mark()
+            harness.wire.change("safety", unsafe=True)
             yield
-            rig.wire.change("safety", unsafe=False)
+            harness.wire.change("safety", unsafe=False)
             for node in nodes:
-                rig.restart(node)
+                harness.restart(node)
         finally:
             os.close(read)
             os.close(write)

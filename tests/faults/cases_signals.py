@@ -4,7 +4,7 @@ import signal
 import time
 
 from case import DOME_NODE, END_CLOSES, HANDS, SILENCE, case, watchdog
-from rig import WATCHDOG_S, Late, free_port, wait
+from harness import WATCHDOG_S, Late, free_port, wait
 
 NOTHING = "archive or web dead: nothing closes"
 BRIEF = "a node is restarted at once: nothing need close"
@@ -12,47 +12,47 @@ PHASES = ["opening", "slewing", "exposing", "downloading", "closing"]
 
 
 def killed(*nodes):
-    def run(rig):
-        rig.kill(*nodes)
+    def run(harness):
+        harness.kill(*nodes)
         yield
     return run
 
 
 def stopped(*nodes):
-    def run(rig):
-        rig.mark()
-        rig.signal(signal.SIGSTOP, *nodes)
+    def run(harness):
+        harness.mark()
+        harness.signal(signal.SIGSTOP, *nodes)
         yield
-        rig.signal(signal.SIGCONT, *nodes)
+        harness.signal(signal.SIGCONT, *nodes)
         # what it had queued is old: a permit of before must not open anything; the guard's numbers see to it
         time.sleep(0.5)
     return run
 
 
 def ended(*nodes):
-    def run(rig):
-        rig.term(*nodes)
+    def run(harness):
+        harness.term(*nodes)
         yield
     return run
 
 
 def signalled(*nodes):
     """An order to end, and what comes of it before the process has ended counts."""
-    def run(rig):
-        rig.mark()
-        rig.signal(signal.SIGTERM, *nodes)
+    def run(harness):
+        harness.mark()
+        harness.signal(signal.SIGTERM, *nodes)
         yield
         for node in nodes:
-            rig.processes[node].wait(timeout=30)
+            harness.processes[node].wait(timeout=30)
     return run
 
 
 def restarted(how, *nodes):
     """The supervisor is quick: within 2 s, as `starmesh up` and systemd are."""
-    def run(rig):
-        how(*nodes)(rig).__next__()
+    def run(harness):
+        how(*nodes)(harness).__next__()
         time.sleep(2.0)
-        rig.restart(*nodes)
+        harness.restart(*nodes)
         yield
     return run
 
@@ -91,66 +91,68 @@ case("other device node killed and restarted at once", "N4", group=BRIEF, may_cl
 
 
 @case("observatory killed for good: the mount stops by itself after 60 s", "N12 N1", SILENCE)
-def mount_stops(rig):
-    rig.kill("observatory")
+def mount_stops(harness):
+    harness.kill("observatory")
     yield
-    wait("the mount stops tracking without a commander", lambda: not rig.wire.world()["telescope"]["tracking"],
-         max(0.0, rig.t0 + 60.0 + 10.0 + 5.0 - time.time()), 0.2)  # 60 s from the end of the last permit
+    wait("the mount stops tracking without a commander", lambda: not harness.wire.world()["telescope"]["tracking"],
+         max(0.0, harness.t0 + 60.0 + 10.0 + 5.0 - time.time()), 0.2)  # 60 s from the end of the last permit
 
 
 @case("observatory and dome's device node killed; the latter restarted after 5 s", "N4 N19", DOME_NODE)
-def both_dead(rig):
-    rig.kill("observatory", "dome")
+def both_dead(harness):
+    harness.kill("observatory", "dome")
     time.sleep(5.0)
-    rig.restart("dome")
+    harness.restart("dome")
     yield
 
 
 @case("all nodes killed; the dome's restarted after 5 s", "N19", DOME_NODE)
-def all_dead(rig):
-    rig.kill("observatory", "dome", "hands", "archive", "web")
+def all_dead(harness):
+    harness.kill("observatory", "dome", "hands", "archive", "web")
     time.sleep(5.0)
-    rig.restart("dome")
+    harness.restart("dome")
     yield
 
 
 @case("dome's device node stopped: its hardware closes", "N5", watchdog(WATCHDOG_S), members=())
-def dome_stopped(rig):
-    rig.wire.change("watchdog", limit_s=WATCHDOG_S)
-    rig.mark()
-    rig.signal(signal.SIGSTOP, "dome")
+def dome_stopped(harness):
+    harness.wire.change("watchdog", limit_s=WATCHDOG_S)
+    harness.mark()
+    harness.signal(signal.SIGSTOP, "dome")
     yield
-    rig.signal(signal.SIGCONT, "dome")
+    harness.signal(signal.SIGCONT, "dome")
 
 
 @case("dome's host dead: its hardware closes", "N4", watchdog(WATCHDOG_S), members=())
-def dome_host_dead(rig):
-    rig.wire.change("watchdog", limit_s=WATCHDOG_S)
-    rig.kill("dome")
+def dome_host_dead(harness):
+    harness.wire.change("watchdog", limit_s=WATCHDOG_S)
+    harness.kill("dome")
     yield
 
 
 @case("a healthy night with a hardware watchdog: it is fed while the permit lives", "N5",
       group="hardware watchdog fed by a living permit", watch_s=2.0)
-def watchdog_fed(rig):
-    before = rig.wire.world()["dome"]["watchdog_closings"]
-    rig.wire.change("watchdog", limit_s=WATCHDOG_S)
+def watchdog_fed(harness):
+    before = harness.wire.world()["dome"]["watchdog_closings"]
+    harness.wire.change("watchdog", limit_s=WATCHDOG_S)
     time.sleep(WATCHDOG_S + 4.0)
-    barked = rig.wire.world()["dome"]["watchdog_closings"] - before
+    barked = harness.wire.world()["dome"]["watchdog_closings"] - before
     if barked:
         raise Late(f"the hardware closed a permitted dome after {WATCHDOG_S} s without a feeding")
     yield
 
 
 @case("a second observatory takes over before the permit runs out", "N13", group=BRIEF, watch_s=10.0)
-def standby(rig):
+def standby(harness):
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    rig.spawn("standby", rig.command("observatory", "second", endpoint) + ["--connect", rig.endpoint("observatory")])
+    harness.spawn("standby", harness.command("observatory", "second", endpoint) + ["--connect", harness.endpoint("observatory")])
     time.sleep(10.0)  # it must hear everything and fill its dwell before it can be of use
-    rig.kill("observatory")
+    harness.kill("observatory")
     yield
     # the first comes back and waits; then the second goes
-    rig.restart("observatory")
+    harness.restart("observatory")
     time.sleep(6.0)
-    rig.end("standby")
-    wait("the standby is gone", lambda: rig.processes["standby"].poll() is not None, 10)
+    harness.end("standby")
+    wait("the standby is gone", lambda: harness.processes["standby"].poll() is not None, 10)
+    since = harness.wire.last()
+    wait("the first commands again: it exposes", lambda: harness.puts("startexposure", since), 60)

@@ -3,7 +3,7 @@
 import time
 
 from case import Bound, case
-from rig import Late, arrived_s, wait
+from harness import Late, arrived_s, wait
 
 TURNING = Bound("dome's turning at fault, and unsafe", 3.0, 1.5)
 OVERTAKEN = "dome's turning at fault for a while, sky safe"
@@ -12,78 +12,78 @@ AWAY_DEG = 90.0
 LONG = {"flavour": "long", "watch_s": 2.0}
 
 
-def azimuth_deg(rig) -> float:
-    return rig.wire.world()["dome"]["azimuth_deg"]
+def azimuth_deg(harness) -> float:
+    return harness.wire.world()["dome"]["azimuth_deg"]
 
 
-def slip(rig):
+def slip(harness):
     """The dome stands elsewhere all at once, and knows it."""
-    rig.wire.ask_alpaca("dome", "synctoazimuth", Azimuth=(azimuth_deg(rig) + AWAY_DEG) % 360.0)
+    harness.wire.ask_alpaca("dome", "synctoazimuth", Azimuth=(azimuth_deg(harness) + AWAY_DEG) % 360.0)
 
 
-def asked_to_turn(rig, since: int):
-    return wait("the dome is asked to turn back", lambda: rig.puts("slewtoazimuth", since), 15)
+def asked_to_turn(harness, since: int):
+    return wait("the dome is asked to turn back", lambda: harness.puts("slewtoazimuth", since), 15)
 
 
-def hang(rig):
+def hang(harness):
     """It takes the command, says that it slews, and does not move."""
-    since = rig.wire.last()
-    rig.wire.change("dome", turn_deg_per_s=0)
-    slip(rig)
-    asked_to_turn(rig, since)
+    since = harness.wire.last()
+    harness.wire.change("dome", turn_deg_per_s=0)
+    slip(harness)
+    asked_to_turn(harness, since)
 
 
-def refuse(rig):
-    since = rig.wire.last()
-    rig.wire.fault("dome", error=0x500, only=["slewtoazimuth"])
-    slip(rig)
-    asked_to_turn(rig, since)
+def refuse(harness):
+    since = harness.wire.last()
+    harness.wire.fault("dome", error=0x500, only=["slewtoazimuth"])
+    slip(harness)
+    asked_to_turn(harness, since)
 
 
-def run_on(rig):
+def run_on(harness):
     """Slewing stays true, and the azimuth runs round and round."""
-    since = rig.wire.last()
-    rig.wire.change("dome", runs_on=True)
-    slip(rig)
-    asked_to_turn(rig, since)
-    wait("the dome turns", lambda: rig.wire.world()["dome"]["turning"], 5)
+    since = harness.wire.last()
+    harness.wire.change("dome", runs_on=True)
+    slip(harness)
+    asked_to_turn(harness, since)
+    wait("the dome turns", lambda: harness.wire.world()["dome"]["turning"], 5)
 
 
-def stop_half_way(rig):
-    since = rig.wire.last()
-    rig.wire.change("dome", turn_deg_per_s=20)
-    slip(rig)
-    from_deg = azimuth_deg(rig)
-    asked_to_turn(rig, since)
-    wait("the dome is half way", lambda: abs((azimuth_deg(rig) - from_deg + 180.0) % 360.0 - 180.0) > 20.0, 10, 0.02)
-    rig.wire.change("dome", turn_deg_per_s=0)
-    if not rig.wire.world()["dome"]["turning"]:
+def stop_half_way(harness):
+    since = harness.wire.last()
+    harness.wire.change("dome", turn_deg_per_s=20)
+    slip(harness)
+    from_deg = azimuth_deg(harness)
+    asked_to_turn(harness, since)
+    wait("the dome is half way", lambda: abs((azimuth_deg(harness) - from_deg + 180.0) % 360.0 - 180.0) > 20.0, 10, 0.02)
+    harness.wire.change("dome", turn_deg_per_s=0)
+    if not harness.wire.world()["dome"]["turning"]:
         raise Late("the dome had arrived before it was stopped")
 
 
-def say_nan(rig):
-    rig.wire.fault("dome", nan=True, only=["azimuth", "devicestate"])
+def report_nan(harness):
+    harness.wire.fault("dome", nan=True, only=["azimuth", "devicestate"])
     time.sleep(1.5)
 
 
-def slaved_and_hanging(rig):
+def slaved_and_hanging(harness):
     """Its own driver brings it along, and gets nowhere."""
-    if not rig.wire.world()["dome"]["slaved"]:
+    if not harness.wire.world()["dome"]["slaved"]:
         raise Late("the dome is not slaved before the fault")
-    rig.wire.change("dome", turn_deg_per_s=0)
-    rig.wire.ask_alpaca("dome", "slaved", Slaved="False")
-    slip(rig)
-    rig.wire.ask_alpaca("dome", "slaved", Slaved="True")
-    wait("the dome tries to turn", lambda: rig.wire.world()["dome"]["turning"], 5)
+    harness.wire.change("dome", turn_deg_per_s=0)
+    harness.wire.ask_alpaca("dome", "slaved", Slaved="False")
+    slip(harness)
+    harness.wire.ask_alpaca("dome", "slaved", Slaved="True")
+    wait("the dome tries to turn", lambda: harness.wire.world()["dome"]["turning"], 5)
 
 
 def then_unsafe(fault, **order):
-    def run(rig):
+    def run(harness):
         for word, on in order.items():
-            rig.wire.change("dome", **{word: on})
-        fault(rig)
-        rig.mark()
-        rig.wire.change("safety", unsafe=True)
+            harness.wire.change("dome", **{word: on})
+        fault(harness)
+        harness.mark()
+        harness.wire.change("safety", unsafe=True)
         yield
     return run
 
@@ -96,56 +96,56 @@ case("dome turns for ever and moves no shutter meanwhile, and it is unsafe", "D4
 case("dome stops half way, and it is unsafe", "D4", TURNING)(then_unsafe(stop_half_way))
 case("dome stops half way and moves no shutter meanwhile, and it is unsafe", "D4", TURNING, short=False)(
     then_unsafe(stop_half_way, shutter_needs_rest=True))
-case("dome's azimuth is NaN, and it is unsafe", "D3", TURNING, short=False)(then_unsafe(say_nan))
+case("dome's azimuth is NaN, and it is unsafe", "D3", TURNING, short=False)(then_unsafe(report_nan))
 case("dome that its own driver turns hangs, and it is unsafe", "D1 D4", TURNING, flavour="slave")(
     then_unsafe(slaved_and_hanging))
 
 
 @case("somebody ends the slaving of a dome that its own driver turns: it is slaved again", "D12", group=OVERTAKEN,
       flavour="slave", watch_s=2.0, short=False)
-def let_go(rig):
-    rig.mark()
-    rig.wire.ask_alpaca("dome", "slaved", Slaved="False")
-    wait("the dome is slaved again", lambda: rig.wire.world()["dome"]["slaved"], 15)
+def let_go(harness):
+    harness.mark()
+    harness.wire.ask_alpaca("dome", "slaved", Slaved="False")
+    wait("the dome is slaved again", lambda: harness.wire.world()["dome"]["slaved"], 15)
     yield
 
 
-def hidden_s(rig) -> float:
+def hidden_s(harness) -> float:
     """Sky time in which a camera exposed behind a part of the wall, by the simulator's own rays."""
-    return rig.wire.world()["dome"]["vignetted_s"]
+    return harness.wire.world()["dome"]["vignetted_s"]
 
 
-def no_frame_behind_the_wall(rig, watch_s: float):
-    since, before_s = rig.wire.last(), hidden_s(rig)
+def no_frame_behind_the_wall(harness, watch_s: float):
+    since, before_s = harness.wire.last(), hidden_s(harness)
     time.sleep(watch_s)
-    begun, lost_s = rig.puts("startexposure", since), hidden_s(rig) - before_s
+    begun, lost_s = harness.puts("startexposure", since), hidden_s(harness) - before_s
     if begun or lost_s > 0.0:
         raise Late(f"{len(begun)} exposures began behind the wall, which hid {lost_s:.1f} s of light")
 
 
-def observes_again(rig):
+def observes_again(harness):
     """Frames are taken, and of the sky."""
-    since = rig.wire.last()
-    wait("an exposure begins", lambda: rig.puts("startexposure", since), 40)
-    before_s = hidden_s(rig)
+    since = harness.wire.last()
+    wait("an exposure begins", lambda: harness.puts("startexposure", since), 40)
+    before_s = hidden_s(harness)
     time.sleep(2.0)
-    if hidden_s(rig) > before_s:
+    if hidden_s(harness) > before_s:
         raise Late("the slit hides the new exposure")
 
 
 def overtaken(fault):
-    def run(rig):
-        since, before_s = rig.wire.last(), hidden_s(rig)
-        rig.mark()
-        fault(rig)
-        wait("the exposure is ended", lambda: rig.puts("abortexposure", since), 8)
+    def run(harness):
+        since, before_s = harness.wire.last(), hidden_s(harness)
+        harness.mark()
+        fault(harness)
+        wait("the exposure is ended", lambda: harness.puts("abortexposure", since), 8)
         time.sleep(0.5)
-        lost_s = hidden_s(rig) - before_s
+        lost_s = hidden_s(harness) - before_s
         if lost_s > 6.0:
             raise Late(f"{lost_s:.1f} s of light were lost before the exposure was ended")
-        no_frame_behind_the_wall(rig, 4.0)
-        rig.wire.heal()
-        observes_again(rig)
+        no_frame_behind_the_wall(harness, 4.0)
+        harness.wire.heal()
+        observes_again(harness)
         yield
     return run
 
@@ -156,29 +156,29 @@ case("dome refuses to turn under a long exposure", "D2 D3", group=OVERTAKEN, sho
 
 
 @case("dome slips at the very end of a long exposure: it is let end", "D3", group=OVERTAKEN, short=False, **LONG)
-def nearly_done(rig):
-    since = rig.wire.last()
-    began = arrived_s(rig.exposes())
-    time.sleep(max(0.0, began + 0.94 * rig.exposure_s - time.time()))
-    rig.wire.change("dome", turn_deg_per_s=0)
-    slip(rig)
-    rig.mark()
+def nearly_done(harness):
+    since = harness.wire.last()
+    began = arrived_s(harness.exposes())
+    time.sleep(max(0.0, began + 0.94 * harness.exposure_s - time.time()))
+    harness.wire.change("dome", turn_deg_per_s=0)
+    slip(harness)
+    harness.mark()
     time.sleep(1.5)
-    no_frame_behind_the_wall(rig, 4.0)
-    if rig.puts("abortexposure", since):
+    no_frame_behind_the_wall(harness, 4.0)
+    if harness.puts("abortexposure", since):
         raise Late("an exposure that was nearly done was thrown away")
-    rig.wire.heal()
-    observes_again(rig)
+    harness.wire.heal()
+    observes_again(harness)
     yield
 
 
 @case("dome turns for ever under a safe sky: it is stopped, and turns again when it can", "D3 D4", group=OVERTAKEN,
       short=False, **LONG)
-def stopped(rig):
-    since = rig.wire.last()
-    rig.mark()
-    run_on(rig)
-    wait("the dome is stopped", lambda: [put for put in rig.puts("abortslew", since) if put["device"] == "dome"], 40)
-    rig.wire.heal()
-    observes_again(rig)
+def stopped(harness):
+    since = harness.wire.last()
+    harness.mark()
+    run_on(harness)
+    wait("the dome is stopped", lambda: [put for put in harness.puts("abortslew", since) if put["device"] == "dome"], 40)
+    harness.wire.heal()
+    observes_again(harness)
     yield

@@ -1,4 +1,4 @@
-"""The kinds of rig that cases ask for."""
+"""The kinds of harness that cases ask for."""
 
 import datetime
 import pathlib
@@ -7,7 +7,7 @@ import subprocess
 import tempfile
 import time
 
-from rig import DWELL_MIN, NODES, SITE, Rig, free_port
+from harness import DWELL_MIN, NODES, SITE, Harness, free_port
 from wall_clock import WallClock
 
 DISK_MIB = 48
@@ -15,7 +15,7 @@ DISK_MIB = 48
 SHARED_PERIOD_S = 5.0
 
 
-class WallRig(Rig):
+class WallHarness(Harness):
     """On the machine's own clock, which libfaketime can shift for each node, with its data on a small disk."""
 
     def __init__(self, binary: str, name: str):
@@ -46,8 +46,8 @@ class WallRig(Rig):
             shutil.rmtree(folder, ignore_errors=True)
 
 
-class SunRig(WallRig):
-    """A wall rig whose whole world, simulator included, lives in the morning of the site, where the Sun rises."""
+class SunHarness(WallHarness):
+    """A wall harness whose whole world, simulator included, lives in the morning of the site, where the Sun rises."""
 
     MORNING_UTC_H = 12.0
 
@@ -68,19 +68,19 @@ class SunRig(WallRig):
     def start_simulator(self):
         super().start_simulator()
         behind = datetime.timedelta(seconds=self.behind_s)
-        told = self.wire.puts
+        all_puts = self.wire.puts
 
         def puts(since: int = 0):
             """What the simulator noted, at the times of this host."""
             return [{**put, "wall_utc": (datetime.datetime.fromisoformat(put["wall_utc"]) + behind).isoformat()}
-                    for put in told(since)]
+                    for put in all_puts(since)]
         self.wire.puts = puts
 
     def jump(self, node: str, seconds: int):
         self.clocks[node].jump(seconds - self.behind_s)
 
 
-class SiteRig(Rig):
+class SiteHarness(Harness):
     """The safety monitor belongs to the site: a device node of the telescope `shared` asks it each 5 s."""
 
     def __init__(self, binary: str, name: str):
@@ -127,29 +127,29 @@ period_s = {SHARED_PERIOD_S}
         super().heal()
 
 
-def make(flavour: str, binary: str, name: str) -> Rig:
-    """A rig that has not started its nodes yet."""
+def make(flavour: str, binary: str, name: str) -> Harness:
+    """A harness that has not started its nodes yet."""
     if flavour == "plain":
-        return Rig(binary, name)
+        return Harness(binary, name)
     if flavour == "wall":
-        return WallRig(binary, name)
+        return WallHarness(binary, name)
     if flavour == "roof":
-        return Rig(binary, name, dome='close_with_mount = "parked_within_s"\nparked_within_s = 6.0\n')
+        return Harness(binary, name, dome='close_with_mount = "parked_within_s"\nparked_within_s = 6.0\n')
     if flavour == "only":
-        return Rig(binary, name, dome='close_with_mount = "parked_only"\nparked_within_s = 6.0\n')
+        return Harness(binary, name, dome='close_with_mount = "parked_only"\nparked_within_s = 6.0\n')
     if flavour == "slave":
-        return Rig(binary, name, dome='follow = "slave"\n')
+        return Harness(binary, name, dome='follow = "slave"\n')
     if flavour == "long":
         # a turn is given up after 20 s, the least that a simulated sky allows
-        return Rig(binary, name, dome="slit = { timeout_s = 10.0 }\n", exposure_s=12.0)
+        return Harness(binary, name, dome="slit = { timeout_s = 10.0 }\n", exposure_s=12.0)
     if flavour == "sun":
-        return SunRig(binary, name)
+        return SunHarness(binary, name)
     if flavour == "site":
-        return SiteRig(binary, name)
+        return SiteHarness(binary, name)
     if flavour == "up":
-        from upright import UpRig
-        return UpRig(binary, name)
+        from upright import UpHarness
+        return UpHarness(binary, name)
     if flavour == "network":
-        from network import NetworkRig
-        return NetworkRig(binary, name)
-    raise ValueError(f"there is no rig called {flavour!r}")
+        from network import NetworkHarness
+        return NetworkHarness(binary, name)
+    raise ValueError(f"there is no harness called {flavour!r}")

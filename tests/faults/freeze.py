@@ -23,13 +23,13 @@ class Frozen:
 
     def __init__(self, pid: int, *names: str):
         self.pid, self.names = pid, names
-        self.end, self.said = threading.Event(), queue.SimpleQueue()
+        self.end, self.outcomes = threading.Event(), queue.SimpleQueue()
         self.thread = threading.Thread(target=self.hold, daemon=True)
         self.thread.start()
-        told = self.said.get(timeout=10)
-        if isinstance(told, Exception):
-            raise told
-        self.count = told
+        outcome = self.outcomes.get(timeout=10)
+        if isinstance(outcome, Exception):
+            raise outcome
+        self.count = outcome
 
     def threads(self) -> list[int]:
         tasks = pathlib.Path(f"/proc/{self.pid}/task").iterdir()
@@ -45,10 +45,10 @@ class Frozen:
                 held.append(thread)
             if not held:
                 raise Late(f"process {self.pid} has no threads called {self.names}")
-            self.said.put(len(held))
+            self.outcomes.put(len(held))
             self.end.wait(120)
         except Exception as error:
-            self.said.put(error)
+            self.outcomes.put(error)
         for thread in held:
             try:
                 trace(DETACH, thread)

@@ -18,7 +18,7 @@ import pathlib
 import re
 import sqlite3
 
-from rig import TELESCOPE, arrived_s
+from harness import TELESCOPE, arrived_s
 
 SPEED = 4.0
 EXPOSURE_S, READOUT_S = 1.0, 1.0
@@ -121,8 +121,8 @@ class Count:
             began, sky_s = arrived_s(put), utc_s(put["sky_utc"])
             after = [arrived_s(next) for next in starts if next["seq"] > put["seq"]]
             until = max(began + (EXPOSURE_S + READOUT_S) / SPEED, min(after, default=began + 10.0)) + TO_DISK_S
-            its_deaths = [kept for at, kept in self.night.deaths if began - 0.5 <= at <= until]
-            if any(is_one(sky_s, begun) for kept in its_deaths for begun in kept):
+            its_deaths = [in_spool for at, in_spool in self.night.deaths if began - 0.5 <= at <= until]
+            if any(is_one(sky_s, begun) for in_spool in its_deaths for begun in in_spool):
                 wrong.append(f"the exposure of {put['sky_utc']} was on the disk of its camera's node, and is no frame")
             elif not its_deaths and not any(began - 0.5 <= at <= until for at in aborts):
                 wrong.append(f"the exposure of {put['sky_utc']} is no frame, and nobody was killed for it")

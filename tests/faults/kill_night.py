@@ -10,7 +10,7 @@ import random
 import time
 
 from kill_count import EXPOSURE_S, READOUT_S, SPEED, WANTED, Count, spooled
-from rig import SHUTTER_S, TELESCOPE, Late, Rig, Wire, arrived_s, wait
+from harness import SHUTTER_S, TELESCOPE, Late, Harness, Wire, arrived_s, wait
 
 DARK_S = 0.2
 # who dies, and how often of eleven times; the last is all three in one instant, as in a power cut
@@ -23,7 +23,7 @@ TAKEN_S = 1.5
 FRAME_WITHIN_S = 8.0
 
 
-class Night(Rig):
+class Night(Harness):
     """Rounds of two schedules with kills among them."""
 
     def __init__(self, binary: str, name: str, chance: random.Random):

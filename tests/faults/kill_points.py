@@ -32,8 +32,8 @@ KILLS_PER_ROUND = 10
 class Nights:
     """All telescopes, until so many have been killed."""
 
-    def __init__(self, binary: str, kills: int, rigs: int, seed: int, limit_s: float, loud: bool):
-        self.binary, self.rigs, self.seed, self.limit_s, self.loud = binary, rigs, seed, limit_s, loud
+    def __init__(self, binary: str, kills: int, harnesses: int, seed: int, limit_s: float, loud: bool):
+        self.binary, self.harnesses, self.seed, self.limit_s, self.loud = binary, harnesses, seed, limit_s, loud
         self.left, self.lock = kills, threading.Lock()
         self.wrong: list[str] = []
         self.kills: list[tuple] = []
@@ -46,7 +46,7 @@ class Nights:
             return kills
 
     def run(self):
-        run_all([threading.Thread(target=self.work, args=(number,), daemon=True) for number in range(self.rigs)])
+        run_all([threading.Thread(target=self.work, args=(number,), daemon=True) for number in range(self.harnesses)])
 
     def work(self, number: int):
         time.sleep(number * 0.7)  # processes that start all at once only get into each other's way
@@ -88,7 +88,7 @@ class Nights:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--rigs", type=int, default=5, help="telescopes beside each other")
+    parser.add_argument("--telescopes", type=int, default=5, help="telescopes next to each other")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--limit", type=float, default=180.0, metavar="S", help="the rows of a round end within")
     parser.add_argument("--quiet", action="store_true", help="without the nodes' last words after a failure")
@@ -100,7 +100,7 @@ def main() -> int:
     alone()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     began = time.monotonic()
-    nights = Nights(str(binary), arguments.kills, arguments.rigs, arguments.seed, arguments.limit, not arguments.quiet)
+    nights = Nights(str(binary), arguments.kills, arguments.telescopes, arguments.seed, arguments.limit, not arguments.quiet)
     nights.run()
     where = collections.Counter((node, phase) for node, _, phase in nights.kills)
     for (node, phase), count in sorted(where.items()):

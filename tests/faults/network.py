@@ -4,7 +4,7 @@ through relays of our own on the bridge and nowhere else, so that its link can b
 import subprocess
 
 from relay import DelayRelay
-from rig import NODES, Rig
+from harness import NODES, Harness
 
 NET = "10.77.0"
 
@@ -15,7 +15,7 @@ def sh(*words: str):
         raise RuntimeError(f"{' '.join(words)}: {done.stderr.strip()}")
 
 
-class NetworkRig(Rig):
+class NetworkHarness(Harness):
     """`.1` is the bridge with the simulator; nodes follow from `.11` on."""
 
     def __init__(self, binary: str, name: str):
@@ -75,8 +75,8 @@ table inet faults {{
             self.cable(node, "up")
         super().heal()
 
-    def fresh_ear(self):
-        raise NotImplementedError("this rig's bus is not heard from here")
+    def fresh_subscriber(self):
+        raise NotImplementedError("nothing of this harness's bus is received here")
 
     def stop(self):
         super().stop()

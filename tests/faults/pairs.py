@@ -8,15 +8,15 @@ from case import Case
 
 
 def kill(node):
-    return f"{node} killed", lambda rig: rig.signal(signal.SIGKILL, node)
+    return f"{node} killed", lambda harness: harness.signal(signal.SIGKILL, node)
 
 
 def stop(node):
-    return f"{node} stopped", lambda rig: rig.signal(signal.SIGSTOP, node)
+    return f"{node} stopped", lambda harness: harness.signal(signal.SIGSTOP, node)
 
 
 def fault(kind, **words):
-    return f"{kind} at fault", lambda rig: rig.wire.fault(kind, **words)
+    return f"{kind} at fault", lambda harness: harness.wire.fault(kind, **words)
 
 
 # what must never matter to closing
@@ -35,9 +35,9 @@ def paired(case: Case, chance: random.Random) -> Case:
         if case.takes_frames_first and word.startswith("camera"):
             return dataclasses.replace(case, **more)
 
-        def run(rig, story=case.run, spoil=spoil):
-            spoil(rig)
-            rig.mark()
-            yield from story(rig)
+        def run(harness, scenario=case.run, spoil=spoil):
+            spoil(harness)
+            harness.mark()
+            yield from scenario(harness)
         more.update(run=run, name=f"{case.name}, with {word}")
     return dataclasses.replace(case, **more)

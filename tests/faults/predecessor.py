@@ -87,7 +87,7 @@ class Runner:
                 outcome = both.Outcome(not_run=str(failure))
             except Exception:
                 outcome = both.Outcome(not_run=traceback.format_exc(limit=-2))
-            self.say(f"again with a new site: {program.__name__}, {name}: {outcome.not_run}")
+            self.report(f"again with a new site: {program.__name__}, {name}: {outcome.not_run}")
             if keep := os.environ.get("KEEP_LOGS"):
                 shutil.copytree(site.folder, pathlib.Path(keep) / f"{site.folder.name}", ignore=shutil.ignore_patterns("disk"))
             ends.pop_all().close()
@@ -96,10 +96,10 @@ class Runner:
 
     def note(self, program, name: str, outcome):
         self.outcomes[name, program.__name__] = outcome
-        self.say(f"{time.strftime('%H:%M:%S')} {program.__name__:11} {name}: {outcome.not_run or cell(outcome, self.limit_s)}, "
-                 f"{'closed' if outcome.closed else 'open'}, night {went_on(outcome)}")
+        self.report(f"{time.strftime('%H:%M:%S')} {program.__name__:11} {name}: {outcome.not_run or cell(outcome, self.limit_s)}, "
+                    f"{'closed' if outcome.closed else 'open'}, night {went_on(outcome)}")
 
-    def say(self, words: str):
+    def report(self, words: str):
         with self.lock:
             print(words, file=sys.stderr, flush=True)
 
@@ -141,7 +141,7 @@ def main() -> int:
     parser.add_argument("--only", action="append", help="faults that contain this word")
     parser.add_argument("--limit", type=float, default=80.0, metavar="S", help="so long the fault stands, for both")
     parser.add_argument("--heal", type=float, default=45.0, metavar="S", help="so long the night has to go on again, for both")
-    parser.add_argument("--lanes", type=int, nargs=2, default=[1, 3], metavar="N", help="sites beside each other of each")
+    parser.add_argument("--lanes", type=int, nargs=2, default=[1, 3], metavar="N", help="sites next to each other of each")
     parser.add_argument("--list", action="store_true", help="print the faults and stop")
     arguments = parser.parse_args()
     sys.path.append(str(pathlib.Path(__file__).resolve().parents[1] / "bench"))

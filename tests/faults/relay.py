@@ -90,7 +90,7 @@ class AlpacaRelay:
         asked.end_headers()
         asked.wfile.write(raw)
 
-    def say_value(self, member: str, value: str):
+    def answer_value(self, member: str, value: str):
         """From now on `member` answers this JSON text as its Value."""
         def spoil(asked, raw):
             if asked != member:

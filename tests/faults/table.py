@@ -77,4 +77,4 @@ def p99_over_all(results: list[Result], allowance_s: float) -> tuple[str, bool]:
 
 def hazards(results: list[Result]) -> str:
     covered = sorted({hazard for r in results for hazard in r.case.hazards}, key=lambda h: (h[0], int(h[1:])))
-    return "hazards of spec/reliability.md met at least once: " + " ".join(covered)
+    return "hazards met at least once: " + " ".join(covered)

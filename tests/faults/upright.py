@@ -1,21 +1,21 @@
-"""A rig whose supervisor is `starmesh up` itself."""
+"""A harness whose supervisor is `starmesh up` itself."""
 
 import contextlib
 import os
 import pathlib
 import signal
 
-from rig import ROLE, Rig, wait
+from harness import ROLE, Harness, wait
 
 
-class UpRig(Rig):
+class UpHarness(Harness):
     """The nodes are children of `up`; device nodes outlive it."""
 
     def start_all(self):
         self.spawn("up", [self.binary, "up", str(self.configuration)])
 
     def pids(self, words: str = " node ") -> list[int]:
-        """Processes of this rig's nodes: what was started with its configuration."""
+        """Processes of this harness's nodes: what was started with its configuration."""
         found = []
         for entry in pathlib.Path("/proc").iterdir():
             if not entry.name.isdigit():

@@ -15,6 +15,21 @@ PROJECT = pathlib.Path(__file__).resolve().parents[2]
 iers.conf.auto_download = False
 iers.conf.iers_degraded_accuracy = "ignore"
 
+# each runs nights of a minute or more; begun first, they end with the others
+LONGEST = ["disk_full", "pixel_types", "delivery_faults", "delivery", "foreign_sky", "parquet", "imported_sites", "import_document", "foreign_actions", "guide",
+           "foreign_night", "transit", "profiles"]
+
+
+def pytest_collection_modifyitems(items):
+    """The longest files first; `scripts/foreign` keeps this order."""
+    for name in LONGEST:
+        assert pathlib.Path(__file__).with_name(f"test_{name}.py").exists(), f"{name} is no file of tests; see LONGEST"
+
+    def place(item) -> int:
+        name = item.path.stem.removeprefix("test_")
+        return LONGEST.index(name) if name in LONGEST else len(LONGEST)
+    items.sort(key=place)
+
 
 @pytest.fixture(scope="session")
 def starmesh() -> str:

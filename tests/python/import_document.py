@@ -30,8 +30,8 @@ def lines_of(document: pathlib.Path, section: str) -> list[str]:
     return [line.split("  #")[0].strip() for block in blocks for line in block.splitlines() if line.strip()]
 
 
-def write_night(assets: pathlib.Path):
-    """A night with what the predecessor does in one, at the place of the simulator."""
+def write_night(assets: pathlib.Path, second_filter: str):
+    """A night with what the predecessor does in one, at the place of the simulator, and with a filter of its wheel."""
     dusk = datetime.datetime(2026, 11, 22, 0, 30, tzinfo=datetime.timezone.utc)
     field = {"ra": (sidereal_deg(dusk, -70.4) + 40) % 360, "dec": -30.0, "exptime": 20.0, "n": 3, "filter": "V"}
     rows(assets, "template", dusk, 8 * 3600, [
@@ -42,7 +42,7 @@ def write_night(assets: pathlib.Path):
         (CAMERA, "calibrate_guiding", {"filter": "V", "exptime": 4.0, "pulse_time": 5000, "number_of_cycles": 5}),
         (CAMERA, "pointing_model", {"n": 5, "exptime": 4.0, "filter": "V"}),
         (CAMERA, "object", field | {"object": "A Field", "pointing": True, "guiding": True, "metadata": {"ID": 17}}),
-        (CAMERA, "object", field | {"object": "Another", "filter": "zYJ", "guiding": None}),
+        (CAMERA, "object", field | {"object": "Another", "filter": second_filter, "guiding": None}),
         (CAMERA, "close", {}),
         (CAMERA, "calibration", {"exptime": [0, 10], "n": [2, 2]}),
         (CAMERA, "complete_headers", {}),
@@ -53,12 +53,12 @@ class Shell:
     """A terminal: lines that go on are ended with Ctrl-C."""
 
     def __init__(self, home: pathlib.Path, telescope: str):
-        self.home, self.telescope, self.going, self.said = home, telescope, [], []
+        self.home, self.telescope, self.going, self.printed = home, telescope, [], []
 
     def type(self, line: str):
         if not (line.endswith("&") or line.startswith("starmesh up")):
             done = subprocess.run(["bash", "-c", line], cwd=self.home, capture_output=True, text=True, timeout=120)
-            self.said.append(done.stdout + done.stderr)
+            self.printed.append(done.stdout + done.stderr)
             if done.returncode != 0:
                 raise SystemExit(f"{line}: {done.stdout}{done.stderr}")
             return
@@ -143,7 +143,8 @@ def main(section: str, starmesh: str, document: str, home: str):
     telescope = "template/telescope-template"
     shell = Shell(folder, telescope)
     try:
-        write_night(folder / "Documents/Astra")
+        # the trial gives the simulator the site's own filters
+        write_night(folder / "Documents/Astra", "zYJ" if section == "Trying it first" else "V")
         if section == "Coming from Astra":
             # in the place of the site's devices, which the predecessor leaves connected
             shell.type("starmesh simulator &")
@@ -153,12 +154,13 @@ def main(section: str, starmesh: str, document: str, home: str):
             shell.type(line.replace("SITE/TELESCOPE", telescope))
         if section == "Coming from Astra":
             rows = find(state(telescope), "rows")
-            print(json.dumps({"rows": len(rows), "said": shell.said, "codes": shell.end()}))
+            print(json.dumps({"rows": len(rows), "printed": shell.printed, "codes": shell.end()}))
             return
         ended = follow(telescope)
         wait("the dome is closed", lambda: opened() == 0, 60)
-        told = {"rows": [(row["action"], row["status"], row.get("detail", "")) for row in ended], "said": shell.said, "dome": closings()}
-        print(json.dumps(told | {"codes": shell.end()}))
+        outcome = {"rows": [(row["action"], row["status"], row.get("detail", "")) for row in ended], "printed": shell.printed,
+                   "dome": closings()}
+        print(json.dumps(outcome | {"codes": shell.end()}))
     finally:
         # the newest first: the nodes close at a simulator that still answers
         for process in reversed(shell.going):

@@ -73,7 +73,7 @@ def dusk_longitude(at: datetime.datetime, sun_altitude_deg: float) -> float:
     return (math.degrees(ra) + west - sidereal_deg(at, 0.0) + 180) % 360 - 180
 
 
-class Story:
+class Scenario:
     """Processes of one site, each ended at the end."""
 
     def __init__(self, starmesh: str, folder: pathlib.Path):
@@ -97,7 +97,7 @@ class Story:
                 return False
         wait("the simulator answers", answers, 30)
 
-    def say(self, *words: str) -> str:
+    def run_starmesh(self, *words: str) -> str:
         done = subprocess.run([self.starmesh, *words], capture_output=True, text=True, timeout=60)
         if done.returncode != 0:
             raise SystemExit(f"{' '.join(words)}: {done.stdout}{done.stderr}")
@@ -110,7 +110,7 @@ class Story:
             return all(telescope in done.stdout for telescope in telescopes)
         wait("the telescopes are on the bus", are_there, 60)
         for telescope in telescopes:
-            self.say("order", telescope, "start")
+            self.run_starmesh("order", telescope, "start")
 
     def up(self, telescope: str, file: pathlib.Path):
         self.ups.append(self.spawn(f"up-{telescope}", "up", str(file)))
@@ -166,13 +166,13 @@ def rows(folder: pathlib.Path, name: str, start: datetime.datetime, length_s: fl
     file.write_text("\n".join(lines) + "\n")
 
 
-def twins(story: Story, old: pathlib.Path) -> dict:
+def twins(scenario: Scenario, old: pathlib.Path) -> dict:
     """Two telescopes under one roof at dusk, in real time: both simulators stand where the devices are."""
     now = datetime.datetime.now(datetime.timezone.utc)
     longitude = dusk_longitude(now, -4.5)
     for port in PORTS["twins"]:
-        story.simulate(port, "--start", now.isoformat().replace("+00:00", "Z"), "--latitude-deg", str(LATITUDE_DEG), "--longitude-deg",
-                       f"{longitude:.4f}", "--size-px", "256", "--roof", "--shutter-s", "2", "--slew-deg-per-s", "60")
+        scenario.simulate(port, "--start", now.isoformat().replace("+00:00", "Z"), "--latitude-deg", str(LATITUDE_DEG), "--longitude-deg",
+                          f"{longitude:.4f}", "--size-px", "256", "--roof", "--shutter-s", "2", "--slew-deg-per-s", "60")
         for kind in ["telescope", "observingconditions"]:
             connect(port, kind)
     field = {"ra": (sidereal_deg(now, longitude) - 20) % 360, "dec": -30.0, "exptime": 1.0, "n": 2, "filter": "V"}
@@ -187,23 +187,24 @@ def twins(story: Story, old: pathlib.Path) -> dict:
         ("south_cam", "complete_headers", {}),
         ("south_cam", "close", {}),
     ])
-    told = story.say("import-astra", str(old), "--out", str(story.folder / "new"))
-    files = {name: story.folder / "new" / name / "observatory.toml" for name in ["north-mount", "south-mount", "shared"]}
+    printed = scenario.run_starmesh("import-astra", str(old), "--out", str(scenario.folder / "new"))
+    files = {name: scenario.folder / "new" / name / "observatory.toml" for name in ["north-mount", "south-mount", "shared"]}
     for name, file in files.items():
-        story.say("check", str(file))
-        story.up(name, file)
-    story.begin("twins/north-mount", "twins/south-mount")
+        scenario.run_starmesh("check", str(file))
+        scenario.up(name, file)
+    scenario.begin("twins/north-mount", "twins/south-mount")
     wait("the roof opens", lambda: device(11111, "dome/0/shutterstatus") == 0, 60)
-    story.wait_for_the_end(11, PORTS["twins"])
-    return {"told": told, "status": story.say("status"), "codes": story.end(), "met": story.met, **story.posture(PORTS["twins"])}
+    scenario.wait_for_the_end(11, PORTS["twins"])
+    return {"printed": printed, "status": scenario.run_starmesh("status"), "codes": scenario.end(), "met": scenario.met,
+            **scenario.posture(PORTS["twins"])}
 
 
-def template(story: Story, old: pathlib.Path) -> dict:
+def template(scenario: Scenario, old: pathlib.Path) -> dict:
     """The predecessor's own template on a simulator whose sky goes fast: its limits want up to five hours of fair weather."""
     start = datetime.datetime(2026, 11, 21, 18, 0, tzinfo=datetime.timezone.utc)  # before noon at longitude -70
     port = PORTS["template"][0]
-    story.simulate(port, "--start", start.isoformat().replace("+00:00", "Z"), "--speed", "600", "--size-px", "256",
-                   "--shutter-s", "30")
+    scenario.simulate(port, "--start", start.isoformat().replace("+00:00", "Z"), "--speed", "600", "--size-px", "256",
+                      "--shutter-s", "30")
     for kind in ["telescope", "observingconditions"]:
         connect(port, kind)
     # the template asks for a colder sky than the simulator's
@@ -218,14 +219,15 @@ def template(story: Story, old: pathlib.Path) -> dict:
         (camera, "complete_headers", {}),
         (camera, "close", {}),
     ])
-    told = story.say("import-astra", str(old), "--out", str(story.folder / "new"), "--simulator", f"127.0.0.1:{port}")
-    file = story.folder / "new" / "observatory.toml"
-    checked = story.say("check", str(file))
-    story.up("template", file)
-    story.begin("template/telescope-template")
+    printed = scenario.run_starmesh("import-astra", str(old), "--out", str(scenario.folder / "new"), "--simulator", f"127.0.0.1:{port}")
+    file = scenario.folder / "new" / "observatory.toml"
+    checked = scenario.run_starmesh("check", str(file))
+    scenario.up("template", file)
+    scenario.begin("template/telescope-template")
     wait("the dome opens", lambda: device(port, "dome/0/shutterstatus") == 0, 120)
-    story.wait_for_the_end(7, [port])
-    return {"told": told, "checked": checked, "status": story.say("status"), "codes": story.end(), "met": story.met, **story.posture([port])}
+    scenario.wait_for_the_end(7, [port])
+    return {"printed": printed, "checked": checked, "status": scenario.run_starmesh("status"), "codes": scenario.end(),
+            "met": scenario.met, **scenario.posture([port])}
 
 
 def main(name: str, starmesh: str, old: str, folder: str):
@@ -233,11 +235,11 @@ def main(name: str, starmesh: str, old: str, folder: str):
         subprocess.run(["ip", *words.split()], check=True)
     # the home folder's own files of the predecessor are none of this
     os.environ["HOME"] = folder
-    story = Story(starmesh, pathlib.Path(folder))
+    scenario = Scenario(starmesh, pathlib.Path(folder))
     try:
-        print(json.dumps({"twins": twins, "template": template}[name](story, pathlib.Path(old))))
+        print(json.dumps({"twins": twins, "template": template}[name](scenario, pathlib.Path(old))))
     finally:
-        story.kill()
+        scenario.kill()
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import urllib.request
 
 import alpaca_simulators
 import yaml
-from ear import Ear
+from bus_subscriber import BusSubscriber
 from ports import free_port
 
 LATITUDE, LONGITUDE, ELEVATION = 48.0, 8.0, 1000.0  # alpaca-simulators' own site
@@ -22,6 +22,11 @@ SITE, TELESCOPE = "black-forest", "alpha"
 PREFIX = f"starmesh/v1/{SITE}/{TELESCOPE}"
 KINDS = ["telescope", "camera", "filterwheel", "focuser", "dome", "safetymonitor", "observingconditions",
          "covercalibrator", "switch", "rotator"]
+
+
+def dense_field(near_ra_deg: float) -> float:
+    """Right ascension in degrees of the nearest of make_catalogue.py's dense fields at declination 50, at most an hour away."""
+    return (near_ra_deg % 360) // 30 * 30.0 + 15.0
 
 
 def overridden(template: dict, changed: dict) -> dict:
@@ -116,15 +121,15 @@ listen = "127.0.0.1:{self.web}"
             body = json.load(answer)
         assert body.get("ErrorNumber", 0) == 0, body
 
-    def schedule(self, rows: list[tuple[str, dict]], seconds: float):
-        """Writes rows that start one after another from now on and may run for so long."""
+    def schedule(self, rows: list[tuple[str, dict]], seconds: float, **fields: str):
+        """Writes rows that start one after another from now on and may run for so long; each has the further fields."""
         start = datetime.datetime.now(datetime.timezone.utc)
         end = start + datetime.timedelta(seconds=seconds)
         lines = ["// written by tests/python/site_under_test.py"]
         for index, (action, value) in enumerate(rows):
             at = start + datetime.timedelta(milliseconds=index)
             lines.append(json.dumps({"device_name": "camera_1", "action_type": action, "action_value": value,
-                                     "start_time": at.strftime("%Y-%m-%d %H:%M:%S.%f"), "end_time": end.isoformat()}))
+                                     "start_time": at.strftime("%Y-%m-%d %H:%M:%S.%f"), "end_time": end.isoformat(), **fields}))
         (self.folder / "schedule.jsonl").write_text("\n".join(lines) + "\n")
 
     def start_nodes(self):
@@ -167,7 +172,7 @@ class Record:
     """What is left of a night for the tests of a file."""
 
     site: Site
-    ear: Ear
+    subscriber: BusSubscriber
     exit_codes: dict[str, int]
 
 
@@ -180,6 +185,6 @@ def observing(record: Record):
         print(record.site.logs())
         raise
     finally:
-        if hasattr(record, "ear"):
-            record.ear.close()
+        if hasattr(record, "subscriber"):
+            record.subscriber.close()
         record.exit_codes = record.site.stop()

@@ -15,7 +15,6 @@ import sys
 import time
 import urllib.request
 
-import pytest
 
 PAGE = pathlib.Path(__file__).resolve().parents[2] / "docs" / "deploy.md"
 HOSTS = {"10.0.0.5": "shared", "10.0.0.11": "callisto", "10.0.0.12": "europa"}
@@ -44,7 +43,6 @@ def status_command() -> str:
     return found
 
 
-@pytest.mark.timeout(300) if hasattr(pytest.mark, "timeout") else (lambda test: test)
 def test_the_network_of_the_document_runs_as_it_is_written(starmesh, tmp_path):
     assert shutil.which("ip"), "iproute2 is missing: apt-get install iproute2 (scripts/test does)"
     assert set(files()) == {f"{name}.toml" for name in HOSTS.values()}
@@ -136,7 +134,7 @@ def all_meet():
     return True
 
 
-def monitor_is_heard():
+def monitor_is_received():
     """Each telescope hears the shared monitor: its verdict names it neither missing nor stale."""
     for port, name in ((8081, "callisto"), (8082, "europa")):
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
@@ -144,8 +142,8 @@ def monitor_is_heard():
             state = json.load(answer)["states"].get(f"paranal/{name}/observatory/safety/state", {}).get("body", {})
         inputs = {i["input"]: i for i in state.get("inputs", [])}
         for wanted in ("site-monitor", "mast"):
-            heard = [i for input, i in inputs.items() if wanted in input and i.get("age_s") is not None]
-            if not any(i["age_s"] < 15 for i in heard):
+            received = [i for input, i in inputs.items() if wanted in input and i.get("age_s") is not None]
+            if not any(i["age_s"] < 15 for i in received):
                 return f"{name} does not hear {wanted}: {json.dumps(state)[:600]}"
     return True
 
@@ -162,9 +160,9 @@ def look(starmesh: str):
                                 stdout=subprocess.PIPE, text=True)
         time.sleep(4)
         tail.terminate()
-        said, _ = tail.communicate(timeout=10)
+        printed, _ = tail.communicate(timeout=10)
         for name in HOSTS.values():
-            assert f"paranal/{name}/" in said, f"`starmesh tail` shows nothing of {name}"
+            assert f"paranal/{name}/" in printed, f"`starmesh tail` shows nothing of {name}"
 
 
 def run(starmesh: str, folder: pathlib.Path):
@@ -172,7 +170,7 @@ def run(starmesh: str, folder: pathlib.Path):
     try:
         network.start()
         until("all nodes of three hosts meet", 90, all_meet)
-        until("both telescopes hear the shared monitor and station", 60, monitor_is_heard)
+        until("both telescopes hear the shared monitor and station", 60, monitor_is_received)
         before = audited(folder)
         assert len(before) >= 3, before
         look(starmesh)
@@ -184,8 +182,8 @@ def run(starmesh: str, folder: pathlib.Path):
         # noting an order never waits for a disk
         until("the order is noted", 20, lambda: sum(audited(folder).values()) > sum(before.values()))
         words = shlex.split(status_command())
-        told = subprocess.run([starmesh, *words[1:]], capture_output=True, text=True, timeout=30, check=True).stdout
-        assert "paranal/callisto" in told and "paranal/europa" in told, told
+        printed = subprocess.run([starmesh, *words[1:]], capture_output=True, text=True, timeout=30, check=True).stdout
+        assert "paranal/callisto" in printed and "paranal/europa" in printed, printed
         for name in HOSTS.values():
             log = network.log(name)
             assert "next start" not in log, f"a node of {name} ended by itself:\n{log}"

@@ -19,7 +19,7 @@ from astropy import units as u
 from astropy.coordinates import AltAz, EarthLocation, SkyCoord, get_body_barycentric, get_sun
 from astropy.io import fits
 from astropy.time import Time
-from ear import Ear
+from bus_subscriber import BusSubscriber
 from site_under_test import ELEVATION, LATITUDE, PREFIX, Record, Site, observing
 
 STATE = f"{PREFIX}/observatory/%s/state"
@@ -136,9 +136,9 @@ def observe(site: Site, record: NightRecord, target: SkyCoord, elements: dict):
     where = {"ra": float(target.ra.deg), "dec": float(target.dec.deg)}
     site.put("safetymonitor/0/issafe", IsSafe="true")
     site.start_nodes()
-    ear = record.ear = Ear(site.endpoint)
+    subscriber = record.subscriber = BusSubscriber(site.endpoint)
     # rows that ask nothing of the sky would go before those that wait for a safe one
-    ear.wait_for("the sky is safe", lambda n: n.get(STATE % "safety", {}).get("verdict") == "safe", 60)
+    subscriber.wait_for("the sky is safe", lambda n: n.get(STATE % "safety", {}).get("verdict") == "safe", 60)
     site.schedule([
         ("cool_camera", {}),
         ("open", {}),
@@ -151,14 +151,14 @@ def observe(site: Site, record: NightRecord, target: SkyCoord, elements: dict):
         ("calibration", {"exptime": [0, 1.0], "n": [2, 2]}),
         ("complete_headers", {}),
     ], seconds=600)
-    ear.wait_for("the schedule is seen", lambda n: len(n.get(STATE % "schedule", {}).get("rows", [])) == len(ROWS), 10)
-    ear.wait_for("frames of the body that moves", lambda n: any(
+    subscriber.wait_for("the schedule is seen", lambda n: len(n.get(STATE % "schedule", {}).get("rows", [])) == len(ROWS), 10)
+    subscriber.wait_for("frames of the body that moves", lambda n: any(
         now["row"] == 5 and now["step"].startswith("exposing") for now in n[STATE % "night"]["actions"]), 150)
     record.rates, record.at = rates(site), soon(0)
-    ear.wait_for("the night ends", lambda n: n[STATE % "night"]["ended"] and n[STATE % "night"]["frames"] > 0, 120)
+    subscriber.wait_for("the night ends", lambda n: n[STATE % "night"]["ended"] and n[STATE % "night"]["frames"] > 0, 120)
     record.rates_at_end = rates(site)
     record.cover = [(p["fields"].get("cover"), p["fields"].get("calibrator"), p["fields"].get("brightness"))
-                    for k, p in ear.heard if k == f"{PREFIX}/device/covercalibrator/covercalibrator_1/state"]
+                    for k, p in subscriber.received if k == f"{PREFIX}/device/covercalibrator/covercalibrator_1/state"]
 
 
 def rates(site: Site) -> list[float]:
@@ -168,7 +168,7 @@ def rates(site: Site) -> list[float]:
 
 def frames(night) -> dict[str, dict]:
     """Announced frames by their ids; what a spool says twice counts once."""
-    return {p["id"]: p for k, p in night.ear.heard if k.endswith("/device/camera/camera_1/frame")}
+    return {p["id"]: p for k, p in night.subscriber.received if k.endswith("/device/camera/camera_1/frame")}
 
 
 def of_row(night, row: int, image_type: str) -> list[dict]:
@@ -176,10 +176,10 @@ def of_row(night, row: int, image_type: str) -> list[dict]:
 
 
 def test_every_row_is_finished_in_its_order_with_its_frames(night):
-    rows = night.ear.newest[STATE % "schedule"]["rows"]
+    rows = night.subscriber.newest[STATE % "schedule"]["rows"]
     assert [(row["action"], row["status"], row["frames"]) for row in rows] == [(a, "finished", n) for a, n in ROWS], rows
     finished = []
-    for key, payload in night.ear.heard:
+    for key, payload in night.subscriber.received:
         if key == STATE % "schedule":
             finished += [row["row"] for row in payload["rows"] if row["status"] == "finished" and row["row"] not in finished]
     assert finished == list(range(len(ROWS)))
@@ -202,7 +202,7 @@ def test_every_exposure_is_one_file_and_one_row(night):
 
 
 def test_it_ends_closed_parked_covered_and_dark(night):
-    newest = night.ear.newest
+    newest = night.subscriber.newest
     assert newest[f"{PREFIX}/device/dome/dome_1/state"]["fields"]["shutter"] == "closed"
     assert newest[f"{PREFIX}/device/telescope/telescope_1/state"]["fields"]["at_park"] is True
     assert night.cover[-1][:2] == ("closed", "off"), night.cover[-1]
@@ -227,7 +227,7 @@ def test_flats_have_the_level_that_was_asked_for(night):
 
 def test_the_model_learns_how_the_mount_misses(night):
     """The simulators draw the sky 0.8 arcmin of right ascension and 0.6 arcmin of declination beside what the mount says."""
-    models = night.ear.newest[STATE % "pointing"]["models"]
+    models = night.subscriber.newest[STATE % "pointing"]["models"]
     points = [point for model in models for point in model["points"]]
     assert len(points) >= PLACES, models
     for point in points:
@@ -250,6 +250,6 @@ def test_a_target_that_moves_is_followed_and_the_stars_again_after_it(night):
 
 
 def test_every_payload_has_its_golden_shape(night):
-    assert night.ear.unreadable == []
-    faults = {f"{key}: {fault}" for key, payload in night.ear.heard for fault in shapes.check(key, payload)}
+    assert night.subscriber.unreadable == []
+    faults = {f"{key}: {fault}" for key, payload in night.subscriber.received for fault in shapes.check(key, payload)}
     assert not faults, "\n".join(sorted(faults)[:20])

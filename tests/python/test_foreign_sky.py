@@ -15,8 +15,8 @@ from astropy.coordinates import EarthLocation, SkyCoord
 from astropy.io import fits
 from astropy.time import Time
 from astropy.wcs import WCS
-from ear import Ear
-from site_under_test import ELEVATION, LATITUDE, LONGITUDE, PREFIX, Record, Site, observing
+from bus_subscriber import BusSubscriber
+from site_under_test import ELEVATION, LATITUDE, LONGITUDE, PREFIX, Record, Site, dense_field, observing
 
 STATE = f"{PREFIX}/observatory/%s/state"
 OBJECT = "Foreign field"
@@ -62,8 +62,7 @@ def observe(site: Site, record: NightRecord):
     now = Time.now()
     now.delta_ut1_utc = 0.0
     sidereal = now.sidereal_time("mean", EarthLocation.from_geodetic(LONGITUDE, LATITUDE, ELEVATION).lon).deg
-    # the catalogue has dense fields at declination 50 every two hours; one is always within an hour of the zenith
-    target = record.target = SkyCoord(round(sidereal / 30) % 12 * 30.0 * u.deg, 50.0 * u.deg)
+    target = record.target = SkyCoord(dense_field(sidereal) * u.deg, 50.0 * u.deg)
     where = {"ra": target.ra.deg, "dec": target.dec.deg, "filter": "Clear"}
     site.put("safetymonitor/0/issafe", IsSafe="true")
     site.schedule([
@@ -74,24 +73,24 @@ def observe(site: Site, record: NightRecord):
         ("complete_headers", {}),
     ], seconds=900)
     site.start_nodes()
-    ear = record.ear = Ear(site.endpoint)
-    ear.wait_for("the night ends", lambda n: n.get(STATE % "night", {}).get("ended"), 420)
+    subscriber = record.subscriber = BusSubscriber(site.endpoint)
+    subscriber.wait_for("the night ends", lambda n: n.get(STATE % "night", {}).get("ended"), 420)
     record.focuser_position = site.get("focuser/0/position")
 
 
 def lights(night) -> list[fits.Header]:
     """Headers of the frames that the row itself has taken, oldest first; those of the pointing are not among them."""
-    own = {p["id"] for p in heard(night, "/frame") if (p["purpose"]["action"], p["purpose"].get("object")) == ("object", OBJECT)}
+    own = {p["id"] for p in received(night, "/frame") if (p["purpose"]["action"], p["purpose"].get("object")) == ("object", OBJECT)}
     headers = [fits.getheader(path) for path in night.site.fits()]
     return sorted((header for header in headers if header["FRAMEID"] in own), key=lambda header: header["DATE-OBS"])
 
 
-def heard(night, ending: str) -> list[dict]:
-    return [payload for key, payload in night.ear.heard if key.endswith(ending)]
+def received(night, ending: str) -> list[dict]:
+    return [payload for key, payload in night.subscriber.received if key.endswith(ending)]
 
 
 def test_every_row_is_finished(night):
-    rows = night.ear.newest[STATE % "schedule"]["rows"]
+    rows = night.subscriber.newest[STATE % "schedule"]["rows"]
     assert [row["status"] for row in rows] == ["finished"] * 5, rows
     assert len(lights(night)) == FRAMES
     nodes = {name: code for name, code in night.exit_codes.items() if name != "simulators"}
@@ -99,21 +98,21 @@ def test_every_row_is_finished(night):
 
 
 def test_every_payload_has_its_golden_shape(night):
-    assert night.ear.unreadable == []
-    faults = {f"{key}: {fault}" for key, payload in night.ear.heard for fault in shapes.check(key, payload)}
+    assert night.subscriber.unreadable == []
+    faults = {f"{key}: {fault}" for key, payload in night.subscriber.received for fault in shapes.check(key, payload)}
     assert not faults, "\n".join(sorted(faults)[:20])
 
 
 def test_the_focus_is_found_within_a_fifth_of_the_critical_zone(night):
-    runs = heard(night, "/observatory/focus/run")
+    runs = received(night, "/observatory/focus/run")
     assert runs and runs[-1]["outcome"] == "focused", runs[-1:]
     off = abs(night.focuser_position - BEST_FOCUS)
     assert off <= 0.2 * runs[-1]["critical_zone"], (night.focuser_position, runs[-1])
 
 
 def test_pulses_move_the_stars_as_the_mount_and_the_camera_are_built(night):
-    calibration = [payload.get("calibration") for payload in heard(night, "/observatory/guiding/state")]
-    calibration = [learnt for learnt in calibration if learnt and learnt["source"] == "pulses"][-1]
+    calibration = [payload.get("calibration") for payload in received(night, "/observatory/guiding/state")]
+    calibration = [learned for learned in calibration if learned and learned["source"] == "pulses"][-1]
     east, north = np.array(calibration["east_px_per_s"]), np.array(calibration["north_px_per_s"])
     expected = GUIDE_ARCSEC_S / SCALE_ARCSEC_PX
     # the mount drifts while it is calibrated, by up to a tenth of what a pulse moves it until the next frame
@@ -145,5 +144,5 @@ def test_guiding_holds_the_field_that_would_drift_away(night):
     print(f"rms {rms_px:.3f} px over {times[-1] - times[5]:.0f} s, unguided {unguided_px:.1f} px")
     assert unguided_px > 1.5
     assert rms_px <= 0.35, places
-    corrections = heard(night, "/observatory/guiding/correction")
+    corrections = received(night, "/observatory/guiding/correction")
     assert len(corrections) >= FRAMES - 2, "each frame's correction is published"

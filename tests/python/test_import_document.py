@@ -32,21 +32,21 @@ def old_site(templates: dict[str, str], home: pathlib.Path):
 
 def test_the_lines_that_bring_a_site_over_are_taken_as_they_stand(starmesh, templates, tmp_path):  # noqa: F811
     old_site(templates, tmp_path)
-    told = type_lines("Coming from Astra", starmesh, tmp_path)
-    imported, checked, ordered = told["said"]
+    outcome = type_lines("Coming from Astra", starmesh, tmp_path)
+    imported, checked, ordered = outcome["printed"]
     assert "starmesh order template/telescope-template start" in imported, imported
-    assert "valid" in checked and "accepted" in ordered, told
-    assert told["rows"] == 10 and told["codes"][0] == 0, told
+    assert "valid" in checked and "accepted" in ordered, outcome
+    assert outcome["rows"] == 10 and outcome["codes"][0] == 0, outcome
 
 
 def test_the_documented_trial_runs_the_whole_night_of_a_template_site(starmesh, templates, tmp_path):  # noqa: F811
     old_site(templates, tmp_path)
-    told = type_lines("Trying it first", starmesh, tmp_path)
-    assert len(told["rows"]) == 10 and all(status == "finished" for _, status, _ in told["rows"]), told["rows"]
-    said = told["said"][0]
+    outcome = type_lines("Trying it first", starmesh, tmp_path)
+    assert len(outcome["rows"]) == 10 and all(status == "finished" for _, status, _ in outcome["rows"]), outcome["rows"]
+    printed = outcome["printed"][0]
     for words in ["300 min", "\"guiding\" = null", "pointing_model", "its clock stands at"]:
-        assert words in said, (words, said)
+        assert words in printed, (words, printed)
     # the predecessor's order: the dome is parked, then closed
-    last = len(told["dome"]) - told["dome"][::-1].index("openshutter")
-    assert told["dome"][last:last + 2] == ["park", "closeshutter"], told["dome"]
-    assert told["codes"][0] == 0, told
+    last = len(outcome["dome"]) - outcome["dome"][::-1].index("openshutter")
+    assert outcome["dome"][last:last + 2] == ["park", "closeshutter"], outcome["dome"]
+    assert outcome["codes"][0] == 0, outcome

@@ -43,10 +43,10 @@ def of_type(headers: dict[str, dict], camera: str, kind: str) -> list[tuple[str,
 def test_two_telescopes_under_one_roof_observe_with_the_imported_files(starmesh, tmp_path):
     old = tmp_path / "old"
     shutil.copytree(PROJECT / "tests/data/old_site", old)
-    told = night("twins", starmesh, old, tmp_path)
-    assert told["shutter"] == 1 and told["parked"] == [True, True] and told["codes"] == [0, 0, 0], told
-    assert told["met"] == [], "a shared roof too waits for the park"
-    assert '"guidng", which Astra passed over too' in told["told"], told["told"]
+    outcome = night("twins", starmesh, old, tmp_path)
+    assert outcome["shutter"] == 1 and outcome["parked"] == [True, True] and outcome["codes"] == [0, 0, 0], outcome
+    assert outcome["met"] == [], "a shared roof too waits for the park"
+    assert '"guidng", which Astra passed over too' in outcome["printed"], outcome["printed"]
     headers = frames(tmp_path / "new")
     for camera, name, number in [("north_cam", "North Field", 4711), ("south_cam", "South Field", 4712)]:
         lights = of_type(headers, camera, "Light Frame")
@@ -83,10 +83,10 @@ def test_the_predecessors_own_templates_observe_on_the_simulator(starmesh, templ
     for name, text in templates.items():
         # as the predecessor installs them for an observatory of this name
         (config / f"template_{name}").write_text(text.replace("observatoryname", "template"))
-    told = night("template", starmesh, old, tmp_path)
-    assert told["shutter"] == 1 and told["parked"] == [True] and told["codes"] == [0], told
+    outcome = night("template", starmesh, old, tmp_path)
+    assert outcome["shutter"] == 1 and outcome["parked"] == [True] and outcome["codes"] == [0], outcome
     # its pulse lengths were never measured at this site, and it is said
-    assert "were never measured" in told["told"], told["told"]
+    assert "were never measured" in outcome["printed"], outcome["printed"]
     headers = frames(tmp_path / "new")
     lights = of_type(headers, "camera_template", "Light Frame")
     assert len(lights) == 3 and all(header["OBJECT"] == "A Field" and header["ID"] == 17 for _, header in lights), lights

@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 
-import pytest
 
 
 def test_two_nodes_meet_with_nothing_configured(starmesh, tmp_path):

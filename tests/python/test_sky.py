@@ -80,9 +80,9 @@ def ask(questions: list[dict]) -> list[dict]:
     program = bin_folder / "examples" / "ask_sky"
     assert program.exists(), f"{program} is missing: run `cargo build --workspace --examples` (scripts/test does)"
     text = "".join(json.dumps(question) + "\n" for question in questions)
-    told = subprocess.run([program], input=text, capture_output=True, text=True, timeout=300)
-    assert told.returncode == 0, told.stderr
-    answers = [json.loads(line) for line in told.stdout.splitlines()]
+    answered = subprocess.run([program], input=text, capture_output=True, text=True, timeout=300)
+    assert answered.returncode == 0, answered.stderr
+    answers = [json.loads(line) for line in answered.stdout.splitlines()]
     assert len(answers) == len(questions)
     return answers
 
@@ -195,9 +195,9 @@ def test_twilight_comes_within_2_seconds_of_when_astropy_has_it_in_1000_random_c
     altitude = nights.random.choice([-0.833, -6.0, -12.0, -18.0], CASES)
     rising = nights.random.integers(0, 2, CASES).astype(bool)
     crossing = lambda i: {"sun_crossing": {"altitude_deg": altitude[i], "rising": bool(rising[i])}}
-    told = [answer["sun_crossing"] for answer in ask(nights.questions(crossing))]
-    found = np.array([i for i, at in enumerate(told) if at])
-    never = np.array([i for i, at in enumerate(told) if not at])
+    answered = [answer["sun_crossing"] for answer in ask(nights.questions(crossing))]
+    found = np.array([i for i, at in enumerate(answered) if at])
+    never = np.array([i for i, at in enumerate(answered) if not at])
     assert len(found) > 0.8 * CASES
 
     def past(cases, time):
@@ -206,7 +206,7 @@ def test_twilight_comes_within_2_seconds_of_when_astropy_has_it_in_1000_random_c
         sun = get_body("sun", time, place).transform_to(AltAz(obstime=time, location=place)).alt.deg
         return (sun - altitude[cases]) * np.where(rising[cases], 1, -1)
 
-    at = Time([told[i].rstrip("Z") for i in found], scale="utc", location=nights.place[found])
+    at = Time([answered[i].rstrip("Z") for i in found], scale="utc", location=nights.place[found])
     # astropy's own crossing within ten minutes of ours, closed in on from both sides; a Sun that grazes is no clock
     low, high = np.full(len(found), -600.0), np.full(len(found), 600.0)
     ours = past(found, at)

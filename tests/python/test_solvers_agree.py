@@ -65,14 +65,14 @@ def apart_px(one: WCS, other: WCS) -> float:
 def ours(starmesh: str, frame: pathlib.Path, *options: str) -> WCS:
     """What `starmesh solve` answers, by our own means alone."""
     command = [starmesh, "solve", "--json", *options, str(frame)]
-    said = subprocess.run(command, capture_output=True, text=True, timeout=120, env={"PATH": "/nowhere"})
-    answer = json.loads(said.stdout)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, env={"PATH": "/nowhere"})
+    answer = json.loads(done.stdout)
     assert answer["solved"] and answer["matched"] >= 10 and answer["false_alarm"] < 1e-6, answer
     return tan(*(answer[key] for key in ("ra_deg", "dec_deg", "scale_arcsec_px", "rotation_deg", "mirrored")))
 
 
 def theirs(frame: pathlib.Path) -> WCS:
-    """What solve-field answers when it is told the scale to 10 %, and no place."""
+    """What solve-field answers when it is given the scale to 10 %, and no place."""
     wcs = frame.with_suffix(".wcs")
     scales = ["--scale-units", "arcsecperpix", "--scale-low", "7.2", "--scale-high", "8.8"]
     command = [SOLVE_FIELD, "--overwrite", "--no-plots", "--cpulimit", "60", *scales, "--wcs", str(wcs), str(frame)]

@@ -92,21 +92,21 @@ telescope = "mount"
 
 def hidden_by_starmesh(starmesh, folder, rows) -> dict[int, str]:
     """What is told of each row that is hidden, by its place."""
-    config, told = configured(folder), {}
+    config, warnings = configured(folder), {}
     for first in range(0, len(rows), ROWS_OF_A_FILE):
         file = folder / "rows.jsonl"
         file.write_text("".join(json.dumps(row) + "\n" for row in rows[first : first + ROWS_OF_A_FILE]))
         command = [starmesh, "check", str(file), "--config", str(config), "--at", "2026-11-01T00:00:00Z"]
-        said = subprocess.run(command, capture_output=True, text=True, timeout=120)
-        assert said.returncode == 0, said.stdout + said.stderr
-        assert not re.search(r": and \d+ more", said.stdout), "findings were left out: fewer rows in a file"
-        for line, words in re.findall(r"jsonl:(\d+):\d+: warning: (.*behind the horizon of the site.*)", said.stdout):
-            assert first + int(line) - 1 not in told, words
-            told[first + int(line) - 1] = words
-    return told
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert not re.search(r": and \d+ more", done.stdout), "findings were left out: fewer rows in a file"
+        for line, words in re.findall(r"jsonl:(\d+):\d+: warning: (.*behind the horizon of the site.*)", done.stdout):
+            assert first + int(line) - 1 not in warnings, words
+            warnings[first + int(line) - 1] = words
+    return warnings
 
 
-def test_targets_behind_the_horizon_are_told_as_astropy_has_them_in_1000_random_cases(starmesh, tmp_path):
+def test_targets_behind_the_horizon_are_reported_as_astropy_has_them_in_1000_random_cases(starmesh, tmp_path):
     random = np.random.default_rng(6)
     begin = Time("2026-11-05", scale="utc")
     # whole seconds, which a schedule writes
@@ -122,7 +122,7 @@ def test_targets_behind_the_horizon_are_told_as_astropy_has_them_in_1000_random_
         }
         for i in range(CASES)
     ]
-    told = hidden_by_starmesh(starmesh, tmp_path, rows)
+    warnings = hidden_by_starmesh(starmesh, tmp_path, rows)
 
     site = EarthLocation.from_geodetic(LONGITUDE_DEG, LATITUDE_DEG, ELEVATION_M)
     steps = (length_s / STEP_S).astype(int) + 1
@@ -143,7 +143,7 @@ def test_targets_behind_the_horizon_are_told_as_astropy_has_them_in_1000_random_
         part = slice(ends[i] - steps[i], ends[i])
         room, unsure, at_s = room_deg[part], unsure_deg[part], after_s[part]
         hidden, clear = lasting(room < -unsure), lasting(room > unsure)
-        words = told.get(i)
+        words = warnings.get(i)
         where = f"{rows[i]}: {words}, room {room.min():.3f} to {room.max():.3f} deg"
         assert words or not hidden.any(), where
         assert words is None or not (room > unsure).all(), where

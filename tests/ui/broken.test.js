@@ -34,14 +34,16 @@ const summary = (telescope, change = {}) => ({
   alert_counts: { p1: 0, p2: 0, p3: 0, p4: 0 }, device_count: { known: 1, lost: 0 }, node_count: { known: 4, lost: 0 },
   age_s: 0.1, image_age_s: null, reported_utc: "2026-11-22T03:00:00Z", ...change,
 });
-const says = (op, more) => JSON.stringify({ op, server_time_utc: new Date().toISOString(), speed: 1, version: "test", watch: null, ...more });
+const says = (op, more) => JSON.stringify({ op, at_utc: new Date().toISOString(), data: { speed: 1 }, ...more });
+const net = (op, ...summaries) => says(op, { topic: "net", seq: 1, data: { items: Object.fromEntries(summaries.map((one) => [one.id, one])) } });
 
 beforeEach(async () => {
   await page?.close();
   page = await browser.newPage();
   await page.routeWebSocket(/\/api\/v1\/ws/, (route) => {
     socket = route;
-    route.send(says("snap", { net: [summary("io"), summary("europa")] }));
+    route.send(says("welcome", { data: { version: "test", speed: 1 } }));
+    route.send(net("snap", summary("io"), summary("europa")));
   });
   await page.goto(`http://127.0.0.1:${port}/`);
   await page.locator('[data-telescope="paranal/io"][data-safety="safe"]').waitFor({ timeout: 10_000 });
@@ -59,18 +61,18 @@ async function beatUntil(done, limit = 10_000) {
 }
 
 test("a tile that cannot be drawn is red and says so, and the others go on", { timeout: 60_000 }, async () => {
-  socket.send(says("delta", { net: [summary("io", { alerts: null, alert_counts: { p1: 0, p2: 0, p3: 0, p4: 0 } })] }));
+  socket.send(net("delta", summary("io", { alerts: null, alert_counts: { p1: 0, p2: 0, p3: 0, p4: 0 } })));
   await page.locator('[data-broken="io"]').waitFor({ timeout: 5000 });
   assert.equal(await page.locator('[data-telescope="paranal/io"]').count(), 0, "its old word is gone");
   assert.equal(await page.locator('[data-telescope="paranal/europa"][data-safety="safe"]').count(), 1);
-  socket.send(says("delta", { net: [summary("io")] }));
+  socket.send(net("delta", summary("io")));
   await page.locator('[data-telescope="paranal/io"][data-safety="safe"]').waitFor({ timeout: 5000 });
 });
 
 test("an object of a payload is text, whatever its fields are called", { timeout: 60_000 }, async () => {
   const trap = { tag: "img", attrs: { src: "x", onerror: "document.title='taken'" }, children: [] };
   const alert = { id: "a", priority: "high", cause: trap, consequence: trap, action: trap, raised_utc: "2026-11-22T03:00:00Z" };
-  socket.send(says("delta", { net: [summary("io", { alerts: [alert], posture: "open" })] }));
+  socket.send(net("delta", summary("io", { alerts: [alert], posture: "open" })));
   await page.locator('[data-telescope="paranal/io"] .top-alert').waitFor({ timeout: 5000 });
   assert.match(await page.locator(".top-alert").first().textContent(), /"tag":"img"/);
   assert.equal(await page.locator(".top-alert img").count(), 0);
@@ -79,7 +81,7 @@ test("an object of a payload is text, whatever its fields are called", { timeout
 
 test("what is not readable on the bus stands on the tile", { timeout: 60_000 }, async () => {
   const unreadable = [{ key: "paranal/io/device/dome/d/state", why: "invalid type" }];
-  socket.send(says("delta", { net: [summary("io", { unreadable })] }));
+  socket.send(net("delta", summary("io", { unreadable })));
   await page.locator("[data-unreadable]").waitFor({ timeout: 5000 });
 });
 

@@ -51,7 +51,7 @@ async fn server_with(header: &'static str) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_a_cache_kept_is_no_answer() {
+async fn what_a_cache_stored_is_no_answer() {
     for (header, is_taken) in [("", true), ("Age: 0\r\n", true), ("Age: 12\r\n", false), ("Age: soon\r\n", false)] {
         let address = server_with(header).await;
         let answer = device(&address, Kind::SafetyMonitor).get("issafe").await;

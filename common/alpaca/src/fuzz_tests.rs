@@ -63,7 +63,7 @@ fn no_spoilt_answer_reads_as_safe() {
             .map(|seed| {
                 scope.spawn(move || {
                     let mut chance = StdRng::seed_from_u64(seed);
-                    assert!(reads_as_safe(200, SAFE.as_bytes()), "a safe monitor is heard");
+                    assert!(reads_as_safe(200, SAFE.as_bytes()), "a safe monitor is believed");
                     let spoilt = (0..answers / 4).map(|number| match number % 10 {
                         0 => (200, (0..chance.random_range(0..80)).map(|_| chance.random()).collect()),
                         1 => (chance.random_range(300..600), SAFE.as_bytes().to_vec()),

@@ -116,6 +116,11 @@ impl Header {
     }
 }
 
+/// All NaN are one: that of files with compressed tiles, so that pixels have one hash wherever they are.
+fn one_nan(value: f64) -> f64 {
+    if value.is_nan() { f64::from_bits(u64::MAX) } else { value }
+}
+
 /// Turns the elements into rows.
 pub fn decode(header: &Header, body: &[u8], max_adu: Option<f64>) -> Result<Image, String> {
     let elements = body.get(header.start..header.bytes()).ok_or_else(|| {
@@ -160,7 +165,7 @@ pub fn decode(header: &Header, body: &[u8], max_adu: Option<f64>) -> Result<Imag
             let single = |index: usize| {
                 let mut word = [0; 4];
                 word.copy_from_slice(&elements[index * 4..index * 4 + 4]);
-                f64::from(f32::from_le_bytes(word)).to_le_bytes()
+                one_nan(f64::from(f32::from_le_bytes(word))).to_le_bytes()
             };
             Ok(shape.image(Pixel::F64, shape.rows(single)))
         }
@@ -168,7 +173,7 @@ pub fn decode(header: &Header, body: &[u8], max_adu: Option<f64>) -> Result<Imag
             let double = |index: usize| {
                 let mut word = [0; 8];
                 word.copy_from_slice(&elements[index * 8..index * 8 + 8]);
-                word
+                one_nan(f64::from_le_bytes(word)).to_le_bytes()
             };
             Ok(shape.image(Pixel::F64, shape.rows(double)))
         }

@@ -34,8 +34,8 @@ impl RawImage {
         let status = response.status().as_u16();
         let kind = response.headers().get(CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
         if !kind.to_ascii_lowercase().contains("imagebytes") || status != 200 {
-            // 12 digits and commas a pixel, and room for an error in words.
-            let cap = usize::try_from(pixels.saturating_mul(12)).unwrap_or(usize::MAX).clamp(1 << 20, 4 << 30);
+            // Three colours of 25 digits and commas each, as doubles have, and room for an error in words.
+            let cap = usize::try_from(pixels.saturating_mul(75)).unwrap_or(usize::MAX).clamp(1 << 20, 4 << 30);
             let body = read_capped(response, cap).await?;
             if status != 200 || body.len() < 4096 {
                 // An error, or an image so small that reading it twice costs nothing.

@@ -175,15 +175,15 @@ fn message(object: &Map<String, Value>) -> Option<String> {
 
 fn ascom_error(object: &Map<String, Value>) -> Result<(), AlpacaError> {
     let number = field(object, "ErrorNumber");
-    let said = message(object);
+    let reason = message(object);
     match number.map(|value| (value, envelope_number(value))) {
         Some((_, Some(0))) => {}
         Some((_, Some(code))) => {
-            return Err(AlpacaError::Ascom { code: ascom_code(code), message: said.unwrap_or_default() });
+            return Err(AlpacaError::Ascom { code: ascom_code(code), message: reason.unwrap_or_default() });
         }
         Some((Value::Null, None)) | None => {
             // An error without its number is still an error.
-            if let Some(text) = said {
+            if let Some(text) = reason {
                 return Err(AlpacaError::Protocol(format!("an error without a number: {text}")));
             }
         }

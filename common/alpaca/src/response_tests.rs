@@ -33,11 +33,11 @@ fn holds(status: u16, body: &[u8], meant: &Meant) -> bool {
         Flag(expected) => value().is_some_and(|v| value::flag(&v) == Ok(*expected)),
         Text(expected) => value().is_some_and(|v| value::text(&v).as_deref() == Ok(*expected)),
         NoNumber(reason) => value().is_some_and(|v| value::number(&v).is_err_and(|no| no.0.starts_with(reason))),
-        Ascom(code, said) => {
-            matches!(&answer, Err(AlpacaError::Ascom { code: c, message }) if c == code && message == said)
+        Ascom(code, text) => {
+            matches!(&answer, Err(AlpacaError::Ascom { code: c, message }) if c == code && message == text)
         }
-        Http(status, said) => {
-            matches!(&answer, Err(AlpacaError::Http { status: s, body }) if s == status && body.contains(said))
+        Http(status, text) => {
+            matches!(&answer, Err(AlpacaError::Http { status: s, body }) if s == status && body.contains(text))
         }
         OfAnother => matches!(&answer, Err(AlpacaError::Foreign { .. })),
         Unreadable => matches!(&answer, Err(AlpacaError::Protocol(_))),
@@ -222,7 +222,7 @@ fn a_safety_answer_is_safe_only_if_it_is_exactly_right() {
 }
 
 #[test]
-fn a_monitor_that_returned_ids_and_then_none_is_not_heard() {
+fn a_monitor_that_returned_ids_and_then_none_is_not_believed() {
     let transactions = Transactions::fresh();
     let body = |id: u32| format!(r#"{{"Value":true,"ClientTransactionID":{id},"ErrorNumber":0,"ErrorMessage":""}}"#);
     let reads = |id: u32, asked: u32| parse_exactly(200, body(id).as_bytes(), &transactions, asked).is_ok();

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use contract::audit::Record;
+use contract::audit::AuditRecord;
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 
@@ -26,7 +26,7 @@ pub struct Link {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Proven {
     /// The record, as far as this version knows its fields.
-    pub record: Record,
+    pub record: AuditRecord,
     /// The line, as it was written.
     pub line: String,
 }
@@ -55,13 +55,13 @@ fn broken<T>(expected: impl Into<String>, found: impl Into<String>) -> Result<T,
 impl Proven {
     /// The place of this record in its chain.
     pub fn link(&self) -> Link {
-        let Record { chain, number, sha256, .. } = &self.record;
+        let AuditRecord { chain, number, sha256, .. } = &self.record;
         Link { chain: chain.clone(), number: *number, sha256: sha256.clone() }
     }
 
     /// Is this the record that follows `last`? After nothing a chain must begin.
     pub fn follows(&self, last: Option<&Link>) -> Result<(), Broken> {
-        let Record { chain, number, previous, .. } = &self.record;
+        let AuditRecord { chain, number, previous, .. } = &self.record;
         let Some(last) = last.filter(|last| last.chain == *chain) else {
             // The end of an older chain has no meaning for a new one, which begins at 0.
             let begins = *number == 0 && previous == NOTHING;
@@ -81,7 +81,7 @@ impl Proven {
 }
 
 /// Gives a record its place after `last`, or at the beginning of `chain`, and its hash; returns its line.
-pub fn seal(mut record: Record, last: &Link) -> Result<Proven, serde_json::Error> {
+pub fn seal(mut record: AuditRecord, last: &Link) -> Result<Proven, serde_json::Error> {
     record.chain.clone_from(&last.chain);
     record.number = last.number.wrapping_add(1);
     record.previous.clone_from(&last.sha256);
@@ -115,16 +115,16 @@ pub fn prove(line: &str) -> Result<Proven, Broken> {
     let Some((content, rest)) = line.rsplit_once(SEAL) else {
         return broken("a record with a hash at its end", format!("{:?}", shown()));
     };
-    let Some(told) = rest.strip_suffix("\"}").filter(|told| told.len() == 64) else {
+    let Some(stated) = rest.strip_suffix("\"}").filter(|stated| stated.len() == 64) else {
         return broken("64 hexadecimal digits and the end of the record", format!("{rest:?}"));
     };
     let counted = hash(content);
-    if counted != *told {
-        return broken(format!("sha256 {counted}"), format!("sha256 {told}"));
+    if counted != *stated {
+        return broken(format!("sha256 {counted}"), format!("sha256 {stated}"));
     }
-    match serde_json::from_str::<Record>(line) {
-        Ok(record) if record.sha256 == *told => Ok(Proven { record, line: line.to_owned() }),
-        Ok(record) => broken(format!("sha256 {told}"), format!("sha256 {}", record.sha256)),
+    match serde_json::from_str::<AuditRecord>(line) {
+        Ok(record) if record.sha256 == *stated => Ok(Proven { record, line: line.to_owned() }),
+        Ok(record) => broken(format!("sha256 {stated}"), format!("sha256 {}", record.sha256)),
         Err(error) => broken("a record of the audit", format!("{:?}: {error}", shown())),
     }
 }

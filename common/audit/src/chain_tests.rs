@@ -1,12 +1,12 @@
-use contract::audit::Outcome;
+use contract::audit::AuditOutcome;
 use contract::{BootId, CommandId};
 use proptest::prelude::*;
 use units::Utc;
 
 use super::*;
 
-fn record(verb: &str, outcome: Outcome) -> Record {
-    Record {
+fn record(verb: &str, outcome: AuditOutcome) -> AuditRecord {
+    AuditRecord {
         chain: String::new(),
         number: 0,
         at_utc: Utc::from_seconds(1_795_228_200.25),
@@ -32,7 +32,7 @@ fn chain(name: &str, length: usize) -> Vec<Proven> {
     let mut last = Link::beginning(name.to_owned());
     let mut all = Vec::new();
     for n in 0..length {
-        let sealed = seal(record(&format!("verb{n}"), Outcome::Accepted), &last).unwrap();
+        let sealed = seal(record(&format!("verb{n}"), AuditOutcome::Accepted), &last).unwrap();
         last = sealed.link();
         all.push(sealed);
     }
@@ -65,7 +65,7 @@ fn another_chain_may_follow_from_its_beginning() {
 }
 
 #[test]
-fn a_hash_is_what_the_contract_says_it_is() {
+fn a_hash_is_what_the_contract_defines() {
     // Counted by Python: json.dumps of the sample without "sha256", separators=(",", ":").
     let text = include_str!("../../contract/golden/v1/node.audit.json");
     let samples: Vec<serde_json::Value> = serde_json::from_str(text).unwrap();
@@ -82,8 +82,8 @@ fn a_field_that_this_version_does_not_know_is_proven_too() {
     let content = format!("{content},\"new_field\":{{\"b\":[1,true]}}");
     let line = format!("{content}{SEAL}{}\"}}", hash(&content));
     assert_eq!(prove(&line).unwrap().record.verb, "verb0");
-    let heard: serde_json::Value = serde_json::from_str(&line).unwrap();
-    assert_eq!(prove_value(&heard).unwrap().line, line, "and keeps its bytes over the bus");
+    let received: serde_json::Value = serde_json::from_str(&line).unwrap();
+    assert_eq!(prove_value(&received).unwrap().line, line, "and keeps its bytes over the bus");
 }
 
 #[test]
@@ -103,13 +103,13 @@ fn any_byte_that_is_changed_is_found() {
 
 proptest! {
     #[test]
-    fn whatever_is_said_is_proven_again_also_over_the_bus(from in ".*", reason in ".*", missing: u64, token: Option<u64>) {
-        let mut said = record("open_shutter", Outcome::Lost { missing });
-        (said.from, said.reason, said.token) = (from, reason, token);
-        let sealed = seal(said, &Link::beginning("c".to_owned())).unwrap();
+    fn every_published_record_is_proven_again_also_over_the_bus(from in ".*", reason in ".*", missing: u64, token: Option<u64>) {
+        let mut published = record("open_shutter", AuditOutcome::Lost { missing });
+        (published.from, published.reason, published.token) = (from, reason, token);
+        let sealed = seal(published, &Link::beginning("c".to_owned())).unwrap();
         prop_assert_eq!(prove(&sealed.line), Ok(sealed.clone()));
-        let heard: serde_json::Value = serde_json::from_str(&sealed.line).unwrap();
-        prop_assert_eq!(prove_value(&heard), Ok(sealed));
+        let received: serde_json::Value = serde_json::from_str(&sealed.line).unwrap();
+        prop_assert_eq!(prove_value(&received), Ok(sealed));
     }
 
     #[test]

@@ -3,10 +3,11 @@
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Duration;
 
-use bus::{AlertBoard, Clock, MachineTime};
-use contract::audit::{Outcome, Record};
+use bus::{Clock, MachineTime};
+use contract::audit::{AuditOutcome, AuditRecord};
 use contract::observatory::AlertKind;
 use contract::{BootId, CommandId};
+use node::NodeAlerts;
 
 use crate::whereabouts::Whereabouts;
 
@@ -33,7 +34,7 @@ pub struct Entry {
     /// The reason.
     pub reason: String,
     /// The outcome.
-    pub outcome: Outcome,
+    pub outcome: AuditOutcome,
 }
 
 /// The word of a command and its parameters, as they are in JSON.
@@ -54,7 +55,7 @@ pub(crate) struct Signs {
     pub node: String,
     pub host: String,
     pub whereabouts: Whereabouts,
-    pub alerts: AlertBoard,
+    pub alerts: NodeAlerts,
     /// Entries that found no room since the last one that did.
     pub lost: AtomicU64,
     pub ending: AtomicBool,
@@ -62,10 +63,10 @@ pub(crate) struct Signs {
 
 impl Signs {
     /// A record that has no place in the chain yet.
-    pub fn record(&self, entry: Entry) -> Record {
+    pub fn record(&self, entry: Entry) -> AuditRecord {
         let Entry { from, id, device, verb, parameters, token, reason, outcome } = entry;
         let boot_time = self.clock.machine().since(MachineTime::from_boot(Duration::ZERO));
-        Record {
+        AuditRecord {
             chain: String::new(),
             number: 0,
             at_utc: self.clock.utc(),
@@ -88,7 +89,7 @@ impl Signs {
     }
 
     /// A record about the audit itself.
-    pub fn about_itself(&self, verb: &str, outcome: Outcome) -> Record {
+    pub fn about_itself(&self, verb: &str, outcome: AuditOutcome) -> AuditRecord {
         self.record(Entry {
             from: "audit".to_owned(),
             id: CommandId::default(),
@@ -106,13 +107,13 @@ impl Signs {
     }
 
     /// Raises the alert that records were lost; it stays active until the node ends.
-    pub fn tell_lost(&self, missing: u64) {
+    pub fn report_lost(&self, missing: u64) {
         let cause = format!("{missing} records of what was ordered and moved are lost");
         self.alerts.raise(AlertKind::AuditLost, "", &cause);
     }
 
     /// Raises the alert that a chain is broken; it stays active until the node ends.
-    pub fn tell_broken(&self, detail: &str) {
+    pub fn report_broken(&self, detail: &str) {
         self.alerts.raise(AlertKind::AuditBroken, "", detail);
     }
 }

@@ -2,9 +2,9 @@
 //! shows every later change.
 //!
 //! [`Audit::note`] only queues, so no disk ever delays a closing. A thread of its own makes each entry a link of a
-//! [`chain`] of hashes, appends it to the node's own [`book`] (one JSON line per record, synced within a second), and
-//! then publishes it ([`voice`]). A subscriber that was away asks the node for the records that it lacks ([`past`]);
-//! the record does not depend on any other node. Decision 0010 has the choices.
+//! [`chain`] of hashes, appends it to the node's own [`audit_file`] (one JSON line per record, synced within a second),
+//! and then publishes it ([`publisher`]). A subscriber that was away asks the node for the records that it lacks
+//! ([`past`]); the record does not depend on any other node. Decision 0010 has the choices.
 //!
 //! # Invariants
 //!
@@ -16,12 +16,12 @@
 //! - Any byte that is changed in a file is found:
 //!   `any_byte_that_is_changed_in_the_file_is_found_and_a_new_chain_names_it`.
 
-pub mod book;
+pub mod audit_file;
 pub mod chain;
 mod entry;
 mod past;
+mod publisher;
 mod queue;
-mod voice;
 mod whereabouts;
 mod writer;
 

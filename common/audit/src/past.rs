@@ -4,10 +4,10 @@ use std::fs::File;
 use std::io::{self, Read as _, Seek as _, SeekFrom};
 use std::path::PathBuf;
 
-use contract::audit::Answer;
+use contract::audit::AuditAnswer;
 use serde_json::Value;
 
-use crate::book::{Book, pages};
+use crate::audit_file::{AuditFile, pages};
 
 /// Records of one answer, at most.
 pub const PORTION: usize = 500;
@@ -24,21 +24,21 @@ pub struct Past {
 
 impl Past {
     /// The files of this node.
-    pub fn of(book: &Book) -> Self {
-        Self { folder: book.folder().to_owned(), name: book.name().to_owned(), ended: None }
+    pub fn of(file: &AuditFile) -> Self {
+        Self { folder: file.folder().to_owned(), name: file.name().to_owned(), ended: None }
     }
 
     /// The records after the one with this hash, or from the first on.
     ///
     /// A line that is no JSON cannot be published and is left out; the archive finds the gap.
-    pub fn after(&mut self, sha256: Option<&str>, limit: usize) -> io::Result<Answer<Value>> {
+    pub fn after(&mut self, sha256: Option<&str>, limit: usize) -> io::Result<AuditAnswer<Value>> {
         let files = pages(&self.folder, &self.name)?;
-        let mut answer = Answer { records: Vec::new(), more: false, known: true };
+        let mut answer = AuditAnswer { records: Vec::new(), more: false, known: true };
         let (mut index, mut offset) = match sha256 {
             None => (0, 0),
             Some(sha256) => match self.find(&files, sha256)? {
                 Some(place) => place,
-                None => return Ok(Answer { known: false, ..answer }),
+                None => return Ok(AuditAnswer { known: false, ..answer }),
             },
         };
         let mut bytes = 0;

@@ -5,15 +5,16 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::Duration;
 
-use bus::{BusError, Node};
+use bus::BusError;
+use node::Node;
 use tokio::sync::{mpsc, watch};
 
-use crate::book::Book;
+use crate::audit_file::AuditFile;
 use crate::entry::{Entry, Signs};
 use crate::past::Past;
 use crate::whereabouts::Whereabouts;
 use crate::writer::{Item, Writer};
-use crate::{Proven, voice};
+use crate::{Proven, publisher};
 
 /// Entries that wait for the disk: an hour of a busy night, 4 MB.
 const WAITING: usize = 4096;
@@ -32,29 +33,29 @@ impl Audit {
     /// Starts a node's audit in its data folder. A disk that fails raises an alert, and the node starts all the same.
     pub async fn start(node: &Node) -> Result<Self, BusError> {
         let name = format!("audit-{}-{}-{}", node.role, node.config.place.telescope, node.id);
-        let book = Book::new(&node.config.folders.data, &name);
-        let past = Past::of(&book);
+        let audit_file = AuditFile::new(&node.config.folders.data, &name);
+        let past = Past::of(&audit_file);
         let signs = Signs {
             clock: node.bus.clock().clone(),
             boot_id: node.bus.boot_id().clone(),
             node: node.signature(),
-            host: bus::node::host_name(),
+            host: node::host_name(),
             whereabouts: Whereabouts::listen(node).await?,
             alerts: node.alerts.clone(),
             lost: AtomicU64::new(0),
             ending: AtomicBool::new(false),
         };
-        let (audit, written) = Self::with_book(signs, book, WAITING);
-        voice::start(node, past, written).await?;
+        let (audit, written) = Self::with_file(signs, audit_file, WAITING);
+        publisher::start(node, past, written).await?;
         Ok(audit)
     }
 
-    pub(crate) fn with_book(signs: Signs, book: Book, waiting: usize) -> (Self, mpsc::Receiver<Proven>) {
+    pub(crate) fn with_file(signs: Signs, file: AuditFile, waiting: usize) -> (Self, mpsc::Receiver<Proven>) {
         let (items, taken) = sync_channel(waiting);
         let (lines, written) = mpsc::channel(LINES);
         let (end, ended) = watch::channel(false);
         let signs = Arc::new(signs);
-        let writer = Writer::new(signs.clone(), book, lines);
+        let writer = Writer::new(signs.clone(), file, lines);
         let work = move || {
             writer.run(&taken);
             // The caller that waited may have ended.

@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use bus::{BusError, Catch, Node};
-use contract::Key;
+use bus::{BusError, Catch};
 use contract::node::NodeState;
+use contract::{Key, NodeTopic, Topic};
+use node::Node;
 
 /// Names remembered: more than any site has nodes.
 const MOST: usize = 1000;
@@ -20,15 +21,15 @@ impl Whereabouts {
     /// Follows the states that the nodes of the site publish.
     pub async fn listen(node: &Node) -> Result<Self, BusError> {
         let all = Self::default();
-        let keys = format!("{}/{}/*/node/*/*/state", contract::key::ROOT, node.config.place.site);
-        let states = node.bus.subscribe::<NodeState>(&keys, Catch::Newest, 256).await?;
+        let keys = Topic::Node(NodeTopic::State).on_site(&node.config.place.site);
+        let states = node.bus.subscribe::<NodeState>(keys, Catch::Newest, 256).await?;
         let (hosts, stop) = (all.hosts.clone(), node.stop.clone());
         tokio::spawn(async move {
-            while let Some(heard) = stop.or(states.hear()).await {
-                let Key::Node(address, role, id, _) = heard.key else { continue };
+            while let Some(received) = stop.or(states.recv()).await {
+                let Key::Node(address, role, id, _) = received.key else { continue };
                 let mut hosts = hosts.lock().unwrap_or_else(PoisonError::into_inner);
                 if hosts.len() < MOST {
-                    hosts.insert(format!("{role}/{}/{id}", address.telescope), heard.said.body.host);
+                    hosts.insert(format!("{role}/{}/{id}", address.telescope), received.sample.body.host);
                 }
             }
         });

@@ -7,17 +7,17 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use contract::audit::{Outcome, Record};
+use contract::audit::{AuditOutcome, AuditRecord};
 use contract::observatory::AlertKind;
 use tokio::sync::mpsc;
 
 use crate::Proven;
-use crate::book::{BROKEN, Book};
+use crate::audit_file::{AuditFile, BROKEN};
 use crate::chain;
 use crate::entry::Signs;
 
 /// A record waits so long for others to be synced with it.
-const PATIENCE: Duration = Duration::from_millis(200);
+const TIMEOUT: Duration = Duration::from_millis(200);
 /// Records of one sync, at most.
 const BATCH: usize = 500;
 /// A disk that failed is tried again after so long, and when the node ends for so many times.
@@ -27,26 +27,26 @@ const LAST_TRIES: u32 = 2;
 /// The items of the queue.
 pub(crate) enum Item {
     /// A record without its place, after so many that found no room.
-    Note { record: Box<Record>, lost_before: u64 },
+    Note { record: Box<AuditRecord>, lost_before: u64 },
     /// Asks the writer to check whether it has to end.
     Wake,
 }
 
 pub(crate) struct Writer {
     signs: Arc<Signs>,
-    book: Book,
+    file: AuditFile,
     lines: mpsc::Sender<Proven>,
     /// Records that were taken from the queue and are not certainly on disk.
-    waiting: VecDeque<Record>,
+    waiting: VecDeque<AuditRecord>,
     /// Entries that found no room, since the start of this process.
     missing: u64,
 }
 
 impl Writer {
-    pub fn new(signs: Arc<Signs>, book: Book, lines: mpsc::Sender<Proven>) -> Self {
+    pub fn new(signs: Arc<Signs>, file: AuditFile, lines: mpsc::Sender<Proven>) -> Self {
         // The rest that a kill left is repaired and recorded at once, not when the first command comes.
         let starts = signs.about_itself("node_starts", note(env!("CARGO_PKG_VERSION")));
-        Self { signs, book, lines, waiting: VecDeque::from([starts]), missing: 0 }
+        Self { signs, file, lines, waiting: VecDeque::from([starts]), missing: 0 }
     }
 
     /// Writes until the node ends.
@@ -81,13 +81,13 @@ impl Writer {
     /// The next batch; true when nothing more will come.
     fn gather(&mut self, taken: &Receiver<Item>) -> bool {
         let ending = self.signs.ending.load(Ordering::Acquire);
-        let mut deadline = Instant::now() + PATIENCE;
+        let mut deadline = Instant::now() + TIMEOUT;
         if !ending {
             match taken.recv() {
                 Ok(item) => self.take(item),
                 Err(_) => return true,
             }
-            deadline = Instant::now() + PATIENCE;
+            deadline = Instant::now() + TIMEOUT;
         }
         while self.waiting.len() < BATCH {
             let left = if self.signs.ending.load(Ordering::Acquire) {
@@ -118,14 +118,14 @@ impl Writer {
     fn lose(&mut self, missing: u64) {
         if missing > 0 {
             self.missing += missing;
-            self.signs.tell_lost(self.missing);
-            self.waiting.push_back(self.signs.about_itself("records_lost", Outcome::Lost { missing }));
+            self.signs.report_lost(self.missing);
+            self.waiting.push_back(self.signs.about_itself("records_lost", AuditOutcome::Lost { missing }));
         }
     }
 
     fn write(&mut self) -> io::Result<()> {
-        if !self.book.is_open() {
-            let notes = self.book.open()?;
+        if !self.file.is_open() {
+            let notes = self.file.open()?;
             for (verb, detail) in notes.into_iter().rev() {
                 if verb == "chain_begins" {
                     // At the first start of every node.
@@ -134,19 +134,21 @@ impl Writer {
                     tracing::warn!(verb, detail, "audit");
                 }
                 if verb == BROKEN {
-                    self.signs.tell_broken(&detail);
+                    self.signs.report_broken(&detail);
                 }
                 self.waiting.push_front(self.signs.about_itself(verb, note(&detail)));
             }
         }
-        let Some(mut last) = self.book.last().cloned() else { return Err(io::Error::other("the book is not open")) };
+        let Some(mut last) = self.file.last().cloned() else {
+            return Err(io::Error::other("the audit file is not open"));
+        };
         let mut lines = Vec::new();
         for record in &self.waiting {
             let sealed = chain::seal(record.clone(), &last)?;
             last = sealed.link();
             lines.push(sealed);
         }
-        self.book.append(&lines)?;
+        self.file.append(&lines)?;
         self.waiting.clear();
         for line in lines {
             // A line that finds no room, or no receiver, is asked for later.
@@ -156,8 +158,8 @@ impl Writer {
     }
 }
 
-fn note(detail: &str) -> Outcome {
-    Outcome::Noted { detail: detail.to_owned() }
+fn note(detail: &str) -> AuditOutcome {
+    AuditOutcome::Noted { detail: detail.to_owned() }
 }
 
 #[cfg(test)]

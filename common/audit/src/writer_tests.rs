@@ -2,16 +2,17 @@ use std::fs;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
-use bus::{AlertBoard, Clock};
+use bus::Clock;
 use contract::{BootId, CommandId};
+use node::NodeAlerts;
 
 use super::*;
-use crate::book::examine;
+use crate::audit_file::examine;
 use crate::entry::Entry;
 use crate::whereabouts::Whereabouts;
 use crate::{Audit, GUARD};
 
-fn signs(alerts: &AlertBoard) -> Signs {
+fn signs(alerts: &NodeAlerts) -> Signs {
     Signs {
         clock: Clock::machine_clock(),
         boot_id: BootId::fresh(),
@@ -33,54 +34,54 @@ fn entry(verb: String) -> Entry {
         parameters: String::new(),
         token: None,
         reason: String::new(),
-        outcome: Outcome::Accepted,
+        outcome: AuditOutcome::Accepted,
     }
 }
 
-fn records(folder: &Path) -> Vec<Record> {
+fn records(folder: &Path) -> Vec<AuditRecord> {
     let found = examine(&fs::read(folder.join("audit-x.jsonl")).unwrap(), None);
     assert!(found.broken.is_none() && found.half.is_empty(), "{:?}", found.broken);
     found.good.into_iter().map(|proven| proven.record).collect()
 }
 
 #[tokio::test]
-async fn what_is_noted_is_on_disk_within_a_second_and_then_said() {
+async fn what_is_noted_is_on_disk_within_a_second_and_then_published() {
     let folder = tempfile::tempdir().unwrap();
-    let alerts = AlertBoard::new(Clock::machine_clock());
-    let (audit, mut said) = Audit::with_book(signs(&alerts), Book::new(folder.path(), "audit-x"), 64);
+    let alerts = NodeAlerts::new(Clock::machine_clock());
+    let (audit, mut published) = Audit::with_file(signs(&alerts), AuditFile::new(folder.path(), "audit-x"), 64);
     audit.note(entry("close_shutter".to_owned()));
-    let mut heard = Vec::new();
-    while heard.last() != Some(&"close_shutter".to_owned()) {
-        let one = tokio::time::timeout(Duration::from_secs(5), said.recv()).await.unwrap().unwrap();
-        heard.push(one.record.verb);
+    let mut received = Vec::new();
+    while received.last() != Some(&"close_shutter".to_owned()) {
+        let one = tokio::time::timeout(Duration::from_secs(5), published.recv()).await.unwrap().unwrap();
+        received.push(one.record.verb);
     }
-    assert_eq!(heard, ["chain_begins", "node_starts", "close_shutter"]);
-    assert_eq!(records(folder.path()).len(), 3, "on disk before it is said");
+    assert_eq!(received, ["chain_begins", "node_starts", "close_shutter"]);
+    assert_eq!(records(folder.path()).len(), 3, "on disk before it is published");
     audit.note(entry("last".to_owned()));
     audit.end().await;
     assert_eq!(records(folder.path()).last().unwrap().verb, "last", "the end waits for what was noted");
 }
 
 #[tokio::test]
-async fn a_queue_that_overflows_never_waits_and_the_chain_says_how_many_are_missing() {
+async fn a_queue_that_overflows_never_waits_and_the_chain_counts_the_missing_records() {
     let folder = tempfile::tempdir().unwrap();
     // The disk is away: a file stands where the folder should be.
     let place = folder.path().join("data");
     fs::write(&place, "").unwrap();
-    let alerts = AlertBoard::new(Clock::machine_clock());
-    let (audit, _said) = Audit::with_book(signs(&alerts), Book::new(&place, "audit-x"), 8);
+    let alerts = NodeAlerts::new(Clock::machine_clock());
+    let (audit, _published) = Audit::with_file(signs(&alerts), AuditFile::new(&place, "audit-x"), 8);
     let began = Instant::now();
     for n in 0..100 {
         audit.note(entry(format!("v{n}")));
     }
     assert!(began.elapsed() < Duration::from_millis(500), "{:?}", began.elapsed());
-    let standing = || -> Vec<String> { alerts.watch().borrow().alerts.iter().map(|alert| alert.id.clone()).collect() };
-    assert!(standing().contains(&"audit".to_owned()));
+    let active = || -> Vec<String> { alerts.watch().borrow().alerts.iter().map(|alert| alert.id.clone()).collect() };
+    assert!(active().contains(&"audit".to_owned()));
 
     fs::remove_file(&place).unwrap();
     let end = Instant::now() + Duration::from_secs(10);
-    while standing().contains(&"audit".to_owned()) {
-        assert!(Instant::now() < end, "the disk is back and the alert stands");
+    while active().contains(&"audit".to_owned()) {
+        assert!(Instant::now() < end, "the disk is back and the alert is active");
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
     audit.note(entry("after".to_owned()));
@@ -88,11 +89,11 @@ async fn a_queue_that_overflows_never_waits_and_the_chain_says_how_many_are_miss
     let all = records(&place);
     let written = all.iter().filter(|record| record.verb.starts_with('v')).count() as u64;
     let missing: u64 =
-        all.iter().map(|record| if let Outcome::Lost { missing } = record.outcome { missing } else { 0 }).sum();
+        all.iter().map(|record| if let AuditOutcome::Lost { missing } = record.outcome { missing } else { 0 }).sum();
     assert!(written >= 8 && missing > 0, "{written} written, {missing} missing");
     assert_eq!(written + missing, 100);
     assert_eq!(all.last().unwrap().verb, "after");
     let lost = all.iter().position(|record| record.verb == "records_lost").unwrap();
     assert!(all[..lost].iter().filter(|record| record.verb.starts_with('v')).count() >= 8, "in its place");
-    assert!(standing().contains(&"audit-lost".to_owned()), "{:?}", standing());
+    assert!(active().contains(&"audit-lost".to_owned()), "{:?}", active());
 }

@@ -7,11 +7,12 @@ use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use audit::book::examine;
+use audit::audit_file::examine;
 use audit::{Audit, Entry};
-use bus::{Clock, Node};
-use contract::audit::{Outcome, Record};
+use bus::Clock;
+use contract::audit::{AuditOutcome, AuditRecord};
 use contract::{CommandId, Role};
+use node::Node;
 use test_support::{ALPHA, block, private_bus, until};
 
 const INSIDE: &str = "STARMESH_TEST_SMALL_DISK";
@@ -26,15 +27,15 @@ fn a_full_disk_delays_nothing_and_the_chain_goes_on_when_there_is_room() {
     let test = std::env::current_exe().unwrap();
     let script = "mount -t tmpfs -o size=256k none \"$1\" && exec \"$2\" --exact \"$3\" --nocapture";
     let name = "a_full_disk_delays_nothing_and_the_chain_goes_on_when_there_is_room";
-    let told = Command::new("unshare")
+    let output = Command::new("unshare")
         .args(["-Urm", "sh", "-c", script, "sh"])
         .args([folder.path(), &test])
         .arg(name)
         .env(INSIDE, folder.path())
         .output()
         .expect("unshare is part of util-linux");
-    let (out, err) = (String::from_utf8_lossy(&told.stdout), String::from_utf8_lossy(&told.stderr));
-    assert!(told.status.success() && out.contains("1 passed"), "{out}{err}");
+    let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success() && out.contains("1 passed"), "{out}{err}");
 }
 
 fn entry(verb: String) -> Entry {
@@ -46,11 +47,11 @@ fn entry(verb: String) -> Entry {
         parameters: String::new(),
         token: Some(1),
         reason: String::new(),
-        outcome: Outcome::Accepted,
+        outcome: AuditOutcome::Accepted,
     }
 }
 
-fn records(folder: &Path) -> Vec<Record> {
+fn records(folder: &Path) -> Vec<AuditRecord> {
     let found = examine(&fs::read(folder.join("data/audit-device-alpha-main.jsonl")).unwrap(), None);
     assert!(found.broken.is_none(), "{:?}", found.broken);
     found.good.into_iter().map(|proven| proven.record).collect()
@@ -90,7 +91,7 @@ async fn on_a_small_disk(folder: &Path) {
         audit.note(entry(format!("v{n}")));
     }
     assert!(began.elapsed() < Duration::from_secs(2), "{:?}", began.elapsed());
-    until("the full disk is told", || stands("audit")).await;
+    until("the full disk is reported", || stands("audit")).await;
     assert!(records(folder).iter().any(|record| record.verb == "before"), "what was written stays proven");
 
     // 6000 records would not fit even now; the disk grows, as when a person adds room.
@@ -103,8 +104,8 @@ async fn on_a_small_disk(folder: &Path) {
     let all = records(folder);
     let written = all.iter().filter(|record| record.verb.starts_with('v')).count() as u64;
     let missing: u64 =
-        all.iter().map(|record| if let Outcome::Lost { missing } = record.outcome { missing } else { 0 }).sum();
-    assert_eq!(written + missing, 6000, "{written} written, {missing} told as missing");
+        all.iter().map(|record| if let AuditOutcome::Lost { missing } = record.outcome { missing } else { 0 }).sum();
+    assert_eq!(written + missing, 6000, "{written} written, {missing} reported as missing");
     assert!(missing > 0 && stands("audit-lost"));
     assert_eq!(all.last().unwrap().verb, "after");
 }

@@ -1,9 +1,11 @@
 //! Questions and commands: asked of one key, answered at once, and *unknown* when no answer comes.
 
+use std::fmt::Display;
 use std::future::Future;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use contract::row::Carried;
 use contract::{Accepted, Command, CommandId, Device, Key, Payload, Reason, Refusal, Reply, Stamped};
 use serde::de::DeserializeOwned;
 use tokio::sync::{Semaphore, mpsc};
@@ -13,7 +15,7 @@ use zenoh::query::{ConsolidationMode, Query, QueryTarget};
 use zenoh::session::ZenohId;
 
 use crate::session::MOST_BYTES;
-use crate::writers::{MOST_WRITERS, states_beside};
+use crate::writers::{MOST_WRITERS, other_states};
 use crate::{Bus, BusError};
 
 /// Questions that one service answers at the same time; more are left without an answer.
@@ -77,7 +79,9 @@ impl Bus {
         question: &Q,
         timeout: Duration,
     ) -> Result<A, AskError> {
-        let (states, moves) = (states_beside(key), decides(key));
+        let (states, moves) = (other_states(key), decides(key));
+        let is_of_any_archive = matches!(key, Key::History(_) | Key::ArchivedFrame(_) | Key::NightReport(_));
+        let is_large = key.topic().row().carried == Carried::LargeAnswers;
         let key = key.to_string();
         let unreadable = |detail: String| AskError::Unreadable { key: key.clone(), detail };
         let payload = serde_json::to_vec(question).map_err(|error| unreadable(error.to_string()))?;
@@ -87,7 +91,7 @@ impl Bus {
         }
         let unknown = || AskError::Unknown { key: key.clone(), timeout_s: timeout.as_secs_f64() };
         let until = Instant::now() + timeout;
-        let mut answers = self.put_question(&key, payload, timeout).await.ok_or_else(unknown)?;
+        let mut answers = self.put_question(&key, payload, is_large, timeout).await.ok_or_else(unknown)?;
         let mut counted: Vec<(ZenohId, Vec<u8>)> = Vec::new();
         let mut strangers = 0;
         loop {
@@ -116,7 +120,16 @@ impl Bus {
             }
         }
         if strangers > 0 {
-            tracing::warn!(key, strangers, "a program that does not publish the state beside a key answered for it");
+            tracing::warn!(
+                key,
+                strangers,
+                "a program answered for a key without publishing the state that belongs to it"
+            );
+        }
+        if is_of_any_archive {
+            // Each is right about what it has; one that is new, or catches up, has less.
+            counted.sort_by_key(|(_, bytes)| std::cmp::Reverse(bytes.len()));
+            counted.truncate(1);
         }
         let Some((_, first)) = counted.first() else { return Err(unknown()) };
         if counted.iter().any(|(_, bytes)| bytes != first) {
@@ -126,16 +139,24 @@ impl Bus {
     }
 
     /// Puts a question to every queryable of a key: one that calls itself complete takes it from nobody.
-    async fn put_question(&self, key: &str, payload: Vec<u8>, timeout: Duration) -> Option<mpsc::Receiver<Answer>> {
-        let (tell, told) = mpsc::channel(ANSWERS);
+    async fn put_question(
+        &self,
+        key: &str,
+        payload: Vec<u8>,
+        is_large: bool,
+        timeout: Duration,
+    ) -> Option<mpsc::Receiver<Answer>> {
+        // The answer has the priority of its question: a file must not delay what people wait for.
+        let priority = if is_large { Priority::DataLow } else { Priority::InteractiveHigh };
+        let (sender, receiver) = mpsc::channel(ANSWERS);
         let own_key = key.to_owned();
         let asked = self
             .session
             .get(key.to_owned())
             .payload(payload)
             .encoding(Encoding::APPLICATION_JSON)
-            .priority(Priority::InteractiveHigh)
-            .express(true)
+            .priority(priority)
+            .express(!is_large)
             .target(QueryTarget::All)
             .consolidation(ConsolidationMode::None)
             .timeout(timeout)
@@ -144,10 +165,10 @@ impl Bus {
                 let (Some(who), Ok(sample)) = (reply.replier_id(), reply.result()) else { return };
                 if sample.key_expr().as_str() == own_key {
                     // It is full only in a flood of answers, which no node makes.
-                    let _ = tell.try_send(Answer { who: who.zid(), bytes: sample.payload().to_bytes().into_owned() });
+                    let _ = sender.try_send(Answer { who: who.zid(), bytes: sample.payload().to_bytes().into_owned() });
                 }
             });
-        asked.await.ok().map(|()| told)
+        asked.await.ok().map(|()| receiver)
     }
 
     /// Sends a command to a device; `Ok` means taken, not done.
@@ -218,29 +239,29 @@ impl Bus {
     }
 
     /// Asks for the newest payloads of all keys of an expression.
-    pub async fn get_all<T: Payload>(&self, expression: &str, timeout: Duration) -> Vec<(Key, Stamped<T>)> {
-        let (tell, mut told) = mpsc::channel(MOST_PAYLOADS);
+    pub async fn get_all<T: Payload>(&self, expression: impl Display, timeout: Duration) -> Vec<(Key, Stamped<T>)> {
+        let (sender, mut receiver) = mpsc::channel(MOST_PAYLOADS);
         let asked = self
             .session
-            .get(expression.to_owned())
+            .get(expression.to_string())
             .target(QueryTarget::All)
             .consolidation(ConsolidationMode::None)
             .timeout(timeout)
             .callback(move |reply| {
                 // An answer that does not fit is part of a flood.
                 if let Ok(sample) = reply.into_result() {
-                    let _ = tell.try_send(sample);
+                    let _ = sender.try_send(sample);
                 }
             });
         let mut found = Vec::new();
         if asked.await.is_err() {
             return found;
         }
-        while let Some(sample) = told.recv().await {
+        while let Some(sample) = receiver.recv().await {
             let key = Key::parse(sample.key_expr().as_str());
-            let said = serde_json::from_slice(&sample.payload().to_bytes());
-            if let (Some(key), Ok(said)) = (key, said) {
-                found.push((key, said));
+            let payload = serde_json::from_slice(&sample.payload().to_bytes());
+            if let (Some(key), Ok(payload)) = (key, payload) {
+                found.push((key, payload));
             }
         }
         found

@@ -1,18 +1,22 @@
-//! Mends links over which nothing comes, while zenoh reports that the peer is connected.
+//! Ends links that zenoh takes for whole and are not, so that both sides begin anew; zenoh offers no way to end one
+//! transport, so its sockets are shut down.
 //!
 //! Two peers that dial each other share one transport of two TCP links. When one of them is stopped or cut off long
 //! enough, the other begins anew while the first still holds the old transport, takes the new link into it, and does
-//! not declare again its publishers, subscribers and queryables. Neither side notices, for good (eclipse-zenoh/zenoh#2806).
-//! zenoh offers no way to end one transport, so its sockets are shut down; both sides then begin anew.
+//! not declare again its publishers, subscribers and queryables. Neither side notices, for good, and samples come under
+//! the keys that had their numbers before (eclipse-zenoh/zenoh#2806). So a transport that lost a link and gets another
+//! one begins anew, and so does one over which nothing comes.
 
-use std::collections::BTreeMap;
-use std::net::SocketAddr;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
+use contract::{NodeTopic, Topic};
 use tokio::sync::mpsc;
-use zenoh::session::ZenohId;
+use zenoh::sample::SampleKind;
+use zenoh::session::{Link, ZenohId};
 
-use crate::{Bus, MachineTime, machine};
+use crate::sockets::{self, ends};
+use crate::{Bus, BusError, MachineTime, machine};
 
 /// A node publishes its state every 5 s; three are missed by then.
 const SILENT: Duration = Duration::from_secs(17);
@@ -22,78 +26,127 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(600);
 /// A peer that is gone so long is forgotten; each start of a node is a new peer.
 const FORGET: Duration = Duration::from_secs(3600);
 const LOOK: Duration = Duration::from_secs(5);
+/// What happens to links and has not been looked at yet; it is full only while this node hangs.
+const WAITING: usize = 1024;
 
-/// Watches and mends for ever.
-pub async fn keep_mending(bus: &Bus) -> anyhow::Result<()> {
-    let (tell, mut told) = mpsc::channel(64);
-    let session = &bus.session;
-    let states = "starmesh/v1/*/*/node/*/*/state";
-    let subscriber = session.declare_subscriber(states).callback(move |sample| {
-        if let Some(source) = sample.source_info() {
-            // It is full only while this task hangs; the next state is 5 s away.
-            let _ = tell.try_send(source.source_id().zid());
-        }
-    });
-    let _subscriber = subscriber.await.map_err(|error| anyhow::anyhow!("cannot hear {states}: {error}"))?;
-    let mut silence = Silence::default();
-    let mut looks = tokio::time::interval(LOOK);
-    loop {
-        tokio::select! {
-            Some(peer) = told.recv() => silence.hear(peer, machine::now()),
-            _ = looks.tick() => {
-                let links: Vec<_> = session.info().links().await.collect();
-                let connected: Vec<ZenohId> = links.iter().map(|link| *link.zid()).collect();
-                for peer in silence.look(&connected, machine::now()) {
-                    let of_peer = links.iter().filter(|link| *link.zid() == peer);
-                    let ends = of_peer.filter_map(|link| Some((address(link.src())?, address(link.dst())?))).collect();
-                    mend(peer, ends).await;
+/// What zenoh reports of a peer.
+enum Event {
+    State(ZenohId),
+    Added(Link),
+    Removed(ZenohId),
+    Closed(ZenohId),
+}
+
+impl Bus {
+    /// Watches the links to all nodes and mends them, for ever.
+    pub async fn keep_mending(&self) -> Result<(), BusError> {
+        let session = &self.session;
+        let (sender, mut receiver) = mpsc::channel(WAITING);
+        let failed = |what, key: &str| {
+            let key = key.to_owned();
+            move |source| BusError::Declare { what, key, source }
+        };
+        let states = Topic::Node(NodeTopic::State).everywhere().to_string();
+        let into = sender.clone();
+        let subscriber = session.declare_subscriber(&states).callback(move |sample| {
+            if let Some(source) = sample.source_info() {
+                let _ = into.try_send(Event::State(source.source_id().zid()));
+            }
+        });
+        let _subscriber = subscriber.await.map_err(failed("a subscriber", &states))?;
+        let info = session.info();
+        let into = sender.clone();
+        let transports = info.transport_events_listener().callback(move |event| {
+            if event.kind() == SampleKind::Delete {
+                let _ = into.try_send(Event::Closed(*event.transport().zid()));
+            }
+        });
+        let _transports = transports.await.map_err(failed("a listener", "transports"))?;
+        let links = info.link_events_listener().history(true).callback(move |event| {
+            let link = event.link().clone();
+            let _ = sender.try_send(match event.kind() {
+                SampleKind::Put => Event::Added(link),
+                SampleKind::Delete => Event::Removed(*link.zid()),
+            });
+        });
+        let _links = links.await.map_err(failed("a listener", "links"))?;
+        let (mut silence, mut lost) = (Silence::default(), LostLinks::default());
+        let mut looks = tokio::time::interval(LOOK);
+        loop {
+            tokio::select! {
+                Some(event) = receiver.recv() => match event {
+                    Event::State(peer) => silence.observe(peer, machine::now()),
+                    Event::Added(link) => {
+                        if lost.added(*link.zid()) {
+                            self.begin_anew(*link.zid(), "a link of a node was lost, and another one came").await;
+                        } else {
+                            close_in_background(&link).await;
+                        }
+                    }
+                    Event::Removed(peer) => lost.removed(peer),
+                    Event::Closed(peer) => lost.closed(peer),
+                },
+                _ = looks.tick() => {
+                    let connected: Vec<ZenohId> = session.info().links().await.map(|link| *link.zid()).collect();
+                    for peer in silence.look(&connected, machine::now()) {
+                        self.begin_anew(peer, "a node is connected and nothing of it arrives").await;
+                    }
                 }
             }
         }
     }
+
+    /// Cuts all links to a peer.
+    async fn begin_anew(&self, peer: ZenohId, why: &str) {
+        let links = self.session.info().links().await;
+        match sockets::shut_down(links.filter(|link| *link.zid() == peer).filter_map(|link| ends(&link)).collect())
+            .await
+        {
+            Ok(links) => tracing::warn!(%peer, links, "{why}; its links begin anew"),
+            Err(error) => tracing::error!(%peer, %error, "{why}; its links cannot be cut, start this node anew"),
+        }
+    }
 }
 
-async fn mend(peer: ZenohId, ends: Vec<(SocketAddr, SocketAddr)>) {
-    let cut = tokio::task::spawn_blocking(move || cut(&ends)).await.map_err(std::io::Error::other).flatten();
-    match cut {
-        Ok(count) => {
-            tracing::warn!(%peer, links = count, "a node is connected and nothing of it arrives; its links begin anew")
-        }
-        Err(error) => {
-            tracing::error!(%peer, %error, "a node is connected and nothing of it arrives; its links cannot be cut")
-        }
+/// A host that is off must not stop what others send.
+async fn close_in_background(link: &Link) {
+    static REFUSED: std::sync::Once = std::sync::Once::new();
+    let Some(ends) = ends(link).filter(|_| cfg!(target_os = "linux")) else { return };
+    if let Err(error) = sockets::close_in_background(vec![ends]).await {
+        REFUSED.call_once(|| {
+            tracing::error!(
+                %error,
+                "the sockets of the bus cannot be reached: when another host goes off, this node receives nothing for 10 s \
+                 and more; it needs Linux 5.6, and a container CAP_SYS_PTRACE"
+            );
+        });
     }
 }
 
-/// The address of a TCP locator such as `tcp/127.0.0.1:7447`.
-fn address(locator: &zenoh::config::Locator) -> Option<SocketAddr> {
-    locator.to_string().strip_prefix("tcp/")?.parse().ok()
-}
+/// Peers whose transport has lost a link and lives on; pure.
+#[derive(Debug)]
+struct LostLinks<P>(BTreeSet<P>);
 
-/// Shuts down this process's sockets between these ends; returns how many there were.
-#[cfg(target_os = "linux")]
-fn cut(ends: &[(SocketAddr, SocketAddr)]) -> std::io::Result<usize> {
-    use rustix::process::{PidfdFlags, PidfdGetfdFlags, getpid, pidfd_getfd, pidfd_open};
-    let own = pidfd_open(getpid(), PidfdFlags::empty())?;
-    let same = |a: SocketAddr, b: SocketAddr| a.ip().to_canonical() == b.ip().to_canonical() && a.port() == b.port();
-    let mut count = 0;
-    for entry in std::fs::read_dir("/proc/self/fd")? {
-        let Some(number) = entry?.file_name().to_str().and_then(|name| name.parse().ok()) else { continue };
-        // Links that have been closed since, and descriptors that are no sockets, are not meant.
-        let Ok(descriptor) = pidfd_getfd(&own, number, PidfdGetfdFlags::empty()) else { continue };
-        let socket = std::net::TcpStream::from(descriptor);
-        let (Ok(here), Ok(there)) = (socket.local_addr(), socket.peer_addr()) else { continue };
-        if ends.iter().any(|(src, dst)| same(here, *src) && same(there, *dst)) {
-            socket.shutdown(std::net::Shutdown::Both)?;
-            count += 1;
-        }
+impl<P> Default for LostLinks<P> {
+    fn default() -> Self {
+        Self(BTreeSet::new())
     }
-    Ok(count)
 }
 
-#[cfg(not(target_os = "linux"))]
-fn cut(_: &[(SocketAddr, SocketAddr)]) -> std::io::Result<usize> {
-    Err(std::io::Error::other("this is known only for Linux; start this node anew"))
+impl<P: Ord> LostLinks<P> {
+    /// Must the transport begin anew that has got this link?
+    fn added(&mut self, peer: P) -> bool {
+        self.0.remove(&peer)
+    }
+
+    fn removed(&mut self, peer: P) {
+        self.0.insert(peer);
+    }
+
+    /// The whole transport has ended: the next one is new to both sides.
+    fn closed(&mut self, peer: P) {
+        self.0.remove(&peer);
+    }
 }
 
 /// Since when which peer is silent; pure.
@@ -104,7 +157,7 @@ struct Silence<P> {
 
 #[derive(Debug)]
 struct Peer {
-    heard: MachineTime,
+    received: MachineTime,
     connected: MachineTime,
     cut: Option<(MachineTime, Duration)>,
 }
@@ -116,8 +169,8 @@ impl<P> Default for Silence<P> {
 }
 
 impl<P: Ord + Copy> Silence<P> {
-    fn hear(&mut self, peer: P, now: MachineTime) {
-        self.peers.insert(peer, Peer { heard: now, connected: now, cut: None });
+    fn observe(&mut self, peer: P, now: MachineTime) {
+        self.peers.insert(peer, Peer { received: now, connected: now, cut: None });
     }
 
     /// Peers whose links must be cut; only those from which something was received before.
@@ -127,12 +180,12 @@ impl<P: Ord + Copy> Silence<P> {
         for (id, peer) in &mut self.peers {
             if !connected.contains(id) {
                 // Silence counts from the next connection on.
-                peer.heard = now;
+                peer.received = now;
                 continue;
             }
             peer.connected = now;
             let is_due = peer.cut.is_none_or(|(at, pause)| now.since(at) > pause);
-            if is_due && now.since(peer.heard) > SILENT {
+            if is_due && now.since(peer.received) > SILENT {
                 let pause = peer.cut.map_or(FIRST_PAUSE, |(_, pause)| (pause * 2).min(LONGEST_PAUSE));
                 peer.cut = Some((now, pause));
                 silent.push(*id);
@@ -144,23 +197,24 @@ impl<P: Ord + Copy> Silence<P> {
 
 #[cfg(test)]
 mod tests {
-    use contract::{Address, Key, NodeTopic, Role};
+    use contract::node::NodeState;
+    use contract::{Address, Key, Role};
     use zenoh::sample::SampleKind;
 
     use super::*;
-    use crate::{Clock, Node, Quality};
+    use crate::Clock;
 
     fn at(seconds: u64) -> MachineTime {
         MachineTime::from_boot(Duration::from_secs(seconds))
     }
 
-    /// Seconds at which peer 1 is cut when it is received from and connected at these.
-    fn cuts(seconds: u64, heard: impl Fn(u64) -> bool, connected: impl Fn(u64) -> bool) -> Vec<u64> {
+    /// Seconds at which peer 1 is cut when something of it is received, and it is connected, at these.
+    fn cuts(seconds: u64, received: impl Fn(u64) -> bool, connected: impl Fn(u64) -> bool) -> Vec<u64> {
         let mut silence = Silence::default();
         let mut cuts = Vec::new();
         for second in 0..seconds {
-            if heard(second) {
-                silence.hear(1, at(second));
+            if received(second) {
+                silence.observe(1, at(second));
             }
             let peers: &[i32] = if connected(second) { &[1, 2] } else { &[2] };
             if silence.look(peers, at(second)).contains(&1) {
@@ -171,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn a_peer_that_is_heard_or_gone_is_left_alone() {
+    fn a_peer_that_sends_or_is_gone_is_left_alone() {
         assert_eq!(cuts(300, |s| s % 5 == 0, |_| true), [0; 0]);
         assert_eq!(cuts(300, |s| s == 0, |s| s == 0), [0; 0]);
         assert_eq!(cuts(300, |_| false, |_| true), [0; 0], "a stranger that never says how it is");
@@ -187,6 +241,20 @@ mod tests {
         assert_eq!(cuts(90, |s| s == 0, |s| !(5..60).contains(&s)), [77]);
     }
 
+    #[test]
+    fn a_transport_that_lost_a_link_and_gets_another_one_begins_anew() {
+        let mut lost = LostLinks::default();
+        assert!(!lost.added(1) && !lost.added(1), "the first links of a peer");
+        lost.removed(1);
+        lost.removed(1);
+        lost.closed(1);
+        assert!(!lost.added(1), "all links were lost, and so the transport is a new one");
+        lost.removed(1);
+        assert!(!lost.added(2), "of another peer");
+        assert!(lost.added(1));
+        assert!(!lost.added(1), "once");
+    }
+
     async fn open(connect: Vec<String>) -> Bus {
         let config = config::Bus { listen: Vec::new(), connect, multicast: false };
         Bus::open(&config, Clock::machine_clock()).await.unwrap()
@@ -200,22 +268,26 @@ mod tests {
         let silent = open(own.locators().await).await;
         let node_key =
             |role, topic| Key::Node(Address::new("test", "alpha").unwrap(), role, "main".parse().unwrap(), topic);
-        let text = "[observatory]\nsite = \"test\"\ntelescope = \"alpha\"\nlatitude_deg = -24.6\nlongitude_deg = -70.4\n\
-                    elevation_m = 2500\n";
-        let config = config::parse(text, std::path::Path::new(".")).unwrap();
-        let node = Node::new(Role::Web, "main".parse().unwrap(), config, Default::default(), own.clone());
-        let state = node.state();
-        let (tell, mut told) = mpsc::unbounded_channel();
+        let state = NodeState {
+            role: Role::Archive,
+            version: String::new(),
+            host: String::new(),
+            pid: 1,
+            uptime_s: 1.0,
+            speed: 1.0,
+            figures: BTreeMap::new(),
+        };
+        let (sender, mut receiver) = mpsc::unbounded_channel();
         let alive = node_key(Role::Archive, NodeTopic::Alive);
         let tokens = own.session.liveliness().declare_subscriber(alive.to_string()).history(true);
-        let _ear = tokens.callback(move |token| tell.send(token.kind()).unwrap_or_default()).await.unwrap();
+        let _subscriber = tokens.callback(move |token| sender.send(token.kind()).unwrap_or_default()).await.unwrap();
         let _alive = silent.show_alive(&alive).await.unwrap();
         let mended = own.clone();
-        let mending = tokio::spawn(async move { keep_mending(&mended).await });
-        let mut next = async || tokio::time::timeout(Duration::from_secs(60), told.recv()).await.unwrap().unwrap();
+        let mending = tokio::spawn(async move { mended.keep_mending().await });
+        let mut next = async || tokio::time::timeout(Duration::from_secs(60), receiver.recv()).await.unwrap().unwrap();
         assert_eq!(next().await, SampleKind::Put);
 
-        let publisher = silent.publisher(&node_key(Role::Archive, NodeTopic::State), Quality::State { cache: 1 }).await;
+        let publisher = silent.publisher(&node_key(Role::Archive, NodeTopic::State)).await;
         // The subscriber of the mending task must be declared by then.
         tokio::time::sleep(Duration::from_secs(1)).await;
         publisher.unwrap().put(state).await.unwrap();

@@ -182,9 +182,9 @@ mod tests {
         let port = free.local_addr().unwrap().port();
         drop(free);
         let (one, all) = (format!("tcp/127.0.0.1:{port}"), format!("tcp/0.0.0.0:{port}"));
-        let beside = format!("udp/127.0.0.1:{port}");
+        let other = format!("udp/127.0.0.1:{port}");
         assert_eq!(listened(&[&one, &one]), (vec![one.clone()], Vec::new()));
         assert_eq!(listened(&[&one, &all]), (vec![all], Vec::new()));
-        assert_eq!(listened(&[&one, &beside]), (vec![one, beside], Vec::new()));
+        assert_eq!(listened(&[&one, &other]), (vec![one, other], Vec::new()));
     }
 }

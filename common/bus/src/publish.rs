@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use contract::row::Carried;
 use contract::{Key, Payload, Stamped};
 use zenoh::bytes::Encoding;
 use zenoh::qos::{CongestionControl, Priority};
@@ -31,10 +32,22 @@ pub enum Quality {
     Urgent,
 }
 
+impl Quality {
+    fn of(key: &Key) -> Self {
+        match key.topic().row().carried {
+            Carried::State(cache) => Self::State { cache },
+            Carried::Event(cache) => Self::Event { cache },
+            Carried::Urgent => Self::Urgent,
+            // The last two are not published.
+            Carried::Telemetry | Carried::Query | Carried::LargeAnswers | Carried::Token => Self::State { cache: 1 },
+        }
+    }
+}
+
 /// Publishes payloads of one type on one key.
 pub struct Publisher<T> {
     key: String,
-    line: Line,
+    line: ZenohPublisher,
     seq: AtomicU64,
     bus: Bus,
     newest: Newest,
@@ -45,14 +58,19 @@ pub struct Publisher<T> {
 /// The newest payload, and when it was published.
 type Newest = Arc<Mutex<Option<(Vec<u8>, MachineTime)>>>;
 
-enum Line {
+enum ZenohPublisher {
     Plain(zenoh::pubsub::Publisher<'static>),
     Advanced(AdvancedPublisher<'static>),
 }
 
 impl Bus {
-    /// Declares a publisher.
-    pub async fn publisher<T: Payload>(&self, key: &Key, quality: Quality) -> Result<Publisher<T>, BusError> {
+    /// Declares a publisher, as the table of the bus has its topic.
+    pub async fn publisher<T: Payload>(&self, key: &Key) -> Result<Publisher<T>, BusError> {
+        self.publisher_as(key, Quality::of(key)).await
+    }
+
+    /// Declares a publisher whose quality depends on more than its topic.
+    pub async fn publisher_as<T: Payload>(&self, key: &Key, quality: Quality) -> Result<Publisher<T>, BusError> {
         let text = key.to_string();
         let failed = |source| BusError::Declare { what: "a publisher", key: key.to_string(), source };
         let builder = self
@@ -63,7 +81,7 @@ impl Bus {
         let line = match quality {
             Quality::Urgent => {
                 let urgent = builder.priority(Priority::RealTime).express(true);
-                Line::Plain(urgent.await.map_err(failed)?)
+                ZenohPublisher::Plain(urgent.await.map_err(failed)?)
             }
             Quality::State { cache } | Quality::Event { cache } => {
                 // No heartbeat: states repeat, and events are followed by states, so the next sample shows a gap.
@@ -71,7 +89,7 @@ impl Bus {
                     .cache(CacheConfig::default().max_samples(cache))
                     .sample_miss_detection(MissDetectionConfig::default())
                     .publisher_detection();
-                Line::Advanced(advanced.await.map_err(failed)?)
+                ZenohPublisher::Advanced(advanced.await.map_err(failed)?)
             }
         };
         let newest = Newest::default();
@@ -136,8 +154,8 @@ impl<T: Payload> Publisher<T> {
             *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some((bytes.clone(), now));
         }
         let sent = match &self.line {
-            Line::Plain(publisher) => publisher.put(bytes).await,
-            Line::Advanced(publisher) => publisher.put(bytes).await,
+            ZenohPublisher::Plain(publisher) => publisher.put(bytes).await,
+            ZenohPublisher::Advanced(publisher) => publisher.put(bytes).await,
         };
         sent.map_err(|error| failed(error.to_string()))
     }

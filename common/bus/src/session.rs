@@ -5,10 +5,11 @@ use std::time::Duration;
 
 use contract::{BootId, Key};
 use serde_json::json;
+use tokio::sync::Semaphore;
 
 use crate::transit::Transit;
 use crate::writers::Writers;
-use crate::{Clock, listening};
+use crate::{Clock, history, listening};
 
 /// The largest payload that is sent; what receivers take has some room for zenoh's own headers.
 pub const MOST_BYTES: usize = 4 << 20;
@@ -59,6 +60,8 @@ pub struct Bus {
     boot_id: Arc<BootId>,
     clock: Clock,
     pub(crate) transit: Arc<Mutex<Transit>>,
+    /// Turns to be answered with all that publishers hold.
+    pub(crate) turns: Arc<Semaphore>,
 }
 
 /// A liveliness token; others see it go when this is dropped or the process dies.
@@ -81,7 +84,9 @@ impl Bus {
             match opened {
                 Ok(session) => {
                     let boot_id = Arc::new(BootId::fresh());
-                    return Ok(Self { session, writers: Writers::default(), boot_id, clock, transit: Arc::default() });
+                    let (writers, transit) = Default::default();
+                    let turns = Arc::new(Semaphore::new(history::AT_ONCE));
+                    return Ok(Self { session, writers, boot_id, clock, transit, turns });
                 }
                 Err(_) if tries < TRIES && !config.listen.is_empty() => tokio::time::sleep(PAUSE).await,
                 Err(source) => {

@@ -1,23 +1,25 @@
 //! Receives typed payloads: each as it comes, or the newest value with its age.
 
+use std::fmt::Display;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use contract::{Key, Payload};
+use contract::{BootId, Key, Payload};
 use tokio::sync::watch;
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, RecoveryConfig};
 
 use crate::history::{self, Watch};
+use crate::numbers::{Gap, Numbers};
 use crate::queue::Queue;
-use crate::{Bus, BusError, Heard, Succession, machine};
+use crate::{Bus, BusError, Received, Succession, machine};
 
 /// Which samples a subscriber wants to receive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Catch {
     /// The newest values: those of now at once, then each new one; older ones may be lost.
     Newest,
-    /// Everything of the last ten minutes and all that follows, each once, with recovery after a cut. What is
+    /// Everything that the publishers still hold and all that follows, each once, with recovery after a cut. What is
     /// recovered is in order, and may come after the first newer payloads.
     All,
 }
@@ -25,49 +27,67 @@ pub enum Catch {
 /// Receives payloads of one type on the keys of an expression.
 pub struct Subscriber<T> {
     queue: Arc<Queue<T>>,
-    _line: Line,
+    _line: ZenohSubscriber,
 }
 
-enum Line {
+enum ZenohSubscriber {
     Plain { _subscriber: zenoh::pubsub::Subscriber<()> },
     Advanced { _subscriber: AdvancedSubscriber<()>, _past: Watch },
 }
 
 impl Bus {
-    /// Subscribes to a key expression; at most `capacity` payloads wait, and new ones replace the oldest.
+    /// Subscribes to a key, to [`Keys`](contract::Keys) or to a key expression that a person wrote; at most `capacity` payloads wait, and new ones replace the oldest.
     pub async fn subscribe<T: Payload>(
         &self,
-        expression: &str,
+        expression: impl Display,
         catch: Catch,
         capacity: usize,
     ) -> Result<Subscriber<T>, BusError> {
-        let queue = Arc::new(Queue::new(capacity, catch == Catch::All, self.transit.clone()));
-        let failed = |source| BusError::Declare { what: "a subscriber", key: expression.to_owned(), source };
-        let builder = self.session.declare_subscriber(expression.to_owned());
+        let numbers = (catch == Catch::All).then(Numbers::default);
+        self.subscribe_with(expression.to_string(), numbers, capacity).await
+    }
+
+    /// As [`Self::subscribe`] with [`Catch::All`], for one that received before: of each incarnation and key, all from
+    /// one number to another. Of these senders nothing comes twice, and what they published since then comes or is reported by
+    /// [`Subscriber::given_up`].
+    pub async fn subscribe_after<T: Payload>(
+        &self,
+        expression: impl Display,
+        known: Vec<(BootId, Key, u64, u64)>,
+        capacity: usize,
+    ) -> Result<Subscriber<T>, BusError> {
+        self.subscribe_with(expression.to_string(), Some(Numbers::after(known)), capacity).await
+    }
+
+    async fn subscribe_with<T: Payload>(
+        &self,
+        expression: String,
+        numbers: Option<Numbers>,
+        capacity: usize,
+    ) -> Result<Subscriber<T>, BusError> {
+        let wants_all = numbers.is_some();
+        let queue = Arc::new(Queue::new(capacity, numbers, self.transit.clone()));
+        let failed = |source| BusError::Declare { what: "a subscriber", key: expression.clone(), source };
+        let builder = self.session.declare_subscriber(expression.clone());
         let into = queue.clone();
-        let line = match catch {
-            Catch::Newest => {
-                let subscriber = builder.callback(move |sample| into.push(&sample)).await.map_err(failed)?;
-                Line::Plain { _subscriber: subscriber }
-            }
-            Catch::All => {
-                let recovering = builder.recovery(RecoveryConfig::default());
-                let subscriber = recovering.callback(move |sample| into.push(&sample)).await.map_err(failed)?;
-                let past = history::recall(&self.session, expression, &queue).await.map_err(failed)?;
-                Line::Advanced { _subscriber: subscriber, _past: past }
-            }
-        };
-        if catch == Catch::Newest {
+        let line = if wants_all {
+            let recovering = builder.recovery(RecoveryConfig::default());
+            let subscriber = recovering.callback(move |sample| into.push(&sample)).await.map_err(failed)?;
+            let past = history::recall(&self.session, &self.turns, &expression, &queue).await.map_err(failed)?;
+            ZenohSubscriber::Advanced { _subscriber: subscriber, _past: past }
+        } else {
+            let subscriber = builder.callback(move |sample| into.push(&sample)).await.map_err(failed)?;
             self.ask_newest(expression, queue.clone());
-        }
+            ZenohSubscriber::Plain { _subscriber: subscriber }
+        };
         Ok(Subscriber { queue, _line: line })
     }
 
     /// Asks in the background for what is true now, so that a late joiner need not wait for the next repeat.
     ///
     /// Asked more than once: a session that has just opened does not know all its peers yet.
-    fn ask_newest<T: Payload>(&self, expression: &str, queue: Arc<Queue<T>>) {
-        let (session, expression) = (self.session.clone(), expression.to_owned());
+    fn ask_newest<T: Payload>(&self, expression: String, queue: Arc<Queue<T>>) {
+        let session = self.session.clone();
         tokio::spawn(async move {
             for pause_ms in [0, 300, 1500] {
                 tokio::time::sleep(Duration::from_millis(pause_ms)).await;
@@ -92,15 +112,15 @@ impl Bus {
 
     /// Follows one key: the newest payload with its time of arrival.
     pub async fn latest<T: Payload>(&self, key: &Key) -> Result<Latest<T>, BusError> {
-        let subscriber = self.subscribe::<T>(&key.to_string(), Catch::Newest, 16).await?;
+        let subscriber = self.subscribe::<T>(key, Catch::Newest, 16).await?;
         let (sender, receiver) = watch::channel(None);
         let succession: Arc<Mutex<Succession>> = Arc::default();
         let into = succession.clone();
         let task = tokio::spawn(async move {
             loop {
-                let heard: Heard<T> = subscriber.hear().await;
-                if lock(&into).is_newer(&heard.said.boot_id, heard.said.seq, heard.arrived) {
-                    sender.send_replace(Some(heard));
+                let received: Received<T> = subscriber.recv().await;
+                if lock(&into).is_newer(&received.sample.boot_id, received.sample.seq, received.arrived) {
+                    sender.send_replace(Some(received));
                 }
             }
         });
@@ -110,7 +130,7 @@ impl Bus {
 
 impl<T> Subscriber<T> {
     /// Waits for the next payload.
-    pub async fn hear(&self) -> Heard<T> {
+    pub async fn recv(&self) -> Received<T> {
         self.queue.next().await
     }
 
@@ -122,6 +142,12 @@ impl<T> Subscriber<T> {
     /// Payloads that were published between others that were received, and never came; [`Catch::All`] only.
     pub fn missing(&self) -> u64 {
         self.queue.missing()
+    }
+
+    /// Payloads that are lost, since this was asked last: their publishers were asked for them and hold them no more.
+    /// [`Catch::All`] only.
+    pub fn given_up(&self) -> Vec<Gap> {
+        self.queue.take_given_up()
     }
 
     /// Payloads that could not be read.
@@ -137,7 +163,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 /// The newest payload of one key. Cheap to clone.
 #[derive(Clone)]
 pub struct Latest<T> {
-    receiver: watch::Receiver<Option<Heard<T>>>,
+    receiver: watch::Receiver<Option<Received<T>>>,
     succession: Arc<Mutex<Succession>>,
     _task: Arc<AbortOnDrop>,
 }
@@ -152,13 +178,13 @@ impl Drop for AbortOnDrop {
 
 impl<T: Clone> Latest<T> {
     /// The newest payload, if any came yet.
-    pub fn get(&self) -> Option<Heard<T>> {
+    pub fn get(&self) -> Option<Received<T>> {
         self.receiver.borrow().clone()
     }
 
     /// The newest payload unless it arrived longer ago than `age`.
-    pub fn fresh(&self, age: Duration) -> Option<Heard<T>> {
-        self.get().filter(|heard| machine::now().since(heard.arrived) <= age)
+    pub fn fresh(&self, age: Duration) -> Option<Received<T>> {
+        self.get().filter(|received| machine::now().since(received.arrived) <= age)
     }
 
     /// Do two nodes publish on the key at the same time? Then neither is to be believed.

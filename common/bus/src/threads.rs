@@ -2,8 +2,9 @@
 //!
 //! zenoh 1.10.2 opens its TCP links with SO_LINGER of 10 s and closes them on a thread of its runtimes, which have one
 //! or two each. A link to a host whose cable was pulled has bytes that nobody acknowledges, so that close blocks its
-//! thread, and with it all other links: 7 s without a permit were measured (tests/faults, "cable pulled"). Only the
-//! environment of the process can set the number of threads, before its first thread.
+//! thread, and with it all other links: 7 s without a permit were measured (tests/faults, "cable pulled"). Where the
+//! sockets can be reached, `links.rs` switches that off a moment after a link opens; these threads are for the moments
+//! before, and for all other places. Only the environment of the process can set their number, before its first thread.
 
 /// What zenoh reads.
 const VARIABLE: &str = "ZENOH_RUNTIME";
@@ -13,7 +14,7 @@ const THREADS: &str = "(rx: (worker_threads: 4), tx: (worker_threads: 4), net: (
 
 /// Starts this very process anew with the variable set, unless it is set; returns only where that is not needed, or
 /// not possible.
-pub(crate) fn ensure() {
+pub fn ensure() {
     if std::env::var_os(VARIABLE).is_none() {
         restart();
     }

@@ -52,14 +52,14 @@ struct Fastest {
 
 impl Transit {
     /// When a payload that is here `now` would have been here, had it been neither held nor delayed.
-    pub(crate) fn arrived<T>(&mut self, said: &Stamped<T>, now: MachineTime) -> MachineTime {
-        let held_s = said.held_s.filter(|s| s.is_finite()).unwrap_or(0.0).max(0.0);
-        let late_s = match said.sent_s.filter(|sent_s| sent_s.is_finite()) {
+    pub(crate) fn arrived<T>(&mut self, sample: &Stamped<T>, now: MachineTime) -> MachineTime {
+        let held_s = sample.held_s.filter(|s| s.is_finite()).unwrap_or(0.0).max(0.0);
+        let late_s = match sample.sent_s.filter(|sent_s| sent_s.is_finite()) {
             // Without its sender's clock only what the sender reports of itself is known.
             None => held_s,
             Some(sent_s) => {
                 let difference_s = seconds(now) - sent_s - held_s;
-                held_s + self.slower_s(&said.boot_id, difference_s, now)
+                held_s + self.slower_s(&sample.boot_id, difference_s, now)
             }
         };
         now.minus(Duration::try_from_secs_f64(late_s).unwrap_or(Duration::MAX))
@@ -93,35 +93,35 @@ mod tests {
         MachineTime::from_boot(Duration::from_secs_f64(seconds))
     }
 
-    fn said(boot_id: &BootId, sent_s: Option<f64>, held_s: Option<f64>) -> Stamped<()> {
+    fn sample(boot_id: &BootId, sent_s: Option<f64>, held_s: Option<f64>) -> Stamped<()> {
         Stamped { boot_id: boot_id.clone(), seq: 0, at_utc: Utc::EPOCH, sent_s, held_s, body: () }
     }
 
     /// By how much a payload is older than its arrival, ms.
-    fn late_ms(transit: &mut Transit, said: &Stamped<()>, now_s: f64) -> u128 {
-        at(now_s).since(transit.arrived(said, at(now_s))).as_millis()
+    fn late_ms(transit: &mut Transit, sample: &Stamped<()>, now_s: f64) -> u128 {
+        at(now_s).since(transit.arrived(sample, at(now_s))).as_millis()
     }
 
     #[test]
     fn a_burst_after_a_stall_is_as_old_as_it_is() {
         let (mut transit, boot) = (Transit::default(), BootId::fresh());
         // The sender was booted 500 s later than this machine.
-        assert_eq!(late_ms(&mut transit, &said(&boot, Some(100.0), None), 600.005), 0);
-        assert_eq!(late_ms(&mut transit, &said(&boot, Some(101.0), None), 601.001), 0);
+        assert_eq!(late_ms(&mut transit, &sample(&boot, Some(100.0), None), 600.005), 0);
+        assert_eq!(late_ms(&mut transit, &sample(&boot, Some(101.0), None), 601.001), 0);
         // This machine stood still for 12 s, and what came meanwhile is read at once.
-        assert_eq!(late_ms(&mut transit, &said(&boot, Some(102.0), None), 614.001), 12_000);
-        assert_eq!(late_ms(&mut transit, &said(&boot, Some(110.0), None), 614.001), 4000);
-        assert_eq!(late_ms(&mut transit, &said(&boot, Some(114.0), None), 614.001), 0);
+        assert_eq!(late_ms(&mut transit, &sample(&boot, Some(102.0), None), 614.001), 12_000);
+        assert_eq!(late_ms(&mut transit, &sample(&boot, Some(110.0), None), 614.001), 4000);
+        assert_eq!(late_ms(&mut transit, &sample(&boot, Some(114.0), None), 614.001), 0);
     }
 
     #[test]
-    fn what_a_sender_held_counts_also_of_one_that_was_never_heard() {
+    fn what_a_sender_held_counts_also_of_one_from_which_nothing_was_received() {
         let (mut transit, boot) = (Transit::default(), BootId::fresh());
-        assert_eq!(late_ms(&mut transit, &said(&boot, Some(100.0), Some(12.0)), 112.0), 12_000);
-        assert_eq!(late_ms(&mut transit, &said(&boot, Some(112.5), None), 112.5), 0);
-        assert_eq!(late_ms(&mut transit, &said(&boot, None, Some(3.0)), 113.0), 3000, "a version without clock");
-        assert_eq!(late_ms(&mut transit, &said(&boot, Some(f64::NAN), None), 113.0), 0);
-        assert_eq!(late_ms(&mut transit, &said(&boot, Some(113.0), Some(-5.0)), 113.0), 0);
+        assert_eq!(late_ms(&mut transit, &sample(&boot, Some(100.0), Some(12.0)), 112.0), 12_000);
+        assert_eq!(late_ms(&mut transit, &sample(&boot, Some(112.5), None), 112.5), 0);
+        assert_eq!(late_ms(&mut transit, &sample(&boot, None, Some(3.0)), 113.0), 3000, "a version without clock");
+        assert_eq!(late_ms(&mut transit, &sample(&boot, Some(f64::NAN), None), 113.0), 0);
+        assert_eq!(late_ms(&mut transit, &sample(&boot, Some(113.0), Some(-5.0)), 113.0), 0);
     }
 
     #[test]
@@ -131,14 +131,14 @@ mod tests {
         for second in 0..36_000 {
             // The sender's clock loses 50 parts in a million.
             let sent_s = f64::from(second) * (1.0 - 50e-6);
-            worst = worst.max(late_ms(&mut transit, &said(&boot, Some(sent_s), None), f64::from(second)));
+            worst = worst.max(late_ms(&mut transit, &sample(&boot, Some(sent_s), None), f64::from(second)));
         }
         assert!(worst < 100, "{worst} ms");
     }
 
     #[test]
-    fn a_held_payload_says_for_how_long() {
-        let bytes = serde_json::to_vec(&said(&BootId::fresh(), Some(1.5), None)).unwrap();
+    fn a_held_payload_contains_how_long_it_was_held() {
+        let bytes = serde_json::to_vec(&sample(&BootId::fresh(), Some(1.5), None)).unwrap();
         let again: Stamped<()> = serde_json::from_slice(&held(bytes, Duration::from_millis(2250))).unwrap();
         assert_eq!((again.held_s, again.sent_s), (Some(2.25), Some(1.5)));
     }

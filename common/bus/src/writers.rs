@@ -8,8 +8,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use contract::key::ROOT;
-use contract::{Key, NodeTopic, Part, Role};
+use contract::{Key, NodeTopic, Part, Role, Topic};
 use tokio::sync::mpsc;
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::session::ZenohId;
@@ -28,13 +27,17 @@ pub(crate) struct Writers {
 }
 
 /// The expression of the states whose writer answers for a key.
-pub(crate) fn states_beside(key: &Key) -> Option<String> {
+pub(crate) fn other_states(key: &Key) -> Option<String> {
     match key {
         Key::Command(device) | Key::Record(device) => Some(Key::State(device.clone()).to_string()),
-        Key::Order(address) | Key::Actions(address) | Key::ScheduleCheck(address) => {
-            Some(Key::Observatory(address.clone(), Part::Night).to_string())
+        Key::Order(address)
+        | Key::Actions(address)
+        | Key::ScheduleCheck(address)
+        | Key::ScheduleTexts(address)
+        | Key::SchedulePlan(address) => Some(Key::Observatory(address.clone(), Part::Night).to_string()),
+        Key::History(address) | Key::ArchivedFrame(address) | Key::NightReport(address) => {
+            Some(Topic::Node(NodeTopic::State).at(address).of_role(Role::Archive).to_string())
         }
-        Key::History(address) => Some(format!("{ROOT}/{address}/node/{}/*/state", Role::Archive)),
         Key::Node(address, role, id, NodeTopic::AuditSince) => {
             Some(Key::Node(address.clone(), *role, id.clone(), NodeTopic::State).to_string())
         }
@@ -66,13 +69,13 @@ impl Writers {
 }
 
 async fn ask(session: &zenoh::Session, states: &str, limit: Duration) -> Vec<ZenohId> {
-    let (tell, mut told) = mpsc::channel(MOST_WRITERS);
+    let (sender, mut receiver) = mpsc::channel(MOST_WRITERS);
     let asked =
         session.get(states).target(QueryTarget::All).consolidation(ConsolidationMode::None).timeout(limit).callback(
             move |reply| {
                 if let (Some(who), Ok(_)) = (reply.replier_id(), reply.result()) {
                     // More answers than fit come from a flood.
-                    let _ = tell.try_send(who.zid());
+                    let _ = sender.try_send(who.zid());
                 }
             },
         );
@@ -83,7 +86,7 @@ async fn ask(session: &zenoh::Session, states: &str, limit: Duration) -> Vec<Zen
     loop {
         // A program that hangs holds the question open until its timeout.
         let wait = if found.is_empty() { limit } else { OTHERS };
-        match tokio::time::timeout(wait, told.recv()).await {
+        match tokio::time::timeout(wait, receiver.recv()).await {
             Ok(Some(who)) if found.len() < MOST_WRITERS => {
                 if !found.contains(&who) {
                     found.push(who);

@@ -41,7 +41,7 @@ const MEANINGS: &[(&str, &str)] = &[
     ),
     (
         "Unable to find interface",
-        "a network interface that zenoh was told to use does not exist; check the settings of zenoh",
+        "a network interface that zenoh is configured to use does not exist; check the settings of zenoh",
     ),
     (
         "Unable to join multicast group",
@@ -59,38 +59,38 @@ const MEANINGS: &[(&str, &str)] = &[
 
 /// Logs in our words the lines of zenoh that matter.
 #[derive(Debug)]
-pub(crate) struct ZenohLog {
-    said: Mutex<HashMap<&'static str, Instant>>,
+pub struct ZenohLog {
+    reported: Mutex<HashMap<&'static str, Instant>>,
     /// A line cannot be logged while another one is: a thread of its own does it.
     lines: SyncSender<(&'static str, String)>,
 }
 
 impl ZenohLog {
     /// Starts the thread that logs what is found.
-    pub fn new() -> Self {
+    pub fn start() -> Self {
         let (lines, found) = sync_channel::<(&str, String)>(16);
         std::thread::spawn(move || {
             for (meaning, detail) in found {
                 tracing::warn!(target: "bus", detail, "{meaning}");
             }
         });
-        Self { said: Mutex::default(), lines }
+        Self { reported: Mutex::default(), lines }
     }
 
     /// The sentence for a line of zenoh, unless it was logged a short time ago.
     fn due(&self, line: &str, now: Instant) -> Option<&'static str> {
         let (_, meaning) = MEANINGS.iter().find(|(part, _)| line.contains(part))?;
-        let mut said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_due = said.get(meaning).is_none_or(|at| now.duration_since(*at) >= PAUSE);
+        let mut reported = self.reported.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_due = reported.get(meaning).is_none_or(|at| now.duration_since(*at) >= PAUSE);
         if is_due {
-            said.insert(meaning, now);
+            reported.insert(meaning, now);
         }
         is_due.then_some(*meaning)
     }
 }
 
 /// Does this line come from zenoh, or from the clock that it stamps samples with?
-pub(crate) fn is_zenoh(target: &str) -> bool {
+pub fn is_zenoh(target: &str) -> bool {
     target.starts_with("zenoh") || target.starts_with("uhlc")
 }
 
@@ -100,7 +100,7 @@ impl<S: Subscriber> Layer<S> for ZenohLog {
         if *metadata.level() > Level::WARN || !is_zenoh(metadata.target()) {
             return;
         }
-        let mut line = Line::default();
+        let mut line = LogText::default();
         event.record(&mut line);
         if let Some(meaning) = self.due(&line.0, Instant::now()) {
             let detail: String = line.0.chars().filter(|c| !c.is_control()).take(DETAIL_CHARS).collect();
@@ -111,9 +111,9 @@ impl<S: Subscriber> Layer<S> for ZenohLog {
 }
 
 #[derive(Default)]
-struct Line(String);
+struct LogText(String);
 
-impl Visit for Line {
+impl Visit for LogText {
     fn record_debug(&mut self, field: &Field, value: &dyn Debug) {
         let _ = match field.name() {
             "message" => write!(self.0, "{value:?}"),
@@ -127,8 +127,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_zenoh_mends_by_itself_is_not_said_and_the_rest_in_plain_words_once() {
-        let (log, now) = (ZenohLog::new(), Instant::now());
+    fn what_zenoh_mends_by_itself_is_not_logged_and_the_rest_in_plain_words_once() {
+        let (log, now) = (ZenohLog::start(), Instant::now());
         for noise in [
             "Received Data for unknown key_expr: Received wire expr with unknown scope 17",
             "Unable to connect to any locator of scouted peer 1a2b: [tcp/172.17.0.1:41234]",

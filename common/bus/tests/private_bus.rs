@@ -37,52 +37,62 @@ fn permit(number: u64) -> Permit {
 }
 
 fn order(id: &str) -> Order {
-    Order { id: CommandId(id.to_owned()), from: "test".to_owned(), reason: String::new(), kind: OrderKind::Close }
+    Order {
+        id: CommandId(id.to_owned()),
+        from: "test".to_owned(),
+        reason: String::new(),
+        kind: OrderKind::Close,
+        seen: None,
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_late_joiner_hears_the_newest_state_at_once() {
+async fn a_late_joiner_receives_the_newest_state_at_once() {
     let (first, second) = pair().await;
     let key = Key::Permit(address(), "dome".parse().unwrap());
-    let publisher = first.publisher::<Permit>(&key, Quality::State { cache: 1 }).await.unwrap();
+    let publisher = first.publisher_as::<Permit>(&key, Quality::State { cache: 1 }).await.unwrap();
     publisher.put(permit(1)).await.unwrap();
     publisher.put(permit(2)).await.unwrap();
     let mut latest = second.latest::<Permit>(&key).await.unwrap();
     // While two sessions still exchange their subscriptions, zenoh sends everything: the first may come late, never
     // last.
     let newest = async {
-        while latest.get().is_none_or(|heard| heard.said.seq < 1) {
+        while latest.get().is_none_or(|received| received.sample.seq < 1) {
             latest.changed().await;
         }
     };
     tokio::time::timeout(Duration::from_secs(5), newest).await.unwrap();
-    assert_eq!(latest.get().unwrap().said.body.guard_number, 2);
+    assert_eq!(latest.get().unwrap().sample.body.guard_number, 2);
     assert!(latest.fresh(Duration::from_secs(60)).is_some());
     let got = second.get_all::<Permit>(&key.to_string(), Duration::from_secs(2)).await;
     assert_eq!(got.len(), 1, "a plain get is answered too");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_subscriber_that_wants_all_hears_what_was_said_before() {
+async fn a_subscriber_that_wants_all_receives_what_was_published_before() {
     let (first, second) = pair().await;
     let key = Key::Permit(address(), "dome".parse().unwrap());
-    let publisher = first.publisher::<Permit>(&key, Quality::Event { cache: 100 }).await.unwrap();
+    let publisher = first.publisher_as::<Permit>(&key, Quality::Event { cache: 100 }).await.unwrap();
     for number in 0..10 {
         publisher.put(permit(number)).await.unwrap();
     }
     let all = second.subscribe::<Permit>(&key.to_string(), Catch::All, 100).await.unwrap();
-    for number in 0..10 {
-        let heard = tokio::time::timeout(Duration::from_secs(5), all.hear()).await.unwrap();
-        assert_eq!(heard.said.body.guard_number, number);
+    // While two sessions still exchange their declarations, zenoh sends everything: a late one may come first.
+    let mut received = Vec::new();
+    while received.len() < 10 {
+        let next = tokio::time::timeout(Duration::from_secs(20), all.recv()).await.unwrap();
+        received.push(next.sample.body.guard_number);
     }
+    received.sort_unstable();
+    assert!(received.iter().copied().eq(0..10), "{received:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn one_that_joins_while_much_is_said_hears_each_once() {
+async fn one_that_joins_while_much_is_published_receives_each_once() {
     for round in 0..3 {
         let first = open(Vec::new()).await;
         let key = Key::Permit(address(), "dome".parse().unwrap());
-        let publisher = first.publisher::<Permit>(&key, Quality::State { cache: 5000 }).await.unwrap();
+        let publisher = first.publisher_as::<Permit>(&key, Quality::State { cache: 5000 }).await.unwrap();
         let saying = tokio::spawn(async move {
             for number in 0..600 {
                 publisher.put(permit(number)).await.unwrap();
@@ -94,15 +104,15 @@ async fn one_that_joins_while_much_is_said_hears_each_once() {
         // The first new payloads come before the answer about those of before.
         let second = open(first.locators().await).await;
         let all = second.subscribe::<Permit>(&key.to_string(), Catch::All, 5000).await.unwrap();
-        let mut heard = Vec::new();
-        while heard.len() < 600 {
-            let next = tokio::time::timeout(Duration::from_secs(10), all.hear()).await;
-            let missing = || (0..600).filter(|number| !heard.contains(number)).collect::<Vec<u64>>();
-            heard.push(next.unwrap_or_else(|_| panic!("round {round}: {:?}", missing())).said.body.guard_number);
+        let mut received = Vec::new();
+        while received.len() < 600 {
+            let next = tokio::time::timeout(Duration::from_secs(10), all.recv()).await;
+            let missing = || (0..600).filter(|number| !received.contains(number)).collect::<Vec<u64>>();
+            received.push(next.unwrap_or_else(|_| panic!("round {round}: {:?}", missing())).sample.body.guard_number);
         }
         let _publisher = saying.await.unwrap();
-        heard.sort_unstable();
-        assert!(heard.iter().copied().eq(0..600), "round {round}: some were heard twice");
+        received.sort_unstable();
+        assert!(received.iter().copied().eq(0..600), "round {round}: some were received twice");
         assert_eq!(all.missing(), 0);
     }
 }
@@ -113,25 +123,25 @@ async fn a_slow_subscriber_loses_the_oldest_and_stalls_nobody() {
     let key = Key::Permit(address(), "dome".parse().unwrap());
     let slow = second.subscribe::<Permit>(&key.to_string(), Catch::Newest, 4).await.unwrap();
     let quick = second.subscribe::<Permit>(&key.to_string(), Catch::Newest, 1000).await.unwrap();
-    let publisher = first.publisher::<Permit>(&key, Quality::Urgent).await.unwrap();
+    let publisher = first.publisher_as::<Permit>(&key, Quality::Urgent).await.unwrap();
     for number in 0..50 {
         publisher.put(permit(number)).await.unwrap();
         tokio::time::sleep(Duration::from_millis(2)).await;
     }
     let mut last = 0;
     while last < 49 {
-        last = tokio::time::timeout(Duration::from_secs(5), quick.hear()).await.unwrap().said.body.guard_number;
+        last = tokio::time::timeout(Duration::from_secs(5), quick.recv()).await.unwrap().sample.body.guard_number;
     }
     // Both receive the same samples, one callback after the other.
     tokio::time::sleep(Duration::from_millis(200)).await;
-    assert_eq!(slow.hear().await.said.body.guard_number, 46, "only the newest four are left");
+    assert_eq!(slow.recv().await.sample.body.guard_number, 46, "only the newest four are left");
     // The first samples may have been published before the subscription was known.
     assert!(slow.lost() > 20, "{}", slow.lost());
 }
 
 /// Commands are answered by the program that publishes the state.
 async fn writer(bus: &Bus, key: &Key) -> bus::Publisher<Permit> {
-    let publisher = bus.publisher(key, Quality::State { cache: 1 }).await.unwrap();
+    let publisher = bus.publisher_as(key, Quality::State { cache: 1 }).await.unwrap();
     publisher.put(permit(0)).await.unwrap();
     publisher
 }
@@ -176,7 +186,7 @@ async fn a_command_is_accepted_or_refused_at_once() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_question_that_nobody_hears_is_unknown_not_refused() {
+async fn a_question_that_nobody_receives_is_unknown_not_refused() {
     let (_first, second) = pair().await;
     let error = second.ask::<_, Reply>(&Key::Order(address()), &order("1"), Duration::from_secs(2)).await.unwrap_err();
     assert!(matches!(error, AskError::Unknown { .. }), "{error}");

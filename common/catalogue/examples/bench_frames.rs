@@ -12,8 +12,8 @@ use catalogue::{Catalogue, Reading};
 use fits::Image;
 use imaging::guide::Reference;
 use imaging::hfd::{HfdSearch, hfd_at, measure_hfd};
-use imaging::solve::{Detected, Learnt, solve};
-use imaging::{Camera, Clean, Frame, Hint, Measured, Pixels, Search, Solution, measure};
+use imaging::solve::{Detected, LearnedOptics, solve};
+use imaging::{Camera, Clean, Frame, Hint, Measured, Pixels, Solution, StarSearch, measure};
 use units::Angle;
 
 /// The epoch for which the frames are drawn, Julian year: the proper motion until then is negligible.
@@ -46,24 +46,24 @@ impl Bench {
     fn all(&self, file: &Path, moved: &Path, hint: &Hint) -> anyhow::Result<()> {
         let (image, later) = (fits::read(file)?, fits::read(moved)?);
         let (shot, later) = (frame(&image)?, frame(&later)?);
-        let measured = measure(&shot, &self.camera, &Search::default())?;
-        let fwhm_px = measured.quality.fwhm_px.context("no star tells the width of this frame")?.value;
+        let measured = measure(&shot, &self.camera, &StarSearch::default())?;
+        let fwhm_px = measured.quality.fwhm_px.context("no star shows the width of this frame")?.value;
         // As in a night: the last frame gave the width.
-        let search = Search { fwhm_px: Some(fwhm_px as f32), ..Search::default() };
+        let search = StarSearch { fwhm_px: Some(fwhm_px as f32), ..StarSearch::default() };
 
         let stars = self.time("clean_detect", || Ok(measure(&shot, &self.camera, &search)?.stars.len()))?;
         println!("{stars} stars, FWHM {fwhm_px:.1} px");
         let solved = self.time("solve_field", || self.solved(&measured, &image, hint))?;
         println!("{} stars agree", solved.matched);
         let Solution { scale_arcsec_px, rotation_deg, mirrored, .. } = solved;
-        let learnt = Hint {
-            learnt: Some(Learnt { scale_arcsec_px, rotation_deg, mirrored, sip: None }),
+        let learned = Hint {
+            learned: Some(LearnedOptics { scale_arcsec_px, rotation_deg, mirrored, sip: None }),
             mirrored: Some(mirrored),
             ..hint.clone()
         };
-        let solved = self.time("solve_shift", || self.solved(&measured, &image, &learnt))?;
+        let solved = self.time("solve_shift", || self.solved(&measured, &image, &learned))?;
         println!("{} stars agree", solved.matched);
-        for (name, hint) in [("file_field", hint), ("file_shift", &learnt)] {
+        for (name, hint) in [("file_field", hint), ("file_shift", &learned)] {
             let solved = self.time(name, || self.solve_file(file, &search, hint))?;
             let apart = imaging::tangent::separation((solved.ra, solved.dec), (hint.ra, hint.dec));
             let (stars, level) = (solved.matched, solved.level);
@@ -94,15 +94,15 @@ impl Bench {
 
     /// One file from disk to WCS, in a process that does nothing else.
     fn memory(&self, file: &Path, hint: &Hint) -> anyhow::Result<()> {
-        let solved = self.solve_file(file, &Search::default(), hint)?;
-        let status = std::fs::read_to_string("/proc/self/status").context("this system does not tell memory")?;
+        let solved = self.solve_file(file, &StarSearch::default(), hint)?;
+        let status = std::fs::read_to_string("/proc/self/status").context("this system does not report memory")?;
         let line = status.lines().find(|line| line.starts_with("VmHWM")).context("no VmHWM in /proc/self/status")?;
         let peak_kb: u64 = line.split_whitespace().nth(1).context("VmHWM without a number")?.parse()?;
         println!("memory\t{}\t{} stars agree", peak_kb / 1024, solved.matched);
         Ok(())
     }
 
-    fn solve_file(&self, file: &Path, search: &Search, hint: &Hint) -> anyhow::Result<Solution> {
+    fn solve_file(&self, file: &Path, search: &StarSearch, hint: &Hint) -> anyhow::Result<Solution> {
         let image = fits::read(file)?;
         let measured = measure(&frame(&image)?, &self.camera, search)?;
         self.solved(&measured, &image, hint)
@@ -149,7 +149,7 @@ fn frame(image: &Image) -> anyhow::Result<Frame<'_>> {
 
 /// Time that all threads of this process have run, ms, in steps of 10.
 fn processor_ms() -> anyhow::Result<f64> {
-    let stat = std::fs::read_to_string("/proc/self/stat").context("this system does not tell processor time")?;
+    let stat = std::fs::read_to_string("/proc/self/stat").context("this system does not report processor time")?;
     // User and system time are fields 14 and 15; the name before them may hold spaces.
     let fields = stat.rsplit(')').next().unwrap_or_default().split_whitespace();
     Ok(fields.skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() * 10.0)

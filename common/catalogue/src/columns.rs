@@ -85,7 +85,7 @@ impl Columns {
 
 /// The row of a table; `cell` returns its cells.
 pub(crate) fn row(columns: &Columns, reading: &Reading, cell: impl Fn(usize) -> Option<f64>) -> Row {
-    let told = columns.epoch.and_then(&cell);
+    let stated = columns.epoch.and_then(&cell);
     // The table from which Starmesh's own catalogue is made: Gaia's stars at 2016.0, Tycho's at 2000.0.
     let by_source = columns.gaia.and_then(&cell).map(|gaia| if gaia > 0.0 { EPOCH_YEAR } else { 2000.0 });
     let moves = columns.pm_known.and_then(&cell).is_none_or(|known| known > 0.0);
@@ -96,6 +96,6 @@ pub(crate) fn row(columns: &Columns, reading: &Reading, cell: impl Fn(usize) -> 
         pm_ra_mas: motion(columns.pm_ra),
         pm_dec_mas: motion(columns.pm_dec),
         mag: columns.mags.iter().find_map(|column| cell(*column)),
-        epoch_year: told.or(reading.epoch_year).or(by_source),
+        epoch_year: stated.or(reading.epoch_year).or(by_source),
     }
 }

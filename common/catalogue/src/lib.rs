@@ -13,7 +13,7 @@
 //!
 //! - [`Catalogue`] is a file that answers cones: our format (memory-mapped, `imaging::catalogue`), a Gaia-2MASS SQLite
 //!   file ([`gaia_tmass`]), or a table in memory.
-//! - [`each_star`] reads any of the sources star by star; [`columns`] finds the columns of a table.
+//! - [`each_star()`] reads any of the sources star by star; [`columns`] finds the columns of a table.
 //! - [`Sorter`] makes our format of any number of stars, with bounded memory.
 //!
 //! Positions are ICRS, degrees; proper motions mas/yr, that in right ascension with cos(dec); epochs Julian years. A

@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::fs::File;
 use std::path::Path;
 
-use imaging::catalogue::{self as packed, Entry, Star, build, order_for};
+use imaging::catalogue::{self as packed, CatalogueStar, Entry, build, order_for};
 use imaging::solve::Stars;
 use memmap2::Mmap;
 use units::Angle;
@@ -89,7 +89,7 @@ impl Catalogue {
         radius: Angle,
         faintest_mag: f64,
         epoch_year: f64,
-    ) -> Result<Vec<Star>, CatalogueError> {
+    ) -> Result<Vec<CatalogueStar>, CatalogueError> {
         let file = match self {
             Self::Mapped(catalogue) => return Ok(catalogue.cone(ra, dec, radius, faintest_mag, epoch_year)),
             Self::Embedded(catalogue) => return Ok(catalogue.cone(ra, dec, radius, faintest_mag, epoch_year)),
@@ -104,12 +104,12 @@ impl Catalogue {
         let inside = now.filter(|entry| {
             imaging::tangent::separation((entry.ra, entry.dec), (ra, dec)).degrees() <= radius.degrees()
         });
-        Ok(inside.map(|Entry { ra, dec, mag, .. }| Star { ra, dec, mag }).collect())
+        Ok(inside.map(|Entry { ra, dec, mag, .. }| CatalogueStar { ra, dec, mag }).collect())
     }
 
     /// The catalogue as the solver asks it: at one epoch, a Julian year.
     pub fn at_epoch(&self, epoch_year: f64) -> At<'_> {
-        At { catalogue: self, epoch_year, trouble: RefCell::new(None) }
+        At { catalogue: self, epoch_year, error: RefCell::new(None) }
     }
 }
 
@@ -119,7 +119,7 @@ impl Catalogue {
 pub struct At<'a> {
     catalogue: &'a Catalogue,
     epoch_year: f64,
-    trouble: RefCell<Option<CatalogueError>>,
+    error: RefCell<Option<CatalogueError>>,
 }
 
 impl At<'_> {
@@ -129,14 +129,14 @@ impl At<'_> {
     /// # Errors
     /// The first [`CatalogueError`] since it was last asked.
     pub fn checked(&self) -> Result<(), CatalogueError> {
-        self.trouble.borrow_mut().take().map_or(Ok(()), Err)
+        self.error.borrow_mut().take().map_or(Ok(()), Err)
     }
 }
 
 impl Stars for At<'_> {
-    fn cone(&self, ra: Angle, dec: Angle, radius: Angle, faintest_mag: f64) -> Vec<Star> {
+    fn cone(&self, ra: Angle, dec: Angle, radius: Angle, faintest_mag: f64) -> Vec<CatalogueStar> {
         self.catalogue.cone(ra, dec, radius, faintest_mag, self.epoch_year).unwrap_or_else(|error| {
-            self.trouble.borrow_mut().get_or_insert(error);
+            self.error.borrow_mut().get_or_insert(error);
             Vec::new()
         })
     }

@@ -43,8 +43,8 @@ pub struct Built {
 }
 
 impl Sorter {
-    /// Begins the catalogue `out`. The file appears when it is whole ([`Sorter::finish`]); until then a folder beside
-    /// it holds the stars, 40 bytes each.
+    /// Begins the catalogue `out`. The file appears when it is whole ([`Sorter::finish`]); until then a folder
+    /// next to it holds the stars, 40 bytes each.
     ///
     /// # Errors
     /// [`CatalogueError::File`] when nothing can be written there.

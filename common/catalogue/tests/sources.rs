@@ -212,8 +212,8 @@ fn the_epoch_and_the_magnitude_are_those_that_were_asked_for() {
     expected.sort_by(f64::total_cmp);
     assert!(mags.iter().zip(expected).all(|(mag, j)| (mag - j).abs() < 0.011), "{mags:?}");
     let refused = each_star(&source, &Reading { band: Some(Band::Ks), epoch_year: None }, &mut |_| Ok(()));
-    let said = refused.unwrap_err().to_string();
-    assert!(said.contains("has no magnitude Ks") && said.contains("j_m"), "{said}");
+    let message = refused.unwrap_err().to_string();
+    assert!(message.contains("has no magnitude Ks") && message.contains("j_m"), "{message}");
 }
 
 #[test]
@@ -287,13 +287,13 @@ fn what_is_no_catalogue_is_refused_with_what_was_expected() {
         (other, "only stars"),
         (folder.join("none"), "No such file"),
     ] {
-        let said = Catalogue::open(&path, &Reading::default()).unwrap_err();
-        let said = format!("{:#}", anyhow::Error::from(said));
-        assert!(said.contains(words) && said.contains(path.to_str().unwrap()), "{words:?} in {said:?}");
+        let message = Catalogue::open(&path, &Reading::default()).unwrap_err();
+        let message = format!("{:#}", anyhow::Error::from(message));
+        assert!(message.contains(words) && message.contains(path.to_str().unwrap()), "{words:?} in {message:?}");
     }
     let out = folder.join("none.smcat");
-    let said = Sorter::new(&out).unwrap().finish().unwrap_err().to_string();
-    assert!(said.contains("no star was found") && !out.exists(), "{said}");
+    let message = Sorter::new(&out).unwrap().finish().unwrap_err().to_string();
+    assert!(message.contains("no star was found") && !out.exists(), "{message}");
     let left: Vec<_> = std::fs::read_dir(folder).unwrap().filter(|f| is_hidden(&f.as_ref().unwrap().path())).collect();
     assert!(left.is_empty(), "{left:?}");
 }

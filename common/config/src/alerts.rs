@@ -1,4 +1,4 @@
-//! `[alerts]`: who is told of alerts, and how.
+//! `[alerts]`: the receivers of alerts, and the ways to them.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,7 @@ use contract::Role;
 use contract::observatory::Priority;
 use serde::Deserialize;
 
-/// `[alerts]`: who is told of alerts, and how. Nobody is, where it is absent.
+/// `[alerts]`: the receivers of alerts, and the ways to them. Nobody receives any where it is absent.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Alerting {
@@ -14,17 +14,18 @@ pub struct Alerting {
     pub webhook: Vec<Webhook>,
     /// The mail server.
     pub smtp: Option<Smtp>,
-    /// Who gets e-mail.
+    /// The receivers of e-mail.
     pub email: Vec<Email>,
     /// URL that is asked while all is well, so that silence is noticed there.
     pub ping: Option<Ping>,
-    /// PEM file with certificates of the site's own authorities, trusted beside those of the host.
+    /// PEM file with certificates of the site's own authorities, trusted in addition to those of the host.
     pub ca_file: Option<PathBuf>,
     /// A receiver gets at most so many messages, critical and other ones counted apart ...
     pub flood_messages: u32,
     /// ... in so many minutes, machine time; what waits then comes as one digest.
     pub flood_minutes: f64,
-    /// Another node sends when no observatory node was heard for so long, machine s; nobody does where it is absent.
+    /// Another node sends when no observatory node has published for so long, machine s; nobody does where it is
+    /// absent.
     pub send_when_observatory_silent_s: Option<f64>,
     /// Which role sends then: `archive` or `web`.
     pub stand_in: Role,
@@ -61,7 +62,7 @@ pub struct Webhook {
     /// Nothing less urgent than this.
     #[serde(default = "high")]
     pub min_priority: Priority,
-    /// Only what nobody has acknowledged for so many minutes, machine time: 0 for the first who are told, more for
+    /// Only what nobody has acknowledged for so many minutes, machine time: 0 for the first receivers, more for
     /// those that an alert is escalated to.
     #[serde(default)]
     pub after_min: f64,
@@ -112,7 +113,7 @@ pub struct Email {
     /// Nothing less urgent than this.
     #[serde(default = "high")]
     pub min_priority: Priority,
-    /// Only what nobody has acknowledged for so many minutes, machine time: 0 for the first who are told, more for
+    /// Only what nobody has acknowledged for so many minutes, machine time: 0 for the first receivers, more for
     /// those that an alert is escalated to.
     #[serde(default)]
     pub after_min: f64,
@@ -229,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn receivers_are_read_and_secrets_lie_beside_the_file() {
+    fn receivers_are_read_and_secrets_lie_next_to_the_file() {
         let text = "[alerts]\nca_file = \"ca.pem\"\n[[alerts.webhook]]\nname = \"chat\"\nurl = \"https://chat.example.org/x\"\ntoken_file = \"token\"\n\
             [alerts.smtp]\nserver = \"mail\"\nfrom = \"t@example.org\"\nuser = \"t\"\npassword_file = \"/run/secret\"\n\
             [[alerts.email]]\nname = \"chief\"\nto = [\"c@example.org\"]\nafter_min = 15\nmin_priority = \"critical\"\n";
@@ -276,8 +277,8 @@ mod tests {
             (faults("[alerts]\nstand_in = \"device\"\n"), "expected \"archive\" or \"web\""),
             (faults("[alerts.ping]\nurl = \"http://x\"\nperiod_s = 0\n"), "expected 1 to 86400 s"),
         ];
-        for (said, wanted) in cases {
-            assert!(said.contains(wanted), "{wanted:?} is not in {said:?}");
+        for (message, wanted) in cases {
+            assert!(message.contains(wanted), "{wanted:?} is not in {message:?}");
         }
     }
 }

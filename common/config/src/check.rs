@@ -7,6 +7,7 @@ use contract::observatory::Severity;
 use crate::document::Document;
 use crate::fault::{ConfigError, Fault};
 use crate::findings::Findings;
+use crate::network_archive::NetworkArchive;
 use crate::observatory::Observatory;
 use crate::read;
 use crate::visibility::HorizonSource;
@@ -28,9 +29,9 @@ pub fn parse(text: &str, folder: &Path) -> Result<Observatory, ConfigError> {
     }
 }
 
-/// All that can be said of a configuration without looking at other files, in the order of its lines: what refuses it, what
-/// leaves nothing to run, and what a person should know. The values hold stand-ins where there are errors, and are absent
-/// where the text could not be read to its end.
+/// All that can be checked of a configuration without looking at other files, in the order of its lines: what refuses
+/// it, what leaves nothing to run, and what a person should know. The values hold stand-ins where there are errors, and
+/// are absent where the text could not be read to its end.
 pub fn examine(text: &str, folder: &Path) -> (Option<Observatory>, Vec<Fault>) {
     look(text, folder, true)
 }
@@ -65,13 +66,34 @@ fn look(text: &str, folder: &Path, whole: bool) -> (Option<Observatory>, Vec<Fau
 /// Relative paths start at the configuration's own folder.
 fn resolve(observatory: &mut Observatory, folder: &Path) {
     let folders = [&mut observatory.folders.data, &mut observatory.folders.images];
-    for path in folders.into_iter().chain([&mut observatory.schedule.file, &mut observatory.archive.database]) {
+    for path in folders.into_iter().chain([
+        &mut observatory.schedule.file,
+        &mut observatory.archive.database,
+        &mut observatory.web.users,
+    ]) {
         *path = folder.join(&path);
     }
-    for file in
-        [&mut observatory.archive.fits_header, &mut observatory.imaging.catalogue, &mut observatory.hooks.script]
-    {
+    for file in [
+        &mut observatory.archive.fits_header,
+        &mut observatory.archive.backups,
+        &mut observatory.imaging.catalogue,
+        &mut observatory.hooks.script,
+        &mut observatory.web.certificate,
+        &mut observatory.web.key,
+    ] {
         *file = file.take().map(|path| folder.join(path));
+    }
+    match &mut observatory.archive.parquet {
+        Some(NetworkArchive::Folder(path)) => *path = folder.join(&path),
+        Some(NetworkArchive::Bucket(bucket)) => {
+            bucket.secret_file = bucket.secret_file.take().map(|path| folder.join(path));
+        }
+        None => {}
+    }
+    for delivery in &mut observatory.delivery {
+        for file in [&mut delivery.directory, &mut delivery.ssh_config, &mut delivery.secret_file] {
+            *file = file.take().map(|path| folder.join(path));
+        }
     }
     for mount in &mut observatory.telescope {
         if let Some(HorizonSource::File(path)) = &mut mount.horizon {

@@ -100,7 +100,7 @@ pub enum Response {
     Close,
     /// No exposures of the sky; the dome stays open.
     Suspend,
-    /// It is told, and nothing else.
+    /// It is reported, and nothing else.
     Advise,
 }
 
@@ -135,7 +135,7 @@ pub struct Limit {
     /// Limits of the same name vote: each may be without a value while another one has a good one, and any bad one decides.
     #[serde(default)]
     pub vote: Option<String>,
-    /// Why this limit is not heeded for now; a standing alert says so.
+    /// Why this limit is not applied for now; an active alert reports it.
     #[serde(default)]
     pub disabled: Option<String>,
     /// Safe again only after so long without a violation, sky minutes.
@@ -243,11 +243,11 @@ devices! {
         /// Cooling that takes longer has failed, sky minutes.
         cooling_timeout_min: f64 = 30.0,
         /// Size of an unbinned pixel on the sky, arcsec, to 5 %; by the pixel size and the mount's focal length, as the
-        /// devices tell them, where absent.
+        /// devices report them, where absent.
         scale_arcsec_px: Option<f64> = None,
         /// What a good flat is.
         flats: Flats = Flats::default(),
-        /// What guide pulses do to its stars, until that is learnt here.
+        /// What guide pulses do to its stars, until that is learned here.
         guide_calibration: Option<GuideStart> = None,
         /// Parameters of its rows that do not give them, by action.
         defaults: BTreeMap<String, BTreeMap<String, toml::Value>> = BTreeMap::new(),
@@ -273,13 +273,14 @@ devices! {
 
     /// A filter wheel.
     FilterWheel every 5.0 {
-        /// Names of its filters by position, as the wheel tells them; for schedules that are checked while it is not heard.
+        /// Names of its filters by position, as the wheel reports them; for schedules that are checked while it is not
+        /// received.
         filters: Vec<String> = Vec::new(),
     }
 
     /// A focuser.
     Focuser every 5.0 {
-        /// Best focus, steps, until one is learnt; the position found at start where absent.
+        /// Best focus, steps, until one is learned; the position found at start where absent.
         best_position: Option<i64> = None,
         /// No move when already this close, steps.
         tolerance_steps: i64 = 0,
@@ -296,8 +297,8 @@ devices! {
 
     /// A dome or roof, with its guard.
     Dome every 1.0 {
-        /// May the shutter close beside the mount's own stop, or must it wait for the park?
-        close_with_mount: CloseWithMount = CloseWithMount::Beside,
+        /// May the shutter close while the mount stops, or must it wait for the park?
+        close_with_mount: CloseWithMount = CloseWithMount::Alongside,
         /// For `parked_within_s`: close anyway after so long; for `parked_only`: alert then. Machine s.
         parked_within_s: f64 = 120.0,
         /// Parked (its azimuth) when it is closed: before the shutter closes where no sky calls for closing and for a short time
@@ -307,7 +308,7 @@ devices! {
         permit_valid_s: f64 = 10.0,
         /// A shutter that moves longer is stuck, sky s.
         travel_timeout_s: f64 = 90.0,
-        /// The dome's own watchdog closes it when it was not fed for so long, machine s; without one a standing alert
+        /// The dome's own watchdog closes it when it was not fed for so long, machine s; without one an active alert
         /// says that nothing closes this dome when its device node's host dies.
         watchdog_s: Option<f64> = None,
         /// ASCOM `Action` that feeds it, sent four times in that time while the permit lives, and never else; absent
@@ -317,7 +318,7 @@ devices! {
         watchdog_parameters: String = String::new(),
         /// Telescopes under it; for a dome of the file `shared` at least one, else this one alone.
         telescopes: Vec<Chunk> = Vec::new(),
-        /// Who turns it.
+        /// The part that turns it.
         follow: Follow = Follow::Auto,
         /// Its slit.
         slit: Slit = Slit::default(),
@@ -333,7 +334,7 @@ devices! {
         dwell_min: f64 = default_dwell_min(),
         /// A reading older than this is unsafe, machine s; 5 x the period, at least 5 s, where absent.
         max_age_s: Option<f64> = None,
-        /// Why this monitor is not heeded for now; a standing alert says so.
+        /// Why this monitor is not applied for now; an active alert reports it.
         disabled: Option<String> = None,
     }
 

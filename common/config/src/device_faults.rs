@@ -123,7 +123,7 @@ pub(crate) fn torn_slits(observatory: &Observatory) -> Vec<(Name, String)> {
         let list: Vec<String> = under.iter().map(|mount| format!("\"{mount}\"")).collect();
         let why = match under.len() {
             1 => return None,
-            0 => format!("{} mounts, and no camera tells which of them looks out of it", mounts.len()),
+            0 => format!("{} mounts, and no camera is paired with the one that looks out of it", mounts.len()),
             _ => format!("telescopes {} look out of one slit, which cannot stand where each looks", list.join(" and ")),
         };
         let mend = "name its one mount by `dome` and `telescope` of the cameras, or set follow = \"off\" where it is a \

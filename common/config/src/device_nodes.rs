@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_block_may_put_the_enclosure_beside_others_and_that_is_told() {
+    fn a_block_may_put_the_enclosure_next_to_others_and_that_is_reported() {
         let config = of(&[("camera", "camera", ""), ("dome", "roof", "node = \"main\"")]);
         assert_eq!(config.device_nodes(), ["main"]);
         assert_eq!(config.crowded_enclosure_nodes(), ["main"]);

@@ -17,7 +17,7 @@ pub enum Step {
 
 /// Where a key or value of the document stands.
 #[derive(Debug, Clone)]
-pub struct Place {
+pub struct DocumentPlace {
     /// From the root.
     pub steps: Vec<Step>,
     /// Bytes of the text.
@@ -31,7 +31,7 @@ pub struct Place {
 pub struct Document<'a> {
     text: &'a str,
     root: DeTable<'a>,
-    places: Vec<Place>,
+    places: Vec<DocumentPlace>,
     lines: BTreeMap<String, usize>,
 }
 
@@ -61,7 +61,7 @@ impl<'a> Document<'a> {
 
     /// Numbers every key and value anew, after each change of the tree.
     fn number(&mut self) {
-        let whole = Place { steps: Vec::new(), span: 0..0, is_key: false };
+        let whole = DocumentPlace { steps: Vec::new(), span: 0..0, is_key: false };
         let before = std::mem::replace(&mut self.places, vec![whole]);
         let root = std::mem::take(&mut self.root);
         self.root = self.table(root, &mut Vec::new(), &before);
@@ -75,15 +75,15 @@ impl<'a> Document<'a> {
         self.lines = starts.filter(|(_, span)| !span.is_empty()).map(|(path, span)| (path, span.start)).collect();
     }
 
-    fn note(&mut self, steps: &[Step], span: Range<usize>, is_key: bool, before: &[Place]) -> Range<usize> {
+    fn note(&mut self, steps: &[Step], span: Range<usize>, is_key: bool, before: &[DocumentPlace]) -> Range<usize> {
         let number = self.places.len();
         let span =
             if before.is_empty() { span } else { before.get(span.start).map_or(0..0, |place| place.span.clone()) };
-        self.places.push(Place { steps: steps.to_vec(), span, is_key });
+        self.places.push(DocumentPlace { steps: steps.to_vec(), span, is_key });
         number..number + 1
     }
 
-    fn table(&mut self, table: DeTable<'a>, steps: &mut Vec<Step>, before: &[Place]) -> DeTable<'a> {
+    fn table(&mut self, table: DeTable<'a>, steps: &mut Vec<Step>, before: &[DocumentPlace]) -> DeTable<'a> {
         let entries = table.into_iter().map(|(key, value)| {
             steps.push(Step::Key(key.get_ref().to_string()));
             let number = self.note(steps, key.span(), true, before);
@@ -94,7 +94,12 @@ impl<'a> Document<'a> {
         entries.collect()
     }
 
-    fn value(&mut self, value: Spanned<DeValue<'a>>, steps: &mut Vec<Step>, before: &[Place]) -> Spanned<DeValue<'a>> {
+    fn value(
+        &mut self,
+        value: Spanned<DeValue<'a>>,
+        steps: &mut Vec<Step>,
+        before: &[DocumentPlace],
+    ) -> Spanned<DeValue<'a>> {
         let number = self.note(steps, value.span(), false, before);
         let inner = match value.into_inner() {
             DeValue::Table(table) => DeValue::Table(self.table(table, steps, before)),
@@ -113,21 +118,21 @@ impl<'a> Document<'a> {
     }
 
     /// Lists that stand where `one` says that a table belongs, and what is no table where `of_many` wants one.
-    pub fn misshapen(&self, one: fn(&[Step]) -> bool, of_many: fn(&[Step]) -> bool) -> Vec<Place> {
-        let wrong = |place: &&Place| {
+    pub fn misshapen(&self, one: fn(&[Step]) -> bool, of_many: fn(&[Step]) -> bool) -> Vec<DocumentPlace> {
+        let wrong = |place: &&DocumentPlace| {
             let value = || value_ref(&self.root, &place.steps);
             !place.is_key
                 && ((one(&place.steps) && value().is_some_and(DeValue::is_array))
                     || (of_many(&place.steps) && value().is_some_and(|value| !value.is_table())))
         };
-        let mut found: Vec<Place> = self.places.iter().filter(wrong).cloned().collect();
+        let mut found: Vec<DocumentPlace> = self.places.iter().filter(wrong).cloned().collect();
         // what is taken out later must not move what is taken out before
         found.reverse();
         found
     }
 
     /// What an error's span is about.
-    pub fn place(&self, span: Option<Range<usize>>) -> Option<&Place> {
+    pub fn place(&self, span: Option<Range<usize>>) -> Option<&DocumentPlace> {
         self.places.get(span?.start)
     }
 
@@ -137,7 +142,7 @@ impl<'a> Document<'a> {
     }
 
     /// The text of a place, on one line and not longer than a message can bear.
-    pub fn quoted(&self, place: &Place) -> String {
+    pub fn quoted(&self, place: &DocumentPlace) -> String {
         let whole = self.text.get(place.span.clone()).unwrap_or_default();
         let line = whole.lines().next().unwrap_or_default().trim();
         if line.chars().count() <= 60 { line.to_owned() } else { line.chars().take(57).chain("...".chars()).collect() }
@@ -158,7 +163,7 @@ impl<'a> Document<'a> {
     }
 
     /// Line and column, from 1, of a place.
-    pub fn line_of_place(&self, place: &Place) -> (usize, usize) {
+    pub fn line_of_place(&self, place: &DocumentPlace) -> (usize, usize) {
         if place.steps.is_empty() { (0, 0) } else { line_at(self.text, place.span.start) }
     }
 

@@ -2,6 +2,15 @@
 
 use crate::Bus;
 
+/// A peer on the bus, as a person names it on a command line.
+///
+/// # Errors
+/// It cannot be one: with what is wrong and what was expected.
+pub fn peer(text: &str) -> Result<String, String> {
+    let why = reason(text, true);
+    why.map_or(Ok(text.to_owned()), |why| Err(format!("it {why}; expected one such as tcp/10.0.0.5:7447")))
+}
+
 impl Bus {
     /// Each endpoint that cannot be one, with what was expected.
     pub(crate) fn faults(&self) -> Vec<(String, String)> {
@@ -40,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_cannot_be_an_endpoint_is_told_with_what_is_wrong() {
+    fn what_cannot_be_an_endpoint_is_reported_with_what_is_wrong() {
         for good in ["tcp/10.0.0.5:7447", "tcp/[::1]:7447", "udp/dome-pc:7447", "tcp/10.0.0.5:7447#iface=eth0"] {
             assert_eq!(reason(good, true), None, "{good}");
         }

@@ -30,7 +30,7 @@ impl<'a> Findings<'a> {
         self.add(path, Severity::Warning, what);
     }
 
-    /// A fault within a block, told in words that begin with its key: `limits.altitude_min_deg = 99: expected ...`.
+    /// A fault within a block, reported in words that begin with its key: `limits.altitude_min_deg = 99: expected ...`.
     pub fn block(&mut self, path: &str, shown: &str, fault: &str) {
         let key = fault.split([' ', ':', '=']).next().unwrap_or_default();
         let path = if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") };

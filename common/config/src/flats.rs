@@ -10,7 +10,7 @@ pub struct Flats {
     pub target_adu: Option<f64>,
     /// A frame counts if its median is no further from the target, ADU; 0.2 of the target where absent.
     pub tolerance_adu: Option<f64>,
-    /// Median of a frame without light, ADU; a bias frame tells it at the row's begin where absent.
+    /// Median of a frame without light, ADU; a bias frame shows it at the row's begin where absent.
     pub bias_adu: Option<f64>,
     /// Shorter exposures show the shutter, s.
     pub exposure_min_s: f64,
@@ -74,7 +74,7 @@ impl Flats {
             level.zip(self.tolerance_adu).filter(|((_, above), tolerance)| *above > 0.0 && tolerance >= above)
         {
             let what = format!(
-                "expected less than {above}, or a frame without light would count beside target_adu = {target}"
+                "expected less than {above}, or a frame without light would count as one of target_adu = {target}"
             );
             found.push(format!("flats.tolerance_adu = {tolerance}: {what}"));
         }
@@ -90,7 +90,7 @@ mod tests {
                         elevation_m = 0\n[[camera]]\nname = \"cam\"\nserver = \"a:1\"\n";
 
     #[test]
-    fn a_camera_has_flats_unless_told_otherwise() {
+    fn a_camera_has_flats_unless_configured_otherwise() {
         let config = crate::parse(HEAD, Path::new("/obs")).unwrap();
         assert_eq!(config.camera[0].flats, super::Flats::default());
         let text = format!("{HEAD}flats = {{ target_adu = 28000, bias_adu = 500, exposure_min_s = 2 }}\n");
@@ -101,7 +101,7 @@ mod tests {
 
     #[test]
     fn what_cannot_be_is_refused_with_what_is_expected() {
-        for (flats, said) in [
+        for (flats, message) in [
             ("exposure_min_s = 0", "camera \"cam\": flats.exposure_min_s = 0: expected 0.001 to 3600 s"),
             ("exposure_min_s = 90", "flats.exposure_min_s = 90: is more than exposure_max_s = 60"),
             ("sun_max_deg = 5", "flats.sun_max_deg = 5: expected -30 to 0 deg"),
@@ -114,7 +114,7 @@ mod tests {
         ] {
             let text = format!("{HEAD}flats = {{ {flats} }}\n");
             let refused = crate::parse(&text, Path::new("/obs")).unwrap_err().to_string();
-            assert!(refused.contains(said), "{refused}");
+            assert!(refused.contains(message), "{refused}");
         }
     }
 }

@@ -17,7 +17,7 @@ pub enum Approach {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OnDrift {
-    /// A person is told.
+    /// An alert is raised.
     #[default]
     Alert,
     /// The focus is found anew between two frames, where the telescope looks.
@@ -34,7 +34,7 @@ pub struct Focusing {
     pub refocus_after_min: f64,
     /// Exposure time of a run between two frames, s.
     pub refocus_exposure_s: f64,
-    /// The focuser follows the temperature between frames once the learnt best position is off by this share of the
+    /// The focuser follows the temperature between frames once the learned best position is off by this share of the
     /// critical zone, 0 to 1.
     pub follow_share: f64,
 }
@@ -72,14 +72,14 @@ mod tests {
     #[test]
     fn what_cannot_be_is_refused_with_what_is_expected() {
         let focuser = "[[focuser]]\nname = \"f\"\nserver = \"h:1\"\n";
-        for (rest, said) in [
+        for (rest, text) in [
             ("[focusing]\nfollow_share = 0\n".to_owned(), "focusing.follow_share = 0: expected 0.01 to 1"),
             ("[focusing]\non_drift = \"pray\"\n".to_owned(), "expected \"alert\" or \"refocus\""),
             (format!("{focuser}backlash_steps = -1\n"), "focuser \"f\": backlash_steps = -1: expected 0 to"),
             (format!("{focuser}search_steps = 1\n"), "focuser \"f\": search_steps = 1: expected 2 to"),
         ] {
             let refused = crate::parse(&format!("{SITE}{rest}"), Path::new("/x")).unwrap_err().to_string();
-            assert!(refused.contains(said), "{refused}");
+            assert!(refused.contains(text), "{refused}");
         }
         let good = format!("{SITE}[focusing]\non_drift = \"refocus\"\n{focuser}approach = \"downward\"\n");
         assert_eq!(crate::parse(&good, Path::new("/x")).unwrap().focusing.on_drift, super::OnDrift::Refocus);

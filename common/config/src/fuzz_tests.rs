@@ -50,7 +50,7 @@ listen = ["tcp/127.0.0.1:0"]
 name = "dome"
 server = "a:1"
 permit_valid_s = 10.0
-close_with_mount = "beside"
+close_with_mount = "alongside"
 [[safetymonitor]]
 name = "m"
 server = "a:1"

@@ -22,7 +22,7 @@ pub struct GuideStart {
     pub pier_side: Option<PierSide>,
 }
 
-/// As near to the pole as a calibration tells anything of other declinations, degrees.
+/// As near to the pole as a calibration shows anything of other declinations, degrees.
 const HIGHEST_DEC_DEG: f64 = 60.0;
 /// Least sine of the angle between the two directions.
 const LEAST_ANGLE: f64 = 0.1;
@@ -48,7 +48,7 @@ impl GuideStart {
         if !(-HIGHEST_DEC_DEG..=HIGHEST_DEC_DEG).contains(&self.dec_deg) {
             let dec_deg = self.dec_deg;
             found.push(format!(
-                "guide_calibration.dec_deg = {dec_deg}: expected -60 to 60: nearer to a pole it tells nothing"
+                "guide_calibration.dec_deg = {dec_deg}: expected -60 to 60: nearer to a pole it is worthless"
             ));
         }
         found
@@ -75,8 +75,8 @@ mod tests {
     }
 
     #[test]
-    fn what_tells_no_two_directions_is_refused_with_what_is_expected() {
-        for (table, said) in [
+    fn a_calibration_that_separates_no_two_directions_is_refused_with_what_is_expected() {
+        for (table, message) in [
             (
                 "east_px_per_s = [0, 0], north_px_per_s = [0, 1]",
                 "camera \"cam\": guide_calibration.east_px_per_s: 0 px/s",
@@ -92,7 +92,7 @@ mod tests {
         ] {
             let text = format!("{HEAD}guide_calibration = {{ {table} }}\n");
             let refused = crate::parse(&text, Path::new("/obs")).unwrap_err().to_string();
-            assert!(refused.contains(said), "{refused}");
+            assert!(refused.contains(message), "{refused}");
         }
     }
 }

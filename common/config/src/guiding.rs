@@ -31,12 +31,12 @@ pub struct Guiding {
     pub stabilise_cap_px: f64,
     /// Whether declination turns round only when there is reason to (a gear with play).
     pub resist_dec_reversal: bool,
-    /// Period of the worm of right ascension, s, where it is known; else it is learnt.
+    /// Period of the worm of right ascension, s, where it is known; else it is learned.
     pub worm_period_s: Option<f64>,
     /// How long a known drift is still taken back while no star is seen, sky s.
     pub hold_drift_s: f64,
-    /// How long clouds may last before a person is told, sky s.
-    pub patience_s: f64,
+    /// How long clouds may last before an alert is raised, sky s.
+    pub alert_after_s: f64,
     /// Least time between the middles of frames that are guided on, sky s.
     pub interval_min_s: f64,
     /// From where a field was found to where it is held, px along x and y.
@@ -51,7 +51,7 @@ pub struct Guiding {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GuideControl {
-    /// By prediction: drift and worm are learnt and taken back before they show.
+    /// By prediction: drift and worm are learned and taken back before they show.
     #[default]
     Predict,
     /// By the predecessor's controller.
@@ -74,7 +74,7 @@ pub struct Gains {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WhenLost {
-    /// Frames go on, unguided; an alert stands.
+    /// Frames go on, unguided; an alert is active.
     #[default]
     GoOn,
     /// The row is tried again from its pointing on, as after a fault of the mount.
@@ -99,7 +99,7 @@ impl Default for Guiding {
             resist_dec_reversal: true,
             worm_period_s: None,
             hold_drift_s: 300.0,
-            patience_s: 900.0,
+            alert_after_s: 900.0,
             interval_min_s: 0.0,
             hold_offset_px: [0.0; 2],
             dec_reversed_after_flip: false,
@@ -128,7 +128,7 @@ impl Guiding {
         within("stabilise_cap_px", self.stabilise_cap_px, self.cap_px.clamp(1.0, 1000.0), 1000.0, "px");
         within("worm_period_s", self.worm_period_s.unwrap_or(480.0), 10.0, 86_400.0, "s");
         within("hold_drift_s", self.hold_drift_s, 0.0, 86_400.0, "s");
-        within("patience_s", self.patience_s, 0.0, 86_400.0, "s");
+        within("alert_after_s", self.alert_after_s, 0.0, 86_400.0, "s");
         within("interval_min_s", self.interval_min_s, 0.0, 3600.0, "s");
         let half_px = 0.5 * self.cap_px.clamp(1.0, 1000.0);
         for offset_px in self.hold_offset_px {
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn what_makes_no_sense_is_told_with_its_key() {
+    fn what_makes_no_sense_is_reported_with_its_key() {
         let text = "camera = \"none\"\nlongest_pulse_ms = 0\ncap_px = 50.0\npid_ra = { p = nan, i = 0.0, d = 0.0 }";
         let guiding = read(text).unwrap();
         let cameras: Vec<Name> = vec!["main".parse().unwrap()];

@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn the_script_lies_beside_the_configuration() {
+    fn the_script_lies_next_to_the_configuration() {
         assert_eq!(read("").unwrap(), Hooks::default());
         let hooks = read("[hooks]\nscript = \"hooks.rhai\"\nclose_wait_s = 2\n").unwrap();
         assert_eq!((hooks.script.as_deref(), hooks.close_wait_s), (Some(Path::new("/site/hooks.rhai")), 2.0));
@@ -68,8 +68,8 @@ mod tests {
             ("time_limit_s = 0", "hooks.time_limit_s = 0: expected 1 to 3600 s"),
             ("scirpt = \"x\"", "did you mean \"script\"?"),
         ] {
-            let told = read(&format!("[hooks]\n{block}\n")).unwrap_err();
-            assert!(told.contains(word), "{word}: {told}");
+            let error = read(&format!("[hooks]\n{block}\n")).unwrap_err();
+            assert!(error.contains(word), "{word}: {error}");
         }
     }
 }

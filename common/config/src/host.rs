@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn hosts_and_ports_are_told_from_what_is_none() {
+    fn hosts_and_ports_are_distinguished_from_what_is_none() {
         for good in ["10.0.0.5:11111", "localhost:1", "dome-pc.site.example.org:80", "[::1]:11111", "my_pc:65535"] {
             assert_eq!(host_port(good), Ok(()), "{good}");
         }

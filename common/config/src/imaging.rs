@@ -29,7 +29,7 @@ mod tests {
                         elevation_m = 0\n";
 
     #[test]
-    fn frames_are_solved_with_the_shipped_catalogue_unless_told_otherwise() {
+    fn frames_are_solved_with_the_shipped_catalogue_unless_configured_otherwise() {
         let config = crate::parse(HEAD, Path::new("/obs")).unwrap();
         assert_eq!(config.imaging, super::Imaging { solve: true, catalogue: None });
         let text = format!("{HEAD}[imaging]\ncatalogue = \"stars/deep.smcat\"\nsolve = false\n");

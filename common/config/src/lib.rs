@@ -7,20 +7,22 @@
 //! # Invariants
 //!
 //! - All faults that refuse a configuration are reported together, with their lines (decision 0055):
-//!   `a_file_with_ten_faults_tells_ten_with_their_lines_in_order`.
+//!   `a_file_with_ten_faults_reports_ten_with_their_lines_in_order`.
 //! - A configuration that this crate accepts can run; a part of it that turns out to be unusable stops only itself (decision 0056).
 //! - Any text is a configuration or is refused with a reason: `any_text_is_a_configuration_or_refused_with_a_reason`.
 //! - An enclosure has a device node of its own unless its block names one (decision 0043):
 //!   `an_enclosure_has_a_node_of_its_own_where_no_block_names_one`.
 
 mod alerts;
+mod bucket;
 mod check;
+mod delivery;
 mod device;
 mod device_faults;
 mod device_nodes;
 mod document;
 mod encoding;
-mod endpoints;
+pub mod endpoints;
 mod fault;
 mod faults;
 mod findings;
@@ -36,6 +38,7 @@ mod host;
 mod imaging;
 mod names;
 mod nearest;
+mod network_archive;
 mod observatory;
 mod pair;
 mod plausible;
@@ -45,11 +48,14 @@ mod relations;
 mod slit;
 mod vendor;
 mod visibility;
+mod web;
 mod words;
 
 pub use alerts::{Alerting, Email, Ping, Security, Smtp, Webhook};
+pub use bucket::Bucket;
 pub use check::{MOST_BYTES, examine, locate, parse};
 pub use contract::device::dome::CloseWithMount;
+pub use delivery::Delivery;
 pub use device::{
     Camera, Common, CoverCalibrator, Device, Dome, EquatorialChoice, FilterWheel, Focuser, Limit, Measure, MountLimits,
     ObservingConditions, Response, Rotator, SafetyMonitor, Switch, Telescope,
@@ -66,11 +72,13 @@ pub use hooks::Hooks;
 pub use imaging::Imaging;
 pub use names::Names;
 pub use nearest::{distance, meant, nearest};
+pub use network_archive::NetworkArchive;
 pub use observatory::{
-    Archive, Bus, ClockSource, Folders, Observatory, Place, Safety, Schedule, Shared, Spool, Web, WindSector,
+    Archive, Bus, ClockSource, Folders, Observatory, Place, Safety, Schedule, Shared, Spool, WindSector,
 };
 pub use pointing::{OnFailure, Pointing};
 pub use slit::{Follow, Slit};
 pub use vendor::VendorPattern;
 pub use visibility::{Horizon, HorizonSource, ScheduleCheck};
+pub use web::{Network, Web};
 pub use words::sexagesimal;

@@ -30,17 +30,7 @@ pub fn meant<'a>(word: &str, known: impl IntoIterator<Item = &'a str> + Clone) -
 
 /// Letters to change, add or drop between two words, without regard to case.
 pub fn distance(a: &str, b: &str) -> usize {
-    let (a, b): (Vec<char>, Vec<char>) = (a.to_lowercase().chars().collect(), b.to_lowercase().chars().collect());
-    let mut before: Vec<usize> = (0..=b.len()).collect();
-    for (i, from) in a.iter().enumerate() {
-        let mut now = vec![i + 1];
-        for (j, to) in b.iter().enumerate() {
-            let change = before[j] + usize::from(from != to);
-            now.push(change.min(before[j + 1] + 1).min(now[j] + 1));
-        }
-        before = now;
-    }
-    before[b.len()]
+    strsim::levenshtein(&a.to_lowercase(), &b.to_lowercase())
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use contract::{Address, Chunk, Kind, Name};
 use serde::Deserialize;
 
 use crate::alerts::Alerting;
+use crate::delivery::Delivery;
 use crate::device::{
     Camera, Common, CoverCalibrator, Device, Dome, FilterWheel, Focuser, ObservingConditions, Rotator, SafetyMonitor,
     Switch, Telescope,
@@ -18,14 +19,16 @@ use crate::guiding::Guiding;
 use crate::hooks::Hooks;
 use crate::imaging::Imaging;
 use crate::names::Names;
+use crate::network_archive::NetworkArchive;
 use crate::pointing::Pointing;
 use crate::visibility::ScheduleCheck;
+use crate::web::Web;
 
 /// One `observatory.toml`.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Observatory {
-    /// Who and where.
+    /// The site's identity and place.
     #[serde(rename = "observatory")]
     pub place: Place,
     /// Where files go.
@@ -37,7 +40,7 @@ pub struct Observatory {
     /// Where sky time comes from.
     #[serde(default)]
     pub clock: ClockSource,
-    /// What the verdict rests on beside monitors and weather.
+    /// What the verdict rests on in addition to monitors and weather.
     #[serde(default)]
     pub safety: Safety,
     /// What becomes of the night when a device fails.
@@ -70,10 +73,13 @@ pub struct Observatory {
     /// How frames are named and kept.
     #[serde(default)]
     pub archive: Archive,
-    /// Who is told of alerts.
+    /// Where nights are handed over to.
+    #[serde(default)]
+    pub delivery: Vec<Delivery>,
+    /// The receivers of alerts.
     #[serde(default)]
     pub alerts: Alerting,
-    /// Where the page is served.
+    /// Where the page is served, and who is let in.
     #[serde(default)]
     pub web: Web,
     /// Shared devices of the site that this telescope relies on.
@@ -142,14 +148,14 @@ impl Observatory {
         address.device(kind, name)
     }
 
-    /// Safety monitors that this telescope heeds: its own and the shared ones.
-    pub fn heeded_safety_monitors(&self) -> Vec<contract::Device> {
-        self.heeded(Kind::SafetyMonitor, self.safetymonitor.iter().map(|d| &d.common.name), &self.shared.safetymonitor)
+    /// Safety monitors that this telescope uses: its own and the shared ones.
+    pub fn used_safety_monitors(&self) -> Vec<contract::Device> {
+        self.used(Kind::SafetyMonitor, self.safetymonitor.iter().map(|d| &d.common.name), &self.shared.safetymonitor)
     }
 
-    /// Weather stations that this telescope heeds: its own and the shared ones.
-    pub fn heeded_weather(&self) -> Vec<contract::Device> {
-        self.heeded(
+    /// Weather stations that this telescope uses: its own and the shared ones.
+    pub fn used_weather(&self) -> Vec<contract::Device> {
+        self.used(
             Kind::ObservingConditions,
             self.observingconditions.iter().map(|d| &d.common.name),
             &self.shared.observingconditions,
@@ -158,10 +164,10 @@ impl Observatory {
 
     /// Enclosures of this telescope: its own and the shared ones.
     pub fn enclosures(&self) -> Vec<contract::Device> {
-        self.heeded(Kind::Dome, self.dome.iter().map(|d| &d.common.name), &self.shared.dome)
+        self.used(Kind::Dome, self.dome.iter().map(|d| &d.common.name), &self.shared.dome)
     }
 
-    fn heeded<'a>(&self, kind: Kind, own: impl Iterator<Item = &'a Name>, shared: &[Name]) -> Vec<contract::Device> {
+    fn used<'a>(&self, kind: Kind, own: impl Iterator<Item = &'a Name>, shared: &[Name]) -> Vec<contract::Device> {
         let own = own.map(|name| self.address().device(kind, name));
         own.chain(shared.iter().map(|name| self.address().shared().device(kind, name))).collect()
     }
@@ -209,7 +215,7 @@ impl Place {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Folders {
-    /// Spool, journal, tokens, learnt values.
+    /// Spool, journal, tokens, learned values.
     pub data: PathBuf,
     /// FITS files.
     pub images: PathBuf,
@@ -267,13 +273,13 @@ impl Default for Schedule {
     }
 }
 
-/// `[safety]`: what the verdict rests on beside monitors and weather.
+/// `[safety]`: what the verdict rests on in addition to monitors and weather.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Safety {
     /// Unsafe while the Sun is higher than this, degrees; 90 for a dome that may be open by day.
     pub sun_altitude_max_deg: f64,
-    /// Unsafe while all values of a weather station have been the same for so long, machine minutes, and told after
+    /// Unsafe while all values of a weather station have been the same for so long, machine minutes, and reported after
     /// half of it; 0: never.
     pub frozen_after_min: f64,
     /// Nothing is exposed while the clock of an observatory or device node is off by more, s.
@@ -314,11 +320,13 @@ pub struct Spool {
     pub listen: SocketAddr,
     /// Host name or address that others reach this host by; the listening address where absent.
     pub advertise: Option<String>,
+    /// Device nodes hold the states of the last so many minutes in memory for archives that are away.
+    pub hold_min: f64,
 }
 
 impl Default for Spool {
     fn default() -> Self {
-        Self { listen: SocketAddr::from(([127, 0, 0, 1], 0)), advertise: None }
+        Self { listen: SocketAddr::from(([127, 0, 0, 1], 0)), advertise: None, hold_min: 15.0 }
     }
 }
 
@@ -333,25 +341,48 @@ pub struct Archive {
     /// File name templates by action type: `object`, `calibration`, `flats`, `autofocus`, `calibrate_guiding`,
     /// `pointing_model`, `default`.
     pub filename: BTreeMap<String, String>,
+    /// Days of which every polled value is kept; of older ones each minute's extremes, mean and last value stay.
+    pub raw_days: u32,
+    /// Folder of the daily copies of the database; `backups` in the folder of the database where absent.
+    pub backups: Option<PathBuf>,
+    /// Daily copies that are kept; 0 makes none.
+    pub backup_count: u32,
+    /// Folder or bucket of the network's archive, to which each night is written as Parquet; none is written where absent.
+    pub parquet: Option<NetworkArchive>,
+    /// Whether new files hold their image in compressed tiles (`.fits.fz`), without loss.
+    pub compress: bool,
+    /// An alert is raised while the folder of images has less room, GB; 0: never.
+    pub disk_warn_gb: f64,
+    /// Files leave the folder of images so many days after their night, once every destination has them; never where
+    /// absent.
+    pub remove_delivered_after_days: Option<u32>,
+    /// Ids of the archive nodes that must all have a frame before the camera's spool removes it; where empty, one archive
+    /// node is enough, whichever it is.
+    pub nodes: Vec<Name>,
+}
+
+impl Archive {
+    /// The folder of the daily copies.
+    pub fn backups(&self) -> PathBuf {
+        self.backups.clone().unwrap_or_else(|| self.database.with_file_name("backups"))
+    }
 }
 
 impl Default for Archive {
     fn default() -> Self {
-        Self { database: "data/archive.db".into(), fits_header: None, filename: BTreeMap::new() }
-    }
-}
-
-/// `[web]`: where the page is served.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Web {
-    /// Address and port; loopback unless told otherwise.
-    pub listen: SocketAddr,
-}
-
-impl Default for Web {
-    fn default() -> Self {
-        Self { listen: SocketAddr::from(([127, 0, 0, 1], 8080)) }
+        Self {
+            database: "data/archive.db".into(),
+            fits_header: None,
+            filename: BTreeMap::new(),
+            raw_days: 90,
+            backups: None,
+            backup_count: 7,
+            parquet: None,
+            compress: false,
+            disk_warn_gb: 5.0,
+            remove_delivered_after_days: None,
+            nodes: Vec::new(),
+        }
     }
 }
 

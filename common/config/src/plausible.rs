@@ -10,6 +10,8 @@ const AIR_C: (f64, f64) = (-100.0, 70.0);
 const KELVIN_FROM: f64 = 150.0;
 /// How old a reading of a safety monitor may be, s.
 const AGE_S: (f64, f64) = (0.1, 3600.0);
+/// States that are held in memory, min: at least some, at most a day.
+const HOLD_MIN: (f64, f64) = (0.05, 1440.0);
 /// Steps of a focuser: positions are whole numbers from 0 on, as in schedules.
 const STEPS: (f64, f64) = (0.0, 1e9);
 
@@ -61,6 +63,22 @@ fn sections(observatory: &Observatory, findings: &mut Findings<'_>) {
             findings.error(&format!("safety.{key}"), what);
         }
     }
+    let raw_days = observatory.archive.raw_days;
+    if raw_days < 2 {
+        let what = format!(
+            "archive.raw_days = {raw_days}: expected 2 or more: the headers of the last night are completed from the values"
+        );
+        findings.error("archive.raw_days", what);
+    }
+    let archive = &observatory.archive;
+    if !is_within(archive.disk_warn_gb, (0.0, 1e6)) {
+        let what = format!("archive.disk_warn_gb = {}: expected a number from 0 to 1000000 GB", archive.disk_warn_gb);
+        findings.error("archive.disk_warn_gb", what);
+    }
+    if archive.remove_delivered_after_days == Some(0) {
+        let what = "archive.remove_delivered_after_days = 0: expected 1 or more days after the night";
+        findings.error("archive.remove_delivered_after_days", what.to_owned());
+    }
     if !is_within(observatory.shared.dwell_min, (0.0, 1440.0)) {
         let what = format!("shared.dwell_min = {}: expected 0 to 1440 min", observatory.shared.dwell_min);
         findings.error("shared.dwell_min", what);
@@ -68,6 +86,11 @@ fn sections(observatory: &Observatory, findings: &mut Findings<'_>) {
     if let Some(age) = observatory.shared.max_age_s.filter(|age| !is_within(*age, AGE_S)) {
         let what = format!("shared.max_age_s = {age}: expected {} to {} s", AGE_S.0, AGE_S.1);
         findings.error("shared.max_age_s", what);
+    }
+    let hold_min = observatory.spool.hold_min;
+    if !is_within(hold_min, HOLD_MIN) {
+        let what = format!("spool.hold_min = {hold_min}: expected {} to {} min", HOLD_MIN.0, HOLD_MIN.1);
+        findings.error("spool.hold_min", what);
     }
     for (endpoint, fault) in observatory.bus.faults() {
         findings.quoted(&endpoint, fault);

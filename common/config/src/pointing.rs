@@ -18,7 +18,7 @@ pub struct Pointing {
     pub on_failure: OnFailure,
     /// Wait before the next try when clouds hide the stars, sky s.
     pub clouds_wait_s: f64,
-    /// Correct first slews by what was learnt.
+    /// Correct first slews by what was learned.
     pub model: bool,
     /// Largest correction of the model, arcmin; more is not believed.
     pub model_max_arcmin: f64,
@@ -69,7 +69,7 @@ impl Pointing {
                 found.push(format!("pointing.{key} = {value}: expected {low} to {high}"));
             }
         }
-        // what is out of its range is told already
+        // what is out of its range is reported already
         if found.is_empty() && self.tolerance_arcmin < self.threshold_arcmin {
             found.push(format!(
                 "pointing.tolerance_arcmin = {}: expected threshold_arcmin = {} or more, or no frame could count",
@@ -98,8 +98,8 @@ mod tests {
     fn without_a_word_it_is_a_tenth_of_an_arcminute_in_four_frames() {
         let pointing = read("").unwrap();
         assert_eq!((pointing.threshold_arcmin, pointing.attempts, pointing.on_failure), (0.1, 4, OnFailure::Postpone));
-        let told = read("[pointing]\nthreshold_arcmin = 0.5\nexposure_s = 5\non_failure = \"observe\"\n").unwrap();
-        assert_eq!((told.exposure_s, told.on_failure), (Some(5.0), OnFailure::Observe));
+        let pointing = read("[pointing]\nthreshold_arcmin = 0.5\nexposure_s = 5\non_failure = \"observe\"\n").unwrap();
+        assert_eq!((pointing.exposure_s, pointing.on_failure), (Some(5.0), OnFailure::Observe));
     }
 
     #[test]
@@ -112,8 +112,8 @@ mod tests {
             ("on_failure = \"hope\"", "expected \"postpone\" or"),
             ("treshold_arcmin = 1", "did you mean \"threshold_arcmin\"?"),
         ] {
-            let told = read(&format!("[pointing]\n{block}\n")).unwrap_err();
-            assert!(told.contains(word), "{word}: {told}");
+            let error = read(&format!("[pointing]\n{block}\n")).unwrap_err();
+            assert!(error.contains(word), "{word}: {error}");
         }
     }
 }

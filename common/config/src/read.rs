@@ -1,4 +1,4 @@
-//! Reads the document into [`Observatory`], and goes on after each fault, so that one reading tells all of them.
+//! Reads the document into [`Observatory`], and goes on after each fault, so that one reading shows all of them.
 //!
 //! What is at fault is mended in the tree (a misspelt key gets its right name, a wrong value goes, a missing one gets a
 //! stand-in), the tree is read once more, and so on. Nothing that was mended is ever used: a document with a fault is refused.
@@ -9,7 +9,7 @@ use contract::observatory::Severity;
 use serde::Deserialize as _;
 use toml::de::{DeTable, DeValue};
 
-use crate::document::{Document, Place, Step, line_at, written};
+use crate::document::{Document, DocumentPlace, Step, line_at, written};
 use crate::fault::Fault;
 use crate::nearest::meant;
 use crate::observatory::Observatory;
@@ -29,7 +29,7 @@ pub struct Reading<'a> {
     pub observatory: Option<Observatory>,
     /// What is wrong.
     pub faults: Vec<Fault>,
-    /// Paths that are at fault already: nothing else is said of them.
+    /// Paths that are at fault already: nothing else is reported of them.
     pub spoilt: BTreeSet<String>,
     /// Lines of it are no TOML, so that what stands in them is not known.
     pub torn: bool,
@@ -51,11 +51,11 @@ pub fn read(text: &str) -> Reading<'_> {
         let written = text.lines().nth(line.saturating_sub(1)).unwrap_or_default().trim();
         // what the parser makes of the rest of a torn line helps nobody, and neither do the keys of a block that may not be there
         let heading = text.lines().take(line).collect::<Vec<_>>().iter().rposition(|line| line.trim().starts_with('['));
-        let is_told = |fault: &Fault| {
+        let is_reported = |fault: &Fault| {
             fault.line == line
                 || (error.message().contains("duplicate key") && Some(fault.line) == heading.map(|at| at + 1))
         };
-        if !reading.faults.iter().any(is_told) {
+        if !reading.faults.iter().any(is_reported) {
             let what = words::syntax(error.message(), written);
             reading.faults.push(Fault { line, column, severity: Severity::Error, what });
         }
@@ -73,7 +73,7 @@ pub fn read(text: &str) -> Reading<'_> {
             Err(error) => error,
         };
         let Some(place) = reading.document.place(error.span()).cloned() else {
-            reading.add(&Place { steps: Vec::new(), span: 0..0, is_key: false }, error.message().to_owned());
+            reading.add(&DocumentPlace { steps: Vec::new(), span: 0..0, is_key: false }, error.message().to_owned());
             break;
         };
         reading.take(&place, words::complaint(error.message()), torn);
@@ -82,9 +82,9 @@ pub fn read(text: &str) -> Reading<'_> {
 }
 
 impl Reading<'_> {
-    fn add(&mut self, place: &Place, what: String) {
+    fn add(&mut self, place: &DocumentPlace, what: String) {
         let (line, column) = self.document.line_of_place(place);
-        // of a line that is no TOML nothing else is said
+        // nothing else is reported of a line that is no TOML
         if line == 0 || self.faults.iter().all(|fault| fault.line != line || !fault.what.starts_with(words::TORN)) {
             self.faults.push(Fault { line, column, severity: Severity::Error, what });
         }
@@ -117,15 +117,15 @@ impl Reading<'_> {
         format!("{block}{}", written(rest))
     }
 
-    fn take(&mut self, place: &Place, complaint: Complaint<'_>, torn: bool) {
+    fn take(&mut self, place: &DocumentPlace, complaint: Complaint<'_>, torn: bool) {
         let steps = place.steps.as_slice();
         match complaint {
             Complaint::UnknownKey { key, known } => self.unknown_key(place, key, &known),
             Complaint::MissingKey(key) => {
                 let mut path = steps.to_vec();
                 path.push(Step::Key(key.to_owned()));
-                let is_told = torn || !self.spoilt.insert(written(&path));
-                if !is_told {
+                let is_reported = torn || !self.spoilt.insert(written(&path));
+                if !is_reported {
                     let shown = self.shown(&path);
                     self.add(place, format!("{shown} is missing: expected {}", words::about(&path)));
                 }
@@ -174,12 +174,12 @@ impl Reading<'_> {
     }
 
     fn spoil(&mut self, steps: &[Step]) {
-        let kept = steps.iter().rposition(|step| matches!(step, Step::Key(_))).map_or(steps, |last| &steps[..=last]);
-        self.spoilt.insert(written(kept));
+        let table = steps.iter().rposition(|step| matches!(step, Step::Key(_))).map_or(steps, |last| &steps[..=last]);
+        self.spoilt.insert(written(table));
         self.document.remove(steps);
     }
 
-    fn unknown_key(&mut self, place: &Place, key: &str, known: &[&str]) {
+    fn unknown_key(&mut self, place: &DocumentPlace, key: &str, known: &[&str]) {
         let table = place.steps.split_last().map_or(&[][..], |(_, before)| before);
         let keys: Vec<Step> = table.iter().filter(|step| matches!(step, Step::Key(_))).cloned().collect();
         let within = match table {

@@ -1,4 +1,4 @@
-//! What must hold between the parts of a configuration, beside what each value may be.
+//! What must hold between the parts of a configuration, in addition to what each value may be.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
@@ -10,6 +10,7 @@ use crate::device_faults;
 use crate::findings::Findings;
 use crate::host::{host_port, same_host};
 use crate::nearest::nearest;
+use crate::network_archive::NetworkArchive;
 use crate::observatory::Observatory;
 use crate::plausible;
 use crate::visibility::{Horizon, HorizonSource};
@@ -46,6 +47,10 @@ fn sections(observatory: &Observatory, findings: &mut Findings<'_>) {
     for fault in found {
         findings.block("", "", &fault);
     }
+    deliveries(observatory, findings);
+    for (key, what) in observatory.web.faults() {
+        findings.error(&key, what);
+    }
     let (page, spool) = (observatory.web.listen, observatory.spool.listen);
     if page.port() != 0 && page.port() == spool.port() && (page.ip() == spool.ip() || spool.ip().is_unspecified()) {
         findings.error(
@@ -66,6 +71,32 @@ fn sections(observatory: &Observatory, findings: &mut Findings<'_>) {
         let help = crate::nearest::meant(action, TEMPLATES);
         let what = format!("archive.filename.{action}: no frames are named by this; {help}");
         findings.warning(&format!("archive.filename.{action}"), what);
+    }
+}
+
+fn deliveries(observatory: &Observatory, findings: &mut Findings<'_>) {
+    let mut seen = HashSet::new();
+    for (index, delivery) in observatory.delivery.iter().enumerate() {
+        let name = &delivery.name;
+        if !seen.insert(name) {
+            let what = format!("delivery \"{name}\": another destination has this name");
+            findings.error(&format!("delivery[{index}].name"), what);
+        }
+        for (key, fault) in delivery.faults() {
+            findings.error(&format!("delivery[{index}].{key}"), format!("delivery \"{name}\": {fault}"));
+        }
+        for (key, what) in delivery.warnings() {
+            findings.warning(&format!("delivery[{index}].{key}"), format!("delivery \"{name}\": {what}"));
+        }
+    }
+    if let Some(NetworkArchive::Bucket(bucket)) = &observatory.archive.parquet {
+        for (key, fault) in bucket.faults() {
+            findings.error(&format!("archive.parquet.{key}"), format!("archive.parquet: {fault}"));
+        }
+    }
+    if observatory.archive.remove_delivered_after_days.is_some() && observatory.delivery.is_empty() {
+        let what = "archive.remove_delivered_after_days: nothing is removed without a destination: add [[delivery]]";
+        findings.error("archive.remove_delivered_after_days", what.to_owned());
     }
 }
 
@@ -350,9 +381,10 @@ pub(crate) fn whole(observatory: &Observatory, findings: &mut Findings<'_>) {
         findings.error("", what.to_owned());
         return;
     }
-    // one that a person disabled stands in the alerts
-    let monitors = observatory.safetymonitor.len() + observatory.shared.safetymonitor.len();
-    let closes = |limit: &Limit| limit.response == crate::Response::Close;
+    // An input that is disabled decides nothing.
+    let own = observatory.safetymonitor.iter().filter(|monitor| monitor.disabled.is_none()).count();
+    let monitors = own + observatory.shared.safetymonitor.len();
+    let closes = |limit: &Limit| limit.response == crate::Response::Close && limit.disabled.is_none();
     let limited = observatory.observingconditions.iter().any(|station| station.limit.iter().any(closes))
         || (!observatory.shared.observingconditions.is_empty() && observatory.shared.limit.iter().any(closes))
         || observatory.switch.iter().any(|switch| switch.limit.iter().any(closes));
@@ -362,20 +394,14 @@ pub(crate) fn whole(observatory: &Observatory, findings: &mut Findings<'_>) {
         (true, _) => {}
         (false, true) => findings.warning(
             "",
-            "no safety monitor: whether the sky is safe is told by the weather limits and the Sun alone; add a [[safetymonitor]] \
+            "no safety monitor: the weather limits and the Sun alone decide whether the sky is safe; add a [[safetymonitor]] \
              if the site has one"
-                .to_owned(),
-        ),
-        (false, false) if enclosed => findings.warning(
-            "",
-            "no safety monitor and no weather limit: nothing tells whether it rains, so that the dome stays closed; add a \
-             [[safetymonitor]], or an [[observingconditions]] with limits, or name shared ones under [shared]"
                 .to_owned(),
         ),
         (false, false) => findings.warning(
             "",
-            "no safety monitor and no weather limit: only the Sun tells when to observe; add a [[safetymonitor]], or an \
-             [[observingconditions]] with limits"
+            "no safety monitor and no weather limit: no input shows whether it rains, so that nothing is observed and a dome stays \
+             closed; add a [[safetymonitor]], or an [[observingconditions]] with limits, or name shared ones under [shared]"
                 .to_owned(),
         ),
     }

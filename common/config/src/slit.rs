@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 
-/// Who turns a dome.
+/// The part that turns a dome.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Follow {
@@ -11,7 +11,7 @@ pub enum Follow {
     Auto,
     /// This system.
     Turn,
-    /// The dome by itself, once it is told to (ASCOM `Slaved`).
+    /// The dome by itself, once it is slaved to the mount (ASCOM `Slaved`).
     Slave,
     /// The site, or nobody: nothing is commanded and nothing waited for.
     Off,
@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn a_dome_of_which_nothing_is_said_follows_by_a_tolerance() {
+    fn a_dome_without_settings_follows_by_a_tolerance() {
         let dome = &site("", "").unwrap().dome[0];
         assert_eq!((dome.follow, dome.slit), (Follow::Auto, Slit::default()));
     }
@@ -87,24 +87,24 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_told_with_its_place() {
+    fn what_does_not_fit_is_reported_with_its_place() {
         let fault = |mount: &str, dome: &str| site(mount, dome).unwrap_err();
-        let told = fault("", "slit = { width_m = 1.2, radius_m = 2.5 }");
-        assert!(told.contains("line 14: dome \"d\": slit.width_m: telescope \"m\" needs aperture_m"), "{told}");
-        let told = fault("", "slit = { width_m = 1.2 }");
-        assert!(told.contains("width_m and radius_m go together"), "{told}");
-        let told = fault("aperture_m = 1.3", "slit = { width_m = 1.2, radius_m = 2.5 }");
-        assert!(told.contains("cannot look out"), "{told}");
-        let told = fault("aperture_m = 0.5\narm_m = 2.4", "slit = { width_m = 1.2, radius_m = 2.5 }");
-        assert!(told.contains("would look from outside"), "{told}");
-        let told = fault("aperture_m = nan", "slit = { tolerance_deg = nan, timeout_s = 1 }");
+        let message = fault("", "slit = { width_m = 1.2, radius_m = 2.5 }");
+        assert!(message.contains("line 14: dome \"d\": slit.width_m: telescope \"m\" needs aperture_m"), "{message}");
+        let message = fault("", "slit = { width_m = 1.2 }");
+        assert!(message.contains("width_m and radius_m go together"), "{message}");
+        let message = fault("aperture_m = 1.3", "slit = { width_m = 1.2, radius_m = 2.5 }");
+        assert!(message.contains("cannot look out"), "{message}");
+        let message = fault("aperture_m = 0.5\narm_m = 2.4", "slit = { width_m = 1.2, radius_m = 2.5 }");
+        assert!(message.contains("would look from outside"), "{message}");
+        let message = fault("aperture_m = nan", "slit = { tolerance_deg = nan, timeout_s = 1 }");
         for word in ["aperture_m = NaN", "slit.tolerance_deg = NaN: expected 0.5 to 45", "slit.timeout_s = 1"] {
-            assert!(told.contains(word), "{word}: {told}");
+            assert!(message.contains(word), "{word}: {message}");
         }
-        let told = fault("", "follow = \"turn\"\ntelescopes = [\"t\", \"u\"]");
-        assert!(told.contains("has no slit to follow"), "{told}");
-        let told = fault("", "slit = { tolerance_deg = 3 }\ntelescopes = [\"t\", \"u\"]");
-        assert!(told.contains("slit: a dome over several telescopes"), "{told}");
+        let message = fault("", "follow = \"turn\"\ntelescopes = [\"t\", \"u\"]");
+        assert!(message.contains("has no slit to follow"), "{message}");
+        let message = fault("", "slit = { tolerance_deg = 3 }\ntelescopes = [\"t\", \"u\"]");
+        assert!(message.contains("slit: a dome over several telescopes"), "{message}");
         assert!(fault("", "follow = \"sometimes\"").contains("expected \"auto\" or \"turn\""));
         assert!(fault("", "slit = { widht_m = 1.2 }").contains("did you mean \"width_m\"?"));
     }
@@ -121,13 +121,13 @@ mod tests {
     #[test]
     fn two_mounts_under_one_slit_are_refused_and_under_a_roof_are_not() {
         let (m, n, d) = ("telescope = \"m\"", "telescope = \"n\"", "dome = \"d\"");
-        let told = two_mounts("", &[(m, d), (n, d)]).unwrap_err();
+        let error = two_mounts("", &[(m, d), (n, d)]).unwrap_err();
         let expected = "dome \"d\": telescopes \"m\" and \"n\" look out of one slit, which cannot stand where each looks; \
                         name its one mount by `dome` and `telescope` of the cameras, or set follow = \"off\"";
-        assert!(told.contains(expected), "{told}");
+        assert!(error.contains(expected), "{error}");
         // the only dome is every camera's
         assert!(two_mounts("follow = \"slave\"", &[(m, ""), (n, "")]).unwrap_err().contains("one slit"));
-        assert!(two_mounts("", &[("", "")]).unwrap_err().contains("no camera tells which"));
+        assert!(two_mounts("", &[("", "")]).unwrap_err().contains("no camera is paired with"));
         assert!(two_mounts("follow = \"off\"", &[(m, d), (n, d)]).is_ok());
         assert!(two_mounts("telescopes = [\"t\", \"u\"]", &[(m, d), (n, d)]).is_ok());
         let second = "[[dome]]\nname = \"e\"\nserver = \"a:2\"";

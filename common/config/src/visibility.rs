@@ -1,6 +1,6 @@
 //! `[schedule.check]` and the horizon of a telescope: what a schedule is held against before anything moves.
 //!
-//! All of it is told, and refuses no schedule (docs/decisions/0027): what protects the mount are its own `limits`.
+//! All of it is reported, and refuses no schedule (docs/decisions/0027): what protects the mount are its own `limits`.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -15,15 +15,15 @@ use crate::pair::Pair;
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ScheduleCheck {
-    /// Targets should stand this high over their whole window, degrees; the mount's `limits` count beside it.
+    /// Targets should stand this high over their whole window, degrees; the mount's `limits` count as well.
     pub altitude_min_deg: f64,
     /// And not higher than this, degrees: near the zenith some mounts and domes cannot follow.
     pub altitude_max_deg: f64,
     /// And so far from the Moon while it is up, degrees; 0: never mind.
     pub moon_distance_min_deg: f64,
-    /// What a row takes beside its exposures: slew, filter, focus, settling; s.
+    /// What a row takes in addition to its exposures: slew, filter, focus, settling; s.
     pub row_overhead_s: f64,
-    /// What a frame takes beside its exposure, s.
+    /// What a frame takes in addition to its exposure, s.
     pub frame_overhead_s: f64,
 }
 
@@ -128,8 +128,8 @@ impl Horizon {
         }
         // the end of a whole turn may repeat its begin, as some programs write it
         let closes = points.len() > 1 && points.first().map(|p| [p[0] + 360.0, p[1]]) == points.last().copied();
-        let kept = if closes { points.split_last().map_or(points, |(_, rest)| rest) } else { points };
-        let mut points: Vec<[f64; 2]> = kept.iter().map(|[az, alt]| [az.rem_euclid(360.0), *alt]).collect();
+        let once = if closes { points.split_last().map_or(points, |(_, rest)| rest) } else { points };
+        let mut points: Vec<[f64; 2]> = once.iter().map(|[az, alt]| [az.rem_euclid(360.0), *alt]).collect();
         points.sort_by(|a, b| a[0].total_cmp(&b[0]));
         if let Some(pair) = points.windows(2).find(|pair| pair[0][0] == pair[1][0]) {
             return Err(format!("azimuth {} stands twice; give each once", pair[0][0]));
@@ -221,13 +221,13 @@ mod tests {
             ("10 5\n370 6\n", "azimuth 370"),
             ("10 5\n-350 6\n", "azimuth 10 stands twice"),
         ] {
-            let told = text.parse::<Horizon>().unwrap_err();
-            assert!(told.contains(words), "{text:?}: {told}");
+            let error = text.parse::<Horizon>().unwrap_err();
+            assert!(error.contains(words), "{text:?}: {error}");
         }
     }
 
     #[test]
-    fn numbers_out_of_range_are_told_by_their_key() {
+    fn numbers_out_of_range_are_reported_by_their_key() {
         assert!(ScheduleCheck::default().faults().is_empty());
         let odd = ScheduleCheck {
             altitude_min_deg: 80.0,
@@ -235,7 +235,10 @@ mod tests {
             row_overhead_s: f64::NAN,
             ..Default::default()
         };
-        let told = odd.faults().join("\n");
-        assert!(told.contains("row_overhead_s = NaN") && told.contains("less than altitude_max_deg = 70"), "{told}");
+        let faults = odd.faults().join("\n");
+        assert!(
+            faults.contains("row_overhead_s = NaN") && faults.contains("less than altitude_max_deg = 70"),
+            "{faults}"
+        );
     }
 }

@@ -34,7 +34,7 @@ pub enum Expected<'a> {
     /// So many numbers, not others.
     Length,
     /// In words that are ready.
-    Told(&'a str),
+    Stated(&'a str),
 }
 
 /// How a message about a line that is no TOML begins.
@@ -119,7 +119,7 @@ pub fn complaint(message: &str) -> Complaint<'_> {
             _ => Complaint::Value(Expected::Sort(expected)),
         };
     }
-    Complaint::Value(Expected::Told(message))
+    Complaint::Value(Expected::Stated(message))
 }
 
 /// The names in back ticks.
@@ -143,34 +143,34 @@ pub fn expected(expected: &Expected<'_>, steps: &[Step], quoted: &str) -> String
         Expected::Sort(sort) => {
             let what = sort_in_words(sort);
             let is_number = matches!(what, Sort::Number | Sort::Whole(..));
-            let mut said = format!("expected {}", what.in_words());
+            let mut text = format!("expected {}", what.in_words());
             if let Some(about) = hint(steps) {
-                said.push_str(&format!(": {about}"));
+                text.push_str(&format!(": {about}"));
             }
             if is_quoted && is_number && bare.trim().parse::<f64>().is_ok() {
-                said.push_str(&format!("; leave the quotes away: {}", bare.trim()));
+                text.push_str(&format!("; leave the quotes away: {}", bare.trim()));
             } else if is_quoted && is_number && bare.replace(',', ".").parse::<f64>().is_ok() {
-                said.push_str("; write decimals with a point, and without quotes");
+                text.push_str("; write decimals with a point, and without quotes");
             } else if is_quoted && is_number && sexagesimal(bare).is_some() {
                 let degrees = sexagesimal(bare).unwrap_or_default();
                 let is_hours = bare.contains('h') && key.is_some_and(|key| key.ends_with("_deg"));
                 let degrees = if is_hours { 15.0 * degrees } else { degrees };
-                said.push_str(&format!("; as a decimal number that is {degrees:.5}"));
+                text.push_str(&format!("; as a decimal number that is {degrees:.5}"));
             } else if is_quoted && is_number {
-                said.push_str("; only the number, without its unit");
+                text.push_str("; only the number, without its unit");
             } else if is_quoted && what == Sort::Truth && matches!(bare, "true" | "false") {
-                said.push_str(&format!("; leave the quotes away: {bare}"));
+                text.push_str(&format!("; leave the quotes away: {bare}"));
             } else if what == Sort::Text && !quoted.is_empty() && !quoted.starts_with(['[', '{']) {
-                said.push_str(&format!("; put it in quotes: \"{bare}\""));
+                text.push_str(&format!("; put it in quotes: \"{bare}\""));
             }
-            said
+            text
         }
-        Expected::Told(message) => told(message, key.unwrap_or_default()),
+        Expected::Stated(message) => with_key(message, key.unwrap_or_default()),
     }
 }
 
 /// Messages of our own types are ready; those of foreign ones are not.
-fn told(message: &str, key: &str) -> String {
+fn with_key(message: &str, key: &str) -> String {
     if message.contains("socket address") {
         return format!(
             "expected an address and a port from 0 to 65535, such as {}",
@@ -304,7 +304,7 @@ pub fn about(steps: &[Step]) -> String {
 
 /// Is this a key for blocks in double brackets?
 pub fn is_list_of_blocks(key: &str) -> bool {
-    contract::Kind::ALL.iter().any(|kind| kind.to_string() == key)
+    key == "delivery" || contract::Kind::ALL.iter().any(|kind| kind.to_string() == key)
 }
 
 /// Is this a key of one table, such as `limits` or `[safety]`?
@@ -393,7 +393,8 @@ pub fn belongs_to(key: &str, table: &[Step]) -> Option<String> {
         "backlash_steps" | "best_position" | "search_steps" => ("focuser", "[[focuser]]"),
         "filters" => ("filterwheel", "[[filterwheel]]"),
         "sun_altitude_max_deg" | "wind_sector" => ("safety", "[safety]"),
-        "fits_header" | "database" | "filename" => ("archive", "[archive]"),
+        "fits_header" | "database" | "filename" | "raw_days" | "backups" | "parquet" => ("archive", "[archive]"),
+        "remove_delivered_after_days" | "disk_warn_gb" | "compress" => ("archive", "[archive]"),
         "robotic" => ("schedule", "[schedule]"),
         "multicast" => ("bus", "[bus]"),
         _ => return None,
@@ -406,7 +407,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_the_reader_says_is_understood() {
+    fn what_the_reader_writes_is_understood() {
         assert_eq!(
             complaint("unknown field `perod`, expected one of `name`, `period_s`"),
             Complaint::UnknownKey { key: "perod", known: vec!["name", "period_s"] }

@@ -1,12 +1,16 @@
 //! What an archive node says and answers.
 
+use std::str::FromStr;
+
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
+use crate::frame_search::{FoundFrame, FrameSearch};
 use crate::{CommandId, Kind, Payload, Scalar};
 
 /// A file is safe on disk; information, not the acknowledgement to the spool (that is `release`).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Stored {
     /// Which frame.
     pub frame: CommandId,
@@ -25,8 +29,8 @@ impl Payload for Stored {
 }
 
 /// A question about the past.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Question {
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct ArchiveQuestion {
     /// What is asked.
     pub ask: Ask,
     /// From this sky time on.
@@ -40,12 +44,15 @@ pub struct Question {
     pub limit: Option<u32>,
 }
 
-impl Payload for Question {
+impl Payload for ArchiveQuestion {
     const NAME: &'static str = "archive.question";
 }
 
+/// Properties of one question, at most.
+pub const MOST_PROPERTIES: usize = 64;
+
 /// What may be asked.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Ask {
     /// Polled values of one property.
@@ -57,31 +64,79 @@ pub enum Ask {
         /// ASCOM name of the property.
         property: String,
     },
+    /// Several properties over any time, drawn with few points: the extremes of each piece of time are kept. A question
+    /// without `from_utc` begins a day before `to_utc`, or before now.
+    Series {
+        /// The properties, at most 64.
+        properties: Vec<SeriesName>,
+        /// At most so many points of each; together never more than 30,000.
+        points: u32,
+    },
     /// Frames.
     Frames,
+    /// Frames by what they show, with their quality; the newest that meet the conditions.
+    FindFrames(Box<FrameSearch>),
     /// Log lines.
     Log,
     /// Records of the audit, of all nodes of the telescope.
     Audit,
+    /// Corrections of the guide loop.
+    Corrections,
+}
+
+/// A property of a device.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct SeriesName {
+    /// Kind of the device.
+    pub kind: Kind,
+    /// Its configured name.
+    pub device: String,
+    /// ASCOM name of the property.
+    pub property: String,
+}
+
+/// A text that names no property of a device.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{0:?} is no property: expected KIND/DEVICE/PROPERTY with the configured name and ASCOM's name, such as observingconditions/wx/WindGust"
+)]
+pub struct BadSeriesName(String);
+
+impl FromStr for SeriesName {
+    type Err = BadSeriesName;
+
+    /// Reads `observingconditions/wx/WindGust`.
+    fn from_str(text: &str) -> Result<Self, BadSeriesName> {
+        let parts: Vec<&str> = text.trim().split('/').collect();
+        match (parts.first().map(|kind| kind.parse()), &parts[..]) {
+            (Some(Ok(kind)), [_, device, property]) if !device.is_empty() && !property.is_empty() => {
+                Ok(Self { kind, device: (*device).to_owned(), property: (*property).to_owned() })
+            }
+            _ => Err(BadSeriesName(text.to_owned())),
+        }
+    }
 }
 
 /// The answer, oldest row first.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Answer {
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct ArchiveAnswer {
     /// The rows.
-    pub rows: Vec<Row>,
-    /// True where older rows were left out by the limit.
+    pub rows: Vec<ArchiveRow>,
+    /// True where rows were left out: older ones by the limit, or those of [`Self::cut`].
     pub truncated: bool,
+    /// Why rows are left out for another reason than the limit, and how to ask for less at a time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cut: Option<String>,
 }
 
-impl Payload for Answer {
+impl Payload for ArchiveAnswer {
     const NAME: &'static str = "archive.answer";
 }
 
 /// One row of an answer.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Row {
+pub enum ArchiveRow {
     /// A polled value.
     Reading {
         /// Sky time of the poll.
@@ -90,6 +145,8 @@ pub enum Row {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         value: Option<Scalar>,
     },
+    /// One of the properties of a question about series.
+    Series(Series),
     /// A frame.
     Frame {
         /// Which frame.
@@ -103,6 +160,8 @@ pub enum Row {
         /// All keywords are in the header.
         header_complete: bool,
     },
+    /// A frame of a question about frames that meet conditions.
+    FoundFrame(Box<FoundFrame>),
     /// A log line.
     Log {
         /// Sky time.
@@ -115,5 +174,51 @@ pub enum Row {
         message: String,
     },
     /// A record of the audit.
-    Audit(Box<crate::audit::Record>),
+    Audit(Box<crate::audit::AuditRecord>),
+    /// A correction of the guide loop.
+    Correction(Box<crate::observatory::Correction>),
+}
+
+/// A property over a time.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct Series {
+    /// Which property.
+    #[serde(flatten)]
+    pub property: SeriesName,
+    /// How long the piece of time of a point is; 0 where each point is one reading.
+    pub piece_s: f64,
+    /// Oldest first; a piece of time without a value has no point.
+    pub points: Vec<SeriesPoint>,
+    /// Times without a value that are longer than three times what is usual for the property.
+    pub gaps: Vec<Gap>,
+}
+
+/// What was read in a piece of time.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct SeriesPoint {
+    /// Sky time at which the piece begins, or its first value where a gap reaches into it; of a single reading, its own.
+    pub at_utc: Utc,
+    /// Values read.
+    pub count: u64,
+    /// The smallest, for numbers; true counts as 1, false as 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub min: Option<f64>,
+    /// The mean, for numbers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mean: Option<f64>,
+    /// The largest, for numbers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max: Option<f64>,
+    /// The last value, for text and lists.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last: Option<Scalar>,
+}
+
+/// A time without a value.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct Gap {
+    /// The last value before it, or the beginning of what was asked.
+    pub from_utc: Utc,
+    /// The first value after it, or the end of what was asked, but not later than now.
+    pub to_utc: Utc,
 }

@@ -3,25 +3,26 @@
 //! A record's `sha256` is taken of its compact JSON (no spaces, fields in the order below, absent ones left out) without
 //! the field `sha256`. No number in it has a fraction, so any program writes the same bytes again.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
 use crate::{BootId, CommandId, Payload, Reason};
 
-/// A record as it is said on the bus; `R` is plain JSON for a reader that proves the hash.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Said<R> {
+/// A record as it is published on the bus; `R` is plain JSON for a reader that proves the hash.
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
+pub struct PublishedRecord<R> {
     /// The record.
     pub record: R,
 }
 
-impl<R: Payload> Payload for Said<R> {
+impl<R: Payload> Payload for PublishedRecord<R> {
     const NAME: &'static str = R::NAME;
 }
 
 /// One record.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Record {
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
+pub struct AuditRecord {
     /// Names the chain; a new one begins where the old one is broken or lost.
     pub chain: String,
     /// Counts from 0 within the chain.
@@ -30,16 +31,16 @@ pub struct Record {
     pub at_utc: Utc,
     /// Time since its machine booted, ms.
     pub boot_time_ms: u64,
-    /// Its life.
+    /// Its incarnation.
     pub boot_id: BootId,
     /// Which node writes, such as `device/callisto/main`.
     pub node: String,
     /// Host that it runs on.
     pub host: String,
-    /// Who asked, as it signs: `observatory/callisto/main`, `web/ana`; `guard` for what the node does by itself, `audit`
-    /// for what the audit tells of itself.
+    /// The sender, as it signs: `observatory/callisto/main`, `web/ana`; `guard` for what the node does by itself,
+    /// `audit` for notes of the audit about itself.
     pub from: String,
-    /// Host of a node that asked, where it was heard.
+    /// Host of the node that asked, where it is known.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub from_host: String,
     /// The command or order; empty where there was none, or where it could not be read.
@@ -60,21 +61,21 @@ pub struct Record {
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub reason: String,
     /// What became of it.
-    pub outcome: Outcome,
+    pub outcome: AuditOutcome,
     /// `sha256` of the record before; 64 zeros for the first of a chain.
     pub previous: String,
-    /// SHA-256 of this record, as the head of this module tells.
+    /// SHA-256 of this record, as the head of this module describes.
     pub sha256: String,
 }
 
-impl Payload for Record {
+impl Payload for AuditRecord {
     const NAME: &'static str = "node.audit";
 }
 
 /// What became of a command or an order.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(tag = "is", rename_all = "snake_case")]
-pub enum Outcome {
+pub enum AuditOutcome {
     /// It was taken; how it ended is a later record with the same id.
     Accepted,
     /// It was not taken.
@@ -101,7 +102,7 @@ pub enum Outcome {
         /// Its id.
         by: CommandId,
     },
-    /// The audit tells of itself.
+    /// A note of the audit about itself.
     Noted {
         /// What.
         detail: String,
@@ -113,7 +114,7 @@ pub enum Outcome {
     },
 }
 
-impl Outcome {
+impl AuditOutcome {
     /// The word, as it stands in JSON.
     pub const fn word(&self) -> &'static str {
         match self {
@@ -130,8 +131,8 @@ impl Outcome {
 }
 
 /// Asks a node for the records of its own file.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Question {
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
+pub struct AuditQuestion {
     /// Those after the record with this hash; from the first on where absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub after_sha256: Option<String>,
@@ -140,13 +141,13 @@ pub struct Question {
     pub limit: Option<u32>,
 }
 
-impl Payload for Question {
+impl Payload for AuditQuestion {
     const NAME: &'static str = "audit.question";
 }
 
 /// The records, the oldest first.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Answer<R> {
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
+pub struct AuditAnswer<R> {
     /// The records.
     pub records: Vec<R>,
     /// There are more after these.
@@ -155,6 +156,6 @@ pub struct Answer<R> {
     pub known: bool,
 }
 
-impl<R: Payload> Payload for Answer<R> {
+impl<R: Payload> Payload for AuditAnswer<R> {
     const NAME: &'static str = "audit.answer";
 }

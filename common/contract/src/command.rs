@@ -2,13 +2,14 @@
 
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::stamp::MOST_ID_BYTES;
 use crate::{BootId, Payload};
 
 /// Names one command; a repeat of the same id is answered again and not done again.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Default, JsonSchema, Serialize, Deserialize)]
 #[serde(try_from = "String")]
 pub struct CommandId(pub String);
 
@@ -46,18 +47,18 @@ impl fmt::Display for CommandId {
 }
 
 /// A command to a device, `C` being its kind's commands.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Command<C> {
     /// Names the command, for repeats and for `last_command`.
     pub id: CommandId,
-    /// Who asks, such as `observatory/alpha` or `web/ops`.
+    /// The sender, such as `observatory/alpha` or `web/ops`.
     pub from: String,
     /// Fencing token of the sender's lease; close, stop, abort, tracking off and park need none while no
     /// valid safe permit exists.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub token: Option<u64>,
-    /// Life of the sender: the lease is granted to a process, not to a name. A sender that tells none is known by its
-    /// name alone.
+    /// Incarnation of the sender: the lease is granted to a process, not to a name. A sender without one is known by
+    /// its name alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub boot_id: Option<BootId>,
     /// What to do.
@@ -70,7 +71,7 @@ impl<C: Payload> Payload for Command<C> {
 }
 
 /// The answer to a command or an order, given at once.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(tag = "answer", rename_all = "snake_case")]
 pub enum Reply {
     /// It will be done, or was done already.
@@ -84,7 +85,7 @@ impl Payload for Reply {
 }
 
 /// A command was taken.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Accepted {
     /// Id of the command.
     pub id: CommandId,
@@ -94,7 +95,7 @@ pub struct Accepted {
 }
 
 /// A command was not taken.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Refusal {
     /// Id of the command; empty where the command could not be read.
     pub id: CommandId,
@@ -113,7 +114,7 @@ impl fmt::Display for Refusal {
 impl std::error::Error for Refusal {}
 
 /// Why a command was refused.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reason {
     /// The command could not be read, or a value is out of range.
@@ -156,11 +157,11 @@ impl fmt::Display for Reason {
 }
 
 /// A person's order to an observatory node.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Order {
     /// Names the order.
     pub id: CommandId,
-    /// Who orders, as `WAY/OPERATOR` or `WAY/OPERATOR@HOST`: `web/ana`, `cli/ana@dome-pc`.
+    /// The person who orders, as `WAY/OPERATOR` or `WAY/OPERATOR@HOST`: `web/ana`, `cli/ana@dome-pc`.
     pub from: String,
     /// Why, for the diary.
     #[serde(default, skip_serializing_if = "String::is_empty")]
@@ -168,6 +169,19 @@ pub struct Order {
     /// What to do.
     #[serde(rename = "do")]
     pub kind: OrderKind,
+    /// The newest state of the night that its giver had received. An order that does more than to close is
+    /// refused where this is older than 5 s, so that one that lay in a buffer is not executed hours later.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seen: Option<Seen>,
+}
+
+/// One state of the night, by the numbers of its envelope.
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
+pub struct Seen {
+    /// The boot of the observatory node that published it.
+    pub boot_id: BootId,
+    /// Its number.
+    pub seq: u64,
 }
 
 impl Payload for Order {
@@ -187,8 +201,28 @@ pub fn operator(from: &str) -> &str {
     name.split('@').next().unwrap_or(name).trim()
 }
 
+impl OrderKind {
+    /// Does it only close, or make something stricter? Then it is never too late for it.
+    pub fn only_tightens(&self) -> bool {
+        match self {
+            Self::Close => true,
+            Self::Robotic(on) => !on,
+            Self::StayClosed(on) => *on,
+            Self::Override { for_s, .. } => *for_s == 0.0,
+            Self::ReloadSchedule
+            | Self::Acknowledge(_)
+            | Self::Shelve { .. }
+            | Self::Unshelve(_)
+            | Self::PutSchedule { .. }
+            | Self::Cool { .. }
+            | Self::Warm(_)
+            | Self::CompleteHeaders { .. } => false,
+        }
+    }
+}
+
 /// What a person may order.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OrderKind {
     /// Work through the schedule (`true`) or stop after closing safely (`false`); a set, never a toggle.
@@ -203,12 +237,12 @@ pub enum OrderKind {
     Override {
         /// The input as the verdict names it, such as `wx/Humidity` or `sun`.
         input: String,
-        /// Sky seconds, at most 28800; 0 heeds it again.
+        /// Sky seconds, at most 28800; 0 applies it again.
         for_s: f64,
     },
     /// Somebody knows of the alert of this id and sees to it.
     Acknowledge(String),
-    /// Tells nobody of one alert for a while; needs a reason. It stays on the list, and safety does not change.
+    /// Sends one alert to nobody for a while; needs a reason. It stays on the list, and safety does not change.
     Shelve {
         /// Id of the alert.
         alert: String,
@@ -221,6 +255,10 @@ pub enum OrderKind {
     PutSchedule {
         /// The whole file, at most 1000000 bytes.
         text: String,
+        /// SHA-256 of the text that it replaces, as lower-case hex: where another one is active, the order is refused as
+        /// `wrong_state`. Whatever is active is replaced where this is absent.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        instead_of: Option<String>,
     },
     /// Runs a camera's cooler now, whatever the schedule does; the next row that exposes wants its own set point again.
     Cool {
@@ -232,4 +270,10 @@ pub enum OrderKind {
     },
     /// Switches the cooler of the camera of this name off, until a row wants it.
     Warm(String),
+    /// Has the archive complete the headers of a night again, with all that has arrived by now.
+    CompleteHeaders {
+        /// Date of its evening, `YYYYMMDD`; the night under way where absent.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        night: Option<String>,
+    },
 }

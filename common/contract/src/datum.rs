@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
@@ -9,7 +10,7 @@ use units::Utc;
 ///
 /// Classes: `not connected`, `not implemented`, `timeout`, `transport`, `http <status>`, `ascom 0x<code>`,
 /// `not a number`, `wrong type`, `missing`, `never read`, `stale`.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct NoData(pub String);
 
@@ -48,8 +49,9 @@ impl fmt::Display for NoData {
 }
 
 /// A typed field: the value itself, or `{"no_data": "reason"}`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(untagged)]
+#[schemars(rename = "DatumOf{T}")]
 pub enum Datum<T> {
     /// The value is missing, for this reason.
     Missing {
@@ -107,7 +109,7 @@ impl<T> From<Result<T, NoData>> for Datum<T> {
 }
 
 /// Any value that a device property may have.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Scalar {
     /// True or false.
@@ -152,9 +154,9 @@ impl fmt::Display for Scalar {
 }
 
 /// One property as it was polled, under its ASCOM name.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Reading {
-    /// What the device said, or why it said nothing.
+    /// The device's answer, or why there is none.
     #[serde(flatten)]
     pub outcome: ReadingOutcome,
     /// Sky time of the answer (or of the failure).
@@ -166,7 +168,7 @@ pub struct Reading {
 }
 
 /// The two shapes of a reading.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum ReadingOutcome {
     /// No value.

@@ -2,12 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{Payload, Role, Scalar};
 
 /// Health of a node, every 5 s.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct NodeState {
     /// Its role.
     pub role: Role,
@@ -21,7 +22,7 @@ pub struct NodeState {
     pub uptime_s: f64,
     /// Speed of its sky time.
     pub speed: f64,
-    /// What only this role has to tell, under names that end in their unit.
+    /// What only this role reports, under names that end in their unit.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub figures: BTreeMap<String, Scalar>,
 }
@@ -34,7 +35,7 @@ impl Payload for NodeState {
 }
 
 /// One line of a node's log, at level info and above.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct DiaryLine {
     /// `error`, `warn` or `info`.
     pub level: Level,
@@ -52,7 +53,7 @@ impl Payload for DiaryLine {
 }
 
 /// How much a log line matters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Level {
     /// A person acts.

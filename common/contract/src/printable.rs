@@ -3,8 +3,8 @@
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
-/// The text on one line, with nothing that a terminal obeys: control characters, ends of lines and marks that turn the
-/// direction of writing are spelled out, such as `\n` and `\u{1b}`. Other text stays as it is.
+/// The text on one line, with nothing that a terminal interprets: control characters, ends of lines and marks that turn
+/// the direction of writing are spelled out, such as `\n` and `\u{1b}`. Other text stays as it is.
 pub fn printable(text: &str) -> Cow<'_, str> {
     if !text.chars().any(acts) {
         return Cow::Borrowed(text);

@@ -2,11 +2,12 @@
 
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
-/// Names one life of one node process; a restarted node has a new one.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+/// Names one incarnation of one node process; a restarted node has a new one.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, JsonSchema, Serialize, Deserialize)]
 #[serde(try_from = "String")]
 pub struct BootId(String);
 
@@ -25,7 +26,8 @@ impl TryFrom<String> for BootId {
 }
 
 impl BootId {
-    /// A fresh id, never seen before; ids of later starts sort after those of earlier ones.
+    /// A fresh id, never seen before. The order of two ids says nothing about which incarnation is the newer one, since
+    /// clocks may be set back: the order of arrival decides (`interlock::Succession`).
     pub fn fresh() -> Self {
         Self(uuid::Uuid::now_v7().to_string())
     }
@@ -43,11 +45,11 @@ impl fmt::Display for BootId {
 }
 
 /// A payload with its sender's boot id, sequence number and stamp; flat in JSON.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Stamped<T> {
-    /// The sender's life.
+    /// The sender's incarnation.
     pub boot_id: BootId,
-    /// Counts from 0 per key within one life, so that a gap is seen and a repeat is harmless.
+    /// Counts from 0 per key within one incarnation, so that a gap is seen and a repeat is harmless.
     pub seq: u64,
     /// Sky time of the sender when it sent this; for the record, never for judging an age.
     pub at_utc: Utc,
@@ -59,7 +61,7 @@ pub struct Stamped<T> {
     /// what is published.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_s: Option<f64>,
-    /// What is said.
+    /// The payload.
     #[serde(flatten)]
     pub body: T,
 }

@@ -1,484 +1,244 @@
-//! The table of the bus: which key says what, how often, how safely, who writes it and who reads it.
+//! The table of the bus: every key is declared here once, with its payload, its rate, how zenoh carries it, its writer
+//! and its readers.
 //!
-//! `docs/bus.md` is made from it; a test fails when a key has no row or the page is not what [`markdown`] gives.
+//! All else is made from it: [`Key`] with its text, the key expressions of subscribers ([`Topic::at`]), `docs/bus.md`,
+//! and the list of payloads that golden samples freeze.
 
-use std::fmt::Write as _;
+use crate::archive;
+use crate::archived_frame;
+use crate::audit::{self, PublishedRecord};
+use crate::device::{DeviceDescription, DeviceKind, camera, dome, observing_conditions, of_kind, record, switch};
+use crate::keys::Keys;
+use crate::node::{DiaryLine, NodeState};
+use crate::observatory as state;
+use crate::row::{Carried, PayloadType, Piece, Rate, TopicRow};
+use crate::table_macro::{bus, payloads, piece, row, words};
+use crate::{Address, Chunk, Command, Device, DeviceState, Kind, Name, Order, Reply, Role};
 
-use crate::{Kind, key::ROOT};
-
-/// What is known of one sort of key.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Row {
-    /// The key below [`ROOT`], with `{…}` for each chunk that varies.
-    pub pattern: &'static str,
-    /// Names of its payloads (of a query: what is sent, then what is answered); `{kind}` stands for each kind.
-    pub payloads: &'static [&'static str],
-    /// What it says.
-    pub says: &'static str,
-    /// When it is said.
-    pub rate: &'static str,
-    /// How zenoh carries it.
-    pub qos: &'static str,
-    /// Its one writer; of a query, who asks.
-    pub writer: &'static str,
-    /// Who reads it; of a query, who answers.
-    pub reader: &'static str,
+bus! {
+    every kind of device: {
+        /// What the device can do, and what it reports about itself.
+        Capabilities "capabilities" (publishes DeviceDescription<K::Capabilities>) {
+            Rate::OnChangeAndEvery(10), Carried::State(1), "device node" => "observatory, web, archive"
+        }
+        /// What is true of the device now: link, typed fields, readings, last command.
+        State "state" (publishes DeviceState<K::Fields>) {
+            Rate::AtEveryPoll, Carried::Telemetry, "device node" => "observatory, web, archive"
+        }
+        /// Asks the device to do something; answered at once, done when its state shows it.
+        Command "command" (asks Command<K::Command> => Reply) {
+            Rate::WhenAsked, Carried::Query, "observatory; archive, to release frames" => "device node"
+        }
+    }
+    some kinds of device: {
+        /// A frame is safe in the spool and can be fetched by HTTP.
+        Frame "frame" { Camera (publishes camera::Frame) } {
+            Rate::Event, Carried::Event(1000), "device node" => "archive, observatory, web"
+        }
+        /// The guard's number, the permits that it counts, and what it does.
+        Guard "guard" { Dome (publishes dome::Guard) } {
+            Rate::Every(1), Carried::Urgent, "device node of the dome" => "observatory, web"
+        }
+        /// The past states of a device that safety limits apply to: evidence for an observatory node after its restart.
+        Record "record" {
+            ObservingConditions (asks record::RecordQuestion => record::StateRecord<observing_conditions::Fields>)
+            Switch (asks record::RecordQuestion => record::StateRecord<switch::Fields>)
+        } {
+            Rate::WhenAsked, Carried::Query, "observatory" => "device node"
+        }
+    }
+    parts of the observatory node: {
+        /// The verdict, its reasons, and every input with its age.
+        Safety "safety" (publishes state::SafetyState) {
+            Rate::OnChangeAndEvery(1), Carried::State(1000), "observatory node" => "web, archive"
+        }
+        /// Which node commands, with which fencing token.
+        Lease "lease" (publishes state::Lease) {
+            Rate::OnChangeAndEvery(1), Carried::State(1), "observatory node" => "web"
+        }
+        /// Posture, the robotic switch, and the running actions.
+        Night "night" (publishes state::NightState) {
+            Rate::OnChangeAndEvery(1), Carried::State(1000), "observatory node" => "web, archive"
+        }
+        /// The rows of the schedule with their progress.
+        Schedule "schedule" (publishes state::ScheduleState) {
+            Rate::OnChangeAndEvery(10), Carried::State(1), "observatory node" => "web, archive"
+        }
+        /// The alerts of all nodes of the telescope.
+        Alerts "alerts" (publishes state::Alerts) {
+            Rate::OnChangeAndEvery(10), Carried::State(100), "observatory node" => "web, archive"
+        }
+        /// How far from its targets the telescope points, and the pointing models.
+        Pointing "pointing" (publishes state::PointingState) {
+            Rate::OnChangeAndEvery(10), Carried::State(1), "observatory node" => "observatory nodes on standby, web"
+        }
+        /// The state of the guide loop.
+        Guiding "guiding" (publishes state::GuidingState) {
+            Rate::OnChangeAndEvery(10), Carried::State(1), "observatory node" => "web"
+        }
+        /// The focus run with all its points, and the best known positions.
+        Focus "focus" (publishes state::FocusState) {
+            Rate::OnChangeAndEvery(10), Carried::State(1), "observatory node" => "web"
+        }
+        /// Active orders of operators: what holds until it is revoked or ends.
+        OperatorOrders "operator-orders" (publishes state::OperatorOrders) {
+            Rate::OnChangeAndEvery(1), Carried::State(1), "observatory node" => "observatory nodes on standby, web"
+        }
+        /// What solved frames teach: scale, rotation and distortion of each camera, and the best zero points.
+        Optics "optics" (publishes state::OpticsState) {
+            Rate::OnChangeAndEvery(10), Carried::State(1), "observatory node" => "observatory nodes on standby, web"
+        }
+        /// What the focus runs of many nights teach; best position, offsets and coefficient are made of it.
+        FocusLearned "focus-learned" (publishes state::FocusLearned) {
+            Rate::OnChangeAndEvery(10), Carried::State(1), "observatory node" => "observatory nodes on standby"
+        }
+    }
+    of a telescope: {
+        /// The places of the stars of a field that guiding holds.
+        GuideReference ["observatory" "guiding" "reference"] (publishes state::GuideReference) {
+            Rate::Event, Carried::Event(state::GUIDE_REFERENCES), "observatory node" => "observatory nodes on standby"
+        }
+        /// How far a frame of the guide loop is off, and the pulses that followed.
+        Correction ["observatory" "guiding" "correction"] (publishes state::Correction) {
+            Rate::Event, Carried::Event(1000), "observatory node" => "archive"
+        }
+        /// A focus run that has ended, with all its points and the curve.
+        FocusRun ["observatory" "focus" "run"] (publishes state::FocusRun) {
+            Rate::Event, Carried::Event(100), "observatory node" => "archive, observatory nodes on standby"
+        }
+        /// An operator's order.
+        Order ["observatory" "order"] (asks Order => Reply) {
+            Rate::WhenAsked, Carried::Query, "command line" => "observatory node"
+        }
+        /// The actions that a schedule may use, with the schema of their parameters; a plain `get` brings all.
+        Actions ["observatory" "actions"] (asks state::ActionQuestion => state::ActionAnswer) {
+            Rate::WhenAsked, Carried::Query, "command line, anybody" => "observatory node"
+        }
+        /// Checks a schedule, which is not made active; the answer may take seconds for thousands of rows.
+        ScheduleCheck ["observatory" "schedule" "check"] (asks state::ScheduleDraft => state::ScheduleFindings) {
+            Rate::WhenAsked, Carried::Query, "command line, anybody" => "observatory node"
+        }
+        /// The text of the active schedule or of one before it, and the list of them.
+        ScheduleTexts ["observatory" "schedule" "texts"] (asks state::ScheduleTextQuestion => state::ScheduleTexts) {
+            Rate::WhenAsked, Carried::Query, "web, anybody" => "observatory node"
+        }
+        /// Forecasts a schedule, which is not made active; the answer may take seconds.
+        SchedulePlan ["observatory" "schedule" "plan"] (asks state::SchedulePlanQuestion => state::SchedulePlan) {
+            Rate::WhenAsked, Carried::Query, "web, anybody" => "observatory node"
+        }
+        /// A file is safe on the archive's disk.
+        Stored ["archive" "stored"] (publishes archive::Stored) {
+            Rate::Event, Carried::Event(1000), "archive node" => "web, observatory"
+        }
+        /// Question and answer about the past.
+        History ["archive" "history"] (asks archive::ArchiveQuestion => archive::ArchiveAnswer) {
+            Rate::WhenAsked, Carried::Query, "web, command line, anybody" => "archive node"
+        }
+        /// One stored frame: what is known of it, its header, pieces of its file, pictures and values of its pixels.
+        ArchivedFrame ["archive" "frame"] (asks archived_frame::FrameQuestion => archived_frame::FrameAnswer) {
+            Rate::WhenAsked, Carried::LargeAnswers, "web, anybody" => "archive node"
+        }
+        /// The report of a night, as it is now.
+        NightReport ["archive" "report"] (asks archived_frame::ReportQuestion => archived_frame::ReportAnswer) {
+            Rate::WhenAsked, Carried::LargeAnswers, "web, anybody" => "archive node"
+        }
+    }
+    of a telescope with a name: {
+        /// May this dome be open? Silence is a no.
+        Permit ["observatory" "permit" {dome}] (publishes state::Permit) {
+            Rate::Every(1), Carried::Urgent, "observatory node" => "device nodes of the dome and the mount"
+        }
+        /// The facts that were measured on a frame.
+        Facts ["observatory" "frame" {id} "facts"] (publishes state::FrameFacts) {
+            Rate::Event, Carried::Event(2), "observatory node" => "web, archive"
+        }
+    }
+    of a node: {
+        /// Health of a node.
+        State "state" (publishes NodeState) {
+            Rate::Every(5), Carried::State(1), "each node" => "web, command line, archive"
+        }
+        /// The alerts that a node itself raises.
+        Alerts "alerts" (publishes state::Alerts) {
+            Rate::OnChangeAndEvery(10), Carried::State(100), "each node" => "observatory, web"
+        }
+        /// A line of the node's log.
+        Diary "diary" (publishes DiaryLine) {
+            Rate::Event, Carried::Event(1000), "each node" => "archive, web, command line"
+        }
+        /// Each order and movement: by whom, when, with which token, and the outcome; each record holds the hash of the last.
+        Audit "audit" (publishes PublishedRecord<audit::AuditRecord>) {
+            Rate::EventOnDisk, Carried::Event(1000), "device and observatory nodes" => "archive, anybody"
+        }
+        /// The records of the node's own audit file, in portions.
+        AuditSince "audit-since" (asks audit::AuditQuestion => audit::AuditAnswer<audit::AuditRecord>) {
+            Rate::WhenAsked, Carried::Query, "archive, command line, anybody" => "device and observatory nodes"
+        }
+        /// The node's session lives; a hint only, nobody's safety rests on it.
+        Alive "alive" (no payload) {
+            Rate::WhileConnected, Carried::Token, "each node" => "web, command line"
+        }
+    }
 }
 
-/// A level: each sample stands for itself, and the newest is enough.
-const STATE: &str = "drop, advanced publisher with cache 1; answers a plain `get`";
-/// Readings are recorded, so that ten minutes of them are kept for a reader that was cut off.
-const TELEMETRY: &str =
-    "drop, advanced publisher with a cache of ten minutes and more, recovery; answers a plain `get`";
-/// Must overtake everything else.
-const URGENT: &str = "drop, real-time priority, express";
-/// Must arrive, late if need be.
-const EVENT: &str = "drop, advanced publisher with cache 1000, recovery";
-/// Answered at once, else its outcome is unknown.
-const QUERY: &str = "query, interactive priority, express";
-
-/// One row per sort of key.
-pub const TABLE: &[Row] = &[
-    Row {
-        pattern: "{site}/{telescope}/device/{kind}/{name}/capabilities",
-        payloads: &["{kind}.capabilities"],
-        says: "what the device can do, and what it says of itself",
-        rate: "on change, and every 10 s",
-        qos: STATE,
-        writer: "device node",
-        reader: "observatory, web, archive",
-    },
-    Row {
-        pattern: "{site}/{telescope}/device/{kind}/{name}/state",
-        payloads: &["{kind}.state"],
-        says: "what is true of the device now: link, typed fields, readings, last command",
-        rate: "at every poll and change, at least every `period_s` (1 to 5 s)",
-        qos: TELEMETRY,
-        writer: "device node",
-        reader: "observatory, web, archive",
-    },
-    Row {
-        pattern: "{site}/{telescope}/device/{kind}/{name}/command",
-        payloads: &["{kind}.command", "reply"],
-        says: "do something; answered at once, done when state says so",
-        rate: "when asked",
-        qos: QUERY,
-        writer: "observatory; web and archive where no token is needed",
-        reader: "device node",
-    },
-    Row {
-        pattern: "{site}/{telescope}/device/camera/{name}/frame",
-        payloads: &["camera.frame"],
-        says: "a frame is safe in the spool and can be fetched by HTTP",
-        rate: "event",
-        qos: EVENT,
-        writer: "device node",
-        reader: "archive, observatory, web",
-    },
-    Row {
-        pattern: "{site}/{telescope}/device/dome/{name}/guard",
-        payloads: &["dome.guard"],
-        says: "the guard's number, the permits that it counts, what it does",
-        rate: "every 1 s",
-        qos: URGENT,
-        writer: "device node of the dome",
-        reader: "observatory, web",
-    },
-    Row {
-        pattern: "{site}/{telescope}/device/observingconditions/{name}/record",
-        payloads: &["record.question", "observingconditions.record"],
-        says: "what a weather station said before: evidence for an observatory node that was restarted",
-        rate: "when asked",
-        qos: QUERY,
-        writer: "observatory",
-        reader: "device node",
-    },
-    Row {
-        pattern: "{site}/{telescope}/device/switch/{name}/record",
-        payloads: &["record.question", "switch.record"],
-        says: "what a set of switches said before: evidence for an observatory node that was restarted",
-        rate: "when asked",
-        qos: QUERY,
-        writer: "observatory",
-        reader: "device node",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/safety/state",
-        payloads: &["observatory.safety"],
-        says: "the verdict, its reasons, and every input with its age",
-        rate: "on change, and every 1 s",
-        qos: TELEMETRY,
-        writer: "observatory node",
-        reader: "web, archive",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/lease/state",
-        payloads: &["observatory.lease"],
-        says: "who commands, with which fencing token",
-        rate: "on change, and every 1 s",
-        qos: STATE,
-        writer: "observatory node",
-        reader: "web",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/night/state",
-        payloads: &["observatory.night"],
-        says: "posture, the robotic switch, and the actions under way",
-        rate: "on change, and every 1 s",
-        qos: STATE,
-        writer: "observatory node",
-        reader: "web, archive",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/schedule/state",
-        payloads: &["observatory.schedule"],
-        says: "the rows of the schedule and how far they are",
-        rate: "on change, and every 10 s",
-        qos: STATE,
-        writer: "observatory node",
-        reader: "web",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/alerts/state",
-        payloads: &["alerts"],
-        says: "what needs a person, merged from all nodes of the telescope",
-        rate: "on change, and every 10 s",
-        qos: STATE,
-        writer: "observatory node",
-        reader: "web",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/pointing/state",
-        payloads: &["observatory.pointing"],
-        says: "where the telescope looks when it is sent somewhere, and the pointing models",
-        rate: "on change, and every 10 s",
-        qos: STATE,
-        writer: "observatory node",
-        reader: "observatory nodes that stand by, web",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/guiding/state",
-        payloads: &["observatory.guiding"],
-        says: "how the guide loop does",
-        rate: "on change, and every 10 s",
-        qos: STATE,
-        writer: "observatory node",
-        reader: "web",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/guiding/reference",
-        payloads: &["observatory.guide_reference"],
-        says: "where the stars of a field stood that guiding holds",
-        rate: "event",
-        qos: EVENT,
-        writer: "observatory node",
-        reader: "observatory nodes that stand by",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/focus/state",
-        payloads: &["observatory.focus"],
-        says: "how the focus run does, with all its points, and the best known positions",
-        rate: "on change, and every 10 s",
-        qos: STATE,
-        writer: "observatory node",
-        reader: "web",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/focus/run",
-        payloads: &["observatory.focus_run"],
-        says: "a focus run that has ended, with all its points and the curve",
-        rate: "event",
-        qos: EVENT,
-        writer: "observatory node",
-        reader: "archive, observatory nodes that stand by",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/focus-learnt/state",
-        payloads: &["observatory.focus_learnt"],
-        says: "what the focus runs of many nights taught, of which best position, offsets and coefficient are made",
-        rate: "on change, and every 10 s",
-        qos: STATE,
-        writer: "observatory node",
-        reader: "observatory nodes that stand by",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/standing/state",
-        payloads: &["observatory.standing"],
-        says: "what people have ordered and what holds until it is taken back or ends",
-        rate: "on change, and every 1 s",
-        qos: STATE,
-        writer: "observatory node",
-        reader: "observatory nodes that stand by, web",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/optics/state",
-        payloads: &["observatory.optics"],
-        says: "what solved frames taught: scale, rotation and distortion of each camera, and the best zero points",
-        rate: "on change, and every 10 s",
-        qos: STATE,
-        writer: "observatory node",
-        reader: "observatory nodes that stand by, web",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/permit/{dome}",
-        payloads: &["observatory.permit"],
-        says: "may this dome be open? Silence is a no",
-        rate: "every 1 s",
-        qos: URGENT,
-        writer: "observatory node",
-        reader: "device nodes of the dome and the mount",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/frame/{id}/facts",
-        payloads: &["observatory.facts"],
-        says: "what was measured on a frame",
-        rate: "event",
-        qos: EVENT,
-        writer: "observatory node",
-        reader: "web, archive",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/guiding/correction",
-        payloads: &["observatory.correction"],
-        says: "how far a frame of the guide loop stands off, and the pulses that followed",
-        rate: "event",
-        qos: EVENT,
-        writer: "observatory node",
-        reader: "archive",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/order",
-        payloads: &["order", "reply"],
-        says: "a person's order",
-        rate: "when asked",
-        qos: QUERY,
-        writer: "web, command line",
-        reader: "observatory node",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/actions",
-        payloads: &["actions.question", "actions.answer"],
-        says: "the actions that a schedule may ask for, with the schema of their parameters; a plain `get` brings all",
-        rate: "when asked",
-        qos: QUERY,
-        writer: "web, command line, anybody",
-        reader: "observatory node",
-    },
-    Row {
-        pattern: "{site}/{telescope}/observatory/schedule/check",
-        payloads: &["schedule.draft", "schedule.findings"],
-        says: "what is wrong with a schedule, which is not made active; the answer may take seconds for thousands of rows",
-        rate: "when asked",
-        qos: QUERY,
-        writer: "web, command line, anybody",
-        reader: "observatory node",
-    },
-    Row {
-        pattern: "{site}/{telescope}/archive/stored",
-        payloads: &["archive.stored"],
-        says: "a file is safe on the archive's disk",
-        rate: "event",
-        qos: EVENT,
-        writer: "archive node",
-        reader: "web, observatory",
-    },
-    Row {
-        pattern: "{site}/{telescope}/archive/history",
-        payloads: &["archive.question", "archive.answer"],
-        says: "question and answer about the past",
-        rate: "when asked",
-        qos: QUERY,
-        writer: "web, command line, anybody",
-        reader: "archive node",
-    },
-    Row {
-        pattern: "{site}/{telescope}/node/{role}/{id}/state",
-        payloads: &["node.state"],
-        says: "health of a node",
-        rate: "every 5 s",
-        qos: STATE,
-        writer: "each node",
-        reader: "web, command line, archive",
-    },
-    Row {
-        pattern: "{site}/{telescope}/node/{role}/{id}/alerts",
-        payloads: &["alerts"],
-        says: "what a node itself needs a person for",
-        rate: "on change, and every 10 s",
-        qos: STATE,
-        writer: "each node",
-        reader: "observatory, web",
-    },
-    Row {
-        pattern: "{site}/{telescope}/node/{role}/{id}/diary",
-        payloads: &["node.diary"],
-        says: "a line of the node's log",
-        rate: "event",
-        qos: EVENT,
-        writer: "each node",
-        reader: "archive, web, command line",
-    },
-    Row {
-        pattern: "{site}/{telescope}/node/{role}/{id}/audit",
-        payloads: &["node.audit"],
-        says: "who ordered or moved what, when, with which token, and what became of it; each record holds the hash of the one before",
-        rate: "event, once it is on the node's disk",
-        qos: EVENT,
-        writer: "device and observatory nodes",
-        reader: "archive, anybody",
-    },
-    Row {
-        pattern: "{site}/{telescope}/node/{role}/{id}/audit-since",
-        payloads: &["audit.question", "audit.answer"],
-        says: "the records of the node's own file, in portions",
-        rate: "when asked",
-        qos: QUERY,
-        writer: "archive, command line, anybody",
-        reader: "device and observatory nodes",
-    },
-    Row {
-        pattern: "{site}/{telescope}/node/{role}/{id}/alive",
-        payloads: &[],
-        says: "the node's session lives; a hint only, nobody's safety rests on it",
-        rate: "while connected",
-        qos: "liveliness token, no payload",
-        writer: "each node",
-        reader: "web, command line",
-    },
-];
-
-impl Row {
-    /// Is `key` (written in full) of this sort?
-    pub fn matches(&self, key: &str) -> bool {
-        let Some(rest) = key.strip_prefix(ROOT).and_then(|rest| rest.strip_prefix('/')) else { return false };
-        rest.split('/').count() == self.pattern.split('/').count()
-            && rest.split('/').zip(self.pattern.split('/')).all(|(chunk, word)| word.starts_with('{') || word == chunk)
+impl Topic {
+    /// The keys of all telescopes of all sites.
+    pub fn everywhere(self) -> Keys<'static> {
+        Keys::of(self.row().pieces)
     }
 
-    /// Names of all its payloads, with each kind spelled out.
-    pub fn names(&self) -> Vec<String> {
-        let each = |name: &&str| -> Vec<String> {
-            if name.contains("{kind}") {
-                Kind::ALL.iter().map(|kind| name.replace("{kind}", kind.word())).collect()
-            } else {
-                vec![(*name).to_owned()]
-            }
+    /// The keys of the telescopes of one site.
+    pub fn on_site(self, site: &Chunk) -> Keys<'_> {
+        self.everywhere().on_site(site)
+    }
+
+    /// The keys of one telescope.
+    pub fn at(self, address: &Address) -> Keys<'_> {
+        self.everywhere().at(address)
+    }
+
+    /// The states of all parts of all observatory nodes.
+    pub fn every_part() -> Keys<'static> {
+        Self::Observatory(Part::Night).everywhere().of_every_part()
+    }
+
+    /// The kinds of devices whose keys these are; none where the keys name no device.
+    pub fn kinds(self) -> &'static [Kind] {
+        self.row()
+            .pieces
+            .iter()
+            .find_map(|piece| if let Piece::Kind(kinds) = piece { Some(*kinds) } else { None })
+            .unwrap_or_default()
+    }
+
+    /// The types of all its payloads, of every kind of device.
+    pub fn payloads(self) -> Vec<PayloadType> {
+        let TopicRow { payloads, .. } = self.row();
+        match self.kinds() {
+            [] => payloads(Kind::Telescope),
+            kinds => kinds.iter().flat_map(|kind| payloads(*kind)).collect(),
+        }
+    }
+}
+
+impl Key {
+    /// The type of what is published on this key; `None` for questions and for what has no payload.
+    pub fn published(&self) -> Option<PayloadType> {
+        let kind = match self {
+            Self::Capabilities(device) | Self::State(device) | Self::Frame(device) | Self::Guard(device) => device.kind,
+            _ => Kind::Telescope,
         };
-        self.payloads.iter().flat_map(each).collect()
+        (self.topic().row().payloads)(kind).into_iter().find(|payload| payload.is_published)
     }
 }
 
-/// The generated part of `docs/bus.md`: the table, then each payload once with the text that `sample` gives for its
-/// name.
-pub fn markdown(sample: impl Fn(&str) -> String) -> String {
-    let mut page = String::from("## Keys\n\n");
-    let _ = writeln!(page, "Every key begins with `{ROOT}/`.\n");
-    page.push_str("| Key | Payload | Says | When | Carried | Written (asked) by | Read (answered) by |\n");
-    page.push_str("|---|---|---|---|---|---|---|\n");
-    for row in TABLE {
-        let payloads: Vec<String> = row.payloads.iter().map(|name| format!("`{name}`")).collect();
-        let payloads = if payloads.is_empty() { "none".to_owned() } else { payloads.join(" → ") };
-        let Row { pattern, says, rate, qos, writer, reader, .. } = row;
-        let _ = writeln!(page, "| `{pattern}` | {payloads} | {says} | {rate} | {qos} | {writer} | {reader} |");
-    }
-    page.push_str("\n## Payloads\n");
-    let mut shown: Vec<String> = Vec::new();
-    for name in TABLE.iter().flat_map(Row::names) {
-        if !shown.contains(&name) {
-            let _ = write!(page, "\n### `{name}`\n\n```json\n{}\n```\n", sample(&name).trim_end());
-            shown.push(name);
+/// The type of each payload of the bus, once.
+pub fn payloads() -> Vec<PayloadType> {
+    let mut all: Vec<PayloadType> = Vec::new();
+    for payload in Topic::ALL.iter().flat_map(|topic| topic.payloads()) {
+        if all.iter().all(|known| known.name != payload.name) {
+            all.push(payload);
         }
     }
-    page
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{Address, Key, Name, NodeTopic, Part, Role};
-
-    /// Number of each sort of key. A new variant stops the compiler here: number it, and add it to `every_key`.
-    fn number(key: &Key) -> usize {
-        match key {
-            Key::Capabilities(_) => 0,
-            Key::State(_) => 1,
-            Key::Command(_) => 2,
-            Key::Frame(_) => 3,
-            Key::Guard(_) => 4,
-            Key::Record(_) => 12,
-            Key::Observatory(..) => 5,
-            Key::Permit(..) => 6,
-            Key::Facts(..) => 7,
-            Key::Order(_) => 8,
-            Key::Stored(_) => 9,
-            Key::History(_) => 10,
-            Key::Node(..) => 11,
-            Key::Correction(_) => 13,
-            Key::FocusRun(..) => 14,
-            Key::GuideReference(..) => 15,
-            Key::Actions(_) => 16,
-            Key::ScheduleCheck(_) => 17,
-        }
-    }
-    const SORTS: usize = 18;
-
-    fn every_key() -> Vec<Key> {
-        let at = Address::new("paranal", "callisto").unwrap();
-        let name: Name = "alpha".parse().unwrap();
-        let mut keys = vec![
-            Key::Frame(at.device(Kind::Camera, &name)),
-            Key::Guard(at.device(Kind::Dome, &name)),
-            Key::Record(at.device(Kind::ObservingConditions, &name)),
-            Key::Record(at.device(Kind::Switch, &name)),
-            Key::Permit(at.clone(), name.clone()),
-            Key::Facts(at.clone(), name.clone()),
-            Key::Correction(at.clone()),
-            Key::GuideReference(at.clone()),
-            Key::FocusRun(at.clone()),
-            Key::Order(at.clone()),
-            Key::Actions(at.clone()),
-            Key::ScheduleCheck(at.clone()),
-            Key::Stored(at.clone()),
-            Key::History(at.clone()),
-        ];
-        for kind in Kind::ALL {
-            let device = at.device(kind, &name);
-            keys.extend([Key::Capabilities(device.clone()), Key::State(device.clone()), Key::Command(device)]);
-        }
-        keys.extend(Part::ALL.map(|part| Key::Observatory(at.clone(), part)));
-        for role in Role::ALL {
-            keys.extend(NodeTopic::ALL.map(|topic| Key::Node(at.clone(), role, name.clone(), topic)));
-        }
-        keys
-    }
-
-    #[test]
-    fn every_key_has_exactly_one_row() {
-        let keys = every_key();
-        for sort in 0..SORTS {
-            assert!(keys.iter().any(|key| number(key) == sort), "no example of sort {sort}");
-        }
-        for key in &keys {
-            let text = key.to_string();
-            let rows: Vec<_> = TABLE.iter().filter(|row| row.matches(&text)).map(|row| row.pattern).collect();
-            assert_eq!(rows.len(), 1, "{text} is of the rows {rows:?}");
-        }
-        for row in TABLE {
-            assert!(keys.iter().any(|key| row.matches(&key.to_string())), "no key is of the row {}", row.pattern);
-        }
-    }
-
-    #[test]
-    fn a_key_of_another_version_is_of_no_row() {
-        for text in ["starmesh/v2/a/b/archive/stored", "starmesh/v1/a/b/archive/stored/x", "starmesh/v1", ""] {
-            assert!(TABLE.iter().all(|row| !row.matches(text)), "{text}");
-        }
-    }
-
-    #[test]
-    fn kinds_are_spelled_out_in_the_names() {
-        let names: Vec<String> = TABLE.iter().flat_map(Row::names).collect();
-        assert!(names.contains(&"filterwheel.state".to_owned()));
-        assert!(names.iter().all(|name| !name.contains('{')), "{names:?}");
-    }
+    all
 }

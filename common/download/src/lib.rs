@@ -23,7 +23,7 @@ const LARGEST: u64 = 2 << 30;
 /// A connection that brings nothing for so long is taken up again.
 const STALL: Duration = Duration::from_secs(10);
 /// After so many interruptions without a single new byte the attempt ends.
-const PATIENCE: u32 = 5;
+const TRIES: u32 = 5;
 /// The total time of a frame: this, and what its bytes need over the slowest link that is still of use.
 const LEAST_TOTAL: Duration = Duration::from_secs(60);
 /// Bytes per second of that link.
@@ -158,7 +158,7 @@ async fn fetch_all(client: &reqwest::Client, frame: &Frame, pixels: &mut Vec<u8>
             Err(More::Broken(cause)) => cause,
         };
         interruptions = if pixels.len() > before { 0 } else { interruptions + 1 };
-        if interruptions >= PATIENCE {
+        if interruptions >= TRIES {
             let (id, got) = (frame.id.0.clone(), pixels.len());
             return Err(FetchError::Broken { id, got, bytes: frame.bytes, cause });
         }
@@ -330,7 +330,7 @@ mod tests {
         assert!(matches!(fetch(&client, &frame(url)).await, Err(FetchError::Broken { .. })));
         let (url, count) = spool(move |_, _| ok(Vec::new())).await;
         assert!(matches!(fetch(&client, &frame(url)).await, Err(FetchError::Broken { got: 0, .. })));
-        assert_eq!(count.load(Ordering::SeqCst), PATIENCE as usize);
+        assert_eq!(count.load(Ordering::SeqCst), TRIES as usize);
         let (url, _) = spool(|_, _| (StatusCode::FORBIDDEN, HeaderMap::new(), Vec::new())).await;
         let refused = fetch(&client, &frame(url)).await;
         assert!(matches!(refused, Err(FetchError::Status { status: StatusCode::FORBIDDEN, .. })));

@@ -57,6 +57,29 @@ pub(crate) fn read(card: &[u8]) -> Card {
     }
 }
 
+/// The text after the value of a card, without blanks around it; that of COMMENT and HISTORY is no such text.
+pub(crate) fn comment(card: &[u8]) -> String {
+    let text: String = card.iter().map(|byte| char::from(*byte)).collect();
+    let text = text.trim_end_matches([' ', '\0']);
+    let after = match text.strip_prefix("CONTINUE") {
+        Some(rest) => rest,
+        None => text.split_once('=').map_or("", |(_, rest)| rest),
+    };
+    let after = after.trim_start();
+    let after = match after.strip_prefix('\'') {
+        // Two quotes are one of the text.
+        Some(quoted) => {
+            let mut is_inside = true;
+            quoted.trim_start_matches(|next| {
+                is_inside ^= next == '\'';
+                is_inside || next == '\''
+            })
+        }
+        None => after,
+    };
+    after.split_once('/').map_or(String::new(), |(_, comment)| comment.trim().to_owned())
+}
+
 /// The value in the text after the `=`, without its comment.
 fn value(text: &str) -> Value {
     let text = text.trim_start();

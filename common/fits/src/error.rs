@@ -71,12 +71,20 @@ pub enum Fault {
         found: String,
     },
     /// The part that was asked for is not there, or is no image.
-    #[error("has no image in HDU {hdu}; {}", images_said(images))]
+    #[error("has no image in HDU {hdu}; {}", images_text(images))]
     NoSuchImage {
         /// Part of the file, from 1.
         hdu: usize,
         /// The parts that hold images.
         images: Vec<usize>,
+    },
+    /// The part whose header was asked for is not there.
+    #[error("has no HDU {hdu}, only {hdus}; the first header is HDU 1")]
+    NoSuchHdu {
+        /// Part of the file, from 1.
+        hdu: usize,
+        /// How many it has.
+        hdus: usize,
     },
     /// FITS, but no binary table.
     #[error("holds no binary table, only {found}; give a file with one")]
@@ -116,7 +124,7 @@ pub enum Fault {
 }
 
 /// The HDUs that can be asked for.
-fn images_said(images: &[usize]) -> String {
+fn images_text(images: &[usize]) -> String {
     if images.is_empty() {
         return "the file holds none".to_owned();
     }

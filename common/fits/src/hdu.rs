@@ -136,7 +136,7 @@ fn content(header: &Header, number: usize, shape: Shape) -> Result<Content, Stri
 }
 
 /// BITPIX and NAXISn, with a prefix: those with `Z` in front are about the image in the tiles.
-fn shape(header: &Header, prefix: &str) -> Result<Shape, String> {
+pub(crate) fn shape(header: &Header, prefix: &str) -> Result<Shape, String> {
     let bitpix = whole(header, &format!("{prefix}BITPIX"))?;
     if ![8, 16, 32, 64, -32, -64].contains(&bitpix) {
         return Err(format!("{prefix}BITPIX is {bitpix}, expected 8, 16, 32, 64, -32 or -64"));
@@ -155,7 +155,7 @@ fn shape(header: &Header, prefix: &str) -> Result<Shape, String> {
 
 /// Bytes of data: |BITPIX| / 8 * GCOUNT * (PCOUNT + product of the axes) (section 4.4.1.2); NAXIS1 = 0 in random
 /// groups stands for none (section 6).
-fn data_length(header: &Header, shape: &Shape) -> Result<u64, String> {
+pub(crate) fn data_length(header: &Header, shape: &Shape) -> Result<u64, String> {
     let or = |keyword: &str, default: u64| match header.value(keyword) {
         None => Ok(default),
         Some(_) => {

@@ -62,10 +62,10 @@ impl Header {
     }
 
     /// Adds the keywords of the file's first header that are not here, except those about its own data.
-    pub(crate) fn inherit(&mut self, primary: &Self) {
+    pub(crate) fn adopt_primary(&mut self, primary: &Self) {
         const OWN: [&str; 6] = ["BSCALE", "BZERO", "BLANK", "DATASUM", "CHECKSUM", "EXTNAME"];
-        let told = |keyword: &str| OWN.contains(&keyword) || self.value(keyword).is_some();
-        let new = primary.cards.iter().filter(|(keyword, _)| !told(keyword));
+        let is_here = |keyword: &str| OWN.contains(&keyword) || self.value(keyword).is_some();
+        let new = primary.cards.iter().filter(|(keyword, _)| !is_here(keyword));
         let new: Vec<_> = new.cloned().collect();
         self.cards.extend(new);
     }
@@ -187,18 +187,18 @@ mod tests {
     #[test]
     fn an_error_names_the_file_the_keyword_and_what_was_expected() {
         let header = header(&["EXPTIME = 'thirty'", "GAIN    = 1.25", "FILTER  ="]);
-        let said = |error: KeywordError| error.to_string();
+        let message = |error: KeywordError| error.to_string();
         assert_eq!(
-            said(header.number("EXPTIME").unwrap_err()),
+            message(header.number("EXPTIME").unwrap_err()),
             "night/m31.fits: EXPTIME is 'thirty' in its header; expected a number"
         );
         assert_eq!(
-            said(header.whole("GAIN").unwrap_err()),
+            message(header.whole("GAIN").unwrap_err()),
             "night/m31.fits: GAIN is 1.25 in its header; expected a whole number"
         );
         for keyword in ["FILTER", "OBJECT"] {
             let expected = format!("night/m31.fits has no {keyword} in its header; expected text");
-            assert_eq!(said(header.text(keyword).unwrap_err()), expected);
+            assert_eq!(message(header.text(keyword).unwrap_err()), expected);
         }
     }
 

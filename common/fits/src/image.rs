@@ -109,7 +109,7 @@ fn of_source(file: &Path, from: impl Read + 'static, length: Option<u64>, part: 
             // Only then: scaling and sums of the first part do not apply to this one.
             let mut image = image(source.into_bytes(), hdu, &shape, size)?;
             if let Some(primary) = passed.first() {
-                image.header.inherit(&primary.header);
+                image.header.adopt_primary(&primary.header);
             }
             image.other_hdus = others;
             return Ok(image);
@@ -195,7 +195,7 @@ fn image(bytes: Vec<u8>, hdu: Hdu, shape: &Shape, (width, height, planes): (u64,
 
 /// Compares the data with DATASUM, where the header has it (FITS Standard 4.0, appendix J): a decoder of damaged
 /// streams cannot be trusted.
-fn check_sum(hdu: &Hdu, bytes: &[u8]) -> Result<(), Fault> {
+pub(crate) fn check_sum(hdu: &Hdu, bytes: &[u8]) -> Result<(), Fault> {
     let stands = hdu.header.text("DATASUM").ok().and_then(|text| text.trim().parse::<u32>().ok());
     let Some(expected) = stands else { return Ok(()) };
     let data = bytes.get(hdu.data.start..hdu.next().min(bytes.len())).unwrap_or_default();

@@ -13,10 +13,15 @@
 //!
 //! - [`image`] is the result: header, size, pixels.
 //! - [`header`] answers keywords with the type that was asked for; [`card`] reads one line of it.
+//! - [`cards`] is every card of a file with its comment.
 //! - [`hdu`] finds the parts of a file, [`decode`] turns bytes into pixels, [`tiles`] asks cfitsio to do so where
 //!   [`tiling`] makes sense, [`unpack`] unpacks gzip and bzip2 as far as headers require, [`planes`] makes one plane of
 //!   three.
+//! - [`restore`] gives the plain file of an image in tiles, as `funpack` does.
+//! - [`rows`] reads the counts of a plain image some rows at a time.
 //! - [`rewrite`] changes a header in its file, whole or not at all.
+//! - [`cube`] makes one file of many frames.
+//! - [`profile`] is what archives want of a file: profiles, checks, delivered copies; [`checksum`] the sums of an HDU.
 //! - [`table`] reads the rows of binary tables, of any length.
 //! - [`cfitsio`] is the part that all users of that library share: its lock and its messages.
 //!
@@ -24,15 +29,22 @@
 //! The format is that of the FITS Standard 4.0 (IAU FITS Working Group, 2018), cited by section.
 
 pub mod card;
+pub mod cards;
 pub mod cfitsio;
+pub mod checksum;
+pub mod cube;
 mod decode;
 pub mod error;
 pub mod hdu;
 pub mod header;
 pub mod image;
+mod part;
 mod pixels;
 mod planes;
+pub mod profile;
+pub mod restore;
 pub mod rewrite;
+pub mod rows;
 pub mod table;
 mod tiles;
 mod tiling;

@@ -3,10 +3,11 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crate::error::{Fault, FitsError};
 use crate::hdu;
+use crate::part::{new_part, sync_folder};
 use crate::unpack::{Packing, Source};
 
 /// Changes the header of an HDU. `change` is given the file's bytes from that header on; it answers the new header, in
@@ -69,7 +70,7 @@ fn packed(packing: Packing, parts: &[&[u8]]) -> std::io::Result<Vec<u8>> {
 pub fn write_at_once(file: &Path, bytes: &[u8], permissions: Option<std::fs::Permissions>) -> std::io::Result<()> {
     let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let part: PathBuf = folder.join(format!(".{name}.{}.part", std::process::id()));
+    let part = new_part(folder, &name);
     let written = || {
         let mut new = OpenOptions::new().write(true).create_new(true).open(&part)?;
         new.write_all(bytes)?;
@@ -77,12 +78,10 @@ pub fn write_at_once(file: &Path, bytes: &[u8], permissions: Option<std::fs::Per
             new.set_permissions(permissions)?;
         }
         new.sync_all()?;
-        std::fs::rename(&part, file)
+        std::fs::rename(&part, file)?;
+        sync_folder(file)
     };
-    written().inspect_err(|error| {
-        // A part that another process of this number left is not ours to remove.
-        if error.kind() != std::io::ErrorKind::AlreadyExists {
-            let _ = std::fs::remove_file(&part);
-        }
+    written().inspect_err(|_| {
+        let _ = std::fs::remove_file(&part);
     })
 }

@@ -43,8 +43,8 @@ fn refused(bytes: Vec<u8>) -> FitsError {
 /// Greatest memory of this process so far, MB.
 #[cfg(target_os = "linux")]
 fn peak_mb() -> f64 {
-    let told = std::fs::read_to_string("/proc/self/status").unwrap();
-    let line = told.lines().find(|line| line.starts_with("VmHWM:")).unwrap();
+    let text = std::fs::read_to_string("/proc/self/status").unwrap();
+    let line = text.lines().find(|line| line.starts_with("VmHWM:")).unwrap();
     line.split_whitespace().nth(1).unwrap().parse::<f64>().unwrap() / 1024.0
 }
 
@@ -68,10 +68,10 @@ fn bombs_are_refused_before_they_fill_the_memory() {
         ];
         let before = peak_mb();
         for (bytes, words) in cases {
-            let said = refused(bytes).to_string();
+            let message = refused(bytes).to_string();
             // bzip2 has no such bound: the missing bytes show at the end of the file.
-            let cut = how == "bzip2" && said.contains("is cut short: HDU 1 should end at byte 800002880");
-            assert!(said.contains(words) || cut, "{how}: {said}");
+            let cut = how == "bzip2" && message.contains("is cut short: HDU 1 should end at byte 800002880");
+            assert!(message.contains(words) || cut, "{how}: {message}");
         }
         assert!(peak_mb() - before < 100.0, "{how}: {} MB more", peak_mb() - before);
     }
@@ -96,8 +96,8 @@ fn tiles_that_announce_more_than_they_can_hold_are_refused() {
     let table = ["XTENSION= 'BINTABLE'", "BITPIX  = 8", "NAXIS   = 2", "NAXIS1  = 8", "NAXIS2  = 1", "PCOUNT  = 100"];
     let tiles = ["ZIMAGE  = T", "ZBITPIX = 16", "ZNAXIS  = 2", "ZNAXIS1 = 20000", "ZNAXIS2 = 20000"];
     let how = ["ZTILE1  = 20000", "ZTILE2  = 20000", "ZCMPTYPE= 'RICE_1'"];
-    let said = refused([primary, header(&[&table[..], &tiles, &how].concat()), vec![0; 2880]].concat()).to_string();
-    assert!(said.contains("ZNAXISn announce 400000000 px, too many for 108 bytes of tiles"), "{said}");
+    let message = refused([primary, header(&[&table[..], &tiles, &how].concat()), vec![0; 2880]].concat()).to_string();
+    assert!(message.contains("ZNAXISn announce 400000000 px, too many for 108 bytes of tiles"), "{message}");
 }
 
 /// Two images behind an empty first part.
@@ -112,7 +112,7 @@ fn two_chips() -> Vec<u8> {
 }
 
 #[test]
-fn an_image_is_chosen_by_its_hdu_and_the_others_are_told() {
+fn an_image_is_chosen_by_its_hdu_and_the_others_are_reported() {
     let folder = tempfile::TempDir::new().unwrap();
     for how in ["", "gzip"] {
         let file = folder.path().join("chips.fits");
@@ -122,12 +122,12 @@ fn an_image_is_chosen_by_its_hdu_and_the_others_are_told() {
         let second = fits::read_part(&file, Part::Hdu(3)).unwrap();
         assert_eq!((second.hdu, second.other_hdus, second.pixels), (3, vec![2], Pixels::U16(vec![9; 12])));
         for hdu in [1, 4] {
-            let said = fits::read_part(&file, Part::Hdu(hdu)).unwrap_err().to_string();
+            let message = fits::read_part(&file, Part::Hdu(hdu)).unwrap_err().to_string();
             assert!(
-                said.ends_with(&format!(
+                message.ends_with(&format!(
                     "has no image in HDU {hdu}; images are in HDU 2, 3; the first header is HDU 1"
                 )),
-                "{said}"
+                "{message}"
             );
         }
     }
@@ -147,7 +147,7 @@ fn three_planes_are_a_colour_image_and_others_a_cube() {
     // A mean, and of a pixel that is saturated in one plane the greatest.
     assert_eq!(colour.pixels, Pixels::F32(vec![30.0, 250.0]));
     for planes in [2, 4] {
-        let said = cube(planes).unwrap_err().to_string();
-        assert!(said.contains(&format!("HDU 1 has the axes 2 x 1 x {planes}, expected two, or three")), "{said}");
+        let message = cube(planes).unwrap_err().to_string();
+        assert!(message.contains(&format!("HDU 1 has the axes 2 x 1 x {planes}, expected two, or three")), "{message}");
     }
 }

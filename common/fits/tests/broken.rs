@@ -41,13 +41,13 @@ fn gzip(bytes: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn a_file_that_is_cut_short_says_by_how_much() {
+fn the_error_of_a_file_that_is_cut_short_names_the_missing_bytes() {
     let whole = image("", &[60, 80]);
     assert_eq!(whole.len(), 2880 + 4 * 2880);
-    let said = refused(&whole[..2880 + 9599]).to_string();
+    let message = refused(&whole[..2880 + 9599]).to_string();
     let expected = "night/frame.fits is cut short: HDU 1 should end at byte 12480, the file has 12479; copy or fetch it \
                     again";
-    assert_eq!(said, expected);
+    assert_eq!(message, expected);
     assert!(fits::parse(Path::new("enough.fits"), whole[..2880 + 9600].to_vec()).is_ok());
     for length in [9, 80, 1000, 2879] {
         assert!(matches!(refused(&whole[..length]).fault, Fault::CutShort { .. }), "{length} bytes");
@@ -58,32 +58,35 @@ fn a_file_that_is_cut_short_says_by_how_much() {
     }
     let gzipped = gzip(&whole);
     for length in [5, 100, gzipped.len() - 1] {
-        let said = refused(&gzipped[..length]).to_string();
-        assert!(said.contains("damaged or cut short (gzip says"), "{said}");
+        let message = refused(&gzipped[..length]).to_string();
+        assert!(message.contains("damaged or cut short (gzip says"), "{message}");
     }
 }
 
 #[test]
-fn what_is_not_fits_is_told_by_its_looks() {
-    let says = |bytes: &[u8], words: &str| {
-        let said = refused(bytes).to_string();
-        assert!(said.contains(words), "{said}");
+fn what_is_not_fits_is_recognised_by_its_first_bytes() {
+    let reports = |bytes: &[u8], words: &str| {
+        let message = refused(bytes).to_string();
+        assert!(message.contains(words), "{message}");
     };
-    says(b"", "is empty (0 bytes): copy or fetch it again");
-    says(&gzip(b""), "is empty");
-    says(b"\n<!DOCTYPE html><html>404</html>", "is a web page (HTML): the download was refused; fetch the file again");
-    says(b"PK\x03\x04", "unzip");
-    says(b"\xff\xd8\xff\xe0 and more", "JPEG");
-    says(b"observatory:\n  name: x", "begins with \"observatory:\\n  n\", expected \"SIMPLE  =\"");
-    says(&gzip(&gzip(b"SIMPLE")), "gzip twice");
-    says(b"BZh91AY&SY not really", "bzip2 says");
-    says(b"SIMPLE : T", "broken card SIMPLE");
+    reports(b"", "is empty (0 bytes): copy or fetch it again");
+    reports(&gzip(b""), "is empty");
+    reports(
+        b"\n<!DOCTYPE html><html>404</html>",
+        "is a web page (HTML): the download was refused; fetch the file again",
+    );
+    reports(b"PK\x03\x04", "unzip");
+    reports(b"\xff\xd8\xff\xe0 and more", "JPEG");
+    reports(b"observatory:\n  name: x", "begins with \"observatory:\\n  n\", expected \"SIMPLE  =\"");
+    reports(&gzip(&gzip(b"SIMPLE")), "gzip twice");
+    reports(b"BZh91AY&SY not really", "bzip2 says");
+    reports(b"SIMPLE : T", "broken card SIMPLE");
     let folder = TempDir::new().unwrap();
     let missing = folder.path().join("none.fits");
-    let said = fits::read(&missing).unwrap_err().to_string();
-    assert!(said.starts_with(&format!("{} cannot be read: No such file", missing.display())), "{said}");
-    let said = fits::read(folder.path()).unwrap_err().to_string();
-    assert!(said.contains("cannot be read: Is a directory"), "{said}");
+    let message = fits::read(&missing).unwrap_err().to_string();
+    assert!(message.starts_with(&format!("{} cannot be read: No such file", missing.display())), "{message}");
+    let message = fits::read(folder.path()).unwrap_err().to_string();
+    assert!(message.contains("cannot be read: Is a directory"), "{message}");
 }
 
 #[test]
@@ -94,17 +97,17 @@ fn tables_cubes_and_spectra_are_named() {
     let column = ColumnDescription::new("RA").with_type(ColumnDataType::Double).create().unwrap();
     fits.create_table("CATALOGUE".to_owned(), &[column]).unwrap();
     drop(fits);
-    let said = refused(&std::fs::read(&file).unwrap()).to_string();
+    let message = refused(&std::fs::read(&file).unwrap()).to_string();
     let expected = "night/frame.fits holds no image, only a header without pixels, a table CATALOGUE; give a file with \
                     an image of two axes";
-    assert_eq!(said, expected);
+    assert_eq!(message, expected);
     for how in ["", "[compress R]"] {
-        let said = refused(&image(how, &[4, 20, 30])).to_string();
+        let message = refused(&image(how, &[4, 20, 30])).to_string();
         let hdu = if how.is_empty() { 1 } else { 2 };
-        assert!(said.contains(&format!("HDU {hdu} has the axes 30 x 20 x 4, expected two, or three")), "{said}");
+        assert!(message.contains(&format!("HDU {hdu} has the axes 30 x 20 x 4, expected two, or three")), "{message}");
     }
-    let said = refused(&image("", &[100])).to_string();
-    assert!(said.contains("HDU 1 has the axes 100, expected two"), "{said}");
+    let message = refused(&image("", &[100])).to_string();
+    assert!(message.contains("HDU 1 has the axes 100, expected two"), "{message}");
 }
 
 #[test]
@@ -134,25 +137,25 @@ fn headers_that_cannot_be_are_refused() {
         text = format!("{text:2880}");
         text.into_bytes()
     };
-    let says = |cards: &[&str], words: &str| {
-        let said = refused(&file(cards)).to_string();
-        assert!(said.contains(words), "{said}");
+    let reports = |cards: &[&str], words: &str| {
+        let message = refused(&file(cards)).to_string();
+        assert!(message.contains(words), "{message}");
     };
-    says(&["SIMPLE  = T", "BITPIX  = 16"], "expected a card END");
-    says(&["SIMPLE  = T", "BITPIX  = 12", "NAXIS   = 0", "END"], "BITPIX is 12, expected 8, 16");
-    says(&["SIMPLE  = T", "BITPIX  = 16", "END"], "NAXIS is missing, expected a whole number");
-    says(&["SIMPLE  = T", "BITPIX  = 16", "NAXIS   = 'two'", "END"], "NAXIS is 'two', expected a whole number");
-    says(&["SIMPLE  = T", "BITPIX  = 16", "NAXIS   = -1", "END"], "NAXIS is -1, expected 0 to 999");
+    reports(&["SIMPLE  = T", "BITPIX  = 16"], "expected a card END");
+    reports(&["SIMPLE  = T", "BITPIX  = 12", "NAXIS   = 0", "END"], "BITPIX is 12, expected 8, 16");
+    reports(&["SIMPLE  = T", "BITPIX  = 16", "END"], "NAXIS is missing, expected a whole number");
+    reports(&["SIMPLE  = T", "BITPIX  = 16", "NAXIS   = 'two'", "END"], "NAXIS is 'two', expected a whole number");
+    reports(&["SIMPLE  = T", "BITPIX  = 16", "NAXIS   = -1", "END"], "NAXIS is -1, expected 0 to 999");
     let axes = |n: i64| format!("NAXIS1  = {n}");
     let two = ["SIMPLE  = T", "BITPIX  = 16", "NAXIS   = 2", "NAXIS2  = 9223372036854775807"];
-    says(&[&two[..], &[&axes(i64::MAX), "END"]].concat(), "longer than any file");
-    says(&[&two[..], &[&axes(-5), "END"]].concat(), "NAXIS1 is -5, expected a length");
+    reports(&[&two[..], &[&axes(i64::MAX), "END"]].concat(), "longer than any file");
+    reports(&[&two[..], &[&axes(-5), "END"]].concat(), "NAXIS1 is -5, expected a length");
     let tiles = ["ZIMAGE  = T", "ZBITPIX = 16", "ZNAXIS  = 2", "ZNAXIS1 = 9223372036854775807"];
     let primary = file(&["SIMPLE  = T", "BITPIX  = 8", "NAXIS   = 0", "END"]);
     let table = ["XTENSION= 'BINTABLE'", "BITPIX  = 8", "NAXIS   = 2", "NAXIS1  = 8", "NAXIS2  = 1"];
     let bomb = file(&[&table[..], &tiles, &["ZNAXIS2 = 2147483647", "END"]].concat());
-    let said = refused(&[primary, bomb, vec![0; 2880]].concat()).to_string();
-    assert!(said.contains("too large"), "{said}");
+    let message = refused(&[primary, bomb, vec![0; 2880]].concat()).to_string();
+    assert!(message.contains("too large"), "{message}");
 }
 
 /// No byte of a plain image may bring a reader down.
@@ -174,19 +177,19 @@ fn any_byte_may_be_wrong() {
 #[test]
 fn tiles_that_cannot_be_are_refused_before_they_are_decoded() {
     let whole = image("[compress R 40,30]", &[60, 80]);
-    let says = |keyword: &str, value: &str, words: &str| {
+    let reports = |keyword: &str, value: &str, words: &str| {
         let mut bytes = whole.clone();
         let card = format!("{keyword:8}=");
         let at = 80 * bytes.chunks_exact(80).rposition(|found| found.starts_with(card.as_bytes())).unwrap();
         bytes[at..at + 80].copy_from_slice(format!("{:80}", format!("{card} {value}")).as_bytes());
-        let said = refused(&bytes).to_string();
-        assert!(said.contains(words), "{said}");
+        let message = refused(&bytes).to_string();
+        assert!(message.contains(words), "{message}");
     };
-    says("ZTILE1", "0", "ZTILE1 is no length up to 80");
-    says("ZTILE2", "61", "ZTILE2 is no length up to 60");
-    says("ZTILE2", "-1", "ZTILE2 is no length up to 60");
-    says("ZTILE1", "20", "NAXIS2 is 4, expected 8 tiles");
-    says("ZNAXIS2", "600", "NAXIS2 is 4, expected 40 tiles");
-    says("ZVAL1", "0", "ZVAL1 is 0, expected one of [16, 32]");
-    says("ZCMPTYPE", "'ZIP_1'", "ZCMPTYPE is 'ZIP_1', expected one of RICE_1");
+    reports("ZTILE1", "0", "ZTILE1 is no length up to 80");
+    reports("ZTILE2", "61", "ZTILE2 is no length up to 60");
+    reports("ZTILE2", "-1", "ZTILE2 is no length up to 60");
+    reports("ZTILE1", "20", "NAXIS2 is 4, expected 8 tiles");
+    reports("ZNAXIS2", "600", "NAXIS2 is 4, expected 40 tiles");
+    reports("ZVAL1", "0", "ZVAL1 is 0, expected one of [16, 32]");
+    reports("ZCMPTYPE", "'ZIP_1'", "ZCMPTYPE is 'ZIP_1', expected one of RICE_1");
 }

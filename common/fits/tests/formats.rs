@@ -124,7 +124,7 @@ fn numbers_are_scaled_and_blanks_have_no_value() {
 }
 
 #[test]
-fn the_first_image_with_pixels_is_taken_and_inherits_keywords() {
+fn the_first_image_with_pixels_is_taken_and_gets_keywords_of_the_primary_header() {
     let mut bytes = by_hand(
         &["SIMPLE  = T", "BITPIX  = 8", "NAXIS   = 0", "OBJECT  = 'M 31'", "FILTER  = 'R'", "BZERO   = 9"],
         &[],

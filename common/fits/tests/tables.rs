@@ -97,7 +97,7 @@ fn read(file: &Path) -> Result<u64, String> {
 }
 
 #[test]
-fn a_table_that_is_cut_short_or_not_there_is_told() {
+fn a_table_that_is_cut_short_or_not_there_is_reported() {
     let folder = TempDir::new().unwrap();
     let whole = table();
     let end = whole.len() - 2880;
@@ -108,8 +108,8 @@ fn a_table_that_is_cut_short_or_not_there_is_told() {
         (&b"ra,dec\n"[..], "is not FITS"),
         (&[], "is empty (0 bytes)"),
     ] {
-        let said = read(&written(&folder, bytes)).unwrap_err();
-        assert!(said.contains(words) && said.contains("stars.fits"), "{words:?} in {said:?}");
+        let message = read(&written(&folder, bytes)).unwrap_err();
+        assert!(message.contains(words) && message.contains("stars.fits"), "{words:?} in {message:?}");
     }
     let mut wide = whole.clone();
     let form = wide.windows(8).position(|bytes| bytes == b"10B     ").unwrap();

@@ -9,7 +9,8 @@ mod timing;
 use std::io::Write as _;
 
 use imaging::hfd::{HfdSearch, measure_hfd};
-use imaging::{Camera, Clean, Frame, Pixels, Search, measure};
+use imaging::{Camera, Clean, Frame, Pixels, StarSearch, measure};
+
 use timing::times_ms;
 
 const RUNS: usize = 9;
@@ -30,9 +31,9 @@ fn main() -> anyhow::Result<()> {
         }
         let frame = Frame::new(SIDE, SIDE, Pixels::U16(&counts))?;
         let camera = Camera::default();
-        let blind = Search::default();
+        let blind = StarSearch::default();
         let found = measure(&frame, &camera, &blind)?;
-        let known = Search { fwhm_px: found.quality.fwhm_px.map(|width| width.value as f32), ..blind };
+        let known = StarSearch { fwhm_px: found.quality.fwhm_px.map(|width| width.value as f32), ..blind };
         let sizes = HfdSearch { expected_px: Some(0.7 * diameter_px), ..HfdSearch::default() };
         let hfd = measure_hfd(&frame, &camera, &sizes)?;
         println!(

@@ -6,8 +6,8 @@
 
 use std::time::Instant;
 
-use imaging::guide::{Calibration, Exposure, Guider, Reference, Settings};
-use imaging::{Camera, Frame, Pixels, Search, measure};
+use imaging::guide::{Calibration, Exposure, GuideSettings, Guider, Reference};
+use imaging::{Camera, Frame, Pixels, StarSearch, measure};
 
 const SIDE: usize = 2048;
 const FWHM_PX: f64 = 4.0;
@@ -17,10 +17,10 @@ fn main() -> anyhow::Result<()> {
     let first = draw(0.0, 0.0, 1);
     let camera = Camera::default();
     let frame = Frame::new(SIDE, SIDE, Pixels::U16(&first))?;
-    let stars = measure(&frame, &camera, &Search { fwhm_px: Some(4.1), ..Search::default() })?.stars;
+    let stars = measure(&frame, &camera, &StarSearch { fwhm_px: Some(4.1), ..StarSearch::default() })?.stars;
     let mut reference = Reference::from_lists(&[stars], SIDE, SIDE)?;
     let calibration = Calibration::from_wcs([[-1e-4, 0.0], [0.0, 1e-4]], [2e-3, 2e-3], None)?;
-    let mut guider = Guider::new(Settings::default(), &calibration, 0.0)?;
+    let mut guider = Guider::new(GuideSettings::default(), &calibration, 0.0)?;
     let (mut times, mut decisions, mut squares, mut processor) = (Vec::new(), Vec::new(), 0.0, 0.0);
     for n in 0..RUNS {
         let (dx, dy) = (0.13 * n as f64 - 1.0, 0.7 - 0.11 * n as f64);
@@ -50,7 +50,7 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Time that all threads of this process have run, ms, in steps of 10; 0 where the system does not tell.
+/// Time that all threads of this process have run, ms, in steps of 10; 0 where the system does not report it.
 fn processor_ms() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     // user and system time are fields 14 and 15; the name before them may hold spaces

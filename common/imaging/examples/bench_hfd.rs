@@ -7,6 +7,7 @@ mod timing;
 
 use imaging::hfd::{HfdSearch, hfd_at, measure_hfd};
 use imaging::{Camera, Clean, Frame, Pixels};
+
 use timing::times_ms;
 
 const RUNS: usize = 9;

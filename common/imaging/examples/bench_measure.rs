@@ -2,12 +2,13 @@
 //!
 //! Draws a star field of each size (u16, gradient, 0.1 % hot pixels, one star in 7000 px) and prints the best and
 //! the median of several runs in ms, and the processor time of one run over all cores (what counts on a machine with
-//! other work), beside the figure asked for 2048 x 2048. Memory is what the process held at most. An argument is the
-//! greatest width to be measured.
+//! other work), in addition to the figure asked for 2048 x 2048. Memory is what the process held at most. An argument
+//! is the greatest width to be measured.
 
 mod timing;
 
-use imaging::{Camera, Clean, Frame, Pixels, Search, measure};
+use imaging::{Camera, Clean, Frame, Pixels, StarSearch, measure};
+
 use timing::times_ms;
 
 const RUNS: usize = 7;
@@ -26,8 +27,8 @@ fn main() -> anyhow::Result<()> {
         let counts = draw(width, height);
         let frame = Frame::new(width, height, Pixels::U16(&counts))?;
         let camera = Camera::default();
-        let known = Search { fwhm_px: Some(FWHM_PX), ..Search::default() };
-        let unknown = Search { fwhm_px: None, ..Search::default() };
+        let known = StarSearch { fwhm_px: Some(FWHM_PX), ..StarSearch::default() };
+        let unknown = StarSearch { fwhm_px: None, ..StarSearch::default() };
         let stars = measure(&frame, &camera, &known)?.quality.stars;
         let clean = time(|| Clean::new(&frame, &camera, Some(FWHM_PX)).map(|clean| clean.saturated));
         let hinted = time(|| measure(&frame, &camera, &known).map(|m| m.stars.len()));
@@ -45,7 +46,7 @@ fn time<T>(work: impl Fn() -> T) -> String {
     format!("{:.0} ({:.0}) / {processor:.0}", times[0], times[RUNS / 2])
 }
 
-/// Time that all threads of this process have run, ms, in steps of 10; 0 where the system does not tell.
+/// Time that all threads of this process have run, ms, in steps of 10; 0 where the system does not report it.
 fn processor_ms() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     // user and system time are fields 14 and 15; the name before them may hold spaces
@@ -86,7 +87,7 @@ fn draw(width: usize, height: usize) -> Vec<u16> {
     light.iter().map(|value| value.clamp(0.0, 65_535.0) as u16).collect()
 }
 
-/// `VmHWM` of this process; None where the system does not tell.
+/// `VmHWM` of this process; None where the system does not report it.
 fn peak_memory_mb() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM"))?;

@@ -7,10 +7,11 @@
 #[path = "../tests/drawn/mod.rs"]
 mod drawn;
 
-use drawn::{DrawnFrame, EPOCHS, Kind, PLAIN, draw, star};
 use imaging::solve;
 use imaging::solve::at_epoch;
 use rand::{RngExt, SeedableRng, rngs::StdRng};
+
+use drawn::{DrawnFrame, EPOCHS, Kind, PLAIN, draw, star};
 
 /// Stars that have nothing to do with the sky behind them.
 fn scattered(mut frame: DrawnFrame, count: usize, seed: u64) -> DrawnFrame {
@@ -27,8 +28,8 @@ fn scattered(mut frame: DrawnFrame, count: usize, seed: u64) -> DrawnFrame {
 
 /// Processor time of this process so far, ms: a busy machine does not count.
 fn processor_ms() -> f64 {
-    let told = std::fs::read_to_string("/proc/self/schedstat").unwrap_or_default();
-    told.split(' ').next().and_then(|nanoseconds| nanoseconds.parse().ok()).map_or(f64::NAN, |ns: f64| ns * 1e-6)
+    let text = std::fs::read_to_string("/proc/self/schedstat").unwrap_or_default();
+    text.split(' ').next().and_then(|nanoseconds| nanoseconds.parse().ok()).map_or(f64::NAN, |ns: f64| ns * 1e-6)
 }
 
 fn main() -> anyhow::Result<()> {

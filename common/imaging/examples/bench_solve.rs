@@ -3,17 +3,18 @@
 //! Draws star lists of random fields (0.2 to 2 deg, any rotation and parity, 2048 x 2048 px, 12 to 30 real stars with
 //! centroid errors of 0.1 px, a catalogue three times as deep that lacks 5 % of them, the place wrong by up to half a
 //! field and the scale by up to 2 %) with a share of false detections added, and prints the time on one thread (best of
-//! five runs of each field: what a free core needs) and the share of right answers (centre within 1 px). "learnt" knows rotation,
-//! scale and parity (level 0), "hinted" the place and the scale (level 1).
+//! five runs of each field: what a free core needs) and the share of right answers (centre within 1 px). "learned"
+//! knows rotation, scale and parity (level 0), "hinted" the place and the scale (level 1).
 
 #[path = "../tests/drawn/mod.rs"]
 mod drawn;
 
 use std::time::Instant;
 
-use drawn::{EPOCHS, Kind, PLAIN, draw};
 use imaging::solve;
 use imaging::solve::at_epoch;
+
+use drawn::{EPOCHS, Kind, PLAIN, draw};
 
 const RUNS: usize = 5;
 
@@ -21,9 +22,9 @@ fn main() -> anyhow::Result<()> {
     let fields = std::env::args().nth(1).map_or(Ok(300), |count| count.parse())?;
     println!("{fields} fields each; asked for: 10 ms, 99 % right at 60 % spurious (predecessor: 265-330 ms)");
     println!("           spurious   median ms   p99 ms   right %   wrong %");
-    for (name, learnt) in [("learnt", true), ("hinted", false)] {
+    for (name, learned) in [("learned", true), ("hinted", false)] {
         for spurious in [0.0, 0.3, 0.6] {
-            let kind = Kind { field_deg: (0.2, 2.0), stars: (12, 30), offset_fields: 0.5, learnt, spurious, ..PLAIN };
+            let kind = Kind { field_deg: (0.2, 2.0), stars: (12, 30), offset_fields: 0.5, learned, spurious, ..PLAIN };
             let (mut times, mut right, mut wrong) = (Vec::new(), 0, 0);
             for seed in 0..fields {
                 let frame = draw(&kind, 10_000 + seed);

@@ -31,7 +31,7 @@ pub(crate) fn side(width: usize, height: usize, fwhm_px: Option<f32>) -> usize {
     usual.max(wide.min(shorter / FEWEST_CELLS)).max(1)
 }
 
-/// Of cells with so many pixels every second row is looked at: it tells the level to 0.03 sigma, and takes half of the
+/// Of cells with so many pixels every second row is looked at: it shows the level to 0.03 sigma, and takes half of the
 /// time. Larger cells are made for wide stars, which need the level to 0.01 sigma.
 const HALVED: std::ops::Range<usize> = 2400..6000;
 
@@ -95,8 +95,8 @@ impl Background {
             }
             cells
         });
-        let cells: Vec<Option<cell::Sky>> = per_band.into_iter().flatten().collect();
-        let mesh = |of: fn(&cell::Sky) -> f32| {
+        let cells: Vec<Option<cell::SkyLevel>> = per_band.into_iter().flatten().collect();
+        let mesh = |of: fn(&cell::SkyLevel) -> f32| {
             let values: Vec<Option<f32>> = cells.iter().map(|sky| sky.as_ref().map(of)).collect();
             Mesh::new(columns, rows, width, height, values)
         };

@@ -26,7 +26,7 @@ const LINEAR: f32 = 0.7;
 const ALIVE: std::ops::Range<f32> = 0.3..2.5;
 /// Most bad lines side by side.
 const WIDEST_RUN: usize = 3;
-/// How much farther off than the lines beside them they are.
+/// How much farther off than the lines next to them they are.
 const STANDS_OUT: f32 = 3.0;
 
 /// What was wrong with the lines of a frame.
@@ -42,12 +42,12 @@ pub(crate) struct Banding {
 
 /// Removes the offsets of rows and columns from a background-subtracted image whose noise is `sigma` and whose means are
 /// `means`, and sets bad lines to NaN.
-pub(crate) fn remove(image: &mut [f32], width: usize, sigma: f32, means: Means) -> Banding {
+pub(crate) fn remove(image: &mut [f32], width: usize, sigma: f32, means: BandingMeans) -> Banding {
     let height = image.len() / width;
     let mut banding = Banding::default();
     let mut known = Some(means);
     for _ in 0..3 {
-        let Means { rows, columns } = known.take().unwrap_or_else(|| measure(image, width, sigma));
+        let BandingMeans { rows, columns } = known.take().unwrap_or_else(|| measure(image, width, sigma));
         let row = |y: usize| image[y * width..(y + 1) * width].iter().copied();
         let rows = Offsets::judge(&rows, width, sigma, row);
         let mut columns = Offsets::judge(&columns, height, sigma, |x| image[x..].iter().copied().step_by(width));
@@ -116,7 +116,7 @@ impl Offsets {
         all
     }
 
-    /// Sensors have single bad lines, or two or three side by side, that differ from those beside them; what is
+    /// Sensors have single bad lines, or two or three side by side, that differ from those next to them; what is
     /// wider or smoother is in the sky and stays.
     fn strike_out_bad(&mut self, sigma: f32) {
         let runs: Vec<Vec<usize>> = self.bad.chunk_by(|a, b| a + 1 == *b).map(<[usize]>::to_vec).collect();
@@ -157,13 +157,13 @@ impl Offsets {
 }
 
 /// Mean of the clamped pixels, in sigma, of each segment of each row, and of each column.
-pub(crate) struct Means {
+pub(crate) struct BandingMeans {
     rows: Vec<[f32; SEGMENTS]>,
     columns: Vec<[f32; SEGMENTS]>,
 }
 
 /// The sums behind them, of a band of rows.
-pub(crate) struct Sums {
+pub(crate) struct BandingSums {
     width: usize,
     height: usize,
     per_sigma: f32,
@@ -177,7 +177,7 @@ fn bound(segment: usize, length: usize) -> usize {
     segment * length / SEGMENTS
 }
 
-impl Sums {
+impl BandingSums {
     /// Of no row yet, of an image whose noise is `sigma`.
     pub(crate) fn new(width: usize, height: usize, sigma: f32) -> Self {
         Self { width, height, per_sigma: 1.0 / sigma, rows: Vec::new(), columns: vec![0.0; SEGMENTS * width] }
@@ -218,8 +218,8 @@ impl Sums {
     }
 
     /// The means of all bands, given from the first row to the last.
-    pub(crate) fn means(bands: Vec<Self>, width: usize, height: usize) -> Means {
-        let mut means = Means { rows: Vec::with_capacity(height), columns: vec![[0.0; SEGMENTS]; width] };
+    pub(crate) fn means(bands: Vec<Self>, width: usize, height: usize) -> BandingMeans {
+        let mut means = BandingMeans { rows: Vec::with_capacity(height), columns: vec![[0.0; SEGMENTS]; width] };
         for band in bands {
             means.rows.extend(band.rows);
             for (segment, sums) in band.columns.chunks(width).enumerate() {
@@ -231,14 +231,14 @@ impl Sums {
     }
 }
 
-fn measure(image: &[f32], width: usize, sigma: f32) -> Means {
+fn measure(image: &[f32], width: usize, sigma: f32) -> BandingMeans {
     let height = image.len() / width;
     let bands = parallel::ranges(height, width, |band| {
-        let mut sums = Sums::new(width, height, sigma);
+        let mut sums = BandingSums::new(width, height, sigma);
         band.for_each(|y| sums.add(y, &image[y * width..(y + 1) * width]));
         sums
     });
-    Sums::means(bands, width, height)
+    BandingSums::means(bands, width, height)
 }
 
 #[cfg(test)]

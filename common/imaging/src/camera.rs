@@ -7,7 +7,7 @@ use crate::frame::{Frame, Pixels};
 #[derive(Debug, Clone, Copy)]
 pub struct Camera<'a> {
     /// Greatest count that the camera can give, ADU (ASCOM `MaxADU`); 65535 for raw counts and none for floats
-    /// if not told.
+    /// if not given.
     pub max_adu: Option<f32>,
     /// Electrons per ADU (ASCOM `ElectronsPerADU`), for the photon noise of stars.
     pub gain_e_per_adu: f32,

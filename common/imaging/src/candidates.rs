@@ -20,7 +20,7 @@ const VALLEY: (f32, f32) = (2.5, 0.03);
 /// More maxima than this are not looked at, the least significant being dropped.
 const MOST: usize = 200_000;
 
-/// The objects among the peaks, the most significant first. `is_saturated` tells of flat tops, which have no height
+/// The objects among the peaks, the most significant first. `is_saturated` marks flat tops, which have no height
 /// of their own.
 pub(crate) fn objects(
     clean: &Clean,

@@ -18,10 +18,9 @@ mod record;
 
 use units::Angle;
 
+use crate::healpix;
 pub use build::{Entry, Pieces, build, order_for};
 use record::Record;
-
-use crate::healpix;
 
 const MAGIC: [u8; 8] = *b"SMCAT\0\0\x01";
 const HEADER: usize = 32;
@@ -30,7 +29,7 @@ const FASTEST_ARCSEC_PER_YEAR: f64 = 10.5;
 
 /// A star as a catalogue gives it for one epoch.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Star {
+pub struct CatalogueStar {
     /// ICRS right ascension at the epoch asked for.
     pub ra: Angle,
     /// ICRS declination at the epoch asked for.
@@ -103,7 +102,7 @@ impl<B: AsRef<[u8]>> Catalogue<B> {
 
     /// The stars within `radius` of an ICRS direction, not fainter than `limit_mag`, where they stood or will
     /// stand at `epoch_year` (Julian year, such as 2026.89); in no particular order.
-    pub fn cone(&self, ra: Angle, dec: Angle, radius: Angle, limit_mag: f64, epoch_year: f64) -> Vec<Star> {
+    pub fn cone(&self, ra: Angle, dec: Angle, radius: Angle, limit_mag: f64, epoch_year: f64) -> Vec<CatalogueStar> {
         let years = epoch_year - self.epoch_year;
         let reach = radius + Angle::from_arcseconds(FASTEST_ARCSEC_PER_YEAR * years.abs());
         let axis = unit(ra, dec);
@@ -120,7 +119,7 @@ impl<B: AsRef<[u8]>> Catalogue<B> {
                 if (0..3).map(|i| (at[i] - axis[i]).powi(2)).sum::<f64>() <= chord2 {
                     let ra = Angle::from_radians(at[1].atan2(at[0])).wrapped_positive();
                     let dec = Angle::from_radians(at[2].atan2(at[0].hypot(at[1])));
-                    stars.push(Star { ra, dec, mag: record.mag() });
+                    stars.push(CatalogueStar { ra, dec, mag: record.mag() });
                 }
             }
         }

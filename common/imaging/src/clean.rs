@@ -4,7 +4,7 @@
 //! the sky ([`crate::background`]), take out bands ([`crate::banding`]), find and fill defects ([`crate::defect`]).
 
 use crate::background::{Background, Mesh};
-use crate::banding::{Means, Sums};
+use crate::banding::{BandingMeans, BandingSums};
 use crate::camera::Camera;
 use crate::frame::{Frame, FrameError};
 use crate::raw::{Counted, Raw};
@@ -35,8 +35,8 @@ pub struct Clean {
 
 impl Clean {
     /// Cleans a frame; `fwhm_px` is the width of its stars if it is known (the last frame's). Without it only what
-    /// is sharper than stars of 1.5 px counts as a defect, until [`Clean::fill_defects`] is told more. Stars below
-    /// 1.5 px cannot be told from hot pixels: then only known bad pixels are filled.
+    /// is sharper than stars of 1.5 px counts as a defect, until [`Clean::fill_defects`] is given the width. Stars
+    /// below 1.5 px cannot be distinguished from hot pixels: then only known bad pixels are filled.
     ///
     /// # Errors
     /// [`FrameError::NoSky`] when no part of the frame has usable sky; [`FrameError::Mismatch`] when dark or
@@ -108,7 +108,7 @@ impl Clean {
 
     /// Takes offsets of rows and columns out, and measures the sky again if there were any. Answers how many lines
     /// were struck out.
-    fn remove_banding(&mut self, means: Means, fwhm_px: Option<f32>) -> usize {
+    fn remove_banding(&mut self, means: BandingMeans, fwhm_px: Option<f32>) -> usize {
         let found = banding::remove(&mut self.pixels, self.width, self.background.noise.median(), means);
         if found.removed
             && let Some(rest) = Background::measure(&self.pixels, self.width, 0.0, f32::INFINITY, fwhm_px)
@@ -123,11 +123,11 @@ impl Clean {
 }
 
 /// Reads the frame, takes its sky away, and looks at the rows and columns of what is left, all in one pass.
-fn read_without_sky(raw: &Raw, background: &Background, pixels: &mut [f32], width: usize) -> (Counted, Means) {
+fn read_without_sky(raw: &Raw, background: &Background, pixels: &mut [f32], width: usize) -> (Counted, BandingMeans) {
     let (steps, sigma, height) = (background.level.steps(), background.noise.median(), pixels.len() / width);
     let bands = parallel::bands_mut(pixels, width, |first, band| {
         let mut counted = Counted::NOTHING;
-        let mut sums = Sums::new(width, height, sigma);
+        let mut sums = BandingSums::new(width, height, sigma);
         for (n, line) in band.chunks_mut(width).enumerate() {
             let y = first + n;
             raw.read(y, line);
@@ -137,8 +137,8 @@ fn read_without_sky(raw: &Raw, background: &Background, pixels: &mut [f32], widt
         }
         (counted, sums)
     });
-    let (counted, sums): (Vec<Counted>, Vec<Sums>) = bands.into_iter().unzip();
-    (counted.into_iter().fold(Counted::NOTHING, Counted::and), Sums::means(sums, width, height))
+    let (counted, sums): (Vec<Counted>, Vec<BandingSums>) = bands.into_iter().unzip();
+    (counted.into_iter().fold(Counted::NOTHING, Counted::and), BandingSums::means(sums, width, height))
 }
 
 fn subtract(pixels: &mut [f32], width: usize, level: &Mesh) {

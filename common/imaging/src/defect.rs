@@ -17,7 +17,7 @@ const STANDS_OUT: f32 = 6.0;
 const SHARE: f32 = 0.4;
 /// The neighbour must be missing by this many sigma, so that faint stars are not lost to noise.
 const MISSED: f32 = 2.5;
-/// Narrower stars than this cannot be told from defects, px.
+/// Narrower stars than this cannot be distinguished from defects, px.
 pub(crate) const SHARPEST_PX: f32 = 1.5;
 
 /// Pixels that are passed over together when none of them stands out, and rows that share one noise.

@@ -26,7 +26,7 @@ pub use hyperbola::{Hyperbola, NoHyperbola, Size};
 pub use image::Image;
 pub use operator::{Better, OPERATORS, Operator, UnknownOperator};
 pub use smooth::{NoExtremum, SMOOTHERS, Smoother};
-pub use sweep::{Plan, Step, Sweep};
+pub use sweep::{FocusStep, Plan, Sweep};
 
 /// The entry of that name, or the only one whose name begins so, whatever its case; else all names there are.
 fn by_name<'a, T>(table: &'a [T], name_of: fn(&T) -> &'static str, name: &str) -> Result<&'a T, String> {

@@ -3,7 +3,7 @@
 //! Pure: no clock, no mount. Each frame's shift and time go in, pulses and their reason come out. Formulae and sources:
 //! docs/formulae.md, "Guiding".
 //!
-//! - [`reference`] remembers the stars and measures how far they moved, in boxes around where they should be.
+//! - [`mod@reference`] remembers the stars and measures how far they moved, in boxes around where they should be.
 //! - [`calibration`] knows what pulses do to the stars: from pulses, or from a plate solution.
 //! - [`Guider`] decides: per axis a bank of Kalman filters foresees drift and worm (or the predecessor's [`pid`]
 //!   reacts), Dec turns round only with reason, and a lost field is looked for.
@@ -30,7 +30,7 @@ pub use calibration::{Calibration, CalibrationError, Pier};
 pub use decision::{Ask, AxisLog, Decision, Log, Pulses, State, Unstable, Why};
 pub use guider::Guider;
 pub use reference::{Measurement, Reference};
-pub use settings::{Control, Settings};
+pub use settings::{Control, GuideSettings};
 
 use crate::shift::{Method, NoShift, Shift};
 

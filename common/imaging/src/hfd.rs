@@ -10,7 +10,7 @@ mod aperture;
 use crate::camera::Camera;
 use crate::clean::Clean;
 use crate::frame::{Frame, FrameError, Pixels};
-use crate::measure::{Search, measure_and_clean};
+use crate::measure::{StarSearch, measure_and_clean};
 use crate::parallel;
 use crate::quality::Estimate;
 use crate::star::Star;
@@ -101,7 +101,7 @@ pub fn measure_hfd(frame: &Frame, camera: &Camera, search: &HfdSearch) -> Result
     let fitting = |hfd_px: f64| [1, 2, 4, COARSEST].into_iter().find(|n| hfd_px <= LARGE_PX * *n as f64);
     let binning_for = |hfd_px: f64| fitting(hfd_px).unwrap_or(COARSEST).min(coarsest);
     let mut binning = expected.map_or(1, binning_for);
-    let mut tried: Vec<(usize, Attempt)> = Vec::new();
+    let mut tried: Vec<(usize, BinnedSearch)> = Vec::new();
     loop {
         let attempt = attempt(frame, camera, search, expected, binning)?;
         let count = attempt.stars.len();
@@ -119,9 +119,10 @@ pub fn measure_hfd(frame: &Frame, camera: &Camera, search: &HfdSearch) -> Result
     }
     let (found, saturated) = tried.iter().fold((0, 0), |(f, s), (_, a)| (f.max(a.found), s.max(a.saturated)));
     // the search that fits what it found; else the one with the most stars
-    let fits =
-        |(binning, attempt): &(usize, Attempt)| attempt.size().is_some_and(|size| binning_for(size.value) == *binning);
-    let rating = |tried: &(usize, Attempt)| (tried.1.stars.len() >= FEW && fits(tried), tried.1.stars.len());
+    let fits = |(binning, attempt): &(usize, BinnedSearch)| {
+        attempt.size().is_some_and(|size| binning_for(size.value) == *binning)
+    };
+    let rating = |tried: &(usize, BinnedSearch)| (tried.1.stars.len() >= FEW && fits(tried), tried.1.stars.len());
     let best = tried.into_iter().max_by_key(rating);
     let sized = best.and_then(|(binning, attempt)| {
         let hfd_px = attempt.size()?;
@@ -151,13 +152,13 @@ fn in_parallel<T: Sync, A: Send>(of: &[T], look: impl Fn(&T) -> A + Sync) -> Vec
 }
 
 /// One search at one binning, in px of the frame as it came.
-struct Attempt {
+struct BinnedSearch {
     stars: Vec<StarHfd>,
     found: usize,
     saturated: usize,
 }
 
-impl Attempt {
+impl BinnedSearch {
     fn size(&self) -> Option<Estimate> {
         let mut sizes: Vec<(f64, f64)> = self.stars.iter().map(|s| (s.hfd_px, s.snr.min(ENOUGH_SNR))).collect();
         let value = weighted_median(&mut sizes)?;
@@ -175,9 +176,9 @@ fn attempt(
     search: &HfdSearch,
     expected: Option<f64>,
     binning: usize,
-) -> Result<Attempt, FrameError> {
+) -> Result<BinnedSearch, FrameError> {
     let scale = binning as f64;
-    let hint = Search { fwhm_px: expected.map(|px| (px / scale) as f32), ..Search::default() };
+    let hint = StarSearch { fwhm_px: expected.map(|px| (px / scale) as f32), ..StarSearch::default() };
     if binning == 1 {
         let (measured, clean) = measure_and_clean(frame, camera, &hint)?;
         return Ok(size_all(frame, camera, search, &measured.stars, &clean, &clean, expected, 1));
@@ -202,7 +203,7 @@ fn size_all(
     whole: &Clean,
     expected: Option<f64>,
     binning: usize,
-) -> Attempt {
+) -> BinnedSearch {
     let scale = binning as f64;
     let gain = f64::from(camera.gain_e_per_adu.max(f32::MIN_POSITIVE)) * scale * scale;
     let usual = expected.map_or(FIRST_PX, |px| px / scale);
@@ -249,7 +250,7 @@ fn size_all(
     };
     let seen = in_parallel(&sized, again).into_iter().flatten().filter(|star| star.snr >= search.least_snr);
     let stars = seen.map(|star| unbinned(&star, scale)).collect();
-    Attempt { stars, found: sized.len() + saturated, saturated }
+    BinnedSearch { stars, found: sized.len() + saturated, saturated }
 }
 
 /// Neighbours between two distances from a place.

@@ -6,14 +6,14 @@
 //! - [`frame`] is what comes in: raw counts or floats with their shape.
 //! - [`clean`] takes away sky ([`background`]), bands and defects ([`bad_pixels`]).
 //! - `trails` takes those of satellites and aircraft out.
-//! - [`measure`] finds the [`star`]s, measures them, and says what the frame is worth ([`quality`]);
+//! - [`mod@measure`] finds the [`star`]s, measures them, and says what the frame is worth ([`quality`]);
 //!   [`mosaic`] does so for cameras with colour filters on their pixels.
-//! - [`shift`] tells from two star lists how far the field moved; [`projection`] from two cleaned frames.
-//! - [`hfd`] tells the size of stars in and out of focus; [`focus`] finds the position where it is least.
+//! - [`shift`] computes from two star lists how far the field moved; [`projection`] from two cleaned frames.
+//! - [`hfd`] measures the size of stars in and out of focus; [`focus`] finds the position where it is least.
 //! - [`guide`] holds a field in its place: shifts in, pulses out.
-//! - [`pointing`] tells where to send a telescope that misses, and learns how it misses.
+//! - [`pointing`] computes where to send a telescope that misses, and learns how it misses.
 //! - [`catalogue`] reads (and builds) the compact all-sky star catalogue from bytes.
-//! - [`solve`] tells which piece of the sky a star list shows, as a [`wcs`]; [`tangent`] lays the sky flat.
+//! - [`mod@solve`] finds which piece of the sky a star list shows, as a [`wcs`]; [`tangent`] lays the sky flat.
 //! - [`healpix`] divides the sky into equal areas; the catalogue is ordered by it.
 //!
 //! The work on pixels runs on all cores, in plain loops over rows that the compiler turns into vector instructions.
@@ -56,7 +56,7 @@ pub use bad_pixels::BadPixelMap;
 pub use camera::Camera;
 pub use clean::Clean;
 pub use frame::{Frame, FrameError, Pixels};
-pub use measure::{Measured, Search, measure};
+pub use measure::{Measured, StarSearch, measure};
 pub use mosaic::{is_mosaic, measure_mosaic};
 pub use quality::Quality;
 pub use shift::{NoShift, Shift};

@@ -13,7 +13,7 @@ use crate::parallel;
 pub(crate) const FWHM_PER_SIGMA: f32 = 2.354_82;
 /// The kernel ends at this many sigma.
 const REACH_SIGMA: f32 = 2.5;
-/// Every n-th pixel of every n-th row tells the scatter of S.
+/// Every n-th pixel of every n-th row shows the scatter of S.
 const SAMPLE_STEP: usize = 8;
 
 /// Wide kernels are run over sums of 2 x 2 or 4 x 4 px, in which they are at least so wide: that loses less than 1 % of S,
@@ -303,7 +303,7 @@ impl<'a> Rows<'a> {
         }
         let row = |row: Option<usize>| row.map_or(&self.zeros[..], |row| &self.along_x[row % (2 * reach + 1)]);
         let taps = self.kernel.taps.iter().enumerate().skip(1);
-        let pairs: Vec<Pair> =
+        let pairs: Vec<TapLines> =
             taps.map(|(d, tap)| (*tap, row(y.checked_sub(d)), row((y + d < height).then_some(y + d)))).collect();
         let out = &mut self.significance[2];
         weigh(out, row(Some(y)), &pairs);
@@ -329,17 +329,17 @@ impl<'a> Rows<'a> {
         }
         if !inner.is_empty() {
             let shifted = |from: usize| &line[from..from + inner.len()];
-            let pairs: Vec<Pair> = taps().map(|(d, tap)| (*tap, shifted(reach - d), shifted(reach + d))).collect();
+            let pairs: Vec<TapLines> = taps().map(|(d, tap)| (*tap, shifted(reach - d), shifted(reach + d))).collect();
             weigh(&mut out[inner.clone()], shifted(reach), &pairs);
         }
     }
 }
 
 /// A tap of the kernel and the two lines at its distance on either side.
-type Pair<'a> = (f32, &'a [f32], &'a [f32]);
+type TapLines<'a> = (f32, &'a [f32], &'a [f32]);
 
 /// `out = middle + sum of tap * (before + after)`; 16 sums at a time, which stay in vector registers.
-fn weigh(out: &mut [f32], middle: &[f32], pairs: &[Pair]) {
+fn weigh(out: &mut [f32], middle: &[f32], pairs: &[TapLines]) {
     const BLOCK: usize = 16;
     let length = out.len();
     let block = |line: &[f32], at: usize| -> [f32; BLOCK] {

@@ -9,11 +9,11 @@ use crate::frame::{Frame, FrameError};
 use crate::grid::Grid;
 use crate::matched_filter::{Kernel, Peak, Peaks};
 use crate::parallel;
-use crate::profile::Profile;
+use crate::profile::StarProfile;
 use crate::quality::Quality;
 use crate::star::{Flags, Star};
 use crate::trails;
-use crate::window::{Seen, Window};
+use crate::window::{Window, WindowMoments};
 
 /// Width assumed when nobody knows better, px; it is measured and the search repeated if it is wrong.
 const FIRST_FWHM_PX: f64 = 4.0;
@@ -24,9 +24,10 @@ const KERNEL_TOLERANCE: f64 = 1.3;
 /// ... and one so wide that it runs over sums of 2 x 2 px or more, px, by more than this: to search again costs little, and
 /// the width that is handed on is too great for doughnuts.
 const WIDE_KERNEL: (f64, f64) = (10.0, 1.2);
-/// Defects are looked for again when the stars are wider than was known by this factor: then more can be told.
+/// Defects are looked for again when the stars are wider than was known by this factor: then more defects can be
+/// distinguished.
 const DEFECTS_AGAIN: f64 = 1.2;
-/// Stars that tell the width.
+/// Stars that show the width.
 const BEST: usize = 50;
 /// Significance that such stars should have.
 const WELL_SEEN: f32 = 8.0;
@@ -45,14 +46,14 @@ const ROUND: f64 = 2.0;
 
 /// How to look for stars.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Search {
+pub struct StarSearch {
     /// Least significance in the matched filter.
     pub threshold: f32,
     /// Width of the stars in the last frame of this camera, px; saves a second search.
     pub fwhm_px: Option<f32>,
 }
 
-impl Default for Search {
+impl Default for StarSearch {
     fn default() -> Self {
         Self { threshold: 5.0, fwhm_px: None }
     }
@@ -72,7 +73,7 @@ pub struct Measured {
 /// # Errors
 /// [`FrameError`] when the frame has no usable sky, or the dark or bad-pixel map have another shape. A frame without
 /// stars is no error.
-pub fn measure(frame: &Frame, camera: &Camera, search: &Search) -> Result<Measured, FrameError> {
+pub fn measure(frame: &Frame, camera: &Camera, search: &StarSearch) -> Result<Measured, FrameError> {
     measure_and_clean(frame, camera, search).map(|(measured, _)| measured)
 }
 
@@ -80,15 +81,16 @@ pub fn measure(frame: &Frame, camera: &Camera, search: &Search) -> Result<Measur
 pub(crate) fn measure_and_clean(
     frame: &Frame,
     camera: &Camera,
-    search: &Search,
+    search: &StarSearch,
 ) -> Result<(Measured, Clean), FrameError> {
-    // what is as sharp as a defect is no guide for telling stars from defects: it must be seen anew on each frame
-    let search = &Search { fwhm_px: search.fwhm_px.filter(|px| px.is_finite() && *px >= SHARPEST_PX), ..*search };
+    // what is as sharp as a defect is no guide for distinguishing stars from defects: it must be seen anew on each
+    // frame
+    let search = &StarSearch { fwhm_px: search.fwhm_px.filter(|px| px.is_finite() && *px >= SHARPEST_PX), ..*search };
     let mut clean = Clean::new(frame, camera, search.fwhm_px)?;
-    let light = Light { frame, saturation: camera.saturation_adu(frame), brightest: clean.brightest_adu };
+    let light = RawPixels { frame, saturation: camera.saturation_adu(frame), brightest: clean.brightest_adu };
     let (mut trails, mut found);
     if let Some((as_doughnuts, doughnuts)) = doughnuts(&clean, camera, search, &light)? {
-        (clean, trails, found) = (as_doughnuts, trails::Found::default(), doughnuts);
+        (clean, trails, found) = (as_doughnuts, trails::FoundTrails::default(), doughnuts);
     } else {
         trails = trails::remove(&mut clean, camera, light.saturation, search.fwhm_px);
         found = find(&mut clean, camera, search, &light, true);
@@ -96,7 +98,7 @@ pub(crate) fn measure_and_clean(
     if let Some(width) = found.width
         && (clean.takes_for_sky(width as f32) || clean.took_for_defects(width as f32, found.objects.len()))
     {
-        let again = Search { fwhm_px: Some(width as f32), ..*search };
+        let again = StarSearch { fwhm_px: Some(width as f32), ..*search };
         clean = Clean::new(frame, camera, again.fwhm_px)?;
         trails = trails::remove(&mut clean, camera, light.saturation, again.fwhm_px);
         found = find(&mut clean, camera, &again, &light, false);
@@ -120,9 +122,9 @@ pub(crate) fn measure_and_clean(
 fn doughnuts(
     clean: &Clean,
     camera: &Camera,
-    search: &Search,
-    light: &Light,
-) -> Result<Option<(Clean, Found)>, FrameError> {
+    search: &StarSearch,
+    light: &RawPixels,
+) -> Result<Option<(Clean, FoundObjects)>, FrameError> {
     if search.fwhm_px.is_some() {
         return Ok(None);
     }
@@ -132,9 +134,9 @@ fn doughnuts(
     let Some(width) = width.filter(|width| clean.takes_for_sky(*width)) else {
         return Ok(None);
     };
-    let search = Search { fwhm_px: Some(width), ..*search };
+    let search = StarSearch { fwhm_px: Some(width), ..*search };
     let mut clean = Clean::new(light.frame, camera, search.fwhm_px)?;
-    if trails::remove(&mut clean, camera, light.saturation, search.fwhm_px) != trails::Found::default() {
+    if trails::remove(&mut clean, camera, light.saturation, search.fwhm_px) != trails::FoundTrails::default() {
         // a wide trail may be what the width was measured of
         return Ok(None);
     }
@@ -143,13 +145,13 @@ fn doughnuts(
 }
 
 /// The raw pixels, asked about saturation.
-struct Light<'a> {
+struct RawPixels<'a> {
     frame: &'a Frame<'a>,
     saturation: f32,
     brightest: f32,
 }
 
-impl Light<'_> {
+impl RawPixels<'_> {
     /// Brightest raw pixel within `reach` px, and whether the star is saturated there: at the limit, or with three
     /// pixels at the one value that is the greatest of the whole frame.
     fn peak(&self, x: usize, y: usize, reach: usize) -> (f32, bool) {
@@ -166,7 +168,7 @@ impl Light<'_> {
 }
 
 /// Objects, and the width of their stars.
-struct Found {
+struct FoundObjects {
     objects: Vec<Peak>,
     /// Width of the kernel they were found with, px.
     kernel_px: f64,
@@ -176,7 +178,13 @@ struct Found {
 
 /// Searches with the expected width, measures the true one, and searches again if they differ too much. Where the frame
 /// `may_be_cleaned_again`, a width for which it has to be is the answer: what else is found will be found anew.
-fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light, may_be_cleaned_again: bool) -> Found {
+fn find(
+    clean: &mut Clean,
+    camera: &Camera,
+    search: &StarSearch,
+    light: &RawPixels,
+    may_be_cleaned_again: bool,
+) -> FoundObjects {
     let expected = search.fwhm_px.map_or(FIRST_FWHM_PX, f64::from);
     let mut kernel_px = if expected.is_finite() { expected.clamp(WIDTHS_PX.0, WIDTHS_PX.1) } else { FIRST_FWHM_PX };
     let mut left = 2;
@@ -186,7 +194,7 @@ fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light, may_
         let mut objects = objects(clean, &kernel, &peaks, light);
         let width = typical_width(clean, camera, light, &objects, (kernel_px, search.fwhm_px));
         if may_be_cleaned_again && width.is_some_and(|width| clean.takes_for_sky(width as f32)) {
-            return Found { objects, kernel_px, width };
+            return FoundObjects { objects, kernel_px, width };
         }
         let factor = width.map_or(1.0, |width| (width / kernel_px).max(kernel_px / width));
         if let Some(width) = width
@@ -200,14 +208,14 @@ fn find(clean: &mut Clean, camera: &Camera, search: &Search, light: &Light, may_
         }
         let tolerance = if kernel_px >= WIDE_KERNEL.0 { WIDE_KERNEL.1 } else { KERNEL_TOLERANCE };
         if factor <= tolerance || left == 0 {
-            return Found { objects, kernel_px, width };
+            return FoundObjects { objects, kernel_px, width };
         }
         kernel_px = width.map_or(kernel_px, |width| width.clamp(WIDTHS_PX.0, WIDTHS_PX.1));
         left -= 1;
     }
 }
 
-fn objects(clean: &Clean, kernel: &Kernel, peaks: &Peaks, light: &Light) -> Vec<Peak> {
+fn objects(clean: &Clean, kernel: &Kernel, peaks: &Peaks, light: &RawPixels) -> Vec<Peak> {
     candidates::objects(clean, kernel, peaks, |peak| light.peak(peak.x, peak.y, 1).1)
 }
 
@@ -216,7 +224,7 @@ fn objects(clean: &Clean, kernel: &Kernel, peaks: &Peaks, light: &Light) -> Vec<
 fn typical_width(
     clean: &Clean,
     camera: &Camera,
-    light: &Light,
+    light: &RawPixels,
     objects: &[Peak],
     (kernel_px, last_px): (f64, Option<f32>),
 ) -> Option<f64> {
@@ -298,7 +306,7 @@ fn own_width(clean: &Clean, camera: &Camera, peak: &Peak, kernel_px: f64) -> Opt
 }
 
 /// Measures all objects through one window and turns them into stars.
-fn describe(clean: &Clean, camera: &Camera, light: &Light, found: &Found) -> Vec<Star> {
+fn describe(clean: &Clean, camera: &Camera, light: &RawPixels, found: &FoundObjects) -> Vec<Star> {
     let width = found.width.unwrap_or(found.kernel_px);
     let window = Window::new(width, camera.gain_e_per_adu);
     let seen = parallel::ranges(found.objects.len(), 512, |range| {
@@ -324,8 +332,8 @@ fn describe(clean: &Clean, camera: &Camera, light: &Light, found: &Found) -> Vec
     let starlike = best.iter().filter(|o| o.seen.variance() > 0.36 * variance);
     let stack: Vec<_> = starlike.map(|o| (clean, o.seen.x, o.seen.y, o.seen.flux)).collect();
     // a Gaussian under a window of its own size shows half of its flux
-    let gaussian = Profile { fwhm_px: width, beta: 30.0 };
-    let profile = Profile::fit(&stack, width).unwrap_or(gaussian);
+    let gaussian = StarProfile { fwhm_px: width, beta: 30.0 };
+    let profile = StarProfile::fit(&stack, width).unwrap_or(gaussian);
     let stretch = profile.fwhm_px / (2.354_82 * variance.sqrt()).max(0.1);
     let whole = profile.whole_over_window(window.sigma());
 
@@ -338,7 +346,7 @@ fn describe(clean: &Clean, camera: &Camera, light: &Light, found: &Found) -> Vec
 
 struct Object {
     peak: Peak,
-    seen: Seen,
+    seen: WindowMoments,
     peak_adu: f32,
     saturated: bool,
 }
@@ -377,15 +385,15 @@ impl Object {
 /// Drops objects whose windows ran into the same star, keeping the more significant.
 fn without_doubles(clean: &Clean, objects: impl Iterator<Item = Object>, reach: f64) -> Vec<Object> {
     let mut grid = Grid::new(clean.width, clean.height, reach as f32);
-    let mut kept = Vec::new();
+    let mut retained = Vec::new();
     for object in objects {
         let (x, y) = (object.seen.x as f32, object.seen.y as f32);
         if grid.near(x, y, reach as f32).next().is_none() {
             grid.add(x, y);
-            kept.push(object);
+            retained.push(object);
         }
     }
-    kept
+    retained
 }
 
 /// Flags stars with a neighbour of at least a tenth of their flux within `reach` px.

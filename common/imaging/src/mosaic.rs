@@ -8,7 +8,7 @@ use crate::background::median_in_place;
 use crate::bad_pixels::BadPixelMap;
 use crate::camera::Camera;
 use crate::frame::{Frame, FrameError, Pixels};
-use crate::measure::{Measured, Search, measure};
+use crate::measure::{Measured, StarSearch, measure};
 use crate::quality::Estimate;
 use crate::star::Star;
 
@@ -64,14 +64,14 @@ fn typical(mut values: Vec<f32>) -> Option<Typical> {
 ///
 /// # Errors
 /// As [`measure`]; [`FrameError::Shape`] for a frame of one column or row.
-pub fn measure_mosaic(frame: &Frame, camera: &Camera, search: &Search) -> Result<Measured, FrameError> {
+pub fn measure_mosaic(frame: &Frame, camera: &Camera, search: &StarSearch) -> Result<Measured, FrameError> {
     if let Some(map) = camera.bad_pixels {
         fitting(frame, "bad-pixel map", map.width(), map.height())?;
     }
-    let means = Means::new(frame, camera.saturation_adu(frame), camera.bad_pixels);
+    let means = BinnedMeans::new(frame, camera.saturation_adu(frame), camera.bad_pixels);
     let dark = camera.dark.map(|dark| {
         fitting(frame, "dark", dark.width(), dark.height())?;
-        Ok(Means::new(&dark, f32::INFINITY, None))
+        Ok(BinnedMeans::new(&dark, f32::INFINITY, None))
     });
     let dark = dark.transpose()?;
     let whole = matches!(frame.pixels(), Pixels::U16(_));
@@ -79,10 +79,10 @@ pub fn measure_mosaic(frame: &Frame, camera: &Camera, search: &Search) -> Result
         max_adu: camera.max_adu.or(whole.then_some(f32::from(u16::MAX))),
         // the mean of four has a quarter of the photon noise's square
         gain_e_per_adu: 4.0 * camera.gain_e_per_adu,
-        dark: dark.as_ref().map(Means::frame).transpose()?,
+        dark: dark.as_ref().map(BinnedMeans::frame).transpose()?,
         bad_pixels: None,
     };
-    let search = Search { fwhm_px: search.fwhm_px.map(|width| 0.5 * width), ..*search };
+    let search = StarSearch { fwhm_px: search.fwhm_px.map(|width| 0.5 * width), ..*search };
     let mut measured = measure(&means.frame()?, &camera, &search)?;
     measured.stars.iter_mut().for_each(|star| *star = in_frame(star));
     let quality = &mut measured.quality;
@@ -107,13 +107,13 @@ fn in_frame(star: &Star) -> Star {
 }
 
 /// Means of 2 x 2 px; a last odd column or row is left out.
-struct Means {
+struct BinnedMeans {
     width: usize,
     height: usize,
     pixels: Vec<f32>,
 }
 
-impl Means {
+impl BinnedMeans {
     /// Where one of the four is saturated, the greatest of them stands: saturation must not hide in a mean.
     fn new(frame: &Frame, saturation: f32, bad: Option<&BadPixelMap>) -> Self {
         let (width, height) = (frame.width() / 2, frame.height() / 2);

@@ -1,14 +1,14 @@
 //! Pointing: how far a telescope looks from where it was sent, and where to send it so that it looks where it should.
 //!
-//! A mount's error is told in the mount's own directions, east and north at the place that was commanded: there an
-//! encoder that is off, or a tube that bends, gives the same error for neighbouring targets, at the pole too. [`Model`]
+//! A mount's error is reported in the mount's own directions, east and north at the place that was commanded: there an
+//! encoder that is off, or a tube that bends, gives the same error for neighbouring targets, at the pole too. [`MountErrorModel`]
 //! learns it over the sky.
 
 mod model;
 
 use units::Angle;
 
-pub use model::{FEWEST, Model, Point};
+pub use model::{FEWEST, MountErrorModel, MountErrorPoint};
 
 use crate::tangent::{TangentPlane, separation};
 
@@ -55,7 +55,7 @@ impl Miss {
     }
 }
 
-/// Rounds in which the aim is found anywhere but beside the pole.
+/// Rounds in which the aim is found anywhere but next to the pole.
 const ROUNDS: usize = 30;
 /// A thousandth of an arcsecond.
 const ENOUGH_RAD: f64 = 5e-9;
@@ -65,7 +65,7 @@ const ENOUGH_RAD: f64 = 5e-9;
 /// Each correction rests on where the telescope was sent and where it was seen to look, so that nothing learned by the
 /// corrections before is lost (docs/formulae.md, "Correction of the pointing").
 #[derive(Debug, Clone, PartialEq)]
-pub struct Approach {
+pub struct CorrectionLoop {
     target: (Angle, Angle),
     commanded: (Angle, Angle),
     threshold: Angle,
@@ -75,7 +75,7 @@ pub struct Approach {
 
 /// What to do after a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Step {
+pub enum PointingStep {
     /// The telescope looks at the target.
     OnTarget,
     /// Slew there.
@@ -87,7 +87,7 @@ pub enum Step {
 /// A correction that leaves more than this share of the distance helps too little.
 const SHRINKS_TO: f64 = 0.7;
 
-impl Approach {
+impl CorrectionLoop {
     /// A telescope on its way to `target`, sent to `commanded`; it is on target within `threshold`.
     pub fn new(target: (Angle, Angle), commanded: (Angle, Angle), threshold: Angle) -> Self {
         Self { target, commanded, threshold, seen: Vec::new() }
@@ -104,20 +104,20 @@ impl Approach {
     }
 
     /// The telescope is seen to look at `seen`.
-    pub fn look(&mut self, seen: (Angle, Angle)) -> Step {
+    pub fn look(&mut self, seen: (Angle, Angle)) -> PointingStep {
         let distance = separation(self.target, seen);
         self.seen.push(distance);
         if distance < self.threshold {
-            return Step::OnTarget;
+            return PointingStep::OnTarget;
         }
         let helped_little = |pair: &[Angle]| pair[1].degrees() > SHRINKS_TO * pair[0].degrees();
         let last = &self.seen[self.seen.len().saturating_sub(3)..];
         if last.len() == 3 && last.windows(2).all(helped_little) {
-            return Step::Hopeless;
+            return PointingStep::Hopeless;
         }
-        let Some(miss) = Miss::of(self.commanded, seen) else { return Step::Hopeless };
+        let Some(miss) = Miss::of(self.commanded, seen) else { return PointingStep::Hopeless };
         self.commanded = miss.aim(self.target);
-        Step::Slew(self.commanded)
+        PointingStep::Slew(self.commanded)
     }
 }
 
@@ -144,10 +144,10 @@ mod tests {
     #[test]
     fn one_correction_takes_back_a_constant_miss_at_ra_0_and_beside_the_poles() {
         for (ra, dec) in [(0.01, 0.0), (359.99, -30.0), (123.0, 89.8), (10.0, -89.8), (200.0, 60.0)] {
-            let mut approach = Approach::new(deg(ra, dec), deg(ra, dec), arcmin(0.1));
-            let Step::Slew(to) = approach.look(looks(deg(ra, dec), 4.0, -3.0)) else { panic!("{ra} {dec}") };
+            let mut approach = CorrectionLoop::new(deg(ra, dec), deg(ra, dec), arcmin(0.1));
+            let PointingStep::Slew(to) = approach.look(looks(deg(ra, dec), 4.0, -3.0)) else { panic!("{ra} {dec}") };
             assert!((0.0..360.0).contains(&to.0.degrees()) && to.1.degrees().abs() <= 90.0, "{to:?}");
-            assert_eq!(approach.look(looks(to, 4.0, -3.0)), Step::OnTarget, "{:?}", approach.distances());
+            assert_eq!(approach.look(looks(to, 4.0, -3.0)), PointingStep::OnTarget, "{:?}", approach.distances());
             assert!(approach.distances()[1] < arcmin(0.001), "{:?}", approach.distances());
         }
     }
@@ -159,10 +159,10 @@ mod tests {
             let mut chance = rand::rngs::StdRng::seed_from_u64(seed);
             let mut scatter = || arcmin(chance.random_range(-2.0..2.0) / 60.0).degrees() * 60.0;
             let (ra, dec) = (seed as f64 * 3.6, 89.0 * (seed as f64 * 0.7).sin());
-            let mut approach = Approach::new(deg(ra, dec), deg(ra, dec), arcmin(0.1));
+            let mut approach = CorrectionLoop::new(deg(ra, dec), deg(ra, dec), arcmin(0.1));
             let mut at = deg(ra, dec);
             let mut frames = 0;
-            while let Step::Slew(to) = approach.look(looks(at, 3.0 + scatter(), 4.0 + scatter())) {
+            while let PointingStep::Slew(to) = approach.look(looks(at, 3.0 + scatter(), 4.0 + scatter())) {
                 (at, frames) = (to, frames + 1);
                 assert!(frames <= 2, "{seed}: {:?}", approach.distances());
             }
@@ -177,17 +177,17 @@ mod tests {
 
     #[test]
     fn a_mount_that_does_not_go_where_it_is_sent_is_given_up_after_two_corrections() {
-        let mut approach = Approach::new(deg(10.0, 20.0), deg(10.0, 20.0), arcmin(0.1));
+        let mut approach = CorrectionLoop::new(deg(10.0, 20.0), deg(10.0, 20.0), arcmin(0.1));
         let stuck = looks(deg(10.0, 20.0), 3.0, 0.0);
-        assert!(matches!(approach.look(stuck), Step::Slew(_)));
-        assert!(matches!(approach.look(stuck), Step::Slew(_)));
-        assert_eq!(approach.look(stuck), Step::Hopeless);
+        assert!(matches!(approach.look(stuck), PointingStep::Slew(_)));
+        assert!(matches!(approach.look(stuck), PointingStep::Slew(_)));
+        assert_eq!(approach.look(stuck), PointingStep::Hopeless);
         // one that comes nearer, however slowly, is not
-        let mut approach = Approach::new(deg(10.0, 20.0), deg(10.0, 20.0), arcmin(0.1));
+        let mut approach = CorrectionLoop::new(deg(10.0, 20.0), deg(10.0, 20.0), arcmin(0.1));
         for off in [8.0, 5.0, 3.4, 2.0, 1.3] {
-            assert!(matches!(approach.look(looks(deg(10.0, 20.0), off, 0.0)), Step::Slew(_)));
+            assert!(matches!(approach.look(looks(deg(10.0, 20.0), off, 0.0)), PointingStep::Slew(_)));
         }
-        assert_eq!(approach.look(deg(190.0, -20.0)), Step::Hopeless, "the other side of the sky");
+        assert_eq!(approach.look(deg(190.0, -20.0)), PointingStep::Hopeless, "the other side of the sky");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The mean radial profile of a frame's stars, and the Moffat function through it.
 //!
-//! Moments under a Gaussian window tell the width of a Gaussian; real stars have wings. The stacked profile of the
+//! Moments under a Gaussian window show the width of a Gaussian; real stars have wings. The stacked profile of the
 //! best stars, fitted with `(1 + r^2 / alpha^2)^-beta` (Moffat 1969, A&A 3, 455), gives the true width at half
 //! maximum and the share of the flux that the window sees. The width is that of the image: seeing, optics, guiding
 //! and the square of the pixel together.
@@ -22,12 +22,12 @@ pub(crate) type Stacked<'a> = (&'a Clean, f64, f64, f64);
 
 /// The mean profile of a frame's stars.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Profile {
+pub(crate) struct StarProfile {
     pub(crate) fwhm_px: f64,
     pub(crate) beta: f64,
 }
 
-impl Profile {
+impl StarProfile {
     /// Stacks and fits; `fwhm_px` is the width by moments. None when the pixels are too few or no peak is there.
     pub(crate) fn fit(stars: &[Stacked], fwhm_px: f64) -> Option<Self> {
         let profile = stack(stars, fwhm_px);
@@ -129,7 +129,7 @@ mod tests {
     #[test]
     fn the_share_seen_of_a_gaussian_is_that_of_the_formula() {
         // beta 30 is nearly a Gaussian: under a window of its own width half of it is seen
-        let profile = Profile { fwhm_px: 4.0, beta: 30.0 };
+        let profile = StarProfile { fwhm_px: 4.0, beta: 30.0 };
         let whole = profile.whole_over_window(4.0 / 2.354_82);
         assert!((whole - 2.0).abs() < 0.05, "{whole}");
     }

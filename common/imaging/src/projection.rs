@@ -93,10 +93,15 @@ pub fn between(reference: &Profiles, check: &Profiles) -> Result<Shift, NoShift>
 }
 
 /// Patches that are each other's nearest within `reach_px`, the reference's moved by `at`.
-fn mutual<'a>(r: &'a [Patch], c: &'a [Patch], at: (f64, f64), reach_px: f64) -> Vec<(&'a Patch, &'a Patch)> {
-    let apart = |r: &Patch, c: &Patch| (c.x - r.x - at.0).hypot(c.y - r.y - at.1);
-    let nearest = |r: &Patch| c.iter().min_by(|a, b| apart(r, a).total_cmp(&apart(r, b)));
-    let owner = |c: &Patch| r.iter().min_by(|a, b| apart(a, c).total_cmp(&apart(b, c)));
+fn mutual<'a>(
+    r: &'a [PatchCentroid],
+    c: &'a [PatchCentroid],
+    at: (f64, f64),
+    reach_px: f64,
+) -> Vec<(&'a PatchCentroid, &'a PatchCentroid)> {
+    let apart = |r: &PatchCentroid, c: &PatchCentroid| (c.x - r.x - at.0).hypot(c.y - r.y - at.1);
+    let nearest = |r: &PatchCentroid| c.iter().min_by(|a, b| apart(r, a).total_cmp(&apart(r, b)));
+    let owner = |c: &PatchCentroid| r.iter().min_by(|a, b| apart(a, c).total_cmp(&apart(b, c)));
     let pairs = r.iter().filter_map(|r| nearest(r).map(|c| (r, c)));
     pairs.filter(|(r, c)| apart(r, c) <= reach_px && owner(c).is_some_and(|back| std::ptr::eq(back, *r))).collect()
 }
@@ -106,12 +111,12 @@ fn mutual<'a>(r: &'a [Patch], c: &'a [Patch], at: (f64, f64), reach_px: f64) -> 
 pub struct Profiles {
     width: usize,
     height: usize,
-    patches: Vec<Patch>,
+    patches: Vec<PatchCentroid>,
 }
 
 /// The middle of a patch's sums, and what noise makes of it, px.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Patch {
+struct PatchCentroid {
     x: f64,
     y: f64,
     error_px: f64,
@@ -129,10 +134,12 @@ struct Mean {
 
 impl Mean {
     /// The scatter of the pairs counts where it is more than their errors say. None of none.
-    fn of(pairs: &[(&Patch, &Patch)]) -> Option<Self> {
-        let weight = |r: &Patch, c: &Patch| 1.0 / (r.error_px.powi(2) + c.error_px.powi(2) + 2.0 * FLOOR_PX.powi(2));
+    fn of(pairs: &[(&PatchCentroid, &PatchCentroid)]) -> Option<Self> {
+        let weight = |r: &PatchCentroid, c: &PatchCentroid| {
+            1.0 / (r.error_px.powi(2) + c.error_px.powi(2) + 2.0 * FLOOR_PX.powi(2))
+        };
         let weights: f64 = pairs.iter().map(|(r, c)| weight(r, c)).sum();
-        let along = |of: fn(&Patch) -> f64| {
+        let along = |of: fn(&PatchCentroid) -> f64| {
             let mean = pairs.iter().map(|(r, c)| weight(r, c) * (of(c) - of(r))).sum::<f64>() / weights;
             let squares: f64 = pairs.iter().map(|(r, c)| weight(r, c) * (of(c) - of(r) - mean).powi(2)).sum();
             let scatter = squares / (pairs.len() as f64 - 1.0).max(1.0);
@@ -151,9 +158,10 @@ impl Profiles {
         while blocks.covered(significance) > COVERED {
             significance *= 2.0;
         }
-        let mut all: Vec<Patch> = blocks.groups(significance).iter().filter_map(|group| blocks.patch(group)).collect();
+        let mut all: Vec<PatchCentroid> =
+            blocks.groups(significance).iter().filter_map(|group| blocks.patch(group)).collect();
         all.sort_by(|a, b| b.flux.total_cmp(&a.flux));
-        let mut patches: Vec<Patch> = Vec::new();
+        let mut patches: Vec<PatchCentroid> = Vec::new();
         for patch in all {
             if patches.len() < MOST && patches.iter().all(|p| (p.x - patch.x).hypot(p.y - patch.y) >= APART_PX) {
                 patches.push(patch);
@@ -219,7 +227,7 @@ impl<'a> Blocks<'a> {
 
     /// The middle of the sums over rows and columns of a group and the blocks around it; None for defects and for what
     /// the edge of the frame cuts.
-    fn patch(&self, group: &[(usize, usize)]) -> Option<Patch> {
+    fn patch(&self, group: &[(usize, usize)]) -> Option<PatchCentroid> {
         let range = |of: fn(&(usize, usize)) -> usize| Some((group.iter().map(of).min()?, group.iter().map(of).max()?));
         let ((left, right), (top, bottom)) = (range(|block| block.0)?, range(|block| block.1)?);
         let (across, along) = ((right - left).min(bottom - top) + 1, (right - left).max(bottom - top) + 1);
@@ -255,6 +263,6 @@ impl<'a> Blocks<'a> {
         let arms: f64 = used.iter().map(|(px, py)| 0.5 * ((px - x).powi(2) + (py - y).powi(2))).sum();
         let error_px = f64::from(sigma) * arms.sqrt() / flux;
         let is_defect = f64::from(peak - floor) > ONE_PIXEL * flux;
-        (flux > 0.0 && error_px.is_finite() && !is_defect).then_some(Patch { x, y, error_px, flux })
+        (flux > 0.0 && error_px.is_finite() && !is_defect).then_some(PatchCentroid { x, y, error_px, flux })
     }
 }

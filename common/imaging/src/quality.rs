@@ -4,7 +4,7 @@ use crate::background::median_in_place;
 use crate::clean::Clean;
 use crate::defect::SHARPEST_PX;
 use crate::star::Star;
-use crate::trails::Found;
+use crate::trails::FoundTrails;
 
 /// Stars from which the frame's width and ellipticity are taken.
 const BEST: usize = 50;
@@ -15,7 +15,7 @@ const COMMON: f64 = 0.7;
 /// They are drawn out so far that no place on them is theirs when the trail is longer than this many widths: it is then seen
 /// as several stars.
 const STREAK: f64 = 6.0;
-/// Stars that tell how long their trails are, and how far they are followed, px.
+/// Stars that show how long their trails are, and how far they are followed, px.
 const FOLLOWED: usize = 20;
 const FURTHEST_PX: usize = 1000;
 /// No star is narrower than this, px: it is what a pixel makes of a point.
@@ -63,7 +63,7 @@ pub struct Quality {
 
 impl Quality {
     /// `measured`: whether the width was measured on well seen stars.
-    pub(crate) fn of(clean: &Clean, stars: &[Star], measured: bool, trails: Found) -> Self {
+    pub(crate) fn of(clean: &Clean, stars: &[Star], measured: bool, trails: FoundTrails) -> Self {
         let clear = |s: &&Star| !(s.flags.saturated || s.flags.cosmic || s.flags.edge || s.flags.blended);
         let mut best: Vec<&Star> = stars.iter().filter(clear).collect();
         if best.is_empty() {

@@ -66,7 +66,7 @@ impl Shift {
     }
 }
 
-/// Why no shift can be told.
+/// Why no shift can be measured.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoShift {
     /// No stars, or none that is good enough, in one of the frames.
@@ -128,7 +128,7 @@ pub fn from_stars(reference: &[Star], check: &[Star], width: usize, height: usiz
     let centre = (0.5 * (width as f64 - 1.0), 0.5 * (height as f64 - 1.0));
     let differences = reference.iter().flat_map(|r| check.iter().map(|c| (c.x_px - r.x_px, c.y_px - r.y_px)));
     let start = most_frequent_difference(differences).unwrap_or_default();
-    let mut motion = fit::Motion::shifted(start, centre);
+    let mut motion = fit::FieldMotion::shifted(start, centre);
     let mut pairs = Vec::new();
     // the vote is good to a few px; the fit then closes in
     for reach in [6.0, 4.0, LAST_REACH_PX, LAST_REACH_PX] {
@@ -184,23 +184,23 @@ pub(crate) fn from_pairs(
 ) -> Result<Shift, NoShift> {
     let centre = (0.5 * (width as f64 - 1.0), 0.5 * (height as f64 - 1.0));
     let too_few = NoShift::TooFewStars { reference, check };
-    let mut kept = pairs.to_vec();
-    let mut motion = fit::fit(pair::moving(&kept).as_deref().unwrap_or(&kept), centre).ok_or(too_few)?;
+    let mut retained = pairs.to_vec();
+    let mut motion = fit::fit(pair::moving(&retained).as_deref().unwrap_or(&retained), centre).ok_or(too_few)?;
     for _ in 0..2 {
-        kept = pairs.iter().copied().filter(|pair| motion.explains(pair)).collect();
-        let (matched, dx_px, dy_px) = (kept.len(), motion.dx, motion.dy);
+        retained = pairs.iter().copied().filter(|pair| motion.explains(pair)).collect();
+        let (matched, dx_px, dy_px) = (retained.len(), motion.dx, motion.dy);
         // what most stars do not follow is no motion of the field
         if 2 * matched < pairs.len().min(reference) || matched == 0 {
             return Err(NoShift::NoMatch { matched, dx_px, dy_px });
         }
         let no_match = NoShift::NoMatch { matched, dx_px, dy_px };
-        motion = fit::fit(pair::moving(&kept).as_deref().unwrap_or(&kept), centre).ok_or(no_match)?;
+        motion = fit::fit(pair::moving(&retained).as_deref().unwrap_or(&retained), centre).ok_or(no_match)?;
     }
-    of_motion(&motion, &kept)
+    of_motion(&motion, &retained)
 }
 
 /// The shift of a motion that these pairs gave, if it can be believed.
-fn of_motion(motion: &fit::Motion, pairs: &[(&Star, &Star)]) -> Result<Shift, NoShift> {
+fn of_motion(motion: &fit::FieldMotion, pairs: &[(&Star, &Star)]) -> Result<Shift, NoShift> {
     let (dx_px, dy_px) = (motion.dx, motion.dy);
     let far = dx_px.hypot(dy_px) > FEW_STARS_PX;
     if far && pairs.len() < 3 {

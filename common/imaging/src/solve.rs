@@ -4,11 +4,11 @@
 //!
 //! | level | known | method |
 //! |---|---|---|
-//! | 0 | rotation, scale, parity ([`Learnt`]) | one shift (`differences`) |
+//! | 0 | rotation, scale, parity ([`LearnedOptics`]) | one shift (`differences`) |
 //! | 1 | scale to some percent, place to one field | pairs of stars (`votes`) |
 //! | | place to one field | the same at other scales, where asked for ([`Hint::wrong_scales`]) |
 //! | 2 | scale, place to `furthest` | the same on tiles around the hint |
-//! | 3 | nothing ([`AllSky`]) | shapes of four stars (`pattern`) |
+//! | 3 | nothing, or place to more than 60 deg ([`AllSky`]) | shapes of four stars (`pattern`) |
 //!
 //! A solution is believed by the probability that so many stars agree by chance, times the number of hypotheses that
 //! were tried, never by a count of stars. It is then refined on all stars, with distortion where many prove it.
@@ -35,9 +35,9 @@ mod tile;
 mod trail;
 mod votes;
 
-pub use all_sky::{AllSky, Blind};
+pub use all_sky::{AllSky, Blind, Within};
 pub use failure::NoSolution;
-pub use hint::{FIRST_LIGHT, Hint, KNOWN_OPTICS, Learnt};
+pub use hint::{FIRST_LIGHT, Hint, KNOWN_OPTICS, LearnedOptics};
 pub use solution::{Level, Match, Solution};
 pub use source::{Stars, at_epoch};
 
@@ -55,7 +55,7 @@ pub struct Detected<'a> {
     pub width: usize,
     /// Rows of the frame.
     pub height: usize,
-    /// The frame as a whole; without it trailed and saturated frames are told by their stars alone.
+    /// The frame as a whole; without it trailed and saturated frames are recognised by their stars alone.
     pub quality: Option<&'a Quality>,
 }
 
@@ -71,7 +71,7 @@ pub fn solve(detected: &Detected, hint: &Hint, source: &impl Stars) -> Result<So
 struct Any<'a>(&'a dyn Stars);
 
 impl Stars for Any<'_> {
-    fn cone(&self, ra: Angle, dec: Angle, radius: Angle, faintest_mag: f64) -> Vec<crate::catalogue::Star> {
+    fn cone(&self, ra: Angle, dec: Angle, radius: Angle, faintest_mag: f64) -> Vec<crate::catalogue::CatalogueStar> {
         self.0.cone(ra, dec, radius, faintest_mag)
     }
 }
@@ -79,7 +79,7 @@ impl Stars for Any<'_> {
 fn searched(detected: &Detected, hint: &Hint, source: &Any<'_>) -> Result<Solution, NoSolution> {
     failure::check(detected, hint)?;
     failure::check_trails(detected)?;
-    let mut search = search::Search::new(detected, hint, source);
+    let mut search = search::SolveSearch::new(detected, hint, source);
     match search.run() {
         Some(solution) => Ok(solution),
         None => Err(failure::classify(detected, hint, source, search.attempt())),

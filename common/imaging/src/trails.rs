@@ -19,7 +19,7 @@ use crate::camera::Camera;
 use crate::clean::Clean;
 use crate::parallel;
 use map::Map;
-use ridge::Line;
+use ridge::RidgeLine;
 use trail::Trail;
 
 /// Lines that are looked at in one map, at most.
@@ -38,7 +38,7 @@ const SAME_LENGTH: f32 = 0.2;
 
 /// What was found in a frame.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(crate) struct Found {
+pub(crate) struct FoundTrails {
     /// Trails that were taken out.
     pub(crate) removed: usize,
     /// Length of the stars themselves where they are drawn out into trails, px.
@@ -46,18 +46,18 @@ pub(crate) struct Found {
 }
 
 /// Takes the trails out of a frame whose stars are `fwhm_px` wide, if that is known.
-pub(crate) fn remove(clean: &mut Clean, camera: &Camera, saturation: f32, fwhm_px: Option<f32>) -> Found {
+pub(crate) fn remove(clean: &mut Clean, camera: &Camera, saturation: f32, fwhm_px: Option<f32>) -> FoundTrails {
     let trails = find(clean, saturation, fwhm_px);
     if trails.is_empty() {
-        return Found::default();
+        return FoundTrails::default();
     }
     if let Some(length) = length_of_stars(&trails) {
-        return Found { removed: 0, stars_px: Some(length) };
+        return FoundTrails { removed: 0, stars_px: Some(length) };
     }
     for trail in &trails {
         fill::fill(clean, camera.gain_e_per_adu, trail);
     }
-    Found { removed: trails.len(), stars_px: None }
+    FoundTrails { removed: trails.len(), stars_px: None }
 }
 
 /// The trails of a frame, each once.
@@ -76,7 +76,7 @@ fn find(clean: &Clean, saturation: f32, fwhm_px: Option<f32>) -> Vec<Trail> {
 }
 
 /// Lines that may be trails, from the finest map to the coarsest; each has a dash of light of at least `dash_px`.
-fn lines(clean: &Clean, dash_px: f32) -> Vec<Line> {
+fn lines(clean: &Clean, dash_px: f32) -> Vec<RidgeLine> {
     let mut lines = Vec::new();
     let mut map = Some(Map::new(clean));
     while let Some(here) = map {

@@ -29,7 +29,7 @@ pub(crate) struct Window {
 
 /// What the window showed.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Seen {
+pub(crate) struct WindowMoments {
     pub(crate) x: f64,
     pub(crate) y: f64,
     /// Standard errors of x and y, px.
@@ -48,7 +48,7 @@ pub(crate) struct Seen {
     pub(crate) cut: bool,
 }
 
-impl Seen {
+impl WindowMoments {
     /// FWHM of the Gaussian with the mean (geometric) width, px.
     pub(crate) fn fwhm(&self) -> f64 {
         f64::from(FWHM_PER_SIGMA) * (self.major * self.minor).max(0.0).powf(0.25)
@@ -64,7 +64,7 @@ impl Seen {
 }
 
 #[derive(Default)]
-struct Sums {
+struct MomentSums {
     flux: f64,
     flux_variance: f64,
     x: f64,
@@ -90,7 +90,7 @@ impl Window {
     }
 
     /// Looks for a star near a place. None when it runs away by more than `reach` px, or has no flux.
-    pub(crate) fn look(&self, clean: &Clean, near: (f64, f64), reach: f64) -> Option<Seen> {
+    pub(crate) fn look(&self, clean: &Clean, near: (f64, f64), reach: f64) -> Option<WindowMoments> {
         let (mut x, mut y) = near;
         let noise = f64::from(clean.background.noise.at(near.0.round() as usize, near.1.round() as usize));
         let mut sums = self.sums(clean, x, y, noise);
@@ -110,19 +110,19 @@ impl Window {
     }
 
     /// The way to the place where the first moments vanish.
-    fn step(&self, sums: &Sums) -> Option<(f64, f64)> {
+    fn step(&self, sums: &MomentSums) -> Option<(f64, f64)> {
         let (slope_x, slope_y) = self.slopes(sums)?;
         // longer steps than a window are a sign of noise
         Some(((sums.x / slope_x).clamp(-self.sigma, self.sigma), (sums.y / slope_y).clamp(-self.sigma, self.sigma)))
     }
 
-    fn slopes(&self, sums: &Sums) -> Option<(f64, f64)> {
+    fn slopes(&self, sums: &MomentSums) -> Option<(f64, f64)> {
         // between a point (1) and something as wide as the window (near 0)
         let slope = |moment: f64| sums.flux - (moment / self.sigma.powi(2)).clamp(0.0, 0.8 * sums.flux);
         (sums.flux > 0.0).then(|| (slope(sums.xx), slope(sums.yy)))
     }
 
-    fn sums(&self, clean: &Clean, x: f64, y: f64, noise: f64) -> Sums {
+    fn sums(&self, clean: &Clean, x: f64, y: f64, noise: f64) -> MomentSums {
         let reach = REACH_SIGMA * self.sigma;
         let range = |at: f64, length: usize| {
             let first = (at - reach).ceil().max(0.0) as usize;
@@ -138,7 +138,7 @@ impl Window {
             .map(|(d2, d, weight)| [weight, weight * d, weight * d2])
             .collect();
         let (sky, per_gain, squared) = (noise * noise, 1.0 / self.gain, self.sigma.powi(2));
-        let mut sums = Sums::default();
+        let mut sums = MomentSums::default();
         for row in rows {
             let line = &clean.pixels[row * clean.width + columns.start..row * clean.width + columns.end];
             // first along the row, then as a whole: what belongs to y is the same for all its pixels
@@ -173,7 +173,7 @@ impl Window {
         sums
     }
 
-    fn seen(&self, clean: &Clean, x: f64, y: f64, sums: &Sums) -> Option<Seen> {
+    fn seen(&self, clean: &Clean, x: f64, y: f64, sums: &MomentSums) -> Option<WindowMoments> {
         let (slope_x, slope_y) = self.slopes(sums)?;
         let error = |variance: f64, slope: f64| (variance / slope.powi(2) + FLOOR_PX.powi(2)).sqrt();
         let (xx, xy, yy) = (sums.xx / sums.flux, sums.xy / sums.flux, sums.yy / sums.flux);
@@ -187,7 +187,7 @@ impl Window {
         let stretch = without_window(mean) / mean.max(f64::MIN_POSITIVE);
         let reach = REACH_SIGMA * self.sigma;
         let inside = |at: f64, length: usize| at >= reach && at + reach <= (length - 1) as f64;
-        Some(Seen {
+        Some(WindowMoments {
             x,
             y,
             error: (error(sums.x_variance, slope_x), error(sums.y_variance, slope_y)),

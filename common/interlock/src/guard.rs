@@ -1,8 +1,8 @@
 //! The guard: permission to be open must be renewed; without it the dome closes, whichever node is dead.
 //!
-//! A pure state machine: everything it knows comes in as an argument, everything it wants goes out as a [`Deed`]. The
-//! device node's `guard_task` gives it eyes and hands. Two facts are kept apart: *may it be open* (permits), and *is it
-//! closed* (fresh readings of the shutter; nothing else proves it).
+//! A pure state machine: everything it knows comes in as an argument, everything it wants goes out as a [`GuardStep`].
+//! The device node's `guard_task` gives it eyes and hands. Two facts are kept apart: *may it be open* (permits), and
+//! *is it closed* (fresh readings of the shutter; nothing else proves it).
 //!
 //! ```text
 //!             no permit, or unsafe, and not verified closed;
@@ -17,11 +17,12 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use contract::device::dome::{CloseWithMount, Guard as Said, GuardAction, Shutter};
+use contract::device::dome::{CloseWithMount, Guard as PublishedGuard, GuardAction, Shutter};
 use contract::observatory::Permit;
 use contract::{BootId, Chunk, Reason, Stamped};
 use units::MachineTime;
 
+use crate::closing_requests::ClosingRequests;
 use crate::permit_ledger::{Dropped, PermitLedger, Taken};
 use crate::shutter_evidence::{Contradiction, ShutterEvidence};
 use crate::turned::Turned;
@@ -33,7 +34,7 @@ const AGAIN: Duration = Duration::from_secs(2);
 /// Between two tries at most so often: a status that sticks at opening proves nothing.
 const MOST_AGAIN: u32 = 3;
 /// After so many tries without success all movement is stopped before the next.
-const PATIENCE: u32 = 2;
+const TRIES_BEFORE_STOP: u32 = 2;
 /// The commander sends the mounts to their park within this time; after it the guard process asks them itself.
 const PARKS_WITHIN: Duration = Duration::from_secs(10);
 /// A shutter reading that is older proves nothing.
@@ -60,7 +61,7 @@ pub struct Settings {
 
 /// What a guard wants done.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
-pub enum Deed {
+pub enum GuardStep {
     /// Close the shutter.
     Close,
     /// Stop all movement, then close the shutter.
@@ -98,39 +99,6 @@ enum Expected {
     Closed,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-struct Closing {
-    since: MachineTime,
-    tries: u32,
-    last_try: Option<MachineTime>,
-    /// The last request beyond the tries, because the shutter opened again, and their number since the last try.
-    last_again: Option<MachineTime>,
-    agains: u32,
-    /// Since the last request the shutter was seen to close, or to be closed.
-    went: bool,
-    commanded: bool,
-}
-
-impl Closing {
-    fn begun(since: MachineTime, commanded: bool) -> Self {
-        Self { since, tries: 0, last_try: None, last_again: None, agains: 0, went: false, commanded }
-    }
-
-    /// Has the shutter turned round since the last request? By what it was asked for later.
-    fn opens_again(&mut self, seen: Option<(Shutter, MachineTime)>) -> bool {
-        let Some((shutter, asked)) = seen else { return false };
-        if self.last_request().is_none_or(|at| asked <= at) {
-            return false;
-        }
-        self.went |= matches!(shutter, Shutter::Closing | Shutter::Closed);
-        shutter == Shutter::Opening || (shutter == Shutter::Open && self.went)
-    }
-
-    fn last_request(&self) -> Option<MachineTime> {
-        self.last_try.max(self.last_again)
-    }
-}
-
 /// The guard of one dome: plain data, so that states can be compared and copied.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Guard {
@@ -145,8 +113,10 @@ pub struct Guard {
     was_open: bool,
     evidence: ShutterEvidence,
     hold: bool,
-    closing: Option<Closing>,
-    standing: Vec<Alarm>,
+    closing: Option<ClosingRequests>,
+    /// A request of its own to close waits or is on its way to the dome.
+    sends: bool,
+    active: Vec<Alarm>,
 }
 
 impl Guard {
@@ -164,7 +134,8 @@ impl Guard {
             was_open: false,
             hold: false,
             closing: None,
-            standing: Vec::new(),
+            sends: false,
+            active: Vec::new(),
         }
     }
 
@@ -185,15 +156,15 @@ impl Guard {
         if self.ending || self.closing.is_some() {
             return Duration::ZERO;
         }
-        if self.permits.none_heard() {
+        if self.permits.none_received() {
             return self.grace_until.since(now);
         }
         self.permits.are_safe_for(now)
     }
 
     /// The active alarms.
-    pub fn standing(&self) -> impl Iterator<Item = Alarm> + '_ {
-        self.standing.iter().copied()
+    pub fn active_alarms(&self) -> impl Iterator<Item = Alarm> + '_ {
+        self.active.iter().copied()
     }
 
     /// The highest tokens that were granted.
@@ -212,13 +183,13 @@ impl Guard {
     }
 
     /// Takes a permit, or drops and counts it; a dropped one has no effect on a valid one.
-    pub fn hear(&mut self, telescope: &Chunk, said: &Stamped<Permit>) -> Result<Taken, Dropped> {
-        self.permits.hear(telescope, said)
+    pub fn observe(&mut self, telescope: &Chunk, sample: &Stamped<Permit>) -> Result<Taken, Dropped> {
+        self.permits.observe(telescope, sample)
     }
 
     /// This node granted a lease; permits of older ones, and of other incarnations, are dropped from now on.
-    pub fn grant(&mut self, telescope: &str, token: u64, life: Option<&BootId>) {
-        self.permits.grant(telescope, token, life);
+    pub fn grant(&mut self, telescope: &str, token: u64, boot_id: Option<&BootId>) {
+        self.permits.grant(telescope, token, boot_id);
     }
 
     /// True while every telescope's permit is valid and safe.
@@ -243,14 +214,23 @@ impl Guard {
         if self.holds() {
             return refused("the guard closed the dome and holds it; the commander must send resume first");
         }
+        if self.sends {
+            // It could arrive after the request to open.
+            return Err((Reason::Busy, "the guard's own request to close is on its way to the dome".to_owned()));
+        }
         // One whose status is closed and that only waits for the proof of it may be opened again.
-        if self.closing.is_some() && !self.evidence.says_closed() {
+        if self.closing.is_some() && !self.evidence.reports_closed() {
             return refused("the guard is closing the dome");
         }
         self.closing = None;
         self.expected = Expected::Open { since: now };
         self.was_open = true;
         Ok(())
+    }
+
+    /// Whether a request of its own to close waits, or is on its way to the dome.
+    pub fn set_sends(&mut self, sends: bool) {
+        self.sends = sends;
     }
 
     /// A request to open leaves for the device: from now on the shutter may be open, whatever its status.
@@ -301,7 +281,7 @@ impl Guard {
     /// The guard closed by itself, as far as the shutter's status shows, and waits for the commander.
     fn holds(&self) -> bool {
         let closed_itself = self.closing.is_some_and(|closing| !closing.commanded) && self.was_open;
-        self.hold || (closed_itself && self.evidence.says_closed())
+        self.hold || (closed_itself && self.evidence.reports_closed())
     }
 
     /// Somebody commanded closing.
@@ -310,14 +290,14 @@ impl Guard {
         if let Some(closing) = &mut self.closing {
             closing.commanded = true;
         } else if self.closes_by_itself() {
-            self.closing = Some(Closing::begun(now, true));
+            self.closing = Some(ClosingRequests::begun(now, true));
         }
     }
 
     /// Where the shutter must wait for the park, a command only begins the guard's own closing, which knows all mounts:
     /// the commander may know some of them or none.
     pub fn closes_by_itself(&self) -> bool {
-        self.settings.policy != CloseWithMount::Beside
+        self.settings.policy != CloseWithMount::Alongside
     }
 
     /// It must close, and waits for mounts that are not known to be `parked` and that nobody has sent to their park
@@ -343,7 +323,7 @@ impl Guard {
 
     /// Looks at the dome: `seen` is a fresh reading of the shutter and when it was asked for, or none; `parked` means
     /// that every mount is known to be parked.
-    pub fn look(&mut self, now: MachineTime, seen: Option<(Shutter, MachineTime)>, parked: bool) -> Vec<Deed> {
+    pub fn look(&mut self, now: MachineTime, seen: Option<(Shutter, MachineTime)>, parked: bool) -> Vec<GuardStep> {
         if let Some((shutter, asked)) = seen {
             self.evidence.read(shutter, asked);
         }
@@ -352,11 +332,11 @@ impl Guard {
         let uncommanded = self.compare(now, shutter);
         if self.closing.is_none() && !closed && (uncommanded || self.must_close(now)) {
             let commanded = self.expected == Expected::Closing;
-            self.closing = Some(Closing::begun(now, commanded));
+            self.closing = Some(ClosingRequests::begun(now, commanded));
         }
-        let mut deeds = Vec::new();
+        let mut steps = Vec::new();
         let mut alarms = Vec::new();
-        if uncommanded || (self.standing.contains(&Alarm::Uncommanded) && (self.closing.is_some() || self.hold)) {
+        if uncommanded || (self.active.contains(&Alarm::Uncommanded) && (self.closing.is_some() || self.hold)) {
             alarms.push(Alarm::Uncommanded);
         }
         match self.closing.take() {
@@ -366,7 +346,7 @@ impl Guard {
                 self.expected = Expected::Closed;
             }
             Some(mut closing) => {
-                self.close(&mut closing, now, seen, parked, &mut deeds, &mut alarms);
+                self.close(&mut closing, now, seen, parked, &mut steps, &mut alarms);
                 self.closing = Some(closing);
             }
             None if closed => self.was_open = false,
@@ -378,8 +358,8 @@ impl Guard {
         if let Some(contradiction) = self.evidence.contradiction(now) {
             alarms.push(Alarm::Contradicts(contradiction));
         }
-        deeds.extend(self.show(alarms));
-        deeds
+        steps.extend(self.show(alarms));
+        steps
     }
 
     /// Keeps what is expected of the shutter; true when it opened and nobody had commanded it.
@@ -408,31 +388,31 @@ impl Guard {
 
     fn must_close(&self, now: MachineTime) -> bool {
         // A node that was restarted in the middle of the night gives its commander time to publish.
-        let starting = now < self.grace_until && self.permits.none_heard();
-        self.ending || self.permits.is_said_unsafe(now) || (!self.may_be_open(now) && !starting)
+        let starting = now < self.grace_until && self.permits.none_received();
+        self.ending || self.permits.is_reported_unsafe(now) || (!self.may_be_open(now) && !starting)
     }
 
     fn close(
         &mut self,
-        closing: &mut Closing,
+        closing: &mut ClosingRequests,
         now: MachineTime,
         seen: Option<(Shutter, MachineTime)>,
         parked: bool,
-        deeds: &mut Vec<Deed>,
+        steps: &mut Vec<GuardStep>,
         alarms: &mut Vec<Alarm>,
     ) {
         let Settings { policy, parked_within, travel, .. } = self.settings;
         let waited = now.since(closing.since) >= parked_within;
         let may_move = match policy {
-            CloseWithMount::Beside => true,
+            CloseWithMount::Alongside => true,
             CloseWithMount::ParkedWithinS => parked || waited,
             CloseWithMount::ParkedOnly => parked,
         };
-        let says_closed = seen.is_some_and(|(shutter, _)| shutter == Shutter::Closed);
+        let reports_closed = seen.is_some_and(|(shutter, _)| shutter == Shutter::Closed);
         if !may_move {
             // For a shutter whose status is closed, and that nobody is known to have opened since, only the proof is
             // missing.
-            if waited && (!says_closed || self.evidence.is_doubted()) {
+            if waited && (!reports_closed || self.evidence.is_doubted()) {
                 alarms.push(Alarm::MountNotParked);
             }
             return;
@@ -441,9 +421,9 @@ impl Guard {
         // On its way: a second command, let alone a stop, would only disturb it.
         if due && !self.evidence.is_on_its_way(now) {
             // A dome that reports that it does not move is not stopped: it may be closing all the same.
-            let stops = closing.tries >= PATIENCE && !says_closed;
-            deeds.push(if stops { Deed::AbortThenClose } else { Deed::Close });
-            closing.tries += 1;
+            let stops = closing.tries >= TRIES_BEFORE_STOP && !reports_closed;
+            steps.push(if stops { GuardStep::AbortThenClose } else { GuardStep::Close });
+            closing.tries = (closing.tries + 1).min(TRIES_BEFORE_STOP + 1);
             (closing.last_try, closing.agains, closing.went) = (Some(now), 0, false);
             self.evidence.close_sent(now);
         } else if closing.opens_again(seen)
@@ -451,34 +431,34 @@ impl Guard {
             && closing.last_request().is_none_or(|at| now.since(at) >= AGAIN)
         {
             // A request to open that came late, or another client: what it shows is no reason to wait for the next try.
-            deeds.push(Deed::Close);
+            steps.push(GuardStep::Close);
             (closing.last_again, closing.went) = (Some(now), false);
             closing.agains += 1;
             self.evidence.close_sent(now);
         }
-        if closing.tries > PATIENCE || now.since(closing.since) >= travel + GRACE {
+        if closing.tries > TRIES_BEFORE_STOP || now.since(closing.since) >= travel + GRACE {
             alarms.push(Alarm::NotClosed);
         }
     }
 
     /// The difference between the alarms that were active and those that are active now.
-    fn show(&mut self, alarms: Vec<Alarm>) -> Vec<Deed> {
-        let begun = alarms.iter().filter(|alarm| !self.standing.contains(alarm)).map(|alarm| Deed::Raise(*alarm));
-        let ended = self.standing.iter().filter(|alarm| !alarms.contains(alarm)).map(|alarm| Deed::Clear(*alarm));
+    fn show(&mut self, alarms: Vec<Alarm>) -> Vec<GuardStep> {
+        let begun = alarms.iter().filter(|alarm| !self.active.contains(alarm)).map(|alarm| GuardStep::Raise(*alarm));
+        let ended = self.active.iter().filter(|alarm| !alarms.contains(alarm)).map(|alarm| GuardStep::Clear(*alarm));
         // Of two causes of one alarm the new one counts.
         let changes = ended.chain(begun).collect();
-        self.standing = alarms;
+        self.active = alarms;
         changes
     }
 
     /// What the guard publishes with a number; `malformed` permits were dropped before they reached it.
-    pub fn says(&self, number: u64, now: MachineTime, malformed: u64) -> Said {
+    pub fn published(&self, number: u64, now: MachineTime, malformed: u64) -> PublishedGuard {
         let granted = self.permits.granted();
-        Said {
+        PublishedGuard {
             number,
             token: granted.iter().map(|granted| granted.token).max().unwrap_or(0),
             permit_valid_s: self.settings.permit_valid.as_secs_f64(),
-            permits: self.permits.shown(now),
+            permits: self.permits.published(now),
             may_be_open: self.may_be_open(now),
             action: if self.closing.is_some() { GuardAction::Closing } else { GuardAction::Watching },
             hold: self.holds(),
@@ -492,7 +472,7 @@ impl Guard {
 
 #[cfg(test)]
 #[path = "guard_tests.rs"]
-mod tests;
+pub(crate) mod tests;
 
 #[cfg(test)]
 #[path = "guard_evidence_tests.rs"]

@@ -7,42 +7,42 @@ use super::*;
 use crate::shutter_evidence::Contradiction;
 
 /// A guard whose dome was opened by its own request, and whose status has been open ever since.
-fn opened(says: Shutter) -> Guard {
+fn opened(reported: Shutter) -> Guard {
     let mut guard = guard();
     guard.sees(at(0.0), Some(Shutter::Closed), true);
     let number = guard.beat(at(0.0));
-    guard.hear(&telescope("alpha"), &safe(0, number)).unwrap();
+    guard.observe(&telescope("alpha"), &safe(0, number)).unwrap();
     guard.open_commanded(at(1.0)).unwrap();
     guard.open_sent(at(1.0));
-    guard.sees(at(2.0), Some(says), true);
+    guard.sees(at(2.0), Some(reported), true);
     guard
 }
 
 fn unsafe_at(guard: &mut Guard, seconds: f64) {
     let number = guard.beat(at(seconds));
-    guard.hear(&telescope("alpha"), &permit(900 + seconds as u64, number, Verdict::Unsafe)).unwrap();
+    guard.observe(&telescope("alpha"), &permit(900 + seconds as u64, number, Verdict::Unsafe)).unwrap();
 }
 
 #[test]
-fn a_status_that_sticks_at_closed_suppresses_no_close_request_and_is_told() {
+fn a_status_that_sticks_at_closed_suppresses_no_close_request_and_is_reported() {
     let mut guard = opened(Shutter::Closed);
     unsafe_at(&mut guard, 3.0);
     let mut all = Vec::new();
     for second in 3..=120 {
         unsafe_at(&mut guard, f64::from(second));
         all.extend(
-            guard.sees(at(f64::from(second)), Some(Shutter::Closed), true).into_iter().map(|deed| (second, deed)),
+            guard.sees(at(f64::from(second)), Some(Shutter::Closed), true).into_iter().map(|step| (second, step)),
         );
     }
-    assert_eq!(all[0], (3, Deed::Close));
-    assert!(!all.iter().any(|(_, deed)| *deed == Deed::AbortThenClose), "it may be closing all the same");
-    let raised = (8, Deed::Raise(Alarm::Contradicts(Contradiction::StuckAtClosed)));
+    assert_eq!(all[0], (3, GuardStep::Close));
+    assert!(!all.iter().any(|(_, step)| *step == GuardStep::AbortThenClose), "it may be closing all the same");
+    let raised = (8, GuardStep::Raise(Alarm::Contradicts(Contradiction::StuckAtClosed)));
     assert!(all.contains(&raised), "{all:?}");
-    assert!(all.iter().any(|(_, deed)| *deed == Deed::Raise(Alarm::NotClosed)));
+    assert!(all.iter().any(|(_, step)| *step == GuardStep::Raise(Alarm::NotClosed)));
     // After the time that the shutter needs nothing more can be asked; the contradiction stays.
     assert!(!guard.is_closing() && guard.is_closed(at(120.0)), "{all:?}");
-    assert!(!all.contains(&(120, Deed::Clear(Alarm::Contradicts(Contradiction::StuckAtClosed)))));
-    assert_eq!(guard.says(0, at(120.0), 0).verified_closed, Some(true));
+    assert!(!all.contains(&(120, GuardStep::Clear(Alarm::Contradicts(Contradiction::StuckAtClosed)))));
+    assert_eq!(guard.published(0, at(120.0), 0).verified_closed, Some(true));
 }
 
 #[test]
@@ -91,17 +91,17 @@ fn what_was_read_before_the_request_proves_nothing() {
     let mut guard = opened(Shutter::Open);
     unsafe_at(&mut guard, 3.0);
     // The reading was under way while the request left.
-    let deeds = guard.look(at(3.2), Some((Shutter::Closed, at(2.9))), true);
-    assert!(closes(&deeds), "{deeds:?}");
+    let steps = guard.look(at(3.2), Some((Shutter::Closed, at(2.9))), true);
+    assert!(closes(&steps), "{steps:?}");
     assert!(guard.is_closing() && !guard.is_closed(at(3.2)));
 }
 
 #[test]
-fn a_server_that_restarts_and_says_closed_by_default_is_asked_all_the_same() {
+fn a_server_that_restarts_and_reports_closed_by_default_is_asked_all_the_same() {
     let mut guard = opened(Shutter::Open);
     // 4 s without a reading, and then it is closed although nobody asked.
-    let deeds = guard.sees(at(7.0), Some(Shutter::Closed), true);
-    assert_eq!(deeds, [Deed::Raise(Alarm::Contradicts(Contradiction::ClosedUnseen))]);
+    let steps = guard.sees(at(7.0), Some(Shutter::Closed), true);
+    assert_eq!(steps, [GuardStep::Raise(Alarm::Contradicts(Contradiction::ClosedUnseen))]);
     unsafe_at(&mut guard, 8.0);
     assert!(closes(&guard.sees(at(8.0), Some(Shutter::Closed), true)));
     assert!(!guard.is_closed(at(8.0)));
@@ -119,20 +119,20 @@ fn a_dome_that_was_seen_to_close_by_itself_is_asked_once_more_and_believed() {
 }
 
 #[test]
-fn a_shutter_that_says_closed_much_sooner_than_it_moves_is_not_believed_at_once() {
+fn a_shutter_that_reports_closed_much_sooner_than_it_moves_is_not_believed_at_once() {
     let mut guard = guard();
     let safe_at = |guard: &mut Guard, second: u32| {
         let number = guard.beat(at(f64::from(second)));
-        guard.hear(&telescope("alpha"), &safe(second.into(), number)).unwrap();
+        guard.observe(&telescope("alpha"), &safe(second.into(), number)).unwrap();
     };
     for second in 0..40 {
         safe_at(&mut guard, second);
-        let says = match second {
+        let reported = match second {
             0 => Shutter::Closed,
             1..=29 => Shutter::Opening,
             _ => Shutter::Open,
         };
-        guard.sees(at(f64::from(second)), Some(says), true);
+        guard.sees(at(f64::from(second)), Some(reported), true);
         if second == 0 {
             guard.open_commanded(at(0.5)).unwrap();
             guard.open_sent(at(0.5));
@@ -144,9 +144,9 @@ fn a_shutter_that_says_closed_much_sooner_than_it_moves_is_not_believed_at_once(
     let mut believed = None;
     for second in 42..100 {
         unsafe_at(&mut guard, f64::from(second));
-        let deeds = guard.sees(at(f64::from(second)), Some(Shutter::Closed), true);
-        let told = deeds.contains(&Deed::Raise(Alarm::Contradicts(Contradiction::TooFast)));
-        assert_eq!(told, second == 42, "second {second}: {deeds:?}");
+        let steps = guard.sees(at(f64::from(second)), Some(Shutter::Closed), true);
+        let is_raised = steps.contains(&GuardStep::Raise(Alarm::Contradicts(Contradiction::TooFast)));
+        assert_eq!(is_raised, second == 42, "second {second}: {steps:?}");
         if guard.is_closed(at(f64::from(second))) {
             believed.get_or_insert(second);
         }
@@ -155,7 +155,7 @@ fn a_shutter_that_says_closed_much_sooner_than_it_moves_is_not_believed_at_once(
 }
 
 #[test]
-fn a_dome_that_was_told_to_open_and_refused_is_as_closed_as_before() {
+fn a_dome_that_was_commanded_to_open_and_refused_is_as_closed_as_before() {
     let mut guard = guard();
     assert!(closes(&guard.sees(at(11.0), Some(Shutter::Closed), true)), "nothing is known of the time before");
     guard.sees(at(12.0), Some(Shutter::Closed), true);
@@ -177,16 +177,16 @@ fn a_request_that_the_dome_refuses_proves_nothing() {
 }
 
 #[test]
-fn a_status_that_flips_must_say_closed_for_a_while_and_is_told() {
+fn a_status_that_flips_must_report_closed_for_a_while_and_is_reported() {
     let mut guard = guard();
     guard.sees(at(11.0), Some(Shutter::Closed), true);
     guard.sees(at(12.0), Some(Shutter::Closed), true);
     let mut all = Vec::new();
     for second in 13..23 {
-        let says = if second % 2 == 1 { Shutter::Open } else { Shutter::Closed };
-        all.extend(guard.sees(at(f64::from(second)), Some(says), true));
+        let reported = if second % 2 == 1 { Shutter::Open } else { Shutter::Closed };
+        all.extend(guard.sees(at(f64::from(second)), Some(reported), true));
     }
-    assert!(all.contains(&Deed::Raise(Alarm::Contradicts(Contradiction::Flips))), "{all:?}");
+    assert!(all.contains(&GuardStep::Raise(Alarm::Contradicts(Contradiction::Flips))), "{all:?}");
     assert!(!guard.is_closed(at(22.0)), "its status was closed for 1 s");
     (23..29).for_each(|second| drop(guard.sees(at(f64::from(second)), Some(Shutter::Closed), true)));
     assert!(guard.is_closed(at(28.0)));
@@ -205,7 +205,7 @@ fn a_percentage_is_never_proof_of_closed() {
     }
     assert!(!guard.is_closed(at(199.0)), "1 % is not closed");
     let number = guard.beat(at(200.0));
-    guard.hear(&telescope("alpha"), &safe(5000, number)).unwrap();
+    guard.observe(&telescope("alpha"), &safe(5000, number)).unwrap();
     assert!(guard.open_commanded(at(200.0)).is_err());
 }
 
@@ -227,7 +227,7 @@ fn a_bare_close_of_a_roof_that_waits_moves_it_only_over_parked_mounts() {
         let mut first = None;
         for second in 0..300_u32 {
             let number = guard.beat(at(f64::from(second)));
-            guard.hear(&telescope("alpha"), &safe(second.into(), number)).unwrap();
+            guard.observe(&telescope("alpha"), &safe(second.into(), number)).unwrap();
             if second == 1 {
                 guard.open_commanded(at(1.0)).unwrap();
                 guard.open_sent(at(1.0));
@@ -235,8 +235,8 @@ fn a_bare_close_of_a_roof_that_waits_moves_it_only_over_parked_mounts() {
             if second == 3 {
                 guard.close_commanded(at(3.0));
             }
-            let says = if second < 2 { Shutter::Closed } else { Shutter::Open };
-            if closes(&guard.sees(at(f64::from(second)), Some(says), false)) {
+            let reported = if second < 2 { Shutter::Closed } else { Shutter::Open };
+            if closes(&guard.sees(at(f64::from(second)), Some(reported), false)) {
                 first.get_or_insert(second);
             }
         }
@@ -252,38 +252,38 @@ fn a_token_that_nobody_granted_changes_nothing_for_the_real_commander() {
         let number = guard.beat(at(seq as f64));
         let mut invented = permit(9_000_000, number, Verdict::Unsafe);
         invented.body.token = token;
-        assert_eq!(guard.hear(&telescope("alpha"), &invented), Err(Dropped::NeverGranted));
-        guard.hear(&telescope("alpha"), &safe(seq, number)).unwrap();
+        assert_eq!(guard.observe(&telescope("alpha"), &invented), Err(Dropped::NeverGranted));
+        guard.observe(&telescope("alpha"), &safe(seq, number)).unwrap();
         assert!(guard.may_be_open(at(seq as f64)));
     }
-    assert_eq!(guard.says(0, at(4.0), 0).token, 1);
+    assert_eq!(guard.published(0, at(4.0), 0).token, 1);
 }
 
 #[test]
 fn of_two_that_speak_with_one_lease_in_one_name_the_safer_word_counts() {
     let mut guard = guard();
     let number = guard.beat(at(0.0));
-    guard.hear(&telescope("alpha"), &safe(1, number)).unwrap();
+    guard.observe(&telescope("alpha"), &safe(1, number)).unwrap();
     // Another process counts far ahead; one such sample ends nothing.
     let number = guard.beat(at(1.0));
-    guard.hear(&telescope("alpha"), &safe(u64::MAX, number)).unwrap();
+    guard.observe(&telescope("alpha"), &safe(u64::MAX, number)).unwrap();
     let number = guard.beat(at(2.0));
-    assert_eq!(guard.hear(&telescope("alpha"), &safe(2, number)), Ok(Taken::Contested));
+    assert_eq!(guard.observe(&telescope("alpha"), &safe(2, number)), Ok(Taken::Contested));
     assert!(guard.may_be_open(at(2.0)), "both publish safe");
     // Now the commander publishes unsafe, and the other one still publishes safe.
     let number = guard.beat(at(3.0));
-    guard.hear(&telescope("alpha"), &safe(u64::MAX, number)).unwrap();
+    guard.observe(&telescope("alpha"), &safe(u64::MAX, number)).unwrap();
     let number = guard.beat(at(4.0));
-    assert_eq!(guard.hear(&telescope("alpha"), &permit(3, number, Verdict::Unsafe)), Ok(Taken::Contested));
+    assert_eq!(guard.observe(&telescope("alpha"), &permit(3, number, Verdict::Unsafe)), Ok(Taken::Contested));
     let number = guard.beat(at(5.0));
-    guard.hear(&telescope("alpha"), &safe(u64::MAX, number)).unwrap();
+    guard.observe(&telescope("alpha"), &safe(u64::MAX, number)).unwrap();
     assert!(!guard.may_be_open(at(5.0)) && guard.open_commanded(at(5.0)).is_err());
     assert!(closes(&guard.sees(at(5.0), Some(Shutter::Open), true)));
     assert!(!guard.may_be_open(at(13.9)));
 }
 
 #[test]
-fn a_lease_that_was_granted_to_one_life_is_no_other_lifes() {
+fn a_lease_that_was_granted_to_one_incarnation_belongs_to_no_other() {
     let mut guard = guard();
     guard.grant("alpha", 2, Some(&boot("observatory-1")));
     let number = guard.beat(at(0.0));
@@ -291,8 +291,8 @@ fn a_lease_that_was_granted_to_one_life_is_no_other_lifes() {
     real.body.token = 2;
     let mut other = real.clone();
     other.boot_id = boot("zzz");
-    assert_eq!(guard.hear(&telescope("alpha"), &other), Err(Dropped::OtherLife));
-    assert_eq!(guard.hear(&telescope("alpha"), &real), Ok(Taken::Next));
+    assert_eq!(guard.observe(&telescope("alpha"), &other), Err(Dropped::OtherIncarnation));
+    assert_eq!(guard.observe(&telescope("alpha"), &real), Ok(Taken::Next));
 }
 
 #[test]
@@ -301,20 +301,20 @@ fn after_a_restart_of_the_guard_no_stranger_takes_the_lease_by_speaking_first() 
     let number = guard.beat(at(0.0));
     let mut stranger = safe(7, number);
     stranger.boot_id = boot("a stranger");
-    guard.hear(&telescope("alpha"), &stranger).unwrap();
+    guard.observe(&telescope("alpha"), &stranger).unwrap();
     let number = guard.beat(at(1.0));
-    assert_eq!(guard.hear(&telescope("alpha"), &safe(3, number)), Ok(Taken::Contested));
+    assert_eq!(guard.observe(&telescope("alpha"), &safe(3, number)), Ok(Taken::Contested));
     assert!(guard.may_be_open(at(9.0)), "the commander's permit keeps it open");
     let number = guard.beat(at(2.0));
-    guard.hear(&telescope("alpha"), &permit(4, number, Verdict::Unsafe)).unwrap();
+    guard.observe(&telescope("alpha"), &permit(4, number, Verdict::Unsafe)).unwrap();
     let number = guard.beat(at(3.0));
     stranger.body.guard_number = number;
-    assert_eq!(guard.hear(&telescope("alpha"), &stranger), Ok(Taken::Contested));
+    assert_eq!(guard.observe(&telescope("alpha"), &stranger), Ok(Taken::Contested));
     assert!(!guard.may_be_open(at(3.0)), "and its unsafe permit counts alongside the stranger's");
 }
 
 #[test]
-fn a_dome_that_must_close_says_so_until_it_is_proven_closed() {
+fn a_dome_that_must_close_reports_it_until_it_is_proven_closed() {
     let mut guard = opened(Shutter::Open);
     assert!(!guard.needs_closing(at(2.5)));
     unsafe_at(&mut guard, 3.0);

@@ -58,7 +58,12 @@ impl KnownTokens {
         self.newest.insert(telescope.to_owned(), token);
     }
 
-    /// All tokens, with this one: what is written to the disk.
+    /// All tokens that count: what is written to the disk.
+    pub fn newest(&self) -> &BTreeMap<String, u64> {
+        &self.newest
+    }
+
+    /// The same with this one, before it counts.
     pub fn with(&self, telescope: &str, token: u64) -> BTreeMap<String, u64> {
         let mut newest = self.newest.clone();
         newest.insert(telescope.to_owned(), token);

@@ -39,7 +39,7 @@ impl Calls {
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct MountWatch {
     lost_since: MachineTime,
-    last_deed: Option<MachineTime>,
+    last_step: Option<MachineTime>,
     tries: u32,
     /// It has stopped or parked since the permit was lost: a person who moves it later does so on purpose.
     rested: bool,
@@ -50,7 +50,7 @@ pub struct MountWatch {
 impl MountWatch {
     /// A watch that begins without a permit.
     pub fn new(now: MachineTime) -> Self {
-        Self { lost_since: now, last_deed: None, tries: 0, rested: false, answered: true, called: false }
+        Self { lost_since: now, last_step: None, tries: 0, rested: false, answered: true, called: false }
     }
 
     /// What the mount must do now, if anything; `answers`: whether its server does.
@@ -65,11 +65,11 @@ impl MountWatch {
         let must_park = calls.must_park();
         // One that comes back, and one that is needed now, is asked at once.
         if (answers && !self.answered) || (must_park && !self.called) {
-            self.last_deed = None;
+            self.last_step = None;
         }
         (self.answered, self.called) = (answers, must_park);
         if calls.permitted && !must_park {
-            (self.lost_since, self.last_deed, self.tries, self.rested) = (now, None, 0, false);
+            (self.lost_since, self.last_step, self.tries, self.rested) = (now, None, 0, false);
             return None;
         }
         let parked = fields.at_park.known() == Some(&true);
@@ -78,11 +78,11 @@ impl MountWatch {
         let command =
             if must_park { needed(parked, stands, can_park) } else { self.late(now, parked, stands, can_park) };
         let pause = if !must_park && self.tries >= TRIES { RARELY } else { RETRY };
-        let is_due = self.last_deed.is_none_or(|last| now.since(last) >= pause);
+        let is_due = self.last_step.is_none_or(|last| now.since(last) >= pause);
         let command = command.filter(|_| is_due)?;
-        self.last_deed = Some(now);
+        self.last_step = Some(now);
         // A command to a mount that is away does not count as a try.
-        self.tries += u32::from(answers);
+        self.tries = (self.tries + u32::from(answers)).min(TRIES);
         Some(command)
     }
 
@@ -110,10 +110,11 @@ fn needed(parked: bool, stands: bool, can_park: bool) -> Option<Command> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use contract::Datum;
 
-    const BESIDE: Roofs = Roofs { waits: false, closing: false, closed: true };
+    use super::*;
+
+    const ALONGSIDE: Roofs = Roofs { waits: false, closing: false, closed: true };
     const WAITING: Roofs = Roofs { waits: true, closing: false, closed: false };
 
     fn at(second: u64) -> MachineTime {
@@ -147,7 +148,7 @@ mod tests {
 
     #[test]
     fn a_mount_under_a_dome_that_does_not_wait_stops_after_a_minute_and_parks_after_five() {
-        let (mut watch, lost) = (MountWatch::new(at(0)), calls(false, BESIDE));
+        let (mut watch, lost) = (MountWatch::new(at(0)), calls(false, ALONGSIDE));
         let stop = Command::Track { on: false };
         assert_eq!(asked(&mut watch, 0..80, lost, &mount(true, false), true), [(60, stop)]);
         assert_eq!(asked(&mut watch, 80..301, lost, &mount(false, false), true), [(300, Command::Park)]);
@@ -177,7 +178,7 @@ mod tests {
 
     #[test]
     fn a_mount_that_was_away_is_asked_as_soon_as_it_answers() {
-        for roofs in [WAITING, BESIDE] {
+        for roofs in [WAITING, ALONGSIDE] {
             let mut watch = MountWatch::new(at(0));
             asked(&mut watch, 0..1207, calls(false, roofs), &Fields::default(), false);
             let all = asked(&mut watch, 1207..1300, calls(false, roofs), &mount(true, false), true);
@@ -186,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shared_roof_that_closes_for_a_neighbour_parks_the_mount_whose_own_sky_is_safe() {
+    fn a_shared_roof_that_closes_for_another_telescope_parks_the_mount_whose_own_sky_is_safe() {
         let mut watch = MountWatch::new(at(0));
         let closing = Roofs { closing: true, ..WAITING };
         assert_eq!(asked(&mut watch, 0..5, calls(true, WAITING), &mount(true, false), true), []);
@@ -208,7 +209,7 @@ mod tests {
     #[test]
     fn a_mount_that_does_not_park_is_asked_more_rarely_where_nothing_waits_for_it() {
         let mut watch = MountWatch::new(at(0));
-        let all = asked(&mut watch, 100..2000, calls(false, BESIDE), &mount(false, false), true);
+        let all = asked(&mut watch, 100..2000, calls(false, ALONGSIDE), &mount(false, false), true);
         let times: Vec<u64> = all.iter().map(|(second, _)| *second).collect();
         assert_eq!(times, [300, 330, 360, 390, 420, 720, 1020, 1320, 1620, 1920]);
     }
@@ -216,8 +217,73 @@ mod tests {
     #[test]
     fn a_renewed_permit_starts_the_time_anew() {
         let mut watch = MountWatch::new(at(0));
-        assert_eq!(asked(&mut watch, 59..60, calls(true, BESIDE), &mount(true, false), true), []);
-        let all = asked(&mut watch, 60..120, calls(false, BESIDE), &mount(true, false), true);
+        assert_eq!(asked(&mut watch, 59..60, calls(true, ALONGSIDE), &mount(true, false), true), []);
+        let all = asked(&mut watch, 60..120, calls(false, ALONGSIDE), &mount(true, false), true);
         assert_eq!(all, [(119, Command::Track { on: false })]);
+    }
+
+    /// A mount, what is known of its permit and roofs, and what it was asked.
+    #[derive(Debug, Clone, PartialEq, Eq, Hash)]
+    struct World {
+        watch: MountWatch,
+        now_s: u64,
+        permitted: bool,
+        closing: bool,
+        answers: bool,
+        parked: bool,
+        needed_since_s: Option<u64>,
+        asked_s: Option<u64>,
+    }
+
+    impl World {
+        fn looks(&self, after_s: u64, way: &[&str]) -> Self {
+            let mut after = Self { now_s: self.now_s + after_s, ..self.clone() };
+            let calls = calls(after.permitted, Roofs { waits: true, closing: after.closing, closed: false });
+            if !calls.must_park() {
+                (after.needed_since_s, after.asked_s) = (None, None);
+            } else {
+                after.needed_since_s.get_or_insert(after.now_s);
+            }
+            let fields = mount(!after.parked, after.parked);
+            let command = after.watch.look(at(1000 + after.now_s), calls, &fields, true, after.answers);
+            assert!(command.is_none() || !after.parked, "{way:?}: a parked mount is asked to move");
+            assert!(
+                command != Some(Command::Park) || calls.must_park() || !after.permitted,
+                "{way:?}: parked for nothing"
+            );
+            if command.is_some() {
+                after.asked_s = Some(after.now_s);
+            }
+            if calls.must_park() && !after.parked {
+                let asked_s = after.asked_s.expect("asked at once");
+                assert!(after.now_s - asked_s <= RETRY.as_secs(), "{way:?}: a roof waits, and nobody asks the mount");
+            }
+            after
+        }
+    }
+
+    #[test]
+    fn in_every_order_of_permits_roofs_and_silences_a_mount_that_a_roof_waits_for_is_asked_each_30_s() {
+        let start = World {
+            watch: MountWatch::new(at(1000)),
+            now_s: 0,
+            permitted: true,
+            closing: false,
+            answers: true,
+            parked: false,
+            needed_since_s: None,
+            asked_s: None,
+        };
+        let states = crate::explore::explore(start, 7, |world, way| {
+            vec![
+                ("1 s", world.looks(1, way)),
+                ("30 s", world.looks(30, way)),
+                ("the permit changes", World { permitted: !world.permitted, ..world.clone() }.looks(1, way)),
+                ("a roof begins or ends to close", World { closing: !world.closing, ..world.clone() }.looks(1, way)),
+                ("its server goes or comes", World { answers: !world.answers, ..world.clone() }.looks(1, way)),
+                ("it is parked or unparked", World { parked: !world.parked, ..world.clone() }.looks(1, way)),
+            ]
+        });
+        assert!(states > 1000, "{states} states");
     }
 }

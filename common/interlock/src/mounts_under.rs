@@ -10,7 +10,7 @@ use std::time::Duration;
 use contract::{Address, BootId, Chunk, Device};
 use units::MachineTime;
 
-use crate::lives::Lives;
+use crate::incarnations::Incarnations;
 
 /// A mount that was silent for so long is not known to be parked.
 const FRESH: Duration = Duration::from_secs(10);
@@ -23,17 +23,17 @@ pub struct MountsUnder {
     telescopes: Vec<Chunk>,
     /// The mounts of the configuration, where it names them all; those of other telescopes are known by their states.
     known: Option<Vec<Device>>,
-    heard: BTreeMap<Device, Lives<bool>>,
+    received: BTreeMap<Device, Incarnations<bool>>,
 }
 
 impl MountsUnder {
     /// Nothing is received yet. `known`: all mounts under the roof, where that is known.
     pub fn new(telescopes: Vec<Chunk>, known: Option<Vec<Device>>) -> Self {
-        Self { telescopes, known, heard: BTreeMap::new() }
+        Self { telescopes, known, received: BTreeMap::new() }
     }
 
     /// A mount's state was received.
-    pub fn hear(&mut self, device: Device, life: BootId, is_parked: bool, arrived: MachineTime) {
+    pub fn observe(&mut self, device: Device, boot_id: BootId, is_parked: bool, arrived: MachineTime) {
         let is_ours = match &self.known {
             Some(known) => known.contains(&device),
             None => self.telescopes.contains(&device.address.telescope),
@@ -41,29 +41,29 @@ impl MountsUnder {
         if !is_ours {
             return;
         }
-        self.heard.entry(device).or_insert_with(|| Lives::new(FRESH)).hear(&life, is_parked, arrived);
+        self.received.entry(device).or_insert_with(|| Incarnations::new(FRESH)).observe(&boot_id, is_parked, arrived);
     }
 
     /// Is every mount known to be parked?
     pub fn all_parked(&self, now: MachineTime) -> bool {
-        let parked = |lives: &Lives<bool>| {
-            let mut fresh = lives.within(FRESH, now).peekable();
+        let parked = |incarnations: &Incarnations<bool>| {
+            let mut fresh = incarnations.within(FRESH, now).peekable();
             let all = fresh.peek().is_some() && fresh.all(|(_, is_parked)| *is_parked);
             // The one that found no room may be the mount itself.
-            all && !lives.had_no_room_within(FRESH, now)
+            all && !incarnations.had_no_room_within(FRESH, now)
         };
         if let Some(known) = &self.known {
-            return known.iter().all(|device| self.heard.get(device).is_some_and(parked));
+            return known.iter().all(|device| self.received.get(device).is_some_and(parked));
         }
         self.telescopes.iter().all(|telescope| {
             let of_it = |address: &Address| address.telescope == *telescope;
-            let mut there = self.heard.iter().filter(|(device, _)| of_it(&device.address)).peekable();
-            let is_there = |lives: &Lives<bool>| lives.within(GONE, now).next().is_some();
+            let mut there = self.received.iter().filter(|(device, _)| of_it(&device.address)).peekable();
+            let is_there = |incarnations: &Incarnations<bool>| incarnations.within(GONE, now).next().is_some();
             // Until its state is received, a telescope counts as one mount that is not parked.
             let mut some = false;
-            let all = there.all(|(_, lives)| {
-                some |= parked(lives);
-                parked(lives) || !is_there(lives)
+            let all = there.all(|(_, incarnations)| {
+                some |= parked(incarnations);
+                parked(incarnations) || !is_there(incarnations)
             });
             all && some
         })
@@ -87,16 +87,16 @@ mod tests {
     }
 
     #[test]
-    fn a_roof_over_two_telescopes_needs_both_mounts_parked_and_heard_lately() {
-        let (life, mut mounts) = (BootId::fresh(), shared());
+    fn a_roof_over_two_telescopes_needs_both_mounts_parked_and_their_states_fresh() {
+        let (boot_id, mut mounts) = (BootId::fresh(), shared());
         assert!(!mounts.all_parked(at(0)), "nothing was received");
-        mounts.hear(mount("alpha", "m"), life.clone(), true, at(0));
+        mounts.observe(mount("alpha", "m"), boot_id.clone(), true, at(0));
         assert!(!mounts.all_parked(at(0)), "the other one was silent");
-        mounts.hear(mount("beta", "m"), life.clone(), true, at(1));
+        mounts.observe(mount("beta", "m"), boot_id.clone(), true, at(1));
         assert!(mounts.all_parked(at(1)));
         assert!(!mounts.all_parked(at(11)), "the first has been silent for 11 s");
-        mounts.hear(mount("alpha", "m"), life.clone(), true, at(11));
-        mounts.hear(mount("gamma", "m"), life, false, at(11));
+        mounts.observe(mount("alpha", "m"), boot_id.clone(), true, at(11));
+        mounts.observe(mount("gamma", "m"), boot_id, false, at(11));
         assert!(mounts.all_parked(at(11)), "a mount under another roof is none of its business");
     }
 
@@ -104,24 +104,24 @@ mod tests {
     fn of_two_that_speak_for_one_mount_the_one_that_is_not_parked_counts_until_it_is_silent() {
         let (real, stranger, mut mounts) = (BootId::fresh(), BootId::fresh(), shared());
         for second in 0..3 {
-            mounts.hear(mount("alpha", "m"), real.clone(), false, at(second));
-            mounts.hear(mount("alpha", "m"), stranger.clone(), true, at(second));
-            mounts.hear(mount("beta", "m"), real.clone(), true, at(second));
+            mounts.observe(mount("alpha", "m"), real.clone(), false, at(second));
+            mounts.observe(mount("alpha", "m"), stranger.clone(), true, at(second));
+            mounts.observe(mount("beta", "m"), real.clone(), true, at(second));
             assert!(!mounts.all_parked(at(second)));
         }
         for second in 3..14 {
-            mounts.hear(mount("alpha", "m"), stranger.clone(), true, at(second));
-            mounts.hear(mount("beta", "m"), real.clone(), true, at(second));
+            mounts.observe(mount("alpha", "m"), stranger.clone(), true, at(second));
+            mounts.observe(mount("beta", "m"), real.clone(), true, at(second));
         }
         assert!(mounts.all_parked(at(13)), "a node that was restarted publishes as another incarnation");
     }
 
     #[test]
     fn a_mount_that_nobody_configured_holds_up_no_roof_of_one_telescope_and_none_for_good() {
-        let (life, own) = (BootId::fresh(), mount("alpha", "m"));
+        let (boot_id, own) = (BootId::fresh(), mount("alpha", "m"));
         let mut mounts = MountsUnder::new(vec!["alpha".parse().unwrap()], Some(vec![own.clone()]));
-        mounts.hear(mount("alpha", "ghost"), BootId::fresh(), false, at(0));
-        mounts.hear(own, life.clone(), true, at(0));
+        mounts.observe(mount("alpha", "ghost"), BootId::fresh(), false, at(0));
+        mounts.observe(own, boot_id.clone(), true, at(0));
         assert!(mounts.all_parked(at(0)));
         assert!(
             MountsUnder::new(vec!["alpha".parse().unwrap()], Some(Vec::new())).all_parked(at(0)),
@@ -129,10 +129,10 @@ mod tests {
         );
 
         let mut mounts = shared();
-        mounts.hear(mount("beta", "ghost"), BootId::fresh(), false, at(0));
+        mounts.observe(mount("beta", "ghost"), BootId::fresh(), false, at(0));
         for second in [0, 599, 601] {
-            mounts.hear(mount("alpha", "m"), life.clone(), true, at(second));
-            mounts.hear(mount("beta", "m"), life.clone(), true, at(second));
+            mounts.observe(mount("alpha", "m"), boot_id.clone(), true, at(second));
+            mounts.observe(mount("beta", "m"), boot_id.clone(), true, at(second));
             assert_eq!(mounts.all_parked(at(second)), second == 601, "after {second} s of the ghost's silence");
         }
     }

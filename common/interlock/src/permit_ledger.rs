@@ -7,7 +7,7 @@ use std::cmp::Ordering;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-use contract::device::dome::{GrantedToken, HeardPermit};
+use contract::device::dome::{GrantedToken, ReceivedPermit};
 use contract::observatory::{Permit, Verdict};
 use contract::{BootId, Chunk, Stamped};
 use units::MachineTime;
@@ -16,7 +16,7 @@ use units::MachineTime;
 const NUMBERS: usize = 64;
 
 /// Why a permit was dropped; each is counted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Dropped {
     /// Of a telescope that is not under this dome.
     Stranger,
@@ -31,11 +31,11 @@ pub enum Dropped {
     /// Of a lease that this arbiter never granted.
     NeverGranted,
     /// The lease was granted to another incarnation.
-    OtherLife,
+    OtherIncarnation,
 }
 
 /// What became of a permit that was taken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Taken {
     /// It follows the one before.
     Next,
@@ -48,12 +48,12 @@ pub enum Taken {
 struct Granted {
     token: u64,
     /// The incarnation that it was granted to; not known of one that was granted before this node started.
-    life: Option<BootId>,
+    boot_id: Option<BootId>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Held {
-    life: BootId,
+    boot_id: BootId,
     seq: u64,
     number: u64,
     sent: MachineTime,
@@ -72,6 +72,8 @@ pub struct PermitLedger {
     sent: VecDeque<(u64, MachineTime)>,
     permits: BTreeMap<Chunk, Held>,
     granted: BTreeMap<Chunk, Granted>,
+    /// Leases with which permits of two senders were received.
+    shared: BTreeMap<Chunk, u64>,
     /// When the number was sent that the newest unsafe permit of two speakers answers.
     contested: BTreeMap<Chunk, MachineTime>,
     dropped: u64,
@@ -80,7 +82,7 @@ pub struct PermitLedger {
 impl PermitLedger {
     /// Nothing is received yet; `tokens` were granted before.
     pub fn new(boot_id: BootId, telescopes: Vec<Chunk>, permit_valid: Duration, tokens: BTreeMap<Chunk, u64>) -> Self {
-        let granted = tokens.into_iter().map(|(telescope, token)| (telescope, Granted { token, life: None }));
+        let granted = tokens.into_iter().map(|(telescope, token)| (telescope, Granted { token, boot_id: None }));
         Self {
             boot_id,
             telescopes,
@@ -89,6 +91,7 @@ impl PermitLedger {
             sent: VecDeque::new(),
             permits: BTreeMap::new(),
             granted: granted.collect(),
+            shared: BTreeMap::new(),
             contested: BTreeMap::new(),
             dropped: 0,
         }
@@ -106,11 +109,14 @@ impl PermitLedger {
     }
 
     /// Takes a permit, or drops and counts it; a dropped one has no effect on a valid one.
-    pub fn hear(&mut self, telescope: &Chunk, said: &Stamped<Permit>) -> Result<Taken, Dropped> {
-        match self.weigh(telescope, said) {
+    pub fn observe(&mut self, telescope: &Chunk, sample: &Stamped<Permit>) -> Result<Taken, Dropped> {
+        match self.weigh(telescope, sample) {
             Ok((held, taken)) => {
                 let before = self.permits.insert(telescope.clone(), held.clone());
                 if taken == Taken::Contested {
+                    self.shared.insert(telescope.clone(), held.token);
+                }
+                if self.shared.get(telescope) == Some(&held.token) {
                     // If two publish in one name, nobody can know which is the commander: the safer permit counts.
                     let both = before.iter().chain([&held]);
                     if let Some(sent) = both.filter(|one| !one.safe).map(|one| one.sent).max() {
@@ -126,8 +132,8 @@ impl PermitLedger {
         }
     }
 
-    fn weigh(&self, telescope: &Chunk, said: &Stamped<Permit>) -> Result<(Held, Taken), Dropped> {
-        let permit = &said.body;
+    fn weigh(&self, telescope: &Chunk, sample: &Stamped<Permit>) -> Result<(Held, Taken), Dropped> {
+        let permit = &sample.body;
         if !self.telescopes.contains(telescope) {
             return Err(Dropped::Stranger);
         }
@@ -143,15 +149,15 @@ impl PermitLedger {
             Ordering::Greater => return Err(Dropped::NeverGranted),
             Ordering::Equal => {}
         }
-        if granted.life.is_some_and(|life| life != said.boot_id) {
-            return Err(Dropped::OtherLife);
+        if granted.boot_id.is_some_and(|boot_id| boot_id != sample.boot_id) {
+            return Err(Dropped::OtherIncarnation);
         }
         let mut taken = Taken::Next;
         if let Some(have) = self.permits.get(telescope).filter(|have| have.token == permit.token) {
             // Within one lease nothing goes back: not the number, and not the sender's count.
-            let counts_on = have.life == said.boot_id && said.seq > have.seq;
-            let says_more = have.life != said.boot_id || (have.safe && permit.verdict == Verdict::Unsafe);
-            let repeats = permit.guard_number == have.number && !counts_on && !says_more;
+            let counts_on = have.boot_id == sample.boot_id && sample.seq > have.seq;
+            let reports_more = have.boot_id != sample.boot_id || (have.safe && permit.verdict == Verdict::Unsafe);
+            let repeats = permit.guard_number == have.number && !counts_on && !reports_more;
             if permit.guard_number < have.number || repeats {
                 return Err(Dropped::Replayed);
             }
@@ -160,8 +166,8 @@ impl PermitLedger {
             }
         }
         let held = Held {
-            life: said.boot_id.clone(),
-            seq: said.seq,
+            boot_id: sample.boot_id.clone(),
+            seq: sample.seq,
             number: permit.guard_number,
             sent,
             token: permit.token,
@@ -172,11 +178,11 @@ impl PermitLedger {
     }
 
     /// This node granted a lease; permits of older ones, and of other incarnations, are dropped from now on.
-    pub fn grant(&mut self, telescope: &str, token: u64, life: Option<&BootId>) {
+    pub fn grant(&mut self, telescope: &str, token: u64, boot_id: Option<&BootId>) {
         let Some(telescope) = self.telescopes.iter().find(|own| own.as_str() == telescope) else { return };
         let known = self.granted.entry(telescope.clone()).or_default();
         if token >= known.token {
-            *known = Granted { token, life: life.cloned() };
+            *known = Granted { token, boot_id: boot_id.cloned() };
         }
     }
 
@@ -211,13 +217,13 @@ impl PermitLedger {
     }
 
     /// Is a valid permit unsafe?
-    pub fn is_said_unsafe(&self, now: MachineTime) -> bool {
+    pub fn is_reported_unsafe(&self, now: MachineTime) -> bool {
         let is_unsafe = |one| self.valid(one, now).is_some_and(|held| !held.safe) || self.is_contested(one, now);
         self.telescopes.iter().any(is_unsafe)
     }
 
     /// No permit was taken yet.
-    pub fn none_heard(&self) -> bool {
+    pub fn none_received(&self) -> bool {
         self.permits.is_empty()
     }
 
@@ -227,10 +233,10 @@ impl PermitLedger {
     }
 
     /// The newest permits, for people.
-    pub fn shown(&self, now: MachineTime) -> Vec<HeardPermit> {
+    pub fn published(&self, now: MachineTime) -> Vec<ReceivedPermit> {
         let permits = self.permits.iter().map(|(telescope, held)| {
             let (valid, age) = (self.permit_valid.as_secs_f64(), now.since(held.sent).as_secs_f64());
-            HeardPermit {
+            ReceivedPermit {
                 telescope: telescope.to_string(),
                 commander: held.commander.clone(),
                 safe: held.safe,
@@ -248,3 +254,7 @@ impl PermitLedger {
             .collect()
     }
 }
+
+#[cfg(test)]
+#[path = "permit_ledger_tests.rs"]
+mod tests;

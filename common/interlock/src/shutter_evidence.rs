@@ -75,7 +75,7 @@ enum Doubt {
 
 /// A reading of the status, and when it was asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-struct Reading {
+struct StatusReading {
     shutter: Shutter,
     asked: MachineTime,
 }
@@ -95,7 +95,7 @@ pub struct ShutterEvidence {
     travel: Duration,
     doubt: Doubt,
     before_opening: Doubt,
-    newest: Option<Reading>,
+    newest: Option<StatusReading>,
     /// Its status was something else than closed since the doubt began.
     was_other: bool,
     /// Its status was closing, or an error on its way, since it was last open.
@@ -142,7 +142,7 @@ impl ShutterEvidence {
             self.before_opening = self.doubt;
         }
         self.begin(Doubt::Opened { at: now });
-        self.from_closed = self.says_closed();
+        self.from_closed = self.reports_closed();
         self.flips.clear();
     }
 
@@ -190,7 +190,7 @@ impl ShutterEvidence {
         if self.newest.is_some_and(|newest| asked <= newest.asked) {
             return;
         }
-        let before = self.newest.replace(Reading { shutter, asked });
+        let before = self.newest.replace(StatusReading { shutter, asked });
         if shutter == Shutter::Closed {
             self.closed_since.get_or_insert(asked);
         } else {
@@ -201,7 +201,7 @@ impl ShutterEvidence {
         }
     }
 
-    fn seen_other(&mut self, shutter: Shutter, asked: MachineTime, before: Option<Reading>) {
+    fn seen_other(&mut self, shutter: Shutter, asked: MachineTime, before: Option<StatusReading>) {
         let was_closed = before.is_some_and(|before| before.shutter == Shutter::Closed);
         self.closed_since = None;
         if let Doubt::Opened { at } = self.doubt {
@@ -247,8 +247,8 @@ impl ShutterEvidence {
     /// Is its status closed, asked at most `fresh` ago, and does nothing that is known contradict it?
     pub fn is_credible(&self, now: MachineTime, fresh: Duration) -> bool {
         let newest = self.newest.filter(|newest| now.since(newest.asked) <= fresh);
-        let says_closed = newest.is_some_and(|newest| newest.shutter == Shutter::Closed);
-        says_closed && !self.is_doubted() && !self.speaks_percent()
+        let reports_closed = newest.is_some_and(|newest| newest.shutter == Shutter::Closed);
+        reports_closed && !self.is_doubted() && !self.speaks_percent()
     }
 
     /// Its status was closed after a request, or nobody can have opened it: what the newest reading, asked for then,
@@ -324,7 +324,7 @@ impl ShutterEvidence {
     }
 
     /// Its status is closed, and was not proven: asking again does no harm, stopping it might.
-    pub fn says_closed(&self) -> bool {
+    pub fn reports_closed(&self) -> bool {
         self.newest.is_some_and(|newest| newest.shutter == Shutter::Closed)
     }
 

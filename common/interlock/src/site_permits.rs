@@ -25,11 +25,11 @@ pub struct SitePermits {
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Default)]
 struct Newest {
     holding: Holding,
-    permit: Option<HeardPermit>,
+    permit: Option<ReceivedPermit>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
-struct HeardPermit {
+struct ReceivedPermit {
     boot_id: BootId,
     seq: u64,
     number: u64,
@@ -45,7 +45,7 @@ impl SitePermits {
         permit.is_some_and(|permit| permit.safe && now.since(permit.arrived) <= PERMIT_VALID)
     }
 
-    /// Another process that holds the lease and was received from within the last 5 s, by its name.
+    /// Another process that holds the lease and published within the last 5 s, by its name.
     pub fn rival(&self, telescope: &str, claimant: Claimant, now: MachineTime) -> Option<&str> {
         self.newest.get(telescope)?.holding.rival(claimant, now)
     }
@@ -56,13 +56,13 @@ impl SitePermits {
     }
 
     /// A lease was published: an empty holder has released it. Where permits are published, they alone keep it alive.
-    pub fn lease(&mut self, telescope: &str, said: &Stamped<Lease>, arrived: MachineTime) {
-        let (lease, life) = (&said.body, &said.boot_id);
+    pub fn lease(&mut self, telescope: &str, sample: &Stamped<Lease>, arrived: MachineTime) {
+        let (lease, boot_id) = (&sample.body, &sample.boot_id);
         let entry = self.newest.entry(telescope.to_owned()).or_default();
         if lease.holder.is_empty() {
-            entry.holding.release(life, lease.token);
+            entry.holding.release(boot_id, lease.token);
         } else if entry.permit.is_none() {
-            entry.holding.hear(&lease.holder, life, lease.token, arrived);
+            entry.holding.observe(&lease.holder, boot_id, lease.token, arrived);
         }
     }
 
@@ -72,12 +72,12 @@ impl SitePermits {
     }
 
     /// A dome's guard has published.
-    pub fn guard(&mut self, dome: Device, life: &BootId, said: &Guard, arrived: MachineTime) {
-        self.guards.hear(dome, life, said, arrived);
+    pub fn guard(&mut self, dome: Device, boot_id: &BootId, sample: &Guard, arrived: MachineTime) {
+        self.guards.observe(dome, boot_id, sample, arrived);
     }
 
     /// The token that the guards of the site publish for a telescope, if any does.
-    pub fn told_by_guards(&self, telescope: &str, now: MachineTime) -> Option<u64> {
+    pub fn token_of_guards(&self, telescope: &str, now: MachineTime) -> Option<u64> {
         self.guards.token(telescope, now)
     }
 
@@ -89,7 +89,7 @@ impl SitePermits {
 
     /// The token of a lease that no guard publishes, by its commander's permits: one step of a count follows another,
     /// and a larger leap, or a step back, counts only once the one before it is silent.
-    pub fn told_by_lease(&mut self, telescope: &str, token: u64, arrived: MachineTime) -> Option<u64> {
+    pub fn token_of_lease(&mut self, telescope: &str, token: u64, arrived: MachineTime) -> Option<u64> {
         if let Some((known, at)) = self.leases.get(telescope) {
             let follows = token >= *known && token - known <= STEP;
             if !follows && arrived.since(*at) <= PERMIT_VALID {
@@ -101,20 +101,20 @@ impl SitePermits {
     }
 
     /// Takes a permit unless it is old, or its token is not the one that was granted.
-    pub fn hear(&mut self, telescope: &str, said: &Stamped<Permit>, arrived: MachineTime, granted: u64) {
-        let permit = &said.body;
+    pub fn observe(&mut self, telescope: &str, sample: &Stamped<Permit>, arrived: MachineTime, granted: u64) {
+        let permit = &sample.body;
         let entry = self.newest.entry(telescope.to_owned()).or_default();
         let repeats = entry.permit.as_ref().is_some_and(|have| {
-            let is_older = said.seq <= have.seq && permit.guard_number <= have.number;
-            have.token == permit.token && have.boot_id == said.boot_id && is_older
+            let is_older = sample.seq <= have.seq && permit.guard_number <= have.number;
+            have.token == permit.token && have.boot_id == sample.boot_id && is_older
         });
         if permit.token != granted || repeats {
             return;
         }
-        entry.holding.hear(&permit.commander, &said.boot_id, permit.token, arrived);
-        entry.permit = Some(HeardPermit {
-            boot_id: said.boot_id.clone(),
-            seq: said.seq,
+        entry.holding.observe(&permit.commander, &sample.boot_id, permit.token, arrived);
+        entry.permit = Some(ReceivedPermit {
+            boot_id: sample.boot_id.clone(),
+            seq: sample.seq,
             number: permit.guard_number,
             token: permit.token,
             safe: permit.verdict == Verdict::Safe,

@@ -31,13 +31,13 @@ pub struct Succession {
     /// The newest incarnation counts lower than it did, while its earlier count is silent.
     lower: Option<u64>,
     before: VecDeque<BootId>,
-    lives: VecDeque<Life>,
+    incarnations: VecDeque<Incarnation>,
     rivals: Option<(BootId, BootId)>,
 }
 
 /// One incarnation, by its payloads on this key.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
-struct Life {
+struct Incarnation {
     boot_id: BootId,
     high: Count,
     /// The count before its number leapt ahead; another process may have published the greater one in its name.
@@ -58,13 +58,13 @@ impl Count {
     }
 }
 
-impl Life {
+impl Incarnation {
     fn new(boot_id: &BootId, seq: u64, arrived: MachineTime) -> Self {
         Self { boot_id: boot_id.clone(), high: Count { seq, first: arrived, last: arrived }, low: None }
     }
 
     /// Takes in a number; false if it is an old one.
-    fn hear(&mut self, seq: u64, arrived: MachineTime) -> bool {
+    fn observe(&mut self, seq: u64, arrived: MachineTime) -> bool {
         if seq > self.high.seq {
             if seq - self.high.seq > 1 && self.low.is_none() {
                 self.low = Some(self.high);
@@ -104,8 +104,8 @@ impl Succession {
     /// Takes in a payload; true if it is newer than all before.
     pub fn is_newer(&mut self, boot_id: &BootId, seq: u64, arrived: MachineTime) -> bool {
         self.note(boot_id, seq, arrived);
-        if let Some((life, last, at)) = &mut self.newest {
-            if life == boot_id {
+        if let Some((incarnation, last, at)) = &mut self.newest {
+            if incarnation == boot_id {
                 // A number far ahead, which another process may have published in its name, does not silence it for
                 // good: two that follow each other count again. One alone may be an old one that came late.
                 let goes_on = self.lower.is_some_and(|lower| seq > lower) && arrived.since(*at) >= SILENT;
@@ -121,9 +121,9 @@ impl Succession {
             if self.before.contains(boot_id) && arrived.since(*at) < SILENT {
                 return false;
             }
-            let life = life.clone();
+            let incarnation = incarnation.clone();
             self.before.retain(|known| known != boot_id);
-            self.before.push_back(life);
+            self.before.push_back(incarnation);
             if self.before.len() > REMEMBERED {
                 self.before.pop_front();
             }
@@ -138,35 +138,39 @@ impl Succession {
     /// one has begun. Twice the same incarnation means one that counts at two heights.
     pub fn rivals(&self, now: MachineTime) -> Option<(&BootId, &BootId)> {
         let (one, other) = self.rivals.as_ref()?;
-        let lives =
-            |boot_id: &BootId| self.lives.iter().any(|life| life.boot_id == *boot_id && now.since(life.last()) <= GONE);
-        (lives(one) && lives(other)).then_some((one, other))
+        let publishes = |boot_id: &BootId| {
+            self.incarnations
+                .iter()
+                .any(|incarnation| incarnation.boot_id == *boot_id && now.since(incarnation.last()) <= GONE)
+        };
+        (publishes(one) && publishes(other)).then_some((one, other))
     }
 
     fn note(&mut self, boot_id: &BootId, seq: u64, arrived: MachineTime) {
-        let life = match self.lives.iter_mut().find(|life| life.boot_id == *boot_id) {
-            Some(life) => {
-                if !life.hear(seq, arrived) {
+        let incarnation = match self.incarnations.iter_mut().find(|incarnation| incarnation.boot_id == *boot_id) {
+            Some(incarnation) => {
+                if !incarnation.observe(seq, arrived) {
                     return;
                 }
-                life.clone()
+                incarnation.clone()
             }
             None => {
-                if self.lives.len() >= REMEMBERED {
-                    self.lives.pop_front();
+                if self.incarnations.len() >= REMEMBERED {
+                    self.incarnations.pop_front();
                 }
-                let life = Life::new(boot_id, seq, arrived);
-                self.lives.push_back(life.clone());
-                life
+                let incarnation = Incarnation::new(boot_id, seq, arrived);
+                self.incarnations.push_back(incarnation.clone());
+                incarnation
             }
         };
-        let rival = |other: &&Life| {
-            let at_once = other.last() > life.first().plus(CROSSING) && life.last() > other.first().plus(CROSSING);
+        let rival = |other: &&Incarnation| {
+            let at_once =
+                other.last() > incarnation.first().plus(CROSSING) && incarnation.last() > other.first().plus(CROSSING);
             other.boot_id != *boot_id && at_once && arrived.since(other.last()) <= GONE
         };
-        if life.is_two() {
+        if incarnation.is_two() {
             self.rivals = Some((boot_id.clone(), boot_id.clone()));
-        } else if let Some(rival) = self.lives.iter().find(rival) {
+        } else if let Some(rival) = self.incarnations.iter().find(rival) {
             self.rivals = Some((rival.boot_id.clone(), boot_id.clone()));
         }
     }
@@ -181,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_life_follows_the_old_one_whatever_their_clocks_say() {
+    fn a_new_incarnation_follows_the_old_one_whatever_their_clocks_show() {
         let (earlier, later) = (BootId::fresh(), BootId::fresh());
         for (first, second) in [(&earlier, &later), (&later, &earlier)] {
             let mut succession = Succession::default();
@@ -194,14 +198,15 @@ mod tests {
 
     #[test]
     fn one_number_far_ahead_silences_nobody_for_good() {
-        let life = BootId::fresh();
+        let boot_id = BootId::fresh();
         let mut succession = Succession::default();
-        assert!(succession.is_newer(&life, 5, at(0)));
-        assert!(succession.is_newer(&life, u64::MAX, at(100)), "somebody else says this in its name");
-        let heard: Vec<u64> = (6..12).filter(|seq| succession.is_newer(&life, *seq, at(seq * 1000 - 5000))).collect();
-        assert_eq!(heard, [9, 10, 11], "2 s later it is heard again, once it goes on");
-        assert!(!succession.is_newer(&life, 10, at(6100)), "and an old one that comes late is none");
-        assert!(!succession.is_newer(&life, 3, at(9000)) && succession.is_newer(&life, 12, at(9100)));
+        assert!(succession.is_newer(&boot_id, 5, at(0)));
+        assert!(succession.is_newer(&boot_id, u64::MAX, at(100)), "somebody else says this in its name");
+        let received: Vec<u64> =
+            (6..12).filter(|seq| succession.is_newer(&boot_id, *seq, at(seq * 1000 - 5000))).collect();
+        assert_eq!(received, [9, 10, 11], "2 s later it counts again, once it goes on");
+        assert!(!succession.is_newer(&boot_id, 10, at(6100)), "and an old one that comes late is none");
+        assert!(!succession.is_newer(&boot_id, 3, at(9000)) && succession.is_newer(&boot_id, 12, at(9100)));
     }
 
     #[test]
@@ -244,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_lost_and_comes_late_is_no_second_voice() {
+    fn what_was_lost_and_comes_late_is_no_second_publisher() {
         let (own, mut succession) = (BootId::fresh(), Succession::default());
         succession.is_newer(&own, 5, at(0));
         for second in 3..9 {
@@ -258,15 +263,15 @@ mod tests {
     fn a_restart_is_no_rival_and_who_goes_on_speaking_is_one() {
         let (one, other) = (BootId::fresh(), BootId::fresh());
         let mut succession = Succession::default();
-        let mut hear = |boot_id: &BootId, seq, millis| {
+        let mut observe = |boot_id: &BootId, seq, millis| {
             succession.is_newer(boot_id, seq, at(millis));
             succession.rivals(at(millis)).is_some()
         };
-        assert!(!hear(&one, 1, 0) && !hear(&one, 2, 1000));
-        assert!(!hear(&other, 0, 1800) && !hear(&one, 3, 2000), "crossed on its way");
-        assert!(!hear(&other, 1, 2800) && !hear(&other, 2, 30_000), "restarted");
-        assert!(!hear(&one, 3, 31_000), "an old payload that comes again is no life");
-        assert!(hear(&one, 4, 31_000) && hear(&other, 3, 32_000), "it goes on speaking");
-        assert!(hear(&other, 4, 47_000) && !hear(&other, 5, 47_500), "until it is gone");
+        assert!(!observe(&one, 1, 0) && !observe(&one, 2, 1000));
+        assert!(!observe(&other, 0, 1800) && !observe(&one, 3, 2000), "crossed on its way");
+        assert!(!observe(&other, 1, 2800) && !observe(&other, 2, 30_000), "restarted");
+        assert!(!observe(&one, 3, 31_000), "an old payload that comes again is no new incarnation");
+        assert!(observe(&one, 4, 31_000) && observe(&other, 3, 32_000), "it goes on speaking");
+        assert!(observe(&other, 4, 47_000) && !observe(&other, 5, 47_500), "until it is gone");
     }
 }

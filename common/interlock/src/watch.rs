@@ -29,6 +29,8 @@ const NEVER: u32 = 240;
 /// The first start after an end comes so soon; then the pause doubles from 1 s to the longest.
 const AT_ONCE: Duration = Duration::from_millis(200);
 const LONGEST_PAUSE: Duration = Duration::from_secs(5);
+/// More failures make no pause longer.
+const MOST_FAILURES: u32 = 6;
 /// A node that ran for this time is healthy again.
 const HEALTHY: Duration = Duration::from_secs(60);
 
@@ -42,7 +44,7 @@ pub enum Effect {
 }
 
 /// Which process guards a dome now.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Who {
     /// The device node.
     Node,
@@ -77,12 +79,13 @@ pub struct Watch {
     /// Domes that the node reaches by the very server that the last-good copy names.
     same_server: Vec<String>,
     ending: bool,
+    shares_clock: bool,
 }
 
 impl Watch {
     /// A watch that begins now, over domes with their permit validity. Only where nothing was ever written is there a
-    /// time of grace, for a commander's first permit.
-    pub fn new(now: MachineTime, domes: &[(String, Duration)], before: &Before) -> Self {
+    /// time of grace, for a commander's first permit. `shares_clock`: the node has the same boot-time clock.
+    pub fn new(now: MachineTime, domes: &[(String, Duration)], before: &Before, shares_clock: bool) -> Self {
         let never = MachineTime::from_boot(Duration::ZERO);
         let each = domes.iter().map(|(dome, permit_valid)| {
             let latest = now.plus(*permit_valid);
@@ -100,6 +103,7 @@ impl Watch {
             seen: BTreeMap::new(),
             same_server: Vec::new(),
             ending: false,
+            shares_clock,
         }
     }
 
@@ -124,7 +128,7 @@ impl Watch {
     pub fn ended(&mut self, now: MachineTime) {
         let was_healthy =
             matches!(self.node, Node::Runs { since, has_spoken: true, .. } if now.since(since) >= HEALTHY);
-        self.failures = if was_healthy { 0 } else { self.failures.saturating_add(1) };
+        self.failures = if was_healthy { 0 } else { (self.failures + 1).min(MOST_FAILURES) };
         let pause = match self.failures {
             0 | 1 => AT_ONCE,
             many => Duration::from_secs(1 << (many - 2).min(4)).min(LONGEST_PAUSE),
@@ -146,12 +150,12 @@ impl Watch {
     }
 
     /// The node has reported.
-    pub fn heard(&mut self, now: MachineTime, report: &Report) {
+    pub fn observe(&mut self, now: MachineTime, report: &Report) {
         let Node::Runs { silent, has_spoken, .. } = &mut self.node else { return };
         (*silent, *has_spoken) = (0, true);
-        for (dome, said) in &report.domes {
-            self.open_until.insert(dome.clone(), said.open_until(now));
-            let DomeReport { sees, is_closed, waits_for_mounts, .. } = *said;
+        for (dome, dome_report) in &report.domes {
+            self.open_until.insert(dome.clone(), dome_report.open_until(now, self.shares_clock));
+            let DomeReport { sees, is_closed, waits_for_mounts, .. } = *dome_report;
             self.seen.insert(dome.clone(), Seen { sees, is_closed, waits_for_mounts });
         }
     }
@@ -167,7 +171,8 @@ impl Watch {
             Node::Away { start_at } if now >= *start_at && !self.ending => Some(Effect::Start),
             Node::Away { .. } => None,
             Node::Runs { silent, has_spoken, .. } => {
-                *silent = silent.saturating_add(1);
+                // Beyond the longest time more silence changes nothing.
+                *silent = silent.saturating_add(1).min(NEVER);
                 match (*has_spoken, *silent) {
                     (true, HANGS..) => Some(Effect::Kill("it has reported nothing for 15 s")),
                     (false, NEVER..) => Some(Effect::Kill("it has reported nothing for 60 s since its start")),
@@ -199,7 +204,7 @@ impl Watch {
     }
 
     /// The node reports that a dome is closed.
-    pub fn node_says_closed(&self, dome: &str) -> bool {
+    pub fn node_reports_closed(&self, dome: &str) -> bool {
         self.seen.get(dome).is_some_and(|seen| seen.is_closed)
     }
 

@@ -1,7 +1,7 @@
 //! HTTP inside an observatory: a client that uses no proxy, and a server whose connections no single client can use up.
 //!
 //! [`client_builder`] makes every client that talks to hardware, to a spool or to another of our own addresses.
-//! [`serve`] serves the page and the spool: it limits connections in all, connections of one address ([`Places`]), and
+//! [`serve()`] serves the spool, and [`serve_tls`] the page, with TLS or without: it limits connections in all, connections of one address ([`Places`]), and
 //! the time that a request may take.
 //!
 //! # Invariants
@@ -15,8 +15,8 @@
 mod places;
 mod serve;
 
-pub use places::{Place, Places, Room};
-pub use serve::{Limits, Peer, serve};
+pub use places::{Place, Places, Room, network};
+pub use serve::{Limits, Peer, serve, serve_tls};
 
 /// A client for hardware and for our own addresses. It uses no proxy, whatever the environment contains: `http_proxy`
 /// is meant for the internet, and a proxy does not know an observatory's network. It follows no redirection either,

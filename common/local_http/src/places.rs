@@ -88,8 +88,8 @@ fn is_trusted(address: IpAddr) -> bool {
     address.is_loopback()
 }
 
-/// One host may have as many IPv6 addresses as it likes within its network.
-fn network(peer: IpAddr) -> IpAddr {
+/// Addresses of one client: one host may have as many IPv6 addresses as it likes within its network of 64 bits.
+pub fn network(peer: IpAddr) -> IpAddr {
     match peer.to_canonical() {
         IpAddr::V6(ip) if !ip.is_loopback() => {
             let [a, b, c, d, ..] = ip.segments();

@@ -7,11 +7,13 @@ use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
+use tokio_rustls::TlsAcceptor;
 
-use crate::places::{Place, Places, Room};
+use crate::places::{Places, Room};
 
 /// Room for the header of one request; longer ones are refused.
 const HEADER_BYTES: usize = 16 << 10;
@@ -19,6 +21,13 @@ const HEADER_BYTES: usize = 16 << 10;
 const LAST_ANSWER: Duration = Duration::from_secs(2);
 /// The pause after an error of the system, such as too many open files.
 const PAUSE: Duration = Duration::from_millis(100);
+
+/// The first byte of every TLS connection.
+const TLS_HANDSHAKE: u8 = 0x16;
+/// For a client that does not know that this is TLS.
+const PLAIN_HTTP: &[u8] =
+    b"HTTP/1.1 400 Bad Request\r\nContent-Type: text/plain; charset=utf-8\r\nConnection: close\r\n\r\n\
+    This server speaks HTTPS only: ask for https:// instead of http://.\n";
 
 /// The limits of one server for its clients.
 #[derive(Debug, Clone, Copy)]
@@ -37,6 +46,17 @@ pub struct Peer(pub IpAddr);
 
 /// Serves until `stop` ends; answers under way then have 2 s.
 pub async fn serve(listener: TcpListener, router: Router, limits: Limits, stop: impl Future<Output = ()>) {
+    serve_tls(listener, None, router, limits, stop).await;
+}
+
+/// The same, over TLS where there is an acceptor.
+pub async fn serve_tls(
+    listener: TcpListener,
+    tls: Option<TlsAcceptor>,
+    router: Router,
+    limits: Limits,
+    stop: impl Future<Output = ()>,
+) {
     let places = Places::new(limits.room);
     let (ending, ends) = watch::channel(false);
     let mut connections = JoinSet::new();
@@ -52,7 +72,16 @@ pub async fn serve(listener: TcpListener, router: Router, limits: Limits, stop: 
             Ok((stream, peer)) => match places.take(peer.ip()) {
                 Some(place) => {
                     let router = router.clone().layer(Extension(Peer(peer.ip())));
-                    connections.spawn(connection(stream, router, limits, place, ends.clone()));
+                    // Small answers must not wait for an acknowledgement of the one before.
+                    let _ = stream.set_nodelay(true);
+                    let (tls, ends) = (tls.clone(), ends.clone());
+                    connections.spawn(async move {
+                        let _place = place;
+                        match tls {
+                            None => connection(stream, router, limits, ends).await,
+                            Some(tls) => encrypted(stream, tls, router, limits, ends).await,
+                        }
+                    });
                 }
                 None => {
                     refused += 1;
@@ -74,9 +103,40 @@ pub async fn serve(listener: TcpListener, router: Router, limits: Limits, stop: 
     let _ = tokio::time::timeout(LAST_ANSWER, async { while connections.join_next().await.is_some() {} }).await;
 }
 
-async fn connection(stream: TcpStream, router: Router, limits: Limits, _place: Place, mut ends: watch::Receiver<bool>) {
-    // Small answers must not wait for an acknowledgement of the one before.
-    let _ = stream.set_nodelay(true);
+/// A connection over TLS. The handshake has the time of a header; a client that speaks plain HTTP is answered in it.
+async fn encrypted(
+    mut stream: TcpStream,
+    tls: TlsAcceptor,
+    router: Router,
+    limits: Limits,
+    ends: watch::Receiver<bool>,
+) {
+    let handshake = async {
+        let mut first = [0];
+        if stream.peek(&mut first).await? == 1 && first != [TLS_HANDSHAKE] {
+            // An answer that comes before all of the question was read would be lost by a reset.
+            let mut asked = [0; 4096];
+            let _ = stream.read(&mut asked).await?;
+            stream.write_all(PLAIN_HTTP).await?;
+            stream.shutdown().await?;
+            return Ok(None);
+        }
+        tls.accept(stream).await.map(Some)
+    };
+    match tokio::time::timeout(limits.header, handshake).await {
+        Ok(Ok(Some(stream))) => connection(stream, router, limits, ends).await,
+        // The client left, or does not trust the certificate.
+        Ok(Err(error)) => tracing::debug!(%error, "a TLS handshake failed"),
+        Ok(Ok(None)) | Err(_) => {}
+    }
+}
+
+async fn connection(
+    stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    router: Router,
+    limits: Limits,
+    mut ends: watch::Receiver<bool>,
+) {
     let served = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(limits.header)
@@ -102,7 +162,6 @@ async fn connection(stream: TcpStream, router: Router, limits: Limits, _place: P
 #[cfg(test)]
 mod tests {
     use axum::routing::get;
-    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 
     use super::*;
 
@@ -142,7 +201,7 @@ mod tests {
         let full = ask(address).await;
         assert!(full.is_err(), "ten of one address, and not one more: {full:?}");
         tokio::time::sleep(LIMITS.header * 2).await;
-        assert_eq!(ask(address).await.unwrap(), "127.0.0.1", "those that said half of a request are gone");
+        assert_eq!(ask(address).await.unwrap(), "127.0.0.1", "those that sent half of a request are gone");
         drop(held);
     }
 

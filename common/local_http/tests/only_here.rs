@@ -30,7 +30,11 @@ fn clients_for_hardware_and_our_own_addresses_are_made_in_one_place() {
         let text = std::fs::read_to_string(path).unwrap();
         let code = text.split("#[cfg(test)]").next().unwrap();
         for made in MADE {
-            assert!(!code.contains(made), "{}: use local_http::client_builder()", path.display());
+            assert!(
+                !code.contains(made),
+                "{}: use local_http::client_builder(), or internet::Client for a server outside the observatory",
+                path.display()
+            );
         }
     }
 }

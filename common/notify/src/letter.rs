@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_subject_is_one_line_whatever_a_node_says() {
+    fn a_subject_is_one_line_whatever_a_node_publishes() {
         let mut letter = letter(1, "c");
         letter.news[0].alert.id = "x\r\nBcc: all@example.org".to_owned();
         let subject = letter.subject(&Address::new("s", "t").unwrap());

@@ -8,7 +8,7 @@
 //!
 //! - A node that sends alerts publishes what it sent to which receiver, and persists it, so that the next sender (also
 //!   its own next incarnation) repeats nothing (decision 0025): `who_sends_next_goes_on_where_the_last_one_ended`,
-//!   `what_was_told_is_not_told_again_by_the_next_life_or_by_the_standby_which_tells_what_is_new`
+//!   `what_was_sent_is_not_sent_again_after_a_restart_or_by_the_standby_which_sends_what_is_new`
 //!   (`tests/tests/it/alerts_reach_people.rs`).
 //! - Flood control never holds back a critical alert: `a_flood_ends_in_one_digest_and_holds_back_nothing_critical`.
 
@@ -18,10 +18,9 @@ mod mail;
 pub mod mailbox;
 mod post;
 mod safe;
-mod secret;
+pub mod secret;
 mod sending;
 mod stand_in;
-mod trust;
 
 pub use sending::{keep_pinging, keep_sending};
-pub use stand_in::keep_standing_in;
+pub use stand_in::keep_substituting;

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, anyhow, bail};
 use config::{Security, Smtp};
+use internet::trust;
 use lettre::address::Envelope;
 use lettre::message::header::ContentType;
 use lettre::message::{Mailbox, MessageBuilder};
@@ -12,8 +13,8 @@ use lettre::transport::smtp::authentication::{Credentials, Mechanism};
 use lettre::transport::smtp::client::{AsyncSmtpConnection, Certificate, TlsParameters};
 use lettre::transport::smtp::extension::ClientId;
 
+use crate::safe;
 use crate::secret::secret;
-use crate::{safe, trust};
 
 /// Connecting and greeting, machine time.
 const STEP: Duration = Duration::from_secs(15);
@@ -55,7 +56,7 @@ pub async fn send(smtp: &Smtp, ca_file: Option<&Path>, mail: Mail<'_>) -> anyhow
             log_in(&mut server, login).await?;
         }
         let sent = server.send(&envelope, &message).await;
-        sent.map_err(|error| said("the mail server does not take it", &error, login.as_ref()))?;
+        sent.map_err(|error| describe("the mail server does not take it", &error, login.as_ref()))?;
         // The mail is taken: the end of the connection changes nothing, and a failure in it must not send the mail
         // twice.
         let _ = tokio::time::timeout(Duration::from_secs(1), server.abort()).await;
@@ -83,7 +84,7 @@ async fn connect(smtp: &Smtp, ca_file: Option<&Path>) -> anyhow::Result<AsyncSmt
     let connected = AsyncSmtpConnection::connect_tokio1(address, Some(STEP), &name, from_start, None);
     let connected =
         tokio::time::timeout(STEP, connected).await.context("the mail server does not greet within 15 s")?;
-    let mut server = connected.map_err(|error| said("the mail server cannot be reached", &error, None))?;
+    let mut server = connected.map_err(|error| describe("the mail server cannot be reached", &error, None))?;
     if let Some(tls) = later {
         if !server.can_starttls() {
             server.abort().await;
@@ -93,7 +94,7 @@ async fn connect(smtp: &Smtp, ca_file: Option<&Path>) -> anyhow::Result<AsyncSmt
             );
         }
         let encrypted = server.starttls(tls, &name).await;
-        encrypted.map_err(|error| said("the mail server cannot be reached by TLS", &error, None))?;
+        encrypted.map_err(|error| describe("the mail server cannot be reached by TLS", &error, None))?;
     }
     Ok(server)
 }
@@ -131,14 +132,14 @@ async fn log_in(server: &mut AsyncSmtpConnection, login: &Login) -> anyhow::Resu
     }
     let logged_in = server.auth(&ways, &Credentials::new(login.user.clone(), login.password.clone())).await;
     logged_in.map_err(|error| {
-        said("the mail server refuses the login: look at alerts.smtp.user and its password", &error, Some(login))
+        describe("the mail server refuses the login: look at alerts.smtp.user and its password", &error, Some(login))
     })?;
     Ok(())
 }
 
 /// The server's own words, once; or the reason why TLS refused. After a login only the parts that cannot contain it are
 /// reported: a server may repeat what it was sent, as it came or in a code of its own.
-fn said(what: &str, error: &lettre::transport::smtp::Error, login: Option<&Login>) -> anyhow::Error {
+fn describe(what: &str, error: &lettre::transport::smtp::Error, login: Option<&Login>) -> anyhow::Error {
     if let Some(why) = trust::explain(error) {
         return anyhow!("the mail server: {why}");
     }

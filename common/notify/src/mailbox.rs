@@ -4,14 +4,14 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use bus::MachineTime;
-use contract::observatory::{Alert, AlertEvent, Alerts, Priority, Told};
+use contract::observatory::{Alert, AlertEvent, Alerts, Notification, Priority};
 use units::Utc;
 
 pub use crate::letter::{Letter, News};
 
 /// The settings of one receiver.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Wish {
+pub struct ReceiverSettings {
     /// Its name in the configuration.
     pub receiver: String,
     /// Less urgent alerts are not sent.
@@ -32,21 +32,21 @@ const LONGEST_WAIT: Duration = Duration::from_secs(300);
 /// Nodes notice the same thing within so many seconds of each other, sky time.
 const NOTICED_WITHIN_S: f64 = 60.0;
 /// Nodes publish every 10 s what they sent, so a node that begins to send knows all of it after this.
-const HEARD_OUT: Duration = Duration::from_secs(12);
+const LEARNS_WITHIN: Duration = Duration::from_secs(12);
 /// The most events in one digest: receivers refuse messages that are too long.
 const MOST_NEWS: usize = 50;
 
 /// One receiver's mailbox.
 #[derive(Debug)]
 pub struct Mailbox {
-    wish: Wish,
+    settings: ReceiverSettings,
     /// When it began; none for one that existed from the start.
     began: Option<(MachineTime, Utc)>,
     /// Active alerts that are not acknowledged, and since when.
     unseen: BTreeMap<String, MachineTime>,
     known: BTreeMap<String, Known>,
     /// The events that arrived, also those from nodes that sent before this one, of alerts that are not over.
-    told: BTreeMap<String, Told>,
+    notifications: BTreeMap<String, Notification>,
     /// The newest time of any node's event about an alert.
     newest_utc: BTreeMap<String, Utc>,
     waiting: Vec<News>,
@@ -65,13 +65,13 @@ struct Known {
 
 impl Mailbox {
     /// An empty mailbox.
-    pub fn new(wish: Wish) -> Self {
+    pub fn new(settings: ReceiverSettings) -> Self {
         Self {
-            wish,
+            settings,
             began: None,
             unseen: BTreeMap::new(),
             known: BTreeMap::new(),
-            told: BTreeMap::new(),
+            notifications: BTreeMap::new(),
             newest_utc: BTreeMap::new(),
             waiting: Vec::new(),
             sent: VecDeque::new(),
@@ -89,42 +89,46 @@ impl Mailbox {
 
     /// Takes the alerts that are active now.
     pub fn look(&mut self, alerts: &Alerts, now: MachineTime) {
-        let wished: Vec<&Alert> = alerts.alerts.iter().filter(|alert| self.concerns(alert)).collect();
-        for told in &alerts.told {
-            self.learn(told, alerts);
+        let concerning: Vec<&Alert> = alerts.alerts.iter().filter(|alert| self.concerns(alert)).collect();
+        for notification in &alerts.notifications {
+            self.learn(notification, alerts);
         }
         let (newest, known) = (&mut self.newest_utc, &self.known);
-        newest.retain(|id, _| known.contains_key(id) || alerts.told.iter().any(|told| told.id == *id));
-        self.unseen.retain(|id, _| wished.iter().any(|alert| alert.id == *id && is_open(alert)));
+        newest.retain(|id, _| {
+            known.contains_key(id) || alerts.notifications.iter().any(|notification| notification.id == *id)
+        });
+        self.unseen.retain(|id, _| concerning.iter().any(|alert| alert.id == *id && is_open(alert)));
         let gone: Vec<String> =
-            self.known.keys().filter(|id| wished.iter().all(|alert| alert.id != **id)).cloned().collect();
+            self.known.keys().filter(|id| concerning.iter().all(|alert| alert.id != **id)).cloned().collect();
         for id in gone {
             if let Some(known) = self.known.remove(&id) {
                 self.add(AlertEvent::Cleared, known.alert);
             }
         }
-        for alert in wished {
+        for alert in concerning {
             self.consider(alert, now);
         }
     }
 
     /// Takes another node's report of what it sent to this receiver. Its own reports come back too, and are recognized
     /// by their time.
-    fn learn(&mut self, told: &Told, alerts: &Alerts) {
-        let newest = self.newest_utc.get(&told.id).copied();
-        if told.receiver != self.wish.receiver || newest.is_some_and(|newest| newest >= told.told_utc) {
+    fn learn(&mut self, notification: &Notification, alerts: &Alerts) {
+        let newest = self.newest_utc.get(&notification.id).copied();
+        if notification.receiver != self.settings.receiver
+            || newest.is_some_and(|newest| newest >= notification.sent_utc)
+        {
             return;
         }
-        self.newest_utc.insert(told.id.clone(), told.told_utc);
-        let is_same = |alert: &&Alert| alert.id == told.id && is_of_one_time(alert, told);
+        self.newest_utc.insert(notification.id.clone(), notification.sent_utc);
+        let is_same = |alert: &&Alert| alert.id == notification.id && is_of_one_time(alert, notification);
         let Some(alert) = alerts.alerts.iter().find(is_same).filter(|alert| self.concerns(alert)) else { return };
-        self.known.insert(told.id.clone(), Known { alert: alert.clone(), event: told.event });
-        self.told.insert(told.id.clone(), told.clone());
-        self.waiting.retain(|news| news.alert.id != told.id || news.event != told.event);
+        self.known.insert(notification.id.clone(), Known { alert: alert.clone(), event: notification.event });
+        self.notifications.insert(notification.id.clone(), notification.clone());
+        self.waiting.retain(|news| news.alert.id != notification.id || news.event != notification.event);
     }
 
     fn concerns(&self, alert: &Alert) -> bool {
-        alert.priority <= self.wish.min_priority && alert.id != self.wish.own_alert
+        alert.priority <= self.settings.min_priority && alert.id != self.settings.own_alert
     }
 
     fn consider(&mut self, alert: &Alert, now: MachineTime) {
@@ -134,18 +138,18 @@ impl Mailbox {
             (Alert { shelved_until_utc: Some(_), .. }, _) => {
                 // When it is unshelved it is sent anew.
                 self.known.remove(&alert.id);
-                self.told.remove(&alert.id);
+                self.notifications.remove(&alert.id);
                 self.waiting.retain(|news| news.alert.id != alert.id);
                 return;
             }
             (Alert { acknowledged_by: Some(_), .. }, Some(AlertEvent::Acknowledged) | None) => return,
             (Alert { acknowledged_by: Some(_), .. }, Some(_)) => AlertEvent::Acknowledged,
-            (_, None) if self.may_have_been_told(alert, now) => return,
+            (_, None) if self.may_have_been_sent(alert, now) => return,
             (Alert { returned_utc: Some(_), .. }, Some(AlertEvent::Returned)) => return,
             (Alert { returned_utc: Some(_), .. }, Some(_)) => AlertEvent::Returned,
             (_, Some(AlertEvent::Raised)) => return,
             // Also an alert that has cleared: a person must know that it existed.
-            (_, _) if since.is_none_or(|since| now.since(since) < self.wish.after) => return,
+            (_, _) if since.is_none_or(|since| now.since(since) < self.settings.after) => return,
             (Alert { returned_utc: Some(_), .. }, None) => AlertEvent::Returned,
             (_, _) => AlertEvent::Raised,
         };
@@ -154,8 +158,8 @@ impl Mailbox {
     }
 
     /// The alert may be received before the report of the node that sent it.
-    fn may_have_been_told(&self, alert: &Alert, now: MachineTime) -> bool {
-        self.began.is_some_and(|(at, utc)| alert.raised_utc <= utc && now.since(at) < HEARD_OUT)
+    fn may_have_been_sent(&self, alert: &Alert, now: MachineTime) -> bool {
+        self.began.is_some_and(|(at, utc)| alert.raised_utc <= utc && now.since(at) < LEARNS_WITHIN)
     }
 
     /// Of one alert only the newest event waits; an alert that was raised and is over before it could be sent is sent
@@ -175,7 +179,7 @@ impl Mailbox {
         if self.not_before.is_some_and(|at| at > now) {
             return None;
         }
-        self.sent.retain(|(at, _)| now.since(*at) < self.wish.window);
+        self.sent.retain(|(at, _)| now.since(*at) < self.settings.window);
         [true, false].into_iter().find_map(|critical| self.due_of(critical))
     }
 
@@ -185,7 +189,7 @@ impl Mailbox {
         if waiting.is_empty() {
             return None;
         }
-        if self.sent.iter().filter(|(_, was)| *was == critical).count() >= self.wish.most {
+        if self.sent.iter().filter(|(_, was)| *was == critical).count() >= self.settings.most {
             self.held_back[usize::from(critical)] = true;
             return None;
         }
@@ -194,10 +198,10 @@ impl Mailbox {
     }
 
     /// The letter arrived, at this sky time.
-    pub fn sent(&mut self, letter: &Letter, now: MachineTime, told_utc: Utc) {
+    pub fn sent(&mut self, letter: &Letter, now: MachineTime, sent_utc: Utc) {
         self.waiting.retain(|news| !letter.news.contains(news));
         for News { event, alert } in &letter.news {
-            self.note(*event, alert, told_utc);
+            self.note(*event, alert, sent_utc);
         }
         if let Some(first) = letter.news.first() {
             let critical = first.alert.priority == Priority::Critical;
@@ -208,23 +212,23 @@ impl Mailbox {
         (self.failures, self.not_before) = (0, None);
     }
 
-    fn note(&mut self, event: AlertEvent, alert: &Alert, told_utc: Utc) {
+    fn note(&mut self, event: AlertEvent, alert: &Alert, sent_utc: Utc) {
         let Alert { id, raised_utc, .. } = alert;
-        let newest = self.newest_utc.entry(id.clone()).or_insert(told_utc);
+        let newest = self.newest_utc.entry(id.clone()).or_insert(sent_utc);
         // Another node's clock may be ahead.
-        *newest = told_utc.max(*newest);
+        *newest = sent_utc.max(*newest);
         if event == AlertEvent::Cleared {
-            self.told.remove(id);
+            self.notifications.remove(id);
             return;
         }
-        let receiver = self.wish.receiver.clone();
-        let told = Told { receiver, id: id.clone(), raised_utc: *raised_utc, event, told_utc };
-        self.told.insert(id.clone(), told);
+        let receiver = self.settings.receiver.clone();
+        let notification = Notification { receiver, id: id.clone(), raised_utc: *raised_utc, event, sent_utc };
+        self.notifications.insert(id.clone(), notification);
     }
 
     /// The events of alerts that are not over which this receiver got.
-    pub fn told(&self) -> Vec<Told> {
-        self.told.values().cloned().collect()
+    pub fn notifications(&self) -> Vec<Notification> {
+        self.notifications.values().cloned().collect()
     }
 
     /// The letter did not arrive; returns how often in a row.
@@ -238,9 +242,9 @@ impl Mailbox {
 
 /// Two nodes that notice the same thing publish it some seconds apart, and a node that receives both stores the first
 /// one. An alert that was raised after people were informed is news.
-fn is_of_one_time(alert: &Alert, told: &Told) -> bool {
-    let apart_s = alert.raised_utc.seconds_since(told.raised_utc).abs();
-    apart_s <= NOTICED_WITHIN_S && (apart_s == 0.0 || alert.raised_utc <= told.told_utc)
+fn is_of_one_time(alert: &Alert, notification: &Notification) -> bool {
+    let apart_s = alert.raised_utc.seconds_since(notification.raised_utc).abs();
+    apart_s <= NOTICED_WITHIN_S && (apart_s == 0.0 || alert.raised_utc <= notification.sent_utc)
 }
 
 /// Nobody has acknowledged it, and nobody has shelved it.

@@ -2,16 +2,17 @@
 
 use std::time::Duration;
 
-use bus::{MachineTime, Node};
+use bus::MachineTime;
 use config::{Alerting, Ping, Smtp, Webhook};
 use contract::observatory::{AlertKind, Alerts, Priority};
-use hyper::Method;
+use internet::Method;
+use node::Node;
 use tokio::sync::watch;
 
 use crate::http::{Ask, Http};
 use crate::letter::Letter;
 use crate::mail::{self, Mail};
-use crate::mailbox::{Mailbox, Wish};
+use crate::mailbox::{Mailbox, ReceiverSettings};
 use crate::secret::secret;
 
 /// The name of the ping in the alert about it.
@@ -28,7 +29,7 @@ const FIRST_PING_AGAIN: Duration = Duration::from_secs(5);
 pub struct Receiver {
     /// Its name in alerts about it.
     pub name: String,
-    wish: Wish,
+    settings: ReceiverSettings,
     way: Way,
 }
 
@@ -46,7 +47,7 @@ enum Way {
 /// All receivers that are configured.
 pub fn receivers(alerting: &Alerting) -> Vec<Receiver> {
     let receiver = |name: &str, min_priority: Priority, after_min: f64, way: Way| {
-        let wish = Wish {
+        let settings = ReceiverSettings {
             receiver: name.to_owned(),
             min_priority,
             after: Duration::from_secs_f64(after_min * 60.0),
@@ -54,7 +55,7 @@ pub fn receivers(alerting: &Alerting) -> Vec<Receiver> {
             window: Duration::from_secs_f64(alerting.flood_minutes * 60.0),
             own_alert: AlertKind::AlertNotSent.id(name),
         };
-        Receiver { name: name.to_owned(), wish, way }
+        Receiver { name: name.to_owned(), settings, way }
     };
     let hooks = alerting.webhook.iter();
     let hooks = hooks.map(|hook| receiver(&hook.name, hook.min_priority, hook.after_min, Way::Webhook(hook.clone())));
@@ -74,9 +75,9 @@ pub async fn keep_delivering(
     receiver: Receiver,
     mut alerts: watch::Receiver<Option<Alerts>>,
 ) -> anyhow::Result<()> {
-    let Receiver { name, wish, way } = receiver;
+    let Receiver { name, settings, way } = receiver;
     let (clock, mut http) = (node.bus.clock().clone(), Http::default());
-    let fresh = || Mailbox::new(wish.clone()).begins(clock.machine(), clock.utc());
+    let fresh = || Mailbox::new(settings.clone()).begins(clock.machine(), clock.utc());
     let mut mailbox = fresh();
     let mut silent_since = None;
     loop {
@@ -86,7 +87,7 @@ pub async fn keep_delivering(
             Some(shown) => {
                 silent_since = None;
                 mailbox.look(&shown, now);
-                node.alerts.told(&name, mailbox.told());
+                node.alerts.set_notifications(&name, mailbox.notifications());
             }
             None => {
                 mailbox = fresh();
@@ -97,7 +98,7 @@ pub async fn keep_delivering(
             match deliver(&node, &mut http, &way, &letter).await {
                 Ok(()) => {
                     mailbox.sent(&letter, clock.machine(), clock.utc());
-                    node.alerts.told(&name, mailbox.told());
+                    node.alerts.set_notifications(&name, mailbox.notifications());
                     node.alerts.clear(AlertKind::AlertNotSent, &name);
                 }
                 Err(error) => failed(&node, &name, mailbox.failed(clock.machine()), &error),

@@ -22,8 +22,8 @@ pub fn without(words: &str, secrets: &[&str]) -> String {
             words = words.replace(&form, HIDDEN).replace(form.trim_end_matches('='), HIDDEN);
         }
     }
-    let kept = words.split_whitespace().map(|word| if is_plain(word) { word } else { HIDDEN });
-    line(&kept.collect::<Vec<_>>().join(" "))
+    let plain = words.split_whitespace().map(|word| if is_plain(word) { word } else { HIDDEN });
+    line(&plain.collect::<Vec<_>>().join(" "))
 }
 
 /// A word of a language, a number or a short code.
@@ -63,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn a_server_that_repeats_the_login_in_any_code_is_told_without_it() {
+    fn a_server_that_repeats_the_login_in_any_code_is_reported_without_it() {
         let password = "s3cret-Pa55";
         let cases = [
             (

@@ -24,9 +24,9 @@ pub async fn secret(file: Option<&Path>, variable: Option<&str>) -> anyhow::Resu
 
 /// Logs once that other users of this host can read a secret file.
 fn warn_if_open(file: &Path) {
-    static TOLD: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
-    if bus::private::is_open_to_others(file)
-        && TOLD.lock().unwrap_or_else(PoisonError::into_inner).insert(file.to_owned())
+    static REPORTED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+    if node::private::is_open_to_others(file)
+        && REPORTED.lock().unwrap_or_else(PoisonError::into_inner).insert(file.to_owned())
     {
         let file = file.display();
         tracing::warn!(%file, "other users of this host can read a file with a secret: chmod 600 {file}");

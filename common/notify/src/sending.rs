@@ -10,7 +10,7 @@ use tokio::task::JoinSet;
 use crate::post;
 
 /// Sends the `alerts` to all configured receivers, for ever; `None` while another node does.
-pub async fn keep_sending(node: bus::Node, alerts: watch::Receiver<Option<Alerts>>) -> anyhow::Result<()> {
+pub async fn keep_sending(node: node::Node, alerts: watch::Receiver<Option<Alerts>>) -> anyhow::Result<()> {
     let deliver = |receiver: post::Receiver| {
         let (node, alerts) = (node.clone(), alerts.clone());
         let name = receiver.name.clone();
@@ -22,7 +22,7 @@ pub async fn keep_sending(node: bus::Node, alerts: watch::Receiver<Option<Alerts
 }
 
 /// Asks the configured URL in every period in which `is_well`, for ever.
-pub async fn keep_pinging(node: bus::Node, is_well: impl Fn() -> bool + Clone + Send + 'static) -> anyhow::Result<()> {
+pub async fn keep_pinging(node: node::Node, is_well: impl Fn() -> bool + Clone + Send + 'static) -> anyhow::Result<()> {
     if let Some(ping) = node.config.alerts.ping.clone() {
         let task = move |node| post::keep_pinging(node, ping.clone(), is_well.clone());
         again_and_again(&node, post::PING, task).await;
@@ -31,7 +31,7 @@ pub async fn keep_pinging(node: bus::Node, is_well: impl Fn() -> bool + Clone + 
 }
 
 /// Runs a task anew when it ends, for whatever reason: no one's safety may depend on a mail server.
-async fn again_and_again<F>(node: &bus::Node, name: &str, task: impl Fn(bus::Node) -> F)
+async fn again_and_again<F>(node: &node::Node, name: &str, task: impl Fn(node::Node) -> F)
 where
     F: Future<Output = anyhow::Result<()>> + Send + 'static,
 {

@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn room_of_any_size_is_what_it_says() {
+    fn room_of_any_size_has_the_requested_size() {
         for len in [0, 1, 511, 1 << 19, (1 << 20) + 3, 5_000_001] {
             let zeros = zeros(len);
             assert!(zeros.len() == len && zeros.iter().all(|value| *value == 0.0));

@@ -10,11 +10,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use contract::observatory::{self as standing, Alert, Alerts, Priority, Told};
+use contract::observatory::{self as published, Alert, Alerts, Notification, Priority};
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
-use crate::said::Said;
+use crate::ordered_by::OrderedBy;
 
 /// The longest that an alert can be shelved, sky s.
 pub const LONGEST_SHELF_S: f64 = 24.0 * 3600.0;
@@ -31,7 +31,7 @@ pub struct Annunciator {
     /// The notifications that people got of these alerts, from this incarnation or another: the notifier goes on where
     /// that ended.
     #[serde(default)]
-    told: Vec<Told>,
+    notifications: Vec<Notification>,
     /// Ids from the incarnation before that this one has not received: their nodes may not have published yet.
     #[serde(skip)]
     awaited: BTreeSet<String>,
@@ -41,19 +41,19 @@ pub struct Annunciator {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Shelved {
     #[serde(flatten)]
-    said: Said,
+    ordered_by: OrderedBy,
     until_utc: Utc,
 }
 
 impl Annunciator {
     /// Takes the alerts that all nodes publish now. With `settled`, every node had time to publish, so that an alert
     /// that the incarnation before knew and no node publishes is gone.
-    pub fn hear(&mut self, standing: &Alerts, settled: bool, now: Utc) {
+    pub fn observe(&mut self, active: &Alerts, settled: bool, now: Utc) {
         self.shelved.retain(|_, shelved| holds(shelved, now));
         if settled {
             self.awaited.clear();
         }
-        for alert in &standing.alerts {
+        for alert in &active.alerts {
             self.awaited.remove(&alert.id);
             let known = self.alerts.get(&alert.id);
             let mut alert = alert.clone();
@@ -67,7 +67,7 @@ impl Annunciator {
         }
         let (shelved, awaited) = (&self.shelved, &self.awaited);
         self.alerts.retain(|id, alert| {
-            if awaited.contains(id) || standing.alerts.iter().any(|standing| standing.id == *id) {
+            if awaited.contains(id) || active.alerts.iter().any(|alert| alert.id == *id) {
                 return true;
             }
             let urgent = alert.priority <= Priority::High;
@@ -77,28 +77,30 @@ impl Annunciator {
             }
             waits
         });
-        let told = |told: &[Told]| Alerts { alerts: Vec::new(), told: told.to_vec() };
-        self.told = standing::merge([told(&self.told), told(&standing.told)].into_iter()).told;
+        let list =
+            |notifications: &[Notification]| Alerts { alerts: Vec::new(), notifications: notifications.to_vec() };
+        self.notifications =
+            published::merge([list(&self.notifications), list(&active.notifications)].into_iter()).notifications;
         let alerts = &self.alerts;
-        self.told.retain(|told| alerts.contains_key(&told.id));
+        self.notifications.retain(|notification| alerts.contains_key(&notification.id));
     }
 
     /// Somebody knows of it. A returned one is thereby done with.
-    pub fn acknowledge(&mut self, id: &str, said: &Said) -> Result<(), String> {
+    pub fn acknowledge(&mut self, id: &str, ordered_by: &OrderedBy) -> Result<(), String> {
         let Some(alert) = self.alerts.get_mut(id) else { return Err(self.unknown(id)) };
         if alert.returned_utc.is_some() {
             self.alerts.remove(id);
         } else if alert.acknowledged_by.is_none() {
-            alert.acknowledged_by = Some(said.from.clone());
-            alert.acknowledged_utc = Some(said.at_utc);
+            alert.acknowledged_by = Some(ordered_by.from.clone());
+            alert.acknowledged_utc = Some(ordered_by.at_utc);
         }
         Ok(())
     }
 
     /// Silence takes nothing back: the shutter that a dead node could not close is still open. Of the last alerts of a
     /// node that is away, only those that a person has acknowledged are dropped.
-    pub fn stand_on(&self, said_last: &mut Alerts) {
-        said_last.alerts.retain(|alert| !self.is_acknowledged(&alert.id));
+    pub fn stand_on(&self, last: &mut Alerts) {
+        last.alerts.retain(|alert| !self.is_acknowledged(&alert.id));
     }
 
     fn is_acknowledged(&self, id: &str) -> bool {
@@ -106,18 +108,18 @@ impl Annunciator {
     }
 
     /// Suppresses notifications of it for so many sky seconds.
-    pub fn shelve(&mut self, id: &str, for_s: f64, said: Said) -> Result<(), String> {
+    pub fn shelve(&mut self, id: &str, for_s: f64, ordered_by: OrderedBy) -> Result<(), String> {
         if !self.alerts.contains_key(id) {
             return Err(self.unknown(id));
         }
-        if said.reason.trim().is_empty() {
+        if ordered_by.reason.trim().is_empty() {
             return Err("shelving needs a reason".to_owned());
         }
         if !(for_s > 0.0 && for_s <= LONGEST_SHELF_S) {
             return Err(format!("for_s = {for_s}: expected more than 0 and at most {LONGEST_SHELF_S} s"));
         }
-        let until_utc = said.at_utc.plus_seconds(for_s);
-        self.shelved.insert(id.to_owned(), Shelved { said, until_utc });
+        let until_utc = ordered_by.at_utc.plus_seconds(for_s);
+        self.shelved.insert(id.to_owned(), Shelved { ordered_by, until_utc });
         Ok(())
     }
 
@@ -130,50 +132,51 @@ impl Annunciator {
     }
 
     /// The alerts to publish, the most urgent first, with the notifications that people got of them.
-    pub fn shown(&self, now: Utc) -> Alerts {
+    pub fn published(&self, now: Utc) -> Alerts {
         let mut alerts: Vec<Alert> = self.alerts.values().cloned().collect();
         for alert in &mut alerts {
             if let Some(shelved) = self.shelved.get(&alert.id).filter(|shelved| holds(shelved, now)) {
-                alert.shelved_by = Some(shelved.said.from.clone());
+                alert.shelved_by = Some(shelved.ordered_by.from.clone());
                 alert.shelved_until_utc = Some(shelved.until_utc);
-                alert.shelved_reason = Some(shelved.said.reason.clone());
+                alert.shelved_reason = Some(shelved.ordered_by.reason.clone());
             }
         }
         alerts.sort_by(|a, b| (a.priority, a.raised_utc, &a.id).cmp(&(b.priority, b.raised_utc, &b.id)));
-        Alerts { alerts, told: self.told.clone() }
+        Alerts { alerts, notifications: self.notifications.clone() }
     }
 
     fn unknown(&self, id: &str) -> String {
-        format!("no alert \"{id}\" stands; {}", listed("standing", self.alerts.keys()))
+        format!("no alert \"{id}\" is active; {}", listed("active", self.alerts.keys()))
     }
 
     /// The last state of a commander on another host: its alerts as people received them, and the shelved ones.
-    pub fn heard(alerts: &Alerts, shelf: &[standing::Shelved]) -> Self {
-        let told = alerts.told.clone();
+    pub fn from_published(alerts: &Alerts, shelf: &[published::Shelved]) -> Self {
+        let notifications = alerts.notifications.clone();
         let alerts = alerts.alerts.iter().cloned().map(|mut alert| {
             // The published list of shelved alerts holds this.
             (alert.shelved_by, alert.shelved_until_utc, alert.shelved_reason) = (None, None, None);
             (alert.id.clone(), alert)
         });
         let shelved = shelf.iter().map(|shelved| {
-            let said = Said::from(shelved.ordered.clone());
-            (shelved.alert.clone(), Shelved { said, until_utc: shelved.until_utc })
+            let ordered_by = OrderedBy::from(shelved.ordered.clone());
+            (shelved.alert.clone(), Shelved { ordered_by, until_utc: shelved.until_utc })
         });
-        Self { alerts: alerts.collect(), shelved: shelved.collect(), told, ..Self::default() }.of_the_life_before()
+        Self { alerts: alerts.collect(), shelved: shelved.collect(), notifications, ..Self::default() }
+            .of_the_boot_before()
     }
 
     /// The shelved alerts, as they are published.
-    pub fn shelf(&self) -> Vec<standing::Shelved> {
+    pub fn shelf(&self) -> Vec<published::Shelved> {
         let shelf = self.shelved.iter().map(|(id, shelved)| {
-            let (alert, ordered) = (id.clone(), shelved.said.clone().into());
-            standing::Shelved { alert, until_utc: shelved.until_utc, ordered }
+            let (alert, ordered) = (id.clone(), shelved.ordered_by.clone().into());
+            published::Shelved { alert, until_utc: shelved.until_utc, ordered }
         });
         shelf.collect()
     }
 
     /// The persisted state of an earlier incarnation, for the one that goes on with it: until every node had time to
     /// publish, nothing is gone.
-    pub fn of_the_life_before(self) -> Self {
+    pub fn of_the_boot_before(self) -> Self {
         Self { awaited: self.alerts.keys().cloned().collect(), ..self }
     }
 }
@@ -202,8 +205,8 @@ mod tests {
         Utc::from_seconds(seconds)
     }
 
-    fn said(seconds: f64) -> Said {
-        Said { from: "web/ana".to_owned(), reason: "known".to_owned(), at_utc: at(seconds) }
+    fn ordered_by(seconds: f64) -> OrderedBy {
+        OrderedBy { from: "web/ana".to_owned(), reason: "known".to_owned(), at_utc: at(seconds) }
     }
 
     /// The steps of a scenario, one each sky second.
@@ -220,27 +223,27 @@ mod tests {
 
     /// The state of the first published alert after the scenario: letters for acknowledged, shelved, returned; `-` for
     /// none.
-    fn tell(story: Vec<Step>) -> String {
-        let (mut desk, mut now, mut standing) = (Annunciator::default(), 0.0, Alerts::default());
-        for step in story {
+    fn play(scenario: Vec<Step>) -> String {
+        let (mut annunciator, mut now, mut active) = (Annunciator::default(), 0.0, Alerts::default());
+        for step in scenario {
             now += 1.0;
             match step {
-                Up(kind) => standing.alerts = vec![kind.alert("x", at(now), "c")],
-                Down => standing.alerts.clear(),
+                Up(kind) => active.alerts = vec![kind.alert("x", at(now), "c")],
+                Down => active.alerts.clear(),
                 Restart => {
-                    let text = serde_json::to_vec(&desk).unwrap();
-                    desk = serde_json::from_slice::<Annunciator>(&text).unwrap().of_the_life_before();
-                    desk.hear(&Alerts::default(), false, at(now));
+                    let text = serde_json::to_vec(&annunciator).unwrap();
+                    annunciator = serde_json::from_slice::<Annunciator>(&text).unwrap().of_the_boot_before();
+                    annunciator.observe(&Alerts::default(), false, at(now));
                 }
-                Ack(kind) => desk.acknowledge(&kind.id("x"), &said(now)).unwrap(),
-                Shelve(kind, for_s) => desk.shelve(&kind.id("x"), for_s, said(now)).unwrap(),
-                Unshelve(kind) => desk.unshelve(&kind.id("x")).unwrap(),
+                Ack(kind) => annunciator.acknowledge(&kind.id("x"), &ordered_by(now)).unwrap(),
+                Shelve(kind, for_s) => annunciator.shelve(&kind.id("x"), for_s, ordered_by(now)).unwrap(),
+                Unshelve(kind) => annunciator.unshelve(&kind.id("x")).unwrap(),
                 Wait(seconds) => now += seconds,
             }
-            desk.hear(&standing, false, at(now));
+            annunciator.observe(&active, false, at(now));
         }
-        let shown = desk.shown(at(now)).alerts;
-        let Some(alert) = shown.first() else { return "-".to_owned() };
+        let published = annunciator.published(at(now)).alerts;
+        let Some(alert) = published.first() else { return "-".to_owned() };
         let marks = [
             ("acknowledged", alert.acknowledged_by.is_some()),
             ("shelved", alert.shelved_until_utc.is_some()),
@@ -251,8 +254,8 @@ mod tests {
     }
 
     #[test]
-    fn alerts_live_as_the_stories_say() {
-        let stories: Vec<(&str, Vec<Step>, &str)> = vec![
+    fn alerts_follow_the_scenarios() {
+        let scenarios: Vec<(&str, Vec<Step>, &str)> = vec![
             ("a mild one clears at once", vec![Up(MILD), Down], "-"),
             ("an urgent one that nobody saw stays as returned", vec![Up(URGENT), Down], "returned"),
             ("until it is acknowledged", vec![Up(URGENT), Down, Ack(URGENT)], "-"),
@@ -269,54 +272,70 @@ mod tests {
             ("a shelved one clears with its cause", vec![Up(URGENT), Shelve(URGENT, 60.0), Down], "-"),
             ("and is on the shelf when it comes again", vec![Up(MILD), Shelve(MILD, 60.0), Down, Up(MILD)], "shelved"),
         ];
-        for (name, story, wanted) in stories {
-            assert_eq!(tell(story), wanted, "{name}");
+        for (name, scenario, wanted) in scenarios {
+            assert_eq!(play(scenario), wanted, "{name}");
         }
     }
 
     #[test]
-    fn what_the_life_before_knew_is_gone_once_every_node_had_time_to_speak() {
-        let mut desk = Annunciator::default();
-        desk.hear(&Alerts { alerts: vec![MILD.alert("x", at(0.0), "c")], ..Alerts::default() }, true, at(0.0));
-        let mut desk = desk.of_the_life_before();
-        desk.hear(&Alerts::default(), false, at(1.0));
-        assert_eq!(desk.shown(at(1.0)).alerts.len(), 1);
-        desk.hear(&Alerts::default(), true, at(60.0));
-        assert_eq!(desk.shown(at(60.0)).alerts.len(), 0);
+    fn what_the_earlier_incarnation_knew_is_gone_once_every_node_had_time_to_publish() {
+        let mut annunciator = Annunciator::default();
+        annunciator.observe(
+            &Alerts { alerts: vec![MILD.alert("x", at(0.0), "c")], ..Alerts::default() },
+            true,
+            at(0.0),
+        );
+        let mut annunciator = annunciator.of_the_boot_before();
+        annunciator.observe(&Alerts::default(), false, at(1.0));
+        assert_eq!(annunciator.published(at(1.0)).alerts.len(), 1);
+        annunciator.observe(&Alerts::default(), true, at(60.0));
+        assert_eq!(annunciator.published(at(60.0)).alerts.len(), 0);
     }
 
     #[test]
-    fn what_people_were_told_outlives_the_life_that_told_it_and_ends_with_the_alert() {
-        let told = |event, second| Told {
+    fn notifications_outlive_the_incarnation_that_sent_them_and_end_with_the_alert() {
+        let notification = |event, second| Notification {
             receiver: "chat".to_owned(),
             id: URGENT.id("d"),
             raised_utc: at(0.0),
             event,
-            told_utc: at(second),
+            sent_utc: at(second),
         };
         let alerts = vec![URGENT.alert("d", at(0.0), "c")];
-        let mut desk = Annunciator::default();
-        desk.hear(&Alerts { alerts: alerts.clone(), told: vec![told(AlertEvent::Raised, 1.0)] }, true, at(1.0));
-        let text = serde_json::to_vec(&desk).unwrap();
-        let mut next = serde_json::from_slice::<Annunciator>(&text).unwrap().of_the_life_before();
+        let mut annunciator = Annunciator::default();
+        annunciator.observe(
+            &Alerts { alerts: alerts.clone(), notifications: vec![notification(AlertEvent::Raised, 1.0)] },
+            true,
+            at(1.0),
+        );
+        let text = serde_json::to_vec(&annunciator).unwrap();
+        let mut next = serde_json::from_slice::<Annunciator>(&text).unwrap().of_the_boot_before();
         // Its own nodes have not published yet.
-        next.hear(&Alerts::default(), false, at(2.0));
-        assert_eq!(next.shown(at(2.0)).told, [told(AlertEvent::Raised, 1.0)]);
-        let standby = Annunciator::heard(&desk.shown(at(2.0)), &[]);
-        assert_eq!(standby.shown(at(2.0)), desk.shown(at(2.0)));
+        next.observe(&Alerts::default(), false, at(2.0));
+        assert_eq!(next.published(at(2.0)).notifications, [notification(AlertEvent::Raised, 1.0)]);
+        let standby = Annunciator::from_published(&annunciator.published(at(2.0)), &[]);
+        assert_eq!(standby.published(at(2.0)), annunciator.published(at(2.0)));
         // A later notification takes the place of it, and an older one does not.
-        next.hear(&Alerts { alerts: alerts.clone(), told: vec![told(AlertEvent::Acknowledged, 3.0)] }, true, at(3.0));
-        next.hear(&Alerts { alerts, told: vec![told(AlertEvent::Raised, 1.0)] }, true, at(4.0));
-        assert_eq!(next.shown(at(4.0)).told, [told(AlertEvent::Acknowledged, 3.0)]);
-        next.acknowledge(&URGENT.id("d"), &said(5.0)).unwrap();
-        next.hear(&Alerts { alerts: Vec::new(), told: vec![told(AlertEvent::Acknowledged, 3.0)] }, true, at(6.0));
-        assert_eq!(next.shown(at(6.0)), Alerts::default(), "an alert that is over was told of for the last time");
+        next.observe(
+            &Alerts { alerts: alerts.clone(), notifications: vec![notification(AlertEvent::Acknowledged, 3.0)] },
+            true,
+            at(3.0),
+        );
+        next.observe(&Alerts { alerts, notifications: vec![notification(AlertEvent::Raised, 1.0)] }, true, at(4.0));
+        assert_eq!(next.published(at(4.0)).notifications, [notification(AlertEvent::Acknowledged, 3.0)]);
+        next.acknowledge(&URGENT.id("d"), &ordered_by(5.0)).unwrap();
+        next.observe(
+            &Alerts { alerts: Vec::new(), notifications: vec![notification(AlertEvent::Acknowledged, 3.0)] },
+            true,
+            at(6.0),
+        );
+        assert_eq!(next.published(at(6.0)), Alerts::default(), "an alert that is over was sent for the last time");
     }
 
     #[test]
-    fn what_another_host_said_last_goes_on_as_it_stood() {
-        let mut desk = Annunciator::default();
-        desk.hear(
+    fn what_another_host_published_last_goes_on_unchanged() {
+        let mut annunciator = Annunciator::default();
+        annunciator.observe(
             &Alerts {
                 alerts: vec![URGENT.alert("d", at(0.0), "c"), MILD.alert("x", at(0.0), "c")],
                 ..Alerts::default()
@@ -324,30 +343,41 @@ mod tests {
             true,
             at(0.0),
         );
-        desk.acknowledge("dome-not-closed/d", &said(1.0)).unwrap();
-        desk.shelve("cooling-failed/x", 60.0, said(1.0)).unwrap();
-        let mut next = Annunciator::heard(&desk.shown(at(2.0)), &desk.shelf());
-        assert_eq!(next.shown(at(2.0)), desk.shown(at(2.0)));
+        annunciator.acknowledge("dome-not-closed/d", &ordered_by(1.0)).unwrap();
+        annunciator.shelve("cooling-failed/x", 60.0, ordered_by(1.0)).unwrap();
+        let mut next = Annunciator::from_published(&annunciator.published(at(2.0)), &annunciator.shelf());
+        assert_eq!(next.published(at(2.0)), annunciator.published(at(2.0)));
         // Its own nodes have not published yet.
-        next.hear(&Alerts::default(), false, at(3.0));
-        assert_eq!(next.shown(at(3.0)), desk.shown(at(3.0)));
-        assert_eq!(next.shelf(), desk.shelf());
+        next.observe(&Alerts::default(), false, at(3.0));
+        assert_eq!(next.published(at(3.0)), annunciator.published(at(3.0)));
+        assert_eq!(next.shelf(), annunciator.shelf());
     }
 
     #[test]
     fn orders_about_what_does_not_stand_are_refused_with_what_does() {
-        let mut desk = Annunciator::default();
-        desk.hear(&Alerts { alerts: vec![MILD.alert("cam", at(0.0), "c")], ..Alerts::default() }, true, at(0.0));
-        let errors =
-            [desk.acknowledge("twin", &said(1.0)).unwrap_err(), desk.shelve("twin", 60.0, said(1.0)).unwrap_err()];
+        let mut annunciator = Annunciator::default();
+        annunciator.observe(
+            &Alerts { alerts: vec![MILD.alert("cam", at(0.0), "c")], ..Alerts::default() },
+            true,
+            at(0.0),
+        );
+        let errors = [
+            annunciator.acknowledge("twin", &ordered_by(1.0)).unwrap_err(),
+            annunciator.shelve("twin", 60.0, ordered_by(1.0)).unwrap_err(),
+        ];
         for error in errors {
-            assert_eq!(error, "no alert \"twin\" stands; standing: cooling-failed/cam");
+            assert_eq!(error, "no alert \"twin\" is active; active: cooling-failed/cam");
         }
-        assert!(desk.unshelve("cooling-failed/cam").unwrap_err().contains("none is shelved"));
-        let silent = Said { reason: " ".to_owned(), ..said(1.0) };
-        assert!(desk.shelve("cooling-failed/cam", 60.0, silent).unwrap_err().contains("reason"));
+        assert!(annunciator.unshelve("cooling-failed/cam").unwrap_err().contains("none is shelved"));
+        let silent = OrderedBy { reason: " ".to_owned(), ..ordered_by(1.0) };
+        assert!(annunciator.shelve("cooling-failed/cam", 60.0, silent).unwrap_err().contains("reason"));
         for for_s in [0.0, -1.0, f64::NAN, LONGEST_SHELF_S + 1.0] {
-            assert!(desk.shelve("cooling-failed/cam", for_s, said(1.0)).unwrap_err().contains("expected more than 0"));
+            assert!(
+                annunciator
+                    .shelve("cooling-failed/cam", for_s, ordered_by(1.0))
+                    .unwrap_err()
+                    .contains("expected more than 0")
+            );
         }
     }
 
@@ -357,12 +387,12 @@ mod tests {
         let alert = URGENT.alert("dome", now, "the shutter sticks");
         let mut alerts = Alerts { alerts: vec![alert.clone()], ..Alerts::default() };
         let mut known = Annunciator::default();
-        known.hear(&alerts, true, now);
+        known.observe(&alerts, true, now);
         known.stand_on(&mut alerts);
         assert_eq!(alerts.alerts.len(), 1);
-        known.acknowledge(&alert.id, &said(0.0)).unwrap();
+        known.acknowledge(&alert.id, &ordered_by(0.0)).unwrap();
         known.stand_on(&mut alerts);
-        known.hear(&alerts, true, now);
-        assert_eq!((alerts.alerts.len(), known.shown(now).alerts.len()), (0, 0));
+        known.observe(&alerts, true, now);
+        assert_eq!((alerts.alerts.len(), known.published(now).alerts.len()), (0, 0));
     }
 }

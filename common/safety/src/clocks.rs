@@ -57,15 +57,16 @@ pub struct Clocks {
 }
 
 impl Clocks {
-    /// Begins to watch. `boot` is which boot of the machine this is, empty where nobody knows; `kept` is the anchor
+    /// Begins to watch. `boot` is which boot of the machine this is, empty where nobody knows; `stored` is the anchor
     /// that was persisted before, so that a restart of the node does not forget a step.
-    pub fn new(kept: Option<Anchor>, boot: String, speed: f64, utc: Utc, now: MachineTime) -> Self {
+    pub fn new(stored: Option<Anchor>, boot: String, speed: f64, utc: Utc, now: MachineTime) -> Self {
         let fresh = Anchor { boot, utc, machine_s: seconds(now) };
         // It means nothing for another boot of the machine.
-        let kept =
-            kept.filter(|kept| !kept.boot.is_empty() && kept.boot == fresh.boot && kept.machine_s <= fresh.machine_s);
-        let is_new = kept.is_none();
-        Self { speed, anchor: kept.unwrap_or(fresh), right_since: None, is_new }
+        let stored = stored.filter(|stored| {
+            !stored.boot.is_empty() && stored.boot == fresh.boot && stored.machine_s <= fresh.machine_s
+        });
+        let is_new = stored.is_none();
+        Self { speed, anchor: stored.unwrap_or(fresh), right_since: None, is_new }
     }
 
     /// The anchor, where it is to be persisted now: it is new, and was not taken by this before.
@@ -97,12 +98,12 @@ impl Clocks {
         }
         let own_s = self.own_s(utc, now);
         let own = Doubt { clock: "this machine's boot-time clock".to_owned(), offset_s: own_s, counts: true };
-        let told = witnesses.iter().filter(|witness| !agrees(witness)).map(|witness| Doubt {
+        let doubts = witnesses.iter().filter(|witness| !agrees(witness)).map(|witness| Doubt {
             clock: witness.clock.clone(),
             offset_s: witness.offset_s,
             counts: witness.offset_s.abs() <= NO_CLOCK_S || !witness.is_mount,
         });
-        (own_s.abs() > AGREE_S).then_some(own).into_iter().chain(told).collect()
+        (own_s.abs() > AGREE_S).then_some(own).into_iter().chain(doubts).collect()
     }
 }
 
@@ -165,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mount_that_has_no_clock_is_told_and_does_not_count() {
+    fn a_mount_that_has_no_clock_is_reported_and_does_not_count() {
         let mut clocks = Clocks::new(None, String::new(), 1.0, utc(0.0), at(0.0));
         let doubts =
             clocks.doubts(utc(1.0), at(1.0), &[witness("mount m", -9e8, true), witness("mount n", 5000.0, true)]);
@@ -175,18 +176,18 @@ mod tests {
 
     #[test]
     fn a_restart_of_the_node_does_not_forget_a_step_and_a_boot_of_the_machine_does() {
-        let watched = |boot: &str, kept, second: f64, step_s: f64| {
-            Clocks::new(kept, boot.to_owned(), 1.0, utc(second + step_s), at(second))
+        let watched = |boot: &str, stored, second: f64, step_s: f64| {
+            Clocks::new(stored, boot.to_owned(), 1.0, utc(second + step_s), at(second))
         };
-        let kept = watched("b", None, 0.0, 0.0).to_persist();
+        let stored = watched("b", None, 0.0, 0.0).to_persist();
         let doubts = |mut clocks: Clocks| {
             let is_new = clocks.to_persist().is_some();
             (offsets(&clocks.doubts(utc(101.0 - 3600.0), at(101.0), &[])), is_new)
         };
-        assert!(kept.is_some());
-        assert_eq!(doubts(watched("b", kept.clone(), 100.0, -3600.0)), (vec![3600], false));
-        assert_eq!(doubts(watched("c", kept.clone(), 100.0, -3600.0)), (vec![], true));
-        assert_eq!(doubts(watched("", kept, 100.0, -3600.0)), (vec![], true), "which boot this is is not known");
+        assert!(stored.is_some());
+        assert_eq!(doubts(watched("b", stored.clone(), 100.0, -3600.0)), (vec![3600], false));
+        assert_eq!(doubts(watched("c", stored.clone(), 100.0, -3600.0)), (vec![], true));
+        assert_eq!(doubts(watched("", stored, 100.0, -3600.0)), (vec![], true), "which boot this is is not known");
     }
 
     #[test]

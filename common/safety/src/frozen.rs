@@ -37,7 +37,7 @@ impl Still {
 impl Freeze {
     /// Takes in a station's state; machine time, because a fast simulation polls seldom. Returns true if a channel
     /// moved.
-    pub fn hear(&mut self, station: &Device, fields: &Fields, now: MachineTime) -> bool {
+    pub fn observe(&mut self, station: &Device, fields: &Fields, now: MachineTime) -> bool {
         let fresh = Still { values: BTreeMap::new(), since: now };
         let still = self.stations.entry(station.clone()).or_insert(fresh);
         let mut moved = false;
@@ -82,18 +82,18 @@ mod tests {
         MachineTime::from_boot(Duration::from_secs(60 * minute))
     }
 
-    fn stands(said: &[(u64, f64, f64)], now: u64) -> Option<u64> {
+    fn stands(values: &[(u64, f64, f64)], now: u64) -> Option<u64> {
         let station =
             Address::new("paranal", "shared").unwrap().device(Kind::ObservingConditions, &"wx".parse().unwrap());
         let mut freeze = Freeze::default();
-        for (minute, air_c, humidity_percent) in said {
+        for (minute, air_c, humidity_percent) in values {
             let fields = Fields {
                 air_c: Datum::Known(*air_c),
                 humidity_percent: Datum::Known(*humidity_percent),
                 wind_mps: Datum::Known(0.0),
                 ..Fields::default()
             };
-            freeze.hear(&station, &fields, at(*minute));
+            freeze.observe(&station, &fields, at(*minute));
         }
         freeze.stand_still(at(now)).next().map(|(_, still)| still.as_secs() / 60)
     }
@@ -102,7 +102,7 @@ mod tests {
     fn a_station_is_frozen_while_no_channel_moves() {
         assert_eq!(stands(&[(0, 5.1, 40.0), (30, 5.1, 40.0)], 31), Some(31));
         assert_eq!(stands(&[(0, 5.1, 40.0), (30, 5.1, 40.1)], 31), Some(1));
-        assert_eq!(stands(&[(0, 5.1, 40.0), (30, 5.1, 0.0)], 31), Some(31), "a lost channel is no life");
+        assert_eq!(stands(&[(0, 5.1, 40.0), (30, 5.1, 0.0)], 31), Some(31), "a lost channel shows no activity");
         assert_eq!(stands(&[(0, 5.1, 0.0), (30, 5.1, 0.0)], 31), None, "one channel alone may stand still");
     }
 }

@@ -105,11 +105,11 @@ impl<T: Clone> Record<T> {
 
     /// What the record proves; silence longer than `max_age` is a gap, and at its end a missing value.
     pub fn evidence(&self, now: Now, max_age: Duration, is_good: impl Fn(&T) -> bool) -> Evidence<T> {
-        let Some(newest) = self.newest() else { return Evidence::Missing("nothing heard yet".to_owned()) };
+        let Some(newest) = self.newest() else { return Evidence::Missing("nothing received yet".to_owned()) };
         let age = now.machine.since(newest.at.machine);
         if age > max_age {
             return Evidence::Missing(format!(
-                "stale: last heard {:.1} s ago, allowed are {:.1} s",
+                "stale: last received {:.1} s ago, allowed are {:.1} s",
                 age.as_secs_f64(),
                 max_age.as_secs_f64()
             ));
@@ -142,9 +142,9 @@ mod tests {
         Now { sky: SkyTime::from_start(since), machine: MachineTime::from_boot(since) }
     }
 
-    fn record(said: &[(u64, Result<f64, String>)]) -> Record<f64> {
+    fn record(outcomes: &[(u64, Result<f64, String>)]) -> Record<f64> {
         let mut record = Record::default();
-        for (seconds, outcome) in said {
+        for (seconds, outcome) in outcomes {
             record.push(Entry { at: at(*seconds), outcome: outcome.clone() });
         }
         record

@@ -11,7 +11,7 @@ const SHOWN: usize = 20;
 /// The intervals, the newest last.
 #[derive(Debug, Default)]
 pub struct Intervals {
-    shown: VecDeque<Interval>,
+    listed: VecDeque<Interval>,
     /// Begun and not ended, so not on disk.
     now: Option<Interval>,
 }
@@ -20,9 +20,9 @@ impl Intervals {
     /// Those that ended in earlier incarnations, one in each line. It skips lines that cannot be read: the file is for
     /// people.
     pub fn of_lines(lines: &[&str]) -> Self {
-        let shown = lines.iter().filter_map(|line| serde_json::from_str(line).ok()).collect::<Vec<Interval>>();
-        let shown = shown.into_iter().rev().take(SHOWN).rev().collect();
-        Self { shown, now: None }
+        let listed = lines.iter().filter_map(|line| serde_json::from_str(line).ok()).collect::<Vec<Interval>>();
+        let listed = listed.into_iter().rev().take(SHOWN).rev().collect();
+        Self { listed, now: None }
     }
 
     /// Takes in a verdict; returns the interval that it ended, to be kept.
@@ -43,9 +43,9 @@ impl Intervals {
                 let begun =
                     Interval { verdict, from_utc: now, until_utc: None, reasons: reasons.iter().map(words).collect() };
                 let ended = current.replace(begun).map(|ended| Interval { until_utc: Some(now), ..ended })?;
-                self.shown.push_back(ended.clone());
-                if self.shown.len() > SHOWN {
-                    self.shown.pop_front();
+                self.listed.push_back(ended.clone());
+                if self.listed.len() > SHOWN {
+                    self.listed.pop_front();
                 }
                 Some(ended)
             }
@@ -53,8 +53,8 @@ impl Intervals {
     }
 
     /// The newest ones, with the one that lasts.
-    pub fn shown(&self) -> Vec<Interval> {
-        self.shown.iter().chain(&self.now).cloned().collect()
+    pub fn published(&self) -> Vec<Interval> {
+        self.listed.iter().chain(&self.now).cloned().collect()
     }
 }
 
@@ -67,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn intervals_are_told_with_all_their_reasons_and_outlive_a_restart() {
+    fn intervals_are_reported_with_all_their_reasons_and_outlive_a_restart() {
         let mut intervals = Intervals::default();
         let at = Utc::from_seconds;
         assert_eq!(intervals.judge(Verdict::Unsafe, &[reason("wx/Humidity", "91 is above 80")], at(0.0)), None);
@@ -77,8 +77,8 @@ mod tests {
         assert_eq!(ended.reasons, ["wx/Humidity: 91 is above 80", "wx/RainRate: 2 is above 0"]);
         assert_eq!((ended.from_utc, ended.until_utc), (at(0.0), Some(at(900.0))));
         let line = serde_json::to_string(&ended).unwrap();
-        assert_eq!(Intervals::of_lines(&[&line, "{half a li"]).shown(), std::slice::from_ref(&ended));
-        assert_eq!(intervals.shown().len(), 2);
-        assert_eq!(intervals.shown()[1].until_utc, None);
+        assert_eq!(Intervals::of_lines(&[&line, "{half a li"]).published(), std::slice::from_ref(&ended));
+        assert_eq!(intervals.published().len(), 2);
+        assert_eq!(intervals.published()[1].until_utc, None);
     }
 }

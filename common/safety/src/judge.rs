@@ -9,8 +9,8 @@ use std::time::Duration;
 use config::Response;
 use contract::observatory::{InputState, Sector, Unsafe, Verdict};
 
-use super::heard::{History, Measured, MonitorReading};
 use super::history::{Evidence, Now, Record};
+use super::received::{History, Measured, MonitorReading};
 use super::rules::{LimitRule, MonitorRule, Rules};
 
 /// The verdict and what it rests on.
@@ -36,44 +36,41 @@ pub struct Judgement {
 
 /// Judges.
 pub fn judge(rules: &Rules, history: &History, now: Now) -> Judgement {
-    let mut hearing = Hearing::default();
+    let mut evaluation = Evaluation::default();
     if let Some(why) = &rules.stay_closed {
-        hearing.speaks_against = true;
-        hearing.closing("stay closed", why.clone(), None);
+        evaluation.speaks_against = true;
+        evaluation.closing("stay closed", why.clone(), None);
     }
     if rules.monitors.is_empty() && !rules.limits.iter().any(|rule| rule.response == Response::Close) {
-        hearing.closing("configuration", "no safety monitor and no weather limit is configured".to_owned(), None);
+        let why = "no safety monitor and no limit that closes is in use, so that no input reports whether it rains; add one to \
+                   observatory.toml";
+        evaluation.closing("safety inputs", why.to_owned(), None);
     }
     for (index, rule) in rules.monitors.iter().enumerate() {
         match history.monitors.get(index) {
-            Some(record) => hear_monitor(rule, record, history.allowed_of_monitor(rule), now, &mut hearing),
-            None => hearing.closing(&rule.input, "nothing heard yet".to_owned(), None),
+            Some(record) => evaluate_monitor(rule, record, history.allowed_of_monitor(rule), now, &mut evaluation),
+            None => evaluation.closing(&rule.input, "nothing received yet".to_owned(), None),
         }
     }
     for (rule, record) in limits(rules, history) {
         if rule.needs_each() {
-            hear_required(rule, record, history.allowed(rule), now, &mut hearing);
+            evaluate_required(rule, record, history.allowed(rule), now, &mut evaluation);
         } else {
-            hear_optional(rule, record, history, now, &mut hearing);
+            evaluate_optional(rule, record, history, now, &mut evaluation);
         }
     }
-    hear_votes(rules, history, now, &mut hearing);
-    if rules.nothing_tells {
-        let why = "no safety monitor and no weather limit is configured, so that no input reports whether it rains; add one to \
-                   observatory.toml";
-        hearing.closing("safety inputs", why.to_owned(), None);
-    }
+    evaluate_votes(rules, history, now, &mut evaluation);
     if let Some(most_deg) = rules.sun_altitude_max_deg {
-        hear_sun(most_deg, history, &mut hearing);
+        evaluate_sun(most_deg, history, &mut evaluation);
     }
     if !rules.frozen_after.is_zero() {
-        hear_frozen(rules, history, now, &mut hearing);
+        evaluate_frozen(rules, history, now, &mut evaluation);
     }
     for complaint in history.nodes.complaints(rules.clock_offset_max_s, rules.disk_free_min_gb, now.machine) {
-        hearing.against(Response::Suspend, &complaint.input, complaint.why, None);
+        evaluation.against(Response::Suspend, &complaint.input, complaint.why, None);
     }
     let avoid = rules.wind_sector.map(|sector| history.winds.sectors(&sector, now.machine)).unwrap_or_default();
-    Judgement { avoid, ..hearing.close() }
+    Judgement { avoid, ..evaluation.close() }
 }
 
 /// The limits with their received values; both were made from the same rules.
@@ -85,7 +82,7 @@ fn limits<'a>(
 }
 
 #[derive(Default)]
-struct Hearing {
+struct Evaluation {
     reasons: Vec<Unsafe>,
     suspended: Vec<Unsafe>,
     advisories: Vec<Unsafe>,
@@ -93,7 +90,7 @@ struct Hearing {
     speaks_against: bool,
 }
 
-impl Hearing {
+impl Evaluation {
     fn against(&mut self, response: Response, input: &str, why: String, clears_in: Option<Duration>) {
         let clears_in_s = clears_in.map(|left| left.as_secs_f64());
         let reasons = match response {
@@ -113,8 +110,8 @@ impl Hearing {
         let Measured { value, unknown_for, .. } = measured;
         if rule.reopen.contain(value) && !unknown_for.is_zero() {
             let over = rule.measure.over();
-            let heard = over.saturating_sub(unknown_for);
-            let why = format!("heard for {:.1} of {:.1} min", minutes(heard), minutes(over));
+            let known_for = over.saturating_sub(unknown_for);
+            let why = format!("values for {:.1} of the {:.1} min that are needed", minutes(known_for), minutes(over));
             let left = (rule.dwell != Duration::MAX).then(|| unknown_for.saturating_add(rule.dwell));
             return self.against(rule.response, &rule.input, why, left);
         }
@@ -139,7 +136,7 @@ impl Hearing {
         self.inputs.push(InputState {
             input: input.to_owned(),
             value: match newest.map(|entry| &entry.outcome) {
-                None => "nothing heard yet".to_owned(),
+                None => "nothing received yet".to_owned(),
                 Some(Ok(value)) => words(value),
                 Some(Err(reason)) => reason.clone(),
             },
@@ -172,27 +169,27 @@ fn minutes(duration: Duration) -> f64 {
     duration.as_secs_f64() / 60.0
 }
 
-fn hear_monitor(
+fn evaluate_monitor(
     rule: &MonitorRule,
     record: &Record<MonitorReading>,
     allowed: Duration,
     now: Now,
-    hearing: &mut Hearing,
+    evaluation: &mut Evaluation,
 ) {
     let evidence = record.evidence(now, allowed, |reading| reading.is_safe);
     let good = matches!(evidence, Evidence::Good { .. });
-    hearing.input(&rule.input, record, now, good, |reading| {
+    evaluation.input(&rule.input, record, now, good, |reading| {
         if reading.is_safe { "safe".to_owned() } else { "not safe".to_owned() }
     });
     match evidence {
-        Evidence::Missing(reason) => hearing.closing(&rule.input, reason, None),
+        Evidence::Missing(reason) => evaluation.closing(&rule.input, reason, None),
         Evidence::Bad(_) => {
-            hearing.speaks_against = true;
-            hearing.closing(&rule.input, "says that it is not safe".to_owned(), None);
+            evaluation.speaks_against = true;
+            evaluation.closing(&rule.input, "says that it is not safe".to_owned(), None);
         }
         Evidence::Good { since, newest } => {
             let proven = now.sky.since(since).max(newest.gapless_safe);
-            hearing.unproven(Response::Close, &rule.input, proven, rule.dwell);
+            evaluation.unproven(Response::Close, &rule.input, proven, rule.dwell);
         }
     }
 }
@@ -203,26 +200,32 @@ fn weigh(
     record: &Record<Measured>,
     allowed: Duration,
     now: Now,
-    hearing: &mut Hearing,
+    evaluation: &mut Evaluation,
 ) -> Evidence<Measured> {
     let evidence = record.evidence(now, allowed, |measured| !measured.tripped);
     let good = matches!(evidence, Evidence::Good { .. });
-    hearing.input(&rule.input, record, now, good, |measured| number(measured.value));
+    evaluation.input(&rule.input, record, now, good, |measured| number(measured.value));
     if let Evidence::Good { newest, .. } = &evidence
         && !rule.reopen.contain(newest.value)
     {
         let why = format!("{} is near its limit", number(newest.value));
-        hearing.against(Response::Advise, &rule.input, why, None);
+        evaluation.against(Response::Advise, &rule.input, why, None);
     }
     evidence
 }
 
-fn hear_required(rule: &LimitRule, record: &Record<Measured>, allowed: Duration, now: Now, hearing: &mut Hearing) {
-    match weigh(rule, record, allowed, now, hearing) {
-        Evidence::Missing(reason) => hearing.against(rule.response, &rule.input, reason, None),
-        Evidence::Bad(measured) => hearing.violated(rule, measured, ""),
+fn evaluate_required(
+    rule: &LimitRule,
+    record: &Record<Measured>,
+    allowed: Duration,
+    now: Now,
+    evaluation: &mut Evaluation,
+) {
+    match weigh(rule, record, allowed, now, evaluation) {
+        Evidence::Missing(reason) => evaluation.against(rule.response, &rule.input, reason, None),
+        Evidence::Bad(measured) => evaluation.violated(rule, measured, ""),
         Evidence::Good { since, .. } => {
-            hearing.unproven(rule.response, &rule.input, now.sky.since(since), rule.dwell);
+            evaluation.unproven(rule.response, &rule.input, now.sky.since(since), rule.dwell);
         }
     }
 }
@@ -230,26 +233,34 @@ fn hear_required(rule: &LimitRule, record: &Record<Measured>, allowed: Duration,
 /// A limit that the site can do without, or that others vote with: a missing value is no violation, but a bad one stays
 /// one until a good one has come, and the dwell counts from the last bad one or the start of the listening; a record of
 /// the time before counts from the first value that it holds, since a bad one may have come before.
-fn hear_optional(rule: &LimitRule, record: &Record<Measured>, history: &History, now: Now, hearing: &mut Hearing) {
-    weigh(rule, record, history.allowed(rule), now, hearing);
+fn evaluate_optional(
+    rule: &LimitRule,
+    record: &Record<Measured>,
+    history: &History,
+    now: Now,
+    evaluation: &mut Evaluation,
+) {
+    weigh(rule, record, history.allowed(rule), now, evaluation);
     if let Some(Ok(measured)) = record.last_known().map(|entry| &entry.outcome)
         && measured.tripped
     {
-        return hearing.violated(rule, *measured, " when last heard");
+        return evaluation.violated(rule, *measured, " when last received");
     }
     let violations = record.entries().filter(|entry| entry.outcome.as_ref().is_ok_and(|measured| measured.tripped));
     let last_bad = violations.map(|entry| entry.at.sky).max();
-    let heard_since = record.known_since().map_or(history.since, |known| known.min(history.since));
-    let proven = now.sky.since(last_bad.map_or(heard_since, |bad| bad.max(heard_since)));
-    hearing.unproven(rule.response, &rule.input, proven, rule.dwell);
+    let received_since = record.known_since().map_or(history.since, |known| known.min(history.since));
+    let proven = now.sky.since(last_bad.map_or(received_since, |bad| bad.max(received_since)));
+    evaluation.unproven(rule.response, &rule.input, proven, rule.dwell);
 }
 
 /// Of those that vote, one must have a gapless good record over its dwell: when all are silent, nobody knows.
-fn hear_votes(rules: &Rules, history: &History, now: Now, hearing: &mut Hearing) {
-    let mut heard: Vec<(&str, Response)> = Vec::new();
+fn evaluate_votes(rules: &Rules, history: &History, now: Now, evaluation: &mut Evaluation) {
+    let mut voted: Vec<(&str, Response)> = Vec::new();
     for rule in &rules.limits {
-        let Some(vote) = rule.vote.as_deref().filter(|vote| !heard.contains(&(*vote, rule.response))) else { continue };
-        heard.push((vote, rule.response));
+        let Some(vote) = rule.vote.as_deref().filter(|vote| !voted.contains(&(*vote, rule.response))) else {
+            continue;
+        };
+        voted.push((vote, rule.response));
         let voters = limits(rules, history)
             .filter(|(other, _)| other.vote.as_deref() == Some(vote) && other.response == rule.response);
         let proven = voters.filter_map(|(other, record)| {
@@ -260,30 +271,30 @@ fn hear_votes(rules: &Rules, history: &History, now: Now, hearing: &mut Hearing)
         });
         let input = format!("vote/{vote}");
         match proven.min_by_key(|(proven, dwell)| dwell.saturating_sub(*proven)) {
-            Some((proven, dwell)) => hearing.unproven(rule.response, &input, proven, dwell),
-            None => hearing.against(rule.response, &input, "no station has a good value".to_owned(), None),
+            Some((proven, dwell)) => evaluation.unproven(rule.response, &input, proven, dwell),
+            None => evaluation.against(rule.response, &input, "no station has a good value".to_owned(), None),
         }
     }
 }
 
-fn hear_sun(most_deg: f64, history: &History, hearing: &mut Hearing) {
+fn evaluate_sun(most_deg: f64, history: &History, evaluation: &mut Evaluation) {
     let altitude_deg = &history.sun.altitude_deg;
     let (input, is_low) = ("sun", altitude_deg.as_ref().is_ok_and(|altitude_deg| *altitude_deg <= most_deg));
     let value = altitude_deg.as_ref().map_or_else(Clone::clone, |altitude_deg| format!("{altitude_deg:.1} deg"));
     if !is_low {
-        hearing.speaks_against |= altitude_deg.is_ok();
+        evaluation.speaks_against |= altitude_deg.is_ok();
         let by = history.sun.by.as_ref().map(|by| format!(" if {by}")).unwrap_or_default();
-        hearing.closing(
+        evaluation.closing(
             input,
             format!("altitude {value}{by}, allowed are {} deg", number(most_deg)),
             history.sun.low_in,
         );
     }
-    hearing.inputs.push(InputState { input: input.to_owned(), value, age_s: Some(0.0), good: is_low });
+    evaluation.inputs.push(InputState { input: input.to_owned(), value, age_s: Some(0.0), good: is_low });
 }
 
 /// A station of these limits whose values do not move any more.
-fn hear_frozen(rules: &Rules, history: &History, now: Now, hearing: &mut Hearing) {
+fn evaluate_frozen(rules: &Rules, history: &History, now: Now, evaluation: &mut Evaluation) {
     for (station, still) in history.freeze.stand_still(now.machine) {
         if still < rules.frozen_after / 2 || !rules.limits.iter().any(|rule| rule.device == *station) {
             continue;
@@ -291,7 +302,7 @@ fn hear_frozen(rules: &Rules, history: &History, now: Now, hearing: &mut Hearing
         let frozen = still >= rules.frozen_after;
         let why = format!("all its values have been the same for {:.0} min", minutes(still));
         let response = if frozen { Response::Close } else { Response::Advise };
-        hearing.against(response, &format!("{}/frozen", station.name), why, None);
+        evaluation.against(response, &format!("{}/frozen", station.name), why, None);
     }
 }
 

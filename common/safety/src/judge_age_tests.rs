@@ -1,6 +1,6 @@
 use contract::Kind;
 
-use super::tests::{Story, at, device, limit, monitor, one_monitor, weather, why};
+use super::tests::{Scenario, at, device, limit, monitor, one_monitor, weather, why};
 use super::*;
 
 /// A state of a safety monitor in which `IsSafe` was read so long before.
@@ -19,28 +19,28 @@ fn monitor_state(
 
 #[test]
 fn an_old_reading_in_a_new_state_is_old_and_its_record_with_it() {
-    let mut story = one_monitor(60);
+    let mut scenario = one_monitor(60);
     let m = device(Kind::SafetyMonitor, "m");
-    let rules = story.rules.clone();
-    let mut hear = |second, age_s, gapless_s| {
-        story.history.hear_monitor(&rules, &m, &monitor_state(age_s, gapless_s, 1.0), at(second));
-        story.judged(second)
+    let rules = scenario.rules.clone();
+    let mut observe = |second, age_s, gapless_s| {
+        scenario.history.observe_monitor(&rules, &m, &monitor_state(age_s, gapless_s, 1.0), at(second));
+        scenario.judged(second)
     };
-    assert_eq!(hear(100, 0.0, 3600.0).verdict, Verdict::Safe);
+    assert_eq!(observe(100, 0.0, 3600.0).verdict, Verdict::Safe);
     // Its node was stalled for 12 s and goes on with what it had read.
-    let stalled = hear(112, 12.0, 3600.0);
+    let stalled = observe(112, 12.0, 3600.0);
     assert_eq!(stalled.verdict, Verdict::Unsafe);
-    assert!(why(&stalled).starts_with("stale: last heard 12.0 s ago"), "{stalled:?}");
+    assert!(why(&stalled).starts_with("stale: last received 12.0 s ago"), "{stalled:?}");
     // The state comes again and again, and the reading grows no younger.
-    assert_eq!(hear(113, 13.0, 3600.0).verdict, Verdict::Unsafe);
+    assert_eq!(observe(113, 13.0, 3600.0).verdict, Verdict::Unsafe);
     // A fresh reading after that has no record to show.
-    assert_eq!(why(&hear(114, 0.0, 0.0)), "good for 0.0 of 1.0 min");
+    assert_eq!(why(&observe(114, 0.0, 0.0)), "good for 0.0 of 1.0 min");
     for age_s in [-1.0, f64::NAN, f64::INFINITY] {
         // NaN and infinity are null in JSON, and an age that is none is no age.
         let mut state = monitor_state(0.0, 3600.0, 1.0);
         state.readings.get_mut("IsSafe").unwrap().age_s = Some(age_s);
-        story.history.hear_monitor(&rules, &m, &state, at(200));
-        assert_eq!(story.judged(200).verdict, Verdict::Unsafe, "{age_s}");
+        scenario.history.observe_monitor(&rules, &m, &state, at(200));
+        assert_eq!(scenario.judged(200).verdict, Verdict::Unsafe, "{age_s}");
     }
 }
 
@@ -49,15 +49,15 @@ fn a_monitor_whose_age_nobody_set_is_judged_by_its_own_period() {
     let judged = |by_period, poll_s, now| {
         let mut rule = monitor("m", 0);
         rule.by_period = by_period;
-        let mut story = Story::new(Rules { monitors: vec![rule], ..Rules::default() });
-        let rules = story.rules.clone();
-        story.history.hear_monitor(
+        let mut scenario = Scenario::new(Rules { monitors: vec![rule], ..Rules::default() });
+        let rules = scenario.rules.clone();
+        scenario.history.observe_monitor(
             &rules,
             &device(Kind::SafetyMonitor, "m"),
             &monitor_state(0.0, 0.0, poll_s),
             at(100),
         );
-        story.judged(now).verdict
+        scenario.judged(now).verdict
     };
     assert_eq!(judged(true, 5.0, 107), Verdict::Safe, "asked each 5 s");
     assert_eq!((judged(true, 5.0, 125), judged(true, 5.0, 126)), (Verdict::Safe, Verdict::Unsafe));
@@ -85,7 +85,7 @@ fn a_limit_counts_from_when_its_value_was_read() {
             }))
             .unwrap()
         };
-        history.hear_weather(&rules, &wx, &state, 1.0, at(second));
+        history.observe_weather(&rules, &wx, &state, 1.0, at(second));
         judge(&rules, &history, at(second)).verdict
     };
     assert_eq!(

@@ -52,18 +52,23 @@ fn word(is_safe: bool, gapless_s: u64) -> MonitorReading {
 }
 
 /// The states of one monitor (safe every second from `from` to `to`) and of one weather station.
-pub(super) struct Story {
+pub(super) struct Scenario {
     pub(super) rules: Rules,
     pub(super) history: History,
 }
 
-impl Story {
+impl Scenario {
     pub(super) fn new(rules: Rules) -> Self {
         let history = History::new(&rules, at(0).sky);
         Self { rules, history }
     }
 
-    fn monitor_says(mut self, index: usize, seconds: impl IntoIterator<Item = u64>, reading: MonitorReading) -> Self {
+    fn monitor_reports(
+        mut self,
+        index: usize,
+        seconds: impl IntoIterator<Item = u64>,
+        reading: MonitorReading,
+    ) -> Self {
         for second in seconds {
             self.history.monitors[index].push(Entry { at: at(second), outcome: Ok(reading) });
         }
@@ -75,7 +80,7 @@ impl Story {
         self
     }
 
-    pub(super) fn weather_says(
+    pub(super) fn weather_reports(
         mut self,
         index: usize,
         seconds: impl IntoIterator<Item = u64>,
@@ -83,7 +88,7 @@ impl Story {
     ) -> Self {
         for second in seconds {
             let value = outcome.map_err(str::to_owned);
-            self.history.hear_value(&self.rules.limits[index], index, value, at(second));
+            self.history.observe_value(&self.rules.limits[index], index, value, at(second));
         }
         self
     }
@@ -93,12 +98,12 @@ impl Story {
     }
 }
 
-pub(super) fn one_monitor(dwell_s: u64) -> Story {
-    Story::new(Rules { monitors: vec![monitor("m", dwell_s)], ..Rules::default() })
+pub(super) fn one_monitor(dwell_s: u64) -> Scenario {
+    Scenario::new(Rules { monitors: vec![monitor("m", dwell_s)], ..Rules::default() })
 }
 
-fn one_limit(dwell_s: u64, required: bool) -> Story {
-    Story::new(weather(vec![limit(80.0, dwell_s, required)]))
+fn one_limit(dwell_s: u64, required: bool) -> Scenario {
+    Scenario::new(weather(vec![limit(80.0, dwell_s, required)]))
 }
 
 pub(super) fn why(judgement: &Judgement) -> &str {
@@ -107,136 +112,145 @@ pub(super) fn why(judgement: &Judgement) -> &str {
 
 #[test]
 fn without_any_input_it_is_never_safe() {
-    let judged = Story::new(Rules::default()).judged(100_000);
+    let judged = Scenario::new(Rules::default()).judged(100_000);
     assert_eq!(judged.verdict, Verdict::Unsafe);
     assert!(why(&judged).contains("no safety monitor"), "{judged:?}");
     assert_eq!(judged.time_to_safe_s, None);
 }
 
 #[test]
-fn nothing_heard_is_unsafe() {
-    assert_eq!(why(&one_monitor(0).judged(9)), "nothing heard yet");
-    assert_eq!(why(&one_limit(0, true).judged(9)), "nothing heard yet");
+fn nothing_received_is_unsafe() {
+    assert_eq!(why(&one_monitor(0).judged(9)), "nothing received yet");
+    assert_eq!(why(&one_limit(0, true).judged(9)), "nothing received yet");
 }
 
 #[test]
 fn the_dwell_must_be_filled_before_the_first_safe() {
-    let story = one_monitor(60).monitor_says(0, 0..=60, word(true, 0));
-    assert_eq!(story.judged(59).verdict, Verdict::Unsafe);
-    let story = one_monitor(60).monitor_says(0, 0..=30, word(true, 0));
-    let judged = story.judged(30);
+    let scenario = one_monitor(60).monitor_reports(0, 0..=60, word(true, 0));
+    assert_eq!(scenario.judged(59).verdict, Verdict::Unsafe);
+    let scenario = one_monitor(60).monitor_reports(0, 0..=30, word(true, 0));
+    let judged = scenario.judged(30);
     assert_eq!(judged.time_to_safe_s, Some(30.0));
     assert_eq!(why(&judged), "good for 0.5 of 1.0 min");
-    let story = one_monitor(60).monitor_says(0, 0..=60, word(true, 0));
-    assert_eq!(story.judged(60).verdict, Verdict::Safe);
+    let scenario = one_monitor(60).monitor_reports(0, 0..=60, word(true, 0));
+    assert_eq!(scenario.judged(60).verdict, Verdict::Safe);
 }
 
 #[test]
 fn a_gust_over_a_window_that_is_longer_than_the_dwell_needs_the_whole_window_and_then_the_dwell() {
     for required in [true, false] {
         let gust = LimitRule { measure: Measure::Max(Duration::from_secs(600)), ..limit(80.0, 60, required) };
-        let story = || Story::new(weather(vec![gust.clone()]));
-        let calm = story().weather_says(0, (0..=120).step_by(10), Ok(50.0));
+        let scenario = || Scenario::new(weather(vec![gust.clone()]));
+        let calm = scenario().weather_reports(0, (0..=120).step_by(10), Ok(50.0));
         let judged = calm.judged(120);
-        assert_eq!((why(&judged), judged.time_to_safe_s), ("heard for 2.0 of 10.0 min", Some(540.0)), "{required}");
-        assert!(!judged.speaks_against, "who has not heard enough says nothing bad");
-        let verdict = |until: u64| story().weather_says(0, (0..=until).step_by(10), Ok(50.0)).judged(until).verdict;
+        assert_eq!(
+            (why(&judged), judged.time_to_safe_s),
+            ("values for 2.0 of the 10.0 min that are needed", Some(540.0)),
+            "{required}"
+        );
+        assert!(!judged.speaks_against, "too few readings are no bad reading");
+        let verdict =
+            |until: u64| scenario().weather_reports(0, (0..=until).step_by(10), Ok(50.0)).judged(until).verdict;
         assert_eq!((verdict(640), verdict(660)), (Verdict::Unsafe, Verdict::Safe), "{required}");
         // A hole in the record does not blow the gust before it away.
-        let story = story().weather_says(0, (0..=700).step_by(10), Ok(50.0)).weather_says(0, [710], Ok(90.0));
-        let story =
-            story.weather_says(0, [720], Err("timeout: 2 s")).weather_says(0, (730..=1000).step_by(10), Ok(50.0));
-        assert!(why(&story.judged(1000)).starts_with("90 is above 80"), "{required}: {:?}", story.judged(1000));
+        let scenario =
+            scenario().weather_reports(0, (0..=700).step_by(10), Ok(50.0)).weather_reports(0, [710], Ok(90.0));
+        let scenario = scenario.weather_reports(0, [720], Err("timeout: 2 s")).weather_reports(
+            0,
+            (730..=1000).step_by(10),
+            Ok(50.0),
+        );
+        assert!(why(&scenario.judged(1000)).starts_with("90 is above 80"), "{required}: {:?}", scenario.judged(1000));
     }
 }
 
 #[test]
-fn a_record_kept_by_the_device_node_fills_the_dwell_at_once() {
-    assert_eq!(one_monitor(900).monitor_says(0, [5], word(true, 900)).judged(6).verdict, Verdict::Safe);
-    assert_eq!(one_monitor(900).monitor_says(0, [5], word(true, 899)).judged(6).verdict, Verdict::Unsafe);
+fn a_record_stored_by_the_device_node_fills_the_dwell_at_once() {
+    assert_eq!(one_monitor(900).monitor_reports(0, [5], word(true, 900)).judged(6).verdict, Verdict::Safe);
+    assert_eq!(one_monitor(900).monitor_reports(0, [5], word(true, 899)).judged(6).verdict, Verdict::Unsafe);
 }
 
 #[test]
 fn one_bad_word_is_unsafe_at_once_and_restarts_the_dwell() {
-    let story = one_monitor(60).monitor_says(0, 0..=100, word(true, 0)).monitor_says(0, [101], word(false, 0));
-    let judged = story.judged(101);
+    let scenario = one_monitor(60).monitor_reports(0, 0..=100, word(true, 0)).monitor_reports(0, [101], word(false, 0));
+    let judged = scenario.judged(101);
     assert_eq!((judged.verdict, judged.speaks_against), (Verdict::Unsafe, true));
     assert_eq!(judged.time_to_safe_s, None);
-    let story = story.monitor_says(0, 102..=160, word(true, 0));
-    assert_eq!(story.judged(160).verdict, Verdict::Unsafe);
-    let story = story.monitor_says(0, 161..=162, word(true, 0));
-    assert_eq!(story.judged(162).verdict, Verdict::Safe);
+    let scenario = scenario.monitor_reports(0, 102..=160, word(true, 0));
+    assert_eq!(scenario.judged(160).verdict, Verdict::Unsafe);
+    let scenario = scenario.monitor_reports(0, 161..=162, word(true, 0));
+    assert_eq!(scenario.judged(162).verdict, Verdict::Safe);
 }
 
 #[test]
 fn a_stale_reading_is_unsafe() {
-    let story = one_monitor(60).monitor_says(0, 0..=100, word(true, 1000));
-    assert_eq!(story.judged(105).verdict, Verdict::Safe);
-    let judged = story.judged(106);
+    let scenario = one_monitor(60).monitor_reports(0, 0..=100, word(true, 1000));
+    assert_eq!(scenario.judged(105).verdict, Verdict::Safe);
+    let judged = scenario.judged(106);
     assert_eq!(judged.verdict, Verdict::Unsafe);
     assert!(why(&judged).starts_with("stale"), "{judged:?}");
 }
 
 #[test]
 fn a_missing_reading_is_unsafe_with_its_reason() {
-    let story = one_monitor(0).monitor_says(0, 0..=10, word(true, 1000)).monitor_is_silent(0, 11);
-    assert_eq!(why(&story.judged(11)), "timeout: 2 s");
+    let scenario = one_monitor(0).monitor_reports(0, 0..=10, word(true, 1000)).monitor_is_silent(0, 11);
+    assert_eq!(why(&scenario.judged(11)), "timeout: 2 s");
 }
 
 #[test]
-fn any_monitor_that_says_unsafe_decides() {
+fn any_monitor_that_reports_unsafe_decides() {
     // 1-out-of-n with required inputs: all 27 cases of three monitors.
     for case in 0..27_u32 {
         let rules = Rules { monitors: vec![monitor("a", 0), monitor("b", 0), monitor("c", 0)], ..Rules::default() };
-        let mut story = Story::new(rules);
+        let mut scenario = Scenario::new(rules);
         let words: Vec<u32> = (0..3).map(|i| case / 3_u32.pow(i) % 3).collect();
-        for (index, said) in words.iter().enumerate() {
-            story = match said {
-                0 => story.monitor_says(index, [10], word(true, 0)),
-                1 => story.monitor_says(index, [10], word(false, 0)),
-                _ => story,
+        for (index, kind) in words.iter().enumerate() {
+            scenario = match kind {
+                0 => scenario.monitor_reports(index, [10], word(true, 0)),
+                1 => scenario.monitor_reports(index, [10], word(false, 0)),
+                _ => scenario,
             };
         }
         let expected = if words == [0, 0, 0] { Verdict::Safe } else { Verdict::Unsafe };
-        assert_eq!(story.judged(10).verdict, expected, "{words:?}");
+        assert_eq!(scenario.judged(10).verdict, expected, "{words:?}");
     }
 }
 
 #[test]
 fn a_weather_limit_closes_at_once_and_reopens_after_its_dwell() {
-    let story = one_limit(600, true).weather_says(0, (0..=700).step_by(5), Ok(50.0));
-    assert_eq!(story.judged(700).verdict, Verdict::Safe);
-    let story = story.weather_says(0, [705], Ok(80.5));
-    let judged = story.judged(705);
+    let scenario = one_limit(600, true).weather_reports(0, (0..=700).step_by(5), Ok(50.0));
+    assert_eq!(scenario.judged(700).verdict, Verdict::Safe);
+    let scenario = scenario.weather_reports(0, [705], Ok(80.5));
+    let judged = scenario.judged(705);
     assert_eq!(why(&judged), "80.5 is above 80");
-    let story = story.weather_says(0, (710..=1305).step_by(5), Ok(50.0));
-    assert_eq!(story.judged(1305).verdict, Verdict::Unsafe);
-    let story = story.weather_says(0, [1310], Ok(50.0));
-    assert_eq!(story.judged(1310).verdict, Verdict::Safe);
+    let scenario = scenario.weather_reports(0, (710..=1305).step_by(5), Ok(50.0));
+    assert_eq!(scenario.judged(1305).verdict, Verdict::Unsafe);
+    let scenario = scenario.weather_reports(0, [1310], Ok(50.0));
+    assert_eq!(scenario.judged(1310).verdict, Verdict::Safe);
 }
 
 #[test]
 fn a_gap_in_the_weather_restarts_its_dwell() {
-    let story = one_limit(100, true).weather_says(0, (0..=200).step_by(5), Ok(50.0)).weather_says(
+    let scenario = one_limit(100, true).weather_reports(0, (0..=200).step_by(5), Ok(50.0)).weather_reports(
         0,
         (216..=300).step_by(5),
         Ok(50.0),
     );
-    let judged = story.judged(300);
+    let judged = scenario.judged(300);
     assert_eq!(judged.time_to_safe_s, Some(16.0));
 }
 
 #[test]
 fn several_tiers_of_one_parameter_hold_side_by_side() {
     let rules = weather(vec![limit(80.0, 10, true), limit(90.0, 1000, true)]);
-    let mut story = Story::new(rules);
+    let mut scenario = Scenario::new(rules);
     for index in 0..2 {
-        story = story
-            .weather_says(index, (0..=2000).step_by(5), Ok(50.0))
-            .weather_says(index, [2005], Ok(95.0))
-            .weather_says(index, (2010..=2030).step_by(5), Ok(50.0));
+        scenario = scenario
+            .weather_reports(index, (0..=2000).step_by(5), Ok(50.0))
+            .weather_reports(index, [2005], Ok(95.0))
+            .weather_reports(index, (2010..=2030).step_by(5), Ok(50.0));
     }
-    let judged = story.judged(2030);
+    let judged = scenario.judged(2030);
     assert_eq!(judged.verdict, Verdict::Unsafe);
     assert_eq!(judged.reasons.len(), 1, "the mild tier is over, the harsh one is not: {judged:?}");
     assert_eq!(judged.time_to_safe_s, Some(980.0));
@@ -244,49 +258,53 @@ fn several_tiers_of_one_parameter_hold_side_by_side() {
 
 #[test]
 fn an_optional_sensor_may_be_missing_but_not_bad() {
-    let story = one_limit(60, false);
-    assert_eq!(story.judged(59).verdict, Verdict::Unsafe);
-    let missing = one_limit(60, false).weather_says(0, (0..=60).step_by(5), Err("not implemented"));
+    let scenario = one_limit(60, false);
+    assert_eq!(scenario.judged(59).verdict, Verdict::Unsafe);
+    let missing = one_limit(60, false).weather_reports(0, (0..=60).step_by(5), Err("not implemented"));
     let judged = missing.judged(60);
     assert_eq!(judged.verdict, Verdict::Safe);
     assert_eq!((judged.inputs[0].value.as_str(), judged.inputs[0].good), ("not implemented", false));
-    let bad_then_silent = one_limit(60, false).weather_says(0, (0..=60).step_by(5), Ok(90.0)).weather_says(
+    let bad_then_silent = one_limit(60, false).weather_reports(0, (0..=60).step_by(5), Ok(90.0)).weather_reports(
         0,
         (65..=900).step_by(5),
         Err("timeout"),
     );
-    assert_eq!(why(&bad_then_silent.judged(900)), "90 is above 80 when last heard");
-    let good_again = bad_then_silent.weather_says(0, [905], Ok(50.0));
+    assert_eq!(why(&bad_then_silent.judged(900)), "90 is above 80 when last received");
+    let good_again = bad_then_silent.weather_reports(0, [905], Ok(50.0));
     assert_eq!(good_again.judged(905).verdict, Verdict::Safe);
 }
 
 #[test]
 fn reasons_that_nobody_can_time_leave_the_time_open() {
     let rules = Rules { monitors: vec![monitor("a", 60), monitor("b", 60)], ..Rules::default() };
-    let story = Story::new(rules).monitor_says(0, 0..=10, word(true, 0));
-    assert_eq!(story.judged(10).time_to_safe_s, None);
+    let scenario = Scenario::new(rules).monitor_reports(0, 0..=10, word(true, 0));
+    assert_eq!(scenario.judged(10).time_to_safe_s, None);
 }
 
 #[test]
 fn a_closed_dome_reopens_at_a_stricter_value_than_it_closed_at() {
     let mut rule = limit(80.0, 60, true);
     rule.reopen.upper = Some(75.0);
-    let story = Story::new(weather(vec![rule]));
-    let story = story.weather_says(0, (0..=100).step_by(5), Ok(70.0)).weather_says(0, (105..=300).step_by(5), Ok(78.0));
-    assert_eq!(story.judged(300).verdict, Verdict::Safe, "78 closes nothing");
-    let story = story.weather_says(0, [305], Ok(81.0)).weather_says(0, (310..=1000).step_by(5), Ok(78.0));
-    assert_eq!(why(&story.judged(1000)), "78 is not down to 75 yet");
-    let story = story.weather_says(0, [1005], Ok(75.0)).weather_says(0, (1010..=1065).step_by(5), Ok(79.0));
-    assert_eq!(story.judged(1060).verdict, Verdict::Unsafe, "the dwell");
-    assert_eq!(story.judged(1065).verdict, Verdict::Safe);
+    let scenario = Scenario::new(weather(vec![rule]));
+    let scenario = scenario.weather_reports(0, (0..=100).step_by(5), Ok(70.0)).weather_reports(
+        0,
+        (105..=300).step_by(5),
+        Ok(78.0),
+    );
+    assert_eq!(scenario.judged(300).verdict, Verdict::Safe, "78 closes nothing");
+    let scenario = scenario.weather_reports(0, [305], Ok(81.0)).weather_reports(0, (310..=1000).step_by(5), Ok(78.0));
+    assert_eq!(why(&scenario.judged(1000)), "78 is not down to 75 yet");
+    let scenario = scenario.weather_reports(0, [1005], Ok(75.0)).weather_reports(0, (1010..=1065).step_by(5), Ok(79.0));
+    assert_eq!(scenario.judged(1060).verdict, Verdict::Unsafe, "the dwell");
+    assert_eq!(scenario.judged(1065).verdict, Verdict::Safe);
 }
 
 #[test]
 fn what_was_never_good_enough_does_not_open() {
     let mut rule = limit(80.0, 0, true);
     rule.reopen.upper = Some(75.0);
-    let story = Story::new(weather(vec![rule])).weather_says(0, (0..=100).step_by(5), Ok(78.0));
-    assert_eq!(story.judged(100).verdict, Verdict::Unsafe);
+    let scenario = Scenario::new(weather(vec![rule])).weather_reports(0, (0..=100).step_by(5), Ok(78.0));
+    assert_eq!(scenario.judged(100).verdict, Verdict::Unsafe);
 }
 
 #[test]
@@ -295,62 +313,63 @@ fn tiers_suspend_before_they_close() {
     mild.response = Response::Suspend;
     let mut hint = limit(50.0, 0, true);
     hint.response = Response::Advise;
-    let mut story = Story::new(weather(vec![limit(80.0, 60, true), mild, hint]));
+    let mut scenario = Scenario::new(weather(vec![limit(80.0, 60, true), mild, hint]));
     for index in 0..3 {
-        story = story.weather_says(index, (0..=100).step_by(5), Ok(40.0)).weather_says(index, [105], Ok(65.0));
+        scenario =
+            scenario.weather_reports(index, (0..=100).step_by(5), Ok(40.0)).weather_reports(index, [105], Ok(65.0));
     }
-    let judged = story.judged(105);
+    let judged = scenario.judged(105);
     assert_eq!((judged.verdict, judged.speaks_against), (Verdict::Safe, false));
     assert_eq!(judged.suspended[0].why, "65 is above 60");
     assert_eq!(judged.advisories[0].why, "65 is above 50");
     for index in 0..3 {
-        story = story.weather_says(index, [110], Ok(40.0));
+        scenario = scenario.weather_reports(index, [110], Ok(40.0));
     }
-    assert_eq!(story.judged(110).suspended[0].clears_in_s, Some(30.0));
-    assert_eq!(story.judged(130).verdict, Verdict::Unsafe, "silence closes");
+    assert_eq!(scenario.judged(110).suspended[0].clears_in_s, Some(30.0));
+    assert_eq!(scenario.judged(130).verdict, Verdict::Unsafe, "silence closes");
 }
 
 #[test]
 fn limits_that_only_advise_are_no_limits() {
     let mut hint = limit(50.0, 0, true);
     hint.response = Response::Advise;
-    let story = Story::new(weather(vec![hint])).weather_says(0, (0..=100).step_by(5), Ok(40.0));
-    assert!(why(&story.judged(100)).contains("no safety monitor"));
+    let scenario = Scenario::new(weather(vec![hint])).weather_reports(0, (0..=100).step_by(5), Ok(40.0));
+    assert!(why(&scenario.judged(100)).contains("no safety monitor"));
 }
 
 #[test]
 fn of_three_stations_that_vote_any_bad_one_decides_and_one_good_one_suffices() {
     for case in 0..27_u32 {
         let voter = || LimitRule { vote: Some("humidity".to_owned()), ..limit(80.0, 20, true) };
-        let mut story = Story::new(weather(vec![voter(), voter(), voter()]));
+        let mut scenario = Scenario::new(weather(vec![voter(), voter(), voter()]));
         let words: Vec<u32> = (0..3).map(|i| case / 3_u32.pow(i) % 3).collect();
-        for (index, said) in words.iter().enumerate() {
-            let value = [Ok(50.0), Ok(90.0), Err("timeout")][*said as usize];
-            story = story.weather_says(index, (0..=60).step_by(5), value);
+        for (index, kind) in words.iter().enumerate() {
+            let value = [Ok(50.0), Ok(90.0), Err("timeout")][*kind as usize];
+            scenario = scenario.weather_reports(index, (0..=60).step_by(5), value);
         }
         let is_safe = !words.contains(&1) && words.contains(&0);
         let expected = if is_safe { Verdict::Safe } else { Verdict::Unsafe };
-        assert_eq!(story.judged(60).verdict, expected, "{words:?}");
-        assert_eq!(story.judged(80).verdict, Verdict::Unsafe, "all silent: {words:?}");
+        assert_eq!(scenario.judged(60).verdict, expected, "{words:?}");
+        assert_eq!(scenario.judged(80).verdict, Verdict::Unsafe, "all silent: {words:?}");
     }
 }
 
 #[test]
 fn the_sun_closes() {
-    let mut story = one_monitor(0).monitor_says(0, [10], word(true, 0));
-    story.rules.sun_altitude_max_deg = Some(-1.0);
-    assert_eq!(story.judged(10).reasons[0].input, "sun", "not computed is unsafe");
+    let mut scenario = one_monitor(0).monitor_reports(0, [10], word(true, 0));
+    scenario.rules.sun_altitude_max_deg = Some(-1.0);
+    assert_eq!(scenario.judged(10).reasons[0].input, "sun", "not computed is unsafe");
     for (altitude_deg, expected) in
         [(-1.0, Verdict::Safe), (-0.9, Verdict::Unsafe), (f64::NAN, Verdict::Unsafe), (-40.0, Verdict::Safe)]
     {
-        story.history.sun.altitude_deg = Ok(altitude_deg);
-        assert_eq!(story.judged(10).verdict, expected, "{altitude_deg}");
+        scenario.history.sun.altitude_deg = Ok(altitude_deg);
+        assert_eq!(scenario.judged(10).verdict, expected, "{altitude_deg}");
     }
-    story.history.sun.altitude_deg = Ok(3.21);
-    assert_eq!(why(&story.judged(10)), "altitude 3.2 deg, allowed are -1 deg");
-    assert_eq!(story.judged(10).time_to_safe_s, None);
-    story.history.sun.low_in = Some(Duration::from_secs(600));
-    assert_eq!(story.judged(10).time_to_safe_s, Some(600.0));
+    scenario.history.sun.altitude_deg = Ok(3.21);
+    assert_eq!(why(&scenario.judged(10)), "altitude 3.2 deg, allowed are -1 deg");
+    assert_eq!(scenario.judged(10).time_to_safe_s, None);
+    scenario.history.sun.low_in = Some(Duration::from_secs(600));
+    assert_eq!(scenario.judged(10).time_to_safe_s, Some(600.0));
 }
 
 /// A random history of two monitors and three limits (the last optional), and a moment to judge it.
@@ -358,7 +377,7 @@ fn histories() -> impl Strategy<Value = (Vec<(usize, u64, u8)>, f64, u64)> {
     (proptest::collection::vec((0..5_usize, 0..120_u64, 0..10_u8), 0..120), 10.0..100.0_f64, 119..126_u64)
 }
 
-fn told(words: &[(usize, u64, u8)], upper: f64) -> Story {
+fn played(words: &[(usize, u64, u8)], upper: f64) -> Scenario {
     let rules = Rules {
         monitors: vec![monitor("a", 20), monitor("b", 0)],
         limits: vec![limit(upper, 20, true), limit(upper + 10.0, 40, true), limit(upper, 30, false)],
@@ -370,33 +389,33 @@ fn told(words: &[(usize, u64, u8)], upper: f64) -> Story {
         words.extend((0..5).map(|input| (input, second, 0)));
     }
     words.sort_by_key(|(_, second, _)| *second);
-    words.into_iter().fold(Story::new(rules), |story, (input, second, kind)| match (input, kind) {
-        (0 | 1, 9) => story.monitor_says(input, [second], word(false, 0)),
-        (0 | 1, 8) => story.monitor_is_silent(input, second),
-        (0 | 1, _) => story.monitor_says(input, [second], word(true, 0)),
-        (_, 8) => story.weather_says(input - 2, [second], Err("timeout")),
-        (_, kind) => story.weather_says(input - 2, [second], Ok(f64::from(kind) * 10.0 + 5.0)),
+    words.into_iter().fold(Scenario::new(rules), |scenario, (input, second, kind)| match (input, kind) {
+        (0 | 1, 9) => scenario.monitor_reports(input, [second], word(false, 0)),
+        (0 | 1, 8) => scenario.monitor_is_silent(input, second),
+        (0 | 1, _) => scenario.monitor_reports(input, [second], word(true, 0)),
+        (_, 8) => scenario.weather_reports(input - 2, [second], Err("timeout")),
+        (_, kind) => scenario.weather_reports(input - 2, [second], Ok(f64::from(kind) * 10.0 + 5.0)),
     })
 }
 
 proptest! {
     #[test]
     fn a_missing_input_never_makes_it_safe((words, upper, now) in histories(), input in 0..4_usize) {
-        let mut story = told(&words, upper);
+        let mut scenario = played(&words, upper);
         match input {
-            0 | 1 => story.history.monitors[input] = Record::default(),
-            _ => story.history.limits[input - 2] = Record::default(),
+            0 | 1 => scenario.history.monitors[input] = Record::default(),
+            _ => scenario.history.limits[input - 2] = Record::default(),
         }
-        prop_assert_eq!(story.judged(now).verdict, Verdict::Unsafe);
+        prop_assert_eq!(scenario.judged(now).verdict, Verdict::Unsafe);
     }
 
     #[test]
     fn a_spoilt_input_never_makes_it_safer((words, upper, now) in histories(), input in 0..5_usize) {
-        let story = told(&words, upper);
-        let before = story.judged(now).verdict;
+        let scenario = played(&words, upper);
+        let before = scenario.judged(now).verdict;
         let spoilt = match input {
-            0 | 1 => story.monitor_is_silent(input, now),
-            _ => story.weather_says(input - 2, [now], Err("not a number")),
+            0 | 1 => scenario.monitor_is_silent(input, now),
+            _ => scenario.weather_reports(input - 2, [now], Err("not a number")),
         };
         let after = spoilt.judged(now).verdict;
         prop_assert!(!(before == Verdict::Unsafe && after == Verdict::Safe));
@@ -407,29 +426,29 @@ proptest! {
 
     #[test]
     fn a_bad_reading_is_always_unsafe((words, upper, now) in histories(), input in 0..5_usize) {
-        let story = told(&words, upper);
+        let scenario = played(&words, upper);
         let after = match input {
-            0 | 1 => story.monitor_says(input, [now], word(false, 0)),
-            _ => story.weather_says(input - 2, [now], Ok(1000.0)),
+            0 | 1 => scenario.monitor_reports(input, [now], word(false, 0)),
+            _ => scenario.weather_reports(input - 2, [now], Ok(1000.0)),
         };
         prop_assert_eq!(after.judged(now).verdict, Verdict::Unsafe);
     }
 
     #[test]
     fn ageing_beyond_the_allowed_age_is_unsafe((words, upper, _) in histories(), later in 136..5000_u64) {
-        prop_assert_eq!(told(&words, upper).judged(later).verdict, Verdict::Unsafe);
+        prop_assert_eq!(played(&words, upper).judged(later).verdict, Verdict::Unsafe);
     }
 
     #[test]
     fn a_raised_limit_never_makes_a_safe_sky_unsafe((words, upper, now) in histories(), more in 0.0..100.0_f64) {
-        if told(&words, upper).judged(now).verdict == Verdict::Safe {
-            prop_assert_eq!(told(&words, upper + more).judged(now).verdict, Verdict::Safe);
+        if played(&words, upper).judged(now).verdict == Verdict::Safe {
+            prop_assert_eq!(played(&words, upper + more).judged(now).verdict, Verdict::Safe);
         }
     }
 
     #[test]
     fn a_safe_verdict_has_no_reasons_and_an_unsafe_one_has((words, upper, now) in histories()) {
-        let judged = told(&words, upper).judged(now);
+        let judged = played(&words, upper).judged(now);
         prop_assert_eq!(judged.reasons.is_empty(), judged.verdict == Verdict::Safe);
         prop_assert_eq!(judged.inputs.len(), 5);
     }

@@ -9,7 +9,7 @@
 //! at the start; each input must have been good, without a gap, for its whole dwell.
 //!
 //! ```text
-//!   configuration --> Rules --- people's orders (Standing) ---> the rules as they hold now --.
+//!   configuration --> Rules --- operator orders (ActiveOrders) -> the rules as they hold now --.
 //!                                                                                             v
 //!   states of devices --> History <-- records of the time before (recall)               judge(rules, history, now)
 //!   clocks --> Doubts --> Sun -----^                                                          |
@@ -22,7 +22,7 @@
 //! What the verdict rests on:
 //!
 //! - [`rules`]: the configured inputs and limits; [`measure`]: what of a parameter a limit is put on.
-//! - [`history`]: the states of one input, as far back as its dwell looks; [`heard`]: the states of all inputs.
+//! - [`history`]: the states of one input, as far back as its dwell looks; [`received`]: the states of all inputs.
 //! - [`recall`]: what a device node recorded before this node listened, placed on this node's clocks.
 //! - [`frozen`]: a weather station whose values do not move; [`wind`]: directions to avoid.
 //! - [`nodes`]: clocks and disks of the other machines; [`clocks`]: what time it may be; [`sun`]: where the Sun stands
@@ -30,15 +30,15 @@
 //!
 //! The verdict:
 //!
-//! - [`judge`]: the verdict with its reasons; [`ruling`]: the newest one, and whether it still counts.
+//! - [`judge`]: the verdict with its reasons; [`current_verdict`]: the newest one, and whether it still counts.
 //! - [`intervals`]: the verdicts of the last day.
 //! - [`objection`]: the objections to an action.
 //!
 //! What people order:
 //!
-//! - [`said`]: the person who ordered something, and the reason; [`standing`]: the orders that hold until they end or
-//!   are taken back.
-//! - [`on_disk`]: the content of the file of these orders; [`inherit`]: what holds for a node that becomes the
+//! - [`ordered_by`]: the person who ordered something, and the reason; [`active_orders`]: the orders that hold until
+//!   they end or are taken back.
+//! - [`on_disk`]: the content of the file of these orders; [`takeover`]: what holds for a node that becomes the
 //!   commander.
 //! - [`operators`]: which operator has the telescope, or the schedule.
 //! - [`annunciator`]: what people did about alerts.
@@ -53,15 +53,15 @@
 //! - What may have happened before this node subscribed is unknown, and unknown is unsafe, also within the window of a
 //!   largest value: `a_maximum_is_known_once_its_window_has_filled_since_the_listening_began`.
 //! - A dome without any input that reports rain stays closed (decision 0056): `without_any_input_it_is_never_safe`.
-//! - A commander that does not know the last operator orders of the commander before it stays closed (`inherit.rs`,
-//!   decision 0015): `what_holds_is_what_the_commander_before_was_told_and_stays_closed_where_nobody_knows`.
+//! - A commander that does not know the last operator orders of the commander before it stays closed (`takeover.rs`,
+//!   decision 0015): `the_orders_to_the_earlier_commander_hold_and_the_dome_stays_closed_where_nobody_knows_them`.
 
+pub mod active_orders;
 pub mod annunciator;
 pub mod clocks;
+pub mod current_verdict;
 pub mod frozen;
-pub mod heard;
 pub mod history;
-pub mod inherit;
 pub mod intervals;
 pub mod judge;
 pub mod measure;
@@ -69,10 +69,10 @@ pub mod nodes;
 pub mod objection;
 pub mod on_disk;
 pub mod operators;
+pub mod ordered_by;
 pub mod recall;
+pub mod received;
 pub mod rules;
-pub mod ruling;
-pub mod said;
-pub mod standing;
 pub mod sun;
+pub mod takeover;
 pub mod wind;

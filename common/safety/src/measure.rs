@@ -56,7 +56,11 @@ impl Window {
             (Measure::Rate(_), Some((then, first))) => {
                 let passed = at.since(*then);
                 if passed < over {
-                    return Err(format!("heard for {:.1} of {:.1} min", minutes(passed), minutes(over)));
+                    return Err(format!(
+                        "values for {:.1} of the {:.1} min that are needed",
+                        minutes(passed),
+                        minutes(over)
+                    ));
                 }
                 Ok((value - first) / minutes(passed))
             }
@@ -101,11 +105,11 @@ mod tests {
     #[test]
     fn a_gust_counts_for_the_whole_window() {
         let (mut window, measure) = (Window::default(), Measure::Max(Duration::from_secs(60)));
-        let told: Vec<f64> = [(0, 5.0), (10, 18.0), (20, 6.0), (70, 7.0), (71, 7.0)]
+        let values: Vec<f64> = [(0, 5.0), (10, 18.0), (20, 6.0), (70, 7.0), (71, 7.0)]
             .into_iter()
             .map(|(second, value)| window.measure(measure, at(second), value).unwrap())
             .collect();
-        assert_eq!(told, [5.0, 18.0, 18.0, 18.0, 7.0]);
+        assert_eq!(values, [5.0, 18.0, 18.0, 18.0, 7.0]);
     }
 
     #[test]
@@ -126,7 +130,7 @@ mod tests {
     #[test]
     fn a_rate_needs_its_whole_window_without_a_hole() {
         let (mut window, measure) = (Window::default(), Measure::Rate(Duration::from_secs(120)));
-        assert_eq!(window.measure(measure, at(0), 10.0).unwrap_err(), "heard for 0.0 of 2.0 min");
+        assert_eq!(window.measure(measure, at(0), 10.0).unwrap_err(), "values for 0.0 of the 2.0 min that are needed");
         assert!(window.measure(measure, at(60), 11.0).is_err());
         assert_eq!(window.measure(measure, at(120), 14.0), Ok(2.0));
         assert_eq!(window.measure(measure, at(180), 11.0), Ok(0.0));

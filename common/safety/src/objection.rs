@@ -4,7 +4,7 @@
 use contract::observatory::Sector;
 use units::MachineTime;
 
-use crate::ruling::Ruling;
+use crate::current_verdict::CurrentVerdict;
 
 /// Why an action may not go on.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,15 +52,15 @@ pub fn stands_against(
 
 /// The objection of the newest verdict to the sky, or to the direction in which an action looks.
 pub fn sky_stands_against(
-    ruling: &Ruling,
+    verdict: &CurrentVerdict,
     now: MachineTime,
     azimuth_deg: impl FnOnce() -> Option<f64>,
 ) -> Option<Objection> {
-    if !ruling.is_safe(now) {
-        return Some(Objection::Unsafe(ruling.why()));
+    if !verdict.is_safe(now) {
+        return Some(Objection::Unsafe(verdict.why()));
     }
-    let avoided = || avoided(&ruling.state.avoid, azimuth_deg);
-    ruling.suspension().or_else(avoided).map(Objection::Suspended)
+    let avoided = || avoided(&verdict.state.avoid, azimuth_deg);
+    verdict.suspension().or_else(avoided).map(Objection::Suspended)
 }
 
 /// Why an action's direction is to be avoided now, if it is; where it looks is asked only if any is.
@@ -87,10 +87,10 @@ mod tests {
         MachineTime::from_boot(Duration::from_secs(second))
     }
 
-    fn safe() -> Ruling {
-        let mut ruling = Ruling::none(at(100), Utc::EPOCH);
-        ruling.state.verdict = Verdict::Safe;
-        ruling
+    fn safe() -> CurrentVerdict {
+        let mut verdict = CurrentVerdict::none(at(100), Utc::EPOCH);
+        verdict.state.verdict = Verdict::Safe;
+        verdict
     }
 
     #[test]
@@ -103,25 +103,25 @@ mod tests {
     }
 
     #[test]
-    fn an_unsafe_an_old_and_a_suspending_ruling_stand_against_every_direction() {
+    fn an_unsafe_an_old_and_a_suspending_verdict_stand_against_every_direction() {
         let nowhere = || None;
         assert_eq!(sky_stands_against(&safe(), at(101), nowhere), None);
         assert!(matches!(sky_stands_against(&safe(), at(106), nowhere), Some(Objection::Unsafe(_))), "old");
-        let none = Ruling::none(at(100), Utc::EPOCH);
+        let none = CurrentVerdict::none(at(100), Utc::EPOCH);
         assert!(matches!(sky_stands_against(&none, at(101), nowhere), Some(Objection::Unsafe(_))));
-        let mut ruling = safe();
+        let mut verdict = safe();
         let (input, why) = ("node/s/device/main".to_owned(), "its clock is off".to_owned());
-        ruling.state.suspended = vec![Unsafe { input, why, clears_in_s: None }];
+        verdict.state.suspended = vec![Unsafe { input, why, clears_in_s: None }];
         let words = "node/s/device/main: its clock is off".to_owned();
-        assert_eq!(sky_stands_against(&ruling, at(101), nowhere), Some(Objection::Suspended(words)));
+        assert_eq!(sky_stands_against(&verdict, at(101), nowhere), Some(Objection::Suspended(words)));
     }
 
     #[test]
     fn a_direction_to_avoid_stands_against_who_looks_there() {
-        let mut ruling = safe();
+        let mut verdict = safe();
         let why = "wx: wind 12.0 m/s from 350 deg".to_owned();
-        ruling.state.avoid = vec![Sector { azimuth_deg: 350.0, half_width_deg: 45.0, why }];
-        let objection = |azimuth_deg| sky_stands_against(&ruling, at(101), || azimuth_deg);
+        verdict.state.avoid = vec![Sector { azimuth_deg: 350.0, half_width_deg: 45.0, why }];
+        let objection = |azimuth_deg| sky_stands_against(&verdict, at(101), || azimuth_deg);
         let words = "wx: wind 12.0 m/s from 350 deg; azimuth 20 deg is within 45 deg of it".to_owned();
         assert_eq!(objection(Some(20.0)), Some(Objection::Suspended(words)));
         assert_eq!((objection(Some(60.0)), objection(None)), (None, None));

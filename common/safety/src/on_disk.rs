@@ -2,8 +2,8 @@
 
 use units::Utc;
 
-use crate::said::Said;
-use crate::standing::Standing;
+use crate::active_orders::ActiveOrders;
+use crate::ordered_by::OrderedBy;
 
 /// The content of the file of the operator orders.
 #[derive(Debug, Clone, PartialEq)]
@@ -13,16 +13,18 @@ pub enum OnDisk {
     /// It cannot be read, and why.
     Unreadable(String),
     /// What was ordered before.
-    Found(Standing),
+    Found(ActiveOrders),
 }
 
 impl OnDisk {
     /// The orders that hold by it; a file that cannot be read keeps the dome closed until a person decides anew.
-    pub fn orders(self, now: Utc) -> Standing {
+    pub fn orders(self, now: Utc) -> ActiveOrders {
         match self {
-            Self::Absent => Standing::default(),
-            Self::Unreadable(why) => Standing { stay_closed: Some(Said::by_node(why, now)), ..Standing::default() },
-            Self::Found(standing) => standing,
+            Self::Absent => ActiveOrders::default(),
+            Self::Unreadable(why) => {
+                ActiveOrders { stay_closed: Some(OrderedBy::by_node(why, now)), ..ActiveOrders::default() }
+            }
+            Self::Found(active) => active,
         }
     }
 }

@@ -4,20 +4,18 @@
 //! loosen what another operator ordered, or to start what another one stopped, a reason is needed; the audit records
 //! it.
 
+use contract::observatory::CONTROL_LAPSES_S;
 use contract::{Order, OrderKind, Reason, command::operator};
 use units::Utc;
 
-use crate::said::Said;
-use crate::standing::Standing;
-
-/// Control that was taken so long ago is nobody's any more, sky s: an operator of last night is asleep.
-const LAPSES_S: f64 = 18.0 * 3600.0;
+use crate::active_orders::ActiveOrders;
+use crate::ordered_by::OrderedBy;
 
 /// The effect of an order on which operator has the telescope.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Weighed {
     /// The operator that it is taken from, with this order's reason.
-    pub from: Option<Said>,
+    pub from: Option<OrderedBy>,
     /// The holder of the telescope then.
     pub then: Then,
 }
@@ -37,7 +35,7 @@ pub enum Then {
 pub type Refused = (Reason, String);
 
 /// Weighs an order against who has the telescope; an error names what is missing.
-pub fn weigh(order: &Order, standing: &Standing, is_robotic: bool, now: Utc) -> Result<Weighed, Refused> {
+pub fn weigh(order: &Order, orders: &ActiveOrders, is_robotic: bool, now: Utc) -> Result<Weighed, Refused> {
     let then = match &order.kind {
         OrderKind::Close | OrderKind::Robotic(false) | OrderKind::StayClosed(true) => Then::Orderer,
         OrderKind::Robotic(true) => Then::Schedule,
@@ -45,7 +43,7 @@ pub fn weigh(order: &Order, standing: &Standing, is_robotic: bool, now: Utc) -> 
         OrderKind::StayClosed(false) => Then::Orderer,
         _ => Then::Same,
     };
-    let holder = holder(order, standing, now).filter(|held| operator(&held.from) != order.operator()).cloned();
+    let holder = holder(order, orders, now).filter(|held| operator(&held.from) != order.operator()).cloned();
     if loosens(&order.kind) {
         if order.operator().is_empty() {
             let what = "an order needs the name of who gives it: starmesh order ... --operator NAME";
@@ -82,24 +80,25 @@ fn loosens(kind: &OrderKind) -> bool {
         | OrderKind::Shelve { .. }
         | OrderKind::Unshelve(_)
         | OrderKind::Cool { .. }
-        | OrderKind::Warm(_) => false,
+        | OrderKind::Warm(_)
+        | OrderKind::CompleteHeaders { .. } => false,
     }
 }
 
 /// The operator whose order this one would undo: the one who ordered it to stay closed, else the one who has taken it.
-fn holder<'a>(order: &Order, standing: &'a Standing, now: Utc) -> Option<&'a Said> {
-    let closed = standing.stay_closed.as_ref().filter(|_| order.kind == OrderKind::StayClosed(false));
+fn holder<'a>(order: &Order, orders: &'a ActiveOrders, now: Utc) -> Option<&'a OrderedBy> {
+    let closed = orders.stay_closed.as_ref().filter(|_| order.kind == OrderKind::StayClosed(false));
     // An order that a node gave by itself, or that came under a name without a path, is no operator's order.
-    let control = standing.control.as_ref().filter(|held| now.seconds_since(held.at_utc).abs() < LAPSES_S);
+    let control = orders.control.as_ref().filter(|held| now.seconds_since(held.at_utc).abs() < CONTROL_LAPSES_S);
     closed.or(control).filter(|held| held.from.contains('/'))
 }
 
 /// Remembers who has it after an order was executed.
-pub fn keep(standing: &mut Standing, then: Then, said: &Said) {
+pub fn keep(orders: &mut ActiveOrders, then: Then, ordered_by: &OrderedBy) {
     match then {
         Then::Same => {}
-        Then::Orderer => standing.control = Some(said.clone()),
-        Then::Schedule => standing.control = None,
+        Then::Orderer => orders.control = Some(ordered_by.clone()),
+        Then::Schedule => orders.control = None,
     }
 }
 
@@ -110,16 +109,16 @@ mod tests {
     use super::*;
 
     fn order(from: &str, kind: OrderKind, reason: &str) -> Order {
-        Order { id: CommandId::fresh(), from: from.to_owned(), reason: reason.to_owned(), kind }
+        Order { id: CommandId::fresh(), from: from.to_owned(), reason: reason.to_owned(), kind, seen: None }
     }
 
     fn at(hours: f64) -> Utc {
         Utc::from_seconds(1_000_000.0 + hours * 3600.0)
     }
 
-    fn of_ana() -> Standing {
-        let said = Said { from: "cli/ana@pc".to_owned(), reason: "a visitor".to_owned(), at_utc: at(0.0) };
-        Standing { control: Some(said), ..Standing::default() }
+    fn of_ana() -> ActiveOrders {
+        let ordered_by = OrderedBy { from: "cli/ana@pc".to_owned(), reason: "a visitor".to_owned(), at_utc: at(0.0) };
+        ActiveOrders { control: Some(ordered_by), ..ActiveOrders::default() }
     }
 
     #[test]
@@ -133,7 +132,7 @@ mod tests {
 
     #[test]
     fn what_another_operator_has_is_taken_over_with_a_reason() {
-        let put = OrderKind::PutSchedule { text: String::new() };
+        let put = OrderKind::PutSchedule { text: String::new(), instead_of: None };
         let softer = OrderKind::Override { input: "sun".to_owned(), for_s: 60.0 };
         for kind in [OrderKind::Robotic(true), OrderKind::StayClosed(false), put, softer] {
             let (reason, refused) = weigh(&order("web/ben", kind.clone(), " "), &of_ana(), true, at(1.0)).unwrap_err();
@@ -142,37 +141,37 @@ mod tests {
             let taken = weigh(&order("web/ben", kind.clone(), "she left"), &of_ana(), true, at(1.0)).unwrap();
             assert_eq!(taken.from, of_ana().control, "{kind:?}");
             // Her own, from anywhere, a day later, and where nobody has it.
-            for (from, standing, now) in [
+            for (from, orders, now) in [
                 ("web/ana", of_ana(), at(1.0)),
                 ("cli/ana@other", of_ana(), at(1.0)),
                 ("web/ben", of_ana(), at(19.0)),
-                ("web/ben", Standing::default(), at(1.0)),
+                ("web/ben", ActiveOrders::default(), at(1.0)),
             ] {
-                assert_eq!(weigh(&order(from, kind.clone(), ""), &standing, true, now).unwrap().from, None, "{from}");
+                assert_eq!(weigh(&order(from, kind.clone(), ""), &orders, true, now).unwrap().from, None, "{from}");
             }
         }
     }
 
     #[test]
     fn who_orders_to_open_needs_a_name_and_what_a_node_decided_is_nobodys() {
-        assert!(weigh(&order("cli/", OrderKind::Robotic(true), "x"), &Standing::default(), true, at(0.0)).is_err());
-        assert!(weigh(&order("", OrderKind::Close, ""), &Standing::default(), true, at(0.0)).is_ok());
-        let by_node = Said::by_node("the disk is away".to_owned(), at(0.0));
-        let standing = Standing { stay_closed: Some(by_node), ..Standing::default() };
-        assert!(weigh(&order("cli/ben@pc", OrderKind::StayClosed(false), ""), &standing, true, at(0.0)).is_ok());
+        assert!(weigh(&order("cli/", OrderKind::Robotic(true), "x"), &ActiveOrders::default(), true, at(0.0)).is_err());
+        assert!(weigh(&order("", OrderKind::Close, ""), &ActiveOrders::default(), true, at(0.0)).is_ok());
+        let by_node = OrderedBy::by_node("the disk is away".to_owned(), at(0.0));
+        let orders = ActiveOrders { stay_closed: Some(by_node), ..ActiveOrders::default() };
+        assert!(weigh(&order("cli/ben@pc", OrderKind::StayClosed(false), ""), &orders, true, at(0.0)).is_ok());
     }
 
     #[test]
     fn starting_gives_the_telescope_back_to_the_schedule() {
-        let mut standing = of_ana();
-        let weighed = weigh(&order("cli/ana@pc", OrderKind::Robotic(true), ""), &standing, false, at(1.0)).unwrap();
+        let mut orders = of_ana();
+        let weighed = weigh(&order("cli/ana@pc", OrderKind::Robotic(true), ""), &orders, false, at(1.0)).unwrap();
         assert_eq!(weighed, Weighed { from: None, then: Then::Schedule });
-        let ben = Said { from: "web/ben".to_owned(), reason: String::new(), at_utc: at(1.0) };
-        keep(&mut standing, Then::Same, &ben);
-        assert_eq!(standing, of_ana());
-        keep(&mut standing, Then::Orderer, &ben);
-        assert_eq!(standing.control, Some(ben.clone()));
-        keep(&mut standing, weighed.then, &ben);
-        assert_eq!(standing.control, None);
+        let ben = OrderedBy { from: "web/ben".to_owned(), reason: String::new(), at_utc: at(1.0) };
+        keep(&mut orders, Then::Same, &ben);
+        assert_eq!(orders, of_ana());
+        keep(&mut orders, Then::Orderer, &ben);
+        assert_eq!(orders.control, Some(ben.clone()));
+        keep(&mut orders, weighed.then, &ben);
+        assert_eq!(orders.control, None);
     }
 }

@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use contract::device::record::{Entry, Record};
+use contract::device::record::{StateEntry, StateRecord};
 use contract::{BootId, DeviceState, Link, Payload, Stamped};
 use units::MachineTime;
 
@@ -26,7 +26,7 @@ const MOST_ENTRIES: usize = 20_000;
 
 /// One state at the time when it was published.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Told<F> {
+pub struct PlacedState<F> {
     /// When, on this node's clocks.
     pub at: Now,
     /// Did the device answer?
@@ -46,7 +46,7 @@ pub fn ages_s<F>(state: &DeviceState<F>) -> BTreeMap<String, f64> {
 #[derive(Debug)]
 pub struct Recall<F> {
     boot_id: BootId,
-    live: Vec<(u64, Told<F>)>,
+    live: Vec<(u64, PlacedState<F>)>,
 }
 
 /// When a record was asked for and when it came.
@@ -64,26 +64,30 @@ impl<F: Payload + PartialEq> Recall<F> {
     /// Begins with the first state that was received.
     pub fn new(first: &Stamped<DeviceState<F>>, at: Now) -> Self {
         let mut recall = Self { boot_id: first.boot_id.clone(), live: Vec::new() };
-        recall.hear(first, at);
+        recall.observe(first, at);
         recall
     }
 
     /// Takes in a live state, newer than those before; false if it is of another incarnation, which knows nothing of
     /// the first.
-    pub fn hear(&mut self, said: &Stamped<DeviceState<F>>, at: Now) -> bool {
-        let told =
-            Told { at, link: said.body.link.clone(), fields: said.body.fields.clone(), ages_s: ages_s(&said.body) };
-        let same_life = said.boot_id == self.boot_id;
-        if same_life {
-            self.live.push((said.seq, told));
+    pub fn observe(&mut self, sample: &Stamped<DeviceState<F>>, at: Now) -> bool {
+        let state = PlacedState {
+            at,
+            link: sample.body.link.clone(),
+            fields: sample.body.fields.clone(),
+            ages_s: ages_s(&sample.body),
+        };
+        let same_boot = sample.boot_id == self.boot_id;
+        if same_boot {
+            self.live.push((sample.seq, state));
         }
-        same_life
+        same_boot
     }
 
     /// All states up to the newest live one, oldest first, or why the record is not taken.
-    pub fn place(&self, record: &Record<F>, asked: Asked) -> Result<Vec<Told<F>>, String> {
+    pub fn place(&self, record: &StateRecord<F>, asked: Asked) -> Result<Vec<PlacedState<F>>, String> {
         if record.boot_id != self.boot_id {
-            return Err("it is of another life of the device node than what is heard".to_owned());
+            return Err("it is of another incarnation of the device node than the live states".to_owned());
         }
         // False for NaN too.
         let same_speed = (record.speed - asked.speed).abs() <= 1e-6 * asked.speed;
@@ -91,39 +95,39 @@ impl<F: Payload + PartialEq> Recall<F> {
             return Err(format!("its sky time ran at {} x, here it runs at {} x", record.speed, asked.speed));
         }
         let ages = ages(&record.entries)?;
-        let said: Vec<(&Entry<F>, Duration)> = record.entries.iter().zip(ages).collect();
-        let joins = self.live.first().is_some_and(|(first, _)| said.iter().any(|(entry, _)| entry.seq == *first));
-        let (Some((newest, _)), Some((last, _)), true) = (self.live.last(), said.last(), joins) else {
-            return Err("it does not reach the first state that was heard here".to_owned());
+        let entries: Vec<(&StateEntry<F>, Duration)> = record.entries.iter().zip(ages).collect();
+        let joins = self.live.first().is_some_and(|(first, _)| entries.iter().any(|(entry, _)| entry.seq == *first));
+        let (Some((newest, _)), Some((last, _)), true) = (self.live.last(), entries.last(), joins) else {
+            return Err("it does not reach the first state that was received here".to_owned());
         };
-        let answered = self.answered(&said, asked)?;
+        let answered = self.answered(&entries, asked)?;
         let sky = asked.answered.sky.minus(asked.answered.machine.since(answered).mul_f64(asked.speed));
-        let placed = said.iter().filter(|(entry, _)| entry.seq <= *newest).map(|(entry, age)| Told {
+        let placed = entries.iter().filter(|(entry, _)| entry.seq <= *newest).map(|(entry, age)| PlacedState {
             at: Now { sky: sky.minus(age.mul_f64(asked.speed)), machine: answered.minus(*age) },
             link: entry.link.clone(),
             fields: entry.fields.clone(),
             ages_s: entry.reading_ages_s.clone(),
         });
-        let later = self.live.iter().filter(|(seq, _)| *seq > last.seq).map(|(_, told)| told.clone());
+        let later = self.live.iter().filter(|(seq, _)| *seq > last.seq).map(|(_, state)| state.clone());
         Ok(placed.chain(later).collect())
     }
 
     /// The latest moment at which the record can have been answered: before it arrived, before a later state arrived,
     /// and before the time at which a state had the age that the record gives. Late is the safe side: what was bad is
     /// the younger for it.
-    fn answered(&self, said: &[(&Entry<F>, Duration)], asked: Asked) -> Result<MachineTime, String> {
+    fn answered(&self, entries: &[(&StateEntry<F>, Duration)], asked: Asked) -> Result<MachineTime, String> {
         let mut answered = asked.answered.machine;
         for (seq, live) in &self.live {
-            match said.iter().find(|(entry, _)| entry.seq == *seq) {
+            match entries.iter().find(|(entry, _)| entry.seq == *seq) {
                 Some((entry, _)) if entry.link != live.link || entry.fields != live.fields => {
-                    return Err(format!("its state {seq} is another one than was heard"));
+                    return Err(format!("its state {seq} differs from the one that was received"));
                 }
                 Some((_, age)) => answered = answered.min(live.at.machine.plus(*age)),
                 None => answered = answered.min(live.at.machine),
             }
         }
         if asked.at.since(answered) > DRIFT {
-            return Err("it is younger than the question, by the age of what was heard".to_owned());
+            return Err("it is younger than the question, by the age of what was received".to_owned());
         }
         let doubt = answered.since(asked.at);
         if doubt > DOUBT {
@@ -134,7 +138,7 @@ impl<F: Payload + PartialEq> Recall<F> {
 }
 
 /// The ages of the entries, where they are those of a record.
-fn ages<F>(entries: &[Entry<F>]) -> Result<Vec<Duration>, String> {
+fn ages<F>(entries: &[StateEntry<F>]) -> Result<Vec<Duration>, String> {
     if entries.len() > MOST_ENTRIES {
         return Err(format!("it has {} states", entries.len()));
     }

@@ -10,9 +10,9 @@ use proptest::prelude::*;
 use units::SkyTime;
 
 use super::*;
-use crate::heard::History;
 use crate::judge::{Judgement, judge};
 use crate::measure::Measure;
+use crate::received::History;
 use crate::rules::{Bounds, LimitRule, Rules};
 
 /// Sky seconds in a machine second, in all scenarios.
@@ -33,30 +33,34 @@ fn now(ms: i64) -> Now {
 #[derive(Debug)]
 struct Station {
     boot_id: BootId,
-    said: Vec<(i64, Link, Fields)>,
+    published: Vec<(i64, Link, Fields)>,
 }
 
 impl Station {
     fn new() -> Self {
-        Self { boot_id: BootId::fresh(), said: Vec::new() }
+        Self { boot_id: BootId::fresh(), published: Vec::new() }
     }
 
     /// Publishes a humidity at each of these machine seconds; its thermometer always moves.
-    fn says(mut self, seconds: impl IntoIterator<Item = i64>, humidity: f64) -> Self {
+    fn publishes(mut self, seconds: impl IntoIterator<Item = i64>, humidity: f64) -> Self {
         for second in seconds {
-            self.said.push((second * 1000, Link::Connected, air(second, Datum::Known(humidity))));
+            self.published.push((second * 1000, Link::Connected, air(second, Datum::Known(humidity))));
         }
         self
     }
 
     fn loses_link(mut self, second: i64) -> Self {
         let reason = NoData::new("timeout", "2 s");
-        self.said.push((second * 1000, Link::Lost { reason: reason.clone() }, air(second, Datum::missing(reason))));
+        self.published.push((
+            second * 1000,
+            Link::Lost { reason: reason.clone() },
+            air(second, Datum::missing(reason)),
+        ));
         self
     }
 
     fn stamped(&self, index: usize) -> Stamped<DeviceState<Fields>> {
-        let (_, link, fields) = self.said[index].clone();
+        let (_, link, fields) = self.published[index].clone();
         let body = DeviceState {
             link,
             busy: false,
@@ -77,16 +81,16 @@ impl Station {
     }
 
     /// What its node answers at this moment.
-    fn record(&self, at_ms: i64) -> Record<Fields> {
-        let said = self.said.iter().enumerate().filter(|(_, (said_ms, ..))| *said_ms <= at_ms);
-        let entries = said.map(|(index, (said_ms, link, fields))| Entry {
+    fn record(&self, at_ms: i64) -> StateRecord<Fields> {
+        let earlier = self.published.iter().enumerate().filter(|(_, (published_ms, ..))| *published_ms <= at_ms);
+        let entries = earlier.map(|(index, (published_ms, link, fields))| StateEntry {
             seq: index as u64,
-            age_s: (at_ms - said_ms) as f64 / 1000.0,
+            age_s: (at_ms - published_ms) as f64 / 1000.0,
             reading_ages_s: BTreeMap::new(),
             link: link.clone(),
             fields: fields.clone(),
         });
-        Record { boot_id: self.boot_id.clone(), speed: SPEED, entries: entries.collect() }
+        StateRecord { boot_id: self.boot_id.clone(), speed: SPEED, entries: entries.collect() }
     }
 }
 
@@ -99,59 +103,59 @@ fn asked(at_ms: i64, answered_ms: i64) -> Asked {
 }
 
 /// The live states of a station from this one on, in time.
-fn heard(station: &Station, indices: std::ops::Range<usize>) -> Recall<Fields> {
-    let at = |index: usize| now(station.said[index].0);
+fn recall_of(station: &Station, indices: std::ops::Range<usize>) -> Recall<Fields> {
+    let at = |index: usize| now(station.published[index].0);
     let mut recall = Recall::new(&station.stamped(indices.start), at(indices.start));
     for index in indices.skip(1) {
-        assert!(recall.hear(&station.stamped(index), at(index)));
+        assert!(recall.observe(&station.stamped(index), at(index)));
     }
     recall
 }
 
-fn placed_ms(told: &[Told<Fields>]) -> Vec<i64> {
+fn placed_ms(states: &[PlacedState<Fields>]) -> Vec<i64> {
     let zero = machine(0);
     let since = |at: MachineTime| at.since(zero).as_millis() as i64 - zero.since(at).as_millis() as i64;
-    told.iter().map(|told| since(told.at.machine)).collect()
+    states.iter().map(|state| since(state.at.machine)).collect()
 }
 
 #[test]
-fn states_are_placed_where_they_were_said_and_the_newest_is_a_live_one() {
-    let station = Station::new().says([0, 5, 10, 15, 20], 50.0);
+fn states_are_placed_when_they_were_published_and_the_newest_is_a_live_one() {
+    let station = Station::new().publishes([0, 5, 10, 15, 20], 50.0);
     // 10 was received live, 15 got lost, 20 came live; the answer took half a second and was given half way.
-    let mut recall = heard(&station, 2..3);
-    recall.hear(&station.stamped(4), now(20_000));
-    let told = recall.place(&station.record(20_350), asked(20_100, 20_600)).unwrap();
-    assert_eq!(placed_ms(&told), [0, 5_000, 10_000, 15_000, 20_000], "in time, by what was heard live");
-    assert_eq!(told[1].at, now(5_000), "in sky time too");
-    let recall = heard(&station, 2..3);
-    let told = recall.place(&station.record(20_350), asked(20_100, 20_600)).unwrap();
-    assert_eq!(told.len(), 3, "what nobody heard live is not what is now");
+    let mut recall = recall_of(&station, 2..3);
+    recall.observe(&station.stamped(4), now(20_000));
+    let states = recall.place(&station.record(20_350), asked(20_100, 20_600)).unwrap();
+    assert_eq!(placed_ms(&states), [0, 5_000, 10_000, 15_000, 20_000], "in time, by what was received live");
+    assert_eq!(states[1].at, now(5_000), "in sky time too");
+    let recall = recall_of(&station, 2..3);
+    let states = recall.place(&station.record(20_350), asked(20_100, 20_600)).unwrap();
+    assert_eq!(states.len(), 3, "what nobody received live is not what is now");
 }
 
 #[test]
-fn a_first_state_that_came_late_is_placed_when_it_was_said() {
-    let station = Station::new().says([0, 5], 50.0).says([30, 35], 50.0);
+fn a_first_state_that_came_late_is_placed_when_it_was_published() {
+    let station = Station::new().publishes([0, 5], 50.0).publishes([30, 35], 50.0);
     // Asked for what is true now at 29 s, the node was suspended and answers with the state of 5 s.
     let mut recall = Recall::new(&station.stamped(1), now(29_000));
-    recall.hear(&station.stamped(2), now(30_000));
-    let told = recall.place(&station.record(30_200), asked(30_100, 30_300)).unwrap();
-    assert_eq!(placed_ms(&told), [0, 5_000, 30_000], "the gap is seen");
+    recall.observe(&station.stamped(2), now(30_000));
+    let states = recall.place(&station.record(30_200), asked(30_100, 30_300)).unwrap();
+    assert_eq!(placed_ms(&states), [0, 5_000, 30_000], "the gap is seen");
 }
 
 #[test]
 fn a_record_that_does_not_fit_is_refused_as_a_whole() {
-    let station = Station::new().says((0..=60).step_by(5), 50.0);
-    let recall = heard(&station, 10..12);
+    let station = Station::new().publishes((0..=60).step_by(5), 50.0);
+    let recall = recall_of(&station, 10..12);
     let good = || station.record(56_000);
     let in_time = asked(55_900, 56_100);
-    let refused = |record: Record<Fields>, asked| recall.place(&record, asked).unwrap_err();
+    let refused = |record: StateRecord<Fields>, asked| recall.place(&record, asked).unwrap_err();
     assert_eq!(recall.place(&good(), in_time).unwrap().len(), 12);
-    let spoilt = |spoil: fn(&mut Record<Fields>)| {
+    let spoilt = |spoil: fn(&mut StateRecord<Fields>)| {
         let mut record = good();
         spoil(&mut record);
         refused(record, in_time)
     };
-    assert!(spoilt(|record| record.boot_id = BootId::fresh()).contains("another life"));
+    assert!(spoilt(|record| record.boot_id = BootId::fresh()).contains("another incarnation"));
     assert!(spoilt(|record| record.speed = 100.0).contains("ran at 100 x"));
     assert!(spoilt(|record| record.speed = f64::NAN).contains("NaN"));
     assert!(spoilt(|record| record.entries.clear()).contains("does not reach"));
@@ -165,8 +169,8 @@ fn a_record_that_does_not_fit_is_refused_as_a_whole() {
         record.entries[0].age_s = age_s;
         assert!(refused(record, in_time).contains("has an age of"), "{age_s}");
     }
-    let other = |record: &mut Record<Fields>| record.entries[11].fields.humidity_percent = Datum::Known(49.0);
-    assert!(spoilt(other).contains("its state 11 is another one"));
+    let other = |record: &mut StateRecord<Fields>| record.entries[11].fields.humidity_percent = Datum::Known(49.0);
+    assert!(spoilt(other).contains("its state 11 differs"));
     // Ages that a delay has spoilt.
     assert!(refused(good(), asked(52_000, 57_000)).contains("took 4"), "not known well enough");
     assert!(refused(station.record(55_500), asked(55_900, 56_100)).contains("younger than the question"));
@@ -200,15 +204,17 @@ fn rules(limits: Vec<LimitRule>) -> Rules {
 }
 
 /// Observes a state of the station when it is published.
-fn hear(history: &mut History, rules: &Rules, station: &Station, index: usize, at: Now) {
-    history.hear_weather(rules, &wx(), &station.stamped(index).body, SPEED, at);
+fn observe(history: &mut History, rules: &Rules, station: &Station, index: usize, at: Now) {
+    history.observe_weather(rules, &wx(), &station.stamped(index).body, SPEED, at);
 }
 
 /// The verdict of an observatory that has listened all the time.
 fn listened(rules: &Rules, station: &Station, judged_ms: i64) -> Judgement {
     let mut history = History::new(rules, now(-1_000_000).sky);
-    for (index, (said_ms, ..)) in station.said.iter().enumerate().filter(|(_, (said_ms, ..))| *said_ms <= judged_ms) {
-        hear(&mut history, rules, station, index, now(*said_ms));
+    for (index, (published_ms, ..)) in
+        station.published.iter().enumerate().filter(|(_, (published_ms, ..))| *published_ms <= judged_ms)
+    {
+        observe(&mut history, rules, station, index, now(*published_ms));
     }
     judge(rules, &history, now(judged_ms))
 }
@@ -223,29 +229,30 @@ fn restarted(
     judged_ms: i64,
 ) -> Option<(Judgement, bool)> {
     let mut history = History::new(rules, now(started_ms).sky);
-    let next = station.said.iter().take_while(|(said_ms, ..)| *said_ms <= started_ms).count();
-    let (first, first_ms) = if late && next > 0 { (next - 1, started_ms) } else { (next, station.said.get(next)?.0) };
+    let next = station.published.iter().take_while(|(published_ms, ..)| *published_ms <= started_ms).count();
+    let (first, first_ms) =
+        if late && next > 0 { (next - 1, started_ms) } else { (next, station.published.get(next)?.0) };
     let answered_ms = first_ms + answer_ms;
     if judged_ms < answered_ms {
         return None;
     }
     let mut recall = Recall::new(&station.stamped(first), now(first_ms));
-    hear(&mut history, rules, station, first, now(first_ms));
+    observe(&mut history, rules, station, first, now(first_ms));
     let (mut record, mut taken) = (Some(station.record(first_ms + answer_ms / 2)), false);
-    for index in first + 1..=station.said.len() {
-        let said_ms = station.said.get(index).map_or(i64::MAX, |(said_ms, ..)| *said_ms);
-        if said_ms.min(judged_ms) >= answered_ms
+    for index in first + 1..=station.published.len() {
+        let published_ms = station.published.get(index).map_or(i64::MAX, |(published_ms, ..)| *published_ms);
+        if published_ms.min(judged_ms) >= answered_ms
             && let Some(record) = record.take()
         {
-            let told = recall.place(&record, asked(first_ms, answered_ms)).unwrap();
-            assert_eq!(told.last().unwrap().fields, recall.live.last().unwrap().1.fields, "the newest word is live");
-            taken = history.recall_weather(rules, &wx(), told, SPEED).is_ok();
+            let states = recall.place(&record, asked(first_ms, answered_ms)).unwrap();
+            assert_eq!(states.last().unwrap().fields, recall.live.last().unwrap().1.fields, "the newest state is live");
+            taken = history.recall_weather(rules, &wx(), states, SPEED).is_ok();
         }
-        if said_ms > judged_ms {
+        if published_ms > judged_ms {
             break;
         }
-        recall.hear(&station.stamped(index), now(said_ms));
-        hear(&mut history, rules, station, index, now(said_ms));
+        recall.observe(&station.stamped(index), now(published_ms));
+        observe(&mut history, rules, station, index, now(published_ms));
     }
     Some((judge(rules, &history, now(judged_ms)), taken))
 }
@@ -258,14 +265,17 @@ fn waits_s(limits: Vec<LimitRule>, station: &Station) -> Option<f64> {
 
 #[test]
 fn a_restart_in_the_middle_of_a_good_night_waits_for_nothing() {
-    assert_eq!(waits_s(vec![limit()], &Station::new().says((0..=105).step_by(5), 50.0)), Some(0.0));
+    assert_eq!(waits_s(vec![limit()], &Station::new().publishes((0..=105).step_by(5), 50.0)), Some(0.0));
     let several = vec![limit(), LimitRule { dwell: Duration::from_secs(900), ..limit() }];
-    assert_eq!(waits_s(several, &Station::new().says((0..=105).step_by(5), 50.0)), Some(0.0));
+    assert_eq!(waits_s(several, &Station::new().publishes((0..=105).step_by(5), 50.0)), Some(0.0));
 }
 
 #[test]
 fn a_bad_reading_within_the_dwell_leaves_the_rest_of_it() {
-    let station = Station::new().says((0..=80).step_by(5), 50.0).says([85], 90.0).says((90..=105).step_by(5), 50.0);
+    let station = Station::new()
+        .publishes((0..=80).step_by(5), 50.0)
+        .publishes([85], 90.0)
+        .publishes((90..=105).step_by(5), 50.0);
     // Good since 90 s, so 14 s of the 30 s are left.
     assert_eq!(waits_s(vec![limit()], &station), Some(14.0));
     let optional = LimitRule { required: false, ..limit() };
@@ -274,11 +284,12 @@ fn a_bad_reading_within_the_dwell_leaves_the_rest_of_it() {
 
 #[test]
 fn a_gap_of_any_kind_restarts_the_dwell() {
-    let silent = Station::new().says((0..=70).step_by(5), 50.0).says((90..=105).step_by(5), 50.0);
+    let silent = Station::new().publishes((0..=70).step_by(5), 50.0).publishes((90..=105).step_by(5), 50.0);
     assert_eq!(waits_s(vec![limit()], &silent), Some(14.0), "suspended");
-    let lost = Station::new().says((0..=80).step_by(5), 50.0).loses_link(85).says((90..=105).step_by(5), 50.0);
+    let lost =
+        Station::new().publishes((0..=80).step_by(5), 50.0).loses_link(85).publishes((90..=105).step_by(5), 50.0);
     assert_eq!(waits_s(vec![limit()], &lost), Some(14.0), "no link");
-    let born = Station::new().loses_link(89).says((90..=105).step_by(5), 50.0);
+    let born = Station::new().loses_link(89).publishes((90..=105).step_by(5), 50.0);
     assert_eq!(waits_s(vec![limit()], &born), Some(14.0), "the device node was restarted too");
 }
 
@@ -286,9 +297,9 @@ fn a_gap_of_any_kind_restarts_the_dwell() {
 fn what_reopens_at_less_than_it_closes_at_is_remembered() {
     let mut reopens = limit();
     reopens.reopen.upper = Some(70.0);
-    let was_good = Station::new().says((0..=60).step_by(5), 60.0).says((65..=105).step_by(5), 75.0);
+    let was_good = Station::new().publishes((0..=60).step_by(5), 60.0).publishes((65..=105).step_by(5), 75.0);
     assert_eq!(waits_s(vec![reopens.clone()], &was_good), Some(0.0), "75 closes nothing");
-    let was_bad = Station::new().says((0..=60).step_by(5), 85.0).says((65..=105).step_by(5), 75.0);
+    let was_bad = Station::new().publishes((0..=60).step_by(5), 85.0).publishes((65..=105).step_by(5), 75.0);
     assert_eq!(waits_s(vec![reopens], &was_bad), None, "and opens nothing");
 }
 
@@ -296,18 +307,18 @@ fn what_reopens_at_less_than_it_closes_at_is_remembered() {
 fn a_measure_over_a_window_needs_the_whole_window_before_the_dwell() {
     // The largest of five sky minutes, good for five: an hour of the record would do, and a minute of the machine.
     let gust = || LimitRule { measure: Measure::Max(Duration::from_secs(300)), ..limit() };
-    assert_eq!(waits_s(vec![gust()], &Station::new().says((40..=105).step_by(5), 50.0)), Some(0.0));
-    assert_eq!(waits_s(vec![gust()], &Station::new().says((70..=105).step_by(5), 50.0)), Some(24.0));
+    assert_eq!(waits_s(vec![gust()], &Station::new().publishes((40..=105).step_by(5), 50.0)), Some(0.0));
+    assert_eq!(waits_s(vec![gust()], &Station::new().publishes((70..=105).step_by(5), 50.0)), Some(24.0));
     let rate = LimitRule { measure: Measure::Rate(Duration::from_secs(300)), ..limit() };
-    assert_eq!(waits_s(vec![rate], &Station::new().says((40..=105).step_by(5), 50.0)), Some(0.0));
+    assert_eq!(waits_s(vec![rate], &Station::new().publishes((40..=105).step_by(5), 50.0)), Some(0.0));
 }
 
 #[test]
 fn an_optional_sensor_is_vouched_for_from_its_first_value_on() {
     let optional = || LimitRule { required: false, ..limit() };
-    assert_eq!(waits_s(vec![optional()], &Station::new().says((0..=105).step_by(5), 50.0)), Some(0.0));
-    let mut silent = Station::new().says((0..=105).step_by(5), 50.0);
-    for (_, _, fields) in &mut silent.said {
+    assert_eq!(waits_s(vec![optional()], &Station::new().publishes((0..=105).step_by(5), 50.0)), Some(0.0));
+    let mut silent = Station::new().publishes((0..=105).step_by(5), 50.0);
+    for (_, _, fields) in &mut silent.published {
         fields.humidity_percent = Datum::missing(NoData::not_implemented());
     }
     assert_eq!(waits_s(vec![optional()], &silent), Some(24.0), "perhaps its last value was a bad one");
@@ -315,8 +326,8 @@ fn an_optional_sensor_is_vouched_for_from_its_first_value_on() {
 
 #[test]
 fn a_record_in_which_nothing_moves_may_be_that_of_a_frozen_station() {
-    let mut still = Station::new().says((0..=105).step_by(5), 50.0);
-    for (_, _, fields) in &mut still.said {
+    let mut still = Station::new().publishes((0..=105).step_by(5), 50.0);
+    for (_, _, fields) in &mut still.published {
         fields.air_c = Datum::Known(5.0);
     }
     // Good since 105 s, when this observatory received it first.
@@ -329,7 +340,7 @@ fn a_record_in_which_nothing_moves_may_be_that_of_a_frozen_station() {
 #[test]
 fn recalled_evidence_without_live_states_is_not_what_is_now() {
     let rules = rules(vec![limit()]);
-    let station = Station::new().says((0..=100).step_by(5), 50.0);
+    let station = Station::new().publishes((0..=100).step_by(5), 50.0);
     let (judged, taken) = restarted(&rules, &station, 99_000, (false, 20), 101_000).unwrap();
     assert_eq!((judged.verdict, taken), (Verdict::Safe, true));
     let (later, _) = restarted(&rules, &station, 99_000, (false, 20), 116_000).unwrap();
@@ -356,7 +367,7 @@ fn stations() -> impl Strategy<Value = Station> {
             } else {
                 // A thermometer that may stand still, be zero or be missing.
                 let fields = Fields { air_c: datum(air_c), ..air(second, datum(humidity)) };
-                station.said.push((second * 1000, Link::Connected, fields));
+                station.published.push((second * 1000, Link::Connected, fields));
             }
         }
         station
@@ -397,12 +408,12 @@ proptest! {
     ) {
         limits[0].response = Response::Close;
         let rules = Rules { frozen_after: Duration::from_secs(frozen_s), ..rules(limits) };
-        let last_ms = station.said.last().unwrap().0;
+        let last_ms = station.published.last().unwrap().0;
         let started_ms = (last_ms as f64 * started) as i64;
         // Its node was started after the first of these states, or has forgotten them.
-        let mut younger = Station { boot_id: station.boot_id.clone(), said: station.said.clone() };
-        let known = forgotten.min(younger.said.iter().filter(|(said_ms, ..)| *said_ms <= started_ms).count());
-        younger.said.drain(..known.saturating_sub(1));
+        let mut younger = Station { boot_id: station.boot_id.clone(), published: station.published.clone() };
+        let known = forgotten.min(younger.published.iter().filter(|(published_ms, ..)| *published_ms <= started_ms).count());
+        younger.published.drain(..known.saturating_sub(1));
         for judged_ms in (started_ms..last_ms + 20_000).step_by(2900) {
             let restarted = restarted(&rules, &younger, started_ms, (late, answer_ms), judged_ms);
             // One that stands still: what is refused is as if there were no record.
@@ -411,8 +422,8 @@ proptest! {
             // The time of a state that was first received late is known to the time that the answer took.
             let a_moment_ago = listened(&rules, &station, judged_ms - answer_ms);
             // A record without a single value is none: a limit that the site can do without needs no value to be safe.
-            let knows = younger.said.iter().any(|(said_ms, _, fields)| {
-                *said_ms <= judged_ms && fields.humidity_percent.known().is_some()
+            let knows = younger.published.iter().any(|(published_ms, _, fields)| {
+                *published_ms <= judged_ms && fields.humidity_percent.known().is_some()
             });
             let can_do_without = rules.limits.iter().all(|rule| !rule.required || rule.response != Response::Close);
             prop_assert!(
@@ -429,16 +440,16 @@ proptest! {
         ages in proptest::collection::vec(any::<f64>(), 0..8),
         (first, speed, asked_ms, took_ms) in (0..4_u64, any::<f64>(), -100_000..100_000_i64, 0..10_000_i64),
     ) {
-        let station = Station::new().says([0, 5, 10], 50.0);
-        let recall = heard(&station, 1..3);
+        let station = Station::new().publishes([0, 5, 10], 50.0);
+        let recall = recall_of(&station, 1..3);
         let entries = ages.into_iter().zip(first..).map(|(age_s, seq)| {
-            Entry { seq, age_s, reading_ages_s: BTreeMap::new(), link: Link::Connected, fields: air(5 * seq as i64, Datum::Known(50.0)) }
+            StateEntry { seq, age_s, reading_ages_s: BTreeMap::new(), link: Link::Connected, fields: air(5 * seq as i64, Datum::Known(50.0)) }
         });
-        let record = Record { boot_id: station.boot_id.clone(), speed, entries: entries.collect() };
+        let record = StateRecord { boot_id: station.boot_id.clone(), speed, entries: entries.collect() };
         for speed in [SPEED, speed] {
-            let record = Record { speed, ..record.clone() };
-            if let Ok(told) = recall.place(&record, asked(asked_ms, asked_ms + took_ms)) {
-                prop_assert!(told.is_sorted_by(|a, b| a.at.machine <= b.at.machine));
+            let record = StateRecord { speed, ..record.clone() };
+            if let Ok(states) = recall.place(&record, asked(asked_ms, asked_ms + took_ms)) {
+                prop_assert!(states.is_sorted_by(|a, b| a.at.machine <= b.at.machine));
             }
         }
     }
@@ -456,12 +467,12 @@ proptest! {
         // For a limit that the site can do without, the last bad value may be one that the later node never received.
         (limit.required, limit.vote) = (true, None);
         let rules = Rules { frozen_after: Duration::ZERO, ..rules(vec![limit]) };
-        let last_ms = station.said.last().unwrap().0;
+        let last_ms = station.published.last().unwrap().0;
         let started_ms = (last_ms as f64 * started) as i64;
         let mut later = History::new(&rules, now(started_ms).sky);
-        for (index, (said_ms, ..)) in station.said.iter().enumerate().filter(|(_, (said_ms, ..))| *said_ms >= started_ms) {
-            hear(&mut later, &rules, &station, index, now(*said_ms));
-            for judged_ms in [*said_ms, said_ms + 900] {
+        for (index, (published_ms, ..)) in station.published.iter().enumerate().filter(|(_, (published_ms, ..))| *published_ms >= started_ms) {
+            observe(&mut later, &rules, &station, index, now(*published_ms));
+            for judged_ms in [*published_ms, published_ms + 900] {
                 let truth = listened(&rules, &station, judged_ms);
                 let judged = judge(&rules, &later, now(judged_ms));
                 prop_assert!(

@@ -93,8 +93,6 @@ pub struct Rules {
     pub wind_sector: Option<WindSector>,
     /// Limits that are not applied, with the reason.
     pub disabled: Vec<(String, String)>,
-    /// There is an enclosure, and no input that decides whether it may be open.
-    pub nothing_tells: bool,
     /// A person wants it closed, in words.
     pub stay_closed: Option<String>,
 }
@@ -103,7 +101,7 @@ impl Rules {
     /// The rules of a configuration: own devices with their own dwell and limits, shared ones with those of `[shared]`.
     pub fn of(config: &Observatory) -> Self {
         let (mut monitors, mut limits, mut disabled) = (Vec::new(), Vec::new(), Vec::new());
-        for device in config.heeded_safety_monitors() {
+        for device in config.used_safety_monitors() {
             let own = config
                 .safetymonitor
                 .iter()
@@ -126,7 +124,7 @@ impl Rules {
             }
         }
         let mut limited: Vec<(Device, &Limit)> = Vec::new();
-        for device in config.heeded_weather() {
+        for device in config.used_weather() {
             let own = config
                 .observingconditions
                 .iter()
@@ -146,14 +144,7 @@ impl Rules {
             }
         }
         let safety = &config.safety;
-        let closes = |limit: &LimitRule| limit.response == Response::Close;
-        let nothing_tells = !config.enclosures().is_empty()
-            && monitors.is_empty()
-            && !limits.iter().any(closes)
-            // A person who disables an input answers for it.
-            && disabled.is_empty();
         Self {
-            nothing_tells,
             monitors,
             limits,
             sun_altitude_max_deg: Some(safety.sun_altitude_max_deg),

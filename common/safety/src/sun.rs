@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sun_that_is_too_high_tells_when_it_is_low_enough() {
+    fn a_sun_that_is_too_high_shows_when_it_is_low_enough() {
         let mut sun = paranal(-1.0);
         let mut utc: Utc = "2026-11-21T20:00:00Z".parse().unwrap();
         let low_in = sun.stands(utc, &[]).low_in.unwrap();

@@ -21,7 +21,7 @@ pub struct Winds {
 
 impl Winds {
     /// Takes in a station's state; without speed or direction there is no wind to avoid.
-    pub fn hear(&mut self, station: &Device, fields: &Fields, now: MachineTime) {
+    pub fn observe(&mut self, station: &Device, fields: &Fields, now: MachineTime) {
         let gust = fields.gust_mps.known().copied().unwrap_or_default();
         let wind = fields.wind_mps.known().map(|wind| wind.max(gust));
         match (wind, fields.wind_from_deg.known()) {
@@ -64,13 +64,13 @@ mod tests {
             ..Fields::default()
         };
         let mut winds = Winds::default();
-        winds.hear(&station, &blows(5.0, 9.0, 350.0), at(0));
+        winds.observe(&station, &blows(5.0, 9.0, 350.0), at(0));
         assert_eq!(winds.sectors(&rule, at(0)), []);
-        winds.hear(&station, &blows(5.0, 12.0, 350.0), at(5));
+        winds.observe(&station, &blows(5.0, 12.0, 350.0), at(5));
         let [sector] = winds.sectors(&rule, at(6)).try_into().unwrap();
         assert!(sector.contains(20.0) && sector.contains(310.0) && !sector.contains(60.0) && !sector.contains(180.0));
         assert_eq!(winds.sectors(&rule, at(66)), [], "an old wind is none");
-        winds.hear(&station, &Fields::default(), at(7));
+        winds.observe(&station, &Fields::default(), at(7));
         assert_eq!(winds.sectors(&rule, at(7)), []);
     }
 }

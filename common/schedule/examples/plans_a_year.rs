@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use schedule::plan::{Evidence, Site, forecast};
-use schedule::validate::{Known, accept};
+use schedule::validate::{KnownFacts, accept};
 use serde_json::{Value, json};
 use units::{Angle, Utc};
 
@@ -90,7 +90,7 @@ pub fn plan(nights: u32) -> anyhow::Result<(String, f64)> {
     let place = sky::Place::new(Angle::from_degrees(-24.6157), Angle::from_degrees(-70.3976), 2518.0)?;
     let texts: Vec<String> = (0..nights).map(|n| schedule(&place, n)).collect::<anyhow::Result<_>>()?;
     let begun = Instant::now();
-    let known = Known::of(config.clone());
+    let known = KnownFacts::of(config.clone());
     let mut site = Site::new(config.clone(), Evidence::default().overheads(&config))?;
     let (mut rows, mut frames, mut at_risk, mut terabytes) = (0, 0, 0, 0.0);
     for text in &texts {
@@ -102,14 +102,14 @@ pub fn plan(nights: u32) -> anyhow::Result<(String, f64)> {
         anyhow::ensure!(night.frames() > 200 && night.open_s > 6.0 * 3600.0, "a poor night: {:?}", night.rows);
     }
     let took_s = begun.elapsed().as_secs_f64();
-    let told = format!("{nights} nights, {rows} rows, {frames} frames, {terabytes:.1} TB, {at_risk} rows not whole");
-    Ok((told, took_s))
+    let report = format!("{nights} nights, {rows} rows, {frames} frames, {terabytes:.1} TB, {at_risk} rows not whole");
+    Ok((report, took_s))
 }
 
 fn main() -> anyhow::Result<()> {
     let nights: u32 = std::env::args().nth(1).map_or(Ok(YEAR), |n| n.parse())?;
-    let (told, took_s) = plan(nights)?;
-    println!("{told}: planned in {took_s:.2} s");
+    let (report, took_s) = plan(nights)?;
+    println!("{report}: planned in {took_s:.2} s");
     anyhow::ensure!(took_s < 600.0, "expected less than ten minutes");
     Ok(())
 }

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use schedule::validate::{Known, validate};
+use schedule::validate::{KnownFacts, validate};
 use units::Utc;
 
 const SITE: &str = concat!(
@@ -50,17 +50,17 @@ fn schedule() -> anyhow::Result<String> {
 fn main() -> anyhow::Result<()> {
     let (text, config) = (schedule()?, Arc::new(config::parse(SITE, Path::new("."))?));
     let mut took_ms = Vec::new();
-    let mut told = String::new();
+    let mut report = String::new();
     for _ in 0..20 {
         let begun = Instant::now();
-        let found = validate(&text, &Known::of(config.clone()));
+        let found = validate(&text, &KnownFacts::of(config.clone()));
         took_ms.push(1000.0 * begun.elapsed().as_secs_f64());
         anyhow::ensure!(found.rows == 500 && found.valid, "{found:?}");
-        told = format!("{} warnings", found.warnings);
+        report = format!("{} warnings", found.warnings);
     }
     took_ms.sort_by(f64::total_cmp);
     let (median_ms, worst_ms) = (took_ms[took_ms.len() / 2], took_ms[took_ms.len() - 1]);
-    println!("500 rows, {} bytes, {told}: median {median_ms:.1} ms, worst of 20 {worst_ms:.1} ms", text.len());
+    println!("500 rows, {} bytes, {report}: median {median_ms:.1} ms, worst of 20 {worst_ms:.1} ms", text.len());
     anyhow::ensure!(cfg!(debug_assertions) || median_ms < 50.0, "expected less than 50 ms in release");
     Ok(())
 }

@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use config::meant;
 use contract::Name;
+use contract::device::camera::Purpose;
 use contract::observatory::{Check, Finding};
 use serde_json::{Map, Value};
 use units::Utc;
@@ -14,9 +16,8 @@ use crate::row::{Row, RowId};
 use crate::times::{self, Read};
 use crate::written::{Of, Position, Written};
 use crate::wrong::Wrong;
-use config::meant;
 
-const FIELDS: [&str; 5] = ["device_name", "action_type", "action_value", "start_time", "end_time"];
+const FIELDS: [&str; 6] = ["device_name", "action_type", "action_value", "start_time", "end_time", "programme"];
 /// Written by Astra into its own output, meaningless on reading.
 const IGNORED: [&str; 2] = ["completed", "status"];
 /// Parameters that are sometimes written next to `action_value` instead of in it.
@@ -62,7 +63,7 @@ pub(super) fn whole(object: &Map<String, Value>, defaults: &Defaults) -> Map<Str
 }
 
 /// A row's object while it is read.
-struct Source<'a> {
+struct RowObject<'a> {
     object: &'a Map<String, Value>,
     written: &'a Written,
     findings: &'a mut Vec<Finding>,
@@ -77,19 +78,20 @@ pub(super) fn row(
     findings: &mut Vec<Finding>,
 ) -> Option<Row> {
     let before = findings.len();
-    let mut source = Source { object, written: &written, findings: &mut *findings };
+    let mut source = RowObject { object, written: &written, findings: &mut *findings };
     source.names();
     let camera = source.camera(cameras);
     let action = source.action();
     let window = source.window();
+    let programme = source.programme();
     let is_whole = findings.len() == before;
     let (camera, action, (start, end)) = (camera?, action?, window?);
     let line = usize::try_from(written.begin.line).unwrap_or(usize::MAX);
-    is_whole.then_some(Row { id, line, written, camera, action, start, end })
+    is_whole.then_some(Row { id, line, written, camera, action, programme, start, end })
 }
 
-impl<'a> Source<'a> {
-    fn tell(&mut self, finding: Finding) {
+impl<'a> RowObject<'a> {
+    fn report(&mut self, finding: Finding) {
         self.findings.push(finding);
     }
 
@@ -100,7 +102,7 @@ impl<'a> Source<'a> {
         for key in object.keys().filter(|key| !is_known(key.as_str())).take(MOST_WRONG) {
             let at = self.written.key(Of::Row, key);
             let found = error(Check::Schema, at, Some(key), format!("unknown key {key:?}"));
-            self.tell(match PARAMETERS.contains(&key.as_str()) {
+            self.report(match PARAMETERS.contains(&key.as_str()) {
                 true => found.right("it belongs into action_value"),
                 false => found.right(meant(key, FIELDS)),
             });
@@ -117,11 +119,11 @@ impl<'a> Source<'a> {
             Some(Value::String(text)) => Some(text),
             Some(other) => {
                 let at = self.written.value(Of::Row, key);
-                self.tell(error(Check::Schema, at, Some(key), format!("expected a text, found {}", short(other))));
+                self.report(error(Check::Schema, at, Some(key), format!("expected a text, found {}", short(other))));
                 None
             }
             None => {
-                self.tell(error(Check::Schema, self.written.begin, Some(key), format!("{key} is missing")));
+                self.report(error(Check::Schema, self.written.begin, Some(key), format!("{key} is missing")));
                 None
             }
         }
@@ -134,7 +136,7 @@ impl<'a> Source<'a> {
             let at = self.written.field("device_name");
             let known = cameras.iter().map(Name::as_str);
             let found = error(Check::Device, at, Some("device_name"), format!("no camera is named {wanted:?}"));
-            self.tell(found.right(meant(&wanted, known)));
+            self.report(found.right(meant(&wanted, known)));
         }
         found
     }
@@ -151,8 +153,28 @@ impl<'a> Source<'a> {
         // An hour after midnight with the date of the evening.
         let next_day = end.plus_seconds(DAY_S);
         let is_next_day = next_day > start && next_day.seconds_since(start) <= 0.75 * DAY_S;
-        self.tell(if is_next_day { found.right(format!("did you mean {}?", when(next_day))) } else { found });
+        self.report(if is_next_day { found.right(format!("did you mean {}?", when(next_day))) } else { found });
         None
+    }
+
+    /// The id of the programme, where the row names one; it becomes a keyword of FITS headers.
+    fn programme(&mut self) -> Option<String> {
+        const KEY: &str = "programme";
+        if matches!(self.object.get(KEY), None | Some(Value::Null)) {
+            return None;
+        }
+        let text = self.text(KEY)?.trim();
+        if !Purpose::is_programme(text) {
+            let at = self.written.field(KEY);
+            let what = format!(
+                "{text:?} is no id of a programme: expected 1 to {} letters, digits and signs of ASCII \
+                 without blanks",
+                Purpose::LONGEST_PROGRAMME
+            );
+            self.report(error(Check::Schema, at, Some(KEY), what).right("write it as your proposal has it"));
+            return None;
+        }
+        Some(text.to_owned())
     }
 
     fn time(&mut self, key: &'static str) -> Option<Utc> {
@@ -169,10 +191,10 @@ impl<'a> Source<'a> {
                     let at = self.written.field(key);
                     let found =
                         error(Check::Time, at, Some(key), format!("{text:?}: day and month can be either way round"));
-                    self.tell(found.right(format!("write it as {}, if the month comes first", when(utc))));
+                    self.report(found.right(format!("write it as {}, if the month comes first", when(utc))));
                     return None;
                 }
-                self.tell(error(Check::Time, self.written.field(key), Some(key), bad.to_string()));
+                self.report(error(Check::Time, self.written.field(key), Some(key), bad.to_string()));
                 None
             }
         }
@@ -183,7 +205,7 @@ impl<'a> Source<'a> {
         let Some(entry) = ACTIONS.iter().find(|entry| entry.name == name) else {
             let at = self.written.field("action_type");
             let found = error(Check::Schema, at, Some("action_type"), format!("unknown action_type {name:?}"));
-            self.tell(found.right(meant(&name, ACTIONS.iter().map(|entry| entry.name))));
+            self.report(found.right(meant(&name, ACTIONS.iter().map(|entry| entry.name))));
             return None;
         };
         let object = self.object;
@@ -193,7 +215,7 @@ impl<'a> Source<'a> {
             Some(other) => {
                 let at = self.written.field("action_value");
                 let what = format!("expected an object, found {}", short(other));
-                self.tell(error(Check::Schema, at, Some("action_value"), what));
+                self.report(error(Check::Schema, at, Some("action_value"), what));
                 None
             }
         }
@@ -225,7 +247,7 @@ impl<'a> Source<'a> {
             let found = error(Check::Schema, at, field.as_deref(), what);
             let given = field.as_ref().and_then(|field| value.get(field)).and_then(Value::as_str);
             let hint = field.as_deref().zip(given).and_then(|(field, given)| as_number(field, given));
-            self.tell(match hint {
+            self.report(match hint {
                 Some(hint) => found.right(hint),
                 None => found,
             });

@@ -42,34 +42,34 @@ proptest! {
         walls in prop::collection::vec(-5.0..70.0_f64, 12),
     ) {
         let points: Vec<[f64; 2]> = walls.iter().zip(0..).map(|(wall, n)| [f64::from(n) * 30.0, *wall]).collect();
-        let outlook = HorizonLimits::new(least, Some(Horizon::new(&points).unwrap()));
+        let horizon_limits = HorizonLimits::new(least, Some(Horizon::new(&points).unwrap()));
         let (at, target) = (Utc::from_seconds(NIGHT + 3600.0 * hours), Icrs::from_degrees(ra, dec));
         let sky = sky(at);
         let [altitude_deg, azimuth_deg] = by_cosine_rule(&sky, &target);
         let limit_deg = wall_deg(&walls, azimuth_deg).max(least).max(0.0);
         // Where the horizon is steep, a minute of arc of aberration along it is more across.
         let room_deg = 0.1 + 0.1 * 75.0 / 30.0 / altitude_deg.to_radians().cos().max(0.01);
-        let said = outlook.hides(&target, &sky);
-        prop_assert!(altitude_deg > limit_deg - room_deg || said.is_some(), "{altitude_deg} deg, limit {limit_deg} deg");
-        prop_assert!(altitude_deg < limit_deg + room_deg || said.is_none(), "{altitude_deg}, {limit_deg}: {said:?}");
+        let reason = horizon_limits.hides(&target, &sky);
+        prop_assert!(altitude_deg > limit_deg - room_deg || reason.is_some(), "{altitude_deg} deg, limit {limit_deg} deg");
+        prop_assert!(altitude_deg < limit_deg + room_deg || reason.is_none(), "{altitude_deg}, {limit_deg}: {reason:?}");
         // It stands clear from the time that was computed, and at no earlier time.
         let until = at.plus_seconds(4.0 * 3600.0);
-        let clear = outlook.clear_from(&target, at, until, |at| Some(self::sky(at)));
-        prop_assert_eq!(clear == Some(at), said.is_none());
+        let clear = horizon_limits.clear_from(&target, at, until, |at| Some(self::sky(at)));
+        prop_assert_eq!(clear == Some(at), reason.is_none());
         if let Some(clear) = clear {
             prop_assert!(at <= clear && clear <= until);
-            prop_assert!(outlook.hides(&target, &self::sky(clear)).is_none());
+            prop_assert!(horizon_limits.hides(&target, &self::sky(clear)).is_none());
         }
     }
 }
 
 #[test]
-fn what_hides_a_target_is_told_with_its_place_and_the_limit() {
+fn what_hides_a_target_is_reported_with_its_place_and_the_limit() {
     let at = Utc::from_seconds(NIGHT);
     let sky = sky(at);
     let stands = |altitude, azimuth| sky.to_icrs(&Horizontal::from_degrees(altitude, azimuth));
     let hill = Horizon::new(&[[0.0, 5.0], [80.0, 5.0], [90.0, 40.0], [100.0, 5.0]]).unwrap();
-    let outlook = HorizonLimits::new(20.0, Some(hill));
+    let horizon_limits = HorizonLimits::new(20.0, Some(hill));
     for (altitude, azimuth, words) in [
         (-3.0, 200.0, Some("stands -3.0 deg high, below the horizon")),
         (10.0, 200.0, Some("stands 10.0 deg high, the least is 20 deg")),
@@ -77,13 +77,13 @@ fn what_hides_a_target_is_told_with_its_place_and_the_limit() {
         (30.0, 120.0, None),
         (41.0, 90.0, None),
     ] {
-        let said = outlook.hides(&stands(altitude, azimuth), &sky);
+        let reason = horizon_limits.hides(&stands(altitude, azimuth), &sky);
         match words {
-            Some(words) => assert!(said.as_ref().is_some_and(|said| said.contains(words)), "{said:?}: {words}"),
-            None => assert_eq!(said, None, "{altitude} {azimuth}"),
+            Some(words) => assert!(reason.as_ref().is_some_and(|reason| reason.contains(words)), "{reason:?}: {words}"),
+            None => assert_eq!(reason, None, "{altitude} {azimuth}"),
         }
     }
-    assert!(outlook.hides(&Icrs::from_degrees(f64::NAN, 0.0), &sky).is_some(), "a place that is no number");
+    assert!(horizon_limits.hides(&Icrs::from_degrees(f64::NAN, 0.0), &sky).is_some(), "a place that is no number");
 }
 
 #[test]

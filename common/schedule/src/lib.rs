@@ -1,11 +1,12 @@
 //! The schedule of a telescope, without devices, bus or clock: the meaning of its rows, their validation, the choice of
 //! the next row, and the forecast of a night.
 //!
-//! - Reading: [`parse`] returns the rows of a text, or everything that is wrong with it; [`action`] holds the
+//! - Reading: [`parse()`] returns the rows of a text, or everything that is wrong with it; [`action`] holds the
 //!   parameters of each action, from which refusals, documents and forms are made.
 //! - Validation: [`validate`] compares the rows with the devices and the sky; [`names`] holds the targets that were
 //!   looked up.
 //! - Order: [`sequence`] chooses the next row, the same for the observatory node and for a forecast.
+//! - Comparison: [`difference`] lists which rows another text adds, removes and changes.
 //! - Forecast: [`plan`] works through a schedule on a clock that jumps from event to event.
 //! - Decisions of actions that both the forecast and the observatory node need: [`flats`], [`moving_target`],
 //!   [`meridian_flip`], [`pointing_grid`], [`horizon_limits`], [`slew_limits`].
@@ -18,16 +19,17 @@
 //! - `sequence.rs`, which is pure, decides which rows run at the same time:
 //!   `no_schedule_opens_under_an_unsafe_sky_or_lets_two_rows_have_one_mount`.
 //! - The type of an action describes its parameters once; refusals, page, command line and bus are generated from it
-//!   (decision 0026): `the_page_about_the_schedule_is_what_the_actions_say`.
-//! - The state of the sky never refuses a schedule (decision 0027): `what_the_sky_does_is_told_and_refuses_nothing`
-//!   (`starmesh/tests/checks_wrong_schedules.rs`).
+//!   (decision 0026): `the_page_about_the_schedule_is_what_the_actions_declare`.
+//! - The state of the sky never refuses a schedule (decision 0027): `what_the_sky_does_is_reported_and_refuses_nothing`
+//!   (`starmesh/tests/commands/checks_wrong_schedules.rs`).
 //! - A schedule is checked against the same horizon and altitude as a slew (`horizon_limits.rs`, decision 0036):
 //!   `nothing_is_observed_behind_the_horizon_or_below_the_least_altitude`. Every slew goes through `Mount::point` and
 //!   its limits (`slew_limits.rs`, decision 0030): `no_target_within_reach_stands_beyond_a_limit`.
 //! - A forecast has no rule of its own: each action has its steps in `plan/steps` (decision 0032):
-//!   `every_golden_plan_is_as_its_file_says`.
+//!   `every_golden_plan_is_as_in_its_file`.
 
 pub mod action;
+pub mod difference;
 pub mod fault;
 pub mod fields;
 mod file;

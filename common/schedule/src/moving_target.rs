@@ -85,8 +85,8 @@ impl<'a> Asked<'a> {
     /// A name that is to be looked up online: it names nothing that is known offline, and the row gives no other
     /// position of its target.
     pub fn name_to_look_up(&self) -> Option<&'a str> {
-        let is_told = self.has_place || self.tle.is_some() || self.elements.is_some();
-        let name = self.lookup_name.map(str::trim).filter(|name| !is_told && !name.eq_ignore_ascii_case(TLE))?;
+        let is_given = self.has_place || self.tle.is_some() || self.elements.is_some();
+        let name = self.lookup_name.map(str::trim).filter(|name| !is_given && !name.eq_ignore_ascii_case(TLE))?;
         matches!(Body::named(name), Ok(None)).then_some(name)
     }
 
@@ -106,7 +106,10 @@ impl<'a> Asked<'a> {
                 Body::Satellite(Box::new(satellite))
             }
             (None, Some(_), Some(name)) => {
-                return Err(Wrong::of("lookup_name", format!("elements tell where the target is; leave out {name:?}")));
+                return Err(Wrong::of(
+                    "lookup_name",
+                    format!("elements define where the target is; leave out {name:?}"),
+                ));
             }
             (None, Some(elements), None) => {
                 Body::Orbit(elements.orbit().map_err(|error| Wrong::of("elements", error))?)

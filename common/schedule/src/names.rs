@@ -100,7 +100,7 @@ impl Meaning {
 
 /// All that is known of names.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct Known {
+pub struct KnownNames {
     /// By [`key`].
     pub found: BTreeMap<String, Meaning>,
     /// Why others are not known, since this node's boot.
@@ -108,7 +108,7 @@ pub struct Known {
     pub failed: BTreeMap<String, String>,
 }
 
-impl Known {
+impl KnownNames {
     /// The file of the names that were looked up.
     pub fn path(config: &config::Observatory) -> PathBuf {
         config.folders.data.join(format!("names-{}.json", config.place.telescope))
@@ -162,13 +162,13 @@ mod tests {
     fn a_star_is_where_its_proper_motion_has_brought_it() {
         // Barnard's star: 10.3 arcsec per year to the north.
         let star = Meaning::Fixed { ra_deg: 269.45, dec_deg: 4.69, pm_ra_mas: -801.55, pm_dec_mas: 10_362.39 };
-        let known = Known { found: BTreeMap::from([(key("Barnard's star"), star)]), failed: BTreeMap::new() };
+        let known = KnownNames { found: BTreeMap::from([(key("Barnard's star"), star)]), failed: BTreeMap::new() };
         let Found::Place(place) = known.find(" BARNARD'S star", at("2026-11-21T12:00:00Z")).unwrap() else { panic!() };
         assert!((place.dec.degrees() - 4.69 - 26.89 * 10.36239 / 3600.0).abs() < 1e-4, "{place:?}");
     }
 
     #[test]
-    fn what_is_not_known_says_why() {
+    fn what_is_not_known_gives_the_reason() {
         let old = Meaning::Orbit {
             q_au: 2.55,
             e: 0.08,
@@ -178,7 +178,7 @@ mod tests {
             tp_jd: 2_459_920.5,
             epoch_jd: 2_459_740.5,
         };
-        let known = Known {
+        let known = KnownNames {
             found: BTreeMap::from([(key("Ceres"), old)]),
             failed: BTreeMap::from([(key("Nonsuch"), "no service knows it".to_owned())]),
         };

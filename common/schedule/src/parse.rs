@@ -4,11 +4,12 @@
 //! here: the file with its comments stays as people wrote it.
 
 use std::collections::HashMap;
+use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use contract::Name;
 use contract::observatory::{Check, Finding};
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 use crate::fault::{Fault, MOST_FINDINGS, Right as _, error, in_order};
 use crate::fields::{self, Defaults};
@@ -65,66 +66,100 @@ pub fn read_with(text: &str, cameras: &[Name], defaults: &Defaults) -> Reading {
 fn read_rows(text: &str, cameras: &[Name], defaults: &Defaults, reading: &mut Reading) {
     let blanked = without_comments(text);
     let mut twins: HashMap<RowId, usize> = HashMap::new();
-    let mut cursor = Cursor::new(text);
-    let mut from = 0;
-    // Each turn of the outer loop begins after a place that is no JSON.
-    'file: loop {
+    each_value(text, &blanked, |cursor, found| {
+        let (value, end) = match found {
+            Piece::Value { value, end } => (value, end),
+            Piece::NoJson { error, from, begin } => {
+                reading.findings.push(no_json(&error, &blanked, from, cursor, begin));
+                return go_on(reading.findings.len() < MOST_FINDINGS);
+            }
+        };
+        let Value::Object(object) = &value else {
+            let what = "expected an object such as {\"device_name\": ...}";
+            let found = error(Check::Syntax, cursor.position, None, what);
+            reading.findings.push(match value {
+                Value::Array(_) => found.right("write the rows one after another, without [ ] around them"),
+                _ => found,
+            });
+            return ControlFlow::Continue(());
+        };
+        let written = Written::read(cursor, &blanked, end);
+        let twin = twins.entry(RowId::of(&value, 0)).and_modify(|count| *count += 1).or_insert(0);
+        let id = RowId::of(&value, *twin);
+        // Its id is that of the row as it is written: a change of the defaults makes no new row.
+        let object = fields::whole(object, defaults);
+        reading.rows.extend(fields::row(&object, id, Arc::new(written), cameras, &mut reading.findings));
+        if reading.rows.len() > MOST_ROWS {
+            let what = format!("more than {MOST_ROWS} rows");
+            reading.findings.push(error(Check::Syntax, cursor.position, None, what));
+            return ControlFlow::Break(());
+        }
+        go_on(reading.findings.len() < MOST_FINDINGS)
+    });
+}
+
+/// The objects of a text with the line on which each begins; what is no JSON, or no object, is passed over.
+pub(super) fn objects(text: &str) -> Vec<(u32, Map<String, Value>)> {
+    let blanked = without_comments(text.trim_start_matches('\u{feff}'));
+    let mut objects = Vec::new();
+    each_value(&blanked, &blanked, |cursor, found| {
+        if let Piece::Value { value: Value::Object(object), .. } = found {
+            objects.push((cursor.position.line, object));
+        }
+        go_on(objects.len() <= MOST_ROWS)
+    });
+    objects
+}
+
+/// What is at one place of a schedule.
+enum Piece {
+    /// A value, and where it ends.
+    Value { value: Value, end: usize },
+    /// No JSON: reading began at `from`, this value at `begin`.
+    NoJson { error: serde_json::Error, from: usize, begin: usize },
+}
+
+fn go_on(does: bool) -> ControlFlow<()> {
+    if does { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+}
+
+/// Takes each value of a text with its place, until `take` ends it; after a place that is no JSON, from the next row on.
+fn each_value<'t>(text: &'t str, blanked: &str, mut take: impl FnMut(Cursor<'t>, Piece) -> ControlFlow<()>) {
+    let (mut cursor, mut from) = (Cursor::new(text), 0);
+    loop {
         let rest = blanked.get(from..).unwrap_or_default();
         let mut values = serde_json::Deserializer::from_str(rest).into_iter::<Value>();
-        loop {
-            let begin = start_of_value(&blanked, from + values.byte_offset());
+        let next = loop {
+            let begin = start_of_value(blanked, from + values.byte_offset());
             cursor = cursor.to(begin);
-            let value = match values.next() {
-                None => break 'file,
-                Some(Ok(value)) => value,
-                Some(Err(found)) => {
-                    reading.findings.push(no_json(&found, &blanked, from, cursor, begin));
-                    match next_row(&blanked, begin) {
-                        Some(next) if reading.findings.len() < MOST_FINDINGS => from = next,
-                        _ => break 'file,
-                    }
-                    break;
-                }
+            let (found, next) = match values.next() {
+                None => return,
+                Some(Ok(value)) => (Piece::Value { value, end: from + values.byte_offset() }, None),
+                Some(Err(error)) => (Piece::NoJson { error, from, begin }, Some(next_row(blanked, begin))),
             };
-            let end = from + values.byte_offset();
-            let Value::Object(object) = &value else {
-                let what = "expected an object such as {\"device_name\": ...}";
-                let found = error(Check::Syntax, cursor.position, None, what);
-                reading.findings.push(match value {
-                    Value::Array(_) => found.right("write the rows one after another, without [ ] around them"),
-                    _ => found,
-                });
-                continue;
-            };
-            let written = Written::read(cursor, &blanked, end);
-            let twin = twins.entry(RowId::of(&value, 0)).and_modify(|count| *count += 1).or_insert(0);
-            let id = RowId::of(&value, *twin);
-            // Its id is that of the row as it is written: a change of the defaults makes no new row.
-            let object = fields::whole(object, defaults);
-            reading.rows.extend(fields::row(&object, id, Arc::new(written), cameras, &mut reading.findings));
-            if reading.rows.len() > MOST_ROWS {
-                let what = format!("more than {MOST_ROWS} rows");
-                reading.findings.push(error(Check::Syntax, cursor.position, None, what));
-                break 'file;
+            if take(cursor, found).is_break() {
+                return;
             }
-            if reading.findings.len() >= MOST_FINDINGS {
-                break 'file;
+            if let Some(next) = next {
+                break next;
             }
-        }
+        };
+        let Some(next) = next else { return };
+        from = next;
     }
 }
 
 /// Comment lines become blanks of the same length, so that the place of everything else stays the same.
 fn without_comments(text: &str) -> String {
-    let mut kept = String::with_capacity(text.len());
+    let mut rest = String::with_capacity(text.len());
     for line in text.split_inclusive('\n') {
         if line.trim_start().starts_with("//") {
-            kept.extend(line.bytes().map(|byte| if byte == b'\n' { '\n' } else { ' ' }));
+            rest.extend(line.bytes().map(|byte| if byte == b'\n' { '\n' } else { ' ' }));
         } else {
-            kept.push_str(line);
+            rest.push_str(line);
         }
     }
-    kept
+    rest
 }
 
 fn start_of_value(text: &str, offset: usize) -> usize {
@@ -147,9 +182,9 @@ fn next_row(text: &str, offset: usize) -> Option<usize> {
 
 /// The finding for text that is no JSON; the reader began at `from`, its value at `begin`, where `cursor` stands.
 fn no_json(found: &serde_json::Error, text: &str, from: usize, cursor: Cursor<'_>, begin: usize) -> Finding {
-    let said = plain(found);
+    let fault = plain(found);
     if found.is_eof() {
-        let what = format!("no JSON: {said}: the row that begins here has no end");
+        let what = format!("no JSON: {fault}: the row that begins here has no end");
         let right = match text.get(begin..).is_some_and(|rest| rest.starts_with('[')) {
             true => "write the rows one after another, without [ ] around them",
             false => "close its quotes, brackets and braces",
@@ -158,7 +193,7 @@ fn no_json(found: &serde_json::Error, text: &str, from: usize, cursor: Cursor<'_
     }
     let at = offset_of(text.get(from..).unwrap_or_default(), found).map_or(begin, |at| (from + at).max(begin));
     let rest = text.get(at..).unwrap_or_default();
-    let finding = error(Check::Syntax, cursor.to(at).position, None, format!("no JSON: {said}"));
+    let finding = error(Check::Syntax, cursor.to(at).position, None, format!("no JSON: {fault}"));
     let before = text.get(begin..at).unwrap_or_default().trim_end();
     match rest.chars().next() {
         Some('/') => finding.right("a comment begins with // and has a line of its own"),

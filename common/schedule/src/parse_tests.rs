@@ -67,7 +67,7 @@ fn what_astra_writes_into_its_own_output_is_passed_over() {
 }
 
 #[test]
-fn the_same_row_is_found_again_and_twins_are_told_apart() {
+fn the_same_row_is_found_again_and_twins_are_distinguished() {
     let first = read(&object(r#"{"object": "x", "exptime": 10}"#)).unwrap();
     let again = read(&format!("// moved down\n\n{}", object(r#"{"exptime": 10, "object": "x"}"#))).unwrap();
     assert_eq!(first[0].id, again[0].id);
@@ -183,7 +183,7 @@ fn a_file_too_large_is_refused_before_it_is_read() {
 }
 
 #[test]
-fn a_row_with_names_without_number_or_end_tells_little() {
+fn a_row_with_names_without_number_or_end_is_reported_briefly() {
     let many: String = (0..20_000).map(|n| format!("\"k{n}\": 1, ")).collect();
     let long = "x".repeat(100_000);
     for text in [
@@ -200,11 +200,11 @@ fn a_row_with_names_without_number_or_end_tells_little() {
 }
 
 #[test]
-fn each_wrong_parameter_is_told_where_it_stands_and_what_follows_from_it_is_not() {
+fn each_wrong_parameter_is_reported_where_it_stands_and_what_follows_from_it_is_not() {
     let text = object(r#"{"object": "x", "exptime": "10", "dec": 95, "ra": 5, "bin": 99, "guidng": 1}"#);
     let fault = read(&text).unwrap_err();
-    let told: Vec<_> = fault.findings.iter().map(|finding| finding.field.as_deref().unwrap()).collect();
-    assert_eq!(told, ["exptime", "dec", "bin", "guidng"], "{fault}");
+    let fields: Vec<_> = fault.findings.iter().map(|finding| finding.field.as_deref().unwrap()).collect();
+    assert_eq!(fields, ["exptime", "dec", "bin", "guidng"], "{fault}");
     let stands = |column: u32| text.chars().skip(column as usize - 1).take(4).collect::<String>();
     let there: Vec<_> = fault.findings.iter().map(|finding| stands(finding.column)).collect();
     assert_eq!(there, ["\"10\"", "95, ", "99, ", "\"gui"]);
@@ -238,4 +238,76 @@ fn what_a_row_does_not_give_is_its_cameras_default_and_null_is_as_if_it_were_not
     assert_eq!(id(&defaults), id(&Defaults::new()));
     let either_way = more.replace("21.11.2026", "03.04.2026");
     assert!(super::read(&either_way, &cameras()).findings[0].what.contains("either way round"), "{either_way}");
+}
+
+#[test]
+fn a_row_may_name_its_programme_and_a_wrong_one_is_a_fault() {
+    let row = |programme: &str| {
+        let row = object(r#"{"object": "x", "exptime": 10, "ra": 1.5, "dec": -2}"#);
+        row.replacen('}', &format!("}}, \"programme\": {programme}"), 1)
+    };
+    let named = read(&row("\" 112.25XK.001 \"")).unwrap();
+    assert_eq!(named[0].programme.as_deref(), Some("112.25XK.001"));
+    for none in [object(r#"{"object": "x", "exptime": 10, "ra": 1.5, "dec": -2}"#), row("null")] {
+        assert_eq!(read(&none).unwrap()[0].programme, None);
+    }
+    for wrong in ["\"\"", "\"two words\"", "\"Bar\u{e9}\"", &format!("{:?}", "x".repeat(41))] {
+        refused(&row(wrong), 1, &["programme", "is no id of a programme: expected 1 to 40"]);
+    }
+    refused(&row("7"), 1, &["programme", "expected a text, found 7"]);
+}
+
+#[test]
+fn a_programme_is_one_word_of_signs_that_a_header_has() {
+    let action = r#"{"object": "x", "exptime": 10, "ra": 1.5, "dec": -2}"#;
+    let row = |programme: &str| object(action).replacen('}', &format!("}}, \"programme\": {programme}"), 1);
+    let longest = "x".repeat(40);
+    for (written, programme) in [
+        ("\"A\"", "A"),
+        ("\"60.A-9009(A)\"", "60.A-9009(A)"),
+        ("\"o'brien/1#2\"", "o'brien/1#2"),
+        ("\"a\\\"b\\\\c\"", "a\"b\\c"),
+        ("\"\\t \\u2003X\\n\"", "X"),
+        (format!("\"{longest}\"").as_str(), longest.as_str()),
+        (format!("\"  {longest}  \"").as_str(), longest.as_str()),
+    ] {
+        let rows = read(&row(written)).unwrap();
+        assert_eq!(rows[0].programme.as_deref(), Some(programme), "{written}");
+    }
+    for wrong in [
+        "\"   \"",
+        "\"a\\tb\"",
+        "\"a\\nb\"",
+        "\"a\\u0000b\"",
+        "\"a\\u007fb\"",
+        "\"a\\u00a0b\"",
+        "\"\\u00e9\"",
+        "\"\\ud83d\\ude00\"",
+        &format!("\"{longest}y\""),
+    ] {
+        refused(&row(wrong), 1, &["programme", "is no id of a programme: expected 1 to 40"]);
+    }
+    for other in ["true", "1.5", "[\"A\"]", "{\"id\": \"A\"}"] {
+        refused(&row(other), 1, &["programme", "expected a text, found"]);
+    }
+    refused(&row("\"A\", \"programme\": \"B\""), 1, &["programme", "stands twice in this row"]);
+}
+
+#[test]
+fn a_row_for_another_programme_is_another_row_and_its_faults_are_reported_with_the_others() {
+    let action = r#"{"object": "x", "exptime": 10, "ra": 1.5, "dec": -2}"#;
+    let of = |camera: &str, programme: &str| {
+        let named = format!("}}, \"programme\": \"{programme}\"");
+        row_text(camera, "object", action, START, END).replacen('}', &named, 1)
+    };
+    let id = |programme: &str| read(&of("main", programme)).unwrap()[0].id.clone();
+    assert_eq!(id("A"), id("A"));
+    assert_ne!(id("A"), id("B"));
+    let both = read(&format!("{}\n{}", of("main", "A"), of("main", "B"))).unwrap();
+    let mut programmes: Vec<_> = both.iter().map(|row| row.programme.clone().unwrap()).collect();
+    programmes.sort();
+    assert_eq!(programmes, ["A", "B"]);
+    let fault = read(&of("nobody", "two words")).unwrap_err();
+    let fields: Vec<_> = fault.findings.iter().filter_map(|finding| finding.field.as_deref()).collect();
+    assert!(fields.contains(&"device_name") && fields.contains(&"programme"), "{fault}");
 }

@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn beside_a_parallel_row_only_another_camera_and_no_second_mount() {
+    fn alongside_a_parallel_row_only_another_camera_and_no_second_mount() {
         let rows = rows(&[
             ("a", "calibration", PARALLEL, 1, 4),
             ("b", "object", OBJECT, 2, 4),

@@ -18,13 +18,13 @@ const STEP: f64 = 0.01;
 /// horizon. None where the spiral has no such place any more.
 ///
 /// `t = sqrt(i / (n - 1))`, altitude `85 - 55 t` deg and not below 30, azimuth `360 sqrt(n / 2) t` deg.
-pub fn place(index: u32, of: u32, outlook: &HorizonLimits, moon: &Horizontal) -> Option<Horizontal> {
+pub fn place(index: u32, of: u32, horizon_limits: &HorizonLimits, moon: &Horizontal) -> Option<Horizontal> {
     let last = f64::from(of.saturating_sub(1)).max(1.0);
     let mut t = (f64::from(index) / last).sqrt();
     // One turn more than the whole spiral is enough to leave the Moon behind.
     while t <= 2.0 {
         let azimuth_deg = (360.0 * (f64::from(of) / 2.0).sqrt() * t).rem_euclid(360.0);
-        let lowest_deg = outlook.lowest_deg(azimuth_deg).clamp(LOWEST_DEG, HIGHEST_DEG);
+        let lowest_deg = horizon_limits.lowest_deg(azimuth_deg).clamp(LOWEST_DEG, HIGHEST_DEG);
         let altitude_deg = (HIGHEST_DEG - 55.0 * t).max(lowest_deg);
         let place = Horizontal::from_degrees(altitude_deg, azimuth_deg);
         if moon.altitude.degrees() < -1.0 || place.separation(moon) > MOON {
@@ -36,8 +36,8 @@ pub fn place(index: u32, of: u32, outlook: &HorizonLimits, moon: &Horizontal) ->
 }
 
 /// The place on the sky now.
-pub fn target(index: u32, of: u32, outlook: &HorizonLimits, observer: &Observer) -> Option<Icrs> {
-    place(index, of, outlook, &observer.moon()).map(|place| observer.to_icrs(&place))
+pub fn target(index: u32, of: u32, horizon_limits: &HorizonLimits, observer: &Observer) -> Option<Icrs> {
+    place(index, of, horizon_limits, &observer.moon()).map(|place| observer.to_icrs(&place))
 }
 
 #[cfg(test)]
@@ -67,9 +67,9 @@ mod tests {
     fn places_keep_clear_of_the_moon_of_the_mounts_limit_and_of_walls() {
         let moon = Horizontal::from_degrees(50.0, 120.0);
         let wall = config::Horizon::new(&[[180.0, 10.0], [200.0, 60.0], [260.0, 60.0], [280.0, 10.0]]).unwrap();
-        let outlook = HorizonLimits::new(45.0, Some(wall.clone()));
+        let horizon_limits = HorizonLimits::new(45.0, Some(wall.clone()));
         for n in 0..50 {
-            let clear = place(n, 50, &outlook, &moon).unwrap();
+            let clear = place(n, 50, &horizon_limits, &moon).unwrap();
             assert!(clear.separation(&moon) > MOON && clear.altitude.degrees() >= 45.0, "{n}: {clear:?}");
             let wall_deg = wall.altitude_deg(clear.azimuth.degrees());
             assert!(clear.altitude.degrees() > wall_deg, "{n}: {clear:?} behind {wall_deg} deg");

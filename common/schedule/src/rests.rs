@@ -31,9 +31,9 @@ impl Rests {
         self.rows.insert(row.clone(), (now.plus(length), count));
     }
 
-    /// Forgets the rows for which `is_kept` is false.
-    pub fn keep(&mut self, is_kept: impl Fn(&RowId) -> bool) {
-        self.rows.retain(|row, _| is_kept(row));
+    /// Forgets the rows for which `is_known` is false.
+    pub fn keep(&mut self, is_known: impl Fn(&RowId) -> bool) {
+        self.rows.retain(|row, _| is_known(row));
     }
 
     /// Does a row rest now?

@@ -58,6 +58,8 @@ pub struct Row {
     pub camera: Name,
     /// The action.
     pub action: Arc<Action>,
+    /// Id of the observing programme or proposal that it is for, where it names one.
+    pub programme: Option<String>,
     /// Earliest start.
     pub start: Utc,
     /// Latest end.

@@ -6,8 +6,8 @@ use std::time::Duration;
 use contract::observatory::{Sector, Unsafe, Verdict};
 use proptest::prelude::*;
 use proptest::test_runner::Config;
+use safety::current_verdict::CurrentVerdict;
 use safety::objection::{sky_stands_against, stands_against};
-use safety::ruling::Ruling;
 use sky::{EarthOrientation, Observer, Place};
 use units::Angle;
 use units::MachineTime;
@@ -106,7 +106,7 @@ struct Night {
     sequence: Sequence,
     now: Utc,
     machine: MachineTime,
-    ruling: Ruling,
+    verdict: CurrentVerdict,
     is_robotic: bool,
     commands: bool,
     started: usize,
@@ -122,16 +122,16 @@ fn over_paranal(at: Utc) -> Observer {
 }
 
 /// A safe verdict of this instant.
-fn safe(now: MachineTime) -> Ruling {
-    let mut ruling = Ruling::none(now, Utc::EPOCH);
-    ruling.state.verdict = Verdict::Safe;
-    ruling
+fn safe(now: MachineTime) -> CurrentVerdict {
+    let mut verdict = CurrentVerdict::none(now, Utc::EPOCH);
+    verdict.state.verdict = Verdict::Safe;
+    verdict
 }
 
 impl Night {
     fn may(&self, row: &Row) -> bool {
         let azimuth_deg = || row.action.azimuth_deg(&over_paranal(self.now));
-        let sky = || sky_stands_against(&self.ruling, self.machine, azimuth_deg);
+        let sky = || sky_stands_against(&self.verdict, self.machine, azimuth_deg);
         stands_against(self.is_robotic, self.commands, row.action.needs().safe, sky).is_none()
     }
 
@@ -156,8 +156,8 @@ impl Night {
             Event::Later { minutes } => self.now = self.now.plus_seconds(f64::from(*minutes) * 60.0),
             Event::Judged { is_safe, is_suspended, avoid_deg } => {
                 self.machine = self.machine.plus(Duration::from_secs(1));
-                self.ruling = safe(self.machine);
-                let state = &mut self.ruling.state;
+                self.verdict = safe(self.machine);
+                let state = &mut self.verdict.state;
                 state.verdict = if *is_safe { Verdict::Safe } else { Verdict::Unsafe };
                 let cloud = Unsafe { input: "sky".to_owned(), why: "cloudy".to_owned(), clears_in_s: None };
                 state.suspended = is_suspended.then_some(cloud).into_iter().collect();
@@ -191,9 +191,9 @@ impl Night {
             assert!(with_it <= 1, "{with_it} rows hold camera {camera}: {at_work:?}");
         }
         let alone = at_work.iter().filter(|row| !row.action.needs().parallel).count();
-        assert!(alone <= 1, "{alone} rows at work that none may run beside: {at_work:?}");
-        let state = &self.ruling.state;
-        let age = self.machine.since(self.ruling.judged);
+        assert!(alone <= 1, "{alone} rows at work that none may run alongside: {at_work:?}");
+        let state = &self.verdict.state;
+        let age = self.machine.since(self.verdict.judged);
         let is_open = state.verdict == Verdict::Safe && state.suspended.is_empty() && age <= Duration::from_secs(5);
         for row in &at_work {
             assert!(self.is_robotic && self.commands, "nobody may move anything: {row:?}");
@@ -237,7 +237,7 @@ fn at_one() -> Night {
         sequence: Sequence::default(),
         now: "2026-11-21T01:30:00Z".parse().unwrap(),
         machine,
-        ruling: safe(machine),
+        verdict: safe(machine),
         is_robotic: true,
         commands: true,
         started: 0,
@@ -289,7 +289,7 @@ fn a_row_that_stays_in_the_schedule_goes_on_and_one_that_is_taken_out_keeps_the_
 }
 
 #[test]
-fn a_second_camera_runs_beside_a_parallel_row_that_has_the_mount() {
+fn a_second_camera_runs_alongside_a_parallel_row_that_has_the_mount() {
     let drawn = [one(3, false, true), one(2, true, true), one(3, true, true)];
     let mut night = at_one();
     night.follow(&Event::Schedule { of: vec![true; 3] }, &drawn);

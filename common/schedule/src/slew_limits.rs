@@ -61,14 +61,14 @@ mod tests {
             let hour_angle_h = hour_angle.sin().atan2(hour_angle.cos()).to_degrees() / 15.0;
             let is_outside = altitude_deg < least - 0.1 || (hour_angle_h > most_h + 0.1);
             let is_inside = altitude_deg > least + 0.1 && hour_angle_h < most_h - 0.1;
-            let said = beyond(&limits, &target, &sky);
-            prop_assert!(!is_outside || said.is_some(), "altitude {altitude_deg}, hour angle {hour_angle_h}");
-            prop_assert!(!is_inside || said.is_none(), "{said:?}: altitude {altitude_deg}, hour angle {hour_angle_h}");
+            let reason = beyond(&limits, &target, &sky);
+            prop_assert!(!is_outside || reason.is_some(), "altitude {altitude_deg}, hour angle {hour_angle_h}");
+            prop_assert!(!is_inside || reason.is_none(), "{reason:?}: altitude {altitude_deg}, hour angle {hour_angle_h}");
         }
     }
 
     #[test]
-    fn a_target_below_the_limit_is_told_with_its_altitude() {
+    fn a_target_below_the_limit_is_reported_with_its_altitude() {
         let limits = MountLimits { altitude_min_deg: 89.9, ..MountLimits::default() };
         let why = beyond(&limits, &Icrs::from_degrees(10.0, 60.0), &sky(0.0)).unwrap();
         assert!(why.contains("deg high, the limit is 89.9 deg"), "{why}");

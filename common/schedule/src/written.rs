@@ -47,12 +47,12 @@ impl<'a> Cursor<'a> {
 pub struct Written {
     /// Its brace.
     pub begin: Position,
-    fields: Vec<Field>,
+    fields: Vec<WrittenField>,
 }
 
 /// One field of a row, or of its `action_value`.
 #[derive(Debug, Clone, PartialEq, Eq)]
-struct Field {
+struct WrittenField {
     name: String,
     /// Of `action_value`.
     is_parameter: bool,
@@ -77,12 +77,12 @@ impl Written {
             here = here.to(begin + span.key);
             let key = here.position;
             here = here.to(begin + span.value);
-            fields.push(Field { name: span.name, is_parameter: span.is_parameter, key, value: here.position });
+            fields.push(WrittenField { name: span.name, is_parameter: span.is_parameter, key, value: here.position });
         }
         Self { begin: cursor.position, fields }
     }
 
-    fn find(&self, of: Of, name: &str) -> Option<&Field> {
+    fn find(&self, of: Of, name: &str) -> Option<&WrittenField> {
         self.fields.iter().find(|field| field.is_parameter == (of == Of::Parameters) && field.name == name)
     }
 
@@ -123,7 +123,7 @@ impl Written {
 }
 
 /// A field as bytes of its row.
-struct Span {
+struct FieldBytes {
     name: String,
     is_parameter: bool,
     key: usize,
@@ -131,9 +131,9 @@ struct Span {
 }
 
 /// The fields of an object, and those of its `action_value`; the text is known to be JSON.
-fn spans(text: &str) -> Vec<Span> {
+fn spans(text: &str) -> Vec<FieldBytes> {
     let bytes = text.as_bytes();
-    let mut found: Vec<Span> = Vec::new();
+    let mut found: Vec<FieldBytes> = Vec::new();
     let (mut at, mut depth) = (0, 0_usize);
     // Containers around `at`: is it an object, and is it the one whose fields are parameters?
     let mut around: Vec<(bool, bool)> = Vec::new();
@@ -153,7 +153,7 @@ fn spans(text: &str) -> Vec<Span> {
                 if is_object && expects_key && (depth == 1 || is_parameters) {
                     let raw = text.get(at..end).unwrap_or_default();
                     let name = serde_json::from_str(raw).unwrap_or_else(|_| raw.trim_matches('"').to_owned());
-                    found.push(Span { name, is_parameter: depth == 2, key: at, value: at });
+                    found.push(FieldBytes { name, is_parameter: depth == 2, key: at, value: at });
                     expects_value = true;
                 }
                 expects_key = false;

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use contract::observatory::{Finding, Severity};
 use proptest::prelude::*;
-use schedule::validate::{Known, accept, validate};
+use schedule::validate::{KnownFacts, accept, validate};
 
 /// An expected finding.
 #[derive(Debug)]
@@ -55,14 +55,14 @@ impl Expected {
 
 /// The comments of a file.
 #[derive(Debug, Default)]
-struct Said {
+struct Comments {
     expected: Vec<Expected>,
     unchecked: Vec<String>,
     now: Option<units::Utc>,
 }
 
-fn said(text: &str) -> Said {
-    let mut said = Said::default();
+fn comments(text: &str) -> Comments {
+    let mut comments = Comments::default();
     let mut waiting: Vec<&str> = Vec::new();
     for (line, number) in text.lines().zip(1..) {
         let comment = line.trim().strip_prefix("//").map(str::trim);
@@ -72,45 +72,45 @@ fn said(text: &str) -> Said {
                     waiting.push(expect);
                 } else if let Some(expect) = comment.strip_prefix("expect ") {
                     let (at, expect) = expect.split_once(':').unwrap();
-                    said.expected.push(Expected::read(at.parse().unwrap(), expect));
+                    comments.expected.push(Expected::read(at.parse().unwrap(), expect));
                 } else if let Some(what) = comment.strip_prefix("unchecked:") {
-                    said.unchecked.push(what.trim().to_owned());
+                    comments.unchecked.push(what.trim().to_owned());
                 } else if let Some(now) = comment.strip_prefix("now:") {
-                    said.now = Some(now.parse().unwrap());
+                    comments.now = Some(now.parse().unwrap());
                 }
             }
             None if line.trim().is_empty() => {}
-            None => said.expected.extend(waiting.drain(..).map(|expect| Expected::read(number, expect))),
+            None => comments.expected.extend(waiting.drain(..).map(|expect| Expected::read(number, expect))),
         }
     }
     assert!(waiting.is_empty(), "no line follows {waiting:?}");
-    said
+    comments
 }
 
 /// The differences between the findings and the comments of a file.
-fn differences(text: &str, known: Known) -> Vec<String> {
+fn differences(text: &str, known: KnownFacts) -> Vec<String> {
     let text = text.trim_start_matches('\u{feff}');
-    let said = said(text);
-    let found = validate(text, &said.now.into_iter().fold(known, Known::at));
+    let comments = comments(text);
+    let found = validate(text, &comments.now.into_iter().fold(known, KnownFacts::at));
     let mut differ = Vec::new();
     let mut left: Vec<&Finding> = found.findings.iter().collect();
-    for expected in &said.expected {
+    for expected in &comments.expected {
         match left.iter().position(|finding| expected.is(finding, text)) {
             Some(index) => drop(left.remove(index)),
             None => differ.push(format!("not found: {expected:?}")),
         }
     }
-    let told = |finding: &&Finding| format!("not expected: {} {:?} {finding}", finding.severity, finding.check);
-    differ.extend(left.iter().map(told));
+    let describe = |finding: &&Finding| format!("not expected: {} {:?} {finding}", finding.severity, finding.check);
+    differ.extend(left.iter().map(describe));
     let mut unchecked: Vec<&String> = found.unchecked.iter().collect();
-    for expected in &said.unchecked {
+    for expected in &comments.unchecked {
         match unchecked.iter().position(|what| what.contains(expected)) {
             Some(index) => drop(unchecked.remove(index)),
-            None => differ.push(format!("not told as unchecked: {expected}")),
+            None => differ.push(format!("not reported as unchecked: {expected}")),
         }
     }
     differ.extend(unchecked.iter().map(|what| format!("not expected to be unchecked: {what}")));
-    let errors = said.expected.iter().filter(|expected| expected.severity == "error").count();
+    let errors = comments.expected.iter().filter(|expected| expected.severity == "error").count();
     if found.valid != (errors == 0) || found.errors as usize != errors {
         differ.push(format!("valid {}, {} errors; expected {errors}", found.valid, found.errors));
     }
@@ -121,9 +121,9 @@ fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/schedules")
 }
 
-fn known() -> Known {
+fn known() -> KnownFacts {
     let text = std::fs::read_to_string(folder().join("observatory.toml")).unwrap();
-    Known::of(Arc::new(config::parse(&text, &folder()).unwrap()))
+    KnownFacts::of(Arc::new(config::parse(&text, &folder()).unwrap()))
 }
 
 fn golden_files() -> Vec<PathBuf> {
@@ -165,20 +165,20 @@ fn a_verdict_that_is_not_the_expected_one_is_noticed() {
 }
 
 #[test]
-fn what_a_wheel_tells_counts_before_what_is_written_of_it() {
+fn what_a_wheel_reports_counts_before_what_is_configured() {
     let row = |filter: &str| {
         format!(
             r#"{{"device_name": "main", "action_type": "calibration", "action_value": {{"exptime": [1], "n": [1], "filter": "{filter}"}}, "start_time": "2026-11-21 03:00:00", "end_time": "2026-11-21 04:00:00"}}"#
         )
     };
-    let heard = known().with_filters(&"wheel".parse().unwrap(), vec!["Sloan r".to_owned()]);
+    let wheel = known().with_filters(&"wheel".parse().unwrap(), vec!["Sloan r".to_owned()]);
     assert!(validate(&row("V"), &known()).valid && !validate(&row("Sloan r"), &known()).valid);
-    assert!(!validate(&row("V"), &heard).valid && validate(&row("Sloan r"), &heard).valid);
+    assert!(!validate(&row("V"), &wheel).valid && validate(&row("Sloan r"), &wheel).valid);
 }
 
 /// The example `validates_500_rows` measures the time; here it must end at all, and report all.
 #[test]
-fn hundreds_of_rows_with_something_to_say_of_each_are_told_without_end_of_memory() {
+fn findings_about_hundreds_of_rows_are_printed_within_bounded_memory() {
     let rows: String = (0..3000)
         .map(|n| {
             format!(
@@ -196,7 +196,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
 
     #[test]
-    fn a_golden_schedule_with_a_piece_torn_out_is_told_of_within_its_lines_and_is_taken_only_without_errors(
+    fn findings_of_a_torn_golden_schedule_lie_within_its_lines_and_it_is_taken_only_without_errors(
         which in any::<prop::sample::Index>(),
         at in any::<prop::sample::Index>(),
         length in 0_usize..40,

@@ -78,7 +78,7 @@ fn answer(question: &Question) -> Result<Value, Box<dyn std::error::Error>> {
     let place = Place::new(Angle::from_degrees(latitude), Angle::from_degrees(longitude), question.elevation_m)?;
     let earth = EarthOrientation { dut1_s, polar_x_arcsec, polar_y_arcsec };
     let observer = Observer::new(&place, &earth, question.utc)?;
-    let mut told = json!({
+    let mut report = json!({
         "apparent_sidereal_h": observer.sidereal_time().hours(),
         "mean_sidereal_h": observer.mean_sidereal_time().hours(),
         "sun": direction(observer.sun()),
@@ -87,23 +87,23 @@ fn answer(question: &Question) -> Result<Value, Box<dyn std::error::Error>> {
     if let Some(Star { ra_deg, dec_deg }) = question.star {
         let star = Icrs::from_degrees(ra_deg, dec_deg);
         let (horizontal, of_date) = (observer.to_horizontal(&star), observer.to_of_date(&star));
-        told["star"] = direction(horizontal);
-        told["star"]["airmass"] = json!(sky::airmass(horizontal.altitude));
-        told["star"]["of_date_ra_deg"] = json!(of_date.ra.degrees());
-        told["star"]["of_date_dec_deg"] = json!(of_date.dec.degrees());
+        report["star"] = direction(horizontal);
+        report["star"]["airmass"] = json!(sky::airmass(horizontal.altitude));
+        report["star"]["of_date_ra_deg"] = json!(of_date.ra.degrees());
+        report["star"]["of_date_dec_deg"] = json!(of_date.dec.degrees());
     }
     if let Some(named) = &question.body {
         let seen = body(named)?.seen(&observer)?;
-        told["body"] = direction(observer.to_horizontal(&seen.icrs));
-        told["body"]["ra_deg"] = json!(seen.icrs.ra.degrees());
-        told["body"]["dec_deg"] = json!(seen.icrs.dec.degrees());
-        told["body"]["distance_au"] = json!(seen.distance_au);
+        report["body"] = direction(observer.to_horizontal(&seen.icrs));
+        report["body"]["ra_deg"] = json!(seen.icrs.ra.degrees());
+        report["body"]["dec_deg"] = json!(seen.icrs.dec.degrees());
+        report["body"]["distance_au"] = json!(seen.distance_au);
     }
     if let Some(Crossing { altitude_deg, rising }) = question.sun_crossing {
         let altitude = Angle::from_degrees(altitude_deg);
-        told["sun_crossing"] = json!(sky::next_sun_crossing(&place, &earth, question.utc, altitude, rising)?);
+        report["sun_crossing"] = json!(sky::next_sun_crossing(&place, &earth, question.utc, altitude, rising)?);
     }
-    Ok(told)
+    Ok(report)
 }
 
 fn body(named: &Named) -> Result<Body, Box<dyn std::error::Error>> {

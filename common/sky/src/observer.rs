@@ -105,11 +105,6 @@ impl Observer {
         self.intermediate_to_horizontal(self.of_date_to_intermediate(apparent))
     }
 
-    /// The apparent place of date that now stands in this direction.
-    pub fn horizontal_to_of_date(&self, direction: &Horizontal) -> OfDate {
-        self.intermediate_to_of_date(self.horizontal_to_intermediate(direction))
-    }
-
     /// Local apparent sidereal time, [0, 360) deg; ASCOM's `SiderealTime`.
     pub fn sidereal_time(&self) -> Angle {
         let rotation = Angle::from_radians(erst::era00(self.scales.ut1.0, self.scales.ut1.1));
@@ -186,7 +181,6 @@ mod tests {
                     observer.to_icrs(&direction),
                     observer.of_date_to_icrs(&apparent),
                     observer.to_icrs(&observer.of_date_to_horizontal(&apparent)),
-                    observer.of_date_to_icrs(&observer.horizontal_to_of_date(&direction)),
                 ] {
                     assert!(separation(&star, &back).arcseconds() < 1e-5, "{star:?} came back as {back:?}");
                 }

@@ -60,7 +60,7 @@ impl Night {
     pub const ASTRONOMICAL: Angle = Angle::from_degrees(-18.0);
 }
 
-/// The night to which `at` belongs by its [`night_date`].
+/// The night to which `at` belongs by its [`night_date()`].
 pub fn night(place: &Place, orientation: &EarthOrientation, at: Utc) -> Result<Night, SkyError> {
     let date = night_date(place.longitude_east(), at);
     let begins = date.noon(place.longitude_east());

@@ -1,6 +1,6 @@
 //! A node that runs in the process of the test.
 
-use bus::Node;
+use node::Node;
 use tokio::task::JoinHandle;
 
 use crate::wait::LIMIT;

@@ -14,9 +14,4 @@ impl Celsius {
     pub const fn celsius(self) -> f64 {
         self.0
     }
-
-    /// Distance to another temperature, in kelvin, without sign.
-    pub fn distance_k(self, other: Self) -> f64 {
-        (self.0 - other.0).abs()
-    }
 }

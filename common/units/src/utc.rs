@@ -1,10 +1,12 @@
 //! An instant of civil time, to the microsecond.
 
+use std::borrow::Cow;
 use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
 use jiff::tz::{Offset, TimeZone};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 /// An instant in UTC, to the microsecond; for stamps, ephemerides and schedules, never for judging an age.
@@ -52,11 +54,6 @@ impl Utc {
     /// Seconds since the Unix epoch.
     pub fn seconds(self) -> f64 {
         self.micros as f64 / 1e6
-    }
-
-    /// From a Julian date on the UTC scale; good to about 40 us.
-    pub fn from_julian_date(jd: f64) -> Self {
-        Self { micros: ((jd - Self::EPOCH_JD) * Self::DAY_US).round() as i64 }
     }
 
     /// Julian date on the UTC scale as two parts, whole days at midnight and the fraction, which loses nothing.
@@ -145,6 +142,21 @@ impl<'de> Deserialize<'de> for Utc {
     }
 }
 
+impl JsonSchema for Utc {
+    fn schema_name() -> Cow<'static, str> {
+        "Utc".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "type": "string",
+            "format": "date-time",
+            "description": "A time in UTC, RFC 3339 with Z.",
+            "examples": ["2026-11-21T03:00:00.123Z"],
+        })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -178,7 +190,6 @@ mod tests {
         let noon = utc("2000-01-01T12:00:00Z");
         assert_eq!(noon.jd(), 2_451_545.0);
         assert_eq!(noon.mjd(), 51_544.5);
-        assert_eq!(Utc::from_julian_date(2_451_545.0), noon);
         assert_eq!(utc("1969-12-31T18:00:00Z").julian_date(), (2_440_586.5, 0.75));
     }
 }

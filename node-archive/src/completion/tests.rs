@@ -6,6 +6,8 @@ use super::*;
 use crate::card::{Card, CardValue};
 use crate::fits::{FitsFile, Shape};
 
+mod tiled;
+
 fn completer(path: &Path) -> Completer {
     Completer::new(path.parent().unwrap())
 }
@@ -145,8 +147,8 @@ fn a_frame_that_is_solved_again_without_distortion_keeps_no_term_of_the_one_befo
     complete_file(&path, &Plan { cards: vec![text("CTYPE1", "RA---TAN")], ..plan() }).unwrap();
     let header = read_header(&path).unwrap();
     assert_eq!(header.value("CTYPE1").unwrap(), "RA---TAN");
-    let kept = ["A_3_0", "BP_1_0", "A_GAIN", "KEY59"].map(|keyword| header.keywords().contains(keyword));
-    assert_eq!(kept, [false, false, true, true]);
+    let present = ["A_3_0", "BP_1_0", "A_GAIN", "KEY59"].map(|keyword| header.keywords().contains(keyword));
+    assert_eq!(present, [false, false, true, true]);
     assert_eq!(data_of(&path), data);
     assert!(is_checksum_right(&std::fs::read(&path).unwrap()));
 }
@@ -159,13 +161,17 @@ fn a_header_without_room_is_completed_in_a_new_file() {
     complete_file(&path, &plan()).unwrap();
     assert_complete(&path, &data);
     assert!(std::fs::metadata(&path).unwrap().len() > length);
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left beside it");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left next to it");
 }
 
 #[test]
 fn a_kill_at_any_step_leaves_the_old_header_or_the_new_one() {
     let folder = tempfile::tempdir().unwrap();
-    let path = new_file(folder.path(), 100);
+    killed_at_any_step(folder.path(), new_file(folder.path(), 100));
+    killed_at_any_step(folder.path(), tiled::new_tiled_file(folder.path(), 100));
+}
+
+fn killed_at_any_step(folder: &Path, path: PathBuf) {
     let (data, old) = (data_of(&path), std::fs::read(&path).unwrap());
     complete_file(&path, &plan()).unwrap();
     let new = std::fs::read(&path).unwrap();
@@ -173,7 +179,7 @@ fn a_kill_at_any_step_leaves_the_old_header_or_the_new_one() {
     let journal = entry(&path, header);
 
     // Killed while the journal was written, after any number of bytes, over one of another file or over nothing.
-    let before = entry(&folder.path().join("b.fits"), &old[..header.len()]);
+    let before = entry(&folder.join("b.fits"), &old[..header.len()]);
     std::fs::write(&path, &old).unwrap();
     for length in (0..journal.len()).step_by(97) {
         for rest in [&before[length.min(before.len())..], &[]] {
@@ -213,10 +219,10 @@ fn one_journal_serves_file_after_file() {
     }
     let spare = folder.path().join(PART_FOLDER).join("spare.header");
     // It moved to the next file, and the kill came before it was written anew.
-    let told = std::fs::read(&second).unwrap();
+    let bytes = std::fs::read(&second).unwrap();
     std::fs::rename(&spare, journal_of(&first)).unwrap();
     recover(&first);
-    assert_eq!(std::fs::read(&second).unwrap(), told);
+    assert_eq!(std::fs::read(&second).unwrap(), bytes);
     assert_complete(&first, &data);
     assert!(spare.exists(), "given back");
 }

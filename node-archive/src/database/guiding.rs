@@ -4,7 +4,7 @@ use contract::observatory::AxisCorrection;
 use rusqlite::{Transaction, params};
 
 use super::StoredCorrection;
-use super::rows::stamp;
+use super::stamp::stamp;
 
 /// A frame is guided on once, so a correction that is received again is the same correction. Lengths are px of the
 /// frame.
@@ -13,7 +13,7 @@ CREATE TABLE IF NOT EXISTS guiding (
     frame_id TEXT PRIMARY KEY, datetime TEXT NOT NULL, telescope TEXT NOT NULL, camera_name TEXT NOT NULL,
     object TEXT, filter TEXT, pier_side TEXT, reference TEXT NOT NULL, stage TEXT NOT NULL,
     shift_x REAL, shift_y REAL, error_px REAL, rotation_deg REAL, stars INTEGER NOT NULL, fwhm_px REAL,
-    transparency REAL, method TEXT, reason TEXT, besides TEXT, rms_px REAL,
+    transparency REAL, method TEXT, reason TEXT, further_action TEXT, rms_px REAL,
     east_why TEXT NOT NULL, east_error_px REAL, east_expected_px REAL NOT NULL, east_drift_px_per_s REAL NOT NULL,
     east_pulse_ms INTEGER NOT NULL, east_given_ms INTEGER NOT NULL,
     north_why TEXT NOT NULL, north_error_px REAL, north_expected_px REAL NOT NULL, north_drift_px_per_s REAL NOT NULL,
@@ -29,7 +29,7 @@ INSERT INTO guiding VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,
 
 /// Writes a correction; returns how many rows were new.
 pub(super) fn write(transaction: &Transaction<'_>, stored: &StoredCorrection) -> rusqlite::Result<usize> {
-    let StoredCorrection { correction, telescope, said: (boot_id, seq) } = stored;
+    let StoredCorrection { correction, telescope, origin: (boot_id, seq) } = stored;
     let json = serde_json::to_string(correction).map_err(refused)?;
     let (east, north) = (&correction.east, &correction.north);
     let side = correction.pier_side.as_ref().map(word).transpose()?;
@@ -54,7 +54,7 @@ pub(super) fn write(transaction: &Transaction<'_>, stored: &StoredCorrection) ->
         correction.transparency,
         method,
         correction.reason,
-        correction.besides,
+        correction.further_action,
         correction.rms_px,
         why(east)?,
         east.error_px,

@@ -1,12 +1,11 @@
 //! The tables, and how each thing becomes a row of one.
 
-use contract::Scalar;
 use contract::device::camera::Frame;
 use contract::node::Level;
 use rusqlite::{Transaction, params};
-use units::Utc;
 
-use super::{StoredFacts, StoredRun, Write};
+use super::stamp::{json, stamp, word};
+use super::{Memory, StoredFacts, StoredRun, Write, happenings};
 
 /// The predecessor's tables with its columns first. Uniqueness makes a repeated message harmless.
 pub(super) const SCHEMA: &str = "
@@ -74,12 +73,24 @@ ALTER TABLE facts ADD COLUMN zero_point_error_mag REAL;
 ALTER TABLE facts ADD COLUMN unsolved TEXT;
 ";
 
+/// By what frames are looked for; the columns are computed from the announcement.
+pub(super) const SEARCH: &str = "
+ALTER TABLE images ADD COLUMN night TEXT GENERATED ALWAYS AS (json_extract(frame, '$.purpose.night')) VIRTUAL;
+ALTER TABLE images ADD COLUMN object TEXT GENERATED ALWAYS AS (json_extract(frame, '$.purpose.object')) VIRTUAL;
+ALTER TABLE images ADD COLUMN filter TEXT GENERATED ALWAYS AS (json_extract(frame, '$.purpose.filter')) VIRTUAL;
+ALTER TABLE images ADD COLUMN image_type TEXT GENERATED ALWAYS AS (json_extract(frame, '$.purpose.image_type')) VIRTUAL;
+CREATE INDEX images_night ON images (night, date_obs);
+CREATE INDEX images_object ON images (object COLLATE NOCASE, date_obs);
+CREATE INDEX images_type ON images (image_type, date_obs);
+CREATE INDEX facts_dec ON facts (dec_deg) WHERE dec_deg IS NOT NULL;
+";
+
 /// Focus runs with all that was measured; a run that is received again is the same run.
 pub(super) const FOCUS: &str = "
 CREATE TABLE IF NOT EXISTS focus_runs (
     run_id TEXT PRIMARY KEY, camera_name TEXT NOT NULL, focuser_name TEXT NOT NULL, filter TEXT,
     date_obs TEXT NOT NULL, ended TEXT, outcome TEXT NOT NULL, reason TEXT, start_position INTEGER NOT NULL,
-    best_position REAL, best_position_error REAL, kept_position REAL, critical_zone REAL, verified REAL,
+    best_position REAL, best_position_error REAL, stored_position REAL, critical_zone REAL, verified REAL,
     operator TEXT NOT NULL, temperature_c REAL, altitude_deg REAL, plot TEXT NOT NULL,
     run TEXT NOT NULL, datetime TEXT NOT NULL, boot_id TEXT NOT NULL, seq INTEGER NOT NULL
 );
@@ -97,8 +108,8 @@ INSERT INTO facts (
     frame_id, camera_name, filter, image_type, date_obs, stars, fwhm_px, fwhm_error_px, ellipticity, elongation_deg,
     trailed, sky_adu, noise_adu, saturated_fraction, defect_fraction, zero_point_mag, transparency, reason, facts,
     datetime, boot_id, seq, ra_deg, dec_deg, scale_arcsec_px, rotation_deg, mirrored, matched, rms_px, false_alarm,
-    off_target_arcmin, airmass, zero_point_error_mag, unsolved, in_header
-) VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,0)
+    off_target_arcmin, airmass, zero_point_error_mag, unsolved, telescope, in_header
+) VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,0)
 ON CONFLICT (frame_id) DO UPDATE SET
     camera_name = excluded.camera_name, filter = excluded.filter, image_type = excluded.image_type,
     date_obs = excluded.date_obs, stars = excluded.stars, fwhm_px = excluded.fwhm_px,
@@ -111,35 +122,28 @@ ON CONFLICT (frame_id) DO UPDATE SET
     ra_deg = excluded.ra_deg, dec_deg = excluded.dec_deg, scale_arcsec_px = excluded.scale_arcsec_px,
     rotation_deg = excluded.rotation_deg, mirrored = excluded.mirrored, matched = excluded.matched,
     rms_px = excluded.rms_px, false_alarm = excluded.false_alarm, off_target_arcmin = excluded.off_target_arcmin,
-    airmass = excluded.airmass, zero_point_error_mag = excluded.zero_point_error_mag, unsolved = excluded.unsolved,
+    airmass = excluded.airmass, zero_point_error_mag = excluded.zero_point_error_mag, unsolved = excluded.unsolved, telescope = excluded.telescope,
     in_header = 0
 WHERE excluded.datetime > facts.datetime AND (excluded.reason IS NULL OR facts.reason IS NOT NULL)
 ";
 
-/// Writes one thing; returns how many rows were new.
-pub(super) fn write(transaction: &Transaction<'_>, write: &Write) -> rusqlite::Result<usize> {
+/// Writes one thing of a telescope; returns how many rows were new.
+pub(super) fn write(
+    transaction: &Transaction<'_>,
+    telescope: &str,
+    memory: &mut Memory,
+    write: &Write,
+) -> rusqlite::Result<usize> {
     match write {
-        Write::Reading { device, property, value, at, said: (boot_id, seq) } => {
-            let (value_type, text, no_data) = match value {
-                Ok(value) => (type_of(value), Some(to_text(value)), None),
-                Err(reason) => ("none", None, Some(reason)),
-            };
-            transaction
-                .prepare_cached("INSERT INTO polling VALUES (?,?,?,?,?,?,?,?,?,?) ON CONFLICT DO NOTHING")?
-                .execute(params![
-                    device.kind.ascom(),
-                    device.name.as_str(),
-                    property,
-                    text,
-                    stamp(*at),
-                    value_type,
-                    no_data,
-                    device.address.telescope.as_str(),
-                    boot_id.as_str(),
-                    *seq as i64,
-                ])
+        Write::Reading { device, property, value, at } => {
+            memory.telemetry.write(transaction, (device, property), value, *at)
         }
-        Write::Log { telescope, node, target, level, message, at, said: (boot_id, seq) } => {
+        Write::Received { key, origin: (boot_id, seq), at } => {
+            memory.streams.store(transaction, (key, boot_id, *seq), *at).map(|()| 0)
+        }
+        Write::Lost(gap) => memory.streams.lose(transaction, gap),
+        Write::ForgetOld { days } => memory.telemetry.forget_old(transaction, *days).map(|()| 0),
+        Write::Log { telescope, node, target, level, message, at, origin: (boot_id, seq) } => {
             let level = match level {
                 Level::Error => "error",
                 Level::Warn => "warning",
@@ -163,7 +167,7 @@ pub(super) fn write(transaction: &Transaction<'_>, write: &Write) -> rusqlite::R
             let (frame, json) = without_url(&image.frame)?;
             transaction.prepare_cached("DELETE FROM writing WHERE frame_id = ?")?.execute([&frame.id.0])?;
             transaction
-                .prepare_cached("INSERT INTO images VALUES (?,?,0,?,?,?,?,?,?,?) ON CONFLICT DO NOTHING")?
+                .prepare_cached("INSERT INTO images VALUES (?,?,0,?,?,?,?,?,?,?,?) ON CONFLICT DO NOTHING")?
                 .execute(params![
                     image.path.to_string_lossy(),
                     frame.camera,
@@ -174,6 +178,7 @@ pub(super) fn write(transaction: &Transaction<'_>, write: &Write) -> rusqlite::R
                     image.bytes as i64,
                     stamp(image.stored),
                     json,
+                    telescope,
                 ])
         }
         Write::Audit(record) => transaction
@@ -194,7 +199,7 @@ pub(super) fn write(transaction: &Transaction<'_>, write: &Write) -> rusqlite::R
             ]),
         Write::Correction(stored) => super::guiding::write(transaction, stored),
         Write::Facts(stored) => {
-            let StoredFacts { facts, at, said: (boot_id, seq) } = &**stored;
+            let StoredFacts { facts, at, origin: (boot_id, seq) } = &**stored;
             let json =
                 serde_json::to_string(facts).map_err(|e| rusqlite::Error::ToSqlConversionFailure(Box::new(e)))?;
             transaction.prepare_cached(PUT_FACTS)?.execute(params![
@@ -232,12 +237,21 @@ pub(super) fn write(transaction: &Transaction<'_>, write: &Write) -> rusqlite::R
                 facts.airmass,
                 facts.zero_point_error_mag,
                 facts.unsolved.as_ref().map(|unsolved| word(&unsolved.class)).transpose()?,
+                telescope,
             ])
         }
-        Write::Focus(stored) => write_run(transaction, stored),
-        Write::FactsTaken { frame, said: (boot_id, seq), in_header } => transaction
+        Write::Focus(stored) => write_run(transaction, telescope, stored),
+        Write::State(stored) => happenings::write_state(transaction, telescope, stored),
+        Write::Row(stored) => happenings::write_row(transaction, telescope, stored),
+        Write::Alerts(stored) => happenings::write_alerts(transaction, telescope, stored),
+        Write::Fluxes(stored) => happenings::write_fluxes(transaction, stored),
+        Write::FactsTaken { frame, origin: (boot_id, seq), in_header } => transaction
             .prepare_cached("UPDATE facts SET in_header = ? WHERE frame_id = ? AND boot_id = ? AND seq = ?")?
             .execute(params![if *in_header { 1 } else { 2 }, frame.0, boot_id.as_str(), *seq as i64])
+            .map(|_| 0),
+        Write::Recomplete(frame) => transaction
+            .prepare_cached("UPDATE images SET complete_hdr = 0 WHERE frame_id = ?")?
+            .execute([&frame.0])
             .map(|_| 0),
         Write::Complete(frame) => transaction
             .prepare_cached("UPDATE images SET complete_hdr = 1 WHERE frame_id = ?")?
@@ -246,23 +260,11 @@ pub(super) fn write(transaction: &Transaction<'_>, write: &Write) -> rusqlite::R
     }
 }
 
-/// The word of an enumeration, as it is published.
-fn word(value: &impl serde::Serialize) -> rusqlite::Result<String> {
-    let failed = |error| rusqlite::Error::ToSqlConversionFailure(Box::new(error));
-    let json = serde_json::to_value(value).map_err(failed)?;
-    Ok(json.as_str().map(str::to_owned).unwrap_or_else(|| json.to_string()))
-}
-
-fn write_run(transaction: &Transaction<'_>, stored: &StoredRun) -> rusqlite::Result<usize> {
-    let StoredRun { run, plot, at, said: (boot_id, seq) } = stored;
-    let json = |text: serde_json::Result<String>| {
-        text.map_err(|error| rusqlite::Error::ToSqlConversionFailure(Box::new(error)))
-    };
-    // A word of the contract, without its quotes.
-    let word = |text: String| text.trim_matches('"').to_owned();
+fn write_run(transaction: &Transaction<'_>, telescope: &str, stored: &StoredRun) -> rusqlite::Result<usize> {
+    let StoredRun { run, plot, at, origin: (boot_id, seq) } = stored;
     let new = transaction
         .prepare_cached(
-            "INSERT INTO focus_runs VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) ON CONFLICT DO NOTHING",
+            "INSERT INTO focus_runs VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?) ON CONFLICT DO NOTHING",
         )?
         .execute(params![
             run.id.0,
@@ -271,22 +273,23 @@ fn write_run(transaction: &Transaction<'_>, stored: &StoredRun) -> rusqlite::Res
             run.filter,
             stamp(run.started_utc),
             run.ended_utc.map(stamp),
-            word(json(serde_json::to_string(&run.outcome))?),
+            word(&run.outcome)?,
             run.reason,
             run.start_position,
             run.best_position,
             run.best_position_error,
-            run.kept_position,
+            run.stored_position,
             run.critical_zone,
             run.verified,
             run.operator,
             run.temperature_c,
             run.altitude_deg,
             plot,
-            json(serde_json::to_string(run))?,
+            json(run)?,
             stamp(*at),
             boot_id.as_str(),
             *seq as i64,
+            telescope,
         ])?;
     if new == 0 {
         return Ok(0);
@@ -298,7 +301,7 @@ fn write_run(transaction: &Transaction<'_>, stored: &StoredRun) -> rusqlite::Res
             run.id.0,
             number as i64,
             point.position,
-            word(json(serde_json::to_string(&point.pass))?),
+            word(&point.pass)?,
             point.value,
             point.error,
             point.stars,
@@ -310,34 +313,9 @@ fn write_run(transaction: &Transaction<'_>, stored: &StoredRun) -> rusqlite::Res
     Ok(new + run.points.len())
 }
 
-/// A time in the form of the predecessor's tables, which sorts as text.
-pub fn stamp(at: Utc) -> String {
-    at.strftime("%Y-%m-%d %H:%M:%S.%6f")
-}
-
-fn type_of(value: &Scalar) -> &'static str {
-    match value {
-        Scalar::Bool(_) => "bool",
-        Scalar::Int(_) => "int",
-        Scalar::Float(_) => "float",
-        Scalar::Text(_) => "text",
-        Scalar::List(_) => "list",
-    }
-}
-
-fn to_text(value: &Scalar) -> String {
-    match value {
-        Scalar::Bool(true) => "True".to_owned(),
-        Scalar::Bool(false) => "False".to_owned(),
-        Scalar::Float(number) => format!("{number:?}"),
-        Scalar::Int(_) | Scalar::Text(_) => value.to_string(),
-        Scalar::List(_) => serde_json::to_string(value).unwrap_or_default(),
-    }
-}
-
 /// A frame as the database stores it: the token in its URL opens the frame in the spool, so the URL is left out.
 fn without_url(frame: &Frame) -> Result<(Frame, String), rusqlite::Error> {
     let frame = Frame { url: String::new(), ..frame.clone() };
-    let json = serde_json::to_string(&frame).map_err(|e| rusqlite::Error::ToSqlConversionFailure(Box::new(e)))?;
-    Ok((frame, json))
+    let text = json(&frame)?;
+    Ok((frame, text))
 }

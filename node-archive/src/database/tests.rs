@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use bus::Clock;
-use contract::archive::{Ask, Question, Row};
+use contract::archive::{ArchiveQuestion, ArchiveRow, Ask};
 use contract::device::camera::{Frame, Pixel, Purpose};
 use contract::node::Level;
 use contract::observatory::{FrameFacts, Unsolved, UnsolvedClass};
@@ -14,7 +14,7 @@ use super::*;
 use crate::reader::Reader;
 
 fn open(folder: &Path) -> (Database, Writer) {
-    Database::open(&folder.join("deep/archive.db"), AlertBoard::new(Clock::machine_clock())).unwrap()
+    Database::open(&folder.join("deep/archive.db"), "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap()
 }
 
 fn at(second: i64) -> Utc {
@@ -25,9 +25,8 @@ fn device() -> Device {
     Address::new("paranal", "callisto").unwrap().device(Kind::Telescope, &"mount".parse().unwrap())
 }
 
-fn reading(boot_id: &BootId, second: i64, value: Result<Scalar, String>) -> Write {
-    let said = (boot_id.clone(), second.unsigned_abs());
-    Write::Reading { device: device(), property: "Altitude".to_owned(), value, at: at(second), said }
+fn reading(second: i64, value: Result<Scalar, String>) -> Write {
+    Write::Reading { device: device(), property: "Altitude".to_owned(), value, at: at(second) }
 }
 
 fn image(id: &str, object: &str) -> StoredImage {
@@ -57,8 +56,8 @@ fn image(id: &str, object: &str) -> StoredImage {
     }
 }
 
-fn ask(ask: Ask, from: Option<i64>, to: Option<i64>, limit: Option<u32>) -> Question {
-    Question { ask, from_utc: from.map(at), to_utc: to.map(at), limit }
+fn ask(ask: Ask, from: Option<i64>, to: Option<i64>, limit: Option<u32>) -> ArchiveQuestion {
+    ArchiveQuestion { ask, from_utc: from.map(at), to_utc: to.map(at), limit }
 }
 
 fn altitude() -> Ask {
@@ -69,7 +68,6 @@ fn altitude() -> Ask {
 async fn a_reading_counts_once_and_keeps_its_type() {
     let folder = tempfile::tempdir().unwrap();
     let (database, writer) = open(folder.path());
-    let boot_id = BootId::fresh();
     let values = [
         Scalar::Float(2.0),
         Scalar::Float(1e-7),
@@ -80,29 +78,29 @@ async fn a_reading_counts_once_and_keeps_its_type() {
     ];
     for _ in 0..2 {
         for (second, value) in values.iter().enumerate() {
-            database.put(reading(&boot_id, second as i64, Ok(value.clone()))).await.unwrap();
+            database.put(reading(second as i64, Ok(value.clone()))).await.unwrap();
         }
     }
-    database.commit(vec![reading(&boot_id, 6, Err("timeout".to_owned()))]).await.unwrap();
+    database.commit(vec![reading(6, Err("timeout".to_owned()))]).await.unwrap();
     assert_eq!(database.rows(), 7);
-    let reader = Reader::open(database.path()).unwrap();
-    let answer = reader.answer(&ask(altitude(), None, None, None)).unwrap();
-    let told: Vec<Option<Scalar>> = answer
+    let reader = Reader::open(database.path(), "callisto").unwrap();
+    let answer = reader.answer(&ask(altitude(), None, None, None), at(0)).unwrap();
+    let read: Vec<Option<Scalar>> = answer
         .rows
         .iter()
         .map(|row| match row {
-            Row::Reading { value, .. } => value.clone(),
+            ArchiveRow::Reading { value, .. } => value.clone(),
             other => panic!("{other:?}"),
         })
         .collect();
-    assert_eq!(told[..6], values.map(Some));
-    assert_eq!(told[6], None);
+    assert_eq!(read[..6], values.map(Some));
+    assert_eq!(read[6], None);
 
     let around = reader.around(&device(), "Altitude", at(1)).unwrap();
     assert_eq!((around.before.unwrap().value, around.after.unwrap().value), (Scalar::Float(2.0), Scalar::Float(1e-7)));
     let around = reader.around(&device(), "Altitude", at(6)).unwrap();
-    assert!(around.after.is_none() && around.heard_since, "it was heard, with no value");
-    assert!(!reader.around(&device(), "Altitude", at(7)).unwrap().heard_since);
+    assert!(around.after.is_none() && around.received_since, "it was received, with no value");
+    assert!(!reader.around(&device(), "Altitude", at(7)).unwrap().received_since);
     let shared = device().address.shared().device(Kind::Telescope, &device().name);
     assert!(reader.around(&shared, "Altitude", at(1)).unwrap().before.is_none(), "another telescope's");
     drop(database);
@@ -115,7 +113,7 @@ async fn an_answer_is_the_newest_rows_that_fit_oldest_first() {
     let (database, _writer) = open(folder.path());
     let boot_id = BootId::fresh();
     for second in 0..20 {
-        database.put(reading(&boot_id, second, Ok(Scalar::Int(second)))).await.unwrap();
+        database.put(reading(second, Ok(Scalar::Int(second)))).await.unwrap();
     }
     let line = |message: &str, seq| Write::Log {
         telescope: "callisto".to_owned(),
@@ -124,14 +122,14 @@ async fn an_answer_is_the_newest_rows_that_fit_oldest_first() {
         level: Level::Warn,
         message: message.to_owned(),
         at: at(5),
-        said: (boot_id.clone(), seq),
+        origin: (boot_id.clone(), seq),
     };
     database.commit(vec![line("it's O'Brien", 1), line("it's O'Brien", 1), line("again", 2)]).await.unwrap();
-    let reader = Reader::open(database.path()).unwrap();
-    let seconds = |question: Question| {
-        let answer = reader.answer(&question).unwrap();
+    let reader = Reader::open(database.path(), "callisto").unwrap();
+    let seconds = |question: ArchiveQuestion| {
+        let answer = reader.answer(&question, at(0)).unwrap();
         let seconds = answer.rows.iter().map(|row| match row {
-            Row::Reading { at_utc, .. } => at_utc.seconds_since(at(0)) as i64,
+            ArchiveRow::Reading { at_utc, .. } => at_utc.seconds_since(at(0)) as i64,
             other => panic!("{other:?}"),
         });
         (seconds.collect::<Vec<_>>(), answer.truncated)
@@ -140,10 +138,10 @@ async fn an_answer_is_the_newest_rows_that_fit_oldest_first() {
     assert_eq!(seconds(ask(altitude(), None, None, Some(3))), (vec![17, 18, 19], true));
     assert!(!seconds(ask(altitude(), None, None, Some(20))).1);
     assert_eq!(seconds(ask(altitude(), Some(100), None, None)), (vec![], false));
-    let log = reader.answer(&ask(Ask::Log, None, None, None)).unwrap().rows;
+    let log = reader.answer(&ask(Ask::Log, None, None, None), at(0)).unwrap().rows;
     assert_eq!(log.len(), 2);
     assert!(
-        matches!(&log[0], Row::Log { level: Level::Warn, message, node, .. } if message == "it's O'Brien" && node == "device/main")
+        matches!(&log[0], ArchiveRow::Log { level: Level::Warn, message, node, .. } if message == "it's O'Brien" && node == "device/main")
     );
 }
 
@@ -157,7 +155,7 @@ async fn an_image_is_stored_once_and_completed_once() {
         .commit(vec![named, Write::Stored(Box::new(image_a.clone())), Write::Stored(Box::new(image_a.clone()))])
         .await
         .unwrap();
-    let reader = Reader::open(database.path()).unwrap();
+    let reader = Reader::open(database.path(), "callisto").unwrap();
     assert_eq!(reader.writing(&CommandId("b".to_owned())).unwrap().as_deref(), Some("b.fits"));
     database.commit(vec![Write::Stored(Box::new(image("b", "B")))]).await.unwrap();
     assert_eq!(reader.writing(&CommandId("b".to_owned())).unwrap(), None);
@@ -176,29 +174,28 @@ async fn an_image_is_stored_once_and_completed_once() {
     database.commit(vec![Write::Complete(image_a.frame.id.clone())]).await.unwrap();
     assert_eq!(reader.incomplete(10).unwrap().len(), 1);
     assert_eq!(reader.image_counts().unwrap(), (2, 1));
-    let frames = reader.answer(&ask(Ask::Frames, None, None, None)).unwrap().rows;
-    let complete = frames.iter().filter(|row| matches!(row, Row::Frame { header_complete: true, .. })).count();
+    let frames = reader.answer(&ask(Ask::Frames, None, None, None), at(0)).unwrap().rows;
+    let complete = frames.iter().filter(|row| matches!(row, ArchiveRow::Frame { header_complete: true, .. })).count();
     assert_eq!((frames.len(), complete), (2, 1));
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_locked_database_is_alerted_and_loses_no_row() {
     let folder = tempfile::tempdir().unwrap();
-    let alerts = AlertBoard::new(Clock::machine_clock());
+    let alerts = NodeAlerts::new(Clock::machine_clock());
     let path = folder.path().join("archive.db");
-    let (database, writer) = Database::open(&path, alerts.clone()).unwrap();
+    let (database, writer) = Database::open(&path, "callisto", alerts.clone()).unwrap();
     let other = Connection::open(&path).unwrap();
     other.execute_batch("BEGIN IMMEDIATE").unwrap();
-    let boot_id = BootId::fresh();
     for second in 0..500 {
-        database.put(reading(&boot_id, second, Ok(Scalar::Int(second)))).await.unwrap();
+        database.put(reading(second, Ok(Scalar::Int(second)))).await.unwrap();
     }
-    let mut shown = alerts.watch();
+    let mut displayed = alerts.watch();
     let raised =
-        shown.wait_for(|alerts| alerts.alerts.iter().any(|alert| alert.id == AlertKind::ArchiveDatabase.id("")));
+        displayed.wait_for(|alerts| alerts.alerts.iter().any(|alert| alert.id == AlertKind::ArchiveDatabase.id("")));
     tokio::time::timeout(Duration::from_secs(20), raised).await.unwrap().unwrap();
     other.execute_batch("ROLLBACK").unwrap();
-    database.commit(vec![reading(&boot_id, 500, Ok(Scalar::Int(500)))]).await.unwrap();
+    database.commit(vec![reading(500, Ok(Scalar::Int(500)))]).await.unwrap();
     assert_eq!(database.rows(), 501);
     assert!(alerts.watch().borrow().alerts.is_empty());
     drop(database);
@@ -209,10 +206,12 @@ async fn a_locked_database_is_alerted_and_loses_no_row() {
 async fn a_database_of_a_newer_starmesh_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("archive.db");
-    drop(prepare(&path).unwrap());
-    drop(prepare(&path).unwrap());
-    Connection::open(&path).unwrap().pragma_update(None, "user_version", VERSION + 1).unwrap();
-    assert!(matches!(prepare(&path), Err(DatabaseError::Newer { found, .. }) if found == VERSION + 1));
+    drop(migrations::open(&path).unwrap());
+    drop(migrations::open(&path).unwrap());
+    Connection::open(&path).unwrap().pragma_update(None, "user_version", migrations::VERSION + 1).unwrap();
+    assert!(
+        matches!(migrations::open(&path), Err(DatabaseError::Newer { found, .. }) if found == migrations::VERSION + 1)
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -239,18 +238,47 @@ async fn a_database_of_version_1_gets_the_table_of_the_audit_and_keeps_its_rows(
         fault: None,
     };
     for _ in 0..2 {
-        let (database, writer) = Database::open(&path, AlertBoard::new(Clock::machine_clock())).unwrap();
+        let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
         let rival = StoredRecord { sha256: "bb".to_owned(), ..record.clone() };
         let writes = [record.clone(), record.clone(), rival].map(|one| Write::Audit(Box::new(one)));
         database.commit(writes.to_vec()).await.unwrap();
         drop(database);
         writer.end().await;
     }
-    let reader = Reader::open(&path).unwrap();
+    let reader = Reader::open(&path, "callisto").unwrap();
     assert_eq!(reader.audit_lines().unwrap().len(), 2, "each once, and two that claim one place both");
     assert_eq!(reader.audit_end("device/alpha/main").unwrap().unwrap().sha256, "bb");
     assert_eq!(reader.audit_end("device/beta/main").unwrap(), None);
     assert_eq!(reader.writing(&CommandId("frame-1".to_owned())).unwrap().as_deref(), Some("n/a.fits"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn rows_of_version_9_belong_to_the_only_telescope_that_the_database_knows_and_else_to_each_that_asks() {
+    for (telescopes, owner) in [(vec!["callisto", "shared"], "callisto"), (vec!["callisto", "io"], ""), (vec![], "")] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("archive.db");
+        let old = Connection::open(&path).unwrap();
+        old.execute_batch(&migrations::STEPS[..9].concat()).unwrap();
+        for telescope in telescopes {
+            let sql =
+                "INSERT INTO series (telescope, device_type, device_name, device_command) VALUES (?, 'Dome', 'd', 'x')";
+            old.execute(sql, [telescope]).unwrap();
+        }
+        let (json, now) = (serde_json::to_string(&image("old", "x").frame).unwrap(), stamp::stamp(at(1)));
+        let put = "INSERT INTO images VALUES ('/old.fits', 'andor', 0, ?1, 'old', 'old.fits', '', 1, ?1, ?2)";
+        old.execute(put, [&now, &json]).unwrap();
+        old.execute("INSERT INTO states VALUES ('night', ?1, ?1, '', '{}', 'b', 0)", [&now]).unwrap();
+        old.execute("INSERT INTO alerts VALUES ('a', ?1, 'high', 'c', NULL, NULL, ?1, 'b', 0)", [&now]).unwrap();
+        old.pragma_update(None, "user_version", 9).unwrap();
+        drop(old);
+        let opened = migrations::open(&path).unwrap();
+        for table in ["images", "states", "alerts"] {
+            let sql = format!("SELECT telescope FROM {table}");
+            assert_eq!(opened.query_row(&sql, [], |row| row.get::<_, String>(0)).unwrap(), owner, "{table}");
+        }
+        let count = |telescope: &str| Reader::open(&path, telescope).unwrap().newest_images(10).unwrap().len();
+        assert_eq!((count("callisto"), count("io")), (1, usize::from(owner.is_empty())));
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -264,22 +292,22 @@ async fn a_database_of_version_3_keeps_its_facts_and_takes_solutions() {
     let known = FrameFacts { frame: CommandId("old".to_owned()), stars: Some(7), ..FrameFacts::default() };
     old.execute(
         "INSERT INTO facts (frame_id, stars, facts, datetime, boot_id, seq, in_header) VALUES ('old', 7, ?1, ?2, ?3, 0, 1)",
-        rusqlite::params![serde_json::to_string(&known).unwrap(), rows::stamp(at(1)), BootId::fresh().as_str()],
+        rusqlite::params![serde_json::to_string(&known).unwrap(), stamp::stamp(at(1)), BootId::fresh().as_str()],
     )
     .unwrap();
     old.pragma_update(None, "user_version", 3).unwrap();
     drop(old);
-    let (database, writer) = Database::open(&path, AlertBoard::new(Clock::machine_clock())).unwrap();
+    let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
     let unsolved = Unsolved { class: UnsolvedClass::TooFewStars, detail: "2 stars".to_owned() };
     let frame = |id: &str| FrameFacts { frame: CommandId(id.to_owned()), ..FrameFacts::default() };
     let solved = FrameFacts { ra_deg: Some(83.5), dec_deg: Some(-5.25), matched: Some(40), ..frame("solved") };
     for facts in [solved, FrameFacts { unsolved: Some(unsolved), ..frame("unsolved") }] {
-        let stored = StoredFacts { facts, at: at(2), said: (BootId::fresh(), 0) };
+        let stored = StoredFacts { facts, at: at(2), origin: (BootId::fresh(), 0) };
         database.commit(vec![Write::Facts(Box::new(stored))]).await.unwrap();
     }
     drop(database);
     writer.end().await;
-    assert_eq!(Reader::open(&path).unwrap().facts(&known.frame).unwrap().unwrap().facts, known);
+    assert_eq!(Reader::open(&path, "callisto").unwrap().facts(&known.frame).unwrap().unwrap().facts, known);
     let rows = Connection::open(&path).unwrap();
     let row = |id: &str| {
         let sql = "SELECT stars, ra_deg, dec_deg, matched, unsolved, in_header FROM facts WHERE frame_id = ?1";
@@ -295,12 +323,12 @@ async fn a_database_of_version_3_keeps_its_facts_and_takes_solutions() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn facts_are_kept_once_and_what_was_measured_never_gives_way_to_a_reason() {
+async fn facts_are_stored_once_and_what_was_measured_never_gives_way_to_a_reason() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("archive.db");
-    let (database, writer) = Database::open(&path, AlertBoard::new(Clock::machine_clock())).unwrap();
-    let life = BootId::fresh();
-    let told = |stars: Option<u32>, reason: Option<&str>, second: i64, seq: u64| {
+    let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
+    let boot_id = BootId::fresh();
+    let facts_of = |stars: Option<u32>, reason: Option<&str>, second: i64, seq: u64| {
         let facts = FrameFacts {
             frame: CommandId("frame-1".to_owned()),
             stars,
@@ -308,21 +336,21 @@ async fn facts_are_kept_once_and_what_was_measured_never_gives_way_to_a_reason()
             reason: reason.map(str::to_owned),
             ..FrameFacts::default()
         };
-        StoredFacts { facts, at: at(second), said: (life.clone(), seq) }
+        StoredFacts { facts, at: at(second), origin: (boot_id.clone(), seq) }
     };
-    let reader = Reader::open(&path).unwrap();
+    let reader = Reader::open(&path, "callisto").unwrap();
     let frame = CommandId("frame-1".to_owned());
-    let put = async |told: &StoredFacts| {
-        database.commit(vec![Write::Facts(Box::new(told.clone()))]).await.unwrap();
+    let put = async |stored: &StoredFacts| {
+        database.commit(vec![Write::Facts(Box::new(stored.clone()))]).await.unwrap();
         reader.facts(&frame).unwrap().unwrap()
     };
-    let missed = told(None, Some("not fetched"), 1, 0);
+    let missed = facts_of(None, Some("not fetched"), 1, 0);
     assert_eq!(put(&missed).await, missed);
-    let measured = told(Some(7), None, 2, 1);
+    let measured = facts_of(Some(7), None, 2, 1);
     assert_eq!(put(&measured).await, measured);
-    assert_eq!(put(&told(None, Some("not fetched: HTTP 404"), 3, 2)).await, measured);
-    assert_eq!(put(&told(Some(9), None, 1, 0)).await, measured, "an older word, recovered late");
-    let better = told(Some(8), None, 4, 3);
+    assert_eq!(put(&facts_of(None, Some("not fetched: HTTP 404"), 3, 2)).await, measured);
+    assert_eq!(put(&facts_of(Some(9), None, 1, 0)).await, measured, "older facts, recovered late");
+    let better = facts_of(Some(8), None, 4, 3);
     assert_eq!(put(&better).await, better);
 
     assert_eq!(reader.late_facts(10).unwrap(), [], "there is no image of it");
@@ -332,10 +360,10 @@ async fn facts_are_kept_once_and_what_was_measured_never_gives_way_to_a_reason()
     assert_eq!(reader.late_facts(10).unwrap(), [], "its header is not complete yet and takes them then");
     database.commit(vec![Write::Complete(frame.clone())]).await.unwrap();
     assert_eq!(reader.late_facts(10).unwrap(), [(image, better.clone())]);
-    let older = Write::FactsTaken { frame: frame.clone(), said: measured.said, in_header: true };
+    let older = Write::FactsTaken { frame: frame.clone(), origin: measured.origin, in_header: true };
     database.commit(vec![older]).await.unwrap();
     assert_eq!(reader.late_facts(10).unwrap().len(), 1, "others stand in the header");
-    let taken = Write::FactsTaken { frame, said: better.said, in_header: true };
+    let taken = Write::FactsTaken { frame, origin: better.origin, in_header: true };
     database.commit(vec![taken]).await.unwrap();
     assert_eq!(reader.late_facts(10).unwrap(), []);
     drop(database);
@@ -348,17 +376,17 @@ async fn a_correction_of_the_guiding_is_a_row_and_counts_once() {
         serde_json::from_str(include_str!("../../../common/contract/golden/v1/observatory.correction.json")).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("archive.db");
-    let (database, writer) = Database::open(&path, AlertBoard::new(Clock::machine_clock())).unwrap();
-    let life = BootId::fresh();
+    let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
+    let boot_id = BootId::fresh();
     for (seq, correction) in samples.iter().chain(&samples).enumerate() {
         let (correction, telescope) = (correction.clone(), "callisto".to_owned());
-        let stored = StoredCorrection { correction, telescope, said: (life.clone(), seq as u64) };
+        let stored = StoredCorrection { correction, telescope, origin: (boot_id.clone(), seq as u64) };
         database.commit(vec![Write::Correction(Box::new(stored))]).await.unwrap();
     }
     drop(database);
     writer.end().await;
     // Opened again: the table exists already.
-    let (database, writer) = Database::open(&path, AlertBoard::new(Clock::machine_clock())).unwrap();
+    let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
     let connection = rusqlite::Connection::open(&path).unwrap();
     let mut asked = connection
         .prepare(
@@ -374,6 +402,22 @@ async fn a_correction_of_the_guiding_is_a_row_and_counts_once() {
         (text("2026-11-21 03:13:29.000000"), text("lost"), None, text("not_measured"), 0, false),
     ];
     assert_eq!(rows, expected);
+    let reader = Reader::open(&path, "callisto").unwrap();
+    let corrections = |limit| {
+        let answer = reader.answer(&ask(Ask::Corrections, None, None, limit), at(0)).unwrap();
+        let corrections = answer.rows.into_iter().map(|row| match row {
+            ArchiveRow::Correction(correction) => *correction,
+            other => panic!("{other:?}"),
+        });
+        (corrections.collect::<Vec<_>>(), answer.truncated)
+    };
+    assert_eq!(corrections(None), (samples.clone(), false), "as they were published, the oldest first");
+    assert_eq!(corrections(Some(1)), (samples[1..].to_vec(), true), "the newest");
+    let other = Reader::open(&path, "io").unwrap();
+    assert!(
+        other.answer(&ask(Ask::Corrections, None, None, None), at(0)).unwrap().rows.is_empty(),
+        "of another telescope"
+    );
     drop(database);
     writer.end().await;
 }
@@ -399,11 +443,14 @@ async fn a_damaged_database_is_put_aside_and_a_new_one_takes_rows() {
     ];
     for (number, (what, bytes)) in damaged.into_iter().enumerate() {
         std::fs::write(&path, &bytes).unwrap();
-        let alerts = AlertBoard::new(Clock::machine_clock());
-        let (database, writer) = Database::open(&path, alerts.clone()).unwrap();
+        let alerts = NodeAlerts::new(Clock::machine_clock());
+        let (database, writer) = Database::open(&path, "callisto", alerts.clone()).unwrap();
         let written = database.commit(vec![Write::Stored(Box::new(image("new", "M31")))]);
         tokio::time::timeout(Duration::from_secs(20), written).await.unwrap_or_else(|_| panic!("{what}")).unwrap();
-        assert!(Reader::open(&path).unwrap().image(&CommandId("new".to_owned())).unwrap().is_some(), "{what}");
+        assert!(
+            Reader::open(&path, "callisto").unwrap().image(&CommandId("new".to_owned())).unwrap().is_some(),
+            "{what}"
+        );
         let aside = path.with_file_name(format!("archive.db.bad-{}", number + 1));
         assert_eq!(std::fs::read(aside).unwrap(), bytes, "{what}");
         drop(database);
@@ -413,7 +460,7 @@ async fn a_damaged_database_is_put_aside_and_a_new_one_takes_rows() {
     std::fs::write(path.with_file_name("archive.db-wal"), &whole[..5000]).unwrap();
     let (database, writer) = open(folder.path());
     database.commit(vec![Write::Stored(Box::new(image("newer", "M31")))]).await.unwrap();
-    assert!(Reader::open(&path).unwrap().image(&CommandId("new".to_owned())).unwrap().is_some());
+    assert!(Reader::open(&path, "callisto").unwrap().image(&CommandId("new".to_owned())).unwrap().is_some());
     drop(database);
     writer.end().await;
 }

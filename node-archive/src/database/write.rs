@@ -2,10 +2,11 @@
 
 use std::path::PathBuf;
 
+use bus::Gap;
 use contract::device::camera::Frame;
 use contract::node::Level;
-use contract::observatory::{Correction, FocusRun, FrameFacts};
-use contract::{BootId, CommandId, Device, Scalar};
+use contract::observatory::{Alert, Correction, FocusRun, FrameFacts, RowState};
+use contract::{BootId, CommandId, Device, Key, Scalar};
 use units::Utc;
 
 /// One thing to be written.
@@ -21,8 +22,22 @@ pub enum Write {
         value: Result<Scalar, String>,
         /// Sky time of the poll.
         at: Utc,
+    },
+    /// All rows of a sample are handed over.
+    Received {
+        /// Its key.
+        key: Key,
         /// Incarnation and sequence number of the sample.
-        said: (BootId, u64),
+        origin: (BootId, u64),
+        /// Sky time when it was published.
+        at: Utc,
+    },
+    /// Samples that nothing can bring any more.
+    Lost(Gap),
+    /// Some of the values that are older than the newest days are no longer needed.
+    ForgetOld {
+        /// So many days with values stay.
+        days: u32,
     },
     /// A line of a node's diary.
     Log {
@@ -39,7 +54,7 @@ pub enum Write {
         /// Sky time.
         at: Utc,
         /// Incarnation and sequence number of the sample.
-        said: (BootId, u64),
+        origin: (BootId, u64),
     },
     /// A frame's file is about to get this name.
     Writing {
@@ -54,6 +69,8 @@ pub enum Write {
     Announced(Box<Frame>),
     /// A header is complete.
     Complete(CommandId),
+    /// A header is to be completed again.
+    Recomplete(CommandId),
     /// A record of a node's audit.
     Audit(Box<StoredRecord>),
     /// A correction that guiding made.
@@ -62,12 +79,20 @@ pub enum Write {
     Facts(Box<StoredFacts>),
     /// A focus run that has ended.
     Focus(Box<StoredRun>),
+    /// A state of the observatory node.
+    State(Box<StoredState>),
+    /// A row of the schedule.
+    Row(Box<StoredRow>),
+    /// The active alerts.
+    Alerts(Box<StoredAlerts>),
+    /// The fluxes of the stars of a frame.
+    Fluxes(Box<StoredFluxes>),
     /// The facts of a sample are in the header of their frame, or could not be put there.
     FactsTaken {
         /// Which frame.
         frame: CommandId,
         /// Incarnation and sequence number of the sample.
-        said: (BootId, u64),
+        origin: (BootId, u64),
         /// Whether they are in the header.
         in_header: bool,
     },
@@ -125,7 +150,7 @@ pub struct StoredCorrection {
     /// The telescope.
     pub telescope: String,
     /// Incarnation of the node that published it, and sequence number.
-    pub said: (BootId, u64),
+    pub origin: (BootId, u64),
 }
 
 /// Facts with the sample that brought them.
@@ -136,7 +161,7 @@ pub struct StoredFacts {
     /// Sky time when they were published.
     pub at: Utc,
     /// Incarnation of the node that published them, and sequence number on the frame's key.
-    pub said: (BootId, u64),
+    pub origin: (BootId, u64),
 }
 
 /// A run with the sample that brought it.
@@ -149,5 +174,74 @@ pub struct StoredRun {
     /// Sky time when it was published.
     pub at: Utc,
     /// Incarnation of the node that published it, and sequence number on its key.
-    pub said: (BootId, u64),
+    pub origin: (BootId, u64),
+}
+
+/// A state of the observatory node with the sample that brought it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StoredState {
+    /// Which part of the node, such as `night`.
+    pub part: &'static str,
+    /// What makes it another state than the one before.
+    pub same: String,
+    /// The state, as JSON.
+    pub state: String,
+    /// Sky time when it was published.
+    pub at: Utc,
+    /// So long after the same state something may have happened in between, sky s.
+    pub gap_s: f64,
+    /// Incarnation of the node that published it, and sequence number on its key.
+    pub origin: (BootId, u64),
+}
+
+/// A row of the schedule with the sample that brought it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StoredRow {
+    /// The row.
+    pub row: RowState,
+    /// Sky time when it was published.
+    pub at: Utc,
+    /// Incarnation of the node that published it, and sequence number on its key.
+    pub origin: (BootId, u64),
+}
+
+/// The active alerts with the sample that brought them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StoredAlerts {
+    /// The alerts.
+    pub alerts: Vec<Alert>,
+    /// Sky time when they were published.
+    pub at: Utc,
+    /// Incarnation of the node that published them, and sequence number on their key.
+    pub origin: (BootId, u64),
+}
+
+/// The fluxes of the stars of a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StoredFluxes {
+    /// Which frame.
+    pub frame: CommandId,
+    /// Frames whose fluxes can be compared have the same series.
+    pub series: String,
+    /// Where the stars of a new series are, ICRS degrees, the target first; empty for one that has its stars.
+    pub new_stars: Vec<[f64; 2]>,
+    /// The fluxes.
+    pub fluxes: Vec<StarFlux>,
+}
+
+/// The flux of a star.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StarFlux {
+    /// Which star of the series; 0 is the target.
+    pub star: u32,
+    /// Column, px.
+    pub x_px: f64,
+    /// Row, px.
+    pub y_px: f64,
+    /// Above the sky, ADU.
+    pub flux_adu: f64,
+    /// Its standard error, ADU.
+    pub error_adu: f64,
+    /// A pixel of it is saturated.
+    pub is_saturated: bool,
 }

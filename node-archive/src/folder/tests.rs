@@ -5,7 +5,7 @@ fn telescope(name: &str) -> Address {
 }
 
 #[tokio::test]
-async fn a_second_archive_of_one_telescope_is_refused_and_told_by_whom() {
+async fn a_second_archive_of_one_telescope_is_refused_and_the_first_one_named() {
     let folder = tempfile::tempdir().unwrap();
     let (images, database) = (folder.path().join("images"), folder.path().join("data/archive.db"));
     let first = claim(&images, &database, &telescope("callisto"), "archive/callisto/main").await.unwrap();
@@ -56,8 +56,8 @@ fn no_link_below_the_folder_of_images_is_followed() {
     assert!(make_way(&images, Path::new("../a.fits")).is_err());
     assert_eq!(fs::read_dir(&outside).unwrap().count(), 0);
     assert!(without_links(&images, &images.join("real/a.fits")).is_ok());
-    let told = without_links(&images, &images.join("20261120/a.fits")).unwrap_err().to_string();
-    assert!(told.contains("20261120 is a link"), "{told}");
+    let error = without_links(&images, &images.join("20261120/a.fits")).unwrap_err().to_string();
+    assert!(error.contains("20261120 is a link"), "{error}");
     // One that leads nowhere is there all the same.
     std::os::unix::fs::symlink(folder.path().join("nowhere"), images.join("real/b.fits")).unwrap();
     assert!(is_taken(&images.join("real/b.fits")) && !images.join("real/b.fits").exists());

@@ -60,7 +60,7 @@ fn base_of(
     newest: &dyn Fn(Kind, &str) -> Option<Scalar>,
 ) -> BTreeMap<String, CardValue> {
     let written = frame.started_utc.plus_seconds(10.0);
-    let cards = base(table, &Known { frame, place: &place(), written, newest });
+    let cards = base(table, &HeaderFacts { frame, place: &place(), written, newest });
     let count = cards.len();
     let cards: BTreeMap<_, _> = cards.into_iter().map(|card| (card.keyword, card.value)).collect();
     assert_eq!(cards.len(), count, "a keyword stands twice");
@@ -74,7 +74,7 @@ fn complete(
     around: &dyn Fn(Kind, &str) -> Option<Around>,
 ) -> (BTreeMap<String, CardValue>, Vec<String>) {
     let present = BTreeSet::new();
-    let later = Later { frame, place: &place(), mount, reach_s: 60.0, present: &present, around };
+    let later = Later { frame, place: &place(), mount, holds_s: 60.0, present: &present, around };
     let plan = completion(table, &later).unwrap();
     (plan.cards.into_iter().map(|card| (card.keyword, card.value)).collect(), plan.history)
 }
@@ -92,7 +92,7 @@ fn float(value: &CardValue) -> f64 {
 fn polls(before: Scalar, after: Scalar) -> Option<Around> {
     let start = frame().started_utc;
     let sample = |seconds: f64, value| Some(Sample { at: start.plus_seconds(seconds), value });
-    Some(Around { before: sample(-1.0, before), after: sample(3.0, after), heard_since: true })
+    Some(Around { before: sample(-1.0, before), after: sample(3.0, after), received_since: true })
 }
 
 #[test]
@@ -152,10 +152,10 @@ fn the_schedules_own_values_are_typed_or_left_out() {
 }
 
 #[test]
-fn rows_that_leave_no_trace_are_told_at_the_start() {
+fn rows_that_leave_no_trace_are_reported_at_the_start() {
     assert_eq!(check(&HeaderTable::default()), Vec::<String>::new());
-    let notes = check(&table("MOONALT,float,false,astra,,\nEPOCH,float,true,static,soon,\nGOOD,bool,true,static,1,\n"));
-    assert_eq!(notes, ["MOONALT: no keyword that Starmesh computes", "EPOCH: \"soon\" is no number"]);
+    let notes = check(&table("MOONAGE,float,false,astra,,\nEPOCH,float,true,static,soon,\nGOOD,bool,true,static,1,\n"));
+    assert_eq!(notes, ["MOONAGE: no keyword that Starmesh computes", "EPOCH: \"soon\" is no number"]);
 }
 
 #[test]
@@ -275,7 +275,7 @@ fn the_predecessors_night_completes_to_the_same_numbers_and_better_states() {
             let samples = telemetry.get(&(kind.ascom().to_owned(), property.to_owned()))?;
             let split = samples.partition_point(|sample| sample.at < frame.started_utc);
             let (earlier, later) = samples.split_at(split);
-            Some(Around { before: earlier.last().cloned(), after: later.first().cloned(), heard_since: true })
+            Some(Around { before: earlier.last().cloned(), after: later.first().cloned(), received_since: true })
         };
         let (ours, history) = complete(&table, &frame, EquatorialSystem::J2000, &around);
         assert_eq!(history, Vec::<String>::new(), "{}", path.display());
@@ -345,4 +345,117 @@ fn the_predecessors_night_completes_to_the_same_numbers_and_better_states() {
     assert!(linear > 400 && states > 200 && skies > 300, "{linear} {states} {skies}");
     // The predecessor wrote states between two states; `Nearest` corrects that.
     assert!(fractions > 0);
+}
+
+#[test]
+fn what_archives_ask_for_is_in_every_header_and_a_table_may_give_another_value() {
+    let mut frame = frame();
+    frame.purpose.night = "20261120".to_owned();
+    frame.purpose.row = Some(7);
+    frame.purpose.programme = Some("112.25XK.001".to_owned());
+    let cards = base_of(&table(""), &frame, &|_, _| None);
+    assert_eq!((&cards["OBSERVAT"], &cards["NIGHT"]), (&"paranal".into(), &"20261120".into()));
+    assert_eq!((&cards["SCHEDROW"], &cards["PROGID"]), (&CardValue::Int(7), &"112.25XK.001".into()));
+    let own = table("OBSERVAT,str,true,static,Cerro Paranal,\nPROGID,str,true,static,60.A-9009(A),\n");
+    let cards = base_of(&own, &frame, &|_, _| None);
+    assert_eq!((&cards["OBSERVAT"], &cards["PROGID"]), (&"Cerro Paranal".into(), &"112.25XK.001".into()));
+    // A row without a programme has that of the table.
+    frame.purpose.programme = None;
+    assert_eq!(base_of(&own, &frame, &|_, _| None)["PROGID"], "60.A-9009(A)".into());
+    assert_eq!(base_of(&table(""), &frame, &|_, _| None).get("PROGID"), None);
+}
+
+#[test]
+fn the_middle_of_the_exposure_has_its_airmass_sun_and_moon() {
+    let rows: String =
+        ["AIRMASS", "MJD-OBS", "MJD-END", "MJD-AVG", "AIRMMID", "SUNALT", "MOONALT", "MOONDIST", "MOONFRAC"]
+            .map(|keyword| format!("{keyword},float,false,astra,,\n"))
+            .concat();
+    let mut frame = frame();
+    frame.exposure_s = 1200.0;
+    let (cards, history) = complete(&table(&rows), &frame, EquatorialSystem::J2000, &|_, _| None);
+    assert!(history.is_empty(), "{history:?}");
+    let value = |keyword: &str| float(&cards[keyword]);
+    assert!((value("MJD-AVG") - (value("MJD-OBS") + value("MJD-END")) / 2.0).abs() < 1e-9);
+    // The same as the airmass at the start of an exposure that begins then.
+    let mut later = frame.clone();
+    later.started_utc = frame.started_utc.plus_seconds(600.0);
+    let (at_start, _) = complete(&table(&rows), &later, EquatorialSystem::J2000, &|_, _| None);
+    assert!((value("AIRMMID") - float(&at_start["AIRMASS"])).abs() < 1e-9);
+    assert!((value("AIRMMID") - value("AIRMASS")).abs() > 1e-4, "it moves in ten minutes");
+    // By astropy 7.2, for 01:48:03.821 UTC.
+    for (keyword, expected, within) in [
+        ("SUNALT", -48.1303, 0.005),
+        ("MOONALT", 7.2794, 0.01),
+        ("MOONDIST", 79.7031, 0.02),
+        ("MOONFRAC", 0.83167, 1e-4),
+    ] {
+        assert!((value(keyword) - expected).abs() < within, "{keyword} is {}", value(keyword));
+    }
+    // Without a direction there is no airmass and no distance.
+    frame.purpose.ra_deg = None;
+    let (cards, history) = complete(&table(&rows), &frame, EquatorialSystem::J2000, &|_, _| None);
+    assert!(!cards.contains_key("MOONDIST") && cards.contains_key("SUNALT"));
+    assert_eq!(history, ["not known at DATE-OBS: AIRMASS, AIRMMID, MOONDIST"]);
+}
+
+#[test]
+fn the_middle_and_the_end_of_an_exposure_may_be_on_another_day() {
+    let rows = table("DATE-AVG,str,false,astra,,\nDATE-END,str,false,astra,,\nMJD-AVG,float,false,astra,,\n");
+    for (start, exposure_s, middle, end) in [
+        ("2026-12-31T23:59:50Z", 30.0, "2027-01-01T00:00:05.000000", "2027-01-01T00:00:20.000000"),
+        ("2024-02-28T23:59:59.5Z", 2.0, "2024-02-29T00:00:00.500000", "2024-02-29T00:00:01.500000"),
+        ("2026-11-21T03:00:00Z", 0.0, "2026-11-21T03:00:00.000000", "2026-11-21T03:00:00.000000"),
+        ("2026-11-21T03:00:00.000001Z", 0.001, "2026-11-21T03:00:00.000501", "2026-11-21T03:00:00.001001"),
+        ("2026-11-21T03:00:00Z", 7200.0, "2026-11-21T04:00:00.000000", "2026-11-21T05:00:00.000000"),
+    ] {
+        let mut frame = frame();
+        (frame.started_utc, frame.exposure_s) = (start.parse().unwrap(), exposure_s);
+        let (cards, history) = complete(&rows, &frame, EquatorialSystem::J2000, &|_, _| None);
+        assert_eq!((&cards["DATE-AVG"], &cards["DATE-END"]), (&middle.into(), &end.into()), "{start}");
+        let at: Utc = middle.parse().unwrap();
+        assert_eq!(cards["MJD-AVG"], CardValue::Float(at.mjd()), "{start}");
+        assert_eq!(history, Vec::<String>::new(), "{start}");
+        let base = base_of(&table(""), &frame, &|_, _| None);
+        assert_eq!(base["DATE-OBS"], fits_date(frame.started_utc).as_str().into(), "{start}");
+    }
+}
+
+#[test]
+fn a_target_below_the_horizon_has_a_direction_and_no_airmass() {
+    let rows: String = ["AIRMASS", "AIRMMID", "MOONDIST", "HA", "BJD-OBS"]
+        .map(|keyword| format!("{keyword},{},false,astra,,\n", if keyword == "HA" { "str" } else { "float" }))
+        .concat();
+    let mut frame = frame();
+    // From 48 deg north it never rises.
+    frame.purpose.dec_deg = Some(-80.0);
+    let (cards, history) = complete(&table(&rows), &frame, EquatorialSystem::J2000, &|_, _| None);
+    assert_eq!(history, ["not known at DATE-OBS: AIRMASS, AIRMMID"]);
+    assert!(float(&cards["OBJALT"]) < -30.0, "{:?}", cards["OBJALT"]);
+    assert!(["MOONDIST", "HA", "BJD-OBS"].iter().all(|keyword| cards.contains_key(*keyword)));
+    // A place that is none is no target, and half of one neither.
+    for (ra_deg, dec_deg) in [(Some(90.0), Some(91.0)), (Some(f64::NAN), Some(50.0)), (None, Some(50.0))] {
+        (frame.purpose.ra_deg, frame.purpose.dec_deg) = (ra_deg, dec_deg);
+        let (cards, _) = complete(&table(&rows), &frame, EquatorialSystem::J2000, &|_, _| None);
+        assert!(cards.is_empty(), "{ra_deg:?} {dec_deg:?}: {cards:?}");
+        let base = base_of(&table(""), &frame, &|_, _| None);
+        assert!(!base.contains_key("RA") && !base.contains_key("DEC"), "{ra_deg:?} {dec_deg:?}");
+    }
+}
+
+#[test]
+fn what_a_frame_does_not_have_is_no_keyword_and_what_it_has_fits_its_card() {
+    let mut frame = frame();
+    frame.purpose.row = Some(0);
+    let cards = base_of(&table(""), &frame, &|_, _| None);
+    assert_eq!(cards["SCHEDROW"], CardValue::Int(0));
+    assert!(!cards.contains_key("NIGHT") && !cards.contains_key("PROGID") && !cards.contains_key("FILTER"));
+    for programme in ["X".repeat(40), "'".repeat(34), "112.25XK.001".to_owned()] {
+        frame.purpose.programme = Some(programme.clone());
+        let known = HeaderFacts { frame: &frame, place: &place(), written: frame.started_utc, newest: &|_, _| None };
+        let cards = base(&table(""), &known);
+        let card = cards.iter().find(|card| card.keyword == "PROGID").unwrap();
+        let record = card.record().unwrap();
+        assert!(record.starts_with(&format!("PROGID  = '{:<8}'", programme.replace('\'', "''"))), "{record}");
+    }
 }

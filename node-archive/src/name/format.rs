@@ -1,6 +1,6 @@
 //! Format specifications as Python has them (`.3f`, `03d`, `%Y%m%d`), for one value.
 
-use super::Value;
+use super::TemplateValue;
 
 /// A specification, read.
 #[derive(Debug, Default)]
@@ -21,16 +21,16 @@ const LIMIT: usize = 64;
 const DIRECTIVES: &str = "YmdHMSfjybBaApI%";
 
 /// Writes a value by a specification, which may be empty; the error says what is wrong with it.
-pub(super) fn format(value: &Value, spec: &str) -> Result<String, String> {
-    if let Value::Date(date) = value {
+pub(super) fn format(value: &TemplateValue, spec: &str) -> Result<String, String> {
+    if let TemplateValue::Date(date) = value {
         return if spec.is_empty() { strftime(*date, "%Y-%m-%d %H:%M:%S.%f") } else { strftime(*date, spec) };
     }
     let spec = Spec::read(spec)?;
     let (body, is_number) = match value {
-        Value::Text(text) => (spec.text(text)?, false),
-        Value::Int(number) => (spec.int(*number)?, true),
-        Value::Float(number) => (spec.float(*number)?, true),
-        Value::Date(_) => return Err("a date takes a strftime pattern".to_owned()),
+        TemplateValue::Text(text) => (spec.text(text)?, false),
+        TemplateValue::Int(number) => (spec.int(*number)?, true),
+        TemplateValue::Float(number) => (spec.float(*number)?, true),
+        TemplateValue::Date(_) => return Err("a date takes a strftime pattern".to_owned()),
     };
     Ok(spec.pad(&body, is_number))
 }
@@ -212,9 +212,9 @@ mod tests {
 
     #[test]
     fn formats_agree_with_python() {
-        let float = |number: f64, spec: &str| format(&Value::Float(number), spec).unwrap();
-        let int = |number: i64, spec: &str| format(&Value::Int(number), spec).unwrap();
-        let text = |text: &str, spec: &str| format(&Value::Text(text.to_owned()), spec).unwrap();
+        let float = |number: f64, spec: &str| format(&TemplateValue::Float(number), spec).unwrap();
+        let int = |number: i64, spec: &str| format(&TemplateValue::Int(number), spec).unwrap();
+        let text = |text: &str, spec: &str| format(&TemplateValue::Text(text.to_owned()), spec).unwrap();
         // Each right-hand side is what CPython 3.11 prints.
         for (got, expected) in [
             (float(30.0, ".3f"), "30.000"),
@@ -244,7 +244,7 @@ mod tests {
 
     #[test]
     fn dates_take_strftime() {
-        let date = Value::Date("2026-11-21T03:00:01.5Z".parse().unwrap());
+        let date = TemplateValue::Date("2026-11-21T03:00:01.5Z".parse().unwrap());
         assert_eq!(format(&date, "%Y%m%d_%H%M%S.%f").unwrap(), "20261121_030001.500000");
         assert_eq!(format(&date, "%j%%f").unwrap(), "325%f");
         assert_eq!(format(&date, "").unwrap(), "2026-11-21 03:00:01.500000");
@@ -256,13 +256,13 @@ mod tests {
     #[test]
     fn what_python_refuses_is_refused() {
         for (value, spec) in [
-            (Value::Text("a".into()), "d"),
-            (Value::Text("a".into()), ".3f"),
-            (Value::Int(1), ".3d"),
-            (Value::Float(1.0), "d"),
-            (Value::Float(1.0), ".f"),
-            (Value::Float(1.0), "3q3"),
-            (Value::Float(1.0), "999999999f"),
+            (TemplateValue::Text("a".into()), "d"),
+            (TemplateValue::Text("a".into()), ".3f"),
+            (TemplateValue::Int(1), ".3d"),
+            (TemplateValue::Float(1.0), "d"),
+            (TemplateValue::Float(1.0), ".f"),
+            (TemplateValue::Float(1.0), "3q3"),
+            (TemplateValue::Float(1.0), "999999999f"),
         ] {
             assert!(format(&value, spec).is_err(), "{value:?} {spec}");
         }

@@ -8,7 +8,7 @@ use minijinja::value::{Kwargs, Object, ObjectRepr, Value as Jinja, from_args};
 use minijinja::{Environment, Error, ErrorKind, State, UndefinedBehavior};
 use units::Utc;
 
-use super::{Value, Values, format};
+use super::{TemplateValue, Values, format};
 
 /// Renders a template; what is undefined is an error.
 pub(super) fn render(template: &str, values: &Values) -> Result<String, String> {
@@ -41,12 +41,12 @@ fn with_methods(template: &str) -> String {
     out + rest
 }
 
-fn to_jinja(value: &Value) -> Jinja {
+fn to_jinja(value: &TemplateValue) -> Jinja {
     match value {
-        Value::Text(text) => Jinja::from(text.as_str()),
-        Value::Int(number) => Jinja::from(*number),
-        Value::Float(number) => Jinja::from(*number),
-        Value::Date(date) => Jinja::from_object(Date(*date)),
+        TemplateValue::Text(text) => Jinja::from(text.as_str()),
+        TemplateValue::Int(number) => Jinja::from(*number),
+        TemplateValue::Float(number) => Jinja::from(*number),
+        TemplateValue::Date(date) => Jinja::from_object(Date(*date)),
     }
 }
 
@@ -157,10 +157,10 @@ fn percent(template: &str, value: &Jinja) -> Result<String, Error> {
 
 fn with_spec(value: &Jinja, spec: &str) -> Result<String, Error> {
     let value = match (value.as_str(), i64::try_from(value.clone()), f64::try_from(value.clone())) {
-        (Some(text), ..) => Value::Text(text.to_owned()),
-        (None, Ok(number), _) if value.is_integer() => Value::Int(number),
-        (None, _, Ok(number)) => Value::Float(number),
-        _ => Value::Text(value.to_string()),
+        (Some(text), ..) => TemplateValue::Text(text.to_owned()),
+        (None, Ok(number), _) if value.is_integer() => TemplateValue::Int(number),
+        (None, _, Ok(number)) => TemplateValue::Float(number),
+        _ => TemplateValue::Text(value.to_string()),
     };
     format::format(&value, spec).map_err(|fault| Error::new(ErrorKind::InvalidOperation, fault))
 }

@@ -10,8 +10,8 @@ use contract::device::camera::{self, Activity, Capabilities, Command, Exposure, 
 use contract::{Accepted, CommandId, Datum, Name, Reason, Refusal, Reply};
 use interlock::Need;
 
-use super::exposure::Setting;
-use super::{Driver, Obeyed, Progress, within};
+use super::camera_setting::Setting;
+use super::{Driver, Executed, Progress, within};
 use crate::readings::Readings;
 use crate::spool::Spool;
 
@@ -34,12 +34,12 @@ pub struct Camera {
     pub(super) spool: Arc<Spool>,
     /// Properties that are read for each exposure, by ASCOM name.
     pub(super) fixed: Vec<String>,
-    pub(super) memory: Mutex<Memory>,
+    pub(super) memory: Mutex<CameraMemory>,
 }
 
 /// What the driver knows between commands.
 #[derive(Default)]
-pub(super) struct Memory {
+pub(super) struct CameraMemory {
     /// What the camera was last set to; absent where that is not sure.
     pub setting: Option<Setting>,
     /// The exposure under way.
@@ -49,7 +49,7 @@ pub(super) struct Memory {
     /// Sensor size, unbinned pixels.
     pub sensor_px: (u32, u32),
     /// The camera reports when its last exposure began.
-    pub tells_start: bool,
+    pub reports_start: bool,
 }
 
 impl Camera {
@@ -58,7 +58,7 @@ impl Camera {
         Self { name, clock, spool, fixed, memory: Mutex::default() }
     }
 
-    pub(super) fn memory<T>(&self, use_it: impl FnOnce(&mut Memory) -> T) -> T {
+    pub(super) fn memory<T>(&self, use_it: impl FnOnce(&mut CameraMemory) -> T) -> T {
         use_it(&mut self.memory.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
@@ -91,11 +91,11 @@ impl Driver for Camera {
             electrons_per_adu: optional(alpaca, "electronsperadu", value::number).await?.into(),
         };
         self.memory(|memory| {
-            *memory = Memory {
+            *memory = CameraMemory {
                 max_adu: can.max_adu.known().copied(),
                 sensor_px: (can.width_px, can.height_px),
-                tells_start: true,
-                ..Memory::default()
+                reports_start: true,
+                ..CameraMemory::default()
             };
         });
         Ok(can)
@@ -141,10 +141,10 @@ impl Driver for Camera {
         *command == Command::Abort
     }
 
-    fn answer(&self, id: &CommandId, command: &Command) -> Option<Reply> {
+    fn answer(&self, (id, from): (&CommandId, &str), command: &Command) -> Option<Reply> {
         let accepted = || Some(Reply::Accepted(Accepted { id: id.clone(), token: None }));
         match command {
-            Command::Release { frame, sha256 } => match self.spool.release(frame, sha256) {
+            Command::Release { frame, sha256 } => match self.spool.release(frame, sha256, from) {
                 Ok(()) => accepted(),
                 Err(detail) => Some(Reply::Refusal(Refusal { id: id.clone(), reason: Reason::Malformed, detail })),
             },
@@ -179,36 +179,36 @@ impl Driver for Camera {
         }
     }
 
-    async fn obey(
+    async fn execute(
         &self,
         alpaca: &Alpaca,
         id: &CommandId,
         command: &Command,
         _: &Fields,
-    ) -> Result<Obeyed, AlpacaError> {
+    ) -> Result<Executed, AlpacaError> {
         match command {
             Command::Expose { exposure_s, light, bin, subframe, purpose } => {
                 let setting = self.memory(|memory| Setting::new(memory.sensor_px, *bin, *subframe));
                 self.expose(alpaca, id, *exposure_s, *light, setting, purpose).await?;
-                Ok(Obeyed::Done)
+                Ok(Executed::Done)
             }
             Command::Abort => {
                 match alpaca.put("abortexposure", &[]).await {
                     Err(error) if error.is_not_implemented() => alpaca.put("stopexposure", &[]).await?,
                     other => other?,
                 }
-                Ok(Obeyed::Watch)
+                Ok(Executed::Watch)
             }
             Command::Cool { set_c } => {
                 alpaca.put("setccdtemperature", &[("SetCCDTemperature", &set_c.to_string())]).await?;
                 alpaca.put("cooleron", &[("CoolerOn", "True")]).await?;
-                Ok(Obeyed::Watch)
+                Ok(Executed::Watch)
             }
             Command::Warm => {
                 alpaca.put("cooleron", &[("CoolerOn", "False")]).await?;
-                Ok(Obeyed::Watch)
+                Ok(Executed::Watch)
             }
-            Command::Release { .. } => Ok(Obeyed::Done),
+            Command::Release { .. } => Ok(Executed::Done),
         }
     }
 
@@ -236,11 +236,13 @@ fn fits(part: &Subframe, can: &Capabilities, bin: u32) -> bool {
 /// ASCOM names of the readings that travel with a frame, without repeats.
 pub fn frame_properties(header_rows: Vec<String>) -> Vec<String> {
     let mut names: BTreeMap<String, ()> = header_rows.into_iter().map(|name| (name, ())).collect();
-    for name in ["BinX", "BinY", "StartX", "StartY"] {
+    // Without the last two nobody knows the noise of the photons, and which pixels are saturated.
+    for name in ["BinX", "BinY", "StartX", "StartY", "ElectronsPerADU", "MaxADU"] {
         names.insert(name.to_owned(), ());
     }
     names.into_keys().collect()
 }
+
 /// A part of the sensor that is not on it.
 fn leaves(part: &Subframe) -> String {
     let Subframe { x_px, y_px, width_px, height_px } = part;

@@ -5,7 +5,7 @@ use contract::device::cover_calibrator::{self, Calibrator, Capabilities, Command
 use contract::{CommandId, Reason};
 use interlock::Need;
 
-use super::{Driver, Obeyed, Progress};
+use super::{Driver, Executed, Progress};
 use crate::readings::Readings;
 
 const COVER: [(i64, Cover); 6] = [
@@ -91,7 +91,13 @@ impl Driver for CoverCalibrator {
         }
     }
 
-    async fn obey(&self, alpaca: &Alpaca, _: &CommandId, command: &Command, _: &Fields) -> Result<Obeyed, AlpacaError> {
+    async fn execute(
+        &self,
+        alpaca: &Alpaca,
+        _: &CommandId,
+        command: &Command,
+        _: &Fields,
+    ) -> Result<Executed, AlpacaError> {
         match command {
             Command::OpenCover => alpaca.put("opencover", &[]).await?,
             Command::CloseCover => alpaca.put("closecover", &[]).await?,
@@ -101,7 +107,7 @@ impl Driver for CoverCalibrator {
             }
             Command::CalibratorOff => alpaca.put("calibratoroff", &[]).await?,
         }
-        Ok(Obeyed::Watch)
+        Ok(Executed::Watch)
     }
 
     fn progress(&self, command: &Command, fields: &Fields) -> Progress {

@@ -11,7 +11,7 @@ use contract::{CommandId, NoData, Reason};
 use interlock::{Guard, Hinders, Need};
 use tokio::sync::watch;
 
-use super::{Driver, Obeyed, Progress, apart_deg, vendor, within};
+use super::{Driver, Executed, Progress, apart_deg, vendor, within};
 use crate::guard_task::Seen;
 use crate::now::Now;
 use crate::readings::Readings;
@@ -168,13 +168,13 @@ impl Driver for Dome {
         }
     }
 
-    async fn obey(
+    async fn execute(
         &self,
         alpaca: &Alpaca,
         _: &CommandId,
         command: &Command,
         fields: &Fields,
-    ) -> Result<Obeyed, AlpacaError> {
+    ) -> Result<Executed, AlpacaError> {
         match command {
             Command::OpenShutter => {
                 // The permit may have gone since the command was taken.
@@ -214,15 +214,15 @@ impl Driver for Dome {
                 if closes {
                     self.guard().close_sent(self.clock.machine());
                 }
-                let obeyed = vendor::obey(alpaca, words).await;
+                let executed = vendor::execute(alpaca, words).await;
                 if closes {
-                    self.close_answered(&obeyed);
+                    self.close_answered(&executed);
                 }
-                return obeyed;
+                return executed;
             }
-            Command::Claim | Command::Resume => return Ok(Obeyed::Done),
+            Command::Claim | Command::Resume => return Ok(Executed::Done),
         }
-        Ok(Obeyed::Watch)
+        Ok(Executed::Watch)
     }
 
     fn limit(&self, command: &Command) -> Duration {

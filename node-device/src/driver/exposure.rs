@@ -3,12 +3,13 @@
 use std::time::Duration;
 
 use alpaca::{Alpaca, AlpacaError, RawImage, value};
-use contract::device::camera::{Exposure, Purpose, Subframe};
+use contract::device::camera::{Exposure, Purpose};
 use contract::{CommandId, Kind, NoData};
 use tokio::time::{Instant, sleep, sleep_until};
 use units::Utc;
 
 use super::camera::Camera;
+use super::camera_setting::Setting;
 use crate::deadline::machine_limit;
 use crate::readings::{Readings, member};
 use crate::spool::About;
@@ -25,29 +26,10 @@ const START_KNOWN: Duration = Duration::from_millis(500);
 /// ASCOM CameraState: waiting for its start, exposing, reading, download.
 const EXPOSES: [i64; 4] = [1, 2, 3, 4];
 
-/// What a camera is set to before an exposure, binned pixels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Setting {
-    bin: u32,
-    part: Subframe,
-}
-
-impl Setting {
-    /// The asked part of the sensor, or all of it.
-    pub fn new(sensor_px: (u32, u32), bin: u32, part: Option<Subframe>) -> Self {
-        let (width_px, height_px) = (sensor_px.0 / bin, sensor_px.1 / bin);
-        Self { bin, part: part.unwrap_or(Subframe { x_px: 0, y_px: 0, width_px, height_px }) }
-    }
-
-    fn pixels(self) -> u64 {
-        u64::from(self.part.width_px) * u64::from(self.part.height_px)
-    }
-}
-
 /// Shows the exposure in the camera's state for as long as it lives, also when the command is interrupted.
-struct Shown<'a>(&'a Camera);
+struct ExposureInState<'a>(&'a Camera);
 
-impl Drop for Shown<'_> {
+impl Drop for ExposureInState<'_> {
     fn drop(&mut self) {
         self.0.memory(|memory| memory.exposure = None);
     }
@@ -93,12 +75,12 @@ impl Camera {
         let began = Instant::now();
         let after = self.clock.utc();
         let started_utc = before.plus_seconds(after.seconds_since(before) / 2.0);
-        let shown = Shown(self);
+        let in_state = ExposureInState(self);
         self.memory(|memory| memory.exposure = Some(Exposure { id: id.clone(), started_utc, exposure_s }));
 
         let readings = self.read_fixed(alpaca).await;
         self.wait_until_ready(alpaca, began, exposure_s).await?;
-        let (started_utc, exposure_s) = self.as_the_camera_tells(alpaca, started_utc, exposure_s).await;
+        let (started_utc, exposure_s) = self.as_the_camera_reports(alpaca, started_utc, exposure_s).await;
         let raw = alpaca.image(setting.pixels()).await?;
         let size = raw.size_px();
         let part = setting.part;
@@ -107,7 +89,7 @@ impl Camera {
             let asked = format!("asked for {} x {} px", part.width_px, part.height_px);
             return Err(AlpacaError::Protocol(format!("the image has {width} x {height} px, {asked}")));
         }
-        drop(shown);
+        drop(in_state);
         self.store(
             place,
             raw,
@@ -119,7 +101,7 @@ impl Camera {
                 origin_px: [part.x_px, part.y_px],
                 started_utc,
                 exposure_s,
-                readings: readings.shown(Kind::Camera, self.clock.machine()),
+                readings: readings.published(Kind::Camera, self.clock.machine()),
             },
         );
         Ok(())
@@ -212,19 +194,19 @@ impl Camera {
     }
 
     /// The camera knows best when its shutter opened, if it reports this to a fraction of a second and believably.
-    async fn as_the_camera_tells(&self, alpaca: &Alpaca, started_utc: Utc, exposure_s: f64) -> (Utc, f64) {
-        if !self.memory(|memory| memory.tells_start) {
+    async fn as_the_camera_reports(&self, alpaca: &Alpaca, started_utc: Utc, exposure_s: f64) -> (Utc, f64) {
+        if !self.memory(|memory| memory.reports_start) {
             return (started_utc, exposure_s);
         }
         let start = alpaca.get("lastexposurestarttime").await;
         let light = alpaca.get("lastexposureduration").await;
         if start.is_err() && light.is_err() {
-            self.memory(|memory| memory.tells_start = false);
+            self.memory(|memory| memory.reports_start = false);
         }
-        let told = start.ok().and_then(|start| value::text(&start).ok()).filter(|text| text.contains('.'));
-        let told = told.and_then(|text| text.parse::<Utc>().ok());
+        let reported = start.ok().and_then(|start| value::text(&start).ok()).filter(|text| text.contains('.'));
+        let reported = reported.and_then(|text| text.parse::<Utc>().ok());
         // A camera computer's own clock may be off.
-        let started = told.filter(|told| told.seconds_since(started_utc).abs() <= 0.5 * self.clock.speed());
+        let started = reported.filter(|reported| reported.seconds_since(started_utc).abs() <= 0.5 * self.clock.speed());
         let light = light.ok().and_then(|light| value::number(&light).ok());
         let light = light.filter(|light| (light - exposure_s).abs() <= 0.1 * exposure_s + 0.1);
         (started.unwrap_or(started_utc), light.unwrap_or(exposure_s))

@@ -8,7 +8,7 @@ use contract::device::filter_wheel::{self, Capabilities, Command, Fields};
 use contract::{CommandId, Datum, NoData, Reason};
 use interlock::Need;
 
-use super::{Driver, Obeyed, Progress};
+use super::{Driver, Executed, Progress};
 use crate::readings::Readings;
 
 /// Drives a filter wheel.
@@ -71,10 +71,16 @@ impl Driver for FilterWheel {
         (!fits).then(|| (Reason::Malformed, format!("position {position}: the wheel has {count}, counted from 0")))
     }
 
-    async fn obey(&self, alpaca: &Alpaca, _: &CommandId, command: &Command, _: &Fields) -> Result<Obeyed, AlpacaError> {
+    async fn execute(
+        &self,
+        alpaca: &Alpaca,
+        _: &CommandId,
+        command: &Command,
+        _: &Fields,
+    ) -> Result<Executed, AlpacaError> {
         let Command::Turn { position } = command;
         alpaca.put("position", &[("Position", &position.to_string())]).await?;
-        Ok(Obeyed::Watch)
+        Ok(Executed::Watch)
     }
 
     fn limit(&self, _: &Command) -> Duration {

@@ -5,7 +5,7 @@ use contract::device::focuser::{self, Capabilities, Command, Fields};
 use contract::{CommandId, Reason};
 use interlock::Need;
 
-use super::{Driver, Obeyed, Progress};
+use super::{Driver, Executed, Progress};
 use crate::readings::Readings;
 
 /// Drives a focuser.
@@ -68,12 +68,18 @@ impl Driver for Focuser {
         }
     }
 
-    async fn obey(&self, alpaca: &Alpaca, _: &CommandId, command: &Command, _: &Fields) -> Result<Obeyed, AlpacaError> {
+    async fn execute(
+        &self,
+        alpaca: &Alpaca,
+        _: &CommandId,
+        command: &Command,
+        _: &Fields,
+    ) -> Result<Executed, AlpacaError> {
         match command {
             Command::Move { position } => alpaca.put("move", &[("Position", &position.to_string())]).await?,
             Command::Abort => alpaca.put("halt", &[]).await?,
         }
-        Ok(Obeyed::Watch)
+        Ok(Executed::Watch)
     }
 
     fn progress(&self, command: &Command, fields: &Fields) -> Progress {

@@ -2,6 +2,7 @@
 //! rest.
 
 pub mod camera;
+mod camera_setting;
 pub mod cover_calibrator;
 pub mod dome;
 mod exposure;
@@ -53,7 +54,7 @@ impl Progress {
 
 /// What sending a command came to.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Obeyed {
+pub enum Executed {
     /// The device took it; its state will show when it is done.
     Watch,
     /// Done already.
@@ -112,8 +113,8 @@ pub trait Driver: Send + Sync + 'static {
         Hinders::No
     }
 
-    /// Answers commands that the device itself does not execute, such as a frame's release.
-    fn answer(&self, _id: &CommandId, _command: &Command<Self>) -> Option<Reply> {
+    /// Answers commands that the device itself does not execute, such as a frame's release; by id and sender.
+    fn answer(&self, _origin: (&CommandId, &str), _command: &Command<Self>) -> Option<Reply> {
         None
     }
 
@@ -129,13 +130,13 @@ pub trait Driver: Send + Sync + 'static {
     }
 
     /// Sends the command. Dropping the future in the middle must be harmless.
-    fn obey(
+    fn execute(
         &self,
         alpaca: &Alpaca,
         id: &CommandId,
         command: &Command<Self>,
         fields: &Fields<Self>,
-    ) -> impl Future<Output = Result<Obeyed, AlpacaError>> + Send;
+    ) -> impl Future<Output = Result<Executed, AlpacaError>> + Send;
 
     /// A command that takes longer has failed, sky time from the moment it was sent.
     fn limit(&self, _command: &Command<Self>) -> Duration {
@@ -159,3 +160,7 @@ pub(crate) fn within(name: &str, number: f64, low: f64, high: f64) -> Option<(Re
 pub(crate) fn apart_deg(a: f64, b: f64) -> f64 {
     units::Angle::from_degrees(a - b).wrapped_signed().abs().degrees()
 }
+
+#[cfg(test)]
+#[path = "driver_tests.rs"]
+mod tests;

@@ -5,7 +5,7 @@ use contract::CommandId;
 use contract::device::observing_conditions::{self, Capabilities, Command, Fields};
 use interlock::Need;
 
-use super::{Driver, Obeyed};
+use super::{Driver, Executed};
 use crate::readings::{AGE, Readings, age_of};
 
 /// Reads a weather station.
@@ -64,10 +64,16 @@ impl Driver for ObservingConditions {
         }
     }
 
-    async fn obey(&self, alpaca: &Alpaca, _: &CommandId, command: &Command, _: &Fields) -> Result<Obeyed, AlpacaError> {
+    async fn execute(
+        &self,
+        alpaca: &Alpaca,
+        _: &CommandId,
+        command: &Command,
+        _: &Fields,
+    ) -> Result<Executed, AlpacaError> {
         match command {
             Command::Refresh => alpaca.put("refresh", &[]).await?,
         }
-        Ok(Obeyed::Done)
+        Ok(Executed::Done)
     }
 }

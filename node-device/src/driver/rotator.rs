@@ -5,7 +5,7 @@ use contract::device::rotator::{self, Capabilities, Command, Fields};
 use contract::{CommandId, Reason};
 use interlock::Need;
 
-use super::{Driver, Obeyed, Progress, apart_deg, within};
+use super::{Driver, Executed, Progress, apart_deg, within};
 use crate::readings::Readings;
 
 /// A rotator that is this close to its target has reached it.
@@ -59,14 +59,20 @@ impl Driver for Rotator {
         }
     }
 
-    async fn obey(&self, alpaca: &Alpaca, _: &CommandId, command: &Command, _: &Fields) -> Result<Obeyed, AlpacaError> {
+    async fn execute(
+        &self,
+        alpaca: &Alpaca,
+        _: &CommandId,
+        command: &Command,
+        _: &Fields,
+    ) -> Result<Executed, AlpacaError> {
         match command {
             Command::Move { position_deg } => {
                 alpaca.put("moveabsolute", &[("Position", &(position_deg % 360.0).to_string())]).await?;
             }
             Command::Abort => alpaca.put("halt", &[]).await?,
         }
-        Ok(Obeyed::Watch)
+        Ok(Executed::Watch)
     }
 
     fn progress(&self, command: &Command, fields: &Fields) -> Progress {

@@ -9,7 +9,7 @@ use contract::CommandId;
 use contract::device::safety_monitor::{self, Capabilities, Command, Fields};
 use interlock::Need;
 
-use super::{Driver, Obeyed};
+use super::{Driver, Executed};
 use crate::now::Now;
 use crate::readings::Readings;
 
@@ -55,7 +55,7 @@ impl Driver for SafetyMonitor {
         match *command {}
     }
 
-    async fn obey(&self, _: &Alpaca, _: &CommandId, command: &Command, _: &Fields) -> Result<Obeyed, AlpacaError> {
+    async fn execute(&self, _: &Alpaca, _: &CommandId, command: &Command, _: &Fields) -> Result<Executed, AlpacaError> {
         match *command {}
     }
 }
@@ -95,10 +95,11 @@ impl SafeRecord {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use contract::NoData;
     use serde_json::{Value, json};
     use units::Utc;
+
+    use super::*;
 
     fn observe(record: &mut SafeRecord, second: u64, safe: bool) -> u64 {
         // Sky time runs ten times as fast as the machine.

@@ -3,11 +3,11 @@
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use alpaca::{Alpaca, AlpacaError, optional, value};
-use contract::device::switch::{self, Capabilities, Command, Description, Fields};
+use contract::device::switch::{self, Capabilities, Command, Fields, SwitchDescription};
 use contract::{CommandId, Reason};
 use interlock::Need;
 
-use super::{Driver, Obeyed, within};
+use super::{Driver, Executed, within};
 use crate::readings::Readings;
 
 /// More switches than this are a server's mistake.
@@ -38,7 +38,7 @@ impl Driver for Switch {
         for number in 0..count {
             let id = number.to_string();
             let id = [("Id", id.as_str())];
-            switches.push(Description {
+            switches.push(SwitchDescription {
                 name: about(alpaca, "getswitchname", &id, value::text).await?.unwrap_or_default(),
                 can_write: about(alpaca, "canwrite", &id, value::flag).await?.unwrap_or(false),
                 minimum: about(alpaca, "minswitchvalue", &id, value::number).await?.unwrap_or(0.0),
@@ -68,11 +68,17 @@ impl Driver for Switch {
         }
     }
 
-    async fn obey(&self, alpaca: &Alpaca, _: &CommandId, command: &Command, _: &Fields) -> Result<Obeyed, AlpacaError> {
+    async fn execute(
+        &self,
+        alpaca: &Alpaca,
+        _: &CommandId,
+        command: &Command,
+        _: &Fields,
+    ) -> Result<Executed, AlpacaError> {
         let Command::Set { number, value } = command;
         // The switch rounds to its own step, so its answer is the proof, not its value.
         alpaca.put("setswitchvalue", &[("Id", &number.to_string()), ("Value", &value.to_string())]).await?;
-        Ok(Obeyed::Done)
+        Ok(Executed::Done)
     }
 }
 

@@ -9,7 +9,7 @@ use contract::device::telescope::{self, Capabilities, Command, Direction, Equato
 use contract::{CommandId, Datum, Reason};
 use interlock::{Hinders, Need};
 
-use super::{Driver, Obeyed, Progress, apart_deg, vendor, within};
+use super::{Driver, Executed, Progress, apart_deg, vendor, within};
 use crate::readings::Readings;
 
 /// A mount that stands still farther from its target than this has not reached it; generous, because mounts
@@ -212,13 +212,13 @@ impl Driver for Telescope {
         }
     }
 
-    async fn obey(
+    async fn execute(
         &self,
         alpaca: &Alpaca,
         _: &CommandId,
         command: &Command,
         fields: &Fields,
-    ) -> Result<Obeyed, AlpacaError> {
+    ) -> Result<Executed, AlpacaError> {
         match command {
             Command::Slew { ra_deg, dec_deg } => {
                 if fields.tracking.known() == Some(&false) {
@@ -234,7 +234,7 @@ impl Driver for Telescope {
                 let (hours, degrees) = (hours(*ra_deg), dec_deg.to_string());
                 let target = [("RightAscension", hours.as_str()), ("Declination", degrees.as_str())];
                 alpaca.put("synctocoordinates", &target).await?;
-                return Ok(Obeyed::Done);
+                return Ok(Executed::Done);
             }
             Command::Track { on } => {
                 alpaca.put("tracking", &[("Tracking", if *on { "True" } else { "False" })]).await?;
@@ -246,7 +246,7 @@ impl Driver for Telescope {
             }
             Command::Rates { ra_s_per_sidereal_s, dec_arcsec_per_s } => {
                 self.set_rates(alpaca, *ra_s_per_sidereal_s, *dec_arcsec_per_s).await?;
-                return Ok(Obeyed::Done);
+                return Ok(Executed::Done);
             }
             Command::Abort => alpaca.put("abortslew", &[]).await?,
             Command::Park => {
@@ -273,10 +273,10 @@ impl Driver for Telescope {
                 let parameters = [("Direction", direction), ("Duration", duration.as_str())];
                 alpaca.put_within("pulseguide", &parameters, deadline).await?;
             }
-            Command::Vendor(command) => return vendor::obey(alpaca, command).await,
-            Command::Claim => return Ok(Obeyed::Done),
+            Command::Vendor(command) => return vendor::execute(alpaca, command).await,
+            Command::Claim => return Ok(Executed::Done),
         }
-        Ok(Obeyed::Watch)
+        Ok(Executed::Watch)
     }
 
     fn limit(&self, command: &Command) -> Duration {

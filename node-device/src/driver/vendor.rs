@@ -6,10 +6,10 @@ use contract::device::vendor::{LONGEST_ANSWER, VendorCommand, Words};
 use contract::{NoData, Reason};
 use serde_json::Value;
 
-use super::Obeyed;
+use super::Executed;
 
 /// No state shows whether such a command was done: without an answer it has failed.
-pub const UNANSWERED: &str = "no answer came, so that it is not known whether the device heard it";
+pub const UNANSWERED: &str = "no answer came, so that it is not known whether the device received it";
 
 /// Why a command is not sent.
 pub fn refuse(listed: &[&[VendorPattern]], command: &VendorCommand) -> Option<(Reason, String)> {
@@ -27,7 +27,7 @@ pub fn is_listed(listed: &[VendorPattern], command: &VendorCommand) -> bool {
 }
 
 /// Sends it and waits for the answer.
-pub async fn obey(alpaca: &Alpaca, command: &VendorCommand) -> Result<Obeyed, AlpacaError> {
+pub async fn execute(alpaca: &Alpaca, command: &VendorCommand) -> Result<Executed, AlpacaError> {
     let ask = async |member: &str, Words { command, raw }: &Words| {
         let raw = if *raw { "True" } else { "False" };
         alpaca.call(member, &[("Command", command), ("Raw", raw)]).await
@@ -37,17 +37,17 @@ pub async fn obey(alpaca: &Alpaca, command: &VendorCommand) -> Result<Obeyed, Al
         VendorCommand::CommandBool(words) => ask("commandbool", words).await?,
         VendorCommand::CommandBlind(words) => {
             ask("commandblind", words).await?;
-            return Ok(Obeyed::Done);
+            return Ok(Executed::Done);
         }
         VendorCommand::Action { name, parameters } => {
             alpaca.call("action", &[("Action", name), ("Parameters", parameters)]).await?
         }
     };
-    told(answer).map(Obeyed::Answered)
+    as_text(answer).map(Executed::Answered)
 }
 
 /// An answer as text: of `true` and numbers their JSON, of nothing no text.
-fn told(answer: Option<Value>) -> Result<String, AlpacaError> {
+fn as_text(answer: Option<Value>) -> Result<String, AlpacaError> {
     let text = match answer {
         None | Some(Value::Null) => String::new(),
         Some(Value::String(text)) => text,
@@ -67,13 +67,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_answer_is_told_as_text_and_never_cut() {
-        assert_eq!(told(Some(json!("a|1"))).unwrap(), "a|1");
-        assert_eq!(told(Some(json!(true))).unwrap(), "true");
-        assert_eq!(told(Some(json!(-1))).unwrap(), "-1");
-        assert_eq!(told(None).unwrap(), "");
-        assert!(told(Some(json!("x".repeat(LONGEST_ANSWER)))).is_ok());
-        let error = told(Some(json!("x".repeat(LONGEST_ANSWER + 1)))).unwrap_err();
+    fn an_answer_is_reported_as_text_and_never_cut() {
+        assert_eq!(as_text(Some(json!("a|1"))).unwrap(), "a|1");
+        assert_eq!(as_text(Some(json!(true))).unwrap(), "true");
+        assert_eq!(as_text(Some(json!(-1))).unwrap(), "-1");
+        assert_eq!(as_text(None).unwrap(), "");
+        assert!(as_text(Some(json!("x".repeat(LONGEST_ANSWER)))).is_ok());
+        let error = as_text(Some(json!("x".repeat(LONGEST_ANSWER + 1)))).unwrap_err();
         assert!(error.to_string().contains("16385 bytes"), "{error}");
     }
 }

@@ -135,7 +135,9 @@ impl Copy {
         if sealed.form != FORM || sealed.sha256 != proof(sealed.number, &sealed.copy) {
             return None;
         }
-        let copy: Self = serde_json::from_str(&sealed.copy).ok()?;
+        let copy = serde_json::from_str::<Self>(&sealed.copy);
+        // Whole, and written by another version: nobody may take that for a file that is not there.
+        let copy = copy.inspect_err(|error| tracing::error!(%error, "the guard's copy on disk cannot be used")).ok()?;
         let sane = |dome: &DomeCopy| {
             let all = [dome.parked_within_s, dome.permit_valid_s, dome.travel_timeout_s];
             all.iter().all(|seconds| seconds.is_finite() && *seconds >= 0.0) && !dome.target.server.is_empty()

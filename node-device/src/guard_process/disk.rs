@@ -22,7 +22,7 @@ pub enum Written {
 pub fn start(places: Places) -> SyncSender<Written> {
     let (disk, writes) = sync_channel(4);
     std::thread::spawn(move || {
-        let mut is_told = false;
+        let mut is_reported = false;
         while let Ok(write) = writes.recv() {
             let written = match write {
                 Written::Countdown(now, deadlines) => places.keep_countdown(now, &deadlines),
@@ -32,13 +32,13 @@ pub fn start(places: Places) -> SyncSender<Written> {
                     continue;
                 }
             };
-            if !written && !is_told {
+            if !written && !is_reported {
                 tracing::error!(
                     "nothing can be written next to the configuration nor in the state folder: a restart of this \
                      process will close the enclosure at once, and not know how if the configuration is broken"
                 );
             }
-            is_told = !written;
+            is_reported = !written;
         }
     });
     disk

@@ -3,9 +3,10 @@
 
 use std::time::Duration;
 
-use bus::{Bus, Clock, Node, NodeOptions, Quality};
+use bus::{Bus, Clock};
 use contract::observatory::AlertKind;
 use contract::{NodeTopic, Role};
+use node::{Node, NodeOptions};
 use tokio::sync::mpsc;
 
 use super::copy::Copy;
@@ -39,12 +40,13 @@ impl Herald {
     }
 
     /// Raises or clears an alert. `copy` has the address of the bus. Never waits.
-    pub fn tell(&mut self, copy: &Copy, kind: AlertKind, instance: &str, cause: Option<String>) {
+    pub fn report(&mut self, copy: &Copy, kind: AlertKind, instance: &str, cause: Option<String>) {
         if self.changes.is_none() && cause.is_some() {
-            let (changes, heard) = mpsc::unbounded_channel();
+            let (changes, received) = mpsc::unbounded_channel();
             let (id, copy, options) = (self.id.clone(), copy.clone(), self.options.clone());
-            let started =
-                std::thread::Builder::new().name("herald".to_owned()).spawn(move || run(&id, &copy, &options, heard));
+            let started = std::thread::Builder::new()
+                .name("herald".to_owned())
+                .spawn(move || run(&id, &copy, &options, received));
             match started {
                 Ok(_) => self.changes = Some(changes),
                 Err(error) => tracing::error!(%error, "alerts of the guard process cannot be published: no thread"),
@@ -57,13 +59,13 @@ impl Herald {
     }
 }
 
-fn run(id: &str, copy: &Copy, options: &NodeOptions, heard: mpsc::UnboundedReceiver<Change>) {
+fn run(id: &str, copy: &Copy, options: &NodeOptions, received: mpsc::UnboundedReceiver<Change>) {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
-    let told = match runtime {
-        Ok(runtime) => runtime.block_on(publish(id, copy, options, heard)),
+    let ended = match runtime {
+        Ok(runtime) => runtime.block_on(publish(id, copy, options, received)),
         Err(error) => Err(error.into()),
     };
-    if let Err(error) = told {
+    if let Err(error) = ended {
         tracing::error!(%error, "alerts of the guard process cannot be published");
     }
 }
@@ -72,7 +74,7 @@ async fn publish(
     id: &str,
     copy: &Copy,
     options: &NodeOptions,
-    mut heard: mpsc::UnboundedReceiver<Change>,
+    mut received: mpsc::UnboundedReceiver<Change>,
 ) -> anyhow::Result<()> {
     let connect = copy.connect.iter().chain(&options.connect).cloned().collect();
     let multicast = copy.multicast && !options.no_multicast;
@@ -91,9 +93,9 @@ async fn publish(
     let node = Node::new(Role::Device, format!("{id}-guard").parse()?, config, Default::default(), bus);
     let alerts = node.alerts.clone();
     // Alerts and nothing else: it is no node whose clock and disk anything depends on.
-    let line = node.bus.publisher(&node.key(NodeTopic::Alerts), Quality::State { cache: 100 }).await?;
-    let tell = async {
-        while let Some(Change { kind, instance, cause }) = heard.recv().await {
+    let line = node.bus.publisher(&node.key(NodeTopic::Alerts)).await?;
+    let changing = async {
+        while let Some(Change { kind, instance, cause }) = received.recv().await {
             match cause {
                 Some(cause) => alerts.raise(kind, instance, &cause),
                 None => alerts.clear(kind, instance),
@@ -102,8 +104,8 @@ async fn publish(
         Ok(())
     };
     tokio::select! {
-        told = tell => told,
+        ended = changing => ended,
         () = alerts.keep_time() => Ok(()),
-        told = line.follow(alerts.watch(), REPEATED) => Ok(told?),
+        ended = line.follow(alerts.watch(), REPEATED) => Ok(ended?),
     }
 }

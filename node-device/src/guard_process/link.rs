@@ -8,15 +8,16 @@ use std::io::{BufRead as _, Write as _};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
-use bus::{MachineTime, Stop};
-use interlock::{Deadlines, DomeReport, Report};
+use bus::MachineTime;
+use interlock::{Deadlines, DomeReport, Report, nanos};
+use node::Stop;
 use tokio::io::{AsyncWriteExt as _, BufReader, Lines};
 use tokio::process::{ChildStdin, ChildStdout};
 
-use super::places::nanos;
-
 /// The order to close and leave.
 pub const END: &str = "end";
+/// The guard process and its node read the same boot-time clock; on other systems each counts from its own start.
+pub const SHARES_CLOCK: bool = cfg!(target_os = "linux");
 /// The variable with the times until which the node's domes may be open.
 pub const DEADLINES: &str = "STARMESH_OPEN_UNTIL_NS";
 
@@ -40,14 +41,14 @@ fn deadline_in(text: &str, dome: &str) -> Option<MachineTime> {
 /// The node's side of the link.
 #[derive(Clone)]
 pub struct GuardLink {
-    shared: Arc<Shared>,
+    shared: Arc<NewestReport>,
     /// Set when the guard process has died.
     pub orphaned: Stop,
     /// Set when the guard process wants the node to close and end.
     pub asked_to_end: Stop,
 }
 
-struct Shared {
+struct NewestReport {
     newest: Mutex<(Report, bool)>,
     changed: Condvar,
 }
@@ -55,7 +56,7 @@ struct Shared {
 impl GuardLink {
     /// Takes this process's standard input and output for the link.
     pub fn open() -> Self {
-        let shared = Arc::new(Shared { newest: Mutex::default(), changed: Condvar::new() });
+        let shared = Arc::new(NewestReport { newest: Mutex::default(), changed: Condvar::new() });
         let link = Self { shared: shared.clone(), orphaned: Stop::default(), asked_to_end: Stop::default() };
         let (orphaned, asked) = (link.orphaned.clone(), link.asked_to_end.clone());
         std::thread::spawn(move || {
@@ -73,7 +74,7 @@ impl GuardLink {
     }
 
     /// Sends the state of a dome's guard, and the tokens that it knows. Never waits.
-    pub fn say(&self, dome: &str, report: DomeReport, tokens: impl IntoIterator<Item = (String, u64)>) {
+    pub fn publish(&self, dome: &str, report: DomeReport, tokens: impl IntoIterator<Item = (String, u64)>) {
         let mut newest = self.shared.newest.lock().unwrap_or_else(PoisonError::into_inner);
         newest.0.domes.insert(dome.to_owned(), report);
         newest.0.tokens.extend(tokens);
@@ -88,7 +89,7 @@ impl GuardLink {
 }
 
 /// Writes what is new, until nobody reads.
-fn write(shared: &Shared) {
+fn write(shared: &NewestReport) {
     loop {
         let report = {
             let guard = shared.newest.lock().unwrap_or_else(PoisonError::into_inner);

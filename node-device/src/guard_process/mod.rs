@@ -6,8 +6,8 @@
 //! verified, for ever, and an alert is raised. The node needs this process as little: without it, it guards on and
 //! raises an alert.
 //!
-//! `interlock::watch` decides (pure), `closer` does, `leaving` closes what the configuration names no more, `starting`
-//! asks the disk, `copy` and `places` remember, `link` is the line between both processes.
+//! `interlock::watch` and `interlock::Closer` decide (pure), `closer` does, `leaving` closes what the configuration
+//! names no more, `starting` asks the disk, `copy` and `places` remember, `link` is the line between both processes.
 
 pub mod copy;
 pub mod link;
@@ -23,7 +23,7 @@ mod task;
 
 pub use task::main;
 
-use bus::NodeOptions;
+use node::NodeOptions;
 
 use self::copy::Copy;
 use self::places::Places;
@@ -37,7 +37,7 @@ pub const NODE_LOCK: &str = "node-lock";
 /// worked?
 pub fn is_needed(options: &NodeOptions, id: &str) -> bool {
     let before = || Places::of(&options.config, id).copy().map(|(_, copy)| copy.domes);
-    match bus::node::read_observatory(&options.config) {
+    match node::configuration::read_observatory(&options.config) {
         Ok(config) if Copy::of(&config, id).is_some() => true,
         // A dome that was taken out of the file may be open; one that another node serves now is that node's.
         Ok(config) => before().is_some_and(|domes| {

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use bus::MachineTime;
-use interlock::{Before, Deadlines};
+use interlock::{Before, Deadlines, nanos};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
@@ -145,11 +145,6 @@ pub struct Taken {
     pub path: PathBuf,
 }
 
-/// The boot-time clock's reading in nanoseconds.
-pub fn nanos(at: MachineTime) -> u64 {
-    u64::try_from(at.since(MachineTime::from_boot(Duration::ZERO)).as_nanos()).unwrap_or(u64::MAX)
-}
-
 /// systemd's folder for the service, or the user's own.
 fn state_folder() -> Option<PathBuf> {
     let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
@@ -247,5 +242,93 @@ mod tests {
         assert!(places.lock("lock").is_err());
         drop(held);
         assert!(places.lock("lock").unwrap().is_some());
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_full_disk_leaves_the_copy_and_the_countdown_as_they_were() {
+        let folder = tempfile::tempdir().unwrap();
+        let places = Places::in_folders(&[folder.path()]);
+        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
+        let deadlines = |s| Deadlines::from([("d".to_owned(), at(s))]);
+        assert!(places.keep_copy(1, &copy()) && places.keep_countdown(at(70), &deadlines(77)));
+        let before = places.countdown();
+        let full = |ending: &str| folder.path().join(format!("x.{ending}.{}.part", std::process::id()));
+        for ending in ["guard", "countdown"] {
+            std::os::unix::fs::symlink("/dev/full", full(ending)).unwrap();
+        }
+        assert!(!places.keep_copy(2, &Copy { multicast: false, ..copy() }));
+        assert!(!places.keep_countdown(at(71), &deadlines(99)));
+        assert_eq!((places.copy(), places.countdown()), (Some((1, copy())), before));
+        assert!(!full("guard").is_symlink() && !full("countdown").is_symlink(), "half a file takes no room");
+    }
+
+    #[test]
+    fn of_two_countdowns_the_newest_whole_one_of_this_start_of_the_kernel_counts() {
+        let (one, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let places = Places::in_folders(&[one.path(), other.path()]);
+        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
+        let deadlines = |s| Deadlines::from([("d".to_owned(), at(s))]);
+        let write =
+            |folder: &tempfile::TempDir, text: &str| fs::write(folder.path().join("x.countdown"), text).unwrap();
+        assert!(places.keep_countdown(at(70), &deadlines(77)));
+        assert!(Places::in_folders(&[other.path()]).keep_countdown(at(80), &deadlines(87)));
+        if kernel_boot_id().is_empty() {
+            return; // a system without such an id: each countdown counts as one of another start
+        }
+        assert_eq!(places.countdown(), Before::Deadlines(deadlines(87)));
+        for spoilt in [
+            "",
+            "{\"kernel_boot_id\":",
+            "{\"kernel_boot_id\":\"another\",\"written_ns\":99000000000000,\"open_until_ns\":{\"d\":99}}",
+            "{\"kernel_boot_id\":\"x\",\"written_ns\":-1,\"open_until_ns\":{}}",
+        ] {
+            write(&other, spoilt);
+            assert_eq!(places.countdown(), Before::Deadlines(deadlines(77)), "{spoilt}");
+        }
+        write(&one, "");
+        write(&other, "");
+        assert_eq!(places.countdown(), Before::Nothing);
+    }
+
+    #[test]
+    fn a_copy_that_could_close_no_dome_is_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let places = Places::in_folders(&[folder.path()]);
+        let changed = |change: fn(&mut super::super::copy::DomeCopy)| {
+            let mut changed = copy();
+            change(&mut changed.domes[0]);
+            changed
+        };
+        for (number, spoilt) in [
+            changed(|dome| dome.target.server.clear()),
+            changed(|dome| dome.permit_valid_s = -1.0),
+            changed(|dome| dome.travel_timeout_s = f64::INFINITY),
+            changed(|dome| dome.parked_within_s = f64::NAN),
+            Copy { domes: Vec::new(), ..copy() },
+            Copy { leaving: changed(|dome| dome.target.server.clear()).domes, ..copy() },
+        ]
+        .into_iter()
+        .enumerate()
+        {
+            assert!(places.keep_copy(number as u64, &spoilt));
+            assert_eq!(places.copy(), None, "{spoilt:?}");
+        }
+        fs::write(folder.path().join("x.guard"), vec![b' '; MOST_BYTES as usize + 1]).unwrap();
+        assert_eq!(places.copy(), None, "larger than any copy");
+    }
+
+    #[test]
+    fn a_lock_is_taken_in_the_first_place_that_can_be_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let in_the_way = folder.path().join("file");
+        fs::write(&in_the_way, "").unwrap();
+        let below = folder.path().join("new").join("state");
+        let places = Places::in_folders(&[&in_the_way, &below]);
+        let held = places.lock("lock").unwrap();
+        assert!(held.is_some());
+        assert_eq!(places.lock("lock").unwrap_err().path, below.join("x.lock"));
+        assert!(places.lock("other").unwrap().is_some(), "another lock is free");
+        assert!(Places::in_folders(&[&in_the_way]).lock("lock").unwrap().is_none());
     }
 }

@@ -8,7 +8,7 @@ use super::places::Places;
 
 /// What this process is asked for.
 #[derive(Debug, Clone, Copy)]
-pub enum Asked {
+pub enum EndRequest {
     /// Close, and then end.
     End,
     /// End, whatever is open.
@@ -19,34 +19,34 @@ pub enum Asked {
 
 /// What was asked for, one after another.
 pub struct Signals {
-    asked: tokio::sync::mpsc::UnboundedReceiver<Asked>,
+    asked: tokio::sync::mpsc::UnboundedReceiver<EndRequest>,
 }
 
 impl Signals {
     /// Listens from now on.
     pub fn listen(with_parent: bool) -> Self {
-        let (tell, asked) = tokio::sync::mpsc::unbounded_channel();
-        let parent = tell.clone();
+        let (sender, asked) = tokio::sync::mpsc::unbounded_channel();
+        let parent = sender.clone();
         tokio::spawn(async move {
-            bus::node::end_asked().await;
-            let mut word = Asked::End;
-            while tell.send(word).is_ok() {
-                bus::node::termination().await;
-                word = Asked::EndAtOnce;
+            node::signals::end_asked().await;
+            let mut word = EndRequest::End;
+            while sender.send(word).is_ok() {
+                node::signals::termination().await;
+                word = EndRequest::EndAtOnce;
             }
         });
         if with_parent {
             tokio::spawn(async move {
-                bus::node::parent_end().await;
+                node::signals::parent_end().await;
                 // The receiver is gone when this process ends.
-                let _ = parent.send(Asked::ParentDied);
+                let _ = parent.send(EndRequest::ParentDied);
             });
         }
         Self { asked }
     }
 
     /// The next one.
-    pub async fn next(&mut self) -> Asked {
+    pub async fn next(&mut self) -> EndRequest {
         match self.asked.recv().await {
             Some(asked) => asked,
             None => std::future::pending().await,
@@ -56,12 +56,12 @@ impl Signals {
 
 /// Waits until no other guard process looks after the same domes; none where an end was asked for meanwhile.
 pub async fn lock(places: &Places, id: &str, signals: &mut Signals) -> Option<Option<File>> {
-    let mut has_told = false;
+    let mut has_reported = false;
     loop {
         match places.lock(GUARD_LOCK) {
             Ok(lock) => return Some(lock),
-            Err(taken) if !has_told => {
-                has_told = true;
+            Err(taken) if !has_reported => {
+                has_reported = true;
                 let file = taken.path.display().to_string();
                 tracing::warn!(
                     file,
@@ -71,7 +71,7 @@ pub async fn lock(places: &Places, id: &str, signals: &mut Signals) -> Option<Op
             }
             Err(_) => {}
         }
-        bus::notify::alive();
+        node::service_manager::alive();
         tokio::select! {
             _ = signals.next() => return None,
             () = tokio::time::sleep(Duration::from_millis(500)) => {}

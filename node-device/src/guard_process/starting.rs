@@ -4,8 +4,9 @@
 use std::sync::mpsc::{Receiver, sync_channel};
 
 use anyhow::Context as _;
-use bus::{MachineTime, NodeOptions};
+use bus::MachineTime;
 use interlock::Deadlines;
+use node::NodeOptions;
 use tokio::process::Child;
 
 use super::NODE_LOCK;
@@ -25,18 +26,16 @@ pub struct Ready {
 /// Reads the configuration and starts the node; the answer comes when the disk has given all of it.
 pub fn ask(
     options: &NodeOptions,
-    verb: &[&str],
     id: &str,
     places: &Places,
     mut deadlines: Deadlines,
     now: MachineTime,
 ) -> Receiver<Ready> {
-    let (tell, told) = sync_channel(1);
+    let (sender, receiver) = sync_channel(1);
     let (options, id, places) = (options.clone(), id.to_owned(), places.clone());
-    let verb: Vec<String> = verb.iter().map(|word| (*word).to_owned()).collect();
     let runtime = tokio::runtime::Handle::current();
     std::thread::spawn(move || {
-        let copy = match bus::node::read_observatory(&options.config).map(|config| Copy::of(&config, &id)) {
+        let copy = match node::configuration::read_observatory(&options.config).map(|config| Copy::of(&config, &id)) {
             Ok(Some(copy)) => Ok(copy),
             Ok(None) => Err("the configuration names no dome for this device node any more".to_owned()),
             Err(error) => Err(format!("{error:#}")),
@@ -47,25 +46,18 @@ pub fn ask(
         // A node that lost its guard process leaves as soon as it sees the new one.
         let may_start = copy.is_ok() && places.lock(NODE_LOCK).is_ok();
         let _within = runtime.enter();
-        let node = may_start.then(|| spawn(&verb, &options, &id, &places, &deadlines));
+        let node = may_start.then(|| spawn(&options, &id, &places, &deadlines));
         // The receiver is gone when this process ends.
-        let _ = tell.send(Ready { copy, node });
+        let _ = sender.send(Ready { copy, node });
     });
-    told
+    receiver
 }
 
-fn spawn(
-    verb: &[String],
-    options: &NodeOptions,
-    id: &str,
-    places: &Places,
-    deadlines: &Deadlines,
-) -> anyhow::Result<Child> {
-    let verb: Vec<&str> = verb.iter().map(String::as_str).collect();
-    let mut command = child::command(&verb, options, id)?;
+fn spawn(options: &NodeOptions, id: &str, places: &Places, deadlines: &Deadlines) -> anyhow::Result<Child> {
+    let mut command = child::command(options, id)?;
     command.arg("--guarded").env(DEADLINES, deadlines_to_text(deadlines));
     if let Some(file) = places.last_words() {
-        command.env(bus::node::LAST_WORDS, file);
+        command.env(node::start::LAST_WORDS, file);
     }
     command.env_remove("NOTIFY_SOCKET").stdout(std::process::Stdio::piped());
     command.spawn().context("cannot start the device node")

@@ -6,10 +6,11 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use bus::{Clock, MachineTime, NodeOptions};
+use bus::{Clock, MachineTime};
 use contract::observatory::AlertKind;
 use interlock::watch::{Effect, TICK, Watch, Who};
-use interlock::{Before, Deadlines, Report};
+use interlock::{AtEnd, Before, Deadlines, ProcessEnd, Report};
+use node::NodeOptions;
 use tokio::io::{AsyncBufReadExt as _, BufReader};
 use tokio::process::{Child, ChildStdin};
 use tokio::time::{MissedTickBehavior, interval};
@@ -19,9 +20,9 @@ use super::copy::{Copy, DomeCopy};
 use super::disk::{self, Written};
 use super::herald::Herald;
 use super::leaving::{self, Leaving};
-use super::link::{self, NodeLines, next_line};
+use super::link::{self, NodeLines, SHARES_CLOCK, next_line};
 use super::places::Places;
-use super::signals::{Asked, Signals, lock};
+use super::signals::{EndRequest, Signals, lock};
 use super::starting::{self, Ready};
 
 /// A complaint is repeated in the log so often while its reason lasts.
@@ -31,38 +32,38 @@ const READ_AGAIN: Duration = Duration::from_secs(2);
 /// A parent that has died is no order: what is open is closed, but nobody waits for it for long.
 const ORPHAN_LIMIT: Duration = Duration::from_secs(30);
 
-/// Guards the enclosures of the device node `id` until a signal; `verb` comes before the options.
-pub fn main(options: &NodeOptions, verb: &[&str], id: &str) -> ExitCode {
-    bus::node::log_to_console();
+/// Guards the enclosures of the device node `id` until a signal.
+pub fn main(options: &NodeOptions, id: &str) -> ExitCode {
+    node::log::log_to_console();
     let runtime =
         tokio::runtime::Builder::new_current_thread().enable_all().build().context("cannot start the runtime");
-    let ended = runtime.and_then(|runtime| runtime.block_on(run(options, verb, id)));
+    let ended = runtime.and_then(|runtime| runtime.block_on(run(options, id)));
     if let Err(error) = &ended {
-        bus::lines::complain(format_args!("guard process: {error:#}"));
+        node::lines::complain(format_args!("guard process: {error:#}"));
     }
-    bus::lines::flush();
+    node::lines::flush();
     if ended.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
-async fn run(options: &NodeOptions, verb: &[&str], id: &str) -> anyhow::Result<()> {
+async fn run(options: &NodeOptions, id: &str) -> anyhow::Result<()> {
     let places = Places::of(&options.config, id);
     let mut signals = Signals::listen(options.with_parent);
     let Some(_lock) = lock(&places, id, &mut signals).await else { return Ok(()) };
-    let mut work = Work::new(options, verb, id, places);
+    let mut work = Work::new(options, id, places);
     let mut tick = interval(TICK);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         tokio::select! {
             biased;
             asked = signals.next() => match asked {
-                Asked::End => work.end(crate::child::END_LIMIT),
-                Asked::ParentDied => work.end(ORPHAN_LIMIT),
-                Asked::EndAtOnce => {
+                EndRequest::End => work.end(crate::child::END_LIMIT),
+                EndRequest::ParentDied => work.end(ORPHAN_LIMIT),
+                EndRequest::EndAtOnce => {
                     work.kill().await;
                     anyhow::bail!("ended at once by a second signal; nobody guards {} now", work.names());
                 }
             },
-            line = next_line(&mut work.lines) => work.heard(line),
+            line = next_line(&mut work.lines) => work.observe_line(line),
             _ = tick.tick() => {}
         }
         if let Some(ended) = work.step().await {
@@ -78,7 +79,6 @@ fn known<'a>(good: &'a Option<(u64, Copy)>, tried: &'a Option<Copy>) -> Option<&
 
 struct Work<'a> {
     options: &'a NodeOptions,
-    verb: &'a [&'a str],
     id: &'a str,
     places: Places,
     clock: Clock,
@@ -99,22 +99,23 @@ struct Work<'a> {
     orders: Option<ChildStdin>,
     lines: NodeLines,
     /// Why the node does not run as it should.
-    trouble: Option<String>,
+    error: Option<String>,
     complaint: Option<(String, Instant)>,
     /// Domes that this process looks after at present.
     acts_for: Vec<String>,
     read_at: Option<Instant>,
     end_by: Option<Instant>,
     disk: SyncSender<Written>,
-    kept: Option<(Deadlines, Instant)>,
+    stored: Option<(Deadlines, Instant)>,
 }
 
 impl<'a> Work<'a> {
-    fn new(options: &'a NodeOptions, verb: &'a [&'a str], id: &'a str, places: Places) -> Self {
+    fn new(options: &'a NodeOptions, id: &'a str, places: Places) -> Self {
         let clock = Clock::machine_clock();
         let (mut good, now) = (places.copy(), clock.machine());
-        let leaving = good.as_mut().map(|(_, copy)| Leaving::of(copy, now)).unwrap_or_default();
-        let config = bus::node::read_observatory(&options.config).ok().and_then(|config| Copy::of(&config, id));
+        let leaving = good.as_mut().map(|(_, copy)| Leaving::of(copy)).unwrap_or_default();
+        let config =
+            node::configuration::read_observatory(&options.config).ok().and_then(|config| Copy::of(&config, id));
         let known = good.as_ref().map(|(_, copy)| copy).or(config.as_ref());
         let domes: Vec<_> = known
             .into_iter()
@@ -129,10 +130,9 @@ impl<'a> Work<'a> {
         let disk = disk::start(places.clone());
         let mut work = Self {
             options,
-            verb,
             id,
             places,
-            watch: Watch::new(now, &domes, &before),
+            watch: Watch::new(now, &domes, &before, SHARES_CLOCK),
             clock,
             good,
             tried: None,
@@ -144,13 +144,13 @@ impl<'a> Work<'a> {
             node: None,
             orders: None,
             lines: None,
-            trouble: None,
+            error: None,
             complaint: None,
             acts_for: Vec::new(),
             read_at: None,
             end_by: None,
             disk,
-            kept: None,
+            stored: None,
         };
         work.arm();
         work
@@ -158,16 +158,14 @@ impl<'a> Work<'a> {
 
     /// Makes a closer for each dome that is known.
     fn arm(&mut self) {
-        let now = self.clock.machine();
         let Some(copy) = known(&self.good, &self.tried) else { return };
         let mut closers = BTreeMap::new();
         for dome in &copy.domes {
             let name = dome.name.to_string();
-            let is_kept = self.closers.get(&name).is_some_and(|closer| closer.dome == *dome);
-            let kept = if is_kept { self.closers.remove(&name) } else { None };
-            match kept.map_or_else(|| Closer::new(dome, &copy.telescope, now), Ok) {
-                Ok(closer) => drop(closers.insert(name, closer)),
-                Err(error) => tracing::error!(dome = name, %error, "no HTTP client"),
+            let is_same = self.closers.get(&name).is_some_and(|closer| closer.dome == *dome);
+            let old = if is_same { self.closers.remove(&name) } else { None };
+            if let Some(closer) = old.or_else(|| Closer::new(dome, &copy.telescope)) {
+                closers.insert(name, closer);
             }
         }
         let is_gone = |old: &DomeCopy| closers.values().all(|new: &Closer| new.dome.target != old.target);
@@ -201,11 +199,11 @@ impl<'a> Work<'a> {
         }
     }
 
-    fn heard(&mut self, line: Option<String>) {
+    fn observe_line(&mut self, line: Option<String>) {
         let Some(line) = line else { return };
         match serde_json::from_str::<Report>(&line) {
             Ok(report) => {
-                self.watch.heard(self.clock.machine(), &report);
+                self.watch.observe(self.clock.machine(), &report);
                 self.learn(report);
             }
             Err(error) => tracing::warn!(%error, "the device node sent a line that cannot be read"),
@@ -254,7 +252,7 @@ impl<'a> Work<'a> {
         let (herald, good, before) = (&mut self.herald, &self.good, self.leaving.len());
         leaving::close_all(&mut self.leaving, now, |kind, name, cause| {
             if let Some((_, copy)) = good {
-                herald.tell(copy, kind, name, cause);
+                herald.report(copy, kind, name, cause);
             }
         });
         self.unsaved |= self.leaving.len() < before;
@@ -262,14 +260,14 @@ impl<'a> Work<'a> {
 
     /// One round; returns how this process ends.
     async fn step(&mut self) -> Option<anyhow::Result<()>> {
-        bus::notify::alive();
+        node::service_manager::alive();
         let now = self.clock.machine();
         self.reap(now).await;
         match self.watch.tick(now) {
             Some(Effect::Start) => self.start(now),
             _ if self.asking.is_some() => self.start(now),
             Some(Effect::Kill(why)) => {
-                self.trouble = Some(format!("the device node was killed: {why}"));
+                self.error = Some(format!("the device node was killed: {why}"));
                 self.kill().await;
             }
             None => {}
@@ -292,7 +290,7 @@ impl<'a> Work<'a> {
         // The last lines of its log.
         while self.lines.is_some() {
             match tokio::time::timeout(Duration::from_millis(50), next_line(&mut self.lines)).await {
-                Ok(Some(line)) => self.heard(Some(line)),
+                Ok(Some(line)) => self.observe_line(Some(line)),
                 Ok(None) | Err(_) => self.lines = None,
             }
         }
@@ -303,8 +301,8 @@ impl<'a> Work<'a> {
             self.watch.ended(now);
         }
         if self.end_by.is_none() {
-            let why = self.trouble.take().filter(|why| why.contains("killed"));
-            self.trouble = Some(
+            let why = self.error.take().filter(|why| why.contains("killed"));
+            self.error = Some(
                 why.unwrap_or_else(|| format!("the device node ended ({ended}); the reason is in its lines above")),
             );
         }
@@ -317,20 +315,20 @@ impl<'a> Work<'a> {
             }
             self.read_at = Some(Instant::now());
             let deadlines = self.watch.deadlines().clone();
-            self.asking = Some(starting::ask(self.options, self.verb, self.id, &self.places, deadlines, now));
+            self.asking = Some(starting::ask(self.options, self.id, &self.places, deadlines, now));
             return;
         }
-        let told = self.asking.as_ref().map(Receiver::try_recv);
+        let answer = self.asking.as_ref().map(Receiver::try_recv);
         // While the disk does not answer, this process guards alone.
-        if matches!(told, Some(Err(TryRecvError::Empty))) {
+        if matches!(answer, Some(Err(TryRecvError::Empty))) {
             return;
         }
         self.asking = None;
-        let Some(Ok(Ready { copy, node })) = told else { return self.watch.not_yet(now) };
+        let Some(Ok(Ready { copy, node })) = answer else { return self.watch.not_yet(now) };
         let copy = match copy {
             Ok(copy) => copy,
             Err(why) => {
-                (self.trouble, self.tried) = (Some(why), None);
+                (self.error, self.tried) = (Some(why), None);
                 return self.watch.ended(now);
             }
         };
@@ -338,7 +336,7 @@ impl<'a> Work<'a> {
             self.watch.add(dome.name.as_str(), now.plus(dome.permit_valid()));
         }
         let Some(node) = node else {
-            self.trouble = Some("the device node of the guard process before has not ended yet".to_owned());
+            self.error = Some("the device node of the guard process before has not ended yet".to_owned());
             return self.watch.not_yet(now);
         };
         self.tried = Some(copy.clone());
@@ -354,7 +352,7 @@ impl<'a> Work<'a> {
                 self.watch.started(now, same);
             }
             Err(error) => {
-                self.trouble = Some(format!("{error:#}"));
+                self.error = Some(format!("{error:#}"));
                 self.watch.ended(now);
             }
         }
@@ -364,21 +362,14 @@ impl<'a> Work<'a> {
     fn guard(&mut self, now: MachineTime) {
         let mut acts_for = Vec::new();
         for (name, closer) in &mut self.closers {
-            let mut words = Vec::new();
-            closer.take_answers(now, &mut words);
-            match self.watch.who(name, now) {
-                // It waits for mounts that maybe nobody else sends to their park, or whose states it does not receive.
-                Who::Both => closer.close(now, &mut words),
-                Who::Node | Who::Permit => closer.rest(now, &mut words),
-                Who::This => {
-                    acts_for.push(name.clone());
-                    closer.close(now, &mut words);
-                }
+            let who = self.watch.who(name, now);
+            if who == Who::This {
+                acts_for.push(name.clone());
             }
-            for word in words {
+            for word in closer.step(who, now) {
                 word.report(name, |kind, cause| {
                     if let Some(copy) = known(&self.good, &self.tried) {
-                        self.herald.tell(copy, kind, name, cause);
+                        self.herald.report(copy, kind, name, cause);
                     }
                 });
             }
@@ -405,7 +396,7 @@ impl<'a> Work<'a> {
                 tracing::info!(domes = self.names(), "the device node guards again");
                 if let Some(copy) = known(&self.good, &self.tried) {
                     for name in &names {
-                        self.herald.tell(copy, AlertKind::GuardProcess, name, None);
+                        self.herald.report(copy, AlertKind::GuardProcess, name, None);
                     }
                 }
             }
@@ -413,41 +404,42 @@ impl<'a> Work<'a> {
         }
         // One short restart is nobody's business.
         let is_known = self.watch.failures() > 1 || self.tried.is_none() || !self.acts_for.is_empty();
-        let Some(trouble) = self.trouble.clone().filter(|_| is_known) else { return };
-        let is_told = self.complaint.as_ref().is_some_and(|(told, at)| *told == trouble && at.elapsed() < COMPLAIN);
-        if is_told {
+        let Some(error) = self.error.clone().filter(|_| is_known) else { return };
+        let is_reported =
+            self.complaint.as_ref().is_some_and(|(reported, at)| *reported == error && at.elapsed() < COMPLAIN);
+        if is_reported {
             return;
         }
         let names_text = self.names();
         if self.closers.is_empty() {
             tracing::error!(
-                "NOBODY GUARDS {names_text}: {trouble}; and no copy of a configuration that worked exists: close the dome \
+                "NOBODY GUARDS {names_text}: {error}; and no copy of a configuration that worked exists: close the dome \
                  by hand, then mend the configuration"
             );
         } else {
             let what =
                 if self.acts_for.is_empty() { "closes it when its permit has run out" } else { "keeps it closed" };
-            tracing::error!("the device node of {names_text} does not guard: {trouble}; the guard process {what}");
+            tracing::error!("the device node of {names_text} does not guard: {error}; the guard process {what}");
             if let Some(copy) = known(&self.good, &self.tried) {
                 for name in &names {
                     let cause =
-                        format!("the device node of dome {name} does not guard: {trouble}; the guard process {what}");
-                    self.herald.tell(copy, AlertKind::GuardProcess, name, Some(cause));
+                        format!("the device node of dome {name} does not guard: {error}; the guard process {what}");
+                    self.herald.report(copy, AlertKind::GuardProcess, name, Some(cause));
                 }
             }
         }
-        self.complaint = Some((trouble, Instant::now()));
+        self.complaint = Some((error, Instant::now()));
     }
 
     /// Writes the countdown each second, and at once when it is cut short.
     fn keep(&mut self, now: MachineTime) {
         let deadlines = self.watch.deadlines();
-        let is_due = self.kept.as_ref().is_none_or(|(kept, at)| {
-            let is_shorter = kept.iter().any(|(dome, until)| deadlines.get(dome).is_some_and(|new| new < until));
-            kept != deadlines && (is_shorter || at.elapsed() >= Duration::from_secs(1))
+        let is_due = self.stored.as_ref().is_none_or(|(stored, at)| {
+            let is_shorter = stored.iter().any(|(dome, until)| deadlines.get(dome).is_some_and(|new| new < until));
+            stored != deadlines && (is_shorter || at.elapsed() >= Duration::from_secs(1))
         });
         if is_due && self.disk.try_send(Written::Countdown(now, deadlines.clone())).is_ok() {
-            self.kept = Some((deadlines.clone(), Instant::now()));
+            self.stored = Some((deadlines.clone(), Instant::now()));
         }
     }
 
@@ -456,43 +448,43 @@ impl<'a> Work<'a> {
         if let Some(orders) = self.orders.take() {
             tokio::spawn(link::ask_to_end(orders, crate::child::END_LIMIT * 2));
         }
-        let is_late = Instant::now() >= by;
-        if let Some(node) = &mut self.node
-            && !is_late
-        {
-            // One that waits for a mount has asked the dome for nothing, and so cannot prove that it is closed.
-            let hangs = |name: &String| matches!(self.watch.who(name, now), Who::This | Who::Both);
-            let is_closed = self.closers.iter().all(|(name, closer)| hangs(name) && closer.is_verified_closed(now));
-            if is_closed && !self.closers.is_empty() {
+        let at_end = AtEnd {
+            node_runs: self.node.is_some(),
+            is_late: Instant::now() >= by,
+            domes: self.closers.iter().map(|(name, dome)| (name.as_str(), dome.is_verified_closed(now))).collect(),
+            leaving: self
+                .leaving
+                .iter()
+                .filter(|dome| dome.holds_up_the_end(now))
+                .map(|dome| dome.name.as_str())
+                .collect(),
+        };
+        match at_end.decide(&self.watch, now) {
+            ProcessEnd::Waits => None,
+            ProcessEnd::Kill => {
                 tracing::warn!(
                     "the device node does not answer or waits for a mount, and the enclosure is closed: the node is killed"
                 );
-                if let Err(error) = node.start_kill() {
+                if let Some(Err(error)) = self.node.as_mut().map(Child::start_kill) {
                     tracing::warn!(%error, "the device node cannot be killed");
                 }
+                None
             }
-            return None;
-        }
-        let open: Vec<&str> = self
-            .closers
-            .iter()
-            .filter(|(name, closer)| !closer.is_verified_closed(now) && !self.watch.node_says_closed(name))
-            .map(|(name, _)| name.as_str())
-            .chain(self.leaving.iter().map(|dome| dome.name.as_str()))
-            .collect();
-        if self.closers.is_empty() {
-            return Some(Err(anyhow::anyhow!("nobody guards {} now, and nothing is known of it", self.names())));
-        }
-        match (open.is_empty(), is_late) {
-            (true, _) => {
+            ProcessEnd::Closed => {
                 tracing::warn!(domes = self.names(), "closed; the guard process ends");
+                for dome in &self.leaving {
+                    let next = "nobody answers there; the next start looks for it again";
+                    tracing::warn!(dome = dome.name, next, "a dome that the configuration named before was not seen");
+                }
                 Some(Ok(()))
             }
-            (false, false) => None,
-            (false, true) => Some(Err(anyhow::anyhow!(
+            ProcessEnd::Open(open) => Some(Err(anyhow::anyhow!(
                 "NOBODY GUARDS dome {} now, and it is not verified closed: close it by hand",
                 open.join(", ")
             ))),
+            ProcessEnd::KnowsNothing => {
+                Some(Err(anyhow::anyhow!("nobody guards {} now, and nothing is known of it", self.names())))
+            }
         }
     }
 }

@@ -3,25 +3,25 @@
 use std::time::Duration;
 
 use alpaca::AlpacaError;
-use contract::audit::Outcome as Ended;
-use contract::{LastCommand, Link, Outcome};
+use contract::audit::AuditOutcome as Ended;
+use contract::{CommandOutcome, LastCommand, Link};
 use tokio::time::Instant;
 
 use super::Loop;
+use crate::command_server::Order;
 use crate::deadline::machine_limit;
-use crate::driver::{Command, Driver, Obeyed, Progress};
-use crate::front::Order;
+use crate::driver::{Command, Driver, Executed, Progress};
 
 /// A device that rests for so long after a command without an answer has not received it.
 const DOUBT: Duration = Duration::from_secs(3);
 
 /// An accepted command under way.
-pub(super) struct Running<D: Driver> {
+pub(super) struct RunningCommand<D: Driver> {
     pub(super) order: Order<Command<D>>,
     /// When the device had taken it; only later readings judge it.
     sent: Option<Instant>,
     pub(super) deadline: Option<Instant>,
-    standing_since: Option<Instant>,
+    settling_since: Option<Instant>,
     /// No answer came: perhaps the device never received it.
     in_doubt: bool,
     resting_since: Option<Instant>,
@@ -30,7 +30,7 @@ pub(super) struct Running<D: Driver> {
 impl<D: Driver> Loop<D> {
     /// A command was accepted.
     pub(super) fn start(&mut self, order: Order<Command<D>>) {
-        let verb = verb(&order.deed);
+        let verb = verb(&order.command);
         if let Some(running) = &self.running {
             self.account(&running.order, Ended::Superseded { by: order.id.clone() });
             let id = running.order.id.clone();
@@ -42,49 +42,49 @@ impl<D: Driver> Loop<D> {
             from: order.from.clone(),
             verb,
             taken_utc: order.taken_utc,
-            outcome: Outcome::Running,
+            outcome: CommandOutcome::Running,
             answer: None,
         });
         let driver = self.serve.driver.clone();
-        let urgent = driver.interrupts(&order.deed);
+        let urgent = driver.interrupts(&order.command);
         let alpaca = if urgent { self.serve.alpaca.at_once() } else { self.serve.alpaca.clone() };
         let fields = driver.fields(&self.readings);
-        let (id, deed) = (order.id.clone(), order.deed.clone());
+        let (id, action) = (order.id.clone(), order.command.clone());
         // Dropping the job before ends its requests.
-        self.job = Some(Box::pin(async move { driver.obey(&alpaca, &id, &deed, &fields).await }));
-        self.running = Some(Running {
+        self.job = Some(Box::pin(async move { driver.execute(&alpaca, &id, &action, &fields).await }));
+        self.running = Some(RunningCommand {
             order,
             sent: None,
             deadline: None,
-            standing_since: None,
+            settling_since: None,
             in_doubt: false,
             resting_since: None,
         });
     }
 
     /// The device has answered a command.
-    pub(super) fn obeyed(&mut self, result: Result<Obeyed, AlpacaError>) {
+    pub(super) fn executed(&mut self, result: Result<Executed, AlpacaError>) {
         let Some(running) = &mut self.running else { return };
         let now = Instant::now();
         match result {
-            Ok(Obeyed::Done) => self.end(Outcome::Done),
-            Ok(Obeyed::Answered(answer)) => {
+            Ok(Executed::Done) => self.end(CommandOutcome::Done),
+            Ok(Executed::Answered(answer)) => {
                 if let Some(last) = &mut self.last_command {
                     last.answer = Some(answer);
                 }
-                self.end(Outcome::Done);
+                self.end(CommandOutcome::Done);
             }
-            Err(error) if !error.is_unknown_outcome() => self.end(Outcome::Failed { reason: error.to_string() }),
+            Err(error) if !error.is_unknown_outcome() => self.end(CommandOutcome::Failed { reason: error.to_string() }),
             // A missing answer does not show whether it was done; the state will.
-            answer @ (Ok(Obeyed::Watch) | Err(_)) => {
+            answer @ (Ok(Executed::Watch) | Err(_)) => {
                 running.in_doubt = answer.is_err();
-                let limit = self.serve.driver.limit(&running.order.deed);
+                let limit = self.serve.driver.limit(&running.order.command);
                 running.sent = Some(now);
                 running.deadline = Some(now + machine_limit(self.serve.node.bus.clock(), limit));
             }
         }
         if self.link == Link::Connected {
-            self.next_contact = now;
+            self.next_turn = now;
         }
     }
 
@@ -94,45 +94,45 @@ impl<D: Driver> Loop<D> {
         let Some(sent) = running.sent else { return };
         if let Some(began) = began.filter(|began| *began >= sent && self.link == Link::Connected) {
             let driver = &self.serve.driver;
-            match driver.progress(&running.order.deed, &driver.fields(&self.readings)) {
-                Progress::Done => return self.end(Outcome::Done),
-                Progress::Failed(reason) => return self.end(Outcome::Failed { reason }),
+            match driver.progress(&running.order.command, &driver.fields(&self.readings)) {
+                Progress::Done => return self.end(CommandOutcome::Done),
+                Progress::Failed(reason) => return self.end(CommandOutcome::Failed { reason }),
                 Progress::Running => {
-                    running.standing_since = None;
+                    running.settling_since = None;
                     let rests = running.in_doubt && !driver.is_busy(&driver.fields(&self.readings));
                     let since = if rests { *running.resting_since.get_or_insert(began) } else { began };
                     running.resting_since = rests.then_some(since);
                     if began.duration_since(since) >= DOUBT {
                         let reason = "no answer came, and the device rests without having done it".to_owned();
-                        return self.end(Outcome::Failed { reason });
+                        return self.end(CommandOutcome::Failed { reason });
                     }
                 }
                 Progress::Settling(seconds) => {
-                    let since = *running.standing_since.get_or_insert(began);
+                    let since = *running.settling_since.get_or_insert(began);
                     let settle = Duration::from_secs_f64(seconds.clamp(0.0, 3600.0));
                     if began.duration_since(since) >= self.serve.node.bus.clock().machine_duration(settle) {
-                        return self.end(Outcome::Done);
+                        return self.end(CommandOutcome::Done);
                     }
                 }
             }
         }
         if running.deadline.is_some_and(|deadline| Instant::now() >= deadline) {
-            let limit = self.serve.driver.limit(&running.order.deed).as_secs_f64();
-            self.end(Outcome::Failed { reason: format!("not done within {limit} s") });
+            let limit = self.serve.driver.limit(&running.order.command).as_secs_f64();
+            self.end(CommandOutcome::Failed { reason: format!("not done within {limit} s") });
         }
     }
 
-    fn end(&mut self, outcome: Outcome) {
+    fn end(&mut self, outcome: CommandOutcome) {
         if let Some(running) = self.running.take() {
             self.account(&running.order, ended(&outcome));
         }
-        self.front().running = None;
+        self.status().running = None;
         if let Some(last) = &mut self.last_command {
             match &outcome {
-                Outcome::Failed { reason } => {
+                CommandOutcome::Failed { reason } => {
                     tracing::warn!(device = %self.serve.device, verb = last.verb, reason, "command failed");
                 }
-                Outcome::Done | Outcome::Running => {}
+                CommandOutcome::Done | CommandOutcome::Running => {}
             }
             last.outcome = outcome;
         }
@@ -140,23 +140,23 @@ impl<D: Driver> Loop<D> {
 
     /// Records in the audit log how a command ended.
     pub(super) fn account(&self, order: &Order<Command<D>>, how: Ended) {
-        if self.serve.driver.moves(&order.deed) {
-            self.serve.front.accounts.note(order.asked(), &order.deed, how);
+        if self.serve.driver.moves(&order.command) {
+            self.serve.command_server.audit_log.note(order.asked(), &order.command, how);
         }
     }
 }
 
-fn ended(outcome: &Outcome) -> Ended {
+fn ended(outcome: &CommandOutcome) -> Ended {
     match outcome {
         // A command ends only once.
-        Outcome::Done | Outcome::Running => Ended::Done,
-        Outcome::Failed { reason } => Ended::Failed { detail: reason.clone() },
+        CommandOutcome::Done | CommandOutcome::Running => Ended::Done,
+        CommandOutcome::Failed { reason } => Ended::Failed { detail: reason.clone() },
     }
 }
 
 /// What a command is called: the name that it has on the bus.
-fn verb<C: serde::Serialize>(deed: &C) -> String {
-    match serde_json::to_value(deed) {
+fn verb<C: serde::Serialize>(command: &C) -> String {
+    match serde_json::to_value(command) {
         Ok(serde_json::Value::String(word)) => word,
         Ok(serde_json::Value::Object(object)) => object.keys().next().cloned().unwrap_or_default(),
         _ => String::new(),

@@ -6,9 +6,9 @@ use contract::{Link, NoData};
 use tokio::time::Instant;
 
 use super::Loop;
-use crate::contact::{LANES, Poll, Wanted};
 use crate::deciding;
 use crate::driver::Driver;
+use crate::polling::{LANES, Poll, Wanted};
 
 /// A loop that wakes up so much later than planned was stalled: its process was stopped, its runtime was blocked,
 /// or its host slept.
@@ -31,7 +31,7 @@ impl<D: Driver> Loop<D> {
     /// What is to be asked now.
     pub(super) fn next_wanted(&mut self, now: Instant) -> Wanted {
         let (device_state, lanes) = (self.device_state, self.lanes);
-        let whole = |properties, full| Wanted { properties, full, device_state, lanes: 1, told_after: None };
+        let whole = |properties, full| Wanted { properties, full, device_state, lanes: 1, publish_after: None };
         if !self.splits() {
             let driver = self.serve.driver.clone();
             let full = now >= self.next_full || driver.moving().is_empty();
@@ -47,10 +47,10 @@ impl<D: Driver> Loop<D> {
         if self.lanes == 1 && (round * 4 > self.period() || !self.parts.is_empty()) {
             return self.next_part(now, deciding);
         }
-        let told_after = Some(self.period() / 2);
+        let publish_after = Some(self.period() / 2);
         if !self.parts.is_empty() {
             let properties = self.parts.drain(..).collect();
-            return Wanted { properties, full: true, device_state: false, lanes, told_after };
+            return Wanted { properties, full: true, device_state: false, lanes, publish_after };
         }
         if self.rest_is_due && !self.rest.is_empty() {
             // A part of the rest that takes no longer than a quarter of a period, and what decides has its turn again.
@@ -59,8 +59,8 @@ impl<D: Driver> Loop<D> {
             let properties = self.rest.drain(..count).collect();
             self.rest_is_due = false;
             // A device that becomes slow meanwhile does not keep what decides waiting for all of it.
-            let told_after = Some(self.period() / 4);
-            return Wanted { properties, full: false, device_state: false, lanes, told_after };
+            let publish_after = Some(self.period() / 4);
+            return Wanted { properties, full: false, device_state: false, lanes, publish_after };
         }
         if self.rest.is_empty() {
             self.rest = self.wanted().into_iter().filter(|name| !deciding.contains(name)).collect();
@@ -69,7 +69,7 @@ impl<D: Driver> Loop<D> {
         self.next_full = now + self.serve.node.bus.clock().machine().to_tick(self.period());
         // A safety monitor is asked itself, whatever its server has cached.
         let device_state = device_state && deciding.len() > 1;
-        Wanted { properties: deciding, full: true, device_state, lanes, told_after }
+        Wanted { properties: deciding, full: true, device_state, lanes, publish_after }
     }
 
     /// A slow device that can answer one question at a time is asked one, and its answer is published, before the next:
@@ -84,7 +84,7 @@ impl<D: Driver> Loop<D> {
             self.next_full = now + self.serve.node.bus.clock().machine().to_tick(self.period());
         }
         let properties = self.parts.pop_front().into_iter().collect();
-        Wanted { properties, full: false, device_state: false, lanes: 1, told_after: None }
+        Wanted { properties, full: false, device_state: false, lanes: 1, publish_after: None }
     }
 
     /// Measures by a poll how fast the device is: a slow one is asked several things at once, as long as it can bear
@@ -119,7 +119,7 @@ impl<D: Driver> Loop<D> {
         }
         let detail = format!("this node was stalled for {:.1} s", stalled.as_secs_f64());
         tracing::warn!(device = %self.serve.device, "{detail}; what was read before is dropped");
-        self.contact = None;
+        self.polling = None;
         self.readings.drop_polled(&NoData::new("stale", detail), clock.utc());
         self.observe_now();
         let at_once = Instant::now();
@@ -127,7 +127,7 @@ impl<D: Driver> Loop<D> {
             (self.next_full, self.rest_is_due) = (at_once, false);
             self.quiet_until = Some(at_once + READ_ANEW);
         }
-        self.next_contact = at_once;
+        self.next_turn = at_once;
         true
     }
 }

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use bus::{Catch, Quality};
+use bus::Catch;
 use contract::device::{dome, telescope};
 use contract::observatory::{AlertKind, Lease, Permit, Verdict};
 use contract::{Address, Key, Kind, Part, Reason};
@@ -10,7 +10,7 @@ use serde_json::json;
 use test_support::{LIMIT, until};
 use units::Utc;
 
-use crate::fake::{Fake, Says};
+use crate::fake::{Fake, FakeAnswer};
 use crate::stage::{Commander, Stage, accepted, command, refused};
 use crate::{a_dome, block, open};
 
@@ -32,7 +32,7 @@ async fn a_mount() -> Fake {
     ])
     .await;
     // It takes the command, and never arrives.
-    mount.on("park", |mount, _| mount.say("slewing", Says::Value(json!(true))));
+    mount.on("park", |mount, _| mount.answer("slewing", FakeAnswer::Value(json!(true))));
     mount
 }
 
@@ -43,12 +43,12 @@ async fn claim(stage: &Stage) -> u64 {
 async fn until_permitted(stage: &Stage) {
     let key = Key::Guard(stage.device(Kind::Dome, "dome")).to_string();
     let guard = stage.bus.subscribe::<dome::Guard>(&key, Catch::Newest, 8).await.unwrap();
-    let permitted = async { while !guard.hear().await.said.body.may_be_open {} };
+    let permitted = async { while !guard.recv().await.sample.body.may_be_open {} };
     tokio::time::timeout(LIMIT, permitted).await.expect("no permit counts");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_dome_whose_status_sticks_at_closed_after_an_opening_is_closed_and_told() {
+async fn a_dome_whose_status_sticks_at_closed_after_an_opening_is_closed_and_reported() {
     let hardware = a_dome().await;
     hardware.on("openshutter", |_, _| {});
     hardware.on("closeshutter", |_, _| {});
@@ -81,9 +81,9 @@ async fn a_dome_whose_status_sticks_at_closed_after_an_opening_is_closed_and_tol
 async fn no_stop_no_turn_and_no_park_from_anybody_ends_a_closing_that_is_due() {
     let hardware = a_dome().await;
     for (member, answer) in [("cansetazimuth", json!(true)), ("canpark", json!(true)), ("azimuth", json!(10.0))] {
-        hardware.say(member, Says::Value(answer));
+        hardware.answer(member, FakeAnswer::Value(answer));
     }
-    hardware.on("closeshutter", |hardware, _| hardware.say("shutterstatus", Says::Value(json!(3))));
+    hardware.on("closeshutter", |hardware, _| hardware.answer("shutterstatus", FakeAnswer::Value(json!(3))));
     let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.2\npermit_valid_s = 6.0")).await;
     let (token, commander) = open(&stage).await;
     let stop = |id: &str| command(id, None, dome::Command::Abort);
@@ -103,7 +103,7 @@ async fn no_stop_no_turn_and_no_park_from_anybody_ends_a_closing_that_is_due() {
     }
     assert_eq!(hardware.puts("abortslew").len(), stops);
     assert!(hardware.puts("slewtoazimuth").is_empty() && hardware.puts("park").is_empty());
-    hardware.say("shutterstatus", Says::Value(json!(1)));
+    hardware.answer("shutterstatus", FakeAnswer::Value(json!(1)));
     stage.until::<dome::Dome>("dome", |state| state.fields.shutter.known() == Some(&dome::Shutter::Closed)).await;
     let began = Instant::now();
     while let contract::Reply::Refusal(refusal) = stage.command(Kind::Dome, "dome", &stop("a4")).await {
@@ -132,41 +132,41 @@ async fn a_bare_close_moves_a_roof_only_over_its_parked_mount_and_has_it_parked(
     }
     tokio::time::sleep(Duration::from_secs(2)).await;
     assert_eq!(hardware.puts("closeshutter").len(), before, "the mount is not parked");
-    mount.say("slewing", Says::Value(json!(false)));
-    mount.say("atpark", Says::Value(json!(true)));
+    mount.answer("slewing", FakeAnswer::Value(json!(false)));
+    mount.answer("atpark", FakeAnswer::Value(json!(true)));
     until("the roof closes over the parked mount", || hardware.puts("closeshutter").len() > before).await;
     stage.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn words_with_the_largest_token_end_no_lease_and_are_told() {
+async fn payloads_with_the_largest_token_end_no_lease_and_are_reported() {
     let hardware = a_dome().await;
     let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5\npermit_valid_s = 6.0")).await;
     let (token, _commander) = open(&stage).await;
     let before = hardware.puts("closeshutter").len();
     let lease = Key::Observatory(Address::new("site", "alpha").unwrap(), Part::Lease);
-    let lease = stage.bus.publisher::<Lease>(&lease, Quality::State { cache: 1 }).await.unwrap();
+    let lease = stage.bus.publisher::<Lease>(&lease).await.unwrap();
     let device = stage.device(Kind::Dome, "dome");
     let guard =
         stage.bus.subscribe::<dome::Guard>(&Key::Guard(device.clone()).to_string(), Catch::Newest, 8).await.unwrap();
     let permits = Key::Permit(device.address, device.name);
-    let permits = stage.bus.publisher::<Permit>(&permits, Quality::Urgent).await.unwrap();
+    let permits = stage.bus.publisher::<Permit>(&permits).await.unwrap();
     for invented in [token + 1, u64::MAX] {
-        let said = guard.hear().await.said;
+        let sample = guard.recv().await.sample;
         let holder = "observatory/alpha/other".to_owned();
         lease
             .put(Lease { holder: holder.clone(), token: invented, since_utc: Utc::EPOCH, arbiter: String::new() })
             .await
             .unwrap();
-        let (guard_number, guard_boot_id) = (said.body.number, said.boot_id);
+        let (guard_number, guard_boot_id) = (sample.body.number, sample.boot_id);
         let permit =
             Permit { verdict: Verdict::Unsafe, commander: holder, token: invented, guard_number, guard_boot_id };
         permits.put(permit).await.unwrap();
     }
     until_alert(&stage, AlertKind::Impostor).await;
     for _ in 0..4 {
-        let said = guard.hear().await.said.body;
-        assert!(said.may_be_open && said.token == token, "{said:?}");
+        let sample = guard.recv().await.sample.body;
+        assert!(sample.may_be_open && sample.token == token, "{sample:?}");
     }
     assert_eq!(hardware.puts("closeshutter").len(), before, "the real permits count");
     let again = accepted(&stage.command(Kind::Dome, "dome", &command("c7", None, dome::Command::Claim)).await);

@@ -4,84 +4,84 @@ use std::time::{Duration, Instant};
 
 use contract::Kind;
 use contract::device::observing_conditions::{Fields, ObservingConditions};
-use contract::device::record::{Question, Record};
+use contract::device::record::{RecordQuestion, StateRecord};
 use contract::device::safety_monitor::SafetyMonitor;
 use contract::{Key, Link};
 use serde_json::json;
 use test_support::{LIMIT, block};
 
-use crate::fake::{Fake, Says};
+use crate::fake::{Fake, FakeAnswer};
 use crate::stage::Stage;
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_weather_stations_record_is_what_was_heard_of_it() {
+async fn a_weather_stations_record_is_what_was_received_from_it() {
     let hardware = Fake::start(&[("humidity", json!(50.0)), ("temperature", json!(5.0))]).await;
     let device = |kind: &str, name: &str| block(kind, name, hardware.address, "period_s = 0.2");
     let stage = Stage::start(&(device("observingconditions", "wx") + &device("safetymonitor", "monitor"))).await;
     let states = stage.states::<ObservingConditions>("wx").await;
-    let mut heard = Vec::new();
-    let mut hear_until = async |wanted: fn(&Link, &Fields) -> bool| {
-        let hearing = async {
+    let mut received = Vec::new();
+    let mut recv_until = async |wanted: fn(&Link, &Fields) -> bool| {
+        let waiting = async {
             loop {
-                let state = states.hear().await;
-                let is_wanted = wanted(&state.said.body.link, &state.said.body.fields);
+                let state = states.recv().await;
+                let is_wanted = wanted(&state.sample.body.link, &state.sample.body.fields);
                 // The first states may come twice: as an answer, and as they are published.
-                if !heard.iter().any(|known: &bus::Heard<_>| known.said.seq == state.said.seq) {
-                    heard.push(state);
+                if !received.iter().any(|known: &bus::Received<_>| known.sample.seq == state.sample.seq) {
+                    received.push(state);
                 }
                 if is_wanted {
                     return;
                 }
             }
         };
-        tokio::time::timeout(LIMIT, hearing).await.unwrap();
+        tokio::time::timeout(LIMIT, waiting).await.unwrap();
     };
-    hear_until(|_, fields| fields.humidity_percent.known() == Some(&50.0)).await;
-    hardware.say("humidity", Says::Value(json!(81.0)));
-    hear_until(|_, fields| fields.humidity_percent.known() == Some(&81.0)).await;
+    recv_until(|_, fields| fields.humidity_percent.known() == Some(&50.0)).await;
+    hardware.answer("humidity", FakeAnswer::Value(json!(81.0)));
+    recv_until(|_, fields| fields.humidity_percent.known() == Some(&81.0)).await;
     hardware.hang(true);
-    hear_until(|link, _| matches!(link, Link::Lost { .. })).await;
+    recv_until(|link, _| matches!(link, Link::Lost { .. })).await;
     hardware.hang(false);
-    hear_until(|link, fields| *link == Link::Connected && fields.humidity_percent.known() == Some(&81.0)).await;
+    recv_until(|link, fields| *link == Link::Connected && fields.humidity_percent.known() == Some(&81.0)).await;
 
     let key = Key::Record(stage.device(Kind::ObservingConditions, "wx"));
     let (clock, limit) = (stage.bus.clock(), Duration::from_secs(3));
     let asked = clock.machine();
-    let record: Record<Fields> = stage.bus.ask(&key, &Question { back_s: 600.0 }, limit).await.unwrap();
+    let record: StateRecord<Fields> = stage.bus.ask(&key, &RecordQuestion { back_s: 600.0 }, limit).await.unwrap();
     let answered = clock.machine();
-    assert_eq!((record.speed, &record.boot_id), (1.0, &heard[0].said.boot_id));
-    assert_eq!(record.entries[0].seq, 0, "from the first word of this life on");
-    for state in &heard {
-        let told = &record.entries[usize::try_from(state.said.seq).unwrap()];
+    assert_eq!((record.speed, &record.boot_id), (1.0, &received[0].sample.boot_id));
+    assert_eq!(record.entries[0].seq, 0, "from the first payload of this incarnation on");
+    for state in &received {
+        let reported = &record.entries[usize::try_from(state.sample.seq).unwrap()];
         assert_eq!(
-            (told.seq, &told.link, &told.fields),
-            (state.said.seq, &state.said.body.link, &state.said.body.fields)
+            (reported.seq, &reported.link, &reported.fields),
+            (state.sample.seq, &state.sample.body.link, &state.sample.body.fields)
         );
         // It was published before it arrived, and the age is that of the moment of the answer.
-        let age = Duration::from_secs_f64(told.age_s);
-        assert!(state.arrived.plus(age) >= asked.minus(Duration::from_millis(1)), "{told:?}");
-        assert!(age <= answered.since(heard[0].arrived) + Duration::from_secs(5), "{told:?}");
+        let age = Duration::from_secs_f64(reported.age_s);
+        assert!(state.arrived.plus(age) >= asked.minus(Duration::from_millis(1)), "{reported:?}");
+        assert!(age <= answered.since(received[0].arrived) + Duration::from_secs(5), "{reported:?}");
     }
     let bad = record.entries.iter().filter(|entry| entry.link != Link::Connected).count();
-    assert!(bad >= 2, "connecting and lost are told too");
+    assert!(bad >= 2, "connecting and lost are reported too");
 
-    let short: Record<Fields> = stage.bus.ask(&key, &Question { back_s: 0.0 }, limit).await.unwrap();
+    let short: StateRecord<Fields> = stage.bus.ask(&key, &RecordQuestion { back_s: 0.0 }, limit).await.unwrap();
     assert!(short.entries.len() <= 2 && short.entries.last().unwrap().seq >= record.entries.last().unwrap().seq);
-    let nonsense: Record<Fields> = stage.bus.ask(&key, &json!({"back_s": "long"}), limit).await.unwrap();
+    let nonsense: StateRecord<Fields> = stage.bus.ask(&key, &json!({"back_s": "long"}), limit).await.unwrap();
     assert!(nonsense.entries.is_empty());
     // A safety monitor's state contains the length of its record.
     let other = Key::Record(stage.device(Kind::SafetyMonitor, "monitor"));
-    assert!(stage.bus.ask::<_, Record<Fields>>(&other, &Question { back_s: 600.0 }, limit).await.is_err());
+    assert!(stage.bus.ask::<_, StateRecord<Fields>>(&other, &RecordQuestion { back_s: 600.0 }, limit).await.is_err());
     stage.end().await;
 }
 
 /// How long it takes until the state of a station shows rain, if each of its properties takes 1.2 s.
-async fn rain_is_told_after(one_at_a_time: bool) -> Duration {
+async fn rain_is_reported_after(one_at_a_time: bool) -> Duration {
     let sensors = ["cloudcover", "dewpoint", "humidity", "pressure", "rainrate", "skybrightness", "skyquality"];
     let more =
         ["skytemperature", "starfwhm", "temperature", "winddirection", "windgust", "windspeed", "timesincelastupdate"];
-    let says: Vec<_> = sensors.into_iter().chain(more).map(|name| (name, json!(0.0))).collect();
-    let hardware = Fake::start(&says).await;
+    let values: Vec<_> = sensors.into_iter().chain(more).map(|name| (name, json!(0.0))).collect();
+    let hardware = Fake::start(&values).await;
     let limits = "limit = [{ parameter = \"Humidity\", upper = 80.0 }, { parameter = \"RainRate\", upper = 0.1 }, \
                   { parameter = \"WindSpeed\", upper = 15.0 }]";
     let stage = Stage::start(&block("observingconditions", "wx", hardware.address, limits)).await;
@@ -91,10 +91,10 @@ async fn rain_is_told_after(one_at_a_time: bool) -> Duration {
     tokio::time::sleep(Duration::from_secs(25)).await;
     let states = stage.states::<ObservingConditions>("wx").await;
     let began = Instant::now();
-    hardware.say("rainrate", Says::Value(json!(5.0)));
+    hardware.answer("rainrate", FakeAnswer::Value(json!(5.0)));
     let raining = async {
         loop {
-            let state = states.hear().await.said.body;
+            let state = states.recv().await.sample.body;
             assert_eq!(state.link, Link::Connected);
             let known = [&state.fields.rain_mm_per_h, &state.fields.humidity_percent, &state.fields.wind_mps];
             assert!(known.iter().all(|datum| datum.known().is_some()), "slow is not missing: {state:?}");
@@ -109,8 +109,8 @@ async fn rain_is_told_after(one_at_a_time: bool) -> Duration {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_slow_station_tells_of_rain_in_time_for_the_dome_to_close_within_8_s() {
-    let (several, one) = tokio::join!(rain_is_told_after(false), rain_is_told_after(true));
+async fn a_slow_station_reports_rain_in_time_for_the_dome_to_close_within_8_s() {
+    let (several, one) = tokio::join!(rain_is_reported_after(false), rain_is_reported_after(true));
     assert!(several < Duration::from_millis(7500) && one < Duration::from_millis(7500), "{several:?}, {one:?}");
 }
 
@@ -126,25 +126,25 @@ async fn a_node_that_stood_still_does_not_go_on_with_what_it_had_read() {
     }
     std::thread::sleep(Duration::from_millis(500));
     let turned = stage.bus.clock().machine();
-    hardware.say("issafe", Says::Value(json!(false)));
-    let hearing = async {
+    hardware.answer("issafe", FakeAnswer::Value(json!(false)));
+    let waiting = async {
         loop {
-            let heard = states.hear().await;
-            let state = heard.said.body;
+            let received = states.recv().await;
+            let state = received.sample.body;
             if state.fields.is_safe.known() == Some(&false) {
                 return;
             }
             if state.fields.is_safe.known() == Some(&true) {
                 let age = Duration::from_secs_f64(state.age_s("IsSafe").unwrap());
-                let read = heard.arrived.minus(age);
+                let read = received.arrived.minus(age);
                 assert!(read <= turned, "read {:?} after it had turned: {state:?}", read.since(turned));
             }
-            if heard.arrived.since(turned) > Duration::from_secs(3) {
+            if received.arrived.since(turned) > Duration::from_secs(3) {
                 assert_eq!(state.fields.gapless_safe_s, 0.0, "the record is broken: {state:?}");
             }
         }
     };
-    tokio::time::timeout(LIMIT, hearing).await.unwrap();
+    tokio::time::timeout(LIMIT, waiting).await.unwrap();
     let record = stage.until::<SafetyMonitor>("monitor", |state| state.fields.is_safe.known() == Some(&false)).await;
     assert_eq!(record.fields.gapless_safe_s, 0.0);
     stage.end().await;

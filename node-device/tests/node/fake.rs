@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 
 /// What a member answers.
 #[derive(Debug, Clone)]
-pub enum Says {
+pub enum FakeAnswer {
     Value(Value),
     Error(u32, &'static str),
     Hangs,
@@ -32,7 +32,7 @@ type Effect = Box<dyn Fn(&Fake, &str) + Send>;
 
 #[derive(Default)]
 struct World {
-    says: BTreeMap<String, Says>,
+    answers: BTreeMap<String, FakeAnswer>,
     puts: Vec<Put>,
     effects: BTreeMap<String, Effect>,
     gets_hang: bool,
@@ -52,11 +52,11 @@ pub struct Fake {
 }
 
 impl Fake {
-    pub async fn start(says: &[(&str, Value)]) -> Self {
+    pub async fn start(answers: &[(&str, Value)]) -> Self {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let fake = Self { world: Arc::default(), address: listener.local_addr().unwrap() };
-        for (member, value) in says {
-            fake.say(member, Says::Value(value.clone()));
+        for (member, value) in answers {
+            fake.answer(member, FakeAnswer::Value(value.clone()));
         }
         let router = Router::new().route("/api/v1/{kind}/{number}/{member}", any(answer)).with_state(fake.clone());
         tokio::spawn(async move { axum::serve(listener, router).await.unwrap() });
@@ -64,13 +64,13 @@ impl Fake {
     }
 
     /// A member answers this from now on.
-    pub fn say(&self, member: &str, says: Says) {
-        self.world.lock().unwrap().says.insert(member.to_owned(), says);
+    pub fn answer(&self, member: &str, answer: FakeAnswer) {
+        self.world.lock().unwrap().answers.insert(member.to_owned(), answer);
     }
 
     /// A member is unknown from now on: HTTP 400.
     pub fn deny(&self, member: &str) {
-        self.world.lock().unwrap().says.remove(member);
+        self.world.lock().unwrap().answers.remove(member);
     }
 
     /// A method does this from now on; it gets the form of the call.
@@ -153,7 +153,7 @@ async fn answer(
         };
         tokio::time::sleep(takes).await;
     }
-    let says = if method == Method::PUT {
+    let answer = if method == Method::PUT {
         let form = String::from_utf8_lossy(&body).into_owned();
         let put = Put { member: member.clone(), at: Instant::now() };
         fake.world.lock().unwrap().puts.push(put);
@@ -162,20 +162,26 @@ async fn answer(
             effect(&fake, &form);
             fake.world.lock().unwrap().effects.insert(member.clone(), effect);
         }
-        fake.world.lock().unwrap().says.get(&format!("put {member}")).cloned().or(Some(Says::Value(Value::Null)))
+        fake.world
+            .lock()
+            .unwrap()
+            .answers
+            .get(&format!("put {member}"))
+            .cloned()
+            .or(Some(FakeAnswer::Value(Value::Null)))
     } else if fake.world.lock().unwrap().gets_hang {
-        Some(Says::Hangs)
+        Some(FakeAnswer::Hangs)
     } else if let Some(image) = fake.camera(&member) {
         return image;
     } else {
-        fake.world.lock().unwrap().says.get(&member).cloned()
+        fake.world.lock().unwrap().answers.get(&member).cloned()
     };
-    match says {
-        Some(Says::Value(answer)) => value(answer),
-        Some(Says::Error(number, message)) => {
+    match answer {
+        Some(FakeAnswer::Value(answer)) => value(answer),
+        Some(FakeAnswer::Error(number, message)) => {
             axum::Json(json!({"ErrorNumber": number, "ErrorMessage": message})).into_response()
         }
-        Some(Says::Hangs) => std::future::pending().await,
+        Some(FakeAnswer::Hangs) => std::future::pending().await,
         None => (StatusCode::BAD_REQUEST, "no such member").into_response(),
     }
 }

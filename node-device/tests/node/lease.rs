@@ -2,7 +2,6 @@
 
 use std::time::{Duration, Instant};
 
-use bus::Quality;
 use contract::device::dome;
 use contract::observatory::Lease;
 use contract::{Address, BootId, Command, Key, Kind, Part, Reason};
@@ -12,15 +11,15 @@ use units::Utc;
 use crate::stage::{Commander, Stage, accepted, command, refused};
 use crate::{a_dome, block};
 
-fn claim(id: &str, life: Option<&BootId>) -> Command<dome::Command> {
-    Command { boot_id: life.cloned(), ..command(id, None, dome::Command::Claim) }
+fn claim(id: &str, boot_id: Option<&BootId>) -> Command<dome::Command> {
+    Command { boot_id: boot_id.cloned(), ..command(id, None, dome::Command::Claim) }
 }
 
 /// Claims twice a second, as a node would, until the lease is granted.
-async fn until_granted(stage: &Stage, name: &str, life: &BootId) -> (u64, Duration) {
+async fn until_granted(stage: &Stage, name: &str, boot_id: &BootId) -> (u64, Duration) {
     let began = Instant::now();
     for number in 0.. {
-        let asked = claim(&format!("{name}{number}"), Some(life));
+        let asked = claim(&format!("{name}{number}"), Some(boot_id));
         let reply = stage.command(Kind::Dome, "dome", &asked).await;
         if let contract::Reply::Accepted(granted) = reply {
             return (granted.token.unwrap(), began.elapsed());
@@ -40,9 +39,9 @@ async fn a_second_process_of_the_same_name_gets_the_lease_when_the_first_is_sile
     let (first, twin) = (stage.bus.boot_id().clone(), BootId::fresh());
     let token = accepted(&stage.command(Kind::Dome, "dome", &claim("a", Some(&first))).await).unwrap();
     let commander = Commander::start(&stage, "dome", token).await;
-    for (id, life) in [("b", Some(&twin)), ("c", None)] {
-        let reply = stage.command(Kind::Dome, "dome", &claim(id, life)).await;
-        assert_eq!(refused(&reply), Reason::LeaseHeld, "{life:?}");
+    for (id, boot_id) in [("b", Some(&twin)), ("c", None)] {
+        let reply = stage.command(Kind::Dome, "dome", &claim(id, boot_id)).await;
+        assert_eq!(refused(&reply), Reason::LeaseHeld, "{boot_id:?}");
     }
     let again = accepted(&stage.command(Kind::Dome, "dome", &claim("d", Some(&first))).await).unwrap();
     assert_eq!(again, token + 1, "the holder may claim anew");
@@ -57,7 +56,7 @@ async fn a_second_process_of_the_same_name_gets_the_lease_when_the_first_is_sile
     assert_eq!(refused(&reply), Reason::LeaseHeld, "the twin holds it");
     // A release counts only from the incarnation that holds the lease, and the twin's is not on this session.
     let key = Key::Observatory(Address::new("site", "alpha").unwrap(), Part::Lease);
-    let line = stage.bus.publisher::<Lease>(&key, Quality::State { cache: 1 }).await.unwrap();
+    let line = stage.bus.publisher::<Lease>(&key).await.unwrap();
     let released = Lease { holder: String::new(), token: taken, since_utc: Utc::EPOCH, arbiter: String::new() };
     line.put(released).await.unwrap();
     tokio::time::sleep(Duration::from_millis(300)).await;

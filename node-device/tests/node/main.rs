@@ -2,11 +2,10 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test ends by panicking")]
 
-mod accounts;
+mod audit_log;
 mod closing;
 mod evidence;
 mod fake;
-mod first_start;
 mod lease;
 mod rates;
 mod stage;
@@ -20,10 +19,11 @@ use contract::device::dome::{self, Shutter};
 use contract::device::safety_monitor::SafetyMonitor;
 use contract::device::{filter_wheel, focuser};
 use contract::{Key, Kind, Link, NodeTopic, Reason};
-use fake::{Fake, Says};
 use serde_json::json;
-use stage::{Commander, Stage, accepted, command, refused};
 use test_support::{LIMIT, Lateness};
+
+use fake::{Fake, FakeAnswer};
+use stage::{Commander, Stage, accepted, command, refused};
 
 /// A device of the node under test, which is called `main` for all kinds.
 fn block(kind: &str, name: &str, server: &Fake, more: &str) -> String {
@@ -41,12 +41,12 @@ async fn a_hung_device_delays_no_other_by_more_than_50_ms() {
         stage.until::<SafetyMonitor>(name, |state| state.fields.is_safe.known() == Some(&true)).await;
     }
     let states = stage.states::<SafetyMonitor>("healthy").await;
-    states.hear().await;
+    states.recv().await;
     let longest_gap = async |seconds: u64| {
         let (end, mut last, mut longest) =
             (Instant::now() + Duration::from_secs(seconds), Instant::now(), Duration::ZERO);
         while Instant::now() < end {
-            states.hear().await;
+            states.recv().await;
             longest = longest.max(last.elapsed());
             last = Instant::now();
         }
@@ -80,7 +80,7 @@ async fn a_repeated_command_is_answered_again_and_done_once() {
     .await;
     hardware.on("move", |hardware, form| {
         let position = form.split('&').find_map(|pair| pair.strip_prefix("Position=")).unwrap();
-        hardware.say("position", Says::Value(json!(position.parse::<i64>().unwrap())));
+        hardware.answer("position", FakeAnswer::Value(json!(position.parse::<i64>().unwrap())));
     });
     let stage = Stage::start(&block("focuser", "focus", &hardware, "settle_s = 0.0")).await;
     let ready = stage.until::<focuser::Focuser>("focus", |state| state.fields.position.known() == Some(&100)).await;
@@ -103,20 +103,20 @@ async fn a_repeated_command_is_answered_again_and_done_once() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_sloppy_device_keeps_what_it_has_and_the_reason_for_what_it_lacks() {
     let wheel = Fake::start(&[("position", json!("1")), ("names", json!(["R", "G"])), ("name", json!(7))]).await;
-    wheel.say("focusoffsets", Says::Error(0x400, "no offsets"));
+    wheel.answer("focusoffsets", FakeAnswer::Error(0x400, "no offsets"));
     let stage = Stage::start(&block("filterwheel", "wheel", &wheel, "period_s = 0.2")).await;
     let state = stage
         .until::<filter_wheel::FilterWheel>("wheel", |state| state.fields.filter.known() == Some(&"G".to_owned()))
         .await;
     assert_eq!(state.link, Link::Connected);
-    let shown = serde_json::to_value(&state.readings).unwrap();
-    assert_eq!(shown["Name"]["value"], 7);
-    assert_eq!(shown["DriverVersion"]["no_data"], "not implemented");
-    wheel.say("position", Says::Value(json!(-1)));
+    let published = serde_json::to_value(&state.readings).unwrap();
+    assert_eq!(published["Name"]["value"], 7);
+    assert_eq!(published["DriverVersion"]["no_data"], "not implemented");
+    wheel.answer("position", FakeAnswer::Value(json!(-1)));
     stage
         .until::<filter_wheel::FilterWheel>("wheel", |state| state.busy && state.fields.filter.known().is_none())
         .await;
-    wheel.say("position", Says::Error(0x407, "unplugged"));
+    wheel.answer("position", FakeAnswer::Error(0x407, "unplugged"));
     stage.until::<filter_wheel::FilterWheel>("wheel", |state| matches!(state.link, Link::Lost { .. })).await;
     let turn = command("t1", None, filter_wheel::Command::Turn { position: 0 });
     assert_eq!(refused(&stage.command(Kind::FilterWheel, "wheel", &turn).await), Reason::NotConnected);
@@ -134,13 +134,13 @@ async fn a_device_that_vanishes_from_its_server_is_lost_and_comes_back() {
     // The server was restarted and knows no such number for a while.
     monitor.deny("issafe");
     stage.until::<SafetyMonitor>("monitor", |state| matches!(state.link, Link::Lost { .. })).await;
-    monitor.say("issafe", Says::Value(json!(true)));
+    monitor.answer("issafe", FakeAnswer::Value(json!(true)));
     stage.until::<SafetyMonitor>("monitor", is_safe).await;
     stage.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_command_that_was_never_heard_ends_as_soon_as_the_device_is_seen_to_rest() {
+async fn a_command_that_never_arrived_ends_as_soon_as_the_device_is_seen_to_rest() {
     let hardware = Fake::start(&[
         ("position", json!(100)),
         ("ismoving", json!(false)),
@@ -148,14 +148,17 @@ async fn a_command_that_was_never_heard_ends_as_soon_as_the_device_is_seen_to_re
         ("maxstep", json!(5000)),
     ])
     .await;
-    hardware.say("put move", Says::Hangs);
+    hardware.answer("put move", FakeAnswer::Hangs);
     let stage = Stage::start(&block("focuser", "focus", &hardware, "settle_s = 0.0")).await;
     stage.until::<focuser::Focuser>("focus", |state| state.fields.position.known() == Some(&100)).await;
     let go = command("m1", None, focuser::Command::Move { position: 2500 });
     accepted(&stage.command(Kind::Focuser, "focus", &go).await);
     let failed = stage
         .until::<focuser::Focuser>("focus", |state| {
-            state.last_command.as_ref().is_some_and(|last| matches!(last.outcome, contract::Outcome::Failed { .. }))
+            state
+                .last_command
+                .as_ref()
+                .is_some_and(|last| matches!(last.outcome, contract::CommandOutcome::Failed { .. }))
         })
         .await;
     assert!(!failed.busy, "free for the next command");
@@ -170,8 +173,8 @@ async fn a_dome() -> Fake {
         ("athome", json!(true)),
     ])
     .await;
-    hardware.on("openshutter", |hardware, _| hardware.say("shutterstatus", Says::Value(json!(0))));
-    hardware.on("closeshutter", |hardware, _| hardware.say("shutterstatus", Says::Value(json!(1))));
+    hardware.on("openshutter", |hardware, _| hardware.answer("shutterstatus", FakeAnswer::Value(json!(0))));
+    hardware.on("closeshutter", |hardware, _| hardware.answer("shutterstatus", FakeAnswer::Value(json!(1))));
     hardware
 }
 
@@ -183,7 +186,7 @@ async fn open(stage: &Stage) -> (u64, Commander) {
     let commander = Commander::start(stage, "dome", token).await;
     let key = Key::Guard(stage.device(Kind::Dome, "dome")).to_string();
     let guard = stage.bus.subscribe::<dome::Guard>(&key, Catch::Newest, 8).await.unwrap();
-    while !guard.hear().await.said.body.may_be_open {}
+    while !guard.recv().await.sample.body.may_be_open {}
 
     let stale = command("o2", Some(token - 1), dome::Command::OpenShutter);
     assert_eq!(refused(&stage.command(Kind::Dome, "dome", &stale).await), Reason::StaleToken);
@@ -217,8 +220,8 @@ async fn a_dome_closes_by_itself_when_its_commander_dies_even_while_its_polls_ha
     let key = Key::Guard(stage.device(Kind::Dome, "dome")).to_string();
     let guard = stage.bus.subscribe::<dome::Guard>(&key, Catch::Newest, 8).await.unwrap();
     loop {
-        let said = guard.hear().await.said.body;
-        if said.hold && said.may_be_open {
+        let sample = guard.recv().await.sample.body;
+        if sample.hold && sample.may_be_open {
             break;
         }
     }
@@ -260,15 +263,15 @@ async fn a_close_command_waits_for_no_hung_poll_and_needs_no_token() {
 async fn a_dome_that_moves_no_shutter_while_it_turns_is_stopped_and_closed_and_not_turned_meanwhile() {
     let hardware = a_dome().await;
     for (member, answer) in [("cansetazimuth", json!(true)), ("azimuth", json!(10.0))] {
-        hardware.say(member, Says::Value(answer));
+        hardware.answer(member, FakeAnswer::Value(answer));
     }
-    hardware.on("slewtoazimuth", |hardware, _| hardware.say("slewing", Says::Value(json!(true))));
-    hardware.say("put closeshutter", Says::Error(0x40B, "it turns"));
+    hardware.on("slewtoazimuth", |hardware, _| hardware.answer("slewing", FakeAnswer::Value(json!(true))));
+    hardware.answer("put closeshutter", FakeAnswer::Error(0x40B, "it turns"));
     hardware.on("closeshutter", |_, _| {});
     hardware.on("abortslew", |hardware, _| {
-        hardware.say("slewing", Says::Value(json!(false)));
-        hardware.say("put closeshutter", Says::Value(json!(null)));
-        hardware.on("closeshutter", |hardware, _| hardware.say("shutterstatus", Says::Value(json!(3))));
+        hardware.answer("slewing", FakeAnswer::Value(json!(false)));
+        hardware.answer("put closeshutter", FakeAnswer::Value(json!(null)));
+        hardware.on("closeshutter", |hardware, _| hardware.answer("shutterstatus", FakeAnswer::Value(json!(3))));
     });
     let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.2\npermit_valid_s = 10.0")).await;
     let (token, _commander) = open(&stage).await;
@@ -315,6 +318,7 @@ async fn a_camera() -> Fake {
         ("maxbinx", json!(2)),
         ("maxadu", json!(65535)),
         ("canabortexposure", json!(true)),
+        ("electronsperadu", json!(1.3)),
         ("binx", json!(1)),
     ])
     .await;
@@ -346,14 +350,17 @@ async fn frames_are_taken_one_after_another_announced_served_and_released() {
     // pause shows.
     assert!(dead[0] < Duration::from_millis(150), "{dead:?}");
 
-    let mut heard = Vec::new();
-    while heard.len() < count {
-        let frame = tokio::time::timeout(LIMIT, frames.hear()).await.unwrap().said.body;
-        heard.push(frame);
+    let mut received = Vec::new();
+    while received.len() < count {
+        let frame = tokio::time::timeout(LIMIT, frames.recv()).await.unwrap().sample.body;
+        received.push(frame);
     }
-    let frame = heard.iter().find(|frame| frame.id.0 == "f0").unwrap();
+    let frame = received.iter().find(|frame| frame.id.0 == "f0").unwrap();
     assert_eq!((frame.width_px, frame.height_px, frame.bytes), (3, 2, 12));
-    assert_eq!(serde_json::to_value(&frame.readings).unwrap()["BinX"]["value"], 1);
+    let readings = serde_json::to_value(&frame.readings).unwrap();
+    assert_eq!(readings["BinX"]["value"], 1);
+    // What the noise and the saturation of a frame are known by, although no row of the header table asks for it.
+    assert_eq!((&readings["ElectronsPerADU"]["value"], &readings["MaxADU"]["value"]), (&json!(1.3), &json!(65535)));
     let get = async |range: Option<&str>, url: &str| {
         let request = reqwest::Client::new().get(url);
         let request = range.into_iter().fold(request, |request, range| request.header("Range", range));
@@ -415,8 +422,8 @@ async fn a_second_node_on_the_same_device_is_an_alert() {
     let stage = Stage::start(&devices).await;
     stage.until::<SafetyMonitor>("shared", |state| state.link == Link::Connected).await;
     let key = Key::Capabilities(stage.device(Kind::SafetyMonitor, "shared"));
-    let intruder = stage.bus.publisher(&key, bus::Quality::State { cache: 1 }).await.unwrap();
-    let description = contract::device::Description {
+    let intruder = stage.bus.publisher(&key).await.unwrap();
+    let description = contract::device::DeviceDescription {
         server: "elsewhere:1".to_owned(),
         number: 0,
         device_name: String::new(),

@@ -5,7 +5,7 @@ use contract::{Kind, Reason};
 use serde_json::{Value, json};
 
 use crate::block;
-use crate::fake::{Fake, Says};
+use crate::fake::{Fake, FakeAnswer};
 use crate::stage::{Stage, accepted, command, refused};
 
 /// A mount in the open that does at once what it is ordered.
@@ -33,15 +33,15 @@ async fn a_mount(takes_rates: bool) -> Fake {
     .await;
     let keep = |method: &'static str, field: &'static str| {
         mount.on(method, move |mount, form| {
-            let said = form.split('&').find_map(|pair| pair.strip_prefix(field)?.strip_prefix('=')).unwrap();
-            let value: Value = serde_json::from_str(&said.to_lowercase()).unwrap();
-            mount.say(method, Says::Value(value));
+            let text = form.split('&').find_map(|pair| pair.strip_prefix(field)?.strip_prefix('=')).unwrap();
+            let value: Value = serde_json::from_str(&text.to_lowercase()).unwrap();
+            mount.answer(method, FakeAnswer::Value(value));
         });
     };
     keep("rightascensionrate", "RightAscensionRate");
     keep("declinationrate", "DeclinationRate");
     keep("tracking", "Tracking");
-    mount.on("park", |mount, _| mount.say("atpark", Says::Value(json!(true))));
+    mount.on("park", |mount, _| mount.answer("atpark", FakeAnswer::Value(json!(true))));
     mount.on("slewtocoordinatesasync", |_, _| {});
     mount
 }
@@ -58,7 +58,7 @@ async fn rates_end_with_a_slew_with_tracking_and_with_a_park() {
     let token = ready(&stage).await;
     let slew = || Command::Slew { ra_deg: 45.0, dec_deg: -20.0 };
     let moon = || Command::Rates { ra_s_per_sidereal_s: 0.0367, dec_arcsec_per_s: -0.125 };
-    let deeds = [
+    let steps = [
         slew(),
         moon(),
         slew(),
@@ -71,8 +71,8 @@ async fn rates_end_with_a_slew_with_tracking_and_with_a_park() {
     ];
     // PUTs of rates so far: those of before are ended once, each slew after rates, and nothing without a reason.
     let expected = [1, 2, 3, 3, 4, 5, 5, 6, 7];
-    for (number, (deed, puts)) in deeds.into_iter().zip(expected).enumerate() {
-        let asked = command(&format!("d{number}"), token, deed);
+    for (number, (action, puts)) in steps.into_iter().zip(expected).enumerate() {
+        let asked = command(&format!("d{number}"), token, action);
         accepted(&stage.command(Kind::Telescope, "mount", &asked).await);
         stage.until::<Telescope>("mount", |state| state.has_done(&asked.id)).await;
         let counted = [mount.puts("rightascensionrate").len(), mount.puts("declinationrate").len()];
@@ -96,7 +96,7 @@ async fn rates_are_refused_by_a_mount_that_takes_none_or_does_not_track_and_wher
     let token = ready(&stage).await;
     let reply = stage.command(Kind::Telescope, "mount", &command("r1", token, rates(1e9))).await;
     assert_eq!(refused(&reply), Reason::Malformed);
-    mount.say("tracking", Says::Value(json!(false)));
+    mount.answer("tracking", FakeAnswer::Value(json!(false)));
     stage.until::<Telescope>("mount", |state| state.fields.tracking.known() == Some(&false)).await;
     let reply = stage.command(Kind::Telescope, "mount", &command("r2", token, rates(0.1))).await;
     assert_eq!(refused(&reply), Reason::WrongState);

@@ -2,12 +2,13 @@
 
 use std::time::{Duration, Instant};
 
-use bus::{Bus, Catch, Clock, Node, Subscriber};
+use bus::{Bus, Catch, Clock, Subscriber};
 use contract::device::dome;
 use contract::observatory::{Permit, Verdict};
 use contract::{
     Address, Command, CommandId, Device, DeviceKind, DeviceState, Key, Kind, Payload, Reason, Refusal, Reply, Role,
 };
+use node::Node;
 use test_support::{ALPHA, LIMIT, RunningNode, join, private_bus};
 use tokio::task::JoinHandle;
 
@@ -65,7 +66,7 @@ impl Stage {
         let mut last = None;
         let waiting = async {
             loop {
-                let state = states.hear().await.said.body;
+                let state = states.recv().await.sample.body;
                 if wanted(&state) {
                     return state;
                 }
@@ -126,16 +127,16 @@ impl Commander {
         let key = Key::Guard(device.clone()).to_string();
         let guard = stage.bus.subscribe::<dome::Guard>(&key, Catch::Newest, 8).await.unwrap();
         let key = Key::Permit(device.address, device.name);
-        let permits = stage.bus.publisher(&key, bus::Quality::Urgent).await.unwrap();
+        let permits = stage.bus.publisher(&key).await.unwrap();
         Self(tokio::spawn(async move {
             loop {
-                let heard = guard.hear().await;
+                let received = guard.recv().await;
                 let permit = Permit {
                     verdict: Verdict::Safe,
                     commander: "observatory/alpha/main".to_owned(),
                     token,
-                    guard_number: heard.said.body.number,
-                    guard_boot_id: heard.said.boot_id,
+                    guard_number: received.sample.body.number,
+                    guard_boot_id: received.sample.boot_id,
                 };
                 permits.put(permit).await.unwrap();
             }

@@ -2,10 +2,10 @@
 
 use contract::device::dome::{self, Dome};
 use contract::device::vendor::{VendorCommand, Words};
-use contract::{Kind, Outcome, Reason, Reply};
+use contract::{CommandOutcome, Kind, Reason, Reply};
 use serde_json::json;
 
-use crate::fake::Says;
+use crate::fake::FakeAnswer;
 use crate::stage::{Commander, Stage, accepted, command, refused};
 use crate::{a_dome, block};
 
@@ -19,8 +19,8 @@ async fn ask(stage: &Stage, id: &str, token: Option<u64>, text: &str) -> Reply {
 }
 
 /// How a command ended, and what was answered.
-async fn ended(stage: &Stage, id: &str) -> (Outcome, Option<String>) {
-    let is_over = |last: &contract::LastCommand| last.id.0 == id && last.outcome != Outcome::Running;
+async fn ended(stage: &Stage, id: &str) -> (CommandOutcome, Option<String>) {
+    let is_over = |last: &contract::LastCommand| last.id.0 == id && last.outcome != CommandOutcome::Running;
     let state = stage.until::<Dome>("dome", |state| state.last_command.as_ref().is_some_and(is_over)).await;
     let last = state.last_command.unwrap();
     (last.outcome, last.answer)
@@ -29,7 +29,7 @@ async fn ended(stage: &Stage, id: &str) -> (Outcome, Option<String>) {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_command_of_the_makers_own_needs_the_token_and_the_permit_and_to_be_listed_and_is_answered() {
     let hardware = a_dome().await;
-    hardware.say("put commandstring", Says::Value(json!("axis|4,axis|2")));
+    hardware.answer("put commandstring", FakeAnswer::Value(json!("axis|4,axis|2")));
     let stage = Stage::start(&block("dome", "dome", &hardware, LISTED)).await;
     stage.until::<Dome>("dome", |state| state.link == contract::Link::Connected).await;
     let token = accepted(&stage.command(Kind::Dome, "dome", &command("c", None, dome::Command::Claim)).await);
@@ -40,7 +40,7 @@ async fn a_command_of_the_makers_own_needs_the_token_and_the_permit_and_to_be_li
     assert_eq!(refused(&ask(&stage, "d", token, "OPEN").await), Reason::NotImplemented);
     assert!(hardware.puts("commandstring").is_empty());
     accepted(&ask(&stage, "e", token, "RESET 4").await);
-    assert_eq!(ended(&stage, "e").await, (Outcome::Done, Some("axis|4,axis|2".to_owned())));
+    assert_eq!(ended(&stage, "e").await, (CommandOutcome::Done, Some("axis|4,axis|2".to_owned())));
 
     let commander = Commander::start(&stage, "dome", token.unwrap()).await;
     let began = std::time::Instant::now();
@@ -60,14 +60,14 @@ async fn what_the_device_refuses_or_answers_at_too_great_length_has_failed() {
     let stage = Stage::start(&block("dome", "dome", &hardware, LISTED)).await;
     stage.until::<Dome>("dome", |state| state.link == contract::Link::Connected).await;
     let token = accepted(&stage.command(Kind::Dome, "dome", &command("c", None, dome::Command::Claim)).await);
-    for (id, says, word) in [
-        ("a", Says::Error(0x40B, "axis in error"), "axis in error"),
-        ("b", Says::Value(json!("x".repeat(20_000))), "20000 bytes"),
+    for (id, answer, word) in [
+        ("a", FakeAnswer::Error(0x40B, "axis in error"), "axis in error"),
+        ("b", FakeAnswer::Value(json!("x".repeat(20_000))), "20000 bytes"),
     ] {
-        hardware.say("put commandstring", says);
+        hardware.answer("put commandstring", answer);
         accepted(&ask(&stage, id, token, "RESET 1").await);
         let (outcome, answer) = ended(&stage, id).await;
-        assert!(matches!(&outcome, Outcome::Failed { reason } if reason.contains(word)), "{outcome:?}");
+        assert!(matches!(&outcome, CommandOutcome::Failed { reason } if reason.contains(word)), "{outcome:?}");
         assert_eq!(answer, None);
     }
     assert_eq!(hardware.puts("commandstring").len(), 2, "never sent twice");

@@ -6,22 +6,23 @@ use schedule::action::autofocus::search::Search;
 use schedule::action::parameters::FocusWanted;
 use schedule::wrong::Wrong;
 
-use super::expose::Series;
-use super::{Execute, Stage, read_out};
-use crate::focus::run::{Wish, find};
-use crate::focus::{field, half_range, offset, tell};
+use super::{Execute, Techniques, read_out};
+use crate::action_error::ActionError;
+use crate::devices::focuser::Focuser;
+use crate::exposing::Series;
+use crate::focus::run::{FocusRequest, find};
+use crate::focus::{field, half_range, offset, publish_run};
 use crate::opening;
 use crate::pointing;
-use crate::rig::focuser::Focuser;
+use crate::row_context::RowContext;
 use crate::slit::Aimed;
-use crate::trouble::Trouble;
 
 impl Execute for Autofocus {
-    async fn run(&self, stage: &Stage) -> Result<String, Trouble> {
-        let chain = stage.chain()?;
-        let impossible = |why: String| Trouble::Impossible(why);
-        let nonsense = |wrong: Wrong| Trouble::Impossible(wrong.to_string());
-        let camera = &stage.row.camera;
+    async fn run(&self, context: &RowContext, techniques: &Techniques) -> Result<String, ActionError> {
+        let chain = context.chain()?;
+        let impossible = |why: String| ActionError::Impossible(why);
+        let nonsense = |wrong: Wrong| ActionError::Impossible(wrong.to_string());
+        let camera = &context.row.camera;
         let focuser = chain.focuser.ok_or_else(|| impossible(format!("{camera} has no focuser")))?;
         let can = focuser.instrument.capabilities().await?;
         if !can.absolute {
@@ -29,25 +30,25 @@ impl Execute for Autofocus {
         }
         chain.camera.start_cooling().await?;
         let chosen = match chain.mount {
-            Some(_) => Some(field::for_run(&self.field, stage).await?),
+            Some(_) => Some(field::for_run(&self.field, context).await?),
             None => None,
         };
         let place = chosen.as_ref().map(|chosen| chosen.place);
         let pointed = place.zip(chain.mount);
-        let _aimed = pointed.map(|(place, mount)| Aimed::at(&stage.room, mount, place));
+        let _aimed = pointed.map(|(place, mount)| Aimed::at(&context.tools.slits, mount, place));
         let point = async {
-            stage.step("opening");
-            opening::open(&stage.room, &chain).await?;
+            context.step("opening");
+            opening::open(&techniques.opener, &chain).await?;
             if let (Some((place, mount)), Some(chosen)) = (pointed, &chosen) {
-                stage.visible(&place)?;
-                stage.step(format!("slewing to {}", chosen.words));
-                pointing::send(stage, mount, &place).await?;
+                context.visible(&place)?;
+                context.step(format!("slewing to {}", chosen.words));
+                pointing::send(context, &techniques.pointing, mount, &place).await?;
             }
             Ok(())
         };
-        tokio::try_join!(point, stage.filter_and_focus(self.filter.as_deref(), FocusWanted::default()))?;
-        stage.step("cooling");
-        stage.cool().await?;
+        tokio::try_join!(point, context.filter_and_focus(self.filter.as_deref(), FocusWanted::default()))?;
+        context.step("cooling");
+        context.cool().await?;
 
         let series = Series {
             target_deg: place.map(|place| (place.ra.degrees(), place.dec.degrees())),
@@ -58,34 +59,34 @@ impl Execute for Autofocus {
             open_sky: true,
             ..Series::default()
         };
-        let unknown = || Trouble::Failed {
+        let unknown = || ActionError::Failed {
             device: focuser.instrument.device.to_string(),
             verb: "focus".to_owned(),
             reason: "its position is not known".to_owned(),
         };
         let start = focuser.position().ok_or_else(unknown)?;
-        let usual = half_range(stage, focuser, can.max_step);
-        let wish = Wish {
+        let usual = half_range(&techniques.focus, focuser, can.max_step);
+        let request = FocusRequest {
             plan: plan(&self.search, focuser, start, usual, can.max_step).map_err(nonsense)?,
             meter: self.search.meter(self.reduce_exposure_time).map_err(nonsense)?,
             exposure_s: self.exptime,
             frames: self.search.frames(),
             reduce_exposure: self.reduce_exposure_time,
             expected_px: self.fwhm,
-            filter: offset(stage, &series, focuser),
+            filter: offset(context, &series, focuser),
             keep: self.save,
             counts: true,
         };
-        let run = find(stage, &series, focuser, &wish).await?;
-        tell(stage, &run);
+        let run = find(context, &techniques.focus, &series, focuser, &request).await?;
+        publish_run(context, &run);
         if let Some(mount) = chain.mount {
             mount.track(false).await?;
         }
-        let detail = stage.room.focus.borrow().detail.clone();
+        let detail = techniques.focus.state.borrow().detail.clone();
         let where_to = chosen.map(|chosen| format!("; field: {}", chosen.words)).unwrap_or_default();
         match run.reason {
             None => Ok(format!("{detail}{where_to}")),
-            Some(_) => Err(Trouble::Impossible(format!("{detail}{where_to}"))),
+            Some(_) => Err(ActionError::Impossible(format!("{detail}{where_to}"))),
         }
     }
 }

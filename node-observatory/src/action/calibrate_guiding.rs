@@ -7,21 +7,22 @@ use contract::device::telescope::{Direction, PierSide};
 use contract::observatory::CalibrationSource;
 use imaging::Star;
 use imaging::guide::Reference;
-use imaging::guide::calibration::pulses::{self, Next, Run, Warning};
+use imaging::guide::calibration::pulses::{self, CalibrationRun, Next, Warning};
 use schedule::action::calibrate_guiding::{CalibrateGuiding, TOO_LATE, pier};
 use schedule::shot::{Shot, fits};
 use sky::Icrs;
 use units::seconds;
 
-use super::expose::{Series, expose};
-use super::{Execute, Stage, read_out};
+use super::{Execute, Techniques, read_out};
+use crate::action_error::ActionError;
+use crate::devices::telescope::Mount;
+use crate::exposing::{Series, expose};
 use crate::frames::looked::Looked;
 use crate::guiding::calibrated::unbinned;
-use crate::guiding::{guide_rates, pulse};
+use crate::guiding::{GuidingData, guide_rates, pulse};
 use crate::opening;
-use crate::rig::telescope::Mount;
+use crate::row_context::RowContext;
 use crate::slit::Aimed;
-use crate::trouble::Trouble;
 
 /// A frame is fetched and measured within this, machine time.
 const MEASURED_WITHIN: Duration = Duration::from_secs(60);
@@ -31,28 +32,28 @@ const TURNS: u32 = 2;
 const TURNS_WITHIN_S: f64 = 300.0;
 
 impl Execute for CalibrateGuiding {
-    async fn run(&self, stage: &Stage) -> Result<String, Trouble> {
-        let chain = stage.chain()?;
+    async fn run(&self, context: &RowContext, techniques: &Techniques) -> Result<String, ActionError> {
+        let chain = context.chain()?;
         let mount = chain.mount;
-        let mount = mount.ok_or_else(|| Trouble::Impossible(format!("{} has no mount", stage.row.camera)))?;
+        let mount = mount.ok_or_else(|| ActionError::Impossible(format!("{} has no mount", context.row.camera)))?;
         if !mount.instrument.capabilities().await?.pulse_guide {
             let name = &mount.instrument.device.name;
             let cannot =
                 format!("{name} takes no guide pulses (CanPulseGuide is false): there is nothing to calibrate");
-            return Err(Trouble::Impossible(cannot));
+            return Err(ActionError::Impossible(cannot));
         }
         chain.camera.start_cooling().await?;
-        let target = self.target(&stage.observer(stage.clock().utc())?).map_err(Trouble::Impossible)?;
-        let _aimed = Aimed::at(&stage.room, mount, target);
+        let target = self.target(&context.observer(context.clock().utc())?).map_err(ActionError::Impossible)?;
+        let _aimed = Aimed::at(&context.tools.slits, mount, target);
         let point = async {
-            stage.step("opening");
-            opening::open(&stage.room, &chain).await?;
-            stage.step("slewing");
-            mount.point(&target, &stage.observer(stage.clock().utc())?).await
+            context.step("opening");
+            opening::open(&techniques.opener, &chain).await?;
+            context.step("slewing");
+            mount.point(&target, &context.observer(context.clock().utc())?).await
         };
-        tokio::try_join!(point, stage.filter_and_focus(self.filter.as_deref(), self.defocus.wanted()))?;
-        stage.step("cooling");
-        stage.cool().await?;
+        tokio::try_join!(point, context.filter_and_focus(self.filter.as_deref(), self.defocus.wanted()))?;
+        context.step("cooling");
+        context.cool().await?;
         let series = Series {
             action: None,
             focus: None,
@@ -65,49 +66,61 @@ impl Execute for CalibrateGuiding {
             open_sky: true,
             metadata: self.metadata.texts(),
         };
-        stage.step("calibrating");
-        let told = step(self, stage, &series, mount, &target).await?;
+        context.step("calibrating");
+        let report = step(self, context, &techniques.guiding, &series, mount, &target).await?;
         mount.track(false).await?;
-        Ok(told)
+        Ok(report)
     }
 }
 
 /// Takes a frame and waits for what it shows.
 async fn frame(
     calibrate: &CalibrateGuiding,
-    stage: &Stage,
+    context: &RowContext,
     series: &Series,
     words: String,
-) -> Result<Arc<Looked>, Trouble> {
-    let (camera, began) = (stage.row.camera.as_str(), stage.clock().utc());
-    let mut pixels = stage.room.looks.follow_pixels();
+) -> Result<Arc<Looked>, ActionError> {
+    let (camera, began) = (context.row.camera.as_str(), context.clock().utc());
+    let mut pixels = context.tools.frames.looks.follow_pixels();
     let shot = Shot { exposure_s: calibrate.exptime, image_type: "Light Frame", words };
-    let mut wanted = Some(shot).filter(|shot| fits(began, shot.exposure_s, stage.row.end));
+    let mut wanted = Some(shot).filter(|shot| fits(began, shot.exposure_s, context.row.end));
     if wanted.is_none() {
-        return Err(Trouble::Impossible(TOO_LATE.to_owned()));
+        return Err(ActionError::Impossible(TOO_LATE.to_owned()));
     }
-    expose(stage, series, |_, _| wanted.take()).await?;
+    expose(context, series, |_, _| wanted.take()).await?;
     let looked = async {
         loop {
             match pixels.recv().await {
                 // The frames before were waited for, so the next one of the row is this one.
-                Ok(fetched) if fetched.frame.camera == camera && fetched.frame.purpose.row == Some(stage.index) => {
-                    return stage.room.looks.of(&fetched.frame.id).await;
+                Ok(fetched) if fetched.frame.camera == camera && fetched.frame.purpose.row == Some(context.index) => {
+                    return context.tools.frames.looks.of(&fetched.frame.id).await;
                 }
                 Ok(_) | Err(tokio::sync::broadcast::error::RecvError::Lagged(_)) => {}
                 Err(tokio::sync::broadcast::error::RecvError::Closed) => std::future::pending().await,
             }
         }
     };
-    tokio::time::timeout(MEASURED_WITHIN, looked).await.map_err(|_| Trouble::Deadline {
-        device: stage.room.node.config.address().device(contract::Kind::Camera, &stage.row.camera).to_string(),
+    tokio::time::timeout(MEASURED_WITHIN, looked).await.map_err(|_| ActionError::Deadline {
+        device: context
+            .tools
+            .authority
+            .node
+            .config
+            .address()
+            .device(contract::Kind::Camera, &context.row.camera)
+            .to_string(),
         what: "a measured frame".to_owned(),
         after_s: MEASURED_WITHIN.as_secs_f64(),
     })
 }
 
 /// How to step: as the row orders, or so that the stars go their way in as many steps as it orders, or ten.
-fn settings(calibrate: &CalibrateGuiding, looked: &Looked, mount: &Mount, target: &Icrs) -> pulses::Settings {
+fn settings(
+    calibrate: &CalibrateGuiding,
+    looked: &Looked,
+    mount: &Mount,
+    target: &Icrs,
+) -> pulses::CalibrationSettings {
     let rates = mount.instrument.can().as_ref().and_then(guide_rates);
     let scale = looked.solved.as_ref().and_then(|solved| solved.as_ref().ok()).map(|s| s.scale_arcsec_px);
     let frame = &looked.frame;
@@ -118,20 +131,21 @@ fn settings(calibrate: &CalibrateGuiding, looked: &Looked, mount: &Mount, target
 /// during it, or when the mount reported only during it that the tube had gone there.
 async fn step(
     calibrate: &CalibrateGuiding,
-    stage: &Stage,
+    context: &RowContext,
+    guiding: &GuidingData,
     series: &Series,
     mount: &Mount,
     target: &Icrs,
-) -> Result<String, Trouble> {
+) -> Result<String, ActionError> {
     let mut again = 0;
     loop {
-        match once(calibrate, stage, series, mount, target).await? {
-            Ended::Calibrated(told) => return Ok(told),
+        match once(calibrate, context, guiding, series, mount, target).await? {
+            Ended::Calibrated(report) => return Ok(report),
             Ended::Turned(why) if again < TURNS => {
                 again += 1;
                 tracing::info!(mount = %mount.instrument.device.name, why, "the calibration begins anew");
-                stage.step(format!("calibrating anew: {why}"));
-                still(stage, mount).await?;
+                context.step(format!("calibrating anew: {why}"));
+                still(context, mount).await?;
             }
             Ended::Turned(why) => return Err(failed(mount, why)),
         }
@@ -140,15 +154,16 @@ async fn step(
 
 async fn once(
     calibrate: &CalibrateGuiding,
-    stage: &Stage,
+    context: &RowContext,
+    guiding: &GuidingData,
     series: &Series,
     mount: &Mount,
     target: &Icrs,
-) -> Result<Ended, Trouble> {
-    let first = frame(calibrate, stage, series, "exposing the reference".to_owned()).await?;
+) -> Result<Ended, ActionError> {
+    let first = frame(calibrate, context, series, "exposing the reference".to_owned()).await?;
     let settings = settings(calibrate, &first, mount, target);
     let pier_side = settings.pier;
-    let (mut reference, mut run) = (reference(&first)?, Run::new(settings));
+    let (mut reference, mut run) = (reference(&first)?, CalibrationRun::new(settings));
     let (mut mid_s, mut place) = (middle_s(&first), Some([0.0, 0.0]));
     let mut count = 0_u32;
     loop {
@@ -161,7 +176,7 @@ async fn once(
                 if slews(mount) {
                     return Ok(Ended::Turned("the mount slews".to_owned()));
                 }
-                if let Some(why) = pulse::objection(&stage.room, &stage.row, mount) {
+                if let Some(why) = pulse::objection(&context.tools.authority, &context.row, mount) {
                     return Err(failed(mount, why));
                 }
                 count += 1;
@@ -171,19 +186,19 @@ async fn once(
             Next::Measure => "calibrating: the last frame showed no star".to_owned(),
             Next::Failed(failure) => return Err(failed(mount, failure.to_string())),
             Next::Done { calibration, warnings } => {
-                let (now, camera) = (stage.clock().utc(), stage.row.camera.as_str());
+                let (now, camera) = (context.clock().utc(), context.row.camera.as_str());
                 let made = unbinned(calibration, calibrate.readout.bin, CalibrationSource::Pulses, now);
-                let told = told(calibration, warnings, count);
-                tracing::info!(camera, told, "guiding is calibrated");
-                stage.room.guide_learnt.change(|learnt| {
-                    learnt.keep_calibration(camera, made);
+                let report = summary(calibration, warnings, count);
+                tracing::info!(camera, report, "guiding is calibrated");
+                guiding.learned.change(|learned| {
+                    learned.keep_calibration(camera, made);
                     true
                 });
-                return Ok(Ended::Calibrated(told));
+                return Ok(Ended::Calibrated(report));
             }
         };
-        stage.clock().sleep_sky(seconds(calibrate.settle_time)).await;
-        let looked = frame(calibrate, stage, series, words).await?;
+        context.clock().sleep_sky(seconds(calibrate.settle_time)).await;
+        let looked = frame(calibrate, context, series, words).await?;
         (mid_s, place) = (middle_s(&looked), seen(&mut reference, &looked));
     }
 }
@@ -201,25 +216,25 @@ fn slews(mount: &Mount) -> bool {
 }
 
 /// Waits until the mount has come to rest.
-async fn still(stage: &Stage, mount: &Mount) -> Result<(), Trouble> {
-    let began = stage.clock().utc();
+async fn still(context: &RowContext, mount: &Mount) -> Result<(), ActionError> {
+    let began = context.clock().utc();
     loop {
-        stage.clock().sleep_sky(seconds(2.0)).await;
+        context.clock().sleep_sky(seconds(2.0)).await;
         if mount.instrument.fresh().is_some() && !slews(mount) {
             return Ok(());
         }
-        if stage.clock().utc().seconds_since(began) > TURNS_WITHIN_S {
+        if context.clock().utc().seconds_since(began) > TURNS_WITHIN_S {
             return Err(failed(mount, format!("it did not come to rest within {TURNS_WITHIN_S} s")));
         }
     }
 }
 
 /// Where the stars of the first frame are.
-fn reference(looked: &Looked) -> Result<Reference, Trouble> {
+fn reference(looked: &Looked) -> Result<Reference, ActionError> {
     let (width, height) = (looked.frame.width_px as usize, looked.frame.height_px as usize);
     Reference::from_lists(&[stars(looked)], width, height).map_err(|why| {
         let reason = looked.facts.reason.clone().unwrap_or_else(|| why.to_string());
-        Trouble::Impossible(format!("no stars to calibrate on: {reason}"))
+        ActionError::Impossible(format!("no stars to calibrate on: {reason}"))
     })
 }
 
@@ -251,17 +266,17 @@ fn ascom(direction: pulses::Direction) -> Direction {
     }
 }
 
-fn failed(mount: &Mount, reason: String) -> Trouble {
-    Trouble::Failed { device: mount.instrument.device.to_string(), verb: "be calibrated".to_owned(), reason }
+fn failed(mount: &Mount, reason: String) -> ActionError {
+    ActionError::Failed { device: mount.instrument.device.to_string(), verb: "be calibrated".to_owned(), reason }
 }
 
-fn told(calibration: &imaging::guide::Calibration, warnings: &[Warning], pulses: u32) -> String {
+fn summary(calibration: &imaging::guide::Calibration, warnings: &[Warning], pulses: u32) -> String {
     let way = |[x, y]: [f64; 2]| format!("{:.2} px/s at {:.0} deg", x.hypot(y), y.atan2(x).to_degrees());
     let (east, north) = (way(calibration.east_px_s), way(calibration.north_px_s));
     let play_s = calibration.backlash_s.unwrap_or(0.0);
-    let mut told = format!("East {east}, North {north}, declination loses {play_s:.2} s, {pulses} pulses");
+    let mut report = format!("East {east}, North {north}, declination loses {play_s:.2} s, {pulses} pulses");
     for warning in warnings {
-        told.push_str(&format!("; {warning}"));
+        report.push_str(&format!("; {warning}"));
     }
-    told
+    report
 }

@@ -2,18 +2,19 @@
 
 use schedule::action::close::{Close, TOO_LATE};
 
-use super::{Execute, Stage};
-use crate::trouble::Trouble;
+use super::{Execute, Techniques};
+use crate::action_error::ActionError;
+use crate::row_context::RowContext;
 
 impl Execute for Close {
-    async fn run(&self, stage: &Stage) -> Result<String, Trouble> {
-        stage.step("closing");
-        let left_s = stage.row.end.seconds_since(stage.clock().utc());
-        let most = crate::patience::patience(stage.clock(), units::seconds(left_s));
+    async fn run(&self, context: &RowContext, _: &Techniques) -> Result<String, ActionError> {
+        context.step("closing");
+        let left_s = context.row.end.seconds_since(context.clock().utc());
+        let most = crate::command_timeout::command_timeout(context.clock(), units::seconds(left_s));
         // Past its window the row has failed; the closing itself goes on.
-        tokio::time::timeout(most, stage.room.close("the schedule says so"))
+        tokio::time::timeout(most, context.tools.authority.close("the schedule says so"))
             .await
-            .map_err(|_| Trouble::Impossible(TOO_LATE.to_owned()))?;
+            .map_err(|_| ActionError::Impossible(TOO_LATE.to_owned()))?;
         Ok(String::new())
     }
 }

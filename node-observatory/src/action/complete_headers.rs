@@ -2,38 +2,40 @@
 
 use std::time::Duration;
 
-use contract::archive::{Answer, Ask, Question, Row};
+use contract::archive::{ArchiveAnswer, ArchiveQuestion, ArchiveRow, Ask};
 use contract::{CommandId, Key};
 use schedule::action::CompleteHeaders;
 use units::Angle;
 
-use super::{Execute, Stage};
-use crate::trouble::Trouble;
+use super::{Execute, Techniques};
+use crate::action_error::ActionError;
+use crate::row_context::RowContext;
 
 /// How often the archive is asked about files whose announcement was missed.
 const ASK: Duration = Duration::from_secs(15);
 
 impl Execute for CompleteHeaders {
-    async fn run(&self, stage: &Stage) -> Result<String, Trouble> {
-        let night = stage.night().to_string();
-        let mut frames = stage.room.ledger.watch();
+    async fn run(&self, context: &RowContext, _: &Techniques) -> Result<String, ActionError> {
+        let night = context.night().to_string();
+        let mut frames = context.tools.ledger.watch();
         let mut asked = None;
         loop {
             let (complete, all) = frames.borrow_and_update().complete(&night);
-            stage.small_step(format!("{complete} of {all} headers complete"));
+            context.small_step(format!("{complete} of {all} headers complete"));
             if complete == all {
                 return Ok(format!("{all} headers complete"));
             }
-            if stage.clock().utc() >= stage.row.end {
+            if context.clock().utc() >= context.row.end {
                 return Ok(format!("{complete} of {all} headers complete at end_time"));
             }
-            let now = stage.clock().machine();
+            let now = context.clock().machine();
             if asked.is_none_or(|at| now.since(at) >= ASK) {
                 asked = Some(now);
-                ask_archive(stage).await;
+                ask_archive(context).await;
                 continue;
             }
-            let left = stage.clock().machine_duration(units::seconds(stage.row.end.seconds_since(stage.clock().utc())));
+            let left =
+                context.clock().machine_duration(units::seconds(context.row.end.seconds_since(context.clock().utc())));
             tokio::select! {
                 _ = frames.changed() => {}
                 () = tokio::time::sleep(left.clamp(Duration::from_millis(20), ASK)) => {}
@@ -43,17 +45,17 @@ impl Execute for CompleteHeaders {
 }
 
 /// Learns from the archive's record what was stored while this node did not listen.
-async fn ask_archive(stage: &Stage) {
-    let config = &stage.room.node.config;
-    let noon = stage.night().noon(Angle::from_degrees(config.place.longitude_deg));
-    let question = Question { ask: Ask::Frames, from_utc: Some(noon), to_utc: None, limit: Some(10_000) };
+async fn ask_archive(context: &RowContext) {
+    let config = &context.tools.authority.node.config;
+    let noon = context.night().noon(Angle::from_degrees(config.place.longitude_deg));
+    let question = ArchiveQuestion { ask: Ask::Frames, from_utc: Some(noon), to_utc: None, limit: Some(10_000) };
     let key = Key::History(config.address());
-    match stage.room.node.bus.ask::<_, Answer>(&key, &question, Duration::from_secs(3)).await {
+    match context.tools.authority.node.bus.ask::<_, ArchiveAnswer>(&key, &question, Duration::from_secs(3)).await {
         Ok(answer) => {
             for row in answer.rows {
-                if let Row::Frame { id, header_complete: true, .. } = row {
+                if let ArchiveRow::Frame { id, header_complete: true, .. } = row {
                     let id: CommandId = id;
-                    stage.room.ledger.complete(&id);
+                    context.tools.ledger.complete(&id);
                 }
             }
         }

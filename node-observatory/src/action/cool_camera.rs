@@ -2,16 +2,17 @@
 
 use schedule::action::cool_camera::{CoolCamera, NOTHING_TO_COOL};
 
-use super::{Execute, Stage};
-use crate::trouble::Trouble;
+use super::{Execute, Techniques};
+use crate::action_error::ActionError;
+use crate::row_context::RowContext;
 
 impl Execute for CoolCamera {
-    async fn run(&self, stage: &Stage) -> Result<String, Trouble> {
-        if stage.chain()?.camera.config.temperature_c.is_none() {
+    async fn run(&self, context: &RowContext, _: &Techniques) -> Result<String, ActionError> {
+        if context.chain()?.camera.config.temperature_c.is_none() {
             return Ok(NOTHING_TO_COOL.to_owned());
         }
-        stage.step("cooling");
-        stage.cool().await?;
+        context.step("cooling");
+        context.cool().await?;
         Ok(String::new())
     }
 }

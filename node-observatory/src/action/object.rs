@@ -5,47 +5,51 @@ use schedule::names::Found;
 use sky::{Body, Horizontal, Icrs};
 use units::Utc;
 
-use super::expose::{Series, adopt, expose};
-use super::{Execute, Stage, read_out};
+use super::{Execute, Techniques, read_out};
+use crate::action_error::ActionError;
+use crate::devices::telescope::Mount;
+use crate::exposing::{Series, adopt};
+use crate::focus::expose_in_focus;
 use crate::guiding;
-use crate::moving::{self, Wish};
+use crate::moving::{self, FollowRequest};
 use crate::opening;
-use crate::pointing::{self, Flip, Gate, Way};
-use crate::rig::telescope::Mount;
+use crate::pointing::{self, Acquisition, Flip, Gate};
+use crate::row_context::RowContext;
 use crate::slit::Aimed;
-use crate::trouble::Trouble;
 
 impl Execute for Object {
-    async fn run(&self, stage: &Stage) -> Result<String, Trouble> {
-        let chain = stage.chain()?;
-        let mut told: Vec<String> = self.not_done().into_iter().map(str::to_owned).collect();
-        for word in &told {
+    async fn run(&self, context: &RowContext, techniques: &Techniques) -> Result<String, ActionError> {
+        let chain = context.chain()?;
+        let mut report: Vec<String> = self.not_done().into_iter().map(str::to_owned).collect();
+        for word in &report {
             tracing::warn!(object = self.object, "{word}");
         }
         chain.camera.start_cooling().await?;
         // The solutions since then may lead the slew a little away from the place of that frame.
-        adopt(stage, self.moves()).await?;
-        let (target, body) = goal(self, stage, stage.clock().utc())?;
+        adopt(context, self.moves()).await?;
+        let (target, body) = goal(self, context, techniques, context.clock().utc())?;
         let pointed = target.filter(|_| self.moves()).zip(chain.mount);
         // The slit goes there while the mount slews.
-        let _aimed = pointed.map(|(target, mount)| Aimed::at(&stage.room, mount, target));
+        let _aimed = pointed.map(|(target, mount)| Aimed::at(&context.tools.slits, mount, target));
 
         let point = async {
             let Some(target) = target.filter(|_| self.moves()) else { return Ok(None) };
-            let mount = chain.mount.ok_or_else(|| Trouble::Impossible(format!("{} has no mount", stage.row.camera)))?;
-            stage.visible(&target)?;
+            let mount =
+                chain.mount.ok_or_else(|| ActionError::Impossible(format!("{} has no mount", context.row.camera)))?;
+            context.visible(&target)?;
             if body.is_some() {
                 moving::can_follow(mount).await?;
             }
-            stage.step("opening");
-            opening::open(&stage.room, &chain).await?;
-            stage.step("slewing");
-            let commanded = pointing::send(stage, mount, &target).await?;
-            Ok(Some((mount, Way::begun(stage, target, commanded, self.exptime))))
+            context.step("opening");
+            opening::open(&techniques.opener, &chain).await?;
+            context.step("slewing");
+            let commanded = pointing::send(context, &techniques.pointing, mount, &target).await?;
+            Ok(Some((mount, Acquisition::begun(context, target, commanded, self.exptime))))
         };
-        let (way, ()) = tokio::try_join!(point, stage.filter_and_focus(self.filter.as_deref(), self.defocus.wanted()))?;
-        stage.step("cooling");
-        stage.cool().await?;
+        let (way, ()) =
+            tokio::try_join!(point, context.filter_and_focus(self.filter.as_deref(), self.defocus.wanted()))?;
+        context.step("cooling");
+        context.cool().await?;
 
         let series = Series {
             action: None,
@@ -60,32 +64,44 @@ impl Execute for Object {
             metadata: self.metadata.texts(),
         };
         let taken = match (way, &body) {
-            (Some((mount, way)), Some(body)) => along(self, stage, mount, series, (way, body), &mut told).await?,
-            (Some((mount, way)), None) => proven(self, stage, mount, &series, way, &mut told).await?,
-            (None, _) => expose(stage, &series, |taken, now| self.shot(taken, now, stage.row.end)).await?,
+            (Some((mount, way)), Some(body)) => {
+                along(self, context, techniques, mount, series, (way, body), &mut report).await?
+            }
+            (Some((mount, way)), None) => proven(self, context, techniques, mount, &series, way, &mut report).await?,
+            (None, _) => {
+                expose_in_focus(context, &techniques.focus, &series, |taken, now| {
+                    self.shot(taken, now, context.row.end)
+                })
+                .await?
+            }
         };
         if let Some(mount) = chain.mount.filter(|_| self.moves()) {
             mount.track(false).await?;
         }
-        told.push(self.told(taken));
-        told.retain(|words| !words.is_empty());
-        Ok(told.join("; "))
+        report.push(self.summary(taken));
+        report.retain(|words| !words.is_empty());
+        Ok(report.join("; "))
     }
 }
 
 /// Where to point at an instant, and the target itself where it is one that moves.
-fn goal(object: &Object, stage: &Stage, at: Utc) -> Result<(Option<Icrs>, Option<Body>), Trouble> {
+fn goal(
+    object: &Object,
+    context: &RowContext,
+    techniques: &Techniques,
+    at: Utc,
+) -> Result<(Option<Icrs>, Option<Body>), ActionError> {
     let body = match object.asked().name_to_look_up() {
         Some(_) if object.disable_telescope_movement => return Ok((None, None)),
-        Some(name) => match stage.room.names.borrow().find(name, at).map_err(Trouble::Unnamed)? {
+        Some(name) => match techniques.names.borrow().find(name, at).map_err(ActionError::Unnamed)? {
             Found::Place(place) => return Ok((Some(place), None)),
             Found::Body(body) => Some(body),
         },
         None => object.body(),
     };
     match body {
-        Some(body) => Ok((Some(body.seen(&stage.observer(at)?)?.icrs), Some(body))),
-        None => Ok((target(object, stage, at)?, None)),
+        Some(body) => Ok((Some(body.seen(&context.observer(at)?)?.icrs), Some(body))),
+        None => Ok((target(object, context, at)?, None)),
     }
 }
 
@@ -93,58 +109,68 @@ fn goal(object: &Object, stage: &Stage, at: Utc) -> Result<(Option<Icrs>, Option
 /// that target that the telescope goes where it is sent. Returns how many frames count.
 async fn along(
     object: &Object,
-    stage: &Stage,
+    context: &RowContext,
+    techniques: &Techniques,
     mount: &Mount,
     series: Series,
-    (mut way, body): (Way, &Body),
-    told: &mut Vec<String>,
-) -> Result<u32, Trouble> {
+    (mut way, body): (Acquisition, &Body),
+    report: &mut Vec<String>,
+) -> Result<u32, ActionError> {
     if object.guiding {
-        told.push("not guided: the target moves among the stars".to_owned());
+        report.push("not guided: the target moves among the stars".to_owned());
     }
-    let mut wish = Wish {
+    let mut request = FollowRequest {
         lead_s: object.nonsidereal_start_lead_time_seconds.unwrap_or(0.0),
         update_s: object.nonsidereal_rate_update_interval,
         recenter_s: object.nonsidereal_recenter_interval.unwrap_or(0.0),
         correction: None,
     };
     if object.pointing {
-        match pointing::acquire(stage, mount, &series, &mut way).await {
+        match pointing::acquire(context, &techniques.pointing, mount, &series, &mut way).await {
             Ok(_) => {
                 let (commanded, target) = (way.commanded, way.target);
                 let ra = (commanded.ra - target.ra).wrapped_signed();
-                wish.correction = Some([ra, commanded.dec - target.dec]);
+                request.correction = Some([ra, commanded.dec - target.dec]);
             }
-            Err(Trouble::Unproven { why, .. }) if may_be_unproven(object, stage) => told.push(why),
-            Err(trouble) => return Err(trouble),
+            Err(ActionError::Unproven { why, .. }) if may_be_unproven(object, context) => report.push(why),
+            Err(error) => return Err(error),
         }
     }
-    moving::observe(stage, mount, (body, &wish), series, |taken, now, end| object.shot(taken, now, end)).await
+    moving::observe(
+        context,
+        (&techniques.pointing, &techniques.focus),
+        mount,
+        (body, &request),
+        series,
+        |taken, now, end| object.shot(taken, now, end),
+    )
+    .await
 }
 
 /// Takes the frames of a row that has slewed to its target; where it asks for `pointing`, only while the telescope is
 /// proven to be there. Returns how many count.
 async fn proven(
     object: &Object,
-    stage: &Stage,
+    context: &RowContext,
+    techniques: &Techniques,
     mount: &Mount,
     series: &Series,
-    mut way: Way,
-    told: &mut Vec<String>,
-) -> Result<u32, Trouble> {
-    let end = stage.row.end;
-    let mut flip = Flip::of(stage, mount);
+    mut way: Acquisition,
+    report: &mut Vec<String>,
+) -> Result<u32, ActionError> {
+    let end = context.row.end;
+    let mut flip = Flip::of(context, mount);
     loop {
-        let mut gate = Gate::learning(stage, mount, way.target, Some(way.commanded));
+        let mut gate = Gate::learning(context, &techniques.pointing, mount, way.target, Some(way.commanded));
         if object.pointing {
-            match pointing::acquire(stage, mount, series, &mut way).await {
-                Ok(_) => gate = Gate::proven(stage, mount, way.target),
-                Err(Trouble::Unproven { why, .. }) if may_be_unproven(object, stage) => {
-                    gate = Gate::learning(stage, mount, way.target, None);
+            match pointing::acquire(context, &techniques.pointing, mount, series, &mut way).await {
+                Ok(_) => gate = Gate::proven(context, &techniques.pointing, mount, way.target),
+                Err(ActionError::Unproven { why, .. }) if may_be_unproven(object, context) => {
+                    gate = Gate::learning(context, &techniques.pointing, mount, way.target, None);
                     tracing::warn!(object = object.object, why, "frames are taken all the same");
-                    told.push(why);
+                    report.push(why);
                 }
-                Err(trouble) => return Err(trouble),
+                Err(error) => return Err(error),
             }
         }
         let target = way.target;
@@ -154,46 +180,46 @@ async fn proven(
             None => object.shot(taken, now, end),
         };
         let guided = match object.guiding {
-            true => Some(guiding::begin(stage, guide_on(object, Some(way.target))).await?),
+            true => Some(guiding::begin(context, &techniques.guiding, guide_on(object, Some(way.target))).await?),
             false => None,
         };
-        let exposing = expose(stage, series, next);
+        let exposing = expose_in_focus(context, &techniques.focus, series, next);
         match &guided {
             Some(guided) => tokio::select! {
                 taken = exposing => taken?,
-                trouble = guided.given_up() => return Err(trouble),
+                error = guided.given_up() => return Err(error),
             },
             None => exposing.await?,
         };
         gate.settle().await?;
-        told.extend(guided.map(|guided| guided.told()));
-        let taken = stage.room.journal.progress(&stage.row.id).taken;
-        let (lost, now) = (gate.lost().map(str::to_owned), stage.clock().utc());
+        report.extend(guided.map(|guided| guided.summary()));
+        let taken = context.tools.journal.progress(&context.row.id).taken;
+        let (lost, now) = (gate.lost().map(str::to_owned), context.clock().utc());
         if object.shot(taken, now, end).is_none() {
             return Ok(taken);
         }
         if flip.is_due(&target, object.exptime, now) {
-            stage.step("meridian flip");
-            way.commanded = pointing::send(stage, mount, &target).await?;
+            context.step("meridian flip");
+            way.commanded = pointing::send(context, &techniques.pointing, mount, &target).await?;
             way.is_fresh = true;
-            way.renew(stage);
+            way.renew(context);
             if let Some(ignored) = flip.note().await {
                 tracing::warn!(object = object.object, ignored);
-                told.push(ignored);
+                report.push(ignored);
             }
             continue;
         }
         let Some(why) = lost else { return Ok(taken) };
-        stage.step(format!("back to the target: {why}"));
+        context.step(format!("back to the target: {why}"));
         if gate.is_proven() {
-            way.renew(stage);
+            way.renew(context);
         }
-        way.again(stage, mount).await?;
+        way.again(context, mount).await?;
     }
 }
 
-fn may_be_unproven(object: &Object, stage: &Stage) -> bool {
-    object.unverified || stage.room.node.config.pointing.on_failure == config::OnFailure::Observe
+fn may_be_unproven(object: &Object, context: &RowContext) -> bool {
+    object.unverified || context.tools.authority.node.config.pointing.on_failure == config::OnFailure::Observe
 }
 
 /// What is to be guided on.
@@ -207,10 +233,10 @@ fn guide_on(object: &Object, target: Option<Icrs>) -> guiding::Wanted {
 }
 
 /// Where to point, at an instant.
-fn target(object: &Object, stage: &Stage, at: Utc) -> Result<Option<Icrs>, Trouble> {
+fn target(object: &Object, context: &RowContext, at: Utc) -> Result<Option<Icrs>, ActionError> {
     match (object.ra, object.dec, object.alt, object.az) {
         (Some(ra), Some(dec), ..) => Ok(Some(Icrs::from_degrees(ra, dec).checked()?)),
-        (_, _, Some(alt), Some(az)) => Ok(Some(stage.observer(at)?.to_icrs(&Horizontal::from_degrees(alt, az)))),
+        (_, _, Some(alt), Some(az)) => Ok(Some(context.observer(at)?.to_icrs(&Horizontal::from_degrees(alt, az)))),
         _ => Ok(None),
     }
 }

@@ -2,19 +2,20 @@
 
 use schedule::action::Open;
 
-use super::{Execute, Stage};
+use super::{Execute, Techniques};
+use crate::action_error::ActionError;
 use crate::opening;
-use crate::trouble::Trouble;
+use crate::row_context::RowContext;
 
 impl Execute for Open {
-    async fn run(&self, stage: &Stage) -> Result<String, Trouble> {
-        let chain = stage.chain()?;
-        if let Err(trouble) = chain.camera.start_cooling().await {
+    async fn run(&self, context: &RowContext, techniques: &Techniques) -> Result<String, ActionError> {
+        let chain = context.chain()?;
+        if let Err(error) = chain.camera.start_cooling().await {
             // The rows that need a cold camera will report the failure.
-            tracing::warn!(%trouble, "the cooler was not started");
+            tracing::warn!(%error, "the cooler was not started");
         }
-        stage.step("opening");
-        opening::open(&stage.room, &chain).await?;
+        context.step("opening");
+        opening::open(&techniques.opener, &chain).await?;
         Ok(String::new())
     }
 }

@@ -5,28 +5,29 @@ use schedule::pointing_grid;
 use schedule::shot::{Shot, fits};
 use sky::Icrs;
 
-use super::expose::{Series, expose};
-use super::{Execute, Stage, read_out};
-use crate::frames::dark;
+use super::{Execute, Techniques, dark, read_out};
+use crate::action_error::ActionError;
+use crate::devices::telescope::Mount;
+use crate::exposing::{Series, expose};
 use crate::opening;
-use crate::pointing::{calm, forget, learn, look, seen, send, sensor_looks_at};
-use crate::rig::telescope::Mount;
+use crate::pointing::{PointingData, calm, forget, learn, look, seen, send, sensor_looks_at};
+use crate::row_context::RowContext;
 use crate::slit::Aimed;
-use crate::trouble::Trouble;
 
 impl Execute for PointingModel {
-    async fn run(&self, stage: &Stage) -> Result<String, Trouble> {
-        let chain = stage.chain()?;
-        let mount = chain.mount.ok_or_else(|| Trouble::Impossible(format!("{} has no mount", stage.row.camera)))?;
+    async fn run(&self, context: &RowContext, techniques: &Techniques) -> Result<String, ActionError> {
+        let chain = context.chain()?;
+        let mount =
+            chain.mount.ok_or_else(|| ActionError::Impossible(format!("{} has no mount", context.row.camera)))?;
         chain.camera.start_cooling().await?;
-        stage.step("opening");
-        let open = opening::open(&stage.room, &chain);
-        tokio::try_join!(open, stage.filter_and_focus(self.filter.as_deref(), self.defocus.wanted()))?;
-        stage.step("cooling");
-        stage.cool().await?;
-        let series = series(self, stage).await?;
+        context.step("opening");
+        let open = opening::open(&techniques.opener, &chain);
+        tokio::try_join!(open, context.filter_and_focus(self.filter.as_deref(), self.defocus.wanted()))?;
+        context.step("cooling");
+        context.cool().await?;
+        let series = series(self, context).await?;
         let dark = match self.dark_subtraction {
-            true => Some(dark::take(stage, &series, self.exptime).await?),
+            true => Some(dark::take(context, &series, self.exptime).await?),
             false => None,
         };
         let no_dark = dark.as_ref().and_then(|dark| dark.as_ref().err());
@@ -35,38 +36,38 @@ impl Execute for PointingModel {
         }
         let (mut solved, mut looked_at) = (0, 0);
         loop {
-            let place = stage.room.journal.progress(&stage.row.id).taken;
-            let now = stage.clock().utc();
-            if place >= self.n || !fits(now, self.exptime, stage.row.end) {
+            let place = context.tools.journal.progress(&context.row.id).taken;
+            let now = context.clock().utc();
+            if place >= self.n || !fits(now, self.exptime, context.row.end) {
                 break;
             }
-            let Some(target) = pointing_grid::target(place, self.n, &mount.horizon_limits, &stage.observer(now)?)
+            let Some(target) = pointing_grid::target(place, self.n, &mount.horizon_limits, &context.observer(now)?)
             else {
                 break;
             };
             // The slit goes there while the mount slews.
-            let _aimed = Aimed::at(&stage.room, mount, target);
-            solved += u32::from(look_at(self, stage, mount, &series, target).await?);
+            let _aimed = Aimed::at(&context.tools.slits, mount, target);
+            solved += u32::from(look_at(self, context, &techniques.pointing, mount, &series, target).await?);
             looked_at += 1;
         }
         mount.track(false).await?;
         if looked_at > 0 && solved == 0 {
-            let why = format!("none of {looked_at} frames shows where {} looks", stage.row.camera);
-            return Err(Trouble::Unproven { why, again: false });
+            let why = format!("none of {looked_at} frames shows where {} looks", context.row.camera);
+            return Err(ActionError::Unproven { why, again: false });
         }
         let no_dark = no_dark.map(|why| format!("; without a dark: {why}")).unwrap_or_default();
-        Ok(told(self, stage, solved, looked_at) + no_dark.as_str())
+        Ok(summary(self, context, &techniques.pointing, solved, looked_at) + no_dark.as_str())
     }
 }
 
-async fn series(model: &PointingModel, stage: &Stage) -> Result<Series, Trouble> {
+async fn series(model: &PointingModel, context: &RowContext) -> Result<Series, ActionError> {
     Ok(Series {
         action: None,
         focus: None,
         object: Some(model.object.clone()),
         filter: model.filter.clone(),
         bin: model.readout.bin,
-        subframe: read_out(&model.readout, stage.chain()?.camera).await?,
+        subframe: read_out(&model.readout, context.chain()?.camera).await?,
         folder: model.dir.clone(),
         open_sky: true,
         ..Series::default()
@@ -77,52 +78,59 @@ async fn series(model: &PointingModel, stage: &Stage) -> Result<Series, Trouble>
 /// show that.
 async fn look_at(
     model: &PointingModel,
-    stage: &Stage,
+    context: &RowContext,
+    pointing: &PointingData,
     mount: &Mount,
     series: &Series,
     target: Icrs,
-) -> Result<bool, Trouble> {
-    let before = stage.room.journal.progress(&stage.row.id).taken;
+) -> Result<bool, ActionError> {
+    let before = context.tools.journal.progress(&context.row.id).taken;
     let shot = |taken: u32, now| {
         let words = format!("place {} of {}, {} s", before + 1, model.n, model.exptime);
         let shot = Shot { exposure_s: model.exptime, image_type: "Light Frame", words };
-        (taken == before && fits(now, model.exptime, stage.row.end)).then_some(shot)
+        (taken == before && fits(now, model.exptime, context.row.end)).then_some(shot)
     };
-    let commanded = send(stage, mount, &target).await?;
-    calm(stage, mount, model.exptime).await;
+    let commanded = send(context, pointing, mount, &target).await?;
+    calm(context, mount, model.exptime).await;
     let series = Series { target_deg: Some((target.ra.degrees(), target.dec.degrees())), ..series.clone() };
-    if expose(stage, &series, shot).await? == before {
+    if expose(context, &series, shot).await? == before {
         return Ok(false);
     }
-    let Some(frame) = stage.last_frame() else { return Ok(false) };
-    let looked = look(stage, &frame).await;
+    let Some(frame) = context.last_frame() else { return Ok(false) };
+    let looked = look(context, &frame).await;
     let solution = match seen(looked.as_deref()) {
         Ok(solution) => solution,
         Err((why, _)) => {
-            tracing::warn!(%frame, why, "a place of the pointing model does not tell where it looks");
+            tracing::warn!(%frame, why, "a frame of the pointing model does not show where it looks");
             return Ok(false);
         }
     };
     match &looked {
         Some(looked) if model.sync => {
-            let seen = sensor_looks_at(stage, &looked.frame, solution);
-            mount.sync(&seen, &stage.observer(stage.clock().utc())?).await?;
-            forget(stage, mount);
+            let seen = sensor_looks_at(context, &looked.frame, solution);
+            mount.sync(&seen, &context.observer(context.clock().utc())?).await?;
+            forget(context, pointing, mount);
         }
-        Some(looked) => learn(stage, &commanded, &looked.frame, solution),
+        Some(looked) => learn(context, pointing, &commanded, &looked.frame, solution),
         None => {}
     }
     Ok(true)
 }
 
 /// What became of it, in words.
-fn told(model: &PointingModel, stage: &Stage, solved: u32, looked_at: u32) -> String {
+fn summary(
+    model: &PointingModel,
+    context: &RowContext,
+    pointing: &PointingData,
+    solved: u32,
+    looked_at: u32,
+) -> String {
     let places = format!("{solved} of {looked_at} places show where the telescope looks");
     if model.sync {
-        return format!("{places}; the mount was told each time");
+        return format!("{places}; the mount was synchronised each time");
     }
-    let book = stage.room.pointing_book.get();
-    let models = book.models.iter().filter(|model| model.camera == stage.row.camera.as_str());
+    let learned = pointing.models.get();
+    let models = learned.models.iter().filter(|model| model.camera == context.row.camera.as_str());
     let models = models.map(|model| {
         let side = model.pier_side.map(|side| format!("{side:?} of the pier: ").to_lowercase()).unwrap_or_default();
         let rms = model.rms_arcmin.map(|rms| format!(", rms {rms:.2} arcmin")).unwrap_or_default();

@@ -7,7 +7,7 @@ use bus::MachineTime;
 use contract::device::cover_calibrator::Cover;
 use contract::device::dome::Shutter;
 
-use crate::rig::dome::ParkSight;
+use crate::devices::dome::ParkSight;
 
 /// A dome as it is seen now; `None` where no fresh state over a link that is up shows it.
 #[derive(Debug, Clone, PartialEq)]
@@ -120,6 +120,13 @@ impl Sight {
             && self.covers.iter().all(CoverSight::is_closed)
     }
 
+    /// Something is seen to be open or to move, so that this is no closing of what is unknown or closed.
+    pub fn is_known_open(&self) -> bool {
+        self.domes.iter().any(|dome| dome.shutter.is_some() && !dome.is_closed())
+            || self.mounts.iter().any(|mount| mount.parked.is_some() && !mount.is_stopped())
+            || self.covers.iter().any(|cover| cover.cover.is_some() && !cover.is_closed())
+    }
+
     /// The steps to take now. A roof that waits for the mounts is asked at once too: its device node, which knows all
     /// mounts under it, moves it as soon as its policy allows, and nobody else does.
     pub fn wanted(&self, closing_for: Duration) -> Vec<Step> {
@@ -227,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn beside_sends_everything_at_once_whatever_is_there_and_whatever_hangs() {
+    fn alongside_sends_everything_at_once_whatever_is_there_and_whatever_hangs() {
         // Every subset of devices, each in every state that is not done.
         for domes in [vec![], vec![Some(Shutter::Open)], vec![None], vec![Some(Shutter::Error), Some(Shutter::Closing)]]
         {
@@ -248,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn a_roof_is_asked_at_once_and_its_mount_parked_whatever_the_mount_says() {
+    fn a_roof_is_asked_at_once_and_its_mount_parked_whatever_the_mount_reports() {
         let mut sight = Sight { domes: vec![dome(Some(Shutter::Open))], mounts: vec![mount(None)], covers: vec![] };
         assert_eq!(sight.wanted(Duration::ZERO), [Step::CloseShutter(0), Step::StopMount(0)]);
         sight.mounts[0].cannot_park = true;
@@ -259,22 +266,22 @@ mod tests {
     }
 
     #[test]
-    fn a_dome_that_says_closed_and_may_be_open_is_asked_all_the_same() {
+    fn a_dome_that_reports_closed_and_may_be_open_is_asked_all_the_same() {
         let doubted = DomeSight { doubted: true, ..dome(Some(Shutter::Closed)) };
         let sight = Sight { domes: vec![doubted], ..Sight::default() };
         assert_eq!(sight.wanted(Duration::ZERO), [Step::CloseShutter(0)]);
     }
 
     #[test]
-    fn a_stuck_shutter_is_told_again_every_10_s_for_ever() {
+    fn a_stuck_shutter_is_commanded_again_every_10_s_for_ever() {
         let sight = Sight { domes: vec![dome(Some(Shutter::Closing))], ..Sight::default() };
         let mut closing = Closing::begin(at(0));
-        let told: Vec<u64> = (0..3600).filter(|second| !closing.due(&sight, at(*second)).is_empty()).collect();
-        assert_eq!(told, (0..3600).step_by(10).collect::<Vec<u64>>());
+        let asked: Vec<u64> = (0..3600).filter(|second| !closing.due(&sight, at(*second)).is_empty()).collect();
+        assert_eq!(asked, (0..3600).step_by(10).collect::<Vec<u64>>());
     }
 
     #[test]
-    fn a_refused_step_is_told_again_after_2_s() {
+    fn a_refused_step_is_sent_again_after_2_s() {
         let sight = Sight { domes: vec![dome(None)], ..Sight::default() };
         let mut closing = Closing::begin(at(0));
         assert_eq!(closing.due(&sight, at(0)), [Step::CloseShutter(0)]);
@@ -293,13 +300,13 @@ mod tests {
     }
 
     #[test]
-    fn a_mount_that_says_it_parks_is_let_alone_for_a_minute() {
+    fn a_mount_that_reports_parking_is_let_alone_for_a_minute() {
         let mut sight = Sight { mounts: vec![mount(Some(false))], ..Sight::default() };
         let mut closing = Closing::begin(at(0));
         assert_eq!(closing.due(&sight, at(0)).len(), 1);
         sight.mounts[0].parking = true;
-        let told: Vec<u64> = (1..150).filter(|second| !closing.due(&sight, at(*second)).is_empty()).collect();
-        assert_eq!(told, [10, 70, 130]);
+        let asked: Vec<u64> = (1..150).filter(|second| !closing.due(&sight, at(*second)).is_empty()).collect();
+        assert_eq!(asked, [10, 70, 130]);
     }
 
     #[test]

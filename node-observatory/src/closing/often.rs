@@ -26,7 +26,7 @@ impl Often {
     }
 
     /// The cause of the alert while there are too many.
-    pub fn told(&self, now: MachineTime) -> Option<String> {
+    pub fn report(&self, now: MachineTime) -> Option<String> {
         let (first, _) = self.began.front().filter(|_| self.began.len() >= MANY)?;
         let minutes = now.since(*first).as_secs_f64() / 60.0;
         let causes: Vec<&str> = self.began.iter().map(|(_, why)| why.as_str()).collect();
@@ -40,17 +40,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn three_closings_within_ten_minutes_are_told_with_their_causes_until_the_first_is_old() {
+    fn three_closings_within_ten_minutes_are_reported_with_their_causes_until_the_first_is_old() {
         let at = |seconds| MachineTime::from_boot(Duration::from_secs(seconds));
         let mut often = Often::default();
         for (second, why) in [(0, "rain"), (500, "monitor")] {
             often.note(at(second), why);
-            assert_eq!(often.told(at(second)), None);
+            assert_eq!(often.report(at(second)), None);
         }
         often.note(at(700), "monitor");
-        assert_eq!(often.told(at(700)), None, "the first is more than ten minutes ago");
+        assert_eq!(often.report(at(700)), None, "the first is more than ten minutes ago");
         often.note(at(800), "wind");
-        assert_eq!(often.told(at(800)).unwrap(), "closed 3 times within 5 min: monitor; then monitor; then wind");
-        assert!(often.told(at(1099)).is_some() && often.told(at(1101)).is_none());
+        assert_eq!(often.report(at(800)).unwrap(), "closed 3 times within 5 min: monitor; then monitor; then wind");
+        assert!(often.report(at(1099)).is_some() && often.report(at(1101)).is_none());
     }
 }

@@ -6,48 +6,51 @@ use std::time::Duration;
 
 use bus::MachineTime;
 use config::CloseWithMount;
-use contract::Outcome;
+use contract::CommandOutcome;
 use contract::device::{cover_calibrator, dome, telescope};
 use contract::observatory::AlertKind;
+use node::Node;
+use schedule::plan::overheads::{TOOK, TimedPart};
 use tokio::task::JoinSet;
 use units::seconds;
 
 use super::decide::{Closing, CoverSight, DomeSight, MountSight, PARK_WAIT, Sight, Step};
 use super::often::Often;
-use crate::action::took_s;
-use crate::control_room::ControlRoom;
-use crate::hooks::AtClosing;
-use crate::neighbours::Neighbours;
-use crate::patience::patience;
-use crate::rig::cover_calibrator::TRAVEL;
-use crate::rig::telescope::Mount;
-use crate::trouble::Trouble;
-use schedule::plan::overheads::{Span, TOOK};
+use crate::action_error::ActionError;
+use crate::authority::Authority;
+use crate::command_timeout::command_timeout;
+use crate::devices::Devices;
+use crate::devices::cover_calibrator::TRAVEL;
+use crate::devices::telescope::Mount;
+use crate::failover::shared_roof::SharedRoofWatch;
+use crate::hooks::{AtClosing, ScriptedSite};
+use crate::took::took_s;
 
 /// Closes whenever it must, until the node ends.
-pub async fn keep_closed(room: Arc<ControlRoom>, neighbours: Neighbours) -> anyhow::Result<()> {
-    let clock = room.node.bus.clock().clone();
-    let (mut ruling, mut hold) = (room.ruling.clone(), room.hold.clone());
-    let (mut wish, mut stirred) = (room.wish_closed.subscribe(), room.rig.stirred());
+pub async fn keep_closed(site: Arc<ScriptedSite>, other_telescopes: SharedRoofWatch) -> anyhow::Result<()> {
+    let (authority, devices) = (&site.authority, &site.devices);
+    let clock = authority.node.bus.clock().clone();
+    let (mut verdict, mut hold) = (authority.verdict.clone(), authority.hold.clone());
+    let (mut request, mut stirred) = (authority.close_request.subscribe(), devices.stirred());
     let (mut closing, mut script): (Option<Closing>, AtClosing) = (None, AtClosing::default());
-    let mut sent: JoinSet<(Step, Result<(), Trouble>)> = JoinSet::new();
+    let mut sent: JoinSet<(Step, Result<(), ActionError>)> = JoinSet::new();
     let mut under_way: HashSet<Step> = HashSet::new();
     let mut began_open = None;
     let mut often = Often::default();
     loop {
         let now = clock.machine();
-        if let Some(why) = why_close(&room, now) {
-            let sight = look(&room, &neighbours, now);
+        if let Some(why) = why_close(authority, now) {
+            let sight = look(authority, devices, &other_telescopes, now);
             let closing = closing.get_or_insert_with(|| {
                 if !sight.is_closed() {
                     began_open = Some(clock.utc());
                     tracing::info!(why, "closing");
-                    room.note_closing(&why);
-                    if room.ruling.borrow().calls_for_closing(now) {
+                    authority.note_closing(&why);
+                    if authority.verdict.borrow().calls_for_closing(now) {
                         often.note(now, &why);
                     }
                 }
-                script.begin(&room, &sight, now);
+                script.begin(&site, sight.is_known_open(), now);
                 Closing::begin(now)
             });
             script.see(sight.is_closed());
@@ -55,40 +58,40 @@ pub async fn keep_closed(room: Arc<ControlRoom>, neighbours: Neighbours) -> anyh
             let due = if script.holds(now) { Vec::new() } else { closing.due(&sight, now) };
             for step in due {
                 if under_way.insert(step) {
-                    let room = room.clone();
-                    sent.spawn(async move { (step, send(&room, step).await) });
+                    let devices = devices.clone();
+                    sent.spawn(async move { (step, send(&devices, step).await) });
                 }
             }
-            escalate(&room, &sight, now.since(closing.began));
+            escalate(&authority.node, devices, &sight, now.since(closing.began));
             if let Some(began) = began_open.take_if(|_| sight.is_closed()) {
-                tracing::info!(span = Span::Close.word(), took_s = took_s(&clock, began), "{TOOK}");
+                tracing::info!(span = TimedPart::Close.word(), took_s = took_s(&clock, began), "{TOOK}");
             }
-            if sight.is_closed() && room.wish_closed.borrow().is_some() {
+            if sight.is_closed() && authority.close_request.borrow().is_some() {
                 tracing::info!("verified closed");
-                room.wish_closed.send_replace(None);
+                authority.close_request.send_replace(None);
             }
         } else if closing.take().is_some() {
             began_open = None;
             script.end();
-            calm(&room);
+            calm(&authority.node, devices);
         }
-        match often.told(clock.machine()) {
-            Some(cause) => room.node.alerts.raise(AlertKind::ClosesOften, "", &cause),
-            None => room.node.alerts.clear(AlertKind::ClosesOften, ""),
+        match often.report(clock.machine()) {
+            Some(cause) => authority.node.alerts.raise(AlertKind::ClosesOften, "", &cause),
+            None => authority.node.alerts.clear(AlertKind::ClosesOften, ""),
         }
         tokio::select! {
             Some(done) = sent.join_next() => {
                 // A send that panicked leaves its step under way for ever: end, and be restarted.
                 let (step, result) = done?;
                 under_way.remove(&step);
-                if let (Err(trouble), Some(closing)) = (result, closing.as_mut()) {
-                    tracing::warn!(%trouble, "a step of the closing was not taken; it is sent again");
+                if let (Err(error), Some(closing)) = (result, closing.as_mut()) {
+                    tracing::warn!(%error, "a step of the closing was not taken; it is sent again");
                     closing.refused(step, clock.machine());
                 }
             }
-            _ = ruling.changed() => {}
+            _ = verdict.changed() => {}
             _ = hold.changed() => {}
-            _ = wish.changed() => {}
+            _ = request.changed() => {}
             _ = stirred.changed() => {}
             () = script.freed(clock.machine()) => {}
             () = tokio::time::sleep(Duration::from_secs(1)) => {}
@@ -97,27 +100,32 @@ pub async fn keep_closed(room: Arc<ControlRoom>, neighbours: Neighbours) -> anyh
 }
 
 /// Why everything must be closed now, if so.
-fn why_close(room: &ControlRoom, now: MachineTime) -> Option<String> {
-    if !room.may_speak() {
+fn why_close(authority: &Authority, now: MachineTime) -> Option<String> {
+    if !authority.is_publishing() {
         // The commander closes; a standby that knows less must not shut a safe roof.
         return None;
     }
-    if room.ruling.borrow().calls_for_closing(now) {
-        return Some(room.ruling.borrow().why());
+    if authority.verdict.borrow().calls_for_closing(now) {
+        return Some(authority.verdict.borrow().why());
     }
-    room.wish_closed.borrow().clone()
+    authority.close_request.borrow().clone()
 }
 
 /// The devices' present states.
-pub(crate) fn look(room: &ControlRoom, neighbours: &Neighbours, now: MachineTime) -> Sight {
-    let sky_calls = room.ruling.borrow().calls_for_closing(now);
-    let domes = room.rig.domes.iter().map(|dome| DomeSight {
+pub(crate) fn look(
+    authority: &Authority,
+    devices: &Devices,
+    other_telescopes: &SharedRoofWatch,
+    now: MachineTime,
+) -> Sight {
+    let sky_calls = authority.verdict.borrow().calls_for_closing(now);
+    let domes = devices.domes.iter().map(|dome| DomeSight {
         shutter: dome.shutter(),
         doubted: dome.is_doubted(),
-        spared: !dome.is_own && !sky_calls && neighbours.work_under(dome, now),
+        spared: !dome.is_own && !sky_calls && other_telescopes.work_under(dome, now),
         park: dome.park(!sky_calls),
     });
-    let mounts = room.rig.mounts.iter().map(|mount| {
+    let mounts = devices.mounts.iter().map(|mount| {
         let state = mount.instrument.fresh_reading("AtPark");
         let fields = state.as_ref().map(|state| &state.fields);
         let last = state.as_ref().and_then(|state| state.last_command.as_ref());
@@ -126,33 +134,32 @@ pub(crate) fn look(room: &ControlRoom, neighbours: &Neighbours, now: MachineTime
             slewing: fields.and_then(|fields| fields.slewing.known().copied()),
             tracking: fields.and_then(|fields| fields.tracking.known().copied()),
             cannot_park: mount.instrument.can().is_some_and(|can| !can.park),
-            parking: last.is_some_and(|last| last.verb == "park" && last.outcome == Outcome::Running),
+            parking: last.is_some_and(|last| last.verb == "park" && last.outcome == CommandOutcome::Running),
         }
     });
-    let covers = room.rig.covers.iter().map(|cover| CoverSight {
+    let covers = devices.covers.iter().map(|cover| CoverSight {
         cover: cover.cover(),
         has_none: cover.instrument.can().is_some_and(|can| !can.cover),
     });
     Sight { domes: domes.collect(), mounts: mounts.collect(), covers: covers.collect() }
 }
 
-async fn send(room: &ControlRoom, step: Step) -> Result<(), Trouble> {
-    let rig = &room.rig;
+async fn send(devices: &Devices, step: Step) -> Result<(), ActionError> {
     match step {
-        Step::CloseShutter(index) => match rig.domes.get(index) {
+        Step::CloseShutter(index) => match devices.domes.get(index) {
             Some(dome) => dome.instrument.ask(dome::Command::CloseShutter).await.map(|_| ()),
             None => Ok(()),
         },
-        Step::ParkDome(index) => match rig.domes.get(index) {
+        Step::ParkDome(index) => match devices.domes.get(index) {
             Some(dome) => dome.instrument.ask(dome::Command::Park).await.map(|_| ()),
             None => Ok(()),
         },
-        Step::CloseCover(index) => match rig.covers.get(index) {
+        Step::CloseCover(index) => match devices.covers.get(index) {
             Some(cover) => cover.instrument.ask(cover_calibrator::Command::CloseCover).await.map(|_| ()),
             None => Ok(()),
         },
         Step::StopMount(index) => {
-            let Some(mount) = rig.mounts.get(index) else { return Ok(()) };
+            let Some(mount) = devices.mounts.get(index) else { return Ok(()) };
             let fields = mount.instrument.fresh().map(|state| state.fields).unwrap_or_default();
             // One after the other, since a newer command ends the one before it; each for itself, since a mount
             // that cannot abort may well park.
@@ -176,19 +183,19 @@ async fn stop_mount(mount: &Mount, command: telescope::Command) {
         let id = mount.instrument.ask(command).await?;
         mount.instrument.done(&id, "stop", Duration::from_secs(2)).await
     };
-    if let Err(trouble) = done.await {
-        tracing::warn!(%trouble, "the mount is parked all the same");
+    if let Err(error) = done.await {
+        tracing::warn!(%error, "the mount is parked all the same");
     }
 }
 
 /// Raises and clears the alerts of what is not closed in time.
-fn escalate(room: &ControlRoom, sight: &Sight, closing_for: Duration) {
-    let (alerts, clock) = (&room.node.alerts, room.node.bus.clock());
-    for (dome, seen) in room.rig.domes.iter().zip(&sight.domes) {
+fn escalate(node: &Node, devices: &Devices, sight: &Sight, closing_for: Duration) {
+    let (alerts, clock) = (&node.alerts, node.bus.clock());
+    for (dome, seen) in devices.domes.iter().zip(&sight.domes) {
         let name = &dome.instrument.device.name;
         let most = match dome.policy {
-            CloseWithMount::Beside => patience(clock, dome.travel),
-            CloseWithMount::ParkedWithinS => patience(clock, dome.travel) + dome.parked_within,
+            CloseWithMount::Alongside => command_timeout(clock, dome.travel),
+            CloseWithMount::ParkedWithinS => command_timeout(clock, dome.travel) + dome.parked_within,
             CloseWithMount::ParkedOnly => dome.parked_within,
         };
         let most = if seen.park.is_some_and(|park| park.may_wait) { most + PARK_WAIT } else { most };
@@ -205,31 +212,30 @@ fn escalate(room: &ControlRoom, sight: &Sight, closing_for: Duration) {
             alerts.raise(AlertKind::DomeNotClosed, name, &cause);
         }
     }
-    for (mount, seen) in room.rig.mounts.iter().zip(&sight.mounts) {
+    for (mount, seen) in devices.mounts.iter().zip(&sight.mounts) {
         let name = &mount.instrument.device.name;
         if seen.is_stopped() {
             alerts.clear(AlertKind::MountNotParked, name);
-        } else if closing_for >= patience(clock, seconds(mount.config.slew_timeout_s)) {
+        } else if closing_for >= command_timeout(clock, seconds(mount.config.slew_timeout_s)) {
             alerts.raise(AlertKind::MountNotParked, name, &format!("{name} must be parked and is not seen to be"));
         }
     }
-    for (cover, seen) in room.rig.covers.iter().zip(&sight.covers) {
+    for (cover, seen) in devices.covers.iter().zip(&sight.covers) {
         let name = &cover.instrument.device.name;
         if seen.is_closed() {
             alerts.clear(AlertKind::CoverNotClosed, name);
-        } else if closing_for >= patience(clock, TRAVEL) {
+        } else if closing_for >= command_timeout(clock, TRAVEL) {
             alerts.raise(AlertKind::CoverNotClosed, name, &format!("{name} must be closed and is not seen to be"));
         }
     }
 }
 
 /// Nothing calls for closing any more.
-fn calm(room: &ControlRoom) {
-    let rig = &room.rig;
-    let domes = rig.domes.iter().map(|dome| (AlertKind::DomeNotClosed, &dome.instrument.device.name));
-    let mounts = rig.mounts.iter().map(|mount| (AlertKind::MountNotParked, &mount.instrument.device.name));
-    let covers = rig.covers.iter().map(|cover| (AlertKind::CoverNotClosed, &cover.instrument.device.name));
+fn calm(node: &Node, devices: &Devices) {
+    let domes = devices.domes.iter().map(|dome| (AlertKind::DomeNotClosed, &dome.instrument.device.name));
+    let mounts = devices.mounts.iter().map(|mount| (AlertKind::MountNotParked, &mount.instrument.device.name));
+    let covers = devices.covers.iter().map(|cover| (AlertKind::CoverNotClosed, &cover.instrument.device.name));
     for (kind, name) in domes.chain(mounts).chain(covers) {
-        room.node.alerts.clear(kind, name);
+        node.alerts.clear(kind, name);
     }
 }

@@ -2,32 +2,26 @@
 
 use contract::device::cover_calibrator::Cover as Shut;
 use contract::device::dome::Shutter;
-
-use super::run::Run;
-use crate::action::Stage;
-use crate::rig::cover_calibrator::Cover;
-use crate::trouble::Trouble;
 use schedule::flats::exposure::{Light, Want};
 use schedule::flats::filter::{GOOD_S, WINDOW_ENDED, to_ms};
 use schedule::flats::order::{Candidate, Next, Order, Trend, next};
 use schedule::shot::fits;
 
-/// How a panel was found.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Found {
-    was_open: bool,
-}
+use super::run::FlatsRun;
+use crate::action_error::ActionError;
+use crate::devices::cover_calibrator::Cover;
+use crate::row_context::{FoundPanel, RowContext};
 
 /// Changes of the brightness for one filter, at most.
 const CHANGES: u32 = 4;
 
 /// Takes the flats of a row with a panel; the row names its brightness, or it is found.
-pub async fn run(run: &mut Run<'_>, brightness: Option<i64>) -> Result<(), Trouble> {
-    let stage = run.stage;
-    let (cover, most) = begin(stage, brightness).await?;
+pub async fn run(run: &mut FlatsRun<'_>, brightness: Option<i64>) -> Result<(), ActionError> {
+    let context = run.context;
+    let (cover, most) = begin(context, brightness).await?;
     let mut lamp = Lamp { cover, most, fixed: brightness.is_some(), now: brightness.unwrap_or((most / 2).max(1)) };
-    lamp.light(stage).await?;
-    let mut light = Light::new(run.want, run.wish.filters.len(), 0.0);
+    lamp.light(context).await?;
+    let mut light = Light::new(run.want, run.request.filters.len(), 0.0);
     let mut changes = 0;
     loop {
         // A lamp waits for nobody: in the order of the list, each filter with the brightness that suits it.
@@ -43,14 +37,14 @@ pub async fn run(run: &mut Run<'_>, brightness: Option<i64>) -> Result<(), Troub
                 }
             }
             Next::GiveUp(index, is_bright) => {
-                let other = light.rate(index, stage.clock().utc()).and_then(|rate| lamp.other(rate, &run.want));
+                let other = light.rate(index, context.clock().utc()).and_then(|rate| lamp.other(rate, &run.want));
                 match other.filter(|_| changes < CHANGES) {
                     Some(brightness) => {
                         changes += 1;
                         lamp.now = brightness;
-                        lamp.light(stage).await?;
+                        lamp.light(context).await?;
                         // Another brightness is another light.
-                        (0..run.wish.filters.len()).for_each(|filter| light.forget(filter));
+                        (0..run.request.filters.len()).for_each(|filter| light.forget(filter));
                     }
                     None => {
                         changes = 0;
@@ -60,7 +54,7 @@ pub async fn run(run: &mut Run<'_>, brightness: Option<i64>) -> Result<(), Troub
             }
             Next::Take(index, exposure_s) => {
                 let exposure_s = to_ms(exposure_s);
-                if !fits(stage.clock().utc(), exposure_s, stage.row.end) {
+                if !fits(context.clock().utc(), exposure_s, context.row.end) {
                     run.end(WINDOW_ENDED.to_owned());
                     break;
                 }
@@ -72,14 +66,14 @@ pub async fn run(run: &mut Run<'_>, brightness: Option<i64>) -> Result<(), Troub
             }
         }
     }
-    put_back(stage).await
+    put_back(context).await
 }
 
 /// Closes the cover; returns it with its largest brightness.
-async fn begin(stage: &Stage, brightness: Option<i64>) -> Result<(&Cover, i64), Trouble> {
-    let camera = &stage.row.camera;
-    let impossible = |why: String| Err(Trouble::Impossible(format!("flats of {camera}: {why}")));
-    let Some(cover) = stage.room.rig.cover_of(camera) else {
+async fn begin(context: &RowContext, brightness: Option<i64>) -> Result<(&Cover, i64), ActionError> {
+    let camera = &context.row.camera;
+    let impossible = |why: String| Err(ActionError::Impossible(format!("flats of {camera}: {why}")));
+    let Some(cover) = context.tools.devices.cover_of(camera) else {
         return impossible("it has no covercalibrator; expected one in its block".to_owned());
     };
     let (device, can) = (&cover.instrument.device, cover.instrument.capabilities().await?);
@@ -90,11 +84,11 @@ async fn begin(stage: &Stage, brightness: Option<i64>) -> Result<(&Cover, i64), 
     if let Some(brightness) = brightness.filter(|brightness| *brightness > most) {
         return impossible(format!("brightness {brightness}: {device} has at most {most}"));
     }
-    stage.set_panel(Some(Found { was_open: cover.cover() == Some(Shut::Open) }));
+    context.set_panel(Some(FoundPanel { was_open: cover.cover() == Some(Shut::Open) }));
     if can.cover {
-        stage.step("closing the cover");
+        context.step("closing the cover");
         cover.close().await?;
-    } else if stage.room.rig.domes.iter().any(|dome| dome.shutter() != Some(Shutter::Closed)) {
+    } else if context.tools.devices.domes.iter().any(|dome| dome.shutter() != Some(Shutter::Closed)) {
         return impossible(format!("{device} has no cover, and the dome is not closed: the sky would shine in"));
     }
     Ok((cover, most))
@@ -110,8 +104,8 @@ struct Lamp<'a> {
 }
 
 impl Lamp<'_> {
-    async fn light(&self, stage: &Stage) -> Result<(), Trouble> {
-        stage.step(format!("lighting the panel, brightness {} of {}", self.now, self.most));
+    async fn light(&self, context: &RowContext) -> Result<(), ActionError> {
+        context.step(format!("lighting the panel, brightness {} of {}", self.now, self.most));
         self.cover.light(self.now).await
     }
 
@@ -132,12 +126,13 @@ fn brightness(now: i64, most: i64, rate: f64, want: &Want) -> i64 {
 
 /// Darkens the panel, and opens the cover again if it was found open and the sky is safe; a cover that was found shut,
 /// or is wanted shut by now, stays shut. Does nothing where no panel was used.
-pub async fn put_back(stage: &Stage) -> Result<(), Trouble> {
-    let Some(found) = stage.take_panel() else { return Ok(()) };
-    let room = &stage.room;
-    let Some(cover) = room.rig.cover_of(&stage.row.camera) else { return Ok(()) };
+pub async fn put_back(context: &RowContext) -> Result<(), ActionError> {
+    let Some(found) = context.take_panel() else { return Ok(()) };
+    let (authority, devices) = (&context.tools.authority, &context.tools.devices);
+    let Some(cover) = devices.cover_of(&context.row.camera) else { return Ok(()) };
     let dark = cover.darken().await;
-    let may_open = room.objection(None).is_none() && room.is_safe() && room.wish_closed.borrow().is_none();
+    let may_open =
+        authority.objection(None).is_none() && authority.is_safe() && authority.close_request.borrow().is_none();
     if found.was_open && may_open && dark.is_ok() {
         cover.open().await?;
     }

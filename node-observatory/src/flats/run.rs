@@ -7,18 +7,20 @@ use std::time::Duration;
 
 use contract::CommandId;
 use contract::device::camera::Subframe;
-use schedule::flats::filter::{Filter, LOOKS, MAX_ADU, candidate, to_ms, told};
-
-use crate::action::Stage;
-use crate::action::expose::{Series, adopt, aside, intend, single};
-use crate::frames::looked::Looked;
-use crate::pointing::look;
-use crate::rig::camera::subframe;
-use crate::trouble::Trouble;
+use schedule::RowId;
 use schedule::action::parameters::FocusWanted as Focus;
 use schedule::flats::exposure::{Level, Light, Seen, Want};
+use schedule::flats::filter::{Filter, LOOKS, MAX_ADU, candidate, summary, to_ms};
 use schedule::flats::order::{Candidate, Order};
 use schedule::shot::{Shot, fits};
+
+use crate::action_error::ActionError;
+use crate::devices::camera::subframe;
+use crate::exposing::{Series, adopt, aside, intend, single};
+use crate::frames::looked::Looked;
+use crate::journal::Journal;
+use crate::pointing::look;
+use crate::row_context::RowContext;
 
 /// ASTRATYP of the frames that only show how bright it is.
 const ACTION: &str = "flats_level";
@@ -39,7 +41,7 @@ const SATURATED: f64 = 0.01;
 
 /// What a row asks for.
 #[derive(Debug, Clone)]
-pub struct Wish {
+pub struct FlatsRequest {
     /// Filters, as listed.
     pub filters: Vec<Filter>,
     /// In which order they are taken.
@@ -51,25 +53,25 @@ pub struct Wish {
 }
 
 /// A row of flats under way.
-pub struct Run<'a> {
-    /// Its stage.
-    pub stage: &'a Stage,
+pub struct FlatsRun<'a> {
+    /// Its context.
+    pub context: &'a RowContext,
     /// What is wanted of each frame.
     pub want: Want,
     /// What was asked for.
-    pub wish: Wish,
+    pub request: FlatsRequest,
     part: Subframe,
-    told: Option<String>,
+    reported: Option<String>,
 }
 
-impl<'a> Run<'a> {
+impl<'a> FlatsRun<'a> {
     /// Begins, or goes on where a restart found it: cold, with what counts of each filter, and what a good frame is.
-    pub async fn begin(stage: &'a Stage, mut wish: Wish) -> Result<Self, Trouble> {
-        let camera = stage.chain()?.camera;
+    pub async fn begin(context: &'a RowContext, mut request: FlatsRequest) -> Result<Self, ActionError> {
+        let camera = context.chain()?.camera;
         camera.start_cooling().await?;
-        adopt(stage, wish.moves).await?;
+        adopt(context, request.moves).await?;
         let can = camera.instrument.capabilities().await?;
-        let (bin, whole) = (wish.series.bin, wish.series.subframe);
+        let (bin, whole) = (request.series.bin, request.series.subframe);
         let part = match whole {
             Some(within) => middle_of(&within),
             None => subframe((can.width_px, can.height_px), bin, (PART_PX, PART_PX), (0.5, 0.5)),
@@ -79,72 +81,72 @@ impl<'a> Run<'a> {
         let want = Want::of(&config, max_adu);
         let target_adu = want.target_adu;
         if target_adu > HIGHEST * max_adu {
-            return Err(Trouble::Impossible(format!(
+            return Err(ActionError::Impossible(format!(
                 "flats.target_adu = {target_adu} of {}: the camera ends at {max_adu:.0} ADU; expected at most 0.8 of that",
-                stage.row.camera
+                context.row.camera
             )));
         }
-        wish.series.open_sky = wish.moves;
-        let mut run = Self { stage, want, wish, part, told: None };
+        request.series.open_sky = request.moves;
+        let mut run = Self { context, want, request, part, reported: None };
         run.resume().await?;
         if run.is_done() {
             return Ok(run);
         }
-        stage.step("cooling");
-        stage.cool().await?;
+        context.step("cooling");
+        context.cool().await?;
         if config.bias_adu.is_none() {
             run.want.bias_adu = run.bias_adu().await?;
             if run.want.bias_adu >= target_adu {
-                let (bias, camera) = (run.want.bias_adu, &stage.row.camera);
+                let (bias, camera) = (run.want.bias_adu, &context.row.camera);
                 let why = format!("flats: {camera} has {bias:.0} ADU without light, and {target_adu:.0} are wanted");
-                return Err(Trouble::Impossible(why));
+                return Err(ActionError::Impossible(why));
             }
         }
         Ok(run)
     }
 
     /// Counts what was taken before a restart; a frame that nobody judged yet is judged now.
-    async fn resume(&mut self) -> Result<(), Trouble> {
-        let (room, row) = (&self.stage.room, &self.stage.row.id);
-        for frame in room.journal.flats(row).unjudged {
-            self.stage.step("judging a frame of before");
-            let looked = tokio::time::timeout(LATE, room.looks.of(&frame)).await.ok();
+    async fn resume(&mut self) -> Result<(), ActionError> {
+        let (tools, row) = (&self.context.tools, &self.context.row.id);
+        for frame in tools.journal.flats(row).unjudged {
+            self.context.step("judging a frame of before");
+            let looked = tokio::time::timeout(LATE, tools.frames.looks.of(&frame)).await.ok();
             let filter = looked.as_ref().and_then(|looked| looked.frame.purpose.filter.clone());
             let seen = looked.and_then(|looked| seen(&looked, false).ok());
             self.note(&frame, filter, seen.as_ref()).await?;
         }
-        allot(&mut self.wish.filters, room.journal.flats(row).good);
+        allot(&mut self.request.filters, tools.journal.flats(row).good);
         self.show();
         Ok(())
     }
 
     /// Whether nothing is wanted any more.
     pub fn is_done(&self) -> bool {
-        !self.wish.filters.iter().any(Filter::is_wanted)
+        !self.request.filters.iter().any(Filter::is_wanted)
     }
 
     /// What is known of each filter now.
     pub fn candidates(&self, light: &Light) -> Vec<Candidate> {
-        let now = self.stage.clock().utc();
-        let each = self.wish.filters.iter().enumerate();
+        let now = self.context.clock().utc();
+        let each = self.request.filters.iter().enumerate();
         each.map(|(index, filter)| candidate(filter.is_wanted(), light, index, now)).collect()
     }
 
     /// Brings a filter into the beam, and the focus to where it belongs with it.
-    pub async fn turn_to(&self, index: usize) -> Result<(), Trouble> {
-        self.stage.filter_and_focus(self.filter(index).as_deref(), Focus::default()).await
+    pub async fn turn_to(&self, index: usize) -> Result<(), ActionError> {
+        self.context.filter_and_focus(self.filter(index).as_deref(), Focus::default()).await
     }
 
     fn filter(&self, index: usize) -> Option<String> {
-        self.wish.filters.get(index).and_then(|filter| filter.name.clone())
+        self.request.filters.get(index).and_then(|filter| filter.name.clone())
     }
 
     /// Sees how bright a filter is, with as many looks as that takes, and learns it; false when the row ends before.
-    pub async fn sound(&self, index: usize, light: &mut Light) -> Result<bool, Trouble> {
-        let mut exposure_s = self.want.first_look_s(light.ready(index, self.stage.clock().utc()));
+    pub async fn sound(&self, index: usize, light: &mut Light) -> Result<bool, ActionError> {
+        let mut exposure_s = self.want.first_look_s(light.ready(index, self.context.clock().utc()));
         for _ in 0..LOOKS {
             exposure_s = to_ms(exposure_s);
-            if !fits(self.stage.clock().utc(), exposure_s, self.stage.row.end) {
+            if !fits(self.context.clock().utc(), exposure_s, self.context.row.end) {
                 return Ok(false);
             }
             let seen = self.look(index, exposure_s).await?;
@@ -157,44 +159,50 @@ impl<'a> Run<'a> {
         Ok(true)
     }
 
-    async fn look(&self, index: usize, exposure_s: f64) -> Result<Seen, Trouble> {
+    async fn look(&self, index: usize, exposure_s: f64) -> Result<Seen, ActionError> {
         let words = format!("how bright is {}: {exposure_s} s", self.words(index));
         self.aside(TEST, self.filter(index), exposure_s, words).await
     }
 
     /// Median without light.
-    async fn bias_adu(&self) -> Result<f64, Trouble> {
+    async fn bias_adu(&self) -> Result<f64, ActionError> {
         match self.aside("Bias Frame", None, 0.0, "a bias frame".to_owned()).await?.level {
             Level::Adu(adu) => Ok(adu),
-            Level::Saturated => Err(unmeasured(self.stage, "a bias frame is saturated")?),
+            Level::Saturated => Err(unmeasured(self.context, "a bias frame is saturated")?),
         }
     }
 
-    async fn aside(&self, kind: &'static str, filter: Option<String>, s: f64, words: String) -> Result<Seen, Trouble> {
-        let open_sky = self.wish.moves && kind == TEST;
-        let series = Series { filter, subframe: Some(self.part), open_sky, ..self.wish.series.clone() };
+    async fn aside(
+        &self,
+        kind: &'static str,
+        filter: Option<String>,
+        s: f64,
+        words: String,
+    ) -> Result<Seen, ActionError> {
+        let open_sky = self.request.moves && kind == TEST;
+        let series = Series { filter, subframe: Some(self.part), open_sky, ..self.request.series.clone() };
         let shot = Shot { exposure_s: s, image_type: kind, words };
-        let frame = aside(self.stage, &series, &shot, ACTION).await?;
-        measured(self.stage, &frame, true).await
+        let frame = aside(self.context, &series, &shot, ACTION).await?;
+        measured(self.context, &frame, true).await
     }
 
     /// Takes a frame of the row.
-    pub async fn take(&self, index: usize, exposure_s: f64) -> Result<CommandId, Trouble> {
-        let Some(filter) = self.wish.filters.get(index) else { return Err(none(self.stage)) };
+    pub async fn take(&self, index: usize, exposure_s: f64) -> Result<CommandId, ActionError> {
+        let Some(filter) = self.request.filters.get(index) else { return Err(none(self.context)) };
         let words = format!("flat {} of {}, {}, {exposure_s} s", filter.taken + 1, filter.wanted, filter.words());
-        let series = Series { filter: filter.name.clone(), ..self.wish.series.clone() };
-        let intent = intend(self.stage).await?;
+        let series = Series { filter: filter.name.clone(), ..self.request.series.clone() };
+        let intent = intend(self.context).await?;
         let shot = Shot { exposure_s, image_type: FLAT, words };
-        single(self.stage, &series, &shot, &intent, true).await?;
+        single(self.context, &series, &shot, &intent, true).await?;
         Ok(intent.frame)
     }
 
     /// Waits for what a frame shows, and counts it if it is good.
-    pub async fn judge(&mut self, index: usize, frame: &CommandId) -> Result<Seen, Trouble> {
-        let seen = measured(self.stage, frame, false).await?;
+    pub async fn judge(&mut self, index: usize, frame: &CommandId) -> Result<Seen, ActionError> {
+        let seen = measured(self.context, frame, false).await?;
         let counts = self.note(frame, self.filter(index), Some(&seen)).await?;
-        let (stage, want) = (self.stage, self.want);
-        if let Some(filter) = self.wish.filters.get_mut(index) {
+        let (context, want) = (self.context, self.want);
+        if let Some(filter) = self.request.filters.get_mut(index) {
             filter.refused = if counts { 0 } else { filter.refused + 1 };
             filter.taken += u32::from(counts);
             if !counts {
@@ -204,7 +212,7 @@ impl<'a> Run<'a> {
             }
             if filter.refused >= REFUSED_MOST {
                 filter.given_up = Some("its level does not hold");
-                tracing::warn!(row = stage.index, filter = filter.words(), "given up: its level does not hold");
+                tracing::warn!(row = context.index, filter = filter.words(), "given up: its level does not hold");
             }
         }
         self.show();
@@ -212,17 +220,16 @@ impl<'a> Run<'a> {
     }
 
     /// Records whether a frame counts, and reports it to the archives when it does not.
-    async fn note(&self, frame: &CommandId, filter: Option<String>, seen: Option<&Seen>) -> Result<bool, Trouble> {
+    async fn note(&self, frame: &CommandId, filter: Option<String>, seen: Option<&Seen>) -> Result<bool, ActionError> {
         let counts = seen.is_some_and(|seen| self.want.accepts(seen.level));
         let level_adu = seen.and_then(|seen| match seen.level {
             Level::Adu(adu) => Some((10.0 * adu).round() / 10.0),
             Level::Saturated => None,
         });
-        let (room, row, id) = (self.stage.room.clone(), self.stage.row.id.clone(), frame.clone());
-        let noted = tokio::task::spawn_blocking(move || {
-            room.journal.judged(&row, &id, filter, level_adu, counts, room.node.bus.clock().utc())
-        });
-        noted.await.map_err(std::io::Error::other)??;
+        let id = frame.clone();
+        let judged =
+            move |journal: &Journal, row: &RowId, now| journal.judged(row, &id, filter, level_adu, counts, now);
+        self.context.write(judged).await?;
         if !counts {
             let Want { target_adu, tolerance_adu, .. } = self.want;
             let found = match seen.map(|seen| seen.level) {
@@ -231,8 +238,10 @@ impl<'a> Run<'a> {
                 None => "not measured".to_owned(),
             };
             let why = format!("flat: {found}, expected {target_adu:.0} within {tolerance_adu:.0} ADU");
-            if let Err(error) = self.stage.room.facts.tell_refused(&self.stage.room, frame, why).await {
-                tracing::warn!(%frame, %error, "that a frame does not count could not be told");
+            if let Err(error) =
+                self.context.tools.frames.facts.publish_refused(&self.context.tools.authority.node, frame, why).await
+            {
+                tracing::warn!(%frame, %error, "the reason why a frame does not count could not be published");
             }
         }
         Ok(counts)
@@ -240,30 +249,30 @@ impl<'a> Run<'a> {
 
     /// Takes no more of a filter.
     pub fn give_up(&mut self, index: usize, why: &'static str) {
-        if let Some(filter) = self.wish.filters.get_mut(index) {
-            self.stage.step(format!("no flats of {} any more: {why}", filter.words()));
+        if let Some(filter) = self.request.filters.get_mut(index) {
+            self.context.step(format!("no flats of {} any more: {why}", filter.words()));
             filter.given_up = Some(why);
         }
     }
 
     /// Notes why the row ends before all is taken.
     pub fn end(&mut self, why: String) {
-        self.told = Some(why);
+        self.reported = Some(why);
     }
 
     /// A filter in words.
     pub fn words(&self, index: usize) -> String {
-        self.wish.filters.get(index).map(Filter::words).unwrap_or_default()
+        self.request.filters.get(index).map(Filter::words).unwrap_or_default()
     }
 
     /// How it went: nothing where all was taken.
-    pub fn told(&self) -> String {
-        told(&self.wish.filters, self.told.as_deref())
+    pub fn summary(&self) -> String {
+        summary(&self.request.filters, self.reported.as_deref())
     }
 
     fn show(&self) {
-        let taken = self.stage.room.journal.progress(&self.stage.row.id).taken;
-        self.stage.room.board.row(self.stage.index, |row| row.frames = taken);
+        let taken = self.context.tools.journal.progress(&self.context.row.id).taken;
+        self.context.tools.night.row(self.context.index, |row| row.frames = taken);
     }
 }
 
@@ -294,12 +303,12 @@ fn allot(filters: &mut [Filter], mut good: BTreeMap<String, u32>) {
 }
 
 /// How bright a frame of now is.
-async fn measured(stage: &Stage, frame: &CommandId, is_part: bool) -> Result<Seen, Trouble> {
-    let looked: Option<Arc<Looked>> = look(stage, frame).await;
-    let told = looked.ok_or_else(|| "it was not looked at within 60 s".to_owned());
-    match told.and_then(|looked| seen(&looked, is_part)) {
+async fn measured(context: &RowContext, frame: &CommandId, is_part: bool) -> Result<Seen, ActionError> {
+    let looked: Option<Arc<Looked>> = look(context, frame).await;
+    let answer = looked.ok_or_else(|| "it was not looked at within 60 s".to_owned());
+    match answer.and_then(|looked| seen(&looked, is_part)) {
         Ok(seen) => Ok(seen),
-        Err(why) => Err(unmeasured(stage, &why)?),
+        Err(why) => Err(unmeasured(context, &why)?),
     }
 }
 
@@ -314,13 +323,13 @@ fn seen(looked: &Looked, is_part: bool) -> Result<Seen, String> {
     Ok(Seen { started: frame.started_utc, exposure_s: frame.exposure_s, level, is_part })
 }
 
-fn unmeasured(stage: &Stage, why: &str) -> Result<Trouble, Trouble> {
-    let device = stage.chain()?.camera.instrument.device.to_string();
-    Ok(Trouble::Failed { device, verb: "show how bright it is".to_owned(), reason: why.to_owned() })
+fn unmeasured(context: &RowContext, why: &str) -> Result<ActionError, ActionError> {
+    let device = context.chain()?.camera.instrument.device.to_string();
+    Ok(ActionError::Failed { device, verb: "show how bright it is".to_owned(), reason: why.to_owned() })
 }
 
-fn none(stage: &Stage) -> Trouble {
-    Trouble::Impossible(format!("row {} has no such filter", stage.index))
+fn none(context: &RowContext) -> ActionError {
+    ActionError::Impossible(format!("row {} has no such filter", context.index))
 }
 
 #[cfg(test)]
@@ -343,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_tells_its_level_or_why_not() {
+    fn a_frame_gives_its_level_or_the_reason() {
         let look = |sky_adu, saturated_fraction, reason: Option<&str>| {
             let facts =
                 FrameFacts { sky_adu, saturated_fraction, reason: reason.map(str::to_owned), ..Default::default() };

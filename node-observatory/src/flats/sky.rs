@@ -1,61 +1,61 @@
 //! Flats of the twilight sky, step by step.
 
 use ::sky::{Horizontal, Icrs, separation};
-use units::seconds;
-
-use super::run::Run;
-use crate::action::Stage;
-use crate::opening;
-use crate::rig::telescope::Mount;
-use crate::slit::Aimed;
-use crate::trouble::Trouble;
 use schedule::flats::exposure::Light;
 use schedule::flats::filter::{AHEAD_S, WINDOW_ENDED, to_ms};
 use schedule::flats::order::{Next, Trend, next};
 use schedule::flats::twilight::{Window, antisolar, dithered, is_clear_of_sun, slope_per_s};
 use schedule::shot::fits;
+use units::seconds;
+
+use super::run::FlatsRun;
+use crate::action_error::ActionError;
+use crate::devices::telescope::Mount;
+use crate::opening::{self, Opener};
+use crate::row_context::RowContext;
+use crate::slit::Aimed;
 
 /// The place opposite to the Sun is gone to again when it is further off than this, deg.
 const ASTRAY_DEG: f64 = 10.0;
 
 /// Takes the flats of a row while the Sun has the right altitude; `run` reports the flats that it could not take.
-pub async fn run(run: &mut Run<'_>) -> Result<(), Trouble> {
-    let stage = run.stage;
-    let config = stage.chain()?.camera.config.flats;
+pub async fn run(run: &mut FlatsRun<'_>, opener: &Opener) -> Result<(), ActionError> {
+    let context = run.context;
+    let config = context.chain()?.camera.config.flats;
     let window = Window { min_deg: config.sun_min_deg, max_deg: config.sun_max_deg };
-    if !wait_for(stage, &window).await? {
+    if !wait_for(context, &window).await? {
         run.end(window.never());
         return Ok(());
     }
-    let (_, speed) = sun(stage)?;
+    let (_, speed) = sun(context)?;
     let trend = if speed > 0.0 { Trend::Brightens } else { Trend::Fades };
-    let mut light = Light::new(run.want, run.wish.filters.len(), slope_per_s(speed));
-    let mut aim = match run.wish.moves {
-        true => Some(Aim::begin(stage, config.dither_arcsec).await?),
+    let mut light = Light::new(run.want, run.request.filters.len(), slope_per_s(speed));
+    let mut aim = match run.request.moves {
+        true => Some(FlatsAim::begin(context, opener, config.dither_arcsec).await?),
         false => None,
     };
     let (mut sound, mut current) = (None, None);
     loop {
-        if !window.has(&sun(stage)?.0) {
+        if !window.has(&sun(context)?.0) {
             run.end(window.left());
             break;
         }
         let what = match sound.take() {
             Some(index) => Next::Sound(index),
-            None => next(run.wish.order, trend, &run.candidates(&light), current),
+            None => next(run.request.order, trend, &run.candidates(&light), current),
         };
         match what {
             Next::Done => break,
             Next::GiveUp(index, true) => run.give_up(index, "too bright"),
             Next::GiveUp(index, false) => run.give_up(index, "too dark"),
             Next::Wait(index, wait_s) => {
-                if !fits(stage.clock().utc(), wait_s, stage.row.end) {
+                if !fits(context.clock().utc(), wait_s, context.row.end) {
                     run.end(WINDOW_ENDED.to_owned());
                     break;
                 }
                 let (how, words) = (if trend == Trend::Fades { "bright" } else { "dark" }, run.words(index));
-                stage.small_step(format!("waiting {wait_s:.0} s: the sky is too {how} for {words}"));
-                stage.clock().sleep_sky(seconds(wait_s)).await;
+                context.small_step(format!("waiting {wait_s:.0} s: the sky is too {how} for {words}"));
+                context.clock().sleep_sky(seconds(wait_s)).await;
                 sound = Some(index);
             }
             Next::Sound(index) => {
@@ -70,7 +70,7 @@ pub async fn run(run: &mut Run<'_>) -> Result<(), Trouble> {
             }
             Next::Take(index, exposure_s) => {
                 let exposure_s = to_ms(exposure_s);
-                if !fits(stage.clock().utc(), exposure_s, stage.row.end) {
+                if !fits(context.clock().utc(), exposure_s, context.row.end) {
                     run.end(WINDOW_ENDED.to_owned());
                     break;
                 }
@@ -96,17 +96,17 @@ pub async fn run(run: &mut Run<'_>) -> Result<(), Trouble> {
 }
 
 /// The Sun now, and how fast its altitude changes, deg per s.
-fn sun(stage: &Stage) -> Result<(Horizontal, f64), Trouble> {
-    let now = stage.clock().utc();
-    let (sun, later) = (stage.observer(now)?.sun(), stage.observer(now.plus_seconds(AHEAD_S))?.sun());
+fn sun(context: &RowContext) -> Result<(Horizontal, f64), ActionError> {
+    let now = context.clock().utc();
+    let (sun, later) = (context.observer(now)?.sun(), context.observer(now.plus_seconds(AHEAD_S))?.sun());
     Ok((sun, (later.altitude.degrees() - sun.altitude.degrees()) / AHEAD_S))
 }
 
 /// Waits until the Sun has the right altitude; false if it does not get it while the row may run, or did before.
-async fn wait_for(stage: &Stage, window: &Window) -> Result<bool, Trouble> {
-    let has_begun = stage.room.journal.progress(&stage.row.id).taken > 0;
+async fn wait_for(context: &RowContext, window: &Window) -> Result<bool, ActionError> {
+    let has_begun = context.tools.journal.progress(&context.row.id).taken > 0;
     loop {
-        let (now, sun) = (stage.clock().utc(), sun(stage)?.0);
+        let (now, sun) = (context.clock().utc(), sun(context)?.0);
         if window.has(&sun) {
             return Ok(true);
         }
@@ -114,19 +114,20 @@ async fn wait_for(stage: &Stage, window: &Window) -> Result<bool, Trouble> {
             // Flats that dusk has left over do not make the other rows wait until dawn.
             return Ok(false);
         }
-        let Some(opens) = window.opens(stage.room.site()?, now)?.filter(|opens| *opens < stage.row.end) else {
+        let Some(opens) = window.opens(context.tools.authority.site()?, now)?.filter(|opens| *opens < context.row.end)
+        else {
             return Ok(false);
         };
         let (sun_deg, at) = (sun.altitude.degrees(), opens.strftime("%H:%M:%S"));
-        stage.step(format!("waiting for the Sun, now at {sun_deg:.1} deg, until {at} UTC"));
+        context.step(format!("waiting for the Sun, now at {sun_deg:.1} deg, until {at} UTC"));
         // A second more: the window has no end of its own.
-        stage.clock().sleep_sky(seconds(opens.seconds_since(now) + 1.0)).await;
+        context.clock().sleep_sky(seconds(opens.seconds_since(now) + 1.0)).await;
     }
 }
 
 /// Where the telescope looks: opposite to the Sun, each frame a little away from the last one.
-struct Aim<'a> {
-    stage: &'a Stage,
+struct FlatsAim<'a> {
+    context: &'a RowContext,
     mount: &'a Mount,
     base: Icrs,
     index: u32,
@@ -134,56 +135,56 @@ struct Aim<'a> {
     aimed: Option<Aimed<'a>>,
 }
 
-impl<'a> Aim<'a> {
+impl<'a> FlatsAim<'a> {
     /// Opens, and goes there.
-    async fn begin(stage: &'a Stage, step_arcsec: f64) -> Result<Self, Trouble> {
-        let chain = stage.chain()?;
+    async fn begin(context: &'a RowContext, opener: &Opener, step_arcsec: f64) -> Result<Self, ActionError> {
+        let chain = context.chain()?;
         let mount = chain.mount.ok_or_else(|| {
             let why = "has no mount; disable_telescope_movement = true takes flats where it looks";
-            Trouble::Impossible(format!("{} {why}", stage.row.camera))
+            ActionError::Impossible(format!("{} {why}", context.row.camera))
         })?;
-        let base = opposite(stage)?;
+        let base = opposite(context)?;
         // The slit goes there while the mount slews.
-        let aimed = Some(Aimed::at(&stage.room, mount, base));
-        let index = stage.room.journal.progress(&stage.row.id).taken;
-        let aim = Self { stage, mount, base, index, step_arcsec, aimed };
-        stage.step("opening");
-        opening::open(&stage.room, &chain).await?;
-        stage.step("slewing away from the Sun");
+        let aimed = Some(Aimed::at(&context.tools.slits, mount, base));
+        let index = context.tools.journal.progress(&context.row.id).taken;
+        let aim = Self { context, mount, base, index, step_arcsec, aimed };
+        context.step("opening");
+        opening::open(opener, &chain).await?;
+        context.step("slewing away from the Sun");
         aim.go().await?;
         Ok(aim)
     }
 
     /// Goes to the place opposite to the Sun again, where the sky has carried the telescope away from it.
-    async fn renew(&mut self) -> Result<(), Trouble> {
-        let base = opposite(self.stage)?;
+    async fn renew(&mut self) -> Result<(), ActionError> {
+        let base = opposite(self.context)?;
         if separation(&base, &self.base).degrees() < ASTRAY_DEG {
             return Ok(());
         }
         self.base = base;
         // The end of the old value takes back the aim that it published.
         self.aimed = None;
-        self.aimed = Some(Aimed::at(&self.stage.room, self.mount, base));
+        self.aimed = Some(Aimed::at(&self.context.tools.slits, self.mount, base));
         self.go().await
     }
 
-    async fn dither(&mut self) -> Result<(), Trouble> {
+    async fn dither(&mut self) -> Result<(), ActionError> {
         self.index += 1;
         if self.step_arcsec > 0.0 { self.go().await } else { Ok(()) }
     }
 
-    async fn go(&self) -> Result<(), Trouble> {
+    async fn go(&self) -> Result<(), ActionError> {
         let place = dithered(&self.base, self.index, self.step_arcsec);
-        let observer = self.stage.visible(&place)?;
+        let observer = self.context.visible(&place)?;
         if !is_clear_of_sun(&observer.to_horizontal(&place), &observer.sun()) {
-            return Err(Trouble::Impossible("flats: the telescope would look near the Sun".to_owned()));
+            return Err(ActionError::Impossible("flats: the telescope would look near the Sun".to_owned()));
         }
         self.mount.point(&place, &observer).await
     }
 }
 
 /// The place opposite to the Sun now.
-fn opposite(stage: &Stage) -> Result<Icrs, Trouble> {
-    let observer = stage.observer(stage.clock().utc())?;
+fn opposite(context: &RowContext) -> Result<Icrs, ActionError> {
+    let observer = context.observer(context.clock().utc())?;
     Ok(observer.to_icrs(&antisolar(&observer.sun())))
 }

@@ -2,15 +2,17 @@
 
 use contract::observatory::{AlertKind, FocusOutcome, TriggerKind};
 use imaging::focus::sweep::Plan;
-use units::Utc;
-
-use super::run::{Wish, find};
-use crate::action::Stage;
-use crate::action::expose::Series;
-use crate::rig::focuser::Focuser;
-use crate::trouble::Trouble;
 use schedule::action::parameters::FocusWanted;
 use schedule::focus_meter::Meter;
+use schedule::shot::Shot;
+use units::Utc;
+
+use super::FocusData;
+use super::run::{FocusRequest, find};
+use crate::action_error::ActionError;
+use crate::devices::focuser::Focuser;
+use crate::exposing::{Series, expose_with};
+use crate::row_context::RowContext;
 
 /// Of the travel, where nothing is known of the critical zone.
 const SHARE_OF_TRAVEL: i64 = 50;
@@ -19,32 +21,42 @@ const ZONES: f64 = 4.0;
 /// The least that a run looks to either side, steps.
 const LEAST_STEPS: i64 = 10;
 
+/// Takes frames as [`exposing::expose`](crate::exposing::expose) does, and looks after the focus between them.
+pub async fn expose_in_focus(
+    context: &RowContext,
+    focus: &FocusData,
+    series: &Series,
+    next: impl FnMut(u32, Utc) -> Option<Shot> + Send,
+) -> Result<u32, ActionError> {
+    expose_with(context, series, || Box::pin(between_frames(context, focus, series)), next).await
+}
+
 /// Looks after the focus of a series between two of its frames; nothing where it asks for nothing.
-pub async fn between_frames(stage: &Stage, series: &Series) -> Result<(), Trouble> {
-    let (Some(wanted), Some(focuser)) = (series.focus, stage.chain()?.focuser) else { return Ok(()) };
+async fn between_frames(context: &RowContext, focus: &FocusData, series: &Series) -> Result<(), ActionError> {
+    let (Some(wanted), Some(focuser)) = (series.focus, context.chain()?.focuser) else { return Ok(()) };
     let wanted =
-        FocusWanted { filter_offset: offset(stage, series, focuser).map_or(0, |(_, offset, _)| offset), ..wanted };
-    if wants_a_run(stage, series, wanted) {
-        return refocus(stage, series, focuser).await;
+        FocusWanted { filter_offset: offset(context, series, focuser).map_or(0, |(_, offset, _)| offset), ..wanted };
+    if wants_a_run(context, focus, series, wanted) {
+        return refocus(context, focus, series, focuser).await;
     }
-    follow_temperature(stage, focuser, wanted).await;
+    follow_temperature(context, focus, focuser, wanted).await;
     Ok(())
 }
 
 /// The filter that the row named, its offset, and its offset by the wheel, steps.
-pub fn offset(stage: &Stage, series: &Series, focuser: &Focuser) -> Option<(String, i64, i64)> {
+pub fn offset(context: &RowContext, series: &Series, focuser: &Focuser) -> Option<(String, i64, i64)> {
     let filter = series.filter.as_ref()?;
-    let of_wheel = stage.chain().ok()?.wheel?.offset_of(filter)?;
+    let of_wheel = context.chain().ok()?.wheel?.offset_of(filter)?;
     Some((filter.clone(), focuser.offset(filter, of_wheel), of_wheel))
 }
 
 /// How far a run looks to either side, steps: as configured, else by what the last run showed, else a share of the
 /// travel.
-pub fn half_range(stage: &Stage, focuser: &Focuser, max_step: i64) -> i64 {
-    reach(focuser.config.search_steps, stage.room.focus_learnt.get().critical_zone(focuser.name()), max_step)
+pub fn half_range(focus: &FocusData, focuser: &Focuser, max_step: i64) -> i64 {
+    search_range(focuser.config.search_steps, focus.learned.get().critical_zone(focuser.name()), max_step)
 }
 
-fn reach(configured: Option<i64>, zone: Option<f64>, max_step: i64) -> i64 {
+fn search_range(configured: Option<i64>, zone: Option<f64>, max_step: i64) -> i64 {
     // `as` saturates.
     let by_zone = zone.filter(|zone| zone.is_finite()).map(|zone| (ZONES * zone).ceil() as i64);
     let steps = configured.or(by_zone).unwrap_or(max_step / SHARE_OF_TRAVEL);
@@ -59,29 +71,29 @@ pub fn plan(focuser: &Focuser, start: i64, centre: i64, half_range: i64, max_ste
         start: steps(start),
         backlash: steps(focuser.config.backlash_steps),
         approach: match focuser.config.approach {
-            config::Approach::Upward => imaging::focus::sweep::Approach::Upward,
-            config::Approach::Downward => imaging::focus::sweep::Approach::Downward,
+            config::Approach::Upward => imaging::focus::sweep::ApproachSide::Upward,
+            config::Approach::Downward => imaging::focus::sweep::ApproachSide::Downward,
         },
         ..Plan::about(steps(centre), steps(half_range), 0..=steps(max_step))
     }
 }
 
 /// Do the stars of this row grow wide, and may that be helped by a run? Not where the row wants them wide.
-fn wants_a_run(stage: &Stage, series: &Series, wanted: FocusWanted) -> bool {
-    let focusing = &stage.room.node.config.focusing;
+fn wants_a_run(context: &RowContext, focus: &FocusData, series: &Series, wanted: FocusWanted) -> bool {
+    let focusing = &context.tools.authority.node.config.focusing;
     let is_sharp = wanted.position.is_none() && wanted.shift.unwrap_or(0) == 0;
     if focusing.on_drift != config::OnDrift::Refocus || !is_sharp {
         return false;
     }
-    let camera = stage.row.camera.as_str();
-    let filter = series.filter.clone().or_else(|| stage.chain().ok()?.wheel?.filter());
-    let Some(since) = stage.room.board.trigger(TriggerKind::FocusDrift, camera, filter.as_deref()) else {
+    let camera = context.row.camera.as_str();
+    let filter = series.filter.clone().or_else(|| context.chain().ok()?.wheel?.filter());
+    let Some(since) = context.tools.night.trigger(TriggerKind::FocusDrift, camera, filter.as_deref()) else {
         return false;
     };
-    let shown = stage.room.focus.borrow();
-    let last = shown.run.as_ref().filter(|run| run.camera == camera);
+    let published = focus.state.borrow();
+    let last = published.run.as_ref().filter(|run| run.camera == camera);
     let last = last.and_then(|run| Some((run.ended_utc?, run.outcome == FocusOutcome::Focused)));
-    is_due(last, since, stage.clock().utc(), focusing.refocus_after_min)
+    is_due(last, since, context.clock().utc(), focusing.refocus_after_min)
 }
 
 /// Whether the focus is to be found anew because the stars are wide since an instant. Where the last run found it,
@@ -95,30 +107,35 @@ fn is_due(last: Option<(Utc, bool)>, wide_since: Utc, now: Utc, rest_min: f64) -
 }
 
 /// Finds the focus where the telescope looks. A run that fails leaves the focus as it was, and the row goes on.
-async fn refocus(stage: &Stage, series: &Series, focuser: &Focuser) -> Result<(), Trouble> {
+async fn refocus(
+    context: &RowContext,
+    focus: &FocusData,
+    series: &Series,
+    focuser: &Focuser,
+) -> Result<(), ActionError> {
     let max_step = focuser.instrument.capabilities().await?.max_step;
     let Some(start) = focuser.position() else { return Ok(()) };
-    stage.step("the stars grow wide: focusing");
-    let wish = Wish {
-        plan: plan(focuser, start, start, half_range(stage, focuser, max_step), max_step),
+    context.step("the stars grow wide: focusing");
+    let request = FocusRequest {
+        plan: plan(focuser, start, start, half_range(focus, focuser, max_step), max_step),
         meter: Meter { operator: None, least_snr: 10.0, others: Vec::new(), looks_for_saturation: false },
-        exposure_s: stage.room.node.config.focusing.refocus_exposure_s,
+        exposure_s: context.tools.authority.node.config.focusing.refocus_exposure_s,
         frames: (1, 1),
         reduce_exposure: false,
         expected_px: None,
-        filter: offset(stage, series, focuser),
+        filter: offset(context, series, focuser),
         keep: true,
         counts: false,
     };
     let frames = Series { action: Some("autofocus"), focus: None, object: None, subframe: None, ..series.clone() };
-    let run = find(stage, &frames, focuser, &wish).await?;
-    tell(stage, &run);
+    let run = find(context, focus, &frames, focuser, &request).await?;
+    publish_run(context, &run);
     Ok(())
 }
 
 /// Keeps an alert active while the last run of a camera failed.
-pub fn tell(stage: &Stage, run: &contract::observatory::FocusRun) {
-    let (alerts, camera) = (&stage.room.node.alerts, &stage.row.camera);
+pub fn publish_run(context: &RowContext, run: &contract::observatory::FocusRun) {
+    let (alerts, camera) = (&context.tools.authority.node.alerts, &context.row.camera);
     match run.outcome {
         FocusOutcome::Failed => {
             let reason = run.reason.as_deref().unwrap_or_default();
@@ -130,13 +147,13 @@ pub fn tell(stage: &Stage, run: &contract::observatory::FocusRun) {
 
 /// Moves the focuser for the temperature, if the model is known and the move is more than a trifle. A failure is
 /// reported: the row goes on at the present focus.
-async fn follow_temperature(stage: &Stage, focuser: &Focuser, wanted: FocusWanted) {
-    let learnt = stage.room.focus_learnt.get();
-    let (Some(zone), true) = (learnt.critical_zone(focuser.name()), learnt.model(focuser.name()).is_some()) else {
+async fn follow_temperature(context: &RowContext, focus: &FocusData, focuser: &Focuser, wanted: FocusWanted) {
+    let learned = focus.learned.get();
+    let (Some(zone), true) = (learned.critical_zone(focuser.name()), learned.model(focuser.name()).is_some()) else {
         return;
     };
     let (Some(position), Ok(target)) = (focuser.position(), focuser.target(wanted)) else { return };
-    let least = stage.room.node.config.focusing.follow_share * zone;
+    let least = context.tools.authority.node.config.focusing.follow_share * zone;
     let off = position.abs_diff(target);
     if wanted.position.is_some() || (off as f64) < least || off <= focuser.config.tolerance_steps.unsigned_abs() {
         return;
@@ -147,8 +164,8 @@ async fn follow_temperature(stage: &Stage, focuser: &Focuser, wanted: FocusWante
         temperature_c = focuser.temperature_c(),
         "the focus follows the temperature"
     );
-    if let Err(trouble) = focuser.focus(wanted).await {
-        tracing::warn!(%trouble, "the focus does not follow the temperature");
+    if let Err(error) = focuser.focus(wanted).await {
+        tracing::warn!(%error, "the focus does not follow the temperature");
     }
 }
 
@@ -170,12 +187,12 @@ mod tests {
 
     #[test]
     fn a_run_looks_as_far_as_configured_or_as_the_last_one_taught() {
-        assert_eq!(reach(Some(300), Some(120.0), 50_000), 300);
-        assert_eq!(reach(None, Some(120.3), 50_000), 482);
-        assert_eq!(reach(None, None, 50_000), 1000);
-        assert_eq!(reach(None, Some(f64::NAN), 50_000), 1000);
-        assert_eq!(reach(None, Some(1e30), 50_000), 50_000, "no further than its travel");
-        assert_eq!(reach(Some(3), None, 50_000), LEAST_STEPS);
-        assert_eq!(reach(None, None, 5), LEAST_STEPS);
+        assert_eq!(search_range(Some(300), Some(120.0), 50_000), 300);
+        assert_eq!(search_range(None, Some(120.3), 50_000), 482);
+        assert_eq!(search_range(None, None, 50_000), 1000);
+        assert_eq!(search_range(None, Some(f64::NAN), 50_000), 1000);
+        assert_eq!(search_range(None, Some(1e30), 50_000), 50_000, "no further than its travel");
+        assert_eq!(search_range(Some(3), None, 50_000), LEAST_STEPS);
+        assert_eq!(search_range(None, None, 5), LEAST_STEPS);
     }
 }

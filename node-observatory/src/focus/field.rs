@@ -1,12 +1,12 @@
 //! Where a focus run looks: a star near the zenith from the catalogue, the zenith itself where there is none.
 
-use imaging::focus::field::{Field, Wanted, choose, field_of_view, zenith_limit};
-use schedule::action::autofocus::field::Field as FieldParameters;
+use imaging::focus::field::{FocusField, Wanted, choose, field_of_view, zenith_limit};
+use schedule::action::autofocus::field::FocusField as FieldParameters;
 use sky::{Horizontal, Icrs};
 use units::{Angle, Utc};
 
-use crate::action::Stage;
-use crate::trouble::Trouble;
+use crate::action_error::ActionError;
+use crate::row_context::RowContext;
 
 /// Julian date of J2000.0, and days of a Julian year.
 const J2000: (f64, f64) = (2_451_545.0, 365.25);
@@ -23,12 +23,12 @@ pub struct Chosen {
 }
 
 /// Chooses the field of a run, as its row asks.
-pub async fn for_run(asked: &FieldParameters, stage: &Stage) -> Result<Chosen, Trouble> {
+pub async fn for_run(asked: &FieldParameters, context: &RowContext) -> Result<Chosen, ActionError> {
     if let Some(place) = asked.place() {
         let place = place.checked()?;
         return Ok(Chosen { place, words: "as the row says".to_owned() });
     }
-    let own_field = of_camera(stage).await?;
+    let own_field = of_camera(context).await?;
     let along = |given_deg: f64, own: Angle| if given_deg > 0.0 { Angle::from_degrees(given_deg) } else { own };
     let wanted = asked.use_gaia.then(|| Wanted {
         zenith_limit: asked.maximal_zenith_angle.map_or(zenith_limit(asked.airmass_threshold), Angle::from_degrees),
@@ -37,16 +37,18 @@ pub async fn for_run(asked: &FieldParameters, stage: &Stage) -> Result<Chosen, T
         selection: asked.selection().unwrap_or_default(),
         most_stars: asked.maximal_number_of_stars,
     });
-    near_zenith(stage, asked.observation_time.unwrap_or(stage.clock().utc()), wanted).await
+    near_zenith(context, asked.observation_time.unwrap_or(context.clock().utc()), wanted).await
 }
 
 /// Chooses a field near the zenith of an instant. Falls back to the zenith where the catalogue has no answer.
-pub async fn near_zenith(stage: &Stage, at: Utc, wanted: Option<Wanted>) -> Result<Chosen, Trouble> {
+pub async fn near_zenith(context: &RowContext, at: Utc, wanted: Option<Wanted>) -> Result<Chosen, ActionError> {
     let up = Horizontal { altitude: Angle::from_degrees(90.0), azimuth: Angle::default() };
-    let zenith = stage.observer(at)?.to_icrs(&up);
+    let zenith = context.observer(at)?.to_icrs(&up);
     let at_zenith = |why: &str| Chosen { place: zenith, words: format!("the zenith: {why}") };
     let Some(wanted) = wanted else { return Ok(at_zenith("the row asks for no catalogue")) };
-    let Some(catalogue) = stage.room.catalogue.get() else { return Ok(at_zenith("no star catalogue is open")) };
+    let Some(catalogue) = context.tools.frames.catalogue.get() else {
+        return Ok(at_zenith("no star catalogue is open"));
+    };
     let (limit, faintest) = (wanted.zenith_limit, *wanted.magnitudes.end());
     let looked = tokio::task::spawn_blocking(move || {
         let epoch_year = 2000.0 + (at.jd() - J2000.0) / J2000.1;
@@ -54,7 +56,7 @@ pub async fn near_zenith(stage: &Stage, at: Utc, wanted: Option<Wanted>) -> Resu
         stars.map(|stars| choose(&stars, (zenith.ra, zenith.dec), &wanted)).map_err(|error| error.to_string())
     });
     Ok(match looked.await.map_err(|error| error.to_string()).and_then(|chosen| chosen) {
-        Ok(Field { ra, dec, from_zenith, star: Some(star), stars }) => Chosen {
+        Ok(FocusField { ra, dec, from_zenith, star: Some(star), stars }) => Chosen {
             place: Icrs { ra, dec },
             words: format!(
                 "a star of magnitude {:.1}, {:.1} deg from the zenith; {stars} in the field",
@@ -71,11 +73,11 @@ pub async fn near_zenith(stage: &Stage, at: Utc, wanted: Option<Wanted>) -> Resu
 }
 
 /// The camera's field along both axes: as solved frames taught, else by the mount's focal length, else the usual one.
-pub async fn of_camera(stage: &Stage) -> Result<(Angle, Angle), Trouble> {
-    let camera = stage.chain()?.camera;
+pub async fn of_camera(context: &RowContext) -> Result<(Angle, Angle), ActionError> {
+    let camera = context.chain()?.camera;
     let can = camera.instrument.capabilities().await?;
-    let optics = stage.room.optics.get();
-    let name = stage.row.camera.as_str();
+    let optics = context.tools.frames.optics.get();
+    let name = context.row.camera.as_str();
     let scale_arcsec_px = optics.optics.iter().rev().find(|optics| optics.camera == name);
     let scale_arcsec_px = scale_arcsec_px.map(|optics| optics.scale_arcsec_px / f64::from(optics.bin.max(1)));
     let scale_arcsec_px = scale_arcsec_px.or(camera.config.scale_arcsec_px);

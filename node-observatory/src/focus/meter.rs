@@ -5,7 +5,7 @@ use contract::observatory::FocusValue;
 use imaging::focus::{Image, Operator};
 use imaging::hfd::{HfdSearch, measure_hfd};
 use imaging::quality::Estimate;
-use imaging::{Search, Star};
+use imaging::{Star, StarSearch};
 use schedule::focus_meter::Meter;
 
 use crate::frames::measure::{Plane, camera};
@@ -39,7 +39,7 @@ pub fn measure(meter: &Meter, frame: &Frame, plane: &Plane, expected_px: Option<
     };
     let needs_stars = |operator: &&Operator| operator.needs_stars;
     let wants_stars = meter.looks_for_saturation || meter.operator.iter().chain(&meter.others).any(needs_stars);
-    let search = Search { fwhm_px: expected_px.map(|px| px as f32), ..Search::default() };
+    let search = StarSearch { fwhm_px: expected_px.map(|px| px as f32), ..StarSearch::default() };
     let stars = match wants_stars.then(|| imaging::measure(&pixels, &camera, &search)).transpose() {
         Ok(measured) => measured.map(|measured| measured.stars).unwrap_or_default(),
         Err(error) => return Read::nothing(error.to_string()),
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn the_predecessors_operators_tell_sharp_from_blurred() {
+    fn the_predecessors_operators_distinguish_sharp_from_blurred() {
         for (name, better) in
             [("hfr", Better::Smaller), ("gauss", Better::Smaller), ("relative_gradient", Better::Larger)]
         {
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn saturated_stars_are_told_and_an_empty_frame_says_why_it_has_no_value() {
+    fn saturated_stars_are_reported_and_an_empty_frame_gives_the_reason_for_no_value() {
         assert!(read(None, &[], 3.0, true).saturated);
         let meter = Meter { operator: None, least_snr: 10.0, others: vec![], looks_for_saturation: false };
         let mut light = Frame { width_px: 100, height_px: 80, ..frame("f") };

@@ -1,26 +1,25 @@
 //! A focus run on real devices: moves, frames and values, as the sweep asks for them.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use contract::CommandId;
 use contract::observatory::{FocusOutcome, FocusRun};
-use imaging::focus::sweep::{Fit, Pass, Plan, Step, Sweep};
+use imaging::focus::sweep::{FocusFit, FocusStep, Pass, Plan, Sweep};
 use imaging::quality::Estimate;
-use tokio::sync::broadcast;
-use units::seconds;
-
-use super::meter::{Read, measure, together};
-use super::shown::{About, Shown};
-use crate::action::Stage;
-use crate::action::expose::{Series, intend, single};
-use crate::frames::looked::Fetched;
-use crate::frames::stepped_back;
-use crate::patience::patience;
-use crate::rig::focuser::Focuser;
-use crate::trouble::Trouble;
 use schedule::focus_meter::Meter;
 use schedule::shot::{Shot, fits};
+use units::seconds;
+
+use super::FocusData;
+use super::meter::{Read, measure, together};
+use super::published_run::{About, PublishedRun};
+use crate::action_error::ActionError;
+use crate::command_timeout::command_timeout;
+use crate::devices::focuser::Focuser;
+use crate::exposing::{Series, intend, single};
+use crate::frames::looked::caught;
+use crate::frames::stepped_back;
+use crate::row_context::RowContext;
 
 /// Pixels are here so long after the exposure, or the frame counts as one without stars; machine time.
 const PIXELS: Duration = Duration::from_secs(60);
@@ -32,7 +31,7 @@ const READOUT_S: f64 = 120.0;
 
 /// What is asked of a run.
 #[derive(Debug, Clone)]
-pub struct Wish {
+pub struct FocusRequest {
     /// Where to look.
     pub plan: Plan,
     /// How frames are measured.
@@ -55,22 +54,29 @@ pub struct Wish {
 
 /// Runs until the focus is found and verified, or surely is not; the focuser is then there, or back where it was.
 ///
-/// After a run that is dropped or fails, [`Stage::settle`] brings the focuser back.
-pub async fn find(stage: &Stage, series: &Series, focuser: &Focuser, wish: &Wish) -> Result<FocusRun, Trouble> {
-    let mut sweep = Sweep::new(wish.plan.clone()).map_err(|bad| Trouble::Impossible(format!("focus run: {bad}")))?;
-    stage.set_focus_before(Some(i64::from(wish.plan.start)));
-    let mut shown = Shown::begin(&stage.room, begun(stage, series, focuser, wish)?);
-    let mut camera = Lens { stage, series, wish, exposure_s: wish.exposure_s, halvings: 0 };
-    let mut expected_px = wish.expected_px;
+/// After a run that is dropped or fails, [`action::settle`](crate::action::settle) brings the focuser back.
+pub async fn find(
+    context: &RowContext,
+    focus: &FocusData,
+    series: &Series,
+    focuser: &Focuser,
+    request: &FocusRequest,
+) -> Result<FocusRun, ActionError> {
+    let mut sweep =
+        Sweep::new(request.plan.clone()).map_err(|bad| ActionError::Impossible(format!("focus run: {bad}")))?;
+    context.set_focus_before(Some(i64::from(request.plan.start)));
+    let mut published = PublishedRun::begin(focus, context.clock(), begun(context, series, focuser, request)?);
+    let mut camera = Lens { context, series, request, exposure_s: request.exposure_s, halvings: 0 };
+    let mut expected_px = request.expected_px;
     let outcome = loop {
         match sweep.next() {
-            Step::Move(position) => {
-                stage.small_step(format!("focusing: to {position} steps"));
+            FocusStep::Move(position) => {
+                context.small_step(format!("focusing: to {position} steps"));
                 focuser.go(i64::from(position)).await?;
             }
-            Step::Expose(pass) => {
-                let count = if pass == Pass::Coarse { wish.frames.0 } else { wish.frames.1 };
-                if !fits(stage.clock().utc(), camera.exposure_s * f64::from(count), stage.row.end) {
+            FocusStep::Expose(pass) => {
+                let count = if pass == Pass::Coarse { request.frames.0 } else { request.frames.1 };
+                if !fits(context.clock().utc(), camera.exposure_s * f64::from(count), context.row.end) {
                     sweep.end("the row's window is over");
                     continue;
                 }
@@ -79,15 +85,15 @@ pub async fn find(stage: &Stage, series: &Series, focuser: &Focuser, wish: &Wish
                 // It was asked for just now.
                 let _ = sweep.measured(value);
                 expected_px = expected(&sweep).or(value.map(|value| value.value)).or(expected_px);
-                shown.measured(&sweep, about);
+                published.measured(&sweep, about);
             }
-            Step::Done(outcome) => break outcome,
+            FocusStep::Done(outcome) => break outcome,
         }
     };
-    stage.set_focus_before(None);
+    context.set_focus_before(None);
     Ok(match outcome {
-        Ok(focused) => shown.focused(&focused, wish.keep),
-        Err(failed) => shown.failed(failed.reason.to_string()),
+        Ok(focused) => published.focused(&focused, request.keep),
+        Err(failed) => published.failed(failed.reason.to_string()),
     })
 }
 
@@ -104,39 +110,45 @@ fn words(sweep: &Sweep, pass: Pass) -> String {
 fn expected(sweep: &Sweep) -> Option<f64> {
     let last = sweep.points().last()?;
     match sweep.fit()? {
-        Fit::Hyperbola(curve) => Some(curve.size_at(f64::from(last.position))),
-        Fit::Smoothed { .. } => None,
+        FocusFit::Hyperbola(curve) => Some(curve.size_at(f64::from(last.position))),
+        FocusFit::Smoothed { .. } => None,
     }
 }
 
-fn begun(stage: &Stage, series: &Series, focuser: &Focuser, wish: &Wish) -> Result<FocusRun, Trouble> {
-    let now = stage.clock().utc();
+fn begun(
+    context: &RowContext,
+    series: &Series,
+    focuser: &Focuser,
+    request: &FocusRequest,
+) -> Result<FocusRun, ActionError> {
+    let now = context.clock().utc();
     let place = series.target_deg.map(|(ra_deg, dec_deg)| sky::Icrs::from_degrees(ra_deg, dec_deg));
-    let altitude = place.map(|place| stage.observer(now).map(|sky| sky.to_horizontal(&place).altitude)).transpose()?;
-    let (filter, offsets) = match &wish.filter {
+    let altitude =
+        place.map(|place| context.observer(now).map(|sky| sky.to_horizontal(&place).altitude)).transpose()?;
+    let (filter, offsets) = match &request.filter {
         Some((filter, offset, of_wheel)) => (Some(filter.clone()), (*offset, Some(*of_wheel))),
         None => (None, (0, None)),
     };
     Ok(FocusRun {
         id: CommandId::fresh(),
-        camera: stage.row.camera.to_string(),
+        camera: context.row.camera.to_string(),
         focuser: focuser.name().to_owned(),
         filter,
         filter_offset: offsets.0,
         wheel_offset: offsets.1,
-        night: stage.night().to_string(),
+        night: context.night().to_string(),
         started_utc: now,
         ended_utc: None,
         outcome: FocusOutcome::Running,
         reason: None,
-        start_position: i64::from(wish.plan.start),
+        start_position: i64::from(request.plan.start),
         best_position: None,
         best_position_error: None,
-        kept_position: None,
+        stored_position: None,
         critical_zone: None,
         verified: None,
-        operator: wish.meter.name().to_owned(),
-        value_label: wish.meter.label().to_owned(),
+        operator: request.meter.name().to_owned(),
+        value_label: request.meter.label().to_owned(),
         temperature_c: focuser.temperature_c(),
         altitude_deg: altitude.map(|altitude| altitude.degrees()),
         points: Vec::new(),
@@ -146,9 +158,9 @@ fn begun(stage: &Stage, series: &Series, focuser: &Focuser, wish: &Wish) -> Resu
 
 /// Takes and measures the frames of a run.
 struct Lens<'a> {
-    stage: &'a Stage,
+    context: &'a RowContext,
     series: &'a Series,
-    wish: &'a Wish,
+    request: &'a FocusRequest,
     exposure_s: f64,
     halvings: u32,
 }
@@ -161,13 +173,14 @@ impl Lens<'_> {
         count: u32,
         words: &str,
         expected_px: Option<f64>,
-    ) -> Result<(Option<Estimate>, About), Trouble> {
+    ) -> Result<(Option<Estimate>, About), ActionError> {
         let (mut about, mut values) = (About::default(), Vec::new());
         for _ in 0..count.max(1) {
             let read = loop {
                 let (frame, read) = self.frame(words, expected_px).await?;
                 about.frames.push(frame);
-                let may_halve = self.wish.reduce_exposure && self.halvings < HALVINGS && self.exposure_s > SHORTEST_S;
+                let may_halve =
+                    self.request.reduce_exposure && self.halvings < HALVINGS && self.exposure_s > SHORTEST_S;
                 if !(read.saturated && may_halve) {
                     break read;
                 }
@@ -183,21 +196,21 @@ impl Lens<'_> {
     }
 
     /// Takes one frame and measures it.
-    async fn frame(&self, words: &str, expected_px: Option<f64>) -> Result<(CommandId, Read), Trouble> {
-        let room = &self.stage.room;
-        let mut pixels = room.looks.follow_pixels();
-        let intent = intend(self.stage).await?;
+    async fn frame(&self, words: &str, expected_px: Option<f64>) -> Result<(CommandId, Read), ActionError> {
+        let looks = &self.context.tools.frames.looks;
+        let mut pixels = looks.follow_pixels();
+        let intent = intend(self.context).await?;
         let words = format!("{words}, {} s", self.exposure_s);
         let shot = Shot { exposure_s: self.exposure_s, image_type: "Light Frame", words };
-        let most = patience(self.stage.clock(), seconds(self.exposure_s + READOUT_S)) + PIXELS;
-        let taking = single(self.stage, self.series, &shot, &intent, self.wish.counts);
+        let most = command_timeout(self.context.clock(), seconds(self.exposure_s + READOUT_S)) + PIXELS;
+        let taking = single(self.context, self.series, &shot, &intent, self.request.counts);
         let catching = async {
             let caught = tokio::time::timeout(most, caught(&mut pixels, &intent.frame)).await;
             Ok(caught.ok().flatten())
         };
         let missed = async {
             // Once the frame was looked at, its pixels have been fetched, or never will be.
-            let looked = room.looks.of(&intent.frame).await;
+            let looked = looks.of(&intent.frame).await;
             looked.facts.reason.clone()
         };
         let catching = async {
@@ -214,19 +227,8 @@ impl Lens<'_> {
         let Some(fetched) = fetched else {
             return Ok((intent.frame, Read::nothing("the frame's pixels did not arrive".to_owned())));
         };
-        let meter = self.wish.meter.clone();
+        let meter = self.request.meter.clone();
         let read = stepped_back(move || measure(&meter, &fetched.frame, &fetched.plane, expected_px)).await;
         Ok((intent.frame, read.unwrap_or_else(Read::nothing)))
-    }
-}
-
-/// Waits for the pixels of a frame; None when they went by while nobody looked.
-pub async fn caught(pixels: &mut broadcast::Receiver<Arc<Fetched>>, frame: &CommandId) -> Option<Arc<Fetched>> {
-    loop {
-        match pixels.recv().await {
-            Ok(fetched) if fetched.frame.id == *frame => return Some(fetched),
-            Ok(_) | Err(broadcast::error::RecvError::Lagged(_)) => {}
-            Err(broadcast::error::RecvError::Closed) => return None,
-        }
     }
 }

@@ -5,13 +5,13 @@ use contract::device::telescope::{EquatorialSystem, Fields, PierSide};
 use contract::observatory::{Unsolved, UnsolvedClass};
 use contract::{Name, Reading};
 use imaging::Wcs;
-use imaging::solve::Learnt;
+use imaging::solve::LearnedOptics;
 use sky::{Icrs, OfDate};
-use units::Angle;
+use units::{Angle, Utc};
 
-use super::solving::middle_of;
-use crate::control_room::ControlRoom;
-use crate::rig::Chain;
+use super::mounts::Mounts;
+use crate::authority::Authority;
+use crate::devices::{Chain, Devices};
 
 /// A mount that reports to be further from the target than this does not point there, whatever the frame is for.
 const ON_TARGET: Angle = Angle::from_degrees(5.0);
@@ -22,7 +22,7 @@ const ARCSEC: f64 = 206_264.806;
 
 /// What is known of a frame before it is solved.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Aim {
+pub struct FrameAim {
     /// What it is taken of.
     pub target: Option<Icrs>,
     /// Where the middle of the sensor points, by target or mount.
@@ -35,24 +35,24 @@ pub struct Aim {
     pub sensor_px: Option<[f64; 2]>,
 }
 
-impl Aim {
+impl FrameAim {
     /// Collects what devices, configuration and the frame's purpose give.
-    pub fn of(room: &ControlRoom, frame: &Frame) -> Self {
+    pub fn of(authority: &Authority, devices: &Devices, mounts: &Mounts, frame: &Frame) -> Self {
         let target = frame.purpose.ra_deg.zip(frame.purpose.dec_deg);
         let target = target.map(|(ra, dec)| Icrs::from_degrees(ra, dec)).and_then(|icrs| icrs.checked().ok());
-        let chain = frame.camera.parse::<Name>().ok().and_then(|name| room.rig.chain(&name).ok());
+        let chain = frame.camera.parse::<Name>().ok().and_then(|name| devices.chain(&name).ok());
         let Some(chain) = chain else { return Self { target, place: target, ..Self::default() } };
         let mount = chain.mount.and_then(|mount| {
-            let speed = room.node.bus.clock().speed();
-            room.mounts.at(&mount.instrument.device.name, middle_of(frame), speed)
+            let speed = authority.node.bus.clock().speed();
+            mounts.at(&mount.instrument.device.name, middle_of(frame), speed)
         });
-        let says = mount.as_ref().and_then(|fields| direction(room, frame, &chain, fields));
+        let pointed = mount.as_ref().and_then(|fields| direction(authority, frame, &chain, fields));
         let pier_side = mount.and_then(|fields| fields.pier_side.known().copied());
         let bin = f64::from(frame.bin.max(1));
         let can = chain.camera.instrument.can().filter(|can| can.width_px > 0 && can.height_px > 0);
         Self {
             target,
-            place: place(target, says),
+            place: place(target, pointed),
             scale_arcsec_px: scale_arcsec_px(&chain, frame),
             pier_side: pier_side.filter(|side| *side != PierSide::Unknown),
             sensor_px: can
@@ -81,17 +81,17 @@ impl Aim {
     ///
     /// # Errors
     /// When nothing gives the place where the telescope pointed.
-    pub fn frame_centre(&self, frame: &Frame, learnt: Option<&Learnt>) -> Result<Icrs, Unsolved> {
+    pub fn frame_centre(&self, frame: &Frame, learned: Option<&LearnedOptics>) -> Result<Icrs, Unsolved> {
         let place = self.place.ok_or_else(|| Unsolved {
             class: UnsolvedClass::NoPlace,
             detail: "where the telescope pointed is not known: the frame has no target, and its mount did not say"
                 .to_owned(),
         })?;
-        let Some(learnt) = learnt else { return Ok(place) };
+        let Some(learned) = learned else { return Ok(place) };
         let ((x_px, y_px), (centre_x, centre_y)) = (self.middle_px(frame), centre_px(frame));
-        let scale = learnt.scale_arcsec_px / 3600.0;
-        let (sin, cos) = Angle::from_degrees(learnt.rotation_deg).radians().sin_cos();
-        let sense = if learnt.mirrored { -1.0 } else { 1.0 };
+        let scale = learned.scale_arcsec_px / 3600.0;
+        let (sin, cos) = Angle::from_degrees(learned.rotation_deg).radians().sin_cos();
+        let sense = if learned.mirrored { -1.0 } else { 1.0 };
         // +y points to the position angle of the rotation, +x is a quarter turn from it, on the side of the parity.
         let cd_deg_px = [[sense * scale * cos, scale * sin], [-sense * scale * sin, scale * cos]];
         let wcs = Wcs { ra: place.ra, dec: place.dec, x_px, y_px, cd_deg_px, sip: None };
@@ -119,21 +119,23 @@ impl Aim {
 }
 
 /// The target, unless the mount reports to be elsewhere; else the mount.
-fn place(target: Option<Icrs>, says: Option<Icrs>) -> Option<Icrs> {
-    match (target, says) {
-        (Some(target), Some(says)) if sky::separation(&target, &says).degrees() > ON_TARGET.degrees() => Some(says),
+fn place(target: Option<Icrs>, pointed: Option<Icrs>) -> Option<Icrs> {
+    match (target, pointed) {
+        (Some(target), Some(pointed)) if sky::separation(&target, &pointed).degrees() > ON_TARGET.degrees() => {
+            Some(pointed)
+        }
         (Some(target), _) => Some(target),
-        (None, says) => says,
+        (None, pointed) => pointed,
     }
 }
 
 /// Where a mount reports to have pointed in the middle of the exposure.
-fn direction(room: &ControlRoom, frame: &Frame, chain: &Chain<'_>, fields: &Fields) -> Option<Icrs> {
+fn direction(authority: &Authority, frame: &Frame, chain: &Chain<'_>, fields: &Fields) -> Option<Icrs> {
     let (ra, dec) = fields.ra_deg.known().zip(fields.dec_deg.known())?;
     let (ra, dec) = (Angle::from_degrees(*ra), Angle::from_degrees(*dec));
     match chain.mount?.frame() {
         EquatorialSystem::Topocentric => {
-            Some(room.observer(middle_of(frame)).ok()?.of_date_to_icrs(&OfDate { ra, dec }))
+            Some(authority.observer(middle_of(frame)).ok()?.of_date_to_icrs(&OfDate { ra, dec }))
         }
         EquatorialSystem::J2000 | EquatorialSystem::Other => Icrs { ra, dec }.checked().ok(),
         // Nobody points by them either.
@@ -147,10 +149,10 @@ fn scale_arcsec_px(chain: &Chain<'_>, frame: &Frame) -> Option<f64> {
     if let Some(scale) = chain.camera.config.scale_arcsec_px {
         return Some(scale * bin);
     }
-    let told = frame.readings.get("PixelSizeX").and_then(positive);
+    let of_frame = frame.readings.get("PixelSizeX").and_then(positive);
     let can = || chain.camera.instrument.can()?.pixel_width_um.known().copied().filter(|um| *um > 0.0);
-    let pixel_um = told.or_else(can)?;
-    let mount = chain.mount?.instrument.newest()?.said.body;
+    let pixel_um = of_frame.or_else(can)?;
+    let mount = chain.mount?.instrument.newest()?.sample.body;
     let focal = mount.readings.get("FocalLength").and_then(positive)?;
     Some(of_focal_length(pixel_um * bin, focal))
 }
@@ -167,6 +169,11 @@ fn positive(reading: &Reading) -> Option<f64> {
 
 fn centre_px(frame: &Frame) -> (f64, f64) {
     (0.5 * (f64::from(frame.width_px) - 1.0), 0.5 * (f64::from(frame.height_px) - 1.0))
+}
+
+/// The middle of the exposure, sky time.
+pub fn middle_of(frame: &Frame) -> Utc {
+    frame.started_utc.plus_seconds(0.5 * frame.exposure_s.clamp(0.0, 86_400.0))
 }
 
 #[cfg(test)]
@@ -194,21 +201,21 @@ mod tests {
 
     #[test]
     fn the_middle_of_the_sensor_is_found_on_a_part_of_it() {
-        let aim = Aim { sensor_px: Some([2000.0, 1000.0]), ..Aim::default() };
+        let aim = FrameAim { sensor_px: Some([2000.0, 1000.0]), ..FrameAim::default() };
         let part = Frame { width_px: 100, height_px: 80, origin_px: [1900, 0], ..frame("f") };
         assert_eq!(aim.middle_px(&part), (999.5 - 1900.0, 499.5));
-        assert_eq!(Aim::default().middle_px(&part), (49.5, 39.5));
-        assert_eq!(Aim::default().off_middle_px(&part), 0.0);
+        assert_eq!(FrameAim::default().middle_px(&part), (49.5, 39.5));
+        assert_eq!(FrameAim::default().off_middle_px(&part), 0.0);
     }
 
     #[test]
     fn the_centre_of_a_part_of_the_sensor_lies_where_known_optics_put_it() {
         let place = Icrs::from_degrees(80.0, 60.0);
-        let aim = Aim { place: Some(place), sensor_px: Some([2000.0, 1000.0]), ..Aim::default() };
+        let aim = FrameAim { place: Some(place), sensor_px: Some([2000.0, 1000.0]), ..FrameAim::default() };
         let part = Frame { width_px: 100, height_px: 80, origin_px: [1900, 0], ..frame("f") };
         for (rotation_deg, mirrored) in [(0.0, false), (37.0, false), (-120.0, true), (180.0, true)] {
-            let learnt = Learnt { scale_arcsec_px: 2.0, rotation_deg, mirrored, sip: None };
-            let centre = aim.frame_centre(&part, Some(&learnt)).unwrap();
+            let learned = LearnedOptics { scale_arcsec_px: 2.0, rotation_deg, mirrored, sip: None };
+            let centre = aim.frame_centre(&part, Some(&learned)).unwrap();
             let away = sky::separation(&place, &centre).arcseconds();
             assert!((away - 2.0 * aim.off_middle_px(&part)).abs() < 0.1, "{away}");
             // A solution with these optics that has its centre there has the target in the sensor's middle.
@@ -224,20 +231,20 @@ mod tests {
             let here = wcs.sky_to_pixel(centre.ra, centre.dec).unwrap();
             assert!((here.0 - 49.5).hypot(here.1 - 39.5) < 1e-6, "{here:?}");
             // Pointing brings the part's middle to the target, and the offset is reported for the same place.
-            let sensor = Aim { target: Some(place), ..aim.clone() };
+            let sensor = FrameAim { target: Some(place), ..aim.clone() };
             let off = sensor.off_target(&part, &wcs).unwrap().arcseconds();
-            assert!((off - away).abs() < 1e-6, "the sensor's middle on the target leaves the part beside it: {off}");
-            let brought = Aim { target: Some(centre), ..aim.clone() };
+            assert!((off - away).abs() < 1e-6, "the sensor's middle on the target leaves the part off it: {off}");
+            let brought = FrameAim { target: Some(centre), ..aim.clone() };
             assert!(brought.off_target(&part, &wcs).unwrap().arcseconds() < 1e-6);
         }
         assert_eq!(aim.frame_centre(&part, None), Ok(place));
         // It is looked for there too, unless the mount is elsewhere or the part lies in the middle.
-        let on_target = Aim { target: Some(place), ..aim.clone() };
+        let on_target = FrameAim { target: Some(place), ..aim.clone() };
         assert_eq!(on_target.part_on_target(&part), Some(place));
-        let elsewhere = Aim { place: Some(Icrs::from_degrees(10.0, 60.0)), ..on_target.clone() };
+        let elsewhere = FrameAim { place: Some(Icrs::from_degrees(10.0, 60.0)), ..on_target.clone() };
         assert_eq!(elsewhere.part_on_target(&part), None);
         let middle = Frame { origin_px: [960, 455], ..part.clone() };
         assert_eq!((on_target.part_on_target(&middle), aim.part_on_target(&part)), (None, None));
-        assert_eq!(Aim::default().frame_centre(&part, None).unwrap_err().class, UnsolvedClass::NoPlace);
+        assert_eq!(FrameAim::default().frame_centre(&part, None).unwrap_err().class, UnsolvedClass::NoPlace);
     }
 }

@@ -5,26 +5,17 @@
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 
 use contract::device::camera::Frame;
 
 use super::looked::Fetched;
 use super::measure::{self, Plane};
-use super::stepped_back;
-use crate::action::Stage;
-use crate::action::expose::{Series, aside};
-use crate::focus::run::caught;
-use crate::trouble::Trouble;
-use schedule::shot::Shot;
 
-/// Pixels of a dark are here so long after its exposure, or frames are measured without it; machine time.
-const PIXELS: Duration = Duration::from_secs(60);
 /// Largest count of 16 bits, where the camera does not report its own.
 const MOST_ADU: f32 = 65_535.0;
 
 /// What stands out of a dark.
-struct Dark {
+pub struct Dark {
     row: Option<u32>,
     shape: Shape,
     /// Each pixel less the median of all, ADU.
@@ -39,8 +30,8 @@ fn shape(frame: &Frame) -> Shape {
 }
 
 impl Dark {
-    /// Takes a while.
-    fn of(fetched: &Fetched) -> Self {
+    /// Of its pixels. Takes a while.
+    pub fn of(fetched: &Fetched) -> Self {
         let mut excess_adu = values(&fetched.plane);
         let mut sorted: Vec<f32> = excess_adu.iter().copied().filter(|value| value.is_finite()).collect();
         let middle = sorted.len() / 2;
@@ -87,7 +78,8 @@ impl Darks {
         }
     }
 
-    fn put(&self, camera: &str, dark: Dark) -> InForce<'_> {
+    /// Takes a dark off the frames of its row, until what this returns is dropped.
+    pub fn put(&self, camera: &str, dark: Dark) -> InForce<'_> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).insert(camera.to_owned(), Arc::new(dark));
         InForce { darks: self, camera: camera.to_owned() }
     }
@@ -103,33 +95,6 @@ impl Drop for InForce<'_> {
     fn drop(&mut self) {
         self.darks.0.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.camera);
     }
-}
-
-/// Takes a dark like the frames of a series, which never counts as one of them; or returns why there is none.
-pub async fn take<'a>(
-    stage: &'a Stage,
-    series: &Series,
-    exposure_s: f64,
-) -> Result<Result<InForce<'a>, String>, Trouble> {
-    let mut pixels = stage.room.looks.follow_pixels();
-    let series = Series { open_sky: false, target_deg: None, ..series.clone() };
-    let shot = Shot { exposure_s, image_type: "Dark Frame", words: format!("a dark of {exposure_s} s") };
-    let id = aside(stage, &series, &shot, stage.row.action.name()).await?;
-    let fetched = async {
-        tokio::select! {
-            biased;
-            fetched = caught(&mut pixels, &id) => fetched.ok_or_else(|| "the node ends".to_owned()),
-            // Once the frame was looked at, its pixels have been fetched, or never will be.
-            looked = stage.room.looks.of(&id) => Err(looked.facts.reason.clone().unwrap_or_default()),
-        }
-    };
-    let fetched = tokio::time::timeout(PIXELS, fetched).await;
-    let fetched = match fetched.unwrap_or_else(|_| Err(format!("its pixels did not arrive within {PIXELS:?}"))) {
-        Ok(fetched) => fetched,
-        Err(why) => return Ok(Err(why)),
-    };
-    let dark = stepped_back(move || Dark::of(&fetched)).await;
-    Ok(dark.map(|dark| stage.room.darks.put(stage.row.camera.as_str(), dark)))
 }
 
 #[cfg(test)]

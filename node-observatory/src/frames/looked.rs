@@ -111,6 +111,17 @@ impl Looks {
     }
 }
 
+/// Waits for the pixels of a frame; None when they went by while nobody looked.
+pub async fn caught(pixels: &mut broadcast::Receiver<Arc<Fetched>>, frame: &CommandId) -> Option<Arc<Fetched>> {
+    loop {
+        match pixels.recv().await {
+            Ok(fetched) if fetched.frame.id == *frame => return Some(fetched),
+            Ok(_) | Err(broadcast::error::RecvError::Lagged(_)) => {}
+            Err(broadcast::error::RecvError::Closed) => return None,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::tests::frame;
@@ -136,7 +147,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn pixels_reach_who_follows_and_are_kept_for_nobody_else() {
+    async fn pixels_go_to_the_followers_and_are_stored_for_nobody_else() {
         let looks = Looks::default();
         let fetched = Arc::new(Fetched { frame: frame("a"), plane: Plane::Counts(vec![1, 2]) });
         looks.fetched(&fetched);

@@ -3,7 +3,7 @@
 use contract::device::camera::{Frame, Pixel};
 use contract::observatory::FrameFacts;
 use imaging::quality::{Estimate, Quality};
-use imaging::{Camera, Clean, FrameError, Measured, Pixels, Search};
+use imaging::{Camera, Clean, FrameError, Measured, Pixels, StarSearch};
 
 /// What is known of a frame before it is measured.
 pub fn unmeasured(frame: &Frame) -> FrameFacts {
@@ -30,7 +30,7 @@ pub fn measure(frame: &Frame, plane: &Plane, fwhm_px: Option<f32>) -> (FrameFact
     let camera = camera(frame);
     let measured = plane.frame(frame).and_then(|pixels| {
         if shows_stars(&frame.purpose.image_type) {
-            let search = Search { fwhm_px, ..Search::default() };
+            let search = StarSearch { fwhm_px, ..StarSearch::default() };
             let measured = imaging::measure(&pixels, &camera, &search)?;
             describe(&mut facts, &measured.quality);
             Ok(Some(measured))
@@ -41,7 +41,7 @@ pub fn measure(frame: &Frame, plane: &Plane, fwhm_px: Option<f32>) -> (FrameFact
     });
     let measured = measured.unwrap_or_else(|error| {
         if let FrameError::NoSky { pixels, saturated, .. } = &error {
-            facts.saturated_fraction = told(*saturated as f64 / *pixels as f64);
+            facts.saturated_fraction = if_finite(*saturated as f64 / *pixels as f64);
         }
         facts.reason = Some(format!("not measured: {error}"));
         None
@@ -59,29 +59,29 @@ pub fn camera(frame: &Frame) -> Camera<'static> {
 }
 
 fn describe(facts: &mut FrameFacts, quality: &Quality) {
-    let value = |estimate: Option<Estimate>| estimate.and_then(|estimate| told(estimate.value));
+    let value = |estimate: Option<Estimate>| estimate.and_then(|estimate| if_finite(estimate.value));
     facts.stars = u32::try_from(quality.stars).ok();
     facts.fwhm_px = value(quality.fwhm_px);
-    facts.fwhm_error_px = quality.fwhm_px.and_then(|estimate| told(estimate.error));
+    facts.fwhm_error_px = quality.fwhm_px.and_then(|estimate| if_finite(estimate.error));
     facts.ellipticity = value(quality.ellipticity);
-    facts.elongation_deg = quality.elongation_deg.and_then(told);
+    facts.elongation_deg = quality.elongation_deg.and_then(if_finite);
     facts.trailed = Some(quality.trailed);
-    facts.sky_adu = told(quality.background_adu);
-    facts.noise_adu = told(quality.noise_adu);
-    facts.saturated_fraction = told(quality.saturated_fraction);
-    facts.defect_fraction = told(quality.defect_fraction);
+    facts.sky_adu = if_finite(quality.background_adu);
+    facts.noise_adu = if_finite(quality.noise_adu);
+    facts.saturated_fraction = if_finite(quality.saturated_fraction);
+    facts.defect_fraction = if_finite(quality.defect_fraction);
 }
 
 fn describe_level(facts: &mut FrameFacts, clean: &Clean) {
     let pixels = clean.pixels.len() as f64;
-    facts.sky_adu = told(f64::from(clean.background.level.median()));
-    facts.noise_adu = told(f64::from(clean.background.noise.median()));
-    facts.saturated_fraction = told(clean.saturated as f64 / pixels);
-    facts.defect_fraction = told(clean.filled.len() as f64 / pixels);
+    facts.sky_adu = if_finite(f64::from(clean.background.level.median()));
+    facts.noise_adu = if_finite(f64::from(clean.background.noise.median()));
+    facts.saturated_fraction = if_finite(clean.saturated as f64 / pixels);
+    facts.defect_fraction = if_finite(clean.filled.len() as f64 / pixels);
 }
 
 /// A number as it may leave the node: finite, and without digits that no measurement has.
-pub(super) fn told(value: f64) -> Option<f64> {
+pub(super) fn if_finite(value: f64) -> Option<f64> {
     value.is_finite().then(|| (value * 1e6).round() / 1e6)
 }
 
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_measured_says_why() {
+    fn what_cannot_be_measured_gives_the_reason() {
         let burnt = measure(&light(100, 100, Pixel::U16), bytes(&[65_535; 10_000]), None);
         assert!(burnt.reason.unwrap().contains("10000 are saturated"));
         assert_eq!(burnt.saturated_fraction, Some(1.0));

@@ -19,9 +19,8 @@ pub mod looked;
 pub mod measure;
 pub mod mounts;
 pub mod optics;
-pub mod optics_line;
+pub mod publish;
 pub mod solving;
-pub mod tell;
 pub mod triggers;
 pub mod waiting;
 pub mod widths;
@@ -33,19 +32,28 @@ use std::time::Duration;
 
 use bus::Catch;
 use contract::device::camera::Frame;
-use contract::observatory::{AlertKind, FrameFacts, Trigger, TriggerKind};
-use contract::{Kind, Scalar};
-use tokio::sync::{Semaphore, oneshot};
+use contract::observatory::{AlertKind, FrameFacts, OpticsState, Trigger, TriggerKind};
+use contract::{Scalar, Topic};
+use node::Node;
+use tokio::sync::{Semaphore, oneshot, watch};
 use tokio::task::JoinSet;
 
-use self::look::{Before, look};
-use self::looked::Looked;
+use self::dark::Darks;
+use self::look::{EarlierFrames, look};
+use self::looked::{Looked, Looks};
 use self::measure::unmeasured;
+use self::mounts::Mounts;
 use self::optics::{Lesson, Rivals};
+use self::publish::FactsPublisher;
 use self::triggers::Triggers;
 use self::waiting::{Announced, Waiting};
 use self::widths::Widths;
-use crate::control_room::ControlRoom;
+use crate::authority::Authority;
+use crate::devices::Devices;
+use crate::night::PublishedNight;
+use crate::replicated::Replicated;
+use crate::star_catalogue::{self, StarCatalogue};
+use crate::tasks::Tasks;
 
 /// Cameras whose frames are fetched at the same time, at most; pixels are in memory for so many frames.
 const CAMERAS: usize = 4;
@@ -54,7 +62,7 @@ const MEASURED_AT_ONCE: usize = 1;
 /// The pixels are here within this time, or the newer frames get their turn, machine time.
 const FETCH_DEADLINE: Duration = Duration::from_secs(30);
 /// Announcements and facts of others that wait to be looked at.
-const HEARD: usize = 1000;
+const QUEUED: usize = 1000;
 /// After so many frames of a camera in a row without facts, an alert informs a person.
 const FAILURES_BEFORE_ALERT: u32 = 3;
 /// If the search for a frame's place takes so long after its stars were measured, the facts are published twice, first
@@ -63,42 +71,92 @@ const SOON: Duration = Duration::from_millis(300);
 /// Triggers grow old at this pace, machine time.
 const PERIOD: Duration = Duration::from_secs(5);
 
+/// What frames have shown, and what their measuring goes by.
+pub struct FrameData {
+    /// The facts of frames as published.
+    pub facts: FactsPublisher,
+    /// What the newest frames showed, for the tasks that act on it.
+    pub looks: Looks,
+    /// The darks that are taken off frames before they are measured.
+    pub darks: Darks,
+    /// The star catalogue, once it is open.
+    pub catalogue: Arc<StarCatalogue>,
+    /// Where the mounts pointed lately.
+    pub mounts: Mounts,
+    /// What solved frames taught.
+    pub optics: Replicated<OpticsState>,
+}
+
+impl FrameData {
+    /// Reads what was learned before.
+    pub async fn load(node: &Node) -> anyhow::Result<Self> {
+        let optics = Replicated::load(node).await?;
+        Ok(Self {
+            facts: FactsPublisher::default(),
+            looks: Looks::default(),
+            darks: Darks::default(),
+            catalogue: Arc::default(),
+            mounts: Mounts::default(),
+            optics,
+        })
+    }
+}
+
+/// What the measuring of frames works with.
+pub struct Measuring {
+    /// Whether this node may act.
+    pub authority: Arc<Authority>,
+    /// The devices.
+    pub devices: Arc<Devices>,
+    /// The published night, which shows what frames call for.
+    pub night: Arc<PublishedNight>,
+    /// What frames have shown.
+    pub frames: Arc<FrameData>,
+}
+
+/// Starts the tasks about frames.
+pub fn start(tasks: &mut Tasks, measuring: Measuring) {
+    let (authority, devices, frames) =
+        (measuring.authority.clone(), measuring.devices.clone(), measuring.frames.clone());
+    frames.optics.start(tasks, &authority, watch::channel(OpticsState::default()).0);
+    tasks.spawn("star catalogue", star_catalogue::keep_open(authority.node.clone(), frames.catalogue.clone()));
+    tasks.spawn("mounts", mounts::keep_noting(devices, frames.clone()));
+    tasks.spawn("measuring", keep_measuring(Arc::new(measuring)));
+}
+
 /// Measures the telescope's frames until the node ends.
-pub async fn keep_measuring(room: Arc<ControlRoom>) -> anyhow::Result<()> {
-    let (own, bus) = (room.node.config.address(), &room.node.bus);
+async fn keep_measuring(measuring: Arc<Measuring>) -> anyhow::Result<()> {
+    let (own, bus) = (measuring.authority.node.config.address(), &measuring.authority.node.bus);
     let started_utc = bus.clock().utc();
-    let below = format!("{}/{own}", contract::key::ROOT);
-    let cameras = format!("{below}/device/{}/*/frame", Kind::Camera);
-    let frames = bus.subscribe::<Frame>(&cameras, Catch::All, HEARD).await?;
-    let told = format!("{below}/observatory/frame/*/facts");
-    let facts = bus.subscribe::<FrameFacts>(&told, Catch::Newest, HEARD).await?;
-    let mut desk = Desk::new(room.clone())?;
-    let mut hold = room.hold.clone();
+    let frames = bus.subscribe::<Frame>(Topic::Frame.at(&own), Catch::All, QUEUED).await?;
+    let facts = bus.subscribe::<FrameFacts>(Topic::Facts.at(&own), Catch::Newest, QUEUED).await?;
+    let mut frame_loop = FrameLoop::new(measuring.clone())?;
+    let mut hold = measuring.authority.hold.clone();
     let mut work: JoinSet<Done> = JoinSet::new();
     loop {
-        if desk.commands() {
+        if frame_loop.commands() {
             while work.len() < CAMERAS
-                && let Some(next) = desk.waiting.next(&desk.busy)
+                && let Some(next) = frame_loop.waiting.next(&frame_loop.busy)
             {
-                work.spawn(desk.begin(next));
+                work.spawn(frame_loop.begin(next));
             }
         }
         tokio::select! {
-            heard = frames.hear() => {
-                let is_old = heard.said.at_utc < started_utc;
-                desk.announced(Announced { frame: heard.said.body, is_old }).await?;
+            received = frames.recv() => {
+                let is_old = received.sample.at_utc < started_utc;
+                frame_loop.announced(Announced { frame: received.sample.body, is_old }).await?;
             }
-            heard = facts.hear() => {
+            received = facts.recv() => {
                 // Another commander's, while this node stood by.
-                if heard.said.boot_id != *bus.boot_id() {
-                    desk.waiting.settle(&heard.said.body.frame);
+                if received.sample.boot_id != *bus.boot_id() {
+                    frame_loop.waiting.settle(&received.sample.body.frame);
                 }
             }
-            Some(done) = work.join_next() => desk.finish(done?).await?,
+            Some(done) = work.join_next() => frame_loop.finish(done?).await?,
             changed = hold.changed() => changed?,
             () = tokio::time::sleep(PERIOD) => {}
         }
-        desk.show();
+        frame_loop.show();
     }
 }
 
@@ -110,15 +168,15 @@ struct Done {
 }
 
 /// What the loop works with.
-struct Desk {
-    room: Arc<ControlRoom>,
+struct FrameLoop {
+    measuring: Arc<Measuring>,
     client: reqwest::Client,
     turns: Arc<Semaphore>,
     waiting: Waiting,
     /// Cameras whose frame is worked on.
     busy: BTreeSet<String>,
     /// By camera and binning.
-    before: HashMap<(String, u32), Before>,
+    before: HashMap<(String, u32), EarlierFrames>,
     /// The same: the widths of the stars.
     widths: HashMap<(String, u32), Widths>,
     triggers: Triggers,
@@ -130,12 +188,12 @@ struct Desk {
     measured: i64,
 }
 
-impl Desk {
-    fn new(room: Arc<ControlRoom>) -> anyhow::Result<Self> {
+impl FrameLoop {
+    fn new(measuring: Arc<Measuring>) -> anyhow::Result<Self> {
         Ok(Self {
             client: local_http::client_builder().connect_timeout(Duration::from_secs(5)).build()?,
             turns: Arc::new(Semaphore::new(MEASURED_AT_ONCE)),
-            room,
+            measuring,
             waiting: Waiting::default(),
             busy: BTreeSet::new(),
             before: HashMap::new(),
@@ -149,7 +207,7 @@ impl Desk {
     }
 
     fn commands(&self) -> bool {
-        self.room.hold.borrow().token().is_some()
+        self.measuring.authority.hold.borrow().token().is_some()
     }
 
     /// A frame is there. One that finds no room any more is published as unmeasured.
@@ -158,9 +216,13 @@ impl Desk {
         self.waiting.settle(&frame.id);
         if self.commands() && !is_old {
             let reason = Some(format!("not measured: {} newer frames waited", waiting::MOST));
-            self.room.facts.tell(&self.room, FrameFacts { reason, ..unmeasured(&frame) }).await?;
+            self.publish(FrameFacts { reason, ..unmeasured(&frame) }).await?;
         }
         Ok(())
+    }
+
+    async fn publish(&self, facts: FrameFacts) -> anyhow::Result<()> {
+        self.measuring.frames.facts.publish(&self.measuring.authority.node, facts).await
     }
 
     /// The work on one frame.
@@ -168,7 +230,7 @@ impl Desk {
         let frame = &announced.frame;
         self.busy.insert(frame.camera.clone());
         let before = self.before.get(&(frame.camera.clone(), frame.bin)).copied().unwrap_or_default();
-        let (client, turns, room) = (self.client.clone(), self.turns.clone(), self.room.clone());
+        let (client, turns, measuring) = (self.client.clone(), self.turns.clone(), self.measuring.clone());
         async move {
             let Announced { frame, is_old } = announced;
             let pixels = match tokio::time::timeout(FETCH_DEADLINE, download::fetch(&client, &frame)).await {
@@ -181,18 +243,18 @@ impl Desk {
                     let of = frame.clone();
                     // It is never closed, and without a turn the frame is measured all the same.
                     let turn = turns.acquire_owned().await;
-                    let ((tell, measured), here) = (oneshot::channel(), room.clone());
+                    let ((sender, measured), here) = (oneshot::channel(), measuring.clone());
                     let looking = stepped_back(move || {
                         look(&here, of, pixels, before, move |facts| {
                             // One core is enough for what follows.
                             drop(turn);
                             if let Some(facts) = facts {
                                 // The receiver may be gone.
-                                let _ = tell.send(facts);
+                                let _ = sender.send(facts);
                             }
                         })
                     });
-                    told_early(measured, looking, |facts| tell_early(room, facts)).await
+                    published_early(measured, looking, |facts| publish_early(measuring, facts)).await
                 }
                 Err(reason) => Err(reason),
             };
@@ -214,13 +276,13 @@ impl Desk {
             self.waiting.settle(&frame.id);
         }
         if !self.commands() || (is_old && !had_pixels) {
-            tracing::debug!(frame = %frame.id, reason = facts.reason, "not told: somebody else may have measured it");
+            tracing::debug!(frame = %frame.id, reason = facts.reason, "not published: somebody else may have measured it");
             return Ok(());
         }
         if let Some(lesson) = lesson {
-            self.room.optics.change(|optics| self.rivals.hear(optics, lesson));
+            self.measuring.frames.optics.change(|optics| self.rivals.observe(optics, lesson));
         }
-        self.room.looks.looked(looked);
+        self.measuring.frames.looks.looked(looked);
         self.count(&frame, &facts);
         let of = (frame.camera.clone(), frame.bin);
         let before = self.before.entry(of.clone()).or_default();
@@ -233,17 +295,17 @@ impl Desk {
             // Clouds and few stars do not show the scale.
             _ => {}
         }
-        self.triggers.hear(&frame, &facts);
+        self.triggers.observe(&frame, &facts);
         tracing::debug!(frame = %frame.id, stars = facts.stars, fwhm_px = facts.fwhm_px, reason = facts.reason, "measured");
-        self.room.facts.tell(&self.room, facts).await
+        self.publish(facts).await
     }
 
     /// Frames that were measured, and cameras whose frames are not.
     fn count(&mut self, frame: &Frame, facts: &FrameFacts) {
-        let (alerts, camera) = (&self.room.node.alerts, &frame.camera);
+        let (alerts, camera) = (&self.measuring.authority.node.alerts, &frame.camera);
         if facts.measuring_s.is_some() {
             self.measured += 1;
-            self.room.node.figure("frames_measured", Scalar::Int(self.measured));
+            self.measuring.authority.node.figure("frames_measured", Scalar::Int(self.measured));
             if self.failures.remove(camera).is_some() {
                 alerts.clear(AlertKind::FramesUnmeasured, camera);
             }
@@ -260,27 +322,27 @@ impl Desk {
 
     /// Publishes the active triggers, in the night's state and as alerts; a node that does not command has none.
     fn show(&mut self) {
-        let standing = match self.commands() {
-            true => self.triggers.standing(self.room.node.bus.clock().utc()),
+        let active = match self.commands() {
+            true => self.triggers.active(self.measuring.authority.node.bus.clock().utc()),
             false => Vec::new(),
         };
         let mut now: BTreeMap<(TriggerKind, String), Vec<&Trigger>> = BTreeMap::new();
-        for trigger in &standing {
+        for trigger in &active {
             now.entry((trigger.kind, trigger.camera.clone())).or_default().push(trigger);
         }
-        let alerts = &self.room.node.alerts;
+        let alerts = &self.measuring.authority.node.alerts;
         for (kind, camera) in self.raised.iter().filter(|raised| !now.contains_key(raised)) {
             alerts.clear(alert(*kind), camera);
         }
         for ((kind, camera), triggers) in now.iter().filter(|(key, _)| !self.raised.contains(key)) {
-            let told = triggers.iter().map(|trigger| match &trigger.filter {
+            let details = triggers.iter().map(|trigger| match &trigger.filter {
                 Some(filter) => format!("{camera}, {filter}: {}", trigger.detail),
                 None => format!("{camera}: {}", trigger.detail),
             });
-            alerts.raise(alert(*kind), camera, &told.collect::<Vec<_>>().join("; "));
+            alerts.raise(alert(*kind), camera, &details.collect::<Vec<_>>().join("; "));
         }
         self.raised = now.into_keys().collect();
-        self.room.board.triggers(standing);
+        self.measuring.night.triggers(active);
     }
 }
 
@@ -295,10 +357,10 @@ fn alert(kind: TriggerKind) -> AlertKind {
 }
 
 /// Waits for a look at a frame. If it takes long, the measurements are published meanwhile.
-async fn told_early<T, F: Future<Output = ()>>(
+async fn published_early<T, F: Future<Output = ()>>(
     measured: oneshot::Receiver<FrameFacts>,
     looking: impl Future<Output = T>,
-    tell: impl FnOnce(FrameFacts) -> F,
+    publish: impl FnOnce(FrameFacts) -> F,
 ) -> T {
     tokio::pin!(looking);
     let late = async {
@@ -315,31 +377,31 @@ async fn told_early<T, F: Future<Output = ()>>(
         looked = &mut looking => return looked,
         facts = late => facts,
     };
-    tell(facts).await;
+    publish(facts).await;
     looking.await
 }
 
-async fn tell_early(room: Arc<ControlRoom>, facts: FrameFacts) {
-    if room.hold.borrow().token().is_none() {
+async fn publish_early(measuring: Arc<Measuring>, facts: FrameFacts) {
+    if measuring.authority.hold.borrow().token().is_none() {
         return;
     }
     let frame = facts.frame.clone();
-    if let Err(error) = room.facts.tell(&room, facts).await {
-        tracing::warn!(%frame, %error, "what was measured on a frame could not be told before its place");
+    if let Err(error) = measuring.frames.facts.publish(&measuring.authority.node, facts).await {
+        tracing::warn!(%frame, %error, "the facts of a frame could not be published before its place");
     }
 }
 
 /// Runs long work on a thread of its own that steps back behind all others.
 pub(crate) async fn stepped_back<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, String> {
-    let (tell, told) = oneshot::channel();
+    let (sender, receiver) = oneshot::channel();
     let run = move || {
-        bus::step_back();
+        node::step_back();
         // The receiver may be gone.
-        let _ = tell.send(work());
+        let _ = sender.send(work());
     };
     let thread = std::thread::Builder::new().name("measuring".to_owned()).spawn(run);
     thread.map_err(|error| format!("not measured: no thread: {error}"))?;
-    told.await.map_err(|_| "not measured: the measuring broke off".to_owned())
+    receiver.await.map_err(|_| "not measured: the measuring broke off".to_owned())
 }
 
 #[cfg(test)]
@@ -382,9 +444,9 @@ pub(crate) mod tests {
             let x = (star % 10) as f64 * (width as f64 / 10.0) + 0.5 * width as f64 / 10.0 + 0.13 * star as f64 % 1.0;
             let y = ((star / 10) as f64 + 0.5) * height as f64 / rows as f64 + 0.29 * star as f64 % 1.0;
             let peak = 800.0 + 200.0 * (star % 7) as f64;
-            let reach = (4.0 * fwhm_px) as usize;
-            for row in (y as usize).saturating_sub(reach)..(y as usize + reach).min(height) {
-                for column in (x as usize).saturating_sub(reach)..(x as usize + reach).min(width) {
+            let range = (4.0 * fwhm_px) as usize;
+            for row in (y as usize).saturating_sub(range)..(y as usize + range).min(height) {
+                for column in (x as usize).saturating_sub(range)..(x as usize + range).min(width) {
                     let r2 = (column as f64 - x).powi(2) + (row as f64 - y).powi(2);
                     image[row * width + column] += peak * (-4.0 * std::f64::consts::LN_2 * r2 / fwhm_px.powi(2)).exp();
                 }
@@ -394,35 +456,35 @@ pub(crate) mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_measured_is_told_before_a_place_that_takes_long_and_with_one_that_does_not() {
+    async fn what_is_measured_is_published_before_a_place_that_takes_long_and_with_one_that_does_not() {
         fn never(_: FrameFacts) -> std::future::Ready<()> {
-            panic!("told twice")
+            panic!("reported twice")
         }
         let facts = || FrameFacts { stars: Some(7), ..FrameFacts::default() };
-        let (tell, measured) = oneshot::channel();
-        tell.send(facts()).unwrap();
-        assert_eq!(told_early(measured, std::future::ready(1), never).await, 1);
+        let (measuring, measured) = oneshot::channel();
+        measuring.send(facts()).unwrap();
+        assert_eq!(published_early(measured, std::future::ready(1), never).await, 1);
 
         // The place is found only after the measurements are published.
-        let (tell, measured) = oneshot::channel();
-        tell.send(facts()).unwrap();
-        let ((say, said), began) = (oneshot::channel(), std::time::Instant::now());
-        let slow = told_early(measured, said, |facts| async move { say.send(facts.stars).unwrap() });
+        let (measuring, measured) = oneshot::channel();
+        measuring.send(facts()).unwrap();
+        let ((sender, place), began) = (oneshot::channel(), std::time::Instant::now());
+        let slow = published_early(measured, place, |facts| async move { sender.send(facts.stars).unwrap() });
         assert_eq!(slow.await.unwrap(), Some(7));
         assert!((SOON..Duration::from_secs(5)).contains(&began.elapsed()), "{:?}", began.elapsed());
 
         // No place is sought: the facts are published once, however long it takes.
-        let (tell, measured) = oneshot::channel();
-        drop(tell);
+        let (measuring, measured) = oneshot::channel();
+        drop(measuring);
         let looking = async {
             tokio::time::sleep(2 * SOON).await;
             1
         };
-        assert_eq!(told_early(measured, looking, never).await, 1);
+        assert_eq!(published_early(measured, looking, never).await, 1);
     }
 
     #[tokio::test]
-    async fn work_that_breaks_off_is_told() {
+    async fn work_that_breaks_off_is_reported() {
         assert_eq!(stepped_back(|| 7).await, Ok(7));
         let broken: Result<(), String> = stepped_back(|| std::panic::resume_unwind(Box::new(()))).await;
         assert!(broken.unwrap_err().contains("broke off"));

@@ -8,12 +8,13 @@ use contract::{DeviceState, Link, Name};
 use tokio::task::JoinSet;
 use units::Utc;
 
-use crate::control_room::ControlRoom;
+use super::FrameData;
+use crate::devices::Devices;
 
 /// States kept of each mount: an hour at one a second.
-const KEPT: usize = 3600;
+const MOST_STORED: usize = 3600;
 /// A state further away in time does not count for an instant, sky s at speed 1.
-const REACH_S: f64 = 30.0;
+const NEAR_S: f64 = 30.0;
 
 /// The recent states of the telescope's mounts.
 #[derive(Debug, Default)]
@@ -31,7 +32,7 @@ impl Mounts {
             states.clear();
         }
         states.push_back((at, fields));
-        if states.len() > KEPT {
+        if states.len() > MOST_STORED {
             states.pop_front();
         }
     }
@@ -40,26 +41,27 @@ impl Mounts {
     pub fn at(&self, mount: &Name, at: Utc, speed: f64) -> Option<Fields> {
         let lately = self.lately.lock().unwrap_or_else(PoisonError::into_inner);
         let states = lately.get(mount)?;
-        let after = states.partition_point(|(said, _)| *said < at);
+        let after = states.partition_point(|(at_utc, _)| *at_utc < at);
         let near = [after.checked_sub(1), Some(after)].into_iter().flatten().filter_map(|n| states.get(n));
-        let distance_s = |said: &Utc| said.seconds_since(at).abs();
-        let (said, fields) = near.min_by(|a, b| distance_s(&a.0).total_cmp(&distance_s(&b.0)))?;
-        (distance_s(said) <= REACH_S * speed.max(1.0)).then(|| fields.clone())
+        let distance_s = |at_utc: &Utc| at_utc.seconds_since(at).abs();
+        let (at_utc, fields) = near.min_by(|a, b| distance_s(&a.0).total_cmp(&distance_s(&b.0)))?;
+        (distance_s(at_utc) <= NEAR_S * speed.max(1.0)).then(|| fields.clone())
     }
 }
 
 /// Collects the mounts' states until the node ends.
-pub async fn keep_noting(room: Arc<ControlRoom>) -> anyhow::Result<()> {
+pub async fn keep_noting(devices: Arc<Devices>, frames: Arc<FrameData>) -> anyhow::Result<()> {
     let mut followers = JoinSet::new();
-    for mount in &room.rig.mounts {
-        let (mut states, name, room) = (mount.instrument.follow(), mount.instrument.device.name.clone(), room.clone());
+    for mount in &devices.mounts {
+        let (mut states, name, frames) =
+            (mount.instrument.follow(), mount.instrument.device.name.clone(), frames.clone());
         followers.spawn(async move {
             loop {
                 states.changed().await;
-                let Some(heard) = states.get() else { continue };
-                let DeviceState { link, fields, .. } = heard.said.body;
+                let Some(received) = states.get() else { continue };
+                let DeviceState { link, fields, .. } = received.sample.body;
                 if link == Link::Connected {
-                    room.mounts.note(&name, heard.said.at_utc, fields);
+                    frames.mounts.note(&name, received.sample.at_utc, fields);
                 }
             }
         });

@@ -3,17 +3,18 @@
 //! Pure: solved frames in, what is known of the optics out. A solution that disagrees (the camera was turned, a reducer
 //! put in) changes nothing by itself; a second one that agrees with it does.
 
-use std::path::{Path, PathBuf};
-
+use contract::Part;
 use contract::device::camera::Frame;
 use contract::device::telescope::PierSide;
-use contract::observatory::{Distortion, Optics, OpticsState, ZeroPoint};
+use contract::observatory::{AlertKind, Distortion, Optics, OpticsState, ZeroPoint};
 use imaging::Solution;
-use imaging::solve::Learnt;
+use imaging::solve::LearnedOptics;
 use imaging::wcs::Sip;
 use units::{Angle, Utc};
 
 use super::zero_point;
+use crate::persisted::replaced;
+use crate::replicated::Replicate;
 
 /// Two solutions agree when their scales differ by no more than this share ...
 const SAME_SCALE: f64 = 0.005;
@@ -73,9 +74,9 @@ pub fn known<'a>(state: &'a OpticsState, frame: &Frame, pier_side: Option<PierSi
 
 /// What the solver gets of known optics. Distortion is valid for the middle of one part of the sensor: a frame of
 /// another part goes without.
-pub fn learnt(optics: &Optics, frame: &Frame) -> Learnt {
+pub fn learned(optics: &Optics, frame: &Frame) -> LearnedOptics {
     let same_part = (optics.size_px, optics.origin_px) == ([frame.width_px, frame.height_px], frame.origin_px);
-    Learnt {
+    LearnedOptics {
         scale_arcsec_px: optics.scale_arcsec_px,
         rotation_deg: optics.rotation_deg,
         mirrored: optics.mirrored,
@@ -101,13 +102,13 @@ pub struct Rivals {
 
 impl Rivals {
     /// Takes a lesson in; whether what is known has changed so much that it is worth writing down.
-    pub fn hear(&mut self, state: &mut OpticsState, lesson: Lesson) -> bool {
-        let taught = self.hear_optics(state, lesson.optics);
-        let brighter = lesson.zero_point.is_some_and(|(measured, zero)| self.hear_zero_point(state, measured, zero));
+    pub fn observe(&mut self, state: &mut OpticsState, lesson: Lesson) -> bool {
+        let taught = self.observe_optics(state, lesson.optics);
+        let brighter = lesson.zero_point.is_some_and(|(measured, zero)| self.observe_zero_point(state, measured, zero));
         taught || brighter
     }
 
-    fn hear_optics(&mut self, state: &mut OpticsState, new: Optics) -> bool {
+    fn observe_optics(&mut self, state: &mut OpticsState, new: Optics) -> bool {
         let rival = self.optics.iter().position(|rival| is_for(rival, &new)).map(|at| self.optics.swap_remove(at));
         let Some(at) = state.optics.iter().position(|known| is_for(known, &new)) else {
             if state.optics.len() >= MOST {
@@ -143,7 +144,7 @@ impl Rivals {
     }
 
     /// The best zero point is the brightest that two frames of a camera, filter and gain showed one after the other.
-    fn hear_zero_point(&mut self, state: &mut OpticsState, measured: zero_point::Measured, new: ZeroPoint) -> bool {
+    fn observe_zero_point(&mut self, state: &mut OpticsState, measured: zero_point::Measured, new: ZeroPoint) -> bool {
         if measured.error_mag.is_nan() || measured.error_mag > SURE_MAG {
             return false;
         }
@@ -200,14 +201,20 @@ fn agree(a: &Optics, b: &Optics, share: f64) -> bool {
     a.mirrored == b.mirrored && turned <= share * SAME_ROTATION_DEG && scaled <= share * SAME_SCALE
 }
 
-/// Where the optics of a telescope are kept.
-pub fn path(config: &config::Observatory) -> PathBuf {
-    config.folders.data.join(format!("optics-{}.json", config.place.telescope))
-}
+impl Replicate for OpticsState {
+    type Payload = Self;
+    const PART: Part = Part::Optics;
+    const FILE: &'static str = "optics";
+    const WHAT: &'static str = "what is known of the optics";
+    const NOT_SAVED: AlertKind = AlertKind::OpticsNotSaved;
 
-/// What was learned before; empty if there is no file, or if it cannot be read: it is learned anew.
-pub fn read(path: &Path) -> OpticsState {
-    crate::kept::read_or_anew(path, "what is known of the optics")
+    fn put_in(&self, payload: &mut Self) -> bool {
+        replaced(payload, self)
+    }
+
+    fn adopt(&mut self, payload: Self) -> bool {
+        payload != Self::default() && replaced(self, &payload)
+    }
 }
 
 #[cfg(test)]

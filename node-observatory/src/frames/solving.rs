@@ -14,8 +14,8 @@ use imaging::{Measured, NoSolution, Solution, Wcs};
 use sky::{Icrs, Observer};
 use units::{Angle, Utc};
 
-use super::aim::Aim;
-use super::measure::told;
+use super::aim::{FrameAim, middle_of};
+use super::measure::if_finite;
 use super::optics::{self, Lesson};
 use super::zero_point;
 
@@ -28,7 +28,7 @@ const WRONG_SCALES_EVERY: u32 = 3;
 /// How far from where the telescope should point a frame is looked for.
 const FURTHEST: Angle = Angle::from_degrees(2.0);
 /// A search beyond the hinted field goes on for so long, machine time.
-const PATIENCE: Duration = Duration::from_millis(600);
+const TIMEOUT: Duration = Duration::from_millis(600);
 /// Julian date of J2000.0.
 const J2000_JD: f64 = 2_451_545.0;
 
@@ -36,13 +36,13 @@ const J2000_JD: f64 = 2_451_545.0;
 #[derive(Debug, Clone)]
 pub struct Known<'a> {
     /// Where it was pointed, and with what.
-    pub aim: &'a Aim,
+    pub aim: &'a FrameAim,
     /// Learned optics.
     pub optics: Option<&'a Optics>,
     /// How far away it is looked for ...
     pub furthest: Angle,
     /// ... and for how long, machine time.
-    pub patience: Duration,
+    pub timeout: Duration,
     /// Hypotheses that one try may cost.
     pub most_hypotheses: u64,
     /// Scales other than the given one are tried too.
@@ -51,9 +51,9 @@ pub struct Known<'a> {
 
 impl<'a> Known<'a> {
     /// With what each frame is solved.
-    pub fn new(aim: &'a Aim, optics: Option<&'a Optics>) -> Self {
+    pub fn new(aim: &'a FrameAim, optics: Option<&'a Optics>) -> Self {
         let most_hypotheses = MOST_HYPOTHESES;
-        Self { aim, optics, furthest: FURTHEST, patience: PATIENCE, most_hypotheses, wrong_scales: false }
+        Self { aim, optics, furthest: FURTHEST, timeout: TIMEOUT, most_hypotheses, wrong_scales: false }
     }
 
     /// As known of a camera of which so many frames in a row fitted nowhere: if no frame ever did, its pixels may have
@@ -69,16 +69,16 @@ struct Hurried<'a> {
     stars: At<'a>,
     /// Around the hint, as far as the field itself extends, the search always gets the stars.
     near: (Angle, Angle),
-    reach: Angle,
+    search_radius: Angle,
     clock: &'a Clock,
     began: MachineTime,
-    patience: Duration,
+    timeout: Duration,
 }
 
 impl Stars for Hurried<'_> {
-    fn cone(&self, ra: Angle, dec: Angle, radius: Angle, faintest_mag: f64) -> Vec<imaging::catalogue::Star> {
-        let far = imaging::tangent::separation(self.near, (ra, dec)).degrees() > self.reach.degrees();
-        if far && self.clock.machine().since(self.began) > self.patience {
+    fn cone(&self, ra: Angle, dec: Angle, radius: Angle, faintest_mag: f64) -> Vec<imaging::catalogue::CatalogueStar> {
+        let far = imaging::tangent::separation(self.near, (ra, dec)).degrees() > self.search_radius.degrees();
+        if far && self.clock.machine().since(self.began) > self.timeout {
             return Vec::new();
         }
         self.stars.cone(ra, dec, radius, faintest_mag)
@@ -111,10 +111,10 @@ pub fn solve_frame(
         let stars = Hurried {
             stars: catalogue.at_epoch(epoch_year(middle_of(frame))),
             near: (hint.ra, hint.dec),
-            reach: Angle::from_arcseconds(1.5 * side * hint.scale_arcsec_px),
+            search_radius: Angle::from_arcseconds(1.5 * side * hint.scale_arcsec_px),
             clock,
             began,
-            patience: known.patience,
+            timeout: known.timeout,
         };
         let found = solve(&detected, hint, &stars);
         stars.stars.checked().map_err(|error| {
@@ -124,7 +124,7 @@ pub fn solve_frame(
         Ok(found)
     };
     if let Some(optics) = known.optics {
-        let hint = learnt_hint(frame, known, optics)?;
+        let hint = learned_hint(frame, known, optics)?;
         // A part of the sensor does not look at the target until pointing has brought it there.
         let brought = known.aim.part_on_target(frame).map(|at| Hint { ra: at.ra, dec: at.dec, ..hint.clone() });
         for hint in [Some(hint), brought].into_iter().flatten() {
@@ -144,17 +144,17 @@ fn streaked(measured: &Measured) -> Option<NoSolution> {
     measured.quality.trail_px.map(|length_px| NoSolution::Trailed { stars: measured.quality.stars, length_px })
 }
 
-fn learnt_hint(frame: &Frame, known: &Known<'_>, optics: &Optics) -> Result<Hint, Unsolved> {
-    let learnt = optics::learnt(optics, frame);
-    let at = known.aim.frame_centre(frame, Some(&learnt))?;
+fn learned_hint(frame: &Frame, known: &Known<'_>, optics: &Optics) -> Result<Hint, Unsolved> {
+    let learned = optics::learned(optics, frame);
+    let at = known.aim.frame_centre(frame, Some(&learned))?;
     Ok(Hint {
         scale_tolerance: KNOWN_OPTICS,
-        learnt: Some(learnt),
+        learned: Some(learned),
         // Within one field; whatever is further away may as well have other optics.
         furthest: Angle::default(),
         most_hypotheses: known.most_hypotheses,
         faintest_mag: optics::faintest_mag(optics, frame),
-        ..Hint::new(at.ra, at.dec, learnt.scale_arcsec_px)
+        ..Hint::new(at.ra, at.dec, learned.scale_arcsec_px)
     })
 }
 
@@ -166,7 +166,7 @@ fn first_hint(frame: &Frame, known: &Known<'_>) -> Result<Hint, Unsolved> {
         class: UnsolvedClass::NoScale,
         detail: format!(
             "the size of a pixel on the sky is not known: neither the camera's PixelSizeX and the mount's FocalLength nor \
-             scale_arcsec_px of the camera {} tell it",
+             scale_arcsec_px of the camera {} give it",
             frame.camera
         ),
     })?;
@@ -186,26 +186,26 @@ pub fn describe(
     facts: &mut FrameFacts,
     frame: &Frame,
     solution: &Solution,
-    aim: &Aim,
+    aim: &FrameAim,
     observer: Option<&Observer>,
 ) -> Lesson {
     facts.ra_deg = finite(solution.ra.degrees());
     facts.dec_deg = finite(solution.dec.degrees());
     facts.scale_arcsec_px = finite(solution.scale_arcsec_px);
-    facts.rotation_deg = told(solution.rotation_deg);
+    facts.rotation_deg = if_finite(solution.rotation_deg);
     facts.mirrored = Some(solution.mirrored);
     facts.matched = u32::try_from(solution.matched).ok();
-    facts.rms_px = told(solution.rms_px);
+    facts.rms_px = if_finite(solution.rms_px);
     facts.false_alarm = finite(solution.false_alarm);
     facts.wcs = Some(wcs(&solution.wcs));
-    facts.off_target_arcmin = aim.off_target(frame, &solution.wcs).and_then(|off| told(off.degrees() * 60.0));
+    facts.off_target_arcmin = aim.off_target(frame, &solution.wcs).and_then(|off| if_finite(off.degrees() * 60.0));
     let centre = Icrs { ra: solution.ra, dec: solution.dec };
     let altitude = observer.map(|observer| observer.to_horizontal(&centre).altitude);
-    facts.airmass = altitude.and_then(sky::airmass).and_then(told);
+    facts.airmass = altitude.and_then(sky::airmass).and_then(if_finite);
     let mut lesson = Lesson::of(frame, aim.pier_side, solution);
     if let Some(zero) = zero_point::measure(solution, frame.exposure_s) {
-        facts.zero_point_mag = told(zero.mag);
-        facts.zero_point_error_mag = told(zero.error_mag);
+        facts.zero_point_mag = if_finite(zero.mag);
+        facts.zero_point_error_mag = if_finite(zero.error_mag);
         // A frame of a focus run has blurred stars, and the dome's wall may take some of their light. The purpose of
         // the frame shows that it is one.
         if frame.purpose.action != "autofocus" {
@@ -247,11 +247,6 @@ pub fn may_be_scale(class: UnsolvedClass) -> bool {
 /// Share of the starlight that comes through, by zero points, 0 to 1.
 pub fn transparency(zero_point_mag: f64, best_mag: f64) -> f64 {
     10_f64.powf(0.4 * (zero_point_mag - best_mag)).min(1.0)
-}
-
-/// The middle of the exposure, sky time.
-pub fn middle_of(frame: &Frame) -> Utc {
-    frame.started_utc.plus_seconds(0.5 * frame.exposure_s.clamp(0.0, 86_400.0))
 }
 
 fn epoch_year(at: Utc) -> f64 {

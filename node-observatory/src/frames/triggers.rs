@@ -17,7 +17,7 @@ const WIDE: usize = 5;
 /// Wider than the best by this ratio is a drift; it ends at the lower one.
 const DRIFT: (f64, f64) = (1.3, 1.15);
 /// The best width is that of so many frames: a width that has lasted for longer is the present one.
-const REACH: usize = 60;
+const WINDOW: usize = 60;
 /// Fewer stars than this share of the usual number are clouds; it ends at the higher one.
 const CLOUDS: (f64, f64) = (0.3, 0.5);
 /// Extinction of clear air is no more, mag per airmass: that of the ultraviolet.
@@ -32,12 +32,12 @@ const STALE_S: f64 = 900.0;
 /// The triggers of one telescope.
 #[derive(Debug, Clone, Default)]
 pub struct Triggers {
-    runs: BTreeMap<(String, Option<String>), Run>,
+    runs: BTreeMap<(String, Option<String>), ComparableFrames>,
 }
 
 /// Frames that can be compared.
 #[derive(Debug, Clone)]
-struct Run {
+struct ComparableFrames {
     field: Field,
     /// Start of the newest frame.
     newest: Utc,
@@ -51,7 +51,7 @@ struct Run {
     trailed: Option<Utc>,
     /// Start of the first of the frames of a wrong field that the run ends with.
     astray: Option<Utc>,
-    standing: BTreeMap<TriggerKind, Trigger>,
+    active: BTreeMap<TriggerKind, Trigger>,
 }
 
 /// What must be the same for frames to be compared.
@@ -76,7 +76,7 @@ impl Field {
 
 impl Triggers {
     /// Takes a measured frame in. One that is older than the newest of its run does not show what is now.
-    pub fn hear(&mut self, frame: &Frame, facts: &FrameFacts) {
+    pub fn observe(&mut self, frame: &Frame, facts: &FrameFacts) {
         let Some(stars) = facts.stars.filter(|_| frame.purpose.action == "object") else { return };
         let field = Field {
             night: frame.purpose.night.clone(),
@@ -88,12 +88,12 @@ impl Triggers {
         };
         let at = frame.started_utc;
         let run = self.runs.entry((frame.camera.clone(), frame.purpose.filter.clone()));
-        let run = run.or_insert_with(|| Run::new(field.clone(), Utc::EPOCH));
+        let run = run.or_insert_with(|| ComparableFrames::new(field.clone(), Utc::EPOCH));
         if at <= run.newest {
             return;
         }
         if !run.field.is_like(&field) {
-            *run = Run::new(field, at);
+            *run = ComparableFrames::new(field, at);
         }
         (run.newest, run.exposure_s) = (at, frame.exposure_s);
         let found = [
@@ -107,21 +107,21 @@ impl Triggers {
                 Some((since_utc, detail)) => {
                     let (camera, filter) = (frame.camera.clone(), frame.purpose.filter.clone());
                     let trigger = Trigger { kind, camera, filter, since_utc, detail: String::new() };
-                    run.standing.entry(kind).or_insert(trigger).detail = detail;
+                    run.active.entry(kind).or_insert(trigger).detail = detail;
                 }
-                None => drop(run.standing.remove(&kind)),
+                None => drop(run.active.remove(&kind)),
             }
         }
     }
 
     /// The active triggers, by camera, filter and kind.
-    pub fn standing(&self, now: Utc) -> Vec<Trigger> {
-        let fresh = |run: &&Run| now.seconds_since(run.newest) <= STALE_S + 2.0 * run.exposure_s;
-        self.runs.values().filter(fresh).flat_map(|run| run.standing.values().cloned()).collect()
+    pub fn active(&self, now: Utc) -> Vec<Trigger> {
+        let fresh = |run: &&ComparableFrames| now.seconds_since(run.newest) <= STALE_S + 2.0 * run.exposure_s;
+        self.runs.values().filter(fresh).flat_map(|run| run.active.values().cloned()).collect()
     }
 }
 
-impl Run {
+impl ComparableFrames {
     fn new(field: Field, newest: Utc) -> Self {
         Self {
             field,
@@ -132,7 +132,7 @@ impl Run {
             counts: VecDeque::new(),
             trailed: None,
             astray: None,
-            standing: BTreeMap::new(),
+            active: BTreeMap::new(),
         }
     }
 
@@ -156,7 +156,7 @@ impl Run {
     /// that is not solved does not count.
     fn wrong_field(&mut self, at: Utc, facts: &FrameFacts) -> Option<(Utc, String)> {
         let Some((off_arcmin, scale)) = facts.off_target_arcmin.zip(facts.scale_arcsec_px) else {
-            let stands = self.standing.get(&TriggerKind::WrongField);
+            let stands = self.active.get(&TriggerKind::WrongField);
             return stands.map(|trigger| (trigger.since_utc, trigger.detail.clone()));
         };
         let half_arcmin = 0.5 * f64::from(self.field.size_px[0].min(self.field.size_px[1])) * scale / 60.0;
@@ -173,12 +173,12 @@ impl Run {
     fn drift(&mut self, at: Utc, facts: &FrameFacts) -> Option<(Utc, String)> {
         let believed = self.believed.observe_facts(facts);
         self.widths.extend(believed.into_iter().map(|width| (at, width)));
-        let many = self.widths.len().saturating_sub(REACH);
+        let many = self.widths.len().saturating_sub(WINDOW);
         self.widths.drain(..many);
         let widths: Vec<f64> = self.widths.iter().map(|(_, width)| *width).collect();
         let now = median(widths.len().checked_sub(WIDE).and_then(|from| widths.get(from..))?)?;
         let best = widths.windows(WIDE).filter_map(median).fold(f64::INFINITY, f64::min);
-        let stands = self.standing.contains_key(&TriggerKind::FocusDrift);
+        let stands = self.active.contains_key(&TriggerKind::FocusDrift);
         let most = if stands { DRIFT.1 } else { DRIFT.0 };
         let since = self.widths.get(self.widths.len() - WIDE)?.0;
         let detail = format!("the median FWHM of {WIDE} frames is {now:.2} px, at best it was {best:.2} px");
@@ -189,7 +189,7 @@ impl Run {
     fn clouds(&mut self, at: Utc, stars: u32, facts: &FrameFacts) -> Option<(Utc, String)> {
         let (stars, counts) = (f64::from(stars), self.counts.make_contiguous());
         let usual = median(counts).filter(|usual| counts.len() >= USUAL.0 && *usual >= FEWEST);
-        let stands = self.standing.contains_key(&TriggerKind::Clouds);
+        let stands = self.active.contains_key(&TriggerKind::Clouds);
         let least = if stands { CLOUDS.1 } else { CLOUDS.0 };
         match usual {
             Some(usual) if stars < least * usual => {

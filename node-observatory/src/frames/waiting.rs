@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_comes_first_also_when_the_past_is_heard_late() {
+    fn the_newest_comes_first_also_when_the_past_arrives_late() {
         let mut waiting = Waiting::default();
         for (id, at_s) in [("c", 30.0), ("d", 40.0), ("a", 10.0), ("b", 20.0)] {
             assert_eq!(waiting.push(announced(id, "cam", at_s)), None);

@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn few_stars_tell_nothing() {
+    fn few_stars_give_no_zero_point() {
         assert_eq!(of(vec![21.0; 4]), None);
         assert_eq!(of(Vec::new()), None);
         assert!(of(vec![21.0; 5]).is_some());

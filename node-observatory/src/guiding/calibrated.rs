@@ -9,7 +9,7 @@ use imaging::guide::{Calibration, CalibrationError, Pier};
 use schedule::action::calibrate_guiding::pier;
 use units::Utc;
 
-use super::learnt::Learnt;
+use super::learned::LearnedGuiding;
 
 /// Directions of the two sources that differ by more than this mean that the camera was turned, degrees.
 const TURNED_DEG: f64 = 20.0;
@@ -22,13 +22,13 @@ fn side(pier: Option<Pier>) -> Option<PierSide> {
 }
 
 /// A calibration for frames of this binning.
-pub fn binned(kept: &GuideCalibration, bin: u32) -> Calibration {
+pub fn binned(stored: &GuideCalibration, bin: u32) -> Calibration {
     Calibration {
-        east_px_s: kept.east_px_per_s,
-        north_px_s: kept.north_px_per_s,
-        dec_deg: kept.dec_deg,
-        pier: pier(kept.pier_side),
-        backlash_s: kept.backlash_s,
+        east_px_s: stored.east_px_per_s,
+        north_px_s: stored.north_px_per_s,
+        dec_deg: stored.dec_deg,
+        pier: pier(stored.pier_side),
+        backlash_s: stored.backlash_s,
     }
     .rebinned(f64::from(bin.max(1)))
 }
@@ -72,7 +72,7 @@ pub fn as_the_motor_turns(made: GuideCalibration, dec_reversed: bool) -> GuideCa
     }
 }
 
-impl Learnt {
+impl LearnedGuiding {
     /// The valid calibration of a camera on a side of the pier; with `dec_reversed`, North pulses go south after a
     /// flip.
     pub fn calibration(&self, camera: &str, side: Option<PierSide>, dec_reversed: bool) -> Option<GuideCalibration> {
@@ -108,9 +108,9 @@ pub fn configured(start: &config::GuideStart, side: Option<PierSide>, dec_revers
 /// The calibration for a side of the pier out of those that were made, newest last.
 fn best(made: &[GuideCalibration], side: Option<PierSide>, dec_reversed: bool) -> Option<GuideCalibration> {
     let newest = made.last()?;
-    let all: Vec<Calibration> = made.iter().map(|kept| binned(kept, 1)).collect();
+    let all: Vec<Calibration> = made.iter().map(|stored| binned(stored, 1)).collect();
     let chosen = for_side(&all, pier(side), dec_reversed)?;
-    let of_side = made.iter().rev().find(|kept| pier(kept.pier_side) == chosen.pier);
+    let of_side = made.iter().rev().find(|stored| pier(stored.pier_side) == chosen.pier);
     Some(unbinned(&chosen, 1, newest.source, of_side.unwrap_or(newest).made_utc))
 }
 
@@ -145,30 +145,30 @@ mod tests {
         GuideCalibration { source: CalibrationSource::Pulses, backlash_s, ..solved(angle_deg, side, at_s) }
     }
 
-    fn learnt(made: &[GuideCalibration]) -> Learnt {
-        let mut learnt = Learnt::default();
-        made.iter().for_each(|made| learnt.keep_calibration("cam", made.clone()));
-        learnt
+    fn learned(made: &[GuideCalibration]) -> LearnedGuiding {
+        let mut learned = LearnedGuiding::default();
+        made.iter().for_each(|made| learned.keep_calibration("cam", made.clone()));
+        learned
     }
 
     #[test]
     fn binning_changes_the_speed_and_comes_back() {
-        let kept = solved(17.0, PierSide::East, 1.0);
-        let halved = binned(&kept, 2);
+        let stored = solved(17.0, PierSide::East, 1.0);
+        let halved = binned(&stored, 2);
         let speed = halved.east_px_s[0].hypot(halved.east_px_s[1]);
         assert!((speed - 3.75).abs() < 1e-9, "{speed}");
-        let again = unbinned(&halved, 2, kept.source, kept.made_utc);
+        let again = unbinned(&halved, 2, stored.source, stored.made_utc);
         let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).abs() < 1e-9 && (a[1] - b[1]).abs() < 1e-9;
-        assert!(near(again.east_px_per_s, kept.east_px_per_s) && near(again.north_px_per_s, kept.north_px_per_s));
+        assert!(near(again.east_px_per_s, stored.east_px_per_s) && near(again.north_px_per_s, stored.north_px_per_s));
     }
 
     #[test]
     fn pulses_go_before_a_solution_unless_the_camera_was_turned_since() {
-        let (east, none) = (Some(PierSide::East), learnt(&[]).calibration("cam", None, false));
+        let (east, none) = (Some(PierSide::East), learned(&[]).calibration("cam", None, false));
         assert_eq!(none, None);
-        let held = learnt(&[pulsed(10.0, PierSide::East, 1.0), solved(12.0, PierSide::East, 2.0)]);
+        let held = learned(&[pulsed(10.0, PierSide::East, 1.0), solved(12.0, PierSide::East, 2.0)]);
         assert_eq!(held.calibration("cam", east, false).unwrap().source, CalibrationSource::Pulses);
-        let turned = learnt(&[pulsed(10.0, PierSide::East, 1.0), solved(100.0, PierSide::East, 2.0)]);
+        let turned = learned(&[pulsed(10.0, PierSide::East, 1.0), solved(100.0, PierSide::East, 2.0)]);
         let now = turned.calibration("cam", east, false).unwrap();
         assert_eq!((now.source, now.backlash_s), (CalibrationSource::PlateSolution, Some(0.4)));
         // Pulses have shown that North goes south there, so it does after the camera was turned.
@@ -176,12 +176,12 @@ mod tests {
             north_px_per_s: pulsed(10.0, PierSide::East, 1.0).north_px_per_s.map(|v| -v),
             ..pulsed(10.0, PierSide::East, 1.0)
         };
-        let reversed = learnt(&[mirrored, solved(100.0, PierSide::East, 2.0)]);
+        let reversed = learned(&[mirrored, solved(100.0, PierSide::East, 2.0)]);
         let north =
             |reversed_after_flip| reversed.calibration("cam", east, reversed_after_flip).unwrap().north_px_per_s;
         assert_eq!(north(true), now.north_px_per_s.map(|v| -v));
         assert_eq!(north(false), now.north_px_per_s);
-        let older = learnt(&[solved(100.0, PierSide::East, 1.0), pulsed(10.0, PierSide::East, 2.0)]);
+        let older = learned(&[solved(100.0, PierSide::East, 1.0), pulsed(10.0, PierSide::East, 2.0)]);
         assert_eq!(older.calibration("cam", east, false).unwrap().source, CalibrationSource::Pulses);
         assert_eq!(held.calibration("other", east, false), None);
     }
@@ -209,7 +209,7 @@ mod tests {
 
     #[test]
     fn the_other_side_of_the_pier_is_turned_round_until_it_has_its_own() {
-        let one = learnt(&[pulsed(0.0, PierSide::East, 1.0)]);
+        let one = learned(&[pulsed(0.0, PierSide::East, 1.0)]);
         let west = one.calibration("cam", Some(PierSide::West), false).unwrap();
         let east = one.calibration("cam", Some(PierSide::East), false).unwrap();
         assert_eq!(west.east_px_per_s, east.east_px_per_s.map(|v| -v));
@@ -225,7 +225,7 @@ mod tests {
         );
         let this_side = as_the_motor_turns(solved(0.0, PierSide::East, 1.0), true);
         assert!(near(this_side.north_px_per_s, east.north_px_per_s), "{this_side:?}");
-        let both = learnt(&[pulsed(0.0, PierSide::East, 1.0), pulsed(90.0, PierSide::West, 2.0)]);
+        let both = learned(&[pulsed(0.0, PierSide::East, 1.0), pulsed(90.0, PierSide::West, 2.0)]);
         let own = both.calibration("cam", Some(PierSide::West), false).unwrap();
         assert!((own.east_px_per_s[0]).abs() < 1e-9, "its own, not the other turned round: {own:?}");
     }

@@ -6,12 +6,14 @@ use std::time::Duration;
 
 use contract::CommandId;
 use contract::device::camera::{Command, Purpose};
+use node::Node;
+use schedule::Row;
 
 use super::Wanted;
-use crate::control_room::ControlRoom;
-use crate::rig::camera::Camera;
-use crate::trouble::Trouble;
-use schedule::Row;
+use crate::action_error::ActionError;
+use crate::devices::Devices;
+use crate::devices::camera::Camera;
+use crate::row_context::RowTools;
 
 /// A camera that failed rests so long, machine time.
 const REST: Duration = Duration::from_secs(5);
@@ -20,7 +22,7 @@ const AGAIN: Duration = Duration::from_secs(1);
 
 /// Stops the exposure that is under way when it is dropped.
 struct UnderWay {
-    room: Arc<ControlRoom>,
+    devices: Arc<Devices>,
     camera: contract::Name,
     exposing: bool,
 }
@@ -30,11 +32,11 @@ impl Drop for UnderWay {
         if !self.exposing {
             return;
         }
-        let (room, camera) = (self.room.clone(), self.camera.clone());
+        let (devices, camera) = (self.devices.clone(), self.camera.clone());
         // Outside of a runtime the node is ending, and the exposure ends by itself.
         if let Ok(runtime) = tokio::runtime::Handle::try_current() {
             runtime.spawn(async move {
-                if let Ok(chain) = room.rig.chain(&camera) {
+                if let Ok(chain) = devices.chain(&camera) {
                     let _ = chain.camera.abort().await;
                 }
             });
@@ -43,30 +45,32 @@ impl Drop for UnderWay {
 }
 
 /// Exposes until it is dropped.
-pub async fn keep_exposing(room: Arc<ControlRoom>, row: Row, index: u32, wanted: Wanted, camera: contract::Name) {
-    let mut under_way = UnderWay { room: room.clone(), camera: camera.clone(), exposing: false };
+pub async fn keep_exposing(tools: Arc<RowTools>, row: Row, index: u32, wanted: Wanted, camera: contract::Name) {
+    let (authority, devices) = (&tools.authority, &tools.devices);
+    let mut under_way = UnderWay { devices: devices.clone(), camera: camera.clone(), exposing: false };
     let mut sequence = 0;
     loop {
         // `begin` has found it, and the configuration does not change.
-        let Ok(chain) = room.rig.chain(&camera) else { return };
-        if room.objection(Some(&row)).is_some() {
+        let Ok(chain) = devices.chain(&camera) else { return };
+        if authority.objection(Some(&row)).is_some() {
             tokio::time::sleep(AGAIN).await;
             continue;
         }
-        let purpose = purpose(&room, &row, index, &wanted, chain.wheel.and_then(|wheel| wheel.filter()), sequence);
+        let purpose =
+            purpose(&authority.node, &row, index, &wanted, chain.wheel.and_then(|wheel| wheel.filter()), sequence);
         sequence += 1;
         under_way.exposing = true;
-        let taken = expose(chain.camera, &room, purpose).await;
+        let taken = expose(chain.camera, &authority.node, purpose).await;
         under_way.exposing = false;
-        if let Err(trouble) = taken {
-            tracing::warn!(camera = %camera, %trouble, "the guide camera took no frame");
+        if let Err(error) = taken {
+            tracing::warn!(camera = %camera, %error, "the guide camera took no frame");
             tokio::time::sleep(REST).await;
         }
     }
 }
 
-async fn expose(camera: &Camera, room: &ControlRoom, purpose: Purpose) -> Result<(), Trouble> {
-    let config = &room.node.config.guiding;
+async fn expose(camera: &Camera, node: &Node, purpose: Purpose) -> Result<(), ActionError> {
+    let config = &node.config.guiding;
     let (id, exposure_s) = (CommandId::fresh(), config.exposure_s);
     let command =
         Command::Expose { exposure_s, light: true, bin: config.bin, subframe: None, purpose: Box::new(purpose) };
@@ -74,15 +78,8 @@ async fn expose(camera: &Camera, room: &ControlRoom, purpose: Purpose) -> Result
     camera.exposed(&id, exposure_s).await
 }
 
-fn purpose(
-    room: &ControlRoom,
-    row: &Row,
-    index: u32,
-    wanted: &Wanted,
-    filter: Option<String>,
-    sequence: u32,
-) -> Purpose {
-    let longitude = units::Angle::from_degrees(room.node.config.place.longitude_deg);
+fn purpose(node: &Node, row: &Row, index: u32, wanted: &Wanted, filter: Option<String>, sequence: u32) -> Purpose {
+    let longitude = units::Angle::from_degrees(node.config.place.longitude_deg);
     Purpose {
         action: "guiding".to_owned(),
         object: Some(wanted.object.clone()),
@@ -93,6 +90,7 @@ fn purpose(
         night: sky::night_date(longitude, row.start).to_string(),
         sequence,
         row: Some(index),
+        programme: row.programme.clone(),
         ..Purpose::default()
     }
 }

@@ -7,7 +7,7 @@
 //!                                                              '--lost--> star list; slew back; plate solution; alarm
 //! ```
 //! A task per row works on the newest frame of the camera that is guided on ([`task`]); frames that began before a slew
-//! are left out. Nothing waits for the archive. The learned state survives a restart ([`learnt`]): where a field's
+//! are left out. Nothing waits for the archive. The learned state survives a restart ([`learned`]): where a field's
 //! stars were, by object, filter, exposure, camera and side of the pier, and what pulses do ([`calibrated`]). A pulse
 //! is given only to a mount that is known to track, not to slew, under a sky that the row may use ([`pulse`]).
 //!
@@ -15,25 +15,55 @@
 
 pub mod calibrated;
 mod guide_camera;
-pub mod learnt;
-pub mod line;
+pub mod learned;
+mod publish;
 pub mod pulse;
 mod recovery;
+mod references;
 mod session;
 mod task;
-mod tell;
 
 use std::sync::Arc;
 
+use bus::Publisher;
 use contract::Name;
-use contract::observatory::{AlertKind, GuidingState};
-use tokio::sync::watch;
+use contract::observatory::{AlertKind, Correction, GuidingState};
+use node::Node;
+use tokio::sync::{OnceCell, watch};
 use tokio::task::JoinHandle;
 
+use self::learned::LearnedGuiding;
 pub use self::recovery::guide_rates;
-use crate::action::Stage;
-use crate::control_room::ControlRoom;
-use crate::trouble::Trouble;
+use crate::action_error::ActionError;
+use crate::authority::Authority;
+use crate::replicated::Replicated;
+use crate::row_context::RowContext;
+use crate::tasks::Tasks;
+
+/// The state of guiding.
+pub struct GuidingData {
+    /// As it is published.
+    pub state: watch::Sender<GuidingState>,
+    /// What guiding has learned and stores.
+    pub learned: Replicated<LearnedGuiding>,
+    /// The publisher of the corrections.
+    pub corrections: OnceCell<Publisher<Correction>>,
+}
+
+impl GuidingData {
+    /// Reads what was learned before.
+    pub async fn load(node: &Node) -> anyhow::Result<Self> {
+        let learned = Replicated::load(node).await?;
+        Ok(Self { state: watch::channel(GuidingState::default()).0, learned, corrections: OnceCell::new() })
+    }
+}
+
+/// Starts the tasks about guiding.
+pub fn start(tasks: &mut Tasks, authority: &Arc<Authority>, guiding: &Arc<GuidingData>) {
+    guiding.learned.start(tasks, authority, guiding.state.clone());
+    tasks.spawn("publish guide references", references::keep_publishing(authority.clone(), guiding.clone()));
+    tasks.spawn("receive guide references", references::keep_receiving(authority.clone(), guiding.clone()));
+}
 
 /// What is to be guided on.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,32 +80,34 @@ pub struct Wanted {
 
 /// A loop that guides until this is dropped.
 pub struct Guided {
-    room: Arc<ControlRoom>,
+    authority: Arc<Authority>,
+    guiding: Arc<GuidingData>,
     task: JoinHandle<()>,
     camera: Name,
-    given_up: watch::Receiver<Option<Trouble>>,
+    given_up: watch::Receiver<Option<ActionError>>,
 }
 
 /// Begins to guide a row.
 ///
 /// # Errors
-/// [`Trouble::Impossible`] when there is no mount, or it takes no guide pulses.
-pub async fn begin(stage: &Stage, wanted: Wanted) -> Result<Guided, Trouble> {
-    let (room, config) = (stage.room.clone(), &stage.room.node.config.guiding);
-    let mount = stage.chain()?.mount;
-    let mount = mount.ok_or_else(|| Trouble::Impossible(format!("guiding: {} has no mount", stage.row.camera)))?;
+/// [`ActionError::Impossible`] when there is no mount, or it takes no guide pulses.
+pub async fn begin(context: &RowContext, guiding: &Arc<GuidingData>, wanted: Wanted) -> Result<Guided, ActionError> {
+    let (tools, config) = (context.tools.clone(), &context.tools.authority.node.config.guiding);
+    let mount = context.chain()?.mount;
+    let mount =
+        mount.ok_or_else(|| ActionError::Impossible(format!("guiding: {} has no mount", context.row.camera)))?;
     if !mount.instrument.capabilities().await?.pulse_guide {
         let name = &mount.instrument.device.name;
-        return Err(Trouble::Impossible(format!(
+        return Err(ActionError::Impossible(format!(
             "guiding: {name} takes no guide pulses (CanPulseGuide is false); leave out guiding in this row"
         )));
     }
-    let own = config.camera.clone().filter(|camera| *camera != stage.row.camera);
-    let camera = own.clone().unwrap_or_else(|| stage.row.camera.clone());
-    room.rig.chain(&camera)?;
+    let own = config.camera.clone().filter(|camera| *camera != context.row.camera);
+    let camera = own.clone().unwrap_or_else(|| context.row.camera.clone());
+    tools.devices.chain(&camera)?;
     let (give_up, given_up) = watch::channel(None);
-    let task = task::Loop::new(stage, wanted.clone(), camera.clone(), give_up);
-    room.guiding.send_modify(|state| {
+    let task = task::Loop::new(context, guiding.clone(), wanted.clone(), camera.clone(), give_up);
+    guiding.state.send_modify(|state| {
         *state = GuidingState {
             active: true,
             detail: "waiting for a first frame".to_owned(),
@@ -85,36 +117,36 @@ pub async fn begin(stage: &Stage, wanted: Wanted) -> Result<Guided, Trouble> {
             ..GuidingState::default()
         };
     });
-    let (beside, row, index) = (room.clone(), stage.row.clone(), stage.index);
+    let (own_tools, row, index) = (tools.clone(), context.row.clone(), context.index);
     let task = tokio::spawn(async move {
         match own {
             Some(camera) => {
-                let exposing = guide_camera::keep_exposing(beside, row, index, wanted, camera);
+                let exposing = guide_camera::keep_exposing(own_tools, row, index, wanted, camera);
                 tokio::join!(task.run(), exposing);
             }
             None => task.run().await,
         }
     });
-    Ok(Guided { room, task, camera, given_up })
+    Ok(Guided { authority: tools.authority.clone(), guiding: guiding.clone(), task, camera, given_up })
 }
 
 impl Guided {
     /// Waits until guiding is given up and the row is to stop for it; for ever where frames go on unguided.
-    pub async fn given_up(&self) -> Trouble {
+    pub async fn given_up(&self) -> ActionError {
         let mut given_up = self.given_up.clone();
-        let trouble = match given_up.wait_for(Option::is_some).await {
-            Ok(given_up) => given_up.as_ref().map(told_again),
+        let error = match given_up.wait_for(Option::is_some).await {
+            Ok(given_up) => given_up.as_ref().map(copied),
             Err(_) => None,
         };
-        match trouble {
-            Some(trouble) => trouble,
+        match error {
+            Some(error) => error,
             None => std::future::pending().await,
         }
     }
 
     /// How it went, in words.
-    pub fn told(&self) -> String {
-        let state = self.room.guiding.borrow();
+    pub fn summary(&self) -> String {
+        let state = self.guiding.state.borrow();
         match (state.frames.unwrap_or(0), state.rms_px) {
             (0, _) => "not guided: no frame could be guided on".to_owned(),
             (frames, None) => format!("guided on {frames} frames; the field was never held"),
@@ -126,13 +158,13 @@ impl Guided {
 impl Drop for Guided {
     fn drop(&mut self) {
         self.task.abort();
-        let alerts = &self.room.node.alerts;
+        let alerts = &self.authority.node.alerts;
         // A row that stopped for it is to be seen: the alert ends with the next field that is held.
         if self.given_up.borrow().is_none() {
             alerts.clear(AlertKind::GuidingLost, &self.camera);
         }
         alerts.clear(AlertKind::FieldTurns, &self.camera);
-        self.room.guiding.send_modify(|state| {
+        self.guiding.state.send_modify(|state| {
             state.active = false;
             state.detail = String::new();
         });
@@ -140,11 +172,11 @@ impl Drop for Guided {
 }
 
 /// A copy of an error, to report it a second time.
-fn told_again(trouble: &Trouble) -> Trouble {
-    match trouble {
-        Trouble::Failed { device, verb, reason } => {
-            Trouble::Failed { device: device.clone(), verb: verb.clone(), reason: reason.clone() }
+fn copied(error: &ActionError) -> ActionError {
+    match error {
+        ActionError::Failed { device, verb, reason } => {
+            ActionError::Failed { device: device.clone(), verb: verb.clone(), reason: reason.clone() }
         }
-        other => Trouble::Impossible(other.to_string()),
+        other => ActionError::Impossible(other.to_string()),
     }
 }

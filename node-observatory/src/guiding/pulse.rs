@@ -4,12 +4,12 @@ use std::time::Duration;
 
 use contract::device::telescope::{Command, Direction};
 use imaging::guide::Pulses;
-
-use crate::control_room::ControlRoom;
-use crate::patience::patience;
-use crate::rig::telescope::Mount;
-use crate::trouble::Trouble;
 use schedule::Row;
+
+use crate::action_error::ActionError;
+use crate::authority::Authority;
+use crate::command_timeout::command_timeout;
+use crate::devices::telescope::Mount;
 
 /// The part of a pulse that the mount executed: when it began, sky s, and how long it was, ms.
 pub type Taken = Option<(f64, i32)>;
@@ -29,15 +29,15 @@ pub struct Given {
 const OVER_WITHIN: Duration = Duration::from_secs(10);
 
 /// The objection to pulses now, if there is one. Only a state that is known to be good is good.
-pub fn objection(room: &ControlRoom, row: &Row, mount: &Mount) -> Option<String> {
-    if let Some(objection) = room.objection(Some(row)) {
+pub fn objection(authority: &Authority, row: &Row, mount: &Mount) -> Option<String> {
+    if let Some(objection) = authority.objection(Some(row)) {
         return Some(objection.to_string());
     }
-    if room.node.bus.clock().utc() >= row.end {
+    if authority.node.bus.clock().utc() >= row.end {
         return Some("the row's window has ended".to_owned());
     }
     let Some(state) = mount.instrument.fresh() else {
-        return Some("the mount does not tell how it stands".to_owned());
+        return Some("the mount does not report on which side of the pier it is".to_owned());
     };
     let fields = state.fields;
     if fields.slewing.known() != Some(&false) {
@@ -53,15 +53,15 @@ pub fn objection(room: &ControlRoom, row: &Row, mount: &Mount) -> Option<String>
 }
 
 /// Gives both pulses, one after the other: ASCOM lets a mount refuse a second one while the first runs.
-pub async fn give(room: &ControlRoom, row: &Row, mount: &Mount, pulses: Pulses) -> Given {
+pub async fn give(authority: &Authority, row: &Row, mount: &Mount, pulses: Pulses) -> Given {
     let mut given = Given::default();
     if pulses.east_ms != 0 {
         let direction = if pulses.east_ms > 0 { Direction::East } else { Direction::West };
-        given.east = Some(push(room, row, mount, direction, pulses.east_ms, &mut given.refused).await);
+        given.east = Some(push(authority, row, mount, direction, pulses.east_ms, &mut given.refused).await);
     }
     if pulses.north_ms != 0 {
         let direction = if pulses.north_ms > 0 { Direction::North } else { Direction::South };
-        given.north = Some(push(room, row, mount, direction, pulses.north_ms, &mut given.refused).await);
+        given.north = Some(push(authority, row, mount, direction, pulses.north_ms, &mut given.refused).await);
     }
     given
 }
@@ -69,34 +69,34 @@ pub async fn give(room: &ControlRoom, row: &Row, mount: &Mount, pulses: Pulses) 
 /// Gives one pulse and waits for its end. A pulse of which nobody knows whether the mount took it counts as given: the
 /// next frame shows what is true.
 async fn push(
-    room: &ControlRoom,
+    authority: &Authority,
     row: &Row,
     mount: &Mount,
     direction: Direction,
     signed_ms: i32,
     refused: &mut Option<String>,
 ) -> (f64, i32) {
-    let clock = room.node.bus.clock();
-    if let Some(why) = objection(room, row, mount) {
+    let clock = authority.node.bus.clock();
+    if let Some(why) = objection(authority, row, mount) {
         refused.get_or_insert(why);
         return (clock.utc().seconds(), 0);
     }
     let begun_s = clock.utc().seconds();
     match pulse(mount, direction, signed_ms.unsigned_abs()).await {
         Ok(()) => (begun_s, signed_ms),
-        Err(trouble) => {
-            let is_taken = !matches!(trouble, Trouble::Refused { .. } | Trouble::Unanswered { .. });
-            refused.get_or_insert(trouble.to_string());
+        Err(error) => {
+            let is_taken = !matches!(error, ActionError::Refused { .. } | ActionError::Unanswered { .. });
+            refused.get_or_insert(error.to_string());
             (begun_s, if is_taken { signed_ms } else { 0 })
         }
     }
 }
 
 /// Gives a pulse of so many ms and waits until it is over.
-pub async fn pulse(mount: &Mount, direction: Direction, duration_ms: u32) -> Result<(), Trouble> {
+pub async fn pulse(mount: &Mount, direction: Direction, duration_ms: u32) -> Result<(), ActionError> {
     let mount = &mount.instrument;
     // No turn is waited for: a pulse that comes late pushes a field that is elsewhere by then.
     let id = mount.ask(Command::PulseGuide { direction, duration_ms }).await?;
-    let most = patience(mount.clock(), Duration::from_millis(u64::from(duration_ms)) + OVER_WITHIN);
+    let most = command_timeout(mount.clock(), Duration::from_millis(u64::from(duration_ms)) + OVER_WITHIN);
     mount.done(&id, "pulse_guide", most).await.map(|_| ())
 }

@@ -4,14 +4,14 @@ use std::time::Duration;
 
 use contract::device::telescope::{Capabilities, Command};
 use imaging::Solution;
+use schedule::Row;
 use units::seconds;
 
 use super::calibrated::binned;
 use super::pulse;
 use super::session::Session;
-use crate::control_room::ControlRoom;
-use crate::rig::telescope::Mount;
-use schedule::Row;
+use crate::authority::Authority;
+use crate::devices::telescope::Mount;
 
 /// Guiding slews no further than this: what is further off is another field, and pointing's business, degrees.
 const FURTHEST_DEG: f64 = 2.0;
@@ -43,13 +43,17 @@ pub fn offset_to_reference_deg(session: &Session, solution: &Solution) -> Result
 ///
 /// # Errors
 /// In words, when it may not be moved, the way is too far, or it does not arrive.
-pub async fn slew_by(room: &ControlRoom, row: &Row, mount: &Mount, [ra, dec]: [f64; 2]) -> Result<(), String> {
-    if let Some(why) = pulse::objection(room, row, mount) {
+pub async fn slew_by(authority: &Authority, row: &Row, mount: &Mount, [ra, dec]: [f64; 2]) -> Result<(), String> {
+    if let Some(why) = pulse::objection(authority, row, mount) {
         return Err(why);
     }
-    let fields = mount.instrument.fresh().map(|state| state.fields).ok_or("the mount does not tell how it stands")?;
+    let fields = mount
+        .instrument
+        .fresh()
+        .map(|state| state.fields)
+        .ok_or("the mount does not report on which side of the pier it is")?;
     let (Some(ra_deg), Some(dec_deg)) = (fields.ra_deg.known(), fields.dec_deg.known()) else {
-        return Err("the mount does not tell where it points".to_owned());
+        return Err("the mount does not report where it points".to_owned());
     };
     let way_deg = (ra * dec_deg.to_radians().cos()).hypot(dec);
     if way_deg.is_nan() || way_deg > FURTHEST_DEG {
@@ -57,9 +61,9 @@ pub async fn slew_by(room: &ControlRoom, row: &Row, mount: &Mount, [ra, dec]: [f
     }
     let slew = Command::Slew { ra_deg: (ra_deg + ra).rem_euclid(360.0), dec_deg: (dec_deg + dec).clamp(-90.0, 90.0) };
     let most = seconds(mount.config.slew_timeout_s);
-    mount.instrument.obey(slew, most).await.map_err(|trouble| trouble.to_string())?;
+    mount.instrument.execute(slew, most).await.map_err(|error| error.to_string())?;
     let tracking = Command::Track { on: true };
-    mount.instrument.obey(tracking, Duration::from_secs(60)).await.map_err(|trouble| trouble.to_string())?;
+    mount.instrument.execute(tracking, Duration::from_secs(60)).await.map_err(|error| error.to_string())?;
     Ok(())
 }
 

@@ -7,12 +7,11 @@ use config::{GuideControl, Guiding};
 use contract::CommandId;
 use contract::observatory::{GuideCalibration, GuideField, GuideMethod};
 use imaging::guide::pid::Gains;
-use imaging::guide::{CalibrationError, Control, Exposure, Guider, Measurement, Reference, Settings, State};
+use imaging::guide::{CalibrationError, Control, Exposure, GuideSettings, Guider, Measurement, Reference, State};
 use imaging::{Clean, NoShift, Star};
 
 use super::calibrated::binned;
-use crate::control_room::ControlRoom;
-use crate::frames::looked::Fetched;
+use crate::frames::looked::{Fetched, Looks};
 use crate::frames::measure;
 
 /// With fewer stars than this, a field may be recognized by its sums over rows and columns.
@@ -44,7 +43,7 @@ pub struct Session {
 }
 
 /// What a frame showed of the field.
-pub struct Seen {
+pub struct FieldMeasurement {
     /// How far it moved, or why this cannot be measured.
     pub measured: Result<Measurement, NoShift>,
     /// By what it was measured.
@@ -120,16 +119,19 @@ impl Session {
 
     /// Measures how far the field is from where it is held. A camera that repeats its last frame, pixel by pixel, shows
     /// what it showed then, which the guider knows for no news.
-    pub async fn look(&mut self, room: &ControlRoom, fetched: &Arc<Fetched>) -> Seen {
+    pub async fn look(&mut self, looks: &Looks, fetched: &Arc<Fetched>) -> FieldMeasurement {
         if let Some((last, measured)) = &self.last
             && last.frame.id != fetched.frame.id
             && last.plane == fetched.plane
         {
             let reason = format!("the frame repeats {}, pixel by pixel: no pulse is given after it", last.frame.id);
             self.repeats += 1;
-            return Seen { reason: Some(reason), ..Seen::of(measured.clone(), GuideMethod::Boxes) };
+            return FieldMeasurement {
+                reason: Some(reason),
+                ..FieldMeasurement::of(measured.clone(), GuideMethod::Boxes)
+            };
         }
-        let mut seen = self.look_for_shift(room, fetched).await;
+        let mut seen = self.look_for_shift(looks, fetched).await;
         if let Ok(measured) = &mut seen.measured {
             measured.shift.dx_px -= self.hold_px[0];
             measured.shift.dy_px -= self.hold_px[1];
@@ -142,24 +144,24 @@ impl Session {
     /// Measures how far the field moved: in boxes where its stars should be; where it may be anywhere, or the boxes
     /// are empty, by the list of all stars; and only in fields of few stars by sums over rows and columns, which find a
     /// shift between any two fields.
-    async fn look_for_shift(&mut self, room: &ControlRoom, fetched: &Arc<Fetched>) -> Seen {
+    async fn look_for_shift(&mut self, looks: &Looks, fetched: &Arc<Fetched>) -> FieldMeasurement {
         let is_reference = fetched.frame.id == self.reference_frame;
         let is_anywhere = matches!(self.guider.state(), State::Acquire | State::Lost) && !is_reference;
         if !is_anywhere {
             match self.look_in_boxes(fetched).await {
-                Ok(measured) => return Seen::of(Ok(measured), GuideMethod::Boxes),
+                Ok(measured) => return FieldMeasurement::of(Ok(measured), GuideMethod::Boxes),
                 Err(NoShift::TooFewStars { .. } | NoShift::NoMatch { .. } | NoShift::Uncertain { .. }) => {}
-                Err(why) => return Seen::nothing(why, GuideMethod::Boxes),
+                Err(why) => return FieldMeasurement::nothing(why, GuideMethod::Boxes),
             }
         }
-        let listed = self.look_at_all(room, fetched).await;
+        let listed = self.look_at_all(looks, fetched).await;
         match listed {
             Err(_) if self.reference.stars().len() < FEW_STARS => match self.look_at_sums(fetched).await {
-                Ok(measured) => Seen::of(Ok(measured), GuideMethod::Projections),
-                Err(why) => Seen::nothing(why, GuideMethod::Projections),
+                Ok(measured) => FieldMeasurement::of(Ok(measured), GuideMethod::Projections),
+                Err(why) => FieldMeasurement::nothing(why, GuideMethod::Projections),
             },
-            Ok(measured) => Seen::of(Ok(measured), GuideMethod::StarList),
-            Err(why) => Seen::nothing(why, GuideMethod::StarList),
+            Ok(measured) => FieldMeasurement::of(Ok(measured), GuideMethod::StarList),
+            Err(why) => FieldMeasurement::nothing(why, GuideMethod::StarList),
         }
     }
 
@@ -185,8 +187,8 @@ impl Session {
         }
     }
 
-    async fn look_at_all(&self, room: &ControlRoom, fetched: &Fetched) -> Result<Measurement, NoShift> {
-        let looked = tokio::time::timeout(LISTED_WITHIN, room.looks.of(&fetched.frame.id)).await;
+    async fn look_at_all(&self, looks: &Looks, fetched: &Fetched) -> Result<Measurement, NoShift> {
+        let looked = tokio::time::timeout(LISTED_WITHIN, looks.of(&fetched.frame.id)).await;
         let measured = looked.ok().and_then(|looked| looked.measured.as_ref().map(|measured| measured.stars.clone()));
         self.reference.register(&measured.ok_or_else(|| self.no_stars())?)
     }
@@ -206,7 +208,7 @@ impl Session {
     }
 }
 
-impl Seen {
+impl FieldMeasurement {
     fn of(measured: Result<Measurement, NoShift>, method: GuideMethod) -> Self {
         Self { measured, method, reason: None }
     }
@@ -217,12 +219,12 @@ impl Seen {
 }
 
 /// The settings as `imaging` has them.
-fn settings(config: &Guiding) -> Settings {
+fn settings(config: &Guiding) -> GuideSettings {
     let control = |control: GuideControl, gains: config::Gains| match control {
         GuideControl::Predict => Control::Predict,
         GuideControl::Pid => Control::Pid(Gains { proportional: gains.p, integral: gains.i, differential: gains.d }),
     };
-    Settings {
+    GuideSettings {
         control: [control(config.control_ra, config.pid_ra), control(config.control_dec, config.pid_dec)],
         dead_band_px: config.dead_band_px,
         longest_pulse_ms: config.longest_pulse_ms,
@@ -231,7 +233,7 @@ fn settings(config: &Guiding) -> Settings {
         resist_dec_reversal: config.resist_dec_reversal,
         worm_period_s: config.worm_period_s,
         hold_drift_s: config.hold_drift_s,
-        patience_s: config.patience_s,
+        alert_after_s: config.alert_after_s,
     }
 }
 
@@ -241,8 +243,8 @@ mod tests {
 
     #[test]
     fn the_configurations_defaults_are_those_of_the_guider() {
-        assert_eq!(settings(&Guiding::default()), Settings::default());
+        assert_eq!(settings(&Guiding::default()), GuideSettings::default());
         let pid = Guiding { control_ra: GuideControl::Pid, control_dec: GuideControl::Pid, ..Guiding::default() };
-        assert_eq!(settings(&pid), Settings::pid());
+        assert_eq!(settings(&pid), GuideSettings::pid());
     }
 }

@@ -10,21 +10,20 @@ use contract::observatory::{
 };
 use contract::{Link, Name};
 use imaging::guide::{Ask, Decision, State};
+use schedule::Row;
 use tokio::sync::{broadcast, watch};
 use units::Utc;
 
-use super::learnt;
+use super::learned;
+use super::publish::{self, Residuals};
 use super::pulse::{self, Given};
 use super::session::{LISTED_WITHIN, NoSession, Session};
-use super::tell::{self, Residuals};
-use super::{Wanted, calibrated, recovery};
-use crate::action::Stage;
-use crate::control_room::ControlRoom;
+use super::{GuidingData, Wanted, calibrated, recovery};
+use crate::action_error::ActionError;
+use crate::devices::telescope::Mount;
 use crate::frames::looked::{Fetched, Looked};
 use crate::frames::measure::shows_stars;
-use crate::rig::telescope::Mount;
-use crate::trouble::Trouble;
-use schedule::Row;
+use crate::row_context::{RowContext, RowTools};
 
 /// After so many frames in a row that could not be guided on, or that the mount took no pulse after, an alert is
 /// raised.
@@ -39,19 +38,20 @@ const LOOKED_AFTER: Duration = Duration::from_secs(30);
 
 /// The loop of one row.
 pub struct Loop {
-    room: Arc<ControlRoom>,
+    tools: Arc<RowTools>,
+    guiding: Arc<GuidingData>,
     row: Row,
     index: u32,
     wanted: Wanted,
     camera: Name,
-    give_up: watch::Sender<Option<Trouble>>,
+    give_up: watch::Sender<Option<ActionError>>,
     session: Option<Session>,
     residuals: Residuals,
     /// Frames that began before this saw another field: before the loop, or before a slew ended.
     since: Utc,
     slews: bool,
     /// When the last frame to be guided on came, sky time.
-    heard: Utc,
+    received: Utc,
     /// Middle of the last frame that was guided on.
     last_mid: Option<Utc>,
     /// Nothing is tried until then, after guiding was given up.
@@ -64,19 +64,26 @@ pub struct Loop {
 
 impl Loop {
     /// A loop that has seen nothing yet.
-    pub fn new(stage: &Stage, wanted: Wanted, camera: Name, give_up: watch::Sender<Option<Trouble>>) -> Self {
+    pub fn new(
+        context: &RowContext,
+        guiding: Arc<GuidingData>,
+        wanted: Wanted,
+        camera: Name,
+        give_up: watch::Sender<Option<ActionError>>,
+    ) -> Self {
         Self {
-            room: stage.room.clone(),
-            row: stage.row.clone(),
-            index: stage.index,
+            tools: context.tools.clone(),
+            guiding,
+            row: context.row.clone(),
+            index: context.index,
             wanted,
             camera,
             give_up,
             session: None,
             residuals: Residuals::default(),
-            since: stage.clock().utc(),
+            since: context.clock().utc(),
             slews: false,
-            heard: stage.clock().utc(),
+            received: context.clock().utc(),
             last_mid: None,
             rests_until: None,
             frames: 0,
@@ -88,30 +95,30 @@ impl Loop {
 
     /// Guides until it is dropped.
     pub async fn run(mut self) {
-        let room = self.room.clone();
+        let tools = self.tools.clone();
         // `begin` has found it, and the configuration does not change.
-        let Ok(Some(mount)) = room.rig.chain(&self.row.camera).map(|chain| chain.mount) else { return };
-        let (mut pixels, mut states) = (room.looks.follow_pixels(), mount.instrument.follow());
+        let Ok(Some(mount)) = tools.devices.chain(&self.row.camera).map(|chain| chain.mount) else { return };
+        let (mut pixels, mut states) = (tools.frames.looks.follow_pixels(), mount.instrument.follow());
         let silent_s = SILENT_S + SILENT_EXPOSURES * self.exposure_s();
         loop {
-            let clock = room.node.bus.clock();
+            let clock = tools.authority.node.bus.clock();
             tokio::select! {
                 fetched = newest(&mut pixels, self.camera.as_str()) => self.take(mount, fetched).await,
                 () = states.changed() => {
-                    let heard = states.get().filter(|heard| heard.said.body.link == Link::Connected);
-                    let slews = heard.and_then(|heard| heard.said.body.fields.slewing.known().copied());
+                    let received = states.get().filter(|received| received.sample.body.link == Link::Connected);
+                    let slews = received.and_then(|received| received.sample.body.fields.slewing.known().copied());
                     self.note_slew(slews == Some(true), clock.utc());
                 }
                 () = clock.sleep_sky(LOOKED_AFTER) => {}
             }
-            if clock.utc().seconds_since(self.heard) > silent_s && self.rests_until.is_none() {
+            if clock.utc().seconds_since(self.received) > silent_s && self.rests_until.is_none() {
                 self.complain(&format!("no frame of {} could be guided on for {silent_s:.0} s", self.camera));
             }
         }
     }
 
     fn config(&self) -> &Guiding {
-        &self.room.node.config.guiding
+        &self.tools.authority.node.config.guiding
     }
 
     /// Exposure as the row, or the configuration of a camera of its own, asks for it, s.
@@ -149,7 +156,7 @@ impl Loop {
         if !is_ours || !is_due || rests || self.slews || frame.started_utc < self.since {
             return;
         }
-        (self.rests_until, self.heard) = (None, self.room.node.bus.clock().utc());
+        (self.rests_until, self.received) = (None, self.tools.authority.node.bus.clock().utc());
         let side = mount.instrument.fresh().and_then(|state| state.fields.pier_side.known().copied());
         let field = self.field(&fetched, side.filter(|side| *side != PierSide::Unknown));
         if self.session.as_ref().is_some_and(|session| session.field != field) {
@@ -161,7 +168,7 @@ impl Loop {
                 Ok(session) => (self.session, self.residuals) = (Some(session), Residuals::default()),
                 Err(why) => {
                     self.failures += 1;
-                    self.room.guiding.send_modify(|state| state.detail = why.clone());
+                    self.guiding.state.send_modify(|state| state.detail = why.clone());
                     if self.failures >= FAILURES_BEFORE_ALERT {
                         self.complain(&why);
                     }
@@ -191,25 +198,25 @@ impl Loop {
     /// Begins to hold a field: where it was before, or where this frame shows it.
     async fn meet(&mut self, mount: &Mount, fetched: &Arc<Fetched>, field: GuideField) -> Result<Session, String> {
         let frame = &fetched.frame;
-        let looked = tokio::time::timeout(LISTED_WITHIN, self.room.looks.of(&frame.id)).await;
+        let looked = tokio::time::timeout(LISTED_WITHIN, self.tools.frames.looks.of(&frame.id)).await;
         let looked = looked.map_err(|_| format!("frame {} was not measured in time", frame.id))?;
         self.learn_from_solution(mount, &looked, &field);
-        let known = self.room.guide_learnt.get();
+        let known = self.guiding.learned.get();
         let reversed = self.config().dec_reversed_after_flip;
-        let learnt = known.calibration(&field.camera, field.pier_side, reversed);
-        let calibration = learnt.or_else(|| self.configured(&field)).ok_or_else(|| {
+        let learned = known.calibration(&field.camera, field.pier_side, reversed);
+        let calibration = learned.or_else(|| self.configured(&field)).ok_or_else(|| {
             format!(
                 "nobody knows what pulses do to the stars of {}: run calibrate_guiding, or see that frames are solved \
-                 and the mount tells its guide rates",
+                 and the mount reports its guide rates",
                 field.camera
             )
         })?;
         let dec_deg = self.declination_deg(mount, &looked).ok_or("the declination is not known")?;
-        let is_left = |kept: &&GuideReference| !self.wanted.reset_reference || kept.row == self.row.id.0;
+        let is_left = |stored: &&GuideReference| !self.wanted.reset_reference || stored.row == self.row.id.0;
         let held = match known.reference(&field).filter(is_left) {
-            Some(kept) => {
-                let stars = kept.stars.iter().map(learnt::star).collect();
-                let from = (kept.frame.clone(), kept.centre_deg);
+            Some(stored) => {
+                let stars = stored.stars.iter().map(learned::star).collect();
+                let from = (stored.frame.clone(), stored.centre_deg);
                 Session::new(self.config(), field, from, stars, calibration, dec_deg)
             }
             None => self.begin_reference(fetched, &looked, field, calibration, dec_deg),
@@ -222,7 +229,7 @@ impl Loop {
 
     /// What pulses do, by the configuration, to the stars of a field's camera.
     fn configured(&self, field: &GuideField) -> Option<GuideCalibration> {
-        let mut cameras = self.room.node.config.camera.iter();
+        let mut cameras = self.tools.authority.node.config.camera.iter();
         let start = cameras.find(|camera| camera.common.name.as_str() == field.camera)?.guide_calibration?;
         calibrated::configured(&start, field.pier_side, self.config().dec_reversed_after_flip)
     }
@@ -241,16 +248,16 @@ impl Loop {
         let centre_deg = solution.map(|solution| [solution.ra.degrees(), solution.dec.degrees()]);
         let from = (fetched.frame.id.clone(), centre_deg);
         let session = Session::new(self.config(), field, from, stars, calibration, dec_deg)?.with_profiles(fetched);
-        let kept = GuideReference {
+        let reference = GuideReference {
             field: session.field.clone(),
             frame: fetched.frame.id.clone(),
             made_utc: fetched.frame.started_utc,
             row: self.row.id.0.clone(),
             centre_deg,
-            stars: session.stars().iter().map(learnt::kept).collect(),
+            stars: session.stars().iter().map(learned::stored).collect(),
         };
-        self.room.guide_learnt.change(|learnt| {
-            learnt.keep_reference(kept);
+        self.guiding.learned.change(|learned| {
+            learned.keep_reference(reference);
             true
         });
         Ok(session)
@@ -260,45 +267,45 @@ impl Loop {
     fn learn_from_solution(&self, mount: &Mount, looked: &Looked, field: &GuideField) {
         let Some(Ok(solution)) = &looked.solved else { return };
         let Some(rates) = mount.instrument.can().as_ref().and_then(recovery::guide_rates) else { return };
-        let (cd, now) = (solution.wcs.cd_deg_px, self.room.node.bus.clock().utc());
+        let (cd, now) = (solution.wcs.cd_deg_px, self.tools.authority.node.bus.clock().utc());
         match calibrated::of_solution(cd, rates, field.bin, field.pier_side, now) {
-            Ok(made) => self.room.guide_learnt.change(|learnt| {
+            Ok(made) => self.guiding.learned.change(|learned| {
                 let made = calibrated::as_the_motor_turns(made, self.config().dec_reversed_after_flip);
-                learnt.keep_calibration(&field.camera, made);
+                learned.keep_calibration(&field.camera, made);
                 true
             }),
-            Err(error) => tracing::warn!(%error, "a plate solution tells nothing of guide pulses"),
+            Err(error) => tracing::warn!(%error, "a plate solution does not show what guide pulses do"),
         }
     }
 
     fn declination_deg(&self, mount: &Mount, looked: &Looked) -> Option<f64> {
         let solved = looked.solved.as_ref().and_then(|solved| solved.as_ref().ok()).map(|s| s.dec.degrees());
-        let told = || mount.instrument.fresh().and_then(|state| state.fields.dec_deg.known().copied());
-        solved.or_else(|| self.wanted.target_deg.map(|[_, dec]| dec)).or_else(told).filter(|dec| dec.is_finite())
+        let of_mount = || mount.instrument.fresh().and_then(|state| state.fields.dec_deg.known().copied());
+        solved.or_else(|| self.wanted.target_deg.map(|[_, dec]| dec)).or_else(of_mount).filter(|dec| dec.is_finite())
     }
 
     /// Measures, decides, sends pulses to the mount, and publishes the correction.
     async fn guide(&mut self, mount: &Mount, fetched: &Arc<Fetched>) {
-        let room = self.room.clone();
+        let tools = self.tools.clone();
         let Some(session) = &mut self.session else { return };
-        let seen = session.look(&room, fetched).await;
+        let seen = session.look(&tools.frames.looks, fetched).await;
         let shift = seen.measured.as_ref().map(|measured| &measured.shift);
         let decision = session.guider.step(Session::exposure(fetched), shift);
         if let (State::Guide, Ok(shift)) = (decision.state, shift) {
             self.residuals.note(shift.dx_px.hypot(shift.dy_px));
         }
-        let given = pulse::give(&room, &self.row, mount, decision.pulses).await;
+        let given = pulse::give(&tools.authority, &self.row, mount, decision.pulses).await;
         session.guider.report([given.east, given.north]);
-        let record = tell::correction(&fetched.frame, session, &seen, &decision, &given, self.residuals.rms_px());
+        let record = publish::correction(&fetched.frame, session, &seen, &decision, &given, self.residuals.rms_px());
         self.frames += 1;
         let is_given = [given.east, given.north].iter().flatten().any(|(_, ms)| *ms != 0);
         self.corrected += u32::from(is_given);
         self.refusals = if given.refused.is_some() { self.refusals + 1 } else { 0 };
-        let besides = self.follow_up(mount, fetched, &decision).await;
+        let further_action = self.follow_up(mount, fetched, &decision).await;
         self.judge(&decision, &given);
-        let record = Correction { besides, ..record };
+        let record = Correction { further_action, ..record };
         self.show(&record);
-        tell::say(&room, record).await;
+        publish::publish(&tools.authority.node, &self.guiding.corrections, record).await;
     }
 
     /// Does what the guider asks for in addition to pulses; returns a description of it.
@@ -310,7 +317,7 @@ impl Loop {
                 Some(self.slew(mount, offset).await)
             }
             Ask::PlateSolve => {
-                let looked = tokio::time::timeout(LISTED_WITHIN, self.room.looks.of(&fetched.frame.id)).await;
+                let looked = tokio::time::timeout(LISTED_WITHIN, self.tools.frames.looks.of(&fetched.frame.id)).await;
                 let offset = match (looked.as_ref().map(|looked| &looked.solved), &self.session) {
                     (Ok(Some(Ok(solution))), Some(session)) => recovery::offset_to_reference_deg(session, solution),
                     (Ok(Some(Err(why))), _) => Err(format!("the frame is not solved: {why}")),
@@ -332,34 +339,34 @@ impl Loop {
     fn offset_deg(&self, mount: &Mount, way_px: [f64; 2]) -> Result<[f64; 2], String> {
         let session = self.session.as_ref().ok_or("no field is held")?;
         let rates = mount.instrument.can().as_ref().and_then(recovery::guide_rates);
-        recovery::offset_deg(session, rates.ok_or("the mount does not tell its guide rates")?, way_px)
+        recovery::offset_deg(session, rates.ok_or("the mount does not report its guide rates")?, way_px)
     }
 
     /// Slews by an offset. An obstacle is reported in the result, and the next frame asks again.
     async fn slew(&mut self, mount: &Mount, offset: Result<[f64; 2], String>) -> String {
         let slewed = match offset {
-            Ok(offset) => recovery::slew_by(&self.room, &self.row, mount, offset).await.map(|()| offset),
+            Ok(offset) => recovery::slew_by(&self.tools.authority, &self.row, mount, offset).await.map(|()| offset),
             Err(why) => Err(why),
         };
         match slewed {
             Ok([ra, dec]) => {
-                self.since = self.room.node.bus.clock().utc();
+                self.since = self.tools.authority.node.bus.clock().utc();
                 if let Some(session) = &mut self.session {
                     session.guider.moved();
                 }
-                let told = format!(
+                let report = format!(
                     "slewed back by {:.1}, {:.1} arcsec in right ascension, declination",
                     3600.0 * ra,
                     3600.0 * dec
                 );
-                tracing::warn!(object = self.wanted.object, told, "the field was lost");
-                told
+                tracing::warn!(object = self.wanted.object, report, "the field was lost");
+                report
             }
             Err(why) => {
-                let told = format!("not slewed back: {why}");
-                tracing::warn!(object = self.wanted.object, told, "the field is lost");
-                self.complain(&told);
-                told
+                let report = format!("not slewed back: {why}");
+                tracing::warn!(object = self.wanted.object, report, "the field is lost");
+                self.complain(&report);
+                report
             }
         }
     }
@@ -367,23 +374,23 @@ impl Loop {
     /// Guiding has come to its end: the row goes on without, and it is tried again later; or the row stops.
     fn stop(&mut self, mount: &Mount, why: &str) {
         self.session = None;
-        self.rests_until = Some(self.room.node.bus.clock().utc().plus_seconds(self.config().patience_s));
+        self.rests_until = Some(self.tools.authority.node.bus.clock().utc().plus_seconds(self.config().alert_after_s));
         if self.config().when_lost == WhenLost::Stop {
             let (device, reason) = (mount.instrument.device.to_string(), why.to_owned());
-            self.give_up.send_replace(Some(Trouble::Failed { device, verb: "be guided".to_owned(), reason }));
+            self.give_up.send_replace(Some(ActionError::Failed { device, verb: "be guided".to_owned(), reason }));
         }
     }
 
     /// Raises or clears the alerts that depend on this frame.
     fn judge(&self, decision: &Decision, given: &Given) {
-        let (alerts, camera) = (&self.room.node.alerts, &self.camera);
+        let (alerts, camera) = (&self.tools.authority.node.alerts, &self.camera);
         if self.refusals >= FAILURES_BEFORE_ALERT {
             let why = given.refused.as_deref().unwrap_or_default();
             self.complain(&format!("{} pulses in a row were not given; the last: {why}", self.refusals));
         } else if self.session.as_ref().is_some_and(|session| session.repeats >= FAILURES_BEFORE_ALERT) {
             self.complain(&format!("{camera} repeats its last frame, pixel by pixel: nothing is seen of the sky"));
         } else if let Some(unstable) = decision.log.unstable {
-            self.complain(tell::unstable(unstable));
+            self.complain(publish::unstable(unstable));
         } else if matches!(decision.state, State::Stabilise | State::Guide) && self.refusals == 0 {
             alerts.clear(AlertKind::GuidingLost, camera);
         }
@@ -397,24 +404,24 @@ impl Loop {
     }
 
     fn complain(&self, why: &str) {
-        self.room.node.alerts.raise(AlertKind::GuidingLost, &self.camera, why);
+        self.tools.authority.node.alerts.raise(AlertKind::GuidingLost, &self.camera, why);
     }
 
     fn show(&self, record: &Correction) {
         let object = &self.wanted.object;
         let rms = self.residuals.rms_px();
-        let detail = match (record.stage, &record.besides, rms) {
-            (_, Some(besides), _) => besides.clone(),
+        let detail = match (record.stage, &record.further_action, rms) {
+            (_, Some(further_action), _) => further_action.clone(),
             (GuideStage::Guide, None, Some(rms)) => {
                 let (stars, frames) = (record.stars, self.residuals.count());
                 format!("guiding {object} on {stars} stars, rms {rms:.2} px over {frames} frames")
             }
             (stage, None, _) => match &record.reason {
-                Some(reason) => format!("{}: {reason}", word(stage)),
-                None => format!("{} {object}", word(stage)),
+                Some(reason) => format!("{}: {reason}", publish::word(stage)),
+                None => format!("{} {object}", publish::word(stage)),
             },
         };
-        self.room.guiding.send_modify(|state| {
+        self.guiding.state.send_modify(|state| {
             *state = GuidingState {
                 active: true,
                 detail,
@@ -440,16 +447,6 @@ fn alarm(decision: &Decision) -> &'static str {
     }
 }
 
-fn word(stage: GuideStage) -> &'static str {
-    match stage {
-        GuideStage::Acquire => "acquiring",
-        GuideStage::Stabilise => "stabilising",
-        GuideStage::Guide => "guiding",
-        GuideStage::Lost => "lost",
-        GuideStage::Stopped => "given up",
-    }
-}
-
 /// The newest frame of a camera; those that waited meanwhile are passed over.
 async fn newest(pixels: &mut broadcast::Receiver<Arc<Fetched>>, camera: &str) -> Arc<Fetched> {
     let mut found: Option<Arc<Fetched>> = None;
@@ -462,7 +459,7 @@ async fn newest(pixels: &mut broadcast::Receiver<Arc<Fetched>>, camera: &str) ->
                 None => match pixels.recv().await {
                     Ok(fetched) if fetched.frame.camera == camera => found = Some(fetched),
                     Ok(_) | Err(broadcast::error::RecvError::Lagged(_)) => {}
-                    // The sender lives in the control room.
+                    // The sender lives as long as the node.
                     Err(broadcast::error::RecvError::Closed) => std::future::pending().await,
                 },
             },

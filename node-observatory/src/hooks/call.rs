@@ -8,7 +8,7 @@ use rhai::{CallFnOptions, Dynamic, EvalAltResult, Scope};
 use tokio::sync::{mpsc, oneshot};
 
 use super::engine;
-use super::line::{Asked, Host, Line};
+use super::line::{Asked, Host, ScriptLine};
 use super::memory::{self, Meter};
 use super::script::{Function, Script};
 
@@ -67,7 +67,7 @@ impl Script {
         let (end, mut ended) = oneshot::channel();
         let cut = CutOnDrop(Arc::default());
         let until = Instant::now() + most;
-        let line = Line { requests, cut: cut.0.clone(), until, memory: Meter::begin(most_bytes) };
+        let line = ScriptLine { requests, cut: cut.0.clone(), until, memory: Meter::begin(most_bytes) };
         let ast = self.ast.clone();
         let run = move || {
             let options = CallFnOptions::new().eval_ast(false);
@@ -93,9 +93,9 @@ impl Script {
                 }
             }
         };
-        let told = tokio::time::timeout(most, talk).await;
+        let ended = tokio::time::timeout(most, talk).await;
         let late = CallError::Late { after_s: most.as_secs_f64() };
-        match told {
+        match ended {
             // The thread may notice the end before this task does.
             Ok(Err(CallError::Failed(_))) if Instant::now() >= until => Err(late),
             Ok(result) => result,

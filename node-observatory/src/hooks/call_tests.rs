@@ -4,17 +4,17 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use super::call::CallError;
-use super::line::{Answer, Host, Reply, Request};
+use super::line::{Host, HostAnswer, Reply, Request};
 use super::script::{Function, Script};
 
 /// Answers like a site whose sleep is real and whose every device command fails.
 #[derive(Default)]
-struct Desk {
+struct FakeHost {
     asked: Mutex<Vec<Request>>,
 }
 
-impl Host for Desk {
-    async fn answer(&self, request: Request) -> Answer {
+impl Host for FakeHost {
+    async fn answer(&self, request: Request) -> HostAnswer {
         self.asked.lock().unwrap().push(request.clone());
         match request {
             Request::Sleep(s) => {
@@ -31,7 +31,7 @@ impl Host for Desk {
     }
 }
 
-impl Desk {
+impl FakeHost {
     fn notes(&self) -> Vec<String> {
         let asked = self.asked.lock().unwrap();
         let note = |request: &Request| match request {
@@ -46,15 +46,15 @@ const LONG: Duration = Duration::from_secs(60);
 const SHORT: Duration = Duration::from_millis(300);
 
 /// Runs `open` of a script; waits until its thread has ended.
-async fn run(text: &str, most: Duration) -> (Result<String, CallError>, Desk) {
-    let (script, desk) = (Script::compile(text).unwrap(), Desk::default());
-    let result = script.call(Function::Open, most, &desk).await;
+async fn run(text: &str, most: Duration) -> (Result<String, CallError>, FakeHost) {
+    let (script, host) = (Script::compile(text).unwrap(), FakeHost::default());
+    let result = script.call(Function::Open, most, &host).await;
     let asked = Instant::now();
     while Arc::strong_count(&script.ast) > 1 {
         assert!(asked.elapsed() < Duration::from_secs(5), "the thread goes on: {text}");
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
-    (result.map(|value| value.to_string()), desk)
+    (result.map(|value| value.to_string()), host)
 }
 
 fn why(result: Result<String, CallError>) -> String {
@@ -66,20 +66,20 @@ async fn a_script_gets_its_answers_and_gives_one() {
     let text =
         "fn open() { let s = state(\"telescope\"); if is_safe() && s.at_park && s.list[1] == () { s.ra_deg * 2 } }";
     assert_eq!(run(text, LONG).await.0.unwrap(), "3.0");
-    let (_, desk) = run("fn open() { open_domes(); open_covers(); unpark(); default_open(); sleep(0); }", LONG).await;
-    let asked = desk.asked.lock().unwrap().clone();
+    let (_, host) = run("fn open() { open_domes(); open_covers(); unpark(); default_open(); sleep(0); }", LONG).await;
+    let asked = host.asked.lock().unwrap().clone();
     let parts = [Request::OpenDomes, Request::OpenCovers, Request::Unpark, Request::Default, Request::Sleep(0.0)];
     assert_eq!(asked, parts);
 }
 
 #[tokio::test]
 async fn what_fails_is_thrown_with_its_place_and_can_be_caught() {
-    let told = why(run("fn open() {\n  command_string(\"telescope\", \"X\");\n}", LONG).await.0);
-    assert!(told.contains("the link is lost") && told.contains("line 2"), "{told}");
+    let message = why(run("fn open() {\n  command_string(\"telescope\", \"X\");\n}", LONG).await.0);
+    assert!(message.contains("the link is lost") && message.contains("line 2"), "{message}");
     let caught = "fn open() { try { action(\"dome\", \"X\", \"1\"); } catch (why) { note(`caught: ${why}`); } }";
-    let (result, desk) = run(caught, LONG).await;
+    let (result, host) = run(caught, LONG).await;
     assert!(result.is_ok());
-    assert_eq!(desk.notes(), ["caught: the link is lost"]);
+    assert_eq!(host.notes(), ["caught: the link is lost"]);
     assert!(why(run("fn open() { throw \"no\" }", LONG).await.0).contains("no"));
 }
 
@@ -94,8 +94,8 @@ async fn an_endless_loop_is_ended_by_its_time() {
         "fn open() { loop { try { sleep(3600); } catch { } } }",
         "fn open() { loop { try { loop { } } catch { } } }",
     ] {
-        let told = why(run(text, SHORT).await.0);
-        assert!(told.contains("not done within 0.3 s"), "{text}: {told}");
+        let message = why(run(text, SHORT).await.0);
+        assert!(message.contains("not done within 0.3 s"), "{text}: {message}");
     }
     assert!(began.elapsed() < Duration::from_secs(15), "{:?}", began.elapsed());
 }
@@ -103,8 +103,8 @@ async fn an_endless_loop_is_ended_by_its_time() {
 #[tokio::test]
 async fn a_call_that_is_dropped_ends_its_script() {
     let script = Script::compile("fn open() { loop { } }").unwrap();
-    let desk = Desk::default();
-    let dropped = tokio::time::timeout(Duration::from_millis(50), script.call(Function::Open, LONG, &desk));
+    let host = FakeHost::default();
+    let dropped = tokio::time::timeout(Duration::from_millis(50), script.call(Function::Open, LONG, &host));
     assert!(dropped.await.is_err());
     tokio::time::sleep(Duration::from_millis(500)).await;
     assert_eq!(Arc::strong_count(&script.ast), 1);
@@ -119,8 +119,8 @@ async fn a_memory_bomb_is_ended_while_it_is_small() {
         ("fn open() { let a = []; a.pad(100000000, 1); }", "size of array"),
         ("fn open() { let a = [1]; loop { a = [a, a]; } }", "size of array"),
     ] {
-        let told = why(run(text, Duration::from_secs(30)).await.0);
-        assert!(told.to_lowercase().contains(word), "{text}: {told}");
+        let message = why(run(text, Duration::from_secs(30)).await.0);
+        assert!(message.to_lowercase().contains(word), "{text}: {message}");
     }
 }
 
@@ -136,8 +136,8 @@ async fn no_file_no_network_and_no_process_can_be_reached() {
         "exec(\"id\")",
         "env(\"HOME\")",
     ] {
-        let told = why(run(&format!("fn open() {{ {call} }}"), LONG).await.0);
-        assert!(told.contains("Function not found"), "{call}: {told}");
+        let message = why(run(&format!("fn open() {{ {call} }}"), LONG).await.0);
+        assert!(message.contains("Function not found"), "{call}: {message}");
     }
     assert!(Script::compile("import \"/etc/passwd\" as p;").is_err());
     assert!(Script::compile("fn open() { eval(\"1\") }").is_err());

@@ -3,8 +3,9 @@
 //! The language finds out whether a called function exists when it is called, which is at night. A misspelling in
 //! one of the names of [`engine::CALLS`] is found here instead.
 
-use super::engine;
 use config::{distance, nearest};
+
+use super::engine;
 
 /// What is called in a text, as `(line, name)`, lines from 1; methods (`x.len()`) and definitions are not calls.
 fn called(text: &str) -> Vec<(usize, &str)> {
@@ -82,10 +83,10 @@ mod tests {
     }
 
     #[test]
-    fn a_slip_in_a_name_is_told_and_functions_of_the_language_are_not() {
-        let told = misspelt("fn open() {\n  default_opne();\n  comand_string(\"telescope\", \"X\");\n}", &["open"]);
-        assert_eq!(told[0], "line 2: no function is called default_opne; did you mean default_open?");
-        assert_eq!(told[1], "line 3: no function is called comand_string; did you mean command_string?");
+    fn a_slip_in_a_name_is_reported_and_functions_of_the_language_are_not() {
+        let report = misspelt("fn open() {\n  default_opne();\n  comand_string(\"telescope\", \"X\");\n}", &["open"]);
+        assert_eq!(report[0], "line 2: no function is called default_opne; did you mean default_open?");
+        assert_eq!(report[1], "line 3: no function is called comand_string; did you mean command_string?");
         let fine = "fn open() { print(abs(1)); parse_int(\"1\"); range(0, 1); type_of(1); mine(); note(\"x\"); exit(); take(1) }";
         assert_eq!(misspelt(fine, &["mine"]), Vec::<String>::new());
         let mut fine =

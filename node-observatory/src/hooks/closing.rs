@@ -10,12 +10,10 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use units::seconds;
 
-use super::host;
-use super::line::{Answer, Host, Reply, Request};
+use super::line::{Host, HostAnswer, Reply, Request};
 use super::script::{Function, Script};
-use crate::closing::decide::Sight;
-use crate::control_room::ControlRoom;
-use crate::patience::patience;
+use super::{ScriptedSite, host};
+use crate::command_timeout::command_timeout;
 
 /// The script at a closing.
 #[derive(Default)]
@@ -33,20 +31,20 @@ struct Running {
 
 impl AtClosing {
     /// A closing begins. Parts that are not known to be open are closed without a call of the script.
-    pub fn begin(&mut self, room: &Arc<ControlRoom>, sight: &Sight, now: MachineTime) {
+    pub fn begin(&mut self, site: &Arc<ScriptedSite>, is_known_open: bool, now: MachineTime) {
         self.running = None;
         self.calls = JoinSet::new();
-        let Ok(Some(script)) = room.hooks.script() else { return };
+        let Ok(Some(script)) = site.hooks.script() else { return };
         let for_closing = [Function::BeforeClose, Function::Close, Function::AfterClose];
-        if !for_closing.into_iter().any(|function| script.has(function)) || !is_known_open(sight) {
+        if !for_closing.into_iter().any(|function| script.has(function)) || !is_known_open {
             return;
         }
-        let wait = seconds(room.node.config.hooks.close_wait_s);
+        let wait = seconds(site.authority.node.config.hooks.close_wait_s);
         let (release, released) = watch::channel(false);
         let (closed, seen) = watch::channel(false);
         self.running = Some(Running { until: now.plus(wait), released, closed });
-        let (room, script) = (room.clone(), script.clone());
-        self.calls.spawn(async move { tell(&room, &script, release, seen).await });
+        let (site, script) = (site.clone(), script.clone());
+        self.calls.spawn(async move { run_script(&site, &script, release, seen).await });
     }
 
     /// Nothing calls for closing any more; `after_close` may still run if everything was closed.
@@ -77,44 +75,42 @@ impl AtClosing {
     }
 }
 
-/// Something is seen to be open or to move, so that this is no closing of what is unknown or closed.
-fn is_known_open(sight: &Sight) -> bool {
-    sight.domes.iter().any(|dome| dome.shutter.is_some() && !dome.is_closed())
-        || sight.mounts.iter().any(|mount| mount.parked.is_some() && !mount.is_stopped())
-        || sight.covers.iter().any(|cover| cover.cover.is_some() && !cover.is_closed())
-}
-
-async fn tell(room: &ControlRoom, script: &Script, release: watch::Sender<bool>, mut closed: watch::Receiver<bool>) {
-    let most = patience(room.node.bus.clock(), seconds(room.node.config.hooks.time_limit_s));
+async fn run_script(
+    site: &ScriptedSite,
+    script: &Script,
+    release: watch::Sender<bool>,
+    mut closed: watch::Receiver<bool>,
+) {
+    let most = command_timeout(site.authority.node.bus.clock(), seconds(site.authority.node.config.hooks.time_limit_s));
     for function in [Function::BeforeClose, Function::Close] {
         if !script.has(function) {
             continue;
         }
         tracing::info!(function = function.name(), "the site's script");
-        let doing = Doing { room, function, release: &release, closed: closed.clone() };
+        let doing = ClosingFunction { site, function, release: &release, closed: closed.clone() };
         let result = script.call(function, most, &doing).await;
-        if host::told(room, function, result).is_err() {
+        if host::reported(&site.authority, function, result).is_err() {
             break;
         }
     }
     release.send_replace(true);
     if script.has(Function::AfterClose) && closed.wait_for(|closed| *closed).await.is_ok() {
         let function = Function::AfterClose;
-        let result = script.call(function, most, &Doing { room, function, release: &release, closed }).await;
+        let result = script.call(function, most, &ClosingFunction { site, function, release: &release, closed }).await;
         // Its alert reports the result.
-        let _ = host::told(room, function, result);
+        let _ = host::reported(&site.authority, function, result);
     }
 }
 
-struct Doing<'a> {
-    room: &'a ControlRoom,
+struct ClosingFunction<'a> {
+    site: &'a ScriptedSite,
     function: Function,
     release: &'a watch::Sender<bool>,
     closed: watch::Receiver<bool>,
 }
 
-impl Host for Doing<'_> {
-    async fn answer(&self, request: Request) -> Answer {
+impl Host for ClosingFunction<'_> {
+    async fn answer(&self, request: Request) -> HostAnswer {
         match request {
             Request::Default if self.function == Function::Close => {
                 self.release.send_replace(true);
@@ -126,7 +122,7 @@ impl Host for Doing<'_> {
                     Err("the closing ended before all was verified closed".to_owned())
                 }
             }
-            other => host::answer(self.room, self.function, other).await,
+            other => host::answer(&self.site.authority, &self.site.devices, self.function, other).await,
         }
     }
 }

@@ -8,7 +8,7 @@ use rhai::packages::{Package as _, StandardPackage};
 use rhai::{Array, Dynamic, Engine, EvalAltResult, FLOAT, INT, Map, Position};
 use serde_json::Value;
 
-use super::line::{Line, Over, Reply, Request};
+use super::line::{Over, Reply, Request, ScriptLine};
 
 /// Names of the functions that scripts are given.
 pub const CALLS: [&str; 13] = [
@@ -62,7 +62,7 @@ pub fn bare() -> Engine {
 type Fallible<T> = Result<T, Box<EvalAltResult>>;
 
 /// An engine whose functions exchange requests and answers over a line.
-pub fn with_line(line: &Line) -> Engine {
+pub fn with_line(line: &ScriptLine) -> Engine {
     let mut engine = bare();
     let progress = line.clone();
     engine.on_progress(move |step| {
@@ -101,7 +101,7 @@ pub fn with_line(line: &Line) -> Engine {
 }
 
 /// `command_string` and its kin, with and without `raw`, and `action` with and without parameters.
-fn vendor(engine: &mut Engine, line: &Line) {
+fn vendor(engine: &mut Engine, line: &ScriptLine) {
     let words = |command: &str, raw: bool| Words { command: command.to_owned(), raw };
     let at = line.clone();
     engine.register_fn("command_string", move |device: &str, command: &str| {
@@ -138,7 +138,7 @@ fn vendor(engine: &mut Engine, line: &Line) {
     });
 }
 
-fn asked(line: &Line, request: Request) -> Fallible<Reply> {
+fn asked(line: &ScriptLine, request: Request) -> Fallible<Reply> {
     match line.ask(request) {
         Ok(Ok(reply)) => Ok(reply),
         Ok(Err(why)) => Err(EvalAltResult::ErrorRuntime(why.into(), Position::NONE).into()),
@@ -147,18 +147,18 @@ fn asked(line: &Line, request: Request) -> Fallible<Reply> {
     }
 }
 
-fn done(line: &Line, request: Request) -> Fallible<()> {
+fn done(line: &ScriptLine, request: Request) -> Fallible<()> {
     asked(line, request).map(|_| ())
 }
 
-fn truth(line: &Line, request: Request) -> Fallible<bool> {
+fn truth(line: &ScriptLine, request: Request) -> Fallible<bool> {
     match asked(line, request)? {
         Reply::Truth(truth) => Ok(truth),
         other => Err(unexpected(&other)),
     }
 }
 
-fn text(line: &Line, device: &str, command: VendorCommand) -> Fallible<String> {
+fn text(line: &ScriptLine, device: &str, command: VendorCommand) -> Fallible<String> {
     match asked(line, Request::Vendor(device.to_owned(), command))? {
         Reply::Text(text) => Ok(text),
         other => Err(unexpected(&other)),
@@ -166,12 +166,12 @@ fn text(line: &Line, device: &str, command: VendorCommand) -> Fallible<String> {
 }
 
 /// ASCOM's truth, however a driver spells it.
-fn flag(line: &Line, device: &str, command: VendorCommand) -> Fallible<bool> {
-    let said = text(line, device, command)?;
-    match said.trim().to_ascii_lowercase().as_str() {
+fn flag(line: &ScriptLine, device: &str, command: VendorCommand) -> Fallible<bool> {
+    let answer = text(line, device, command)?;
+    match answer.trim().to_ascii_lowercase().as_str() {
         "true" | "1" => Ok(true),
         "false" | "0" => Ok(false),
-        _ => Err(format!("{device} answered {said:?} to a command_bool: expected true or false").into()),
+        _ => Err(format!("{device} answered {answer:?} to a command_bool: expected true or false").into()),
     }
 }
 

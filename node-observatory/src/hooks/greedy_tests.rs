@@ -8,7 +8,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use super::line::{Answer, Host, Reply, Request};
+use super::line::{Host, HostAnswer, Reply, Request};
 use super::script::{Function, LONGEST, Script};
 
 /// Answers at once that it is done, and counts.
@@ -18,7 +18,7 @@ struct Obliging {
 }
 
 impl Host for Obliging {
-    async fn answer(&self, _: Request) -> Answer {
+    async fn answer(&self, _: Request) -> HostAnswer {
         *self.asked.lock().unwrap() += 1;
         Ok(Reply::Done)
     }
@@ -50,16 +50,16 @@ async fn whatever_grows_is_stopped_while_it_is_small() {
         ("let a = []; for n in 0..1000000000 { a.push(n); }", array),
     ] {
         let began = Instant::now();
-        let told = close(&format!("fn close() {{ {body} }}"), LONG).await.unwrap_err();
-        assert!(told.to_lowercase().contains(limit), "{body}: {told}");
+        let error = close(&format!("fn close() {{ {body} }}"), LONG).await.unwrap_err();
+        assert!(error.to_lowercase().contains(limit), "{body}: {error}");
         assert!(began.elapsed() < Duration::from_secs(20), "{body}: {:?}", began.elapsed());
     }
     let many: String = (0..100).fold(String::new(), |mut text, n| {
         let _ = write!(text, "let v{n} = {n};");
         text
     });
-    let told = close(&format!("fn close() {{ {many} }}"), LONG).await.unwrap_err();
-    assert!(told.contains("Too many variables"), "{told}");
+    let error = close(&format!("fn close() {{ {many} }}"), LONG).await.unwrap_err();
+    assert!(error.contains("Too many variables"), "{error}");
 }
 
 #[tokio::test]
@@ -74,8 +74,8 @@ async fn functions_within_functions_end_before_the_stack_does() {
         "fn close() { close(); }".to_owned(),
         format!("fn close() {{ deeper(0); }} private fn deeper(n) {{ if true {{ {brackets} }} }}"),
     ] {
-        let told = close(&text, LONG).await.unwrap_err();
-        assert!(told.contains("Stack overflow") || told.contains("stack overflow"), "{text}: {told}");
+        let error = close(&text, LONG).await.unwrap_err();
+        assert!(error.contains("Stack overflow") || error.contains("stack overflow"), "{text}: {error}");
     }
 }
 
@@ -91,8 +91,8 @@ async fn work_without_end_is_ended_by_its_time_whatever_it_is_made_of() {
         "loop { try { throw 1 } catch { try { throw 2 } catch { } } }",
     ] {
         let began = Instant::now();
-        let told = close(&format!("fn close() {{ {body} }}"), SHORT).await.expect_err(body);
-        assert!(told.contains("not done within 0.2 s"), "{body}: {told}");
+        let error = close(&format!("fn close() {{ {body} }}"), SHORT).await.expect_err(body);
+        assert!(error.contains("not done within 0.2 s"), "{body}: {error}");
         assert!(began.elapsed() < Duration::from_secs(5), "{body}: {:?}", began.elapsed());
     }
 }
@@ -120,9 +120,9 @@ async fn a_map_that_is_filled_entry_by_entry_is_ended_by_the_memory_that_it_take
              loop {{ try {{ {filling} n += 1; }} catch {{ }} }} }}"
         );
         let script = Script::compile(&text).unwrap();
-        let told = script.call_within(Function::Close, LONG, 32 << 20, &Obliging::default()).await.map(drop);
-        let told = told.unwrap_err().to_string();
-        assert!(told.contains("memory grew by more than 32 MiB"), "{filling}: {told}");
+        let message = script.call_within(Function::Close, LONG, 32 << 20, &Obliging::default()).await.map(drop);
+        let message = message.unwrap_err().to_string();
+        assert!(message.contains("memory grew by more than 32 MiB"), "{filling}: {message}");
     }
 }
 
@@ -149,13 +149,13 @@ async fn full_variables_at_every_depth_are_some_hundred_megabytes_and_no_more() 
         most
     };
     let calling = async {
-        let told = close(&text, LONG).await;
+        let result = close(&text, LONG).await;
         over.store(true, Ordering::Relaxed);
-        told
+        result
     };
-    let (told, most) = tokio::join!(calling, watching);
-    let told = told.unwrap_err();
-    assert!(told.to_lowercase().contains("stack overflow"), "{told}");
+    let (result, most) = tokio::join!(calling, watching);
+    let result = result.unwrap_err();
+    assert!(result.to_lowercase().contains("stack overflow"), "{result}");
     // The other tests of this process need some too.
     assert!(most < 500 << 20, "{} MiB", most >> 20);
     assert!(most > 10 << 20, "{} MiB: it was not seen at work", most >> 20);
@@ -165,9 +165,9 @@ fn refused(text: &str) -> String {
     let began = Instant::now();
     let faults = Script::compile(text).map(|_| ()).unwrap_err();
     assert!(began.elapsed() < Duration::from_secs(10), "{:?}", began.elapsed());
-    let told = faults.join("; ");
-    assert!(told.len() < 16 << 10, "{} bytes are told", told.len());
-    told
+    let text = faults.join("; ");
+    assert!(text.len() < 16 << 10, "{} bytes are reported", text.len());
+    text
 }
 
 #[test]
@@ -177,8 +177,8 @@ fn a_text_without_end_is_refused_before_it_is_read() {
     // An endless line, and one whose character is cut in the middle.
     for filling in ["/", "a", "é"] {
         std::fs::write(&path, format!("fn close() {{ }}\n//{}", filling.repeat(8 << 20))).unwrap();
-        let told = Script::read(&path).map(|_| ()).unwrap_err().to_string();
-        assert!(told.contains("more than 65536 bytes"), "{told}");
+        let error = Script::read(&path).map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains("more than 65536 bytes"), "{error}");
     }
     let fits = format!("fn close() {{ }}\n//{}", "x".repeat(LONGEST - 17));
     assert_eq!(fits.len(), LONGEST);
@@ -192,15 +192,15 @@ fn brackets_within_brackets_are_refused_before_the_stack_ends() {
         [("(", ")"), ("[", "]"), ("{", "}"), ("if true {", "}"), ("-", "1"), ("!", "true"), ("#{a:", "}")]
     {
         let most = (LONGEST - 100) / (open.len() + close.len());
-        let told = refused(&format!("fn close() {{ let x = {}1{}; }}", open.repeat(most), close.repeat(most)));
-        assert!(!told.is_empty());
+        let message = refused(&format!("fn close() {{ let x = {}1{}; }}", open.repeat(most), close.repeat(most)));
+        assert!(!message.is_empty());
         // And without their other halves.
         refused(&format!("fn close() {{ let x = {}", open.repeat(LONGEST / open.len() - 100)));
     }
 }
 
 #[test]
-fn thousands_of_faults_are_told_as_a_few() {
+fn thousands_of_faults_are_reported_as_a_few() {
     let many = (0..3000).fold(String::new(), |mut text, n| {
         let _ = writeln!(text, "fn x{n}() {{}}");
         text

@@ -10,11 +10,12 @@ use contract::{Device, DeviceKind};
 use units::seconds;
 
 use super::call::CallError;
-use super::line::{Answer, Reply, Request};
+use super::line::{HostAnswer, Reply, Request};
 use super::script::Function;
-use crate::control_room::ControlRoom;
-use crate::rig::instrument::Instrument;
-use crate::trouble::Trouble;
+use crate::action_error::ActionError;
+use crate::authority::Authority;
+use crate::devices::Devices;
+use crate::devices::instrument::Instrument;
 
 /// A device node gives a command of the maker's own 5 s; its answer arrives here within this time.
 const ANSWER: Duration = Duration::from_secs(10);
@@ -24,17 +25,17 @@ const LONGEST_SLEEP_S: f64 = 600.0;
 const LONGEST_NOTE: usize = 500;
 
 /// Answers what every function may ask.
-pub async fn answer(room: &ControlRoom, function: Function, request: Request) -> Answer {
+pub async fn answer(authority: &Authority, devices: &Devices, function: Function, request: Request) -> HostAnswer {
     let name = function.name();
     match request {
-        Request::Vendor(device, command) => vendor(room, &device, command).await.map(Reply::Text),
-        Request::State(device) => state(room, &device).map(Reply::Fields),
-        Request::IsSafe => Ok(Reply::Truth(room.is_safe())),
+        Request::Vendor(device, command) => vendor(devices, &device, command).await.map(Reply::Text),
+        Request::State(device) => state(devices, &device).map(Reply::Fields),
+        Request::IsSafe => Ok(Reply::Truth(authority.is_safe())),
         Request::Sleep(s) if !(0.0..=LONGEST_SLEEP_S).contains(&s) => {
             Err(format!("sleep({s}): expected 0 to {LONGEST_SLEEP_S} s"))
         }
         Request::Sleep(s) => {
-            room.node.bus.clock().sleep_sky(seconds(s)).await;
+            authority.node.bus.clock().sleep_sky(seconds(s)).await;
             Ok(Reply::Done)
         }
         Request::Note(text) => {
@@ -51,30 +52,30 @@ pub async fn answer(room: &ControlRoom, function: Function, request: Request) ->
     }
 }
 
-async fn vendor(room: &ControlRoom, device: &str, command: VendorCommand) -> Result<String, String> {
-    let rig = &room.rig;
+async fn vendor(devices: &Devices, device: &str, command: VendorCommand) -> Result<String, String> {
     let answered = match split(device) {
         (Some(Kind::Telescope), name) => {
-            let mounts = rig.mounts.iter().map(|mount| &mount.instrument);
+            let mounts = devices.mounts.iter().map(|mount| &mount.instrument);
             one(mounts, device, name)?.ask_for_answer(telescope::Command::Vendor(command), ANSWER).await
         }
         (Some(Kind::Dome), name) => {
-            let domes = rig.domes.iter().map(|dome| &dome.instrument);
+            let domes = devices.domes.iter().map(|dome| &dome.instrument);
             one(domes, device, name)?.ask_for_answer(dome::Command::Vendor(command), ANSWER).await
         }
         _ => return Err(format!("{device:?}: expected telescope or dome, or with its name, such as dome/roof")),
     };
-    answered.map_err(|trouble| trouble.to_string())
+    answered.map_err(|error| error.to_string())
 }
 
 /// The typed fields of a device, as fresh as decisions need them.
-fn state(room: &ControlRoom, device: &str) -> Result<serde_json::Value, String> {
-    let rig = &room.rig;
+fn state(devices: &Devices, device: &str) -> Result<serde_json::Value, String> {
     match split(device) {
-        (Some(Kind::Telescope), name) => fields(one(rig.mounts.iter().map(|mount| &mount.instrument), device, name)?),
-        (Some(Kind::Dome), name) => fields(one(rig.domes.iter().map(|dome| &dome.instrument), device, name)?),
+        (Some(Kind::Telescope), name) => {
+            fields(one(devices.mounts.iter().map(|mount| &mount.instrument), device, name)?)
+        }
+        (Some(Kind::Dome), name) => fields(one(devices.domes.iter().map(|dome| &dome.instrument), device, name)?),
         (Some(Kind::CoverCalibrator), name) => {
-            fields(one(rig.covers.iter().map(|cover| &cover.instrument), device, name)?)
+            fields(one(devices.covers.iter().map(|cover| &cover.instrument), device, name)?)
         }
         _ => {
             Err(format!("{device:?}: expected telescope, dome or covercalibrator, or with its name, such as dome/roof"))
@@ -83,7 +84,7 @@ fn state(room: &ControlRoom, device: &str) -> Result<serde_json::Value, String> 
 }
 
 fn fields<K: DeviceKind>(instrument: &Instrument<K>) -> Result<serde_json::Value, String> {
-    let stale = || format!("{}: no fresh state over a standing link", instrument.device);
+    let stale = || format!("{}: no fresh state over a link that is up", instrument.device);
     let state = instrument.fresh().ok_or_else(stale)?;
     serde_json::to_value(&state.fields).map_err(|error| error.to_string())
 }
@@ -113,14 +114,14 @@ fn of(device: &Device) -> String {
 }
 
 /// Raises or clears the alert of a function, and converts its failure into an error of the action.
-pub fn told<T>(room: &ControlRoom, function: Function, result: Result<T, CallError>) -> Result<T, Trouble> {
-    let alerts = &room.node.alerts;
+pub fn reported<T>(authority: &Authority, function: Function, result: Result<T, CallError>) -> Result<T, ActionError> {
+    let alerts = &authority.node.alerts;
     result
         .inspect(|_| alerts.clear(AlertKind::SiteScript, function.name()))
         .map_err(|error| (function.name().to_owned(), error.to_string()))
         .map_err(|(function, why)| {
             tracing::warn!(function, why, "the site's script failed");
             alerts.raise(AlertKind::SiteScript, &function, &format!("{function}: {why}"));
-            Trouble::Script { function, why }
+            ActionError::Script { function, why }
         })
 }

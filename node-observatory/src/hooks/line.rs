@@ -48,25 +48,25 @@ pub enum Reply {
 }
 
 /// An answer, or why there is none, in words that the script may catch.
-pub type Answer = Result<Reply, String>;
+pub type HostAnswer = Result<Reply, String>;
 
 /// A request with the way back.
 pub struct Asked {
     /// What.
     pub request: Request,
     /// Where the answer goes.
-    pub back: oneshot::Sender<Answer>,
+    pub back: oneshot::Sender<HostAnswer>,
 }
 
 /// The part that answers a script.
 pub trait Host: Sync {
     /// Answers; dropping the future in the middle must be harmless.
-    fn answer(&self, request: Request) -> impl Future<Output = Answer> + Send;
+    fn answer(&self, request: Request) -> impl Future<Output = HostAnswer> + Send;
 }
 
 /// The script's end of the line. Cheap to clone.
 #[derive(Clone)]
-pub struct Line {
+pub struct ScriptLine {
     /// Where requests go.
     pub requests: mpsc::UnboundedSender<Asked>,
     /// Set when nobody waits for the script any more.
@@ -80,12 +80,12 @@ pub struct Line {
 /// The script is over, whatever its result.
 pub struct Over;
 
-impl Line {
+impl ScriptLine {
     /// Asks, and waits for the answer.
     ///
     /// # Errors
     /// `Over` when the script must end; no script can catch that.
-    pub fn ask(&self, request: Request) -> Result<Answer, Over> {
+    pub fn ask(&self, request: Request) -> Result<HostAnswer, Over> {
         let (back, answer) = oneshot::channel();
         if self.is_over() || self.requests.send(Asked { request, back }).is_err() {
             return Err(Over);

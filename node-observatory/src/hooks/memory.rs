@@ -1,7 +1,7 @@
 //! How much memory this process has taken since a script began.
 //!
 //! The language bounds each text, list and map where one is made or handed on, but not a map into which entry after
-//! entry is put in its place (`map[key] = value`; rhai 1.27, `eval/indexing.rs`). So the whole is looked at too, now
+//! entry is put in its place (`map[key] = value`; rhai 1.27, module `eval::indexing`). So the whole is looked at too, now
 //! and then.
 
 /// A script that is at work while the process grows by more than this is ended, bytes: well beyond what its variables
@@ -39,6 +39,6 @@ impl Meter {
 fn resident() -> Option<u64> {
     // Every kernel that this runs on by default has pages of this size, and others have larger ones.
     const PAGE: u64 = 4096;
-    let told = std::fs::read_to_string("/proc/self/statm").ok()?;
-    told.split_whitespace().nth(1)?.parse::<u64>().ok().map(|pages| pages * PAGE)
+    let text = std::fs::read_to_string("/proc/self/statm").ok()?;
+    text.split_whitespace().nth(1)?.parse::<u64>().ok().map(|pages| pages * PAGE)
 }

@@ -21,19 +21,23 @@ mod closing;
 pub mod engine;
 #[cfg(test)]
 mod greedy_tests;
-mod host;
-mod line;
+pub(crate) mod host;
+pub(crate) mod line;
 mod memory;
-pub mod opening;
 mod script;
 
-use bus::Node;
-use contract::observatory::AlertKind;
+use std::sync::Arc;
 
+use contract::observatory::AlertKind;
+use node::Node;
+
+pub use call::CallError;
 pub use closing::AtClosing;
 pub use script::{FUNCTIONS, Function, Script, ScriptError};
 
-use crate::trouble::Trouble;
+use crate::action_error::ActionError;
+use crate::authority::Authority;
+use crate::devices::Devices;
 
 /// What the configuration has of a script.
 pub enum Hooks {
@@ -45,19 +49,29 @@ pub enum Hooks {
     Broken(String),
 }
 
+/// What a script works with.
+pub struct ScriptedSite {
+    /// Whether this node may act.
+    pub authority: Arc<Authority>,
+    /// The devices.
+    pub devices: Arc<Devices>,
+    /// The script.
+    pub hooks: Hooks,
+}
+
 impl Hooks {
     /// Reads and proves the script of the configuration; an alert is active if it cannot be used.
     pub async fn load(node: &Node) -> Self {
         let Some(file) = node.config.hooks.script.clone() else { return Self::None };
-        let shown = file.display().to_string();
+        let path = file.display().to_string();
         let read = tokio::task::spawn_blocking(move || Script::read(&file)).await;
         let why = match read {
             Ok(Ok(script)) => {
-                tracing::info!(file = shown, functions = ?script.names(), "the site's script");
+                tracing::info!(file = path, functions = ?script.names(), "the site's script");
                 return Self::Script(script);
             }
             Ok(Err(error)) => error.to_string(),
-            Err(error) => format!("{shown}: {error}"),
+            Err(error) => format!("{path}: {error}"),
         };
         node.alerts.raise(AlertKind::SiteScript, "script", &why);
         Self::Broken(why)
@@ -67,11 +81,11 @@ impl Hooks {
     ///
     /// # Errors
     /// When there is one that cannot be used: what it is for may be needed to open without harm.
-    pub fn script(&self) -> Result<Option<&Script>, Trouble> {
+    pub fn script(&self) -> Result<Option<&Script>, ActionError> {
         match self {
             Self::None => Ok(None),
             Self::Script(script) => Ok(Some(script)),
-            Self::Broken(why) => Err(Trouble::Script { function: "the text".to_owned(), why: why.clone() }),
+            Self::Broken(why) => Err(ActionError::Script { function: "the text".to_owned(), why: why.clone() }),
         }
     }
 }

@@ -6,15 +6,15 @@ use std::io::{self, Read as _};
 use std::path::Path;
 use std::sync::Arc;
 
+use config::nearest;
 use rhai::{AST, FnAccess};
 
 use super::{calls, engine};
-use config::nearest;
 
 /// Bytes of a script's text: a site's own steps are some pages, and reading must not take long.
 pub(super) const LONGEST: usize = 64 * 1024;
 /// So many faults are reported; after these are fixed, the next ones are reported.
-const TOLD: usize = 20;
+const REPORTED: usize = 20;
 /// Longest reported part of a name, characters.
 const NAME: usize = 60;
 /// Longest reported part of a fault, characters.
@@ -122,7 +122,7 @@ impl Script {
         let ast = engine::bare().compile(text).map_err(|error| vec![shortened(&error.to_string())])?;
         let (mut functions, mut faults) = (BTreeSet::new(), Vec::new());
         for function in ast.iter_functions().filter(|function| function.access == FnAccess::Public) {
-            if faults.len() > TOLD {
+            if faults.len() > REPORTED {
                 break;
             }
             let (name, parameters) = (function.name, function.params.len());
@@ -151,8 +151,8 @@ impl Script {
         }
         let own: Vec<&str> = ast.iter_functions().map(|function| function.name).collect();
         faults.extend(calls::misspelt(text, &own));
-        if faults.len() > TOLD {
-            faults.truncate(TOLD);
+        if faults.len() > REPORTED {
+            faults.truncate(REPORTED);
             faults.push("and more".to_owned());
         }
         if faults.is_empty() { Ok(Self { ast: Arc::new(ast), functions }) } else { Err(faults) }
@@ -209,8 +209,8 @@ mod tests {
 
     #[test]
     fn an_unknown_function_is_refused_with_the_nearest_known_one() {
-        let told = refused("// mine\nfn befor_open() { }\n");
-        assert!(told.contains("line 2: no function is called befor_open; did you mean before_open?"), "{told}");
+        let message = refused("// mine\nfn befor_open() { }\n");
+        assert!(message.contains("line 2: no function is called befor_open; did you mean before_open?"), "{message}");
     }
 
     #[test]
@@ -219,11 +219,11 @@ mod tests {
     }
 
     #[test]
-    fn wrong_syntax_is_told_with_line_and_column() {
-        let told = refused("fn open() {\n  let a = ;\n}\n");
-        assert!(told.contains("line 2, position 11"), "{told}");
-        let told = refused("fn open() {\n  mistyped + 1\n}\n");
-        assert!(told.contains("mistyped") && told.contains("line 2, position 3"), "{told}");
+    fn wrong_syntax_is_reported_with_line_and_column() {
+        let message = refused("fn open() {\n  let a = ;\n}\n");
+        assert!(message.contains("line 2, position 11"), "{message}");
+        let message = refused("fn open() {\n  mistyped + 1\n}\n");
+        assert!(message.contains("mistyped") && message.contains("line 2, position 3"), "{message}");
     }
 
     #[test]

@@ -2,17 +2,18 @@
 
 use std::time::Duration;
 
+use schedule::shot::Shot;
 use sky::{Body, Icrs, Rates, separation};
 use units::{Angle, Utc, seconds};
 
-use super::course::Course;
 use super::path::Path;
-use crate::action::Stage;
-use crate::action::expose::{Series, expose};
-use crate::pointing::{self, Flip};
-use crate::rig::telescope::Mount;
-use crate::trouble::Trouble;
-use schedule::shot::Shot;
+use super::rated_motion::RatedMotion;
+use crate::action_error::ActionError;
+use crate::devices::telescope::Mount;
+use crate::exposing::Series;
+use crate::focus::{FocusData, expose_in_focus};
+use crate::pointing::{self, Flip, PointingData};
+use crate::row_context::RowContext;
 
 /// A body that has moved less than this during a slew is still met, arcsec.
 const MET_ARCSEC: f64 = 1.0;
@@ -28,7 +29,7 @@ const BREATH: Duration = Duration::from_millis(20);
 
 /// What a row asks of the following.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Wish {
+pub struct FollowRequest {
     /// The telescope waits so long before the body, s.
     pub lead_s: f64,
     /// Rates are renewed no more often than this, s.
@@ -40,11 +41,11 @@ pub struct Wish {
 }
 
 /// Refuses a mount that cannot move relative to the stars.
-pub async fn can_follow(mount: &Mount) -> Result<(), Trouble> {
+pub async fn can_follow(mount: &Mount) -> Result<(), ActionError> {
     if mount.instrument.capabilities().await?.set_rates {
         return Ok(());
     }
-    Err(Trouble::Impossible(format!(
+    Err(ActionError::Impossible(format!(
         "the target moves, and {} takes no rates for it (CanSetRightAscensionRate or CanSetDeclinationRate is false)",
         mount.instrument.device.name
     )))
@@ -53,25 +54,26 @@ pub async fn can_follow(mount: &Mount) -> Result<(), Trouble> {
 /// Takes the frames of a row while the telescope follows `body`; returns how many there are. `shot` gets the number of
 /// frames so far, the time, and when the last must have ended.
 pub async fn observe(
-    stage: &Stage,
+    context: &RowContext,
+    (pointing, focus): (&PointingData, &FocusData),
     mount: &Mount,
-    (body, wish): (&Body, &Wish),
+    (body, request): (&Body, &FollowRequest),
     mut series: Series,
     shot: impl Fn(u32, Utc, Utc) -> Option<Shot> + Send + Sync,
-) -> Result<u32, Trouble> {
-    let (path, clock) = (Path::new(stage, mount, body), stage.clock());
-    let end = path.up_until(clock.utc(), stage.row.end)?;
-    stage.set_following(true);
-    let (mut flip, mut turns) = (Flip::of(stage, mount), false);
+) -> Result<u32, ActionError> {
+    let (path, clock) = (Path::new(context, mount, body), context.clock());
+    let end = path.up_until(clock.utc(), context.row.end)?;
+    context.set_following(true);
+    let (mut flip, mut turns) = (Flip::of(context, mount), false);
     let taken = 'recenter: loop {
-        let mut course = meet(stage, mount, &path, wish).await?;
+        let mut motion = meet(context, pointing, mount, &path, request).await?;
         if std::mem::take(&mut turns)
             && let Some(ignored) = flip.note().await
         {
             tracing::warn!(ignored, "the moving target is followed on this side of the pier");
         }
-        renew(stage, mount, &path, wish, &mut course).await?;
-        let recenter = (wish.recenter_s > 0.0).then(|| clock.utc().plus_seconds(wish.recenter_s));
+        renew(context, mount, &path, request, &mut motion).await?;
+        let recenter = (request.recenter_s > 0.0).then(|| clock.utc().plus_seconds(request.recenter_s));
         let is_due = |now: Utc| recenter.is_some_and(|at| now >= at);
         loop {
             let here = path.icrs(clock.utc())?;
@@ -85,92 +87,110 @@ pub async fn observe(
                 shot(taken, now, end).filter(|shot| is_first || !(is_due(now) || is_stale(now) || flips(shot)))
             };
             let taken = tokio::select! {
-                taken = expose(stage, &series, next) => taken?,
-                trouble = follow(stage, mount, &path, wish, &mut course) => return Err(trouble),
+                taken = expose_in_focus(context, focus, &series, next) => taken?,
+                error = follow(context, mount, &path, request, &mut motion) => return Err(error),
             };
             let now = clock.utc();
             let Some(following) = shot(taken, now, end) else { break 'recenter taken };
             if flip.is_due(&here, following.exposure_s, now) {
-                stage.step("meridian flip");
+                context.step("meridian flip");
                 turns = true;
                 break;
             }
             if is_due(now) {
-                stage.step("back to the moving target");
+                context.step("back to the moving target");
                 break;
             }
         }
     };
     mount.set_rates(Rates::default()).await?;
-    stage.set_following(false);
+    context.set_following(false);
     Ok(taken)
 }
 
 /// Slews to where the body will be, and waits for it there.
-async fn meet(stage: &Stage, mount: &Mount, path: &Path<'_>, wish: &Wish) -> Result<Course, Trouble> {
-    let clock = stage.clock();
-    let mut lead_s = wish.lead_s;
+async fn meet(
+    context: &RowContext,
+    pointing: &PointingData,
+    mount: &Mount,
+    path: &Path<'_>,
+    request: &FollowRequest,
+) -> Result<RatedMotion, ActionError> {
+    let clock = context.clock();
+    let mut lead_s = request.lead_s;
     for _ in 0..SLEWS {
         let began = clock.utc();
         let meeting = began.plus_seconds(lead_s);
         let place = path.icrs(meeting)?;
-        stage.step("slewing to the moving target");
-        send(stage, mount, &place, wish.correction).await?;
+        context.step("slewing to the moving target");
+        send(context, pointing, mount, &place, request.correction).await?;
         // A mount that tracks the place of date holds what it was sent at the time of the slew.
         let arrived = clock.utc();
-        let spot = path.of_mount(&place, &stage.observer(arrived)?)?;
+        let spot = path.of_mount(&place, &context.observer(arrived)?)?;
         if arrived <= meeting {
-            stage.step("waiting for the moving target");
+            context.step("waiting for the moving target");
             clock.sleep_sky(seconds(meeting.seconds_since(arrived))).await;
-            return Ok(Course::begun(meeting, spot));
+            return Ok(RatedMotion::begun(meeting, spot));
         }
         if path.spot(arrived)?.apart_arcsec(&spot) < MET_ARCSEC {
-            return Ok(Course::begun(arrived, spot));
+            return Ok(RatedMotion::begun(arrived, spot));
         }
         // The next slew is no longer than this one was.
         lead_s = arrived.seconds_since(began) + SPARE_S;
     }
     let (device, verb) = (mount.instrument.device.to_string(), "reach a moving target".to_owned());
-    Err(Trouble::Failed { device, verb, reason: format!("it was gone before each of {SLEWS} slews had ended") })
+    Err(ActionError::Failed { device, verb, reason: format!("it was gone before each of {SLEWS} slews had ended") })
 }
 
-async fn send(stage: &Stage, mount: &Mount, place: &Icrs, correction: Option<[Angle; 2]>) -> Result<(), Trouble> {
-    let Some([ra, dec]) = correction else { return pointing::send(stage, mount, place).await.map(|_| ()) };
-    let observer = stage.visible(place)?;
+async fn send(
+    context: &RowContext,
+    pointing: &PointingData,
+    mount: &Mount,
+    place: &Icrs,
+    correction: Option<[Angle; 2]>,
+) -> Result<(), ActionError> {
+    let Some([ra, dec]) = correction else { return pointing::send(context, pointing, mount, place).await.map(|_| ()) };
+    let observer = context.visible(place)?;
     let commanded = Icrs { ra: place.ra + ra, dec: place.dec + dec }.checked()?;
     mount.point(&commanded, &observer).await
 }
 
 /// Renews the rates as the path bends, for ever; returns what went wrong.
-async fn follow(stage: &Stage, mount: &Mount, path: &Path<'_>, wish: &Wish, course: &mut Course) -> Trouble {
+async fn follow(
+    context: &RowContext,
+    mount: &Mount,
+    path: &Path<'_>,
+    request: &FollowRequest,
+    motion: &mut RatedMotion,
+) -> ActionError {
     loop {
-        let rests_s = match renew(stage, mount, path, wish, course).await {
+        let rests_s = match renew(context, mount, path, request, motion).await {
             Ok(rests_s) => rests_s,
-            Err(trouble) => return trouble,
+            Err(error) => return error,
         };
-        stage.clock().sleep_sky(seconds(rests_s)).await;
+        context.clock().sleep_sky(seconds(rests_s)).await;
         tokio::time::sleep(BREATH).await;
     }
 }
 
 /// Looks at the rates, if it is time, and sends others where they are wanted; returns seconds until the next look.
 async fn renew(
-    stage: &Stage,
+    context: &RowContext,
     mount: &Mount,
     path: &Path<'_>,
-    wish: &Wish,
-    course: &mut Course,
-) -> Result<f64, Trouble> {
-    let now = stage.clock().utc();
-    let interval_s = path.interval_s(now, wish.update_s)?;
-    let rests_s = course.rests_s(now, interval_s);
+    request: &FollowRequest,
+    motion: &mut RatedMotion,
+) -> Result<f64, ActionError> {
+    let now = context.clock().utc();
+    let interval_s = path.interval_s(now, request.update_s)?;
+    let rests_s = motion.rests_s(now, interval_s);
     if rests_s > 0.0 {
         return Ok(rests_s);
     }
-    if let Some(rates) = course.look(now, &path.spot(now.plus_seconds(interval_s))?, interval_s) {
+    if let Some(rates) = motion.look(now, &path.spot(now.plus_seconds(interval_s))?, interval_s) {
         let taken = mount.set_rates(rates).await?;
         tracing::debug!(?rates, interval_s, "rates of a moving target");
-        course.set(taken, rates);
+        motion.set(taken, rates);
     }
     Ok(interval_s)
 }

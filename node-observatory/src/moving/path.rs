@@ -4,10 +4,10 @@ use schedule::moving_target;
 use sky::{Body, Icrs, Observer};
 use units::Utc;
 
-use super::course::{Spot, TRAIL_ARCSEC};
-use crate::action::Stage;
-use crate::rig::telescope::Mount;
-use crate::trouble::Trouble;
+use super::rated_motion::{Spot, TRAIL_ARCSEC};
+use crate::action_error::ActionError;
+use crate::devices::telescope::Mount;
+use crate::row_context::RowContext;
 
 /// Rates are renewed no more often than this where the row gives no other interval, s.
 const INTERVAL_S: f64 = 10.0;
@@ -15,38 +15,38 @@ const INTERVAL_S: f64 = 10.0;
 const SHORTER_S: [f64; 3] = [5.0, 2.0, 1.0];
 /// A body's path.
 pub struct Path<'a> {
-    stage: &'a Stage,
+    context: &'a RowContext,
     mount: &'a Mount,
     body: &'a Body,
 }
 
 impl<'a> Path<'a> {
     /// The path of `body`.
-    pub fn new(stage: &'a Stage, mount: &'a Mount, body: &'a Body) -> Self {
-        Self { stage, mount, body }
+    pub fn new(context: &'a RowContext, mount: &'a Mount, body: &'a Body) -> Self {
+        Self { context, mount, body }
     }
 
     /// Its place among the stars.
-    pub fn icrs(&self, at: Utc) -> Result<Icrs, Trouble> {
-        Ok(self.body.seen(&self.stage.observer(at)?)?.icrs)
+    pub fn icrs(&self, at: Utc) -> Result<Icrs, ActionError> {
+        Ok(self.body.seen(&self.context.observer(at)?)?.icrs)
     }
 
     /// Its place in the mount's frame.
-    pub fn spot(&self, at: Utc) -> Result<Spot, Trouble> {
-        let observer = self.stage.observer(at)?;
+    pub fn spot(&self, at: Utc) -> Result<Spot, ActionError> {
+        let observer = self.context.observer(at)?;
         self.of_mount(&self.body.seen(&observer)?.icrs, &observer)
     }
 
     /// A place among the stars in the mount's frame.
-    pub fn of_mount(&self, place: &Icrs, observer: &Observer) -> Result<Spot, Trouble> {
+    pub fn of_mount(&self, place: &Icrs, observer: &Observer) -> Result<Spot, ActionError> {
         let (ra, dec) = self.mount.place(place, observer)?;
         Ok(Spot { ra, dec })
     }
 
     /// How long rates may last now, s: as the row has it, or as long as a straight piece stays near the path.
-    pub fn interval_s(&self, now: Utc, wished_s: Option<f64>) -> Result<f64, Trouble> {
-        if let Some(wished_s) = wished_s {
-            return Ok(wished_s.max(0.5));
+    pub fn interval_s(&self, now: Utc, requested_s: Option<f64>) -> Result<f64, ActionError> {
+        if let Some(requested_s) = requested_s {
+            return Ok(requested_s.max(0.5));
         }
         let start = self.spot(now)?;
         for interval_s in std::iter::once(INTERVAL_S).chain(SHORTER_S) {
@@ -66,14 +66,14 @@ impl<'a> Path<'a> {
     /// Until when it is in what the site leaves of the sky from `from` on, but not beyond `to`.
     ///
     /// # Errors
-    /// [`Trouble::Impossible`] where it does not at `from`.
-    pub fn up_until(&self, from: Utc, to: Utc) -> Result<Utc, Trouble> {
+    /// [`ActionError::Impossible`] where it does not at `from`.
+    pub fn up_until(&self, from: Utc, to: Utc) -> Result<Utc, ActionError> {
         moving_target::up_until(
             self.body,
             (from, to),
             &self.mount.horizon_limits,
-            |at| self.stage.observer(at),
-            Trouble::Impossible,
+            |at| self.context.observer(at),
+            ActionError::Impossible,
         )
     }
 }

@@ -33,11 +33,11 @@ pub fn question(base: &str, name: &str, at: Utc) -> String {
 /// When several have it, or the answer is none of Horizons'.
 pub fn read(answer: &str) -> Result<Option<Meaning>, String> {
     let Some(table) = answer.split_once("$$SOE").map(|(_, rest)| rest) else {
-        let said = answer.to_lowercase();
-        if said.contains("no matches found") {
+        let lower_case = answer.to_lowercase();
+        if lower_case.contains("no matches found") {
             return Ok(None);
         }
-        if said.contains("matching small-bodies") || said.contains("multiple") {
+        if lower_case.contains("matching small-bodies") || lower_case.contains("multiple") {
             return Err("several small bodies have that name: give a designation, or a number".to_owned());
         }
         return Err("the answer is none of Horizons'".to_owned());

@@ -1,31 +1,34 @@
 //! Looks names up in parallel with everything else, as soon as a schedule has them.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 use std::time::Duration;
 
 use config::Names;
-use schedule::names::{Known, Meaning, key};
+use node::Node;
+use schedule::names::{KnownNames, Meaning, key};
 use tokio::sync::watch;
 use units::Utc;
 
 use super::{horizons, http, sesame};
-use crate::control_room::ControlRoom;
-use crate::kept::write_whole;
+use crate::persisted::write_whole;
 use crate::schedule_file::Loaded;
 
 /// A name that was not found, or could not be asked for, is asked for again after this, machine time.
 const AGAIN: Duration = Duration::from_secs(60);
 
 /// Looks up what the schedule names and nobody knows yet, for ever.
-pub async fn keep_looking_up(room: Arc<ControlRoom>, mut loaded: watch::Receiver<Loaded>) -> anyhow::Result<()> {
-    if !room.node.config.names.online {
+pub async fn keep_looking_up(
+    node: Node,
+    names: watch::Sender<KnownNames>,
+    mut loaded: watch::Receiver<Loaded>,
+) -> anyhow::Result<()> {
+    if !node.config.names.online {
         std::future::pending::<()>().await;
     }
     loop {
-        let wanted = wanted(&loaded.borrow_and_update(), &room.names.borrow());
+        let wanted = wanted(&loaded.borrow_and_update(), &names.borrow());
         for (name, at) in &wanted {
-            look_up(&room, name, *at).await;
+            look_up(&node, &names, name, *at).await;
         }
         tokio::select! {
             changed = loaded.changed() => changed?,
@@ -35,7 +38,7 @@ pub async fn keep_looking_up(room: Arc<ControlRoom>, mut loaded: watch::Receiver
 }
 
 /// Names and when they are wanted for: the first time.
-fn wanted(loaded: &Loaded, known: &Known) -> BTreeMap<String, Utc> {
+fn wanted(loaded: &Loaded, known: &KnownNames) -> BTreeMap<String, Utc> {
     let mut wanted = BTreeMap::new();
     for row in loaded.rows.iter() {
         if let Some(name) = row.action.lookup_name().filter(|name| known.wants(name, row.start)) {
@@ -45,19 +48,19 @@ fn wanted(loaded: &Loaded, known: &Known) -> BTreeMap<String, Utc> {
     wanted
 }
 
-async fn look_up(room: &ControlRoom, name: &str, at: Utc) {
-    match ask(&room.node.config.names, name, at).await {
+async fn look_up(node: &Node, names: &watch::Sender<KnownNames>, name: &str, at: Utc) {
+    match ask(&node.config.names, name, at).await {
         Ok(meaning) => {
             tracing::info!(name, ?meaning, "looked up");
-            room.names.send_modify(|known| {
+            names.send_modify(|known| {
                 known.failed.remove(&key(name));
                 known.found.insert(key(name), meaning);
             });
-            keep(room).await;
+            keep(node, names).await;
         }
         Err(why) => {
             let is_new =
-                room.names.send_if_modified(|known| known.failed.insert(key(name), why.clone()) != Some(why.clone()));
+                names.send_if_modified(|known| known.failed.insert(key(name), why.clone()) != Some(why.clone()));
             if is_new {
                 tracing::warn!(name, why, "not looked up; asked again in {} s", AGAIN.as_secs());
             }
@@ -79,11 +82,11 @@ async fn ask(names: &Names, name: &str, at: Utc) -> Result<Meaning, String> {
 }
 
 /// Writes what was found; without a disk it is looked up again after a restart.
-async fn keep(room: &ControlRoom) {
-    let path = Known::path(&room.node.config);
+async fn keep(node: &Node, names: &watch::Sender<KnownNames>) {
+    let path = KnownNames::path(&node.config);
     let mut part = path.clone().into_os_string();
-    part.push(format!(".{}.part", room.node.id));
-    let known = room.names.borrow().clone();
+    part.push(format!(".{}.part", node.id));
+    let known = names.borrow().clone();
     let written = tokio::task::spawn_blocking(move || write_whole(&path, part.as_ref(), &known)).await;
     if let Err(error) = written.unwrap_or_else(|error| Err(std::io::Error::other(error))) {
         tracing::warn!(%error, "names that were looked up are not on disk");
@@ -106,7 +109,11 @@ mod tests {
     async fn services() -> Names {
         let horizons = |uri: axum::http::Uri| async move {
             let asked = uri.query().unwrap_or_default().to_owned();
-            if asked.contains("Ceres%3B") { CERES } else { "\n No matches found.\n" }
+            match asked {
+                asked if asked.contains("Ceres%3B") => CERES.to_owned(),
+                asked if asked.contains("Endless%3B") => [CERES, &" ".repeat(1_000_000)].concat(),
+                _ => "\n No matches found.\n".to_owned(),
+            }
         };
         let sesame = |uri: axum::http::Uri| async move {
             if uri.query() == Some("Vega") { VEGA } else { "# Nonsuch\t#Q2\n#!SIMBAD: Nothing found\n" }
@@ -119,12 +126,15 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn small_bodies_and_stars_are_found_and_what_nobody_knows_is_said() {
+    async fn small_bodies_and_stars_are_found_and_what_nobody_knows_is_reported() {
         let (names, at) = (services().await, "2026-11-21T03:00:00Z".parse().unwrap());
         assert!(matches!(ask(&names, "Ceres", at).await, Ok(Meaning::Orbit { .. })));
         assert!(matches!(ask(&names, "Vega", at).await, Ok(Meaning::Fixed { .. })));
         let unknown = ask(&names, "Nonsuch", at).await.unwrap_err();
         assert!(unknown.contains("neither"), "{unknown}");
+        // A part of an answer could have half a number at its end.
+        let endless = ask(&names, "Endless", at).await.unwrap_err();
+        assert!(endless.contains("more than 1000000 bytes"), "{endless}");
     }
 
     #[tokio::test]

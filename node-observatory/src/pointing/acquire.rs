@@ -1,27 +1,27 @@
 //! Brings a telescope onto its target, frame by frame, until a solved frame proves that it is there.
 
 use contract::observatory::AlertKind;
-use imaging::pointing::{Approach, Step};
+use imaging::pointing::{CorrectionLoop, PointingStep};
+use schedule::plan::overheads::TimedPart;
+use schedule::shot::Shot;
 use sky::Icrs;
 use units::{Angle, seconds};
 
-use super::failure::{Deed, exposure_s, first_exposure_s};
+use super::failure::{Remedy, exposure_s, first_exposure_s};
 use super::fix::{learn, look, seen};
 use super::gate::round;
-use super::{icrs, pair};
-use crate::action::Stage;
-use crate::action::expose::{Series, aside};
-use crate::rig::telescope::Mount;
-use crate::trouble::Trouble;
-use schedule::plan::overheads::Span;
-use schedule::shot::Shot;
+use super::{PointingData, icrs, pair};
+use crate::action_error::ActionError;
+use crate::devices::telescope::Mount;
+use crate::exposing::{Series, aside};
+use crate::row_context::RowContext;
 
 /// ASTRATYP of the frames that show where the telescope looks.
 pub const ACTION: &str = "pointing";
 
 /// A row's way to its target.
 #[derive(Debug, Clone, Copy)]
-pub struct Way {
+pub struct Acquisition {
     /// Where the telescope should look.
     pub target: Icrs,
     /// Where it was sent last.
@@ -34,73 +34,84 @@ pub struct Way {
     pub is_fresh: bool,
 }
 
-impl Way {
+impl Acquisition {
     /// A way that has begun with a slew to `commanded`.
-    pub fn begun(stage: &Stage, target: Icrs, commanded: Icrs, exptime_s: f64) -> Self {
-        let frames_left = stage.room.node.config.pointing.attempts;
+    pub fn begun(context: &RowContext, target: Icrs, commanded: Icrs, exptime_s: f64) -> Self {
+        let frames_left = context.tools.authority.node.config.pointing.attempts;
         Self { target, commanded, exptime_s, frames_left, is_fresh: true }
     }
 
     /// Slews to where it was sent last: a person who moved the mount meanwhile moved it away from there, and a
     /// correction of that by the frames alone would overshoot.
-    pub async fn again(&mut self, stage: &Stage, mount: &Mount) -> Result<(), Trouble> {
-        mount.point(&self.commanded, &stage.visible(&self.commanded)?).await?;
+    pub async fn again(&mut self, context: &RowContext, mount: &Mount) -> Result<(), ActionError> {
+        mount.point(&self.commanded, &context.visible(&self.commanded)?).await?;
         self.is_fresh = true;
         Ok(())
     }
 
     /// A frame of the row has shown the telescope on its target: what comes now is another loss, with tries of its own.
-    pub fn renew(&mut self, stage: &Stage) {
-        self.frames_left = stage.room.node.config.pointing.attempts;
+    pub fn renew(&mut self, context: &RowContext) {
+        self.frames_left = context.tools.authority.node.config.pointing.attempts;
     }
 }
 
 /// Takes frames and corrects until one shows the telescope on its target; returns how that went, in words.
 ///
 /// # Errors
-/// [`Trouble::Unproven`] when the frames do not show where they look, or the mount does not go where it is sent.
-pub async fn acquire(stage: &Stage, mount: &Mount, series: &Series, way: &mut Way) -> Result<String, Trouble> {
-    let room = &stage.room;
-    room.pointing.send_modify(|state| state.active = true);
-    let _shown = Shown { stage };
-    let began = stage.clock().utc();
-    let result = frames(stage, mount, series, way).await;
-    let camera = stage.row.camera.as_str();
+/// [`ActionError::Unproven`] when the frames do not show where they look, or the mount does not go where it is sent.
+pub async fn acquire(
+    context: &RowContext,
+    pointing: &PointingData,
+    mount: &Mount,
+    series: &Series,
+    way: &mut Acquisition,
+) -> Result<String, ActionError> {
+    pointing.state.send_modify(|state| state.active = true);
+    let _visible = AcquisitionInState { pointing };
+    let began = context.clock().utc();
+    let result = frames(context, pointing, mount, series, way).await;
+    let camera = context.row.camera.as_str();
     match &result {
-        Ok(told) => {
-            room.node.alerts.clear(AlertKind::PointingUnproven, camera);
-            stage.took(Span::Acquire, began);
-            tracing::info!(camera, told, "on target");
-            room.pointing.send_modify(|state| state.detail = told_of(series, told));
+        Ok(report) => {
+            context.tools.authority.node.alerts.clear(AlertKind::PointingUnproven, camera);
+            context.took(TimedPart::Acquire, began);
+            tracing::info!(camera, report, "on target");
+            pointing.state.send_modify(|state| state.detail = with_object(series, report));
         }
-        Err(trouble @ Trouble::Unproven { why, .. }) => {
-            room.node.alerts.raise(AlertKind::PointingUnproven, camera, &trouble.to_string());
-            room.pointing.send_modify(|state| state.detail = told_of(series, why));
+        Err(error @ ActionError::Unproven { why, .. }) => {
+            context.tools.authority.node.alerts.raise(AlertKind::PointingUnproven, camera, &error.to_string());
+            pointing.state.send_modify(|state| state.detail = with_object(series, why));
         }
-        Err(trouble) => room.pointing.send_modify(|state| state.detail = told_of(series, &trouble.to_string())),
+        Err(error) => pointing.state.send_modify(|state| state.detail = with_object(series, &error.to_string())),
     }
     result
 }
 
 /// Shows that nothing is acquired any more, also when the action is dropped.
-struct Shown<'a> {
-    stage: &'a Stage,
+struct AcquisitionInState<'a> {
+    pointing: &'a PointingData,
 }
 
-impl Drop for Shown<'_> {
+impl Drop for AcquisitionInState<'_> {
     fn drop(&mut self) {
-        self.stage.room.pointing.send_modify(|state| state.active = false);
+        self.pointing.state.send_modify(|state| state.active = false);
     }
 }
 
-fn told_of(series: &Series, told: &str) -> String {
-    series.object.as_ref().map_or_else(|| told.to_owned(), |object| format!("{object}: {told}"))
+fn with_object(series: &Series, report: &str) -> String {
+    series.object.as_ref().map_or_else(|| report.to_owned(), |object| format!("{object}: {report}"))
 }
 
-async fn frames(stage: &Stage, mount: &Mount, series: &Series, way: &mut Way) -> Result<String, Trouble> {
-    let config = &stage.room.node.config.pointing;
+async fn frames(
+    context: &RowContext,
+    pointing: &PointingData,
+    mount: &Mount,
+    series: &Series,
+    way: &mut Acquisition,
+) -> Result<String, ActionError> {
+    let config = &context.tools.authority.node.config.pointing;
     let threshold = Angle::from_degrees(config.threshold_arcmin / 60.0);
-    let mut approach = Approach::new(pair(&way.target), pair(&way.commanded), threshold);
+    let mut approach = CorrectionLoop::new(pair(&way.target), pair(&way.commanded), threshold);
     let mut shot_s = first_exposure_s(config.exposure_s, way.exptime_s);
     let (mut changes, mut slews) = (0, 0);
     let mut last = "no frame may be taken any more".to_owned();
@@ -108,35 +119,35 @@ async fn frames(stage: &Stage, mount: &Mount, series: &Series, way: &mut Way) ->
         way.frames_left -= 1;
         let words = format!("finding out where it looks, {shot_s} s");
         let shot = Shot { exposure_s: shot_s, image_type: "Light Frame", words };
-        let frame = aside(stage, series, &shot, ACTION).await?;
-        let looked = look(stage, &frame).await;
-        let (why, deed) = match seen(looked.as_deref()) {
+        let frame = aside(context, series, &shot, ACTION).await?;
+        let looked = look(context, &frame).await;
+        let (why, remedy) = match seen(looked.as_deref()) {
             Ok(solution) => {
                 if let Some(looked) = looked.as_ref().filter(|_| std::mem::take(&mut way.is_fresh)) {
-                    learn(stage, &way.commanded, &looked.frame, solution);
+                    learn(context, pointing, &way.commanded, &looked.frame, solution);
                 }
                 let step = approach.look((solution.ra, solution.dec));
                 let off_arcmin = approach.distances().last().map_or(0.0, |off| off.degrees() * 60.0);
-                stage.room.pointing.send_modify(|state| state.off_target_arcmin = Some(round(off_arcmin)));
+                pointing.state.send_modify(|state| state.off_target_arcmin = Some(round(off_arcmin)));
                 match step {
-                    Step::OnTarget => {
+                    PointingStep::OnTarget => {
                         let plural = if slews == 1 { "" } else { "s" };
                         return Ok(format!("on target within {off_arcmin:.2} arcmin after {slews} correction{plural}"));
                     }
-                    Step::Hopeless => {
+                    PointingStep::Hopeless => {
                         let why = format!(
-                            "it looks {off_arcmin:.2} arcmin beside the target, and two corrections did not help: the \
+                            "it looks {off_arcmin:.2} arcmin off the target, and two corrections did not help: the \
                              mount does not go where it is sent"
                         );
-                        return Err(unproven(stage, why, true));
+                        return Err(unproven(context, why, true));
                     }
-                    Step::Slew(to) => {
-                        last = format!("it looks {off_arcmin:.2} arcmin beside the target");
+                    PointingStep::Slew(to) => {
+                        last = format!("it looks {off_arcmin:.2} arcmin off the target");
                         if way.frames_left > 0 {
-                            stage.step(format!("correcting by {off_arcmin:.2} arcmin"));
+                            context.step(format!("correcting by {off_arcmin:.2} arcmin"));
                             let to = icrs(to);
-                            mount.point(&to, &stage.visible(&to)?).await?;
-                            calm(stage, mount, way.exptime_s).await;
+                            mount.point(&to, &context.visible(&to)?).await?;
+                            calm(context, mount, way.exptime_s).await;
                             (way.commanded, way.is_fresh, slews) = (to, true, slews + 1);
                         }
                         continue;
@@ -146,34 +157,34 @@ async fn frames(stage: &Stage, mount: &Mount, series: &Series, way: &mut Way) ->
             Err(failed) => failed,
         };
         tracing::warn!(%frame, why, "a frame does not show where it looks");
-        if let Some(next_s) = exposure_s(deed, shot_s, changes) {
+        if let Some(next_s) = exposure_s(remedy, shot_s, changes) {
             // Another exposure time is no try at the target.
             (shot_s, changes, way.frames_left) = (next_s, changes + 1, way.frames_left + 1);
         }
-        match deed {
-            Deed::Nothing => return Err(unproven(stage, why, false)),
-            Deed::Wait if way.frames_left > 0 => {
-                stage.step(format!("waiting for the clouds to pass: {why}"));
-                stage.clock().sleep_sky(seconds(config.clouds_wait_s)).await;
+        match remedy {
+            Remedy::Nothing => return Err(unproven(context, why, false)),
+            Remedy::Wait if way.frames_left > 0 => {
+                context.step(format!("waiting for the clouds to pass: {why}"));
+                context.clock().sleep_sky(seconds(config.clouds_wait_s)).await;
             }
-            Deed::Longer | Deed::Shorter | Deed::Wait | Deed::Again => {}
+            Remedy::Longer | Remedy::Shorter | Remedy::Wait | Remedy::Again => {}
         }
         last = why;
     }
-    Err(unproven(stage, last, true))
+    Err(unproven(context, last, true))
 }
 
 /// Waits after a correction by the exposure time, where the mount's block asks for that.
-pub async fn calm(stage: &Stage, mount: &Mount, exposure_s: f64) {
+pub async fn calm(context: &RowContext, mount: &Mount, exposure_s: f64) {
     let wait_s = mount.config.settle_factor * exposure_s;
     if wait_s > 0.0 {
-        stage.step(format!("waiting {wait_s:.1} s for the mount to come to rest"));
-        stage.clock().sleep_sky(seconds(wait_s)).await;
+        context.step(format!("waiting {wait_s:.1} s for the mount to come to rest"));
+        context.clock().sleep_sky(seconds(wait_s)).await;
     }
 }
 
-fn unproven(stage: &Stage, why: String, may_pass: bool) -> Trouble {
-    let config = &stage.room.node.config.pointing;
+fn unproven(context: &RowContext, why: String, may_pass: bool) -> ActionError {
+    let config = &context.tools.authority.node.config.pointing;
     let again = may_pass && config.on_failure == config::OnFailure::Postpone;
-    Trouble::Unproven { why: format!("where {} looks is not proven: {why}", stage.row.camera), again }
+    ActionError::Unproven { why: format!("where {} looks is not proven: {why}", context.row.camera), again }
 }

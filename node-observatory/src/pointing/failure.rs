@@ -4,7 +4,7 @@ use imaging::NoSolution;
 
 /// What may help.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Deed {
+pub enum Remedy {
     /// Twice the exposure.
     Longer,
     /// A quarter of the exposure.
@@ -18,16 +18,16 @@ pub enum Deed {
 }
 
 /// The step that follows a class of failure.
-pub fn deed(failure: &NoSolution) -> Deed {
+pub fn remedy(failure: &NoSolution) -> Remedy {
     match failure {
-        NoSolution::TooFewStars { .. } => Deed::Longer,
-        NoSolution::Saturated { .. } => Deed::Shorter,
-        NoSolution::Clouds { .. } => Deed::Wait,
+        NoSolution::TooFewStars { .. } => Remedy::Longer,
+        NoSolution::Saturated { .. } => Remedy::Shorter,
+        NoSolution::Clouds { .. } => Remedy::Wait,
         NoSolution::Trailed { .. }
         | NoSolution::NoMatch { .. }
         | NoSolution::Blind { .. }
-        | NoSolution::Ambiguous { .. } => Deed::Again,
-        NoSolution::CatalogueTooShallow { .. } | NoSolution::Hint { .. } => Deed::Nothing,
+        | NoSolution::Ambiguous { .. } => Remedy::Again,
+        NoSolution::CatalogueTooShallow { .. } | NoSolution::Hint { .. } => Remedy::Nothing,
     }
 }
 
@@ -35,11 +35,11 @@ pub fn deed(failure: &NoSolution) -> Deed {
 pub const CHANGES: u32 = 3;
 
 /// The exposure time that follows, s; none where it was changed often enough.
-pub fn exposure_s(deed: Deed, exposure_s: f64, changes: u32) -> Option<f64> {
-    let factor = match deed {
-        Deed::Longer => 2.0,
-        Deed::Shorter => 0.25,
-        Deed::Wait | Deed::Again | Deed::Nothing => return None,
+pub fn exposure_s(remedy: Remedy, exposure_s: f64, changes: u32) -> Option<f64> {
+    let factor = match remedy {
+        Remedy::Longer => 2.0,
+        Remedy::Shorter => 0.25,
+        Remedy::Wait | Remedy::Again | Remedy::Nothing => return None,
     };
     (changes < CHANGES).then_some(exposure_s * factor)
 }
@@ -67,15 +67,15 @@ mod tests {
             others_arcsec_px: Vec::new(),
         };
         for (failure, expected) in [
-            (NoSolution::TooFewStars { stars: 1, needed: 4 }, Deed::Longer),
-            (NoSolution::Saturated { stars: 9, pixels_percent: 30.0 }, Deed::Shorter),
-            (NoSolution::Clouds { stars: 3, expected: 40, limit_mag: 14.0 }, Deed::Wait),
-            (NoSolution::Trailed { stars: 20, length_px: 30.0 }, Deed::Again),
-            (no_match, Deed::Again),
-            (NoSolution::Ambiguous { apart: far, matched: 4 }, Deed::Again),
-            (NoSolution::CatalogueTooShallow { stars: 1, field: far }, Deed::Nothing),
+            (NoSolution::TooFewStars { stars: 1, needed: 4 }, Remedy::Longer),
+            (NoSolution::Saturated { stars: 9, pixels_percent: 30.0 }, Remedy::Shorter),
+            (NoSolution::Clouds { stars: 3, expected: 40, limit_mag: 14.0 }, Remedy::Wait),
+            (NoSolution::Trailed { stars: 20, length_px: 30.0 }, Remedy::Again),
+            (no_match, Remedy::Again),
+            (NoSolution::Ambiguous { apart: far, matched: 4 }, Remedy::Again),
+            (NoSolution::CatalogueTooShallow { stars: 1, field: far }, Remedy::Nothing),
         ] {
-            assert_eq!(deed(&failure), expected, "{failure}");
+            assert_eq!(remedy(&failure), expected, "{failure}");
         }
     }
 
@@ -84,10 +84,10 @@ mod tests {
         let mut exposed_s = first_exposure_s(None, 600.0);
         assert_eq!(exposed_s, 30.0);
         for changes in 0..3 {
-            exposed_s = exposure_s(Deed::Longer, exposed_s, changes).unwrap();
+            exposed_s = exposure_s(Remedy::Longer, exposed_s, changes).unwrap();
         }
-        assert_eq!((exposed_s, exposure_s(Deed::Longer, exposed_s, 3)), (240.0, None));
-        assert_eq!(exposure_s(Deed::Shorter, first_exposure_s(Some(8.0), 1.0), 0), Some(2.0));
-        assert_eq!((first_exposure_s(None, 0.01), exposure_s(Deed::Wait, 1.0, 0)), (0.5, None));
+        assert_eq!((exposed_s, exposure_s(Remedy::Longer, exposed_s, 3)), (240.0, None));
+        assert_eq!(exposure_s(Remedy::Shorter, first_exposure_s(Some(8.0), 1.0), 0), Some(2.0));
+        assert_eq!((first_exposure_s(None, 0.01), exposure_s(Remedy::Wait, 1.0, 0)), (0.5, None));
     }
 }

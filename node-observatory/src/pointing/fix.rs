@@ -11,13 +11,12 @@ use imaging::Solution;
 use imaging::pointing::Miss;
 use sky::Icrs;
 
-use super::failure::{Deed, deed};
-use super::{icrs, pair};
-use crate::action::Stage;
-use crate::frames::aim::Aim;
+use super::failure::{Remedy, remedy};
+use super::{PointingData, icrs, pair};
+use crate::devices::telescope::Mount;
+use crate::frames::aim::{FrameAim, middle_of};
 use crate::frames::looked::Looked;
-use crate::frames::solving::middle_of;
-use crate::rig::telescope::Mount;
+use crate::row_context::RowContext;
 
 /// A frame is fetched, measured and solved within this time, or nobody waits for it any more, machine time.
 const LOOK: Duration = Duration::from_secs(60);
@@ -25,24 +24,24 @@ const LOOK: Duration = Duration::from_secs(60);
 const ASTRAY_DEG: f64 = 3.0;
 
 /// Waits for what a frame shows.
-pub async fn look(stage: &Stage, frame: &CommandId) -> Option<Arc<Looked>> {
-    tokio::time::timeout(LOOK, stage.room.looks.of(frame)).await.ok()
+pub async fn look(context: &RowContext, frame: &CommandId) -> Option<Arc<Looked>> {
+    tokio::time::timeout(LOOK, context.tools.frames.looks.of(frame)).await.ok()
 }
 
 /// Where a frame looks, or in words why that is not known, and what may help.
-pub fn seen(looked: Option<&Looked>) -> Result<&Solution, (String, Deed)> {
+pub fn seen(looked: Option<&Looked>) -> Result<&Solution, (String, Remedy)> {
     let Some(looked) = looked else {
-        return Err((format!("the frame was not looked at within {} s", LOOK.as_secs()), Deed::Again));
+        return Err((format!("the frame was not looked at within {} s", LOOK.as_secs()), Remedy::Again));
     };
     match &looked.solved {
         Some(Ok(solution)) => Ok(solution),
-        Some(Err(why)) => Err((why.to_string(), deed(why))),
+        Some(Err(why)) => Err((why.to_string(), remedy(why))),
         None => {
             let unsolved = looked.facts.unsolved.as_ref().map(|unsolved| unsolved.detail.clone());
             let reason = looked.facts.reason.clone().or(unsolved);
             let lacking = looked.facts.unsolved.as_ref().is_some_and(|unsolved| lacks(unsolved.class));
-            let deed = if lacking { Deed::Nothing } else { Deed::Again };
-            Err((reason.unwrap_or_else(|| "the frame was not solved".to_owned()), deed))
+            let remedy = if lacking { Remedy::Nothing } else { Remedy::Again };
+            Err((reason.unwrap_or_else(|| "the frame was not solved".to_owned()), remedy))
         }
     }
 }
@@ -60,19 +59,24 @@ pub fn pier_side(mount: &Mount) -> Option<PierSide> {
 
 /// Where the middle of the sensor looks, whatever part of it a row reads: a mount is synchronised on it, and its error
 /// is measured there.
-pub fn sensor_looks_at(stage: &Stage, frame: &Frame, solution: &Solution) -> Icrs {
-    let (x_px, y_px) = Aim::of(&stage.room, frame).middle_px(frame);
+pub fn sensor_looks_at(context: &RowContext, frame: &Frame, solution: &Solution) -> Icrs {
+    let (x_px, y_px) = aim(context, frame).middle_px(frame);
     icrs(solution.wcs.pixel_to_sky(x_px, y_px))
 }
 
+fn aim(context: &RowContext, frame: &Frame) -> FrameAim {
+    let tools = &context.tools;
+    FrameAim::of(&tools.authority, &tools.devices, &tools.frames.mounts, frame)
+}
+
 /// Learns from the first solved frame after a slew to `commanded`.
-pub fn learn(stage: &Stage, commanded: &Icrs, frame: &Frame, solution: &Solution) {
-    if !stage.room.node.config.pointing.model {
+pub fn learn(context: &RowContext, pointing: &PointingData, commanded: &Icrs, frame: &Frame, solution: &Solution) {
+    if !context.tools.authority.node.config.pointing.model {
         return;
     }
     let at_utc = middle_of(frame);
-    let Ok(observer) = stage.observer(at_utc) else { return };
-    let seen = sensor_looks_at(stage, frame, solution);
+    let Ok(observer) = context.observer(at_utc) else { return };
+    let seen = sensor_looks_at(context, frame, solution);
     let Some(miss) = Miss::of(pair(commanded), pair(&seen)) else { return };
     if miss.size().degrees() > ASTRAY_DEG {
         return;
@@ -84,21 +88,18 @@ pub fn learn(stage: &Stage, commanded: &Icrs, frame: &Frame, solution: &Solution
         east_arcmin: miss.east.degrees() * 60.0,
         north_arcmin: miss.north.degrees() * 60.0,
     };
-    let (room, side) = (&stage.room, Aim::of(&stage.room, frame).pier_side);
-    room.pointing_book.change(|book| {
-        book.learn(&frame.camera, side, point);
+    let side = aim(context, frame).pier_side;
+    pointing.models.change(|models| {
+        models.learn(&frame.camera, side, point);
         true
     });
-    room.pointing.send_modify(|state| state.models = room.pointing_book.get().models);
 }
 
 /// Forgets what the cameras of a mount missed by: the mount was synchronised.
-pub fn forget(stage: &Stage, mount: &Mount) {
-    let room = &stage.room;
-    let mount_of = |camera: &str| room.rig.chain(&camera.parse::<Name>().ok()?).ok()?.mount;
+pub fn forget(context: &RowContext, pointing: &PointingData, mount: &Mount) {
+    let mount_of = |camera: &str| context.tools.devices.chain(&camera.parse::<Name>().ok()?).ok()?.mount;
     let is_of = |camera: &str| mount_of(camera).is_some_and(|of| of.instrument.device == mount.instrument.device);
-    room.pointing_book.change(|book| book.forget(is_of));
-    room.pointing.send_modify(|state| state.models = room.pointing_book.get().models);
+    pointing.models.change(|models| models.forget(is_of));
 }
 
 #[cfg(test)]
@@ -109,7 +110,7 @@ mod tests {
     use crate::frames::tests::frame;
 
     #[test]
-    fn a_frame_that_was_not_solved_says_why() {
+    fn a_frame_that_was_not_solved_gives_the_reason() {
         assert!(seen(None).unwrap_err().0.contains("not looked at within 60 s"));
         let facts = contract::observatory::FrameFacts {
             reason: Some("not fetched: the spool answers HTTP 404".to_owned()),
@@ -118,6 +119,6 @@ mod tests {
         let mut looked = Looked { frame: frame("f"), facts, measured: None, solved: None };
         assert!(seen(Some(&looked)).unwrap_err().0.contains("404"));
         looked.solved = Some(Err(NoSolution::TooFewStars { stars: 1, needed: 4 }));
-        assert_eq!(seen(Some(&looked)).unwrap_err().1, Deed::Longer);
+        assert_eq!(seen(Some(&looked)).unwrap_err().1, Remedy::Longer);
     }
 }

@@ -11,17 +11,17 @@ use sky::Icrs;
 use units::Utc;
 
 use super::fix::pier_side;
-use crate::action::Stage;
-use crate::rig::telescope::Mount;
+use crate::devices::telescope::Mount;
+use crate::row_context::RowContext;
 
 /// A mount that has turned over reports its other side within this, machine time: some drivers are late with it.
-const TOLD_WITHIN: Duration = Duration::from_secs(10);
+const REPORTED_WITHIN: Duration = Duration::from_secs(10);
 /// How often that is looked after.
 const LOOKED_AFTER: Duration = Duration::from_millis(50);
 
 /// Watches for the moment to turn a mount over.
 pub struct Flip<'a> {
-    stage: &'a Stage,
+    context: &'a RowContext,
     mount: &'a Mount,
     /// A flip that was commanded did not happen.
     is_ignored: bool,
@@ -29,8 +29,8 @@ pub struct Flip<'a> {
 
 impl<'a> Flip<'a> {
     /// Of a row that tracks with this mount.
-    pub fn of(stage: &'a Stage, mount: &'a Mount) -> Self {
-        Self { stage, mount, is_ignored: false }
+    pub fn of(context: &'a RowContext, mount: &'a Mount) -> Self {
+        Self { context, mount, is_ignored: false }
     }
 
     /// Must the mount be turned over before a frame of this length that begins now?
@@ -39,14 +39,14 @@ impl<'a> Flip<'a> {
         if !config.meridian_flip || self.is_ignored {
             return false;
         }
-        let Ok(then) = self.stage.observer(now.plus_seconds(exposure_s)) else { return false };
+        let Ok(then) = self.context.observer(now.plus_seconds(exposure_s)) else { return false };
         is_past(pier_side(self.mount), then.hour_angle(target), config.meridian_flip_min)
     }
 
     /// After the slew that should have turned it over: returns a note if it did not. This waits for a mount that
     /// reports its side late.
     pub async fn note(&mut self) -> Option<String> {
-        if !stays(TOLD_WITHIN, || pier_side(self.mount)).await {
+        if !stays(REPORTED_WITHIN, || pier_side(self.mount)).await {
             return None;
         }
         self.is_ignored = true;
@@ -57,12 +57,12 @@ impl<'a> Flip<'a> {
 
 /// Does a mount report all the time that its tube is west of the pier?
 async fn stays(within: Duration, side: impl Fn() -> Option<PierSide> + Send + Sync) -> bool {
-    let told_otherwise = async {
+    let reported_otherwise = async {
         while side() == Some(PierSide::West) {
             tokio::time::sleep(LOOKED_AFTER).await;
         }
     };
-    tokio::time::timeout(within, told_otherwise).await.is_err()
+    tokio::time::timeout(within, reported_otherwise).await.is_err()
 }
 
 #[cfg(test)]
@@ -74,23 +74,23 @@ mod tests {
     use super::*;
 
     /// The conclusion about a mount that reports these sides one after the other, and the last for ever.
-    async fn concluded(told: &[Option<PierSide>]) -> bool {
+    async fn concluded(sides: &[Option<PierSide>]) -> bool {
         let looks = AtomicUsize::new(0);
-        let side = || told[looks.fetch_add(1, Ordering::Relaxed).min(told.len() - 1)];
+        let side = || sides[looks.fetch_add(1, Ordering::Relaxed).min(sides.len() - 1)];
         stays(5 * LOOKED_AFTER, side).await
     }
 
     #[tokio::test]
-    async fn a_mount_that_tells_its_side_late_has_turned_over_all_the_same() {
+    async fn a_mount_that_reports_its_side_late_has_turned_over_all_the_same() {
         let [west, east] = [Some(PierSide::West), Some(PierSide::East)];
-        assert!(!concluded(&[east]).await, "it tells at once");
+        assert!(!concluded(&[east]).await, "it shows at once");
         assert!(!concluded(&[west, west, west, east]).await, "it is late");
-        assert!(!concluded(&[west, None]).await, "it tells nothing any more: nobody can say that it stayed");
+        assert!(!concluded(&[west, None]).await, "it reports nothing any more: nobody knows that it stayed");
         assert!(concluded(&[west, west, west]).await, "it stayed");
     }
 
     #[tokio::test]
-    async fn a_mount_that_tells_its_sides_the_wrong_way_round_is_asked_to_turn_over_once_and_left_alone() {
+    async fn a_mount_that_reports_its_sides_the_wrong_way_round_is_asked_to_turn_over_once_and_left_alone() {
         // Truly east of the pier and looking west, where it belongs; its driver reports west.
         let half_an_hour = Angle::from_hours(0.5);
         assert!(is_past(Some(PierSide::West), half_an_hour, 5.0), "one slew to where it stands already");

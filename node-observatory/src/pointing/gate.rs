@@ -6,24 +6,27 @@ use std::time::Duration;
 use contract::CommandId;
 use contract::device::telescope::PierSide;
 use imaging::tangent::separation;
+use schedule::RowId;
 use sky::Icrs;
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::TryRecvError;
 use units::Utc;
 
 use super::fix::{learn, pier_side};
-use super::pair;
-use crate::action::Stage;
+use super::{PointingData, pair};
+use crate::action_error::ActionError;
+use crate::devices::telescope::Mount;
 use crate::frames::looked::Looked;
-use crate::rig::telescope::Mount;
-use crate::trouble::Trouble;
+use crate::journal::Journal;
+use crate::row_context::RowContext;
 
 /// The last frame's place is waited for no longer than this, machine time.
 const LAST_LOOK: Duration = Duration::from_secs(15);
 
 /// What the frames of a row show of where they look.
 pub struct Gate<'a> {
-    stage: &'a Stage,
+    context: &'a RowContext,
+    pointing: &'a PointingData,
     mount: &'a Mount,
     target: Icrs,
     looks: Receiver<Arc<Looked>>,
@@ -41,19 +44,26 @@ pub struct Gate<'a> {
 
 impl<'a> Gate<'a> {
     /// Watches the frames of a row that asks for proof, from now on: it was on target a moment ago.
-    pub fn proven(stage: &'a Stage, mount: &'a Mount, target: Icrs) -> Self {
-        let tolerance_arcmin = Some(stage.room.node.config.pointing.tolerance_arcmin);
-        Self { tolerance_arcmin, ..Self::learning(stage, mount, target, None) }
+    pub fn proven(context: &'a RowContext, pointing: &'a PointingData, mount: &'a Mount, target: Icrs) -> Self {
+        let tolerance_arcmin = Some(context.tools.authority.node.config.pointing.tolerance_arcmin);
+        Self { tolerance_arcmin, ..Self::learning(context, pointing, mount, target, None) }
     }
 
     /// Only learns, from the first frame that shows where a slew to `commanded` has led.
-    pub fn learning(stage: &'a Stage, mount: &'a Mount, target: Icrs, commanded: Option<Icrs>) -> Self {
+    pub fn learning(
+        context: &'a RowContext,
+        pointing: &'a PointingData,
+        mount: &'a Mount,
+        target: Icrs,
+        commanded: Option<Icrs>,
+    ) -> Self {
         Self {
-            stage,
+            context,
+            pointing,
             mount,
             target,
-            looks: stage.room.looks.follow(),
-            since_utc: stage.clock().utc(),
+            looks: context.tools.frames.looks.follow(),
+            since_utc: context.clock().utc(),
             side: pier_side(mount),
             tolerance_arcmin: None,
             to_learn: commanded,
@@ -67,7 +77,7 @@ impl<'a> Gate<'a> {
     pub fn lost(&mut self) -> Option<&str> {
         loop {
             match self.looks.try_recv() {
-                Ok(looked) => self.hear(&looked),
+                Ok(looked) => self.observe(&looked),
                 Err(TryRecvError::Lagged(_)) => {}
                 Err(TryRecvError::Empty | TryRecvError::Closed) => break,
             }
@@ -85,49 +95,47 @@ impl<'a> Gate<'a> {
     }
 
     /// After a row's last frame: waits until it was looked at, and writes down which frames do not count.
-    pub async fn settle(&mut self) -> Result<(), Trouble> {
+    pub async fn settle(&mut self) -> Result<(), ActionError> {
         if self.tolerance_arcmin.is_some()
-            && let Some(last) = self.stage.last_frame()
+            && let Some(last) = self.context.last_frame()
         {
             // One that is late counts: the row was proven.
-            let _ = tokio::time::timeout(LAST_LOOK, self.stage.room.looks.of(&last)).await;
+            let _ = tokio::time::timeout(LAST_LOOK, self.context.tools.frames.looks.of(&last)).await;
             self.lost();
         }
-        let (room, row) = (self.stage.room.clone(), self.stage.row.id.clone());
         let astray = std::mem::take(&mut self.astray);
         if astray.is_empty() {
             return Ok(());
         }
-        let noted = tokio::task::spawn_blocking(move || {
-            let now = room.node.bus.clock().utc();
-            astray.iter().try_for_each(|(frame, off_arcmin)| room.journal.astray(&row, frame, *off_arcmin, now))
-        });
-        noted.await.map_err(std::io::Error::other)??;
-        let taken = self.stage.room.journal.progress(&self.stage.row.id).taken;
-        self.stage.room.board.row(self.stage.index, |row| row.frames = taken);
+        let noted = move |journal: &Journal, row: &RowId, now| {
+            astray.iter().try_for_each(|(frame, off_arcmin)| journal.astray(row, frame, *off_arcmin, now))
+        };
+        self.context.write(noted).await?;
+        let taken = self.context.tools.journal.progress(&self.context.row.id).taken;
+        self.context.tools.night.row(self.context.index, |row| row.frames = taken);
         Ok(())
     }
 
-    fn hear(&mut self, looked: &Looked) {
-        let (frame, row) = (&looked.frame, &self.stage.row);
-        let is_of_row = frame.purpose.row == Some(self.stage.index)
+    fn observe(&mut self, looked: &Looked) {
+        let (frame, row) = (&looked.frame, &self.context.row);
+        let is_of_row = frame.purpose.row == Some(self.context.index)
             && frame.camera == row.camera.as_str()
             && frame.purpose.action == row.action.name()
             && frame.started_utc >= self.since_utc;
         let Some(Ok(solution)) = looked.solved.as_ref().filter(|_| is_of_row) else { return };
         if let Some(commanded) = self.to_learn.take() {
-            learn(self.stage, &commanded, frame, solution);
+            learn(self.context, self.pointing, &commanded, frame, solution);
         }
         let Some(tolerance_arcmin) = self.tolerance_arcmin else { return };
         let off_arcmin = separation(pair(&self.target), (solution.ra, solution.dec)).degrees() * 60.0;
-        self.stage.room.pointing.send_modify(|state| state.off_target_arcmin = Some(round(off_arcmin)));
+        self.pointing.state.send_modify(|state| state.off_target_arcmin = Some(round(off_arcmin)));
         if off_arcmin <= tolerance_arcmin {
             self.is_proven = true;
             return;
         }
         tracing::warn!(frame = %frame.id, off_arcmin, "a frame is off target and does not count");
         self.astray.push((frame.id.clone(), off_arcmin));
-        self.lost = Some(format!("a frame looks {off_arcmin:.2} arcmin beside the target"));
+        self.lost = Some(format!("a frame looks {off_arcmin:.2} arcmin off the target"));
     }
 }
 

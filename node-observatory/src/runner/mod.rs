@@ -11,19 +11,19 @@ use config::FaultPolicy;
 use contract::Kind;
 use contract::observatory::{ActionNow, RowState, RowStatus};
 use safety::objection::Objection;
+use schedule::rests::Rests;
+use schedule::sequence::{Sequence, passed_words};
+use schedule::{Row, RowId};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
+use units::{Utc, seconds};
 
 use self::one_row::{RowEnd, run_row};
 use self::postponed::Postponed;
-use schedule::rests::Rests;
-use schedule::sequence::{Sequence, passed_words};
-use units::{Utc, seconds};
-
-use crate::action::Stage;
-use crate::control_room::ControlRoom;
+use crate::action::Techniques;
+use crate::journal::Journal;
+use crate::row_context::{RowContext, RowTools};
 use crate::schedule_file::Loaded;
-use schedule::{Row, RowId};
 
 /// The progress of the night's end.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,7 +37,8 @@ enum Farewell {
 }
 
 struct Runner {
-    room: Arc<ControlRoom>,
+    tools: Arc<RowTools>,
+    techniques: Arc<Techniques>,
     revision: u64,
     /// The lease under which the statuses were read from the journal.
     token: Option<u64>,
@@ -64,12 +65,18 @@ struct Begun {
 const CATCH_UP: Duration = Duration::from_secs(1);
 
 /// Runs rows until the node ends.
-pub async fn keep_observing(room: Arc<ControlRoom>, mut loaded: watch::Receiver<Loaded>) -> anyhow::Result<()> {
+pub async fn keep_observing(
+    tools: Arc<RowTools>,
+    techniques: Arc<Techniques>,
+    mut loaded: watch::Receiver<Loaded>,
+) -> anyhow::Result<()> {
     tokio::time::sleep(CATCH_UP).await;
-    let (mut ruling, mut hold) = (room.ruling.clone(), room.hold.clone());
-    let (mut robotic, mut wish) = (room.robotic.subscribe(), room.wish_closed.subscribe());
+    let authority = &tools.authority;
+    let (mut verdict, mut hold) = (authority.verdict.clone(), authority.hold.clone());
+    let (mut robotic, mut request) = (authority.robotic.subscribe(), authority.close_request.subscribe());
     let mut runner = Runner {
-        room,
+        tools: tools.clone(),
+        techniques,
         revision: 0,
         token: None,
         sequence: Sequence::default(),
@@ -81,24 +88,24 @@ pub async fn keep_observing(room: Arc<ControlRoom>, mut loaded: watch::Receiver<
     };
     loop {
         runner.take_schedule(&loaded.borrow_and_update());
-        if runner.room.objection(None).is_none() {
+        if runner.tools.authority.objection(None).is_none() {
             runner.skip_passed();
             while runner.start_next() {}
-            runner.say_farewell();
+            runner.log_end();
         } else {
             runner.farewell = Farewell::NotYet;
         }
-        runner.room.board.set_ended(runner.farewell == Farewell::Done);
+        runner.tools.night.set_ended(runner.farewell == Farewell::Done);
         let nap = runner.until_next_start();
         tokio::select! {
             Some(done) = runner.at_work.join_next() => {
                 let (id, end) = done?;
                 runner.note_end(&id, end);
             }
-            _ = ruling.changed() => {}
+            _ = verdict.changed() => {}
             _ = hold.changed() => {}
             _ = robotic.changed() => {}
-            _ = wish.changed() => {}
+            _ = request.changed() => {}
             changed = loaded.changed() => changed?,
             () = tokio::time::sleep(nap) => {}
         }
@@ -109,9 +116,9 @@ impl Runner {
     /// Takes a newer schedule at once: rows that were done stay done, one at work that is unchanged goes on, and one
     /// that the schedule has no longer ends with the frame that is under way (docs/decisions/0030).
     fn take_schedule(&mut self, loaded: &Loaded) {
-        self.room.board.schedule_refused(&loaded.refused);
+        self.tools.night.schedule_refused(&loaded.refused);
         // A new lease may come with a journal that another node went on writing: it is read once nothing runs.
-        let token = self.room.hold.borrow().token().or(self.token);
+        let token = self.tools.authority.hold.borrow().token().or(self.token);
         let is_same_reign = token == self.token;
         if (loaded.revision == self.revision && is_same_reign) || (!is_same_reign && !self.sequence.is_idle()) {
             return;
@@ -121,21 +128,23 @@ impl Runner {
         // Before the rows are published: the counts of a row at work must not appear at another one's place.
         for (id, begun) in &self.begun {
             let place = loaded.rows.iter().position(|row| row.id == *id);
-            self.room.board.moved_to(begun.number, place.map(number));
+            self.tools.night.moved_to(begun.number, place.map(number));
         }
         let mut known: BTreeMap<&RowId, RowStatus> = BTreeMap::new();
-        self.room.board.schedule(|schedule| {
+        self.tools.night.schedule(|schedule| {
             let before = std::mem::take(&mut schedule.rows);
-            let shown = self.sequence.rows().iter().map(|row| &row.id).zip(before).filter(|_| is_same_reign);
-            let shown: BTreeMap<&RowId, RowState> = shown.collect();
+            let states = self.sequence.rows().iter().map(|row| &row.id).zip(before).filter(|_| is_same_reign);
+            let states: BTreeMap<&RowId, RowState> = states.collect();
             let rows = loaded.rows.iter().zip(0..);
             schedule.revision = loaded.revision;
-            schedule.rows = rows.map(|(row, index)| state_of(&self.room, row, index, shown.get(&row.id))).collect();
+            schedule.sha256 = Some(loaded.sha256.clone()).filter(|sha256| !sha256.is_empty());
+            schedule.rows =
+                rows.map(|(row, index)| state_of(&self.tools.journal, row, index, states.get(&row.id))).collect();
             known = loaded.rows.iter().map(|row| &row.id).zip(schedule.rows.iter().map(|row| row.status)).collect();
         });
         let leaving = self.sequence.take(loaded.rows.clone(), |id| known.get(id).copied());
         self.rests.keep(|id| self.sequence.place_of(id).is_some());
-        self.postponed.keep_only(|id| self.sequence.place_of(id).is_some(), &self.room.node.alerts);
+        self.postponed.keep_only(|id| self.sequence.place_of(id).is_some(), &self.tools.authority.node.alerts);
         for (id, begun) in &self.begun {
             let leaves = leaving.contains(id);
             if begun.withdrawn.send_replace(leaves) != leaves && leaves {
@@ -143,20 +152,20 @@ impl Runner {
                 tracing::info!(action, object, "the schedule has this row no longer; it ends");
             }
             if let Some(place) = self.sequence.place_of(id) {
-                self.room.board.at(number(place), |row| row.status = RowStatus::Running);
+                self.tools.night.at(number(place), |row| row.status = RowStatus::Running);
             }
         }
     }
 
     /// Marks rows whose window has passed.
     fn skip_passed(&mut self) {
-        let now = self.room.node.bus.clock().utc();
+        let now = self.tools.authority.node.bus.clock().utc();
         for index in self.sequence.passed(now) {
             let (Some(row), Some(status)) = (self.sequence.rows().get(index), self.sequence.statuses().get(index))
             else {
                 continue;
             };
-            let taken = self.room.journal.progress(&row.id).taken;
+            let taken = self.tools.journal.progress(&row.id).taken;
             let detail = passed_words(*status, taken);
             tracing::info!(row = index, action = row.action.name(), detail, "skipped");
             self.sequence.set(index, RowStatus::Skipped);
@@ -166,12 +175,14 @@ impl Runner {
 
     /// Starts the next row whose time has come; false when there is none.
     fn start_next(&mut self) -> bool {
-        let now = self.room.node.bus.clock().utc();
-        let machine = self.room.node.bus.clock().machine();
+        let now = self.tools.authority.node.bus.clock().utc();
+        let machine = self.tools.authority.node.bus.clock().machine();
         // A number identifies whose frames they are, so a row waits for one that began at its place.
         let is_taken = |index| self.begun.values().any(|begun| begun.number == number(index));
         let may = |index, row: &Row| {
-            !self.rests.rests(&row.id, machine) && !is_taken(index) && self.room.objection(Some(row)).is_none()
+            !self.rests.rests(&row.id, machine)
+                && !is_taken(index)
+                && self.tools.authority.objection(Some(row)).is_none()
         };
         let Some(index) = self.sequence.next(now, may) else { return false };
         let Some(row) = self.sequence.begin(index) else { return false };
@@ -179,7 +190,7 @@ impl Runner {
         tracing::info!(row = index, action = row.action.name(), object = row.action.object(), "row begins");
         self.show(index, RowStatus::Running, String::new());
         self.farewell = Farewell::NotYet;
-        self.room.board.begin(ActionNow {
+        self.tools.night.begin(ActionNow {
             row: number,
             action: row.action.name().to_owned(),
             camera: row.camera.to_string(),
@@ -187,10 +198,10 @@ impl Runner {
             step: "starting".to_owned(),
             started_utc: now,
         });
-        let (withdrawn, heard) = watch::channel(false);
+        let (withdrawn, withdrawal) = watch::channel(false);
         self.begun.insert(row.id.clone(), Begun { row: row.clone(), number, withdrawn });
-        let stage = Stage::new(self.room.clone(), row, number);
-        self.at_work.spawn(async move { (stage.row.id.clone(), run_row(&stage, heard).await) });
+        let (context, techniques) = (RowContext::new(self.tools.clone(), row, number), self.techniques.clone());
+        self.at_work.spawn(async move { (context.row.id.clone(), run_row(&context, &techniques, withdrawal).await) });
         true
     }
 
@@ -199,17 +210,20 @@ impl Runner {
         if end == RowEnd::Interrupted(Objection::NotRobotic) {
             // An opening that was under way may have taken the close request back in the very moment.
             let why = || Some("the robotic switch is off".to_owned());
-            self.room.wish_closed.send_if_modified(|wish| wish.is_none() && std::mem::replace(wish, why()).is_none());
+            self.tools
+                .authority
+                .close_request
+                .send_if_modified(|request| request.is_none() && std::mem::replace(request, why()).is_none());
         }
         if !matches!(end, RowEnd::Postponed(..)) {
-            self.postponed.remove(id, &self.room.node.alerts);
+            self.postponed.remove(id, &self.tools.authority.node.alerts);
         }
         let (status, detail) = match end {
             RowEnd::Finished(detail) => (RowStatus::Finished, detail),
             RowEnd::Failed(detail) => (RowStatus::Failed, detail),
             RowEnd::Postponed(detail, kind) => (RowStatus::Interrupted, self.postpone(id, number, detail, kind)),
             RowEnd::Waits(detail, clear) => {
-                let clock = self.room.node.bus.clock();
+                let clock = self.tools.authority.node.bus.clock();
                 let left = clock.machine_duration(seconds(clear.seconds_since(clock.utc())));
                 self.rests.hold(id, left, clock.machine());
                 (RowStatus::Interrupted, detail)
@@ -217,7 +231,7 @@ impl Runner {
             RowEnd::Interrupted(objection) => (RowStatus::Interrupted, objection.to_string()),
             RowEnd::Withdrawn => (RowStatus::Interrupted, "it was taken from the schedule for a while".to_owned()),
         };
-        self.room.board.end(number);
+        self.tools.night.end(number);
         match status {
             RowStatus::Finished => tracing::info!(row = number, action = row.action.name(), detail, "row finished"),
             _ => tracing::warn!(row = number, action = row.action.name(), detail, ?status, "row ended"),
@@ -228,9 +242,11 @@ impl Runner {
         if status == RowStatus::Interrupted {
             return;
         }
-        let room = self.room.clone();
+        // It counts before a new lease asks the journal which rows are left; only the disk is waited for elsewhere.
+        let journal = self.tools.journal.clone();
+        let sent = journal.end(&row.id, status, &detail, self.tools.authority.node.bus.clock().utc());
         tokio::task::spawn_blocking(move || {
-            if let Err(error) = room.journal.ended(&row.id, status, &detail, room.node.bus.clock().utc()) {
+            if let Err(error) = journal.arrive(sent) {
                 tracing::warn!(%error, "the end of a row is not in the journal; a restart may begin it again");
             }
         });
@@ -238,31 +254,31 @@ impl Runner {
 
     /// Lets a row rest for a device's sake, as the policy for that kind has it; returns the state to publish.
     fn postpone(&mut self, id: &RowId, number: u32, detail: String, kind: Option<Kind>) -> String {
-        let (faults, clock) = (&self.room.node.config.faults, self.room.node.bus.clock());
+        let (faults, clock) = (&self.tools.authority.node.config.faults, self.tools.authority.node.bus.clock());
         let rest = self.rests.begin(id, seconds(faults.rest_s), clock.machine());
         match kind.map_or(FaultPolicy::Postpone, |kind| faults.policy(kind)) {
-            FaultPolicy::Close => drop(self.room.wish_closed.send_replace(Some(detail.clone()))),
-            FaultPolicy::Stop => crate::obey::robotic_off(&self.room, &detail),
+            FaultPolicy::Close => drop(self.tools.authority.close_request.send_replace(Some(detail.clone()))),
+            FaultPolicy::Stop => crate::robotic::turn_off(&self.tools.authority, &self.tools.journal, &detail),
             FaultPolicy::Postpone | FaultPolicy::Skip | FaultPolicy::Without => {}
         }
-        self.postponed.add(id, number, kind, &detail, &self.room.node.alerts);
+        self.postponed.add(id, number, kind, &detail, &self.tools.authority.node.alerts);
         format!("{detail}; tried again in {:.0} s", rest.as_secs_f64())
     }
 
     /// After the last row: closes everything, and publishes that the night has ended once that is verified.
-    fn say_farewell(&mut self) {
+    fn log_end(&mut self) {
         if !self.sequence.is_over() {
             self.farewell = Farewell::NotYet;
             return;
         }
-        let wish = &self.room.wish_closed;
+        let request = &self.tools.authority.close_request;
         self.farewell = match self.farewell {
             Farewell::NotYet => {
                 tracing::info!("the schedule has ended");
-                wish.send_replace(Some("the schedule has ended".to_owned()));
+                request.send_replace(Some("the schedule has ended".to_owned()));
                 Farewell::Closing
             }
-            Farewell::Closing if wish.borrow().is_none() => {
+            Farewell::Closing if request.borrow().is_none() => {
                 tracing::info!("the night has ended: closed and parked");
                 Farewell::Done
             }
@@ -272,14 +288,14 @@ impl Runner {
 
     /// Shows how far a row of the schedule in force is.
     fn show(&self, index: usize, status: RowStatus, detail: String) {
-        self.room.board.at(number(index), |row| {
+        self.tools.night.at(number(index), |row| {
             row.status = status;
             row.detail = detail;
         });
     }
 
     fn until_next_start(&self) -> Duration {
-        let clock = self.room.node.bus.clock();
+        let clock = self.tools.authority.node.bus.clock();
         let now = clock.utc();
         let each = self.sequence.rows().iter().zip(self.sequence.statuses());
         let waiting = each.filter(|(row, status)| **status == RowStatus::Pending && row.start > now);
@@ -295,8 +311,8 @@ fn number(index: usize) -> u32 {
 }
 
 /// The published state of a row when a schedule is taken: as it was before, else as the journal has it.
-fn state_of(room: &ControlRoom, row: &Row, index: u32, before: Option<&RowState>) -> RowState {
-    let progress = room.journal.progress(&row.id);
+fn state_of(journal: &Journal, row: &Row, index: u32, before: Option<&RowState>) -> RowState {
+    let progress = journal.progress(&row.id);
     let known = before.map(|before| (before.status, before.detail.clone())).or(progress.ended);
     let (status, detail) = known.unwrap_or((RowStatus::Pending, String::new()));
     RowState {

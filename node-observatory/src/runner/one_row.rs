@@ -9,8 +9,9 @@ use safety::objection::Objection;
 use tokio::sync::watch;
 use units::{Utc, seconds};
 
-use crate::action::{self, Stage};
-use crate::trouble::Trouble;
+use crate::action::{self, Techniques};
+use crate::action_error::ActionError;
+use crate::row_context::RowContext;
 
 /// How a row ended.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,57 +31,57 @@ pub enum RowEnd {
 }
 
 /// Runs a row; never ends the night, whatever happens in it. One that is `withdrawn` ends with the frame under way.
-pub async fn run_row(stage: &Stage, withdrawn: watch::Receiver<bool>) -> RowEnd {
-    let taken = || stage.room.journal.progress(&stage.row.id).taken;
-    let faults = &stage.room.node.config.faults;
+pub async fn run_row(context: &RowContext, techniques: &Techniques, withdrawn: watch::Receiver<bool>) -> RowEnd {
+    let taken = || context.tools.journal.progress(&context.row.id).taken;
+    let faults = &context.tools.authority.node.config.faults;
     let pause = seconds(faults.pause_s);
     let (mut retried, mut had) = (0, taken());
     loop {
         let tried = tokio::select! {
             biased;
-            objection = stage.room.objected(&stage.row) => Err(RowEnd::Interrupted(objection)),
-            () = withdrawn_between_frames(stage, withdrawn.clone()) => Err(RowEnd::Withdrawn),
-            result = action::run(&stage.row.action, stage) => Ok(result),
+            objection = context.tools.authority.objected(&context.row) => Err(RowEnd::Interrupted(objection)),
+            () = withdrawn_between_frames(context, withdrawn.clone()) => Err(RowEnd::Withdrawn),
+            result = action::run(&context.row.action, context, techniques) => Ok(result),
         };
-        let trouble = match tried {
+        let error = match tried {
             Ok(Ok(detail)) => return RowEnd::Finished(detail),
-            Ok(Err(trouble)) => trouble,
+            Ok(Err(error)) => error,
             Err(end) => {
-                stage.settle().await;
+                action::settle(context).await;
                 if end == RowEnd::Withdrawn {
-                    rest(stage).await;
+                    rest(context).await;
                 }
                 return end;
             }
         };
-        stage.settle().await;
+        action::settle(context).await;
         // A fault an hour ago is no reason to give up now.
         if taken() > had {
             (retried, had) = (0, taken());
         }
-        let in_time = stage.clock().utc() < stage.row.end;
-        if let Trouble::Hidden { clear, .. } = &trouble {
-            rest(stage).await;
-            return RowEnd::Waits(trouble.to_string(), *clear);
+        let in_time = context.clock().utc() < context.row.end;
+        if let ActionError::Hidden { clear, .. } = &error {
+            rest(context).await;
+            return RowEnd::Waits(error.to_string(), *clear);
         }
         // Each try of a script may open and close the roof, and another task looks names up: such a row rests at once.
-        let rests = matches!(trouble, Trouble::Script { .. } | Trouble::Unnamed(_));
-        if rests || !trouble.may_pass() || retried >= faults.retries || !in_time {
-            rest(stage).await;
-            let kind = trouble.kind();
+        let rests = matches!(error, ActionError::Script { .. } | ActionError::Unnamed(_));
+        if rests || !error.may_pass() || retried >= faults.retries || !in_time {
+            rest(context).await;
+            let kind = error.kind();
             let policy = kind.map_or(FaultPolicy::Postpone, |kind| faults.policy(kind));
-            return if trouble.may_pass() && in_time && policy != FaultPolicy::Skip {
-                RowEnd::Postponed(trouble.to_string(), kind)
+            return if error.may_pass() && in_time && policy != FaultPolicy::Skip {
+                RowEnd::Postponed(error.to_string(), kind)
             } else {
-                RowEnd::Failed(trouble.to_string())
+                RowEnd::Failed(error.to_string())
             };
         }
         retried += 1;
-        tracing::warn!(row = stage.index, %trouble, retried, "trying again");
-        stage.small_step(format!("trying again after: {trouble}"));
+        tracing::warn!(row = context.index, %error, retried, "trying again");
+        context.small_step(format!("trying again after: {error}"));
         tokio::select! {
-            objection = stage.room.objected(&stage.row) => return RowEnd::Interrupted(objection),
-            () = withdrawn_between_frames(stage, withdrawn.clone()) => return RowEnd::Withdrawn,
+            objection = context.tools.authority.objected(&context.row) => return RowEnd::Interrupted(objection),
+            () = withdrawn_between_frames(context, withdrawn.clone()) => return RowEnd::Withdrawn,
             () = tokio::time::sleep(pause) => {}
         }
     }
@@ -88,14 +89,14 @@ pub async fn run_row(stage: &Stage, withdrawn: watch::Receiver<bool>) -> RowEnd 
 
 /// Waits until the schedule has the row no longer and no frame is under way. What else the row does is not worth
 /// waiting for: nobody wants its outcome any more.
-async fn withdrawn_between_frames(stage: &Stage, mut withdrawn: watch::Receiver<bool>) {
+async fn withdrawn_between_frames(context: &RowContext, mut withdrawn: watch::Receiver<bool>) {
     loop {
         if withdrawn.wait_for(|withdrawn| *withdrawn).await.is_err() {
             // The runner is gone, and this row with it.
             return std::future::pending().await;
         }
         // The row runs in the same task, so whenever it wakes this is looked at, before the row goes on.
-        let is_back = poll_fn(|_| match (*withdrawn.borrow(), stage.is_exposing()) {
+        let is_back = poll_fn(|_| match (*withdrawn.borrow(), context.is_exposing()) {
             (false, _) => Poll::Ready(true),
             (true, false) => Poll::Ready(false),
             (true, true) => Poll::Pending,
@@ -107,18 +108,18 @@ async fn withdrawn_between_frames(stage: &Stage, mut withdrawn: watch::Receiver<
 }
 
 /// After a failure the mount does not go on following a target that nobody observes.
-async fn rest(stage: &Stage) {
-    if !stage.row.action.needs().mount {
+async fn rest(context: &RowContext) {
+    if !context.row.action.needs().mount {
         return;
     }
-    let stopped: Result<(), Trouble> = async {
-        match stage.chain()?.mount {
+    let stopped: Result<(), ActionError> = async {
+        match context.chain()?.mount {
             Some(mount) => mount.track(false).await,
             None => Ok(()),
         }
     }
     .await;
-    if let Err(trouble) = stopped {
-        tracing::warn!(%trouble, "the mount may still track");
+    if let Err(error) = stopped {
+        tracing::warn!(%error, "the mount may still track");
     }
 }

@@ -3,10 +3,9 @@
 
 use std::collections::BTreeMap;
 
-use bus::AlertBoard;
 use contract::Kind;
 use contract::observatory::AlertKind;
-
+use node::NodeAlerts;
 use schedule::RowId;
 
 /// What the alert is called where no device is to blame.
@@ -25,31 +24,31 @@ struct Reason {
 
 impl Postponed {
     /// A row rests.
-    pub fn add(&mut self, id: &RowId, number: u32, kind: Option<Kind>, detail: &str, alerts: &AlertBoard) {
+    pub fn add(&mut self, id: &RowId, number: u32, kind: Option<Kind>, detail: &str, alerts: &NodeAlerts) {
         let instance = kind.map_or(NO_DEVICE, Kind::word);
         let reason = Reason { number, instance, detail: detail.to_owned() };
         // It may have rested for another device before.
         let before =
             self.0.insert(id.clone(), reason).map(|before| before.instance).filter(|before| *before != instance);
         for instance in before.into_iter().chain([instance]) {
-            self.tell(instance, alerts);
+            self.report(instance, alerts);
         }
     }
 
     /// A row rests no more.
-    pub fn remove(&mut self, id: &RowId, alerts: &AlertBoard) {
+    pub fn remove(&mut self, id: &RowId, alerts: &NodeAlerts) {
         if let Some(reason) = self.0.remove(id) {
-            self.tell(reason.instance, alerts);
+            self.report(reason.instance, alerts);
         }
     }
 
     /// Forgets the rows that the schedule has no longer.
-    pub fn keep_only(&mut self, is_there: impl Fn(&RowId) -> bool, alerts: &AlertBoard) {
+    pub fn keep_only(&mut self, is_there: impl Fn(&RowId) -> bool, alerts: &NodeAlerts) {
         let gone: Vec<RowId> = self.0.keys().filter(|id| !is_there(id)).cloned().collect();
         gone.iter().for_each(|id| self.remove(id, alerts));
     }
 
-    fn tell(&self, instance: &'static str, alerts: &AlertBoard) {
+    fn report(&self, instance: &'static str, alerts: &NodeAlerts) {
         let mut rows: Vec<&Reason> = self.0.values().filter(|reason| reason.instance == instance).collect();
         rows.sort_by_key(|reason| reason.number);
         match rows.as_slice() {
@@ -72,10 +71,10 @@ mod tests {
 
     #[tokio::test]
     async fn a_camera_that_holds_up_a_hundred_rows_is_one_alert() {
-        let alerts = AlertBoard::new(bus::Clock::machine_clock());
+        let alerts = NodeAlerts::new(bus::Clock::machine_clock());
         let active = || -> Vec<(String, String)> {
-            let shown = alerts.watch().borrow().alerts.clone();
-            let active = shown.into_iter().filter(|alert| alert.returned_utc.is_none());
+            let published = alerts.watch().borrow().alerts.clone();
+            let active = published.into_iter().filter(|alert| alert.returned_utc.is_none());
             active.map(|alert| (alert.id, alert.cause)).collect()
         };
         let row = |number: u32| RowId(format!("row-{number:03}"));

@@ -20,9 +20,9 @@ impl ClockFile {
     /// Begins to watch the clocks from the anchor in the file, or from now, which it writes there.
     pub fn watch(&self, speed: f64, utc: Utc, now: MachineTime) -> Clocks {
         let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default().trim().to_owned();
-        let kept = self.0.as_ref().and_then(|file| std::fs::read(file).ok());
-        let kept = kept.and_then(|bytes| serde_json::from_slice::<Anchor>(&bytes).ok());
-        let mut clocks = Clocks::new(kept, boot, speed, utc, now);
+        let stored = self.0.as_ref().and_then(|file| std::fs::read(file).ok());
+        let stored = stored.and_then(|bytes| serde_json::from_slice::<Anchor>(&bytes).ok());
+        let mut clocks = Clocks::new(stored, boot, speed, utc, now);
         if let (Some(file), Some(anchor)) = (&self.0, clocks.to_persist()) {
             write(file, &anchor);
         }
@@ -30,7 +30,7 @@ impl ClockFile {
     }
 
     /// Persists an anchor outside the safety loop: no disk delays the next verdict.
-    pub fn write_beside(&self, anchor: Anchor) {
+    pub fn write_aside(&self, anchor: Anchor) {
         if let Some(file) = self.0.clone() {
             std::thread::spawn(move || write(&file, &anchor));
         }
@@ -38,7 +38,7 @@ impl ClockFile {
 }
 
 fn write(file: &Path, anchor: &Anchor) {
-    if let Err(error) = crate::kept::write_whole(file, &file.with_extension("json.part"), anchor) {
+    if let Err(error) = crate::persisted::write_whole(file, &file.with_extension("json.part"), anchor) {
         tracing::warn!(file = %file.display(), %error, "after a restart a step of the wall clock would not be noticed");
     }
 }

@@ -2,7 +2,7 @@
 //! both.
 
 mod clock_file;
-mod ears;
+mod subscribers;
 pub mod task;
 mod verdict_file;
 mod writers;

@@ -4,22 +4,23 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use bus::{Catch, Clock, Heard, Node, Subscriber};
+use bus::{Catch, Clock, Received, Subscriber};
 use contract::node::NodeState;
 use contract::observatory::{AlertKind, Interval, Verdict};
-use contract::{Key, NodeTopic, Role};
+use contract::{Key, NodeTopic, Role, Topic};
+use node::Node;
+use safety::active_orders::ActiveOrders;
 use safety::clocks::{self, Doubt};
-use safety::heard::History;
+use safety::current_verdict::CurrentVerdict;
 use safety::history::Now;
 use safety::judge::{Judgement, judge};
+use safety::received::History;
 use safety::rules::Rules;
-use safety::ruling::Ruling;
-use safety::standing::Standing;
 use safety::sun::Sun;
 use tokio::sync::watch;
 
 use super::clock_file::ClockFile;
-use super::ears::{self, Word};
+use super::subscribers::{self, Word};
 use super::verdict_file;
 
 /// So long after its start, a node may lack a value of an input before that counts.
@@ -29,13 +30,13 @@ const GRACE: Duration = Duration::from_secs(5);
 pub async fn keep_judging(
     node: Node,
     rules: Arc<Rules>,
-    mut standing: watch::Receiver<Standing>,
-    ruling: watch::Sender<Ruling>,
+    mut orders: watch::Receiver<ActiveOrders>,
+    verdict: watch::Sender<CurrentVerdict>,
 ) -> anyhow::Result<()> {
     let clock = node.bus.clock().clone();
-    let (ears, mut heard) = ears::open(&node, &rules).await?;
+    let (subscribers, mut received) = subscribers::open(&node, &rules).await?;
     // A file without any input has nobody to listen to: the verdict goes on without.
-    let is_deaf = ears.is_empty();
+    let is_deaf = subscribers.is_empty();
     let nodes = listen_to_nodes(&node).await?;
 
     for (input, why) in &rules.disabled {
@@ -53,7 +54,7 @@ pub async fn keep_judging(
     };
     let mut sun = Sun::of(&node.config, rules.sun_altitude_max_deg);
     let (mut clocks, clock_file) = tokio::task::spawn_blocking(watched).await?;
-    let host = bus::node::host_name();
+    let host = node::host_name();
     let past = verdict_file::path(&node.config);
     let read = past.clone();
     let mut past_verdicts = tokio::task::spawn_blocking(move || verdict_file::read(&read)).await?;
@@ -61,40 +62,40 @@ pub async fn keep_judging(
         let (utc, machine) = (clock.utc(), clock.machine());
         let doubts = clocks.doubts(utc, machine, &history.nodes.witnesses(&host, machine));
         if let Some(anchor) = clocks.to_persist() {
-            clock_file.write_beside(anchor);
+            clock_file.write_aside(anchor);
         }
-        tell(&node.alerts, &doubts);
+        report(&node.alerts, &doubts);
         history.sun = sun.stands(utc, &doubts);
         let (earliest, latest) = clocks::between(utc, &doubts);
-        let effective = standing.borrow_and_update().applied_between(&rules, earliest, latest);
+        let effective = orders.borrow_and_update().applied_between(&rules, earliest, latest);
         let judgement = judge(&effective, &history, now(&clock));
         let waited = now(&clock).machine.since(started.machine) >= GRACE;
-        let settled = waited || history.all_heard() || judgement.speaks_against;
+        let settled = waited || history.all_received() || judgement.speaks_against;
         if settled && let Some(ended) = past_verdicts.judge(judgement.verdict, &judgement.reasons, clock.utc()) {
             keep(past.clone(), ended);
         }
-        publish(&ruling, judgement, past_verdicts.shown(), settled, &clock);
+        publish(&verdict, judgement, past_verdicts.published(), settled, &clock);
         tokio::select! {
-            (name, state) = hear_node(&nodes) => {
+            (name, state) = recv_node(&nodes) => {
                 let own = clock.utc();
-                history.nodes.hear(name, &state.said.body, state.said.at_utc, own, state.arrived);
+                history.nodes.observe(name, &state.sample.body, state.sample.at_utc, own, state.arrived);
             }
-            word = heard.recv(), if !is_deaf => {
+            word = received.recv(), if !is_deaf => {
                 let Some(word) = word else { anyhow::bail!("nothing listens to the safety inputs any more") };
                 take_in(&mut history, &rules, word, clock.speed());
                 // All that waits, before judging once.
-                while let Ok(word) = heard.try_recv() {
+                while let Ok(word) = received.try_recv() {
                     take_in(&mut history, &rules, word, clock.speed());
                 }
             }
-            changed = standing.changed() => changed?,
+            changed = orders.changed() => changed?,
             () = clock.tick(Duration::from_secs(1)) => {}
         }
     }
 }
 
 /// An alert names the clocks that disagree, and by how much.
-fn tell(alerts: &bus::AlertBoard, doubts: &[Doubt]) {
+fn report(alerts: &node::NodeAlerts, doubts: &[Doubt]) {
     if doubts.is_empty() {
         return alerts.clear(AlertKind::ClocksDisagree, "");
     }
@@ -108,15 +109,15 @@ fn now(clock: &Clock) -> Now {
 
 fn take_in(history: &mut History, rules: &Rules, word: Word, speed: f64) {
     match word {
-        Word::Monitor(device, state, at) => history.hear_monitor(rules, &device, &state, at),
-        Word::Weather(device, state, at) => history.hear_weather(rules, &device, &state, speed, at),
-        Word::Switch(device, state, at) => history.hear_switch(rules, &device, &state, at),
-        Word::WeatherBefore(device, told) => {
-            if let Err(why) = history.recall_weather(rules, &device, told, speed) {
+        Word::Monitor(device, state, at) => history.observe_monitor(rules, &device, &state, at),
+        Word::Weather(device, state, at) => history.observe_weather(rules, &device, &state, speed, at),
+        Word::Switch(device, state, at) => history.observe_switch(rules, &device, &state, at),
+        Word::WeatherBefore(device, states) => {
+            if let Err(why) = history.recall_weather(rules, &device, states, speed) {
                 tracing::warn!(%device, why, "the record of the time before is not taken: the dwell runs");
             }
         }
-        Word::SwitchBefore(device, told) => history.recall_switch(rules, &device, told),
+        Word::SwitchBefore(device, states) => history.recall_switch(rules, &device, states),
     }
 }
 
@@ -132,34 +133,35 @@ fn keep(path: PathBuf, ended: Interval) {
 /// The device and observatory nodes of this telescope and of the site's shared devices.
 async fn listen_to_nodes(node: &Node) -> anyhow::Result<Vec<Subscriber<NodeState>>> {
     let own = node.config.address();
-    let mut ears = Vec::new();
+    let mut subscribers = Vec::new();
     for address in [own.shared(), own] {
         for role in [Role::Device, Role::Observatory] {
-            let keys = format!("{}/{address}/node/{role}/*/{}", contract::key::ROOT, NodeTopic::State.word());
-            ears.push(node.bus.subscribe(&keys, Catch::Newest, 64).await?);
+            let keys = Topic::Node(NodeTopic::State).at(&address).of_role(role);
+            subscribers.push(node.bus.subscribe(keys, Catch::Newest, 64).await?);
         }
     }
-    Ok(ears)
+    Ok(subscribers)
 }
 
-async fn hear_node(nodes: &[Subscriber<NodeState>]) -> (String, Heard<NodeState>) {
+async fn recv_node(nodes: &[Subscriber<NodeState>]) -> (String, Received<NodeState>) {
     loop {
-        let heard = futures_util::future::select_all(nodes.iter().map(|ear| Box::pin(ear.hear()))).await.0;
-        if let Key::Node(address, role, id, NodeTopic::State) = &heard.key {
-            return (format!("{}/{role}/{id}", address.telescope), heard);
+        let received =
+            futures_util::future::select_all(nodes.iter().map(|subscriber| Box::pin(subscriber.recv()))).await.0;
+        if let Key::Node(address, role, id, NodeTopic::State) = &received.key {
+            return (format!("{}/{role}/{id}", address.telescope), received);
         }
     }
 }
 
 fn publish(
-    ruling: &watch::Sender<Ruling>,
+    verdict: &watch::Sender<CurrentVerdict>,
     judgement: Judgement,
     intervals: Vec<Interval>,
     settled: bool,
     clock: &Clock,
 ) {
-    ruling.send_modify(|ruling| {
-        if ruling.state.verdict != judgement.verdict {
+    verdict.send_modify(|verdict| {
+        if verdict.state.verdict != judgement.verdict {
             match judgement.verdict {
                 Verdict::Safe => tracing::info!("the sky is safe"),
                 Verdict::Unsafe => {
@@ -168,6 +170,6 @@ fn publish(
                 }
             }
         }
-        ruling.renew(judgement, intervals, settled, clock.utc(), clock.machine());
+        verdict.renew(judgement, intervals, settled, clock.utc(), clock.machine());
     });
 }

@@ -7,20 +7,20 @@ use contract::observatory::Interval;
 use safety::intervals::Intervals;
 
 /// Lines of the file that are read back, and beyond which it is written anew at the next start.
-const KEPT: usize = 1000;
+const MOST_STORED: usize = 1000;
 
 /// Reads those that ended in earlier incarnations. It skips lines that cannot be read: the file is for people.
 pub fn read(path: &Path) -> Intervals {
     // Half a line of a crash may end within a character.
     let text = String::from_utf8_lossy(&std::fs::read(path).unwrap_or_default()).into_owned();
     let lines: Vec<&str> = text.lines().collect();
-    let kept = lines.get(lines.len().saturating_sub(KEPT)..).unwrap_or_default();
-    if kept.len() < lines.len()
-        && let Err(error) = std::fs::write(path, format!("{}\n", kept.join("\n")))
+    let stored = lines.get(lines.len().saturating_sub(MOST_STORED)..).unwrap_or_default();
+    if stored.len() < lines.len()
+        && let Err(error) = std::fs::write(path, format!("{}\n", stored.join("\n")))
     {
         tracing::warn!(file = %path.display(), %error, "the old verdicts could not be cut down");
     }
-    Intervals::of_lines(kept)
+    Intervals::of_lines(stored)
 }
 
 /// Keeps an interval that ended.
@@ -45,7 +45,7 @@ mod tests {
     fn verdicts_that_ended_outlive_a_restart_and_a_crash_within_a_line() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("verdicts.jsonl");
-        assert_eq!(read(&path).shown(), []);
+        assert_eq!(read(&path).published(), []);
         let ended = Interval {
             verdict: Verdict::Unsafe,
             from_utc: Utc::from_seconds(0.0),
@@ -54,6 +54,6 @@ mod tests {
         };
         append(&path, &ended).unwrap();
         std::fs::OpenOptions::new().append(true).open(&path).unwrap().write_all(b"{half a li").unwrap();
-        assert_eq!(read(&path).shown(), [ended]);
+        assert_eq!(read(&path).published(), [ended]);
     }
 }

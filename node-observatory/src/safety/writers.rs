@@ -1,9 +1,11 @@
 //! Tracks which node publishes a safety input. Of two nodes that do so at the same time neither counts, and the value
-//! of a new one does not cancel the warning of the one before.
+//! of a new one does not cancel the warning of the one before. `interlock::Succession` decides which of them is the
+//! newer one.
 
-use bus::{MachineTime, Succession};
 use contract::device::safety_monitor::Fields as Monitor;
 use contract::{BootId, DeviceState, Link, NoData, Stamped};
+use interlock::Succession;
+use units::MachineTime;
 
 /// So many times the period of its states a node may be silent before it is dead.
 const SILENT_PERIODS: f64 = 3.0;
@@ -46,30 +48,31 @@ impl<F> Writers<F> {
     }
 
     /// Takes in a state, and changes it where its sender cannot vouch for all of it; false where it is not to be used.
-    pub fn take(&mut self, said: &mut Stamped<DeviceState<F>>, arrived: MachineTime) -> bool {
-        let newer = self.succession.is_newer(&said.boot_id, said.seq, arrived);
+    pub fn take(&mut self, sample: &mut Stamped<DeviceState<F>>, arrived: MachineTime) -> bool {
+        let newer = self.succession.is_newer(&sample.boot_id, sample.seq, arrived);
         if let Some(why) = self.dispute(arrived) {
             self.disputed = true;
-            said.body.link = Link::Lost { reason: NoData::new("two writers", why) };
+            sample.body.link = Link::Lost { reason: NoData::new("two writers", why) };
             return true;
         }
         if !newer {
             return false;
         }
-        let first = self.first.get_or_insert_with(|| said.boot_id.clone());
-        if self.disputed || *first != said.boot_id {
+        let first = self.first.get_or_insert_with(|| sample.boot_id.clone());
+        if self.disputed || *first != sample.boot_id {
             // This node did not receive the record of another incarnation, or of one of two, from the time before.
-            (self.manners.forget_record)(&mut said.body);
+            (self.manners.forget_record)(&mut sample.body);
         }
-        if (self.manners.warns)(&said.body) {
-            let silent_s = SILENT_PERIODS * if said.body.period_s > 0.0 { said.body.period_s.min(5.0) } else { 5.0 };
-            self.warned = Some((said.boot_id.clone(), arrived, silent_s));
+        if (self.manners.warns)(&sample.body) {
+            let silent_s =
+                SILENT_PERIODS * if sample.body.period_s > 0.0 { sample.body.period_s.min(5.0) } else { 5.0 };
+            self.warned = Some((sample.boot_id.clone(), arrived, silent_s));
             return true;
         }
         match &self.warned {
             // It is not known yet whether the node that warned is dead or will publish again.
             Some((boot_id, at, silent_s))
-                if *boot_id != said.boot_id && arrived.since(*at).as_secs_f64() < *silent_s =>
+                if *boot_id != sample.boot_id && arrived.since(*at).as_secs_f64() < *silent_s =>
             {
                 false
             }
@@ -109,7 +112,7 @@ mod tests {
             Self { writers: Writers::new(MONITOR), seqs: Default::default() }
         }
 
-        fn hear(&mut self, boot_id: &BootId, at_s: f64, is_safe: bool) -> Used {
+        fn observe(&mut self, boot_id: &BootId, at_s: f64, is_safe: bool) -> Used {
             let seq = self.seqs.entry(boot_id.clone()).or_default();
             *seq += 1;
             let fields = Monitor { is_safe: Datum::Known(is_safe), gapless_safe_s: 3600.0 };
@@ -130,14 +133,14 @@ mod tests {
                 held_s: None,
                 body,
             };
-            let mut said = stamped(body);
+            let mut sample = stamped(body);
             let arrived = MachineTime::from_boot(Duration::from_secs_f64(at_s));
-            self.writers.take(&mut said, arrived).then(|| {
-                let word = match said.body.link {
+            self.writers.take(&mut sample, arrived).then(|| {
+                let word = match sample.body.link {
                     Link::Lost { reason } => Err(reason.0),
-                    _ => Ok(said.body.fields.is_safe.known() == Some(&true)),
+                    _ => Ok(sample.body.fields.is_safe.known() == Some(&true)),
                 };
-                (word, said.body.fields.gapless_safe_s)
+                (word, sample.body.fields.gapless_safe_s)
             })
         }
     }
@@ -147,17 +150,17 @@ mod tests {
         let (one, other) = (BootId::fresh(), BootId::fresh());
         for (real, second) in [(&one, &other), (&other, &one)] {
             let mut scene = Scene::new();
-            assert_eq!(scene.hear(real, 0.0, true), Some((Ok(true), 3600.0)));
-            assert_eq!(scene.hear(real, 1.0, false), Some((Ok(false), 3600.0)), "it rains");
-            assert_eq!(scene.hear(second, 1.4, true), None, "the second one publishes safe");
-            assert_eq!(scene.hear(second, 1.9, true), None);
-            let (word, _) = scene.hear(real, 2.0, false).unwrap();
+            assert_eq!(scene.observe(real, 0.0, true), Some((Ok(true), 3600.0)));
+            assert_eq!(scene.observe(real, 1.0, false), Some((Ok(false), 3600.0)), "it rains");
+            assert_eq!(scene.observe(second, 1.4, true), None, "the second one publishes safe");
+            assert_eq!(scene.observe(second, 1.9, true), None);
+            let (word, _) = scene.observe(real, 2.0, false).unwrap();
             assert!(word.unwrap_err().starts_with("two writers"));
             for second_at in [2.4, 3.4, 9.4, 17.9] {
-                assert!(scene.hear(second, second_at, true).unwrap().0.is_err(), "{second_at}");
+                assert!(scene.observe(second, second_at, true).unwrap().0.is_err(), "{second_at}");
             }
             // The real one is gone: what is left counts, but its record was not received here.
-            assert_eq!(scene.hear(second, 18.4, true), Some((Ok(true), 0.0)));
+            assert_eq!(scene.observe(second, 18.4, true), Some((Ok(true), 0.0)));
         }
     }
 
@@ -165,15 +168,15 @@ mod tests {
     fn a_restarted_node_is_believed_at_once_except_against_a_warning() {
         let (before, after) = (BootId::fresh(), BootId::fresh());
         let mut scene = Scene::new();
-        scene.hear(&before, 0.0, true);
-        assert_eq!(scene.hear(&after, 1.5, true), Some((Ok(true), 0.0)), "the night goes on");
+        scene.observe(&before, 0.0, true);
+        assert_eq!(scene.observe(&after, 1.5, true), Some((Ok(true), 0.0)), "the night goes on");
         let mut scene = Scene::new();
-        scene.hear(&before, 0.0, false);
-        assert_eq!(scene.hear(&after, 1.5, true), None);
-        assert_eq!(scene.hear(&after, 2.5, true), None);
-        assert_eq!(scene.hear(&after, 3.1, true), Some((Ok(true), 0.0)), "it was silent for three periods");
+        scene.observe(&before, 0.0, false);
+        assert_eq!(scene.observe(&after, 1.5, true), None);
+        assert_eq!(scene.observe(&after, 2.5, true), None);
+        assert_eq!(scene.observe(&after, 3.1, true), Some((Ok(true), 0.0)), "it was silent for three periods");
         let mut scene = Scene::new();
-        scene.hear(&before, 0.0, true);
-        assert_eq!(scene.hear(&after, 1.5, false), Some((Ok(false), 0.0)), "a warning counts at once");
+        scene.observe(&before, 0.0, true);
+        assert_eq!(scene.observe(&after, 1.5, false), Some((Ok(false), 0.0)), "a warning counts at once");
     }
 }

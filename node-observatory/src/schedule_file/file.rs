@@ -1,16 +1,16 @@
 //! The schedule file: read at start, when it changes, and when ordered; a bad one leaves the old rows standing.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, SystemTime};
 
-use crate::schedule_file::versions::Author;
 use contract::observatory::AlertKind;
+use schedule::validate::KnownFacts;
 use schedule::{Row, read_text, validate};
 use tokio::sync::watch;
 
-use super::findings::known;
-use crate::control_room::ControlRoom;
+use super::{ActiveText, ScheduleFile};
+use crate::schedule_file::versions::{Author, sha256};
 
 /// The schedule as it was last read.
 #[derive(Debug, Clone, Default)]
@@ -19,6 +19,8 @@ pub struct Loaded {
     pub revision: u64,
     /// The rows of the newest version that was good.
     pub rows: Arc<Vec<Row>>,
+    /// SHA-256 of its text, as lower-case hex; empty before the first.
+    pub sha256: String,
     /// Why the newest version was not taken.
     pub refused: Option<String>,
 }
@@ -32,10 +34,10 @@ const AGAIN: Duration = Duration::from_secs(10);
 /// The properties that show that a file has changed: any other time or size, also an older one.
 type Mark = Option<(SystemTime, u64)>;
 
-/// Reads the file now, at each change of its time or size, and whenever the room's `reload` counts on. While this node
+/// Reads the file now, at each change of its time or size, and whenever the file's `reload` counts on. While this node
 /// commands, each good text is kept as a version.
-pub async fn keep_reading(room: Arc<ControlRoom>, loaded: watch::Sender<Loaded>) -> anyhow::Result<()> {
-    let (path, mut ordered) = (room.node.config.schedule.file.clone(), room.reload.subscribe());
+pub async fn keep_reading(file: Arc<ScheduleFile>, loaded: watch::Sender<Loaded>) -> anyhow::Result<()> {
+    let (path, mut ordered) = (file.authority.node.config.schedule.file.clone(), file.reload.subscribe());
     let mut read: Option<Mark> = None;
     let mut unkept: Option<(String, usize)> = None;
     let mut keep_after = tokio::time::Instant::now();
@@ -43,13 +45,16 @@ pub async fn keep_reading(room: Arc<ControlRoom>, loaded: watch::Sender<Loaded>)
         let mark = mark(&path).await;
         if read != Some(mark) {
             // A file that is being written is read again when it has come to rest.
-            let text = read_file(path.clone(), room.clone()).await;
-            unkept = take(&room, &loaded, text).or(unkept);
+            let text = read_file(path.clone(), file.clone()).await;
+            unkept = take(&file, &loaded, text).or(unkept);
             read = Some(mark);
         }
         // A standby may share the folder: the commander keeps the versions.
-        if unkept.is_some() && room.hold.borrow().token().is_some() && tokio::time::Instant::now() >= keep_after {
-            unkept = keep_version(&room, unkept).await;
+        if unkept.is_some()
+            && file.authority.hold.borrow().token().is_some()
+            && tokio::time::Instant::now() >= keep_after
+        {
+            unkept = keep_version(&file, unkept).await;
             if unkept.is_some() {
                 keep_after = tokio::time::Instant::now() + AGAIN;
             }
@@ -65,8 +70,8 @@ pub async fn keep_reading(room: Arc<ControlRoom>, loaded: watch::Sender<Loaded>)
 }
 
 /// The rows of a text, or all that is wrong with it. Blocks.
-pub(super) fn rows_of(text: &str, room: &ControlRoom) -> Result<Vec<Row>, String> {
-    validate::accept(text, &known(room)).map_err(|fault| fault.to_string())
+pub(super) fn rows_of(text: &str, file: &ScheduleFile) -> Result<Vec<Row>, String> {
+    validate::accept(text, &known(file)).map_err(|fault| fault.to_string())
 }
 
 async fn mark(path: &Path) -> Mark {
@@ -74,32 +79,36 @@ async fn mark(path: &Path) -> Mark {
     Some((about.modified().ok()?, about.len()))
 }
 
-async fn read_file(path: PathBuf, room: Arc<ControlRoom>) -> Result<(String, Vec<Row>), String> {
-    let shown = path.display().to_string();
+async fn read_file(path: PathBuf, file: Arc<ScheduleFile>) -> Result<(String, Vec<Row>), String> {
+    let name = path.display().to_string();
     let read = tokio::task::spawn_blocking(move || {
+        // An order that replaces the file waits, so that what is remembered is what was read last.
+        let mut active = file.active.lock().unwrap_or_else(PoisonError::into_inner);
         let text = read_text(&path).map_err(|error| format!("cannot be read: {error}"))?;
-        let rows = rows_of(&text, &room)?;
+        let rows = rows_of(&text, &file)?;
+        *active = Some(ActiveText { text: text.as_str().into(), sha256: sha256(&text) });
         Ok((text, rows))
     });
     let read = read.await.unwrap_or_else(|error| Err(error.to_string()));
-    read.map_err(|why| format!("{shown}: {why}"))
+    read.map_err(|why| format!("{name}: {why}"))
 }
 
 /// Puts what was read in force, or reports why not; returns the text to store.
 fn take(
-    room: &ControlRoom,
+    file: &ScheduleFile,
     loaded: &watch::Sender<Loaded>,
     read: Result<(String, Vec<Row>), String>,
 ) -> Option<(String, usize)> {
-    let alerts = &room.node.alerts;
+    let alerts = &file.authority.node.alerts;
     match read {
         Ok((text, rows)) => {
             alerts.clear(AlertKind::ScheduleRefused, "");
-            let count = rows.len();
+            let (count, sha256) = (rows.len(), sha256(&text));
             loaded.send_modify(|loaded| {
                 loaded.revision += 1;
                 tracing::info!(rows = count, revision = loaded.revision, "schedule read");
                 loaded.rows = Arc::new(rows);
+                loaded.sha256 = sha256;
                 loaded.refused = None;
             });
             Some((text, count))
@@ -113,24 +122,35 @@ fn take(
 }
 
 /// Keeps a text as a version, unless it is the newest already; returns it again where the disk fails.
-async fn keep_version(room: &Arc<ControlRoom>, unkept: Option<(String, usize)>) -> Option<(String, usize)> {
+async fn keep_version(file: &ScheduleFile, unkept: Option<(String, usize)>) -> Option<(String, usize)> {
     let (text, rows) = unkept?;
-    let (versions, at) = (room.versions.clone(), room.node.bus.clock().utc());
+    let (versions, at) = (file.versions.clone(), file.authority.node.bus.clock().utc());
     let keeping = tokio::task::spawn_blocking(move || {
         let author = Author { name: "file".to_owned(), reason: String::new() };
-        let kept = versions.keep(&text, rows, &author, at);
-        (kept, text)
+        let stored = versions.keep(&text, rows, &author, at);
+        (stored, text)
     });
-    let (kept, text) = keeping.await.ok()?;
-    match kept {
+    let (stored, text) = keeping.await.ok()?;
+    match stored {
         Ok(_) => {
-            room.node.alerts.clear(AlertKind::ScheduleNotKept, "");
+            file.authority.node.alerts.clear(AlertKind::ScheduleNotSaved, "");
             None
         }
         Err(error) => {
             let cause = format!("the schedule in force cannot be kept as a version: {error}");
-            room.node.alerts.raise(AlertKind::ScheduleNotKept, "", &cause);
+            file.authority.node.alerts.raise(AlertKind::ScheduleNotSaved, "", &cause);
             Some((text, rows))
         }
     }
+}
+
+/// What is known now: the configuration with its horizon files, and the filters that the wheels report. Reads files.
+pub fn known(file: &ScheduleFile) -> KnownFacts {
+    let mut known = KnownFacts::with_names(file.authority.node.config.clone(), file.names.borrow().clone());
+    for wheel in &file.devices.wheels {
+        if let Some(can) = wheel.instrument.can() {
+            known = known.with_filters(&wheel.instrument.device.name, can.names);
+        }
+    }
+    known
 }

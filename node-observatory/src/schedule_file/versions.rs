@@ -3,10 +3,11 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::io::{self, Write as _};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use node::private::write_whole;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 use units::Utc;
@@ -128,29 +129,29 @@ impl Versions {
     pub fn keep(&self, text: &str, rows: usize, author: &Author, at_utc: Utc) -> io::Result<(u64, bool)> {
         let _pen = self.pen.lock().unwrap_or_else(PoisonError::into_inner);
         fs::create_dir_all(&self.folder)?;
-        let (mut kept, damage) = self.read_index()?;
+        let (mut stored, damage) = self.read_index()?;
         let sha256 = sha256(text);
-        if let Some(newest) = kept.last().filter(|newest| newest.sha256 == sha256) {
+        if let Some(newest) = stored.last().filter(|newest| newest.sha256 == sha256) {
             return Ok((newest.version, false));
         }
-        let mut version = kept.last().map_or(1, |newest| newest.version + 1);
+        let mut version = stored.last().map_or(1, |newest| newest.version + 1);
         if let Some(damage) = &damage {
             // The text of a line that is lost keeps its number.
             version = version.max(self.newest_text() + 1);
-            bus::aside::keep_copy(&self.index(), damage, "The texts of its lost lines stay in the folder.");
+            node::aside::keep_copy(&self.index(), damage, "The texts of its lost lines stay in the folder.");
         }
         let reason = author.reason.chars().take(MOST_REASON).collect();
         let bytes = text.len() as u64;
-        write_whole(&self.path(version), text)?;
-        kept.push(Version { version, at_utc, author: author.name.clone(), reason, rows, bytes, sha256 });
-        let written = self.write_index(bounded(&kept));
+        write_whole(&self.path(version), text.as_bytes())?;
+        stored.push(Version { version, at_utc, author: author.name.clone(), reason, rows, bytes, sha256 });
+        let written = self.write_index(bounded(&stored));
         if written.is_err() {
             // Without its line it is no version.
             let _ = fs::remove_file(self.path(version));
         }
         written?;
         if damage.is_none() && !self.was_damaged() {
-            self.sweep(bounded(&kept));
+            self.sweep(bounded(&stored));
         }
         Ok((version, true))
     }
@@ -173,22 +174,22 @@ impl Versions {
     /// Forgets the newest version, where it is this one: it did not come into force. Blocks.
     pub fn take_back(&self, version: u64) -> io::Result<()> {
         let _pen = self.pen.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut kept = self.list()?;
-        if kept.pop_if(|newest| newest.version == version).is_some() {
-            self.write_index(&kept)?;
+        let mut stored = self.list()?;
+        if stored.pop_if(|newest| newest.version == version).is_some() {
+            self.write_index(&stored)?;
             fs::remove_file(self.path(version))?;
         }
         Ok(())
     }
 
-    fn write_index(&self, kept: &[Version]) -> io::Result<()> {
-        let lines: Result<Vec<String>, _> = kept.iter().map(serde_json::to_string).collect();
-        write_whole(&self.index(), &(lines?.join("\n") + "\n"))
+    fn write_index(&self, versions: &[Version]) -> io::Result<()> {
+        let lines: Result<Vec<String>, _> = versions.iter().map(serde_json::to_string).collect();
+        write_whole(&self.index(), (lines?.join("\n") + "\n").as_bytes())
     }
 
     /// Removes texts that the index does not name; what cannot be removed is tried again with the next version.
-    fn sweep(&self, kept: &[Version]) {
-        let named: BTreeSet<PathBuf> = kept.iter().map(|kept| self.path(kept.version)).collect();
+    fn sweep(&self, versions: &[Version]) {
+        let named: BTreeSet<PathBuf> = versions.iter().map(|version| self.path(version.version)).collect();
         for file in fs::read_dir(&self.folder).into_iter().flatten().flatten() {
             let path = file.path();
             let is_text = path.extension().is_some_and(|extension| extension == "jsonl") && path != self.index();
@@ -208,44 +209,19 @@ impl Versions {
 }
 
 /// The newest versions that are few and small enough to be kept, and in any case the newest of all.
-fn bounded(kept: &[Version]) -> &[Version] {
+fn bounded(stored: &[Version]) -> &[Version] {
     let mut bytes = 0_u64;
     let fits = |version: &&Version| {
         bytes = bytes.saturating_add(version.bytes);
         bytes <= MOST_BYTES
     };
-    let count = kept.iter().rev().take(MOST_VERSIONS).take_while(fits).count().max(1);
-    kept.get(kept.len().saturating_sub(count)..).unwrap_or(kept)
+    let count = stored.iter().rev().take(MOST_VERSIONS).take_while(fits).count().max(1);
+    stored.get(stored.len().saturating_sub(count)..).unwrap_or(stored)
 }
 
-fn sha256(text: &str) -> String {
+/// Of a text, as lower-case hex.
+pub(super) fn sha256(text: &str) -> String {
     Sha256::digest(text.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
-/// The old file or the new one, whatever happens. Blocks.
-pub(super) fn write_whole(path: &Path, text: &str) -> io::Result<()> {
-    let mut part = path.to_owned().into_os_string();
-    part.push(".part");
-    let part = PathBuf::from(part);
-    if let Err(error) = write_synced(&part, text).and_then(|()| fs::rename(&part, path)) {
-        // Half a text would only take the room that is missing.
-        let _ = fs::remove_file(&part);
-        return Err(error);
-    }
-    // The new name is on disk with its folder; Windows opens no folders.
-    #[cfg(unix)]
-    {
-        // A file named without its folder is in the working folder.
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        fs::File::open(folder)?.sync_all()?;
-    }
-    Ok(())
-}
-
-fn write_synced(path: &Path, text: &str) -> io::Result<()> {
-    let mut file = fs::File::create(path)?;
-    file.write_all(text.as_bytes())?;
-    file.sync_all()
 }
 
 #[cfg(test)]

@@ -1,3 +1,5 @@
+use std::io::Write as _;
+
 use super::*;
 
 fn at(text: &str) -> Utc {
@@ -15,7 +17,7 @@ fn versions(folder: &Path) -> Versions {
 }
 
 #[test]
-fn each_text_is_kept_with_author_time_and_reason_and_the_same_one_only_once() {
+fn each_text_is_stored_with_author_time_and_reason_and_the_same_one_only_once() {
     let folder = tempfile::tempdir().unwrap();
     let versions = versions(folder.path());
     assert_eq!(versions.list().unwrap(), []);
@@ -28,11 +30,11 @@ fn each_text_is_kept_with_author_time_and_reason_and_the_same_one_only_once() {
         "the file says what the order brought"
     );
     assert_eq!(versions.keep("one\n", 3, &ana("it was a plane"), at(NOW)).unwrap(), (3, true));
-    let told: Vec<_> =
+    let listed: Vec<_> =
         versions.list().unwrap().into_iter().map(|v| (v.version, v.author, v.reason, v.rows, v.bytes)).collect();
     let line = |version, author: &str, reason: &str, rows| (version, author.to_owned(), reason.to_owned(), rows, 4);
     assert_eq!(
-        told,
+        listed,
         [line(1, "file", "", 3), line(2, "web/ana", "a supernova", 4), line(3, "web/ana", "it was a plane", 3)]
     );
     assert_eq!((versions.text(1).unwrap(), versions.text(2).unwrap()), ("one\n".to_owned(), "two\n".to_owned()));
@@ -61,7 +63,7 @@ fn a_crash_that_left_half_a_line_or_a_text_without_its_line_costs_no_version() {
 }
 
 #[test]
-fn a_text_that_was_changed_afterwards_is_not_shown_as_what_was_kept() {
+fn a_text_that_was_changed_afterwards_is_not_printed_as_what_was_stored() {
     let folder = tempfile::tempdir().unwrap();
     let versions = versions(folder.path());
     versions.keep("one\n", 1, &ana(""), at(NOW)).unwrap();
@@ -83,7 +85,7 @@ fn a_version_that_did_not_come_into_force_is_taken_back() {
 }
 
 #[test]
-fn what_the_disk_does_not_take_leaves_what_was_kept() {
+fn what_the_disk_does_not_take_leaves_what_was_stored() {
     let folder = tempfile::tempdir().unwrap();
     let versions = versions(folder.path());
     versions.keep("one\n", 1, &ana(""), at(NOW)).unwrap();
@@ -108,8 +110,8 @@ fn old_versions_are_forgotten_by_number_and_by_bytes_but_never_the_newest() {
         sha256: String::new(),
     };
     let many: Vec<Version> = (1..=1003).map(|number| version(number, 10)).collect();
-    let kept = bounded(&many);
-    assert_eq!((kept.len(), kept[0].version, kept[999].version), (1000, 4, 1003));
+    let stored = bounded(&many);
+    assert_eq!((stored.len(), stored[0].version, stored[999].version), (1000, 4, 1003));
     let large: Vec<Version> = (1..=4).map(|number| version(number, 40_000_000)).collect();
     assert_eq!(bounded(&large).iter().map(|v| v.version).collect::<Vec<_>>(), [3, 4]);
     assert_eq!(bounded(&[version(1, 200_000_000)]).len(), 1);

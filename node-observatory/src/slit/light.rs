@@ -58,11 +58,11 @@ impl Light {
     }
 
     /// Should the exposure end early? Only when a part has been hidden for `sure_s` without a break, so that a late
-    /// report is not taken for a fault. A dome that does not recover within `patience_s` is not waited for.
-    pub fn is_hopeless(&self, sure_s: f64, patience_s: f64) -> bool {
+    /// report is not taken for a fault. A dome that does not recover within `timeout_s` is not waited for.
+    pub fn is_hopeless(&self, sure_s: f64, timeout_s: f64) -> bool {
         let Some(since_s) = self.hidden_since_s else { return false };
         let (hidden_s, left_s) = (self.seen_s - since_s, self.exposure_s - self.seen_s);
-        let too_much = self.lost() > LITTLE || hidden_s >= patience_s;
+        let too_much = self.lost() > LITTLE || hidden_s >= timeout_s;
         let at_the_end = (self.lost_s + left_s * (1.0 - self.free)) / self.exposure_s;
         let is_in = (self.seen_s - self.lost_s) / self.exposure_s;
         // A frame that is being read out is not ended.

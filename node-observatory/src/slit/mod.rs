@@ -17,43 +17,53 @@ mod follower;
 mod light;
 mod view;
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use contract::Name;
 use contract::device::dome::Shutter;
 use contract::observatory::AlertKind;
 use sky::Icrs;
+use tokio::sync::watch;
+use units::{Utc, seconds};
 
-pub use self::exposure::{Seen, through_the_slit};
+pub use self::exposure::{ExposureThroughSlit, through_the_slit};
 pub use self::follower::keep_following;
-use self::view::{View, Way};
-use units::seconds;
+use self::view::{DomeTurner, View};
+use crate::action_error::ActionError;
+use crate::authority::Authority;
+use crate::command_timeout::command_timeout;
+use crate::devices::Devices;
+use crate::devices::dome::Dome;
+use crate::devices::telescope::Mount;
 
-use crate::action::Stage;
-use crate::control_room::ControlRoom;
-use crate::patience::patience;
-use crate::rig::dome::Dome;
-use crate::rig::telescope::Mount;
-use crate::trouble::Trouble;
-use schedule::plan::overheads::Span;
+/// The slits of the domes, and where they are wanted.
+pub struct Slits {
+    /// Whether this node may act.
+    pub authority: Arc<Authority>,
+    /// The devices.
+    pub devices: Arc<Devices>,
+    /// Where a row is about to point a mount, or points it.
+    pub aim: watch::Sender<Option<(Name, Icrs)>>,
+}
 
 /// A mount on its way to a target, as long as this lives.
 pub struct Aimed<'a> {
-    room: &'a ControlRoom,
+    slits: &'a Slits,
 }
 
 impl<'a> Aimed<'a> {
     /// Publishes to the slits where a mount is about to look.
-    pub fn at(room: &'a ControlRoom, mount: &Mount, target: Icrs) -> Self {
+    pub fn at(slits: &'a Slits, mount: &Mount, target: Icrs) -> Self {
         let name: Name = mount.instrument.device.name.clone();
-        room.aim.send_replace(Some((name, target)));
-        Self { room }
+        slits.aim.send_replace(Some((name, target)));
+        Self { slits }
     }
 }
 
 impl Drop for Aimed<'_> {
     fn drop(&mut self) {
-        self.room.aim.send_replace(None);
+        self.slits.aim.send_replace(None);
     }
 }
 
@@ -64,16 +74,16 @@ const SLAVING: Duration = Duration::from_secs(30);
 ///
 /// A shutter that is open already is the follower's. A dome that does not turn stays shut: nothing could be observed
 /// through it.
-pub async fn turn_before_opening(room: &ControlRoom, dome: &Dome) -> Result<(), Trouble> {
-    let Some(view) = View::of(room, dome) else { return Ok(()) };
+pub async fn turn_before_opening(slits: &Slits, dome: &Dome) -> Result<(), ActionError> {
+    let Some(view) = View::of(slits, dome) else { return Ok(()) };
     if dome.shutter() == Some(Shutter::Open) {
         return Ok(());
     }
     dome.instrument.capabilities().await?;
     let turned = match view.way() {
-        None | Some(Way::Alone | Way::Itself) => return Ok(()),
-        Some(Way::Slave) => view.slave().await,
-        Some(Way::Turn) => {
+        None | Some(DomeTurner::Alone | DomeTurner::Itself) => return Ok(()),
+        Some(DomeTurner::Slave) => view.slave().await,
+        Some(DomeTurner::Turn) => {
             rest(dome).await?;
             let Some(aim) = view.aim().or_else(|| view.mount_aim()) else {
                 tracing::info!(dome = %dome.instrument.device.name, "opened without turning: where to is not known");
@@ -85,69 +95,73 @@ pub async fn turn_before_opening(room: &ControlRoom, dome: &Dome) -> Result<(), 
             }
         }
     };
-    note(room, dome, &turned);
+    note(slits, dome, &turned);
     turned
 }
 
 /// Waits until the shutter rests: it may still close from before.
-async fn rest(dome: &Dome) -> Result<(), Trouble> {
-    let most = patience(dome.instrument.clock(), dome.travel);
-    let rests = |heard: &bus::Heard<contract::DeviceState<contract::device::dome::Fields>>| {
-        let shutter = heard.said.body.fields.shutter.known().copied();
+async fn rest(dome: &Dome) -> Result<(), ActionError> {
+    let most = command_timeout(dome.instrument.clock(), dome.travel);
+    let rests = |received: &bus::Received<contract::DeviceState<contract::device::dome::Fields>>| {
+        let shutter = received.sample.body.fields.shutter.known().copied();
         (!matches!(shutter, Some(Shutter::Opening | Shutter::Closing))).then_some(())
     };
     dome.instrument.until(most, "at rest", rests).await
 }
 
-/// The slits that the row's telescope looks out of.
-fn views_of(stage: &Stage) -> Result<Vec<(&Dome, View<'_>)>, Trouble> {
-    let (room, mount) = (&*stage.room, stage.chain()?.mount);
-    let views = room.rig.domes.iter().filter_map(|dome| Some((dome, View::of(room, dome)?)));
-    Ok(views.filter(|(_, view)| view.is_of(mount)).collect())
+/// The slits that a mount looks out of.
+fn views_of<'a>(slits: &'a Slits, mount: Option<&Mount>) -> Vec<(&'a Dome, View<'a>)> {
+    let views = slits.devices.domes.iter().filter_map(|dome| Some((dome, View::of(slits, dome)?)));
+    views.filter(|(_, view)| view.is_of(mount)).collect()
 }
 
 /// Before an exposure of the sky: waits until every slit leaves the whole aperture free; one that cannot be brought
-/// there in its time is a fault of the dome.
-pub async fn wait_until_clear(stage: &Stage, exposure_s: f64) -> Result<(), Trouble> {
-    let room = &*stage.room;
-    for (dome, view) in views_of(stage)? {
-        let (clock, mut stirred) = (dome.instrument.clock(), room.rig.stirred());
-        let most = patience(clock, seconds(dome.slit.timeout_s));
+/// there in its time is a fault of the dome. `begins` gets the reason of a wait, and `ended` when it began.
+pub async fn wait_until_clear(
+    slits: &Slits,
+    mount: Option<&Mount>,
+    exposure_s: f64,
+    begins: impl Fn(&str) + Send + Sync,
+    ended: impl Fn(Utc) + Send + Sync,
+) -> Result<(), ActionError> {
+    for (dome, view) in views_of(slits, mount) {
+        let (clock, mut stirred) = (dome.instrument.clock(), slits.devices.stirred());
+        let most = command_timeout(clock, seconds(dome.slit.timeout_s));
         let (began, waits) = (clock.machine(), clock.utc());
-        let mut told = false;
+        let mut has_begun = false;
         while let Err(why) = view.clear(exposure_s) {
             if clock.machine().since(began) >= most {
                 let (device, verb) =
                     (dome.instrument.device.to_string(), "bring its slit to where the telescope looks");
-                let late = Err(Trouble::Failed { device, verb: verb.to_owned(), reason: why });
-                note(room, dome, &late);
+                let late = Err(ActionError::Failed { device, verb: verb.to_owned(), reason: why });
+                note(slits, dome, &late);
                 return late;
             }
-            if !std::mem::replace(&mut told, true) {
-                stage.step(format!("waiting for the dome's slit: {why}"));
+            if !std::mem::replace(&mut has_begun, true) {
+                begins(&why);
             }
             tokio::select! {
                 _ = stirred.changed() => {}
                 () = tokio::time::sleep(Duration::from_millis(250)) => {}
             }
         }
-        if told {
-            stage.took(Span::Slit, waits);
+        if has_begun {
+            ended(waits);
         }
         // Nothing else reports on a dome that follows by itself.
-        if told || (dome.turning_fails() && view.way() != Some(Way::Turn)) {
-            note(room, dome, &Ok(()));
+        if has_begun || (dome.turning_fails() && view.way() != Some(DomeTurner::Turn)) {
+            note(slits, dome, &Ok(()));
         }
     }
     Ok(())
 }
 
 /// Raises and clears the alert of a dome that does not turn.
-fn note(room: &ControlRoom, dome: &Dome, turned: &Result<(), Trouble>) {
+fn note(slits: &Slits, dome: &Dome, turned: &Result<(), ActionError>) {
     let name = &dome.instrument.device.name;
     dome.set_turning_fails(turned.is_err());
     match turned {
-        Ok(()) => room.node.alerts.clear(AlertKind::DomeNotTurned, name),
-        Err(trouble) => room.node.alerts.raise(AlertKind::DomeNotTurned, name, &trouble.to_string()),
+        Ok(()) => slits.authority.node.alerts.clear(AlertKind::DomeNotTurned, name),
+        Err(error) => slits.authority.node.alerts.raise(AlertKind::DomeNotTurned, name, &error.to_string()),
     }
 }

@@ -7,15 +7,14 @@ use sky::slit::{Aim, Slit, TubeSide};
 use sky::{Horizontal, Icrs, Observer, OfDate};
 use units::{Angle, seconds};
 
-use super::SLAVING;
-use crate::control_room::ControlRoom;
-use crate::rig::dome::Dome;
-use crate::rig::telescope::Mount;
-use crate::trouble::Trouble;
+use super::{SLAVING, Slits};
+use crate::action_error::ActionError;
+use crate::devices::dome::Dome;
+use crate::devices::telescope::Mount;
 
 /// The part that turns a dome.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Way {
+pub enum DomeTurner {
     /// Nobody: there is nothing to turn and nothing to wait for.
     Alone,
     /// This node.
@@ -27,14 +26,14 @@ pub enum Way {
 }
 
 /// Which part turns a dome with these capabilities and this slaving.
-pub fn way(follow: Follow, can: &Capabilities, slaved: Option<bool>) -> Way {
+pub fn way(follow: Follow, can: &Capabilities, slaved: Option<bool>) -> DomeTurner {
     match follow {
-        Follow::Off => Way::Alone,
-        Follow::Turn => Way::Turn,
-        Follow::Slave => Way::Slave,
-        Follow::Auto if slaved == Some(true) => Way::Itself,
-        Follow::Auto if can.set_azimuth => Way::Turn,
-        Follow::Auto => Way::Alone,
+        Follow::Off => DomeTurner::Alone,
+        Follow::Turn => DomeTurner::Turn,
+        Follow::Slave => DomeTurner::Slave,
+        Follow::Auto if slaved == Some(true) => DomeTurner::Itself,
+        Follow::Auto if can.set_azimuth => DomeTurner::Turn,
+        Follow::Auto => DomeTurner::Alone,
     }
 }
 
@@ -54,7 +53,7 @@ const GAIN_S: f64 = 60.0;
 
 /// A dome and its mount.
 pub struct View<'a> {
-    room: &'a ControlRoom,
+    slits: &'a Slits,
     dome: &'a Dome,
     mount: &'a Mount,
     slit: Slit,
@@ -63,14 +62,14 @@ pub struct View<'a> {
 
 impl<'a> View<'a> {
     /// The view out of a dome; none where there is nothing to follow.
-    pub fn of(room: &'a ControlRoom, dome: &'a Dome) -> Option<Self> {
+    pub fn of(slits: &'a Slits, dome: &'a Dome) -> Option<Self> {
         if dome.follow == Follow::Off {
             return None;
         }
-        let mount = room.rig.mount_under(dome)?;
-        let latitude = Angle::from_degrees(room.node.config.place.latitude_deg);
+        let mount = slits.devices.mount_under(dome)?;
+        let latitude = Angle::from_degrees(slits.authority.node.config.place.latitude_deg);
         let slit = geometry(latitude, &dome.slit, &mount.config);
-        Some(Self { room, dome, mount, slit, error: Angle::from_degrees(dome.slit.error_deg) })
+        Some(Self { slits, dome, mount, slit, error: Angle::from_degrees(dome.slit.error_deg) })
     }
 
     /// Does this mount look out of it?
@@ -79,14 +78,14 @@ impl<'a> View<'a> {
     }
 
     /// The part that turns it; `None` while that is not known.
-    pub fn way(&self) -> Option<Way> {
+    pub fn way(&self) -> Option<DomeTurner> {
         let slaved = self.fields().and_then(|fields| fields.slaved.known().copied());
         Some(way(self.dome.follow, &self.dome.instrument.can()?, slaved))
     }
 
     /// The newest state of the dome, however old: the dome is where it was then.
     fn fields(&self) -> Option<Fields> {
-        self.dome.instrument.newest().map(|heard| heard.said.body.fields)
+        self.dome.instrument.newest().map(|received| received.sample.body.fields)
     }
 
     fn azimuth(&self) -> Option<Angle> {
@@ -100,7 +99,7 @@ impl<'a> View<'a> {
         let follows =
             fields.is_some_and(|mount| mount.slewing.known() == Some(&false) && mount.tracking.known() == Some(&true));
         let now = self.mount_aim().filter(|_| follows);
-        let aim = self.room.aim.borrow().clone();
+        let aim = self.slits.aim.borrow().clone();
         let Some((_, target)) = aim.filter(|(name, _)| *name == self.mount.instrument.device.name) else { return now };
         let apparent = self.observer()?.to_of_date(&target);
         let target = self.at(apparent)?;
@@ -109,7 +108,7 @@ impl<'a> View<'a> {
 
     /// Where the mount is, whether it follows anything or not.
     pub fn mount_aim(&self) -> Option<Aim> {
-        let mount = self.mount.instrument.newest()?.said.body.fields;
+        let mount = self.mount.instrument.newest()?.sample.body.fields;
         let pair = |a: Option<&f64>, b: Option<&f64>| Some((*a?, *b?)).filter(|(a, b)| a.is_finite() && b.is_finite());
         let aim = if let Some((ra, dec)) = pair(mount.ra_deg.known(), mount.dec_deg.known()) {
             self.at(match self.mount.frame() {
@@ -132,29 +131,29 @@ impl<'a> View<'a> {
     }
 
     fn observer(&self) -> Option<Observer> {
-        self.room.observer(self.room.node.bus.clock().utc()).ok()
+        self.slits.authority.observer(self.slits.authority.node.bus.clock().utc()).ok()
     }
 
     /// Is the view free, and will it be through an exposure? Else why not.
     pub fn clear(&self, exposure_s: f64) -> Result<(), String> {
-        let Some(way) = self.way() else { return Err("the dome has not yet said what it can do".to_owned()) };
-        if way == Way::Alone {
+        let Some(way) = self.way() else { return Err("the dome has not yet published its capabilities".to_owned()) };
+        if way == DomeTurner::Alone {
             return Ok(());
         }
         let fields = self.fields().unwrap_or_default();
         if fields.slewing.known() == Some(&true) {
             return Err("the dome turns".to_owned());
         }
-        if way == Way::Slave && fields.slaved.known() != Some(&true) {
+        if way == DomeTurner::Slave && fields.slaved.known() != Some(&true) {
             return Err("the dome is not slaved to the mount".to_owned());
         }
-        if way != Way::Turn && self.dome.slit.width_m.is_none() {
+        if way != DomeTurner::Turn && self.dome.slit.width_m.is_none() {
             // A dome that follows by itself knows its geometry; here nothing is known to judge it by.
             return Ok(());
         }
         // Nothing turns the slit if the dome does not turn; the next move of a dome that follows by itself is not
         // known.
-        let need_s = if way == Way::Turn && self.dome.turning_fails() { exposure_s } else { 0.0 };
+        let need_s = if way == DomeTurner::Turn && self.dome.turning_fails() { exposure_s } else { 0.0 };
         self.is_clear(need_s)
     }
 
@@ -179,8 +178,8 @@ impl<'a> View<'a> {
     pub fn free(&self) -> f64 {
         let Some(way) = self.way() else { return 0.0 };
         let strays = self.fields().is_some_and(|fields| fields.slaved.known() == Some(&false));
-        let unknown = self.dome.slit.width_m.is_none() && way != Way::Turn && !strays;
-        if way == Way::Alone || unknown {
+        let unknown = self.dome.slit.width_m.is_none() && way != DomeTurner::Turn && !strays;
+        if way == DomeTurner::Alone || unknown {
             return 1.0;
         }
         self.aim().zip(self.azimuth()).map_or(0.0, |(aim, azimuth)| self.slit.free(&aim, azimuth))
@@ -194,36 +193,36 @@ impl<'a> View<'a> {
     /// Where the slit is to be turned now, if it is.
     pub fn better(&self, aim: &Aim) -> Option<Angle> {
         let Some(azimuth) = self.azimuth() else { return Some(self.slit.azimuth(aim)) };
-        better(&self.slit, aim, azimuth, self.error, self.room.node.bus.clock().speed())
+        better(&self.slit, aim, azimuth, self.error, self.slits.authority.node.bus.clock().speed())
     }
 
     /// Turns the slit, and waits until it is there.
-    pub async fn turn(&self, azimuth: Angle) -> Result<(), Trouble> {
+    pub async fn turn(&self, azimuth: Angle) -> Result<(), ActionError> {
         let dome = &self.dome.instrument;
         let azimuth_deg = (azimuth.wrapped_positive().degrees() * 10.0).round() / 10.0 % 360.0;
         if self.fields().is_some_and(|fields| fields.slaved.known() == Some(&true)) {
-            dome.obey(Command::Slave { on: false }, SLAVING).await?;
+            dome.execute(Command::Slave { on: false }, SLAVING).await?;
         }
         tracing::info!(dome = %dome.device.name, azimuth_deg, "turning the slit");
         self.dome.forget_azimuth();
-        let state = dome.obey(Command::SlewToAzimuth { azimuth_deg }, seconds(self.dome.slit.timeout_s)).await?;
+        let state = dome.execute(Command::SlewToAzimuth { azimuth_deg }, seconds(self.dome.slit.timeout_s)).await?;
         let off_deg = |stands: &f64| Angle::from_degrees(stands - azimuth_deg).wrapped_signed().abs().degrees();
         match state.fields.azimuth_deg.known() {
             Some(stands) if off_deg(stands) > self.error.degrees().max(0.1) => {
                 let reason = format!("it stands at {stands:.1} deg");
                 let (device, verb) = (dome.device.to_string(), format!("turn to {azimuth_deg:.1} deg"));
-                Err(Trouble::Failed { device, verb, reason })
+                Err(ActionError::Failed { device, verb, reason })
             }
             _ => Ok(()),
         }
     }
 
     /// Lets the dome follow by itself.
-    pub async fn slave(&self) -> Result<(), Trouble> {
+    pub async fn slave(&self) -> Result<(), ActionError> {
         if self.is_slaved() {
             return Ok(());
         }
-        self.dome.instrument.obey(Command::Slave { on: true }, SLAVING).await.map(|_| ())
+        self.dome.instrument.execute(Command::Slave { on: true }, SLAVING).await.map(|_| ())
     }
 
     /// Does the dome report that it follows by itself?
@@ -282,13 +281,13 @@ mod tests {
     fn who_turns_is_settled_by_the_word_of_the_site_and_of_the_dome() {
         let can = |set_azimuth| Capabilities { set_azimuth, ..Capabilities::default() };
         for (follow, turns, slaved, expected) in [
-            (Follow::Auto, true, Some(false), Way::Turn),
-            (Follow::Auto, true, None, Way::Turn),
-            (Follow::Auto, true, Some(true), Way::Itself),
-            (Follow::Auto, false, None, Way::Alone),
-            (Follow::Turn, false, Some(true), Way::Turn),
-            (Follow::Slave, false, Some(false), Way::Slave),
-            (Follow::Off, true, Some(true), Way::Alone),
+            (Follow::Auto, true, Some(false), DomeTurner::Turn),
+            (Follow::Auto, true, None, DomeTurner::Turn),
+            (Follow::Auto, true, Some(true), DomeTurner::Itself),
+            (Follow::Auto, false, None, DomeTurner::Alone),
+            (Follow::Turn, false, Some(true), DomeTurner::Turn),
+            (Follow::Slave, false, Some(false), DomeTurner::Slave),
+            (Follow::Off, true, Some(true), DomeTurner::Alone),
         ] {
             assert_eq!(way(follow, &can(turns), slaved), expected, "{follow:?} {turns} {slaved:?}");
         }

@@ -1,10 +1,8 @@
 //! The observatory node on a real bus, with fake devices: opens, observes, closes, goes on.
 
-#[allow(dead_code, reason = "shared with the stories of the slit")]
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use crate::site::Site;
 use contract::OrderKind;
 use contract::device::camera::Command as Camera;
 use contract::device::dome::{Command as Dome, Shutter};
@@ -12,17 +10,19 @@ use contract::device::telescope::Command as Mount;
 use contract::observatory::{Posture, RowStatus};
 use test_support::Lateness;
 
-const MOST: Duration = Duration::from_secs(90);
+use crate::MOST;
+use crate::site::Site;
+
 /// Near the zenith of the site at the start of the scenarios.
 const TARGET: &str = r#""ra": 45.0, "dec": -24.6"#;
 
 fn statuses(site: &Site) -> Vec<RowStatus> {
-    let schedule = site.schedule.get().map(|heard| heard.said.body);
+    let schedule = site.schedule.get().map(|received| received.sample.body);
     schedule.map(|schedule| schedule.rows.iter().map(|row| row.status).collect()).unwrap_or_default()
 }
 
 fn night_is(site: &Site, holds: impl Fn(&contract::observatory::NightState) -> bool) -> bool {
-    site.night.get().is_some_and(|heard| holds(&heard.said.body))
+    site.night.get().is_some_and(|received| holds(&received.sample.body))
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -51,10 +51,10 @@ async fn a_night_opens_observes_and_ends_closed_and_parked() {
     assert_eq!((first.night.as_str(), first.ra_deg, first.dec_deg), ("20261120", Some(45.0), Some(-24.6)));
     assert_eq!(first.metadata["visit"], "3");
     assert_eq!(first.paired["Telescope"], "mount");
-    site.until("told", MOST, |site| night_is(site, |night| night.frames == 6 && night.posture == Posture::Closed))
+    site.until("reported", MOST, |site| night_is(site, |night| night.frames == 6 && night.posture == Posture::Closed))
         .await;
     assert!(night_is(&site, |night| night.open_s > 0.0 && night.actions.is_empty()));
-    let object = site.schedule.get().unwrap().said.body.rows[1].clone();
+    let object = site.schedule.get().unwrap().sample.body.rows[1].clone();
     assert!(object.detail.contains("no frame could be guided on"), "its pixels are nowhere: {}", object.detail);
     node.stop().await;
 }
@@ -75,8 +75,8 @@ async fn an_unsafe_sky_closes_at_once_and_a_safe_one_goes_on_counting() {
     let (rains, lateness) = (Instant::now(), Lateness::begin());
     site.set_safe(false);
     site.until("closed and parked", MOST, |site| site.shutter() == Some(Shutter::Closed) && site.is_parked()).await;
-    let told = site.dome.log.lock().unwrap().first().map(|(at, command)| (at.duration_since(rains), command.clone()));
-    let (took, command) = told.unwrap();
+    let first = site.dome.log.lock().unwrap().first().map(|(at, command)| (at.duration_since(rains), command.clone()));
+    let (took, command) = first.unwrap();
     assert_eq!(command, Dome::CloseShutter);
     assert!(took < lateness.bound(Duration::from_millis(250)), "{took:?}");
     println!("from the word of the monitor to the command at the dome: {took:?}");
@@ -167,7 +167,7 @@ async fn a_target_below_the_horizon_fails_clearly_and_the_night_goes_on() {
     ]);
     let node = site.start().await;
     site.until("through", MOST, |site| statuses(site) == [RowStatus::Failed, RowStatus::Finished]).await;
-    let detail = site.schedule.get().unwrap().said.body.rows[0].detail.clone();
+    let detail = site.schedule.get().unwrap().sample.body.rows[0].detail.clone();
     assert!(detail.contains("below the horizon"), "{detail}");
     let slewed = site.mount.log.lock().unwrap().iter().any(|(_, command)| matches!(command, Mount::Slew { .. }));
     assert!(!slewed);
@@ -175,7 +175,7 @@ async fn a_target_below_the_horizon_fails_clearly_and_the_night_goes_on() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_refused_schedule_leaves_the_old_one_and_is_told() {
+async fn a_refused_schedule_leaves_the_old_one_and_is_reported() {
     let site = Site::new(1.0).await;
     let calibration = r#"{"exptime": [0], "n": [1]}"#;
     site.write_schedule(&[("calibration", calibration, "02:00:00", "05:00:00")]);
@@ -183,7 +183,7 @@ async fn a_refused_schedule_leaves_the_old_one_and_is_told() {
     site.until("done", MOST, |site| statuses(site) == [RowStatus::Finished]).await;
     site.write_schedule(&[("calibratio", calibration, "02:00:00", "05:00:00")]);
     site.order(OrderKind::ReloadSchedule).await;
-    let refused = |site: &Site| site.schedule.get().and_then(|heard| heard.said.body.refused);
+    let refused = |site: &Site| site.schedule.get().and_then(|received| received.sample.body.refused);
     site.until("refused", MOST, |site| refused(site).is_some()).await;
     assert!(refused(&site).unwrap().contains("did you mean \"calibration\"?"));
     assert_eq!(statuses(&site), [RowStatus::Finished]);
@@ -243,7 +243,7 @@ async fn a_silent_monitor_closes_within_seconds() {
     });
     site.until("closed", MOST, |site| site.shutter() == Some(Shutter::Closed)).await;
     assert!(silent.elapsed() < lateness.bound(Duration::from_secs(2)), "{:?}", silent.elapsed());
-    let reasons = site.safety.get().unwrap().said.body.reasons;
+    let reasons = site.safety.get().unwrap().sample.body.reasons;
     assert!(reasons[0].why.contains("link lost: timeout: 2 s"), "{reasons:?}");
     site.until("exposing all the same", MOST, |site| site.camera.state.borrow().fields.exposure.is_some()).await;
     node.stop().await;

@@ -3,25 +3,26 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime};
 
-use crate::site::Site;
 use contract::device::camera::Command as Camera;
 use contract::observatory::{RowState, RowStatus};
 use contract::{OrderKind, Reason, Reply};
 use node_observatory::schedule_file::versions::Versions;
 use test_support::Lateness;
 
-const MOST: Duration = Duration::from_secs(90);
+use crate::MOST;
+use crate::site::Site;
+
 /// A change is seen and active within this time while nothing runs; the machine of a test may be busy with others.
 const SEEN: Duration = Duration::from_secs(1);
 /// Near the zenith of the site at the start of the scenarios.
 const TARGET: &str = r#""ra": 45.0, "dec": -24.6"#;
 
 fn rows(site: &Site) -> Vec<RowState> {
-    site.schedule.get().map(|heard| heard.said.body.rows).unwrap_or_default()
+    site.schedule.get().map(|received| received.sample.body.rows).unwrap_or_default()
 }
 
 fn refused(site: &Site) -> Option<String> {
-    site.schedule.get().and_then(|heard| heard.said.body.refused)
+    site.schedule.get().and_then(|received| received.sample.body.refused)
 }
 
 fn file(site: &Site) -> PathBuf {
@@ -30,7 +31,7 @@ fn file(site: &Site) -> PathBuf {
 
 fn versions(site: &Site) -> Vec<(u64, String, String)> {
     let versions = Versions::within(&site.folder.path().join("data"), "callisto").list().unwrap();
-    versions.into_iter().map(|kept| (kept.version, kept.author, kept.reason)).collect()
+    versions.into_iter().map(|stored| (stored.version, stored.author, stored.reason)).collect()
 }
 
 fn by_file(version: u64) -> (u64, String, String) {
@@ -65,18 +66,18 @@ async fn a_change_while_nothing_runs_is_active_within_a_second_also_one_with_an_
     assert!(took < SEEN, "{took:?}");
 
     // As a copy of last year's file would come: of an older time than the one in force.
-    let kept = std::fs::read(file(&site)).unwrap();
+    let stored = std::fs::read(file(&site)).unwrap();
     site.write_schedule(&LATER);
     let old = std::fs::File::options().write(true).open(file(&site)).unwrap();
     old.set_modified(SystemTime::now() - Duration::from_secs(400 * 86_400)).unwrap();
     drop(old);
     until_rows(&site, 3).await;
-    let beside = site.folder.path().join("older");
-    std::fs::write(&beside, kept).unwrap();
-    let older = std::fs::File::options().write(true).open(&beside).unwrap();
+    let other = site.folder.path().join("older");
+    std::fs::write(&other, stored).unwrap();
+    let older = std::fs::File::options().write(true).open(&other).unwrap();
     older.set_modified(SystemTime::now() - Duration::from_secs(800 * 86_400)).unwrap();
     drop(older);
-    std::fs::rename(&beside, file(&site)).unwrap();
+    std::fs::rename(&other, file(&site)).unwrap();
     let took = until_rows(&site, 2).await;
     assert!(took < SEEN, "{took:?}");
 
@@ -113,8 +114,8 @@ async fn a_row_at_work_goes_on_where_it_stays_and_ends_with_its_frame_where_it_i
     site.until("two rows", MOST, |site| rows(site).len() == 2).await;
     assert_eq!(rows(&site)[1].status, RowStatus::Running);
     site.until("counted at its place", MOST, |site| rows(site)[1].frames >= 3).await;
-    let shown = site.night.get().unwrap().said.body.actions;
-    assert_eq!(shown.iter().map(|action| action.row).collect::<Vec<_>>(), [1]);
+    let actions = site.night.get().unwrap().sample.body.actions;
+    assert_eq!(actions.iter().map(|action| action.row).collect::<Vec<_>>(), [1]);
     assert_eq!(rows(&site)[0].frames, 0);
 
     // Another target: the frame under way is the last one of the old.
@@ -138,7 +139,7 @@ async fn a_row_at_work_goes_on_where_it_stays_and_ends_with_its_frame_where_it_i
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_schedule_by_order_is_proven_put_whole_and_kept_with_who_and_why() {
+async fn a_schedule_by_order_is_proven_put_whole_and_stored_with_author_and_reason() {
     let site = Site::new(1.0).await;
     site.write_schedule(&LATER[..1]);
     let node = site.start().await;
@@ -151,28 +152,86 @@ async fn a_schedule_by_order_is_proven_put_whole_and_kept_with_who_and_why() {
     };
 
     let bad = before.replace("calibration", "calibratio");
-    let (reason, why) = refusal(site.order(OrderKind::PutSchedule { text: bad }).await);
+    let (reason, why) = refusal(site.order(OrderKind::PutSchedule { text: bad, instead_of: None }).await);
     assert_eq!(reason, Reason::Malformed);
     assert!(why.contains("line 1") && why.contains("did you mean \"calibration\"?"), "{why}");
-    let (reason, why) = refusal(site.order(OrderKind::PutSchedule { text: " ".repeat(1_000_001) }).await);
+    let (reason, why) =
+        refusal(site.order(OrderKind::PutSchedule { text: " ".repeat(1_000_001), instead_of: None }).await);
     assert!(reason == Reason::Malformed && why.contains("at most 1000000"), "{why}");
 
     // A folder where the new file is to be written: as a disk that takes nothing.
     let good = format!("{before}{}", before.replace("05:00:00", "05:30:00"));
     let part = site.folder.path().join("schedule.jsonl.part");
     std::fs::create_dir(&part).unwrap();
-    let (reason, why) = refusal(site.order(OrderKind::PutSchedule { text: good.clone() }).await);
+    let (reason, why) = refusal(site.order(OrderKind::PutSchedule { text: good.clone(), instead_of: None }).await);
     assert!(reason == Reason::NotNow && why.contains("nothing was changed"), "{why}");
     std::fs::remove_dir(&part).unwrap();
     assert_eq!(std::fs::read_to_string(file(&site)).unwrap(), before);
     assert_eq!(versions(&site), [by_file(1)]);
     assert_eq!(rows(&site).len(), 1);
 
-    let accepted = site.order(OrderKind::PutSchedule { text: good.clone() }).await;
+    let accepted = site.order(OrderKind::PutSchedule { text: good.clone(), instead_of: None }).await;
     assert!(matches!(accepted, Reply::Accepted(_)), "{accepted:?}");
     let took = until_rows(&site, 2).await;
     assert!(took < SEEN, "{took:?}");
     assert_eq!(std::fs::read_to_string(file(&site)).unwrap(), good);
     assert_eq!(versions(&site), [by_file(1), (2, "test".to_owned(), "a test".to_owned())]);
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_order_that_names_the_schedule_it_replaces_does_not_replace_another_one() {
+    let site = Site::new(1.0).await;
+    site.write_schedule(&LATER[..1]);
+    let node = site.start().await;
+    until_rows(&site, 1).await;
+    let sha256 = |site: &Site| site.schedule.get().unwrap().sample.body.sha256;
+    let seen = sha256(&site);
+    let text = std::fs::read_to_string(file(&site)).unwrap();
+    let put = |end: &str| text.replace("06:00:00", end);
+    let order = async |text: String, instead_of: Option<String>| match site
+        .order(OrderKind::PutSchedule { text, instead_of })
+        .await
+    {
+        Reply::Accepted(_) => Ok(()),
+        Reply::Refusal(refusal) => Err((refusal.reason, refusal.detail)),
+    };
+    order(put("06:10:00"), seen.clone()).await.unwrap();
+    // Of two who saw the same, the second comes too late, also at once.
+    let (reason, why) = order(put("06:20:00"), seen.clone()).await.unwrap_err();
+    assert!(reason == Reason::WrongState && why.contains("another schedule is in force"), "{why}");
+    assert_eq!(std::fs::read_to_string(file(&site)).unwrap(), put("06:10:00"));
+    // A person may have written the file a moment ago; half of a file counts for nothing.
+    site.until("taken", MOST, |site| sha256(site) != seen).await;
+    let now = sha256(&site);
+    std::fs::write(file(&site), put("06:30:00")).unwrap();
+    assert_eq!(order(put("06:40:00"), now.clone()).await.unwrap_err().0, Reason::WrongState);
+    site.until("read", MOST, |site| sha256(site) != now).await;
+    let now = sha256(&site);
+    std::fs::write(file(&site), "{\"device_name\": \"cam\", \"act").unwrap();
+    order(put("06:50:00"), now).await.unwrap();
+    assert_eq!(std::fs::read_to_string(file(&site)).unwrap(), put("06:50:00"));
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reason_of_any_length_closes_and_a_long_one_loosens_nothing() {
+    let site = Site::new(1.0).await;
+    site.write_schedule(&LATER[..1]);
+    let node = site.start().await;
+    until_rows(&site, 1).await;
+    let order = async |kind: OrderKind, reason: String| {
+        let order =
+            contract::Order { id: contract::CommandId::fresh(), from: "web/ana".to_owned(), reason, kind, seen: None };
+        crate::site::ask(&site.bus, &site.address, &order).await
+    };
+    let long = "e".repeat(501);
+    let refused = order(OrderKind::ReloadSchedule, long.clone()).await;
+    assert!(
+        matches!(&refused, Reply::Refusal(refusal) if refusal.reason == Reason::Malformed && refusal.detail.contains("at most 500")),
+        "{refused:?}"
+    );
+    assert!(matches!(order(OrderKind::ReloadSchedule, "e".repeat(500)).await, Reply::Accepted(_)));
+    assert!(matches!(order(OrderKind::StayClosed(true), long).await, Reply::Accepted(_)));
     node.stop().await;
 }

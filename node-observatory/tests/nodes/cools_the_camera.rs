@@ -1,20 +1,18 @@
 //! `cool_camera` before the simulated camera: a cooler that refuses is asked again, and a sensor that stays too warm
 //! fails its row, exposes nothing, and raises an alert that is active until the sensor is cold.
 
-use std::time::Duration;
-
-use crate::sim::{Sim, telescope};
 use contract::observatory::{Alerts, RowStatus};
 use contract::{Address, CommandId, Key, Order, OrderKind, Part, Reply};
 use simulator::{Fault, Kind, Quantity};
 
-/// In a simulation, a sensor gets 20 s of the machine's time in addition to its timeout before it is given up.
-const MOST: Duration = Duration::from_secs(60);
+use crate::MOST;
+use crate::sim::{Sim, telescope};
+
 const CAMERA: &str = "temperature_c = -10.0\ncooling_timeout_min = 2.0\n";
 const BIAS: (&str, &str) = ("calibration", r#"{"exptime": [0], "n": [2]}"#);
 
 fn row(sim: &Sim, index: usize) -> Option<(RowStatus, String)> {
-    let row = sim.schedule.get()?.said.body.rows.get(index)?.clone();
+    let row = sim.schedule.get()?.sample.body.rows.get(index)?.clone();
     Some((row.status, row.detail))
 }
 
@@ -30,7 +28,7 @@ async fn a_cooler_that_refuses_is_asked_again_until_it_runs() {
     sim.simulator.world().fault(Kind::Camera, refuses);
     sim.start().await;
     let trying = |sim: &Sim| {
-        let night = sim.night.get().map(|heard| heard.said.body);
+        let night = sim.night.get().map(|received| received.sample.body);
         night.is_some_and(|night| night.actions.iter().any(|now| now.step.starts_with("trying again")))
     };
     sim.until("asked again", MOST, trying).await;
@@ -43,12 +41,13 @@ async fn a_cooler_that_refuses_is_asked_again_until_it_runs() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_sensor_that_stays_warm_fails_its_row_and_is_told_until_it_is_cold() {
+async fn a_sensor_that_stays_warm_fails_its_row_and_is_reported_until_it_is_cold() {
     let mut sim = Sim::with(telescope(20.0), "", CAMERA, &[]).await;
     let key = Key::Observatory(Address::new("test", "alpha").unwrap(), Part::Alerts);
     let alerts = sim.bus.latest::<Alerts>(&key).await.unwrap();
-    let stands =
-        || alerts.get().is_some_and(|heard| heard.said.body.alerts.iter().any(|a| a.id == "cooling-failed/camera"));
+    let stands = || {
+        alerts.get().is_some_and(|received| received.sample.body.alerts.iter().any(|a| a.id == "cooling-failed/camera"))
+    };
     sim.write_schedule(&[("cool_camera", "{}"), BIAS], 7200.0);
     // 45 K below such air the sensor is at 10 C.
     sim.simulator.world().set_weather(Quantity::Temperature, Some(55.0));
@@ -56,13 +55,13 @@ async fn a_sensor_that_stays_warm_fails_its_row_and_is_told_until_it_is_cold() {
     sim.until("given up", MOST, |sim| row(sim, 0).is_some_and(|(status, _)| status == RowStatus::Failed)).await;
     let (_, detail) = row(&sim, 0).unwrap();
     assert!(detail.contains("-10") && detail.contains(" C"), "what was wanted, and how warm it is: {detail}");
-    sim.until("told", MOST, |_| stands()).await;
+    sim.until("reported", MOST, |_| stands()).await;
     assert_eq!(exposures(&sim), 0, "nothing is exposed by a warm sensor");
 
     sim.simulator.world().set_weather(Quantity::Temperature, Some(5.0));
     sim.until("the next row, which cools by itself", MOST, |sim| sim.ended(1).is_some()).await;
     assert_eq!(exposures(&sim), 2);
-    sim.until("told no more", MOST, |_| !stands()).await;
+    sim.until("reported no more", MOST, |_| !stands()).await;
     sim.stop().await;
 }
 
@@ -74,7 +73,8 @@ async fn a_person_cools_and_warms_a_camera_whatever_the_schedule_does() {
     sim.until("the row ends", MOST, |sim| sim.ended(0).is_some()).await;
     let address = Address::new("test", "alpha").unwrap();
     let order = async |kind: OrderKind| -> Reply {
-        let order = Order { id: CommandId::fresh(), from: "test".to_owned(), reason: "a test".to_owned(), kind };
+        let order =
+            Order { id: CommandId::fresh(), from: "test".to_owned(), reason: "a test".to_owned(), kind, seen: None };
         crate::site::ask(&sim.bus, &address, &order).await
     };
     let cool = |camera: &str, set_c| OrderKind::Cool { camera: camera.to_owned(), set_c };

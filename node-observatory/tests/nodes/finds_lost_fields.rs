@@ -1,16 +1,15 @@
 //! A field that guiding has lost is found again: first the stars themselves, then a slew back to where they were; and
 //! where the site wants it, the row stops for it, nothing else moves, and the row begins again at its target.
 
-use std::time::Duration;
-
-use crate::sim::{Sim, by_geometry, telescope};
 use bus::Latest;
 use contract::observatory::{Alerts, CalibrationSource, Correction, GuideCalibration, GuideStage, PulseWhy, RowStatus};
 use contract::{Address, Key, Part};
 use sky::Icrs;
 use units::Angle;
 
-const MOST: Duration = Duration::from_secs(90);
+use crate::MOST;
+use crate::sim::{Sim, by_geometry, telescope};
+
 /// Seconds of sky time in one of machine time.
 const SPEED: f64 = 25.0;
 /// A field that is held again looks so near to where it did, arcsec: two frames of residual, and a correction under
@@ -42,15 +41,15 @@ async fn guiding(frames: u32, more: &str, solves: bool) -> Sim {
 }
 
 fn stage(sim: &Sim) -> Option<GuideStage> {
-    sim.guiding.get()?.said.body.stage
+    sim.guiding.get()?.sample.body.stage
 }
 
 fn frames(sim: &Sim) -> u32 {
-    sim.guiding.get().and_then(|heard| heard.said.body.frames).unwrap_or(0)
+    sim.guiding.get().and_then(|received| received.sample.body.frames).unwrap_or(0)
 }
 
 /// How far the telescope truly looks from a place, arcsec.
-fn beside(sim: &Sim, place: &Icrs) -> f64 {
+fn offset(sim: &Sim, place: &Icrs) -> f64 {
     sky::separation(place, &sim.simulator.world().looks_at()).arcseconds()
 }
 
@@ -65,8 +64,10 @@ fn slews(sim: &Sim, since: u64) -> usize {
     sim.sent_to_mount(since).iter().filter(|(member, _)| member == SLEW).count()
 }
 
-fn told<'a>(corrections: &'a [Correction], words: &str) -> Vec<&'a Correction> {
-    let has = |correction: &&Correction| correction.besides.as_ref().is_some_and(|besides| besides.starts_with(words));
+fn matching<'a>(corrections: &'a [Correction], words: &str) -> Vec<&'a Correction> {
+    let has = |correction: &&Correction| {
+        correction.further_action.as_ref().is_some_and(|further_action| further_action.starts_with(words))
+    };
     corrections.iter().filter(has).collect()
 }
 
@@ -75,7 +76,7 @@ async fn hidden_stars_and_a_mount_moved_by_hand_within_the_field_are_held_again(
     let frames_wanted = 45;
     let sim = guiding(frames_wanted, "", false).await;
     let (place, before) = (sim.simulator.world().looks_at(), sim.last_put());
-    let held_to = sim.guiding.get().unwrap().said.body.reference;
+    let held_to = sim.guiding.get().unwrap().sample.body.reference;
 
     // As a bank of clouds hides them, with a clear edge.
     sim.by_hand("covercalibrator", "connected", &[("Connected", "True".to_owned())]).await;
@@ -84,30 +85,30 @@ async fn hidden_stars_and_a_mount_moved_by_hand_within_the_field_are_held_again(
     sim.by_hand("covercalibrator", "opencover", &[]).await;
     sim.until("held when the stars are back", MOST, |sim| stage(sim) == Some(GuideStage::Guide)).await;
     assert_eq!(slews(&sim, before), 0, "what clouds hide is where it was");
-    let off_arcsec = beside(&sim, &place);
-    assert!(off_arcsec < NEAR_ARCSEC, "after the clouds {off_arcsec:.2} arcsec beside");
+    let off_arcsec = offset(&sim, &place);
+    assert!(off_arcsec < NEAR_ARCSEC, "after the clouds {off_arcsec:.2} arcsec off");
 
     // 137 px on the detector: more than pulses take back, and most of the stars are still on it.
     let (moved_at, seen) = (sim.last_put(), frames(&sim));
     nudge(&sim, [1.4, -1.8]).await;
-    sim.until("off", MOST, |sim| beside(sim, &place) > 100.0).await;
+    sim.until("off", MOST, |sim| offset(sim, &place) > 100.0).await;
     sim.until("slewed back", MOST, |sim| slews(sim, moved_at) > 0).await;
     sim.until("held where it was", MOST, |sim| {
-        stage(sim) == Some(GuideStage::Guide) && frames(sim) > seen + 3 && beside(sim, &place) < NEAR_ARCSEC
+        stage(sim) == Some(GuideStage::Guide) && frames(sim) > seen + 3 && offset(sim, &place) < NEAR_ARCSEC
     })
     .await;
     sim.until("the row observed", MOST, |sim| sim.ended(0).is_some()).await;
     println!("{}", sim.ended(0).unwrap());
-    assert_eq!(sim.schedule.get().unwrap().said.body.rows[0].frames, frames_wanted);
+    assert_eq!(sim.schedule.get().unwrap().sample.body.rows[0].frames, frames_wanted);
 
-    let corrections = sim.said().await;
-    let back = told(&corrections, "slewed back by");
+    let corrections = sim.corrections().await;
+    let back = matching(&corrections, "slewed back by");
     assert_eq!((back.len(), slews(&sim, moved_at)), (1, 1), "one slew is enough: {corrections:#?}");
     // Two frames agree before anything is slewed; the stars moved by that much, and the whole frame showed it.
     let off_px = back[0].dx_px.unwrap().hypot(back[0].dy_px.unwrap());
     assert!((120.0..155.0).contains(&off_px), "{off_px}");
     let at = corrections.iter().position(|correction| correction.frame == back[0].frame).unwrap();
-    assert_eq!(corrections[at - 1].besides.as_deref(), Some("looking for the field in the whole next frame"));
+    assert_eq!(corrections[at - 1].further_action.as_deref(), Some("looking for the field in the whole next frame"));
     // Frames that were taken while it was lost show it, and were not pulsed after.
     let lost: Vec<&Correction> = corrections.iter().filter(|c| c.stage == GuideStage::Lost).collect();
     assert!(lost.iter().any(|c| c.dx_px.is_none() && c.reason.is_some()), "behind the clouds: {lost:#?}");
@@ -121,19 +122,19 @@ async fn hidden_stars_and_a_mount_moved_by_hand_within_the_field_are_held_again(
 async fn a_mount_moved_by_hand_to_another_field_is_slewed_back_by_a_solved_frame() {
     let sim = guiding(30, "", true).await;
     let (place, before) = (sim.simulator.world().looks_at(), sim.last_put());
-    let held_to = sim.guiding.get().unwrap().said.body.reference;
+    let held_to = sim.guiding.get().unwrap().sample.body.reference;
     // The field is 6.7 arcmin wide: none of its stars is seen any more.
     nudge(&sim, [6.5, 5.5]).await;
-    sim.until("off", MOST, |sim| beside(sim, &place) > 400.0).await;
+    sim.until("off", MOST, |sim| offset(sim, &place) > 400.0).await;
     sim.until("slewed back", MOST, |sim| slews(sim, before) > 0).await;
     sim.until("held where it was", MOST, |sim| {
-        stage(sim) == Some(GuideStage::Guide) && beside(sim, &place) < NEAR_ARCSEC
+        stage(sim) == Some(GuideStage::Guide) && offset(sim, &place) < NEAR_ARCSEC
     })
     .await;
     sim.until("the row observed", MOST, |sim| sim.ended(0).is_some()).await;
     println!("{}", sim.ended(0).unwrap());
-    let corrections = sim.said().await;
-    let back = told(&corrections, "slewed back by");
+    let corrections = sim.corrections().await;
+    let back = matching(&corrections, "slewed back by");
     assert_eq!((back.len(), slews(&sim, before)), (1, 1), "{corrections:#?}");
     assert!(back[0].dx_px.is_none(), "nothing of the reference is on that frame: {:#?}", back[0]);
     assert!(corrections.iter().all(|c| Some(&c.reference) == held_to.as_ref()), "and it is held to the same frame");
@@ -157,20 +158,21 @@ async fn where_the_site_wants_it_a_row_that_lost_its_field_stops_and_begins_agai
     let alerts: Latest<Alerts> =
         sim.bus.latest(&Key::Observatory(Address::new("test", "alpha").unwrap(), Part::Alerts)).await.unwrap();
     let is_alerted = |_: &Sim| {
-        let standing = alerts.get().map(|heard| heard.said.body.alerts).unwrap_or_default();
-        standing.iter().any(|alert| alert.id == "guiding-lost/camera")
+        let active = alerts.get().map(|received| received.sample.body.alerts).unwrap_or_default();
+        active.iter().any(|alert| alert.id == "guiding-lost/camera")
     };
-    let steps = |sim: &Sim| sim.night.get().map(|heard| format!("{:?}", heard.said.body.actions)).unwrap_or_default();
-    let (place, held_to) = (sim.simulator.world().looks_at(), sim.guiding.get().unwrap().said.body.reference);
+    let steps =
+        |sim: &Sim| sim.night.get().map(|received| format!("{:?}", received.sample.body.actions)).unwrap_or_default();
+    let (place, held_to) = (sim.simulator.world().looks_at(), sim.guiding.get().unwrap().sample.body.reference);
     assert!(!is_alerted(&sim));
 
     // Four fields away: no star of the reference is there, and nobody solves what is.
     nudge(&sim, [-22.0, 18.0]).await;
-    sim.until("at rest elsewhere", MOST, |sim| beside(sim, &place) > 1500.0 && !sim.simulator.world().is_slewing())
+    sim.until("at rest elsewhere", MOST, |sim| offset(sim, &place) > 1500.0 && !sim.simulator.world().is_slewing())
         .await;
     sim.until("lost", MOST, |sim| matches!(stage(sim), Some(GuideStage::Lost | GuideStage::Stopped))).await;
     let lost_at = sim.last_put();
-    sim.until("a person is told", MOST, is_alerted).await;
+    sim.until("an alert is raised", MOST, is_alerted).await;
     sim.until("stopped", MOST, |sim| {
         steps(sim).contains("trying again after: ") && steps(sim).contains("be guided: field is lost")
     })
@@ -179,14 +181,14 @@ async fn where_the_site_wants_it_a_row_that_lost_its_field_stops_and_begins_agai
     assert_eq!(motions(&sim, lost_at), [""; 0]);
     assert!(is_alerted(&sim), "it stands while the row pauses");
 
-    sim.until("held again", MOST, |sim| sim.holds(3) && beside(sim, &place) < NEAR_ARCSEC).await;
+    sim.until("held again", MOST, |sim| sim.holds(3) && offset(sim, &place) < NEAR_ARCSEC).await;
     assert_eq!(slews(&sim, lost_at), 1, "the row's own, to its target");
     assert_eq!(motions(&sim, lost_at)[0], SLEW, "before any pulse");
     sim.until("nobody needs to come", MOST, |sim| !is_alerted(sim)).await;
     sim.until("the row observed", MOST, |sim| sim.ended(0).is_some()).await;
-    let row = sim.schedule.get().unwrap().said.body.rows[0].clone();
+    let row = sim.schedule.get().unwrap().sample.body.rows[0].clone();
     assert_eq!((row.status, row.frames), (RowStatus::Finished, frames_wanted), "{row:?}");
-    let corrections = sim.said().await;
+    let corrections = sim.corrections().await;
     assert_eq!(corrections.iter().filter(|c| c.stage == GuideStage::Stopped).count(), 1, "{corrections:#?}");
     assert!(corrections.iter().all(|c| Some(&c.reference) == held_to.as_ref()), "the same row, the same place");
     sim.stop().await;

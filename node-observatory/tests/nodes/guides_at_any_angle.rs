@@ -7,11 +7,12 @@
 
 use std::time::Duration;
 
-use crate::sim::{Sim, telescope};
 use contract::device::telescope::PierSide;
 use contract::observatory::{CalibrationSource, Correction, GuideCalibration, GuideStage};
 use node_observatory::guiding::calibrated;
 use units::Angle;
+
+use crate::sim::{Sim, telescope};
 
 /// What is asked for: the predecessor's published median, px.
 const ASKED_PX: f64 = 0.35;
@@ -78,14 +79,17 @@ async fn held(
     sim.start().await;
     sim.until("the field observed", Duration::from_secs(1800), |sim| sim.ended(0).is_some()).await;
     let mut all: Vec<Correction> = Vec::new();
-    while let Ok(heard) = tokio::time::timeout(Duration::from_millis(300), sim.corrections.hear()).await {
-        all.push(heard.said.body);
+    while let Ok(received) = tokio::time::timeout(Duration::from_millis(300), sim.corrections.recv()).await {
+        all.push(received.sample.body);
     }
     sim.stop().await;
     // The result of each frame, for a person who looks into a figure.
     for c in &all {
         let (east, north) = (&c.east, &c.north);
-        println!("{} {:?} {:?} {:?} {:?} {:?} {:?}", c.mid_utc, c.stage, c.dx_px, c.dy_px, east, north, c.besides);
+        println!(
+            "{} {:?} {:?} {:?} {:?} {:?} {:?}",
+            c.mid_utc, c.stage, c.dx_px, c.dy_px, east, north, c.further_action
+        );
     }
     let settled = all.iter().skip(first as usize).filter(|c| c.stage == GuideStage::Guide);
     let squares: Vec<f64> = settled.filter_map(|c| Some(c.dx_px?.powi(2) + c.dy_px?.powi(2))).collect();
@@ -114,10 +118,10 @@ async fn drift_backlash_and_worm_are_held_at_any_angle() {
     for (angle_deg, case, worm) in cases {
         let rms_px = held(angle_deg, case, worm).await;
         let what = if worm { "worm" } else { "drift and play" };
-        let told = format!("{what}, cadence {} s, camera at {angle_deg} deg: {rms_px:.3} px rms", case.0);
-        println!("{told}");
+        let report = format!("{what}, cadence {} s, camera at {angle_deg} deg: {rms_px:.3} px rms", case.0);
+        println!("{report}");
         if rms_px.is_nan() || rms_px > ASKED_PX {
-            beyond.push(told);
+            beyond.push(report);
         }
     }
     assert!(beyond.is_empty(), "{beyond:#?}");

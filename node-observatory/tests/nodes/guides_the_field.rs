@@ -2,14 +2,14 @@
 //! the other side of the pier. Residuals are judged twice: as the node publishes them, and, where the row's own camera
 //! guides, by where the telescope truly looked in the simulator.
 
-use std::time::Duration;
-
-use crate::sim::{Sim, by_geometry, telescope};
 use contract::device::telescope::PierSide;
 use contract::observatory::{CalibrationSource, Correction, GuideCalibration, GuideStage};
+use node_observatory::replicated::Replicate as _;
 use units::Angle;
 
-const MOST: Duration = Duration::from_secs(120);
+use crate::MOST;
+use crate::sim::{Sim, by_geometry, telescope};
+
 /// What is asked for: the predecessor's published median, px.
 const ASKED_PX: f64 = 0.35;
 
@@ -35,11 +35,16 @@ fn rms_px<'a>(corrections: impl Iterator<Item = &'a Correction>) -> (f64, usize)
 
 /// Where the telescope truly looked and when, sky s, asked of the simulator while a test waits.
 #[derive(Default)]
-struct Truth(Vec<(f64, sky::Icrs)>);
+struct Truth {
+    places: Vec<(f64, sky::Icrs)>,
+    /// When the mount was sent elsewhere by hand. The stamp of an exposure may be late by more than the time from its
+    /// end to then.
+    by_hand_s: Option<f64>,
+}
 
 impl Truth {
     fn look(&mut self, sim: &Sim) {
-        self.0.push((sim.clock.utc().seconds(), sim.simulator.world().looks_at()));
+        self.places.push((sim.clock.utc().seconds(), sim.simulator.world().looks_at()));
     }
 
     /// Root mean square of how far frames truly were off their mean while the field was held, px of one arcsec.
@@ -58,8 +63,9 @@ impl Truth {
 
     /// The mean place during an exposure, arcsec east and north of the first one; None if nobody looked then.
     fn mean(&self, mid_s: f64, exposure_s: f64) -> Option<[f64; 2]> {
-        let (_, from) = self.0[0];
-        let during = self.0.iter().filter(|(at_s, _)| (at_s - mid_s).abs() <= 0.5 * exposure_s);
+        let (_, from) = self.places[0];
+        let is_of = |at_s: f64| self.by_hand_s.is_none_or(|by_hand_s| (at_s < by_hand_s) == (mid_s < by_hand_s));
+        let during = self.places.iter().filter(|(at_s, _)| (at_s - mid_s).abs() <= 0.5 * exposure_s && is_of(*at_s));
         let offsets: Vec<[f64; 2]> = during
             .map(|(_, place)| {
                 let east = (place.ra - from.ra).wrapped_signed().arcseconds() * place.dec.cos();
@@ -99,16 +105,16 @@ async fn pulses_teach_what_they_do_and_a_drifting_field_is_held() {
     })
     .await;
     println!("{}", sim.ended(1).unwrap());
-    let corrections = sim.said().await;
-    let shown = sim.guiding.get().unwrap().said.body;
-    let made = shown.calibration.unwrap();
+    let corrections = sim.corrections().await;
+    let published = sim.guiding.get().unwrap().sample.body;
+    let made = published.calibration.unwrap();
     assert_eq!((made.source, made.pier_side), (CalibrationSource::Pulses, Some(PierSide::East)));
-    for (learnt, true_px_s) in [(made.east_px_per_s, truth.east_px_per_s), (made.north_px_per_s, truth.north_px_per_s)]
+    for (learned, true_px_s) in [(made.east_px_per_s, truth.east_px_per_s), (made.north_px_per_s, truth.north_px_per_s)]
     {
-        let (turned_deg, faster) = apart(learnt, true_px_s);
+        let (turned_deg, faster) = apart(learned, true_px_s);
         println!("turned by {turned_deg:.2} deg, off by {faster:.4} in speed");
         // The mount drifts meanwhile, by a pixel or so on the way of 25.
-        assert!(turned_deg < 2.0 && faster < 0.05, "{learnt:?}, by geometry {true_px_s:?}");
+        assert!(turned_deg < 2.0 && faster < 0.05, "{learned:?}, by geometry {true_px_s:?}");
     }
     let (rms_px, frames) = rms_px(corrections.iter());
     let true_px = looked.rms_px(20.0, corrections.iter());
@@ -117,7 +123,7 @@ async fn pulses_teach_what_they_do_and_a_drifting_field_is_held() {
     assert!(true_px <= ASKED_PX, "in truth {true_px:.3} px rms: {corrections:#?}");
     // Without pulses the drift alone would have been 1 px in each 55 s.
     assert!(corrections.iter().any(|correction| correction.east.given_ms != 0 || correction.north.given_ms != 0));
-    assert!(!shown.active, "the row has ended");
+    assert!(!published.active, "the row has ended");
     sim.stop().await;
 }
 
@@ -140,13 +146,13 @@ async fn a_calibration_during_which_the_tube_turns_over_succeeds_at_the_first_tr
     .await;
     sim.slew_by_hand((ra, dec)).await;
     sim.until("calibrated", MOST, |sim| sim.ended(0).is_some()).await;
-    let told = sim.ended(0).unwrap();
-    assert!(told.contains("px/s") && told.contains("pulses"), "{told}");
+    let report = sim.ended(0).unwrap();
+    assert!(report.contains("px/s") && report.contains("pulses"), "{report}");
     // A whole run on the side where it is then.
     let sent = sim.sent_to_mount(0);
     let turned = sent.iter().rposition(|(member, _)| member.eq_ignore_ascii_case("slewtocoordinatesasync")).unwrap();
     let pulses = sent[turned..].iter().filter(|(member, _)| member.eq_ignore_ascii_case("pulseguide")).count();
-    assert!(turned > 0 && told.contains(&format!("{pulses} pulses")), "{pulses} after the flip; {told}");
+    assert!(turned > 0 && report.contains(&format!("{pulses} pulses")), "{pulses} after the flip; {report}");
     sim.stop().await;
 }
 
@@ -190,18 +196,19 @@ async fn flipped_under_way(sim: &Sim, field: (f64, f64)) -> (Truth, Vec<Correcti
     };
     sim.until("past the meridian, guiding", MOST, |sim| {
         looked.look(sim);
-        let state = sim.guiding.get().map(|heard| heard.said.body);
+        let state = sim.guiding.get().map(|received| received.sample.body);
         crossed(sim) && state.is_some_and(|state| state.frames.unwrap_or(0) >= 12)
     })
     .await;
     // As from the handbox: to where it points already.
+    looked.by_hand_s = Some(sim.clock.utc().seconds());
     sim.slew_by_hand(field).await;
     sim.until("the field observed", MOST, |sim| {
         looked.look(sim);
         sim.ended(0).is_some()
     })
     .await;
-    (looked, sim.said().await)
+    (looked, sim.corrections().await)
 }
 
 /// What was corrected while the field was held with the tube in the west of the pier, and in the east.
@@ -234,9 +241,9 @@ async fn a_proven_row_is_held_on_both_sides_also_by_a_mount_that_goes_south_by_n
         assert!(held.iter().any(|c| c.north.given_ms != 0), "{side}: {held:#?}");
     }
     // Solved frames of each side taught it, and where the motor is left as it was, North is what South is on the sky.
-    let learnt = node_observatory::guiding::learnt::Learnt::read(&sim.data().join("guiding-alpha.json"));
+    let learned = node_observatory::guiding::learned::LearnedGuiding::read(&sim.data().join("guiding-alpha.json"));
     for (side, east, north) in [(PierSide::East, 1.0, 1.0), (PierSide::West, -1.0, 1.0)] {
-        let made = learnt.calibration("camera", Some(side), true).unwrap();
+        let made = learned.calibration("camera", Some(side), true).unwrap();
         assert_eq!((made.source, made.pier_side), (CalibrationSource::PlateSolution, Some(side)));
         let turned = |way: [f64; 2], sense: f64| way.map(|v| sense * v);
         let off_deg = [
@@ -245,7 +252,7 @@ async fn a_proven_row_is_held_on_both_sides_also_by_a_mount_that_goes_south_by_n
         ];
         assert!(off_deg.iter().all(|off| *off < 1.0), "{side:?}: {off_deg:?} deg off, {made:?}");
     }
-    assert_eq!(sim.schedule.get().unwrap().said.body.rows[0].frames, 28);
+    assert_eq!(sim.schedule.get().unwrap().sample.body.rows[0].frames, 28);
     sim.stop().await;
 }
 
@@ -274,13 +281,13 @@ async fn a_solved_frame_and_the_guide_rates_teach_what_pulses_do() {
     })
     .await;
     println!("{}", sim.ended(0).unwrap());
-    let corrections = sim.said().await;
-    let made = sim.guiding.get().unwrap().said.body.calibration.unwrap();
+    let corrections = sim.corrections().await;
+    let made = sim.guiding.get().unwrap().sample.body.calibration.unwrap();
     assert_eq!((made.source, made.pier_side), (CalibrationSource::PlateSolution, Some(PierSide::East)));
-    for (learnt, true_px_s) in [(made.east_px_per_s, truth.east_px_per_s), (made.north_px_per_s, truth.north_px_per_s)]
+    for (learned, true_px_s) in [(made.east_px_per_s, truth.east_px_per_s), (made.north_px_per_s, truth.north_px_per_s)]
     {
-        let (turned_deg, faster) = apart(learnt, true_px_s);
-        assert!(turned_deg < 1.0 && faster < 0.01, "{learnt:?}, by geometry {true_px_s:?}");
+        let (turned_deg, faster) = apart(learned, true_px_s);
+        assert!(turned_deg < 1.0 && faster < 0.01, "{learned:?}, by geometry {true_px_s:?}");
     }
     let (rms_px, frames) = rms_px(corrections.iter());
     let true_px = looked.rms_px(20.0, corrections.iter());
@@ -290,7 +297,7 @@ async fn a_solved_frame_and_the_guide_rates_teach_what_pulses_do() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_camera_of_its_own_guides_beside_the_rows_exposures() {
+async fn a_camera_of_its_own_guides_alongside_the_rows_exposures() {
     let mut options = telescope(5.0);
     let scope = simulator::GuideCameraOptions::default();
     options.mount.drift_arcsec_per_min = (2.0, -1.5);
@@ -304,11 +311,11 @@ async fn a_camera_of_its_own_guides_beside_the_rows_exposures() {
     sim.start().await;
     sim.until("the field observed", MOST, |sim| sim.ended(0).is_some()).await;
     println!("{}", sim.ended(0).unwrap());
-    let corrections = sim.said().await;
+    let corrections = sim.corrections().await;
     let (rms_px, frames) = rms_px(corrections.iter());
     println!("held to {rms_px:.3} px rms on {frames} of {} frames of the guide camera", corrections.len());
     assert!(corrections.iter().all(|correction| correction.camera == "guider"));
     assert!(frames >= 3 && rms_px <= ASKED_PX, "{corrections:#?}");
-    assert_eq!(sim.schedule.get().unwrap().said.body.rows[0].frames, 4, "its frames are none of the row's");
+    assert_eq!(sim.schedule.get().unwrap().sample.body.rows[0].frames, 4, "its frames are none of the row's");
     sim.stop().await;
 }

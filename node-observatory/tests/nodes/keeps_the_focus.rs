@@ -4,18 +4,19 @@
 
 use std::time::Duration;
 
-use crate::sim::Sim;
 use bus::{Catch, Latest, Subscriber};
 use contract::device::camera::Frame;
 use contract::device::focuser;
 use contract::observatory::{
-    Alerts, FocusFound, FocusLearnt, FocusOutcome, FocusRun, FocusState, FrameFacts, RowState, RowStatus, TriggerKind,
+    Alerts, FocusFound, FocusLearned, FocusOutcome, FocusRun, FocusState, FrameFacts, RowState, RowStatus, TriggerKind,
 };
-use contract::{Address, DeviceState, Key, Kind, Part, Payload};
+use contract::{Address, DeviceState, Key, Keys, Kind, Part, Payload, Topic};
 use simulator::{MountOptions, Quantity};
 use units::Utc;
 
-const MOST: Duration = Duration::from_secs(120);
+use crate::MOST;
+use crate::sim::Sim;
+
 /// Where the simulated focus is at 10 C through V, steps, and how it follows the temperature, steps per degree.
 const BEST: f64 = 25_000.0;
 const STEPS_PER_C: f64 = -15.0;
@@ -59,7 +60,7 @@ fn object(sim: &Sim, more: &str) -> String {
 }
 
 /// What the telescope publishes while a test waits.
-struct Heard {
+struct FocusSubscribers {
     frames: Subscriber<Frame>,
     facts: Subscriber<FrameFacts>,
     runs: Subscriber<FocusRun>,
@@ -67,22 +68,21 @@ struct Heard {
     focus: Latest<FocusState>,
 }
 
-impl Heard {
+impl FocusSubscribers {
     async fn on(sim: &Sim) -> Self {
         let at = Address::new("test", "alpha").unwrap();
-        let below = |end: &str| format!("{}/{at}/{end}", contract::key::ROOT);
         let part = |part| Key::Observatory(at.clone(), part);
         Self {
-            frames: all(sim, &below("device/camera/*/frame")).await,
-            facts: all(sim, &below("observatory/frame/*/facts")).await,
-            runs: all(sim, &Key::FocusRun(at.clone()).to_string()).await,
+            frames: all(sim, Topic::Frame.at(&at)).await,
+            facts: all(sim, Topic::Facts.at(&at)).await,
+            runs: all(sim, Topic::FocusRun.at(&at)).await,
             alerts: sim.bus.latest(&part(Part::Alerts)).await.unwrap(),
             focus: sim.bus.latest(&part(Part::Focus)).await.unwrap(),
         }
     }
 
     fn alert(&self, id: &str) -> bool {
-        self.alerts.get().is_some_and(|heard| heard.said.body.alerts.iter().any(|alert| alert.id == id))
+        self.alerts.get().is_some_and(|received| received.sample.body.alerts.iter().any(|alert| alert.id == id))
     }
 
     /// Every frame that was announced, in order of its exposure, with its last facts; waits until so many have facts.
@@ -108,20 +108,20 @@ impl Heard {
     }
 }
 
-async fn all<T: Payload>(sim: &Sim, expression: &str) -> Subscriber<T> {
-    sim.bus.subscribe(expression, Catch::All, 10_000).await.unwrap()
+async fn all<T: Payload>(sim: &Sim, keys: Keys<'_>) -> Subscriber<T> {
+    sim.bus.subscribe(keys, Catch::All, 10_000).await.unwrap()
 }
 
 async fn drained<T: Payload>(of: &Subscriber<T>) -> Vec<T> {
-    let mut heard = Vec::new();
-    while let Ok(next) = tokio::time::timeout(Duration::from_millis(500), of.hear()).await {
-        heard.push(next.said.body);
+    let mut received = Vec::new();
+    while let Ok(next) = tokio::time::timeout(Duration::from_millis(500), of.recv()).await {
+        received.push(next.sample.body);
     }
-    heard
+    received
 }
 
 fn row(sim: &Sim, row: usize) -> Option<RowState> {
-    sim.schedule.get()?.said.body.rows.get(row).cloned()
+    sim.schedule.get()?.sample.body.rows.get(row).cloned()
 }
 
 /// Frames of a row that count so far.
@@ -130,7 +130,7 @@ fn frames(sim: &Sim, of: usize) -> u32 {
 }
 
 fn trigger(sim: &Sim, kind: TriggerKind) -> bool {
-    sim.night.get().is_some_and(|heard| heard.said.body.triggers.iter().any(|trigger| trigger.kind == kind))
+    sim.night.get().is_some_and(|received| received.sample.body.triggers.iter().any(|trigger| trigger.kind == kind))
 }
 
 /// Width of the stars on a frame, px.
@@ -179,17 +179,17 @@ async fn a_focus_that_drifts_away_is_found_anew_between_two_frames_of_the_row() 
     let mut sim = telescope(|_| {}, focusing).await;
     let value = object(&sim, &format!(r#""n": {FRAMES}, "filter": "V""#));
     sim.write_schedule(&[("object", &value)], 7200.0);
-    let heard = Heard::on(&sim).await;
+    let subscribers = FocusSubscribers::on(&sim).await;
     sim.start().await;
     // Nine degrees colder, a degree a frame; no coefficient is known, so the focuser stays.
     for colder in 0..=9 {
         sim.until("exposing", MOST, |sim| frames(sim, 0) >= 5 + colder).await;
         sim.simulator.world().set_weather(Quantity::Temperature, Some(10.0 - f64::from(colder)));
     }
-    sim.until("the drift told", MOST, |sim| trigger(sim, TriggerKind::FocusDrift)).await;
-    sim.until("an alert", MOST, |_| heard.alert("focus-drift/camera")).await;
+    sim.until("the drift reported", MOST, |sim| trigger(sim, TriggerKind::FocusDrift)).await;
+    sim.until("an alert", MOST, |_| subscribers.alert("focus-drift/camera")).await;
     sim.until("all frames taken", MOST, |sim| sim.ended(0).is_some()).await;
-    let runs = drained(&heard.runs).await;
+    let runs = drained(&subscribers.runs).await;
     assert_eq!(runs.len(), 1, "{runs:#?}");
     let run = &runs[0];
     assert_eq!((run.outcome, run.start_position), (FocusOutcome::Focused, BEST as i64), "{run:?}");
@@ -200,9 +200,9 @@ async fn a_focus_that_drifts_away_is_found_anew_between_two_frames_of_the_row() 
 
     // Every frame is accounted for: those of the run and those of the row, each with facts.
     sim.until("the drift is over", MOST, |sim| !trigger(sim, TriggerKind::FocusDrift)).await;
-    sim.until("no alert", MOST, |_| !heard.alert("focus-drift/camera")).await;
+    sim.until("no alert", MOST, |_| !subscribers.alert("focus-drift/camera")).await;
     let of_run: Vec<_> = run.points.iter().flat_map(|point| point.frames.clone()).collect();
-    let seen = heard.seen(FRAMES as usize + of_run.len()).await;
+    let seen = subscribers.seen(FRAMES as usize + of_run.len()).await;
     let (own, other): (Vec<_>, Vec<_>) = seen.iter().partition(|(frame, _)| frame.purpose.action == "object");
     assert_eq!((own.len(), frames(&sim, 0)), (FRAMES as usize, FRAMES));
     assert!(other.iter().all(|(frame, _)| frame.purpose.action == "autofocus" && of_run.contains(&frame.id)));
@@ -217,7 +217,7 @@ async fn a_focus_that_drifts_away_is_found_anew_between_two_frames_of_the_row() 
 }
 
 /// Twelve runs of earlier nights from 4 to 15 C, found within some steps of the truth.
-fn many_runs() -> FocusLearnt {
+fn many_runs() -> FocusLearned {
     let found = |n: usize| {
         // The newest one at 10 C.
         let temperature_c = 4.0 + ((n + 7) % 12) as f64;
@@ -233,7 +233,7 @@ fn many_runs() -> FocusLearnt {
             altitude_deg: Some(85.0),
         }
     };
-    FocusLearnt { focusers: [("focuser".to_owned(), (0..12).map(found).collect())].into() }
+    FocusLearned { focusers: [("focuser".to_owned(), (0..12).map(found).collect())].into() }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -241,20 +241,22 @@ async fn the_focus_follows_the_temperature_between_frames_and_the_node_that_take
     let mut sim = telescope(|_| {}, "").await;
     let value = object(&sim, r#""filter": "V""#);
     sim.write_schedule(&[("object", &value)], 7200.0);
-    let learnt = many_runs();
-    let newest = learnt.focusers["focuser"].last().unwrap().clone();
+    let learned = many_runs();
+    let newest = learned.focusers["focuser"].last().unwrap().clone();
     assert_eq!(newest.temperature_c, Some(10.0));
     std::fs::create_dir_all(sim.folder.path().join("data")).unwrap();
     let file = sim.folder.path().join("data/focus-alpha.json");
-    std::fs::write(file, serde_json::to_vec(&learnt).unwrap()).unwrap();
-    let heard = Heard::on(&sim).await;
+    std::fs::write(file, serde_json::to_vec(&learned).unwrap()).unwrap();
+    let subscribers = FocusSubscribers::on(&sim).await;
     let at = Address::new("test", "alpha").unwrap().device(Kind::Focuser, &"focuser".parse().unwrap());
     let focuser = sim.bus.latest::<DeviceState<focuser::Fields>>(&Key::State(at)).await.unwrap();
-    let position = || focuser.get().and_then(|heard| heard.said.body.fields.position.known().copied());
+    let position = || focuser.get().and_then(|received| received.sample.body.fields.position.known().copied());
     let near = |steps: f64| position().is_some_and(|position| (position as f64 - steps).abs() < 12.0);
     sim.start().await;
+    // Of two nodes that start together either may command, also the one whose folder is empty.
+    sim.until("exposing", MOST, |sim| frames(sim, 0) >= 1).await;
     sim.start_standby().await;
-    sim.until("exposing", MOST, |sim| frames(sim, 0) >= 2).await;
+    sim.until("exposing on", MOST, |sim| frames(sim, 0) >= 3).await;
     // A thermometer that reads 9.9 C asks for a step or two.
     sim.until("in the focus that was found last", MOST, |_| near(newest.position)).await;
     let found = position();
@@ -269,17 +271,19 @@ async fn the_focus_follows_the_temperature_between_frames_and_the_node_that_take
     let taken = frames(&sim, 0);
     sim.until("three more", MOST, |sim| frames(sim, 0) >= taken + 3).await;
 
-    let (died, boot) = (sim.clock.utc(), sim.night.get().unwrap().said.boot_id);
+    let (died, boot) = (sim.clock.utc(), sim.night.get().unwrap().sample.boot_id);
     sim.kill_commander().await;
-    sim.until("taken over", MOST, |sim| sim.night.get().is_some_and(|heard| heard.said.boot_id != boot)).await;
-    let shown = || heard.focus.get().filter(|heard| heard.said.boot_id != boot).map(|heard| heard.said.body);
-    sim.until("the new one shows its focus", MOST, |_| shown().is_some()).await;
-    let known = shown().unwrap().focusers[0].clone();
+    sim.until("taken over", MOST, |sim| sim.night.get().is_some_and(|received| received.sample.boot_id != boot)).await;
+    let published = || {
+        subscribers.focus.get().filter(|received| received.sample.boot_id != boot).map(|received| received.sample.body)
+    };
+    sim.until("the new one shows its focus", MOST, |_| published().is_some()).await;
+    let known = published().unwrap().focusers[0].clone();
     println!("the new one knows {known:?}");
     assert_eq!(known.runs, 12, "{known:?}");
     assert!((known.steps_per_c.unwrap() - STEPS_PER_C).abs() < 1.0, "{known:?}");
     sim.until("exposing again", MOST, |sim| {
-        sim.schedule.get().is_some_and(|heard| heard.said.boot_id != boot) && frames(sim, 0) >= 2
+        sim.schedule.get().is_some_and(|received| received.sample.boot_id != boot) && frames(sim, 0) >= 2
     })
     .await;
     assert!(near(BEST + 75.0), "{:?}", position());
@@ -288,13 +292,13 @@ async fn the_focus_follows_the_temperature_between_frames_and_the_node_that_take
     let taken = frames(&sim, 0);
     sim.until("four more", MOST, |sim| frames(sim, 0) >= taken + 4).await;
     let file = sim.folder.path().join("second/focus-alpha.json");
-    let kept = || std::fs::read(&file).ok().and_then(|bytes| serde_json::from_slice::<FocusLearnt>(&bytes).ok());
-    sim.until("on its own disk", MOST, |_| kept().as_ref() == Some(&learnt)).await;
+    let stored = || std::fs::read(&file).ok().and_then(|bytes| serde_json::from_slice::<FocusLearned>(&bytes).ok());
+    sim.until("on its own disk", MOST, |_| stored().as_ref() == Some(&learned)).await;
 
-    assert!(drained(&heard.runs).await.is_empty(), "no run was needed");
+    assert!(drained(&subscribers.runs).await.is_empty(), "no run was needed");
     assert!(focus_of_exposures(&sim, Some(died)).len() >= 8);
     // At 1 C without following, they would be 1.5 times as wide.
-    let seen = heard.seen(12).await;
+    let seen = subscribers.seen(12).await;
     let widths: Vec<f64> = seen.iter().filter(|(_, facts)| facts.is_some()).map(width_px).collect();
     let (first, last) = (widths[0], median(widths[widths.len() - 3..].to_vec()));
     println!("{first:.2} px at 10 C, {last:.2} px at 1 C");
@@ -303,29 +307,29 @@ async fn the_focus_follows_the_temperature_between_frames_and_the_node_that_take
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_shift_counts_from_the_filters_own_focus_and_clouds_are_told_and_sat_out() {
+async fn a_shift_counts_from_the_filters_own_focus_and_clouds_are_reported_and_sat_out() {
     let mut sim = telescope(|_| {}, "").await;
     let defocused = object(&sim, r#""n": 2, "filter": "B", "focus_shift": 200"#);
     let sharp = object(&sim, r#""n": 24, "filter": "R""#);
     sim.write_schedule(&[("object", &defocused), ("object", &sharp)], 7200.0);
-    let heard = Heard::on(&sim).await;
+    let subscribers = FocusSubscribers::on(&sim).await;
     sim.start().await;
     sim.until("under way", MOST, |sim| frames(sim, 1) >= 4).await;
     // As thick as the safety monitor lets pass: a quarter of the light.
     sim.simulator.world().set_weather(Quantity::CloudCover, Some(79.0));
     sim.until("clouds noticed", MOST, |sim| trigger(sim, TriggerKind::Clouds)).await;
-    sim.until("a person is told", MOST, |_| heard.alert("stars-gone/camera")).await;
+    sim.until("an alert is raised", MOST, |_| subscribers.alert("stars-gone/camera")).await;
     assert_eq!(row(&sim, 1).unwrap().status, RowStatus::Running, "the weather's sensors alone decide");
     sim.simulator.world().set_weather(Quantity::CloudCover, Some(0.0));
     sim.until("clear again", MOST, |sim| !trigger(sim, TriggerKind::Clouds)).await;
-    sim.until("no alert", MOST, |_| !heard.alert("stars-gone/camera")).await;
+    sim.until("no alert", MOST, |_| !subscribers.alert("stars-gone/camera")).await;
     sim.until("all frames taken", MOST, |sim| sim.ended(0).is_some() && sim.ended(1).is_some()).await;
     assert_eq!((frames(&sim, 0), frames(&sim, 1)), (2, 24));
 
     // The simulated wheel has B 40 steps further out than V, and R 20 further in.
     let focus = focus_of_exposures(&sim, None);
     assert_eq!((&focus[..2], &focus[2..]), (&[25_240_i64; 2][..], &[24_980_i64; 24][..]));
-    let seen = heard.seen(26).await;
+    let seen = subscribers.seen(26).await;
     let (of_b, of_r) = (width_px(&seen[0]), width_px(&seen[2]));
     let expected = (1.0 + (200.0 / ZONE).powi(2)).sqrt();
     println!("{of_b:.2} px through B, {of_r:.2} px through R, {expected:.2} times as wide by the optics");
@@ -334,17 +338,17 @@ async fn a_shift_counts_from_the_filters_own_focus_and_clouds_are_told_and_sat_o
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn stars_that_trail_are_told_while_the_row_goes_on() {
+async fn stars_that_trail_are_reported_while_the_row_goes_on() {
     // 25 arcsec in each exposure, ten pixels.
     let mut sim = telescope(|options| options.mount.drift_arcsec_per_min = (150.0, 0.0), "").await;
     let value = object(&sim, r#""n": 5, "filter": "V""#);
     sim.write_schedule(&[("object", &value)], 7200.0);
-    let heard = Heard::on(&sim).await;
+    let subscribers = FocusSubscribers::on(&sim).await;
     sim.start().await;
     sim.until("noticed", MOST, |sim| trigger(sim, TriggerKind::Trailing)).await;
-    sim.until("a person is told", MOST, |_| heard.alert("stars-trailed/camera")).await;
+    sim.until("an alert is raised", MOST, |_| subscribers.alert("stars-trailed/camera")).await;
     sim.until("all frames taken", MOST, |sim| sim.ended(0).is_some()).await;
-    let seen = heard.seen(5).await;
+    let seen = subscribers.seen(5).await;
     assert_eq!((seen.len(), frames(&sim, 0)), (5, 5));
     for (_, facts) in &seen {
         let facts = facts.as_ref().unwrap();

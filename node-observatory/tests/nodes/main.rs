@@ -12,19 +12,22 @@ mod a_night;
 mod another_schedule;
 mod answers_about_schedules;
 mod cools_the_camera;
+mod executes_the_sites_script;
 mod finds_lost_fields;
 mod guides_at_any_angle;
 mod guides_the_field;
 mod keeps_the_focus;
 mod measures_frames;
-mod obeys_the_sites_script;
 mod rests_once;
 mod solves_frames;
 mod syncs_the_mount;
 mod takeover;
 mod takes_flats;
-mod takes_over_what_was_learnt;
+mod takes_over_what_was_learned;
 mod the_slit;
 mod truth_gate;
 mod turns_over_late_and_for_what_moves;
 mod waits_for_the_horizon;
+
+/// No test waits longer than this for anything: far above what it takes on a busy machine.
+const MOST: std::time::Duration = std::time::Duration::from_secs(240);

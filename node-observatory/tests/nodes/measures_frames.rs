@@ -1,23 +1,23 @@
 //! The observatory node measures what a camera announces: with no archive anywhere, from a spool that refuses, as a
 //! standby that takes over.
 
-#[allow(dead_code, reason = "shared with the stories of the night")]
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use crate::site::Site;
 use axum::extract::Path;
 use axum::http::StatusCode;
-use bus::{Bus, Catch, Heard, Publisher, Quality, Subscriber};
+use bus::{Bus, Catch, Publisher, Received, Subscriber};
 use contract::device::camera::{Frame, Pixel, Purpose};
 use contract::observatory::{FrameFacts, TriggerKind};
-use contract::{CommandId, Key, Kind};
+use contract::{CommandId, Key, Kind, Topic};
 use rand::SeedableRng as _;
 use rand_distr::{Distribution as _, Normal};
 use sha2::{Digest as _, Sha256};
 use test_support::{Lateness, serve};
 
-const MOST: Duration = Duration::from_secs(90);
+use crate::MOST;
+use crate::site::Site;
+
 const SIDE_PX: u32 = 320;
 const FWHM_PX: f64 = 3.4;
 const STARS: u32 = 36;
@@ -57,9 +57,9 @@ impl Spool {
         let url = format!("http://{}", serve(axum::Router::new().route("/{what}", axum::routing::get(answer))).await);
         let bus: &Bus = &site.bus;
         let camera = site.address.device(Kind::Camera, &"guider".parse().unwrap());
-        let frames = bus.publisher(&Key::Frame(camera), Quality::Event { cache: 100 }).await.unwrap();
-        let all = format!("{}/{}/observatory/frame/*/facts", contract::key::ROOT, site.address);
-        Self { url, frames, facts: bus.subscribe(&all, Catch::All, 100).await.unwrap() }
+        let frames = bus.publisher(&Key::Frame(camera)).await.unwrap();
+        let all = Topic::Facts.at(&site.address);
+        Self { url, frames, facts: bus.subscribe(all, Catch::All, 100).await.unwrap() }
     }
 
     /// Announces the nth frame of a row; returns its id.
@@ -93,22 +93,22 @@ impl Spool {
         id
     }
 
-    async fn facts_of(&self, id: &CommandId) -> Heard<FrameFacts> {
-        let heard = async {
+    async fn facts_of(&self, id: &CommandId) -> Received<FrameFacts> {
+        let waiting = async {
             loop {
-                let heard = self.facts.hear().await;
-                if heard.said.body.frame == *id {
-                    return heard;
+                let received = self.facts.recv().await;
+                if received.sample.body.frame == *id {
+                    return received;
                 }
             }
         };
-        tokio::time::timeout(MOST, heard).await.unwrap_or_else(|_| panic!("no facts of {id} within {MOST:?}"))
+        tokio::time::timeout(MOST, waiting).await.unwrap_or_else(|_| panic!("no facts of {id} within {MOST:?}"))
     }
 }
 
 fn alerts(site: &Site) -> Vec<String> {
-    let shown = site.alerts.get().map(|heard| heard.said.body.alerts);
-    shown.unwrap_or_default().into_iter().map(|alert| alert.id).collect()
+    let published = site.alerts.get().map(|received| received.sample.body.alerts);
+    published.unwrap_or_default().into_iter().map(|alert| alert.id).collect()
 }
 
 fn commands(site: &Site) -> bool {
@@ -116,7 +116,7 @@ fn commands(site: &Site) -> bool {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn frames_are_measured_without_an_archive_and_vanished_stars_are_told() {
+async fn frames_are_measured_without_an_archive_and_vanished_stars_are_reported() {
     let site = Site::new(1.0).await;
     site.write_schedule(&[]);
     let (spool, node) = (Spool::start(&site).await, site.start().await);
@@ -125,10 +125,13 @@ async fn frames_are_measured_without_an_archive_and_vanished_stars_are_told() {
     for n in 0..4 {
         let lateness = Lateness::begin();
         let (announced, id) = (site.clock.machine(), spool.announce(n, "stars", &stars).await);
-        let heard = spool.facts_of(&id).await;
-        let after = heard.arrived.since(announced);
-        println!("frame {n}: facts {after:?} after its announcement, measured in {:?} s", heard.said.body.measuring_s);
-        let facts = heard.said.body;
+        let received = spool.facts_of(&id).await;
+        let after = received.arrived.since(announced);
+        println!(
+            "frame {n}: facts {after:?} after its announcement, measured in {:?} s",
+            received.sample.body.measuring_s
+        );
+        let facts = received.sample.body;
         assert_eq!((facts.camera.as_deref(), facts.filter.as_deref()), (Some("guider"), Some("V")));
         assert_eq!((facts.stars, facts.trailed, facts.reason), (Some(STARS), Some(false), None));
         assert!((facts.fwhm_px.unwrap() - FWHM_PX).abs() < 0.1, "{:?}", facts.fwhm_px);
@@ -138,9 +141,9 @@ async fn frames_are_measured_without_an_archive_and_vanished_stars_are_told() {
         assert!(after < lateness.bound(Duration::from_secs(5)), "{after:?}");
     }
     let id = spool.announce(4, "empty", &empty).await;
-    assert_eq!(spool.facts_of(&id).await.said.body.stars, Some(0));
+    assert_eq!(spool.facts_of(&id).await.sample.body.stars, Some(0));
     let clouds = |site: &Site| {
-        let triggers = site.night.get().map(|heard| heard.said.body.triggers).unwrap_or_default();
+        let triggers = site.night.get().map(|received| received.sample.body.triggers).unwrap_or_default();
         triggers.iter().any(|trigger| trigger.kind == TriggerKind::Clouds && trigger.camera == "guider")
     };
     site.until("clouds in the night's state", MOST, clouds).await;
@@ -151,17 +154,17 @@ async fn frames_are_measured_without_an_archive_and_vanished_stars_are_told() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_frame_that_cannot_be_had_gives_the_reason_and_a_person_is_told_of_three() {
+async fn a_frame_that_cannot_be_had_gives_the_reason_and_three_of_them_raise_an_alert() {
     let site = Site::new(1.0).await;
     site.write_schedule(&[]);
     let (spool, node) = (Spool::start(&site).await, site.start().await);
     site.until("commanding", MOST, commands).await;
     let id = spool.announce(0, "gone", b"").await;
-    let facts = spool.facts_of(&id).await.said.body;
+    let facts = spool.facts_of(&id).await.sample.body;
     assert!(facts.reason.unwrap().starts_with("not fetched: the spool answers HTTP 404"));
     assert_eq!((facts.stars, facts.sky_adu), (None, None));
     let id = spool.announce(1, "stars", b"other pixels").await;
-    let reason = spool.facts_of(&id).await.said.body.reason.unwrap();
+    let reason = spool.facts_of(&id).await.sample.body.reason.unwrap();
     assert!(reason.contains("have the hash") && !reason.contains("http"), "{reason}");
     assert!(!alerts(&site).contains(&"frames-unmeasured/guider".to_owned()));
     spool.announce(2, "gone", b"").await;
@@ -169,7 +172,7 @@ async fn a_frame_that_cannot_be_had_gives_the_reason_and_a_person_is_told_of_thr
     // Announced again, and there this time: measured after all.
     let id = spool.announce(2, "stars", &sky(STARS)).await;
     spool.facts_of(&id).await;
-    assert_eq!(spool.facts_of(&id).await.said.body.stars, Some(STARS), "the second word on the same frame");
+    assert_eq!(spool.facts_of(&id).await.sample.body.stars, Some(STARS), "the second facts of the same frame");
     site.until("no alert", MOST, |site| !alerts(site).contains(&"frames-unmeasured/guider".to_owned())).await;
     node.stop().await;
 }
@@ -185,14 +188,14 @@ async fn a_standby_measures_nothing_until_it_commands_and_then_what_nobody_has_m
     let (first, second) = (spool.announce(0, "stars", &stars).await, spool.announce(1, "stars", &stars).await);
     // The commander's facts of the first of them.
     let key = Key::Facts(site.address.clone(), first.0.parse().unwrap());
-    let line = site.bus.publisher::<FrameFacts>(&key, Quality::Event { cache: 1 }).await.unwrap();
+    let line = site.bus.publisher::<FrameFacts>(&key).await.unwrap();
     line.put(FrameFacts { frame: first.clone(), stars: Some(1), ..FrameFacts::default() }).await.unwrap();
-    assert_eq!(spool.facts_of(&first).await.said.body.stars, Some(1));
-    let more = tokio::time::timeout(Duration::from_secs(2), spool.facts.hear()).await;
-    assert!(more.is_err(), "a standby says nothing: {:?}", more.unwrap().said.body);
+    assert_eq!(spool.facts_of(&first).await.sample.body.stars, Some(1));
+    let more = tokio::time::timeout(Duration::from_secs(2), spool.facts.recv()).await;
+    assert!(more.is_err(), "a standby says nothing: {:?}", more.unwrap().sample.body);
     site.lease_held.store(false, Ordering::Relaxed);
-    assert_eq!(spool.facts_of(&second).await.said.body.stars, Some(STARS));
-    let more = tokio::time::timeout(Duration::from_secs(1), spool.facts.hear()).await;
-    assert!(more.is_err(), "the first is measured already: {:?}", more.unwrap().said.body);
+    assert_eq!(spool.facts_of(&second).await.sample.body.stars, Some(STARS));
+    let more = tokio::time::timeout(Duration::from_secs(1), spool.facts.recv()).await;
+    assert!(more.is_err(), "the first is measured already: {:?}", more.unwrap().sample.body);
     node.stop().await;
 }

@@ -4,21 +4,22 @@
 use std::collections::{BTreeMap, HashMap};
 use std::time::Duration;
 
-use crate::sim::{Sim, misses, wide_field};
 use bus::Catch;
 use contract::device::camera::Frame;
 use contract::observatory::{FrameFacts, PointingState};
-use contract::{Address, Key, Part};
+use contract::{Address, Key, Part, Topic};
 use simulator::Quantity;
 
-const MOST: Duration = Duration::from_secs(90);
+use crate::MOST;
+use crate::sim::{Sim, misses, wide_field};
+
 /// How far the telescope looks from where it is sent, arcmin to the east and to the north.
 const MISS: [f64; 2] = [6.0, -4.0];
 /// Drift and chance of the mount, and the error of a solution, arcmin.
 const NEAR_ARCMIN: f64 = 0.3;
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_mount_that_was_misled_is_told_where_it_looks_and_its_next_slew_is_right() {
+async fn a_mount_that_was_misled_is_synchronised_and_its_next_slew_is_right() {
     let mut sim = Sim::new(wide_field(20.0), "").await;
     sim.simulator.world().set_weather(Quantity::StarFwhm, Some(0.1));
     sim.mislead(MISS).await;
@@ -31,9 +32,8 @@ async fn a_mount_that_was_misled_is_told_where_it_looks_and_its_next_slew_is_rig
     let part = r#""subframe_width": 300, "subframe_height": 300, "subframe_center_x": 0.3, "subframe_center_y": 0.7"#;
     let sync = format!(r#"{{"n": 3, "exptime": 10, "sync": true, {part}}}"#);
     sim.write_schedule(&[("object", &west), ("pointing_model", &sync), ("object", &east)], 7200.0);
-    let below = |below: &str| format!("{}/test/alpha/{below}", contract::key::ROOT);
-    let frames = sim.bus.subscribe::<Frame>(&below("device/camera/*/frame"), Catch::All, 100).await.unwrap();
-    let facts = sim.bus.subscribe::<FrameFacts>(&below("observatory/frame/*/facts"), Catch::All, 100).await.unwrap();
+    let frames = sim.bus.subscribe::<Frame>(Topic::Frame.everywhere(), Catch::All, 100).await.unwrap();
+    let facts = sim.bus.subscribe::<FrameFacts>(Topic::Facts.everywhere(), Catch::All, 100).await.unwrap();
     let key = Key::Observatory(Address::new("test", "alpha").unwrap(), Part::Pointing);
     let pointing = sim.bus.latest::<PointingState>(&key).await.unwrap();
     let before = sim.last_put();
@@ -41,21 +41,21 @@ async fn a_mount_that_was_misled_is_told_where_it_looks_and_its_next_slew_is_rig
     let (mut row_of, mut off, mut truth) = (HashMap::new(), BTreeMap::<u32, Vec<f64>>::new(), BTreeMap::new());
     let began = std::time::Instant::now();
     while off.get(&2).is_none_or(|off| off.len() < 2) {
-        assert!(began.elapsed() < MOST, "{off:?}: {:#?}", sim.schedule.get().map(|heard| heard.said.body));
+        assert!(began.elapsed() < MOST, "{off:?}: {:#?}", sim.schedule.get().map(|received| received.sample.body));
         tokio::select! {
-            heard = frames.hear() => {
-                let frame = heard.said.body;
+            received = frames.recv() => {
+                let frame = received.sample.body;
                 let row = frame.purpose.row.unwrap();
                 if let Some((ra, dec)) = frame.purpose.ra_deg.zip(frame.purpose.dec_deg).filter(|_| row != 1) {
                     let looks_at = sim.simulator.world().looks_at();
-                    let beside = sky::separation(&sky::Icrs::from_degrees(ra, dec), &looks_at).degrees() * 60.0;
+                    let off_arcmin = sky::separation(&sky::Icrs::from_degrees(ra, dec), &looks_at).degrees() * 60.0;
                     // The first one, so that the mount is not yet on its way to the next row.
-                    truth.entry(row).or_insert(beside);
+                    truth.entry(row).or_insert(off_arcmin);
                 }
                 row_of.insert(frame.id, row);
             }
-            heard = facts.hear() => {
-                let facts = heard.said.body;
+            received = facts.recv() => {
+                let facts = received.sample.body;
                 let Some(row) = row_of.get(&facts.frame) else { continue };
                 off.entry(*row).or_default().extend(facts.off_target_arcmin);
             }
@@ -68,7 +68,9 @@ async fn a_mount_that_was_misled_is_told_where_it_looks_and_its_next_slew_is_rig
         sim.sent_to_mount(before).into_iter().filter(|(member, _)| member == "synctocoordinates").collect();
     assert_eq!(synced.len(), 3, "at each place: {synced:?}");
     assert!(
-        sim.ended(1).unwrap().contains("3 of 3 places show where the telescope looks; the mount was told each time")
+        sim.ended(1)
+            .unwrap()
+            .contains("3 of 3 places show where the telescope looks; the mount was synchronised each time")
     );
     for row in [0, 2] {
         assert!(
@@ -77,7 +79,7 @@ async fn a_mount_that_was_misled_is_told_where_it_looks_and_its_next_slew_is_rig
         );
     }
     // The points that the node had learned of the mount before are no longer valid, here and for a standby.
-    let models = pointing.get().unwrap().said.body.models;
+    let models = pointing.get().unwrap().sample.body.models;
     assert!(models.iter().all(|model| !model.used && model.points.len() <= 1), "{models:?}");
     sim.stop().await;
 }

@@ -1,16 +1,16 @@
 //! A standby with a data folder of its own takes over what people ordered, and orders are on disk before they count.
 
-#[allow(dead_code, reason = "shared with the stories of the night")]
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use crate::site::Site;
 use contract::device::dome::{Command as Dome, Shutter};
-use contract::observatory::{Alert, StandingOrders};
+use contract::observatory::{Alert, OperatorOrders};
 use contract::{Key, OrderKind, Part, Reason, Reply};
 use test_support::Lateness;
 
-const MOST: Duration = Duration::from_secs(40);
+use crate::MOST;
+use crate::site::Site;
+
 const SEEN: &str = "stay-closed";
 const SHELVED: &str = "override/sun";
 
@@ -36,7 +36,7 @@ fn openings(site: &Site) -> usize {
 }
 
 fn alert(site: &Site, id: &str) -> Option<Alert> {
-    site.alerts.get()?.said.body.alerts.into_iter().find(|alert| alert.id == id)
+    site.alerts.get()?.sample.body.alerts.into_iter().find(|alert| alert.id == id)
 }
 
 fn accepted(reply: Reply) {
@@ -51,7 +51,7 @@ fn refused(reply: Reply) -> (Reason, String) {
 }
 
 fn reason(site: &Site) -> String {
-    let safety = site.safety.get().map(|heard| heard.said.body.reasons).unwrap_or_default();
+    let safety = site.safety.get().map(|received| received.sample.body.reasons).unwrap_or_default();
     safety.iter().map(|reason| reason.why.clone()).collect::<Vec<_>>().join("; ")
 }
 
@@ -64,7 +64,8 @@ async fn a_veto_an_override_and_acknowledgements_outlive_the_commander_and_its_d
     accepted(site.order(OrderKind::Override { input: "sun".to_owned(), for_s: 3600.0 }).await);
     accepted(site.order(OrderKind::StayClosed(true)).await);
     site.until("shut", MOST, is_shut).await;
-    site.until("the alerts stand", MOST, |site| alert(site, SEEN).is_some() && alert(site, SHELVED).is_some()).await;
+    site.until("the alerts are active", MOST, |site| alert(site, SEEN).is_some() && alert(site, SHELVED).is_some())
+        .await;
     accepted(site.order(OrderKind::Acknowledge(SEEN.to_owned())).await);
     accepted(site.order(OrderKind::Shelve { alert: SHELVED.to_owned(), for_s: 600.0 }).await);
     let marked = |site: &Site| {
@@ -74,12 +75,12 @@ async fn a_veto_an_override_and_acknowledgements_outlive_the_commander_and_its_d
     site.until("marked", MOST, marked).await;
     // The standby has had its two seconds.
     tokio::time::sleep(Duration::from_secs(2)).await;
-    let (before, opened) = (site.alerts.get().unwrap().said.boot_id, openings(&site));
+    let (before, opened) = (site.alerts.get().unwrap().sample.boot_id, openings(&site));
 
     let killed = Instant::now();
     first.kill().await;
     std::fs::remove_dir_all(site.folder.path().join("data-main")).unwrap();
-    let taken = |site: &Site| site.alerts.get().is_some_and(|said| said.said.boot_id != before);
+    let taken = |site: &Site| site.alerts.get().is_some_and(|received| received.sample.boot_id != before);
     site.until("taken over", MOST, taken).await;
     println!("taken over {:?} after the kill", killed.elapsed());
     assert!(marked(&site), "the first word of the new commander knows: {:?}", site.alerts.get());
@@ -96,7 +97,7 @@ async fn a_veto_an_override_and_acknowledgements_outlive_the_commander_and_its_d
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_standby_that_never_heard_the_commander_stays_closed_until_a_person_decides() {
+async fn a_standby_that_never_received_from_the_commander_stays_closed_until_a_person_decides() {
     let site = eager_site().await;
     let first = site.start_as("main", "data-main").await;
     site.until("open", MOST, is_open).await;
@@ -104,7 +105,7 @@ async fn a_standby_that_never_heard_the_commander_stays_closed_until_a_person_de
     let opened = openings(&site);
     let second = site.start_as("second", "data-second").await;
     site.until("shut", MOST, is_shut).await;
-    site.until("it says why", MOST, |site| reason(site).contains("token 1 was not heard to the end")).await;
+    site.until("it says why", MOST, |site| reason(site).contains("token 1 were not received")).await;
     assert_eq!(openings(&site), opened);
     accepted(site.order(OrderKind::StayClosed(false)).await);
     site.until("open again", MOST, is_open).await;
@@ -113,12 +114,13 @@ async fn a_standby_that_never_heard_the_commander_stays_closed_until_a_person_de
     let moved = site.dome.log.lock().unwrap().len();
     let restarted = Instant::now();
     let second = site.start_as("second", "data-second").await;
-    let key = Key::Observatory(site.address.clone(), Part::Standing);
-    let standing = site.bus.latest::<StandingOrders>(&key).await.unwrap();
-    site.until("it commands", MOST, |_| standing.get().is_some_and(|said| said.said.body.token == Some(3))).await;
+    let key = Key::Observatory(site.address.clone(), Part::OperatorOrders);
+    let orders = site.bus.latest::<OperatorOrders>(&key).await.unwrap();
+    site.until("it commands", MOST, |_| orders.get().is_some_and(|received| received.sample.body.token == Some(3)))
+        .await;
     println!("a restart commands after {:?}", restarted.elapsed());
     tokio::time::sleep(Duration::from_secs(2)).await;
-    assert_eq!(standing.get().unwrap().said.body.stay_closed, None);
+    assert_eq!(orders.get().unwrap().sample.body.stay_closed, None);
     assert_eq!(site.dome.log.lock().unwrap().len(), moved, "and nothing moves for it");
     second.stop().await;
 }
@@ -134,8 +136,8 @@ async fn an_order_that_the_disk_does_not_take_is_refused_and_closing_acts_all_th
     let node = site.start().await;
     site.until("open", MOST, is_open).await;
     accepted(site.order(OrderKind::Override { input: "sun".to_owned(), for_s: 3600.0 }).await);
-    site.until("the alert stands", MOST, |site| alert(site, SHELVED).is_some()).await;
-    for file in ["standing", "alerts"] {
+    site.until("the alert is active", MOST, |site| alert(site, SHELVED).is_some()).await;
+    for file in ["operator-orders", "alerts"] {
         // A change that is just being written is there for a moment.
         site.until("a folder in the way", MOST, |site| std::fs::create_dir(part(site, file)).is_ok()).await;
     }
@@ -157,16 +159,16 @@ async fn an_order_that_the_disk_does_not_take_is_refused_and_closing_acts_all_th
     let answered = ordered.elapsed().saturating_sub(lateness.bound(Duration::ZERO));
     site.until("shut", MOST, is_shut).await;
     assert!(answered < Duration::from_secs(2), "{answered:?}");
-    site.until("it is told", MOST, |site| alert(site, "standing-orders").is_some()).await;
+    site.until("it is reported", MOST, |site| alert(site, "operator-orders").is_some()).await;
     let (_, why) = refused(site.order(OrderKind::StayClosed(false)).await);
     assert!(why.contains("the disk does not take it"), "{why}");
     site.until("still closed", MOST, |site| is_shut(site) && reason(site).contains("a test")).await;
 
     // The disk is repaired: what acted is written, and can be taken back.
-    for file in ["standing", "alerts"] {
+    for file in ["operator-orders", "alerts"] {
         std::fs::remove_dir(part(&site, file)).unwrap();
     }
-    let file = site.folder.path().join("data/standing-callisto.json");
+    let file = site.folder.path().join("data/operator-orders-callisto.json");
     let written = |_: &Site| std::fs::read_to_string(&file).is_ok_and(|text| text.contains("stay_closed"));
     site.until("written", MOST, written).await;
     accepted(site.order(OrderKind::StayClosed(false)).await);

@@ -1,17 +1,17 @@
 //! The dome's slit on a real bus, with a fake dome that turns as fast as it is ordered.
 
-#[allow(dead_code, reason = "shared with the other stories of the site")]
 use std::time::{Duration, Instant};
 
-use crate::site::Site;
 use bus::Catch;
-use contract::Datum;
 use contract::device::camera::Command as Camera;
 use contract::device::dome::{Command as Dome, Shutter};
 use contract::observatory::{FrameFacts, RowStatus};
+use contract::{Datum, Topic};
 use test_support::Lateness;
 
-const MOST: Duration = Duration::from_secs(120);
+use crate::MOST;
+use crate::site::Site;
+
 /// Some 45 deg high in the east, and in the west, at the start of the scenarios.
 const EAST: &str = r#""ra": 95.0, "dec": -24.6"#;
 const WEST: &str = r#""ra": 355.0, "dec": -24.6"#;
@@ -21,11 +21,11 @@ fn object(name: &str, target: &str, n: u32) -> String {
 }
 
 fn status(site: &Site, row: usize) -> Option<RowStatus> {
-    site.schedule.get().and_then(|heard| heard.said.body.rows.get(row).map(|row| row.status))
+    site.schedule.get().and_then(|received| received.sample.body.rows.get(row).map(|row| row.status))
 }
 
 fn detail(site: &Site, row: usize) -> String {
-    site.schedule.get().map(|heard| heard.said.body.rows[row].detail.clone()).unwrap_or_default()
+    site.schedule.get().map(|received| received.sample.body.rows[row].detail.clone()).unwrap_or_default()
 }
 
 fn dome_log(site: &Site) -> Vec<Dome> {
@@ -48,9 +48,9 @@ fn exposures(site: &Site) -> Vec<Instant> {
 }
 
 fn alert_stands(site: &Site, id: &str) -> bool {
-    site.alerts
-        .get()
-        .is_some_and(|heard| heard.said.body.alerts.iter().any(|alert| alert.id == id && alert.returned_utc.is_none()))
+    site.alerts.get().is_some_and(|received| {
+        received.sample.body.alerts.iter().any(|alert| alert.id == id && alert.returned_utc.is_none())
+    })
 }
 
 /// The dome slips: it is far from where it was, and reports it.
@@ -104,8 +104,8 @@ async fn a_dome_that_does_not_turn_stays_shut_with_a_clear_word_and_opens_when_i
     site.write_schedule(&[("object", &object("east", EAST, 2), "03:00:00", "08:00:00")]);
     let node = site.start().await;
     site.until("postponed", MOST, |site| status(site, 0) == Some(RowStatus::Interrupted)).await;
-    let told = detail(&site, 0);
-    assert!(told.contains("paranal/callisto/dome/dome: not done with slew_to_azimuth"), "{told}");
+    let message = detail(&site, 0);
+    assert!(message.contains("paranal/callisto/dome/dome: not done with slew_to_azimuth"), "{message}");
     assert!(!dome_log(&site).contains(&Dome::OpenShutter) && site.exposures() == 0);
     site.until("alerted", MOST, |site| alert_stands(site, "dome-not-turned/dome")).await;
     *site.turn_deg_per_s.lock().unwrap() = Some(5.0);
@@ -161,18 +161,18 @@ async fn a_long_exposure_behind_a_dome_that_is_too_slow_is_ended_and_taken_again
     let (turned, frames) = (turns(&site).last().unwrap().0, exposures(&site));
     assert_eq!((frames.len(), site.exposures(), aborts(&site).len()), (2, 1, 1));
     assert!(frames[1].duration_since(turned) > Duration::from_secs(3), "it begins when the slit is there");
-    assert_eq!(site.schedule.get().unwrap().said.body.rows[0].frames, 1);
+    assert_eq!(site.schedule.get().unwrap().sample.body.rows[0].frames, 1);
     site.until("calm", MOST, |site| !alert_stands(site, "dome-not-turned/dome")).await;
     node.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_exposure_that_is_nearly_done_is_let_end_and_what_it_lost_is_told_with_it() {
+async fn an_exposure_that_is_nearly_done_is_let_end_and_what_it_lost_is_published_with_it() {
     // 600 s are 12 s here.
     let site = Site::with_dome(50.0, Some(50.0)).await;
     let long = format!(r#"{{"object": "east", "exptime": 600, {EAST}, "n": 1}}"#);
     site.write_schedule(&[("object", &long, "03:00:00", "06:00:00")]);
-    let facts = site.bus.subscribe::<FrameFacts>("starmesh/v1/**/facts", Catch::All, 10).await.unwrap();
+    let facts = site.bus.subscribe::<FrameFacts>(Topic::Facts.everywhere(), Catch::All, 10).await.unwrap();
     let node = site.start().await;
     site.until("exposing", MOST, |site| site.camera.state.borrow().fields.exposure.is_some()).await;
     let exposure = site.camera.state.borrow().fields.exposure.clone().unwrap();
@@ -180,9 +180,9 @@ async fn an_exposure_that_is_nearly_done_is_let_end_and_what_it_lost_is_told_wit
     let done_s = |site: &Site| site.clock.utc().seconds_since(exposure.started_utc) / 600.0;
     site.until("nearly done", MOST, |site| done_s(site) > 0.94).await;
     slip(&site);
-    let told = tokio::time::timeout(MOST, facts.hear()).await.unwrap().said.body;
-    assert_eq!(told.frame, exposure.id);
-    assert!(told.dome_hid_percent.is_some_and(|lost| (1.0..7.0).contains(&lost)), "{told:?}");
+    let published = tokio::time::timeout(MOST, facts.recv()).await.unwrap().sample.body;
+    assert_eq!(published.frame, exposure.id);
+    assert!(published.dome_hid_percent.is_some_and(|lost| (1.0..7.0).contains(&lost)), "{published:?}");
     site.until("finished", MOST, |site| status(site, 0) == Some(RowStatus::Finished)).await;
     assert_eq!((exposures(&site).len(), site.exposures(), aborts(&site)), (1, 1, vec![]));
     node.stop().await;

@@ -1,22 +1,20 @@
 //! Frames that do not show where they look: none counts, unless the row or the site allows it.
 
-#[allow(dead_code, reason = "shared with the stories of the night")]
-use std::time::Duration;
-
-use crate::site::Site;
 use contract::observatory::{RowState, RowStatus};
 
-const MOST: Duration = Duration::from_secs(60);
+use crate::MOST;
+use crate::site::Site;
+
 /// Near the zenith of the site at the start of the scenarios.
 const TARGET: &str = r#""exptime": 1, "ra": 45.0, "dec": -24.6, "pointing": true"#;
 
 fn rows(site: &Site) -> Vec<RowState> {
-    site.schedule.get().map(|heard| heard.said.body.rows).unwrap_or_default()
+    site.schedule.get().map(|received| received.sample.body.rows).unwrap_or_default()
 }
 
 fn alerts(site: &Site) -> Vec<String> {
-    let shown = site.alerts.get().map(|heard| heard.said.body.alerts);
-    shown.unwrap_or_default().into_iter().map(|alert| alert.id).collect()
+    let published = site.alerts.get().map(|received| received.sample.body.alerts);
+    published.unwrap_or_default().into_iter().map(|alert| alert.id).collect()
 }
 
 /// Frames of a row, by ASTRATYP.
@@ -26,7 +24,7 @@ fn frames(site: &Site, row: u32, action: &str) -> usize {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn no_frame_counts_where_none_shows_where_it_looks_unless_the_row_says_so() {
+async fn no_frame_counts_where_none_shows_where_it_looks_unless_the_row_allows_it() {
     let mut site = Site::new(100.0).await;
     site.more = "[pointing]\non_failure = \"skip\"\nattempts = 3\n";
     let (proven, unverified) = (
@@ -59,7 +57,7 @@ async fn no_frame_counts_where_none_shows_where_it_looks_unless_the_row_says_so(
     .await;
     let row = rows(&site).remove(1);
     assert_eq!((row.frames, frames(&site, 1, "pointing"), frames(&site, 1, "object")), (2, 3, 2), "{row:?}");
-    assert!(row.detail.contains("not proven"), "it is told: {row:?}");
+    assert!(row.detail.contains("not proven"), "it is reported: {row:?}");
     // All have numbers of their own.
     let purposes = site.purposes.lock().unwrap().clone();
     let numbers = purposes.iter().filter(|(_, purpose)| purpose.row == Some(1)).map(|(_, purpose)| purpose.sequence);

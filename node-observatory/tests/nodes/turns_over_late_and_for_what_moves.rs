@@ -8,9 +8,9 @@ use simulator::{Fault, Kind};
 use sky::{Body, EarthOrientation, Icrs, Observer, OfDate, Place};
 use units::{Angle, Utc};
 
+use crate::MOST;
 use crate::sim::{NIGHT, Sim, wide_field};
 
-const MOST: Duration = Duration::from_secs(90);
 const SPEED: f64 = 20.0;
 /// Targets culminate so long after the start, min: the roof opens and frames are taken before.
 const BEFORE_MIN: f64 = 5.0;
@@ -40,13 +40,13 @@ async fn observing(options: simulator::Options, object: &str) -> Sim {
 }
 
 fn frames(sim: &Sim) -> u32 {
-    sim.schedule.get().and_then(|heard| heard.said.body.rows.first().map(|row| row.frames)).unwrap_or(0)
+    sim.schedule.get().and_then(|received| received.sample.body.rows.first().map(|row| row.frames)).unwrap_or(0)
 }
 
 /// On which side of its pier the tube truly is.
 fn side(sim: &Sim) -> PierSide {
-    let told = sim.simulator.world().told();
-    if told["telescope"]["pier_west"].as_bool().unwrap() { PierSide::West } else { PierSide::East }
+    let state = sim.simulator.world().state();
+    if state["telescope"]["pier_west"].as_bool().unwrap() { PierSide::West } else { PierSide::East }
 }
 
 fn slews(sim: &Sim) -> usize {
@@ -73,16 +73,16 @@ async fn a_mount_is_turned_over_under_the_moon_and_follows_it_on_the_other_side(
     let (at, looks) = sim.simulator.world().looks_at_when();
     let there = moon.seen(&observer(&sim.options, at)).unwrap().icrs;
     let off = sky::separation(&looks, &there).arcseconds();
-    assert!(off < 2.0, "{off:.2} arcsec beside the Moon after the flip");
-    let beside = sim.simulator.world().rates_arcsec_per_s();
-    assert!(beside[0].hypot(beside[1]) > 0.2, "at its own rates: {beside:?} arcsec/s");
+    assert!(off < 2.0, "{off:.2} arcsec off the Moon after the flip");
+    let rates = sim.simulator.world().rates_arcsec_per_s();
+    assert!(rates[0].hypot(rates[1]) > 0.2, "at its own rates: {rates:?} arcsec/s");
     sim.until("the row observed", MOST, |sim| sim.ended(0).is_some()).await;
     assert_eq!(frames(&sim), FRAMES, "none is lost and none doubled");
     sim.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_mount_that_is_late_to_tell_its_side_is_not_said_to_have_stayed() {
+async fn a_mount_that_is_late_to_report_its_side_is_not_taken_to_have_stayed() {
     let options = options();
     let sky = observer(&options, options.start);
     let ra = sky.sidereal_time() + Angle::from_hours(BEFORE_MIN / 60.0);
@@ -96,8 +96,8 @@ async fn a_mount_that_is_late_to_tell_its_side_is_not_said_to_have_stayed() {
     tokio::time::sleep(Duration::from_secs(3)).await;
     sim.simulator.world().clear_faults();
     sim.until("the row observed", MOST, |sim| sim.ended(0).is_some()).await;
-    let told = sim.ended(0).unwrap();
-    assert!(!told.contains("stayed on its side"), "{told}");
+    let report = sim.ended(0).unwrap();
+    assert!(!report.contains("stayed on its side"), "{report}");
     assert_eq!((slews(&sim) - before, frames(&sim)), (1, FRAMES), "turned over by one slew");
     sim.stop().await;
 }

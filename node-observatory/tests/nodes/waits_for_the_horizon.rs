@@ -1,15 +1,13 @@
 //! A row whose target is behind the horizon of the site waits until it is clear, and others run meanwhile; one
 //! whose target never will fails at once.
 
-use std::time::Duration;
-
 use contract::observatory::{RowState, RowStatus};
 use sky::{EarthOrientation, Icrs, Observer, Place};
 use units::Utc;
 
+use crate::MOST;
 use crate::sim::{NIGHT, Sim, wide_field};
 
-const MOST: Duration = Duration::from_secs(90);
 const SPEED: f64 = 40.0;
 /// How much higher than the rising target the horizon is at the start, deg: some eight minutes of the night.
 const HIDDEN_DEG: f64 = 1.8;
@@ -20,7 +18,7 @@ fn observer(options: &simulator::Options, at: Utc) -> Observer {
 }
 
 fn row(sim: &Sim, row: usize) -> Option<RowState> {
-    sim.schedule.get()?.said.body.rows.get(row).cloned()
+    sim.schedule.get()?.sample.body.rows.get(row).cloned()
 }
 
 fn is(sim: &Sim, index: usize, status: RowStatus) -> bool {
@@ -62,7 +60,7 @@ async fn a_row_waits_for_its_target_behind_the_hill_and_others_run_meanwhile() {
         observer(&sim.options, clear).to_horizontal(&Icrs::from_degrees(ra, dec)).altitude.degrees() - hill_deg;
     assert!(
         (0.0..0.3).contains(&higher),
-        "told to stand clear {higher} deg above the hill: it is looked for every minute"
+        "it counts as clear {higher} deg above the hill: it is looked for every minute"
     );
     assert_eq!(row(&sim, 0).unwrap().frames, 2);
     sim.stop().await;

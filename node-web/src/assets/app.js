@@ -44,7 +44,7 @@ function draw() {
   show(at("main"), address ? guarded("telescope", () => telescope(address, plan)) : guarded("network", overview));
   const telescopes = [...store.net.values()].filter((s) => !s.shared);
   const age = summary && standing(summary).age;
-  show(at("foot"), `Starmesh ${store.version} · ${telescopes.filter((s) => standing(s).fresh).length} of ${telescopes.length} telescopes live`, summary && age !== null && ` · heard ${duration(age)} ago`);
+  show(at("foot"), `Starmesh ${store.version} · ${telescopes.filter((s) => standing(s).fresh).length} of ${telescopes.length} telescopes live`, summary && age !== null && ` · received ${duration(age)} ago`);
   document.title = `${lost ? "LINK LOST – " : ""}${address ? `${address.split("/")[1]} – ` : ""}Starmesh${urgent}`;
   document.body.dataset.drawn = String(performance.now());
 }

@@ -25,7 +25,7 @@ const KINDS = {
   dome: (f) => [
     when(f.shutter, (v) => `shutter ${v}`) ?? "—", is(f.slewing, "turning"), when(f.azimuth_deg, (v) => `az ${number(v)}°`), is(f.at_park, "parked"), is(f.slaved, "follows the mount"),
   ],
-  filterwheel: (f) => [when(f.position, (v) => (v < 0 ? "moving" : null)), when(f.filter, String) ?? when(f.position, (v) => `slot ${v}`) ?? "—"],
+  filterwheel: (f) => [when(f.filter, String) ?? when(f.position, (v) => `slot ${v}`) ?? f.position?.no_data ?? "—"],
   focuser: (f) => [is(f.moving, "moving"), when(f.position, (v) => `${v} steps`) ?? "—", when(f.temperature_c, (v) => `${number(v)} °C`)],
   rotator: (f) => [is(f.moving, "moving"), when(f.position_deg, (v) => `${number(v)}°`) ?? "—"],
   covercalibrator: (f) => [when(f.cover, (v) => `cover ${v.replaceAll("_", " ")}`) ?? "—", when(f.calibrator, (v) => `lamp ${v.replaceAll("_", " ")}`)],
@@ -106,7 +106,7 @@ export function devices(redraw) {
   const rows = [...store.states].filter(([key]) => /^[^/]+\/[^/]+\/device\/[^/]+\/[^/]+\/state$/.test(key));
   const order = (key) => { const [, telescope, , kind, name] = key.split("/"); return [telescope === "shared" ? 1 : 0, String(ORDER.indexOf(kind)).padStart(2, "0"), name].join("/"); };
   rows.sort(([a], [b]) => order(a).localeCompare(order(b)));
-  if (!rows.length) return h("p", { class: "muted" }, "no device heard yet");
+  if (!rows.length) return h("p", { class: "muted" }, "no device has published yet");
   return h("table", { class: "devices" },
     h("thead", {}, h("tr", {}, ["device", "state", "values", "age", "period"].map((word) => h("th", { scope: "col" }, word)))),
     h("tbody", {}, rows.map(([key, entry]) => row(key, entry, redraw))));

@@ -19,7 +19,7 @@ export function guarded(name, draw) {
   } catch (error) {
     console.warn(`${name} cannot be drawn`, error);
     return h("section", { key: `broken-${name}`, class: "panel broken", role: "alert", "data-broken": name },
-      h("p", {}, h("strong", {}, `▲ ${name}: this part cannot be shown. `), "What it said before is not relied on here. ", String(error?.message ?? error).slice(0, 200)));
+      h("p", {}, h("strong", {}, `▲ ${name}: this part cannot be shown. `), "What it showed before is not relied on here. ", String(error?.message ?? error).slice(0, 200)));
   }
 }
 

@@ -1,4 +1,6 @@
-// The live socket and what it has told: a mirror of what the web node hears.
+// The live socket and what it has sent: a mirror of what the web node receives.
+
+import { askUser } from "./user.js";
 
 /** Everything the page knows. Times are this browser's monotonic milliseconds. */
 export const store = {
@@ -6,7 +8,7 @@ export const store = {
   link: "connecting",
   lostAt: null,
   version: "",
-  /** Sky time of the server, when it was told, and how fast it runs. */
+  /** Sky time of the server, when it was received, and how fast it runs. */
   sky: null,
   net: new Map(),
   watch: null,
@@ -29,6 +31,7 @@ let changed = () => {};
 /** Opens the socket and keeps it open; `onChange` is called when something differs. */
 export function start(onChange) {
   changed = onChange;
+  askUser();
   connect();
   setInterval(() => {
     if (store.link === "live" && performance.now() - heard > SILENT_MS) lose();
@@ -45,7 +48,18 @@ export function watch(telescope) {
   if (telescope === store.watch) return;
   store.watch = telescope;
   forget();
-  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ op: "watch", telescope }));
+  if (socket?.readyState === WebSocket.OPEN) subscribe(socket);
+}
+
+const topicsOf = (telescope) => telescope ? [`tel/${telescope}`, `log?telescope=${telescope}`] : [];
+
+/** Asks for all that the page shows, and for no other telescope any more. */
+function subscribe(opened) {
+  const wanted = topicsOf(store.watch);
+  const ended = opened.topics.filter((topic) => !wanted.includes(topic));
+  if (ended.length) opened.send(JSON.stringify({ op: "unsub", topics: ended }));
+  opened.send(JSON.stringify({ op: "sub", topics: opened.hasNetwork ? wanted : ["net", ...wanted] }));
+  Object.assign(opened, { topics: wanted, hasNetwork: true });
 }
 
 /** Sky time now, ms since 1970, ticking with the server's clock. */
@@ -64,14 +78,11 @@ export function quality(age, period) {
 
 function connect() {
   clearTimeout(retry);
-  const query = store.watch ? `?telescope=${encodeURIComponent(store.watch)}` : "";
-  const asked = store.watch;
-  const opened = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/v1/ws${query}`);
+  const opened = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/v1/ws`);
+  opened.topics = [];
   socket = opened;
   heard = performance.now();
-  opened.onopen = () => {
-    if (asked !== store.watch) opened.send(JSON.stringify({ op: "watch", telescope: store.watch }));
-  };
+  opened.onopen = () => subscribe(opened);
   opened.onmessage = (event) => {
     if (opened !== socket) return;
     const now = performance.now();
@@ -100,6 +111,7 @@ function lose() {
   const old = socket;
   socket = null;
   old?.close();
+  askUser();
   if (store.link === "live") store.lostAt = skyNow();
   store.link = store.link === "connecting" && tries < 2 ? "connecting" : "lost";
   const wait = Math.min(8000, 500 * 2 ** tries) * (0.7 + 0.6 * Math.random());
@@ -115,30 +127,41 @@ function forget() {
   store.log = [];
 }
 
-function take(said, now) {
-  store.sky = { utc: Date.parse(said.server_time_utc), at: now, speed: said.speed };
-  if (said.op === "snap") {
-    store.version = said.version;
-    store.net.clear();
-    if (said.watch === store.watch) {
-      forget();
-      store.whole = true;
-    }
-  }
-  for (const summary of said.net ?? []) store.net.set(summary.id, { ...summary, received: now });
-  for (const [id, ages] of Object.entries(said.ages ?? {})) {
+function take(message, now) {
+  const { op, topic, data } = message;
+  store.sky = { utc: Date.parse(message.at_utc), at: now, speed: data.speed ?? store.sky?.speed ?? 1 };
+  if (op === "welcome") store.version = data.version;
+  else if (op === "err") console.warn(data.detail);
+  else if (topic === "net") takeNetwork(op, data, now);
+  // words of a telescope that is no longer shown may still be on their way
+  else if (topicsOf(store.watch).includes(topic)) takeTelescope(op, topic, data, now);
+}
+
+function takeNetwork(op, data, now) {
+  if (op === "snap") store.net.clear();
+  for (const [id, summary] of Object.entries(data.items ?? {})) store.net.set(id, { ...summary, received: now });
+  for (const id of data.gone ?? []) store.net.delete(id);
+  for (const [id, ages] of Object.entries(data.ages ?? {})) {
     const summary = store.net.get(id);
     if (summary) store.net.set(id, { ...summary, ...ages, received: now });
   }
-  // words of a telescope that is no longer shown may still be on their way
-  if (!store.whole) return;
-  for (const [key, entry] of Object.entries(said.states ?? {})) store.states.set(key, { ...entry, since: now - entry.age_s * 1000 });
-  for (const [key, [age, utc]] of Object.entries(said.again ?? {})) {
+}
+
+function takeTelescope(op, topic, data, now) {
+  if (topic.startsWith("log")) {
+    if (op === "gap") return;
+    const lines = op === "snap" ? data : [...data, ...store.log];
+    store.log = lines.sort((a, b) => (a.at_utc < b.at_utc ? 1 : a.at_utc > b.at_utc ? -1 : b.number - a.number));
+    store.log.length = Math.min(store.log.length, KEPT_LINES);
+    return;
+  }
+  if (op === "snap") {
+    store.states.clear();
+    store.whole = true;
+  }
+  for (const [key, entry] of Object.entries(data.states ?? {})) store.states.set(key, { ...entry, since: now - entry.age_s * 1000 });
+  for (const [key, [age, utc]] of Object.entries(data.again ?? {})) {
     const entry = store.states.get(key);
     if (entry) Object.assign(entry, { since: now - age * 1000, at_utc: utc });
-  }
-  if (said.log?.length) {
-    store.log = [...said.log, ...store.log].sort((a, b) => (a.at_utc < b.at_utc ? 1 : a.at_utc > b.at_utc ? -1 : b.number - a.number));
-    store.log.length = Math.min(store.log.length, KEPT_LINES);
   }
 }

@@ -31,7 +31,7 @@ export function alertCounts(counts) {
 /** An age that ticks, with the word for what it is worth. */
 export function ageMark(age, worth, after = "") {
   const words = { fresh: "", stale: "stale ", lost: "lost ", never: "" }[worth];
-  const shown = age === null ? "not heard yet" : words + duration(age) + after;
+  const shown = age === null ? "not received yet" : words + duration(age) + after;
   return h("span", { class: `age ${worth}`, "data-age": age === null ? "" : Math.floor(age), "data-quality": worth }, shown);
 }
 
@@ -99,7 +99,7 @@ function tile(summary) {
     h("div", { class: "tile-head" }, h("h3", {}, summary.telescope_id),
       h("span", { class: "modes" }, summary.simulated && h("span", { class: "word sim" }, "SIMULATION"), h("span", { class: "word" }, now.mode === "unknown" ? "" : now.mode.toUpperCase()))),
     h("p", { class: "words" }, words(now)),
-    h("p", { class: "doing" }, now.worth === "never" ? "no observatory node heard yet" : activity(summary, now.fresh)),
+    h("p", { class: "doing" }, now.worth === "never" ? "no observatory node has published yet" : activity(summary, now.fresh)),
     summary.schedule && h("p", { class: "muted" }, `${summary.schedule.finished} of ${summary.schedule.rows} rows done`, summary.schedule.failed ? `, ${summary.schedule.failed} failed or skipped` : "", ` · ${summary.frames} frames`),
     !navigator.connection?.saveData && picture(arrived(summary), "thumb"),
     unreadable(summary),

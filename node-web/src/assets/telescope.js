@@ -22,7 +22,7 @@ function banner(summary, now) {
     h("p", { class: "words big", "data-safety": now.safety, "data-posture": now.posture, "data-mode": now.mode, "aria-live": "assertive", "aria-atomic": "true" },
       words(now), now.mode !== "unknown" && h("span", { class: "word" }, now.mode.toUpperCase()), summary.simulated && h("span", { class: "word sim" }, "SIMULATION")),
     h("p", { class: "since" }, toSafe && h("strong", { "data-time-to-safe": safety.time_to_safe_s }, `${toSafe}. `),
-      now.fresh && safety.since_utc && `${safety.state} since ${clock(safety.since_utc)}, `, now.fresh ? "heard " : store.link !== "live" && `last heard: ${safety.state.toUpperCase()}, ${summary.posture.toUpperCase()}, `, ageMark(now.age, now.worth, " ago")),
+      now.fresh && safety.since_utc && `${safety.state} since ${clock(safety.since_utc)}, `, now.fresh ? "received " : store.link !== "live" && `last received: ${safety.state.toUpperCase()}, ${summary.posture.toUpperCase()}, `, ageMark(now.age, now.worth, " ago")),
     store.link === "live" && [["", safety.reasons], ["No exposures of the sky: ", safety.suspended], ["Near a limit: ", safety.advisories]].map(([lead, list]) =>
       list.length > 0 && h("ul", { key: lead, class: "reasons" }, list.map((reason) => h("li", { key: reason.input }, lead,
         h("strong", {}, reason.input), ` ${reason.why}`, reason.clears_in_s != null && h("span", { class: "muted" }, ` (can clear in ${duration(reason.clears_in_s)})`))))));
@@ -79,7 +79,7 @@ function image(summary) {
 
 function schedule(address) {
   const entry = stateOf(address, "schedule");
-  if (!entry) return section("schedule", "Schedule", h("p", { class: "muted" }, "no schedule heard yet"));
+  if (!entry) return section("schedule", "Schedule", h("p", { class: "muted" }, "no schedule received yet"));
   const { rows, file, revision, refused } = entry.body;
   return section("schedule", "Schedule",
     h("p", { class: "muted" }, `${file}, version ${revision} · `, entryAge(entry)),
@@ -154,7 +154,7 @@ export function telescope(address, again) {
   const summary = store.net.get(address);
   if (!summary) {
     if (store.link !== "live") return h("p", { class: "empty" }, "Connecting …");
-    return [h("h1", { tabindex: "-1" }, address), h("p", { class: "empty" }, "Nothing of this telescope was heard on the bus. ", h("a", { href: "/", "data-go": true }, "All telescopes"))];
+    return [h("h1", { tabindex: "-1" }, address), h("p", { class: "empty" }, "Nothing of this telescope was received from the bus. ", h("a", { href: "/", "data-go": true }, "All telescopes"))];
   }
   const now = standing(summary);
   const head = h("div", { class: "title", key: "title" }, h("h1", { tabindex: "-1" }, summary.telescope_id), h("p", { class: "muted" }, summary.site_id, skyNow() ? ` · ${day(skyNow())}` : ""));

@@ -7,70 +7,94 @@ use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use axum::body::Bytes;
-use axum::extract::{Query, State};
+use axum::extract::{Extension, State};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use bus::MachineTime;
 use contract::observatory::{Alert, Posture, Priority};
 use contract::{Address, Key, Kind, Reading};
+use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 use units::Utc;
+use users::Principal;
 
 use crate::freshness::Quality;
 use crate::host::Usage;
+use crate::json_body::AskedFor;
 use crate::model::{Model, Telescope};
 use crate::problem::Problem;
 use crate::server::Server;
 use crate::summary::{Mode, SafetyWord, Summary};
 
 /// One document serves all clients that ask within this time.
-const KEPT: Duration = Duration::from_millis(250);
+const VALID_FOR: Duration = Duration::from_millis(250);
 
 /// Which telescope: its id, or `site/telescope` where two sites have the same id; all where absent.
-#[derive(Debug, Deserialize)]
-pub struct Wanted {
+#[derive(Debug, JsonSchema, Deserialize)]
+pub struct HeartbeatQuery {
+    /// A telescope, as its id or as `site/telescope`; all where absent.
     telescope: Option<String>,
 }
 
 /// The document of one telescope, or of all.
-pub async fn heartbeat(State(server): State<Arc<Server>>, Query(wanted): Query<Wanted>) -> Result<Response, Problem> {
+pub async fn heartbeat(
+    State(server): State<Arc<Server>>,
+    Extension(caller): Extension<Principal>,
+    AskedFor(wanted): AskedFor<HeartbeatQuery>,
+) -> Result<Response, Problem> {
+    let may_see = |address: &Address| caller.right_at(address).is_some();
     let address = match &wanted.telescope {
         None => None,
-        Some(name) => Some(find(&server.network.read(), name)?),
+        Some(name) => Some(find(&server.network.read(), name, may_see)?),
     };
     let now = server.network.clock().machine();
-    let mut kept = server.heartbeats.lock().unwrap_or_else(PoisonError::into_inner);
-    let bytes = match kept.get(&address) {
-        Some((made, bytes)) if now.since(*made) < KEPT => bytes.clone(),
+    let named = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
+    let make = || {
+        let (model, utc) = (server.network.read(), server.network.clock().utc());
+        let data = document(&model, address.as_ref(), may_see, server.host.usage(), now, utc);
+        Bytes::from(json!({ "status": "success", "message": "", "data": data }).to_string())
+    };
+    if caller.right_everywhere().is_none() {
+        // Others may see more.
+        return Ok((named, make()).into_response());
+    }
+    let mut cached = server.heartbeats.lock().unwrap_or_else(PoisonError::into_inner);
+    let bytes = match cached.get(&address) {
+        Some((made, bytes)) if now.since(*made) < VALID_FOR => bytes.clone(),
         _ => {
-            let utc = server.network.clock().utc();
-            let data = document(&server.network.read(), address.as_ref(), server.host.usage(), now, utc);
-            let answer = json!({ "status": "success", "message": "", "data": data });
-            let bytes = Bytes::from(answer.to_string());
-            kept.insert(address, (now, bytes.clone()));
+            let bytes = make();
+            cached.insert(address.clone(), (now, bytes.clone()));
             bytes
         }
     };
-    let named = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
     Ok((named, bytes).into_response())
 }
 
-fn find(model: &Model, name: &str) -> Result<Address, Problem> {
-    let is_wanted = |address: &&Address| address.telescope.as_str() == name || address.to_string() == name;
+fn find(model: &Model, name: &str, may_see: impl Fn(&Address) -> bool) -> Result<Address, Problem> {
+    let is_named = |address: &Address| address.telescope.as_str() == name || address.to_string() == name;
+    let is_wanted = |address: &&Address| is_named(address) && may_see(address);
     let mut found = model.telescopes.keys().filter(is_wanted);
     match (found.next(), found.next()) {
         (Some(address), None) => Ok(address.clone()),
-        (None, _) => Err(Problem::not_found(format!("No telescope {name} was heard on the bus."))),
+        (None, _) => Err(Problem::not_found(format!("No telescope {name} publishes on the bus."))),
         (Some(_), Some(_)) => Err(Problem::not_found(format!("Several sites have a {name}: ask for site/{name}."))),
     }
 }
 
-fn document(model: &Model, wanted: Option<&Address>, usage: Usage, now: MachineTime, utc: Utc) -> Value {
+/// The document of one telescope, or of all that may be seen.
+pub fn document(
+    model: &Model,
+    wanted: Option<&Address>,
+    may_see: impl Fn(&Address) -> bool,
+    usage: Usage,
+    now: MachineTime,
+    utc: Utc,
+) -> Value {
     let is_shared = |address: &Address| address.telescope.as_str() == Address::SHARED;
     let wanted: Vec<(&Address, &Telescope)> = match wanted {
         Some(address) => model.telescopes.get_key_value(address).into_iter().collect(),
-        None => model.telescopes.iter().filter(|(address, _)| !is_shared(address)).collect(),
+        None => model.telescopes.iter().filter(|(address, _)| !is_shared(address) && may_see(address)).collect(),
     };
     let documents: Vec<(&Address, Map<String, Value>, Posture)> = wanted
         .into_iter()
@@ -96,23 +120,23 @@ fn one(
 ) -> Map<String, Value> {
     let face = &summary.face;
     let stale = face.quality != Quality::Fresh;
-    let told = |alert: &Alert| {
+    let describe = |alert: &Alert| {
         let (kind, name) = source(&alert.id, telescope);
         json!({ "device_type": kind, "device_name": name, "error": format!("{}: {}", alert.id, alert.cause) })
     };
     // An alert that has cleared and is not acknowledged is no error of now, but a script that asks every few minutes
     // must not miss it.
-    let (returned, standing): (Vec<&Alert>, Vec<&Alert>) = face
+    let (returned, active): (Vec<&Alert>, Vec<&Alert>) = face
         .alerts
         .iter()
         .filter(|alert| alert.priority != Priority::Advisory)
         .partition(|alert| alert.returned_utc.is_some());
-    let mut errors: Vec<Value> = standing.into_iter().map(told).collect();
-    let returned: Vec<Value> = returned.into_iter().map(told).collect();
+    let mut errors: Vec<Value> = active.into_iter().map(describe).collect();
+    let returned: Vec<Value> = returned.into_iter().map(describe).collect();
     if stale {
         let error = match summary.ages.age_s {
             Some(age_s) => format!("stale: the observatory node has been silent for {age_s:.0} s"),
-            None => "stale: the observatory node was not heard since this page's server started".to_owned(),
+            None => "stale: nothing was received from the observatory node since this page's server started".to_owned(),
         };
         errors.push(json!({
             "device_type": "Observatory", "device_name": address.telescope.as_str(), "error": error,
@@ -179,12 +203,13 @@ fn all(several: &[(&Address, Map<String, Value>, Posture)], usage: Usage, utc: U
     };
     let mut errors = of_all("error_source");
     if several.is_empty() {
-        errors.push(json!({ "device_type": "Network", "device_name": "", "error": "no telescope was heard" }));
+        errors
+            .push(json!({ "device_type": "Network", "device_name": "", "error": "no telescope publishes on the bus" }));
     }
     // A closed telescope may have any weather.
     let open = several.iter().filter(|(_, _, posture)| *posture != Posture::Closed);
     let open: Vec<&Map<String, Value>> = open.map(|(_, document, _)| document).collect();
-    let heeded: Vec<&Map<String, Value>> =
+    let counted: Vec<&Map<String, Value>> =
         if open.is_empty() { several.iter().map(|(_, document, _)| document).collect() } else { open };
     let ages = several.iter().map(|(_, document, _)| document["age_s"].as_f64());
     let oldest = ages.collect::<Option<Vec<f64>>>().and_then(|ages| ages.into_iter().reduce(f64::max));
@@ -201,7 +226,7 @@ fn all(several: &[(&Address, Map<String, Value>, Posture)], usage: Usage, utc: U
         "error_free": errors.is_empty(),
         "error_source": errors,
         "returned": of_all("returned"),
-        "weather_safe": !heeded.is_empty() && heeded.iter().all(|document| is(document, "weather_safe")),
+        "weather_safe": !counted.is_empty() && counted.iter().all(|document| is(document, "weather_safe")),
         "schedule_running": several.iter().any(|(_, document, _)| is(document, "schedule_running")),
         "cpu_percent": usage.cpu_percent,
         "memory_percent": usage.memory_percent,
@@ -249,7 +274,8 @@ fn source(alert_id: &str, telescope: &Telescope) -> (&'static str, String) {
     }
 }
 
-fn legacy_time(utc: Utc) -> String {
+/// A time as Astra wrote it.
+pub fn legacy_time(utc: Utc) -> String {
     utc.strftime("%Y-%m-%d %H:%M:%S.%3f")
 }
 

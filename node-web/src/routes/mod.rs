@@ -1,7 +1,17 @@
 //! One file per page or document.
 
+pub mod frames;
 pub mod health;
 pub mod heartbeat;
+pub mod history;
+pub mod legacy;
+pub mod login;
+pub mod metrics;
 pub mod network;
 pub mod page;
+pub mod parts;
 pub mod preview;
+pub mod records;
+pub mod reports;
+pub mod sessions;
+pub mod tokens;

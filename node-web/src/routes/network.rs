@@ -1,78 +1,159 @@
-//! The native JSON: the network in short, one telescope in full.
+//! The network in short, one telescope in full.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::{Extension, Path, State};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
-use contract::Address;
-use serde_json::{Map, Value, json};
+use contract::{Address, Key, Right};
+use schemars::JsonSchema;
+use serde::Serialize;
+use serde_json::Value;
+use units::Utc;
+use users::Principal;
 
+use crate::diary::Line;
 use crate::model::Entry;
 use crate::network::Network;
 use crate::problem::Problem;
 use crate::server::Server;
-use crate::summary::{Summary, nodes};
+use crate::summary::{NodeSummary, Summary, nodes};
 
-const NEVER_KEPT: [(header::HeaderName, &str); 1] = [(header::CACHE_CONTROL, "no-store")];
+/// Nothing between this server and its reader may store what is true only now.
+pub const NEVER_CACHED: [(header::HeaderName, &str); 1] = [(header::CACHE_CONTROL, "no-store")];
 
-/// All telescopes with their nodes; the devices that a site shares are under `shared`.
-pub async fn network(State(server): State<Arc<Server>>) -> Response {
+/// The whole network in short.
+#[derive(Debug, JsonSchema, Serialize)]
+pub struct NetworkAnswer {
+    /// Sky time of this server.
+    pub server_time_utc: Utc,
+    /// How many times faster than real time the sky goes; 1 except in a simulation.
+    pub speed: f64,
+    /// The telescopes.
+    pub telescopes: Vec<TelescopeInNetwork>,
+    /// What the telescopes of each site share.
+    pub shared: Vec<TelescopeInNetwork>,
+}
+
+/// A telescope with its nodes.
+#[derive(Debug, JsonSchema, Serialize)]
+pub struct TelescopeInNetwork {
+    /// In short.
+    #[serde(flatten)]
+    pub summary: Summary,
+    /// Its nodes.
+    pub nodes: Vec<NodeSummary>,
+}
+
+/// Everything known of one telescope.
+#[derive(Debug, JsonSchema, Serialize)]
+pub struct TelescopeAnswer {
+    /// Sky time of this server.
+    pub server_time_utc: Utc,
+    /// How many times faster than real time the sky goes; 1 except in a simulation.
+    pub speed: f64,
+    /// In short.
+    pub summary: Summary,
+    /// The newest payload of each key of the bus, by the key without `starmesh/v1/`.
+    pub states: BTreeMap<String, StateNow>,
+    /// The last lines of its nodes' logs.
+    pub log: Vec<Line>,
+}
+
+/// A payload as it was received.
+#[derive(Debug, JsonSchema, Serialize)]
+pub struct StateNow {
+    /// Sky time of its sender.
+    pub at_utc: Utc,
+    /// How old it is by the clock of this server, s.
+    pub age_s: f64,
+    /// It is published again within so many seconds; absent for what is not repeated.
+    pub period_s: Option<f64>,
+    /// The payload, as the AsyncAPI document of the bus describes it.
+    pub body: Value,
+}
+
+impl StateNow {
+    /// As a payload is now, for this caller.
+    pub fn of(entry: &Entry, network: &Network, caller: &Principal) -> Self {
+        Self {
+            at_utc: entry.at_utc,
+            age_s: entry.age(network.clock().machine()).as_secs_f64(),
+            period_s: entry.period().map(|period| period.as_secs_f64()),
+            body: body_for(entry, caller),
+        }
+    }
+}
+
+/// A payload without the address of a device's server, where the caller may only look.
+pub fn body_for(entry: &Entry, caller: &Principal) -> Value {
+    let mut body = Value::clone(&entry.body);
+    if matches!(entry.key, Key::Capabilities(_))
+        && caller.right_at(entry.key.address()) <= Some(Right::Viewer)
+        && let Some(fields) = body.as_object_mut()
+    {
+        fields.remove("server");
+    }
+    body
+}
+
+/// All telescopes that the caller may see, with their nodes; the devices that a site shares are under `shared`.
+pub async fn network(State(server): State<Arc<Server>>, Extension(caller): Extension<Principal>) -> Response {
     let network = &server.network;
     let now = network.clock().machine();
-    let of = |shared: bool| -> Vec<Value> {
+    let of = |is_shared: bool| -> Vec<TelescopeInNetwork> {
         let model = network.read();
-        let wanted =
-            model.telescopes.iter().filter(|(address, _)| (address.telescope.as_str() == Address::SHARED) == shared);
-        let said = wanted.map(|(address, telescope)| {
-            let mut said = json!(Summary::of(address, telescope, now));
-            said["nodes"] = json!(nodes(telescope, now));
-            said
+        let is_wanted = |address: &Address| {
+            (address.telescope.as_str() == Address::SHARED) == is_shared && caller.right_at(address).is_some()
+        };
+        let wanted = model.telescopes.iter().filter(|(address, _)| is_wanted(address));
+        let telescopes = wanted.map(|(address, telescope)| TelescopeInNetwork {
+            summary: Summary::of(address, telescope, now),
+            nodes: nodes(telescope, now),
         });
-        said.collect()
+        telescopes.collect()
     };
-    let body = json!({
-        "server_time_utc": network.clock().utc(),
-        "speed": network.clock().speed(),
-        "telescopes": of(false),
-        "shared": of(true),
-    });
-    (NEVER_KEPT, Json(body)).into_response()
+    let answer = NetworkAnswer {
+        server_time_utc: network.clock().utc(),
+        speed: network.clock().speed(),
+        telescopes: of(false),
+        shared: of(true),
+    };
+    (NEVER_CACHED, Json(answer)).into_response()
+}
+
+/// The address that a path names, if anything of it publishes on the bus.
+///
+/// # Errors
+/// Where nothing does.
+pub fn known(network: &Network, site: &str, telescope: &str) -> Result<Address, Problem> {
+    let address = Address::new(site, telescope).ok().filter(|address| network.read().telescopes.contains_key(address));
+    address.ok_or_else(|| Problem::not_found(format!("No telescope {site}/{telescope} publishes on the bus.")))
 }
 
 /// Everything known of one telescope.
 pub async fn telescope(
     State(server): State<Arc<Server>>,
+    Extension(caller): Extension<Principal>,
     Path((site, telescope)): Path<(String, String)>,
 ) -> Result<Response, Problem> {
-    let unknown = || Problem::not_found(format!("No telescope {site}/{telescope} was heard on the bus."));
-    let address = Address::new(&site, &telescope).map_err(|_| unknown())?;
     let network = &server.network;
+    let address = known(network, &site, &telescope)?;
     let now = network.clock().machine();
     let model = network.read();
-    let known = model.telescopes.get(&address).ok_or_else(unknown)?;
-    let body = json!({
-        "server_time_utc": network.clock().utc(),
-        "speed": network.clock().speed(),
-        "summary": Summary::of(&address, known, now),
-        "states": states(known.states.iter(), network),
-        "log": known.diary.after(0).collect::<Vec<_>>(),
-    });
-    Ok((NEVER_KEPT, Json(body)).into_response())
-}
-
-/// Entries as the socket and the API show them.
-pub fn states<'a>(entries: impl Iterator<Item = (&'a String, &'a Entry)>, network: &Network) -> Map<String, Value> {
-    let now = network.clock().machine();
-    let shown = entries.map(|(name, entry)| {
-        let shown = json!({
-            "at_utc": entry.at_utc,
-            "age_s": entry.age(now).as_secs_f64(),
-            "period_s": entry.period().map(|period| period.as_secs_f64()),
-            "body": *entry.body,
-        });
-        (name.clone(), shown)
-    });
-    shown.collect()
+    let known = model.telescopes.get(&address).ok_or_else(|| Problem::not_found("It has just been forgotten."))?;
+    let answer = TelescopeAnswer {
+        server_time_utc: network.clock().utc(),
+        speed: network.clock().speed(),
+        summary: Summary::of(&address, known, now),
+        states: known
+            .states
+            .iter()
+            .map(|(name, entry)| (name.clone(), StateNow::of(entry, network, &caller)))
+            .collect(),
+        log: known.diary.after(0).cloned().collect(),
+    };
+    Ok((NEVER_CACHED, Json(answer)).into_response())
 }

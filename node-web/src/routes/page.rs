@@ -1,8 +1,10 @@
 //! The page and its assets, built into the program.
 
+use axum::Extension;
 use axum::extract::Path;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use users::Principal;
 
 use crate::problem::Problem;
 
@@ -14,6 +16,8 @@ const ASSETS: &[(&str, &str, &str)] = &[
     ("style.css", "text/css; charset=utf-8", include_str!("../assets/style.css")),
     ("favicon.svg", "image/svg+xml", FAVICON),
     ("theme.js", SCRIPT, include_str!("../assets/theme.js")),
+    ("login.js", SCRIPT, include_str!("../assets/login.js")),
+    ("user.js", SCRIPT, include_str!("../assets/user.js")),
     ("app.js", SCRIPT, include_str!("../assets/app.js")),
     ("link.js", SCRIPT, include_str!("../assets/link.js")),
     ("dom.js", SCRIPT, include_str!("../assets/dom.js")),
@@ -24,10 +28,22 @@ const ASSETS: &[(&str, &str, &str)] = &[
 ];
 const FAVICON: &str = include_str!("../assets/favicon.svg");
 const INDEX: &str = include_str!("../assets/index.html");
+const LOGIN: &str = include_str!("../assets/login.html");
 
-/// The one page; it reads its own address to know what to show.
-pub async fn index(headers: HeaderMap) -> Response {
-    served(&headers, HTML, INDEX)
+/// The one page, which reads its own address to know what to show; for somebody without any right, the login page.
+pub async fn index(Extension(principal): Extension<Principal>, headers: HeaderMap) -> Response {
+    match principal.right_anywhere() {
+        // Stored by a browser from which somebody logs out, it is asked for again.
+        Some(_) => ([(header::VARY, "Cookie")], served(&headers, HTML, INDEX)).into_response(),
+        None => {
+            let named = [
+                (header::CONTENT_TYPE, HTML),
+                (header::CACHE_CONTROL, "no-store"),
+                (header::WWW_AUTHENTICATE, "Bearer realm=\"starmesh\""),
+            ];
+            (StatusCode::UNAUTHORIZED, named, LOGIN).into_response()
+        }
+    }
 }
 
 /// One asset.
@@ -71,15 +87,15 @@ mod tests {
 
     #[test]
     fn the_page_names_only_assets_that_are_served_and_runs_nothing_inline() {
-        for part in INDEX.split("/assets/").skip(1) {
-            let name: String = part.chars().take_while(|c| c.is_alphanumeric() || matches!(c, '.' | '-')).collect();
-            assert!(ASSETS.iter().any(|(asset, ..)| *asset == name), "{name}");
+        for page in [INDEX, LOGIN] {
+            for part in page.split("/assets/").skip(1) {
+                let name: String = part.chars().take_while(|c| c.is_alphanumeric() || matches!(c, '.' | '-')).collect();
+                assert!(ASSETS.iter().any(|(asset, ..)| *asset == name), "{name}");
+            }
+            assert!(!page.contains("style=") && !page.contains("<style") && !page.contains(" onclick"));
+            let loaded = page.matches("<script src").count() + page.matches("<script type=\"module\" src").count();
+            assert_eq!(page.matches("<script").count(), loaded);
         }
-        assert!(!INDEX.contains("style=") && !INDEX.contains("<style") && !INDEX.contains(" onclick"));
-        assert!(
-            INDEX.matches("<script").count()
-                == INDEX.matches("<script src").count() + INDEX.matches("<script type=\"module\" src").count()
-        );
     }
 
     #[test]

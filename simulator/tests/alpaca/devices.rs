@@ -65,8 +65,8 @@ async fn every_kind_answers_its_whole_property_list() {
             assert!(!site.get(kind, member).await.is_null(), "{kind} {member}");
         }
         let state = site.get(kind, "devicestate").await;
-        let told: Vec<&str> = state.as_array().unwrap().iter().map(|item| item["Name"].as_str().unwrap()).collect();
-        assert!(told.len() >= 2 && told.contains(&"TimeStamp"), "{kind}: {told:?}");
+        let answer: Vec<&str> = state.as_array().unwrap().iter().map(|item| item["Name"].as_str().unwrap()).collect();
+        assert!(answer.len() >= 2 && answer.contains(&"TimeStamp"), "{kind}: {answer:?}");
     }
     for (member, query) in [
         ("axisrates", "Axis=0"),
@@ -95,7 +95,7 @@ async fn every_kind_answers_its_whole_property_list() {
 }
 
 #[tokio::test]
-async fn an_unconnected_device_says_so() {
+async fn an_unconnected_device_answers_not_connected() {
     let site = Site::start(options(1.0)).await;
     for kind in KINDS {
         assert_eq!(site.get(kind, "connected").await, false);
@@ -162,12 +162,12 @@ async fn discovery_answers_when_asked_for() {
     socket.send_to(b"alpacadiscovery1", ("127.0.0.1", port)).await.unwrap();
     let mut answer = [0; 200];
     let length = socket.recv(&mut answer).await.unwrap();
-    let told: Value = serde_json::from_slice(&answer[..length]).unwrap();
-    assert_eq!(told["AlpacaPort"], site.simulator.address().port());
+    let state: Value = serde_json::from_slice(&answer[..length]).unwrap();
+    assert_eq!(state["AlpacaPort"], site.simulator.address().port());
 }
 
 #[tokio::test]
-async fn a_stopped_simulator_is_gone_for_kept_connections_too() {
+async fn a_stopped_simulator_is_gone_for_persistent_connections_too() {
     let site = Site::start(options(1.0)).await;
     site.get("dome", "name").await;
     let url = site.url("dome", "name");

@@ -57,7 +57,7 @@ async fn a_hung_device_never_answers_and_delays_no_other() {
     assert!(put.unwrap_err().is_timeout());
     site.get("telescope", "altitude").await;
     site.simulator.world().clear_faults();
-    assert_eq!(site.get("dome", "shutterstatus").await, 1, "a hung dome obeys nothing");
+    assert_eq!(site.get("dome", "shutterstatus").await, 1, "a hung dome executes nothing");
 }
 
 #[tokio::test]
@@ -71,7 +71,7 @@ async fn a_refusing_device_drops_the_line() {
 }
 
 #[tokio::test]
-async fn a_mute_device_obeys_and_drops_the_line() {
+async fn a_mute_device_executes_and_drops_the_connection() {
     let site = Site::connected(options(100.0), &["dome"]).await;
     site.simulator.world().fault(Kind::Dome, Fault::mute().only(&["openshutter"]));
     let error = site.http.put(site.url("dome", "openshutter")).send().await.unwrap_err();
@@ -138,7 +138,7 @@ async fn a_dome_runs_on_until_it_is_stopped_and_its_shutter_waits_for_that() {
 }
 
 #[tokio::test]
-async fn a_lying_mount_says_parked_and_a_lost_one_wants_connecting() {
+async fn a_lying_mount_reports_parked_and_a_lost_one_wants_connecting() {
     let site = Site::connected(options(1.0), &["telescope"]).await;
     site.put("telescope", "unpark", "").await;
     assert_eq!(site.get("telescope", "atpark").await, false);
@@ -181,9 +181,9 @@ async fn the_log_shows_when_a_command_was_on_the_wire() {
     let last: Vec<(&str, &str)> = puts.iter().map(|put| (put.member.as_str(), put.parameters.as_str())).collect();
     assert_eq!(last, [("connected", "Connected=true"), ("slewtoazimuth", "Azimuth=30"), ("closeshutter", "")]);
     assert!(puts[1].at > before && puts[2].at >= puts[1].at && puts[2].error == Some(0));
-    let told = site.control("log?since=2").await;
-    assert_eq!(told["puts"][0]["member"], "closeshutter");
-    assert_eq!(told["requests"]["last_minute"], 3);
+    let answer = site.control("log?since=2").await;
+    assert_eq!(answer["puts"][0]["member"], "closeshutter");
+    assert_eq!(answer["requests"]["last_minute"], 3);
 }
 
 #[tokio::test]

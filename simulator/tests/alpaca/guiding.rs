@@ -41,14 +41,14 @@ async fn a_reversal_in_declination_is_lost_in_the_gear_and_the_encoder_does_not_
         let site = tracking(sloppy, hour_angle_h).await;
         // From any state that the slew left: drive north for longer than the play.
         pulse(&site, 0, 3000).await;
-        let told = site.get("telescope", "declination").await.as_f64().unwrap();
+        let reported = site.get("telescope", "declination").await.as_f64().unwrap();
         let (_, north) = pulse(&site, 0, 1000).await;
         assert!(near(north, GUIDE_ARCSEC_PER_S), "going on loses nothing: {north}");
         let (_, north) = pulse(&site, 1, 1500).await;
         assert!(near(north, 0.0), "inside the play: {north}");
         let (_, north) = pulse(&site, 1, 1500).await;
         assert!(near(north, -GUIDE_ARCSEC_PER_S), "half a second of play was left: {north}");
-        let moved = site.get("telescope", "declination").await.as_f64().unwrap() - told;
+        let moved = site.get("telescope", "declination").await.as_f64().unwrap() - reported;
         assert!(near(moved * 3600.0, -2.0 * GUIDE_ARCSEC_PER_S), "the encoder counts the motor: {moved}");
         let (_, north) = pulse(&site, 0, 3000).await;
         assert!(near(north, GUIDE_ARCSEC_PER_S), "and back: {north}");
@@ -85,7 +85,7 @@ async fn north_is_north_on_both_sides_of_the_pier_unless_the_mount_reverses_it()
     assert!(near(north, GUIDE_ARCSEC_PER_S), "{north}");
     site.put("telescope", "guideratedeclination", "GuideRateDeclination=0.001").await;
     let (_, north) = pulse(&site, 0, 1000).await;
-    assert!(near(north, 3.6), "the guide rate that is told is the one that acts: {north}");
+    assert!(near(north, 3.6), "the guide rate that is reported is the one that acts: {north}");
     assert_eq!(site.order("world/mount", r#"{"dec_pulses_reverse_west": true}"#).await, 200);
     let (_, north) = pulse(&site, 0, 1000).await;
     assert!(near(north, -3.6), "{north}");
@@ -114,7 +114,7 @@ async fn a_slewing_mount_refuses_pulses() {
 }
 
 #[tokio::test]
-async fn a_focuser_with_play_stands_elsewhere_than_it_tells_when_it_came_from_above() {
+async fn a_focuser_with_play_stands_elsewhere_than_it_reports_when_it_came_from_above() {
     let mut sloppy = options(100.0);
     sloppy.focus.backlash_steps = 80.0;
     let site = Site::connected(sloppy, &["focuser"]).await;

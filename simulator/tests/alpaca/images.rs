@@ -244,10 +244,10 @@ async fn darks_have_no_stars_and_grow_with_time_and_warmth() {
 }
 
 #[tokio::test]
-async fn a_slit_that_stands_elsewhere_hides_the_stars_and_the_world_tells_it() {
+async fn a_slit_that_stands_elsewhere_hides_the_stars_and_the_world_shows_it() {
     // 35 deg from the zenith, so that the slit must stand in the south.
     let site = observing(options(100.0), 3.0, -60.0).await;
-    let dome = |site: &Site| site.simulator.world().told()["dome"].clone();
+    let dome = |site: &Site| site.simulator.world().state()["dome"].clone();
     let bright = |image: &Image| {
         let limit = image.median() + 1000;
         image.pixels.iter().filter(|count| **count > limit).count()
@@ -272,7 +272,7 @@ async fn a_slit_that_stands_elsewhere_hides_the_stars_and_the_world_tells_it() {
 }
 
 #[tokio::test]
-async fn a_roof_says_that_it_does_not_turn() {
+async fn a_roof_reports_that_it_does_not_turn() {
     let mut options = options(100.0);
     options.dome.slit = None;
     let site = Site::connected(options, &["dome"]).await;

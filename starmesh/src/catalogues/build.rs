@@ -25,7 +25,7 @@ pub struct Options {
     /// column `mag`, else G.
     #[arg(long, value_parser = band)]
     magnitude: Option<Band>,
-    /// Epoch of positions whose source does not tell it, Julian year. Without it: 2016.0 (Gaia DR3), and 2015.5 for
+    /// Epoch of positions whose source does not report it, Julian year. Without it: 2016.0 (Gaia DR3), and 2015.5 for
     /// Gaia-2MASS files without BP and RP (Gaia DR2).
     #[arg(long, value_parser = year)]
     epoch: Option<f64>,
@@ -35,7 +35,7 @@ pub struct Options {
     /// Faintest magnitude (G) to ask Gaia for.
     #[arg(long, default_value_t = 17.0)]
     faintest: f64,
-    /// Who is asked for Gaia's stars.
+    /// The server that is asked for Gaia's stars.
     #[arg(long, value_enum, default_value_t = Service::Esa)]
     gaia_service: Service,
     /// Another address of the service's synchronous TAP endpoint.
@@ -148,12 +148,12 @@ async fn sources(options: &Options) -> anyhow::Result<Vec<PathBuf>> {
 }
 
 fn words(tally: &Tally) -> String {
-    let mut said = format!("{} stars, {} without proper motion", tally.stars, tally.unmoving);
+    let mut text = format!("{} stars, {} without proper motion", tally.stars, tally.unmoving);
     if tally.unplaced > 0 {
-        said += &format!(", {} rows without a place left out", tally.unplaced);
+        text += &format!(", {} rows without a place left out", tally.unplaced);
     }
     if tally.without_mag > 0 {
-        said += &format!(", {} rows without a magnitude left out", tally.without_mag);
+        text += &format!(", {} rows without a magnitude left out", tally.without_mag);
     }
-    said
+    text
 }

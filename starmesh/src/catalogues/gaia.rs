@@ -13,7 +13,7 @@ use super::http;
 /// Stars of one answer; the services end at three million.
 const MOST_STARS: u64 = 2_900_000;
 
-/// Who has Gaia's stars.
+/// The servers that have Gaia's stars.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Service {
     /// The Gaia archive of ESA.
@@ -109,14 +109,14 @@ pub async fn ask(url: &str, query: &str, cone: &Cone, folder: &Path, timeout: Du
         http::post(url, &form, &part, timeout).await?;
         check(&part)
     };
-    let kept = match fetched.await {
+    let renamed = match fetched.await {
         Ok(()) => std::fs::rename(&part, &file).with_context(|| format!("{} cannot be written", file.display())),
         Err(error) => Err(error.context(format!("Gaia's stars could not be fetched from {url}"))),
     };
-    if kept.is_err() {
+    if renamed.is_err() {
         let _ = std::fs::remove_file(&part); // It may never have been there.
     }
-    kept.map(|()| file)
+    renamed.map(|()| file)
 }
 
 /// Whether an answer is a table, and whole. TAP reports its errors as VOTable, with any HTTP status.

@@ -1,18 +1,12 @@
-//! Sends a question to a web service and writes its answer into a file; TLS by rustls and the host's own root
-//! certificates.
+//! Sends a question to a web service and writes its answer into a file.
 
 use std::io::Write as _;
 use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context as _, bail, ensure};
-use bytes::Bytes;
-use http_body_util::{BodyExt as _, Full};
-use hyper::header::{CONTENT_TYPE, LOCATION, USER_AGENT};
-use hyper::{Method, Request, Uri};
-use hyper_rustls::HttpsConnectorBuilder;
-use hyper_util::client::legacy::Client;
-use hyper_util::rt::TokioExecutor;
+use internet::header::{CONTENT_TYPE, LOCATION};
+use internet::{Client, Method, Request, Uri};
 
 /// TAP services may redirect to the address of the answer; more redirections than this are a circle.
 const MOST_REDIRECTIONS: usize = 5;
@@ -30,30 +24,15 @@ pub async fn post(url: &str, form: &[(&str, &str)], file: &Path, timeout: Durati
 
 async fn exchange(url: &str, form: String, file: &Path) -> anyhow::Result<()> {
     let mut uri: Uri = url.parse().with_context(|| format!("{url} is no web address"))?;
-    let provider = rustls::crypto::ring::default_provider();
-    let connector = match HttpsConnectorBuilder::new().with_provider_and_native_roots(provider.clone()) {
-        Ok(builder) => builder,
-        Err(error) if uri.scheme_str() == Some("https") => {
-            bail!("this host has no root certificates ({error}): install the package ca-certificates")
-        }
-        Err(_) => {
-            let config = rustls::ClientConfig::builder_with_provider(provider.into())
-                .with_safe_default_protocol_versions()?
-                .with_root_certificates(rustls::RootCertStore::empty())
-                .with_no_client_auth();
-            HttpsConnectorBuilder::new().with_tls_config(config)
-        }
-    };
-    let connector = connector.https_or_http().enable_http1().build();
-    let client = Client::builder(TokioExecutor::new()).build::<_, Full<Bytes>>(connector);
     let (mut method, mut form) = (Method::POST, form);
     for _ in 0..=MOST_REDIRECTIONS {
-        let mut request = Request::builder().method(method.clone()).uri(uri.clone()).header(USER_AGENT, "starmesh");
+        let mut request = Request::builder().method(method.clone()).uri(uri.clone());
         if method == Method::POST {
             request = request.header(CONTENT_TYPE, "application/x-www-form-urlencoded");
         }
-        let request = request.body(Full::new(Bytes::from(form.clone()))).context("the question cannot be sent")?;
-        let answer = client.request(request).await.context("it cannot be reached")?;
+        // A client for each: a redirection may lead to TLS, which asks for certificates.
+        let client = Client::new(&uri.to_string(), None).await?;
+        let mut answer = client.send(request, form.clone()).await?;
         let status = answer.status();
         if status.is_redirection() {
             let place = answer.headers().get(LOCATION).and_then(|place| place.to_str().ok());
@@ -68,20 +47,13 @@ async fn exchange(url: &str, form: String, file: &Path) -> anyhow::Result<()> {
             }
             continue;
         }
-        let mut body = answer.into_body();
         if !status.is_success() {
-            let mut said = Vec::new();
-            while let Some(Ok(frame)) = body.frame().await
-                && said.len() < SHOWN
-            {
-                said.extend(frame.into_data().unwrap_or_default());
-            }
-            bail!("it answered {status}: {}", plain(&String::from_utf8_lossy(&said)));
+            let text = internet::first_bytes(&mut answer, SHOWN).await;
+            bail!("it answered {status}: {}", plain(&String::from_utf8_lossy(&text)));
         }
         let broken = || format!("{} cannot be written", file.display());
         let mut file = std::fs::File::create(file).with_context(broken)?;
-        while let Some(frame) = body.frame().await {
-            let data = frame.context("the answer broke off")?.into_data().unwrap_or_default();
+        while let Some(data) = internet::next_bytes(&mut answer).await? {
             file.write_all(&data).with_context(broken)?;
         }
         return file.sync_all().with_context(broken);
@@ -104,32 +76,32 @@ fn absolute(from: &Uri, place: &str) -> anyhow::Result<Uri> {
 
 /// A value of a form (application/x-www-form-urlencoded).
 fn encoded(value: &str) -> String {
-    let mut said = String::new();
+    let mut text = String::new();
     for byte in value.bytes() {
         match byte {
-            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'-' | b'.' | b'_' => said.push(char::from(byte)),
-            b' ' => said.push('+'),
-            byte => said += &format!("%{byte:02X}"),
+            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'-' | b'.' | b'_' => text.push(char::from(byte)),
+            b' ' => text.push('+'),
+            byte => text += &format!("%{byte:02X}"),
         }
     }
-    said
+    text
 }
 
 /// The words of an answer in markup.
 pub fn plain(markup: &str) -> String {
-    let (mut said, mut is_tag) = (String::new(), false);
+    let (mut text, mut is_tag) = (String::new(), false);
     for letter in markup.chars() {
         match letter {
             '<' => is_tag = true,
             '>' => {
                 is_tag = false;
-                said.push(' ');
+                text.push(' ');
             }
-            letter if !is_tag => said.push(letter),
+            letter if !is_tag => text.push(letter),
             _ => {}
         }
     }
-    let words: Vec<&str> = said.split_whitespace().collect();
+    let words: Vec<&str> = text.split_whitespace().collect();
     if words.is_empty() { "nothing".to_owned() } else { short(&words.join(" ")) }
 }
 

@@ -8,14 +8,14 @@ use clap::Subcommand;
 
 /// What to do with catalogues.
 #[derive(Debug, Subcommand)]
-pub enum Command {
+pub enum CataloguesCommand {
     /// Make a catalogue in Starmesh's format of other catalogues.
     Build(build::Options),
 }
 
 /// Runs the command.
-pub async fn run(command: Command) -> anyhow::Result<()> {
+pub async fn run(command: CataloguesCommand) -> anyhow::Result<()> {
     match command {
-        Command::Build(options) => build::run(&options).await,
+        CataloguesCommand::Build(options) => build::run(&options).await,
     }
 }

@@ -13,21 +13,23 @@ use node_archive::name::Namer;
 use schedule::validate;
 
 /// The severity, the key, and the finding.
-type Found = (Severity, String, String);
+type FileFinding = (Severity, String, String);
 
 /// The faults of the files, and their content in words.
-pub fn look(config: &Observatory) -> (Vec<Found>, Vec<String>) {
+pub fn look(config: &Observatory) -> (Vec<FileFinding>, Vec<String>) {
     let mut look = Look { found: Vec::new(), held: Vec::new() };
     look.folders(config);
     look.archive(config);
     look.observatory(config);
     look.alerts(config);
+    look.deliveries(config);
     look.addresses(config);
+    look.web(&config.web);
     (look.found, look.held)
 }
 
 struct Look {
-    found: Vec<Found>,
+    found: Vec<FileFinding>,
     held: Vec<String>,
 }
 
@@ -99,6 +101,30 @@ impl Look {
                     }
                 }
                 self.held.push(format!("{} rows in the FITS-header table", table.rows.len()));
+            }
+        }
+    }
+
+    /// A destination may be away by day: what cannot be used now is something to know.
+    fn deliveries(&mut self, config: &Observatory) {
+        for (index, delivery) in config.delivery.iter().enumerate() {
+            let name = &delivery.name;
+            let mut warn = |key: &str, what: String| {
+                let key = format!("delivery[{index}].{key}");
+                self.found.push((Severity::Warning, key, format!("delivery \"{name}\": {what}")));
+            };
+            if let Some(folder) = delivery.directory.as_ref().filter(|folder| !folder.is_dir()) {
+                let shown = folder.display();
+                warn(
+                    "directory",
+                    format!("there is no folder {shown}: make it, or mount the share, before the night ends"),
+                );
+            }
+            for (key, file) in [("secret_file", &delivery.secret_file), ("ssh_config", &delivery.ssh_config)] {
+                if let Some(Err(why)) = file.as_ref().map(fs::File::open) {
+                    let shown = file.as_deref().unwrap_or(Path::new("")).display();
+                    warn(key, format!("{key}: {shown} cannot be read ({why}): nothing is delivered without it"));
+                }
             }
         }
     }
@@ -198,6 +224,62 @@ impl Look {
         }
         if !config.camera.is_empty() {
             self.listens("spool.listen", config.spool.listen);
+        }
+    }
+
+    /// The users and the certificate, by the functions of the web node.
+    fn web(&mut self, web: &config::Web) {
+        let shown = web.users.display();
+        match users::read(&web.users) {
+            Err(why) => return self.error("web.users", why.to_string()),
+            Ok(None) if web.insecure_open => {
+                let what = format!(
+                    "everybody who reaches {} may open the dome; users are made by `starmesh user add`",
+                    web.listen
+                );
+                self.warning("web.insecure_open", what);
+            }
+            Ok(None) => {}
+            Ok(Some(users)) => {
+                self.held.push(format!("{} users and {} tokens in {shown}", users.users.len(), users.tokens.len()));
+                if web.insecure_open {
+                    self.warning(
+                        "web.insecure_open",
+                        "there are users, so that it has no effect; leave it away".to_owned(),
+                    );
+                }
+                if node::private::is_open_to_others(&web.users) {
+                    self.warning(
+                        "web.users",
+                        format!("{shown} may be read by others: correct that with `chmod 600 {shown}`"),
+                    );
+                }
+            }
+        }
+        let known = node_web::readable_paths();
+        for path in &web.public {
+            let fits = |pattern: &&str| {
+                let (words, wanted) = (path.split('/'), pattern.split('/'));
+                words.clone().count() == wanted.clone().count()
+                    && words
+                        .zip(wanted)
+                        .all(|(word, wanted)| word == wanted || (wanted.starts_with('{') && !word.is_empty()))
+            };
+            if !known.iter().any(fits) {
+                let plain = known.iter().copied().filter(|pattern| !pattern.contains('{'));
+                let plain: Vec<&str> = plain.collect();
+                let meant = schedule::meant(path, plain.iter().copied());
+                self.warning("web.public", format!("nothing is answered at {path:?}; {meant}"));
+            }
+        }
+        let served = node_web::may_listen(web).and_then(|()| match node_web::CertificateFiles::of(web) {
+            Some(files) => files.read().map(drop),
+            None => Ok(()),
+        });
+        if let Err(why) = served {
+            // It begins with its key.
+            let key = why.split([' ', ':']).next().unwrap_or_default().to_owned();
+            self.found.push((Severity::Error, key, why));
         }
     }
 

@@ -1,7 +1,7 @@
 //! `starmesh demo`: one simulated night through the real nodes, as processes, on a bus of their own.
 
+mod progress;
 mod site;
-mod story;
 
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
@@ -15,8 +15,8 @@ use simulator::Simulator;
 use units::Utc;
 
 use crate::supervise::{NodeProcess, end};
+use progress::Progress;
 use site::DemoNight;
-use story::Story;
 
 /// Options of `starmesh demo`.
 #[derive(Debug, Args)]
@@ -66,13 +66,13 @@ async fn observe(options: &Options, port: u16, folder: &Folder) -> anyhow::Resul
     let config_file = folder.path.join("observatory.toml");
     write(&config_file, &site::configuration(simulator.address(), port, &world))?;
     write(&folder.path.join("schedule.jsonl"), &night.schedule()?)?;
-    let (config, _) = bus::node::read_config(&config_file)?;
+    let (config, _) = node::configuration::read_config(&config_file)?;
 
     let clock = Clock::of_simulator(&format!("http://{}", simulator.address())).await?;
     let bus = Bus::open(&config.bus, clock.clone()).await?;
     let endpoint = bus.locators().await.into_iter().find(|locator| locator.contains("127.0.0.1"));
     let endpoint = endpoint.context("the demo's own bus listens nowhere")?;
-    let mut story = Story::listen(&bus, &config.address()).await?;
+    let mut progress = Progress::listen(&bus, &config.address()).await?;
     let nodes = Nodes::start(folder, &config_file, &config, &endpoint)?;
 
     let total_s = night.dawn.seconds_since(night.start) / options.speed;
@@ -84,9 +84,9 @@ async fn observe(options: &Options, port: u16, folder: &Folder) -> anyhow::Resul
     println!("  bus       {endpoint}");
     let shower = shower(&simulator, &clock, night.shower());
     let well = tokio::select! {
-        told = story.tell(night.start, night.dawn) => {
-            told?;
-            let (summary, well) = story.summary();
+        ended = progress.follow(night.start, night.dawn) => {
+            ended?;
+            let (summary, well) = progress.summary();
             println!("{summary}");
             if options.stay {
                 println!("the page stays at http://127.0.0.1:{port}/ ; Ctrl-C ends");

@@ -74,7 +74,7 @@ impl DemoNight {
         let mut row = |action: &str, value: serde_json::Value, start: Utc, end: Utc| {
             let line = json!({
                 "device_name": "camera", "action_type": action, "action_value": value,
-                "start_time": start.to_string(), "end_time": end.to_string(),
+                "start_time": start.to_string(), "end_time": end.to_string(), "programme": "DEMO.2026",
             });
             rows.push(line.to_string());
         };

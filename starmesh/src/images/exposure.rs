@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::Args;
 use fits::{Header, Image, Part};
-use imaging::{Camera, Frame, Measured, Pixels, Search, is_mosaic, measure, measure_mosaic};
+use imaging::{Camera, Frame, Measured, Pixels, StarSearch, is_mosaic, measure, measure_mosaic};
 
 /// Which image of a file is meant.
 #[derive(Debug, Clone, Copy, Default, Args)]
@@ -33,8 +33,8 @@ impl Exposure {
     pub fn open(file: &Path, chosen: Chosen) -> anyhow::Result<Self> {
         let image = fits::read_part(file, chosen.hdu.map_or(Part::First, Part::Hdu))?;
         let mut exposure = Self { file: file.to_owned(), image, mosaic: false };
-        exposure.say_choice(chosen);
-        exposure.mosaic = says_mosaic(exposure.header()) || is_mosaic(&exposure.frame()?);
+        exposure.print_choice(chosen);
+        exposure.mosaic = states_mosaic(exposure.header()) || is_mosaic(&exposure.frame()?);
         Ok(exposure)
     }
 
@@ -45,7 +45,7 @@ impl Exposure {
 
     /// Reports the choice where there was one: which of several images, how many planes. On standard error: the answers
     /// on standard output are for programs too.
-    fn say_choice(&self, chosen: Chosen) {
+    fn print_choice(&self, chosen: Chosen) {
         let file = self.file.display();
         if chosen.hdu.is_none() && !self.image.other_hdus.is_empty() {
             let others: Vec<String> = self.image.other_hdus.iter().map(usize::to_string).collect();
@@ -94,7 +94,7 @@ impl Exposure {
 
     /// Its stars and its quality; places in px of the frame, also of a colour mosaic.
     pub fn measure(&self) -> anyhow::Result<Measured> {
-        let search = Search::default();
+        let search = StarSearch::default();
         let measured = if self.mosaic {
             measure_mosaic(&self.frame()?, &self.camera(), &search)
         } else {
@@ -106,7 +106,7 @@ impl Exposure {
 
 /// Whether the header declares a colour mosaic. The pixels decide where the pattern begins: cut and turned frames still
 /// have the old keyword. For binned frames the result is false.
-fn says_mosaic(header: &Header) -> bool {
+fn states_mosaic(header: &Header) -> bool {
     let binned = ["XBINNING", "YBINNING"].iter().any(|keyword| header.number(keyword).is_ok_and(|by| by > 1.0));
     let is_pattern = |word: &str| ["RGGB", "BGGR", "GRBG", "GBRG"].contains(&word.trim().to_ascii_uppercase().as_str());
     !binned && ["BAYERPAT", "COLORTYP", "FILTER"].iter().any(|keyword| header.text(keyword).is_ok_and(is_pattern))

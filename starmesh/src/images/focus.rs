@@ -67,11 +67,11 @@ fn fitted(sizes: &[Size]) -> anyhow::Result<Hyperbola> {
 
 fn point(file: &Path, chosen: Chosen) -> anyhow::Result<Point> {
     let exposure = Exposure::open(file, chosen)?;
-    let told = ["FOCUSPOS", "FOCPOS"].map(|keyword| exposure.header().number(keyword));
-    let position = told.iter().flatten().copied().find(|position| position.is_finite());
+    let numbers = ["FOCUSPOS", "FOCPOS"].map(|keyword| exposure.header().number(keyword));
+    let position = numbers.iter().flatten().copied().find(|position| position.is_finite());
     let Some(position) = position else {
         // A value of another type is a better reason than a missing keyword.
-        let odd = told.into_iter().filter_map(Result::err).find(|why| matches!(why, KeywordError::Kind { .. }));
+        let odd = numbers.into_iter().filter_map(Result::err).find(|why| matches!(why, KeywordError::Kind { .. }));
         if let Some(why) = odd {
             bail!("{why}: the focuser's position in steps")
         }

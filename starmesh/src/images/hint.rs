@@ -41,7 +41,7 @@ pub fn place(header: &Header, size_px: (usize, usize)) -> anyhow::Result<Place> 
         }
     }
     let pairs: Vec<String> = PAIRS.iter().map(|(ra, dec)| format!("{ra}/{dec}")).collect();
-    bail!("the header tells no place ({}); give --ra-deg and --dec-deg", pairs.join(", "))
+    bail!("the header has no place ({}); give --ra-deg and --dec-deg", pairs.join(", "))
 }
 
 /// Size of a pixel, arcsec, and how wrong it may be, as a share.
@@ -57,7 +57,7 @@ pub fn scale(header: &Header) -> anyhow::Result<(f64, f64)> {
     }
     let pixel_um = ["XPIXSZ", "PIXSIZE1"].iter().find_map(|keyword| positive(keyword));
     let Some((focal, pixel_um)) = positive("FOCALLEN").zip(pixel_um) else {
-        bail!("the header tells no scale (FOCALLEN and XPIXSZ, {}); give --scale-arcsec-px", DIRECT.join(", "))
+        bail!("the header has no scale (FOCALLEN and XPIXSZ, {}); give --scale-arcsec-px", DIRECT.join(", "))
     };
     let focal_mm = if focal <= LONGEST_M { focal * 1e3 } else { focal };
     Ok((pixel_um * 1e-3 / focal_mm * ARCSEC, FIRST_LIGHT))

@@ -59,7 +59,7 @@ fn answer(exposure: &Exposure, measured: &Measured) -> Value {
 
 fn sentences(exposure: &Exposure, measured: &Measured) -> String {
     let quality = &measured.quality;
-    let mut said = format!(
+    let mut text = format!(
         "{}: {} x {} px{}, background {} ADU, noise {} ADU",
         exposure.file.display(),
         exposure.width_px(),
@@ -71,23 +71,23 @@ fn sentences(exposure: &Exposure, measured: &Measured) -> String {
     // Writing to a String cannot fail.
     let _ = match (quality.fwhm_px, quality.ellipticity) {
         (Some(width), Some(shape)) => write!(
-            said,
+            text,
             ", FWHM {:.2} +- {:.2} px, ellipticity {:.2}{}",
             width.value,
             width.error,
             shape.value,
             if quality.trailed { " (trailed)" } else { "" }
         ),
-        _ => write!(said, ", no star well enough seen for a width"),
+        _ => write!(text, ", no star well enough seen for a width"),
     };
     let count = measured.stars.len();
-    let _ = write!(said, ", {count} stars");
+    let _ = write!(text, ", {count} stars");
     if count > 0 {
-        let _ = write!(said, "\n      x px      y px     flux ADU  FWHM px       S/N  flags");
+        let _ = write!(text, "\n      x px      y px     flux ADU  FWHM px       S/N  flags");
     }
     for star in measured.stars.iter().take(SHOWN) {
         let _ = write!(
-            said,
+            text,
             "\n{:10.2}{:10.2}{:13.0}{:9.2}{:10.1}  {}",
             star.x_px,
             star.y_px,
@@ -98,7 +98,7 @@ fn sentences(exposure: &Exposure, measured: &Measured) -> String {
         );
     }
     if count > SHOWN {
-        let _ = write!(said, "\n  and {} fainter ones (--json prints all)", count - SHOWN);
+        let _ = write!(text, "\n  and {} fainter ones (--json prints all)", count - SHOWN);
     }
-    said
+    text
 }

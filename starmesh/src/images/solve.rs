@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context as _, bail, ensure};
 use catalogue::{Catalogue, EPOCH_YEAR, Reading};
 use clap::Args;
-use imaging::solve::{AllSky, Blind, Detected, Hint, KNOWN_OPTICS, Stars, at_epoch, solve};
+use imaging::solve::{AllSky, Blind, Detected, Hint, KNOWN_OPTICS, Stars, Within, at_epoch, solve};
 use imaging::{Measured, NoSolution, Solution, Wcs};
 use serde_json::{Value, json};
 use units::Angle;
@@ -29,6 +29,10 @@ pub struct Options {
     /// Size of a (binned) pixel on the sky, arcsec, to 5 %; without it the header's.
     #[arg(long)]
     scale_arcsec_px: Option<f64>,
+    /// How far from the hinted place the frame's centre is looked for, degrees, to 180; without it 8. Fields of 1 deg and
+    /// more are found at any distance, narrower ones to some degrees.
+    #[arg(long)]
+    within_deg: Option<f64>,
     /// A catalogue in Starmesh's format, a Gaia-2MASS SQLite file, or a FITS or CSV table; without it the one that
     /// Starmesh ships, to about magnitude 11 to 12.5.
     #[arg(long)]
@@ -56,6 +60,9 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     if let Some(scale) = options.scale_arcsec_px {
         ensure!(scale > 0.0 && scale.is_finite(), "--scale-arcsec-px is {scale}, expected more than 0");
     }
+    if let Some(within) = options.within_deg {
+        ensure!((0.0..=180.0).contains(&within), "--within-deg is {within}, expected 0 to 180");
+    }
     if let Some(file) = &options.wcs {
         ensure!(options.files.len() == 1, "--wcs takes the solution of one frame; give one, or --write");
         for frame in &options.files {
@@ -73,8 +80,8 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     // Bright stars hardly move: one epoch serves all files.
     let sky = AllSky::new(at_epoch(simulator::catalogue::default(), EPOCH_YEAR + SINCE_YEARS));
     let is_shipped = options.catalogue.is_none();
-    let scale_arcsec_px = options.scale_arcsec_px;
-    let task = Task { asked, scale_arcsec_px, catalogue: &catalogue, is_shipped, sky: &sky, limit };
+    let (scale_arcsec_px, within) = (options.scale_arcsec_px, options.within_deg.map(Angle::from_degrees));
+    let task = Task { asked, scale_arcsec_px, within, catalogue: &catalogue, is_shipped, sky: &sky, limit };
     let mut unsolved = 0;
     let done = each(&options.files, |file| {
         let exposure = Exposure::open(file, options.chosen)?;
@@ -139,6 +146,8 @@ const BLIND_FOR: Duration = Duration::from_secs(30);
 /// The tolerance of a known scale in a blind search, as a share to either side: the scale may be the wrong part of the
 /// hint.
 const SCALE_SHARE: f64 = 0.15;
+/// The widest hint whose surroundings are looked through piece by piece.
+const WIDEST_HINT: Angle = Angle::from_degrees(60.0);
 /// Longest side of a frame that a blind search has patterns for, deg.
 const LEAST_FIELD_DEG: f64 = 0.3;
 
@@ -146,6 +155,8 @@ const LEAST_FIELD_DEG: f64 = 0.3;
 struct Task<'a, S> {
     asked: Option<hint::Place>,
     scale_arcsec_px: Option<f64>,
+    /// How far from the hint the option allows.
+    within: Option<Angle>,
     catalogue: &'a Catalogue,
     /// Whether the catalogue is the shipped one.
     is_shipped: bool,
@@ -170,7 +181,10 @@ impl<S: Stars + Sync> Task<'_, S> {
     /// errors.
     fn answer(&self, exposure: &Exposure) -> anyhow::Result<Result<Solved, String>> {
         let measured = exposure.measure()?;
-        let hint = known(exposure, self.asked, self.scale_arcsec_px);
+        let hint = known(exposure, self.asked, self.scale_arcsec_px).map(|hint| match self.within {
+            Some(within) => Hint { furthest: if within < WIDEST_HINT { within } else { WIDEST_HINT }, ..hint },
+            None => hint,
+        });
         let found = match &hint {
             Ok(hint) => self.hinted(exposure, &measured, hint)?.map_err(|reason| {
                 let hint_denied = matches!(reason, NoSolution::NoMatch { .. });
@@ -188,9 +202,14 @@ impl<S: Stars + Sync> Task<'_, S> {
             Ok(solution) => return Ok(Ok(solution.into())),
             Err(refused) => refused,
         };
+        // Beyond the hinted field only the patterns of the whole sky are quick enough.
+        let within = match (&hint, self.within) {
+            (Ok(hint), Some(furthest)) => Some(Within { ra: hint.ra, dec: hint.dec, furthest }),
+            _ => None,
+        };
         let limit = match self.limit {
             // A hint that fits nothing is refused at once; a longer search has to be requested.
-            None if refused.hint_denied => {
+            None if refused.hint_denied && within.is_none() => {
                 return Ok(Err(format!("{}; --blind-s 30 looks through the whole sky too", refused.reason)));
             }
             limit => limit.unwrap_or(BLIND_FOR),
@@ -201,38 +220,46 @@ impl<S: Stars + Sync> Task<'_, S> {
         let mut reason = refused.reason;
         // The whole sky is that of the shipped catalogue.
         if !(refused.too_shallow && self.is_shipped) {
-            match self.anywhere(exposure, &measured)? {
+            match self.anywhere(exposure, &measured, within)? {
                 Ok(solution) => return Ok(Ok(solution.into())),
                 Err(nowhere) => reason = format!("{reason}; {nowhere}"),
             }
         }
         match blind::installed() {
+            // Another solver looks everywhere.
+            _ if within.is_some() => Ok(Err(reason)),
             Some(program) => self.blindly(exposure, &measured, (&program, limit), reason),
             None => Ok(Err(format!("{reason}; solve-field is not installed"))),
         }
     }
 
     /// Size of a pixel from the options, or from the header, arcsec.
-    fn told_scale(&self, exposure: &Exposure) -> Option<f64> {
+    fn stated_scale(&self, exposure: &Exposure) -> Option<f64> {
         self.scale_arcsec_px.or_else(|| hint::scale(exposure.header()).ok().map(|(scale, _)| scale))
     }
 
     /// Looks for the frame on the whole sky of the shipped catalogue; the places are then those of the given catalogue,
     /// where it covers the field.
-    fn anywhere(&self, exposure: &Exposure, measured: &Measured) -> anyhow::Result<Result<Solution, String>> {
-        let told = self.told_scale(exposure);
+    fn anywhere(
+        &self,
+        exposure: &Exposure,
+        measured: &Measured,
+        within: Option<Within>,
+    ) -> anyhow::Result<Result<Solution, String>> {
+        let stated = self.stated_scale(exposure);
         let longer_px = exposure.width_px().max(exposure.height_px()) as f64;
-        if let Some(field_deg) = told.map(|scale| scale * longer_px / 3600.0).filter(|deg| *deg < LEAST_FIELD_DEG) {
+        if let Some(field_deg) = stated.map(|scale| scale * longer_px / 3600.0).filter(|deg| *deg < LEAST_FIELD_DEG) {
             return Ok(Err(format!("a field of {field_deg:.3} deg is too narrow for a blind search of our own")));
         }
-        let scales_arcsec_px = told.map(|scale| (scale * (1.0 - SCALE_SHARE), scale * (1.0 + SCALE_SHARE)));
-        let found = self.sky.solve(&detected(exposure, measured), &Blind { scales_arcsec_px, ..Blind::default() });
+        let scales_arcsec_px = stated.map(|scale| (scale * (1.0 - SCALE_SHARE), scale * (1.0 + SCALE_SHARE)));
+        let blind = Blind { scales_arcsec_px, within, ..Blind::default() };
+        let found = self.sky.solve(&detected(exposure, measured), &blind);
         let solution = match found {
             Ok(solution) => solution,
             Err(reason) => return Ok(Err(reason.to_string())),
         };
         let near = Hint {
-            learnt: Some(solution.learnt()),
+            learned: Some(solution.learned()),
             furthest: Angle::default(),
             ..Hint::new(solution.ra, solution.dec, solution.scale_arcsec_px)
         };
@@ -261,8 +288,8 @@ impl<S: Stars + Sync> Task<'_, S> {
         reason: String,
     ) -> anyhow::Result<Result<Solved, String>> {
         let size_px = (exposure.width_px(), exposure.height_px());
-        let told = self.told_scale(exposure);
-        let field = blind::Field { stars: &measured.stars, size_px, scale_arcsec_px: told };
+        let stated = self.stated_scale(exposure);
+        let field = blind::Field { stars: &measured.stars, size_px, scale_arcsec_px: stated };
         let wcs = match blind::solve(program, &field, limit) {
             Ok(Some(wcs)) => wcs,
             Ok(None) => return Ok(Err(format!("{reason}; solve-field found nothing either"))),

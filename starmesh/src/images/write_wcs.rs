@@ -98,14 +98,14 @@ pub fn object(wcs: &Wcs) -> Value {
 /// A solution in words.
 pub fn sentence(wcs: &Wcs) -> String {
     let [[a, b], [c, d]] = wcs.cd_deg_px;
-    let mut said = format!("  CD {a:.9e} {b:.9e} {c:.9e} {d:.9e} deg/px");
+    let mut text = format!("  CD {a:.9e} {b:.9e} {c:.9e} {d:.9e} deg/px");
     if let Some(sip) = wcs.sip {
         for (axis, terms) in ["A", "B"].iter().zip(terms(&sip)) {
             let words: Vec<String> = terms.iter().map(|(name, value)| format!("{axis}_{name} {value:.6e}")).collect();
-            said += &format!("\n  SIP {}", if words.is_empty() { format!("{axis} 0") } else { words.join(", ") });
+            text += &format!("\n  SIP {}", if words.is_empty() { format!("{axis} 0") } else { words.join(", ") });
         }
     }
-    said
+    text
 }
 
 #[cfg(test)]

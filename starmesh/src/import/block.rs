@@ -6,13 +6,13 @@ use contract::Kind;
 
 /// A table of the file, as lines.
 #[derive(Debug, Clone, Default)]
-pub struct Lines {
+pub struct TableLines {
     /// Each line, and the line of the old file that it was made of; 0 for none.
     pub all: Vec<(usize, String)>,
     old: usize,
 }
 
-impl Lines {
+impl TableLines {
     /// The next lines are made of this line of the old file.
     pub fn of(&mut self, old: usize) -> &mut Self {
         self.old = old;
@@ -95,7 +95,7 @@ pub struct Block {
     /// Device number there.
     pub number: i64,
     /// The keys of its block.
-    pub lines: Lines,
+    pub lines: TableLines,
     /// Lists of tables within its block (`limit`), as inline tables, each with its line of the old file.
     pub limits: Vec<(usize, String)>,
     /// Of a safety monitor: min.
@@ -105,7 +105,7 @@ pub struct Block {
     /// Of a dome: old names of the telescopes under it.
     pub telescopes: Vec<String>,
     /// Its keys for tables of the whole telescope, by their name.
-    pub tables: BTreeMap<&'static str, Lines>,
+    pub tables: BTreeMap<&'static str, TableLines>,
     /// Of a mount: the effect of its pulses on the stars of its camera.
     pub guide_start: Option<GuideStart>,
     /// Of a focuser: the focus in the old file, steps.
@@ -160,8 +160,8 @@ pub fn limits<'a>(limits: impl Iterator<Item = &'a String>) -> String {
 
 /// A name that devices may have here: letters, digits, `_`, `-` and `.`.
 pub fn name(old: &str) -> String {
-    let kept = |c: char| if c.is_ascii_alphanumeric() || "_-.".contains(c) { c } else { '_' };
-    let name: String = old.trim().chars().map(kept).take(63).collect();
+    let safe = |c: char| if c.is_ascii_alphanumeric() || "_-.".contains(c) { c } else { '_' };
+    let name: String = old.trim().chars().map(safe).take(63).collect();
     if name.starts_with(|c: char| c.is_ascii_alphanumeric()) {
         name
     } else {
@@ -171,8 +171,8 @@ pub fn name(old: &str) -> String {
 
 /// A name that sites and telescopes may have here: small letters, digits and `-`.
 pub fn chunk(old: &str) -> String {
-    let kept = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
-    let chunk: String = old.trim().chars().map(kept).take(63).collect();
+    let safe = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
+    let chunk: String = old.trim().chars().map(safe).take(63).collect();
     let chunk = chunk.trim_matches('-');
     if chunk.is_empty() { "telescope".to_owned() } else { chunk.to_owned() }
 }

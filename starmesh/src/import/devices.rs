@@ -3,7 +3,7 @@
 use contract::Kind;
 use contract::device::observing_conditions::made_of;
 
-use super::block::{Block, Lines, list, name, quoted};
+use super::block::{Block, TableLines, list, name, quoted};
 use super::entry::{Entry, Notes};
 use super::guider::guider;
 use super::yaml::{Node, Value};
@@ -50,7 +50,7 @@ pub fn device(kind: Kind, mut entry: Entry<'_>, notes: &mut Notes) -> Result<Blo
             return Err(bad(&entry, "device_number cannot be read: another device would be commanded"));
         }
         None => {
-            notes.add(entry.line, format!("{}: device_number is not said; 0 is taken: is that it?", entry.place));
+            notes.add(entry.line, format!("{}: device_number is not set; 0 is taken: is that right?", entry.place));
             0
         }
     };
@@ -58,7 +58,7 @@ pub fn device(kind: Kind, mut entry: Entry<'_>, notes: &mut Notes) -> Result<Blo
     if name != old_name {
         notes.add(entry.line, format!("{}: is named {name:?} here: letters, digits, '_', '-', '.'", entry.place));
     }
-    let mut lines = Lines::default();
+    let mut lines = TableLines::default();
     let period_s = entry.number("polling_interval", notes);
     lines.of(entry.last).maybe("period_s", period_s, "poll period");
     if entry.flag("connectable", notes) == Some(false) {
@@ -88,12 +88,12 @@ pub fn device(kind: Kind, mut entry: Entry<'_>, notes: &mut Notes) -> Result<Blo
         Kind::Focuser => focuser(&mut block, &mut entry, notes),
         Kind::Dome => dome(&mut block, &mut entry, notes),
         Kind::SafetyMonitor => {
-            let said = entry.number("max_safe_duration", notes);
-            if said.is_none() {
-                let what = "max_safe_duration is not said; Astra's 30 min are taken for dwell_min";
+            let minutes = entry.number("max_safe_duration", notes);
+            if minutes.is_none() {
+                let what = "max_safe_duration is not set; Astra's 30 min are taken for dwell_min";
                 notes.add(entry.line, format!("{}: {what}", entry.place));
             }
-            block.dwell_min = Some(said.unwrap_or(DWELL_MIN));
+            block.dwell_min = Some(minutes.unwrap_or(DWELL_MIN));
         }
         Kind::ObservingConditions => weather(&mut block, &mut entry, notes),
         Kind::FilterWheel | Kind::CoverCalibrator | Kind::Switch | Kind::Rotator => {}
@@ -253,7 +253,7 @@ fn camera_pairs(block: &mut Block, pairs: &mut Entry<'_>, notes: &mut Notes) {
 
 fn focuser(block: &mut Block, entry: &mut Entry<'_>, notes: &mut Notes) {
     block.focus_position = entry.whole("focus_position", notes);
-    block.lines.of(entry.last).maybe(BEST_POSITION, block.focus_position, "steps, until a better one is learnt");
+    block.lines.of(entry.last).maybe(BEST_POSITION, block.focus_position, "steps, until a better one is learned");
     let tolerance_steps = entry.whole("focus_tolerance", notes);
     block.lines.of(entry.last).maybe("tolerance_steps", tolerance_steps, "");
     let settle_s = entry.number("settle_time", notes);
@@ -267,27 +267,27 @@ pub const BEST_POSITION: &str = "best_position";
 
 fn dome(block: &mut Block, entry: &mut Entry<'_>, notes: &mut Notes) {
     let was_there = entry.has("close_dome_on_telescope_error");
-    let said = entry.flag("close_dome_on_telescope_error", notes);
+    let closes = entry.flag("close_dome_on_telescope_error", notes);
     let line = if was_there { entry.last } else { entry.line };
     let lines = block.lines.of(line);
-    match said {
-        Some(true) => lines.key("close_with_mount", quoted("beside"), "close_dome_on_telescope_error: true"),
-        said => {
-            let why = match said {
+    match closes {
+        Some(true) => lines.key("close_with_mount", quoted("alongside"), "close_dome_on_telescope_error: true"),
+        closes => {
+            let why = match closes {
                 Some(_) => "close_dome_on_telescope_error: false",
                 None if was_there => "close_dome_on_telescope_error cannot be read",
-                None => "close_dome_on_telescope_error is not said, which means false",
+                None => "close_dome_on_telescope_error is not set, which means false",
             };
             lines.comment("The old flag kept the dome open over a mount in fault. Here it waits for the park and");
             lines.comment("then closes all the same. \"parked_only\": a roof that would hit the telescope;");
-            lines.comment("\"beside\": a dome that never touches it.");
+            lines.comment("\"alongside\": a dome that never touches it.");
             lines.key("close_with_mount", quoted("parked_within_s"), why);
             let place = &entry.place;
             notes.add(
                 line,
                 format!(
                     "{place}: {why}: taken for close_with_mount = \"parked_within_s\"; a roof that would hit the telescope needs \
-                     \"parked_only\", a dome that never touches it \"beside\": please decide"
+                     \"parked_only\", a dome that never touches it \"alongside\": please decide"
                 ),
             );
         }
@@ -344,6 +344,6 @@ fn weather(block: &mut Block, entry: &mut Entry<'_>, notes: &mut Notes) {
 }
 
 /// `telescopes = [...]` of a dome over several of them.
-pub fn telescopes_under(lines: &mut Lines, chunks: &[String]) {
+pub fn telescopes_under(lines: &mut TableLines, chunks: &[String]) {
     lines.key("telescopes", list(chunks), "");
 }

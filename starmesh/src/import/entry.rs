@@ -39,7 +39,7 @@ impl<'a> Entry<'a> {
             }
             Value::Null => None,
             other => {
-                notes.add(node.line, format!("{place}: expected keys and values, found {}", told(other)));
+                notes.add(node.line, format!("{place}: expected keys and values, found {}", in_words(other)));
                 None
             }
         }
@@ -109,7 +109,7 @@ impl<'a> Entry<'a> {
             _ => None,
         });
         if let (Some(flag), Some(node)) = (flag, odd) {
-            let found = told(&node.value);
+            let found = in_words(&node.value);
             let what = format!("{found} is taken for {flag}; Astra takes every text that is not empty for true");
             notes.add(node.line, format!("{}: {key}: {what}", self.place));
         }
@@ -168,7 +168,7 @@ impl<'a> Entry<'a> {
     /// Notes all keys that nobody has asked for, and why.
     pub fn rest(self, why: &str, notes: &mut Notes) {
         for (key, node) in self.left {
-            notes.add(node.line, format!("{}: {key} = {}: {why}", self.place, told(&node.value)));
+            notes.add(node.line, format!("{}: {key} = {}: {why}", self.place, in_words(&node.value)));
         }
     }
 
@@ -183,7 +183,7 @@ impl<'a> Entry<'a> {
         let node = self.take(key)?;
         let value = read(&node.value);
         if value.is_none() {
-            let found = told(&node.value);
+            let found = in_words(&node.value);
             notes
                 .add(node.line, format!("{}: {key}: expected {expected}, found {found}; not carried over", self.place));
         }
@@ -192,7 +192,7 @@ impl<'a> Entry<'a> {
 }
 
 /// A value in few words.
-fn told(value: &Value) -> String {
+fn in_words(value: &Value) -> String {
     match value {
         Value::Null => "nothing".to_owned(),
         Value::Bool(flag) => flag.to_string(),

@@ -52,11 +52,11 @@ pub fn fair(limits: &[&str]) -> Map<String, Value> {
     ordered
 }
 
-/// The value within the bounds that is nearest to `wish`, with some distance from them.
-fn within(wish: f64, least: f64, most: f64) -> f64 {
+/// The value within the bounds that is nearest to `wanted`, with some distance from them.
+fn within(wanted: f64, least: f64, most: f64) -> f64 {
     let away = if (most - least).is_finite() { 0.2 * (most - least).max(0.0) } else { 5.0 };
     let (low, high) = (least + away, most - away);
-    let value = if wish < low { low } else { wish.min(high) };
+    let value = if wanted < low { low } else { wanted.min(high) };
     (1000.0 * value).round() / 1000.0
 }
 
@@ -83,10 +83,13 @@ mod tests {
             "{ parameter = \"SkyTemperature\", upper = -30, dwell_min = 30 }",
             "{ parameter = \"RelativeSkyTemp\", upper = -40, dwell_min = 30 }",
         ];
-        let told = fair(&template);
-        let value = |name: &str| told[name].as_f64().unwrap();
-        assert!(value("SkyTemperature") < -30.0 && value("SkyTemperature") - value("Temperature") < -40.0, "{told:?}");
-        assert_eq!(told.len(), 2, "{told:?}");
+        let values = fair(&template);
+        let value = |name: &str| values[name].as_f64().unwrap();
+        assert!(
+            value("SkyTemperature") < -30.0 && value("SkyTemperature") - value("Temperature") < -40.0,
+            "{values:?}"
+        );
+        assert_eq!(values.len(), 2, "{values:?}");
         let damp = fair(&[
             "{ parameter = \"Humidity\", upper = 40, lower = 20, dwell_min = 5 }",
             "{ parameter = \"RainRate\", upper = 0 }",

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Context as _;
 use contract::{Address, Kind};
 
-use super::block::{Block, Lines, limits, list, quoted};
+use super::block::{Block, TableLines, limits, list, quoted};
 use super::entry::Notes;
 use super::site::Location;
 use super::telescopes::File;
@@ -15,7 +15,7 @@ pub const HEADER: &str = "fits_header.csv";
 /// Port of the first page; those of the other files follow, or two would want the same.
 const PORT: usize = 8080;
 /// The value where the place is not known: the file is refused until somebody fills it in.
-const UNKNOWN: &str = "?  # fill in: no mount told where it stands";
+const UNKNOWN: &str = "?  # fill in: no mount reported its position";
 
 const PLACE: [&str; 3] = ["latitude_deg", "longitude_deg", "elevation_m"];
 
@@ -40,7 +40,7 @@ pub struct About<'a> {
 /// The whole text.
 pub fn text(file: &File, about: &About<'_>, notes: &mut Notes) -> String {
     let is_shared = file.telescope == Address::SHARED;
-    let mut lines = Lines::default();
+    let mut lines = TableLines::default();
     lines.comment("Made by `starmesh import-astra`. Every key is explained in docs/operator/config.md.");
     lines.table("observatory");
     lines.key("site", quoted(about.site), "");
@@ -89,9 +89,9 @@ pub fn text(file: &File, about: &About<'_>, notes: &mut Notes) -> String {
     }
     let mut text = lines.text();
     if !file.shared.is_empty() {
-        let mut lines = Lines::default();
+        let mut lines = TableLines::default();
         lines.table("shared");
-        lines.comment("devices of the file of telescope \"shared\" that this one heeds");
+        lines.comment("devices of the file of telescope \"shared\" that this one uses");
         for (kind, names) in &file.shared {
             lines.key(&kind.ascom().to_lowercase(), list(names), "");
         }

@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, bail, ensure};
 
 use super::entry::{Entry, Notes};
 
 /// The files of one observatory of the predecessor.
 #[derive(Debug, PartialEq)]
-pub struct Found {
+pub struct PredecessorFiles {
     /// Name of the observatory.
     pub name: String,
     /// `NAME_config.yml`.
@@ -36,7 +36,8 @@ const TEMPLATE: &str = "observatory_subclass.py";
 ///
 /// # Errors
 /// When there is none, or several and no name.
-pub fn find(folder: &Path, name: Option<&str>, home: Option<&Path>) -> anyhow::Result<Found> {
+pub fn find(folder: &Path, name: Option<&str>, home: Option<&Path>) -> anyhow::Result<PredecessorFiles> {
+    ensure!(folder.is_dir(), "{} is no folder; name the one with the site's files of Astra", folder.display());
     let here = Base::read(&folder.join(BASE), home);
     let elsewhere = home.map(|home| home.join(".astra").join(BASE)).and_then(|file| Base::read(&file, home));
     let same = |base: &Base| base.assets.as_deref().is_some_and(|assets| is_same(assets, folder));
@@ -75,15 +76,15 @@ pub fn find(folder: &Path, name: Option<&str>, home: Option<&Path>) -> anyhow::R
             if names.is_empty() { "none".to_owned() } else { names.join(", ") }
         );
     };
-    let beside = config.parent().unwrap_or(folder);
+    let own_folder = config.parent().unwrap_or(folder);
     let first = |paths: Vec<PathBuf>| paths.into_iter().find(|path| path.is_file());
-    Ok(Found {
+    Ok(PredecessorFiles {
         name: name.clone(),
         config: config.clone(),
-        header: first(vec![beside.join(format!("{name}_fits_header_config.csv"))]),
+        header: first(vec![own_folder.join(format!("{name}_fits_header_config.csv"))]),
         schedule: first(vec![
             folder.join("schedules").join(format!("{name}.jsonl")),
-            beside.join(format!("{name}.jsonl")),
+            own_folder.join(format!("{name}.jsonl")),
         ]),
         lost_catalogue: base.catalogue.clone().filter(|file| !file.is_file()),
         catalogue: base.catalogue.filter(|file| file.is_file()),

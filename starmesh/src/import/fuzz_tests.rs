@@ -106,10 +106,10 @@ proptest! {
                         let devices = blocks.len();
                         telescopes::give_calibrations(&mut blocks, &mut notes);
                         let files = telescopes::distribute(blocks, "site", &mut notes);
-                        let kept: usize = files.iter().map(|file| file.blocks.len()).sum();
-                        prop_assert_eq!(kept, devices, "no device is lost");
+                        let count: usize = files.iter().map(|file| file.blocks.len()).sum();
+                        prop_assert_eq!(count, devices, "no device is lost");
                     }
-                    Err(why) => prop_assert!(!format!("{:#}", why).is_empty(), "a reason is told"),
+                    Err(why) => prop_assert!(!format!("{:#}", why).is_empty(), "a reason is reported"),
                 }
             }
             Err(why) => prop_assert!(why.to_string().starts_with("line "), "{why}"),

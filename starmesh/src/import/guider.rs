@@ -39,12 +39,12 @@ pub fn guider(block: &mut Block, guider: &mut Entry<'_>, notes: &mut Notes) {
             lines.of(gains.last).key("hold_offset_px", format!("[{:?}, {:?}]", 0.0 - x, 0.0 - y), &what);
         }
     }
-    let anew = "it is learnt from the first solved frame, or by calibrate_guiding";
+    let anew = "it is learned from the first solved frame, or by calibrate_guiding";
     let (mut lengths, mut directions) = match (guider.entry("PIX2TIME", notes), guider.entry("DIRECTIONS", notes)) {
         (Some(lengths), Some(directions)) => (lengths, directions),
         (None, None) => return,
         _ => {
-            let what = "only one of PIX2TIME and DIRECTIONS is given, which tells nothing of pulses";
+            let what = "only one of PIX2TIME and DIRECTIONS is given, which does not describe pulses";
             return notes.add(guider.line, format!("{}: {what}; {anew}", guider.place));
         }
     };
@@ -68,7 +68,7 @@ fn calibration(lengths: &mut Entry<'_>, directions: &mut Entry<'_>, notes: &mut 
     for (way, [x, y]) in WAYS {
         let (ms_per_px, word) = (lengths.number(way, notes), directions.text(way, notes));
         let (Some(ms_per_px), Some(word)) = (ms_per_px, word) else {
-            return Err(format!("PIX2TIME and DIRECTIONS do not both tell {way}"));
+            return Err(format!("PIX2TIME and DIRECTIONS do not both contain {way}"));
         };
         if !(0.01..=1e6).contains(&ms_per_px) {
             return Err(format!("PIX2TIME {way} = {ms_per_px}: no length of a pulse for a pixel"));
@@ -92,7 +92,7 @@ fn calibration(lengths: &mut Entry<'_>, directions: &mut Entry<'_>, notes: &mut 
     };
     let [east, north] = [mean("east", "west"), mean("north", "south")];
     let (Some([east_x, east_y]), Some([north_x, north_y])) = (east, north) else {
-        return Err("DIRECTIONS tell no East against West and North against South".to_owned());
+        return Err("DIRECTIONS do not separate East from West and North from South".to_owned());
     };
     let text = |[x, y]: [f64; 2]| format!("[{:.4}, {:.4}]", x + 0.0, y + 0.0);
     Ok(format!(
@@ -139,24 +139,24 @@ mod tests {
     }
 
     #[test]
-    fn what_was_never_measured_or_makes_no_sense_is_not_carried_over_and_told() {
-        for (yaml, told) in [
+    fn what_was_never_measured_or_makes_no_sense_is_reported_and_not_carried_over() {
+        for (yaml, words) in [
             (format!("PIX2TIME: {{+x: 71.629, -x: 71.629, +y: 71.628, -y: 71.628}}\n{PLAIN}"), "never measured"),
             (format!("PIX2TIME: {{+x: 80, -x: 81, +y: 0, -y: 82}}\n{PLAIN}"), "PIX2TIME +y = 0"),
-            (format!("PIX2TIME: {{+x: 80, -x: 81, +y: 82}}\n{PLAIN}"), "do not both tell -y"),
+            (format!("PIX2TIME: {{+x: 80, -x: 81, +y: 82}}\n{PLAIN}"), "do not both contain -y"),
             (
                 "PIX2TIME: {+x: 80, -x: 81, +y: 82, -y: 83}\nDIRECTIONS: {+x: East, -x: North, +y: West, -y: South}"
                     .to_owned(),
-                "no East against West",
+                "do not separate East from West",
             ),
             (
                 "PIX2TIME: {+x: 80, -x: 81, +y: 82, -y: 83}\nDIRECTIONS: {+x: East, -x: West, +y: Up, -y: South}"
                     .to_owned(),
-                "North against South",
+                "North from South",
             ),
         ] {
             let why = made(&yaml).0.unwrap_err();
-            assert!(why.contains(told), "{yaml}: {why}");
+            assert!(why.contains(words), "{yaml}: {why}");
         }
     }
 }

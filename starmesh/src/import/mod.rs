@@ -100,12 +100,12 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     if !options.offline {
         site::spare_absent(&mut blocks, &mut notes).await;
     }
-    let mut said = Vec::new();
+    let mut lines = Vec::new();
     if let Some(server) = &options.simulator {
         let wanted = trial::Wanted::of(&blocks, &pieces, location);
         let ready = if options.offline { None } else { Some(trial::prepare(server, &wanted).await?) };
         location = ready.as_ref().map(|ready| ready.location).or(location);
-        said = trial::replace(&mut blocks, server, ready.as_ref())?;
+        lines = trial::replace(&mut blocks, server, ready.as_ref())?;
     }
     let header = found.header.as_deref().map(|path| read_header(path, &mut notes)).transpose()?.flatten();
 
@@ -149,19 +149,19 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     }
     if location.is_none() {
         line(format_args!(
-            "\nTo be filled in: latitude_deg, longitude_deg, elevation_m of [observatory]: no mount told where it stands."
+            "\nTo be filled in: latitude_deg, longitude_deg, elevation_m of [observatory]: no mount reported its position."
         ))?;
     }
     let config = found.config.display();
-    tell(&format!("To be looked at, by line of {config}:"), &notes)?;
+    print_notes(&format!("To be looked at, by line of {config}:"), &notes)?;
     if let Some(schedule) = &found.schedule {
-        tell(&format!("Rows, by line of {}:", schedule.display()), &schedule_notes)?;
+        print_notes(&format!("Rows, by line of {}:", schedule.display()), &schedule_notes)?;
     }
     let other = differences::of(&files, &pieces);
     if !other.is_empty() {
         line(format_args!("\nWhat will go otherwise than with Astra, and the key that brings its way back:"))?;
     }
-    for what in other.iter().chain(&said) {
+    for what in other.iter().chain(&lines) {
         line(format_args!("  - {what}"))?;
     }
     let configurations: Vec<_> =
@@ -183,7 +183,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn tell(title: &str, notes: &Notes) -> anyhow::Result<()> {
+fn print_notes(title: &str, notes: &Notes) -> anyhow::Result<()> {
     if notes.lines.is_empty() {
         return Ok(());
     }
@@ -232,7 +232,7 @@ fn devices_of(node: &yaml::Node, notes: &mut Notes) -> anyhow::Result<(Vec<Block
                 }
             };
             if index > 0 && matches!(kind, Kind::SafetyMonitor | Kind::ObservingConditions) {
-                let what = "Astra heeded only the first of its kind; this one counts too, with its limits";
+                let what = "Astra used only the first of its kind; this one counts too, with its limits";
                 notes.add(block.line, format!("{}: {what}", block.place()));
             }
             blocks.push(block);

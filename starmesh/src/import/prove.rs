@@ -1,6 +1,6 @@
 //! Finds the valid parts of a device: each key is proven by itself, so that an invalid one costs no other.
 
-use super::block::{Block, Lines, quoted};
+use super::block::{Block, TableLines, quoted};
 use super::devices::DWELL_MIN;
 use super::entry::Notes;
 
@@ -49,19 +49,19 @@ pub fn prune(blocks: Vec<Block>, notes: &mut Notes) -> Vec<Block> {
 }
 
 /// The lines that are valid behind `head`, each with those before it.
-fn valid(place: &str, head: &str, lines: Lines, notes: &mut Notes) -> Lines {
-    let mut kept = Lines::default();
+fn valid(place: &str, head: &str, lines: TableLines, notes: &mut Notes) -> TableLines {
+    let mut proven = TableLines::default();
     for (old, line) in lines.all {
         let is_comment = line.starts_with('#');
-        match fault(&format!("{head}{}{line}\n", kept.text())).filter(|_| !is_comment) {
+        match fault(&format!("{head}{}{line}\n", proven.text())).filter(|_| !is_comment) {
             Some(why) => {
                 let key = line.split("  #").next().unwrap_or_default();
                 notes.add(old, format!("{place}: {key}: {why}; not carried over"));
             }
-            None => kept.all.push((old, line)),
+            None => proven.all.push((old, line)),
         }
     }
-    kept
+    proven
 }
 
 /// File-name templates that can be used.
@@ -96,7 +96,7 @@ pub fn templates(templates: Vec<(usize, String, String)>, notes: &mut Notes) -> 
 fn fault(piece: &str) -> Option<String> {
     let error = config::parse(&format!("{FRAME}{piece}"), std::path::Path::new(".")).err()?.to_string();
     // A TOML error begins with a picture of the place; its last line names what is wrong.
-    let said = error.lines().map(str::trim).rfind(|line| !line.is_empty()).unwrap_or_default();
-    let after_line = said.strip_prefix("line ").and_then(|rest| rest.split_once(": ")).map_or(said, |(_, what)| what);
+    let text = error.lines().map(str::trim).rfind(|line| !line.is_empty()).unwrap_or_default();
+    let after_line = text.strip_prefix("line ").and_then(|rest| rest.split_once(": ")).map_or(text, |(_, what)| what);
     Some(after_line.to_owned())
 }

@@ -22,7 +22,7 @@ pub fn read(text: &str, notes: &mut Notes) -> Result<Node, YamlError> {
     if parts.len() > MOST_PARTS {
         return Err(whole);
     }
-    let mut reader = Reader { anchors: String::new(), values: Vec::new() };
+    let mut reader = SalvageReader { anchors: String::new(), values: Vec::new() };
     let mut lost = Vec::new();
     for part in &parts {
         match reader.part(part) {
@@ -55,13 +55,13 @@ impl Part<'_> {
 /// The lines of a part that was lost, and the reason.
 type Lost = (usize, usize, YamlError);
 
-struct Reader {
+struct SalvageReader {
     /// Parts that define anchors, for those that come later.
     anchors: String,
     values: Vec<(String, Node)>,
 }
 
-impl Reader {
+impl SalvageReader {
     fn part(&mut self, part: &Part<'_>) -> Result<(), YamlError> {
         let text = part.lines.concat();
         let (key, node) = self.last_of(&text, part.line)?;

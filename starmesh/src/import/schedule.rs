@@ -80,7 +80,7 @@ pub fn pieces(text: &str) -> Result<(Vec<Piece>, String), BadSchedule> {
     }
     let masked = without_comments(text);
     let mut pieces: Vec<Piece> = Vec::new();
-    let (mut from, mut lines) = (0, Lines { text: &masked, at: 0, line: 1 });
+    let (mut from, mut lines) = (0, LineCounter { text: &masked, at: 0, line: 1 });
     // Each turn begins behind a row.
     loop {
         let rest = masked.get(from..).unwrap_or_default();
@@ -95,10 +95,10 @@ pub fn pieces(text: &str) -> Result<(Vec<Piece>, String), BadSchedule> {
             }
             Some(Err(error)) => {
                 let to = next_row(&masked, begins);
-                let said = error.to_string();
-                let said = said.split(" at line ").next().unwrap_or(&said);
+                let message = error.to_string();
+                let message = message.split(" at line ").next().unwrap_or(&message);
                 let at = lines.of(begins) + error.line().saturating_sub(1 + rest_lines(rest));
-                let what = format!("no JSON: {said}, in line {at}");
+                let what = format!("no JSON: {message}, in line {at}");
                 (camera_of(masked.get(begins..to).unwrap_or_default()), to, Some(what))
             }
         };
@@ -112,13 +112,13 @@ pub fn pieces(text: &str) -> Result<(Vec<Piece>, String), BadSchedule> {
 }
 
 /// Counts lines on its way through a text.
-struct Lines<'a> {
+struct LineCounter<'a> {
     text: &'a str,
     at: usize,
     line: usize,
 }
 
-impl Lines<'_> {
+impl LineCounter<'_> {
     /// The line of a byte behind those that were asked for before, from 1.
     fn of(&mut self, at: usize) -> usize {
         self.line += self.text.get(self.at..at).unwrap_or_default().matches('\n').count();
@@ -174,12 +174,12 @@ pub fn of_telescope(pieces: &[Piece], cameras: &[Camera], notes: &mut Notes) -> 
             continue;
         }
         let row = if *old == camera.new.as_str() { piece.row.clone() } else { renamed(&piece.row, old, &camera.new) };
-        let row = match as_it_was_heeded(&row, camera) {
-            Some((heeded, changes)) => {
+        let row = match as_it_was_applied(&row, camera) {
+            Some((applied, changes)) => {
                 let what = changes.join("; ");
                 notes.add(piece.line, format!("row for {old}: {what}"));
                 text += &format!("// {what}; as it was:\n{}\n", commented(&row));
-                heeded
+                applied
             }
             None => row,
         };
@@ -224,7 +224,7 @@ const PASSED_OVER: [&str; 2] = ["completed", "status"];
 /// The row as the predecessor took it, where that differs from the text, and each change in words: what it passes over
 /// (fields that it does not know, `null`, a number of frames below 0, which is one without end, the filter of a camera
 /// without wheel), and times in the many ways that it reads. Here all of it would refuse the row.
-fn as_it_was_heeded(row: &str, camera: &Camera) -> Option<(String, Vec<String>)> {
+fn as_it_was_applied(row: &str, camera: &Camera) -> Option<(String, Vec<String>)> {
     let Ok(Value::Object(mut fields)) = serde_json::from_str::<Value>(&without_comments(row)) else { return None };
     let action = fields.get("action_type").and_then(Value::as_str)?.to_owned();
     let entry = ACTIONS.iter().find(|entry| entry.name == action)?;
@@ -361,8 +361,8 @@ mod tests {
         let mut stray_notes = Notes::default();
         let strays = strays(&pieces, &["c".to_owned()], &mut stray_notes);
         assert!(strays.lines().all(|line| line.starts_with("//")), "{strays}");
-        let told: Vec<usize> = stray_notes.lines.iter().map(|(line, _)| *line).collect();
-        assert_eq!(told, [7, 9], "{stray_notes:?}");
+        let lines: Vec<usize> = stray_notes.lines.iter().map(|(line, _)| *line).collect();
+        assert_eq!(lines, [7, 9], "{stray_notes:?}");
     }
 
     #[test]
@@ -390,9 +390,9 @@ mod tests {
             let rows = ::schedule::parse(&new, &[camera.new]).unwrap();
             assert_eq!(rows[0].end.seconds_since(rows[0].start), 7200.0, "{new}");
             assert_eq!(rows[0].action.filters().is_empty(), !has_wheel, "{new}");
-            let told = &notes.lines[0].1;
+            let note = &notes.lines[0].1;
             for word in ["\"guiding\" = null", "start_time", "23.11.2026 03:00"] {
-                assert!(told.contains(word), "{word}: {told}");
+                assert!(note.contains(word), "{word}: {note}");
             }
         }
     }

@@ -20,7 +20,7 @@ pub struct Location {
     pub elevation_m: f64,
 }
 
-const PATIENCE: Duration = Duration::from_secs(3);
+const TIMEOUT: Duration = Duration::from_secs(3);
 /// ASCOM's number of the error "this device does not have that".
 const NOT_IMPLEMENTED: i64 = 0x400;
 
@@ -45,13 +45,13 @@ pub async fn location(server: &str, number: i64) -> Option<Location> {
     let latitude_deg = number("sitelatitude").await?;
     let (longitude_deg, elevation_m) = (number("sitelongitude").await?, number("siteelevation").await?);
     // 0, 0 is what drivers report before anybody has set it.
-    let is_told =
+    let is_reported =
         (latitude_deg, longitude_deg) != (0.0, 0.0) && latitude_deg.abs() <= 90.0 && longitude_deg.abs() <= 360.0;
-    is_told.then_some(Location { latitude_deg, longitude_deg, elevation_m })
+    is_reported.then_some(Location { latitude_deg, longitude_deg, elevation_m })
 }
 
 fn client() -> Option<reqwest::Client> {
-    local_http::client_builder().timeout(PATIENCE).build().ok()
+    local_http::client_builder().timeout(TIMEOUT).build().ok()
 }
 
 /// Removes limits on values that a station does not measure, as it reports: the predecessor ignored them, and here they

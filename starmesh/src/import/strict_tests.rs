@@ -12,7 +12,7 @@ fn read(config: &str) -> (Vec<Block>, Notes) {
     (blocks, notes)
 }
 
-fn told(notes: &Notes, line: usize, words: &str) {
+fn assert_note(notes: &Notes, line: usize, words: &str) {
     assert!(notes.lines.iter().any(|(at, what)| *at == line && what.contains(words)), "{line} {words}: {notes:#?}");
 }
 
@@ -50,11 +50,11 @@ fn no_other_device_is_ever_commanded_because_a_number_was_written_otherwise() {
     ] {
         let (number, notes) = camera(written);
         assert_eq!(number, None, "{written}");
-        told(&notes, 3, "THE DEVICE IS LEFT OUT");
+        assert_note(&notes, 3, "THE DEVICE IS LEFT OUT");
     }
     let (number, notes) = camera("temperature: 1");
     assert_eq!(number, Some(0));
-    told(&notes, 3, "device_number is not said; 0 is taken");
+    assert_note(&notes, 3, "device_number is not set; 0 is taken");
 }
 
 #[test]
@@ -71,10 +71,10 @@ fn one_value_that_is_not_taken_costs_nothing_else() {
          Misc: {filename_templates: {object: 5}}\n",
     );
     let text: String = blocks.iter().map(|block| block.text(&[])).collect();
-    for kept in
+    for words in
         ["meridian_flip = true", "connect = false", "flats.bias_adu", "parameter = \"Humidity\"", "dwell_min = 30"]
     {
-        assert!(text.contains(kept), "{kept}: {text}");
+        assert!(text.contains(words), "{words}: {text}");
     }
     for left in [
         "meridian_flip_min",
@@ -88,27 +88,27 @@ fn one_value_that_is_not_taken_costs_nothing_else() {
     ] {
         assert!(!text.contains(left), "{left}: {text}");
     }
-    told(&notes, 2, "\"yes\" is taken for true");
-    told(&notes, 2, "meridian_flip_min = 500");
-    told(&notes, 3, "settle_factor = -1");
-    told(&notes, 3, "period_s = 0");
-    told(&notes, 4, "target_adu = -5.0");
-    told(&notes, 4, "temperature: expected a number, found a list of 1");
-    told(&notes, 5, "focus_position: expected a whole number, found 10.5");
-    told(&notes, 5, "settle_time: has no value");
-    told(&notes, 6, "THE DEVICE IS LEFT OUT");
-    told(&notes, 7, "Astra's 30 min are taken");
-    told(&notes, 14, "THIS LIMIT DOES NOT CLOSE THE DOME");
-    told(&notes, 15, "THIS LIMIT DOES NOT CLOSE THE DOME");
+    assert_note(&notes, 2, "\"yes\" is taken for true");
+    assert_note(&notes, 2, "meridian_flip_min = 500");
+    assert_note(&notes, 3, "settle_factor = -1");
+    assert_note(&notes, 3, "period_s = 0");
+    assert_note(&notes, 4, "target_adu = -5.0");
+    assert_note(&notes, 4, "temperature: expected a number, found a list of 1");
+    assert_note(&notes, 5, "focus_position: expected a whole number, found 10.5");
+    assert_note(&notes, 5, "settle_time: has no value");
+    assert_note(&notes, 6, "THE DEVICE IS LEFT OUT");
+    assert_note(&notes, 7, "Astra's 30 min are taken");
+    assert_note(&notes, 14, "THIS LIMIT DOES NOT CLOSE THE DOME");
+    assert_note(&notes, 15, "THIS LIMIT DOES NOT CLOSE THE DOME");
 }
 
 #[test]
-fn two_devices_of_one_name_and_pairs_that_are_not_there_are_told() {
+fn two_devices_of_one_name_and_pairs_that_are_not_there_are_reported() {
     let (blocks, mut notes) = read(
         "Camera:\n  - {device_name: c, ip: \"h:1\", device_number: 0, paired_devices: {Focuser: g}}\n  - {device_name: c, ip: \"h:1\", device_number: 1}\n\
          Focuser: [{device_name: f, ip: \"h:1\", device_number: 0}]\nFilterWheel: [{device_name: w, ip: \"h:1\", device_number: 0}]\n",
     );
-    told(&notes, 3, "a second one of this name");
+    assert_note(&notes, 3, "a second one of this name");
     let files = telescopes::distribute(blocks, "site", &mut notes);
     let about = file::About {
         site: "site",
@@ -121,8 +121,8 @@ fn two_devices_of_one_name_and_pairs_that_are_not_there_are_told() {
     };
     let text = file::text(&files[0], &about, &mut notes);
     assert!(!text.contains("focuser ="), "{text}");
-    told(&notes, 2, "is paired with Focuser \"g\", which is not in this file, and works with \"f\" now");
-    told(&notes, 2, "names no FilterWheel");
+    assert_note(&notes, 2, "is paired with Focuser \"g\", which is not in this file, and works with \"f\" now");
+    assert_note(&notes, 2, "names no FilterWheel");
 }
 
 #[test]
@@ -158,8 +158,8 @@ fn a_file_name_that_no_frame_can_get_is_listed_and_the_others_stay() {
     .unwrap();
     let (_, templates) = devices_of(&node, &mut notes).unwrap();
     assert_eq!(templates, [("default".to_owned(), "{action_date}/{timestamp}.fits".to_owned())], "{notes:?}");
-    told(&notes, 4, "the usual name is taken");
-    told(&notes, 5, "the usual name is taken");
-    told(&notes, 6, "leads out of the folder");
-    told(&notes, 7, "no frames are named by this");
+    assert_note(&notes, 4, "the usual name is taken");
+    assert_note(&notes, 5, "the usual name is taken");
+    assert_note(&notes, 6, "leads out of the folder");
+    assert_note(&notes, 7, "no frames are named by this");
 }

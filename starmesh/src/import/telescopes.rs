@@ -85,13 +85,13 @@ pub fn give_calibrations(blocks: &mut [Block], notes: &mut Notes) {
         let cameras = blocks.iter().filter(|block| is_on(block)).count();
         match blocks.iter_mut().find(|block| is_on(block)) {
             Some(camera) if cameras == 1 => {
-                let from = "PIX2TIME and DIRECTIONS, until pulses or a solved frame tell better";
+                let from = "PIX2TIME and DIRECTIONS, until pulses or a solved frame give better values";
                 camera.lines.of(start.line).key("guide_calibration", start.text, from);
             }
             _ => notes.add(
                 start.line,
                 format!(
-                    "Telescope {mount}: guider: {cameras} cameras are paired with it, and it is not said whose stars PIX2TIME is of; \
+                    "Telescope {mount}: guider: {cameras} cameras are paired with it, and nothing names the one whose stars PIX2TIME is of; \
                      not carried over"
                 ),
             ),

@@ -132,15 +132,15 @@ fn what_is_not_carried_over_is_listed_with_its_line() {
     let old = old_site(CONFIG);
     let mut notes = Notes::default();
     read_config(&old.path().join("observatory_config/twins_config.yml"), &mut notes).unwrap();
-    let told = |line: usize, words: &str| {
+    let assert_note = |line: usize, words: &str| {
         assert!(notes.lines.iter().any(|(at, what)| *at == line && what.contains(words)), "{words}: {notes:#?}");
     };
-    told(3, "pointing_treshold");
-    told(6, "is named \"cam_a\" here");
-    told(21, "parked_only");
-    told(29, "max_safe_duration");
-    told(30, "Guider");
-    told(33, "Webcam");
+    assert_note(3, "pointing_treshold");
+    assert_note(6, "is named \"cam_a\" here");
+    assert_note(21, "parked_only");
+    assert_note(29, "max_safe_duration");
+    assert_note(30, "Guider");
+    assert_note(33, "Webcam");
     assert!(!notes.lines.iter().any(|(_, what)| what.contains("backup_time")));
 }
 
@@ -157,12 +157,12 @@ async fn one_telescope_is_one_file_and_an_unknown_place_is_left_to_be_filled_in(
     let known =
         text.replace("# latitude_deg = ?", "latitude_deg = 1").replace("# longitude_deg = ?", "longitude_deg = 1");
     let site = config::parse(&known.replace("# elevation_m = ?", "elevation_m = 1"), &folder).unwrap();
-    assert_eq!(site.safetymonitor[0].dwell_min, 30.0, "what Astra takes where nothing is said");
-    assert_eq!(site.dome[0].close_with_mount, config::CloseWithMount::Beside);
+    assert_eq!(site.safetymonitor[0].dwell_min, 30.0, "what Astra takes where nothing is set");
+    assert_eq!(site.dome[0].close_with_mount, config::CloseWithMount::Alongside);
 }
 
 #[tokio::test]
-async fn a_device_without_server_is_told_with_its_line() {
+async fn a_device_without_server_is_reported_with_its_line() {
     let old = old_site("Camera:\n  - {device_name: c}\n");
     let error = format!("{:#}", run(options(old.path())).await.unwrap_err());
     assert!(error.contains("line 2: Camera c: ip is missing"), "{error}");

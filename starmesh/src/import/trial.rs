@@ -45,7 +45,7 @@ pub struct Wanted {
 pub struct Ready {
     /// Its place.
     pub location: Location,
-    said: Vec<String>,
+    lines: Vec<String>,
 }
 
 impl Wanted {
@@ -111,50 +111,50 @@ pub async fn prepare(server: &str, wanted: &Wanted) -> anyhow::Result<Ready> {
     }
     site.insert("filters".to_owned(), json!(wanted.filters));
     site.insert("small_frames".to_owned(), true.into());
-    let told = put(&client, &format!("{world}/site"), &site).await;
-    let told = told.with_context(|| {
+    let answer = put(&client, &format!("{world}/site"), &site).await;
+    let answer = answer.with_context(|| {
         format!("the simulator at {server} cannot be made ready; is it running? Start it first: starmesh simulator --speed 300 &")
     })?;
     if !wanted.weather.is_empty() {
         put(&client, &format!("{world}/weather"), &wanted.weather).await.context("the simulator's weather")?;
     }
     let number =
-        |key: &str| told["site"][key].as_f64().with_context(|| format!("the simulator does not tell its {key}"));
+        |key: &str| answer["site"][key].as_f64().with_context(|| format!("the simulator does not report its {key}"));
     let location = Location {
         latitude_deg: number("latitude_deg")?,
         longitude_deg: number("longitude_deg")?,
         elevation_m: number("elevation_m")?,
     };
-    let mut said = Vec::new();
+    let mut lines = Vec::new();
     let (latitude, longitude) = (location.latitude_deg, location.longitude_deg);
-    said.push(match wanted.location {
+    lines.push(match wanted.location {
         Some(_) => format!("the simulator stands where the site does: {latitude:.4}, {longitude:.4}"),
         None => format!(
-            "no mount told where the site is, so it is where the simulator stands: {latitude:.4}, {longitude:.4}; \
+            "no mount reported the position of the site, so it is where the simulator stands: {latitude:.4}, {longitude:.4}; \
              --latitude-deg, --longitude-deg and --elevation-m say it"
         ),
     });
     if let (Some(start), Some(first_row)) = (wanted.start, wanted.first_row) {
-        said.push(format!(
+        lines.push(format!(
             "its clock stands at {start} until the nodes start: the longest dwell before the first row at {first_row}"
         ));
     }
     if !wanted.weather.is_empty() {
         let weather: Vec<String> = wanted.weather.iter().map(|(name, value)| format!("{name} {value}")).collect();
-        said.push(format!("its weather is fair for the site's limits: {}", weather.join(", ")));
+        lines.push(format!("its weather is fair for the site's limits: {}", weather.join(", ")));
     }
-    if let Some(frame_px) = told["site"]["frame_px"].as_u64() {
-        said.push(format!(
+    if let Some(frame_px) = answer["site"]["frame_px"].as_u64() {
+        lines.push(format!(
             "its frames are {frame_px} pixels wide; at a high --speed they are small, or the night would wait for them"
         ));
     }
     if let Some(position) = wanted.focus_position {
-        said.push(format!("its focus is at the site's focus_position, {position}"));
+        lines.push(format!("its focus is at the site's focus_position, {position}"));
     }
-    said.push(
+    lines.push(
         "a simulator that is started anew has forgotten all this: import once more, with another --out".to_owned(),
     );
-    Ok(Ready { location, said })
+    Ok(Ready { location, lines })
 }
 
 async fn put(client: &reqwest::Client, address: &str, values: &Map<String, Value>) -> anyhow::Result<Value> {
@@ -171,8 +171,8 @@ async fn put(client: &reqwest::Client, address: &str, values: &Map<String, Value
 /// For a site of several telescopes: a simulator is one.
 pub fn replace(blocks: &mut Vec<Block>, server: &str, ready: Option<&Ready>) -> anyhow::Result<Vec<String>> {
     let mut kinds = BTreeSet::new();
-    let mut said: Vec<String> = ready.map(|ready| ready.said.clone()).unwrap_or_default();
-    let mut kept = Vec::new();
+    let mut lines: Vec<String> = ready.map(|ready| ready.lines.clone()).unwrap_or_default();
+    let mut retained = Vec::new();
     for mut block in std::mem::take(blocks) {
         if !kinds.insert(block.kind) {
             let place = format!("line {}: {}", block.line, block.place());
@@ -182,7 +182,7 @@ pub fn replace(blocks: &mut Vec<Block>, server: &str, ready: Option<&Ready>) -> 
                      telescope's devices the address of a simulator of its own"
                 );
             }
-            said.push(format!("{place} is a second one, and a simulator has one: it is left out here"));
+            lines.push(format!("{place} is a second one, and a simulator has one: it is left out here"));
             continue;
         }
         (block.server, block.number, block.guide_start) = (server.to_owned(), 0, None);
@@ -196,8 +196,8 @@ pub fn replace(blocks: &mut Vec<Block>, server: &str, ready: Option<&Ready>) -> 
         if ready.is_none() {
             block.lines.without(BEST_POSITION);
         }
-        kept.push(block);
+        retained.push(block);
     }
-    *blocks = kept;
-    Ok(said)
+    *blocks = retained;
+    Ok(lines)
 }

@@ -71,7 +71,7 @@ pub fn read(text: &str) -> Result<Node, YamlError> {
         let what = format!("{} bytes; a configuration has at most {MOST_BYTES}", text.len());
         return Err(YamlError { line: 1, what });
     }
-    let mut reader = Reader { anchors: HashMap::new(), open: Vec::new(), done: None, values: 0 };
+    let mut reader = YamlReader { anchors: HashMap::new(), open: Vec::new(), done: None, values: 0 };
     for event in Parser::new_from_str(text) {
         match event {
             Ok((event, span)) => reader.take(event, span.start.line())?,
@@ -83,7 +83,7 @@ pub fn read(text: &str) -> Result<Node, YamlError> {
     Ok(reader.done.unwrap_or(Node { line: 1, value: Value::Null }))
 }
 
-struct Reader {
+struct YamlReader {
     anchors: HashMap<usize, Node>,
     open: Vec<Open>,
     done: Option<Node>,
@@ -102,7 +102,7 @@ enum Inside {
     Map(Vec<(String, Node)>, Option<String>),
 }
 
-impl Reader {
+impl YamlReader {
     fn take(&mut self, event: Event<'_>, line: usize) -> Result<(), YamlError> {
         let wrong = |what: String| Err(YamlError { line, what });
         match event {
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn a_map_takes_over_what_it_does_not_say_itself() {
+    fn a_map_takes_over_what_it_does_not_set_itself() {
         let text = "base: &b {ip: h, n: 1}\nother: &o {n: 5, m: 6}\na:\n  <<: *b\n  n: 2\nb: {<<: [*b, *o], x: 3}\n";
         let node = read(text).unwrap();
         let a = get(&node, "a");
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn of_two_values_under_one_key_none_is_taken_unless_they_say_the_same() {
+    fn of_two_values_under_one_key_none_is_taken_unless_they_are_equal() {
         let node = read("a: 1\nb: 2\na: 3\nb: 2\nc: [1]\nc: [2]\n").unwrap();
         assert_eq!(get(&node, "a").value, Value::Unclear("two values, in lines 1 and 3".to_owned()));
         assert_eq!(get(&node, "b").value, Value::Number(2.0));
@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told_with_its_line() {
+    fn what_is_wrong_is_reported_with_its_line() {
         for (text, line, what) in [
             ("a: [1, 2\nb: 3\n", 2, "no YAML"),
             ("a: 1\n---\nb: 2\n", 2, "second document"),

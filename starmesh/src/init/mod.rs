@@ -77,7 +77,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         write(&path, text)?;
         line(format_args!("wrote {}", path.display()))?;
     }
-    tell(&options, &found, &around)
+    print_summary(&options, &found, &around)
 }
 
 /// Writes a new file.
@@ -86,7 +86,7 @@ fn write(path: &Path, text: &str) -> anyhow::Result<()> {
     new.and_then(|mut file| file.write_all(text.as_bytes())).with_context(|| format!("cannot write {}", path.display()))
 }
 
-fn tell(options: &Options, found: &[Found], around: &Surroundings) -> anyhow::Result<()> {
+fn print_summary(options: &Options, found: &[Found], around: &Surroundings) -> anyhow::Result<()> {
     let file = options.folder.join(CONFIG);
     let file = file.display();
     if found.is_empty() {
@@ -107,7 +107,7 @@ fn tell(options: &Options, found: &[Found], around: &Surroundings) -> anyhow::Re
     }
     if around.place.is_none() {
         line(format_args!(
-            "\nTo be filled in: latitude_deg, longitude_deg and elevation_m, as no mount told where it stands."
+            "\nTo be filled in: latitude_deg, longitude_deg and elevation_m, as no mount reported its position."
         ))?;
     }
     line(format_args!(

@@ -22,8 +22,8 @@ async fn the_first_files_are_made_of_the_devices_that_answer_and_are_valid() {
     let schedule = fs::read_to_string(folder.join(SCHEDULE)).unwrap();
     let cameras = [config.camera[0].common.name.clone()];
     let rows = schedule::parse(&schedule, &cameras).unwrap();
-    let told: Vec<&str> = rows.iter().map(|row| row.action.name()).collect();
-    assert_eq!(told, ["open", "object", "object", "close", "calibration", "complete_headers"], "{schedule}");
+    let status: Vec<&str> = rows.iter().map(|row| row.action.name()).collect();
+    assert_eq!(status, ["open", "object", "object", "close", "calibration", "complete_headers"], "{schedule}");
     let again = run(options(home.path(), Vec::new())).await.unwrap_err().to_string();
     assert!(again.contains("stays as it is"), "{again}");
     assert_eq!(fs::read_to_string(folder.join(CONFIG)).unwrap(), text);

@@ -30,7 +30,7 @@ fn hints(kind: Kind) -> &'static str {
         Kind::Focuser => "# best_position = 12000                 # steps, until autofocus has found a better one\n",
         Kind::Dome => {
             "# \"parked_only\" for a roof that would hit the telescope; \"parked_within_s\" waits a little for the park\n\
-             close_with_mount = \"beside\"\n\
+             close_with_mount = \"alongside\"\n\
              # follow = \"off\"                        # where something else turns the dome, or nothing may\n"
         }
         Kind::SafetyMonitor => {
@@ -73,7 +73,7 @@ pub fn text(options: &Options, found: &[Found], around: &Surroundings) -> String
         text += "\n[pointing]\n# the simulated mount repeats itself to some arcseconds, and its pixels may be large; 0.1 at a real one\nthreshold_arcmin = 0.5\n";
     }
     text += &format!("\n[archive]\n# which keywords a frame gets, and from where\nfits_header = \"{HEADER}\"\n");
-    text += "\n[web]\n# the page; 0.0.0.0:8080 shows it to the whole network\nlisten = \"127.0.0.1:8080\"\n\n";
+    text += "\n[web]\n# the page; another address than this host's own needs users (`starmesh user add`, docs/operator/users.md)\nlisten = \"127.0.0.1:8080\"\n\n";
     if found.is_empty() {
         text += "# No device answered. Take the # away from those that you have.\n\n";
         for (index, kind) in Kind::ALL.into_iter().enumerate() {

@@ -11,9 +11,9 @@ use clap::Args;
 use config::Observatory;
 use node_archive::reader::Reader;
 use schedule::plan::overheads::TOOK;
-use schedule::plan::{Evidence, PlannedNight, Site, forecast};
+use schedule::plan::{Evidence, PlannedNight, Site, TakenFrame, forecast};
 use schedule::read_text;
-use schedule::validate::{Known, accept};
+use schedule::validate::{KnownFacts, accept};
 use units::Utc;
 
 use crate::check;
@@ -29,7 +29,7 @@ pub struct Options {
     /// Schedules, .jsonl; a folder stands for all that are in it. Each is planned for itself.
     #[arg(required = true)]
     schedules: Vec<PathBuf>,
-    /// The configuration that they are for; observatory.toml beside the first one where absent.
+    /// The configuration that they are for; observatory.toml next to the first one where absent.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// The archive's database, of which overheads are measured; that of the configuration where absent.
@@ -56,15 +56,15 @@ struct Planned {
 pub fn run(options: &Options) -> anyhow::Result<()> {
     let files = files(&options.schedules)?;
     let Some(first) = files.first() else { bail!("no schedule ends in .jsonl there") };
-    let beside = first.with_file_name("observatory.toml");
-    let of = options.config.as_deref().unwrap_or(&beside);
-    let (config, _) = bus::node::read_config(of)
+    let default = first.with_file_name("observatory.toml");
+    let of = options.config.as_deref().unwrap_or(&default);
+    let (config, _) = node::configuration::read_config(of)
         .context("a schedule is planned with the configuration of its telescope; name it by --config")?;
     let config = Arc::new(config);
     let evidence = evidence(options.archive.as_deref(), &config)?;
     let mut site = Site::new(config.clone(), evidence.overheads(&config))?;
     site.unsafe_spans.clone_from(&options.unsafe_spans);
-    let known = Known::of(config);
+    let known = KnownFacts::of(config);
     let mut planned = Vec::new();
     for file in files {
         let shown = file.display();
@@ -72,7 +72,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
         let rows = match accept(&text, &known) {
             Ok(rows) => rows,
             Err(fault) => {
-                check::say(&file, &text, &fault.findings)?;
+                check::print_findings(&file, &text, &fault.findings)?;
                 bail!("{shown} is not a valid schedule: {} errors; there is no plan", fault.findings.len());
             }
         };
@@ -80,7 +80,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
         planned.push(Planned { file, night });
     }
     let lines = if options.json { json::lines(&planned, &site) } else { text::lines(&planned, &site) };
-    lines.iter().try_for_each(|told| line(format_args!("{told}")))
+    lines.iter().try_for_each(|text| line(format_args!("{text}")))
 }
 
 /// Files as given, and those of folders in the order of their names.
@@ -107,8 +107,9 @@ fn evidence(given: Option<&Path>, config: &Observatory) -> anyhow::Result<Eviden
     if given.is_none() && !database.exists() {
         return Ok(Evidence::default());
     }
-    let reader = Reader::open(database)?;
-    let frames = reader.newest_images(MOST_FRAMES)?.into_iter().map(|image| (image.frame, image.bytes)).collect();
+    let reader = Reader::open(database, config.place.telescope.as_str())?;
+    let frames =
+        reader.newest_images(MOST_FRAMES)?.into_iter().map(|image| TakenFrame::of(&image.frame, image.bytes)).collect();
     Ok(Evidence { frames, lines: reader.diary(&format!("{TOOK} "), MOST_LINES)? })
 }
 

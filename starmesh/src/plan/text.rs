@@ -219,14 +219,14 @@ fn share(part: f64, of: f64) -> f64 {
 
 /// Which overheads were measured, and which are assumed.
 fn origin(planned: &[Planned], site: &Site) -> Vec<String> {
-    let told = site.overheads.told();
+    let status = site.overheads.figures();
     let one = |(name, figure, unit): &(String, Figure, &str)| format!("{name} {:.2} {unit}", figure.value);
-    let measured: Vec<String> = told
+    let measured: Vec<String> = status
         .iter()
         .filter(|(_, figure, _)| figure.measured > 0)
         .map(|figure| format!("{} (n = {})", one(figure), figure.1.measured))
         .collect();
-    let assumed: Vec<String> = told.iter().filter(|(_, figure, _)| figure.measured == 0).map(one).collect();
+    let assumed: Vec<String> = status.iter().filter(|(_, figure, _)| figure.measured == 0).map(one).collect();
     let mut cameras: Vec<&str> =
         planned.iter().flat_map(|planned| &planned.night.rows).map(|row| row.camera.as_str()).collect();
     cameras.sort_unstable();

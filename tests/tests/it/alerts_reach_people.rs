@@ -12,7 +12,7 @@ use contract::node::NodeState;
 use contract::observatory::Alerts;
 use contract::{Address, Key, NodeTopic, Part, Role};
 use serde_json::Value;
-use test_support::{Rig, RigOptions, SITE, TELESCOPE, long_row, serve};
+use test_support::{Harness, HarnessOptions, SITE, TELESCOPE, long_row, serve};
 use tokio::io::{AsyncBufReadExt as _, AsyncWriteExt as _, BufReader};
 use tokio::net::{TcpListener, TcpStream};
 
@@ -105,7 +105,7 @@ async fn take_mail(stream: TcpStream, mails: Arc<Mutex<Vec<String>>>) -> anyhow:
 }
 
 /// The node processes with all receivers; the chief gets alerts that nobody acknowledged for 6 s.
-async fn rig(outside: &Outside) -> anyhow::Result<Rig> {
+async fn harness(outside: &Outside) -> anyhow::Result<Harness> {
     let (http, smtp) = outside.open().await?;
     let more = format!(
         "[[alerts.webhook]]\nname = \"chat\"\nurl = \"http://127.0.0.1:{http}/chat\"\ntoken_file = \"token\"\n\
@@ -116,29 +116,31 @@ async fn rig(outside: &Outside) -> anyhow::Result<Rig> {
          [[alerts.email]]\nname = \"night\"\nto = [\"ana@example.org\"]\n\
          [alerts.ping]\nurl = \"http://127.0.0.1:{http}/ping\"\nperiod_s = 1\n"
     );
-    let mut rig = Rig::new(RigOptions { more, ..RigOptions::default() }, long_row).await?;
-    std::fs::write(rig.path("token"), "s3cret\n")?;
+    let mut harness = Harness::new(HarnessOptions { more, ..HarnessOptions::default() }, long_row).await?;
+    std::fs::write(harness.path("token"), "s3cret\n")?;
     for role in [Role::Device, Role::Observatory] {
-        rig.start(role)?;
+        harness.start(role)?;
     }
-    rig.until("the dome opens on a safe sky", 60.0, Rig::is_open).await?;
-    Ok(rig)
+    harness.until("the dome opens on a safe sky", 60.0, Harness::is_open).await?;
+    Ok(harness)
 }
 
 const ID: &str = "dome-not-closed/dome";
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_critical_alert_is_told_escalated_acknowledged_and_cleared() -> anyhow::Result<()> {
+async fn a_critical_alert_is_sent_escalated_acknowledged_and_cleared() -> anyhow::Result<()> {
     let outside = Outside::default();
-    let mut rig = rig(&outside).await?;
+    let mut harness = harness(&outside).await?;
     let key = Key::Observatory(Address::new(SITE, TELESCOPE)?, Part::Alerts);
-    let alerts = rig.bus.latest::<Alerts>(&key).await?;
-    let find = |id: &str| alerts.get().and_then(|said| said.said.body.alerts.into_iter().find(|alert| alert.id == id));
+    let alerts = harness.bus.latest::<Alerts>(&key).await?;
+    let find = |id: &str| {
+        alerts.get().and_then(|received| received.sample.body.alerts.into_iter().find(|alert| alert.id == id))
+    };
 
-    rig.simulator.world().stick_shutter_half_open(true);
-    rig.simulator.world().set_unsafe(true);
-    rig.until("the alert stands on the bus", 60.0, |_| find(ID).is_some()).await?;
-    let told = |_: &Rig| {
+    harness.simulator.world().stick_shutter_half_open(true);
+    harness.simulator.world().set_unsafe(true);
+    harness.until("the alert is active on the bus", 60.0, |_| find(ID).is_some()).await?;
+    let is_received = |_: &Harness| {
         let mailed = outside
             .mails
             .lock()
@@ -147,101 +149,102 @@ async fn a_critical_alert_is_told_escalated_acknowledged_and_cleared() -> anyhow
             .any(|mail| mail.contains(ID) && mail.contains("What to do"));
         mailed && outside.letters("chat Bearer s3cret", "raised", ID) == 1
     };
-    rig.until("people are told within seconds", 5.0, told).await?;
+    harness.until("people get alerts within seconds", 5.0, is_received).await?;
     assert_eq!(outside.letters("chief", "raised", ID), 0, "too early to escalate");
-    rig.until("it is escalated", 15.0, |_| outside.letters("chief", "raised", ID) == 1).await?;
+    harness.until("it is escalated", 15.0, |_| outside.letters("chief", "raised", ID) == 1).await?;
 
-    let refused = rig.order(&["ack", "dome-not-closed/other"]).await.unwrap_err().to_string();
+    let refused = harness.order(&["ack", "dome-not-closed/other"]).await.unwrap_err().to_string();
     assert!(refused.contains(ID), "the refusal names what stands: {refused}");
-    let refused = rig.order(&["shelve", ID]).await.unwrap_err().to_string();
+    let refused = harness.order(&["shelve", ID]).await.unwrap_err().to_string();
     assert!(refused.contains("reason"), "{refused}");
-    rig.order(&["ack", ID]).await?;
-    rig.until("the list says who", 5.0, |_| find(ID).is_some_and(|alert| alert.acknowledged_by.is_some())).await?;
-    rig.until("people are told who", 5.0, |_| outside.letters("chat", "acknowledged", ID) == 1).await?;
+    harness.order(&["ack", ID]).await?;
+    harness.until("the list says who", 5.0, |_| find(ID).is_some_and(|alert| alert.acknowledged_by.is_some())).await?;
+    harness.until("people learn who", 5.0, |_| outside.letters("chat", "acknowledged", ID) == 1).await?;
 
-    let life = alerts.get().map(|said| said.said.boot_id);
-    rig.kill(Role::Observatory)?;
-    rig.start(Role::Observatory)?;
-    let known = |_: &Rig| {
-        let is_new = alerts.get().is_some_and(|said| Some(said.said.boot_id) != life);
+    let boot_id = alerts.get().map(|received| received.sample.boot_id);
+    harness.kill(Role::Observatory)?;
+    harness.start(Role::Observatory)?;
+    let known = |_: &Harness| {
+        let is_new = alerts.get().is_some_and(|received| Some(received.sample.boot_id) != boot_id);
         is_new && find(ID).is_some_and(|alert| alert.acknowledged_by.is_some())
     };
-    rig.until("the acknowledgement outlives a restart", 60.0, known).await?;
+    harness.until("the acknowledgement outlives a restart", 60.0, known).await?;
     tokio::time::sleep(Duration::from_secs(8)).await;
     assert_eq!(outside.letters("chief", "raised", ID), 1, "it is not escalated again");
-    assert_eq!(outside.letters("chat", "raised", ID), 1, "nor told again");
+    assert_eq!(outside.letters("chat", "raised", ID), 1, "nor sent again");
 
-    let dead = |_: &Rig| outside.letters("chat", "raised", "alert-not-sent/dead") >= 1;
-    rig.until("a receiver that fails is an alert for the others", 40.0, dead).await?;
+    let dead = |_: &Harness| outside.letters("chat", "raised", "alert-not-sent/dead") >= 1;
+    harness.until("a receiver that fails is an alert for the others", 40.0, dead).await?;
 
-    rig.order(&["shelve", "alert-not-sent/dead", "--for-min", "10", "--reason", "known"]).await?;
-    let shelved = |_: &Rig| find("alert-not-sent/dead").is_some_and(|alert| alert.shelved_until_utc.is_some());
-    rig.until("the shelf shows", 5.0, shelved).await?;
-    rig.order(&["unshelve", "alert-not-sent/dead"]).await?;
-    rig.until("and can be emptied", 5.0, |rig| !shelved(rig)).await?;
+    harness.order(&["shelve", "alert-not-sent/dead", "--for-min", "10", "--reason", "known"]).await?;
+    let shelved = |_: &Harness| find("alert-not-sent/dead").is_some_and(|alert| alert.shelved_until_utc.is_some());
+    harness.until("the shelf shows", 5.0, shelved).await?;
+    harness.order(&["unshelve", "alert-not-sent/dead"]).await?;
+    harness.until("and can be emptied", 5.0, |harness| !shelved(harness)).await?;
 
-    rig.simulator.world().stick_shutter_half_open(false);
-    rig.until("the dome ends shut", 90.0, Rig::is_shut).await?;
-    rig.until("the acknowledged alert clears", 90.0, |_| find(ID).is_none()).await?;
+    harness.simulator.world().stick_shutter_half_open(false);
+    harness.until("the dome ends shut", 90.0, Harness::is_shut).await?;
+    harness.until("the acknowledged alert clears", 90.0, |_| find(ID).is_none()).await?;
     Ok(())
 }
 
 /// The next sender knows what was sent: from its own disk after a restart, and from the bus where it is another host.
 #[tokio::test(flavor = "multi_thread")]
-async fn what_was_told_is_not_told_again_by_the_next_life_or_by_the_standby_which_tells_what_is_new()
+async fn what_was_sent_is_not_sent_again_after_a_restart_or_by_the_standby_which_sends_what_is_new()
 -> anyhow::Result<()> {
     let outside = Outside::default();
-    let mut rig = rig(&outside).await?;
+    let mut harness = harness(&outside).await?;
     let address = Address::new(SITE, TELESCOPE)?;
-    let alerts = rig.bus.latest::<Alerts>(&Key::Observatory(address.clone(), Part::Alerts)).await?;
-    let stands = |id: &str| alerts.get().is_some_and(|said| said.said.body.alerts.iter().any(|alert| alert.id == id));
-    let life = || alerts.get().map(|said| said.said.boot_id);
+    let alerts = harness.bus.latest::<Alerts>(&Key::Observatory(address.clone(), Part::Alerts)).await?;
+    let stands =
+        |id: &str| alerts.get().is_some_and(|received| received.sample.body.alerts.iter().any(|alert| alert.id == id));
+    let boot_id = || alerts.get().map(|received| received.sample.boot_id);
     let mailed = |id: &str| outside.mails(&format!("raised: {id}"));
-    let told = |id: &str| (outside.letters("chat", "raised", id), mailed(id));
+    let counts = |id: &str| (outside.letters("chat", "raised", id), mailed(id));
 
-    rig.simulator.world().stick_shutter_half_open(true);
-    rig.simulator.world().set_unsafe(true);
-    rig.until("people are told by webhook and mail", 90.0, |_| told(ID) == (1, 1)).await?;
+    harness.simulator.world().stick_shutter_half_open(true);
+    harness.simulator.world().set_unsafe(true);
+    harness.until("people get it by webhook and mail", 90.0, |_| counts(ID) == (1, 1)).await?;
     // A sender knows that a letter arrived once its receiver has confirmed it, a moment after it has the letter: a
     // sender that is killed within that moment sends twice rather than never.
     tokio::time::sleep(Duration::from_secs(2)).await;
 
-    let first = life();
-    rig.kill(Role::Observatory)?;
-    rig.start(Role::Observatory)?;
-    rig.until("its next life speaks of it", 60.0, |_| life() != first && stands(ID)).await?;
+    let first = boot_id();
+    harness.kill(Role::Observatory)?;
+    harness.start(Role::Observatory)?;
+    harness.until("its next incarnation publishes it", 60.0, |_| boot_id() != first && stands(ID)).await?;
     // Longer than it waits for the report of others.
     tokio::time::sleep(Duration::from_secs(15)).await;
-    assert_eq!(told(ID), (1, 1), "nobody acknowledged it, and it is told once all the same");
+    assert_eq!(counts(ID), (1, 1), "nobody acknowledged it, and it is sent once all the same");
 
-    rig.start_standby_apart()?;
+    harness.start_standby_apart()?;
     let key = Key::Node(address, Role::Observatory, "second".parse()?, NodeTopic::State);
-    let standby = rig.bus.latest::<NodeState>(&key).await?;
-    rig.until("the standby is there", 30.0, |_| standby.get().is_some()).await?;
+    let standby = harness.bus.latest::<NodeState>(&key).await?;
+    harness.until("the standby is there", 30.0, |_| standby.get().is_some()).await?;
     tokio::time::sleep(Duration::from_secs(3)).await;
-    rig.kill(Role::Observatory)?;
+    harness.kill(Role::Observatory)?;
     let silent = "node-silent/observatory/main";
-    rig.until("the standby tells that the commander is dead", 75.0, |_| told(silent) == (1, 1)).await?;
-    assert!(stands(ID), "and goes on with what stood: {}", rig.last_words());
+    harness.until("the standby alerts that the commander is dead", 75.0, |_| counts(silent) == (1, 1)).await?;
+    assert!(stands(ID), "and goes on with what stood: {}", harness.last_words());
     tokio::time::sleep(Duration::from_secs(3)).await;
-    assert_eq!((told(silent), told(ID)), ((1, 1), (1, 1)), "and repeats nothing");
+    assert_eq!((counts(silent), counts(ID)), ((1, 1), (1, 1)), "and repeats nothing");
 
-    rig.simulator.world().stick_shutter_half_open(false);
-    rig.until("the dome ends shut", 90.0, Rig::is_shut).await?;
+    harness.simulator.world().stick_shutter_half_open(false);
+    harness.until("the dome ends shut", 90.0, Harness::is_shut).await?;
     Ok(())
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_ping_stops_with_the_observatory_node() -> anyhow::Result<()> {
     let outside = Outside::default();
-    let rig = rig(&outside).await?;
+    let harness = harness(&outside).await?;
     let pings = || outside.pings.lock().unwrap_or_else(PoisonError::into_inner).len();
-    rig.until("pings come", 15.0, |_| pings() >= 3).await?;
-    rig.stop_in_its_tracks(Role::Observatory)?;
+    harness.until("pings come", 15.0, |_| pings() >= 3).await?;
+    harness.stop_in_its_tracks(Role::Observatory)?;
     tokio::time::sleep(Duration::from_secs(2)).await;
     let before = pings();
     tokio::time::sleep(Duration::from_secs(6)).await;
     assert_eq!(pings(), before, "a stuck node does not ping");
-    rig.until("the guard closes", 60.0, Rig::is_shut).await?;
+    harness.until("the guard closes", 60.0, Harness::is_shut).await?;
     Ok(())
 }

@@ -10,11 +10,13 @@ use std::time::{Duration, Instant};
 use bus::{Catch, Latest, Subscriber};
 use contract::device::camera::Frame;
 use contract::observatory::{
-    ActionAnswer, ActionQuestion, Alerts, FocusOutcome, FocusRun, GuidingState, PointingState, RowStatus, ScheduleState,
+    ActionAnswer, ActionQuestion, Alerts, FocusOutcome, FocusRun, GuidingState, PointingState, RowState, RowStatus,
+    ScheduleState,
 };
 use contract::{Address, Key, Part};
+use serde_json::{Value, json};
 use simulator::Simulator;
-use test_support::{Rig, example, header};
+use test_support::{Harness, example, header};
 
 /// Sky seconds per machine second. On two slow and busy cores a frame takes 0.8 s from one to the next, and so long the
 /// light of this slow twilight is the same within a tenth.
@@ -62,7 +64,7 @@ fn files(simulator: &Simulator) -> (String, String) {
 }
 
 /// The samples that the test received during the night.
-struct Ears {
+struct Subscribers {
     schedule: Subscriber<ScheduleState>,
     guiding: Latest<GuidingState>,
     pointing: Latest<PointingState>,
@@ -70,41 +72,41 @@ struct Ears {
     focus: Subscriber<FocusRun>,
 }
 
-impl Ears {
-    async fn of(rig: &Rig, address: &Address) -> anyhow::Result<Self> {
+impl Subscribers {
+    async fn of(harness: &Harness, address: &Address) -> anyhow::Result<Self> {
         let part = |part| Key::Observatory(address.clone(), part);
         Ok(Self {
-            schedule: rig.bus.subscribe(&part(Part::Schedule).to_string(), Catch::All, 10_000).await?,
-            guiding: rig.bus.latest(&part(Part::Guiding)).await?,
-            pointing: rig.bus.latest(&part(Part::Pointing)).await?,
-            alerts: rig.bus.latest(&part(Part::Alerts)).await?,
-            focus: rig.bus.subscribe(&Key::FocusRun(address.clone()).to_string(), Catch::All, 100).await?,
+            schedule: harness.bus.subscribe(&part(Part::Schedule).to_string(), Catch::All, 10_000).await?,
+            guiding: harness.bus.latest(&part(Part::Guiding)).await?,
+            pointing: harness.bus.latest(&part(Part::Pointing)).await?,
+            alerts: harness.bus.latest(&part(Part::Alerts)).await?,
+            focus: harness.bus.subscribe(&Key::FocusRun(address.clone()).to_string(), Catch::All, 100).await?,
         })
     }
 }
 
 /// Waits until all rows are finished, and prints the progress. Returns them in the order in which they ran, and whether
 /// a field was guided meanwhile.
-async fn follow(rig: &Rig, ears: &Ears) -> anyhow::Result<(Vec<usize>, bool)> {
+async fn follow(harness: &Harness, subscribers: &Subscribers) -> anyhow::Result<(Vec<usize>, bool)> {
     let began = Instant::now();
     let (mut last, mut order, mut guided) = (Vec::<RowStatus>::new(), Vec::new(), false);
     while order.len() < ROWS.len() {
-        anyhow::ensure!(began.elapsed().as_secs_f64() < MOST_S, "{order:?} are finished\n{}", rig.last_words());
-        guided |= ears.guiding.get().is_some_and(|heard| heard.said.body.active);
-        let heard = match tokio::time::timeout(Duration::from_millis(200), ears.schedule.hear()).await {
-            Ok(heard) => heard.said,
+        anyhow::ensure!(began.elapsed().as_secs_f64() < MOST_S, "{order:?} are finished\n{}", harness.last_words());
+        guided |= subscribers.guiding.get().is_some_and(|received| received.sample.body.active);
+        let received = match tokio::time::timeout(Duration::from_millis(200), subscribers.schedule.recv()).await {
+            Ok(received) => received.sample,
             Err(_) => continue,
         };
-        last.resize(heard.body.rows.len(), RowStatus::Pending);
-        for (index, row) in heard.body.rows.iter().enumerate() {
+        last.resize(received.body.rows.len(), RowStatus::Pending);
+        for (index, row) in received.body.rows.iter().enumerate() {
             if std::mem::replace(&mut last[index], row.status) == row.status {
                 continue;
             }
-            let (at_s, sky) = (began.elapsed().as_secs_f64(), heard.at_utc);
+            let (at_s, sky) = (began.elapsed().as_secs_f64(), received.at_utc);
             println!("{at_s:6.1} s {sky} {} {:?} {} frames, {}", row.action, row.status, row.frames, row.detail);
             match row.status {
                 RowStatus::Finished => order.push(index),
-                RowStatus::Failed | RowStatus::Skipped => anyhow::bail!("{row:?}\n{}", rig.last_words()),
+                RowStatus::Failed | RowStatus::Skipped => anyhow::bail!("{row:?}\n{}", harness.last_words()),
                 RowStatus::Pending | RowStatus::Running | RowStatus::Interrupted => {}
             }
         }
@@ -113,15 +115,15 @@ async fn follow(rig: &Rig, ears: &Ears) -> anyhow::Result<(Vec<usize>, bool)> {
 }
 
 /// A frame as the archive's row describes it.
-struct Kept {
+struct ArchivedFrame {
     id: String,
     file: String,
     frame: Frame,
     is_complete: bool,
 }
 
-fn kept(rig: &Rig) -> anyhow::Result<Vec<Kept>> {
-    let database = rusqlite::Connection::open(rig.path("data/archive.db"))?;
+fn archived_frames(harness: &Harness) -> anyhow::Result<Vec<ArchivedFrame>> {
+    let database = rusqlite::Connection::open(harness.path("data/archive.db"))?;
     let mut query = database.prepare("SELECT frame_id, file, frame, complete_hdr FROM images ORDER BY date_obs")?;
     let rows = query.query_map([], |row| {
         Ok((row.get::<_, String>(0)?, row.get::<_, String>(1)?, row.get::<_, String>(2)?, row.get::<_, bool>(3)?))
@@ -129,14 +131,14 @@ fn kept(rig: &Rig) -> anyhow::Result<Vec<Kept>> {
     let mut found = Vec::new();
     for row in rows {
         let (id, file, frame, is_complete) = row?;
-        found.push(Kept { id, file, frame: serde_json::from_str(&frame)?, is_complete });
+        found.push(ArchivedFrame { id, file, frame: serde_json::from_str(&frame)?, is_complete });
     }
     Ok(found)
 }
 
 /// The exposures that the simulator's cameras began, in ms and with or without light; each was let run to its end.
-fn exposures(rig: &Rig) -> Vec<(i64, bool)> {
-    let puts = rig.simulator.world().puts_since(0);
+fn exposures(harness: &Harness) -> Vec<(i64, bool)> {
+    let puts = harness.simulator.world().puts_since(0);
     let ended_early: Vec<_> =
         puts.iter().filter(|put| matches!(&*put.member, "abortexposure" | "stopexposure")).collect();
     assert!(ended_early.is_empty(), "{ended_early:?}");
@@ -155,23 +157,25 @@ fn exposures(rig: &Rig) -> Vec<(i64, bool)> {
 }
 
 /// Checks that every exposure is one whole file and one row, and that there are no others.
-async fn account(rig: &Rig) -> anyhow::Result<()> {
-    let begun = exposures(rig);
-    let whole =
-        |rig: &Rig| kept(rig).is_ok_and(|kept| kept.len() == begun.len() && kept.iter().all(|it| it.is_complete));
-    rig.until(&format!("{} frames with whole headers", begun.len()), 60.0, whole).await?;
-    let kept = kept(rig)?;
-    let told: Vec<(i64, bool)> = kept
+async fn account(harness: &Harness) -> anyhow::Result<()> {
+    let begun = exposures(harness);
+    let whole = |harness: &Harness| {
+        archived_frames(harness)
+            .is_ok_and(|archived| archived.len() == begun.len() && archived.iter().all(|it| it.is_complete))
+    };
+    harness.until(&format!("{} frames with whole headers", begun.len()), 60.0, whole).await?;
+    let archived = archived_frames(harness)?;
+    let events: Vec<(i64, bool)> = archived
         .iter()
         .map(|it| ((it.frame.exposure_s * 1000.0).round() as i64, is_light(&it.frame.purpose.image_type)))
         .collect();
-    assert_eq!(told, begun, "one after another, as the simulator exposed them");
-    let files: BTreeSet<_> = rig.fits().into_iter().collect();
-    let of_rows: BTreeSet<_> = kept.iter().map(|it| rig.path("images").join(&it.file)).collect();
+    assert_eq!(events, begun, "one after another, as the simulator exposed them");
+    let files: BTreeSet<_> = harness.fits().into_iter().collect();
+    let of_rows: BTreeSet<_> = archived.iter().map(|it| harness.path("images").join(&it.file)).collect();
     assert_eq!((files.len(), &files), (begun.len(), &of_rows), "no file without a row, none twice");
     let mut counts = BTreeMap::<(u32, String), usize>::new();
-    for it in &kept {
-        let path = rig.path("images").join(&it.file);
+    for it in &archived {
+        let path = harness.path("images").join(&it.file);
         let header = header(&path)?;
         let purpose = &it.frame.purpose;
         *counts.entry((purpose.row.unwrap(), purpose.image_type.clone())).or_default() += 1;
@@ -190,54 +194,79 @@ async fn account(rig: &Rig) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Compares each row with its forecast: the same action, finished, with the same frames.
+fn went_as_planned(rows: &[RowState], plan: &str) -> anyhow::Result<()> {
+    let plan: Vec<Value> = plan.lines().map(serde_json::from_str).collect::<Result<_, _>>()?;
+    let plan: Vec<&Value> = plan.iter().filter(|line| line["row"].is_number()).collect();
+    assert_eq!(plan.len(), rows.len());
+    for (row, planned) in rows.iter().zip(plan) {
+        assert_eq!((&planned["action"], &planned["status"]), (&json!(row.action), &json!("finished")), "{planned}");
+        // How many frames a focus run and a guide calibration need depends on what they see.
+        let is_open = matches!(&*row.action, "autofocus" | "calibrate_guiding");
+        let (frames, taken) = (planned["frames"].as_u64().unwrap(), u64::from(row.frames));
+        assert!(frames == taken || is_open && frames > 0 && taken > 0, "{frames} frames planned: {row:?}");
+    }
+    Ok(())
+}
+
 fn is_light(image_type: &str) -> bool {
     !matches!(image_type, "Bias Frame" | "Dark Frame")
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_night_with_every_action_ends_closed_with_every_frame_accounted_for() -> anyhow::Result<()> {
-    let mut rig = Rig::of_files(world(), files).await?;
-    let config = config::parse(&std::fs::read_to_string(rig.path("observatory.toml"))?, &rig.path(""))?;
+    let mut harness = Harness::of_files(world(), files).await?;
+    let config = config::parse(&std::fs::read_to_string(harness.path("observatory.toml"))?, &harness.path(""))?;
     let address = config.address();
-    let [toml, schedule] = ["observatory.toml", "schedule.jsonl"].map(|name| rig.path(name).display().to_string());
+    let [toml, schedule] = ["observatory.toml", "schedule.jsonl"].map(|name| harness.path(name).display().to_string());
     for words in [vec!["check", &toml], vec!["check", &schedule, "--at", "2026-06-20T20:50:00Z"]] {
-        let told = rig.starmesh(&words).await?;
-        assert!(!told.contains("warning") && !told.contains("error"), "{told}");
+        let output = harness.starmesh(&words).await?;
+        assert!(!output.contains("warning") && !output.contains("error"), "{output}");
     }
-    let ears = Ears::of(&rig, &address).await?;
-    rig.start_all()?;
-    let (order, guided) = follow(&rig, &ears).await?;
+    let plan = harness.starmesh(&["plan", &schedule, "--config", &toml, "--json"]).await?;
+    let subscribers = Subscribers::of(&harness, &address).await?;
+    harness.start_all()?;
+    let (order, guided) = follow(&harness, &subscribers).await?;
     assert_eq!(order, (0..ROWS.len()).collect::<Vec<_>>(), "one row after another");
-    rig.until("the night ends", 60.0, |rig| rig.night.get().is_some_and(|night| night.said.body.ended)).await?;
+    harness
+        .until("the night ends", 60.0, |harness| harness.night.get().is_some_and(|night| night.sample.body.ended))
+        .await?;
 
-    let rows = rig.schedule.get().unwrap().said.body.rows;
-    let told: Vec<_> = rows.iter().map(|row| row.action.as_str()).collect();
-    assert_eq!(told, ROWS.map(|(action, _)| action));
+    let rows = harness.schedule.get().unwrap().sample.body.rows;
+    let actions: Vec<_> = rows.iter().map(|row| row.action.as_str()).collect();
+    assert_eq!(actions, ROWS.map(|(action, _)| action));
     for (row, (_, frames)) in rows.iter().zip(ROWS) {
         assert_eq!(row.status, RowStatus::Finished, "{row:?}");
         assert!(frames.is_none_or(|frames| row.frames == frames), "{frames:?} expected: {row:?}");
     }
+    went_as_planned(&rows, &plan)?;
     // No action is left out: the bus lists all actions.
     let answer: ActionAnswer =
-        rig.bus.ask(&Key::Actions(address.clone()), &ActionQuestion::default(), Duration::from_secs(5)).await?;
+        harness.bus.ask(&Key::Actions(address.clone()), &ActionQuestion::default(), Duration::from_secs(5)).await?;
     let all: BTreeSet<&str> = answer.actions.iter().map(|action| action.name.as_str()).collect();
-    assert_eq!(told.into_iter().collect::<BTreeSet<_>>(), all);
+    assert_eq!(actions.into_iter().collect::<BTreeSet<_>>(), all);
     assert!(answer.actions.iter().all(|action| action.schema["type"] == "object" && action.example.is_object()));
 
-    let run = tokio::time::timeout(Duration::from_secs(5), ears.focus.hear()).await?.said.body;
+    let run = tokio::time::timeout(Duration::from_secs(5), subscribers.focus.recv()).await?.sample.body;
     assert_eq!(run.outcome, FocusOutcome::Focused, "{run:?}");
     assert!(guided, "a field was held by guiding");
-    let points: usize = ears.pointing.get().unwrap().said.body.models.iter().map(|model| model.points.len()).sum();
-    assert!(points >= 6, "the pointing model has learnt of {points} places");
+    let points: usize =
+        subscribers.pointing.get().unwrap().sample.body.models.iter().map(|model| model.points.len()).sum();
+    assert!(points >= 6, "the pointing model has learned {points} places");
 
-    assert!(rig.is_shut() && rig.is_parked() && rig.simulator.world().is_parked(), "{}", rig.last_words());
-    let mut lamp = rig.simulator.world().puts_since(0).into_iter().filter(|put| put.member.starts_with("calibrator"));
+    assert!(
+        harness.is_shut() && harness.is_parked() && harness.simulator.world().is_parked(),
+        "{}",
+        harness.last_words()
+    );
+    let mut lamp =
+        harness.simulator.world().puts_since(0).into_iter().filter(|put| put.member.starts_with("calibrator"));
     assert_eq!(lamp.next_back().map(|put| put.member), Some("calibratoroff".to_owned()), "the panel is dark");
-    account(&rig).await?;
-    let standing = ears.alerts.get().unwrap().said.body.alerts;
-    assert!(standing.is_empty(), "{standing:?}");
-    let books = ["device", "observatory"].map(|role| rig.path(&format!("data/audit-{role}-alpha-main.jsonl")));
-    let books = books.map(|book| book.display().to_string());
-    println!("{}", rig.starmesh(&["audit", "verify", &books[0], &books[1]]).await?);
+    account(&harness).await?;
+    let active = subscribers.alerts.get().unwrap().sample.body.alerts;
+    assert!(active.is_empty(), "{active:?}");
+    let chains = ["device", "observatory"].map(|role| harness.path(&format!("data/audit-{role}-alpha-main.jsonl")));
+    let chains = chains.map(|file| file.display().to_string());
+    println!("{}", harness.starmesh(&["audit", "verify", &chains[0], &chains[1]]).await?);
     Ok(())
 }

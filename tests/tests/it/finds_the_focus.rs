@@ -9,14 +9,14 @@ use bus::{Catch, Subscriber};
 use contract::observatory::{Alerts, FocusOutcome, FocusRun, FocusState, RowStatus};
 use contract::{Address, DeviceState, Key, Kind, Part, Role, device::focuser};
 use serde_json::json;
-use test_support::{Rig, RigOptions, row};
+use test_support::{Harness, HarnessOptions, row};
 
 /// Where the simulated focus is at 10 C through V, steps.
 const TRUTH: f64 = 25_000.0;
 
 /// A field of half a degree, in a sky and a tube that stay as they are.
-fn options() -> RigOptions {
-    let mut options = RigOptions::default();
+fn options() -> HarnessOptions {
+    let mut options = HarnessOptions::default();
     options.world.speed = 25.0;
     (options.world.camera.width, options.world.camera.height) = (640, 640);
     options.world.camera.pixel_um = 13.5;
@@ -27,16 +27,16 @@ fn options() -> RigOptions {
     options
 }
 
-async fn next(runs: &Subscriber<FocusRun>, rig: &Rig) -> anyhow::Result<FocusRun> {
-    match tokio::time::timeout(Duration::from_secs(120), runs.hear()).await {
-        Ok(heard) => Ok(heard.said.body),
-        Err(_) => anyhow::bail!("no focus run has ended\n{}", rig.last_words()),
+async fn next(runs: &Subscriber<FocusRun>, harness: &Harness) -> anyhow::Result<FocusRun> {
+    match tokio::time::timeout(Duration::from_secs(120), runs.recv()).await {
+        Ok(received) => Ok(received.sample.body),
+        Err(_) => anyhow::bail!("no focus run has ended\n{}", harness.last_words()),
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_ends_at_the_focus_from_near_and_far_and_where_it_began_under_clouds() -> anyhow::Result<()> {
-    let mut rig = Rig::new(options(), |_| {
+    let mut harness = Harness::new(options(), |_| {
         vec![
             row("autofocus", json!({"exptime": 2, "filter": "V", "selection_method": "maximal"})),
             // All of the first look lies beyond the focus: 600 steps are five critical zones.
@@ -45,27 +45,28 @@ async fn a_run_ends_at_the_focus_from_near_and_far_and_where_it_began_under_clou
         ]
     })
     .await?;
-    rig.simulator.world().set_weather(simulator::Quantity::Temperature, Some(10.0));
-    rig.simulator.world().set_weather(simulator::Quantity::StarFwhm, Some(1.0));
+    harness.simulator.world().set_weather(simulator::Quantity::Temperature, Some(10.0));
+    harness.simulator.world().set_weather(simulator::Quantity::StarFwhm, Some(1.0));
     let address = Address::new(test_support::SITE, test_support::TELESCOPE)?;
     let key = Key::FocusRun(address.clone()).to_string();
-    let runs = rig.bus.subscribe::<FocusRun>(&key, Catch::All, 100).await?;
-    let state = rig.bus.latest::<FocusState>(&Key::Observatory(address.clone(), Part::Focus)).await?;
-    let alerts = rig.bus.latest::<Alerts>(&Key::Observatory(address.clone(), Part::Alerts)).await?;
+    let runs = harness.bus.subscribe::<FocusRun>(&key, Catch::All, 100).await?;
+    let state = harness.bus.latest::<FocusState>(&Key::Observatory(address.clone(), Part::Focus)).await?;
+    let alerts = harness.bus.latest::<Alerts>(&Key::Observatory(address.clone(), Part::Alerts)).await?;
     let device = address.device(Kind::Focuser, &"focuser".parse()?);
-    let focuser = rig.bus.latest::<DeviceState<focuser::Fields>>(&Key::State(device)).await?;
+    let focuser = harness.bus.latest::<DeviceState<focuser::Fields>>(&Key::State(device)).await?;
     for role in [Role::Device, Role::Observatory, Role::Archive] {
-        rig.start(role)?;
+        harness.start(role)?;
     }
-    let focus = || state.get().map(|heard| heard.said.body);
-    rig.until("a run is shown point by point", 60.0, |_| {
-        focus().is_some_and(|focus| focus.active && focus.run.is_some_and(|run| run.points.len() >= 2))
-    })
-    .await?;
-    assert_eq!(focus().unwrap().best_position, Some(25_350), "as configured, until it is learnt");
+    let focus = || state.get().map(|received| received.sample.body);
+    harness
+        .until("a run is shown point by point", 60.0, |_| {
+            focus().is_some_and(|focus| focus.active && focus.run.is_some_and(|run| run.points.len() >= 2))
+        })
+        .await?;
+    assert_eq!(focus().unwrap().best_position, Some(25_350), "as configured, until it is learned");
 
     for far in [false, true] {
-        let run = next(&runs, &rig).await?;
+        let run = next(&runs, &harness).await?;
         println!(
             "{} frames, {:?} +- {:?}, zone {:?}, verified {:?}",
             run.points.len(),
@@ -82,37 +83,41 @@ async fn a_run_ends_at_the_focus_from_near_and_far_and_where_it_began_under_clou
         assert!(run.points.iter().all(|point| point.frames.len() == 1));
     }
     // As thick as the safety monitor lets pass, and the stars smeared: nothing can be seen in a millisecond.
-    rig.simulator.world().set_weather(simulator::Quantity::CloudCover, Some(79.0));
-    rig.simulator.world().set_weather(simulator::Quantity::StarFwhm, Some(60.0));
-    let failed = next(&runs, &rig).await?;
+    harness.simulator.world().set_weather(simulator::Quantity::CloudCover, Some(79.0));
+    harness.simulator.world().set_weather(simulator::Quantity::StarFwhm, Some(60.0));
+    let failed = next(&runs, &harness).await?;
     assert_eq!(failed.outcome, FocusOutcome::Failed, "{failed:?}");
     let reason = failed.reason.clone().unwrap();
     assert!(reason.contains("look for clouds"), "{reason}: {:?}", failed.points);
-    let position = || focuser.get()?.said.body.fields.position.known().copied();
-    rig.until("the focuser is back where it stood", 20.0, |_| position() == Some(failed.start_position)).await?;
+    let position = || focuser.get()?.sample.body.fields.position.known().copied();
+    harness.until("the focuser is back where it stood", 20.0, |_| position() == Some(failed.start_position)).await?;
     assert!((failed.start_position as f64 - TRUTH).abs() < 25.0, "at what was kept: {}", failed.start_position);
-    let alert = || alerts.get().is_some_and(|h| h.said.body.alerts.iter().any(|a| a.id == "focus-failed/camera"));
-    rig.until("a person is told", 20.0, |_| alert()).await?;
-    rig.until("the row has failed, and says why", 20.0, |rig| {
-        let rows = rig.schedule.get().map(|heard| heard.said.body.rows).unwrap_or_default();
-        let status: Vec<RowStatus> = rows.iter().map(|row| row.status).collect();
-        status == [RowStatus::Finished, RowStatus::Finished, RowStatus::Failed] && rows[2].detail.contains("no focus")
-    })
-    .await?;
+    let alert = || alerts.get().is_some_and(|h| h.sample.body.alerts.iter().any(|a| a.id == "focus-failed/camera"));
+    harness.until("an alert is raised", 20.0, |_| alert()).await?;
+    harness
+        .until("the row has failed, and says why", 20.0, |harness| {
+            let rows = harness.schedule.get().map(|received| received.sample.body.rows).unwrap_or_default();
+            let status: Vec<RowStatus> = rows.iter().map(|row| row.status).collect();
+            status == [RowStatus::Finished, RowStatus::Finished, RowStatus::Failed]
+                && rows[2].detail.contains("no focus")
+        })
+        .await?;
     let shown = focus().unwrap();
     assert!(!shown.active && shown.focusers[0].runs == 2, "{shown:?}");
 
-    let database = rig.path("data/archive.db");
-    rig.until("three runs in the database", 20.0, |_| {
-        let count = rusqlite::Connection::open(&database)
-            .and_then(|database| database.query_row("SELECT count(*) FROM focus_runs", [], |row| row.get::<_, i64>(0)));
-        count.is_ok_and(|count| count == 3)
-    })
-    .await?;
-    let kept: serde_json::Value = serde_json::from_slice(&std::fs::read(rig.path("data/focus-alpha.json"))?)?;
-    assert_eq!(kept["focusers"]["focuser"].as_array().map(Vec::len), Some(2), "{kept}");
-    rig.until("the dome ends shut", 90.0, Rig::is_shut).await?;
-    let night = rig.path("images/autofocus").join(&failed.night);
+    let database = harness.path("data/archive.db");
+    harness
+        .until("three runs in the database", 20.0, |_| {
+            let count = rusqlite::Connection::open(&database).and_then(|database| {
+                database.query_row("SELECT count(*) FROM focus_runs", [], |row| row.get::<_, i64>(0))
+            });
+            count.is_ok_and(|count| count == 3)
+        })
+        .await?;
+    let learned: serde_json::Value = serde_json::from_slice(&std::fs::read(harness.path("data/focus-alpha.json"))?)?;
+    assert_eq!(learned["focusers"]["focuser"].as_array().map(Vec::len), Some(2), "{learned}");
+    harness.until("the dome ends shut", 90.0, Harness::is_shut).await?;
+    let night = harness.path("images/autofocus").join(&failed.night);
     let plots = std::fs::read_dir(&night)?.flatten().filter(|file| file.path().extension().is_some_and(|e| e == "svg"));
     assert_eq!(plots.count(), 3, "in {}", night.display());
     Ok(())

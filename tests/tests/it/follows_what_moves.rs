@@ -9,17 +9,17 @@ use contract::observatory::RowStatus;
 use serde_json::{Value, json};
 use sky::moving::{Orbit, Satellite, Shape, When};
 use sky::{Body, EarthOrientation, Observer, Place, separation};
-use test_support::{Rig, RigOptions, row};
+use test_support::{Harness, HarnessOptions, row};
 use units::{Angle, Utc};
 
 /// Each body is followed for so long, sky s.
 const FOLLOWED_S: f64 = 120.0;
 const EXPOSURE_S: f64 = 20.0;
 /// How far from it the telescope may look meanwhile.
-const BESIDE_ARCSEC: f64 = 1.0;
+const OFFSET_ARCSEC: f64 = 1.0;
 
-fn options() -> RigOptions {
-    let mut options = RigOptions::default();
+fn options() -> HarnessOptions {
+    let mut options = HarnessOptions::default();
     options.world.speed = 10.0;
     options.more = "[names]\nonline = false\n".to_owned();
     options.world.dome.slit = None;
@@ -100,43 +100,53 @@ async fn moving_targets_are_held_within_an_arcsecond_and_the_mount_then_follows_
         rows.push(row("object", endless));
         rows
     };
-    let mut rig = Rig::new(options(), rows).await?;
+    let mut harness = Harness::new(options(), rows).await?;
     for role in [contract::Role::Device, contract::Role::Observatory] {
-        rig.start(role)?;
+        harness.start(role)?;
     }
     for (number, (value, body)) in (2_u32..).zip(&targets) {
-        let exposing = |rig: &Rig| {
-            rig.night.get().is_some_and(|heard| {
-                heard.said.body.actions.iter().any(|now| now.row == number && now.step.starts_with("exposing"))
+        let exposing = |harness: &Harness| {
+            harness.night.get().is_some_and(|received| {
+                received.sample.body.actions.iter().any(|now| now.row == number && now.step.starts_with("exposing"))
             })
         };
-        rig.until(&format!("frames of {}", value["object"]), 90.0, exposing).await?;
-        let (began, _) = rig.simulator.world().looks_at_when();
+        harness.until(&format!("frames of {}", value["object"]), 90.0, exposing).await?;
+        let (began, _) = harness.simulator.world().looks_at_when();
         let (mut worst, mut looks) = (0.0_f64, 0);
         loop {
-            let (now, icrs) = rig.simulator.world().looks_at_when();
+            let (now, icrs) = harness.simulator.world().looks_at_when();
             if now.seconds_since(began) > FOLLOWED_S {
                 break;
             }
-            let beside = separation(&icrs, &body.seen(&observer(&world, now))?.icrs).arcseconds();
-            (worst, looks) = (worst.max(beside), looks + 1);
-            assert!(beside < BESIDE_ARCSEC, "{}: {beside} arcsec beside\n{}", value["object"], rig.last_words());
+            let off_arcsec = separation(&icrs, &body.seen(&observer(&world, now))?.icrs).arcseconds();
+            (worst, looks) = (worst.max(off_arcsec), looks + 1);
+            assert!(
+                off_arcsec < OFFSET_ARCSEC,
+                "{}: {off_arcsec} arcsec off\n{}",
+                value["object"],
+                harness.last_words()
+            );
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
-        println!("{}: at most {worst:.3} arcsec beside in {looks} looks", value["object"]);
+        println!("{}: at most {worst:.3} arcsec off in {looks} looks", value["object"]);
         assert!(looks > 50, "{looks}");
-        let ended = |rig: &Rig| {
-            rig.schedule.get().is_some_and(|heard| heard.said.body.rows[number as usize].status == RowStatus::Finished)
+        let ended = |harness: &Harness| {
+            harness
+                .schedule
+                .get()
+                .is_some_and(|received| received.sample.body.rows[number as usize].status == RowStatus::Finished)
         };
-        rig.until("the row ends", 30.0, ended).await?;
+        harness.until("the row ends", 30.0, ended).await?;
     }
-    let rested = rig.schedule.get().unwrap().said.body.rows[1].clone();
+    let rested = harness.schedule.get().unwrap().sample.body.rows[1].clone();
     assert!(rested.status != RowStatus::Finished && rested.detail.contains("not been looked up"), "{rested:?}");
     // The endless row: the Moon again, until it rains.
-    rig.until("the Moon is followed", 60.0, |rig| rig.simulator.world().rates_arcsec_per_s()[0] > 0.1).await?;
-    rig.simulator.world().set_weather(simulator::Quantity::RainRate, Some(3.0));
-    rig.until("the dome ends shut", 90.0, Rig::is_shut).await?;
-    rig.until("the mount ends parked", 60.0, Rig::is_parked).await?;
-    assert_eq!(rig.simulator.world().rates_arcsec_per_s(), [0.0; 2], "{}", rig.last_words());
+    harness
+        .until("the Moon is followed", 60.0, |harness| harness.simulator.world().rates_arcsec_per_s()[0] > 0.1)
+        .await?;
+    harness.simulator.world().set_weather(simulator::Quantity::RainRate, Some(3.0));
+    harness.until("the dome ends shut", 90.0, Harness::is_shut).await?;
+    harness.until("the mount ends parked", 60.0, Harness::is_parked).await?;
+    assert_eq!(harness.simulator.world().rates_arcsec_per_s(), [0.0; 2], "{}", harness.last_words());
     Ok(())
 }

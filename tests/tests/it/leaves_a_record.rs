@@ -4,12 +4,12 @@
 use std::collections::HashMap;
 use std::time::Duration;
 
-use audit::book::examine;
-use contract::audit::{Outcome, Record};
+use audit::audit_file::examine;
+use contract::audit::{AuditOutcome, AuditRecord};
 use contract::device::{dome, focuser};
 use contract::{Address, Command, CommandId, Kind, OrderKind, Reason, Reply, Role};
 use serde_json::json;
-use test_support::{Rig, RigOptions, SITE, TELESCOPE, object, row};
+use test_support::{Harness, HarnessOptions, SITE, TELESCOPE, object, row};
 
 /// Role and id of each node that writes a file of its own.
 type Writer = [&'static str; 2];
@@ -20,30 +20,30 @@ const NODES: [Writer; 3] = [ENCLOSURE, MAIN, OBSERVATORY];
 /// A PUT follows its record, or the record the PUT, within so many sky seconds: 3 s on the machine.
 const NEAR_S: f64 = 30.0;
 
-fn file(rig: &Rig, [role, id]: Writer) -> std::path::PathBuf {
-    rig.path(&format!("data/audit-{role}-{TELESCOPE}-{id}.jsonl"))
+fn file(harness: &Harness, [role, id]: Writer) -> std::path::PathBuf {
+    harness.path(&format!("data/audit-{role}-{TELESCOPE}-{id}.jsonl"))
 }
 
-fn lines(rig: &Rig, node: Writer) -> Vec<String> {
-    std::fs::read_to_string(file(rig, node)).unwrap_or_default().lines().map(str::to_owned).collect()
+fn lines(harness: &Harness, node: Writer) -> Vec<String> {
+    std::fs::read_to_string(file(harness, node)).unwrap_or_default().lines().map(str::to_owned).collect()
 }
 
-fn stored(rig: &Rig, [role, id]: Writer) -> anyhow::Result<Vec<String>> {
-    let database = rusqlite::Connection::open(rig.path("data/archive.db"))?;
+fn stored(harness: &Harness, [role, id]: Writer) -> anyhow::Result<Vec<String>> {
+    let database = rusqlite::Connection::open(harness.path("data/archive.db"))?;
     let mut statement = database.prepare("SELECT line FROM audit WHERE node = ? AND fault IS NULL ORDER BY rowid")?;
     let rows = statement.query_map([format!("{role}/{TELESCOPE}/{id}")], |row| row.get(0))?;
     Ok(rows.collect::<Result<_, _>>()?)
 }
 
-fn records(rig: &Rig, node: Writer) -> anyhow::Result<Vec<Record>> {
-    let found = examine(&std::fs::read(file(rig, node))?, None);
+fn records(harness: &Harness, node: Writer) -> anyhow::Result<Vec<AuditRecord>> {
+    let found = examine(&std::fs::read(file(harness, node))?, None);
     anyhow::ensure!(found.broken.is_none() && found.half.is_empty(), "{node:?}: {:?}", found.broken);
     Ok(found.good.into_iter().map(|proven| proven.record).collect())
 }
 
 /// Sends a command that must be refused; returns its id.
 async fn refused<C: contract::Payload>(
-    rig: &Rig,
+    harness: &Harness,
     kind: Kind,
     name: &str,
     token: Option<u64>,
@@ -51,7 +51,7 @@ async fn refused<C: contract::Payload>(
 ) -> anyhow::Result<CommandId> {
     let device = Address::new(SITE, TELESCOPE)?.device(kind, &name.parse()?);
     let command = Command { id: CommandId::fresh(), from: "web/mallory".to_owned(), token, boot_id: None, action };
-    let reply: Reply = rig.bus.ask(&contract::Key::Command(device), &command, Duration::from_secs(3)).await?;
+    let reply: Reply = harness.bus.ask(&contract::Key::Command(device), &command, Duration::from_secs(3)).await?;
     match reply {
         Reply::Refusal(refusal) if refusal.reason == Reason::StaleToken => Ok(command.id),
         other => anyhow::bail!("{other:?}"),
@@ -93,45 +93,52 @@ fn verbs(member: &str) -> Option<(&'static [&'static str], bool)> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_order_and_every_movement_of_a_night_leaves_a_record() -> anyhow::Result<()> {
-    let mut rig = Rig::new(RigOptions::default(), |world| {
+    let mut harness = Harness::new(HarnessOptions::default(), |world| {
         vec![row("open", json!({})), object(world, "Kept field", 10.0, 8), row("close", json!({}))]
     })
     .await?;
-    rig.start_all()?;
-    let frames = |rig: &Rig| rig.night.get().map_or(0, |night| night.said.body.frames);
-    rig.until("two frames are taken", 120.0, |rig| frames(rig) >= 2).await?;
+    harness.start_all()?;
+    let frames = |harness: &Harness| harness.night.get().map_or(0, |night| night.sample.body.frames);
+    harness.until("two frames are taken", 120.0, |harness| frames(harness) >= 2).await?;
     let turn = dome::Command::SlewToAzimuth { azimuth_deg: 90.0 };
-    let mut bad = vec![refused(&rig, Kind::Dome, "dome", None, turn.clone()).await?];
-    bad.push(refused(&rig, Kind::Focuser, "focuser", Some(0), focuser::Command::Move { position: 1 }).await?);
+    let mut bad = vec![refused(&harness, Kind::Dome, "dome", None, turn.clone()).await?];
+    bad.push(refused(&harness, Kind::Focuser, "focuser", Some(0), focuser::Command::Move { position: 1 }).await?);
 
-    rig.kill(Role::Archive)?;
-    bad.push(refused(&rig, Kind::Dome, "dome", Some(0), dome::Command::OpenShutter).await?);
-    rig.order(&["reload", "--reason", "a new target"]).await?;
-    rig.until("five frames are taken without an archive", 90.0, |rig| frames(rig) >= 5).await?;
-    rig.start(Role::Archive)?;
-    rig.until("the night ends", 150.0, |rig| rig.night.get().is_some_and(|night| night.said.body.ended)).await?;
-    rig.until("the dome is shut", 60.0, Rig::is_shut).await?;
-    rig.order(&["close", "--reason", "good night"]).await?;
+    harness.kill(Role::Archive)?;
+    bad.push(refused(&harness, Kind::Dome, "dome", Some(0), dome::Command::OpenShutter).await?);
+    harness.order(&["reload", "--reason", "a new target"]).await?;
+    harness.until("five frames are taken without an archive", 90.0, |harness| frames(harness) >= 5).await?;
+    harness.start(Role::Archive)?;
+    harness
+        .until("the night ends", 150.0, |harness| harness.night.get().is_some_and(|night| night.sample.body.ended))
+        .await?;
+    harness.until("the dome is shut", 60.0, Harness::is_shut).await?;
+    harness.order(&["close", "--reason", "good night"]).await?;
 
-    let same = |rig: &Rig| {
-        NODES.iter().all(|node| stored(rig, *node).is_ok_and(|stored| stored.len() > 3 && stored == lines(rig, *node)))
+    let same = |harness: &Harness| {
+        NODES
+            .iter()
+            .all(|node| stored(harness, *node).is_ok_and(|stored| stored.len() > 3 && stored == lines(harness, *node)))
     };
     // The last records are synced and published within seconds, and asked for each minute if they were lost on the way.
     tokio::time::sleep(Duration::from_secs(3)).await;
-    rig.until("the archive has what the nodes have, record for record", 90.0, same).await?;
+    harness.until("the archive has what the nodes have, record for record", 90.0, same).await?;
 
-    let ordered = records(&rig, OBSERVATORY)?;
+    let ordered = records(&harness, OBSERVATORY)?;
     for (kind, reason) in [(OrderKind::ReloadSchedule, "a new target"), (OrderKind::Close, "good night")] {
         let verb = audit::verb_and_parameters(&kind).0;
         let found = ordered.iter().find(|record| record.verb == verb && record.reason == reason);
         let found = found.ok_or_else(|| anyhow::anyhow!("no record of {verb}: {ordered:#?}"))?;
-        assert!(found.from.starts_with("cli/") && found.outcome == Outcome::Accepted, "{found:?}");
+        assert!(found.from.starts_with("cli/") && found.outcome == AuditOutcome::Accepted, "{found:?}");
     }
-    let moved: Vec<Record> = [records(&rig, ENCLOSURE)?, records(&rig, MAIN)?].concat();
+    let moved: Vec<AuditRecord> = [records(&harness, ENCLOSURE)?, records(&harness, MAIN)?].concat();
     for id in &bad {
         let found: Vec<_> = moved.iter().filter(|record| record.id == *id).collect();
         assert!(
-            matches!(found[..], [Record { outcome: Outcome::Refused { reason: Reason::StaleToken, .. }, .. }]),
+            matches!(
+                found[..],
+                [AuditRecord { outcome: AuditOutcome::Refused { reason: Reason::StaleToken, .. }, .. }]
+            ),
             "{found:?}"
         );
     }
@@ -139,12 +146,13 @@ async fn every_order_and_every_movement_of_a_night_leaves_a_record() -> anyhow::
     assert!(hosts.count() > 0, "where the observatory runs is known");
 
     // Compares every PUT that moved something with the records.
-    let mut accepted: Vec<&Record> = moved.iter().filter(|record| record.outcome == Outcome::Accepted).collect();
+    let mut accepted: Vec<&AuditRecord> =
+        moved.iter().filter(|record| record.outcome == AuditOutcome::Accepted).collect();
     let all = accepted.clone();
     let mut seen: HashMap<String, usize> = HashMap::new();
-    for put in rig.simulator.world().puts_since(0) {
+    for put in harness.simulator.world().puts_since(0) {
         let Some((verbs, once)) = verbs(&put.member) else { continue };
-        let is_its = |record: &&Record| {
+        let is_its = |record: &&AuditRecord| {
             record.device.split('/').next() == Some(put.device.path().as_str())
                 && verbs.contains(&record.verb.as_str())
                 && record.at_utc.seconds_since(put.sky_utc).abs() < NEAR_S
@@ -167,18 +175,18 @@ async fn every_order_and_every_movement_of_a_night_leaves_a_record() -> anyhow::
     assert!(seen["startexposure"] >= 8, "{seen:?}");
     // Each of them has a record of how it ended.
     for record in all.iter().filter(|record| record.verb == "expose" || record.verb == "open_shutter") {
-        let ended = moved.iter().any(|end| end.id == record.id && end.outcome == Outcome::Done);
+        let ended = moved.iter().any(|end| end.id == record.id && end.outcome == AuditOutcome::Done);
         assert!(ended, "{record:?}");
     }
 
-    let [enclosure, main, observatory] = NODES.map(|node| file(&rig, node));
-    let archive = rig.path("data/archive.db");
+    let [enclosure, main, observatory] = NODES.map(|node| file(&harness, node));
+    let archive = harness.path("data/archive.db");
     let text = |path: &std::path::Path| path.display().to_string();
     let files = [text(&enclosure), text(&main), text(&observatory), text(&archive)];
-    let proven = rig.starmesh(&["audit", "verify", &files[0], &files[1], &files[2], &files[3]]).await?;
-    let distinct: usize = NODES.iter().map(|node| lines(&rig, *node).len()).sum();
+    let proven = harness.starmesh(&["audit", "verify", &files[0], &files[1], &files[2], &files[3]]).await?;
+    let distinct: usize = NODES.iter().map(|node| lines(&harness, *node).len()).sum();
     assert!(proven.contains(&format!("{} records, {distinct} of them different ones", 2 * distinct)), "{proven}");
-    let shown = rig.starmesh(&["audit", "show", "--device", "dome", &files[0], &files[3]]).await?;
+    let shown = harness.starmesh(&["audit", "show", "--device", "dome", &files[0], &files[3]]).await?;
     assert!(shown.contains("dome/dome open_shutter") && shown.contains("web/mallory"), "{shown}");
     assert!(!shown.contains("expose"), "{shown}");
 
@@ -187,10 +195,10 @@ async fn every_order_and_every_movement_of_a_night_leaves_a_record() -> anyhow::
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     let line = bytes[..middle].iter().filter(|byte| **byte == b'\n').count() + 1;
-    let spoilt = rig.path("spoilt.jsonl");
+    let spoilt = harness.path("spoilt.jsonl");
     std::fs::write(&spoilt, bytes)?;
-    let told = rig.starmesh(&["audit", "verify", &text(&spoilt)]).await.unwrap_err().to_string();
-    assert!(told.contains(&format!("line {line} is broken: expected")), "{told}");
-    rig.until("the dome ends shut", 30.0, Rig::is_shut).await?;
+    let error = harness.starmesh(&["audit", "verify", &text(&spoilt)]).await.unwrap_err().to_string();
+    assert!(error.contains(&format!("line {line} is broken: expected")), "{error}");
+    harness.until("the dome ends shut", 30.0, Harness::is_shut).await?;
     Ok(())
 }

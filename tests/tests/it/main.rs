@@ -15,6 +15,7 @@ mod measures_frames;
 mod others_stand_in;
 mod plans_the_night;
 mod points_where_it_looks;
+mod reports_the_night;
 mod rows_follow_each_other;
 mod spares_the_wait;
 mod standby_takes_over;

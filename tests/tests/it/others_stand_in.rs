@@ -9,7 +9,7 @@ use axum::routing::post;
 use contract::observatory::Alerts;
 use contract::{Address, Key, NodeTopic, Part, Role};
 use serde_json::Value;
-use test_support::{Rig, RigOptions, SITE, TELESCOPE, long_row, serve};
+use test_support::{Harness, HarnessOptions, SITE, TELESCOPE, long_row, serve};
 
 const SILENT: &str = "node-silent/observatory/alpha";
 /// Alerts that are sent before the observatory node dies and stay active all the time: a full disk, which each node
@@ -34,7 +34,7 @@ impl Chat {
     }
 
     /// Every event so far, in order, such as `raised no-lease`.
-    fn told(&self) -> Vec<String> {
+    fn events(&self) -> Vec<String> {
         let letters = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let news = letters.iter().flat_map(|letter| letter["news"].as_array().cloned().unwrap_or_default());
         let words = |value: &Value| value.as_str().unwrap_or_default().to_owned();
@@ -42,21 +42,21 @@ impl Chat {
     }
 
     fn count(&self, event: &str) -> usize {
-        self.told().iter().filter(|told| *told == event).count()
+        self.events().iter().filter(|one| *one == event).count()
     }
 }
 
 /// Waits for a message and longer: it came once, and no message came twice.
-async fn once(rig: &Rig, chat: &Chat, event: &str, limit_s: f64) -> anyhow::Result<()> {
-    rig.until(event, limit_s, |_| chat.count(event) > 0).await?;
+async fn once(harness: &Harness, chat: &Chat, event: &str, limit_s: f64) -> anyhow::Result<()> {
+    harness.until(event, limit_s, |_| chat.count(event) > 0).await?;
     tokio::time::sleep(Duration::from_secs(4)).await;
-    for told in chat.told() {
-        assert_eq!(chat.count(&told), 1, "{told} came more than once: {:?}", chat.told());
+    for event in chat.events() {
+        assert_eq!(chat.count(&event), 1, "{event} came more than once: {:?}", chat.events());
     }
     Ok(())
 }
 
-async fn story(role: Role, ids: &[&str]) -> anyhow::Result<()> {
+async fn play(role: Role, ids: &[&str]) -> anyhow::Result<()> {
     let chat = Chat::default();
     let port = chat.open().await;
     let more = format!(
@@ -65,52 +65,54 @@ async fn story(role: Role, ids: &[&str]) -> anyhow::Result<()> {
          [[alerts.webhook]]\nname = \"dead\"\nurl = \"http://127.0.0.1:1/\"\n",
         role.word()
     );
-    let mut rig = Rig::new(RigOptions { more, ..RigOptions::default() }, long_row).await?;
+    let mut harness = Harness::new(HarnessOptions { more, ..HarnessOptions::default() }, long_row).await?;
     for role in [Role::Device, role, Role::Observatory] {
-        rig.start(role)?;
+        harness.start(role)?;
     }
     if ids.len() > 1 {
-        rig.start_second(role)?;
+        harness.start_second(role)?;
     }
     let address = Address::new(SITE, TELESCOPE)?;
-    let merged = rig.bus.latest::<Alerts>(&Key::Observatory(address.clone(), Part::Alerts)).await?;
+    let merged = harness.bus.latest::<Alerts>(&Key::Observatory(address.clone(), Part::Alerts)).await?;
     let mut own = Vec::new();
     for id in ids {
-        own.push(rig.bus.latest::<Alerts>(&Key::Node(address.clone(), role, id.parse()?, NodeTopic::Alerts)).await?);
+        own.push(
+            harness.bus.latest::<Alerts>(&Key::Node(address.clone(), role, id.parse()?, NodeTopic::Alerts)).await?,
+        );
     }
     let raised = format!("raised {SILENT}");
     let stands = |latest: &bus::Latest<Alerts>, id: &str| {
-        latest.get().is_some_and(|said| said.said.body.alerts.iter().any(|alert| alert.id == id))
+        latest.get().is_some_and(|received| received.sample.body.alerts.iter().any(|alert| alert.id == id))
     };
     for id in BEFORE {
-        rig.until("what stands before is alerted", 60.0, |_| stands(&merged, id)).await?;
-        once(&rig, &chat, &format!("raised {id}"), 20.0).await?;
+        harness.until("what stands before is alerted", 60.0, |_| stands(&merged, id)).await?;
+        once(&harness, &chat, &format!("raised {id}"), 20.0).await?;
     }
     assert_eq!(chat.count(&raised), 0, "nobody stands in for a node that lives");
 
-    rig.kill(Role::Observatory)?;
-    once(&rig, &chat, &raised, 60.0).await?;
-    rig.until("all that stand in say so", 10.0, |_| own.iter().all(|latest| stands(latest, SILENT))).await?;
+    harness.kill(Role::Observatory)?;
+    once(&harness, &chat, &raised, 60.0).await?;
+    harness.until("all that stand in say so", 10.0, |_| own.iter().all(|latest| stands(latest, SILENT))).await?;
 
-    rig.start(Role::Observatory)?;
+    harness.start(Role::Observatory)?;
     let over = format!("returned {SILENT}");
-    once(&rig, &chat, &over, 90.0).await?;
-    rig.until("who stood in is content", 20.0, |_| own.iter().all(|latest| !stands(latest, SILENT))).await?;
+    once(&harness, &chat, &over, 90.0).await?;
+    harness.until("who stood in is content", 20.0, |_| own.iter().all(|latest| !stands(latest, SILENT))).await?;
     for id in BEFORE {
         assert!(stands(&merged, id), "{id} still stands");
-        assert_eq!(chat.count(&format!("raised {id}")), 1, "and was told once: {:?}", chat.told());
+        assert_eq!(chat.count(&format!("raised {id}")), 1, "and was reported once: {:?}", chat.events());
     }
-    rig.until("the dome ends shut", 60.0, Rig::is_shut).await?;
+    harness.until("the dome ends shut", 60.0, Harness::is_shut).await?;
     Ok(())
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_archive_node_tells_once_that_the_observatory_is_dead_and_falls_silent_when_it_is_back() -> anyhow::Result<()>
-{
-    story(Role::Archive, &["main"]).await
+async fn an_archive_node_alerts_once_that_the_observatory_is_dead_and_falls_silent_when_it_is_back()
+-> anyhow::Result<()> {
+    play(Role::Archive, &["main"]).await
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn of_two_web_nodes_one_tells_it() -> anyhow::Result<()> {
-    story(Role::Web, &["main", "second"]).await
+async fn of_two_web_nodes_one_sends_it() -> anyhow::Result<()> {
+    play(Role::Web, &["main", "second"]).await
 }

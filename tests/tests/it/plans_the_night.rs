@@ -9,7 +9,7 @@ use contract::observatory::RowStatus;
 use serde_json::{Value, json};
 use simulator::SlitOptions;
 use sky::{EarthOrientation, Horizontal, Observer, Place};
-use test_support::{Rig, RigOptions};
+use test_support::{Harness, HarnessOptions};
 use units::Utc;
 
 /// Sky seconds per machine second.
@@ -29,9 +29,15 @@ const FRAMES: u64 = 3;
 const SHARE: f64 = 0.1;
 
 /// An object row at an altitude and azimuth of now.
-fn object(rig: &Rig, name: &str, (altitude_deg, azimuth_deg): (f64, f64), exptime: f64, n: Option<u32>) -> Value {
-    let place = Place::new(rig.world.latitude, rig.world.longitude, rig.world.elevation_m).unwrap();
-    let observer = Observer::new(&place, &EarthOrientation::default(), rig.simulator.world().now()).unwrap();
+fn object(
+    harness: &Harness,
+    name: &str,
+    (altitude_deg, azimuth_deg): (f64, f64),
+    exptime: f64,
+    n: Option<u32>,
+) -> Value {
+    let place = Place::new(harness.world.latitude, harness.world.longitude, harness.world.elevation_m).unwrap();
+    let observer = Observer::new(&place, &EarthOrientation::default(), harness.simulator.world().now()).unwrap();
     let target = observer.to_icrs(&Horizontal::from_degrees(altitude_deg, azimuth_deg));
     let (ra, dec) = (target.ra.wrapped_positive().degrees(), target.dec.degrees());
     let filter = if n.is_some() { "V" } else { "R" };
@@ -63,8 +69,8 @@ fn text_at(start: Utc, rows: &[(&str, Value, f64, f64)]) -> String {
 }
 
 /// When each row began and ended after `since`, as the nodes' diaries have it in the archive.
-fn truth(rig: &Rig, since: Utc) -> BTreeMap<u32, (Option<Utc>, Option<Utc>)> {
-    let database = rusqlite::Connection::open(rig.path("data/archive.db")).unwrap();
+fn truth(harness: &Harness, since: Utc) -> BTreeMap<u32, (Option<Utc>, Option<Utc>)> {
+    let database = rusqlite::Connection::open(harness.path("data/archive.db")).unwrap();
     let mut lines = database.prepare("SELECT datetime, message FROM log ORDER BY datetime").unwrap();
     let lines = lines.query_map([], |row| Ok((row.get::<_, String>(0)?, row.get::<_, String>(1)?))).unwrap();
     let mut rows: BTreeMap<u32, (Option<Utc>, Option<Utc>)> = BTreeMap::new();
@@ -83,14 +89,16 @@ fn truth(rig: &Rig, since: Utc) -> BTreeMap<u32, (Option<Utc>, Option<Utc>)> {
 }
 
 /// Waits until all rows of a schedule so long have ended.
-async fn until_ended(rig: &Rig, rows: usize) -> anyhow::Result<()> {
-    let ended = |rig: &Rig| {
-        let told = rig.schedule.get().map(|schedule| schedule.said.body.rows).unwrap_or_default();
+async fn until_ended(harness: &Harness, rows: usize) -> anyhow::Result<()> {
+    let ended = |harness: &Harness| {
+        let states = harness.schedule.get().map(|schedule| schedule.sample.body.rows).unwrap_or_default();
         let is_over = |status| matches!(status, RowStatus::Finished | RowStatus::Failed | RowStatus::Skipped);
-        told.len() == rows && told.iter().all(|row| is_over(row.status))
+        states.len() == rows && states.iter().all(|row| is_over(row.status))
     };
-    rig.until("all rows have ended", 120.0, ended).await?;
-    rig.until("the night has ended", 60.0, |rig| rig.night.get().is_some_and(|night| night.said.body.ended)).await?;
+    harness.until("all rows have ended", 120.0, ended).await?;
+    harness
+        .until("the night has ended", 60.0, |harness| harness.night.get().is_some_and(|night| night.sample.body.ended))
+        .await?;
     Ok(())
 }
 
@@ -107,50 +115,50 @@ async fn under_a_slow_dome_the_next_night_goes_as_planned_too() -> anyhow::Resul
 
 /// Two nights under a roof, or under a slow dome with this slit; windows are as much wider as that takes longer.
 async fn under(slit: Option<SlitOptions>, wider: f64) -> anyhow::Result<()> {
-    let mut options = RigOptions::default();
+    let mut options = HarnessOptions::default();
     options.world.speed = SPEED;
     let turn_s = if slit.is_some() { OTHER_TURN_S } else { 0.0 };
     options.world.dome = simulator::DomeOptions { slit, turn_deg_per_s: TURN_DEG_S, ..options.world.dome };
     options.world.mount = simulator::MountOptions { slew_deg_per_s: 3.0, ..simulator::MountOptions::perfect() };
-    let mut rig = Rig::new(options, |_| vec![("cool_camera", json!({}))]).await?;
+    let mut harness = Harness::new(options, |_| vec![("cool_camera", json!({}))]).await?;
     // A forecast assumes at first that the sensor is warm, and in the second schedule it would still be cold.
-    let site = std::fs::read_to_string(rig.path("observatory.toml"))?;
-    std::fs::write(rig.path("observatory.toml"), site.replace("temperature_c = -10.0\n", ""))?;
+    let site = std::fs::read_to_string(harness.path("observatory.toml"))?;
+    std::fs::write(harness.path("observatory.toml"), site.replace("temperature_c = -10.0\n", ""))?;
     let first = [
         ("open", json!({}), 3600.0),
-        ("object", object(&rig, "a", (70.0, 90.0), 5.0, Some(4)), 3600.0),
-        ("object", object(&rig, "b", (40.0, 200.0), 5.0, Some(4)), 3600.0),
-        ("object", object(&rig, "c", (55.0, 20.0), 5.0, Some(4)), 3600.0),
-        ("object", object(&rig, "d", (50.0, 60.0), 5.0, Some(3)), 3600.0),
-        ("object", object(&rig, "e", (75.0, 60.0), 5.0, Some(3)), 3600.0),
+        ("object", object(&harness, "a", (70.0, 90.0), 5.0, Some(4)), 3600.0),
+        ("object", object(&harness, "b", (40.0, 200.0), 5.0, Some(4)), 3600.0),
+        ("object", object(&harness, "c", (55.0, 20.0), 5.0, Some(4)), 3600.0),
+        ("object", object(&harness, "d", (50.0, 60.0), 5.0, Some(3)), 3600.0),
+        ("object", object(&harness, "e", (75.0, 60.0), 5.0, Some(3)), 3600.0),
         ("calibration", json!({ "exptime": [0.0, 2.0], "n": [4, 4] }), 3600.0),
         ("close", json!({}), 3600.0),
     ];
-    std::fs::write(rig.path("schedule.jsonl"), text(rig.simulator.world().now(), &first))?;
-    rig.start_all()?;
-    until_ended(&rig, first.len()).await?;
+    std::fs::write(harness.path("schedule.jsonl"), text(harness.simulator.world().now(), &first))?;
+    harness.start_all()?;
+    until_ended(&harness, first.len()).await?;
 
     // The archive commits within a second.
     tokio::time::sleep(std::time::Duration::from_millis(1500)).await;
-    let start = rig.simulator.world().now().plus_seconds(60.0);
+    let start = harness.simulator.world().now().plus_seconds(60.0);
     // Each row has time to end before the next one begins, so that each is judged for itself.
     let second = [
         ("open", json!({}), 0.0, 100.0),
-        ("object", object(&rig, "f", (65.0, 120.0), 10.0, Some(6)), 80.0, 300.0),
-        ("object", object(&rig, "g", (35.0, 300.0), 4.0, Some(8)), 270.0, 400.0),
-        ("object", object(&rig, "h", (60.0, 10.0), 12.0, None), 410.0, 570.0),
+        ("object", object(&harness, "f", (65.0, 120.0), 10.0, Some(6)), 80.0, 300.0),
+        ("object", object(&harness, "g", (35.0, 300.0), 4.0, Some(8)), 270.0, 400.0),
+        ("object", object(&harness, "h", (60.0, 10.0), 12.0, None), 410.0, 570.0),
         ("calibration", json!({ "exptime": [0.0, 8.0], "n": [6, 5] }), 600.0, 760.0),
         ("close", json!({}), 700.0, 1000.0),
     ];
     let second = second.map(|(action, value, from_s, to_s)| (action, value, wider * from_s, wider * to_s));
-    let file = rig.path("next.jsonl");
+    let file = harness.path("next.jsonl");
     std::fs::write(&file, text_at(start, &second))?;
-    let config = rig.path("observatory.toml");
+    let config = harness.path("observatory.toml");
     let words = ["plan", file.to_str().unwrap(), "--config", config.to_str().unwrap(), "--json"];
-    let told = rig.starmesh(&words).await?;
-    println!("{}", rig.starmesh(&words[..4]).await?);
-    std::fs::rename(&file, rig.path("schedule.jsonl"))?;
-    let plan: Vec<Value> = told.lines().map(serde_json::from_str).collect::<Result<_, _>>()?;
+    let output = harness.starmesh(&words).await?;
+    println!("{}", harness.starmesh(&words[..4]).await?);
+    std::fs::rename(&file, harness.path("schedule.jsonl"))?;
+    let plan: Vec<Value> = output.lines().map(serde_json::from_str).collect::<Result<_, _>>()?;
     let measured = |name: &str| {
         let figures = plan[0]["overheads"].as_array().unwrap();
         figures.iter().find(|figure| figure["name"] == name).map_or(0, |figure| figure["measured"].as_u64().unwrap())
@@ -159,23 +167,23 @@ async fn under(slit: Option<SlitOptions>, wider: f64) -> anyhow::Result<()> {
     for (name, least) in
         [("open", 1), ("close", 1), ("slew", 4), ("slit", slits), ("spool", 5), ("between frames, object", 10)]
     {
-        assert!(measured(name) >= least, "{name}: {} measured of at least {least}\n{told}", measured(name));
+        assert!(measured(name) >= least, "{name}: {} measured of at least {least}\n{output}", measured(name));
     }
-    assert!(
-        plan[0]["cameras"]["camera"]["width_px"] == 256 && plan[0]["cameras"]["camera"]["measured"].as_u64() > Some(10)
-    );
+    let camera = &plan[0]["cameras"][0];
+    assert!(camera["camera"] == "camera" && camera["width_px"] == 256 && camera["measured"].as_u64() > Some(10));
     let rows: Vec<&Value> = plan.iter().filter(|line| line["row"].is_number()).collect();
-    assert!(rows.len() == second.len() && rows.iter().all(|row| row["whole"] == true), "{told}");
+    assert!(rows.len() == second.len() && rows.iter().all(|row| row["whole"] == true), "{output}");
 
     let begins = start.plus_seconds(-1.0);
-    rig.until("the next night has begun", 60.0, |rig| {
-        rig.schedule.get().is_some_and(|told| told.said.body.rows.len() == 6)
-    })
-    .await?;
-    until_ended(&rig, second.len()).await?;
+    harness
+        .until("the next night has begun", 60.0, |harness| {
+            harness.schedule.get().is_some_and(|received| received.sample.body.rows.len() == 6)
+        })
+        .await?;
+    until_ended(&harness, second.len()).await?;
     tokio::time::sleep(std::time::Duration::from_millis(1500)).await;
-    let done = truth(&rig, begins);
-    let frames = rig.schedule.get().unwrap().said.body.rows;
+    let done = truth(&harness, begins);
+    let frames = harness.schedule.get().unwrap().sample.body.rows;
     let mut off: Vec<String> = Vec::new();
     for (number, row) in (0_u32..).zip(rows) {
         let time = |name: &str| -> Utc { row[name].as_str().unwrap().parse().unwrap() };
@@ -188,7 +196,7 @@ async fn under(slit: Option<SlitOptions>, wider: f64) -> anyhow::Result<()> {
         let (early_s, late_s) = (began.seconds_since(planned.0), ended.seconds_since(planned.1));
         let (count, wanted) = (frames[number as usize].frames, row["frames"].as_u64().unwrap());
         println!(
-            "{:12} begins {early_s:+6.1} s, ends {late_s:+6.1} s beside its plan ({:.0} s long, within {near_s:.0} s), {count} of \
+            "{:12} begins {early_s:+6.1} s, ends {late_s:+6.1} s off its plan ({:.0} s long, within {near_s:.0} s), {count} of \
              {wanted} frames",
             row["action"].as_str().unwrap(),
             planned.1.seconds_since(planned.0),
@@ -202,6 +210,6 @@ async fn under(slit: Option<SlitOptions>, wider: f64) -> anyhow::Result<()> {
         assert!(differ <= if is_counted { 0 } else { FRAMES }, "row {number}: {count} frames, {wanted} were planned");
     }
     assert!(off.is_empty(), "{off:?}");
-    rig.until("the dome ends shut", 30.0, Rig::is_shut).await?;
+    harness.until("the dome ends shut", 30.0, Harness::is_shut).await?;
     Ok(())
 }

@@ -9,10 +9,10 @@ use std::time::Duration;
 use bus::{Catch, Subscriber};
 use contract::device::camera::Frame;
 use contract::observatory::{FrameFacts, PointingState, RowStatus};
-use contract::{Address, Key, Part, Payload, Role};
+use contract::{Address, Key, Part, Payload, Role, Topic};
 use serde_json::{Value, json};
 use sky::Icrs;
-use test_support::{Rig, RigOptions, row};
+use test_support::{Harness, HarnessOptions, row};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 
@@ -30,8 +30,8 @@ const NUDGED: (&str, f64, f64) = ("nudged", 55.0, -12.0);
 const OF_NUDGED: u32 = 4;
 
 /// A field of 1.5 deg with stars of 2.4 px, under a roof, and a mount that goes astray.
-fn options() -> RigOptions {
-    let mut options = RigOptions::default();
+fn options() -> HarnessOptions {
+    let mut options = HarnessOptions::default();
     options.world.speed = 20.0;
     options.world.dome.slit = None;
     let camera = &mut options.world.camera;
@@ -47,15 +47,15 @@ fn target((name, ra, dec): (&str, f64, f64), n: u32) -> (&'static str, Value) {
 }
 
 /// Moves the mount 4 arcmin to the north of the place that it reports, as a person at its handset does.
-async fn nudge(rig: &Rig) -> anyhow::Result<()> {
-    let fields = rig.mount.get().unwrap().said.body.fields;
+async fn nudge(harness: &Harness) -> anyhow::Result<()> {
+    let fields = harness.mount.get().unwrap().sample.body.fields;
     let (ra_deg, dec_deg) = (fields.ra_deg.known().unwrap(), fields.dec_deg.known().unwrap());
     let form = format!(
         "RightAscension={}&Declination={}&ClientID=7&ClientTransactionID=1",
         ra_deg / 15.0,
         dec_deg + 4.0 / 60.0
     );
-    let address = rig.simulator.address();
+    let address = harness.simulator.address();
     let request = format!(
         "PUT /api/v1/telescope/0/slewtocoordinatesasync HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\
          Content-Type: application/x-www-form-urlencoded\r\nContent-Length: {}\r\n\r\n{form}",
@@ -69,9 +69,9 @@ async fn nudge(rig: &Rig) -> anyhow::Result<()> {
     Ok(())
 }
 
-async fn all<T: Payload>(rig: &Rig, below: &str) -> anyhow::Result<Subscriber<T>> {
-    let expression = format!("{}/{}/{}/{below}", contract::key::ROOT, test_support::SITE, test_support::TELESCOPE);
-    Ok(rig.bus.subscribe(&expression, Catch::All, 1000).await?)
+async fn all<T: Payload>(harness: &Harness, topic: Topic) -> anyhow::Result<Subscriber<T>> {
+    let address = Address::new(test_support::SITE, test_support::TELESCOPE)?;
+    Ok(harness.bus.subscribe(topic.at(&address), Catch::All, 1000).await?)
 }
 
 /// The distances of the frames of one row from their target, in their order, arcmin.
@@ -88,45 +88,45 @@ struct Seen {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_mount_that_misses_by_5_arcmin_is_brought_within_a_tenth_and_learns_to_miss_by_less() -> anyhow::Result<()> {
     let run = 1 + BEFORE.len() as u32;
-    let mut rig = Rig::new(options(), |_| {
+    let mut harness = Harness::new(options(), |_| {
         let targets = |list: &[(&str, f64, f64)]| list.iter().map(|of| target(*of, FRAMES)).collect::<Vec<_>>();
         let model = row("pointing_model", json!({ "n": PLACES, "exptime": 10 }));
         [vec![row("open", json!({}))], targets(&BEFORE), vec![model], targets(&AFTER), vec![target(NUDGED, OF_NUDGED)]]
             .concat()
     })
     .await?;
-    rig.simulator.world().set_weather(simulator::Quantity::StarFwhm, Some(0.1));
-    let frames = all::<Frame>(&rig, "device/camera/*/frame").await?;
-    let facts = all::<FrameFacts>(&rig, "observatory/frame/*/facts").await?;
+    harness.simulator.world().set_weather(simulator::Quantity::StarFwhm, Some(0.1));
+    let frames = all::<Frame>(&harness, Topic::Frame).await?;
+    let facts = all::<FrameFacts>(&harness, Topic::Facts).await?;
     let key = Key::Observatory(Address::new(test_support::SITE, test_support::TELESCOPE)?, Part::Pointing);
-    let pointing = rig.bus.latest::<PointingState>(&key).await?;
+    let pointing = harness.bus.latest::<PointingState>(&key).await?;
     for role in [Role::Device, Role::Observatory] {
-        rig.start(role)?;
+        harness.start(role)?;
     }
     let (mut seen, mut of) = (BTreeMap::<u32, Seen>::new(), BTreeMap::new());
-    let ended = |rig: &Rig| {
-        let rows = rig.schedule.get().map(|heard| heard.said.body.rows).unwrap_or_default();
+    let ended = |harness: &Harness| {
+        let rows = harness.schedule.get().map(|received| received.sample.body.rows).unwrap_or_default();
         !rows.is_empty() && rows.iter().all(|row| !matches!(row.status, RowStatus::Pending | RowStatus::Running))
     };
     let began = std::time::Instant::now();
-    while !ended(&rig) {
-        anyhow::ensure!(began.elapsed() < Duration::from_secs(300), "{seen:?}\n{}", rig.last_words());
+    while !ended(&harness) {
+        anyhow::ensure!(began.elapsed() < Duration::from_secs(300), "{seen:?}\n{}", harness.last_words());
         tokio::select! {
-            heard = frames.hear() => {
-                let frame = heard.said.body;
+            received = frames.recv() => {
+                let frame = received.sample.body;
                 let row = seen.entry(frame.purpose.row.unwrap()).or_default();
                 let target = frame.purpose.ra_deg.zip(frame.purpose.dec_deg).map(|(ra, dec)| Icrs::from_degrees(ra, dec));
                 if frame.purpose.action == "object" && row.truth.is_none() {
                     if frame.purpose.object.as_deref() == Some(NUDGED.0) {
-                        nudge(&rig).await?;
+                        nudge(&harness).await?;
                     }
-                    let looks_at = rig.simulator.world().looks_at();
+                    let looks_at = harness.simulator.world().looks_at();
                     row.truth = target.map(|target| sky::separation(&target, &looks_at).degrees() * 60.0);
                 }
                 of.insert(frame.id.0, frame.purpose);
             }
-            heard = facts.hear() => {
-                let facts = heard.said.body;
+            received = facts.recv() => {
+                let facts = received.sample.body;
                 let Some((purpose, off)) = of.get(&facts.frame.0).zip(facts.off_target_arcmin) else { continue };
                 let row = seen.entry(purpose.row.unwrap()).or_default();
                 if purpose.action == "pointing" { row.on_the_way.push(off) } else { row.counted.push(off) }
@@ -134,11 +134,11 @@ async fn a_mount_that_misses_by_5_arcmin_is_brought_within_a_tenth_and_learns_to
             () = tokio::time::sleep(Duration::from_millis(100)) => {}
         }
     }
-    let rows = rig.schedule.get().unwrap().said.body.rows;
+    let rows = harness.schedule.get().unwrap().sample.body.rows;
     println!("{:.0} s\n{seen:#?}", began.elapsed().as_secs_f64());
     for row in &rows {
         println!("{} {:?}: {:?}, {} frames, {}", row.row, row.object, row.status, row.frames, row.detail);
-        assert_eq!(row.status, RowStatus::Finished, "{}", rig.last_words());
+        assert_eq!(row.status, RowStatus::Finished, "{}", harness.last_words());
     }
     let of_rows = |rows: std::ops::Range<u32>| rows.map(|row| (row, &seen[&row]));
     let objects = of_rows(1..run).chain(of_rows(run + 1..run + 1 + AFTER.len() as u32));
@@ -163,9 +163,9 @@ async fn a_mount_that_misses_by_5_arcmin_is_brought_within_a_tenth_and_learns_to
     assert!(before.iter().all(|off| *off > 3.0), "{before:?}");
     assert!(after.iter().all(|off| *off < 1.0), "after the run the first slew is near: {before:?} -> {after:?}");
     assert_eq!(rows[run as usize].frames, PLACES);
-    let models = pointing.get().unwrap().said.body.models;
+    let models = pointing.get().unwrap().sample.body.models;
     assert!(models.iter().all(|model| model.camera == "camera" && model.used), "{models:?}");
     assert_eq!(models.len(), 2, "both sides of the pier: {models:?}");
-    rig.until("the dome ends shut", 90.0, Rig::is_shut).await?;
+    harness.until("the dome ends shut", 90.0, Harness::is_shut).await?;
     Ok(())
 }

@@ -8,7 +8,7 @@ use std::time::Duration;
 use contract::Role;
 use serde_json::json;
 use simulator::{MountOptions, Simulator};
-use test_support::{Rig, example};
+use test_support::{Harness, example};
 
 const ROWS: usize = 6;
 const FRAMES: u32 = 2;
@@ -54,12 +54,14 @@ fn files(simulator: &Simulator) -> (String, String) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_next_row_on_the_same_target_begins_within_half_a_second() -> anyhow::Result<()> {
-    let mut rig = Rig::of_files(world(), files).await?;
+    let mut harness = Harness::of_files(world(), files).await?;
     for role in [Role::Device, Role::Observatory, Role::Archive] {
-        rig.start(role)?;
+        harness.start(role)?;
     }
-    rig.until("the night ends", 90.0, |rig| rig.night.get().is_some_and(|night| night.said.body.ended)).await?;
-    let puts = rig.simulator.world().puts_since(0);
+    harness
+        .until("the night ends", 90.0, |harness| harness.night.get().is_some_and(|night| night.sample.body.ended))
+        .await?;
+    let puts = harness.simulator.world().puts_since(0);
     let begun: Vec<_> = puts.iter().filter(|put| put.member == "startexposure" && put.error == Some(0)).collect();
     assert_eq!(begun.len(), ROWS * FRAMES as usize);
     let busy = Duration::from_secs_f64(EXPOSURE_S + READOUT_S);
@@ -81,6 +83,6 @@ async fn the_next_row_on_the_same_target_begins_within_half_a_second() -> anyhow
     assert_eq!(between.len(), ROWS - 1);
     // A test machine with other things to do lengthens some; a lost design lengthens all of them.
     assert!(between[between.len() / 4] <= MOST, "{between:?}");
-    rig.until("the dome ends shut", 60.0, Rig::is_shut).await?;
+    harness.until("the dome ends shut", 60.0, Harness::is_shut).await?;
     Ok(())
 }

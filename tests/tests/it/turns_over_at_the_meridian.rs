@@ -10,9 +10,10 @@ use bus::Catch;
 use contract::device::camera::Frame;
 use contract::device::telescope::PierSide;
 use contract::observatory::{ActionNow, RowStatus};
+use contract::{Address, Topic};
 use serde_json::{Value, json};
 use sky::{EarthOrientation, Icrs, Observer, OfDate, Place};
-use test_support::{Rig, RigOptions, row};
+use test_support::{Harness, HarnessOptions, row};
 use units::Angle;
 
 /// How long before the meridian the targets stand when the night begins, min: of the mount that ignores flips, and of
@@ -20,8 +21,8 @@ use units::Angle;
 const BEFORE_MIN: [f64; 2] = [6.0, 13.0];
 const FRAMES: u32 = 30;
 
-fn options() -> RigOptions {
-    let mut options = RigOptions::default();
+fn options() -> HarnessOptions {
+    let mut options = HarnessOptions::default();
     // The sky moves while the nodes start: the first target must still be before the meridian then.
     options.world.speed = 10.0;
     options.world.dome.slit = None;
@@ -54,45 +55,48 @@ async fn a_mount_is_turned_over_once_and_one_that_ignores_it_is_not_asked_again(
         let [stays, turns] = BEFORE_MIN;
         vec![row("open", json!({})), target(world, "stays", stays, false), target(world, "turns", turns, true)]
     };
-    let mut rig = Rig::new(options(), rows).await?;
-    rig.simulator.world().set_weather(simulator::Quantity::StarFwhm, Some(0.1));
-    let expression =
-        format!("{}/{}/{}/device/camera/*/frame", contract::key::ROOT, test_support::SITE, test_support::TELESCOPE);
-    let frames = rig.bus.subscribe::<Frame>(&expression, Catch::All, 1000).await?;
+    let mut harness = Harness::new(options(), rows).await?;
+    harness.simulator.world().set_weather(simulator::Quantity::StarFwhm, Some(0.1));
+    let address = Address::new(test_support::SITE, test_support::TELESCOPE)?;
+    let frames = harness.bus.subscribe::<Frame>(Topic::Frame.at(&address), Catch::All, 1000).await?;
     for role in [contract::Role::Device, contract::Role::Observatory] {
-        rig.start(role)?;
+        harness.start(role)?;
     }
-    let status = |rig: &Rig, row: usize| rig.schedule.get().map(|heard| heard.said.body.rows[row].status);
-    let side = |rig: &Rig| rig.mount.get().and_then(|heard| heard.said.body.fields.pier_side.known().copied());
-    let exposes = |rig: &Rig, row: u32| {
-        let exposes = |now: &ActionNow| now.row == row && now.step.starts_with("exposing");
-        rig.night.get().is_some_and(|heard| heard.said.body.actions.iter().any(exposes))
+    let status =
+        |harness: &Harness, row: usize| harness.schedule.get().map(|received| received.sample.body.rows[row].status);
+    let side = |harness: &Harness| {
+        harness.mount.get().and_then(|received| received.sample.body.fields.pier_side.known().copied())
     };
-    rig.until("frames of the first row", 60.0, |rig| exposes(rig, 1)).await?;
-    assert_eq!(side(&rig), Some(PierSide::West), "it looks east");
-    rig.simulator.world().ignore_flips(true);
-    rig.until("the first row ends", 120.0, |rig| status(rig, 1) == Some(RowStatus::Finished)).await?;
-    assert_eq!(side(&rig), Some(PierSide::West), "it looks east still");
-    let stayed = rig.schedule.get().unwrap().said.body.rows[1].clone();
+    let exposes = |harness: &Harness, row: u32| {
+        let exposes = |now: &ActionNow| now.row == row && now.step.starts_with("exposing");
+        harness.night.get().is_some_and(|received| received.sample.body.actions.iter().any(exposes))
+    };
+    harness.until("frames of the first row", 60.0, |harness| exposes(harness, 1)).await?;
+    assert_eq!(side(&harness), Some(PierSide::West), "it looks east");
+    harness.simulator.world().ignore_flips(true);
+    harness.until("the first row ends", 120.0, |harness| status(harness, 1) == Some(RowStatus::Finished)).await?;
+    assert_eq!(side(&harness), Some(PierSide::West), "it looks east still");
+    let stayed = harness.schedule.get().unwrap().sample.body.rows[1].clone();
     assert_eq!(stayed.frames, FRAMES);
     assert!(stayed.detail.contains("stayed on its side of the pier"), "{stayed:?}");
 
-    rig.simulator.world().ignore_flips(false);
-    rig.until("frames of the second row", 60.0, |rig| exposes(rig, 2)).await?;
-    assert_eq!(side(&rig), Some(PierSide::West));
-    rig.until("the mount turns over", 90.0, |rig| side(rig) == Some(PierSide::East)).await?;
-    rig.until("the second row ends", 90.0, |rig| status(rig, 2) == Some(RowStatus::Finished)).await?;
-    assert_eq!(rig.schedule.get().unwrap().said.body.rows[2].frames, FRAMES, "none is lost and none doubled");
+    harness.simulator.world().ignore_flips(false);
+    harness.until("frames of the second row", 60.0, |harness| exposes(harness, 2)).await?;
+    assert_eq!(side(&harness), Some(PierSide::West));
+    harness.until("the mount turns over", 90.0, |harness| side(harness) == Some(PierSide::East)).await?;
+    harness.until("the second row ends", 90.0, |harness| status(harness, 2) == Some(RowStatus::Finished)).await?;
+    assert_eq!(harness.schedule.get().unwrap().sample.body.rows[2].frames, FRAMES, "none is lost and none doubled");
     // The frames by row and sort, in their order.
-    let mut heard = Vec::new();
-    while let Ok(frame) = tokio::time::timeout(Duration::from_millis(200), frames.hear()).await {
-        let purpose = frame.said.body.purpose;
-        heard.push((purpose.row.unwrap(), purpose.action));
+    let mut received = Vec::new();
+    while let Ok(frame) = tokio::time::timeout(Duration::from_millis(200), frames.recv()).await {
+        let purpose = frame.sample.body.purpose;
+        received.push((purpose.row.unwrap(), purpose.action));
     }
-    let of_second: Vec<&str> = heard.iter().filter(|(row, _)| *row == 2).map(|(_, action)| action.as_str()).collect();
+    let of_second: Vec<&str> =
+        received.iter().filter(|(row, _)| *row == 2).map(|(_, action)| action.as_str()).collect();
     let first = of_second.iter().position(|action| *action == "object").unwrap();
     let again = of_second[first..].iter().position(|action| *action == "pointing");
     assert!(again.is_some(), "after the flip it is proven again where it looks: {of_second:?}");
-    rig.until("the dome ends shut", 90.0, Rig::is_shut).await?;
+    harness.until("the dome ends shut", 90.0, Harness::is_shut).await?;
     Ok(())
 }

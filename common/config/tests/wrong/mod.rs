@@ -51,6 +51,17 @@ pub type Wrong = (&'static str, &'static str, usize, &'static [&'static str]);
 
 /// Changes that refuse the file.
 pub const WRONG: &[Wrong] = &[
+    // what is delivered and removed
+    ("database = \"data/archive.db\"", "disk_warn_gb = -1", 12, &["archive.disk_warn_gb = -1", "0 to 1000000 GB"]),
+    ("database = \"data/archive.db\"", "disk_warn_gb = nan", 12, &["archive.disk_warn_gb = NaN", "GB"]),
+    (
+        "database = \"data/archive.db\"",
+        "remove_delivered_after_days = 9",
+        12,
+        &["without a destination", "[[delivery]]"],
+    ),
+    ("[[camera]]", "[[delivery]]\nname = \"a\"\n[[camera]]", 20, &["delivery \"a\"", "directory, rsync and bucket"]),
+    ("[archive]", "[[delivery]]\nname = \"a\"\ndirectory = \"/a\"\nby = \"25:00\"\n[archive]", 14, &["by = \"25:00\""]),
     // numbers in the wrong unit, or none
     ("-24.6157", "-124.6157", 4, &["latitude_deg = -124.6157", "-90 to 90"]),
     ("-24.6157", "200", 4, &["latitude_deg = 200", "-90 to 90"]),
@@ -129,6 +140,7 @@ pub const WRONG: &[Wrong] = &[
     ("latitude_deg", "lattitude_deg", 4, &["\"lattitude_deg\"", "did you mean \"latitude_deg\"?"]),
     ("temperature_c =", "temperatur_c =", 23, &["camera \"main\"", "did you mean \"temperature_c\"?"]),
     ("permit_valid_s", "temperature_c", 29, &["dome \"dome\"", "belongs to [[camera]]"]),
+    ("permit_valid_s", "parquet", 29, &["dome \"dome\"", "belongs to [archive]"]),
     ("[[camera]]", "[[camra]]", 19, &["\"camra\"", "did you mean \"camera\"?"]),
     ("[[camera]]", "[camera]", 19, &["[[camera]]", "two brackets"]),
     ("[safety]", "[[safety]]", 8, &["[safety]", "one bracket"]),
@@ -137,7 +149,7 @@ pub const WRONG: &[Wrong] = &[
     ("name = \"main\"", "name = \"main camera\"", 20, &["name", "letters, digits"]),
     ("name = \"main\"\n", "", 19, &["camera number 1: name is missing"]),
     ("server = \"10.0.0.5:11111\"\nnumber", "number", 19, &["camera \"main\": server is missing", "10.0.0.5:11111"]),
-    ("permit_valid_s = 10", "close_with_mount = \"parked\"", 29, &["\"beside\"", "\"parked_only\""]),
+    ("permit_valid_s = 10", "close_with_mount = \"parked\"", 29, &["\"alongside\"", "\"parked_only\""]),
     ("permit_valid_s = 10", "follow = true", 29, &["follow = true", "in quotes"]),
     ("telescope = \"mount\"", "telescope = \"mnt\"", 24, &["names no telescope", "did you mean \"mount\"?"]),
     ("telescope = \"mount\"", "connect = \"yes\"", 24, &["connect = \"yes\"", "true or false"]),
@@ -178,6 +190,15 @@ pub const WRONG: &[Wrong] = &[
     ("[[camera]]", "[[camera]", 19, &["cannot be read", "brackets"]),
     ("[safety]", "[web]\nlisten = \"127.0.0.1:70000\"\n[safety]", 9, &["web.listen", "0 to 65535"]),
     ("[safety]", "[web]\nlisten = \"localhost\"\n[safety]", 9, &["web.listen", "an address and a port"]),
+    ("[safety]", "[web]\ncertificate = \"a.pem\"\n[safety]", 9, &["web.certificate", "web.key"]),
+    ("[safety]", "[web]\ntrust_proxy = [\"proxy\"]\n[safety]", 9, &["web.trust_proxy", "10.0.0.5/32"]),
+    ("[safety]", "[web]\nproxy_right = \"root\"\n[safety]", 9, &["web.proxy_right", "viewer, observer"]),
+    ("[safety]", "[web]\nproxy_right = \"viewer\"\n[safety]", 9, &["web.proxy_right", "web.trust_proxy"]),
+    ("[safety]", "[web]\nproxy_user_header = \"Cookie\"\n[safety]", 9, &["web.proxy_user_header", "X-Remote-User"]),
+    ("[safety]", "[web]\npublic = [\"api/heartbeat\"]\n[safety]", 9, &["web.public", "/api/heartbeat"]),
+    ("[safety]", "[web]\nnames = [\"https://a\"]\n[safety]", 9, &["web.names", "without port"]),
+    ("[safety]", "[web]\nrequests_per_s = 0\n[safety]", 9, &["web.requests_per_s = 0", "1 to 10000"]),
+    ("[safety]", "[web]\ninsecure_open = \"yes\"\n[safety]", 9, &["web.insecure_open", "true or false"]),
     ("[safety]", "[bus]\nlisten = [\"0.0.0.0:7447\"]\n[safety]", 9, &["bus.listen", "tcp/"]),
     ("[safety]", "[bus]\nlisten = \"tcp/0.0.0.0:7447\"\n[safety]", 9, &["bus.listen", "list"]),
     ("[safety]", "[bus]\nconnect = [\"tcp/10.0.0.5:99999\"]\n[safety]", 9, &["bus.connect", "99999"]),

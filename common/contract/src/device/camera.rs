@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
@@ -19,7 +20,8 @@ impl DeviceKind for Camera {
 }
 
 /// What a camera can do.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "CameraCapabilities")]
 pub struct Capabilities {
     /// Sensor width, unbinned pixels.
     pub width_px: u32,
@@ -46,7 +48,8 @@ impl Payload for Capabilities {
 }
 
 /// What nodes decide with.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "CameraFields")]
 pub struct Fields {
     /// What the camera does, ASCOM CameraState.
     pub activity: Datum<Activity>,
@@ -72,7 +75,8 @@ impl Payload for Fields {
 }
 
 /// What a camera does.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "CameraActivity")]
 #[serde(rename_all = "snake_case")]
 pub enum Activity {
     /// Ready.
@@ -90,7 +94,8 @@ pub enum Activity {
 }
 
 /// An exposure under way.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "CameraExposure")]
 pub struct Exposure {
     /// Id of the `expose` command and of the frame to come.
     pub id: CommandId,
@@ -101,7 +106,7 @@ pub struct Exposure {
 }
 
 /// A part of the sensor, in binned pixels, as ASCOM defines StartX and NumX.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 pub struct Subframe {
     /// First column, binned pixels.
     pub x_px: u32,
@@ -114,7 +119,7 @@ pub struct Subframe {
 }
 
 /// Why a frame is taken; it travels with the pixels to the archive.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
 pub struct Purpose {
     /// Type of the action, such as `object` or `calibration`.
     pub action: String,
@@ -139,6 +144,9 @@ pub struct Purpose {
     /// Index of the schedule's row.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub row: Option<u32>,
+    /// Id of the observing programme or proposal that the row is for, as the archive of its data names it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub programme: Option<String>,
     /// Folder for the file instead of the archive's own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub folder: Option<String>,
@@ -150,8 +158,19 @@ pub struct Purpose {
     pub metadata: BTreeMap<String, String>,
 }
 
+impl Purpose {
+    /// Longest id of a programme: it has to fit one card of a FITS header, next to a long keyword.
+    pub const LONGEST_PROGRAMME: usize = 40;
+
+    /// Can this be the id of a programme: letters, digits and signs of ASCII, without blanks?
+    pub fn is_programme(text: &str) -> bool {
+        (1..=Self::LONGEST_PROGRAMME).contains(&text.len()) && text.bytes().all(|byte| byte.is_ascii_graphic())
+    }
+}
+
 /// What a camera may be asked.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "CameraCommand")]
 #[serde(rename_all = "snake_case")]
 pub enum Command {
     /// Take a frame; the command's id becomes the frame's id. Done when the shutter is shut and the camera is
@@ -192,7 +211,7 @@ impl Payload for Command {
 }
 
 /// Type of a spooled pixel; rows one after another from the first row, little endian.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Pixel {
     /// 16 bits without sign.
@@ -215,7 +234,7 @@ impl Pixel {
 }
 
 /// A frame is safe in the spool and can be fetched.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Frame {
     /// Id of the frame: that of its `expose` command.
     pub id: CommandId,
@@ -235,9 +254,9 @@ pub struct Frame {
     pub bin: u32,
     /// First column and row on the sensor, binned pixels.
     pub origin_px: [u32; 2],
-    /// Sky time of the shutter's opening (ASCOM LastExposureStartTime where the camera tells it).
+    /// Sky time of the shutter's opening (ASCOM LastExposureStartTime where the camera reports it).
     pub started_utc: Utc,
-    /// Seconds of light (ASCOM LastExposureDuration where the camera tells it).
+    /// Seconds of light (ASCOM LastExposureDuration where the camera reports it).
     pub exposure_s: f64,
     /// Where the pixels are served, with a token for this frame; HTTP range requests work.
     pub url: String,

@@ -1,5 +1,6 @@
 //! A mirror cover, a flat panel, or both.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{Datum, DeviceKind, Kind, Payload};
@@ -16,7 +17,8 @@ impl DeviceKind for CoverCalibrator {
 }
 
 /// What it has.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "CoverCalibratorCapabilities")]
 pub struct Capabilities {
     /// Has a cover.
     pub cover: bool,
@@ -31,7 +33,8 @@ impl Payload for Capabilities {
 }
 
 /// What nodes decide with.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "CoverCalibratorFields")]
 pub struct Fields {
     /// The cover.
     pub cover: Datum<Cover>,
@@ -46,7 +49,7 @@ impl Payload for Fields {
 }
 
 /// ASCOM CoverStatus.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Cover {
     /// There is none.
@@ -64,7 +67,7 @@ pub enum Cover {
 }
 
 /// ASCOM CalibratorStatus.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Calibrator {
     /// There is none.
@@ -82,7 +85,8 @@ pub enum Calibrator {
 }
 
 /// What it may be asked.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "CoverCalibratorCommand")]
 #[serde(rename_all = "snake_case")]
 pub enum Command {
     /// Open the cover.

@@ -1,5 +1,6 @@
 //! A dome or roof: its shutter, and the guard that closes it when permission is not renewed.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::vendor::VendorCommand;
@@ -17,7 +18,8 @@ impl DeviceKind for Dome {
 }
 
 /// What a dome can do.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "DomeCapabilities")]
 pub struct Capabilities {
     /// The shutter can be commanded.
     pub set_shutter: bool,
@@ -34,7 +36,8 @@ impl Payload for Capabilities {
 }
 
 /// What nodes decide with.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "DomeFields")]
 pub struct Fields {
     /// The shutter, as the dome itself says.
     pub shutter: Datum<Shutter>,
@@ -53,7 +56,7 @@ impl Payload for Fields {
 }
 
 /// ASCOM ShutterStatus.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Shutter {
     /// Open.
@@ -69,12 +72,12 @@ pub enum Shutter {
 }
 
 /// How a dome's closing waits for its mounts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CloseWithMount {
     /// Stop the mount and close together.
     #[default]
-    Beside,
+    Alongside,
     /// Wait for the park, at most `parked_within_s`, then close anyway.
     ParkedWithinS,
     /// Close only on a parked mount; alert when it takes longer than `parked_within_s`.
@@ -82,7 +85,8 @@ pub enum CloseWithMount {
 }
 
 /// What a dome may be asked.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "DomeCommand")]
 #[serde(rename_all = "snake_case")]
 pub enum Command {
     /// Open the shutter; refused without a valid safe permit and the newest token.
@@ -117,7 +121,7 @@ impl Payload for Command {
 }
 
 /// What a dome's guard says, once a second.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Guard {
     /// Counts the guard's own seconds; a permit must carry a recent one to be valid.
     pub number: u64,
@@ -126,7 +130,7 @@ pub struct Guard {
     /// A permit is only as old as the guard number in it, s; default 10.
     pub permit_valid_s: f64,
     /// The permits that count, one per telescope under this dome.
-    pub permits: Vec<HeardPermit>,
+    pub permits: Vec<ReceivedPermit>,
     /// True while every telescope's permit is valid and safe.
     pub may_be_open: bool,
     /// What the guard itself is doing.
@@ -136,10 +140,10 @@ pub struct Guard {
     /// Permits dropped since the start: malformed, replayed, or with a token that was not granted or is older.
     pub dropped: u64,
     /// True while the shutter is proven closed: asked to close, and seen to follow. A status that only says closed is no
-    /// proof. Absent from nodes that do not tell.
+    /// proof. Absent from nodes that do not report it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub verified_closed: Option<bool>,
-    /// Closing waits for the mounts under this dome. Absent from nodes that do not tell.
+    /// Closing waits for the mounts under this dome. Absent from nodes that do not report it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub waits_for_mounts: Option<bool>,
     /// The newest token that this node granted, by telescope: the arbiter's own word, which other devices follow.
@@ -148,7 +152,7 @@ pub struct Guard {
 }
 
 /// The newest fencing token of one telescope, as its arbiter granted it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 pub struct GrantedToken {
     /// Which telescope.
     pub telescope: String,
@@ -161,8 +165,8 @@ impl Payload for Guard {
 }
 
 /// The newest valid permit of one telescope.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct HeardPermit {
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct ReceivedPermit {
     /// Which telescope.
     pub telescope: String,
     /// Its commander.
@@ -174,7 +178,7 @@ pub struct HeardPermit {
 }
 
 /// What the guard is doing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GuardAction {
     /// Watches.

@@ -1,5 +1,6 @@
 //! A filter wheel.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{Datum, DeviceKind, Kind, Payload};
@@ -16,7 +17,8 @@ impl DeviceKind for FilterWheel {
 }
 
 /// What a filter wheel has.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "FilterWheelCapabilities")]
 pub struct Capabilities {
     /// Names of its filters by position, from 0.
     pub names: Vec<String>,
@@ -29,7 +31,8 @@ impl Payload for Capabilities {
 }
 
 /// What nodes decide with.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "FilterWheelFields")]
 pub struct Fields {
     /// Position from 0; missing while the wheel turns.
     pub position: Datum<u32>,
@@ -42,7 +45,8 @@ impl Payload for Fields {
 }
 
 /// What a filter wheel may be asked.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "FilterWheelCommand")]
 #[serde(rename_all = "snake_case")]
 pub enum Command {
     /// Turn to a position.

@@ -1,5 +1,6 @@
 //! A focuser.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{Datum, DeviceKind, Kind, Payload};
@@ -16,7 +17,8 @@ impl DeviceKind for Focuser {
 }
 
 /// What a focuser can do.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "FocuserCapabilities")]
 pub struct Capabilities {
     /// Knows its position.
     pub absolute: bool,
@@ -31,7 +33,8 @@ impl Payload for Capabilities {
 }
 
 /// What nodes decide with.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "FocuserFields")]
 pub struct Fields {
     /// Position, steps.
     pub position: Datum<i64>,
@@ -46,7 +49,8 @@ impl Payload for Fields {
 }
 
 /// What a focuser may be asked.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "FocuserCommand")]
 #[serde(rename_all = "snake_case")]
 pub enum Command {
     /// Go to a position.

@@ -17,13 +17,14 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
 use crate::{CommandId, NoData, Payload, Reading};
 
 /// An ASCOM device type.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
     /// A mount.
@@ -94,12 +95,6 @@ impl Kind {
             Self::Rotator => "Rotator",
         }
     }
-
-    /// Limits are put on what it says, so its device node keeps a record of that (a safety monitor's state tells the
-    /// length of its own).
-    pub const fn keeps_record(self) -> bool {
-        matches!(self, Self::ObservingConditions | Self::Switch)
-    }
 }
 
 impl fmt::Display for Kind {
@@ -137,8 +132,27 @@ pub trait DeviceKind: Send + Sync + 'static {
     type Command: Payload;
 }
 
+/// Calls a function that is generic over [`DeviceKind`] for the kind that is known at run time only.
+macro_rules! of_kind {
+    ($kind:expr, $function:ident) => {
+        match $kind {
+            Kind::Telescope => $function::<crate::device::telescope::Telescope>(),
+            Kind::Camera => $function::<crate::device::camera::Camera>(),
+            Kind::FilterWheel => $function::<crate::device::filter_wheel::FilterWheel>(),
+            Kind::Focuser => $function::<crate::device::focuser::Focuser>(),
+            Kind::Dome => $function::<crate::device::dome::Dome>(),
+            Kind::SafetyMonitor => $function::<crate::device::safety_monitor::SafetyMonitor>(),
+            Kind::ObservingConditions => $function::<crate::device::observing_conditions::ObservingConditions>(),
+            Kind::CoverCalibrator => $function::<crate::device::cover_calibrator::CoverCalibrator>(),
+            Kind::Switch => $function::<crate::device::switch::Switch>(),
+            Kind::Rotator => $function::<crate::device::rotator::Rotator>(),
+        }
+    };
+}
+pub(crate) use of_kind;
+
 /// The link between a device node and its device.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, JsonSchema, Serialize, Deserialize)]
 #[serde(tag = "is", rename_all = "snake_case")]
 pub enum Link {
     /// Not yet connected since the node started.
@@ -154,9 +168,9 @@ pub enum Link {
 }
 
 /// How a command ended, or that it has not.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(tag = "is", rename_all = "snake_case")]
-pub enum Outcome {
+pub enum CommandOutcome {
     /// Still being done.
     Running,
     /// Done, as seen in the device's own state.
@@ -169,34 +183,34 @@ pub enum Outcome {
 }
 
 /// The newest command that a device was given.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct LastCommand {
     /// Its id.
     pub id: CommandId,
-    /// Who asked.
+    /// The sender.
     pub from: String,
     /// What was asked, such as `open_shutter`.
     pub verb: String,
     /// Sky time when it was taken.
     pub taken_utc: Utc,
     /// How it went.
-    pub outcome: Outcome,
+    pub outcome: CommandOutcome,
     /// What the device answered to a command of its maker's own; absent for all others, and until it has answered.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub answer: Option<String>,
 }
 
 /// What is true of a device now, `F` being the typed fields of its kind (or plain JSON for a reader of all kinds).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct DeviceState<F> {
     /// Does the device answer?
     pub link: Link,
     /// True while something moves, exposes or is read out, and while that is unknown.
     pub busy: bool,
-    /// How often this state is said, s of machine time, at least; silence of five times that is a loss.
+    /// How often this state is published, s of machine time, at least; silence of five times that is a loss.
     pub period_s: f64,
     /// How often the device is asked for what nodes decide with, s of machine time; absent in states of versions that
-    /// did not tell, where it is `period_s`.
+    /// did not report it; then it is `period_s`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub poll_s: Option<f64>,
     /// The newest command.
@@ -211,11 +225,12 @@ pub struct DeviceState<F> {
 impl<F> DeviceState<F> {
     /// Is command `id` the newest one, ended well, and nothing moves any more?
     pub fn has_done(&self, id: &CommandId) -> bool {
-        !self.busy && self.last_command.as_ref().is_some_and(|last| last.id == *id && last.outcome == Outcome::Done)
+        !self.busy
+            && self.last_command.as_ref().is_some_and(|last| last.id == *id && last.outcome == CommandOutcome::Done)
     }
 
     /// How old a property's reading was when this was sent, s of machine time; `None` where it was not read, or by
-    /// a version that did not tell.
+    /// a version that did not report it.
     pub fn age_s(&self, property: &str) -> Option<f64> {
         self.readings.get(property)?.age_s
     }
@@ -243,8 +258,8 @@ impl Payload for serde_json::Value {
 }
 
 /// What a device can do, with what it says of itself.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Description<C> {
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct DeviceDescription<C> {
     /// The Alpaca server, `host:port`, and the device's number there.
     pub server: String,
     /// Number on that server.
@@ -261,6 +276,6 @@ pub struct Description<C> {
     pub can: C,
 }
 
-impl<C: Payload> Payload for Description<C> {
+impl<C: Payload> Payload for DeviceDescription<C> {
     const NAME: &'static str = C::NAME;
 }

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::record::Record;
+use super::record::StateRecord;
 use crate::{Datum, DeviceKind, Kind, Payload};
 
 /// The weather station, ASCOM ObservingConditions.
@@ -19,7 +20,8 @@ impl DeviceKind for ObservingConditions {
 }
 
 /// What a weather station measures.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "ObservingConditionsCapabilities")]
 pub struct Capabilities {
     /// ASCOM names of the properties that it answered when it was connected.
     pub measures: Vec<String>,
@@ -30,7 +32,8 @@ impl Payload for Capabilities {
 }
 
 /// What nodes decide with.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "ObservingConditionsFields")]
 pub struct Fields {
     /// Clouds, percent of the sky.
     pub cloud_percent: Datum<f64>,
@@ -60,7 +63,7 @@ pub struct Fields {
     pub wind_mps: Datum<f64>,
     /// Age of the station's own newest measurement, s of sky time.
     pub sensor_age_s: Datum<f64>,
-    /// The same of single sensors when the station was asked, by ASCOM name; only of those whose age it tells.
+    /// The same of single sensors when the station was asked, by ASCOM name; only of those whose age it shows.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub sensor_ages_s: BTreeMap<String, Datum<f64>>,
 }
@@ -69,7 +72,7 @@ impl Payload for Fields {
     const NAME: &'static str = "observingconditions.state";
 }
 
-impl Payload for Record<Fields> {
+impl Payload for StateRecord<Fields> {
     const NAME: &'static str = "observingconditions.record";
 }
 
@@ -98,7 +101,7 @@ pub fn ascom_names() -> impl Iterator<Item = &'static str> {
     PROPERTIES.into_iter().map(|(name, _)| name)
 }
 
-/// What limits can be put on beside the properties, and the two properties of which each is the difference.
+/// Further values that limits can be put on, each with the two properties whose difference it is.
 const DIFFERENCES: [(&str, [&str; 2]); 2] =
     [("RelativeSkyTemp", ["SkyTemperature", "Temperature"]), ("DewPointMargin", ["Temperature", "DewPoint"])];
 
@@ -121,7 +124,8 @@ impl Fields {
 }
 
 /// What a weather station may be asked.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "ObservingConditionsCommand")]
 #[serde(rename_all = "snake_case")]
 pub enum Command {
     /// Measure now.

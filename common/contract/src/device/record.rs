@@ -1,44 +1,46 @@
-//! What a device node keeps of what it said: the evidence that outlives an observatory node.
+//! The states that a device node stores after it published them: the evidence that outlives an observatory node.
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Link;
 use crate::{BootId, Payload};
 
-/// Asks a device node what it said of a safety input before now.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Question {
-    /// So far back, s of sky time; the last state before that is told too.
+/// Asks a device node what it published about a safety input before now.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct RecordQuestion {
+    /// So far back, s of sky time; the last state before that is reported too.
     pub back_s: f64,
 }
 
-impl Payload for Question {
+impl Payload for RecordQuestion {
     const NAME: &'static str = "record.question";
 }
 
-/// The states that were said, oldest first and without a gap in their numbers; `F` being the typed fields of the kind.
+/// The published states, oldest first and without a gap in their numbers; `F` being the typed fields of the kind.
 ///
-/// It begins where the memory of the device node does: with its life, or with the oldest state that it keeps.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Record<F> {
-    /// The life of the device node that said them.
+/// It begins where the memory of the device node does: with its incarnation, or with the oldest state that it keeps.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct StateRecord<F> {
+    /// The incarnation of the device node that published them.
     pub boot_id: BootId,
     /// Sky seconds in a machine second, which turns the ages into sky time.
     pub speed: f64,
     /// The states.
-    pub entries: Vec<Entry<F>>,
+    pub entries: Vec<StateEntry<F>>,
 }
 
-/// One state as it was said, without what no verdict needs.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Entry<F> {
-    /// The number that it was said with.
+/// One state as it was published, without what no verdict needs.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "{F}Entry")]
+pub struct StateEntry<F> {
+    /// The number that it was published with.
     pub seq: u64,
     /// So long before this answer, s of machine time on the device node's boot-time clock.
     pub age_s: f64,
-    /// How old each reading was when this was said, s of machine time, by its ASCOM name.
+    /// How old each reading was when this was published, s of machine time, by its ASCOM name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub reading_ages_s: BTreeMap<String, f64>,
     /// Did the device answer?

@@ -1,5 +1,6 @@
 //! A field rotator.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{Datum, DeviceKind, Kind, Payload};
@@ -16,7 +17,8 @@ impl DeviceKind for Rotator {
 }
 
 /// What a rotator can do.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "RotatorCapabilities")]
 pub struct Capabilities {
     /// Can turn the other way round.
     pub reverse: bool,
@@ -27,7 +29,8 @@ impl Payload for Capabilities {
 }
 
 /// What nodes decide with.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "RotatorFields")]
 pub struct Fields {
     /// Position angle on the sky, degrees.
     pub position_deg: Datum<f64>,
@@ -42,7 +45,8 @@ impl Payload for Fields {
 }
 
 /// What a rotator may be asked.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "RotatorCommand")]
 #[serde(rename_all = "snake_case")]
 pub enum Command {
     /// Turn to a position angle on the sky.

@@ -1,5 +1,6 @@
 //! A safety monitor.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{Datum, DeviceKind, Kind, Payload};
@@ -16,7 +17,8 @@ impl DeviceKind for SafetyMonitor {
 }
 
 /// A safety monitor only speaks.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "SafetyMonitorCapabilities")]
 pub struct Capabilities {}
 
 impl Payload for Capabilities {
@@ -24,7 +26,8 @@ impl Payload for Capabilities {
 }
 
 /// What nodes decide with.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "SafetyMonitorFields")]
 pub struct Fields {
     /// JSON `true` from the device is the only way to be safe.
     pub is_safe: Datum<bool>,
@@ -38,7 +41,8 @@ impl Payload for Fields {
 }
 
 /// Nothing can be asked of a safety monitor.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "SafetyMonitorCommand")]
 #[serde(rename_all = "snake_case")]
 pub enum Command {}
 

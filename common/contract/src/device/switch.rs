@@ -1,8 +1,9 @@
 //! A set of switches and gauges, such as power and UPS.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::record::Record;
+use super::record::StateRecord;
 use crate::{Datum, DeviceKind, Kind, Payload};
 
 /// The switches, ASCOM Switch.
@@ -17,10 +18,11 @@ impl DeviceKind for Switch {
 }
 
 /// What it has.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "SwitchCapabilities")]
 pub struct Capabilities {
     /// The switches by number.
-    pub switches: Vec<Description>,
+    pub switches: Vec<SwitchDescription>,
 }
 
 impl Payload for Capabilities {
@@ -28,8 +30,8 @@ impl Payload for Capabilities {
 }
 
 /// One switch.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct Description {
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+pub struct SwitchDescription {
     /// Its name.
     pub name: String,
     /// Can be set.
@@ -41,7 +43,8 @@ pub struct Description {
 }
 
 /// What nodes decide with.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "SwitchFields")]
 pub struct Fields {
     /// Values by number, in the switch's own unit.
     pub values: Vec<Datum<f64>>,
@@ -51,7 +54,7 @@ impl Payload for Fields {
     const NAME: &'static str = "switch.state";
 }
 
-impl Payload for Record<Fields> {
+impl Payload for StateRecord<Fields> {
     const NAME: &'static str = "switch.record";
 }
 
@@ -61,7 +64,8 @@ pub fn number_of(property: &str) -> Option<usize> {
 }
 
 /// What it may be asked.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "SwitchCommand")]
 #[serde(rename_all = "snake_case")]
 pub enum Command {
     /// Set a switch.

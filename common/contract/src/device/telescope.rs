@@ -1,5 +1,6 @@
 //! A mount: where it points, whether it tracks, and how it is moved.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::vendor::VendorCommand;
@@ -17,7 +18,8 @@ impl DeviceKind for Telescope {
 }
 
 /// What a mount can do.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "MountCapabilities")]
 pub struct Capabilities {
     /// Parks on command.
     pub park: bool,
@@ -39,10 +41,11 @@ pub struct Capabilities {
     pub site_longitude_deg: Datum<f64>,
     /// Metres above sea level.
     pub site_elevation_m: Datum<f64>,
-    /// Speed of guide pulses in right ascension, degrees of that coordinate per second; absent where it is not told.
+    /// Speed of guide pulses in right ascension, degrees of that coordinate per second; absent where it is not
+    /// reported.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub guide_rate_ra_deg_per_s: Option<f64>,
-    /// Speed of guide pulses in declination, degrees per second; absent where it is not told.
+    /// Speed of guide pulses in declination, degrees per second; absent where it is not reported.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub guide_rate_dec_deg_per_s: Option<f64>,
 }
@@ -52,10 +55,10 @@ impl Payload for Capabilities {
 }
 
 /// Frame of a mount's own coordinates, ASCOM EquatorialSystem.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EquatorialSystem {
-    /// Not told; taken as ICRS unless the configuration says otherwise.
+    /// Not reported; taken as ICRS unless the configuration says otherwise.
     #[default]
     Other,
     /// True equator and equinox of date, seen from the site.
@@ -69,7 +72,8 @@ pub enum EquatorialSystem {
 }
 
 /// What nodes decide with; coordinates are in the mount's own frame (`equatorial_system`).
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "MountFields")]
 pub struct Fields {
     /// Right ascension in the mount's frame, degrees.
     pub ra_deg: Datum<f64>,
@@ -96,7 +100,7 @@ impl Payload for Fields {
 }
 
 /// Side of the pier that the mount is on (ASCOM: east means looking west).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PierSide {
     /// On the east side of the pier, looking west.
@@ -108,7 +112,7 @@ pub enum PierSide {
 }
 
 /// A direction of a guide pulse.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Direction {
     /// Towards +dec.
@@ -122,7 +126,8 @@ pub enum Direction {
 }
 
 /// What a mount may be asked.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[schemars(rename = "MountCommand")]
 #[serde(rename_all = "snake_case")]
 pub enum Command {
     /// Slew to a place in the mount's own frame; done when it stands there and has settled.
@@ -150,15 +155,15 @@ pub enum Command {
         /// How long, ms.
         duration_ms: u32,
     },
-    /// Tell the mount where it points, in its own frame.
+    /// Synchronise the mount with the place where it points, in its own frame.
     Sync {
         /// Degrees, mount frame.
         ra_deg: f64,
         /// Degrees, mount frame.
         dec_deg: f64,
     },
-    /// Go at these rates beside the stars, after a moving target; both zero: follow the stars again. A slew, parking, and
-    /// switching tracking end them too.
+    /// Go at these rates relative to the stars, after a moving target; both zero: follow the stars again. A slew,
+    /// parking, and switching tracking end them too.
     Rates {
         /// Seconds of right ascension per sidereal second, eastward positive (ASCOM RightAscensionRate).
         ra_s_per_sidereal_s: f64,

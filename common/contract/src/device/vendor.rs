@@ -1,12 +1,13 @@
 //! Commands that only the maker of a device knows: ASCOM's CommandString and its kin, and Action.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Longest answer that is passed on, bytes; a longer one is a failure, since half an answer may mean the opposite.
 pub const LONGEST_ANSWER: usize = 16 * 1024;
 
 /// A command in the maker's own words; what it answers stands in `last_command.answer` of the device's state.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum VendorCommand {
     /// ASCOM CommandString: answers with text.
@@ -26,7 +27,7 @@ pub enum VendorCommand {
 }
 
 /// The text of a command.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 pub struct Words {
     /// As the device's manual has it.
     pub command: String,

@@ -1,12 +1,13 @@
 //! What needs a person.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
 use crate::Payload;
 
 /// How urgent an alert is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Priority {
     /// Act now: people or hardware are in danger.
@@ -15,7 +16,7 @@ pub enum Priority {
     High,
     /// Act tonight.
     Medium,
-    /// Know it.
+    /// For information; nothing is urgent.
     Advisory,
 }
 
@@ -32,32 +33,32 @@ impl Priority {
 }
 
 /// The alerts that stand, at each change and every 10 s.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
 pub struct Alerts {
-    /// Standing alerts, the most urgent first.
+    /// Active alerts, the most urgent first.
     pub alerts: Vec<Alert>,
-    /// What was told of them to whom, so that a node which sends from now on does not tell it again.
+    /// The notifications that were sent, so that a node which sends from now on does not send them again.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub told: Vec<Told>,
+    pub notifications: Vec<Notification>,
 }
 
-/// What a receiver was told last of an alert that stands.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Told {
+/// The last notification of an active alert to a receiver.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct Notification {
     /// The receiver's name in the configuration.
     pub receiver: String,
     /// Which alert.
     pub id: String,
     /// Sky time when that alert was raised: one raised later under this id is another.
     pub raised_utc: Utc,
-    /// What the message said.
+    /// The text of the message.
     pub event: AlertEvent,
     /// Sky time when it arrived there.
-    pub told_utc: Utc,
+    pub sent_utc: Utc,
 }
 
 /// What happened to an alert.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AlertEvent {
     /// It stands and nobody has acknowledged it.
@@ -87,7 +88,7 @@ impl Payload for Alerts {
 }
 
 /// One alert.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Alert {
     /// Names the cause, such as `dome-not-closed/dome_1`; the same cause is one alert.
     pub id: String,
@@ -104,13 +105,13 @@ pub struct Alert {
     /// Sky time when its cause went, of one that nobody has acknowledged yet; absent while the cause is there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub returned_utc: Option<Utc>,
-    /// Who knows of it and sees to it.
+    /// The person who knows of it and sees to it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub acknowledged_by: Option<String>,
     /// Sky time since when somebody does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub acknowledged_utc: Option<Utc>,
-    /// Who put it on the shelf, so that nobody is told of it for a while.
+    /// The person who shelved it, so that it is sent to nobody for a while.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shelved_by: Option<String>,
     /// Sky time until which it lies there.
@@ -121,20 +122,22 @@ pub struct Alert {
     pub shelved_reason: Option<String>,
 }
 
-/// One list of several, the most urgent first; of two with one id the more urgent, then the older. What one receiver was
-/// told of one alert is what it was told last.
+/// One list of several, the most urgent first; of two with one id the more urgent, then the older. Of the notifications
+/// of one alert to one receiver the last one counts.
 pub fn merge(lists: impl Iterator<Item = Alerts>) -> Alerts {
-    let (mut all, mut told) = (Vec::new(), Vec::new());
+    let (mut all, mut notifications) = (Vec::new(), Vec::new());
     for list in lists {
         all.extend(list.alerts);
-        told.extend(list.told);
+        notifications.extend(list.notifications);
     }
     all.sort_by(|a, b| (a.priority, a.raised_utc, &a.id).cmp(&(b.priority, b.raised_utc, &b.id)));
     let mut seen = std::collections::BTreeSet::new();
     all.retain(|alert: &Alert| seen.insert(alert.id.clone()));
-    told.sort_by(|a: &Told, b: &Told| (&a.receiver, &a.id, b.told_utc).cmp(&(&b.receiver, &b.id, a.told_utc)));
-    told.dedup_by(|later, first| (&later.receiver, &later.id) == (&first.receiver, &first.id));
-    Alerts { alerts: all, told }
+    notifications.sort_by(|a: &Notification, b: &Notification| {
+        (&a.receiver, &a.id, b.sent_utc).cmp(&(&b.receiver, &b.id, a.sent_utc))
+    });
+    notifications.dedup_by(|later, first| (&later.receiver, &later.id) == (&first.receiver, &first.id));
+    Alerts { alerts: all, notifications }
 }
 
 #[cfg(test)]
@@ -145,24 +148,27 @@ mod tests {
     #[test]
     fn one_cause_is_one_alert_and_the_most_urgent_comes_first() {
         let alert = |kind: AlertKind, at_s| kind.alert("a", Utc::from_seconds(at_s), "c");
-        let told = |receiver: &str, event, told_s| Told {
+        let notification = |receiver: &str, event, sent_s| Notification {
             receiver: receiver.to_owned(),
             id: "dome-held/a".to_owned(),
             raised_utc: Utc::from_seconds(3.0),
             event,
-            told_utc: Utc::from_seconds(told_s),
+            sent_utc: Utc::from_seconds(sent_s),
         };
         let ours = Alerts {
             alerts: vec![alert(AlertKind::CoolingFailed, 1.0), alert(AlertKind::DomeHeld, 3.0)],
-            told: vec![told("chat", AlertEvent::Raised, 4.0), told("ana", AlertEvent::Raised, 4.0)],
+            notifications: vec![
+                notification("chat", AlertEvent::Raised, 4.0),
+                notification("ana", AlertEvent::Raised, 4.0),
+            ],
         };
         let theirs = Alerts {
             alerts: vec![alert(AlertKind::DomeHeld, 2.0), alert(AlertKind::DomeNotClosed, 9.0)],
-            told: vec![told("chat", AlertEvent::Acknowledged, 5.0)],
+            notifications: vec![notification("chat", AlertEvent::Acknowledged, 5.0)],
         };
         let merged = merge([ours, theirs].into_iter());
-        let last = [told("ana", AlertEvent::Raised, 4.0), told("chat", AlertEvent::Acknowledged, 5.0)];
-        assert_eq!(merged.told, last);
+        let last = [notification("ana", AlertEvent::Raised, 4.0), notification("chat", AlertEvent::Acknowledged, 5.0)];
+        assert_eq!(merged.notifications, last);
         let found: Vec<_> =
             merged.alerts.iter().map(|a| (a.id.as_str(), a.raised_utc.seconds_since(Utc::EPOCH))).collect();
         assert_eq!(found, [("dome-not-closed/a", 9.0), ("dome-held/a", 2.0), ("cooling-failed/a", 1.0)]);

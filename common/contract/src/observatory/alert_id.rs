@@ -49,7 +49,7 @@ impl AlertKind {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::observatory::catalogue::Entry;
+    use crate::observatory::catalogue::AlertEntry;
 
     #[test]
     fn every_id_names_its_kind() {
@@ -66,7 +66,7 @@ mod tests {
     #[test]
     fn every_row_has_words_that_are_sentences() {
         for kind in AlertKind::ALL {
-            let Entry { word, consequence, action, .. } = kind.entry();
+            let AlertEntry { word, consequence, action, .. } = kind.entry();
             for text in [*consequence, *action, kind.means()] {
                 assert!(text.ends_with('.') && text.starts_with(char::is_uppercase), "{word}: {text:?}");
             }

@@ -11,7 +11,7 @@ mod network;
 mod orders;
 mod records;
 
-pub use super::catalogue_entry::Entry;
+pub use super::catalogue_entry::AlertEntry;
 use super::catalogue_macro::catalogue;
 
 catalogue! {
@@ -24,7 +24,7 @@ catalogue! {
     /// A mount was left tracking until it came to one of its limits (`telescope.limits`). Its device node stops it,
     /// without the observatory node and without the bus.
     MountLimit: devices::MOUNT_LIMIT,
-    /// The dome's own watchdog did not take its food. It closes the dome when its time is over, safe or not.
+    /// The dome's own watchdog did not accept the command that resets its timer (`watchdog_action`). It closes the dome when its time is over, safe or not.
     Watchdog: enclosure::WATCHDOG,
     /// Nothing closes this dome when its device node's host loses power or hangs: it has no watchdog of its own, or
     /// none is configured.
@@ -36,17 +36,17 @@ catalogue! {
     /// many.
     AuditLost: records::AUDIT_LOST,
     /// Records of what was ordered and moved do not follow from each other: somebody or something has changed or removed
-    /// some. A node tells it of its own file, the archive of a node's. Stands until the node that tells it ends.
+    /// some. A node raises it for its own file; the archive raises it for a node's file. It is active until the node that raised it ends.
     AuditBroken: records::AUDIT_BROKEN,
-    /// A node does not tell the archive what was ordered and moved there. The node itself keeps it.
+    /// A node does not send its audit records to the archive. They are still in the node's own file.
     AuditLacking: records::AUDIT_LACKING,
-    /// A person's order to stay closed, or to do without a limit, was accepted and could not be written.
-    StandingOrders: records::STANDING_ORDERS,
+    /// A person's order to stay closed, or to override a limit, was accepted and could not be written.
+    OperatorOrders: records::OPERATOR_ORDERS,
     /// An enclosure must be closed and is not seen to be. The guard of the dome and the observatory node each try
     /// again, for ever. Look at the camera of the site before anything else: the shutter may be shut and only its
     /// sensor wrong.
     DomeNotClosed: enclosure::DOME_NOT_CLOSED,
-    /// A dome opened and no node had told it to. Somebody stands at it, another program drives it, or its controller
+    /// A dome opened and no node had commanded it. Somebody stands at it, another program drives it, or its controller
     /// has a fault. Ask who is on site before you touch anything.
     DomeUncommandedOpen: enclosure::DOME_UNCOMMANDED_OPEN,
     /// The device node of an enclosure and the guard process around it both guard it. One of them does not start, has ended
@@ -68,66 +68,79 @@ catalogue! {
     /// The guard closed the dome because nobody renewed its permission. The dome is safe; the night waits. The
     /// observatory node takes over again by itself when it runs and the sky is safe.
     DomeHeld: enclosure::DOME_HELD,
-    /// A mount was told to park and is not seen parked in time.
+    /// A mount was commanded to park and is not seen parked in time.
     MountNotParked: devices::MOUNT_NOT_PARKED,
     /// No device node grants the right to command: the one that serves the dome (without a dome: the mount) does not
     /// answer or refuses.
     NoLease: network::NO_LEASE,
-    /// A node that was heard is heard no more: it ended, hangs, or its host or the network is down.
+    /// A node that published is silent now: it ended, hangs, or its host or the network is down.
     NodeSilent: network::NODE_SILENT,
-    /// The wall clock differs by more than 30 s from what the boot-time clock, other nodes or a mount tell; the cause says by how much.
+    /// The wall clock differs by more than 30 s from what the boot-time clock, other nodes or a mount show; the cause
+    /// says by how much.
     ClocksDisagree: network::CLOCKS_DISAGREE,
     /// Two nodes serve one device. While both live, a safety input is unsafe and a dome is not known to be closed.
     SecondWriter: network::SECOND_WRITER,
-    /// Two nodes of one role have one name, or somebody speaks in a node's name. On one host the younger ends by itself;
+    /// Two nodes of one role have one name, or a program publishes under a node's name. On one host the younger ends by itself;
     /// from the network alone no node is ended.
     Twin: network::TWIN,
     /// The dome had to be closed again and again: three times within ten minutes.
     ClosesOften: enclosure::CLOSES_OFTEN,
     /// A safety monitor, weather station or switch answers so slowly that its readings are old before they arrive.
     SlowDevice: devices::SLOW_DEVICE,
-    /// Somebody uses a lease or a guard's name that nobody granted it: permits, leases or guard numbers of two speakers
-    /// contradict each other.
+    /// A program uses a lease, or publishes as a guard, without the right to. Permits, leases or guard numbers of two
+    /// programs contradict each other.
     Impostor: network::IMPOSTOR,
     /// The newest schedule file cannot be read. The cause names the line.
     ScheduleRefused: orders::SCHEDULE_REFUSED,
-    /// The schedule in force cannot be kept as a version beside those before it.
-    ScheduleNotKept: records::SCHEDULE_NOT_KEPT,
+    /// The schedule in force cannot be stored as a version next to those before it.
+    ScheduleNotSaved: records::SCHEDULE_NOT_SAVED,
     /// What was begun and finished cannot be written down.
     Journal: records::JOURNAL,
     /// A frame was taken and the device node could not write it.
     SpoolCannotWrite: records::SPOOL_CANNOT_WRITE,
     /// The archive's database does not take rows: its disk is full or read-only, or another program locks it.
     ArchiveDatabase: records::ARCHIVE_DATABASE,
+    /// The daily copy of the archive's database could not be made, or is damaged.
+    ArchiveBackup: records::ARCHIVE_BACKUP,
+    /// A finished night could not be written as Parquet into the folder of the network's archive. The cause names the file.
+    ArchiveParquet: records::ARCHIVE_PARQUET,
+    /// A night could not be handed over to a destination (`[[delivery]]`), or not by its time. The cause names the night and what
+    /// the destination reported.
+    ArchiveDelivery: records::ARCHIVE_DELIVERY,
+    /// The folder of images has less room than `archive.disk_warn_gb`. Nothing stops yet.
+    ArchiveDiskLow: records::ARCHIVE_DISK_LOW,
     /// The archive tried several times to store one frame or more; the cause says how many. Nothing is lost yet: they
     /// stay in the spools of their cameras' device nodes.
     ArchiveFrame: records::ARCHIVE_FRAME,
-    /// Nobody can be told of alerts at this address: it does not answer, refuses, or its password is wrong. The cause has
-    /// its words. Everybody else is told, this alert too.
+    /// Device states or log lines did not reach the archive, and the node that published them holds them no more. The
+    /// cause says how many, and on which key.
+    ArchiveLost: records::ARCHIVE_LOST,
+    /// No alert reaches this address: it does not answer, refuses, or its password is wrong. The cause quotes
+    /// its answer. All other receivers get their alerts, and this alert too.
     AlertNotSent: network::ALERT_NOT_SENT,
     /// What people acknowledged and shelved cannot be written down.
-    AlertsNotKept: records::ALERTS_NOT_KEPT,
+    AlertsNotSaved: records::ALERTS_NOT_SAVED,
     /// A frame was exposed and never announced by the camera's device node.
     FrameLost: devices::FRAME_LOST,
     /// A camera does not reach its temperature in its time.
     CoolingFailed: devices::COOLING_FAILED,
     /// A mirror cover must be closed and is not seen to be.
     CoverNotClosed: devices::COVER_NOT_CLOSED,
-    /// A safety input is switched off in the configuration. It stands so that nobody forgets.
+    /// A safety input is switched off in the configuration. The alert stays active as a reminder.
     Disabled: orders::DISABLED,
     /// A file's header lacks values that the telemetry should give.
     ArchiveHeaders: records::ARCHIVE_HEADERS,
     /// A person ordered that nothing opens.
     StayClosed: orders::STAY_CLOSED,
-    /// A person does without one limit for a while.
+    /// A person has overridden one limit for a while.
     Override: orders::OVERRIDE,
     /// The stars of a camera grow wider from frame to frame, and not by the seeing of a moment: the middle of the last
     /// five frames of a row is more than 1.3 times as wide as its best five were.
     FocusDrift: images::FOCUS_DRIFT,
     /// A focus run of a camera has not found the focus; the focuser went back to where it stood before.
     FocusFailed: images::FOCUS_FAILED,
-    /// What was learnt of the focus (best positions, runs) cannot be written down; it is tried again and again.
-    FocusNotKept: records::FOCUS_NOT_KEPT,
+    /// What was learned of the focus (best positions, runs) cannot be written down; it is tried again and again.
+    FocusNotSaved: records::FOCUS_NOT_SAVED,
     /// A camera sees fewer than 30 % of the stars that the frames before of the same row showed, or less than 30 % of the light
     /// that the stars give at best, clear air allowed for: clouds, a dome before the telescope, dew, or dawn. It ends at half.
     StarsGone: images::STARS_GONE,
@@ -139,13 +152,13 @@ catalogue! {
     GuidingLost: images::GUIDING_LOST,
     /// The field turns around the star that is guided on.
     FieldTurns: images::FIELD_TURNS,
-    /// What guiding has learnt (what pulses do, where fields stood) cannot be written down.
-    GuidingNotKept: records::GUIDING_NOT_KEPT,
+    /// The learned guiding (effect of pulses, places of fields) cannot be written to disk.
+    GuidingNotSaved: records::GUIDING_NOT_SAVED,
     /// A row asks for `pointing`, and where its camera looks could not be proven, or the mount does not go where it is sent.
     /// The cause says which. It ends with the next telescope that is proven to be on target.
     PointingUnproven: images::POINTING_UNPROVEN,
-    /// What was learnt of the pointing cannot be written down.
-    PointingNotKept: records::POINTING_NOT_KEPT,
+    /// The learned pointing models cannot be written to disk.
+    PointingNotSaved: records::POINTING_NOT_SAVED,
     /// A solved frame shows another field than that of its target: the middle of the sensor is farther from it than half the
     /// frame's shorter side. It ends with the next frame that is on target.
     WrongField: images::WRONG_FIELD,
@@ -155,7 +168,7 @@ catalogue! {
     /// The star catalogue that `[imaging] catalogue` names cannot be opened.
     CatalogueUnusable: network::CATALOGUE_UNUSABLE,
     /// What solved frames taught of the optics cannot be written down.
-    OpticsNotKept: records::OPTICS_NOT_KEPT,
+    OpticsNotSaved: records::OPTICS_NOT_SAVED,
     /// Frames of a camera could not be measured, three in a row: their pixels could not be fetched from the spool, or
     /// measuring does not keep up.
     FramesUnmeasured: images::FRAMES_UNMEASURED,

@@ -4,7 +4,7 @@ use super::Priority;
 
 /// What is the same for every alert of one kind.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Entry {
+pub struct AlertEntry {
     /// Begins the id; what varies follows after a `/`.
     pub word: &'static str,
     /// What varies, as the page shows it, such as `DOME`; empty where there is only one.
@@ -22,7 +22,7 @@ pub struct Entry {
 }
 
 /// What most rows have in common: one alert of its kind, shown at once and gone with its cause.
-pub(super) const PLAIN: Entry = Entry {
+pub(super) const PLAIN: AlertEntry = AlertEntry {
     word: "",
     instance: "",
     priority: Priority::Advisory,
@@ -33,4 +33,4 @@ pub(super) const PLAIN: Entry = Entry {
 };
 
 /// As [`PLAIN`], of those that need a person within minutes.
-pub(super) const HIGH: Entry = Entry { priority: Priority::High, ..PLAIN };
+pub(super) const HIGH: AlertEntry = AlertEntry { priority: Priority::High, ..PLAIN };

@@ -13,10 +13,10 @@ macro_rules! catalogue {
             pub const ALL: &[Self] = &[$(Self::$kind),*];
 
             /// Its row of the catalogue.
-            pub const fn entry(self) -> &'static Entry {
+            pub const fn entry(self) -> &'static AlertEntry {
                 match self {
                     $(Self::$kind => {
-                        const ENTRY: Entry = $entry;
+                        const ENTRY: AlertEntry = $entry;
                         &ENTRY
                     })*
                 }

@@ -1,5 +1,6 @@
 //! What was measured on a frame, and what follows from a run of frames.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
@@ -11,7 +12,7 @@ use crate::{CommandId, Payload};
 ///
 /// Lengths are pixels of the frame (binned), brightness is ADU. Frames without light from stars (dark, bias, flat) have
 /// level, noise and saturation only.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
 pub struct FrameFacts {
     /// Which frame.
     pub frame: CommandId,
@@ -116,7 +117,7 @@ pub struct FrameFacts {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refused: Option<String>,
     /// How long solving took, within `measuring_s`, machine s; absent on frames without stars to solve by. A frame whose
-    /// place takes long is told twice, first with what was measured and without this.
+    /// place takes long is published twice, first with what was measured and without this.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub solving_s: Option<f64>,
     /// How long measuring took once the pixels were there, machine s.
@@ -129,7 +130,7 @@ impl Payload for FrameFacts {
 }
 
 /// What several frames of one camera and filter say together.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Trigger {
     /// What it is.
     pub kind: TriggerKind,
@@ -145,7 +146,7 @@ pub struct Trigger {
 }
 
 /// What a run of frames can say.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TriggerKind {
     /// The stars grow wider: the focus drifts, or the seeing worsens.

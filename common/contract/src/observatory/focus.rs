@@ -2,13 +2,14 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
 use crate::{CommandId, Payload};
 
 /// The focus.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
 pub struct FocusState {
     /// A run is under way.
     pub active: bool,
@@ -29,20 +30,20 @@ impl Payload for FocusState {
     const NAME: &'static str = "observatory.focus";
 }
 
-/// What focus runs have taught: said by whoever commands, taken over by whoever stands by.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct FocusLearnt {
+/// What focus runs have taught: published by the commander, taken over by whoever stands by.
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
+pub struct FocusLearned {
     /// Runs that found a focus and are remembered, by the focuser's configured name, in order of time.
     #[serde(default)]
     pub focusers: BTreeMap<String, Vec<FocusFound>>,
 }
 
-impl Payload for FocusLearnt {
-    const NAME: &'static str = "observatory.focus_learnt";
+impl Payload for FocusLearned {
+    const NAME: &'static str = "observatory.focus_learned";
 }
 
 /// One run that found a focus, as it is remembered.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct FocusFound {
     /// Names the run.
     pub id: String,
@@ -51,7 +52,7 @@ pub struct FocusFound {
     /// Filter that its row named.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub filter: Option<String>,
-    /// Offset of that filter as the wheel said, steps.
+    /// Offset of that filter as the wheel reported, steps.
     #[serde(default)]
     pub wheel_offset: i64,
     /// Best position through that filter, steps.
@@ -71,7 +72,7 @@ pub struct FocusFound {
 }
 
 /// What is known of one focuser.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
 pub struct FocuserFocus {
     /// Configured name.
     pub focuser: String,
@@ -83,7 +84,7 @@ pub struct FocuserFocus {
     pub temperature_c: Option<f64>,
     /// Runs that found a focus and are remembered.
     pub runs: u32,
-    /// How the best position follows the temperature, steps per degree; absent until enough runs tell.
+    /// How the best position follows the temperature, steps per degree; absent until enough runs show.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps_per_c: Option<f64>,
     /// Its standard error, steps per degree.
@@ -92,7 +93,7 @@ pub struct FocuserFocus {
 }
 
 /// A focus run: as far as it is while it is under way, whole once it has an outcome other than `running`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct FocusRun {
     /// Names the run.
     pub id: CommandId,
@@ -103,7 +104,7 @@ pub struct FocusRun {
     /// Filter that the row named.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub filter: Option<String>,
-    /// Offset of that filter by which `kept_position` is less than `best_position`, steps.
+    /// Offset of that filter by which `stored_position` is less than `best_position`, steps.
     pub filter_offset: i64,
     /// Offset of that filter as the wheel says, steps; absent without a named filter.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -130,7 +131,7 @@ pub struct FocusRun {
     pub best_position_error: Option<f64>,
     /// What is kept as the best position: without the filter's offset, steps; absent where the row keeps nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub kept_position: Option<f64>,
+    pub stored_position: Option<f64>,
     /// Half width of the bottom of the curve, steps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub critical_zone: Option<f64>,
@@ -159,7 +160,7 @@ impl Payload for FocusRun {
 }
 
 /// How a focus run went.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FocusOutcome {
     /// Under way.
@@ -172,7 +173,7 @@ pub enum FocusOutcome {
 }
 
 /// What a position of a run is for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FocusPass {
     /// To see where the focus is.
@@ -184,7 +185,7 @@ pub enum FocusPass {
 }
 
 /// What was measured at one position.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct FocusPoint {
     /// Position of the focuser, steps.
     pub position: i64,
@@ -216,7 +217,7 @@ pub struct FocusPoint {
 }
 
 /// What one operator says.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct FocusValue {
     /// Name of the operator.
     pub operator: String,
@@ -225,7 +226,7 @@ pub struct FocusValue {
 }
 
 /// The curve of a run.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct FocusCurve {
     /// `hyperbola`, or the smoother's name.
     pub model: String,

@@ -1,5 +1,6 @@
 //! The guide loop: where it stands, what it rests on, and each of its corrections.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
@@ -7,7 +8,7 @@ use crate::device::telescope::PierSide;
 use crate::{CommandId, Payload};
 
 /// The guide loop. What is absent is not known, or does not apply while nothing is guided.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
 pub struct GuidingState {
     /// A loop runs.
     pub active: bool,
@@ -50,7 +51,7 @@ impl Payload for GuidingState {
 }
 
 /// Where a guide loop stands.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GuideStage {
     /// No frame was measured yet.
@@ -66,7 +67,7 @@ pub enum GuideStage {
 }
 
 /// What guide pulses do to the stars.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct GuideCalibration {
     /// Where it comes from.
     pub source: CalibrationSource,
@@ -87,7 +88,7 @@ pub struct GuideCalibration {
 }
 
 /// From where it is known what pulses do.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CalibrationSource {
     /// Pulses were given and their effect was measured (`calibrate_guiding`).
@@ -97,7 +98,7 @@ pub enum CalibrationSource {
 }
 
 /// What pulses of a mount do to the stars of a camera.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct CameraCalibration {
     /// Configured name of the camera.
     pub camera: String,
@@ -106,7 +107,7 @@ pub struct CameraCalibration {
 }
 
 /// Which frames show the same field in the same way.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct GuideField {
     /// OBJECT.
     pub object: String,
@@ -128,8 +129,11 @@ pub struct GuideField {
     pub origin_px: [u32; 2],
 }
 
+/// References of fields that a telescope remembers, and that its publisher stores.
+pub const GUIDE_REFERENCES: usize = 60;
+
 /// Where the stars of a field stood. A later one of the same field takes its place.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct GuideReference {
     /// Which field.
     pub field: GuideField,
@@ -150,8 +154,8 @@ impl Payload for GuideReference {
     const NAME: &'static str = "observatory.guide_reference";
 }
 
-/// A star of a reference: none of its pixels is saturated, at an edge, or of a neighbour.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+/// A star of a reference: none of its pixels is saturated, at an edge, or of another star.
+#[derive(Debug, Clone, Copy, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct ReferenceStar {
     /// Column, px; 0 is the middle of the first one.
     pub x_px: f64,
@@ -178,7 +182,7 @@ pub struct ReferenceStar {
 }
 
 /// One frame of a guide loop and what was done about it. Lengths are px of the frame (binned).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Correction {
     /// Which frame.
     pub frame: CommandId,
@@ -235,9 +239,9 @@ pub struct Correction {
     /// Root mean square of the distances on the last frames (at most 20) while guiding, px.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rms_px: Option<f64>,
-    /// What is done besides, in words: a slew back, a search, an alarm.
+    /// What is done in addition, in words: a slew back, a search, an alarm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub besides: Option<String>,
+    pub further_action: Option<String>,
 }
 
 impl Payload for Correction {
@@ -245,7 +249,7 @@ impl Payload for Correction {
 }
 
 /// By what a shift is measured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GuideMethod {
     /// The reference's stars, in boxes where they should be.
@@ -257,7 +261,7 @@ pub enum GuideMethod {
 }
 
 /// One axis of a correction: px along the motion that its pulses cause.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct AxisCorrection {
     /// Why it is pulsed, or is not.
     pub why: PulseWhy,
@@ -270,7 +274,7 @@ pub struct AxisCorrection {
     pub spread_px: f64,
     /// Drift of the mount without corrections, px/s.
     pub drift_px_per_s: f64,
-    /// Period of the worm that was learnt, s.
+    /// Period of the worm that was learned, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub worm_period_s: Option<f64>,
     /// Pulse that was decided, ms; positive is East or North.
@@ -280,7 +284,7 @@ pub struct AxisCorrection {
 }
 
 /// Why an axis is pulsed, or is not.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PulseWhy {
     /// Towards where the star is expected in the next frame.

@@ -1,5 +1,6 @@
 //! Posture, what is being done, and who commands.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
@@ -7,7 +8,7 @@ use super::Trigger;
 use crate::{CommandId, Payload};
 
 /// How the observatory stands to the sky.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Posture {
     /// Every enclosure is verified closed.
@@ -23,7 +24,7 @@ pub enum Posture {
 }
 
 /// What the observatory is doing, every second and at each change.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct NightState {
     /// Works through the schedule by itself.
     pub robotic: bool,
@@ -53,16 +54,19 @@ pub struct NightState {
 }
 
 /// An order that was accepted.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct OrderTaken {
     /// Its id.
     pub id: CommandId,
-    /// Who ordered, such as `cli/ana@dome-pc`.
+    /// The person who ordered, such as `cli/ana@dome-pc`.
     pub from: String,
     /// What, such as `close`.
     pub verb: String,
     /// Sky time when it was accepted.
     pub at_utc: Utc,
+    /// The night that it is about, `YYYYMMDD`, where it is about one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub night: Option<String>,
 }
 
 impl Payload for NightState {
@@ -70,7 +74,7 @@ impl Payload for NightState {
 }
 
 /// An action under way.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct ActionNow {
     /// Row of the schedule.
     pub row: u32,
@@ -87,8 +91,8 @@ pub struct ActionNow {
     pub started_utc: Utc,
 }
 
-/// Who commands this telescope.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// The node that commands this telescope.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Lease {
     /// The commander, empty while there is none.
     pub holder: String,

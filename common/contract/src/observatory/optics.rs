@@ -1,5 +1,6 @@
-//! What solved frames taught of the optics: learnt once, used for every frame after.
+//! What solved frames taught of the optics: learned once, used for every frame after.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
@@ -8,7 +9,7 @@ use crate::Payload;
 use crate::device::telescope::PierSide;
 
 /// What is known of the optics of a telescope.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
 pub struct OpticsState {
     /// By camera, filter, pier side and binning.
     #[serde(default)]
@@ -23,14 +24,14 @@ impl Payload for OpticsState {
 }
 
 /// What stays the same from frame to frame of one camera, filter, pier side and binning.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Optics {
     /// Configured name of the camera.
     pub camera: String,
     /// Name of the filter in the beam.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub filter: Option<String>,
-    /// Side of the pier; absent where the mount does not tell one.
+    /// Side of the pier; absent where the mount does not report one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pier_side: Option<PierSide>,
     /// Binning factor.
@@ -60,7 +61,7 @@ pub struct Optics {
 }
 
 /// The best zero point known: a clear sky near the zenith and clean mirrors.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct ZeroPoint {
     /// Configured name of the camera.
     pub camera: String,

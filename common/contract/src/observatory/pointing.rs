@@ -1,5 +1,6 @@
-//! Where a telescope looks when it is sent somewhere, and what was learnt of it.
+//! Where a telescope looks when it is sent somewhere, and what was learned of it.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
@@ -7,7 +8,7 @@ use crate::Payload;
 use crate::device::telescope::PierSide;
 
 /// The pointing.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
 pub struct PointingState {
     /// A telescope is being brought onto its target.
     pub active: bool,
@@ -16,7 +17,7 @@ pub struct PointingState {
     /// How far from its target the last solved frame of a row with `pointing` was, arcmin.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub off_target_arcmin: Option<f64>,
-    /// What was learnt, by camera and pier side.
+    /// What was learned, by camera and pier side.
     #[serde(default)]
     pub models: Vec<PointingModel>,
 }
@@ -26,11 +27,11 @@ impl Payload for PointingState {
 }
 
 /// What is known of how a camera misses where its mount is sent.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
 pub struct PointingModel {
     /// Configured name of the camera.
     pub camera: String,
-    /// Side of the pier; absent where the mount does not tell one.
+    /// Side of the pier; absent where the mount does not report one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pier_side: Option<PierSide>,
     /// First slews are corrected by it: it has proven to help.
@@ -41,13 +42,13 @@ pub struct PointingModel {
     /// Where the camera was seen to look, the oldest first.
     #[serde(default)]
     pub points: Vec<PointingPoint>,
-    /// What it foretold of the newest points before it learnt them, the oldest first.
+    /// What it foretold of the newest points before it learned them, the oldest first.
     #[serde(default)]
     pub checks: Vec<PointingCheck>,
 }
 
 /// Where a camera was seen to look, from where its mount was sent.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct PointingPoint {
     /// Middle of the exposure, sky time.
     pub at_utc: Utc,
@@ -62,7 +63,7 @@ pub struct PointingPoint {
 }
 
 /// One foretelling and what it was worth.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct PointingCheck {
     /// How far off the camera would have looked with the model, arcmin.
     pub with_arcmin: f64,

@@ -1,12 +1,13 @@
 //! The verdict with its reasons, and the permit that carries it to a dome.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
 use crate::{BootId, Payload};
 
 /// May the sky be let in?
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// Yes, on evidence over the whole dwell time.
@@ -16,7 +17,7 @@ pub enum Verdict {
 }
 
 /// The verdict and what it rests on, every second and at each change.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct SafetyState {
     /// The verdict.
     pub verdict: Verdict,
@@ -48,7 +49,7 @@ impl Payload for SafetyState {
 }
 
 /// A sector of the sky, from the horizon to the zenith.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Sector {
     /// Its middle, degrees from north through east.
     pub azimuth_deg: f64,
@@ -67,7 +68,7 @@ impl Sector {
 }
 
 /// A verdict from its beginning to its end.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Interval {
     /// The verdict.
     pub verdict: Verdict,
@@ -82,7 +83,7 @@ pub struct Interval {
 }
 
 /// One reason to be unsafe.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Unsafe {
     /// The input, such as `safetymonitor/monitor` or `wx/Humidity`.
     pub input: String,
@@ -94,7 +95,7 @@ pub struct Unsafe {
 }
 
 /// One input of the verdict.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct InputState {
     /// The input.
     pub input: String,
@@ -108,17 +109,17 @@ pub struct InputState {
 }
 
 /// May this dome be open? Renewed every second; silence is a no.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Permit {
     /// The verdict.
     pub verdict: Verdict,
-    /// Who commands, such as `observatory/alpha`.
+    /// The commander, such as `observatory/alpha`.
     pub commander: String,
     /// Fencing token of the commander's lease.
     pub token: u64,
-    /// The newest number heard from this dome's guard; the permit is as old as that number.
+    /// The newest number received from this dome's guard; the permit is as old as that number.
     pub guard_number: u64,
-    /// Life of the guard that said the number.
+    /// Incarnation of the guard that published the number.
     pub guard_boot_id: BootId,
 }
 

@@ -1,5 +1,6 @@
 //! The rows of the schedule and how far they are.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use units::Utc;
 
@@ -7,7 +8,7 @@ use super::Finding;
 use crate::Payload;
 
 /// The schedule as the observatory runs it, at each change and every 10 s.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct ScheduleState {
     /// File it was read from.
     pub file: String,
@@ -18,6 +19,9 @@ pub struct ScheduleState {
     pub refused: Option<String>,
     /// The rows in order of their start.
     pub rows: Vec<RowState>,
+    /// SHA-256 of the text that is active, as lower-case hex; absent before one was read.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sha256: Option<String>,
     /// What was found in the schedule that is active, errors first where there are too many to be listed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub findings: Vec<Finding>,
@@ -28,7 +32,7 @@ impl Payload for ScheduleState {
 }
 
 /// One row.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct RowState {
     /// Position in the order, from 0.
     pub row: u32,
@@ -56,7 +60,7 @@ pub struct RowState {
 }
 
 /// How far a row is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RowStatus {
     /// Its time has not come.

@@ -1,12 +1,13 @@
 //! Where a frame points, or why that is not known.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Pixels to sky: the tangent plane of FITS (TAN) with a distortion where many stars prove one.
 ///
 /// Pixel `(0, 0)` is the centre of the first pixel, x counts columns; FITS numbers are greater by one. Calabretta &
 /// Greisen 2002, A&A 395, 1077.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct FrameWcs {
     /// ICRS right ascension of the reference pixel (CRVAL1), degrees.
     pub ra_deg: f64,
@@ -26,7 +27,7 @@ pub struct FrameWcs {
 
 /// Distortion of up to third order as a SIP polynomial about the reference pixel (Shupe et al. 2005, ASP Conf. 347, 491):
 /// with u, v px from there, the linear part is given `u + A(u, v)` and `v + B(u, v)`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Distortion {
     /// Coefficients of A in the order u2 uv v2 u3 u2v uv2 v3, px^(1 - power).
     pub a: [f64; 7],
@@ -35,25 +36,25 @@ pub struct Distortion {
 }
 
 /// Why a frame with stars has no solution.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
 pub struct Unsolved {
-    /// What calls for one and the same deed.
+    /// What calls for one and the same remedy.
     pub class: UnsolvedClass,
     /// The figures, in words.
     pub detail: String,
 }
 
 /// Classes of failures (each is followed by what helps).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, JsonSchema, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum UnsolvedClass {
     /// No star catalogue is open: look at the alert.
     NoCatalogue,
-    /// Nobody tells the size of a pixel on the sky: set `scale_arcsec_px` of the camera.
+    /// The size of a pixel on the sky is not known: set `scale_arcsec_px` of the camera.
     NoScale,
-    /// Nobody tells where the telescope pointed: neither a target nor a mount.
+    /// Where the telescope pointed is not known: neither a target nor a mount.
     NoPlace,
-    /// What is told of place and scale makes no sense: look at the devices.
+    /// The given place and scale make no sense: look at the devices.
     BadHint,
     /// Expose longer.
     TooFewStars,
@@ -67,6 +68,6 @@ pub enum UnsolvedClass {
     CatalogueTooShallow,
     /// Two places fit: expose longer.
     Ambiguous,
-    /// Nothing fits near the place that was told: the telescope points elsewhere, or the scale is another.
+    /// Nothing fits near the given place: the telescope points elsewhere, or the scale is another.
     NoMatch,
 }

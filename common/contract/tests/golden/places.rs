@@ -17,7 +17,7 @@ pub struct Place(pub Vec<Step>);
 pub fn has_free_keys(name: &str, pattern: &str) -> bool {
     let last = pattern.rsplit('.').next().unwrap_or_default();
     matches!(last, "readings" | "figures" | "metadata" | "paired" | "sensor_ages_s") && !pattern.starts_with("ask")
-        || matches!((name, pattern), ("node.diary", "fields") | ("observatory.focus_learnt", "focusers"))
+        || matches!((name, pattern), ("node.diary", "fields") | ("observatory.focus_learned", "focusers"))
         || is_any_json(name, pattern)
 }
 

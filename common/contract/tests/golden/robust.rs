@@ -1,15 +1,16 @@
 //! Whatever the bus brings, decoders answer with a value or an error and never panic.
 
 use contract::Key;
+use contract::row::PayloadType;
+use contract::table::payloads as claims;
 use proptest::prelude::*;
 use serde_json::Value;
 
-use crate::claims::{Claim, claims};
 use crate::places::places;
 use crate::samples;
 
 /// What is read can be written, and what was written can be read.
-fn reads_or_refuses(claim: &Claim, bytes: &[u8]) -> Result<(), TestCaseError> {
+fn reads_or_refuses(claim: &PayloadType, bytes: &[u8]) -> Result<(), TestCaseError> {
     if let Ok(value) = (claim.again)(bytes) {
         let text = serde_json::to_vec(&value).unwrap();
         prop_assert!((claim.again)(&text).is_ok(), "{}: {value}", claim.name);

@@ -33,7 +33,7 @@ const ROUNDING: f32 = 0.288_675_13;
 
 /// Sky of a cell, ADU.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Sky {
+pub(super) struct SkyLevel {
     pub(super) level: f32,
     pub(super) noise: f32,
 }
@@ -53,18 +53,18 @@ impl Default for Scratch {
 
 impl Scratch {
     /// Level and noise of the pixels in `lines`; None when fewer than half of them are finite and within 3 sigma.
-    /// The cell beside this one, if it is known, saves the sample where the bins that fit it fit this one too.
+    /// The cell next to this one, if it is known, saves the sample where the bins that fit it fit this one too.
     pub(super) fn measure<'a>(
         &mut self,
         lines: impl Iterator<Item = &'a [f32]> + Clone,
         quantum: f32,
-        beside: Option<Sky>,
-    ) -> Option<Sky> {
+        neighbour: Option<SkyLevel>,
+    ) -> Option<SkyLevel> {
         let total: usize = lines.clone().map(<[f32]>::len).sum();
-        if let Some(beside) = beside.filter(|sky| sky.noise > NOISY * least_noise(sky.level, quantum))
-            && let Some(sky) = self.measure_with(lines.clone(), total, quantum, (beside.level, beside.noise))
-            && (sky.level - beside.level).abs() < ALIKE_SIGMA * beside.noise
-            && ALIKE_NOISE.contains(&(sky.noise / beside.noise))
+        if let Some(neighbour) = neighbour.filter(|sky| sky.noise > NOISY * least_noise(sky.level, quantum))
+            && let Some(sky) = self.measure_with(lines.clone(), total, quantum, (neighbour.level, neighbour.noise))
+            && (sky.level - neighbour.level).abs() < ALIKE_SIGMA * neighbour.noise
+            && ALIKE_NOISE.contains(&(sky.noise / neighbour.noise))
         {
             return Some(sky);
         }
@@ -79,7 +79,7 @@ impl Scratch {
         total: usize,
         quantum: f32,
         (middle, sigma): (f32, f32),
-    ) -> Option<Sky> {
+    ) -> Option<SkyLevel> {
         let bins = Bins::around(middle, sigma, quantum);
         self.counts.fill([0; 256]);
         let [even, odd] = &mut self.counts;
@@ -104,12 +104,12 @@ impl Scratch {
             sum += count;
             cumulative[bin + 1] = sum as f32;
         }
-        let (level, noise, kept) = clip(&cumulative);
+        let (level, noise, stored) = clip(&cumulative);
         let floor = least_noise(middle, quantum);
         // spreading a bin's pixels over its width has added that width's variance
         let noise = (noise * noise - ROUNDING * ROUNDING).max(0.0).sqrt();
-        (kept * 2.0 >= total as f32)
-            .then(|| Sky { level: bins.low + level * bins.width, noise: (noise * bins.width).max(floor) })
+        (stored * 2.0 >= total as f32)
+            .then(|| SkyLevel { level: bins.low + level * bins.width, noise: (noise * bins.width).max(floor) })
     }
 
     /// Median and sigma of a sample that is spread over the cell; None without finite pixels.
@@ -181,19 +181,19 @@ impl Bins {
 /// cut off the lower half of the noise, mean and standard deviation instead: stars stand on the mean.
 fn clip(cumulative: &[f32; BINS + 1]) -> (f32, f32, f32) {
     let (mut low, mut high) = (0.0, BINS as f32);
-    let (mut level, mut noise, mut kept) = (0.0, 0.0, f32::INFINITY);
+    let (mut level, mut noise, mut stored) = (0.0, 0.0, f32::INFINITY);
     let mut is_cut_off = false;
     let fullest = cumulative.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f32::max);
     for _ in 0..CLIP_PASSES {
         let (below, up_to) = (count_below(cumulative, low), count_below(cumulative, high));
-        if up_to - below >= kept || up_to <= below {
+        if up_to - below >= stored || up_to <= below {
             break;
         }
-        kept = up_to - below;
-        level = quantile(cumulative, below + 0.5 * kept);
-        noise = MAD_TO_SIGMA * deviation(cumulative, level, low, high, 0.5 * kept);
-        let upper = quantile(cumulative, below + UP_TO_SIGMA * kept) - level;
-        is_cut_off = upper > 2.0 && fullest > CUT_OFF * kept;
+        stored = up_to - below;
+        level = quantile(cumulative, below + 0.5 * stored);
+        noise = MAD_TO_SIGMA * deviation(cumulative, level, low, high, 0.5 * stored);
+        let upper = quantile(cumulative, below + UP_TO_SIGMA * stored) - level;
+        is_cut_off = upper > 2.0 && fullest > CUT_OFF * stored;
         if is_cut_off {
             noise = upper;
         }
@@ -204,7 +204,7 @@ fn clip(cumulative: &[f32; BINS + 1]) -> (f32, f32, f32) {
     if is_cut_off {
         (level, noise) = mean_and_spread(cumulative, low, high);
     }
-    (level, noise, if kept.is_finite() { kept } else { 0.0 })
+    (level, noise, if stored.is_finite() { stored } else { 0.0 })
 }
 
 fn mean_and_spread(cumulative: &[f32; BINS + 1], low: f32, high: f32) -> (f32, f32) {

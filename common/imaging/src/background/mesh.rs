@@ -83,7 +83,7 @@ impl Mesh {
     }
 
     /// The columns up to `end`, cut at the centres of the cells, and how far each lies beyond the last centre.
-    fn runs(&self, end: usize) -> impl Iterator<Item = (Run, impl Iterator<Item = f32>)> {
+    fn runs(&self, end: usize) -> impl Iterator<Item = (ColumnSpan, impl Iterator<Item = f32>)> {
         let step = self.columns as f32 / self.width as f32;
         let mut x = 0;
         std::iter::from_fn(move || {
@@ -93,7 +93,7 @@ impl Mesh {
             let count = (((1.0 - t) / step).ceil() as usize).clamp(1, end - first);
             x += count;
             // i32: there is no vector instruction that turns usize into f32
-            Some((Run { cell, columns: first..x }, (0..count as i32).map(move |n| t + n as f32 * step)))
+            Some((ColumnSpan { cell, columns: first..x }, (0..count as i32).map(move |n| t + n as f32 * step)))
         })
     }
 
@@ -137,7 +137,7 @@ fn ghost(count: usize, n: isize, value: impl Fn(usize) -> f32) -> f32 {
 }
 
 /// Columns between the centres of two cells.
-struct Run {
+struct ColumnSpan {
     /// The cell before them.
     cell: isize,
     columns: std::ops::Range<usize>,

@@ -55,13 +55,13 @@ impl Entry {
     }
 }
 
-/// Coarsest order that is chosen: its records tell places to 0.013".
+/// Coarsest order that is chosen: its records hold places to 0.013".
 const COARSEST: u8 = 7;
 /// Finest order whose index (12 MB) is no burden even for the stars of one field.
 const FINEST_OF_FEW: u8 = 9;
 
 /// A HEALPix order for so many stars on a share (0 to 1) of the sky: up to twenty to a cell, so that a small cone reads
-/// little beside its stars; but never an index that is much larger than the records of many stars.
+/// little besides its stars; but never an index that is much larger than the records of many stars.
 pub fn order_for(stars: usize, share_of_sky: f64) -> u8 {
     let share = if share_of_sky > 0.0 { share_of_sky.min(1.0) } else { 1.0 };
     let roomy = |stars: f64| {

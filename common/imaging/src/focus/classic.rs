@@ -6,7 +6,7 @@ use super::least_squares;
 const FEWEST: usize = 5;
 
 /// (position, value).
-type Line = Vec<(f64, f64)>;
+type FocusValues = Vec<(f64, f64)>;
 
 /// Bottom of the V whose sides have slopes of their own, which may lie at any position of the run; None with fewer
 /// than 5 points or positions that are all the same. (position, value) in any order.
@@ -47,8 +47,8 @@ pub fn raised_hyperbola(points: &[(f64, f64)]) -> Option<f64> {
 }
 
 /// The usable points in order of position, and the first and the last position.
-fn sorted(points: &[(f64, f64)]) -> Option<(Line, f64, f64)> {
-    let mut points: Line = points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
+fn sorted(points: &[(f64, f64)]) -> Option<(FocusValues, f64, f64)> {
+    let mut points: FocusValues = points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (low, high) = (points.first()?.0, points.last()?.0);
     (points.len() >= FEWEST && high > low).then_some((points, low, high))

@@ -49,7 +49,7 @@ pub enum NoModel {
 /// Runs, and degrees between the coldest and the warmest, that a line needs: chosen, not measured.
 const RUNS: usize = 10;
 const SPAN_C: f64 = 5.0;
-/// Runs are not told apart by errors below this, steps: a very small one must not decide alone.
+/// Runs are not distinguished by errors below this, steps: a very small one must not decide alone.
 const LEAST_ERROR: f64 = 1.0;
 /// A coefficient is proven that differs from none by so many standard errors ...
 const PROVEN: f64 = 4.0;
@@ -128,14 +128,14 @@ fn off_most(runs: &[PastRun]) -> Vec<f64> {
     runs.iter().map(|run| (rest(run) - level).abs()).collect()
 }
 
-struct Line {
+struct TemperatureLine {
     middle: (f64, f64),
     slope: f64,
     /// Sum of squared distances from the mean temperature, with weights of mean 1.
     spread: f64,
 }
 
-impl Line {
+impl TemperatureLine {
     fn off(&self, run: &PastRun) -> f64 {
         run.position - self.middle.1 - self.slope * (run.temperature.celsius() - self.middle.0)
     }
@@ -147,7 +147,7 @@ fn usual_error(runs: &[PastRun]) -> f64 {
     super::median(known).unwrap_or(LEAST_ERROR).max(LEAST_ERROR)
 }
 
-fn line(runs: &[PastRun]) -> Line {
+fn line(runs: &[PastRun]) -> TemperatureLine {
     // an error that is not known counts as the usual one
     let usual = usual_error(runs);
     let error =
@@ -163,7 +163,7 @@ fn line(runs: &[PastRun]) -> Line {
         spread += scale * weight * dt * dt;
         along += scale * weight * dt * (run.position - middle.1);
     }
-    Line { middle, slope: along / spread, spread }
+    TemperatureLine { middle, slope: along / spread, spread }
 }
 
 /// What is kept as the best focus: the position that a run found, less the offset of the filter it was made through.

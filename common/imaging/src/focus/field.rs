@@ -5,7 +5,7 @@
 
 use units::Angle;
 
-use crate::catalogue::Star;
+use crate::catalogue::CatalogueStar;
 
 /// How a field is chosen among those near the zenith.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -48,7 +48,7 @@ pub struct Wanted {
 
 /// Where to point.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Field {
+pub struct FocusField {
     /// ICRS right ascension of the field's centre.
     pub ra: Angle,
     /// ICRS declination of the field's centre.
@@ -56,7 +56,7 @@ pub struct Field {
     /// Distance from the zenith.
     pub from_zenith: Angle,
     /// The star in the centre; None for the zenith itself, which is taken when no star fits.
-    pub star: Option<Star>,
+    pub star: Option<CatalogueStar>,
     /// Stars within the magnitudes in the field, that one included.
     pub stars: usize,
 }
@@ -76,7 +76,7 @@ pub fn field_of_view(pixels: usize, pixel_um: f64, focal_length_mm: f64) -> Angl
 }
 
 /// Chooses a field. `stars` is what the catalogue has around the zenith (ICRS, of date); others do no harm.
-pub fn choose(stars: &[Star], zenith: (Angle, Angle), wanted: &Wanted) -> Field {
+pub fn choose(stars: &[CatalogueStar], zenith: (Angle, Angle), wanted: &Wanted) -> FocusField {
     let up = unit(zenith.0, zenith.1);
     let mut near: Vec<Near> = stars
         .iter()
@@ -99,25 +99,25 @@ pub fn choose(stars: &[Star], zenith: (Angle, Angle), wanted: &Wanted) -> Field 
         Selection::Maximal => richest(),
     };
     match near.get(chosen.unwrap_or(0)) {
-        Some(star) => Field {
+        Some(star) => FocusField {
             ra: star.star.ra,
             dec: star.star.dec,
             from_zenith: star.from_zenith,
             star: Some(star.star),
             stars: counts.around(chosen.unwrap_or(0)),
         },
-        None => Field { ra: zenith.0, dec: zenith.1, from_zenith: Angle::default(), star: None, stars: 0 },
+        None => FocusField { ra: zenith.0, dec: zenith.1, from_zenith: Angle::default(), star: None, stars: 0 },
     }
 }
 
 struct Near {
-    star: Star,
+    star: CatalogueStar,
     at: [f64; 3],
     from_zenith: Angle,
 }
 
 impl Near {
-    fn of(star: &Star, up: [f64; 3]) -> Self {
+    fn of(star: &CatalogueStar, up: [f64; 3]) -> Self {
         let at = unit(star.ra, star.dec);
         // by the chord: exact for small angles
         let chord = (0..3).map(|i| (at[i] - up[i]).powi(2)).sum::<f64>().sqrt();
@@ -172,8 +172,8 @@ mod tests {
 
     use super::*;
 
-    fn star(ra_deg: f64, dec_deg: f64, mag: f64) -> Star {
-        Star { ra: Angle::from_degrees(ra_deg), dec: Angle::from_degrees(dec_deg), mag }
+    fn star(ra_deg: f64, dec_deg: f64, mag: f64) -> CatalogueStar {
+        CatalogueStar { ra: Angle::from_degrees(ra_deg), dec: Angle::from_degrees(dec_deg), mag }
     }
 
     fn wanted(selection: Selection) -> Wanted {
@@ -182,7 +182,7 @@ mod tests {
     }
 
     /// Offsets in deg from a zenith: a pair near it, a lonely star further out, a cluster at 5 deg.
-    fn sky(zenith: (f64, f64)) -> Vec<Star> {
+    fn sky(zenith: (f64, f64)) -> Vec<CatalogueStar> {
         let stretch = 1.0 / zenith.1.to_radians().cos();
         let offsets = [(0.5, 0.0), (0.6, 0.05), (-2.0, 1.0), (0.0, 5.0), (0.1, 5.0), (-0.1, 5.05), (0.05, 4.9)];
         let place = |(x, y): &(f64, f64)| star((zenith.0 + x * stretch).rem_euclid(360.0), zenith.1 + y, 8.0);
@@ -194,7 +194,7 @@ mod tests {
         for zenith in [(120.0, -30.0), (0.2, 10.0), (359.9, -45.0)] {
             let up = (Angle::from_degrees(zenith.0), Angle::from_degrees(zenith.1));
             let field = |selection| choose(&sky(zenith), up, &wanted(selection));
-            let dec = |field: &Field| field.dec.degrees() - zenith.1;
+            let dec = |field: &FocusField| field.dec.degrees() - zenith.1;
             let (any, single, maximal) = (field(Selection::Any), field(Selection::Single), field(Selection::Maximal));
             assert!((any.from_zenith.degrees() - 0.5).abs() < 0.01 && any.stars == 2, "{zenith:?} {any:?}");
             assert!((dec(&single) - 1.0).abs() < 1e-9 && single.stars == 1, "{zenith:?} {single:?}");
@@ -204,7 +204,7 @@ mod tests {
 
     #[test]
     fn at_the_pole_neighbours_are_counted_by_distance() {
-        let stars: Vec<Star> = (0..12).map(|n| star(30.0 * f64::from(n), 89.9, 8.0)).collect();
+        let stars: Vec<CatalogueStar> = (0..12).map(|n| star(30.0 * f64::from(n), 89.9, 8.0)).collect();
         let field = choose(&stars, (Angle::default(), Angle::from_degrees(89.0)), &wanted(Selection::Maximal));
         // 0.1 deg from the pole all lie within 0.2 deg of each other
         assert!(field.stars >= 7, "{field:?}");
@@ -249,7 +249,7 @@ mod tests {
             stars in prop::collection::vec((0.0_f64..360.0, -90.0_f64..90.0, 0.0_f64..12.0), 0..80),
             ra in 0.0_f64..360.0, dec in -90.0_f64..90.0, which in 0_usize..3,
         ) {
-            let stars: Vec<Star> = stars.into_iter().map(|(ra, dec, mag)| star(ra, dec, mag)).collect();
+            let stars: Vec<CatalogueStar> = stars.into_iter().map(|(ra, dec, mag)| star(ra, dec, mag)).collect();
             let selection = [Selection::Single, Selection::Maximal, Selection::Any][which];
             let wanted = Wanted { zenith_limit: Angle::from_degrees(40.0), ..wanted(selection) };
             let field = choose(&stars, (Angle::from_degrees(ra), Angle::from_degrees(dec)), &wanted);

@@ -5,9 +5,9 @@
 //! c/a from focus, which is called the critical zone here.
 //!
 //! Tilted or pinched optics have another slope on either side of focus: `a (1 - k)` below it and `a (1 + k)` above. A
-//! curve with one slope puts the focus beside it then, and one with two knows it less well. Both are fitted, and each
-//! counts as far as the points demand it (Bayesian averaging; an asymmetry of 0.15 is usual where there is one). So the
-//! error grows where the points leave open which of them is true.
+//! curve with one slope puts the focus next to it then, and one with two knows it less well. Both are fitted,
+//! and each counts as far as the points demand it (Bayesian averaging; an asymmetry of 0.15 is usual where there is
+//! one). So the error grows where the points leave open which of them is true.
 //!
 //! First the parabola of y^2 that most points agree with is searched among those through three points each, so that
 //! clouds and gusts cannot choose the start; then the hyperbola is fitted with Huber's loss, weighed with the errors;

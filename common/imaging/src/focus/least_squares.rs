@@ -9,13 +9,13 @@ const CLOSE: f64 = 1e-14;
 
 /// What one pass over the data adds up to.
 #[derive(Debug, Clone)]
-pub(super) struct Sums<const N: usize> {
+pub(super) struct FitSums<const N: usize> {
     cost: f64,
     curvature: SMatrix<f64, N, N>,
     slope: SVector<f64, N>,
 }
 
-impl<const N: usize> Sums<N> {
+impl<const N: usize> FitSums<N> {
     /// One residual, in units of its error, with its derivatives. Residuals beyond `huber` count linearly.
     pub(super) fn add(&mut self, residual: f64, derivatives: [f64; N], huber: f64) {
         let size = residual.abs();
@@ -49,10 +49,10 @@ pub(super) struct Minimum<const N: usize> {
 pub(super) fn minimise<const N: usize>(
     start: [f64; N],
     bounds: [(f64, f64); N],
-    terms: impl Fn(&[f64; N], &mut Sums<N>),
+    terms: impl Fn(&[f64; N], &mut FitSums<N>),
 ) -> Option<Minimum<N>> {
     let mut at = start;
-    let mut sums = Sums::of(&terms, &at);
+    let mut sums = FitSums::of(&terms, &at);
     if !sums.cost.is_finite() {
         return None;
     }
@@ -63,7 +63,7 @@ pub(super) fn minimise<const N: usize>(
             continue;
         };
         let next: [f64; N] = std::array::from_fn(|n| (at[n] + step[n]).clamp(bounds[n].0, bounds[n].1));
-        let new = Sums::of(&terms, &next);
+        let new = FitSums::of(&terms, &next);
         if new.cost <= sums.cost {
             let gained = sums.cost - new.cost;
             (at, sums) = (next, new);
@@ -84,7 +84,7 @@ pub(super) fn minimise<const N: usize>(
 
 /// The damped step; a parameter that stands at its bound and wants to go further keeps its place.
 fn step<const N: usize>(
-    sums: &Sums<N>,
+    sums: &FitSums<N>,
     at: &[f64; N],
     bounds: &[(f64, f64); N],
     damping: f64,

@@ -12,7 +12,7 @@ pub enum Better {
     Larger,
 }
 
-/// A way to tell how sharp a frame is.
+/// A measure of how sharp a frame is.
 #[derive(Debug, Clone, Copy)]
 pub struct Operator {
     /// Its name in schedules.
@@ -21,7 +21,7 @@ pub struct Operator {
     pub what: &'static str,
     /// Which way is sharper.
     pub better: Better,
-    /// Whether it looks at stars: then it must be told where they are in this frame.
+    /// Whether it looks at stars: then it must be given where they are in this frame.
     pub needs_stars: bool,
     measure: fn(&Image, &[(f64, f64)]) -> f64,
 }
@@ -79,7 +79,7 @@ impl Operator {
     /// The operator of this name, or the only one whose name begins so; upper case, blanks and hyphens do not matter.
     ///
     /// # Errors
-    /// [`UnknownOperator`] for any other name: a mistake in a schedule should be heard of.
+    /// [`UnknownOperator`] for any other name: a mistake in a schedule should not pass unnoticed.
     pub fn named(name: &str) -> Result<&'static Self, UnknownOperator> {
         super::by_name(&OPERATORS, |operator| operator.name, name)
             .map_err(|known| UnknownOperator { name: name.to_owned(), known })

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::sweep::{Fit, Pass, Point};
+use super::sweep::{FocusFit, FocusMeasurement, Pass};
 
 /// What the picture shows.
 #[derive(Debug, Clone, Copy)]
@@ -12,9 +12,9 @@ pub struct Plot<'a> {
     /// What was measured, and its unit, such as `HFD, px`.
     pub value_label: &'a str,
     /// All that was measured.
-    pub points: &'a [Point],
+    pub points: &'a [FocusMeasurement],
     /// The curve, if there is one.
-    pub fit: Option<&'a Fit>,
+    pub fit: Option<&'a FocusFit>,
     /// The position that was chosen, if one was, steps.
     pub chosen: Option<i32>,
 }
@@ -38,8 +38,9 @@ impl Plot<'_> {
             .filter_map(|p| p.value.map(|v| (f64::from(p.position), v.value)))
             .filter(|(_, value)| value.is_finite())
             .collect();
-        let along = Axis::around(self.points.iter().map(|p| f64::from(p.position)).chain(self.chosen.map(f64::from)));
-        let up = Axis::around(valid.iter().map(|(_, value)| *value).chain(self.fit.map(Fit::best_value)));
+        let along =
+            PlotAxis::around(self.points.iter().map(|p| f64::from(p.position)).chain(self.chosen.map(f64::from)));
+        let up = PlotAxis::around(valid.iter().map(|(_, value)| *value).chain(self.fit.map(FocusFit::best_value)));
         let mut svg = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" font-family=\"sans-serif\" \
              font-size=\"18\" role=\"img\">\n<rect width=\"{WIDTH}\" height=\"{HEIGHT}\" fill=\"#fff\"/>\n"
@@ -53,7 +54,7 @@ impl Plot<'_> {
         svg
     }
 
-    fn axes(&self, svg: &mut String, along: &Axis, up: &Axis) {
+    fn axes(&self, svg: &mut String, along: &PlotAxis, up: &PlotAxis) {
         let (right, bottom) = (WIDTH - RIGHT, HEIGHT - BOTTOM);
         for tick in along.ticks() {
             let (x, text) = (along.x(tick), along.written(tick));
@@ -77,13 +78,13 @@ impl Plot<'_> {
             writeln!(svg, "<text x=\"{LEFT}\" y=\"{}\" fill=\"#555\">{}</text>", TOP - 6.0, escaped(self.value_label));
     }
 
-    fn curve(&self, svg: &mut String, along: &Axis, up: &Axis) {
+    fn curve(&self, svg: &mut String, along: &PlotAxis, up: &PlotAxis) {
         let line: Vec<(f64, f64)> = match self.fit {
-            Some(Fit::Hyperbola(curve)) => {
+            Some(FocusFit::Hyperbola(curve)) => {
                 let at = |n: usize| along.low + (along.high - along.low) * n as f64 / PIECES as f64;
                 (0..=PIECES).map(at).map(|position| (position, curve.size_at(position))).collect()
             }
-            Some(Fit::Smoothed { curve, .. }) => curve.clone(),
+            Some(FocusFit::Smoothed { curve, .. }) => curve.clone(),
             None => return,
         };
         let inside = line.iter().filter(|(_, value)| (up.low..=up.high).contains(value));
@@ -95,27 +96,28 @@ impl Plot<'_> {
         );
     }
 
-    fn marks(&self, svg: &mut String, along: &Axis, up: &Axis) {
+    fn marks(&self, svg: &mut String, along: &PlotAxis, up: &PlotAxis) {
         let bottom = HEIGHT - BOTTOM;
         if let Some(chosen) = self.chosen {
             let x = along.x(f64::from(chosen));
-            let error = self.fit.and_then(Fit::best_position_error).map_or(String::new(), |e| format!(" ± {e:.1}"));
+            let error =
+                self.fit.and_then(FocusFit::best_position_error).map_or(String::new(), |e| format!(" ± {e:.1}"));
             // the text keeps to the side where there is room
-            let (anchor, beside) = if x > 0.6 * WIDTH { ("end", x - 6.0) } else { ("start", x + 6.0) };
+            let (anchor, label_x) = if x > 0.6 * WIDTH { ("end", x - 6.0) } else { ("start", x + 6.0) };
             let _ = writeln!(
                 svg,
                 "<path class=\"chosen\" d=\"M{x:.1} {TOP}V{bottom}\" stroke=\"#d62728\" stroke-width=\"2\" stroke-dasharray=\"6 4\"/>"
             );
             let _ = writeln!(
                 svg,
-                "<text x=\"{beside:.1}\" y=\"{}\" text-anchor=\"{anchor}\" fill=\"#d62728\">{chosen}{error}</text>",
+                "<text x=\"{label_x:.1}\" y=\"{}\" text-anchor=\"{anchor}\" fill=\"#d62728\">{chosen}{error}</text>",
                 TOP + 18.0
             );
         }
         let mut number = 0;
         for point in self.points {
             let is_used = match self.fit {
-                Some(Fit::Hyperbola(curve)) if point.pass != Pass::Verification => {
+                Some(FocusFit::Hyperbola(curve)) if point.pass != Pass::Verification => {
                     number += 1;
                     curve.used.get(number - 1).copied().unwrap_or(true)
                 }
@@ -148,12 +150,12 @@ impl Plot<'_> {
 }
 
 /// From values to places.
-struct Axis {
+struct PlotAxis {
     low: f64,
     high: f64,
 }
 
-impl Axis {
+impl PlotAxis {
     /// With a twentieth of room at either end; something to draw even for no values or one.
     fn around(values: impl Iterator<Item = f64>) -> Self {
         let finite = values.filter(|value| value.is_finite());
@@ -211,16 +213,19 @@ mod tests {
     use crate::focus::hyperbola::{Hyperbola, Size};
     use crate::quality::Estimate;
 
-    fn points() -> Vec<Point> {
+    fn points() -> Vec<FocusMeasurement> {
         let point = |n: i32| {
             let position = 9_600 + 100 * n;
             let size = 2.5_f64.hypot(0.025 * f64::from(position - 10_050));
             let size = if n == 1 { 30.0 } else { size };
             let value = (n != 8).then_some(Estimate { value: size, error: 0.1 });
-            Point { position, pass: if n < 5 { Pass::Coarse } else { Pass::Fine }, value }
+            FocusMeasurement { position, pass: if n < 5 { Pass::Coarse } else { Pass::Fine }, value }
         };
-        let verified =
-            Point { position: 10_050, pass: Pass::Verification, value: Some(Estimate { value: 2.5, error: 0.1 }) };
+        let verified = FocusMeasurement {
+            position: 10_050,
+            pass: Pass::Verification,
+            value: Some(Estimate { value: 2.5, error: 0.1 }),
+        };
         (0..9).map(point).chain([verified]).collect()
     }
 
@@ -232,7 +237,7 @@ mod tests {
             .map(|p| (f64::from(p.position), p.value))
             .map(|(position, v)| Size { position, size: v.map_or(f64::NAN, |v| v.value), error: 0.1 })
             .collect();
-        let fit = Fit::Hyperbola(Hyperbola::fit(&sizes).unwrap());
+        let fit = FocusFit::Hyperbola(Hyperbola::fit(&sizes).unwrap());
         let plot =
             Plot { title: "A & <B>", value_label: "HFD, px", points: &points, fit: Some(&fit), chosen: Some(10_050) };
         let svg = plot.svg();
@@ -255,9 +260,12 @@ mod tests {
 
     #[test]
     fn strange_runs_have_a_picture_too() {
-        let huge =
-            Point { position: i32::MAX, pass: Pass::Fine, value: Some(Estimate { value: 1e300, error: f64::NAN }) };
-        let none = Point { position: i32::MIN, pass: Pass::Fine, value: None };
+        let huge = FocusMeasurement {
+            position: i32::MAX,
+            pass: Pass::Fine,
+            value: Some(Estimate { value: 1e300, error: f64::NAN }),
+        };
+        let none = FocusMeasurement { position: i32::MIN, pass: Pass::Fine, value: None };
         for points in [vec![], vec![none.clone()], vec![huge.clone()], vec![huge.clone(), huge, none]] {
             let svg = Plot { title: "", value_label: "", points: &points, fit: None, chosen: None }.svg();
             assert!(!svg.contains("NaN") && !svg.contains("inf") && svg.ends_with("</svg>\n"), "{svg}");

@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_forgiving_and_what_has_no_curve_says_why() {
+    fn names_are_forgiving_and_what_has_no_curve_gives_the_reason() {
         assert_eq!(Smoother::named("LOWESS").unwrap().name, "lowess");
         assert!(matches!(Smoother::named("medianfilter"), Err(NoExtremum::Unknown { .. })));
         for smoother in &SMOOTHERS {

@@ -9,7 +9,7 @@
 //!   +------------------------+--------------------+--> back to the start --> Done(Failed)
 //! ```
 //!
-//! The caller does what [`Sweep::next`] says, in order, and tells each frame's value with [`Sweep::measured`]. All
+//! The caller does what [`Sweep::next`] says, in order, and reports each frame's value with [`Sweep::measured`]. All
 //! positions are approached from one side. The run needs 16 to 20 frames.
 
 mod judge;
@@ -17,7 +17,7 @@ mod plan;
 
 use std::collections::VecDeque;
 
-pub use plan::{Approach, BadPlan, Curve, Plan};
+pub use plan::{ApproachSide, BadPlan, Curve, Plan};
 
 use super::hyperbola::Hyperbola;
 use super::operator::Better;
@@ -32,10 +32,10 @@ const VERIFICATIONS: usize = 3;
 
 /// What to do next.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Step {
+pub enum FocusStep {
     /// Move the focuser there, and wait until it stands.
     Move(i32),
-    /// Take a frame, measure it, and tell the value.
+    /// Take a frame, measure it, and report the value.
     Expose(Pass),
     /// The run is over; the focuser stands where the result says.
     Done(Result<Focused, Failed>),
@@ -54,7 +54,7 @@ pub enum Pass {
 
 /// What was measured at a position.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Point {
+pub struct FocusMeasurement {
     /// Position of the focuser, steps.
     pub position: i32,
     /// What the frame was for.
@@ -65,7 +65,7 @@ pub struct Point {
 
 /// The curve through a run.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Fit {
+pub enum FocusFit {
     /// Through star sizes.
     Hyperbola(Hyperbola),
     /// Through the values of another operator.
@@ -81,7 +81,7 @@ pub enum Fit {
     },
 }
 
-impl Fit {
+impl FocusFit {
     /// Where the curve is best, steps.
     pub fn best_position(&self) -> f64 {
         match self {
@@ -121,7 +121,7 @@ pub struct Focused {
     /// Where the focuser stands, steps.
     pub position: i32,
     /// The curve, with the exact position and its error.
-    pub fit: Fit,
+    pub fit: FocusFit,
     /// Median value of the verification frames.
     pub verified: f64,
 }
@@ -130,14 +130,14 @@ pub struct Focused {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Failed {
     /// Why.
-    pub reason: Failure,
+    pub reason: NoFocus,
     /// Where the focuser stands: where it stood at the start.
     pub position: i32,
 }
 
 /// Why a run found no focus.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum Failure {
+pub enum NoFocus {
     /// Hardly a frame had a value: no stars, clouds, a closed cover.
     #[error("{valid} frames had a value, {needed} are needed: look for clouds, a cover, a focus far off")]
     TooFewValues {
@@ -194,7 +194,7 @@ pub enum Failure {
     Ended(String),
 }
 
-/// A value that was told although no frame was asked for.
+/// A value that was reported although no frame was asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("no frame was asked for: ask for the next step first")]
 pub struct NotAsked;
@@ -207,9 +207,9 @@ enum Order {
 /// A run.
 pub struct Sweep {
     plan: Plan,
-    points: Vec<Point>,
+    points: Vec<FocusMeasurement>,
     orders: VecDeque<Order>,
-    /// Where the focuser will stand after what was said.
+    /// Where the focuser will stand after the orders that were given.
     at: i32,
     asked: Option<Pass>,
     stage: Pass,
@@ -218,7 +218,7 @@ pub struct Sweep {
     extensions: usize,
     has_narrowed: bool,
     fine_rounds: usize,
-    chosen: Option<Fit>,
+    chosen: Option<FocusFit>,
     outcome: Option<Result<Focused, Failed>>,
 }
 
@@ -250,26 +250,26 @@ impl Sweep {
         Ok(sweep)
     }
 
-    /// What to do next. A move is said once; a frame is asked for until its value is told; the end stays the end.
+    /// What to do next. A move is given once; a frame is asked for until its value is reported; the end stays the end.
     #[allow(clippy::should_implement_trait)] // it has no end, and needs answers in between
-    pub fn next(&mut self) -> Step {
+    pub fn next(&mut self) -> FocusStep {
         loop {
             if let Some(pass) = self.asked {
-                return Step::Expose(pass);
+                return FocusStep::Expose(pass);
             }
             match (self.orders.pop_front(), &self.outcome) {
                 (Some(Order::Move(position)), _) => {
                     self.at = position;
-                    return Step::Move(position);
+                    return FocusStep::Move(position);
                 }
                 (Some(Order::Expose(pass)), _) => self.asked = Some(pass),
-                (None, Some(outcome)) => return Step::Done(outcome.clone()),
+                (None, Some(outcome)) => return FocusStep::Done(outcome.clone()),
                 (None, None) => self.decide(),
             }
         }
     }
 
-    /// Tells what the frame that was asked for shows; None when it shows nothing. What is not a finite number, and
+    /// Takes in the value of the frame that was asked for; None when it shows nothing. What is not a finite number, and
     /// sizes that are not positive, count as nothing.
     ///
     /// # Errors
@@ -278,7 +278,7 @@ impl Sweep {
         let pass = self.asked.take().ok_or(NotAsked)?;
         let is_size = matches!(self.plan.curve, Curve::Hyperbola);
         let is_good = |value: &Estimate| value.value.is_finite() && (value.value > 0.0 || !is_size);
-        self.points.push(Point { position: self.at, pass, value: value.filter(is_good) });
+        self.points.push(FocusMeasurement { position: self.at, pass, value: value.filter(is_good) });
         Ok(())
     }
 
@@ -286,21 +286,21 @@ impl Sweep {
     pub fn end(&mut self, why: &str) {
         if self.outcome.is_none() {
             self.asked = None;
-            self.fail(Failure::Ended(why.to_owned()));
+            self.fail(NoFocus::Ended(why.to_owned()));
         }
     }
 
     /// What was measured so far.
-    pub fn points(&self) -> &[Point] {
+    pub fn points(&self) -> &[FocusMeasurement] {
         &self.points
     }
 
     /// The curve through the points so far, verification frames left out.
-    pub fn fit(&self) -> Option<Fit> {
+    pub fn fit(&self) -> Option<FocusFit> {
         self.chosen.clone().or_else(|| judge::fit(&self.plan, &self.curve_points()))
     }
 
-    fn curve_points(&self) -> Vec<Point> {
+    fn curve_points(&self) -> Vec<FocusMeasurement> {
         self.points.iter().filter(|point| point.pass != Pass::Verification).cloned().collect()
     }
 
@@ -326,9 +326,9 @@ impl Sweep {
             }
             judge::Advice::Narrow(_) | judge::Advice::Lost => {
                 let valid = self.points.iter().filter(|point| point.value.is_some()).count();
-                self.fail(Failure::TooFewValues { valid, needed: 5 });
+                self.fail(NoFocus::TooFewValues { valid, needed: 5 });
             }
-            judge::Advice::NoMinimum => self.fail(Failure::NoMinimum),
+            judge::Advice::NoMinimum => self.fail(NoFocus::NoMinimum),
         }
     }
 
@@ -337,7 +337,7 @@ impl Sweep {
         let positions = self.points.iter().map(|point| point.position);
         let end = if side < 0 { positions.min() } else { positions.max() }.unwrap_or(self.plan.centre);
         if self.extensions == EXTENSIONS {
-            return self.fail(Failure::TooFar { position: end, moved: EXTENSIONS });
+            return self.fail(NoFocus::TooFar { position: end, moved: EXTENSIONS });
         }
         self.extensions += 1;
         let usable = self.plan.usable();
@@ -345,7 +345,7 @@ impl Sweep {
         let beyond: Vec<i32> =
             beyond.map(|place| place.round() as i32).filter(|position| usable.contains(position)).collect();
         if beyond.is_empty() {
-            return self.fail(Failure::AtLimit { position: end });
+            return self.fail(NoFocus::AtLimit { position: end });
         }
         let positions = self.plan.ordered(beyond);
         self.visit(&positions, Pass::Coarse);
@@ -377,8 +377,9 @@ impl Sweep {
     }
 
     fn after_verification(&mut self) {
-        let Some(fit) = self.chosen.clone() else { return self.fail(Failure::NoMinimum) };
-        let frames: Vec<&Point> = self.points.iter().filter(|point| point.pass == Pass::Verification).collect();
+        let Some(fit) = self.chosen.clone() else { return self.fail(NoFocus::NoMinimum) };
+        let frames: Vec<&FocusMeasurement> =
+            self.points.iter().filter(|point| point.pass == Pass::Verification).collect();
         let values: Vec<f64> = frames.iter().filter_map(|point| point.value).map(|value| value.value).collect();
         let (taken, valid) = (frames.len(), values.len());
         let median = super::median(values);
@@ -389,7 +390,7 @@ impl Sweep {
             None if taken < VERIFICATIONS => self.orders.push_back(Order::Expose(Pass::Verification)),
             None => {
                 let promised = fit.best_value();
-                self.fail(Failure::NotVerified { position: self.at, value: median, promised });
+                self.fail(NoFocus::NotVerified { position: self.at, value: median, promised });
             }
         }
     }
@@ -403,7 +404,7 @@ impl Sweep {
         }
     }
 
-    fn fail(&mut self, reason: Failure) {
+    fn fail(&mut self, reason: NoFocus) {
         let start = self.plan.start;
         self.orders.clear();
         self.orders.extend(self.plan.overshoot(self.at, start).map(Order::Move));

@@ -4,16 +4,16 @@
 //! that fell before or into the exposure. So pulses of any kind at any time disturb neither drift nor worm.
 
 use super::Exposure;
-use super::bank::{Bank, Learnt};
+use super::bank::{Bank, Learned};
 use super::decision::{AxisLog, Unstable, Why};
 use super::pid::{Gains, Pid};
 use super::reversal::Reversal;
-use super::settings::{Control, Settings};
+use super::settings::{Control, GuideSettings};
 use super::slack::Slack;
 use super::watch::Watch;
 
-/// A pulse tells whether the gear takes hold if it moves the star by this many standard deviations of what is expected.
-const TELLING_PULSE: f64 = 3.0;
+/// A pulse shows whether the gear takes hold if it moves the star by this many standard deviations of what is expected.
+const CLEAR_PULSE: f64 = 3.0;
 /// While that is being found out, pulses are not shorter than this many standard deviations, nor need they be longer
 /// than this, px; and the drift must be known from this many frames.
 const SEARCH_SIGMA: f64 = 4.0;
@@ -54,7 +54,7 @@ impl Given {
 }
 
 #[derive(Debug, Clone)]
-pub(super) struct Axis {
+pub(super) struct GuideAxis {
     control: Control,
     bank: Bank,
     pid: Pid,
@@ -76,7 +76,7 @@ pub(super) struct Axis {
     gentle: u32,
 }
 
-impl Axis {
+impl GuideAxis {
     pub(super) fn new(
         control: Control,
         resist_reversal: bool,
@@ -127,7 +127,7 @@ impl Axis {
     }
 
     /// Learns from a measured shift along the axis, px, variance px^2.
-    pub(super) fn learn(&mut self, exposure: Exposure, place_px: f64, variance: f64, gated: bool) -> Learnt {
+    pub(super) fn learn(&mut self, exposure: Exposure, place_px: f64, variance: f64, gated: bool) -> Learned {
         let motion_px = self.moved_px(exposure) - self.last_motion_px;
         if let Some(last_px) = self.last_px.replace(place_px) {
             self.watch.moved(place_px - last_px, motion_px, variance.sqrt());
@@ -141,14 +141,14 @@ impl Axis {
         if let Some(found) = found {
             self.doubt(found, place_px - self.moved_px(exposure));
         }
-        let learnt = self.bank.learn(exposure.mid_s, place_px - self.moved_px(exposure), variance, gated);
-        if learnt == Learnt::Taken
+        let learned = self.bank.learn(exposure.mid_s, place_px - self.moved_px(exposure), variance, gated);
+        if learned == Learned::Taken
             && let Some(reversal) = &mut self.reversal
         {
             reversal.note(place_px - self.target_px);
         }
         self.settle(exposure);
-        learnt
+        learned
     }
 
     /// A frame showed nothing.
@@ -163,7 +163,7 @@ impl Axis {
         self.watch.unstable()
     }
 
-    /// What was believed of place, drift and gear keeps the errors going: it is learnt anew, with gentle pulses.
+    /// What was believed of place, drift and gear keeps the errors going: it is learned anew, with gentle pulses.
     fn doubt(&mut self, found: Unstable, alone_px: f64) {
         self.bank.begin_anew(alone_px);
         self.slack = self.slack.forgotten();
@@ -179,7 +179,7 @@ impl Axis {
         error_px: f64,
         dead_band_px: f64,
         speed_px_s: f64,
-        settings: &Settings,
+        settings: &GuideSettings,
     ) -> (f64, Why) {
         let wanted_px = match self.control {
             Control::Predict => -self.led_px(ahead_s, speed_px_s),
@@ -194,7 +194,7 @@ impl Axis {
         ahead_s: f64,
         dead_band_px: f64,
         speed_px_s: f64,
-        settings: &Settings,
+        settings: &GuideSettings,
     ) -> (f64, Why) {
         match self.control {
             Control::Predict => self.pulse(-self.led_px(ahead_s, speed_px_s), dead_band_px, speed_px_s, settings),
@@ -203,7 +203,13 @@ impl Axis {
     }
 
     /// The pulse against a drift that is known well, when nothing was measured.
-    pub(super) fn hold(&mut self, ahead_s: f64, dead_band_px: f64, speed_px_s: f64, settings: &Settings) -> (f64, Why) {
+    pub(super) fn hold(
+        &mut self,
+        ahead_s: f64,
+        dead_band_px: f64,
+        speed_px_s: f64,
+        settings: &GuideSettings,
+    ) -> (f64, Why) {
         let (drift_px_s, error_px_s) = self.bank.drift_px_s();
         if drift_px_s.abs() <= KNOWN_DRIFT * error_px_s {
             return (0.0, Why::NotMeasured);
@@ -214,7 +220,7 @@ impl Axis {
         }
     }
 
-    /// The last pulse began at this time, and so much of it was given, s. One that was told of already stays as it is:
+    /// The last pulse began at this time, and so much of it was given, s. One that was reported already stays as it is:
     /// it is of an earlier decision, and this one asked for none.
     pub(super) fn report(&mut self, begun_s: f64, pulse_s: f64) {
         if let Some(last) = self.given.last_mut().filter(|last| last.begun_s.is_none()) {
@@ -270,7 +276,7 @@ impl Axis {
         now_px + all_px - self.target_px + (1.0 + self.late_share) * drift_px
     }
 
-    /// The first exposure after a pulse tells how late it came.
+    /// The first exposure after a pulse shows how late it came.
     fn note_lateness(&mut self, exposure: Exposure) {
         let last_s = self.bank.time_s().unwrap_or(f64::INFINITY);
         if let Some(last) = self.given.last().filter(|last| last.begun_s.is_some_and(|begun_s| begun_s > last_s)) {
@@ -278,7 +284,7 @@ impl Axis {
         }
     }
 
-    fn pulse(&mut self, wanted_px: f64, dead_band_px: f64, speed_px_s: f64, settings: &Settings) -> (f64, Why) {
+    fn pulse(&mut self, wanted_px: f64, dead_band_px: f64, speed_px_s: f64, settings: &GuideSettings) -> (f64, Why) {
         let wanted_px = if self.gentle > 0 { GENTLE * wanted_px } else { wanted_px };
         self.gentle = self.gentle.saturating_sub(1);
         let mut least_px = dead_band_px;
@@ -333,7 +339,7 @@ impl Axis {
     fn blame_gear(&mut self, exposure: Exposure, place_px: f64, variance: f64, motion_px: f64) {
         let Some(speed_px_s) = self.given.last().map(|given| given.speed_px_s) else { return };
         let (expected_px, spread_px) = self.expected_px(exposure, variance);
-        if motion_px.abs() > TELLING_PULSE * spread_px {
+        if motion_px.abs() > CLEAR_PULSE * spread_px {
             let share = 1.0 + (place_px - self.target_px - expected_px) / motion_px;
             let lost_s = self.slack.blame(motion_px / speed_px_s, share);
             self.settled_px -= motion_px.signum() * lost_s * speed_px_s;

@@ -28,12 +28,12 @@ const MEMORY: f64 = 0.99;
 const GATE_SIGMA: f64 = 4.0;
 /// So many in a row are no outliers any more, nor are two to the same side.
 const MOST_REJECTED: u32 = 3;
-/// Pauses longer than this make everything that was learnt worthless, s.
+/// Pauses longer than this make everything that was learned worthless, s.
 const LONGEST_PAUSE_S: f64 = 1800.0;
 
 /// What became of a measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Learnt {
+pub(super) enum Learned {
     /// It was taken in.
     Taken,
     /// It was too surprising.
@@ -65,12 +65,12 @@ impl Bank {
         Self { filters: Vec::new(), worm_period_s, time_s: None, frames: 0, rejected: 0, outlier_side: 0.0 }
     }
 
-    /// Time (s) of the last frame it heard of.
+    /// Time (s) of the last frame it took in.
     pub(super) fn time_s(&self) -> Option<f64> {
         self.time_s
     }
 
-    /// Frames it has learnt from.
+    /// Frames it has learned from.
     pub(super) fn frames(&self) -> u32 {
         self.frames
     }
@@ -91,10 +91,10 @@ impl Bank {
     }
 
     /// Learns where the axis was (px, variance in px^2) at a time (s). With `gated` outliers are left out.
-    pub(super) fn learn(&mut self, time_s: f64, place_px: f64, variance: f64, gated: bool) -> Learnt {
+    pub(super) fn learn(&mut self, time_s: f64, place_px: f64, variance: f64, gated: bool) -> Learned {
         let is_number = time_s.is_finite() && place_px.is_finite() && variance.is_finite() && variance >= 0.0;
         if !is_number || self.time_s.is_some_and(|last_s| time_s <= last_s) {
-            return Learnt::Unusable;
+            return Learned::Unusable;
         }
         let dt_s = self.time_s.map_or(0.0, |last_s| time_s - last_s);
         self.pass(time_s);
@@ -112,7 +112,7 @@ impl Bank {
             self.outlier_side = side;
             if gated && !again && self.rejected < MOST_REJECTED {
                 self.rejected += 1;
-                return Learnt::Outlier;
+                return Learned::Outlier;
             }
             // twice to the same side: it moved by a way that is not the sky's; only then it may be a drift
             let within_s = if again { dt_s } else { 0.0 };
@@ -127,7 +127,7 @@ impl Bank {
                 *weight = f64::MIN;
             }
         }
-        Learnt::Taken
+        Learned::Taken
     }
 
     /// Where the axis is expected in `ahead_s` from the last frame, px, and the standard deviation of a measurement
@@ -239,11 +239,11 @@ mod tests {
     #[test]
     fn one_outlier_is_left_out_and_two_to_a_side_are_believed() {
         let (mut bank, _) = after(60, 30.0, |_| 0.0);
-        assert_eq!(bank.learn(1800.0, 5.0, 4e-4, true), Learnt::Outlier);
+        assert_eq!(bank.learn(1800.0, 5.0, 4e-4, true), Learned::Outlier);
         assert!(bank.expected(30.0, 0.0).0.abs() < 0.1);
-        assert_eq!(bank.learn(1830.0, 5.0, 4e-4, true), Learnt::Taken);
+        assert_eq!(bank.learn(1830.0, 5.0, 4e-4, true), Learned::Taken);
         assert!((bank.expected(0.0, 0.0).0 - 5.0).abs() < 0.5);
-        assert_eq!(bank.learn(1830.0, 5.0, 4e-4, true), Learnt::Unusable);
-        assert_eq!(bank.learn(1900.0, f64::NAN, 4e-4, true), Learnt::Unusable);
+        assert_eq!(bank.learn(1830.0, 5.0, 4e-4, true), Learned::Unusable);
+        assert_eq!(bank.learn(1900.0, f64::NAN, 4e-4, true), Learned::Unusable);
     }
 }

@@ -4,6 +4,7 @@
 //! pointing towards greater right ascension, so stars move the other way. The East column shrinks with cos(dec).
 //! (docs/formulae.md, "Pulses to pixels".)
 
+mod direction;
 mod fit;
 mod oddity;
 pub mod pulses;
@@ -35,7 +36,7 @@ pub struct Calibration {
 /// Why a calibration cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CalibrationError {
-    /// The numbers tell no two directions.
+    /// The numbers show no two directions.
     #[error(
         "calibration: East moves stars by {east_px_s:?} px/s, North by {north_px_s:?}; two different directions \
          with finite speeds are needed, calibrate again"
@@ -70,7 +71,7 @@ pub enum CalibrationError {
     Declination(f64),
 }
 
-/// Beyond this a calibration tells nothing about other declinations, degrees (as in PHD2).
+/// Beyond this a calibration shows nothing about other declinations, degrees (as in PHD2).
 const HIGHEST_DEC_DEG: f64 = 60.0;
 /// Relative change of cos(dec) that needs no compensation.
 const SAME_COSINE: f64 = 0.05;
@@ -109,7 +110,7 @@ impl Calibration {
         calibration.at(0.0).map(|_| calibration)
     }
 
-    /// After the tube went to the other side of the pier: the image turned by 180 degrees. `dec_reversed` tells that
+    /// After the tube went to the other side of the pier: the image turned by 180 degrees. `dec_reversed` says that
     /// the mount leaves its Dec motor as it was, so that North pulses go south there.
     pub fn flipped(&self, dec_reversed: bool) -> Self {
         let [[ex, ey], [nx, ny]] = [self.east_px_s, self.north_px_s];

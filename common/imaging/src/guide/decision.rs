@@ -87,7 +87,7 @@ pub struct AxisLog {
     pub spread_px: f64,
     /// Drift of the mount without corrections, px/s.
     pub drift_px_s: f64,
-    /// Period of the worm that was learnt, s.
+    /// Period of the worm that was learned, s.
     pub worm_period_s: Option<f64>,
 }
 
@@ -132,7 +132,7 @@ pub struct Decision {
     pub north: Why,
     /// Where the guider stands after this frame.
     pub state: State,
-    /// What it asks for besides.
+    /// What it asks for in addition.
     pub ask: Option<Ask>,
     /// What it thinks.
     pub log: Log,

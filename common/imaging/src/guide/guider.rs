@@ -1,12 +1,12 @@
 //! The guider: a shift per frame in, pulses with their reason out; and what to do when the stars are gone.
 
-use super::axis::Axis;
-use super::bank::Learnt;
+use super::axis::GuideAxis;
+use super::bank::Learned;
 use super::calibration::{Calibration, CalibrationError, Rates};
 use super::decision::{Ask, AxisLog, Decision, Log, Pulses, State, Unstable, Why};
-use super::lost::{Found, Search};
+use super::lost::{LostField, LostFieldOutcome};
 use super::rotation::Rotation;
-use super::settings::Settings;
+use super::settings::GuideSettings;
 use super::{Exposure, usable};
 use crate::shift::{NoShift, Shift};
 
@@ -30,10 +30,10 @@ const ANYWHERE_PX: f64 = 1e4;
 /// Times are s on any clock that does not jump (sky time); shifts are check minus reference, px.
 #[derive(Debug, Clone)]
 pub struct Guider {
-    settings: Settings,
+    settings: GuideSettings,
     rates: Rates,
     /// Right ascension (East), declination (North).
-    axes: [Axis; 2],
+    axes: [GuideAxis; 2],
     state: State,
     last_s: Option<f64>,
     interval_s: Option<f64>,
@@ -44,7 +44,7 @@ pub struct Guider {
     missed: u32,
     beyond: u32,
     set_back: u32,
-    search: Search,
+    search: LostField,
     rotation: Rotation,
     /// Where the field shall be on the detector, px from the reference.
     target_px: [f64; 2],
@@ -59,7 +59,7 @@ impl Guider {
     ///
     /// # Errors
     /// [`CalibrationError`] when the calibration does not hold there.
-    pub fn new(settings: Settings, calibration: &Calibration, dec_deg: f64) -> Result<Self, CalibrationError> {
+    pub fn new(settings: GuideSettings, calibration: &Calibration, dec_deg: f64) -> Result<Self, CalibrationError> {
         let rates = calibration.at(dec_deg)?;
         let [east, north] = settings.control;
         // without a gear that resists there is no play to look for
@@ -68,8 +68,8 @@ impl Guider {
             settings,
             rates,
             axes: [
-                Axis::new(east, false, settings.worm_period_s, Some(0.0)),
-                Axis::new(north, settings.resist_dec_reversal, None, play_s),
+                GuideAxis::new(east, false, settings.worm_period_s, Some(0.0)),
+                GuideAxis::new(north, settings.resist_dec_reversal, None, play_s),
             ],
             state: State::Acquire,
             last_s: None,
@@ -80,7 +80,7 @@ impl Guider {
             missed: 0,
             beyond: 0,
             set_back: 0,
-            search: Search::default(),
+            search: LostField::default(),
             rotation: Rotation::default(),
             target_px: [0.0; 2],
             turned_round: None,
@@ -107,7 +107,7 @@ impl Guider {
         self.interval_s = self.last_s.map(|last_s| exposure.mid_s - last_s).or(self.interval_s);
         self.last_s = Some(exposure.mid_s);
         match seen.map_err(Clone::clone).and_then(|shift| usable(*shift)) {
-            // two exposures never show the same noise: the camera repeats a frame, which tells nothing of now
+            // two exposures never show the same noise: the camera repeats a frame, which shows nothing of now
             Ok(shift) if self.last_shift == Some(shift) => self.repeated(exposure),
             Ok(shift) => {
                 self.last_shift = Some(shift);
@@ -119,7 +119,7 @@ impl Guider {
 
     /// What became of the last decision's pulses: for each axis (East, North) that was to be pulsed, when its pulse began,
     /// s, and how much of it was given, ms. Without this they count as given in full between the frames; a pulse that was
-    /// told of already stays as it is.
+    /// reported already stays as it is.
     pub fn report(&mut self, given: [Option<(f64, i32)>; 2]) {
         for (axis, (begun_s, ms)) in self.axes.iter_mut().zip(given).filter_map(|(axis, given)| Some((axis, given?))) {
             if begun_s.is_finite() {
@@ -140,12 +140,12 @@ impl Guider {
         }
     }
 
-    /// The mount was slewed, or the reference is a new one: what was learnt of drift and worm stays.
+    /// The mount was slewed, or the reference is a new one: what was learned of drift and worm stays.
     pub fn moved(&mut self) {
         self.target_px = [0.0; 2];
         self.axes.iter_mut().for_each(|axis| axis.forget_place(ANYWHERE_PX));
         self.state = State::Acquire;
-        (self.missed, self.beyond, self.search) = (0, 0, Search::default());
+        (self.missed, self.beyond, self.search) = (0, 0, LostField::default());
         self.rotation = Rotation::default();
     }
 
@@ -178,9 +178,9 @@ impl Guider {
         match self.state {
             State::Acquire if size_px <= self.settings.stabilise_cap_px => self.stabilise(),
             State::Acquire | State::Lost => match self.search.seen(off_px, exposure.mid_s, &self.settings) {
-                Found::Near => self.stabilise(),
-                Found::Not(ask) => return self.lost(exposure, ask),
-                Found::GivenUp => return self.stop(),
+                LostFieldOutcome::Near => self.stabilise(),
+                LostFieldOutcome::Not(ask) => return self.lost(exposure, ask),
+                LostFieldOutcome::GivenUp => return self.stop(),
             },
             State::Stabilise if size_px > self.settings.stabilise_cap_px => return self.is_beyond(exposure),
             State::Guide if size_px > self.settings.cap_px => return self.is_beyond(exposure),
@@ -206,15 +206,15 @@ impl Guider {
         let mut wrong_way = [false; 2];
         for (n, axis) in self.axes.iter_mut().enumerate() {
             let expected = axis.expected_px(exposure, variances[n]);
-            let learnt = axis.learn(exposure, place[n], variances[n], gated);
+            let learned = axis.learn(exposure, place[n], variances[n], gated);
             let dead_band_px = self.settings.dead_band_px(variances[n].sqrt());
-            (pulses[n], why[n]) = match learnt {
-                Learnt::Taken => axis.correct(ahead_s, error[n], dead_band_px, speeds[n], &self.settings),
-                Learnt::Outlier => {
+            (pulses[n], why[n]) = match learned {
+                Learned::Taken => axis.correct(ahead_s, error[n], dead_band_px, speeds[n], &self.settings),
+                Learned::Outlier => {
                     let (pulse_s, _) = axis.foresee(ahead_s, dead_band_px, speeds[n], &self.settings);
                     (pulse_s, Why::Outlier)
                 }
-                Learnt::Unusable => (0.0, Why::Unusable),
+                Learned::Unusable => (0.0, Why::Unusable),
             };
             logs[n] = axis.log(Some(error[n]), expected);
             wrong_way[n] = axis.unstable() == Some(Unstable::WrongWay);
@@ -239,8 +239,8 @@ impl Guider {
         let mut ask = None;
         if self.missed >= LOST_FRAMES {
             match self.search.missed(why, since_s, &self.settings) {
-                Found::Not(what) => ask = Some(what),
-                Found::Near | Found::GivenUp => return self.stop(),
+                LostFieldOutcome::Not(what) => ask = Some(what),
+                LostFieldOutcome::Near | LostFieldOutcome::GivenUp => return self.stop(),
             }
             if self.state != State::Acquire {
                 self.state = State::Lost;
@@ -262,7 +262,7 @@ impl Guider {
     fn is_beyond(&mut self, exposure: Exposure) -> Decision {
         self.beyond += 1;
         if self.beyond >= LOST_FRAMES {
-            self.search = Search::default();
+            self.search = LostField::default();
             return self.lost(exposure, Ask::Register);
         }
         self.axes.iter_mut().for_each(|axis| axis.pass(exposure));
@@ -282,7 +282,7 @@ impl Guider {
 
     fn stabilise(&mut self) {
         self.state = State::Stabilise;
-        (self.stabilised, self.calm, self.search) = (0, 0, Search::default());
+        (self.stabilised, self.calm, self.search) = (0, 0, LostField::default());
         self.axes.iter_mut().for_each(|axis| axis.set_stabilising(true));
     }
 
@@ -307,7 +307,7 @@ impl Guider {
         self.axes[n].aim(self.rates.along_axes(self.target_px)[n]);
     }
 
-    /// The clock was set back: nothing that was learnt has a time any more.
+    /// The clock was set back: nothing that was learned has a time any more.
     fn restart(&mut self) {
         let [east, north] = &self.axes;
         self.axes = [east.anew(self.settings.worm_period_s), north.anew(None)];
@@ -338,8 +338,8 @@ impl Guider {
     }
 
     fn log(&self, [east, north]: [AxisLog; 2]) -> Log {
-        let (rotation_deg_h, rotates) = (self.rotation.rate_deg_h(), self.rotation.is_told());
-        let unstable = self.turned_round.or_else(|| self.axes.iter().find_map(Axis::unstable));
+        let (rotation_deg_h, rotates) = (self.rotation.rate_deg_h(), self.rotation.is_measured());
+        let unstable = self.turned_round.or_else(|| self.axes.iter().find_map(GuideAxis::unstable));
         Log { east, north, transparency: None, stars: 0, rotation_deg_h, rotates, unstable }
     }
 }

@@ -1,7 +1,7 @@
 //! What to do while the field is lost: look for it in whole frames, slew back, solve, call a person.
 
 use super::decision::Ask;
-use super::settings::Settings;
+use super::settings::GuideSettings;
 use crate::shift::NoShift;
 
 /// Two frames confirm a shift if they agree within this, px, and what a mount may drift from one to the other, px/s.
@@ -12,7 +12,7 @@ const STRANGERS: (u32, u32) = (3, 6);
 
 /// What was seen since the field was lost.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(super) struct Search {
+pub(super) struct LostField {
     /// Time (s) and shift (px) of the last frame.
     last: Option<(f64, [f64; 2])>,
     strangers: u32,
@@ -20,7 +20,7 @@ pub(super) struct Search {
 
 /// What a frame means for a lost field.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Found {
+pub(super) enum LostFieldOutcome {
     /// It is within reach of pulses.
     Near,
     /// Not yet; this may help.
@@ -29,9 +29,9 @@ pub(super) enum Found {
     GivenUp,
 }
 
-impl Search {
+impl LostField {
     /// The field is off by this much on the detector, px.
-    pub(super) fn seen(&mut self, off_px: [f64; 2], time_s: f64, settings: &Settings) -> Found {
+    pub(super) fn seen(&mut self, off_px: [f64; 2], time_s: f64, settings: &GuideSettings) -> LostFieldOutcome {
         let size_px = off_px[0].hypot(off_px[1]);
         let agrees = |(last_s, last): (f64, [f64; 2])| {
             (last[0] - off_px[0]).hypot(last[1] - off_px[1]) <= AGREE_PX + DRIFT_PX_S * (time_s - last_s)
@@ -39,29 +39,29 @@ impl Search {
         let confirmed = self.last.is_some_and(agrees);
         self.last = Some((time_s, off_px));
         if size_px <= settings.cap_px || (confirmed && size_px <= settings.stabilise_cap_px) {
-            Found::Near
+            LostFieldOutcome::Near
         } else if confirmed {
-            Found::Not(Ask::Recentre { dx_px: -off_px[0], dy_px: -off_px[1] })
+            LostFieldOutcome::Not(Ask::Recentre { dx_px: -off_px[0], dy_px: -off_px[1] })
         } else {
-            Found::Not(Ask::Register)
+            LostFieldOutcome::Not(Ask::Register)
         }
     }
 
     /// No shift was found in a frame, this long (s) after the last one that was.
-    pub(super) fn missed(&mut self, why: &NoShift, since_s: f64, settings: &Settings) -> Found {
+    pub(super) fn missed(&mut self, why: &NoShift, since_s: f64, settings: &GuideSettings) -> LostFieldOutcome {
         self.last = None;
         match why {
             NoShift::NoMatch { .. } | NoShift::Shapes(..) => {
                 self.strangers += 1;
                 match self.strangers {
-                    n if n >= STRANGERS.1 => Found::GivenUp,
-                    n if n >= STRANGERS.0 => Found::Not(Ask::PlateSolve),
-                    _ => Found::Not(Ask::Register),
+                    n if n >= STRANGERS.1 => LostFieldOutcome::GivenUp,
+                    n if n >= STRANGERS.0 => LostFieldOutcome::Not(Ask::PlateSolve),
+                    _ => LostFieldOutcome::Not(Ask::Register),
                 }
             }
             // clouds: they pass
             NoShift::TooFewStars { .. } | NoShift::Uncertain { .. } | NoShift::NoPeak { .. } => {
-                Found::Not(if since_s > settings.patience_s { Ask::Alarm } else { Ask::Register })
+                LostFieldOutcome::Not(if since_s > settings.alert_after_s { Ask::Alarm } else { Ask::Register })
             }
         }
     }

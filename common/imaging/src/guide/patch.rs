@@ -16,14 +16,14 @@ const LEAST_NOISE_ADU: f32 = 0.29;
 
 /// A piece of a frame and where it lies.
 #[derive(Debug, Clone)]
-pub(super) struct Patch {
+pub(super) struct FramePatch {
     pub(super) clean: Clean,
     /// Frame coordinates of its first pixel.
     pub(super) left: usize,
     pub(super) top: usize,
 }
 
-impl Patch {
+impl FramePatch {
     /// The pixels within `half_px` of a place, less their sky, defects filled (`fwhm_px` is the stars' width). None
     /// outside of the frame, or where half of the pixels have no value.
     pub(super) fn cut(frame: &Frame, camera: &Camera, centre: (f64, f64), half_px: f64, fwhm_px: f32) -> Option<Self> {
@@ -75,16 +75,16 @@ impl Patch {
 
 /// Clipped median and 1.4826 MAD, ADU.
 fn sky(pixels: &[f32]) -> Option<(f32, f32)> {
-    let mut kept: Vec<f32> = pixels.iter().copied().filter(|value| value.is_finite()).collect();
+    let mut retained: Vec<f32> = pixels.iter().copied().filter(|value| value.is_finite()).collect();
     let mut found = None;
     for _ in 0..4 {
-        let level = median_in_place(&mut kept)?;
-        let mut off: Vec<f32> = kept.iter().map(|value| (value - level).abs()).collect();
+        let level = median_in_place(&mut retained)?;
+        let mut off: Vec<f32> = retained.iter().map(|value| (value - level).abs()).collect();
         let noise = (median_in_place(&mut off)? / MAD).max(LEAST_NOISE_ADU);
         found = Some((level, noise));
-        let before = kept.len();
-        kept.retain(|value| (value - level).abs() <= CLIP * noise);
-        if kept.len() == before {
+        let before = retained.len();
+        retained.retain(|value| (value - level).abs() <= CLIP * noise);
+        if retained.len() == before {
             break;
         }
     }

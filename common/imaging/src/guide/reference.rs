@@ -5,14 +5,14 @@
 //! [`crate::measure()`]. All places together give shift and rotation with their covariance. What never moves while the
 //! others do is a hot pixel and is dropped.
 
-use super::patch::Patch;
+use super::patch::FramePatch;
 use super::usable;
 use crate::camera::Camera;
 use crate::clean::Clean;
 use crate::frame::Frame;
 use crate::matched_filter::Kernel;
 use crate::parallel;
-use crate::profile::Profile;
+use crate::profile::StarProfile;
 use crate::projection::{self, Profiles};
 use crate::shift::{self, NoShift, Shift};
 use crate::star::{Flags, Star, spread_evenly};
@@ -59,7 +59,7 @@ pub struct Reference {
 struct InBox {
     star: Star,
     place: (f64, f64),
-    patch: Patch,
+    patch: FramePatch,
 }
 
 /// The stars with their whole flux, as star lists have it: by the frame's own profile, so that neither the wings of the
@@ -69,7 +69,7 @@ fn whole(seen: Vec<(usize, InBox)>, window: Window) -> Vec<(usize, Star)> {
     let width = crate::background::median_in_place(&mut widths).map_or(1.0, f64::from).max(1.0);
     let stack: Vec<_> = seen.iter().map(|(_, s)| (&s.patch.clean, s.place.0, s.place.1, s.star.flux_adu)).collect();
     // of a Gaussian a window of its own width shows half
-    let whole = Profile::fit(&stack, width).map_or(2.0, |profile| profile.whole_over_window(window.sigma()));
+    let whole = StarProfile::fit(&stack, width).map_or(2.0, |profile| profile.whole_over_window(window.sigma()));
     let star =
         |star: Star| Star { flux_adu: whole * star.flux_adu, flux_error_adu: whole * star.flux_error_adu, ..star };
     seen.into_iter().map(|(n, seen)| (n, star(seen.star))).collect()
@@ -123,7 +123,7 @@ impl Reference {
         Ok(Self { width, height, fwhm_px, still: vec![0; stars.len()], stars, profiles: None })
     }
 
-    /// With the sums over rows and columns of the first frame as well, for fields whose stars cannot be told apart.
+    /// With the sums over rows and columns of the first frame as well, for fields whose stars cannot be distinguished.
     #[must_use]
     pub fn with_profiles(mut self, clean: &Clean) -> Self {
         self.profiles = Some(Profiles::of(clean));
@@ -179,7 +179,7 @@ impl Reference {
     fn look(&self, frame: &Frame, camera: &Camera, kernel: &Kernel, star: &Star, expected: [f64; 2]) -> Option<InBox> {
         let centre = (star.x_px + expected[0], star.y_px + expected[1]);
         let half_px = REACH_PX + MARGIN_FWHM * self.fwhm_px;
-        let patch = Patch::cut(frame, camera, centre, half_px, self.fwhm_px as f32)?;
+        let patch = FramePatch::cut(frame, camera, centre, half_px, self.fwhm_px as f32)?;
         let (left, top) = (patch.left as f64, patch.top as f64);
         let there = (centre.0 - left, centre.1 - top);
         let peaks = kernel.peaks(&patch.clean, LEAST_SIGNIFICANCE).peaks;

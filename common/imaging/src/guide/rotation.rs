@@ -5,7 +5,7 @@
 /// Weight of the past falls to 1/e in this time, s.
 const MEMORY_S: f64 = 3600.0;
 /// Rotation that is reported, deg/h, if it is so many standard errors from none: chosen, not measured.
-const TOLD_DEG_H: f64 = 0.05;
+const MEASURED_DEG_H: f64 = 0.05;
 const BEYOND_DOUBT: f64 = 3.0;
 const FEWEST: f64 = 5.0;
 
@@ -58,8 +58,8 @@ impl Rotation {
     }
 
     /// Whether it turns beyond doubt.
-    pub(super) fn is_told(&self) -> bool {
-        self.rate_deg_h().is_some_and(|(rate, error)| rate.abs() - BEYOND_DOUBT * error > TOLD_DEG_H)
+    pub(super) fn is_measured(&self) -> bool {
+        self.rate_deg_h().is_some_and(|(rate, error)| rate.abs() - BEYOND_DOUBT * error > MEASURED_DEG_H)
     }
 }
 
@@ -77,12 +77,12 @@ mod tests {
     }
 
     #[test]
-    fn the_rate_is_that_of_the_line_and_told_beyond_doubt() {
+    fn the_rate_is_that_of_the_line_and_certain() {
         for rate in [-0.3, 0.0, 0.04, 0.12] {
             let rotation = after(rate);
             let (found, error) = rotation.rate_deg_h().unwrap();
             assert!((found - rate).abs() < 4.0 * error && error < 0.002, "{found} +- {error}");
-            assert_eq!(rotation.is_told(), rate.abs() > 0.05);
+            assert_eq!(rotation.is_measured(), rate.abs() > 0.05);
         }
         assert_eq!(Rotation::default().rate_deg_h(), None);
     }

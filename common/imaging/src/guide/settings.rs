@@ -13,7 +13,7 @@ pub enum Control {
 
 /// What a site may choose. Lengths are px of the frames guided on.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
+pub struct GuideSettings {
     /// Control of right ascension (East pulses) and of declination (North pulses).
     pub control: [Control; 2],
     /// No pulse for less than this, px; None: for less than the error of the measurement, at most 0.15 px.
@@ -26,15 +26,15 @@ pub struct Settings {
     pub stabilise_cap_px: f64,
     /// Whether Dec turns round only when there is reason to (a gear with play).
     pub resist_dec_reversal: bool,
-    /// Period of the worm of right ascension, s, where it is known; else it is learnt.
+    /// Period of the worm of right ascension, s, where it is known; else it is learned.
     pub worm_period_s: Option<f64>,
     /// How long a known drift is still taken back while no star is seen, s.
     pub hold_drift_s: f64,
     /// How long clouds may last before help is called, s.
-    pub patience_s: f64,
+    pub alert_after_s: f64,
 }
 
-impl Default for Settings {
+impl Default for GuideSettings {
     fn default() -> Self {
         Self {
             control: [Control::Predict; 2],
@@ -45,12 +45,12 @@ impl Default for Settings {
             resist_dec_reversal: true,
             worm_period_s: None,
             hold_drift_s: 300.0,
-            patience_s: 900.0,
+            alert_after_s: 900.0,
         }
     }
 }
 
-impl Settings {
+impl GuideSettings {
     /// The predecessor's controller in both axes.
     pub fn pid() -> Self {
         Self { control: [Control::Pid(Gains::FIRST_AXIS), Control::Pid(Gains::SECOND_AXIS)], ..Self::default() }
@@ -60,7 +60,7 @@ impl Settings {
 /// The greatest dead band that is chosen by itself, px.
 const DEAD_BAND_PX: f64 = 0.15;
 
-impl Settings {
+impl GuideSettings {
     /// The dead band for a measurement of this standard error, px.
     pub(super) fn dead_band_px(&self, error_px: f64) -> f64 {
         let chosen = self.dead_band_px.filter(|band| band.is_finite() && *band >= 0.0);

@@ -6,7 +6,7 @@
 //! ```
 //! Between the flanks of its gear the motor turns freely for the play (s of pulse). Where it stands is not known until
 //! pulses are seen to take hold; what is missing until then is charged to the gear and not to the sky, so that no
-//! drift is learnt that is none. A play that nobody measured is learnt at the first two reversals; from then on they
+//! drift is learned that is none. A play that nobody measured is learned at the first two reversals; from then on they
 //! are foreseen and made up for.
 //!
 //! What is made up for too much throws the star to the other side, and the next reversal throws it back: a play that is
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn a_play_that_nobody_measured_is_learnt_at_two_reversals() {
+    fn a_play_that_nobody_measured_is_learned_at_two_reversals() {
         let mut slack = Slack::new(None);
         slack.pulse(0.5);
         slack.blame(0.5, 1.0);

@@ -28,8 +28,8 @@ const NOT_HELD_PX: f64 = 2.0;
 const BACKWARDS: u32 = 3;
 const BACKWARDS_SHARE: std::ops::Range<f64> = -1.5..-0.6;
 /// A pulse shows that if it moves the star by this, px, and so many standard errors.
-const TELLING_PX: f64 = 1.0;
-const TELLING_SIGMA: f64 = 8.0;
+const CLEAR_PX: f64 = 1.0;
+const CLEAR_SIGMA: f64 = 8.0;
 /// After so many quiet frames the loop is held again.
 const QUIET_FRAMES: u32 = 10;
 
@@ -54,7 +54,7 @@ impl Watch {
 
     /// The star moved by `seen_px` where pulses should have moved it by `motion_px`; standard error of a place, px.
     pub(super) fn moved(&mut self, seen_px: f64, motion_px: f64, sigma_px: f64) {
-        if motion_px.abs() > TELLING_PX.max(TELLING_SIGMA * sigma_px) {
+        if motion_px.abs() > CLEAR_PX.max(CLEAR_SIGMA * sigma_px) {
             let is_backwards = BACKWARDS_SHARE.contains(&(seen_px / motion_px));
             self.backwards = if is_backwards { self.backwards + 1 } else { 0 };
         }

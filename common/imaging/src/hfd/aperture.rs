@@ -18,7 +18,7 @@ const DIVIDED_PX: f64 = 16.0;
 /// What dividing a pixel's light evenly over 3 x 3 places adds to the square of a Gaussian's HFD, px^2: 8 ln 2 times the
 /// variance (1 - 1/9) / 12.
 const DIVIDING_PX2: f64 = 0.410_7;
-/// A circle of which neighbours take more than this share tells nothing.
+/// A circle of which neighbours take more than this share shows nothing.
 const MOST_MASKED: f64 = 0.4;
 
 /// Another star: where it is, and within which radius (px) its light counts.
@@ -67,13 +67,13 @@ struct Circle<'a> {
 }
 
 /// What the ring around says.
-struct Sky {
+struct RingSky {
     level: f64,
     pixels: f64,
 }
 
 /// Light in the circle.
-struct Light {
+struct ApertureLight {
     /// By radius.
     rings: [f64; RINGS],
     flux: f64,
@@ -84,7 +84,7 @@ struct Light {
 
 impl Circle<'_> {
     /// Median between 1 and 1.5 radii; None when hardly any of it is on the frame and free.
-    fn sky(&self) -> Option<Sky> {
+    fn sky(&self) -> Option<RingSky> {
         let (inner, outer) = (self.radius + 1.0, 1.5 * self.radius + 3.0);
         let (columns, rows) = self.window(outer);
         let mut values = Vec::new();
@@ -101,10 +101,10 @@ impl Circle<'_> {
         }
         let pixels = values.len() as f64;
         let level = crate::background::median_in_place(&mut values)?;
-        (pixels >= 12.0).then_some(Sky { level: f64::from(level), pixels })
+        (pixels >= 12.0).then_some(RingSky { level: f64::from(level), pixels })
     }
 
-    fn light(&self, level: f64) -> Option<Light> {
+    fn light(&self, level: f64) -> Option<ApertureLight> {
         let (left, right) = (self.x - self.radius, self.x + self.radius);
         let (top, bottom) = (self.y - self.radius, self.y + self.radius);
         let (last_x, last_y) = ((self.clean.width - 1) as f64, (self.clean.height - 1) as f64);
@@ -116,7 +116,7 @@ impl Circle<'_> {
         let share = 1.0 / f64::from(parts * parts);
         let offsets: Vec<f64> = (0..parts).map(|n| (f64::from(n) + 0.5) / f64::from(parts) - 0.5).collect();
         let per_px = RINGS as f64 / self.radius;
-        let mut light = Light { rings: [0.0; RINGS], flux: 0.0, x: 0.0, y: 0.0, pixels: 0.0 };
+        let mut light = ApertureLight { rings: [0.0; RINGS], flux: 0.0, x: 0.0, y: 0.0, pixels: 0.0 };
         let mut masked = 0.0;
         let (columns, rows) = self.window(self.radius + 1.0);
         for row in rows {
@@ -171,9 +171,9 @@ impl Circle<'_> {
     }
 }
 
-impl Light {
+impl ApertureLight {
     /// Radius with half of the light, from the flux outwards; None when noise hides it.
-    fn star(&self, circle: &Circle, sky: &Sky, gain_e_per_adu: f64) -> Option<StarHfd> {
+    fn star(&self, circle: &Circle, sky: &RingSky, gain_e_per_adu: f64) -> Option<StarHfd> {
         let half = 0.5 * self.flux;
         let width = circle.radius / RINGS as f64;
         let mut inside = 0.0;

@@ -1,7 +1,8 @@
-//! The pointing model: a mount's error over the sky, learnt from where it was seen to look.
+//! The pointing model: a mount's error over the sky, learned from where it was seen to look.
 //!
 //! Per axis a sum of the terms that the geometry of an equatorial mount gives (index, collimation, the two axes not
-//! square, a polar axis beside the pole, a bending tube), in hour angle h and declination d. East: `cos d`, `1`, `sin d`,
+//! square, a polar axis next to the pole, a bending tube), in hour angle h and declination d. East: `cos d`,
+//! `1`, `sin d`,
 //! `sin h sin d`, `cos h sin d`, `sin h`; north: `1`, `cos h`, `sin h`, `sin d`, `cos d`, `cos h sin d`. Each coefficient
 //! is held to a size that mounts have (ridge regression), so that a few points in one corner of the sky say little about
 //! the others; points that do not fit weigh less (Huber), and wild ones nothing.
@@ -13,7 +14,7 @@ use crate::least_squares::LeastSquares;
 
 /// A mount's error at one place.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Point {
+pub struct MountErrorPoint {
     /// Hour angle of the commanded direction.
     pub hour_angle: Angle,
     /// Declination of the commanded direction.
@@ -41,15 +42,15 @@ const ROUNDS: usize = 10;
 
 /// A mount's error over the sky, on one side of its pier.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Model {
+pub struct MountErrorModel {
     east_arcmin: [f64; TERMS],
     north_arcmin: [f64; TERMS],
     rms_arcmin: f64,
 }
 
-impl Model {
+impl MountErrorModel {
     /// Learns from points; None from fewer than [`FEWEST`], and where numbers are not finite.
-    pub fn fit(points: &[Point]) -> Option<Self> {
+    pub fn fit(points: &[MountErrorPoint]) -> Option<Self> {
         if points.len() < FEWEST {
             return None;
         }
@@ -73,7 +74,7 @@ impl Model {
         model.rms_arcmin.is_finite().then_some(model)
     }
 
-    fn weighted(points: &[Point], weights: &[f64]) -> Option<Self> {
+    fn weighted(points: &[MountErrorPoint], weights: &[f64]) -> Option<Self> {
         let (mut east, mut north) = (LeastSquares::new(), LeastSquares::new());
         for term in 0..TERMS {
             let size = if term == 0 { INDEX_ARCMIN } else { OTHER_ARCMIN };
@@ -106,7 +107,7 @@ impl Model {
         self.rms_arcmin
     }
 
-    fn residual(&self, point: &Point) -> Miss {
+    fn residual(&self, point: &MountErrorPoint) -> Miss {
         let expected = self.miss(point.hour_angle, point.dec);
         Miss { east: point.miss.east - expected.east, north: point.miss.north - expected.north }
     }
@@ -137,24 +138,24 @@ mod tests {
         (3.0 * cos_d + 1.0 + 1.2 * sin_h * sin_d + 0.4 * cos_h * sin_d, -2.5 + 1.2 * cos_h + sin_d - 0.4 * sin_h)
     }
 
-    fn point(h_deg: f64, d_deg: f64, off_arcmin: (f64, f64)) -> Point {
+    fn point(h_deg: f64, d_deg: f64, off_arcmin: (f64, f64)) -> MountErrorPoint {
         let (east, north) = truth(h_deg, d_deg);
         let arcmin = |arcmin: f64| Angle::from_degrees(arcmin / 60.0);
         let miss = Miss { east: arcmin(east + off_arcmin.0), north: arcmin(north + off_arcmin.1) };
-        Point { hour_angle: Angle::from_degrees(h_deg), dec: Angle::from_degrees(d_deg), miss }
+        MountErrorPoint { hour_angle: Angle::from_degrees(h_deg), dec: Angle::from_degrees(d_deg), miss }
     }
 
-    fn worst(model: &Model, h_deg: std::ops::Range<i32>, d_deg: std::ops::Range<i32>) -> f64 {
+    fn worst(model: &MountErrorModel, h_deg: std::ops::Range<i32>, d_deg: std::ops::Range<i32>) -> f64 {
         let places = h_deg.step_by(10).flat_map(|h| d_deg.clone().step_by(10).map(move |d| (h, d)));
         let off = places.map(|(h, d)| model.residual(&point(f64::from(h), f64::from(d), (0.0, 0.0))).size_arcmin());
         off.fold(0.0, f64::max)
     }
 
     #[test]
-    fn fifty_points_over_the_sky_tell_the_error_anywhere_and_wild_ones_do_not_matter() {
+    fn fifty_points_over_the_sky_give_the_error_anywhere_and_wild_ones_do_not_matter() {
         for seed in 0..20 {
             let mut chance = rand::rngs::StdRng::seed_from_u64(seed);
-            let mut points: Vec<Point> = Vec::new();
+            let mut points: Vec<MountErrorPoint> = Vec::new();
             for n in 0..50 {
                 let mut noise = || chance.random_range(-0.15..0.15);
                 let off = (noise(), noise());
@@ -162,7 +163,7 @@ mod tests {
                 let off = if n % 8 == 0 { (40.0, -25.0) } else { off };
                 points.push(point(chance.random_range(-60.0..60.0), chance.random_range(-70.0..30.0), off));
             }
-            let model = Model::fit(&points).unwrap();
+            let model = MountErrorModel::fit(&points).unwrap();
             assert!(worst(&model, -60..61, -70..31) < 0.5, "seed {seed}: {}", worst(&model, -60..61, -70..31));
             assert!(model.rms_arcmin() < 0.3, "seed {seed}: {}", model.rms_arcmin());
         }
@@ -171,7 +172,7 @@ mod tests {
     #[test]
     fn a_few_points_help_near_them_and_do_no_harm_elsewhere() {
         let points = [(-20.0, -30.0), (-10.0, -20.0), (-25.0, -10.0)].map(|(h, d)| point(h, d, (0.05, -0.05)));
-        let model = Model::fit(&points).unwrap();
+        let model = MountErrorModel::fit(&points).unwrap();
         assert!(worst(&model, -30..1, -40..1) < 0.7, "{}", worst(&model, -30..1, -40..1));
         // without a model the worst is 5.4 arcmin
         assert!(worst(&model, -60..61, -70..31) < 4.0, "{}", worst(&model, -60..61, -70..31));
@@ -180,11 +181,11 @@ mod tests {
     #[test]
     fn too_few_points_or_no_numbers_make_no_model() {
         let two = [point(0.0, 0.0, (0.0, 0.0)), point(10.0, 0.0, (0.0, 0.0))];
-        assert_eq!(Model::fit(&two), None);
+        assert_eq!(MountErrorModel::fit(&two), None);
         let nan = point(f64::NAN, 0.0, (0.0, 0.0));
-        assert_eq!(Model::fit(&[two[0], two[1], nan]), None);
+        assert_eq!(MountErrorModel::fit(&[two[0], two[1], nan]), None);
         // all at one place: no more than an index
-        let same = Model::fit(&[two[0]; 40]).unwrap();
+        let same = MountErrorModel::fit(&[two[0]; 40]).unwrap();
         assert!(same.residual(&two[0]).size_arcmin() < 0.01);
     }
 }

@@ -14,7 +14,7 @@ type Matrix = [[f64; 3]; 3];
 
 /// A shift (px) and a small rotation (rad) about a centre.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Motion {
+pub(super) struct FieldMotion {
     pub(super) dx: f64,
     pub(super) dy: f64,
     pub(super) rotation: f64,
@@ -23,7 +23,7 @@ pub(super) struct Motion {
     centre: (f64, f64),
 }
 
-impl Motion {
+impl FieldMotion {
     pub(super) fn shifted(by: (f64, f64), centre: (f64, f64)) -> Self {
         Self { dx: by.0, dy: by.1, rotation: 0.0, covariance: [[0.0; 3]; 3], centre }
     }
@@ -49,9 +49,9 @@ impl Motion {
 }
 
 /// The motion that takes the first star of each pair to the second. None when there are no pairs.
-pub(super) fn fit(pairs: &[(&Star, &Star)], centre: (f64, f64)) -> Option<Motion> {
+pub(super) fn fit(pairs: &[(&Star, &Star)], centre: (f64, f64)) -> Option<FieldMotion> {
     let rotates = can_rotate(pairs);
-    let mut motion = Motion::shifted(start(pairs)?, centre);
+    let mut motion = FieldMotion::shifted(start(pairs)?, centre);
     for _ in 0..ROUNDS {
         // normal equations of the corrections to dx, dy and rotation
         let (mut normal, mut right): (Matrix, [f64; 3]) = ([[0.0; 3]; 3], [0.0; 3]);

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use super::fit::Motion;
+use super::fit::FieldMotion;
 use crate::star::Star;
 
 /// Distance of the grid points at which differences are counted, px: room for centroids and a small rotation.
@@ -42,7 +42,7 @@ pub(super) fn moving<'a>(pairs: &[(&'a Star, &'a Star)]) -> Option<Vec<(&'a Star
 pub(super) fn mutual<'a>(
     reference: &'a [Star],
     check: &'a [Star],
-    motion: &Motion,
+    motion: &FieldMotion,
     reach: f64,
 ) -> Vec<(&'a Star, &'a Star)> {
     let apart = |r: &Star, c: &Star| {

@@ -103,7 +103,7 @@ fn lists_that_have_nothing_in_common_give_no_shift() {
 }
 
 #[test]
-fn a_field_that_a_flip_turned_over_is_found_and_its_turn_is_told() {
+fn a_field_that_a_flip_turned_over_is_found_and_its_turn_is_reported() {
     for seed in 0..100_u64 {
         let mut rng = StdRng::seed_from_u64(seed);
         let mut along = || rng.random_range(-600.0..600.0);

@@ -12,17 +12,17 @@ use units::Angle;
 use super::Detected;
 use super::candidate::{By, Candidate, FEWEST_BLIND, agreeing};
 use super::failure::NoSolution;
-use super::field::Field;
+use super::field::FrameStars;
 use super::hint::Hint;
 use super::pattern::{Shape, shapes};
 use super::pattern_table::{Pattern, Table, fours, lengths};
-use super::search::Search;
+use super::search::SolveSearch;
 use super::similarity::{Place, Similarity};
 use super::solution::{Level, Solution};
 use super::source::Stars;
 use super::tile::Tile;
 use super::votes::CERTAIN;
-use crate::tangent::TangentPlane;
+use crate::tangent::{TangentPlane, separation};
 
 /// HEALPix orders of the tables, the widest first: AB of 8.8 deg and more down to 0.27 deg and more.
 const ORDERS: [u8; 6] = [2, 3, 4, 5, 6, 7];
@@ -40,8 +40,8 @@ const FIELDS_DEG: (f64, f64) = (0.3, 60.0);
 const DEPTH: f64 = 1.5;
 /// How far from the four stars the others are fitted first, in lengths of AB.
 const GROWTH: [f64; 3] = [0.7, 1.4, 2.8];
-/// Tolerance of the scale once a pattern has told it, as a share.
-const TOLD: f64 = 0.03;
+/// Tolerance of the scale once a pattern has given it, as a share.
+const STATED: f64 = 0.03;
 
 /// What is known of a frame before a blind search.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,11 +50,30 @@ pub struct Blind {
     pub scales_arcsec_px: Option<(f64, f64)>,
     /// Patterns that are looked at more closely before the search gives up; some 5,000 to 10,000 in a second.
     pub most_candidates: u64,
+    /// Where the frame's centre must be; None: anywhere.
+    pub within: Option<Within>,
+}
+
+/// A part of the sky, of any size up to all of it: for hints that are wider than [`Hint::furthest`] may be.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Within {
+    /// ICRS right ascension of its middle.
+    pub ra: Angle,
+    /// ICRS declination of its middle.
+    pub dec: Angle,
+    /// How far from the middle the frame's centre may be.
+    pub furthest: Angle,
+}
+
+impl Within {
+    fn holds(&self, at: (Angle, Angle)) -> bool {
+        separation((self.ra, self.dec), at) <= self.furthest
+    }
 }
 
 impl Default for Blind {
     fn default() -> Self {
-        Self { scales_arcsec_px: None, most_candidates: 30_000 }
+        Self { scales_arcsec_px: None, most_candidates: 30_000, within: None }
     }
 }
 
@@ -69,7 +88,7 @@ pub struct AllSky<S> {
 }
 
 /// The best pattern so far.
-struct Found {
+struct FoundPattern {
     candidate: Candidate,
     tile: Tile,
     /// Size of a pixel, rad.
@@ -80,7 +99,7 @@ struct Found {
 #[derive(Default)]
 struct Progress {
     candidates: u64,
-    best: Option<Found>,
+    best: Option<FoundPattern>,
     patterns: usize,
 }
 
@@ -94,11 +113,11 @@ impl<S: Stars + Sync> AllSky<S> {
     ///
     /// # Errors
     /// [`NoSolution::Blind`] when nothing on the whole sky fits, [`NoSolution::TooFewStars`], and
-    /// [`NoSolution::Hint`] when the scales make no sense.
+    /// [`NoSolution::Hint`] when the scales or the part of the sky make no sense.
     pub fn solve(&self, detected: &Detected, blind: &Blind) -> Result<Solution, NoSolution> {
         let scales = checked(blind)?;
         super::failure::check_trails(detected)?;
-        let field = Field::new(detected, &Hint::new(Angle::default(), Angle::default(), 1.0));
+        let field = FrameStars::new(detected, &Hint::new(Angle::default(), Angle::default(), 1.0));
         let stars = field.spots.len();
         if detected.width.min(detected.height) < 16 || stars < FEWEST_BLIND {
             return Err(NoSolution::TooFewStars { stars, needed: FEWEST_BLIND });
@@ -122,7 +141,7 @@ impl<S: Stars + Sync> AllSky<S> {
     fn look_up(
         &self,
         detected: &Detected,
-        field: &Field,
+        field: &FrameStars,
         table: &Table,
         scales: (f64, f64),
         blind: &Blind,
@@ -148,7 +167,7 @@ impl<S: Stars + Sync> AllSky<S> {
             for (shape, pattern) in hits {
                 progress.candidates += 1;
                 let named = shape.order.map(|n| places[n]);
-                let Some(found) = self.examine(field, &shape, &pattern, &named) else { continue };
+                let Some(found) = self.examine(field, (&shape, &pattern), &named, blind.within) else { continue };
                 if found.candidate.false_alarm(progress.candidates) < CERTAIN
                     && let Some(solution) = self.confirmed(detected, &found, progress.candidates)
                 {
@@ -167,7 +186,13 @@ impl<S: Stars + Sync> AllSky<S> {
     }
 
     /// Lays the sky around a pattern over the frame.
-    fn examine(&self, field: &Field, shape: &Shape, pattern: &Pattern, places: &[Place; 4]) -> Option<Found> {
+    fn examine(
+        &self,
+        field: &FrameStars,
+        (shape, pattern): (&Shape, &Pattern),
+        places: &[Place; 4],
+        within: Option<Within>,
+    ) -> Option<FoundPattern> {
         let directions = pattern.directions();
         let start = Similarity { s: (1.0, 0.0), t: (0.0, 0.0), mirrored: shape.flipped != pattern.flipped() };
         let fitted = |plane: &TangentPlane, scale: f64| {
@@ -187,25 +212,44 @@ impl<S: Stars + Sync> AllSky<S> {
         if !(FIELDS_DEG.0..=FIELDS_DEG.1).contains(&longer_deg) || centre.0.hypot(centre.1) > 1.0 {
             return None;
         }
-        let tile = Tile::new(&self.stars, plane.direction(centre.0, centre.1), field, scale, 0.0, DEPTH);
+        let centre = plane.direction(centre.0, centre.1);
+        if !within.is_none_or(|within| within.holds(centre)) {
+            return None;
+        }
+        let tile = Tile::new(&self.stars, centre, field, scale, 0.0, DEPTH);
         let start = grown(field, &tile, fitted(&tile.plane, scale)?, places)?;
         let candidate = Candidate::examine(field, &tile, start, By::Pattern)?;
-        Some(Found { candidate, tile, scale })
+        Some(FoundPattern { candidate, tile, scale })
     }
 
     /// A pattern that is believed, refined on all stars.
-    fn confirmed(&self, detected: &Detected, found: &Found, candidates: u64) -> Option<Solution> {
+    fn confirmed(&self, detected: &Detected, found: &FoundPattern, candidates: u64) -> Option<Solution> {
         let (ra, dec) = found.tile.direction((0.0, 0.0));
         let scale_arcsec_px = Angle::from_radians(found.scale).arcseconds();
-        let hint = Hint { scale_tolerance: TOLD, ..Hint::new(ra, dec, scale_arcsec_px) };
-        Search::new(detected, &hint, &self.stars).judged(&found.tile, found.candidate, candidates, Level::Blind)
+        let hint = Hint { scale_tolerance: STATED, ..Hint::new(ra, dec, scale_arcsec_px) };
+        SolveSearch::new(detected, &hint, &self.stars).judged(&found.tile, found.candidate, candidates, Level::Blind)
     }
 }
 
 /// Least and greatest size of a pixel, rad.
 fn checked(blind: &Blind) -> Result<(f64, f64), NoSolution> {
-    let Some((low, high)) = blind.scales_arcsec_px else { return Ok((0.0, f64::INFINITY)) };
     let wrong = |what, value, expected| Err(NoSolution::Hint { what, value, expected });
+    if let Some(Within { ra, dec, furthest }) = blind.within {
+        if !ra.is_finite() {
+            return wrong("ra, deg", ra.degrees(), "a number");
+        }
+        if !(-90.0..=90.0).contains(&dec.degrees()) {
+            return wrong("dec, deg", dec.degrees(), "-90 to 90");
+        }
+        if !(0.0..=180.0).contains(&furthest.degrees()) {
+            return wrong(
+                "distance from the hint up to which the frame is looked for, deg",
+                furthest.degrees(),
+                "0 to 180",
+            );
+        }
+    }
+    let Some((low, high)) = blind.scales_arcsec_px else { return Ok((0.0, f64::INFINITY)) };
     if !(low > 0.0 && low.is_finite()) {
         return wrong("least scale, arcsec/px", low, "greater than 0");
     }
@@ -216,7 +260,7 @@ fn checked(blind: &Blind) -> Result<(f64, f64), NoSolution> {
 }
 
 /// Whether patterns of a table can be seen in such a frame.
-fn is_useful(order: u8, field: &Field, scales: (f64, f64)) -> bool {
+fn is_useful(order: u8, field: &FrameStars, scales: (f64, f64)) -> bool {
     let (shortest, longest) = lengths(order);
     let (least_px, most_px) = (SIDES.0 * field.width.min(field.height), SIDES.1 * field.diagonal());
     longest >= scales.0 * least_px && shortest <= scales.1 * most_px
@@ -231,7 +275,7 @@ fn longest_side(places: &[Place; 4]) -> f64 {
 }
 
 /// A similarity of four stars fitted to those around them, then to more: far from the four its error is too large.
-fn grown(field: &Field, tile: &Tile, start: Similarity, places: &[Place; 4]) -> Option<Similarity> {
+fn grown(field: &FrameStars, tile: &Tile, start: Similarity, places: &[Place; 4]) -> Option<Similarity> {
     let (a, b) = (places[0], places[1]);
     let (middle, length) = ((0.5 * (a.0 + b.0), 0.5 * (a.1 + b.1)), (a.0 - b.0).hypot(a.1 - b.1));
     let mut similarity = start;

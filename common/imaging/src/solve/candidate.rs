@@ -1,8 +1,8 @@
 //! One way to lay the sky over the frame, and how many stars agree with it.
 
 use super::chance;
-use super::field::Field;
-use super::similarity::{Pair, Place, Similarity};
+use super::field::FrameStars;
+use super::similarity::{Place, PlacePair, Similarity};
 use super::tile::Tile;
 
 /// Radius of the first count of stars that agree, px.
@@ -58,7 +58,7 @@ pub(super) struct Acceptance {
 
 impl Candidate {
     /// Refits a hypothesis on the stars within 4 px and counts again. None when fewer than two stars agree.
-    pub(super) fn examine(field: &Field, tile: &Tile, start: Similarity, by: By) -> Option<Self> {
+    pub(super) fn examine(field: &FrameStars, tile: &Tile, start: Similarity, by: By) -> Option<Self> {
         let few = (0.5 * field.fwhm_px).clamp(1.5, 2.0);
         let radius = if field.spots.len() > MANY { SEARCH_PX } else { few };
         let mut similarity = start;
@@ -92,7 +92,7 @@ impl Candidate {
     }
 
     /// Whether it is believed (docs/formulae.md, "Probability of agreement by chance").
-    pub(super) fn is_accepted(&self, field: &Field, acceptance: &Acceptance) -> bool {
+    pub(super) fn is_accepted(&self, field: &FrameStars, acceptance: &Acceptance) -> bool {
         let (fewest, greatest) = match self.by {
             By::Shift => (3, 1e-4),
             By::Pair => (4, 1e-6),
@@ -118,7 +118,12 @@ pub(super) struct Inside {
 }
 
 /// The pairs within `radius` px, each star in one pair at most, and the number of catalogue stars in the frame.
-pub(super) fn agreeing(field: &Field, tile: &Tile, similarity: &Similarity, radius: f64) -> (Vec<Pair>, Inside) {
+pub(super) fn agreeing(
+    field: &FrameStars,
+    tile: &Tile,
+    similarity: &Similarity,
+    radius: f64,
+) -> (Vec<PlacePair>, Inside) {
     let mut inside = Inside::default();
     // nearest catalogue star of each star of the frame
     let mut nearest: Vec<Option<(f64, Place)>> = vec![None; field.spots.len()];

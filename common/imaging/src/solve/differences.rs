@@ -4,7 +4,7 @@
 //! shift is the cell in which they gather.
 
 use super::candidate::{By, Candidate};
-use super::field::Field;
+use super::field::FrameStars;
 use super::similarity::Similarity;
 use super::tile::Tile;
 
@@ -21,7 +21,7 @@ const FEWEST: u16 = 3;
 
 /// 2 x 2 cells in which differences gather.
 #[derive(Debug, Clone, Copy)]
-struct Peak {
+struct DifferencePeak {
     count: u16,
     /// The turn, with the middle of the four cells as its shift.
     start: Similarity,
@@ -31,7 +31,7 @@ struct Peak {
 /// were searched. Each of `turns` is a rotation that may be the right one, at the known scale, the most probable first;
 /// `is_certain` says of a candidate and the number of cells so far whether to stop.
 pub(super) fn best_shift(
-    field: &Field,
+    field: &FrameStars,
     tile: &Tile,
     turns: &[Similarity],
     is_certain: impl Fn(&Candidate, u64) -> bool,
@@ -40,12 +40,12 @@ pub(super) fn best_shift(
     let Some(first) = turns.first() else { return (None, searched) };
     let mut histogram = Histogram::new(tile.radius * first.size());
     let cell = histogram.cell;
-    let examine = |peak: &Peak| {
+    let examine = |peak: &DifferencePeak| {
         let start = peak.start;
         let wide = (cell > CELL_PX).then(|| gathered(field, tile, &start, cell)).flatten();
         Candidate::examine(field, tile, wide.unwrap_or(start), By::Shift)
     };
-    let better = |best: Option<Candidate>, peak: &Peak| {
+    let better = |best: Option<Candidate>, peak: &DifferencePeak| {
         let found = examine(peak).filter(|new| best.is_none_or(|old| new.chance < old.chance));
         found.or(best)
     };
@@ -89,7 +89,7 @@ impl Histogram {
         Self { cell, half, side, blocks: vec![0; side * side], full: Vec::new() }
     }
 
-    fn fill(&mut self, field: &Field, tile: &Tile, turn: &Similarity) {
+    fn fill(&mut self, field: &FrameStars, tile: &Tile, turn: &Similarity) {
         self.blocks.fill(0);
         self.full.clear();
         let (per_px, end) = (1.0 / self.cell, (self.side - 1) as f64);
@@ -119,7 +119,7 @@ impl Histogram {
     }
 
     /// The fullest blocks, the fullest first; not more than are ever examined.
-    fn peaks(&self, turn: &Similarity) -> Vec<Peak> {
+    fn peaks(&self, turn: &Similarity) -> Vec<DifferencePeak> {
         let mut full: Vec<(u16, usize)> = self.full.iter().map(|n| (self.blocks[*n], *n)).collect();
         full.sort_unstable_by(|a, b| b.cmp(a));
         full.truncate(AT_ONCE + EXAMINED);
@@ -127,14 +127,14 @@ impl Histogram {
         let at = |n: usize| (n as f64 - self.half + 1.0) * self.cell;
         let peak = |(count, n): (u16, usize)| {
             let t = (at(n % self.side), at(n / self.side));
-            Peak { count, start: Similarity { t, ..*turn } }
+            DifferencePeak { count, start: Similarity { t, ..*turn } }
         };
         full.into_iter().map(peak).collect()
     }
 }
 
 /// The shift on which most differences within a wide block of cells agree.
-fn gathered(field: &Field, tile: &Tile, start: &Similarity, cell: f64) -> Option<Similarity> {
+fn gathered(field: &FrameStars, tile: &Tile, start: &Similarity, cell: f64) -> Option<Similarity> {
     let mut differences = Vec::new();
     for place in &tile.stars {
         let at = start.apply(*place);

@@ -1,15 +1,16 @@
-//! Why a frame could not be solved, in classes that call for different deeds.
+//! Why a frame could not be solved, in classes that call for different remedies.
+
+use units::Angle;
 
 use super::hint::Hint;
 use super::source::Stars;
 use super::{Detected, field, scales, trail};
-use units::Angle;
 
 /// Fewest stars that can be solved at all: with rotation and scale known.
 pub(super) const FEWEST_KNOWN: usize = 3;
 /// Fewest stars that can be solved without.
 pub(super) const FEWEST: usize = 4;
-/// Stars that a catalogue should show in a field of which it is expected to tell the place.
+/// Stars that a catalogue should have in a field that is to be solved with it.
 const SHALLOW: f64 = 6.0;
 /// Fewer detected stars than this share of the expected ones are clouds: chosen, not measured.
 const CLOUDY: f64 = 0.3;
@@ -50,7 +51,7 @@ pub enum NoSolution {
     /// The stars are drawn out in one direction: check tracking and wind.
     #[error(
         "trailed: the {stars} stars are drawn out in one direction{}; check tracking and wind, or expose for a shorter time",
-        length_said(*length_px)
+        length_text(*length_px)
     )]
     Trailed {
         /// Usable stars in the frame.
@@ -87,7 +88,7 @@ pub enum NoSolution {
     /// Nothing fits: wrong place, wrong scale, or no stars of the catalogue.
     #[error(
         "no match: {stars} stars against {catalogue_stars} of the catalogue, {hypotheses} hypotheses up to \
-         {:.2} deg from the hint at {scale_arcsec_px:.3} arcsec/px{}", searched.degrees(), scales::said(others_arcsec_px)
+         {:.2} deg from the hint at {scale_arcsec_px:.3} arcsec/px{}", searched.degrees(), scales::text_of(others_arcsec_px)
     )]
     NoMatch {
         /// Stars of the frame that took part.
@@ -106,7 +107,7 @@ pub enum NoSolution {
     /// Nothing on the whole sky fits.
     #[error(
         "no match on the whole sky: {stars} stars, {candidates} likenesses among {patterns} patterns of four bright \
-         stars{}; a blind search needs a field of about 1 deg and more", scales::range_said(*scales_arcsec_px)
+         stars{}; a blind search needs a field of about 1 deg and more", scales::range_text(*scales_arcsec_px)
     )]
     Blind {
         /// Stars of the frame that took part.
@@ -140,15 +141,15 @@ pub(super) fn check(detected: &Detected, hint: &Hint) -> Result<(), NoSolution> 
             "distance from the hint up to which the frame is looked for, deg",
             hint.furthest.degrees(),
             (0.0..=60.0).contains(&hint.furthest.degrees()),
-            "0 to 60; solve without a hint where the place is known no better",
+            "0 to 60; AllSky::solve with Blind::within looks further",
         ),
     ];
-    let learnt = hint.learnt.map(|learnt| {
-        let ratio = learnt.scale_arcsec_px / hint.scale_arcsec_px;
-        let fits = learnt.rotation_deg.is_finite() && (0.5..2.0).contains(&ratio);
-        ("learnt scale over hinted scale", ratio, fits, "0.5 to 2, and a rotation that is a number")
+    let learned = hint.learned.map(|learned| {
+        let ratio = learned.scale_arcsec_px / hint.scale_arcsec_px;
+        let fits = learned.rotation_deg.is_finite() && (0.5..2.0).contains(&ratio);
+        ("learned scale over hinted scale", ratio, fits, "0.5 to 2, and a rotation that is a number")
     });
-    let broken = rules.into_iter().chain(learnt).find(|(_, _, holds, _)| !holds);
+    let broken = rules.into_iter().chain(learned).find(|(_, _, holds, _)| !holds);
     broken.map_or(Ok(()), |(what, value, _, expected)| Err(NoSolution::Hint { what, value, expected }))
 }
 
@@ -163,12 +164,12 @@ pub(super) fn check_trails(detected: &Detected) -> Result<(), NoSolution> {
 }
 
 /// The length of trails, where there is one.
-fn length_said(length_px: f64) -> String {
+fn length_text(length_px: f64) -> String {
     if length_px >= 1.0 { format!(" by about {length_px:.0} px or more") } else { String::new() }
 }
 
 /// What the search did before it failed.
-pub(super) struct Attempt {
+pub(super) struct FailedSearch {
     pub(super) stars: usize,
     pub(super) hypotheses: u64,
     pub(super) searched: Angle,
@@ -177,7 +178,7 @@ pub(super) struct Attempt {
 }
 
 /// The class of a failure: what most probably stood in the way, the plainest first.
-pub(super) fn classify(detected: &Detected, hint: &Hint, source: &impl Stars, attempt: Attempt) -> NoSolution {
+pub(super) fn classify(detected: &Detected, hint: &Hint, source: &impl Stars, attempt: FailedSearch) -> NoSolution {
     if let Some(ambiguous) = attempt.ambiguous {
         return ambiguous;
     }
@@ -191,14 +192,14 @@ pub(super) fn classify(detected: &Detected, hint: &Hint, source: &impl Stars, at
     if let Some(trail) = trail::of(detected) {
         return NoSolution::Trailed { stars, length_px: trail.length_px };
     }
-    let sky = Sky::around(detected, hint, source);
+    let sky = CatalogueMagnitudes::around(detected, hint, source);
     if let Some(limit_mag) = hint.faintest_mag {
         let expected = sky.in_frame(limit_mag);
         if expected >= SHALLOW && (stars as f64) < CLOUDY * expected {
             return NoSolution::Clouds { stars, expected: expected.round() as usize, limit_mag };
         }
     }
-    let needed = if hint.learnt.is_some() { FEWEST_KNOWN } else { FEWEST };
+    let needed = if hint.learned.is_some() { FEWEST_KNOWN } else { FEWEST };
     if stars < needed {
         return NoSolution::TooFewStars { stars, needed };
     }
@@ -217,21 +218,21 @@ pub(super) fn classify(detected: &Detected, hint: &Hint, source: &impl Stars, at
 }
 
 /// The catalogue's magnitudes around the hint.
-struct Sky {
+struct CatalogueMagnitudes {
     mags: Vec<f64>,
     /// Area of the frame over that of the cone.
     share: f64,
     longer_side: Angle,
 }
 
-impl Sky {
+impl CatalogueMagnitudes {
     /// Enough of the catalogue to be counted, not all of it.
     const COUNTED: usize = 3000;
 
     fn around(detected: &Detected, hint: &Hint, source: &impl Stars) -> Self {
         let side = |px: usize| Angle::from_arcseconds(px as f64 * hint.scale_arcsec_px);
         let (width, height) = (side(detected.width), side(detected.height));
-        // a circle of twice the frame's area: stars of its neighbourhood tell more than chance within
+        // a circle of twice the frame's area: stars of its neighbourhood show more than chance within
         let square_deg = width.degrees() * height.degrees();
         let radius = Angle::from_degrees((2.0 * square_deg / std::f64::consts::PI).sqrt().min(90.0));
         let found = super::source::brightest(source, hint.ra, hint.dec, radius, Self::COUNTED);

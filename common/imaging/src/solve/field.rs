@@ -1,7 +1,7 @@
 //! The stars of the frame, made ready for matching.
 
 use super::hint::Hint;
-use super::seen::Seen;
+use super::seen::StarArea;
 use super::{Detected, trail};
 use crate::grid::Grid;
 use crate::star::{Star, spread_evenly};
@@ -25,26 +25,26 @@ pub(super) struct Spot {
 }
 
 /// Up to 60 stars spread over the frame, the brightest first.
-pub(super) struct Field {
+pub(super) struct FrameStars {
     pub(super) spots: Vec<Spot>,
     pub(super) width: f64,
     pub(super) height: f64,
     /// Width of the stars, px.
     pub(super) fwhm_px: f64,
     /// The part of the frame in which there are stars.
-    seen: Seen,
+    seen: StarArea,
     /// What trails add to the error of a place along them, px.
     pub(super) along_px: f64,
     grid: Grid,
 }
 
-impl Field {
+impl FrameStars {
     pub(super) fn new(detected: &Detected, hint: &Hint) -> Self {
         let (width, height) = (detected.width as f64, detected.height as f64);
         let usable = usable(detected);
         let middle = (0.5 * (width - 1.0), 0.5 * (height - 1.0));
         let places: Vec<_> = usable.iter().map(|star| (star.x_px - middle.0, star.y_px - middle.1)).collect();
-        let seen = Seen::new(&places, width, height);
+        let seen = StarArea::new(&places, width, height);
         let mut chosen = if seen.share < 1.0 {
             let apart = APART * (seen.share * width * height / STARS as f64).sqrt();
             spread_evenly(&thinned(&usable, apart), detected.width, detected.height, STARS)
@@ -52,7 +52,7 @@ impl Field {
             spread_evenly(&usable, detected.width, detected.height, STARS)
         };
         chosen.sort_by(|a, b| b.flux_adu.total_cmp(&a.flux_adu));
-        let sip = hint.learnt.and_then(|learnt| learnt.sip);
+        let sip = hint.learned.and_then(|learned| learned.sip);
         let spot = |star: &Star| {
             let (x, y) = (star.x_px - 0.5 * (width - 1.0), star.y_px - 0.5 * (height - 1.0));
             let (x, y) = sip.map_or((x, y), |sip| sip.apply(x, y));
@@ -127,12 +127,12 @@ pub(super) fn usable(detected: &Detected) -> Vec<Star> {
 fn thinned(stars: &[Star], apart_px: f64) -> Vec<Star> {
     let mut order: Vec<&Star> = stars.iter().collect();
     order.sort_by(|a, b| b.flux_adu.total_cmp(&a.flux_adu));
-    let mut kept: Vec<Star> = Vec::new();
+    let mut retained: Vec<Star> = Vec::new();
     // the brightest few hundred are all that ever take part
     for star in order.into_iter().take(THINNED) {
-        if kept.iter().all(|other| (other.x_px - star.x_px).hypot(other.y_px - star.y_px) >= apart_px) {
-            kept.push(*star);
+        if retained.iter().all(|other| (other.x_px - star.x_px).hypot(other.y_px - star.y_px) >= apart_px) {
+            retained.push(*star);
         }
     }
-    kept
+    retained
 }

@@ -26,7 +26,7 @@ pub struct Hint {
     /// Whether the image is a mirror image ([`crate::wcs::Wcs::mirrored`]); None where not known.
     pub mirrored: Option<bool>,
     /// What the last solution with this camera, filter and pier side taught: it makes level 0 possible.
-    pub learnt: Option<Learnt>,
+    pub learned: Option<LearnedOptics>,
     /// How far from the hinted place the frame's centre is looked for when it is not within a frame's size of it
     /// (level 2). Zero: not at all.
     pub furthest: Angle,
@@ -38,7 +38,8 @@ pub struct Hint {
     /// that is laid out costs some thousands. It is shared out: the hinted field, other scales and the sky around all get
     /// their part.
     pub most_hypotheses: u64,
-    /// Magnitude of the faintest stars that such a frame shows under a clear sky; tells clouds from other failures.
+    /// Magnitude of the faintest stars that such a frame shows under a clear sky; distinguishes clouds from other
+    /// failures.
     pub faintest_mag: Option<f64>,
 }
 
@@ -51,7 +52,7 @@ impl Hint {
             scale_arcsec_px,
             scale_tolerance: KNOWN_OPTICS,
             mirrored: None,
-            learnt: None,
+            learned: None,
             furthest: Angle::from_degrees(8.0),
             wrong_scales: false,
             most_hypotheses: MOST_HYPOTHESES,
@@ -62,7 +63,7 @@ impl Hint {
 
 /// What stays the same from frame to frame of one camera, filter and pier side.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Learnt {
+pub struct LearnedOptics {
     /// Size of a pixel, arcsec.
     pub scale_arcsec_px: f64,
     /// Position angle of +y, degrees ([`crate::wcs::Wcs::rotation_deg`]).

@@ -51,7 +51,7 @@ impl Mask {
         for star in &tile.stars {
             let (column, row) = mask.cell(*star);
             for (dx, dy) in [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)] {
-                if let Some((word, bit)) = mask.bit(column + dx, row + dy) {
+                if let Some((word, bit)) = mask.bit(column.saturating_add(dx), row.saturating_add(dy)) {
                     set += u64::from(mask.bits[word] & bit == 0);
                     mask.bits[word] |= bit;
                 }
@@ -92,6 +92,17 @@ mod tests {
 
     use super::*;
     use crate::tangent::TangentPlane;
+
+    #[test]
+    fn a_star_that_is_nowhere_near_is_no_part_of_the_mask() {
+        let plane = TangentPlane::new(Angle::default(), Angle::default());
+        let tile = |stars| Tile { plane, stars, radius: 200.0, reach: 500.0, scale: 1e-6 };
+        let near = vec![(100.0, -40.0)];
+        let far = [(1e300, 0.0), (0.0, -1e300), (f64::INFINITY, f64::NEG_INFINITY), (1e12, 1e12)];
+        let filled = |stars| Mask::new(&tile(stars)).filled;
+        assert_eq!(filled(far.into_iter().chain(near.clone()).collect()), filled(near));
+        assert_eq!(filled(far.to_vec()), 0.0);
+    }
 
     #[test]
     fn a_star_is_seen_from_where_it_is_and_from_nowhere_else() {

@@ -36,20 +36,20 @@ struct Polynomial {
 }
 
 /// The WCS (reference pixel unchanged, at the frame's centre) that fits best, and the rms of the residuals, px. `known`
-/// is a distortion learnt before; `bends` allows a new one. None when the pairs do not fix it.
+/// is a distortion learned before; `bends` allows a new one. None when the pairs do not fix it.
 pub(super) fn fit(samples: &[Sample], wcs: &Wcs, known: Option<Sip>, length: f64, bends: bool) -> Option<(Wcs, f64)> {
-    let mut kept = samples.to_vec();
-    let mut best = choose(&kept, wcs, known, length, bends)?;
+    let mut retained = samples.to_vec();
+    let mut best = choose(&retained, wcs, known, length, bends)?;
     for _ in 0..3 {
-        let limit = CLIP * best.rms_px(&kept, wcs).max(0.05);
-        let sound: Vec<Sample> = kept.iter().filter(|s| best.residual_px(s, wcs) <= limit).copied().collect();
-        if sound.len() == kept.len() || sound.len() < 3 {
+        let limit = CLIP * best.rms_px(&retained, wcs).max(0.05);
+        let sound: Vec<Sample> = retained.iter().filter(|s| best.residual_px(s, wcs) <= limit).copied().collect();
+        if sound.len() == retained.len() || sound.len() < 3 {
             break;
         }
-        kept = sound;
-        best = choose(&kept, wcs, known, length, bends)?;
+        retained = sound;
+        best = choose(&retained, wcs, known, length, bends)?;
     }
-    Some((best.wcs(wcs)?, best.rms_px(&kept, wcs)))
+    Some((best.wcs(wcs)?, best.rms_px(&retained, wcs)))
 }
 
 /// Among the models that so many pairs allow, the one that Schwarz's criterion (1978, Ann. Stat. 6, 461) prefers:
@@ -157,7 +157,7 @@ impl Polynomial {
         (squares / samples.len().max(1) as f64).sqrt()
     }
 
-    /// The WCS with its reference direction moved to the frame's centre. None when x and y cannot be told apart.
+    /// The WCS with its reference direction moved to the frame's centre. None when x and y cannot be distinguished.
     fn wcs(&self, old: &Wcs) -> Option<Wcs> {
         let plane = TangentPlane::new(old.ra, old.dec);
         let (x0, y0) = (self.xi[0].to_radians(), self.eta[0].to_radians());

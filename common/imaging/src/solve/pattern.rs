@@ -47,7 +47,7 @@ fn ends(places: &[Place; 4], [p, q, r, s]: [usize; 4], slack: f64, found: &mut i
     let base = (places[q].0 - places[p].0, places[q].1 - places[p].1);
     let on_base = |n: usize| divide((places[n].0 - places[p].0, places[n].1 - places[p].1), base);
     let (c, d) = (on_base(r), on_base(s));
-    let mut told = false;
+    let mut is_found = false;
     for [swapped, turned, flipped] in (0..8).map(|n| [n & 1 != 0, n & 2 != 0, n & 4 != 0]) {
         let ((c, d), (r, s)) = if swapped { ((d, c), (s, r)) } else { ((c, d), (r, s)) };
         let end = |z: Place| if turned { (1.0 - z.0, -z.1) } else { z };
@@ -55,8 +55,8 @@ fn ends(places: &[Place; 4], [p, q, r, s]: [usize; 4], slack: f64, found: &mut i
         let (c, d) = (side(end(c)), side(end(d)));
         let chosen = c.0 + d.0 <= 1.0 + slack && c.0 <= d.0 + slack && c.1 + d.1 >= -slack;
         // of equals the first, where there must be one alone
-        if chosen && !(told && slack == 0.0) {
-            told = true;
+        if chosen && !(is_found && slack == 0.0) {
+            is_found = true;
             let (a, b) = if turned { (q, p) } else { (p, q) };
             found(Shape { code: [c.0, c.1, d.0, d.1], order: [a, b, r, s], flipped });
         }

@@ -85,7 +85,7 @@ fn weight(star: &Star) -> f64 {
 /// Pairs (star, catalogue star), each nearest to the other, within `radius` px.
 fn mutual(
     wcs: &Wcs,
-    known: &[crate::catalogue::Star],
+    known: &[crate::catalogue::CatalogueStar],
     stars: &[Star],
     grid: &Grid,
     radius: f64,

@@ -1,4 +1,4 @@
-//! Scales that are tried when the hinted one does not fit, and how they are told.
+//! Scales that are tried when the hinted one does not fit, and how they are reported.
 
 /// Greatest error of a scale around each of [`FACTORS`], as a share: together they leave no gap.
 pub(super) const TOLERANCE: f64 = 0.05;
@@ -8,7 +8,7 @@ pub(super) const FACTORS: [f64; 14] =
     [2.0, 0.5, 1.06, 1.0 / 1.06, 1.17, 1.0 / 1.17, 1.29, 1.0 / 1.29, 1.42, 1.0 / 1.42, 3.0, 1.0 / 3.0, 4.0, 0.25];
 
 /// The scales that were tried, for a sentence; nothing where there were none.
-pub(super) fn said(others_arcsec_px: &[f64]) -> String {
+pub(super) fn text_of(others_arcsec_px: &[f64]) -> String {
     if others_arcsec_px.is_empty() {
         return String::new();
     }
@@ -18,7 +18,7 @@ pub(super) fn said(others_arcsec_px: &[f64]) -> String {
 }
 
 /// The scales that were allowed, for a sentence.
-pub(super) fn range_said(scales_arcsec_px: Option<(f64, f64)>) -> String {
+pub(super) fn range_text(scales_arcsec_px: Option<(f64, f64)>) -> String {
     scales_arcsec_px.map_or(String::new(), |(low, high)| format!(" at {low:.3} to {high:.3} arcsec/px"))
 }
 
@@ -43,9 +43,9 @@ mod tests {
 
     #[test]
     fn a_sentence_names_the_scales() {
-        assert_eq!(said(&[]), "");
-        assert_eq!(said(&[0.5, 2.0]), ", nor in the hinted field within 5 % of 0.500, 2.000 arcsec/px");
-        assert_eq!(range_said(Some((1.0, 2.5))), " at 1.000 to 2.500 arcsec/px");
-        assert_eq!(range_said(None), "");
+        assert_eq!(text_of(&[]), "");
+        assert_eq!(text_of(&[0.5, 2.0]), ", nor in the hinted field within 5 % of 0.500, 2.000 arcsec/px");
+        assert_eq!(range_text(Some((1.0, 2.5))), " at 1.000 to 2.500 arcsec/px");
+        assert_eq!(range_text(None), "");
     }
 }

@@ -7,9 +7,9 @@ use units::Angle;
 use super::Detected;
 use super::candidate::{Acceptance, Candidate};
 use super::differences::best_shift;
-use super::failure::{Attempt, FEWEST, FEWEST_KNOWN, NoSolution};
-use super::field::Field;
-use super::hint::{Hint, KNOWN_OPTICS, Learnt};
+use super::failure::{FEWEST, FEWEST_KNOWN, FailedSearch, NoSolution};
+use super::field::FrameStars;
+use super::hint::{Hint, KNOWN_OPTICS, LearnedOptics};
 use super::refine::refine;
 use super::scales;
 use super::similarity::Similarity;
@@ -71,17 +71,17 @@ const SAME_PX: f64 = 10.0;
 
 /// A candidate as a WCS: the same for all tiles.
 #[derive(Debug, Clone, Copy)]
-struct Found {
+struct FoundWcs {
     candidate: Candidate,
     wcs: Wcs,
 }
 
 /// A search under way.
-pub(super) struct Search<'a, S> {
+pub(super) struct SolveSearch<'a, S> {
     detected: &'a Detected<'a>,
     hint: &'a Hint,
     source: &'a S,
-    field: Field,
+    field: FrameStars,
     /// Size of a pixel, rad.
     scale: f64,
     hypotheses: u64,
@@ -89,17 +89,17 @@ pub(super) struct Search<'a, S> {
     work: u64,
     limit: u64,
     searched: Angle,
-    /// Scales that were tried beside the hinted one.
+    /// Scales that were tried in addition to the hinted one.
     others_arcsec_px: Vec<f64>,
-    best: Option<Found>,
+    best: Option<FoundWcs>,
     /// The best one at another place.
-    rival: Option<Found>,
+    rival: Option<FoundWcs>,
     ambiguous: Option<NoSolution>,
 }
 
-impl<'a, S: Stars> Search<'a, S> {
+impl<'a, S: Stars> SolveSearch<'a, S> {
     pub(super) fn new(detected: &'a Detected<'a>, hint: &'a Hint, source: &'a S) -> Self {
-        let field = Field::new(detected, hint);
+        let field = FrameStars::new(detected, hint);
         let scale = Angle::from_arcseconds(hint.scale_arcsec_px).radians();
         Self {
             detected,
@@ -120,9 +120,9 @@ impl<'a, S: Stars> Search<'a, S> {
 
     /// Level 0, 1, 2, until a solution is believed.
     pub(super) fn run(&mut self) -> Option<Solution> {
-        if let Some(learnt) = self.hint.learnt
+        if let Some(learned) = self.hint.learned
             && self.field.spots.len() >= FEWEST_KNOWN
-            && let Some(solution) = self.shift(&learnt)
+            && let Some(solution) = self.shift(&learned)
         {
             return Some(solution);
         }
@@ -157,27 +157,27 @@ impl<'a, S: Stars> Search<'a, S> {
     }
 
     /// What there is to say about a search that found nothing.
-    pub(super) fn attempt(&mut self) -> Attempt {
+    pub(super) fn attempt(&mut self) -> FailedSearch {
         let (stars, hypotheses) = (self.field.spots.len(), self.hypotheses);
         let others_arcsec_px = std::mem::take(&mut self.others_arcsec_px);
-        Attempt { stars, hypotheses, searched: self.searched, others_arcsec_px, ambiguous: self.ambiguous.take() }
+        FailedSearch { stars, hypotheses, searched: self.searched, others_arcsec_px, ambiguous: self.ambiguous.take() }
     }
 
     /// Level 0.
-    fn shift(&mut self, learnt: &Learnt) -> Option<Solution> {
+    fn shift(&mut self, learned: &LearnedOptics) -> Option<Solution> {
         let mut cells = 0;
         for share in SHIFTS {
             let radius = share * self.field.longer_side();
             let tile = self.tile((self.hint.ra, self.hint.dec), radius, DEPTHS[1]);
             self.searched = self.angle(radius);
             let is_certain = |found: &Candidate, cells_here| found.false_alarm(cells + cells_here) < CERTAIN;
-            let (candidate, cells_here) = best_shift(&self.field, &tile, &self.turns(learnt, &tile), is_certain);
+            let (candidate, cells_here) = best_shift(&self.field, &tile, &self.turns(learned, &tile), is_certain);
             cells += cells_here;
             // cells are no hypotheses of the other levels: what they offer is judged here
             if let Some(candidate) = candidate
                 && candidate.is_accepted(&self.field, &self.acceptance(cells))
                 && let Some(wcs) = self.wcs(&tile, &candidate.similarity)
-                && let Some(solution) = self.refined(&Found { candidate, wcs }, cells, Level::Shift)
+                && let Some(solution) = self.refined(&FoundWcs { candidate, wcs }, cells, Level::Shift)
             {
                 return Some(solution);
             }
@@ -185,10 +185,10 @@ impl<'a, S: Stars> Search<'a, S> {
         None
     }
 
-    /// The learnt rotation as it is seen from the tile's centre. It was learnt against north at the frame's centre,
+    /// The learned rotation as it is seen from the tile's centre. It was learned against north at the frame's centre,
     /// and north turns on the way there, by tan(dec) per radian to the east: one similarity for each step of that.
     /// Near a pole it turns too much to be worth it; level 1 does not mind.
-    fn turns(&self, learnt: &Learnt, tile: &Tile) -> Vec<Similarity> {
+    fn turns(&self, learned: &LearnedOptics, tile: &Tile) -> Vec<Similarity> {
         let arm = 0.5 * self.field.diagonal();
         let steepness = (self.hint.dec.abs().radians() + tile.radius * self.scale).min(1.57).tan();
         let steps = (tile.radius * self.scale * steepness * arm / TURN_PX).ceil();
@@ -203,8 +203,8 @@ impl<'a, S: Stars> Search<'a, S> {
             let (ra, dec) = (here.0, here.1 + Angle::from_arcseconds(1.0));
             let (north_xi, north_eta) = tile.plane.project(ra, dec)?;
             let turned = Angle::from_radians((north_xi - xi).atan2(north_eta - eta));
-            let rotation_deg = learnt.rotation_deg + turned.degrees();
-            Some(Similarity::learnt(&Learnt { rotation_deg, ..*learnt }, self.hint.scale_arcsec_px))
+            let rotation_deg = learned.rotation_deg + turned.degrees();
+            Some(Similarity::learned(&LearnedOptics { rotation_deg, ..*learned }, self.hint.scale_arcsec_px))
         };
         // the hint is most probably right: from the middle outwards
         let outwards = std::iter::once(0).chain((1..=count).flat_map(|n| [n, -n]));
@@ -241,7 +241,7 @@ impl<'a, S: Stars> Search<'a, S> {
         None
     }
 
-    /// Level 1 at scales that were not told.
+    /// Level 1 at scales other than the hinted one.
     fn other_scales(&mut self) -> Option<Solution> {
         if !self.hint.wrong_scales {
             return None;
@@ -256,11 +256,12 @@ impl<'a, S: Stars> Search<'a, S> {
             let hint = Hint {
                 scale_arcsec_px: factor * self.hint.scale_arcsec_px,
                 scale_tolerance: scales::TOLERANCE,
-                learnt: None,
+                learned: None,
                 ..self.hint.clone()
             };
             // what was tried before costs belief here too
-            let mut search = Search { hypotheses: self.hypotheses, ..Search::new(self.detected, &hint, self.source) };
+            let mut search =
+                SolveSearch { hypotheses: self.hypotheses, ..SolveSearch::new(self.detected, &hint, self.source) };
             (search.work, search.limit) = (self.work, limit);
             let found = search.hinted_field(0..RANKED_STEPS, Level::Scale);
             (self.hypotheses, self.work) = (search.hypotheses, search.work);
@@ -279,7 +280,7 @@ impl<'a, S: Stars> Search<'a, S> {
             return None;
         }
         let wcs = self.wcs(tile, &candidate.similarity)?;
-        self.refined(&Found { candidate, wcs }, hypotheses, level)
+        self.refined(&FoundWcs { candidate, wcs }, hypotheses, level)
     }
 
     /// Level 2.
@@ -312,7 +313,7 @@ impl<'a, S: Stars> Search<'a, S> {
     /// Searches one tile; true when something certain was found.
     fn vote(&mut self, at: (Angle, Angle), radius: f64, voters: Range<usize>, by_rank: bool, depth: f64) -> bool {
         let tile = self.tile(at, radius, depth);
-        let known = self.hint.mirrored.or(self.hint.learnt.map(|learnt| learnt.mirrored));
+        let known = self.hint.mirrored.or(self.hint.learned.map(|learned| learned.mirrored));
         // each hypothesis costs belief: what was asked is not asked again
         let effort = Effort {
             voters,
@@ -333,8 +334,8 @@ impl<'a, S: Stars> Search<'a, S> {
                 return false;
             }
             let Some(wcs) = self.wcs(&tile, &candidate.similarity) else { return false };
-            let new = Found { candidate, wcs };
-            let same = |other: &Found| self.is_same(&new, other);
+            let new = FoundWcs { candidate, wcs };
+            let same = |other: &FoundWcs| self.is_same(&new, other);
             if best.as_ref().is_none_or(&same) {
                 best = best.filter(|b| b.candidate.chance <= candidate.chance).or(Some(new));
             } else if best.is_some_and(|b| candidate.chance < b.candidate.chance) {
@@ -371,7 +372,7 @@ impl<'a, S: Stars> Search<'a, S> {
         solution
     }
 
-    fn refined(&self, found: &Found, hypotheses: u64, level: Level) -> Option<Solution> {
+    fn refined(&self, found: &FoundWcs, hypotheses: u64, level: Level) -> Option<Solution> {
         let refined = refine(self.detected, self.source, found.wcs)?;
         let wcs = refined.wcs;
         let drift = self.shifted_px(&found.wcs, &wcs);
@@ -397,7 +398,7 @@ impl<'a, S: Stars> Search<'a, S> {
         })
     }
 
-    fn is_same(&self, one: &Found, other: &Found) -> bool {
+    fn is_same(&self, one: &FoundWcs, other: &FoundWcs) -> bool {
         one.wcs.mirrored() == other.wcs.mirrored() && self.shifted_px(&one.wcs, &other.wcs) < SAME_PX && {
             let corner = |wcs: &Wcs| wcs.pixel_to_sky(0.0, 0.0);
             self.pixels(separation(corner(&one.wcs), corner(&other.wcs))) < 2.0 * SAME_PX
@@ -429,7 +430,7 @@ impl<'a, S: Stars> Search<'a, S> {
             x_px: 0.5 * (self.field.width - 1.0),
             y_px: 0.5 * (self.field.height - 1.0),
             cd_deg_px: [[x[0], y[0]], [x[1], y[1]]],
-            sip: self.hint.learnt.and_then(|learnt| learnt.sip),
+            sip: self.hint.learned.and_then(|learned| learned.sip),
         })
     }
 

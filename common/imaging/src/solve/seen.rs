@@ -14,18 +14,18 @@ const FAR: f64 = 2.0;
 const ROUNDS: usize = 4;
 /// From this share on the frame counts as open: gaps of that size come by chance.
 const OPEN: f64 = 0.75;
-/// Fewer stars tell nothing.
+/// Fewer stars show nothing.
 const FEWEST: usize = 10;
 
 /// The part of a frame in which its stars are.
-pub(super) struct Seen {
+pub(super) struct StarArea {
     /// None where the frame is open.
     cells: Option<Vec<bool>>,
     /// Seen share of the frame.
     pub(super) share: f64,
 }
 
-impl Seen {
+impl StarArea {
     /// `places` are the frame's stars, px from its centre.
     pub(super) fn new(places: &[Place], width: f64, height: f64) -> Self {
         let open = Self { cells: None, share: 1.0 };
@@ -73,11 +73,11 @@ mod tests {
     }
 
     #[test]
-    fn an_open_frame_is_whole_and_a_hidden_part_is_told() {
+    fn an_open_frame_is_whole_and_a_hidden_part_is_reported() {
         for count in [12, 40, 300] {
-            assert_eq!(Seen::new(&scattered(count, |_, _| true), 1000.0, 1000.0).share, 1.0);
+            assert_eq!(StarArea::new(&scattered(count, |_, _| true), 1000.0, 1000.0).share, 1.0);
         }
-        let seen = Seen::new(&scattered(60, |x, _| x < -150.0), 1000.0, 1000.0);
+        let seen = StarArea::new(&scattered(60, |x, _| x < -150.0), 1000.0, 1000.0);
         assert!((0.34..0.65).contains(&seen.share), "{}", seen.share);
         assert!(seen.holds(-400.0, 100.0, 1000.0, 1000.0) && !seen.holds(300.0, 100.0, 1000.0, 1000.0));
     }

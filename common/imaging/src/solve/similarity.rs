@@ -3,12 +3,12 @@
 //! Both planes are complex numbers: `z` is a place in the frame (px from its centre), `w` one on a tile (px of the
 //! hinted scale), whose east is turned about where the frame is a mirror image. Then `z = s w + t`.
 
-use super::hint::Learnt;
+use super::hint::LearnedOptics;
 
 /// A place on a plane, px.
 pub(super) type Place = (f64, f64);
 /// A place of the tile and a place in the frame that agree.
-pub(super) type Pair = (Place, Place);
+pub(super) type PlacePair = (Place, Place);
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Similarity {
@@ -34,12 +34,12 @@ pub(super) fn turned((xi, eta): (f64, f64), mirrored: bool) -> (f64, f64) {
 }
 
 impl Similarity {
-    /// The one that has the learnt scale, rotation and parity, without a shift; `scale_arcsec_px` is the tile's.
-    pub(super) fn learnt(learnt: &Learnt, scale_arcsec_px: f64) -> Self {
-        let angle = learnt.rotation_deg.to_radians() * if learnt.mirrored { -1.0 } else { 1.0 };
+    /// The one that has the learned scale, rotation and parity, without a shift; `scale_arcsec_px` is the tile's.
+    pub(super) fn learned(learned: &LearnedOptics, scale_arcsec_px: f64) -> Self {
+        let angle = learned.rotation_deg.to_radians() * if learned.mirrored { -1.0 } else { 1.0 };
         let (sin, cos) = angle.sin_cos();
-        let size = scale_arcsec_px / learnt.scale_arcsec_px;
-        Self { s: (size * cos, size * sin), t: (0.0, 0.0), mirrored: learnt.mirrored }
+        let size = scale_arcsec_px / learned.scale_arcsec_px;
+        Self { s: (size * cos, size * sin), t: (0.0, 0.0), mirrored: learned.mirrored }
     }
 
     /// Where a place of the tile falls in the frame.
@@ -60,7 +60,7 @@ impl Similarity {
 
     /// The best similarity for pairs (place of the tile, place in the frame); `fixed` keeps scale and rotation and
     /// fits the shift alone. None when the pairs do not fix it.
-    pub(super) fn fitted(&self, pairs: &[Pair], fixed: bool) -> Option<Self> {
+    pub(super) fn fitted(&self, pairs: &[PlacePair], fixed: bool) -> Option<Self> {
         let n = pairs.len() as f64;
         let (mut w_mean, mut z_mean) = ((0.0, 0.0), (0.0, 0.0));
         for (place, z) in pairs {

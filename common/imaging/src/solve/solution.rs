@@ -1,8 +1,8 @@
-//! What a solved frame tells.
+//! What a solved frame shows.
 
 use units::Angle;
 
-use super::hint::Learnt;
+use super::hint::LearnedOptics;
 use crate::catalogue;
 use crate::star::Star;
 use crate::wcs::Wcs;
@@ -14,7 +14,7 @@ pub enum Level {
     Shift,
     /// The scale was known, and the place to one field.
     Field,
-    /// The place was known to one field; the scale was not what had been told ([`super::Hint::wrong_scales`]).
+    /// The place was known to one field; the scale was not the given one ([`super::Hint::wrong_scales`]).
     Scale,
     /// The scale was known; the place was further off than one field.
     Around,
@@ -28,7 +28,7 @@ pub struct Match {
     /// As it was detected.
     pub star: Star,
     /// As the catalogue has it.
-    pub known: catalogue::Star,
+    pub known: catalogue::CatalogueStar,
     /// Measured minus expected column, px.
     pub dx_px: f64,
     /// Measured minus expected row, px.
@@ -66,8 +66,8 @@ pub struct Solution {
 
 impl Solution {
     /// What makes level 0 possible for the next frame with this camera, filter and pier side.
-    pub fn learnt(&self) -> Learnt {
-        Learnt {
+    pub fn learned(&self) -> LearnedOptics {
+        LearnedOptics {
             scale_arcsec_px: self.scale_arcsec_px,
             rotation_deg: self.rotation_deg,
             mirrored: self.mirrored,

@@ -2,17 +2,17 @@
 
 use units::Angle;
 
-use crate::catalogue::{Catalogue, Star};
+use crate::catalogue::{Catalogue, CatalogueStar};
 
 /// Anything that knows stars: a catalogue file, a table in memory, a simulator.
 pub trait Stars {
     /// The stars within `radius` of an ICRS direction that are not fainter than `faintest_mag`, at the epoch of the
     /// frame, in any order.
-    fn cone(&self, ra: Angle, dec: Angle, radius: Angle, faintest_mag: f64) -> Vec<Star>;
+    fn cone(&self, ra: Angle, dec: Angle, radius: Angle, faintest_mag: f64) -> Vec<CatalogueStar>;
 }
 
-impl<F: Fn(Angle, Angle, Angle, f64) -> Vec<Star>> Stars for F {
-    fn cone(&self, ra: Angle, dec: Angle, radius: Angle, faintest_mag: f64) -> Vec<Star> {
+impl<F: Fn(Angle, Angle, Angle, f64) -> Vec<CatalogueStar>> Stars for F {
+    fn cone(&self, ra: Angle, dec: Angle, radius: Angle, faintest_mag: f64) -> Vec<CatalogueStar> {
         self(ra, dec, radius, faintest_mag)
     }
 }
@@ -28,7 +28,7 @@ const LIMITS_MAG: [f64; 8] = [7.0, 9.0, 10.5, 12.0, 13.5, 15.0, 17.0, 99.0];
 const GROWTH: usize = 12;
 
 /// The `count` brightest stars of a cone, the brightest first; fewer when it holds fewer.
-pub(super) fn brightest(stars: &impl Stars, ra: Angle, dec: Angle, radius: Angle, count: usize) -> Vec<Star> {
+pub(super) fn brightest(stars: &impl Stars, ra: Angle, dec: Angle, radius: Angle, count: usize) -> Vec<CatalogueStar> {
     let mut limits = LIMITS_MAG.into_iter();
     let mut found = Vec::new();
     while let Some(limit) = limits.next() {

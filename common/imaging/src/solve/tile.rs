@@ -2,7 +2,7 @@
 
 use units::Angle;
 
-use super::field::Field;
+use super::field::FrameStars;
 use super::source::{Stars, brightest};
 use crate::tangent::TangentPlane;
 
@@ -30,7 +30,7 @@ impl Tile {
     pub(super) fn new(
         source: &impl Stars,
         (ra, dec): (Angle, Angle),
-        field: &Field,
+        field: &FrameStars,
         scale: f64,
         radius: f64,
         depth: f64,
@@ -44,13 +44,14 @@ impl Tile {
         let plane = TangentPlane::new(ra, dec);
         let cone = Angle::from_radians((reach * scale).atan());
         let found = brightest(source, ra, dec, cone, count);
-        let place =
-            |star: &crate::catalogue::Star| plane.project(star.ra, star.dec).map(|(xi, eta)| (xi / scale, eta / scale));
+        let place = |star: &crate::catalogue::CatalogueStar| {
+            plane.project(star.ra, star.dec).map(|(xi, eta)| (xi / scale, eta / scale))
+        };
         Self { plane, stars: found.iter().filter_map(place).collect(), radius, reach, scale }
     }
 
     /// Area of the tile in frames, as far as they show stars.
-    pub(super) fn share(&self, field: &Field) -> f64 {
+    pub(super) fn share(&self, field: &FrameStars) -> f64 {
         share(self.reach, field) / field.seen_share()
     }
 
@@ -60,7 +61,7 @@ impl Tile {
     }
 }
 
-fn share(reach: f64, field: &Field) -> f64 {
+fn share(reach: f64, field: &FrameStars) -> f64 {
     std::f64::consts::PI * reach * reach / field.area()
 }
 

@@ -22,7 +22,7 @@ const FWHM_OF_LENGTH: f64 = 0.68;
 
 /// The trails of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Trail {
+pub(super) struct FrameTrails {
     /// Length beyond the width of the stars, px.
     pub(super) length_px: f64,
     /// Whether it is too long for a place.
@@ -30,11 +30,11 @@ pub(super) struct Trail {
 }
 
 /// The trails of a frame whose stars are drawn out; None where they are round.
-pub(super) fn of(detected: &Detected) -> Option<Trail> {
-    let told = detected.quality.is_some_and(|quality| quality.trailed);
+pub(super) fn of(detected: &Detected) -> Option<FrameTrails> {
+    let is_trailed = detected.quality.is_some_and(|quality| quality.trailed);
     let mut stars: Vec<&Star> = detected.stars.iter().filter(|star| !star.flags.cosmic && is_whole(star)).collect();
     let trailed = stars.iter().filter(|star| star.flags.trailed).count();
-    if stars.is_empty() || !(told || trailed as f64 >= SHARE * stars.len() as f64 && trailed >= 3) {
+    if stars.is_empty() || !(is_trailed || trailed as f64 >= SHARE * stars.len() as f64 && trailed >= 3) {
         return None;
     }
     stars.sort_by(|a, b| b.flux_adu.total_cmp(&a.flux_adu));
@@ -49,7 +49,7 @@ pub(super) fn of(detected: &Detected) -> Option<Trail> {
         (major * major - minor * minor).max(0.0).sqrt() / FWHM_OF_LENGTH
     }));
     let is_too_long = length_px > LONGEST_WIDTHS * width || pieces(&stars, width) > IN_PIECES;
-    Some(Trail { length_px, is_too_long })
+    Some(FrameTrails { length_px, is_too_long })
 }
 
 fn is_whole(star: &Star) -> bool {

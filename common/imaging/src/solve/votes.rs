@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use super::candidate::{By, Candidate};
 use super::chance;
-use super::field::Field;
+use super::field::FrameStars;
 use super::mask::{Mask, View};
 use super::similarity::{Place, Similarity, divide, multiply, turned};
 use super::tile::Tile;
@@ -49,7 +49,7 @@ pub(super) struct Effort<'a> {
 /// Examines what the pairs of a tile vote for and gives each good candidate to `judge`, which says whether to stop.
 /// `hypotheses` goes on counting.
 pub(super) fn search(
-    field: &Field,
+    field: &FrameStars,
     tile: &Tile,
     effort: &Effort,
     hypotheses: &mut u64,
@@ -112,7 +112,7 @@ pub(super) fn search(
 
 /// How many stars of the frame fall near a catalogue star, the voting pair among them; fewer where the first `look`
 /// stars say that it cannot be `enough`.
-fn agreement(field: &Field, view: &View, pair: (usize, usize), look: usize, enough: usize) -> usize {
+fn agreement(field: &FrameStars, view: &View, pair: (usize, usize), look: usize, enough: usize) -> usize {
     let near = |spot: &super::field::Spot| usize::from(view.is_set(spot.x, spot.y));
     let (first, rest) = field.spots.split_at(look);
     let hits: usize = first.iter().map(near).sum();
@@ -138,7 +138,7 @@ struct Pairs {
 const BIN_PX: f64 = 2.0;
 
 impl Pairs {
-    fn new(stars: &[Place], field: &Field, tolerance: f64) -> Self {
+    fn new(stars: &[Place], field: &FrameStars, tolerance: f64) -> Self {
         let longest = field.diagonal() * (1.0 + tolerance) + LENGTH_PX;
         let shortest = (CLOSEST * field.diagonal() * (1.0 - tolerance) - LENGTH_PX).max(0.5);
         let bins = (longest / BIN_PX) as usize + 1;

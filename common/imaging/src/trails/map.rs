@@ -40,7 +40,7 @@ impl Map {
         Self { bin, width, height, values: bands.concat() }.with_scatter_of_one()
     }
 
-    /// The map in pixels of twice the side; none below a size at which nothing is told any more.
+    /// The map in pixels of twice the side; None below a size at which nothing is recognised any more.
     pub(super) fn coarser(&self) -> Option<Self> {
         let (width, height) = (self.width / 2, self.height / 2);
         if width.min(height) < SHORTEST {

@@ -2,12 +2,12 @@
 
 use std::ops::Range;
 
-use super::ridge::Line;
+use super::ridge::RidgeLine;
 use crate::background::median_in_place;
 use crate::clean::Clean;
 use crate::least_squares::LeastSquares;
 
-/// Fewest stations that tell where a path runs, and how far a trail bends.
+/// Fewest stations that show where a path runs, and how far a trail bends.
 const FEWEST: usize = 5;
 const FEWEST_BENT: usize = 30;
 /// Stations further from the path than so many standard deviations are stars ...
@@ -18,7 +18,7 @@ const CLOSE_PX: f32 = 0.3;
 /// A path: `t` px along a line, and `d` px across it from the curve that the trail follows.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Path {
-    line: Line,
+    line: RidgeLine,
     /// The curve's distance from the line, px: a polynomial in t / half the path's length.
     curve: [f32; 3],
     /// Where the line enters and leaves the frame.
@@ -27,7 +27,7 @@ pub(super) struct Path {
 
 impl Path {
     /// The path along a line, from edge to edge. None when it does not cross the frame.
-    pub(super) fn new(clean: &Clean, line: Line) -> Option<Self> {
+    pub(super) fn new(clean: &Clean, line: RidgeLine) -> Option<Self> {
         let (mut first, mut last) = (f32::NEG_INFINITY, f32::INFINITY);
         for (at, along, length) in [(line.at.0, line.along.0, clean.width), (line.at.1, line.along.1, clean.height)] {
             let far = length as f32 - 1.0;
@@ -41,7 +41,7 @@ impl Path {
         let middle = 0.5 * (first + last);
         let at = (line.at.0 + middle * line.along.0, line.at.1 + middle * line.along.1);
         let half = 0.5 * (last - first);
-        (half > 1.0).then_some(Self { line: Line { at, ..line }, curve: [0.0; 3], ends: (-half, half) })
+        (half > 1.0).then_some(Self { line: RidgeLine { at, ..line }, curve: [0.0; 3], ends: (-half, half) })
     }
 
     /// Direction from +x towards +y, rad.
@@ -79,7 +79,7 @@ impl Path {
                 return None;
             }
             let (first, last) = some().fold((f32::INFINITY, f32::NEG_INFINITY), |(a, b), (t, _)| (a.min(t), b.max(t)));
-            // a short part of a line does not tell of its bend elsewhere
+            // a short part of a line does not show its bend elsewhere
             let bends = count >= FEWEST_BENT && last - first > 0.5 * (self.ends.1 - self.ends.0);
             fitted = if bends { polynomial::<3>(some(), self.ends.1)? } else { polynomial::<2>(some(), self.ends.1)? };
             let off = |(t, d): &(f32, f32)| {
@@ -120,7 +120,7 @@ pub(super) struct Strip {
 }
 
 impl Strip {
-    /// Looks along a path, `aside` px beside it.
+    /// Looks along a path, `aside` px to its side.
     pub(super) fn new(clean: &Clean, path: &Path, step: usize, reach: usize, aside: f32) -> Self {
         let stations = ((path.ends.1 - path.ends.0) as usize + 1).div_ceil(step);
         let columns = 2 * reach + 1;
@@ -193,7 +193,7 @@ impl Strip {
                 };
                 let left = dark(&across[self.reach + 1 - aside.end..self.reach + 1 - aside.start]);
                 let right = dark(&across[self.reach + aside.start..self.reach + aside.end]);
-                // f32::max and f32::min pass over NaN: the frame may end beside the trail
+                // f32::max and f32::min pass over NaN: the frame may end next to the trail
                 core - side(left, right)
             })
             .collect()

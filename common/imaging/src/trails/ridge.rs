@@ -10,7 +10,7 @@ use super::map::Map;
 use crate::parallel;
 
 /// Significance of a coarse pixel from which on a ridge is looked for, and that of the pixels along it; along it they are
-/// also not below, and beside it below, this share of it.
+/// also not below, and next to it below, this share of it.
 const SEED: f32 = 3.0;
 const LIT: f32 = 1.5;
 const SHARE: f32 = 0.3;
@@ -23,9 +23,9 @@ const DIRECTIONS: usize = 24;
 /// How far along the ridge is looked, px; so many of the pixels may be dark.
 const REACH: isize = 6;
 const GAPS: usize = 3;
-/// Distances of the lines beside it, px: trails may fly side by side. So many of their pixels may be lit.
-const BESIDE: [f32; 2] = [3.0, 5.0];
-const LIT_BESIDE: usize = 4;
+/// Distances of the lines next to it, px: trails may fly side by side. So many of their pixels may be lit.
+const ASIDE: [f32; 2] = [3.0, 5.0];
+const LIT_ASIDE: usize = 4;
 /// Ridge pixels that vote, at most, and at least for one line.
 const MOST: usize = 300;
 pub(super) const FEWEST: usize = 6;
@@ -50,19 +50,19 @@ pub(super) struct Ridge {
 
 /// A line on the frame: a point on it and its direction, px and unit vector.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Line {
+pub(super) struct RidgeLine {
     pub(super) at: (f32, f32),
     pub(super) along: (f32, f32),
     /// Width of the pixels it was seen in, px.
     pub(super) bin: usize,
 }
 
-/// Steps along a direction and the lines beside it.
+/// Steps along a direction and the lines next to it.
 struct Steps {
     angle: f32,
     along: Vec<(isize, isize)>,
     /// For each distance, on either side.
-    beside: [[Vec<(isize, isize)>; 2]; 2],
+    aside: [[Vec<(isize, isize)>; 2]; 2],
 }
 
 impl Steps {
@@ -77,7 +77,7 @@ impl Steps {
         Self {
             angle,
             along: along.iter().map(|t| place(*t as f32, 0.0)).collect(),
-            beside: BESIDE.map(|d| [line(d), line(-d)]),
+            aside: ASIDE.map(|d| [line(d), line(-d)]),
         }
     }
 }
@@ -100,10 +100,10 @@ fn ridge(map: &Map, steps: &[Steps], x: isize, y: isize) -> Option<Ridge> {
     let least = LIT.max(SHARE * here);
     let is_lit = |(dx, dy): &(isize, isize)| map.at(x + dx, y + dy) > least;
     let is_dark_beside = |[left, right]: &[Vec<(isize, isize)>; 2]| {
-        [left, right].iter().all(|line| line.iter().filter(|at| is_lit(at)).count() <= LIT_BESIDE)
+        [left, right].iter().all(|line| line.iter().filter(|at| is_lit(at)).count() <= LIT_ASIDE)
     };
     let passes = |steps: &&Steps| {
-        steps.along.iter().filter(|at| !is_lit(at)).nth(GAPS).is_none() && steps.beside.iter().any(is_dark_beside)
+        steps.along.iter().filter(|at| !is_lit(at)).nth(GAPS).is_none() && steps.aside.iter().any(is_dark_beside)
     };
     let light = |steps: &Steps| -> f32 {
         steps.along.iter().map(|(dx, dy)| map.at(x + dx, y + dy).clamp(0.0, 2.0 * here)).sum()
@@ -113,7 +113,7 @@ fn ridge(map: &Map, steps: &[Steps], x: isize, y: isize) -> Option<Ridge> {
 }
 
 /// The line with the most votes, if there are enough; what lies on it is taken out of the ridge pixels.
-pub(super) fn best_line(map: &Map, ridges: &mut Vec<Ridge>) -> Option<Line> {
+pub(super) fn best_line(map: &Map, ridges: &mut Vec<Ridge>) -> Option<RidgeLine> {
     if ridges.len() < FEWEST {
         return None;
     }
@@ -134,11 +134,11 @@ pub(super) fn best_line(map: &Map, ridges: &mut Vec<Ridge>) -> Option<Line> {
     }
     // the middle of coarse pixel 0 lies half a pixel from the middle of fine pixel 0 for each further fine one
     let whole = |at: f32| map.bin as f32 * at + 0.5 * (map.bin as f32 - 1.0);
-    Some(Line { at: (whole(-offset * sin), whole(offset * cos)), along: (cos, sin), bin: map.bin })
+    Some(RidgeLine { at: (whole(-offset * sin), whole(offset * cos)), along: (cos, sin), bin: map.bin })
 }
 
 /// The longest way along a line that is lit, px, small gaps included.
-pub(super) fn longest_dash_px(map: &Map, line: &Line) -> f32 {
+pub(super) fn longest_dash_px(map: &Map, line: &RidgeLine) -> f32 {
     let bin = map.bin as f32;
     let coarse = |at: f32| (at - 0.5 * (bin - 1.0)) / bin;
     let (x, y, (cos, sin)) = (coarse(line.at.0), coarse(line.at.1), line.along);

@@ -1,7 +1,7 @@
 //! One trail: proven by its light along the path, with its profile across.
 
 use super::path::{Path, Strip};
-use super::ridge::Line;
+use super::ridge::RidgeLine;
 use crate::background::median_in_place;
 use crate::clean::Clean;
 
@@ -13,8 +13,8 @@ const CLIP: f32 = 2.0;
 const DASH: (f32, f32) = (5.0, 5.0);
 /// All dashes together are at least this many widths, and px, long: a galaxy is shorter.
 const LONG: (f32, f32) = (15.0, 40.0);
-/// Dashes are that much longer than those on lines beside the trail, so many widths and px away: a crowded field has
-/// them everywhere.
+/// Dashes are that much longer than those on lines next to the trail, so many widths and px away: a crowded
+/// field has them everywhere.
 const CONTRAST: f32 = 2.5;
 const ASIDE: [(f32, f32); 2] = [(5.0, 12.0), (9.0, 20.0)];
 /// The middle of a trail is looked for within so many widths of the path.
@@ -50,7 +50,7 @@ pub(super) struct Trail {
 
 impl Trail {
     /// The trail along a line. None when there is none.
-    pub(super) fn along(clean: &Clean, line: Line, saturation: f32) -> Option<Self> {
+    pub(super) fn along(clean: &Clean, line: RidgeLine, saturation: f32) -> Option<Self> {
         let step = (line.bin / 2).max(4);
         let path = middle_path(clean, line, step)?;
         let (strip, profile) = look_across(clean, &path, line.bin, step)?;
@@ -143,15 +143,15 @@ impl Trail {
 }
 
 /// The light along and across a path, as far from it as it shines.
-fn look_across(clean: &Clean, path: &Path, bin: usize, step: usize) -> Option<(Strip, Profile)> {
+fn look_across(clean: &Clean, path: &Path, bin: usize, step: usize) -> Option<(Strip, TrailProfile)> {
     let mut reach = 6 * bin + 6;
     loop {
         let strip = Strip::new(clean, path, step, reach, 0.0);
-        let profile = Profile::of(&strip, bin)?;
+        let profile = TrailProfile::of(&strip, bin)?;
         if !profile.goes_on || 2 * reach > WIDEST {
             return Some((strip, profile));
         }
-        // a wide trail shines here too; of doughnuts beside the line no more need be seen
+        // a wide trail shines here too; of doughnuts next to the line no more need be seen
         if Dashes::of(&strip, profile.fwhm).length <= 0.0 {
             return None;
         }
@@ -160,7 +160,7 @@ fn look_across(clean: &Clean, path: &Path, bin: usize, step: usize) -> Option<(S
 }
 
 /// The path bent through the middles of what is lit.
-fn middle_path(clean: &Clean, line: Line, step: usize) -> Option<Path> {
+fn middle_path(clean: &Clean, line: RidgeLine, step: usize) -> Option<Path> {
     let mut path = Path::new(clean, line)?;
     for (near, core) in [(2 * line.bin, line.bin), (line.bin + 1, line.bin.div_ceil(2))] {
         let strip = Strip::new(clean, &path, step, 6 * line.bin + 6, 0.0);
@@ -207,14 +207,14 @@ fn lit(strip: &Strip, core: usize, aside: std::ops::Range<usize>) -> (Vec<f32>, 
 }
 
 /// The light across.
-struct Profile {
+struct TrailProfile {
     shares: Vec<f32>,
     fwhm: f32,
     /// It may be wider than was looked at.
     goes_on: bool,
 }
 
-impl Profile {
+impl TrailProfile {
     fn of(strip: &Strip, bin: usize) -> Option<Self> {
         let (lit, _) = lit(strip, bin.div_ceil(2), 3 * bin + 2..usize::MAX);
         let mut lights: Vec<f32> = lit.iter().copied().filter(|light| *light > 0.0).collect();
@@ -314,24 +314,24 @@ impl Dashes {
         Self { length, is_trail: is_long && is_even, ends }
     }
 
-    /// Whether they are much longer than those on the lines beside the trail.
+    /// Whether they are much longer than those on the lines next to the trail.
     fn stand_out(&self, clean: &Clean, path: &Path, step: usize, fwhm: f32) -> bool {
         let aside = |(widths, px): (f32, f32)| (widths * fwhm).max(px);
         let reach = (3.0 * fwhm) as usize + 4;
-        let beside = ASIDE.into_iter().map(aside).flat_map(|d| [d, -d]);
-        let mut beside: Vec<f32> =
-            beside.map(|d| Dashes::of(&Strip::new(clean, path, step, reach, d), fwhm).length).collect();
-        beside.sort_unstable_by(f32::total_cmp);
-        beside.get(1).is_some_and(|length| self.length > CONTRAST * length)
+        let distances = ASIDE.into_iter().map(aside).flat_map(|d| [d, -d]);
+        let mut lengths: Vec<f32> =
+            distances.map(|d| Dashes::of(&Strip::new(clean, path, step, reach, d), fwhm).length).collect();
+        lengths.sort_unstable_by(f32::total_cmp);
+        lengths.get(1).is_some_and(|length| self.length > CONTRAST * length)
     }
 }
 
-/// Half the core of a trail, px: there its light is told.
+/// Half the core of a trail, px: there its light is looked for.
 fn core_of(fwhm: f32, reach: usize) -> usize {
     ((0.5 * fwhm).round() as usize).clamp(1, reach)
 }
 
-/// Where the sky beside it is told, px from the path.
+/// Where the sky next to it is reported, px from the path.
 fn aside_of(fwhm: f32) -> std::ops::Range<usize> {
     (1.5 * fwhm) as usize + 1..(3.0 * fwhm) as usize + 3
 }

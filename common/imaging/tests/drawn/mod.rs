@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are tests too
 
 use imaging::catalogue::{Catalogue, Entry, build};
-use imaging::solve::{Detected, Hint, Learnt};
+use imaging::solve::{Detected, Hint, LearnedOptics};
 use imaging::tangent::TangentPlane;
 use imaging::{Flags, Star, Wcs};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
@@ -45,7 +45,7 @@ pub struct Kind {
     /// Radial distortion in the corner, px.
     pub corner_px: f64,
     /// Rotation, scale and parity are known.
-    pub learnt: bool,
+    pub learned: bool,
 }
 
 pub const PLAIN: Kind = Kind {
@@ -62,7 +62,7 @@ pub const PLAIN: Kind = Kind {
     missing: 0.05,
     motion_mas: 10.0,
     corner_px: 0.0,
-    learnt: false,
+    learned: false,
 };
 
 /// A frame with its truth.
@@ -211,8 +211,9 @@ fn try_to_draw(kind: &Kind, rng: &mut StdRng) -> Option<DrawnFrame> {
             (rng.random_range(0.0..kind.shape.0 as f64 - 1.0), rng.random_range(0.0..kind.shape.1 as f64 - 1.0));
         stars.push(star(x, y, flux, kind.centroid_px));
     }
-    let kept: Vec<Entry> = entries.iter().enumerate().filter(|(n, _)| !absent.contains(n)).map(|(_, e)| *e).collect();
-    let catalogue = Catalogue::from_bytes(build(&kept, 6, EPOCHS.0)).unwrap();
+    let retained: Vec<Entry> =
+        entries.iter().enumerate().filter(|(n, _)| !absent.contains(n)).map(|(_, e)| *e).collect();
+    let catalogue = Catalogue::from_bytes(build(&retained, 6, EPOCHS.0)).unwrap();
 
     let bearing = rng.random_range(0.0..std::f64::consts::TAU);
     let far = offset.to_radians().tan();
@@ -220,8 +221,8 @@ fn try_to_draw(kind: &Kind, rng: &mut StdRng) -> Option<DrawnFrame> {
     let error = kind.scale_error * rng.random_range(-0.95..0.95);
     let mut hint = Hint::new(hint_ra, hint_dec, scale * (1.0 + error));
     hint.furthest = deg(if kind.offset_deg > 0.0 { kind.offset_deg } else { 0.0 });
-    if kind.learnt {
-        hint.learnt = Some(Learnt {
+    if kind.learned {
+        hint.learned = Some(LearnedOptics {
             scale_arcsec_px: scale * (1.0 + 2e-4 * normal(rng)),
             rotation_deg: truth.rotation_deg() + 0.02 * normal(rng),
             mirrored: truth.mirrored(),

@@ -62,7 +62,7 @@ impl Mount {
         [[parity * scale * cos, -parity * scale * sin], [scale * sin, scale * cos]]
     }
 
-    /// As a plate solution and the mount's guide rates tell it.
+    /// As a plate solution and the mount's guide rates show it.
     pub fn calibration(&self, pier: Option<Pier>) -> Calibration {
         let rates = [GUIDE_RATE_ARCSEC_S / 3600.0; 2];
         let calibration = Calibration::from_wcs(self.cd(), rates, pier).unwrap();

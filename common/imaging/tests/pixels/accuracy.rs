@@ -1,12 +1,13 @@
 //! Places, fluxes, widths and their errors against what was drawn.
 
-use crate::sky::{Drawn, Psf, Sky, mean_and_spread, seen_fwhm, sigma};
-use imaging::{Camera, Frame, Measured, Pixels, Search, Star, measure};
+use imaging::{Camera, Frame, Measured, Pixels, Star, StarSearch, measure};
 use rand::RngExt;
+
+use crate::sky::{Drawn, Psf, Sky, mean_and_spread, seen_fwhm, sigma};
 
 fn look(width: usize, height: usize, counts: &[u16]) -> Measured {
     let frame = Frame::new(width, height, Pixels::U16(counts)).unwrap();
-    measure(&frame, &Camera::default(), &Search::default()).unwrap()
+    measure(&frame, &Camera::default(), &StarSearch::default()).unwrap()
 }
 
 /// Each drawn star with the one that was found there.
@@ -76,7 +77,7 @@ fn a_centroid_has_no_error_that_depends_on_the_pixel_phase() {
         let pixels: Vec<f32> =
             sky.light.iter().enumerate().map(|(n, l)| (*l + ((n * 7919) % 13) as f64 * 0.1) as f32).collect();
         let frame = Frame::new(720, 720, Pixels::F32(&pixels)).unwrap();
-        let measured = measure(&frame, &Camera::default(), &Search::default()).unwrap();
+        let measured = measure(&frame, &Camera::default(), &StarSearch::default()).unwrap();
         let found = pairs(&sky, &measured, 1.0);
         let is_found = |d: &Drawn| found.iter().any(|(other, _)| (other.x, other.y) == (d.x, d.y));
         let missed: Vec<&Drawn> = sky.stars.iter().filter(|d| !is_found(d)).collect();
@@ -125,7 +126,7 @@ fn the_width_is_measured_whatever_was_expected() {
 }
 
 #[test]
-fn trailed_stars_are_told_with_their_direction() {
+fn trailed_stars_are_reported_with_their_direction() {
     let mut sky = Sky::new(640, 640, 200.0, 3);
     for (x, y) in sky.places(20, 60.0) {
         sky.add_star(Psf::Trail(sigma(3.0), 9.0, -5.0), x, y, 40_000.0);

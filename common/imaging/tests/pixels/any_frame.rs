@@ -1,10 +1,10 @@
 //! Frames that show nothing, or nonsense: an answer, never a panic.
 
-use imaging::{Camera, Frame, FrameError, Pixels, Search, measure};
+use imaging::{Camera, Frame, FrameError, Pixels, StarSearch, measure};
 use proptest::prelude::*;
 
 fn look(width: usize, height: usize, pixels: Pixels) -> Result<imaging::Measured, FrameError> {
-    measure(&Frame::new(width, height, pixels)?, &Camera::default(), &Search::default())
+    measure(&Frame::new(width, height, pixels)?, &Camera::default(), &StarSearch::default())
 }
 
 #[test]
@@ -29,7 +29,7 @@ fn an_empty_frame_is_refused() {
 }
 
 #[test]
-fn saturated_frames_and_frames_of_nan_say_so() {
+fn saturated_frames_and_frames_of_nan_are_reported() {
     let all = look(100, 80, Pixels::U16(&[65_535; 8000])).unwrap_err();
     assert_eq!(all, FrameError::NoSky { pixels: 8000, saturated: 8000, missing: 0 });
     let none = look(100, 80, Pixels::F32(&[f32::NAN; 8000])).unwrap_err();
@@ -55,7 +55,7 @@ fn a_dark_or_a_map_of_another_shape_is_refused() {
     let frame = Frame::new(8, 8, Pixels::U16(&pixels)).unwrap();
     let dark = Frame::new(4, 16, Pixels::U16(&pixels)).unwrap();
     let camera = Camera { dark: Some(dark), ..Camera::default() };
-    let refused = measure(&frame, &camera, &Search::default()).unwrap_err();
+    let refused = measure(&frame, &camera, &StarSearch::default()).unwrap_err();
     assert!(matches!(refused, FrameError::Mismatch { what: "dark", found_width: 4, .. }), "{refused}");
 }
 
@@ -70,7 +70,7 @@ proptest! {
     ) {
         let pixels: Vec<u16> = (0..width * height).map(|n| values[(n * step + n / 7) % values.len()]).collect();
         let frame = Frame::new(width, height, Pixels::U16(&pixels)).unwrap();
-        let search = Search { fwhm_px: fwhm, ..Search::default() };
+        let search = StarSearch { fwhm_px: fwhm, ..StarSearch::default() };
         if let Ok(measured) = measure(&frame, &Camera::default(), &search) {
             prop_assert!(measured.quality.noise_adu > 0.0);
             for star in &measured.stars {

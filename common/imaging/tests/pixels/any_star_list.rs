@@ -1,28 +1,29 @@
 //! Star lists and hints that make no sense: a typed answer, never a panic; and the classes of failure.
 
-use crate::drawn::{EPOCHS, Kind, PLAIN, deg, draw, star};
 use imaging::catalogue;
 use imaging::quality::Quality;
-use imaging::solve::{Detected, Hint, Learnt, at_epoch};
+use imaging::solve::{Detected, Hint, LearnedOptics, at_epoch};
 use imaging::tangent::TangentPlane;
 use imaging::wcs::Sip;
 use imaging::{NoSolution, Star, solve};
 use proptest::prelude::*;
 use units::Angle;
 
+use crate::drawn::{EPOCHS, Kind, PLAIN, deg, draw, star};
+
 /// A few stars on a spiral around (10, 20) deg, one of them no number.
-fn spiral(ra: Angle, dec: Angle, _radius: Angle, faintest_mag: f64) -> Vec<catalogue::Star> {
+fn spiral(ra: Angle, dec: Angle, _radius: Angle, faintest_mag: f64) -> Vec<catalogue::CatalogueStar> {
     let plane = TangentPlane::new(deg(10.0), deg(20.0));
-    let mut stars: Vec<catalogue::Star> = (1..60)
+    let mut stars: Vec<catalogue::CatalogueStar> = (1..60)
         .map(|n| {
             let (sin, cos) = (2.4 * f64::from(n)).sin_cos();
             let (ra, dec) = plane.direction(1e-4 * f64::from(n) * sin, 1e-4 * f64::from(n) * cos);
-            catalogue::Star { ra, dec, mag: 6.0 + 0.1 * f64::from(n) }
+            catalogue::CatalogueStar { ra, dec, mag: 6.0 + 0.1 * f64::from(n) }
         })
         .filter(|star| star.mag <= faintest_mag)
         .collect();
-    stars.push(catalogue::Star { ra: deg(f64::NAN), dec, mag: 5.0 });
-    stars.push(catalogue::Star { ra, dec, mag: f64::NAN });
+    stars.push(catalogue::CatalogueStar { ra: deg(f64::NAN), dec, mag: 5.0 });
+    stars.push(catalogue::CatalogueStar { ra, dec, mag: f64::NAN });
     stars
 }
 
@@ -42,7 +43,7 @@ proptest! {
         copies in 1..4_usize,
         shape in prop_oneof![Just((512, 512)), Just((16, 700)), Just((1, 1)), Just((0, 5)), Just((9000, 20))],
         hint in (number(), number(), prop_oneof![4 => 0.05..20.0_f64, 1 => number()], 0.0..0.06_f64),
-        learnt in prop::option::of((number(), any::<bool>(), -1e-2..1e-2_f64)),
+        learned in prop::option::of((number(), any::<bool>(), -1e-2..1e-2_f64)),
     ) {
         let drawn = |&(x, y, flux, error, flags): &(f64, f64, f64, f64, u8)| {
             let mut drawn = star(x, y, flux, error);
@@ -56,7 +57,7 @@ proptest! {
         let mut given = Hint::new(deg(hint.0), deg(hint.1), hint.2);
         (given.scale_tolerance, given.furthest) = (hint.3, deg(0.2));
         given.most_hypotheses = 200_000;
-        given.learnt = learnt.map(|(rotation_deg, mirrored, bend)| Learnt {
+        given.learned = learned.map(|(rotation_deg, mirrored, bend)| LearnedOptics {
             scale_arcsec_px: hint.2,
             rotation_deg,
             mirrored,
@@ -143,7 +144,7 @@ fn a_sky_that_repeats_itself_is_ambiguous() {
     let sky = move |_: Angle, _: Angle, _: Angle, _: f64| {
         let places = [-0.2_f64, 0.2].into_iter().flat_map(|x| four.map(|(dx, dy)| (x + dx * 0.8, dy * 0.8)));
         let at = |(x, y): (f64, f64)| plane.direction(x.to_radians(), y.to_radians());
-        places.map(at).map(|(ra, dec)| catalogue::Star { ra, dec, mag: 9.0 }).collect::<Vec<_>>()
+        places.map(at).map(|(ra, dec)| catalogue::CatalogueStar { ra, dec, mag: 9.0 }).collect::<Vec<_>>()
     };
     let pixel =
         |(x, y): (f64, f64)| star(511.5 - x * 0.8 * 3600.0 / 0.9, 511.5 + y * 0.8 * 3600.0 / 0.9, 1000.0 - x, 0.05);

@@ -1,8 +1,9 @@
-//! Clusters of hot pixels look like stars in one frame; three pointings, or a dark, tell them apart.
+//! Clusters of hot pixels look like stars in one frame; three pointings, or a dark, distinguish them.
+
+use imaging::{BadPixelMap, BadPixelVotes};
+use imaging::{Camera, Clean, Frame, Pixels, StarSearch, measure};
 
 use crate::sky::{Psf, Sky, sigma};
-use imaging::{BadPixelMap, BadPixelVotes};
-use imaging::{Camera, Clean, Frame, Pixels, Search, measure};
 
 const SIDE: usize = 300;
 /// Lower left corners of clusters of 3 x 3 hot pixels.
@@ -30,14 +31,14 @@ fn heat(counts: &mut [u16]) {
 /// How many stars stand on a cluster, and how many of the drawn ones were found.
 fn found(sky: &Sky, counts: &[u16], camera: &Camera) -> (usize, usize) {
     let frame = Frame::new(SIDE, SIDE, Pixels::U16(counts)).unwrap();
-    let stars = measure(&frame, camera, &Search::default()).unwrap().stars;
+    let stars = measure(&frame, camera, &StarSearch::default()).unwrap().stars;
     let any_near = |x: f64, y: f64, reach: f64| stars.iter().any(|s| (s.x_px - x).hypot(s.y_px - y) < reach);
     let on_clusters = CLUSTERS.iter().filter(|(x, y)| any_near(*x as f64 + 1.0, *y as f64 + 1.0, 3.0)).count();
     (on_clusters, sky.stars.iter().filter(|s| any_near(s.x, s.y, 1.0)).count())
 }
 
 #[test]
-fn clusters_are_learnt_from_three_pointings() {
+fn clusters_are_learned_from_three_pointings() {
     let mut votes = BadPixelVotes::new(SIDE, SIDE);
     for seed in 1..=3 {
         assert!(votes.map().positions().is_empty(), "after {} pointings", seed - 1);
@@ -56,7 +57,7 @@ fn clusters_are_learnt_from_three_pointings() {
 }
 
 #[test]
-fn a_dark_tells_the_bad_pixels_and_takes_warm_ones_out() {
+fn a_dark_shows_the_bad_pixels_and_takes_warm_ones_out() {
     let mut dark = Sky::new(SIDE, SIDE, 20.0, 9).counts(300.0, 5.0);
     heat(&mut dark);
     let dark = Frame::new(SIDE, SIDE, Pixels::U16(&dark)).unwrap();
@@ -69,6 +70,6 @@ fn a_dark_tells_the_bad_pixels_and_takes_warm_ones_out() {
     assert_eq!(found(&sky, &counts, &camera), (0, 10));
     // the bias went with the dark; nothing wrapped below zero
     let frame = Frame::new(SIDE, SIDE, Pixels::U16(&counts)).unwrap();
-    let sky = measure(&frame, &camera, &Search::default()).unwrap().quality;
+    let sky = measure(&frame, &camera, &StarSearch::default()).unwrap().quality;
     assert!((sky.background_adu - 180.0).abs() < 1.0, "{sky:?}");
 }

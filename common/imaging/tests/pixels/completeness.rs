@@ -2,9 +2,10 @@
 //! than one detection per frame is false, at widths from 1.5 to 12 px, on a gradient, with bias bands and 0.3 % of hot
 //! pixels. 100 seeds.
 
-use crate::sky::{Psf, Sky, make_hot, seen_fwhm, sigma};
-use imaging::{Camera, Frame, Measured, Pixels, Search, measure};
+use imaging::{Camera, Frame, Measured, Pixels, StarSearch, measure};
 use rand::RngExt;
+
+use crate::sky::{Psf, Sky, make_hot, seen_fwhm, sigma};
 
 const LEVEL: f64 = 400.0;
 const READ_NOISE: f64 = 8.0;
@@ -34,7 +35,7 @@ fn frame(fwhm: f64, seed: u64, faults: bool) -> (Sky, Vec<u16>) {
     let side = side(fwhm);
     let mut sky = Sky::new(side, side, LEVEL, seed);
     let noise = (LEVEL + READ_NOISE * READ_NOISE).sqrt();
-    // stars that tell the width, and stars that are just above the threshold
+    // stars that show the width, and stars that are just above the threshold
     for (n, (x, y)) in sky.places(30, 8.0 + 3.0 * fwhm).into_iter().enumerate() {
         let significance = if n % 3 == 0 { sky.rng.random_range(30.0..400.0) } else { 7.0 };
         // the gradient adds photon noise
@@ -59,7 +60,7 @@ fn count(tally: &mut Tally, sky: &Sky, measured: &Measured, fwhm: f64) {
     let near = |x: f64, y: f64, reach: f64| {
         measured.stars.iter().any(|s| !s.flags.cosmic && (s.x_px - x).hypot(s.y_px - y) < reach)
     };
-    // only those that are just above the threshold: the bright ones are there to tell the width
+    // only those that are just above the threshold: the bright ones are there to show the width
     for star in sky.stars.iter().enumerate().filter(|(n, _)| n % 3 != 0).map(|(_, star)| star) {
         tally.drawn += 1;
         tally.found += usize::from(near(star.x, star.y, fwhm.max(1.5)));
@@ -80,7 +81,7 @@ fn run(faults: bool) -> Vec<(f64, Tally)> {
             for seed in 0..100 {
                 let (sky, counts) = frame(*fwhm, seed, faults);
                 let frame = Frame::new(side(*fwhm), side(*fwhm), Pixels::U16(&counts)).unwrap();
-                let measured = measure(&frame, &Camera::default(), &Search::default()).unwrap();
+                let measured = measure(&frame, &Camera::default(), &StarSearch::default()).unwrap();
                 count(&mut tally, &sky, &measured, *fwhm);
             }
             println!("faults {faults}, {fwhm} px: {tally:?}");

@@ -2,9 +2,10 @@
 
 use std::f64::consts::PI;
 
-use crate::sky::{Psf, Sky, seen_fwhm};
-use imaging::{Camera, Frame, Measured, Pixels, Search, measure};
+use imaging::{Camera, Frame, Measured, Pixels, StarSearch, measure};
 use rand::RngExt;
+
+use crate::sky::{Psf, Sky, seen_fwhm};
 
 const SIDE: usize = 640;
 
@@ -31,7 +32,7 @@ fn frame(stars: usize, fwhm: f64, rays: usize, seed: u64) -> Vec<u16> {
 
 fn look(counts: &[u16], fwhm_px: Option<f32>) -> Measured {
     let frame = Frame::new(SIDE, SIDE, Pixels::U16(counts)).unwrap();
-    measure(&frame, &Camera::default(), &Search { fwhm_px, ..Search::default() }).unwrap()
+    measure(&frame, &Camera::default(), &StarSearch { fwhm_px, ..StarSearch::default() }).unwrap()
 }
 
 #[test]

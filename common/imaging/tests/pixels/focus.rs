@@ -2,12 +2,13 @@
 //! 2000 ADU, discs and rings, 1 px of drift per frame, two frames spoilt, a start 3 critical zones off (in every
 //! second run beyond the end of the first range): the focus is found within 0.2 critical zones.
 
-use crate::defocus::{Blur, counts};
-use imaging::focus::sweep::{Failed, Failure, Focused, Pass};
-use imaging::focus::{Plan, Step, Sweep};
+use imaging::focus::sweep::{Failed, Focused, NoFocus, Pass};
+use imaging::focus::{FocusStep, Plan, Sweep};
 use imaging::hfd::{HfdSearch, NoHfd, measure_hfd};
 use imaging::{Camera, Frame, Pixels};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
+
+use crate::defocus::{Blur, counts};
 
 const SIDE: usize = 180;
 const SKY: f64 = 120.0;
@@ -100,8 +101,8 @@ fn run(telescope: &mut Telescope, plan: Plan) -> (Result<Focused, Failed>, Sweep
     let mut expected_px = None;
     for _ in 0..200 {
         match sweep.next() {
-            Step::Move(to) => telescope.go(to),
-            Step::Expose(_) => {
+            FocusStep::Move(to) => telescope.go(to),
+            FocusStep::Expose(_) => {
                 let pixels = telescope.expose();
                 let frame = Frame::new(SIDE, SIDE, Pixels::U16(&pixels)).unwrap();
                 let hfd = measure_hfd(&frame, &Camera::default(), &HfdSearch { expected_px, ..HfdSearch::default() });
@@ -113,7 +114,7 @@ fn run(telescope: &mut Telescope, plan: Plan) -> (Result<Focused, Failed>, Sweep
                 };
                 sweep.measured(value).unwrap();
             }
-            Step::Done(result) => return (result, sweep),
+            FocusStep::Done(result) => return (result, sweep),
         }
     }
     panic!("the run does not end");
@@ -181,7 +182,7 @@ fn clouds_leave_the_focuser_where_it_stood() {
         assert_eq!(failed.position, start, "seed {seed}: {}", failed.reason);
         let stands = telescope.optics + telescope.play;
         assert!((stands - f64::from(start)).abs() < 1e-9, "seed {seed}: stands at {stands}, began at {start}");
-        assert!(!matches!(failed.reason, Failure::Ended(_)));
+        assert!(!matches!(failed.reason, NoFocus::Ended(_)));
         let seen = sweep.points().iter().filter(|p| p.value.is_some() && p.pass != Pass::Verification).count();
         println!("seed {seed}: {} ({seen} frames with stars)", failed.reason);
     }

@@ -2,10 +2,11 @@
 
 use std::path::PathBuf;
 
-use crate::fits;
 use imaging::focus::{Hyperbola, Image, Operator, Size, Smoother, classic};
 use imaging::hfd::{HfdSearch, measure_hfd};
 use imaging::{Camera, Frame};
+
+use crate::fits;
 
 /// Name, position of the true focus, steps.
 const RUNS: [(&str, f64); 3] = [("s1", 10_000.0), ("s2", 10_000.0), ("s4", 9_962.0)];
@@ -33,9 +34,9 @@ fn places(run: &str) -> Vec<(f64, f64)> {
 
 /// The frames of a run that are kept here, with their place in the run: all, but of s2 three.
 fn frames(run: &str, golden: &Table) -> Vec<(usize, fits::Image)> {
-    let kept = (0..15).filter(|n| run != "s2" || n % 7 == 0);
+    let retained = (0..15).filter(|n| run != "s2" || n % 7 == 0);
     let path = |n: usize| folder().join(format!("{run}_{n:02}_{}.fits.gz", golden.rows[n][0]));
-    kept.map(|n| (n, fits::read(&path(n)).unwrap())).collect()
+    retained.map(|n| (n, fits::read(&path(n)).unwrap())).collect()
 }
 
 #[test]

@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
+use imaging::{Camera, Frame, Measured, Star, StarSearch, measure};
+
 use crate::fits;
-use imaging::{Camera, Frame, Measured, Search, Star, measure};
 
 /// A star of the truth: place (px) and whole flux (e-, here ADU too).
 #[derive(Debug, Clone, Copy)]
@@ -36,7 +37,7 @@ fn golden(name: &'static str) -> Golden {
     };
     let stars = table.lines().skip(1).map(star).collect();
     let frame = Frame::new(image.width, image.height, image.pixels()).unwrap();
-    let measured = measure(&frame, &Camera::default(), &Search::default()).unwrap();
+    let measured = measure(&frame, &Camera::default(), &StarSearch::default()).unwrap();
     println!("{name}: {:?}", measured.quality);
     Golden { name, width: image.width, height: image.height, stars, fwhm_px, measured }
 }

@@ -4,11 +4,12 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::fits;
 use imaging::focus::{Image, Operator};
 use imaging::shift::from_stars;
-use imaging::{Camera, Frame, Measured, Search, measure};
+use imaging::{Camera, Frame, Measured, StarSearch, measure};
 use serde_json::Value;
+
+use crate::fits;
 
 fn folder(part: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("STARMESH_GOLDEN").map(|folder| Path::new(&folder).join(part));
@@ -19,7 +20,7 @@ fn folder(part: &str) -> Option<PathBuf> {
 }
 
 /// Names (without the ending) and contents of the JSON files with an ending, by name.
-fn told(folder: &Path, ending: &str) -> Vec<(String, Value)> {
+fn values_of(folder: &Path, ending: &str) -> Vec<(String, Value)> {
     let mut names: Vec<String> =
         std::fs::read_dir(folder).unwrap().map(|file| file.unwrap().file_name().into_string().unwrap()).collect();
     names.retain(|name| name.ends_with(ending));
@@ -37,13 +38,13 @@ fn number(of: &Value) -> f64 {
 
 fn measured(image: &fits::Image) -> Measured {
     let frame = Frame::new(image.width, image.height, image.pixels()).unwrap();
-    measure(&frame, &Camera::default(), &Search::default()).unwrap()
+    measure(&frame, &Camera::default(), &StarSearch::default()).unwrap()
 }
 
 #[test]
 fn whole_pairs_are_registered_at_least_as_well_as_before() {
     let Some(folder) = folder("donuts") else { return };
-    let pairs = told(&folder, ".json");
+    let pairs = values_of(&folder, ".json");
     assert_eq!(pairs.len(), 8);
     for (name, pair) in pairs {
         let read = |part: &str| fits::read(&folder.join(format!("{name}_{part}.fits.gz"))).unwrap();
@@ -64,7 +65,7 @@ fn whole_pairs_are_registered_at_least_as_well_as_before() {
 #[test]
 fn whole_frames_show_every_true_star_that_was_found_before_and_the_same_sky() {
     let Some(folder) = folder("frames") else { return };
-    let frames = told(&folder, ".astra.json");
+    let frames = values_of(&folder, ".astra.json");
     assert_eq!(frames.len(), 12);
     for (name, before) in frames {
         let truth = std::fs::read_to_string(folder.join(format!("{name}.truth.json"))).unwrap();
@@ -99,7 +100,7 @@ fn whole_frames_show_every_true_star_that_was_found_before_and_the_same_sky() {
 #[test]
 fn all_operators_agree_on_the_whole_golden_sweeps() {
     let Some(folder) = folder("focus") else { return };
-    let sweeps = told(&folder, ".json");
+    let sweeps = values_of(&folder, ".json");
     assert_eq!(sweeps.len(), 3);
     let mut compared = 0;
     for (name, sweep) in sweeps {

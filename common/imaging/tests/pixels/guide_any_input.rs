@@ -1,7 +1,7 @@
 //! Whatever is fed to the guider: no pulse beyond the cap, no number that is none, no panic.
 
-use imaging::guide::calibration::pulses::{Next, Run};
-use imaging::guide::{Calibration, Exposure, Guider, Pulses, Reference, Settings};
+use imaging::guide::calibration::pulses::{CalibrationRun, Next};
+use imaging::guide::{Calibration, Exposure, GuideSettings, Guider, Pulses, Reference};
 use imaging::shift::{Method, NoShift, Shift};
 use imaging::{Camera, Frame, Pixels};
 use proptest::prelude::*;
@@ -53,8 +53,8 @@ proptest! {
 
     #[test]
     fn no_pulse_is_ever_beyond_the_cap(events in prop::collection::vec(event(), 1..40), pid in any::<bool>(), longest_pulse_ms in 1..5000_u32) {
-        let base = if pid { Settings::pid() } else { Settings::default() };
-        let settings = Settings { longest_pulse_ms, ..base };
+        let base = if pid { GuideSettings::pid() } else { GuideSettings::default() };
+        let settings = GuideSettings { longest_pulse_ms, ..base };
         let calibration = Calibration::from_wcs([[-7e-5, 7e-5], [7e-5, 7e-5]], [2e-3, 2e-3], None).unwrap();
         let mut guider = Guider::new(settings, &calibration, 30.0).unwrap();
         let clouds = NoShift::NoPeak { reference: 9, check: 0, agree: 0 };
@@ -84,7 +84,7 @@ proptest! {
 
     #[test]
     fn calibrations_end_whatever_is_seen(places in prop::collection::vec(prop::option::weighted(0.9, [wild(), wild()]), 1..400)) {
-        let mut run = Run::new(Default::default());
+        let mut run = CalibrationRun::new(Default::default());
         let mut ended = false;
         for (n, place) in places.into_iter().enumerate() {
             match run.next(n as f64, place) {

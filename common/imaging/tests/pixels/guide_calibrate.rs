@@ -1,9 +1,10 @@
 //! Calibrations by pulses on a simulated mount that drifts meanwhile, as every mount does. Pulses run at half the
 //! sidereal rate, a step takes three seconds, places are measured to 0.05 px.
 
-use crate::mount::{Mount, exposure};
-use imaging::guide::calibration::pulses::{Direction, Next, Run, Settings};
+use imaging::guide::calibration::pulses::{CalibrationRun, CalibrationSettings, Direction, Next};
 use imaging::guide::{Calibration, Pulses};
+
+use crate::mount::{Mount, exposure};
 
 const STEP_S: f64 = 3.0;
 
@@ -14,7 +15,7 @@ const DRIFTS: [[f64; 2]; 5] = [[0.0, 0.0], [0.02, 0.02], [0.04, 0.0], [0.03, -0.
 fn calibrate(mount: &mut Mount, first: usize) -> Calibration {
     // ten steps out, as the observatory chooses them
     let pulse_ms = (2500.0 / mount.speed_px_s()).round() as u32;
-    let mut run = Run::new(Settings { pulse_ms, ..Settings::default() });
+    let mut run = CalibrationRun::new(CalibrationSettings { pulse_ms, ..CalibrationSettings::default() });
     for n in first..first + 400 {
         let exposure = exposure(n, STEP_S);
         let seen = mount.measured(exposure);

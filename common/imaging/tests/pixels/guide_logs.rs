@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use imaging::guide::{Calibration, Exposure, Guider, Settings};
+use imaging::guide::{Calibration, Exposure, GuideSettings, Guider};
 use imaging::shift::{Method, NoShift, Shift};
 
 /// Frames at the beginning that are not counted, for neither guider.
@@ -71,7 +71,7 @@ fn replay(log: &Log) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
         backlash_s: Some(0.0),
     };
     // play of the gear is part of what the log holds: the replayed mount itself has none
-    let settings = Settings { resist_dec_reversal: false, ..Settings::default() };
+    let settings = GuideSettings { resist_dec_reversal: false, ..GuideSettings::default() };
     let mut guider = Guider::new(settings, &calibration, 0.0).unwrap();
     let (mut theirs, mut ours) = (Vec::new(), Vec::new());
     let (mut guided, mut dithered, mut pulsed) = ([0.0; 2], [0.0; 2], [0.0; 2]);

@@ -1,10 +1,11 @@
 //! Guide measurements on drawn frames: an error below 0.02 px is asked for (docs/imaging.md, "Measured").
 
-use crate::sky::{Psf, Sky, mean_and_spread, sigma};
-use imaging::guide::{Calibration, Exposure, Guider, Reference, Settings, State};
+use imaging::guide::{Calibration, Exposure, GuideSettings, Guider, Reference, State};
 use imaging::projection::from_projections;
 use imaging::shift::Method;
-use imaging::{Camera, Clean, Frame, NoShift, Pixels, Search, measure};
+use imaging::{Camera, Clean, Frame, NoShift, Pixels, StarSearch, measure};
+
+use crate::sky::{Psf, Sky, mean_and_spread, sigma};
 
 const SIDE: usize = 512;
 const FWHM_PX: f64 = 4.0;
@@ -22,7 +23,9 @@ fn reference(places: &[(f64, f64)]) -> Reference {
         .map(|seed| {
             let counts = draw(places, 0.0, 0.0, FLUX, 1000 + seed);
             let frame = Frame::new(SIDE, SIDE, Pixels::U16(&counts)).unwrap();
-            measure(&frame, &Camera::default(), &Search { fwhm_px: Some(4.1), ..Search::default() }).unwrap().stars
+            measure(&frame, &Camera::default(), &StarSearch { fwhm_px: Some(4.1), ..StarSearch::default() })
+                .unwrap()
+                .stars
         })
         .collect();
     Reference::from_lists(&lists, SIDE, SIDE).unwrap()
@@ -33,7 +36,7 @@ fn frame(counts: &[u16]) -> Frame<'_> {
 }
 
 #[test]
-fn twenty_stars_of_snr_50_tell_the_shift_to_a_fiftieth_of_a_pixel_at_all_phases() {
+fn twenty_stars_of_snr_50_give_the_shift_to_a_fiftieth_of_a_pixel_at_all_phases() {
     let places = Sky::new(SIDE, SIDE, 0.0, 1).places(20, 40.0);
     let mut reference = reference(&places);
     let (mut off, mut pulls) = (Vec::new(), Vec::new());
@@ -90,7 +93,7 @@ fn a_cloud_gives_nothing_and_the_next_clear_frame_works() {
     let places = Sky::new(SIDE, SIDE, 0.0, 3).places(20, 40.0);
     let mut reference = reference(&places);
     let calibration = Calibration::from_wcs([[-1e-4, 0.0], [0.0, 1e-4]], [2e-3, 2e-3], None).unwrap();
-    let mut guider = Guider::new(Settings::default(), &calibration, 0.0).unwrap();
+    let mut guider = Guider::new(GuideSettings::default(), &calibration, 0.0).unwrap();
     // pulses move the stars, as they would: 20 px/s, East to the right, North down
     let mut at = [0.3, 0.1];
     for n in 0..12_u64 {
@@ -130,7 +133,7 @@ fn clusters_of_hot_pixels_that_never_move_are_dropped() {
         sky.counts(300.0, 6.0)
     };
     let first = with_hot(0.0, 200);
-    let list = measure(&frame(&first), &Camera::default(), &Search::default()).unwrap().stars;
+    let list = measure(&frame(&first), &Camera::default(), &StarSearch::default()).unwrap().stars;
     let mut reference = Reference::from_lists(&[list], SIDE, SIDE).unwrap();
     assert!(reference.stars().len() >= 20, "{}", reference.stars().len());
     for n in 0..6 {
@@ -138,7 +141,7 @@ fn clusters_of_hot_pixels_that_never_move_are_dropped() {
         let seen = reference.measure(&frame(&counts), &Camera::default(), [0.0, 0.0]).unwrap();
         assert!((seen.shift.dx_px - 1.2).abs() < 0.05, "{seen:?}");
     }
-    // a small shift, at which nobody could tell them: they are known by now
+    // a small shift, at which nobody could distinguish them: they are known by now
     let counts = with_hot(0.2, 300);
     let seen = reference.measure(&frame(&counts), &Camera::default(), [0.0, 0.0]).unwrap();
     assert!((seen.shift.dx_px - 0.2).abs() < 0.05 && seen.shift.stars <= 14, "{seen:?}");
@@ -155,7 +158,7 @@ fn the_reference_frame_has_all_of_its_own_light_whatever_the_wings_and_the_seein
     };
     let through = |psf: Psf, now: Option<(Psf, f64)>| {
         let first = draw(psf, 1.0, 9);
-        let list = measure(&frame(&first), &Camera::default(), &Search::default()).unwrap().stars;
+        let list = measure(&frame(&first), &Camera::default(), &StarSearch::default()).unwrap().stars;
         let mut reference = Reference::from_lists(&[list], SIDE, SIDE).unwrap();
         let counts = now.map_or(first, |(psf, light)| draw(psf, light, 10));
         reference.measure(&frame(&counts), &Camera::default(), [0.0, 0.0]).unwrap().shift.transparency.unwrap()

@@ -2,7 +2,7 @@
 //! night is judged by where the star truly was, not by what was measured.
 
 use imaging::NoShift;
-use imaging::guide::{Ask, Calibration, Exposure, Guider, Pier, Settings, calibration};
+use imaging::guide::{Ask, Calibration, Exposure, GuideSettings, Guider, Pier, calibration};
 use imaging::shift::Shift;
 use rand::{Rng, RngExt, SeedableRng, rngs::StdRng};
 
@@ -30,7 +30,7 @@ enum Happens {
     Gust([f64; 2]),
     /// The field moves and stays there.
     Jump([f64; 2]),
-    /// Places are so many times as noisy for so many frames; their errors tell of half of it.
+    /// Places are so many times as noisy for so many frames; the errors that go with them state half of it.
     Clouds(usize, f64),
     /// The camera repeats its last frame so many times.
     Stuck(usize),
@@ -60,8 +60,8 @@ struct Judged {
     worst_px: f64,
     /// Frames that were judged.
     quiet: usize,
-    /// Frames in which the guider told that it cannot hold the field.
-    told: usize,
+    /// Frames in which the guider reported that it cannot hold the field.
+    reported: usize,
 }
 
 fn vector(rng: &mut impl Rng, from_px: f64, to_px: f64) -> [f64; 2] {
@@ -127,7 +127,7 @@ impl Night {
     }
 
     fn observed(mut self) -> Judged {
-        let mut guider = Guider::new(Settings::default(), &self.calibration, 0.0).unwrap();
+        let mut guider = Guider::new(GuideSettings::default(), &self.calibration, 0.0).unwrap();
         let rng = &mut StdRng::seed_from_u64(7);
         let (mut judged, mut beyond) = (Judged::default(), 0);
         let (mut blank, mut cloudy, mut noise, mut stuck, mut quiet) = (0, 0, 1.0, 0, 0);
@@ -175,7 +175,7 @@ impl Night {
                 last = Some(seen);
             }
             let decision = guider.step(exposure, if is_measured { Ok(&seen) } else { Err(&clouds) });
-            judged.told += usize::from(decision.log.unstable.is_some());
+            judged.reported += usize::from(decision.log.unstable.is_some());
             if stuck > 0 && is_measured {
                 assert_eq!(
                     (decision.pulses.east_ms, decision.pulses.north_ms),
@@ -227,16 +227,16 @@ fn gauss(rng: &mut impl Rng) -> f64 {
     rand_distr::Distribution::<f64>::sample(&rand_distr::StandardNormal, rng)
 }
 
-fn told(what: &str, nights: &[(u64, Judged)]) -> (usize, usize) {
+fn print_summary(what: &str, nights: &[(u64, Judged)]) -> (usize, usize) {
     let bad: Vec<&(u64, Judged)> = nights.iter().filter(|(_, judged)| judged.stretches > 0).collect();
     assert!(
         nights.iter().map(|(_, judged)| judged.quiet).sum::<usize>() > 50 * nights.len(),
         "too few frames are judged"
     );
     let fed = nights.iter().filter(|(_, judged)| judged.longest >= FED).count();
-    let alerted = nights.iter().filter(|(_, judged)| judged.told > 0).count();
+    let alerted = nights.iter().filter(|(_, judged)| judged.reported > 0).count();
     println!(
-        "{what}: {} of {} nights with a stretch beyond 1 px, {fed} that feed themselves; told of {alerted}",
+        "{what}: {} of {} nights with a stretch beyond 1 px, {fed} that feed themselves; {alerted} reported",
         bad.len(),
         nights.len()
     );
@@ -249,14 +249,14 @@ fn told(what: &str, nights: &[(u64, Judged)]) -> (usize, usize) {
 #[test]
 fn random_nights_are_held_and_none_feeds_itself() {
     let nights: Vec<_> = (0..NIGHTS).map(|seed| (seed, Night::new(seed, false).observed())).collect();
-    let (bad, fed) = told("random nights", &nights);
+    let (bad, fed) = print_summary("random nights", &nights);
     assert!(fed == 0 && bad * 100 <= MOST_PERCENT * nights.len());
 }
 
 #[test]
 fn nights_with_a_flip_are_held_also_where_dec_turns_the_wrong_way() {
     let nights: Vec<_> = (0..NIGHTS / 3).map(|seed| (seed, Night::new(1000 + seed, true).observed())).collect();
-    let (bad, fed) = told("nights with a flip", &nights);
+    let (bad, fed) = print_summary("nights with a flip", &nights);
     assert!(fed == 0 && bad * 100 <= 2 * MOST_PERCENT * nights.len());
 }
 
@@ -266,6 +266,6 @@ fn blank_frames_a_gust_and_a_jump_leave_nothing_behind() {
     for cadence_s in [2.0, 5.0, 10.0, 30.0, 60.0] {
         nights.extend((0..20).map(|seed| (seed, Night::of_the_issue(2000 + seed, cadence_s).observed())));
     }
-    let (bad, fed) = told("blank frames, gust, jump", &nights);
+    let (bad, fed) = print_summary("blank frames, gust, jump", &nights);
     assert!(fed == 0 && bad * 100 <= MOST_PERCENT * nights.len());
 }

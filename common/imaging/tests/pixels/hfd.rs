@@ -1,9 +1,10 @@
 //! Half-flux diameters against what was drawn: points, discs and rings, on pedestals, with neighbours.
 
-use crate::defocus::{Blur, counts, places};
 use imaging::hfd::{FrameHfd, HfdSearch, NoHfd, measure_hfd};
 use imaging::{Camera, Frame, Pixels};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
+
+use crate::defocus::{Blur, counts, places};
 
 const SKY: f64 = 150.0;
 
@@ -103,7 +104,7 @@ fn neighbours_and_saturated_stars_do_not_spoil_the_size() {
 }
 
 #[test]
-fn frames_without_stars_say_so() {
+fn frames_without_stars_are_reported() {
     let mut rng = StdRng::seed_from_u64(6);
     let empty = counts(&vec![SKY; 256 * 256], 500.0, 6.0, &mut rng);
     assert!(matches!(measured(&empty, 256, None), Err(NoHfd::NoStar { .. })));

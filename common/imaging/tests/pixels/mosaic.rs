@@ -1,7 +1,8 @@
 //! Frames of a camera with red, green and blue pixels, drawn from a truth that is known.
 
+use imaging::{Camera, Frame, Pixels, StarSearch, is_mosaic, measure_mosaic};
+
 use crate::sky::{Psf, Sky, mean_and_spread, sigma};
-use imaging::{Camera, Frame, Pixels, Search, is_mosaic, measure_mosaic};
 
 const WIDTH: usize = 500;
 const HEIGHT: usize = 401;
@@ -34,7 +35,7 @@ fn stars_behind_a_colour_mosaic_are_found_where_they_are_and_no_others() {
         let counts = through_filters(&mut sky, turn);
         let frame = Frame::new(WIDTH, HEIGHT, Pixels::U16(&counts)).unwrap();
         assert!(is_mosaic(&frame), "turn {turn:?}");
-        let measured = measure_mosaic(&frame, &Camera::default(), &Search::default()).unwrap();
+        let measured = measure_mosaic(&frame, &Camera::default(), &StarSearch::default()).unwrap();
         assert_eq!(measured.stars.len(), sky.stars.len(), "turn {turn:?}");
         for truth in &sky.stars {
             let apart = |star: &&imaging::Star| (star.x_px - truth.x).hypot(star.y_px - truth.y);
@@ -72,7 +73,10 @@ fn what_is_no_mosaic_is_not_taken_for_one() {
     assert!(!looks(&lifted(|_, y| y % 2 == 1)), "two amplifiers by rows");
     assert!(looks(&lifted(|x, y| (x + y) % 2 == 1)), "green pixels");
     assert!(!looks(&vec![700; WIDTH * HEIGHT]), "no light at all");
-    assert!(!is_mosaic(&Frame::new(3, 3, Pixels::U16(&[1, 9, 1, 9, 1, 9, 1, 9, 1])).unwrap()), "too small to tell");
+    assert!(
+        !is_mosaic(&Frame::new(3, 3, Pixels::U16(&[1, 9, 1, 9, 1, 9, 1, 9, 1])).unwrap()),
+        "too small to be recognised"
+    );
 }
 
 #[test]
@@ -92,7 +96,7 @@ fn saturation_bad_pixels_and_darks_are_seen_through_the_mosaic() {
     }
     let frame = Frame::new(WIDTH, HEIGHT, Pixels::U16(&counts)).unwrap();
     let dark = Frame::new(WIDTH, HEIGHT, Pixels::U16(&dark)).unwrap();
-    let found = |camera: &Camera| measure_mosaic(&frame, camera, &Search::default()).unwrap().stars;
+    let found = |camera: &Camera| measure_mosaic(&frame, camera, &StarSearch::default()).unwrap().stars;
     let false_stars = |stars: &[imaging::Star]| {
         let drawn = |s: &&imaging::Star| !sky.stars.iter().any(|t| (t.x - s.x_px).hypot(t.y - s.y_px) < 12.0);
         stars.iter().filter(drawn).count()
@@ -104,7 +108,9 @@ fn saturation_bad_pixels_and_darks_are_seen_through_the_mosaic() {
     let map = imaging::BadPixelMap::from_dark(&dark).unwrap();
     assert_eq!(false_stars(&found(&Camera { bad_pixels: Some(&map), ..Camera::default() })), 0);
     let small = Frame::new(2, 2, Pixels::U16(&[0; 4])).unwrap();
-    assert!(measure_mosaic(&frame, &Camera { dark: Some(small), ..Camera::default() }, &Search::default()).is_err());
+    assert!(
+        measure_mosaic(&frame, &Camera { dark: Some(small), ..Camera::default() }, &StarSearch::default()).is_err()
+    );
     let row = Frame::new(4, 1, Pixels::U16(&[0; 4])).unwrap();
-    assert!(measure_mosaic(&row, &Camera::default(), &Search::default()).is_err(), "no cell of 2 x 2 px");
+    assert!(measure_mosaic(&row, &Camera::default(), &StarSearch::default()).is_err(), "no cell of 2 x 2 px");
 }

@@ -2,12 +2,13 @@
 //! computed again in this file, so that it is known what it does, and compared with what took its place, on frames
 //! whose truth is known.
 
-use crate::sky::{Psf, Sky, sigma};
 use imaging::projection::from_projections;
 use imaging::shift::from_stars;
-use imaging::{Camera, Clean, Frame, Pixels, Search, Star, measure};
+use imaging::{Camera, Clean, Frame, Pixels, Star, StarSearch, measure};
 use rand::{SeedableRng, rngs::StdRng};
 use rand_distr::{Distribution, StandardNormal};
+
+use crate::sky::{Psf, Sky, sigma};
 
 /// DAOFIND's kernel for round stars (docs/formulae.md, "DAOFIND's kernel").
 struct Daofind {
@@ -170,7 +171,7 @@ fn daofinds_centroid_is_the_golden_one_and_ours_is_nearer_to_the_truth() {
         let counts: Vec<f32> = image.iter().map(|value| (500.0 + value) as f32).collect();
         let frame = Frame::new(width, width, Pixels::F32(&counts)).unwrap();
         let measured =
-            measure(&frame, &Camera::default(), &Search { fwhm_px: Some(4.0), ..Search::default() }).unwrap();
+            measure(&frame, &Camera::default(), &StarSearch { fwhm_px: Some(4.0), ..StarSearch::default() }).unwrap();
         let brightest = measured.stars.iter().max_by(|a, b| a.flux_adu.total_cmp(&b.flux_adu)).unwrap();
         ours.extend(off((brightest.x_px, brightest.y_px)));
     }
@@ -202,8 +203,8 @@ fn the_5x5_median_hides_noise_and_narrow_stars_alike_and_ours_neither() {
     let frame = |image: &[f64]| image.iter().map(|value| (500.0 + value) as f32).collect::<Vec<f32>>();
     let counts = frame(&noise);
     let clean = Clean::new(&Frame::new(side, side, Pixels::F32(&counts)).unwrap(), &Camera::default(), None).unwrap();
-    let told = f64::from(clean.background.noise.median());
-    assert!((told / deviation(&noise) - 1.0).abs() < 0.02, "{told}");
+    let measured = f64::from(clean.background.noise.median());
+    assert!((measured / deviation(&noise) - 1.0).abs() < 0.02, "{measured}");
 
     // stars of FWHM 2 px, 15 sigma high
     let mut sky = Sky::new(side, side, 0.0, 5);
@@ -222,7 +223,7 @@ fn the_5x5_median_hides_noise_and_narrow_stars_alike_and_ours_neither() {
     };
     let counts = frame(&image);
     let frame = Frame::new(side, side, Pixels::F32(&counts)).unwrap();
-    let stars = measure(&frame, &Camera::default(), &Search::default()).unwrap().stars;
+    let stars = measure(&frame, &Camera::default(), &StarSearch::default()).unwrap().stars;
     let is_ours = |place: &&(f64, f64)| stars.iter().any(|star| (star.x_px - place.0).hypot(star.y_px - place.1) < 1.5);
     let (old, ours) = (places.iter().filter(is_old).count(), places.iter().filter(is_ours).count());
     println!("of {} narrow stars the predecessor sees {old}, ours {ours}", places.len());
@@ -295,7 +296,7 @@ fn donuts_gives_the_golden_shifts_and_registered_stars_are_nearer_to_the_truth()
     let read = |counts: &[u16]| -> (Clean, Vec<Star>, [Vec<f64>; 2]) {
         let frame = Frame::new(SIDE, SIDE, Pixels::U16(counts)).unwrap();
         let clean = Clean::new(&frame, &Camera::default(), Some(4.0)).unwrap();
-        let stars = measure(&frame, &Camera::default(), &Search::default()).unwrap().stars;
+        let stars = measure(&frame, &Camera::default(), &StarSearch::default()).unwrap().stars;
         let inner = BORDER..SIDE - BORDER;
         let at = |x: usize, y: usize| f64::from(clean.pixels[y * SIDE + x]);
         let columns = inner.clone().map(|x| inner.clone().map(|y| at(x, y)).sum()).collect();

@@ -1,10 +1,10 @@
 //! Shifts by the sums of bright patches: what they say of related frames, and what they must not say of others.
 
+use imaging::projection::from_projections;
+use imaging::{Camera, Clean, Frame, NoShift, Pixels, Shift};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 
 use crate::sky::{Psf, Sky};
-use imaging::projection::from_projections;
-use imaging::{Camera, Clean, Frame, NoShift, Pixels, Shift};
 
 /// What a pair of frames suffers from.
 #[derive(Debug, Clone, Copy, PartialEq)]

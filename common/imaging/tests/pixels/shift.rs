@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
-use crate::fits;
-use crate::sky::{Psf, Sky, mean_and_spread, sigma};
 use imaging::projection::from_projections;
 use imaging::shift::from_stars;
-use imaging::{Camera, Clean, Frame, NoShift, Pixels, Search, measure};
+use imaging::{Camera, Clean, Frame, NoShift, Pixels, StarSearch, measure};
+
+use crate::fits;
+use crate::sky::{Psf, Sky, mean_and_spread, sigma};
 
 /// Name, and true shift (check - reference), px.
 const PAIRS: [(&str, f64, f64); 4] =
@@ -21,7 +22,7 @@ fn golden_pairs_are_registered_by_stars_and_by_projections() {
     for (name, dx, dy) in PAIRS {
         let (reference, check) = (read(&format!("{name}_ref")), read(&format!("{name}_check")));
         let frames = [&reference, &check].map(|image| Frame::new(image.width, image.height, image.pixels()).unwrap());
-        let stars = frames.map(|frame| measure(&frame, &Camera::default(), &Search::default()).unwrap().stars);
+        let stars = frames.map(|frame| measure(&frame, &Camera::default(), &StarSearch::default()).unwrap().stars);
         let shift = from_stars(&stars[0], &stars[1], reference.width, reference.height).unwrap();
         let clean = frames.map(|frame| Clean::new(&frame, &Camera::default(), Some(4.0)).unwrap());
         let projected = from_projections(&clean[0], &clean[1]).unwrap();
@@ -54,7 +55,7 @@ fn a_guide_measurement_is_good_to_a_fiftieth_of_a_pixel() {
     };
     let stars = |counts: &[u16]| {
         let frame = Frame::new(512, 512, Pixels::U16(counts)).unwrap();
-        measure(&frame, &Camera::default(), &Search { fwhm_px: Some(4.1), ..Search::default() }).unwrap().stars
+        measure(&frame, &Camera::default(), &StarSearch { fwhm_px: Some(4.1), ..StarSearch::default() }).unwrap().stars
     };
     let reference = stars(&frame(0.0, 0.0, 1));
     let snr = reference.iter().map(|s| s.snr).sum::<f64>() / reference.len() as f64;

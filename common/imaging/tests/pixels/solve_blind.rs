@@ -2,11 +2,13 @@
 
 use std::time::Instant;
 
-use crate::drawn::{deg, normal, star, wcs};
 use imaging::catalogue::Catalogue;
-use imaging::solve::{AllSky, Blind, Detected, Level, Stars, at_epoch};
+use imaging::solve::{AllSky, Blind, Detected, Level, Stars, Within, at_epoch};
+use imaging::tangent::separation;
 use imaging::{NoSolution, Star, Wcs};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
+
+use crate::drawn::{deg, normal, star, wcs};
 
 const EPOCH: f64 = 2026.9;
 
@@ -79,7 +81,7 @@ fn fields_of_one_degree_and_more_are_found_without_a_hint() {
     let source = at_epoch(&catalogue, EPOCH);
     let mut rng = StdRng::seed_from_u64(3);
     // longer sides, deg; share of false detections; whether the scale is known to 10 %
-    for (from_deg, to_deg, spurious, told) in [
+    for (from_deg, to_deg, spurious, knows_scale) in [
         (12.0, 24.0, 0.2, false),
         (4.0, 12.0, 0.2, false),
         (1.5, 4.0, 0.2, false),
@@ -92,7 +94,8 @@ fn fields_of_one_degree_and_more_are_found_without_a_hint() {
             let field_deg = from_deg * f64::powf(to_deg / from_deg, rng.random_range(0.0..1.0));
             let frame = Frame::draw(&source, &mut rng, field_deg, spurious);
             let scale = frame.truth.scale_arcsec_px();
-            let blind = Blind { scales_arcsec_px: told.then_some((0.9 * scale, 1.1 * scale)), ..Blind::default() };
+            let blind =
+                Blind { scales_arcsec_px: knows_scale.then_some((0.9 * scale, 1.1 * scale)), ..Blind::default() };
             let started = Instant::now();
             let answer = sky.solve(&frame.detected(), &blind);
             times.push(started.elapsed().as_secs_f64() * 1e3);
@@ -112,7 +115,7 @@ fn fields_of_one_degree_and_more_are_found_without_a_hint() {
             "{from_deg} to {to_deg} deg, {:.0} % false, scale {}: {right} of {FIELDS} right, {wrong} wrong; median {:.0} \
              ms, p90 {:.0} ms, longest {:.0} ms; missed {missed:?}",
             100.0 * spurious,
-            if told { "to 10 %" } else { "unknown" },
+            if knows_scale { "to 10 %" } else { "unknown" },
             times[FIELDS / 2],
             times[FIELDS * 9 / 10],
             times[FIELDS - 1],
@@ -144,6 +147,44 @@ fn fields_of_one_degree_and_more_are_found_without_a_hint() {
     }
     println!("{lists} random lists, {candidates} candidates, none accepted");
     assert!(candidates > 500, "only {candidates} candidates");
+}
+
+#[test]
+fn a_hint_of_more_than_60_deg_finds_what_lies_within_it_and_nothing_beyond() {
+    let catalogue = catalogue();
+    let source = at_epoch(&catalogue, EPOCH);
+    let sky = AllSky::new(at_epoch(&catalogue, EPOCH));
+    let mut rng = StdRng::seed_from_u64(11);
+    for away_deg in [65.0, 100.0, 150.0, 175.0] {
+        let frame = Frame::draw(&source, &mut rng, 3.0, 0.2);
+        let scale = frame.truth.scale_arcsec_px();
+        // The hint lies on the great circle through the frame and the pole.
+        let over = frame.truth.dec.degrees() + away_deg;
+        let (ra, dec) = if over > 90.0 {
+            (frame.truth.ra.degrees() + 180.0, 180.0 - over)
+        } else {
+            (frame.truth.ra.degrees(), over)
+        };
+        let (ra, dec) = if dec < -90.0 { (ra + 180.0, -180.0 - dec) } else { (ra, dec) };
+        let (ra, dec) = (deg(ra), deg(dec));
+        let apart_deg = separation((ra, dec), (frame.truth.ra, frame.truth.dec)).degrees();
+        assert!((apart_deg - away_deg).abs() < 1e-6, "{apart_deg} for {away_deg}");
+        let blind = |furthest_deg: f64| Blind {
+            scales_arcsec_px: Some((0.9 * scale, 1.1 * scale)),
+            within: Some(Within { ra, dec, furthest: deg(furthest_deg) }),
+            ..Blind::default()
+        };
+        let found = sky.solve(&frame.detected(), &blind(away_deg + 1.0));
+        assert!(found.as_ref().is_ok_and(|solution| frame.error_px(&solution.wcs) < 1.0), "{away_deg}: {found:?}");
+        let beyond = sky.solve(&frame.detected(), &blind(away_deg - 1.0));
+        assert!(matches!(beyond, Err(NoSolution::Blind { .. })), "{away_deg}: {beyond:?}");
+    }
+    let frame = Frame::draw(&source, &mut rng, 3.0, 0.2);
+    for (dec_deg, furthest_deg) in [(0.0, 180.1), (0.0, -1.0), (0.0, f64::NAN), (91.0, 90.0), (f64::NAN, 90.0)] {
+        let within = Some(Within { ra: deg(0.0), dec: deg(dec_deg), furthest: deg(furthest_deg) });
+        let answer = sky.solve(&frame.detected(), &Blind { within, ..Blind::default() });
+        assert!(matches!(answer, Err(NoSolution::Hint { .. })), "{dec_deg} {furthest_deg}: {answer:?}");
+    }
 }
 
 #[test]

@@ -2,9 +2,10 @@
 
 use std::time::Instant;
 
-use crate::drawn::{DrawnFrame, EPOCHS, Kind, PLAIN, draw};
 use imaging::solve::{Level, Solution, at_epoch};
 use imaging::{NoSolution, solve};
+
+use crate::drawn::{DrawnFrame, EPOCHS, Kind, PLAIN, draw};
 
 const SEEDS: u64 = 100;
 
@@ -99,12 +100,12 @@ fn fields_three_degrees_off() {
 
 #[test]
 fn fields_seen_before_need_three_stars() {
-    judge("learnt", &Kind { learnt: true, stars: (8, 40), offset_fields: 0.3, ..PLAIN }, Level::Shift);
-    let near = Kind { learnt: true, offset_fields: 0.1, centroid_px: 0.05, ..PLAIN };
+    judge("learned", &Kind { learned: true, stars: (8, 40), offset_fields: 0.3, ..PLAIN }, Level::Shift);
+    let near = Kind { learned: true, offset_fields: 0.1, centroid_px: 0.05, ..PLAIN };
     // three agree by chance too easily where north turns fast or the field is wide
     let narrow = Kind { field_deg: (0.1, 0.7), dec_deg: (-60.0, 60.0), ..near };
-    judge("learnt, few", &Kind { stars: (3, 5), ..narrow }, Level::Shift);
-    judge("learnt, spurious", &Kind { stars: (10, 24), spurious: 0.6, ..near }, Level::Shift);
+    judge("learned, few", &Kind { stars: (3, 5), ..narrow }, Level::Shift);
+    judge("learned, spurious", &Kind { stars: (10, 24), spurious: 0.6, ..near }, Level::Shift);
 }
 
 #[test]
@@ -114,7 +115,7 @@ fn lenses_that_distort_are_straightened_by_many_stars() {
 }
 
 #[test]
-fn scales_that_were_told_wrong_are_found_or_named() {
+fn scales_that_were_stated_wrong_are_found_or_named() {
     // binning, another camera, a reducer
     const FACTORS: [f64; 10] = [0.25, 1.0 / 3.0, 0.5, 0.72, 0.8, 0.9, 1.12, 1.25, 1.4, 2.0];
     let kind = Kind { stars: (12, 40), offset_fields: 0.7, ..PLAIN };
@@ -134,8 +135,8 @@ fn scales_that_were_told_wrong_are_found_or_named() {
     let reason = solved(&frame).unwrap_err();
     let NoSolution::NoMatch { others_arcsec_px, .. } = &reason else { panic!("{reason}") };
     assert_eq!(others_arcsec_px.len(), 14);
-    let told = frame.hint.scale_arcsec_px;
-    for scale in [0.25 * told, 0.5 * told, 1.17 * told, 4.0 * told] {
+    let stated = frame.hint.scale_arcsec_px;
+    for scale in [0.25 * stated, 0.5 * stated, 1.17 * stated, 4.0 * stated] {
         assert!(reason.to_string().contains(&format!("{scale:.3}")), "{reason}");
     }
 }

@@ -4,14 +4,15 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use crate::drawn::{deg, normal, star};
-use crate::fits;
 use imaging::catalogue;
 use imaging::solve::{Detected, FIRST_LIGHT, Hint, Level};
 use imaging::tangent::separation;
-use imaging::{Camera, Frame, NoSolution, Search, Solution, Star, Wcs, measure, solve};
+use imaging::{Camera, Frame, NoSolution, Solution, Star, StarSearch, Wcs, measure, solve};
 use rand::{SeedableRng, rngs::StdRng};
 use units::Angle;
+
+use crate::drawn::{deg, normal, star};
+use crate::fits;
 
 /// A frame of `solve.csv.gz`.
 struct Golden {
@@ -23,7 +24,7 @@ struct Golden {
     fwhm_px: f64,
     truth: Wcs,
     stars: Vec<(f64, f64, f64)>,
-    known: Vec<catalogue::Star>,
+    known: Vec<catalogue::CatalogueStar>,
 }
 
 fn golden() -> Vec<Golden> {
@@ -62,7 +63,7 @@ fn golden() -> Vec<Golden> {
         if word == "star" {
             frame.stars.push((n[0], n[1], n[2]));
         } else {
-            frame.known.push(catalogue::Star { ra: deg(n[0]), dec: deg(n[1]), mag: n[2] });
+            frame.known.push(catalogue::CatalogueStar { ra: deg(n[0]), dec: deg(n[1]), mag: n[2] });
         }
     }
     assert_eq!(frames.len(), 12);
@@ -79,7 +80,7 @@ impl Golden {
 
     fn solve(&self, detected: &Detected, hint: &Hint) -> Result<Solution, NoSolution> {
         let cone = |ra: Angle, dec: Angle, radius: Angle, faintest: f64| {
-            let near = |s: &&catalogue::Star| {
+            let near = |s: &&catalogue::CatalogueStar| {
                 s.mag <= faintest && separation((s.ra, s.dec), (ra, dec)).degrees() <= radius.degrees()
             };
             self.known.iter().filter(near).copied().collect::<Vec<_>>()
@@ -121,8 +122,8 @@ fn the_stars_that_were_drawn_are_recognised_and_then_again_by_a_shift() {
         println!("{}: {} of {}, centre {centre:.3} px", frame.name, solution.matched, stars.len());
         assert!(centre < 0.1 && corner < 0.3, "{}: {centre} {corner}", frame.name);
         assert_eq!(solution.mirrored, frame.name == "f13_mirrored", "{}", frame.name);
-        // what was learnt makes the next solve a shift
-        let again = Hint { learnt: Some(solution.learnt()), ..frame.hint() };
+        // what was learned makes the next solve a shift
+        let again = Hint { learned: Some(solution.learned()), ..frame.hint() };
         let again = frame.solve(&detected, &again).unwrap();
         assert_eq!(again.level, Level::Shift, "{}", frame.name);
         assert!(frame.errors_px(&again.wcs, (0.0, 0.0)).0 < 0.1);
@@ -147,7 +148,7 @@ fn the_frames_themselves_are_solved() {
 fn whole_frame(golden: &Golden, path: &Path) {
     let image = fits::read(path).unwrap();
     let frame = Frame::new(image.width, image.height, image.pixels()).unwrap();
-    let measured = measure(&frame, &Camera::default(), &Search::default()).unwrap();
+    let measured = measure(&frame, &Camera::default(), &StarSearch::default()).unwrap();
     let detected =
         Detected { stars: &measured.stars, width: image.width, height: image.height, quality: Some(&measured.quality) };
     for tolerance in [0.02, FIRST_LIGHT] {

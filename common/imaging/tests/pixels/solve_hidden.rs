@@ -2,11 +2,12 @@
 
 use std::time::Instant;
 
+use imaging::solve::{Detected, at_epoch};
+use imaging::{Camera, Frame, Measured, NoSolution, Pixels, Solution, StarSearch, measure, solve};
+use rand::{RngExt, SeedableRng, rngs::StdRng};
+
 use crate::drawn::{DrawnFrame, EPOCHS, Kind, PLAIN, draw, normal, star};
 use crate::sky::{Psf, Sky, sigma};
-use imaging::solve::{Detected, at_epoch};
-use imaging::{Camera, Frame, Measured, NoSolution, Pixels, Search, Solution, measure, solve};
-use rand::{RngExt, SeedableRng, rngs::StdRng};
 
 /// Which side is hidden: the direction in which the open part lies, deg from +x to +y.
 const OPEN_TO_DEG: [f64; 5] = [0.0, 180.0, -90.0, 45.0, -120.0];
@@ -140,7 +141,7 @@ fn painted(frame: &DrawnFrame, psf: Psf, roof: Option<Roof>, seed: u64) -> Measu
     }
     let pixels = sky.counts(100.0, 8.0);
     let frame = Frame::new(side, side, Pixels::U16(&pixels)).unwrap();
-    measure(&frame, &Camera::default(), &Search::default()).unwrap()
+    measure(&frame, &Camera::default(), &StarSearch::default()).unwrap()
 }
 
 fn of<'a>(measured: &'a Measured, frame: &DrawnFrame) -> Detected<'a> {

@@ -1,11 +1,12 @@
 //! Star lists that show no piece of the catalogue: none may be accepted (acceptance test 2 of the specification).
 
-use crate::drawn::{EPOCHS, deg, normal, star};
 use imaging::catalogue::{Catalogue, Entry, build};
-use imaging::solve::{Detected, FIRST_LIGHT, Hint, Learnt, at_epoch};
+use imaging::solve::{Detected, FIRST_LIGHT, Hint, LearnedOptics, at_epoch};
 use imaging::tangent::TangentPlane;
 use imaging::{NoSolution, Star, solve};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
+
+use crate::drawn::{EPOCHS, deg, normal, star};
 
 const LISTS: u64 = 10_000;
 /// Skies; each serves as many lists.
@@ -54,7 +55,8 @@ fn random_star_lists_are_never_accepted() {
             }
             if rng.random_bool(0.5) {
                 let (rotation_deg, mirrored) = (rng.random_range(-180.0..180.0), rng.random_bool(0.5));
-                hint.learnt = Some(Learnt { scale_arcsec_px: hint.scale_arcsec_px, rotation_deg, mirrored, sip: None });
+                hint.learned =
+                    Some(LearnedOptics { scale_arcsec_px: hint.scale_arcsec_px, rotation_deg, mirrored, sip: None });
             }
             let detected = Detected { stars: &stars, width: side, height: side, quality: None };
             match solve(&detected, &hint, &at_epoch(&catalogue, EPOCHS.0)) {

@@ -2,11 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::drawn::{deg, wcs};
-use crate::fits;
 use imaging::catalogue::Catalogue;
 use imaging::solve::{AllSky, Blind, Detected, Hint, Solution, at_epoch};
-use imaging::{Camera, Frame, NoSolution, Search, Wcs, measure, solve};
+use imaging::{Camera, Frame, NoSolution, StarSearch, Wcs, measure, solve};
+
+use crate::drawn::{deg, wcs};
+use crate::fits;
 
 struct Real {
     file: &'static str,
@@ -56,7 +57,7 @@ fn solve_file(real: &Real, path: &Path) -> (Result<Solution, NoSolution>, Wcs, (
     let catalogue = Catalogue::from_bytes(std::fs::read(default).unwrap()).unwrap();
     let image = fits::read(path).unwrap();
     let frame = Frame::new(image.width, image.height, image.pixels()).unwrap();
-    let measured = measure(&frame, &Camera::default(), &Search::default()).unwrap();
+    let measured = measure(&frame, &Camera::default(), &StarSearch::default()).unwrap();
     let (width, height) = (image.width, image.height);
     let detected = Detected { stars: &measured.stars, width, height, quality: Some(&measured.quality) };
     let (ra, dec, scale) = real.hint;
@@ -138,10 +139,10 @@ fn the_real_lens_is_found_without_a_place() {
     let catalogue = Catalogue::from_bytes(std::fs::read(default).unwrap()).unwrap();
     let image = fits::read(&folder.join(PANOPTES.file)).unwrap();
     let frame = Frame::new(image.width, image.height, image.pixels()).unwrap();
-    let measured = measure(&frame, &Camera::default(), &Search::default()).unwrap();
+    let measured = measure(&frame, &Camera::default(), &StarSearch::default()).unwrap();
     let (width, height) = (image.width, image.height);
     let detected = Detected { stars: &measured.stars, width, height, quality: Some(&measured.quality) };
-    // the scale to 15 %, as `starmesh solve` takes one that was told
+    // the scale to 15 %, as `starmesh solve` takes one that was given
     let blind = Blind { scales_arcsec_px: Some((8.7, 11.7)), ..Blind::default() };
     let solution = AllSky::new(at_epoch(&catalogue, PANOPTES.epoch_year)).solve(&detected, &blind).unwrap();
     let (ra, dec) = PANOPTES.centre_deg;

@@ -1,10 +1,12 @@
-//! Trails of satellites and aircraft: the stars beside them are found and measured as on the same frame without them.
+//! Trails of satellites and aircraft: the stars next to them are found and measured as on the same frame without
+//! them.
 
 use std::f64::consts::PI;
 
-use crate::sky::{Psf, Sky, Trail, seen_fwhm, sigma};
-use imaging::{Camera, Frame, Measured, Pixels, Search, measure};
+use imaging::{Camera, Frame, Measured, Pixels, StarSearch, measure};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
+
+use crate::sky::{Psf, Sky, Trail, seen_fwhm, sigma};
 
 /// What a frame is like.
 #[derive(Debug, Clone, Copy)]
@@ -38,7 +40,7 @@ impl Field {
 
     fn look(&self, counts: &[u16]) -> Measured {
         let frame = Frame::new(self.width, self.height, Pixels::U16(counts)).unwrap();
-        measure(&frame, &Camera::default(), &Search::default()).unwrap()
+        measure(&frame, &Camera::default(), &StarSearch::default()).unwrap()
     }
 }
 
@@ -47,7 +49,7 @@ impl Field {
 struct Harm {
     /// Detections that are no stars, more than without the trail.
     spurious: usize,
-    /// Stars beside the trail without it, and with it.
+    /// Stars next to the trail without it, and with it.
     without: usize,
     with: usize,
     /// Width with the trail over that without.
@@ -67,9 +69,9 @@ fn harm(field: &Field, trails: &[Trail]) -> Harm {
     };
     let drawn = |x: f64, y: f64| sky.stars.iter().any(|s| (s.x - x).hypot(s.y - y) < 2.0 * field.fwhm.max(2.0));
     let spurious = |measured: &Measured| measured.stars.iter().filter(|s| !drawn(s.x_px, s.y_px)).count();
-    let beside = |x: f64, y: f64| trails.iter().all(|t| t.distance(x, y) > 3.0 * t.fwhm + 2.0 * field.fwhm);
+    let is_apart = |x: f64, y: f64| trails.iter().all(|t| t.distance(x, y) > 3.0 * t.fwhm + 2.0 * field.fwhm);
     let mut harm = Harm { trails: spoilt.quality.trails, ..Harm::default() };
-    for star in sky.stars.iter().filter(|star| beside(star.x, star.y)) {
+    for star in sky.stars.iter().filter(|star| is_apart(star.x, star.y)) {
         harm.without += usize::from(near(star.x, star.y, &plain));
         harm.with += usize::from(near(star.x, star.y, &plain) && near(star.x, star.y, &spoilt));
     }

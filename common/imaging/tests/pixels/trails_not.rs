@@ -2,8 +2,9 @@
 
 use std::f64::consts::PI;
 
+use imaging::{Camera, Frame, Measured, Pixels, StarSearch, measure};
+
 use crate::sky::{Psf, Sky, sigma};
-use imaging::{Camera, Frame, Measured, Pixels, Search, measure};
 
 const SIDE: usize = 768;
 const FWHM: f64 = 3.5;
@@ -19,7 +20,7 @@ fn field(seed: u64, stars: usize) -> Sky {
 
 fn look(counts: &[u16]) -> Measured {
     let frame = Frame::new(SIDE, SIDE, Pixels::U16(counts)).unwrap();
-    measure(&frame, &Camera::default(), &Search::default()).unwrap()
+    measure(&frame, &Camera::default(), &StarSearch::default()).unwrap()
 }
 
 fn found(sky: &Sky, measured: &Measured) -> usize {

@@ -40,12 +40,12 @@ async fn mail_goes_out_encrypted_and_logged_in() {
         assert!(mail.encrypted && mail.logged_in == logs_in, "{name}: {mail:?}");
         assert!(mail.text.contains(&id) && mail.text.contains("What to do"), "{name}: {mail:?}");
         let open: &[&str] = if security == "tls" { &[] } else { &["EHLO", "STARTTLS"] };
-        assert_eq!(office.said_in_the_open(), open, "{name}: nothing else is said in the open");
+        assert_eq!(office.sent_in_the_open(), open, "{name}: nothing else is sent in the open");
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_server_that_protects_or_accepts_nothing_gets_no_mail_and_the_alert_says_why() {
+async fn a_server_that_protects_or_accepts_nothing_gets_no_mail_and_the_alert_gives_the_reason() {
     let (known, unknown) = (Authority::new("site CA"), Authority::new("somebody"));
     let good = || Some(known.server(&["localhost"]));
     let cases = [
@@ -75,9 +75,9 @@ async fn a_server_that_protects_or_accepts_nothing_gets_no_mail_and_the_alert_sa
         let why = site.why_not("night").await;
         assert!(why.contains(wanted), "{wanted:?} is not in {why:?}");
         assert_eq!(office.mails().len(), 0, "{wanted}");
-        let open = office.said_in_the_open();
+        let open = office.sent_in_the_open();
         assert!(open.iter().all(|word| ["EHLO", "STARTTLS", "QUIT"].contains(&word.as_str()) || !word.is_ascii()));
-        site.kept(&["s3cret-Pa55", "AGNhbGxpc3RvAHMzY3JldC1QYTU1", "czNjcmV0LVBhNTU="]);
+        site.hides(&["s3cret-Pa55", "AGNhbGxpc3RvAHMzY3JldC1QYTU1", "czNjcmV0LVBhNTU="]);
     }
 }
 
@@ -101,7 +101,7 @@ async fn wrong_password(way: &'static str) {
     let came = |id: &str| office.mails().iter().filter(|mail| mail.text.contains(id)).count();
     site.until("both mails come", || came(&id) == 1 && came(&later) == 1).await;
     site.until("the alert ends", || site.undelivered("night").is_none()).await;
-    site.kept(&["wr0ng-word", "s3cret-Pa55", "d3Iwbmctd29yZA=="]);
+    site.hides(&["wr0ng-word", "s3cret-Pa55", "d3Iwbmctd29yZA=="]);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -122,8 +122,8 @@ async fn a_server_that_repeats_the_login_puts_it_nowhere() {
     assert!(why.contains("refuses the login: look at alerts.smtp.user and its password"), "{why}");
     assert!(why.contains("[hidden]"), "{why}");
     let codes = ["AGNhbGxpc3RvAHMzY3JldC1QYTU1", "czNjcmV0LVBhNTU", "s3cret%2DPa55", "7333637265742d50613535"];
-    site.kept(&["s3cret-Pa55"]);
-    site.kept(&codes);
+    site.hides(&["s3cret-Pa55"]);
+    site.hides(&codes);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -142,8 +142,8 @@ async fn an_address_that_is_refused_keeps_the_mail_from_nobody_else() {
     let why = site.why_not("night/2").await;
     assert!(why.contains("no such mailbox"), "{why}");
     for who in ["ana@", "eve@"] {
-        site.until("the others hear of it", || got(who, "alert-not-sent/night/2") == 1).await;
-        site.until("they hear of the dome", || got(who, &format!("raised: {id}")) == 1).await;
+        site.until("the others learn of it", || got(who, "alert-not-sent/night/2") == 1).await;
+        site.until("they learn of the dome", || got(who, &format!("raised: {id}")) == 1).await;
     }
     let mail = office.mails().remove(0);
     assert!(mail.to.len() == 1 && all.iter().all(|to| mail.text.contains(to)), "its head names all: {mail:?}");
@@ -156,7 +156,8 @@ async fn a_server_that_answers_nothing_at_the_end_gets_the_mail_once() {
     let office = PostOffice::open(rules).await;
     let site = site(&office, &authority, "security = \"tls\"\n", ANA).await;
     site.raise("dome");
-    site.until("it is said that the mail came", || !site.node.alerts.watch().borrow().told.is_empty()).await;
+    site.until("the arrival of the mail is published", || !site.node.alerts.watch().borrow().notifications.is_empty())
+        .await;
     tokio::time::sleep(Duration::from_secs(3)).await;
     assert_eq!(office.mails().len(), 1);
 }

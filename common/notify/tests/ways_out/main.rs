@@ -29,7 +29,7 @@ async fn webhook_and_ping_reach_servers_of_the_sites_own_authority() {
     );
     let site = Site::open(&config, &[("ca.pem", &authority.pem()), ("token", "t0ken-of-chat\n")]).await;
     let id = site.raise("dome");
-    site.until("both hooks are told", || web.told("raised", &id) == 2).await;
+    site.until("both hooks get it", || web.count("raised", &id) == 2).await;
     site.until("pings come", || web.asked().iter().filter(|asked| asked.path == "/ping-k3y").count() >= 2).await;
     let asked = web.asked();
     let of = |path: &str| asked.iter().find(|asked| asked.path == path).unwrap().clone();
@@ -37,11 +37,11 @@ async fn webhook_and_ping_reach_servers_of_the_sites_own_authority() {
     assert_eq!(of("/numbered-p4th").authorization, "");
     assert_eq!((of("/named-p4th").method.as_str(), of("/ping-k3y").method.as_str()), ("POST", "GET"));
     assert!(of("/named-p4th").body["text"].as_str().is_some_and(|text| text.contains("What to do")));
-    assert_eq!(site.node.alerts.watch().borrow().told.len(), 2, "and who was told is said");
+    assert_eq!(site.node.alerts.watch().borrow().notifications.len(), 2, "and the receivers are published");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_server_that_proves_nothing_gets_nothing_and_is_an_alert_that_says_what_to_do() {
+async fn a_server_that_proves_nothing_gets_nothing_and_is_an_alert_that_names_the_remedy() {
     let (known, unknown) = (Authority::new("site CA"), Authority::new("somebody"));
     let good = Web::serve(Some(known.server(&["localhost"]))).await;
     let servers = [
@@ -65,24 +65,24 @@ async fn a_server_that_proves_nothing_gets_nothing_and_is_an_alert_that_says_wha
         let why = site.why_not(name).await;
         assert!(why.starts_with(&format!("\"{name}\" gets no alerts: ")) && why.contains(wanted), "{name}: {why}");
         assert!(web.connections() >= 3, "{name} was tried again: {}", web.connections());
-        assert_eq!(web.asked().len(), 0, "{name} was told nothing");
+        assert_eq!(web.asked().len(), 0, "{name} got nothing");
         let about = format!("alert-not-sent/{name}");
-        site.until("who is reached hears of it", || good.told("raised", &about) == 1).await;
+        site.until("who is reached learns of it", || good.count("raised", &about) == 1).await;
     }
     let why = site.why_not("ping").await;
     assert!(why.contains("alerts.ca_file"), "{why}");
     // A receiver that began after the alert first waits for the report of a node that may have sent it.
-    site.until("who is reached heard of the dome", || good.told("raised", &id) == 1).await;
+    site.until("who is reached learned of the dome", || good.count("raised", &id) == 1).await;
 
     // The authority is written into the file, and nothing was lost meanwhile.
     let both = known.pem() + &unknown.pem();
     std::fs::write(site.path().join("ca.pem"), both).unwrap();
     let later = site.raise("second");
     let (_, stranger, _) = &webs[0];
-    site.until("all is told", || stranger.told("raised", &id) == 1 && stranger.told("raised", &later) == 1).await;
+    site.until("all is sent", || stranger.count("raised", &id) == 1 && stranger.count("raised", &later) == 1).await;
     site.until("the alert ends", || site.undelivered("stranger").is_none()).await;
     site.until("that of the ping too", || site.undelivered("ping").is_none()).await;
-    site.kept(&["t0ken-for-liars", "s3cret-path"]);
+    site.hides(&["t0ken-for-liars", "s3cret-path"]);
 }
 
 fn url(web: &Web) -> String {
@@ -100,7 +100,7 @@ async fn a_ca_file_that_is_none_is_an_alert_and_harms_no_receiver_without_tls() 
     let id = site.raise("dome");
     let why = site.why_not("secure").await;
     assert!(why.contains("ca.pem holds no certificate: expected PEM"), "{why}");
-    site.until("who is open hears of it", || open.told("raised", &id) == 1).await;
+    site.until("who is open learns of it", || open.count("raised", &id) == 1).await;
     assert_eq!(secure.connections(), 0);
     std::fs::remove_file(site.path().join("ca.pem")).unwrap();
     site.raise("second");

@@ -71,7 +71,7 @@ impl PostOffice {
     }
 
     /// The words that came in the open, without their arguments.
-    pub fn said_in_the_open(&self) -> Vec<String> {
+    pub fn sent_in_the_open(&self) -> Vec<String> {
         let open = self.open.lock().unwrap();
         let mut words: Vec<String> =
             open.iter().map(|line| line.split(' ').next().unwrap_or_default().to_owned()).collect();

@@ -4,9 +4,10 @@ use std::io::Write;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-use bus::{Clock, Node};
+use bus::Clock;
 use contract::Role;
 use contract::observatory::{Alert, AlertKind, Alerts, merge};
+use node::Node;
 use tempfile::TempDir;
 use test_support::{ALPHA, LIMIT, private_bus, within};
 use tokio::sync::watch;
@@ -36,10 +37,10 @@ impl Site {
         let (raised, mut given) = watch::channel(Alerts::default());
         let (shown, alerts) = watch::channel(None);
         let (mut tasks, mut own) = (JoinSet::new(), node.alerts.watch());
-        let (sending, pinging, board) = (node.clone(), node.clone(), node.alerts.clone());
+        let (sending, pinging, published) = (node.clone(), node.clone(), node.alerts.clone());
         tasks.spawn(async move { drop(notify::keep_sending(sending, alerts).await) });
         tasks.spawn(async move { drop(notify::keep_pinging(pinging, || true).await) });
-        tasks.spawn(async move { board.keep_time().await });
+        tasks.spawn(async move { published.keep_time().await });
         tasks.spawn(async move {
             loop {
                 let lists = [given.borrow_and_update().clone(), own.borrow_and_update().clone()];
@@ -86,10 +87,10 @@ impl Site {
     }
 
     /// Neither log nor bus contains any of these words.
-    pub fn kept(&self, secrets: &[&str]) {
+    pub fn hides(&self, secrets: &[&str]) {
         let log = LOG.lock().unwrap_or_else(PoisonError::into_inner);
         let log = String::from_utf8_lossy(&log);
-        assert!(log.contains("a receiver of alerts was not reached"), "the log is heard at all levels");
+        assert!(log.contains("a receiver of alerts was not reached"), "the log is read at all levels");
         let bus = serde_json::to_string(&*self.node.alerts.watch().borrow()).unwrap();
         for secret in secrets {
             assert!(!log.contains(secret), "{secret} is in the log");
@@ -100,9 +101,9 @@ impl Site {
 
 static LOG: Mutex<Vec<u8>> = Mutex::new(Vec::new());
 
-struct Ear;
+struct Receiver;
 
-impl Write for Ear {
+impl Write for Receiver {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         LOG.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(bytes);
         Ok(bytes.len())
@@ -116,7 +117,7 @@ impl Write for Ear {
 /// Every line that any crate logs, except zenoh, which never sees a secret and logs a lot.
 fn listen_to_logs() {
     let all = Targets::new().with_default(LevelFilter::TRACE).with_target("zenoh", LevelFilter::OFF);
-    let layer = tracing_subscriber::fmt::layer().with_ansi(false).with_writer(|| Ear);
+    let layer = tracing_subscriber::fmt::layer().with_ansi(false).with_writer(|| Receiver);
     // The first test of the process installs it.
     let _ = tracing_subscriber::registry().with(all).with(layer).try_init();
 }

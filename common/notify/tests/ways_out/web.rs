@@ -66,7 +66,7 @@ impl Web {
     }
 
     /// How often it received this event of this alert.
-    pub fn told(&self, event: &str, id: &str) -> usize {
+    pub fn count(&self, event: &str, id: &str) -> usize {
         let asked = self.asked();
         let news = asked.iter().flat_map(|asked| asked.body["news"].as_array().cloned().unwrap_or_default());
         news.filter(|news| news["event"] == event && news["alert"]["id"] == id).count()

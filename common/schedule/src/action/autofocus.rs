@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use sky::Observer;
 
-use self::field::Field;
+use self::field::FocusField;
 use self::search::Search;
 use super::parameters::{LONGEST_S, Readout, takes_light, yes};
 use super::{ActionType, Exposures, Needs, Parameters, Place};
@@ -38,7 +38,7 @@ pub struct Autofocus {
     pub save_path: Option<String>,
     /// Where it looks.
     #[serde(flatten)]
-    pub field: Field,
+    pub field: FocusField,
     /// How the sensor is read.
     #[serde(flatten)]
     pub readout: Readout,

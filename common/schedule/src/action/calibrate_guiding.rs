@@ -54,7 +54,7 @@ pub struct CalibrateGuiding {
 
 /// Steps that the way shall take where the row does not say, and the limits of a pulse that is chosen so, ms.
 pub const STEPS: f64 = 10.0;
-/// Fewer pulses tell no line.
+/// Fewer pulses show no line.
 const FEWEST: u32 = 4;
 /// Why a row ends whose window was too short.
 pub const TOO_LATE: &str = "the window ended before the calibration";
@@ -100,11 +100,11 @@ impl CalibrateGuiding {
         frame_px: Option<u32>,
         side: Option<PierSide>,
         target: &Icrs,
-    ) -> pulses::Settings {
+    ) -> pulses::CalibrationSettings {
         let expected_px_s = known.map(|([ra, dec], scale_arcsec_px)| {
             [3600.0 * ra * target.dec.cos() / scale_arcsec_px, 3600.0 * dec / scale_arcsec_px]
         });
-        let plain = pulses::Settings::default();
+        let plain = pulses::CalibrationSettings::default();
         let cycles = self.number_of_cycles.map(|cycles| cycles.max(FEWEST));
         let (steps, way) = (cycles.map(|cycles| cycles as usize), cycles.map_or(STEPS, f64::from));
         let chosen = expected_px_s.map(|[east, north]| 1000.0 * plain.distance_px / way / east.min(north));
@@ -115,7 +115,7 @@ impl CalibrateGuiding {
             _ => plain.distance_px,
         };
         let dec_deg = target.dec.degrees();
-        pulses::Settings { pulse_ms, distance_px, steps, dec_deg, pier: pier(side), expected_px_s, ..plain }
+        pulses::CalibrationSettings { pulse_ms, distance_px, steps, dec_deg, pier: pier(side), expected_px_s, ..plain }
     }
 }
 
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn it_calibrates_one_hour_west_of_the_meridian_on_the_equator_unless_told_otherwise() {
+    fn it_calibrates_one_hour_west_of_the_meridian_on_the_equator_unless_configured_otherwise() {
         let place = sky::Place::new(units::Angle::from_degrees(-24.6), units::Angle::from_degrees(-70.4), 2600.0);
         let at = "2026-11-21T03:00:00Z".parse().unwrap();
         let observer = Observer::new(&place.unwrap(), &Default::default(), at).unwrap();

@@ -55,7 +55,7 @@ impl Calibration {
     }
 
     /// How it went: nothing where all was taken.
-    pub fn told(&self, taken: u32) -> String {
+    pub fn summary(&self, taken: u32) -> String {
         if taken < self.frames() { format!("the window ended after {taken} frames") } else { String::new() }
     }
 

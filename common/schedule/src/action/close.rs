@@ -9,7 +9,7 @@ use super::{ActionType, Needs, Parameters};
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct Close {}
 
-/// What is said of a row that ends before everything is closed.
+/// The note of a row that ends before everything is closed.
 pub const TOO_LATE: &str = "not verified closed before end_time; the closing goes on";
 
 impl ActionType for Close {

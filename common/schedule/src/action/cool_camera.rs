@@ -10,7 +10,7 @@ use super::{ActionType, Needs, Parameters};
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 pub struct CoolCamera {}
 
-/// What is said of a camera that is not to be cooled.
+/// The note of a row whose camera is not to be cooled.
 pub const NOTHING_TO_COOL: &str = "the camera has no temperature_c: nothing to cool";
 
 impl ActionType for CoolCamera {

@@ -25,8 +25,8 @@ pub struct Parameter<'a> {
 }
 
 impl Entry {
-    /// As it is told on the bus, and by `starmesh actions --json`.
-    pub fn told(&self) -> ActionKind {
+    /// As it is reported on the bus, and by `starmesh actions --json`.
+    pub fn summary(&self) -> ActionKind {
         let needs = self.needs();
         ActionKind {
             name: self.name.to_owned(),
@@ -124,38 +124,10 @@ impl Needs {
 
 #[cfg(test)]
 mod tests {
-    use std::fs;
-    use std::path::Path;
-
     use super::*;
 
-    const BEGIN: &str = "<!-- generated: begin -->\n";
-    const END: &str = "<!-- generated: end -->";
-
     #[test]
-    fn the_page_about_the_schedule_is_what_the_actions_say() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/operator/schedule.md");
-        let text = fs::read_to_string(&path).unwrap().replace("\r\n", "\n");
-        let (before, rest) = text.split_once(BEGIN).expect("schedule.md has no begin mark");
-        let (block, after) = rest.split_once(END).expect("schedule.md has no end mark");
-        let generated = page();
-        if block == generated {
-            return;
-        }
-        if std::env::var("UPDATE_DOCS").is_ok_and(|value| value == "1") {
-            fs::write(&path, format!("{before}{BEGIN}{generated}{END}{after}")).unwrap();
-            return;
-        }
-        let line = block.lines().zip(generated.lines()).take_while(|(old, new)| old == new).count();
-        panic!(
-            "docs/operator/schedule.md is out of date; run UPDATE_DOCS=1 cargo test -p schedule\n it says:    {:?}\n the actions: {:?}",
-            block.lines().nth(line),
-            generated.lines().nth(line)
-        );
-    }
-
-    #[test]
-    fn every_parameter_says_what_it_is_and_every_number_its_unit_and_range() {
+    fn every_parameter_has_a_description_and_every_number_its_unit_and_range() {
         for entry in ACTIONS {
             assert!(entry.help().len() > 20 && entry.needs().is_some(), "{}", entry.name);
             for parameter in entry.parameters() {

@@ -14,7 +14,7 @@ use crate::wrong::Wrong;
 /// Where the light comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum Source {
+pub enum FlatsSource {
     /// The twilight sky.
     #[default]
     Sky,
@@ -34,7 +34,7 @@ pub struct Flats {
     pub n: Vec<u32>,
     /// Where the light comes from.
     #[serde(default)]
-    pub source: Source,
+    pub source: FlatsSource,
     /// In which order the filters are taken from the sky; a panel's are taken as listed.
     #[serde(default)]
     pub order: Order,
@@ -60,7 +60,7 @@ pub struct Flats {
 impl Flats {
     /// Whether the row moves the telescope.
     pub fn moves(&self) -> bool {
-        self.source == Source::Sky && !self.disable_telescope_movement
+        self.source == FlatsSource::Sky && !self.disable_telescope_movement
     }
 
     /// The filters with the frames that are wanted of each.
@@ -89,10 +89,10 @@ impl Parameters for Flats {
             }
             _ => {}
         }
-        if self.source == Source::Panel && self.execute_parallel {
+        if self.source == FlatsSource::Panel && self.execute_parallel {
             return Err(Wrong::of("execute_parallel", "not with source = \"panel\", which keeps its telescope shut"));
         }
-        if self.source == Source::Sky && self.brightness.is_some() {
+        if self.source == FlatsSource::Sky && self.brightness.is_some() {
             return Err(Wrong::of("brightness", "the sky has none; give source = \"panel\" too"));
         }
         self.readout.check()
@@ -100,8 +100,8 @@ impl Parameters for Flats {
 
     fn needs(&self) -> Needs {
         // the cover is the telescope's: nobody else uses it meanwhile
-        let mount = self.moves() || self.source == Source::Panel;
-        Needs { safe: self.source == Source::Sky, mount, parallel: self.execute_parallel, all_before: false }
+        let mount = self.moves() || self.source == FlatsSource::Panel;
+        Needs { safe: self.source == FlatsSource::Sky, mount, parallel: self.execute_parallel, all_before: false }
     }
 
     fn frames_wanted(&self) -> Option<u32> {

@@ -184,7 +184,7 @@ static SCHEMAS: LazyLock<BTreeMap<&'static str, Value>> =
     LazyLock::new(|| ACTIONS.iter().map(|entry| (entry.name, (entry.describe)())).collect());
 
 impl Entry {
-    /// What its parameters may be, as JSON Schema (draft 2020-12) with `unit` beside its words.
+    /// What its parameters may be, as JSON Schema (draft 2020-12) with `unit` in addition to its words.
     pub fn schema(&self) -> &'static Value {
         SCHEMAS.get(self.name).unwrap_or(&Value::Null)
     }

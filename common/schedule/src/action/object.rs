@@ -32,7 +32,7 @@ pub struct Object {
     /// Azimuth from north through east; with `alt`.
     #[schemars(range(min = -360, max = 360), extend("unit" = "deg"))]
     pub az: Option<f64>,
-    /// Name of the target: the Moon or a planet, or what Horizons or Sesame know; "TLE" beside `tle`.
+    /// Name of the target: the Moon or a planet, or what Horizons or Sesame know; or "TLE", where `tle` is given.
     pub lookup_name: Option<String>,
     /// Two-line elements of a satellite, joined by a newline.
     pub tle: Option<String>,
@@ -119,7 +119,7 @@ impl Object {
     }
 
     /// How it went: nothing where all was taken.
-    pub fn told(&self, taken: u32) -> String {
+    pub fn summary(&self, taken: u32) -> String {
         let is_short = self.frames_wanted().is_some_and(|wanted| taken < wanted);
         if is_short { format!("the window ended after {taken} frames") } else { String::new() }
     }
@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_built_is_said() {
+    fn what_is_not_built_is_reported() {
         let still = object(r#", "guiding": true"#);
         assert_eq!(still.not_done(), ["not guided: the row does not move the telescope"]);
         assert_eq!(object(r#", "guiding": true, "ra": 1, "dec": 2"#).not_done().len(), 0);

@@ -20,18 +20,18 @@ pub struct Exposures {
     pub exposure_s: f64,
     /// How many; `None` until the row's window ends.
     pub frames: Option<u32>,
-    /// What each takes beside its exposure and its reading out, such as a slew; s.
-    pub beside_s: f64,
+    /// What each takes in addition to its exposure and its reading out, such as a slew; s.
+    pub extra_s: f64,
 }
 
 impl Exposures {
     /// So many, or until the window ends.
     pub fn of(exposure_s: f64, frames: Option<u32>) -> Self {
-        Self { exposure_s, frames, beside_s: 0.0 }
+        Self { exposure_s, frames, extra_s: 0.0 }
     }
 
-    /// Each with so much time beside it.
-    pub fn beside(self, beside_s: f64) -> Self {
-        Self { beside_s, ..self }
+    /// Each with so much more time.
+    pub fn with_extra_s(self, extra_s: f64) -> Self {
+        Self { extra_s, ..self }
     }
 }

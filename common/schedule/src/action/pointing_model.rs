@@ -19,7 +19,7 @@ pub struct PointingModel {
     #[serde(default = "three")]
     #[schemars(range(min = 0, max = LONGEST_S), extend("unit" = "s"))]
     pub exptime: f64,
-    /// Tell the mount at each place where it points, so that it builds a model of its own; this node then forgets its own.
+    /// Synchronise the mount at each place, so that it builds a model of its own; this node then forgets its own.
     #[serde(default)]
     pub sync: bool,
     /// OBJECT keyword.
@@ -59,7 +59,7 @@ fn title() -> String {
 
 /// Places of one run, at most; more teach nothing new.
 const MOST: u32 = 1000;
-/// What a place takes beside its frame, for the plan: 30 deg at 3 deg/s, settling, and the solving.
+/// What a place takes in addition to its frame, for the plan: 30 deg at 3 deg/s, settling, and the solving.
 const SLEW_S: f64 = 15.0;
 
 impl ActionType for PointingModel {
@@ -90,7 +90,7 @@ impl Parameters for PointingModel {
     }
 
     fn exposures(&self) -> Vec<Exposures> {
-        vec![Exposures::of(self.exptime, Some(self.n)).beside(SLEW_S)]
+        vec![Exposures::of(self.exptime, Some(self.n)).with_extra_s(SLEW_S)]
     }
 
     fn filters(&self) -> Vec<&str> {

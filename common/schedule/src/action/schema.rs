@@ -1,10 +1,11 @@
 //! What the parameters of an action may be: a JSON Schema made of the action's type, and whether given ones fit it.
 //!
-//! Beside the words of JSON Schema there is `unit`. What no schema says (two parameters that exclude each other) is the
-//! action's own `check`.
+//! In addition to the words of JSON Schema there is `unit`. What no schema says (two parameters that exclude each
+//! other) is the action's own `check`.
 
 mod words;
 
+use config::meant;
 use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
@@ -13,7 +14,6 @@ use units::Utc;
 use self::words::{expected, shown};
 pub use self::words::{kind, range};
 use crate::wrong::Wrong;
-use config::meant;
 
 /// The schema of an action's parameters; one that it does not name is refused.
 pub fn of<A: JsonSchema>(title: &str) -> Value {
@@ -47,7 +47,7 @@ fn tidy(schema: &mut Value) {
     }
 }
 
-/// The parameters that a schema knows, in the order in which they are told.
+/// The parameters that a schema knows, in the order in which they are reported.
 pub fn properties(schema: &Value) -> impl Iterator<Item = (&str, &Value)> + Clone {
     schema["properties"].as_object().into_iter().flatten().map(|(name, schema)| (name.as_str(), schema))
 }
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_parameter_says_what_was_expected_and_a_long_value_is_cut() {
+    fn the_finding_of_a_missing_parameter_names_what_was_expected_and_a_long_value_is_cut() {
         let schema = json!({"properties": {"x": {"type": "string"}}, "required": ["x"]});
         let missing = check(&schema, &json!({})).unwrap_err();
         assert_eq!(missing, Wrong::of("x", "is missing; expected a text"));

@@ -65,7 +65,7 @@ fn frame_after_frame_keeps_its_level_while_the_sky_fades_and_while_it_brightens(
         let inner = &levels[2..levels.len() - 4];
         let worst = inner.iter().map(|adu| (adu / 30_000.0 - 1.0).abs()).fold(0.0, f64::max);
         assert!(worst < 0.02, "{slope}: {worst} {levels:?}");
-        assert!((light.slope() / slope - 1.0).abs() < 0.1, "learnt: {} of {slope}", light.slope());
+        assert!((light.slope() / slope - 1.0).abs() < 0.1, "learned: {} of {slope}", light.slope());
         let end = light.ready(0, at(at_s));
         assert_eq!(end, Some(if slope < 0.0 { Ready::TooDark } else { Ready::TooBright }));
     }
@@ -88,7 +88,7 @@ fn the_old_rule_of_scaling_by_the_last_frame_is_worse() {
 }
 
 #[test]
-fn what_no_exposure_can_do_is_said_with_the_time_until_it_can() {
+fn what_no_exposure_can_do_is_reported_with_the_time_until_it_can() {
     let fading = Sky { rate: 300_000.0, slope: -0.004 };
     let mut light = Light::new(WANT, 1, -0.004);
     assert_eq!((light.ready(0, at(0.0)), light.age_s(0, at(0.0))), (None, None));
@@ -123,7 +123,7 @@ fn at_its_limits_an_exposure_is_taken_while_its_level_is_good_enough() {
 }
 
 #[test]
-fn a_look_that_tells_too_little_is_repeated_longer_or_shorter() {
+fn a_look_that_shows_too_little_is_repeated_longer_or_shorter() {
     let seen = |exposure_s, level| Seen { started: at(0.0), exposure_s, level, is_part: true };
     assert_eq!(WANT.sounding_max_s(), 6.0);
     assert_eq!(WANT.sound_again_s(&seen(1.0, Level::Adu(510.0))), Some(6.0));

@@ -53,7 +53,7 @@ impl Filter {
 }
 
 /// The result of a row, and why it ended: empty where all frames were taken.
-pub fn told(filters: &[Filter], why: Option<&str>) -> String {
+pub fn summary(filters: &[Filter], why: Option<&str>) -> String {
     if filters.iter().all(|filter| filter.taken >= filter.wanted) {
         return String::new();
     }

@@ -8,9 +8,9 @@ use contract::observatory::RowStatus;
 use safety::objection::{Objection, stands_against};
 use units::{Angle, Utc};
 
-use super::course::{Course, Halt};
-use super::overheads::Span;
+use super::overheads::TimedPart;
 use super::planned::{PlannedNight, PlannedRow, heights};
+use super::simulated_run::{Halt, SimulatedRun};
 use super::world::World;
 use super::{Site, steps};
 use crate::row::{Row, RowId};
@@ -50,10 +50,24 @@ struct Forecast<'a> {
 /// # Errors
 /// No sky is known of the schedule's time, such as before 1972.
 pub fn forecast(rows: Vec<Row>, site: &mut Site) -> Result<PlannedNight, SkyError> {
+    let nothing = PlannedNight { rows: Vec::new(), open_s: 0.0, closed: None, dark_s: 0.0, dark_exposed_s: 0.0 };
+    Ok(forecast_while(rows, site, &|| true)?.unwrap_or(nothing))
+}
+
+/// Plans a schedule's rows while `goes_on`, which is asked before each row; absent where it was given up.
+///
+/// # Errors
+/// As of [`forecast`].
+pub fn forecast_while(
+    rows: Vec<Row>,
+    site: &mut Site,
+    goes_on: &dyn Fn() -> bool,
+) -> Result<Option<PlannedNight>, SkyError> {
     let planned: Vec<PlannedRow> = rows.iter().enumerate().map(|(index, row)| PlannedRow::of(row, index)).collect();
     let starts = rows.iter().map(|row| row.start).min();
     let Some((first, end)) = starts.zip(rows.iter().map(|row| row.end).max()) else {
-        return Ok(PlannedNight { rows: planned, open_s: 0.0, closed: None, dark_s: 0.0, dark_exposed_s: 0.0 });
+        let (open_s, closed, dark_s, dark_exposed_s) = (0.0, None, 0.0, 0.0);
+        return Ok(Some(PlannedNight { rows: planned, open_s, closed, dark_s, dark_exposed_s }));
     };
     let last = end.min(first.plus_seconds(LONGEST_S));
     let sun_deg = site.config.safety.sun_altitude_max_deg;
@@ -65,37 +79,43 @@ pub fn forecast(rows: Vec<Row>, site: &mut Site) -> Result<PlannedNight, SkyErro
     let (world, at_work, light) = (World::default(), Vec::new(), Vec::new());
     let hidden = BTreeMap::new();
     let mut forecast = Forecast { site, sequence, world, safe, last, at_work, hidden, rows: planned, light };
-    forecast.run(first);
+    if !forecast.run(first, goes_on) {
+        return Ok(None);
+    }
     let Forecast { site, world, rows, light, .. } = forecast;
     let dark = dark(site, first, last)?;
     let dark_s = dark.iter().map(|(from, to)| to.seconds_since(*from)).sum();
     let dark_exposed_s = common_s(&dark, light);
-    Ok(PlannedNight { rows, open_s: world.open_s(), closed: world.closed, dark_s, dark_exposed_s })
+    Ok(Some(PlannedNight { rows, open_s: world.open_s(), closed: world.closed, dark_s, dark_exposed_s }))
 }
 
 impl Forecast<'_> {
-    /// Works as the observatory node does, with a clock that jumps.
-    fn run(&mut self, first: Utc) {
+    /// Works as the observatory node does, with a clock that jumps; false where it was given up.
+    fn run(&mut self, first: Utc, goes_on: &dyn Fn() -> bool) -> bool {
         let mut now = first;
         loop {
+            if !goes_on() {
+                return false;
+            }
             self.end_rows(now);
             if self.safe_until(now).is_none() {
-                self.world.close(now, self.site.overheads.span(Span::Close).value);
+                self.world.close(now, self.site.overheads.span(TimedPart::Close).value);
             }
             self.skip_passed(now);
-            while self.start_next(now) {}
+            while goes_on() && self.start_next(now) {}
             if self.sequence.is_over() {
                 break;
             }
             let Some(next) = self.next_event(now) else { break };
             now = next;
         }
-        self.world.close(now, self.site.overheads.span(Span::Close).value);
+        self.world.close(now, self.site.overheads.span(TimedPart::Close).value);
         // A window longer than the plan.
         for row in self.rows.iter_mut().filter(|row| row.status == RowStatus::Pending) {
             row.status = RowStatus::Skipped;
-            row.tell("the plan ends before its window does");
+            row.note("the plan ends before its window does");
         }
+        true
     }
 
     /// The time until which the sky is safe, if it is now.
@@ -122,8 +142,8 @@ impl Forecast<'_> {
             self.sequence.set(index, RowStatus::Skipped);
             if let Some(row) = self.rows.get_mut(index) {
                 row.status = RowStatus::Skipped;
-                row.tell(&passed_words(status, row.frames));
-                row.tell(&why);
+                row.note(&passed_words(status, row.frames));
+                row.note(&why);
             }
         }
     }
@@ -167,12 +187,12 @@ impl Forecast<'_> {
         let Some(planned) = self.rows.get_mut(index) else { return false };
         let mut ends = vec![(self.last.plus_seconds(LONGEST_S), Halt::Failed("the plan ends".to_owned()))];
         ends.extend(safe_until.filter(|_| row.action.needs().safe).map(|until| (until, Halt::Interrupted)));
-        let mut course = Course::new(&row, (now, planned.frames), self.site, &mut self.world, ends);
-        let told = steps::foresee(&row.action, &mut course);
+        let mut run = SimulatedRun::new(&row, (now, planned.frames), self.site, &mut self.world, ends);
+        let outcome = steps::foresee(&row.action, &mut run);
         if row.action.needs().mount {
-            course.stand_still();
+            run.stand_still();
         }
-        let status = match &told {
+        let status = match &outcome {
             Ok(()) => RowStatus::Finished,
             Err(Halt::Hidden(clear, _)) => {
                 self.hidden.insert(index, *clear);
@@ -181,15 +201,15 @@ impl Forecast<'_> {
             Err(Halt::Interrupted) => RowStatus::Interrupted,
             Err(Halt::Failed(_)) => RowStatus::Failed,
         };
-        let (until, looked) = (course.now, course.looked);
+        let (until, looked) = (run.now, run.looked);
         planned.runs.push((now, until));
-        (planned.frames, planned.exposed_s) = (course.taken, planned.exposed_s + course.exposed_s);
-        planned.bytes += course.bytes;
-        course.told.iter().for_each(|words| planned.tell(words));
-        self.light.append(&mut course.light);
-        match &told {
-            Err(Halt::Failed(why)) => planned.tell(why),
-            Err(Halt::Hidden(clear, why)) => planned.tell(&format!("waits until {}: {why}", clear.strftime("%H:%M"))),
+        (planned.frames, planned.exposed_s) = (run.taken, planned.exposed_s + run.exposed_s);
+        planned.bytes += run.bytes;
+        run.notes.iter().for_each(|words| planned.note(words));
+        self.light.append(&mut run.light);
+        match &outcome {
+            Err(Halt::Failed(why)) => planned.note(why),
+            Err(Halt::Hidden(clear, why)) => planned.note(&format!("waits until {}: {why}", clear.strftime("%H:%M"))),
             Ok(()) | Err(Halt::Interrupted) => {}
         }
         if let Some(span) = planned.span() {

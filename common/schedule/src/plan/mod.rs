@@ -1,32 +1,33 @@
 //! The forecast of a night: a schedule worked through on a clock that jumps from event to event, before anything moves.
 //!
 //! ```text
-//!   rows --> Sequence (the runner's own) --which row now?--> a simulated run of its action (Course)
+//!   rows --> Sequence (the runner's own) --which row now?--> a simulated run of its action (SimulatedRun)
 //!                 ^                                                  |
 //!                 '--- ended, interrupted, passed <--- now = the next event: an end, a start, the Sun
 //! ```
 //! The code that decides is the code that decides in the observatory node: which row is next ([`crate::sequence`]), why
-//! a row may not run ([`stands_against`]), each action's own choice of the next frame, when a mount flips, where it may
-//! be sent. Only the times that devices take are replaced, by [`Overheads`], which are measured from telemetry
-//! ([`evidence`]) where there is some.
+//! a row may not run ([`safety::objection::stands_against`]), each action's own choice of the next frame, when a mount
+//! flips, where it may be sent. Only the times that devices take are replaced, by [`Overheads`], which are measured
+//! from telemetry ([`evidence`]) where there is some.
 //!
 //! Pure except for the horizon files that the configuration names: rows and configuration in, [`PlannedNight`] out. The
 //! weather is assumed to be good, except for the given unsafe spans; the Sun is computed. Decision 0032.
 
-pub mod course;
 pub mod evidence;
 mod forecast;
 pub mod overheads;
 mod planned;
+mod published;
+pub mod simulated_run;
 pub mod sky;
 mod steps;
 mod world;
 
-pub use self::course::{Course, Halt};
-pub use self::evidence::Evidence;
-pub use self::forecast::forecast;
-pub use self::overheads::{Figure, Overheads, Span};
+pub use self::evidence::{Evidence, TakenFrame};
+pub use self::forecast::{forecast, forecast_while};
+pub use self::overheads::{Figure, Overheads, TimedPart};
 pub use self::planned::{Heights, PlannedNight, PlannedRow};
+pub use self::simulated_run::{Halt, SimulatedRun};
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -8,7 +8,7 @@ use config::Observatory;
 /// A part of a row whose length the nodes write into their diaries when it is done, so that later nights can be
 /// planned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Span {
+pub enum TimedPart {
     /// From shut to open roof and covers, with the mount out of its park position.
     Open,
     /// From the close request to verified closed, with the mount parked.
@@ -27,7 +27,7 @@ pub enum Span {
     Spool,
 }
 
-impl Span {
+impl TimedPart {
     /// All of them.
     pub const ALL: [Self; 8] =
         [Self::Open, Self::Close, Self::Cool, Self::Slew, Self::Slit, Self::Filter, Self::Acquire, Self::Spool];
@@ -83,8 +83,8 @@ const UNKNOWN: Sensor = Sensor { size_px: [4096, 4096], bytes_per_px: 2.0, measu
 /// The overheads of all steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Overheads {
-    spans: BTreeMap<Span, Figure>,
-    /// The time that a slew takes per degree of its way in addition to [`Span::Slew`], s/deg.
+    spans: BTreeMap<TimedPart, Figure>,
+    /// The time that a slew takes per degree of its way in addition to [`TimedPart::Slew`], s/deg.
     pub slew_s_per_deg: Figure,
     /// From the end of a frame's exposure to the begin of the next one, by action, s.
     pub frame_s: BTreeMap<String, Figure>,
@@ -102,17 +102,17 @@ impl Overheads {
         let settle_s = config.telescope.iter().map(|mount| mount.settle_s).fold(0.0, f64::max);
         let spans = [
             // Half the travel time after which a dome counts as stuck is the usual one.
-            (Span::Open, 60.0),
-            (Span::Close, 60.0),
-            (Span::Cool, 600.0),
+            (TimedPart::Open, 60.0),
+            (TimedPart::Close, 60.0),
+            (TimedPart::Cool, 600.0),
             // Ramps of 5 s, then 3 deg/s.
-            (Span::Slew, 5.0 + settle_s),
+            (TimedPart::Slew, 5.0 + settle_s),
             // A roof, or a dome that is as quick as its mount.
-            (Span::Slit, 0.0),
-            (Span::Filter, 5.0),
+            (TimedPart::Slit, 0.0),
+            (TimedPart::Filter, 5.0),
             // A frame and its solving (some s each), a correction, and a frame that proves the result.
-            (Span::Acquire, 30.0),
-            (Span::Spool, 2.0),
+            (TimedPart::Acquire, 30.0),
+            (TimedPart::Spool, 2.0),
         ];
         Self {
             spans: spans.into_iter().map(|(span, value)| (span, Figure::assumed(value))).collect(),
@@ -125,18 +125,18 @@ impl Overheads {
     }
 
     /// The time of a part of a row, s; of a slew the part that does not depend on its way.
-    pub fn span(&self, span: Span) -> Figure {
+    pub fn span(&self, span: TimedPart) -> Figure {
         self.spans.get(&span).copied().unwrap_or(Figure::assumed(0.0))
     }
 
     /// Sets the time of a part of a row.
-    pub fn set_span(&mut self, span: Span, figure: Figure) {
+    pub fn set_span(&mut self, span: TimedPart, figure: Figure) {
         self.spans.insert(span, figure);
     }
 
     /// A slew over so many degrees with its settling, s.
     pub fn slew_s(&self, deg: f64) -> f64 {
-        self.span(Span::Slew).value + self.slew_s_per_deg.value * deg
+        self.span(TimedPart::Slew).value + self.slew_s_per_deg.value * deg
     }
 
     /// From the end of a frame's exposure to the begin of the next one, s.
@@ -150,14 +150,14 @@ impl Overheads {
     }
 
     /// Every figure with its name, unit and origin, for people: `slew 12.3 s (n = 40)`.
-    pub fn told(&self) -> Vec<(String, Figure, &'static str)> {
-        let mut told: Vec<(String, Figure, &'static str)> =
-            Span::ALL.iter().map(|span| (span.word().to_owned(), self.span(*span), "s")).collect();
-        told.push(("slew, each degree".to_owned(), self.slew_s_per_deg, "s/deg"));
+    pub fn figures(&self) -> Vec<(String, Figure, &'static str)> {
+        let mut listed: Vec<(String, Figure, &'static str)> =
+            TimedPart::ALL.iter().map(|span| (span.word().to_owned(), self.span(*span), "s")).collect();
+        listed.push(("slew, each degree".to_owned(), self.slew_s_per_deg, "s/deg"));
         let frames = self.frame_s.iter().map(|(action, figure)| (format!("between frames, {action}"), *figure, "s"));
-        told.extend(frames);
-        told.push(("between frames, any other".to_owned(), self.other_frame_s, "s"));
-        told.push(("headers whole".to_owned(), self.headers_s, "s"));
-        told
+        listed.extend(frames);
+        listed.push(("between frames, any other".to_owned(), self.other_frame_s, "s"));
+        listed.push(("headers whole".to_owned(), self.headers_s, "s"));
+        listed
     }
 }

@@ -96,7 +96,7 @@ impl PlannedRow {
     }
 
     /// Adds to the note.
-    pub(super) fn tell(&mut self, words: &str) {
+    pub(super) fn note(&mut self, words: &str) {
         if !words.is_empty() && !self.note.contains(words) {
             let between = if self.note.is_empty() { "" } else { "; " };
             self.note.push_str(&format!("{between}{words}"));

@@ -2,20 +2,20 @@
 
 use std::collections::BTreeSet;
 
+use config::meant;
 use contract::Name;
 use contract::observatory::{Check, Finding};
 
-use super::Known;
+use super::KnownFacts;
 use crate::fault::{Right as _, error};
 use crate::row::Row;
-use config::meant;
 
 /// Filters that no wheel of the camera has; mounts that are not there.
-pub(super) fn check(rows: &[Row], known: &Known) -> Vec<Finding> {
+pub(super) fn check(rows: &[Row], known: &KnownFacts) -> Vec<Finding> {
     rows.iter().flat_map(|row| filters(row, known).into_iter().chain(mount(row, known))).collect()
 }
 
-fn filters(row: &Row, known: &Known) -> Vec<Finding> {
+fn filters(row: &Row, known: &KnownFacts) -> Vec<Finding> {
     let wanted = row.action.filters();
     let (false, Some(camera)) = (wanted.is_empty(), known.camera(row)) else { return Vec::new() };
     let at = row.written.parameter("filter");
@@ -27,14 +27,14 @@ fn filters(row: &Row, known: &Known) -> Vec<Finding> {
     };
     let Some(filters) = known.filters.get(wheel) else { return Vec::new() };
     let each: BTreeSet<&str> = wanted.into_iter().filter(|wanted| !filters.iter().any(|has| has == wanted)).collect();
-    let told = |wanted: &str| {
+    let describe = |wanted: &str| {
         let found = error(Check::Filter, at, Some("filter"), format!("{wheel} has no filter {wanted:?}"));
         found.right(meant(wanted, filters.iter().map(String::as_str)))
     };
-    each.into_iter().map(told).collect()
+    each.into_iter().map(describe).collect()
 }
 
-fn mount(row: &Row, known: &Known) -> Option<Finding> {
+fn mount(row: &Row, known: &KnownFacts) -> Option<Finding> {
     let needs = row.action.needs();
     // `open` opens the roof, too, and `autofocus` works without a mount, where the telescope points.
     let points = needs.mount && needs.safe && !["open", "autofocus"].contains(&row.action.name());
@@ -45,10 +45,12 @@ fn mount(row: &Row, known: &Known) -> Option<Finding> {
 }
 
 /// Wheels whose filters are asked for and not known.
-pub(super) fn unchecked(rows: &[Row], known: &Known) -> Vec<String> {
+pub(super) fn unchecked(rows: &[Row], known: &KnownFacts) -> Vec<String> {
     let asks = |row: &&Row| !row.action.filters().is_empty();
     let wheels = rows.iter().filter(asks).filter_map(|row| known.camera(row)?.filterwheel.as_ref());
     let wheels: BTreeSet<&Name> = wheels.filter(|wheel| !known.filters.contains_key(*wheel)).collect();
-    let told = |wheel: &Name| format!("filters of {wheel}: it has not been heard, and filterwheel.filters is not set");
-    wheels.into_iter().map(told).collect()
+    let describe = |wheel: &Name| {
+        format!("filters of {wheel}: the wheel has published nothing, and filterwheel.filters is not set")
+    };
+    wheels.into_iter().map(describe).collect()
 }

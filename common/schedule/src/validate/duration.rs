@@ -3,7 +3,7 @@
 use config::ScheduleCheck;
 use contract::observatory::{Check, Finding};
 
-use super::Known;
+use super::KnownFacts;
 use crate::fault::{Right as _, warning};
 use crate::fields::when;
 use crate::row::Row;
@@ -22,7 +22,7 @@ pub(super) fn estimate(row: &Row, overheads: &ScheduleCheck) -> Estimate {
     let before_s = if row.action.needs().mount { overheads.row_overhead_s } else { 0.0 };
     let (mut needs_s, mut until_end) = (before_s, false);
     for exposures in row.action.exposures() {
-        let frame_s = exposures.exposure_s + exposures.beside_s + overheads.frame_overhead_s;
+        let frame_s = exposures.exposure_s + exposures.extra_s + overheads.frame_overhead_s;
         match exposures.frames {
             Some(frames) => needs_s += f64::from(frames) * frame_s,
             None => {
@@ -35,7 +35,7 @@ pub(super) fn estimate(row: &Row, overheads: &ScheduleCheck) -> Estimate {
 }
 
 /// Rows whose exposures do not fit into their windows.
-pub(super) fn check(rows: &[Row], known: &Known) -> Vec<Finding> {
+pub(super) fn check(rows: &[Row], known: &KnownFacts) -> Vec<Finding> {
     rows.iter().filter_map(|row| too_short(row, &known.config.schedule.check)).collect()
 }
 
@@ -62,7 +62,7 @@ fn too_short(row: &Row, overheads: &ScheduleCheck) -> Option<Finding> {
     let field = if until_end { "exptime" } else { "n" };
     let fits = match exposures.as_slice() {
         [only] if !until_end => {
-            let frame_s = only.exposure_s + only.beside_s + overheads.frame_overhead_s;
+            let frame_s = only.exposure_s + only.extra_s + overheads.frame_overhead_s;
             let before_s = needs_s - frame_s * f64::from(only.frames.unwrap_or(0));
             format!(", or n about {:.0}", ((window_s - before_s) / frame_s).floor().max(0.0))
         }

@@ -29,7 +29,7 @@ use crate::row::Row;
 
 /// The facts with which rows are compared.
 #[derive(Debug, Clone)]
-pub struct Known {
+pub struct KnownFacts {
     config: Arc<Observatory>,
     /// Filters of each wheel that are known.
     pub filters: BTreeMap<Name, Vec<String>>,
@@ -37,14 +37,20 @@ pub struct Known {
     /// The sources that could not be read.
     unread: Vec<String>,
     /// The positions of the names that were looked up.
-    pub names: names::Known,
+    pub names: names::KnownNames,
     /// Windows that ended before this have passed; where absent, they are not reported.
     now: Option<Utc>,
 }
 
-impl Known {
-    /// From the configuration alone; reads the horizon files that it names.
+impl KnownFacts {
+    /// From the configuration alone; reads the horizon files that it names, and the names that were looked up.
     pub fn of(config: Arc<Observatory>) -> Self {
+        let names = names::KnownNames::read(&names::KnownNames::path(&config));
+        Self::with_names(config, names)
+    }
+
+    /// From the configuration and the names that are known now; reads the horizon files that it names.
+    pub fn with_names(config: Arc<Observatory>, names: names::KnownNames) -> Self {
         let named = |wheel: &config::FilterWheel| (wheel.common.name.clone(), wheel.filters.clone());
         let filters = config.filterwheel.iter().filter(|wheel| !wheel.filters.is_empty()).map(named).collect();
         let (mut horizons, mut unread) = (BTreeMap::new(), Vec::new());
@@ -56,19 +62,12 @@ impl Known {
                 Some(Err(why)) => unread.push(format!("horizon of {name}: {why}")),
             }
         }
-        let names = names::Known::read(&names::Known::path(&config));
         Self { config, filters, horizons, unread, names, now: None }
     }
 
     /// With the filters that a wheel reports, which count before those of the configuration.
     pub fn with_filters(mut self, wheel: &Name, filters: Vec<String>) -> Self {
         self.filters.insert(wheel.clone(), filters);
-        self
-    }
-
-    /// With the names that are known now.
-    pub fn with_names(mut self, names: names::Known) -> Self {
-        self.names = names;
         self
     }
 
@@ -96,7 +95,7 @@ impl Known {
 ///
 /// # Errors
 /// All findings that refuse the file.
-pub fn accept(text: &str, known: &Known) -> Result<Vec<Row>, Fault> {
+pub fn accept(text: &str, known: &KnownFacts) -> Result<Vec<Row>, Fault> {
     let Reading { rows, mut findings } = read_with(text, &known.cameras(), &defaults_of(&known.config.camera));
     findings.extend(device::check(&rows, known));
     in_order(&mut findings, MOST_FINDINGS);
@@ -104,7 +103,7 @@ pub fn accept(text: &str, known: &Known) -> Result<Vec<Row>, Fault> {
 }
 
 /// All findings of a schedule.
-pub fn validate(text: &str, known: &Known) -> ScheduleFindings {
+pub fn validate(text: &str, known: &KnownFacts) -> ScheduleFindings {
     let Reading { rows, mut findings } = read_with(text, &known.cameras(), &defaults_of(&known.config.camera));
     let (found, unchecked) = survey(&rows, known);
     findings.extend(found);
@@ -114,7 +113,7 @@ pub fn validate(text: &str, known: &Known) -> ScheduleFindings {
 }
 
 /// The findings of rows that were read, in the order of the file, and what could not be checked.
-pub fn survey(rows: &[Row], known: &Known) -> (Vec<Finding>, Vec<String>) {
+pub fn survey(rows: &[Row], known: &KnownFacts) -> (Vec<Finding>, Vec<String>) {
     let mut unchecked = known.unread.clone();
     unchecked.extend(device::unchecked(rows, known));
     unchecked.extend(visibility::unchecked(rows, known));

@@ -6,7 +6,7 @@
 use contract::observatory::{Check, Finding};
 use units::Utc;
 
-use super::Known;
+use super::KnownFacts;
 use super::duration::{Estimate, estimate, length};
 use crate::action::Needs;
 use crate::fault::{Right as _, warning};
@@ -24,7 +24,7 @@ struct Run<'a> {
 }
 
 /// Rows to which others leave too little of their window.
-pub(super) fn check(rows: &[Row], known: &Known) -> Vec<Finding> {
+pub(super) fn check(rows: &[Row], known: &KnownFacts) -> Vec<Finding> {
     let mut runs: Vec<Run<'_>> = Vec::new();
     let mut findings = Vec::new();
     for row in rows {
@@ -41,7 +41,7 @@ pub(super) fn check(rows: &[Row], known: &Known) -> Vec<Finding> {
         let before = runs.iter().filter(stops).max_by_key(|run| run.end);
         let begin = before.map_or(row.start, |run| run.end);
         if let Some(run) = before {
-            findings.extend(told(row, run, known, needs_s, until_end));
+            findings.extend(finding(row, run, known, needs_s, until_end));
         }
         if begin < row.end {
             let end = if until_end { row.end } else { begin.plus_seconds(needs_s).min(row.end) };
@@ -52,7 +52,7 @@ pub(super) fn check(rows: &[Row], known: &Known) -> Vec<Finding> {
 }
 
 /// The window that a row loses to the one before it, if it has to be reported.
-fn told(row: &Row, before: &Run<'_>, known: &Known, needs_s: f64, until_end: bool) -> Option<Finding> {
+fn finding(row: &Row, before: &Run<'_>, known: &KnownFacts, needs_s: f64, until_end: bool) -> Option<Finding> {
     let window_s = row.end.seconds_since(row.start);
     let (left_s, lost_s) = (row.end.seconds_since(before.end), before.end.seconds_since(row.start));
     let (line, until) = (before.row.line, when(before.end));
@@ -70,22 +70,22 @@ fn told(row: &Row, before: &Run<'_>, known: &Known, needs_s: f64, until_end: boo
     Some(found.right(way_out(row, before, known)))
 }
 
-fn way_out(row: &Row, before: &Run<'_>, known: &Known) -> String {
+fn way_out(row: &Row, before: &Run<'_>, known: &KnownFacts) -> String {
     let mount = |row| known.mount(row).map(|mount| &mount.common.name);
     let later = format!("start_time at least {}", when(before.end));
     if before.row.camera == row.camera {
         return later;
     }
-    let mut beside = Vec::new();
+    let mut needed = Vec::new();
     if !before.needs.parallel {
-        beside.push(format!("execute_parallel on line {}", before.row.line));
+        needed.push(format!("execute_parallel on line {}", before.row.line));
     }
     if before.needs.mount && row.action.needs().mount {
         match mount(row) == mount(before.row) {
-            true => beside.push("disable_telescope_movement on this one".to_owned()),
+            true => needed.push("disable_telescope_movement on this one".to_owned()),
             // Two mounts of one file do not move at once.
             false => return later,
         }
     }
-    format!("{later}, or to run beside it {}", beside.join(" and "))
+    format!("{later}, or to run alongside it {}", needed.join(" and "))
 }

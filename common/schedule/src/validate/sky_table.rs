@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn it_says_what_an_observer_says_at_every_moment_of_a_night() {
+    fn it_answers_as_an_observer_does_at_every_moment_of_a_night() {
         let (mut sky, place) = table();
         let (start, end) = ("2026-11-21T00:07:11Z".parse().unwrap(), "2026-11-21T09:13:00Z".parse().unwrap());
         for (ra_deg, dec_deg) in [(10.0, -60.0), (83.6, 22.0), (200.0, -24.0), (300.0, 0.0)] {
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_of_which_no_sky_is_known_is_left_out_and_told() {
+    fn a_time_of_which_no_sky_is_known_is_left_out_and_reported() {
         let (mut sky, _) = table();
         assert!(!sky.walk(Utc::EPOCH, Utc::EPOCH.plus_seconds(60.0), |_, _| ()));
         assert!(sky.unchecked().unwrap().contains("one row"));

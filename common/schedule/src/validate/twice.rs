@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use contract::observatory::{Check, Finding};
 
-use super::Known;
+use super::KnownFacts;
 use super::sky_table::{SkyTable, angle_deg, chord};
 use super::visibility::target;
 use crate::fault::{Right as _, warning};
@@ -14,7 +14,7 @@ use crate::row::Row;
 const SAME_FIELD_DEG: f64 = 0.05;
 
 /// Rows that repeat another one.
-pub(super) fn check(rows: &[Row], known: &Known, sky: &mut SkyTable) -> Vec<Finding> {
+pub(super) fn check(rows: &[Row], known: &KnownFacts, sky: &mut SkyTable) -> Vec<Finding> {
     let mut findings = doubled(rows);
     if known.config.telescope.len() > 1 {
         findings.extend(on_two_mounts(rows, known, sky));
@@ -41,7 +41,7 @@ fn doubled(rows: &[Row]) -> Vec<Finding> {
     findings
 }
 
-fn on_two_mounts(rows: &[Row], known: &Known, sky: &mut SkyTable) -> Vec<Finding> {
+fn on_two_mounts(rows: &[Row], known: &KnownFacts, sky: &mut SkyTable) -> Vec<Finding> {
     let aimed = |row| Some((row, known.mount(row)?.common.name.clone(), target(row, known, sky)?));
     let aimed: Vec<(&Row, _, _)> = rows.iter().filter_map(aimed).collect();
     let mut findings = Vec::new();

@@ -1,11 +1,11 @@
-//! Checks whether a row's target can be observed, over its whole window? Altitude, horizon, Sun and Moon.
+//! Checks whether a row's target can be observed over its whole window: altitude, horizon, Sun and Moon.
 
 use config::Horizon;
 use contract::observatory::{Check, Finding};
 use sky::Body;
 use units::Utc;
 
-use super::Known;
+use super::KnownFacts;
 use super::duration::{Estimate, estimate, length};
 use super::sky_table::{Eye, Moment, SkyTable, Slot, Vector, angle_deg, chord, dot, slot_of};
 use crate::action::Place as Aim;
@@ -19,7 +19,7 @@ use crate::row::Row;
 const SLACK_S: f64 = 60.0;
 
 /// The target of a row, by its place or by its name; none where it does not move the telescope.
-pub(super) fn aim(row: &Row, known: &Known) -> Option<Aim> {
+pub(super) fn aim(row: &Row, known: &KnownFacts) -> Option<Aim> {
     if !row.action.needs().mount {
         return None;
     }
@@ -30,26 +30,27 @@ pub(super) fn aim(row: &Row, known: &Known) -> Option<Aim> {
 }
 
 /// The direction of a row when it begins.
-pub(super) fn target(row: &Row, known: &Known, sky: &mut SkyTable) -> Option<Vector> {
+pub(super) fn target(row: &Row, known: &KnownFacts, sky: &mut SkyTable) -> Option<Vector> {
     sky.direction(&aim(row, known)?, row.start)
 }
 
 /// Names that are not known yet: the altitude of these targets is checked once they are.
-pub(super) fn unchecked(rows: &[Row], known: &Known) -> Vec<String> {
-    let mut told = Vec::new();
+pub(super) fn unchecked(rows: &[Row], known: &KnownFacts) -> Vec<String> {
+    let mut unchecked = Vec::new();
     for row in rows.iter().filter(|row| row.action.needs().mount) {
         if let Some(name) = row.action.lookup_name()
             && let Err(why) = known.names.find(name, row.start)
         {
             let line = row.line;
-            told.push(format!("altitude, Sun and Moon of line {line}: {why}; it is checked once the name is known"));
+            unchecked
+                .push(format!("altitude, Sun and Moon of line {line}: {why}; it is checked once the name is known"));
         }
     }
-    told
+    unchecked
 }
 
 /// The highest that a place that is fixed among the stars gets at this site, degrees.
-fn highest_deg(aim: Option<&Aim>, known: &Known) -> Option<f64> {
+fn highest_deg(aim: Option<&Aim>, known: &KnownFacts) -> Option<f64> {
     match aim? {
         Aim::Icrs(place) => Some(90.0 - (known.config.place.latitude_deg - place.dec.degrees()).abs()),
         Aim::Moving(_) | Aim::Horizontal(_) => None,
@@ -57,7 +58,7 @@ fn highest_deg(aim: Option<&Aim>, known: &Known) -> Option<f64> {
 }
 
 /// Rows whose targets, or whose sky, cannot be observed over the whole window.
-pub(super) fn check(rows: &[Row], known: &Known, sky: &mut SkyTable) -> Vec<Finding> {
+pub(super) fn check(rows: &[Row], known: &KnownFacts, sky: &mut SkyTable) -> Vec<Finding> {
     rows.iter().flat_map(|row| look(row, known, sky)).collect()
 }
 
@@ -97,7 +98,7 @@ impl Bad {
     }
 
     /// Empty where it is reported already.
-    fn is_known_otherwise(&self, is_told: bool) -> &Self {
+    fn is_known_otherwise(&self, is_reported: bool) -> &Self {
         const NONE: &Bad = &Bad {
             moments: 0,
             bad: 0,
@@ -109,7 +110,7 @@ impl Bad {
             last_good: None,
             worst: None,
         };
-        if is_told { NONE } else { self }
+        if is_reported { NONE } else { self }
     }
 
     fn is_all(&self) -> bool {
@@ -147,7 +148,7 @@ struct Looked {
     moon: Option<(f64, Utc, f64)>,
 }
 
-fn look(row: &Row, known: &Known, sky: &mut SkyTable) -> Vec<Finding> {
+fn look(row: &Row, known: &KnownFacts, sky: &mut SkyTable) -> Vec<Finding> {
     if !row.action.needs().safe {
         return Vec::new();
     }
@@ -196,19 +197,19 @@ fn look(row: &Row, known: &Known, sky: &mut SkyTable) -> Vec<Finding> {
     let never = highest_deg(aimed.as_ref(), known).filter(|highest_deg| highest_deg + 0.5 < low_deg);
     findings.extend(never.map(|highest_deg| never_up(row, name, highest_deg, low_deg)));
     let low = looked.low.is_known_otherwise(never.is_some());
-    findings.extend(told(row, low, |_, value, _| {
+    findings.extend(finding(row, low, |_, value, _| {
         let low = format!("{name} stands below {low_deg:.0} deg");
         (low, format!(", {:.1} deg at the lowest", altitude(value)))
     }));
-    findings.extend(told(row, &looked.hidden, |_, altitude_deg, limit_deg| {
+    findings.extend(finding(row, &looked.hidden, |_, altitude_deg, limit_deg| {
         let there = format!(", at the worst {altitude_deg:.1} deg where the horizon is {limit_deg:.1} deg");
         (format!("{name} stands behind the horizon of the site"), there)
     }));
-    findings.extend(told(row, &looked.high, |_, value, _| {
+    findings.extend(finding(row, &looked.high, |_, value, _| {
         let high = format!("{name} stands above {:.0} deg", check.altitude_max_deg);
         (high, format!(", {:.1} deg at the highest", altitude(value)))
     }));
-    findings.extend(told(row, &looked.west, |_, hour_angle_h, limit_h| {
+    findings.extend(finding(row, &looked.west, |_, hour_angle_h, limit_h| {
         let west = format!("{name} stands beyond the mount's hour angle of {limit_h:.1} h");
         (west, format!(", {hour_angle_h:.1} h at the farthest"))
     }));
@@ -287,7 +288,7 @@ fn never_up(row: &Row, name: &str, highest_deg: f64, low_deg: f64) -> Finding {
 }
 
 /// The Sun only delays a row: that is reported where the row loses too much.
-fn too_sunny(row: &Row, sunlit: &Bad, known: &Known, sun_deg: f64) -> Option<Finding> {
+fn too_sunny(row: &Row, sunlit: &Bad, known: &KnownFacts, sun_deg: f64) -> Option<Finding> {
     let (words, field, right) = sunlit.span()?;
     let Estimate { needs_s, until_end } = estimate(row, &known.config.schedule.check);
     let (first, last) = (sunlit.first_good.unwrap_or(row.start), sunlit.last_good.unwrap_or(row.start));
@@ -307,11 +308,11 @@ fn too_sunny(row: &Row, sunlit: &Bad, known: &Known, sun_deg: f64) -> Option<Fin
     })
 }
 
-/// The finding for a target that cannot be observed; `say` gives the words before and after the span of time.
-fn told(row: &Row, bad: &Bad, say: impl Fn(f64, f64, f64) -> (String, String)) -> Option<Finding> {
+/// The finding for a target that cannot be observed; `describe` gives the words before and after the span of time.
+fn finding(row: &Row, bad: &Bad, describe: impl Fn(f64, f64, f64) -> (String, String)) -> Option<Finding> {
     let (words, field, right) = bad.span()?;
     let (off, value, limit) = bad.worst?;
-    let (before, after) = say(off, value, limit);
+    let (before, after) = describe(off, value, limit);
     let (at, field) = match field {
         Some(field) => (row.written.field(field), field),
         None => (row.written.parameter("ra"), "ra"),

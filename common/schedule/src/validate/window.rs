@@ -16,8 +16,8 @@ pub(super) fn check(rows: &[Row], now: Option<Utc>) -> Vec<Finding> {
     let Some(now) = now else { return findings };
     let passed: Vec<&Row> = rows.iter().filter(|row| row.end < now).collect();
     // The schedule of another night is reported once.
-    let told = if passed.len() == rows.len() { passed.get(..1).unwrap_or_default() } else { &passed };
-    for row in told {
+    let named = if passed.len() == rows.len() { passed.get(..1).unwrap_or_default() } else { &passed };
+    for row in named {
         let what = match passed.len() == rows.len() && rows.len() > 1 {
             true => format!("the windows of all {} rows have passed: nothing will be done", rows.len()),
             false => format!("its window passed at {}: it will be skipped", when(row.end)),

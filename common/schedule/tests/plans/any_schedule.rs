@@ -75,7 +75,7 @@ proptest! {
         for (n, row) in rows.iter().enumerate() {
             let has_ended = matches!(row.status, RowStatus::Finished | RowStatus::Failed | RowStatus::Skipped);
             prop_assert!(has_ended, "{row:?}");
-            prop_assert!(row.is_whole() || !row.note.is_empty(), "nothing is said of {row:?}");
+            prop_assert!(row.is_whole() || !row.note.is_empty(), "nothing is reported about {row:?}");
             prop_assert!(row.frames_wanted.is_none_or(|wanted| row.frames <= wanted), "{row:?}");
             for (start, end) in &row.runs {
                 prop_assert!(start <= end && row.window.0 <= *start && *start <= row.window.1, "{row:?}");

@@ -54,7 +54,7 @@ fn plan(text: &str) -> PlannedNight {
 }
 
 #[test]
-fn every_golden_plan_is_as_its_file_says() {
+fn every_golden_plan_is_as_in_its_file() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/plans/schedules");
     let mut files: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
     files.sort();
@@ -84,7 +84,7 @@ fn every_golden_plan_is_as_its_file_says() {
 }
 
 #[test]
-fn a_plan_tells_altitudes_bytes_and_the_use_of_the_dark() {
+fn a_plan_gives_altitudes_bytes_and_the_use_of_the_dark() {
     let text = r#"{"device_name": "main", "action_type": "object", "start_time": "2026-11-21 03:00:00",
         "end_time": "2026-11-21 05:00:00",
         "action_value": {"object": "x", "exptime": 58, "ra": 45.0, "dec": -24.6, "bin": 2, "n": 60}}"#;

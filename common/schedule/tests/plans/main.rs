@@ -15,8 +15,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use schedule::Row;
-use schedule::plan::{Evidence, Site};
-use schedule::validate::{Known, accept};
+use schedule::plan::{Evidence, Site, forecast_while};
+use schedule::validate::{KnownFacts, accept};
 
 /// Two cameras on one mount, a dome, a wheel; a slew takes 6 s and a third of a second per degree, a frame 2 s.
 const SITE: &str = concat!(
@@ -52,10 +52,34 @@ server = "10.0.0.5:11111"
 
 #[test]
 fn a_week_is_planned_in_seconds() {
-    let (told, took_s) = year::plan(7).unwrap();
-    println!("{told}: planned in {took_s:.2} s");
+    let (report, took_s) = year::plan(7).unwrap();
+    println!("{report}: planned in {took_s:.2} s");
     // A year of them would take half an hour at this limit, on a busy machine and without optimization.
-    assert!(told.starts_with("7 nights, 273 rows") && took_s < 35.0, "{told}: {took_s} s");
+    assert!(report.starts_with("7 nights, 273 rows") && took_s < 35.0, "{report}: {took_s} s");
+}
+
+#[test]
+fn a_forecast_that_takes_too_long_is_given_up_and_one_that_does_not_is_the_whole() {
+    let rows_of_a_week = || {
+        let row = |day: u32| {
+            format!(
+                "{{\"device_name\": \"main\", \"action_type\": \"object\", \"action_value\": {{\"object\": \"x{day}\", \"exptime\": 60, \"ra\": \
+                 45.0, \"dec\": -24.6, \"n\": 3}}, \"start_time\": \"2026-11-{day} 03:00:00\", \"end_time\": \"2026-11-{day} 04:00:00\"}}\n"
+            )
+        };
+        rows(&(20..27).map(row).collect::<String>())
+    };
+    let asked = std::cell::Cell::new(0);
+    let goes_on = |most: u32| {
+        asked.set(asked.get() + 1);
+        asked.get() <= most
+    };
+    assert!(forecast_while(rows_of_a_week(), &mut site(), &|| goes_on(5)).unwrap().is_none());
+    assert!(asked.get() < 10, "it ends soon: asked {} times", asked.get());
+    let whole = forecast_while(rows_of_a_week(), &mut site(), &|| true).unwrap().unwrap();
+    let published = whole.published(&site());
+    assert_eq!((whole.frames(), published.rows.len(), published.night.unwrap().frames), (21, 7, 21));
+    assert_eq!(published.cameras.iter().map(|sensor| sensor.camera.as_str()).collect::<Vec<_>>(), ["main"]);
 }
 
 /// The site with nothing measured.
@@ -68,5 +92,5 @@ fn site() -> Site {
 /// Rows of a schedule for it.
 fn rows(text: &str) -> Vec<Row> {
     let config = Arc::new(config::parse(SITE, Path::new(".")).unwrap());
-    accept(text, &Known::of(config)).unwrap()
+    accept(text, &KnownFacts::of(config)).unwrap()
 }

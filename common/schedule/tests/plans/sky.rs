@@ -5,7 +5,7 @@ use sky::next_sun_crossing;
 use units::{Angle, Utc};
 
 #[test]
-fn the_sun_crosses_an_altitude_when_the_almanac_says_so() {
+fn the_sun_crosses_an_altitude_at_the_time_of_the_almanac() {
     let config = config::parse(super::SITE, std::path::Path::new(".")).unwrap();
     let mut sky = Sky::of(&config.place).unwrap();
     let noon: Utc = "2026-11-20T16:00:00Z".parse().unwrap();

@@ -1,7 +1,7 @@
 //! Bodies that move among the stars: the direction of one, as seen from the site.
 //!
 //! All give the *astrometric* place: the direction from the site to where the light that arrives now left the body, in
-//! ICRS axes and without aberration, as a catalogue would list a star beside it. [`Observer::to_of_date`] and
+//! ICRS axes and without aberration, as a catalogue would list a star next to it. [`Observer::to_of_date`] and
 //! [`Observer::to_horizontal`] then convert it as they convert a star.
 //!
 //! The accuracy compared with JPL's DE421 from 1990 to 2050 (`tests/python/test_sky.py`): the Moon within 10 arcsec,

@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn a_parabola_obeys_barker() {
+    fn a_parabola_satisfies_barkers_equation() {
         // Barker's equation: t = sqrt(2) q^1.5 / k (tan(v/2) + tan(v/2)^3 / 3); at v = 90 deg that is 4/3 sqrt(2) q^1.5
         // / k.
         let q = 0.7_f64;
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn axis_and_anomaly_say_the_same_as_perihelion_and_passage() {
+    fn axis_and_anomaly_give_the_same_as_perihelion_and_passage() {
         let angles = (Angle::from_degrees(10.6), Angle::from_degrees(80.3), Angle::from_degrees(73.6));
         let (axis, e) = (2.77, 0.08);
         let period = std::f64::consts::TAU / GAUSS * 2.77_f64.powf(1.5);

@@ -38,8 +38,8 @@ fn zero(mag: f64, error_mag: f64, seconds: f64) -> Lesson {
 #[test]
 fn what_is_taught_first_is_known_at_once_and_each_side_of_the_pier_by_itself() {
     let (mut state, mut rivals) = (OpticsState::default(), Rivals::default());
-    assert!(rivals.hear(&mut state, lesson(optics(10.0, 0.5, 0.0))));
-    assert!(rivals.hear(&mut state, lesson(Optics { pier_side: Some(PierSide::West), ..optics(-170.0, 0.5, 1.0) })));
+    assert!(rivals.observe(&mut state, lesson(optics(10.0, 0.5, 0.0))));
+    assert!(rivals.observe(&mut state, lesson(Optics { pier_side: Some(PierSide::West), ..optics(-170.0, 0.5, 1.0) })));
     let mut light = frame("f");
     light.purpose.filter = Some("V".to_owned());
     let rotation = |side| known(&state, &light, side).map(|optics| optics.rotation_deg);
@@ -51,25 +51,28 @@ fn what_is_taught_first_is_known_at_once_and_each_side_of_the_pier_by_itself() {
 }
 
 #[test]
-fn a_camera_that_was_turned_is_learnt_anew_by_its_second_frame_and_one_odd_frame_changes_nothing() {
+fn a_camera_that_was_turned_is_learned_anew_by_its_second_frame_and_one_odd_frame_changes_nothing() {
     let (mut state, mut rivals) = (OpticsState::default(), Rivals::default());
-    rivals.hear(&mut state, lesson(optics(179.8, 0.5, 0.0)));
-    assert!(rivals.hear(&mut state, lesson(optics(-179.9, 0.5, 1.0))), "0.3 deg further: the same, a little turned");
-    assert!(!rivals.hear(&mut state, lesson(optics(90.0, 0.5, 2.0))));
-    assert!(!rivals.hear(&mut state, lesson(optics(-179.9, 0.5, 3.0))), "an odd one");
-    assert!(!rivals.hear(&mut state, lesson(optics(90.0, 0.5, 4.0))), "the first one is forgotten");
-    assert!(!rivals.hear(&mut state, lesson(optics(45.0, 0.5, 5.0))), "they disagree with one another");
+    rivals.observe(&mut state, lesson(optics(179.8, 0.5, 0.0)));
+    assert!(rivals.observe(&mut state, lesson(optics(-179.9, 0.5, 1.0))), "0.3 deg further: the same, a little turned");
+    assert!(!rivals.observe(&mut state, lesson(optics(90.0, 0.5, 2.0))));
+    assert!(!rivals.observe(&mut state, lesson(optics(-179.9, 0.5, 3.0))), "an odd one");
+    assert!(!rivals.observe(&mut state, lesson(optics(90.0, 0.5, 4.0))), "the first one is forgotten");
+    assert!(!rivals.observe(&mut state, lesson(optics(45.0, 0.5, 5.0))), "they disagree with one another");
     assert_eq!(state.optics[0].rotation_deg, -179.9);
-    assert!(rivals.hear(&mut state, lesson(optics(45.1, 0.5, 6.0))));
+    assert!(rivals.observe(&mut state, lesson(optics(45.1, 0.5, 6.0))));
     assert_eq!((state.optics.len(), state.optics[0].rotation_deg, state.optics[0].frames), (1, 45.1, 2));
-    assert!(!rivals.hear(&mut state, lesson(optics(90.0, 0.6, 1.0))), "a frame of before the turn says nothing of now");
+    assert!(
+        !rivals.observe(&mut state, lesson(optics(90.0, 0.6, 1.0))),
+        "a frame of before the turn says nothing of now"
+    );
 }
 
 #[test]
-fn what_says_nothing_new_is_not_written_down_again_and_again() {
+fn what_brings_nothing_new_is_not_written_down_again_and_again() {
     let (mut state, mut rivals) = (OpticsState::default(), Rivals::default());
     let news = (0..100).filter(|n| {
-        rivals.hear(&mut state, lesson(optics(10.0 + 0.001 * f64::from(n % 3), 0.5, 30.0 * f64::from(*n))))
+        rivals.observe(&mut state, lesson(optics(10.0 + 0.001 * f64::from(n % 3), 0.5, 30.0 * f64::from(*n))))
     });
     assert_eq!(news.collect::<Vec<_>>(), [0, 1, 62], "the first, the second, and after half an hour");
 }
@@ -79,9 +82,9 @@ fn distortion_is_used_only_on_the_part_of_the_sensor_that_showed_it() {
     let sip = Distortion { a: [1e-6; 7], b: [0.0; 7] };
     let known = Optics { sip: Some(sip), ..optics(0.0, 0.5, 0.0) };
     let mut light = Frame { width_px: 2000, height_px: 1000, ..frame("f") };
-    assert_eq!(learnt(&known, &light).sip, Some(Sip { a: sip.a, b: sip.b }));
+    assert_eq!(learned(&known, &light).sip, Some(Sip { a: sip.a, b: sip.b }));
     light.origin_px = [1, 0];
-    assert_eq!(learnt(&known, &light).sip, None);
+    assert_eq!(learned(&known, &light).sip, None);
 }
 
 #[test]
@@ -98,17 +101,17 @@ fn longer_frames_show_fainter_stars() {
 fn the_best_zero_point_is_what_two_frames_showed_and_grows_dusty() {
     let (mut state, mut rivals) = (OpticsState::default(), Rivals::default());
     let best = |state: &OpticsState| state.zero_points[0].best_mag;
-    rivals.hear(&mut state, zero(21.0, 0.01, 0.0));
+    rivals.observe(&mut state, zero(21.0, 0.01, 0.0));
     assert_eq!(best(&state), 21.0);
-    rivals.hear(&mut state, zero(22.0, 0.01, 10.0));
+    rivals.observe(&mut state, zero(22.0, 0.01, 10.0));
     assert_eq!(best(&state), 21.0, "one frame says nothing");
-    rivals.hear(&mut state, zero(20.5, 0.01, 20.0));
-    rivals.hear(&mut state, zero(21.4, 0.01, 30.0));
+    rivals.observe(&mut state, zero(20.5, 0.01, 20.0));
+    rivals.observe(&mut state, zero(21.4, 0.01, 30.0));
     assert_eq!(best(&state), 21.0, "the bright one was not confirmed by the next");
-    rivals.hear(&mut state, zero(21.3, 0.01, 40.0));
+    rivals.observe(&mut state, zero(21.3, 0.01, 40.0));
     assert_eq!(best(&state), 21.3, "two in a row: the fainter of them");
-    rivals.hear(&mut state, zero(30.0, 0.5, 50.0));
-    rivals.hear(&mut state, zero(30.0, f64::NAN, 60.0));
+    rivals.observe(&mut state, zero(30.0, 0.5, 50.0));
+    rivals.observe(&mut state, zero(30.0, f64::NAN, 60.0));
     assert_eq!(best(&state), 21.3, "what is not known well does not count");
     let mut light = Frame { started_utc: at(40.0 + 100.0 * 86_400.0), ..frame("f") };
     light.purpose.filter = Some("V".to_owned());
@@ -118,13 +121,13 @@ fn the_best_zero_point_is_what_two_frames_showed_and_grows_dusty() {
 }
 
 #[test]
-fn what_was_learnt_outlives_a_restart_and_a_broken_file_is_learnt_anew() {
+fn what_was_learned_outlives_a_restart_and_a_broken_file_is_learned_anew() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("optics.json");
-    assert_eq!(read(&path), OpticsState::default());
+    assert_eq!(OpticsState::read(&path), OpticsState::default());
     let state = OpticsState { optics: vec![optics(1.0, 0.5, 0.0)], zero_points: Vec::new() };
-    crate::kept::write_whole(&path, &folder.path().join("part"), &state).unwrap();
-    assert_eq!(read(&path), state);
+    crate::persisted::write_whole(&path, &folder.path().join("part"), &state).unwrap();
+    assert_eq!(OpticsState::read(&path), state);
     std::fs::write(&path, "{").unwrap();
-    assert_eq!(read(&path), OpticsState::default());
+    assert_eq!(OpticsState::read(&path), OpticsState::default());
 }

@@ -13,8 +13,8 @@ fn known(widths: &[f64]) -> Vec<Option<f64>> {
 #[test]
 fn one_or_two_odd_frames_teach_nothing() {
     for odd in [[1.3, 1.2], [9.0, 14.0], [9.0, 9.1], [40.0, 1.0]] {
-        let told = known(&[3.9, 4.0, odd[0], odd[1], 3.8]);
-        assert_eq!(told, [Some(3.9), Some(4.0), Some(4.0), Some(4.0), Some(3.8)], "{odd:?}");
+        let found = known(&[3.9, 4.0, odd[0], odd[1], 3.8]);
+        assert_eq!(found, [Some(3.9), Some(4.0), Some(4.0), Some(4.0), Some(3.8)], "{odd:?}");
     }
 }
 
@@ -29,8 +29,8 @@ fn no_number_of_frames_teaches_what_no_pixel_can_show() {
 #[test]
 fn a_change_of_focus_is_followed_at_the_third_frame() {
     for now in [2.0, 8.0, 20.0] {
-        let told = known(&[4.0, 4.0, now, 1.05 * now, now]);
-        assert_eq!(told, [Some(4.0), Some(4.0), Some(4.0), Some(4.0), Some(now)]);
+        let found = known(&[4.0, 4.0, now, 1.05 * now, now]);
+        assert_eq!(found, [Some(4.0), Some(4.0), Some(4.0), Some(4.0), Some(now)]);
     }
     let slow: Vec<f64> = (0..20).map(|n| 3.0 * 1.1_f64.powi(n)).collect();
     assert_eq!(known(&slow), slow.iter().copied().map(Some).collect::<Vec<_>>(), "a slow change at once");
@@ -57,6 +57,6 @@ fn what_is_not_sure_is_not_believed() {
 #[test]
 fn the_frames_that_were_waited_for_are_handed_on_in_their_order() {
     let mut widths = Widths::default();
-    let told: Vec<Vec<f64>> = [4.0, 8.0, 8.1, 8.2].iter().map(|width| widths.observe(*width, None)).collect();
-    assert_eq!(told, [vec![4.0], vec![], vec![], vec![8.0, 8.1, 8.2]]);
+    let found: Vec<Vec<f64>> = [4.0, 8.0, 8.1, 8.2].iter().map(|width| widths.observe(*width, None)).collect();
+    assert_eq!(found, [vec![4.0], vec![], vec![], vec![8.0, 8.1, 8.2]]);
 }

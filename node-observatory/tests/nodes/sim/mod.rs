@@ -4,15 +4,17 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use bus::{Bus, Catch, Clock, Latest, Node, Subscriber};
+use bus::{Bus, Catch, Clock, Latest, Subscriber};
 use contract::device::telescope::PierSide;
 use contract::observatory::{
     Correction, GuideCalibration, GuideStage, GuidingState, NightState, PointingPoint, ScheduleState,
 };
 use contract::{Address, Key, Part, Role};
+use node::Node;
 use node_observatory::guiding::calibrated;
-use node_observatory::guiding::learnt::{Learnt, path};
-use node_observatory::pointing::learnt::Book;
+use node_observatory::guiding::learned::LearnedGuiding;
+use node_observatory::pointing::learned::PointingModels;
+use node_observatory::replicated::Replicate as _;
 use simulator::Simulator;
 use tempfile::TempDir;
 use test_support::{RunningNode, block, join, private, private_bus, schedule_line, section, within};
@@ -25,8 +27,9 @@ pub const NIGHT: f64 = 1_795_228_200.0;
 const BY_HAND: &str = "ByHand=True";
 
 /// The skies of these tests run up to 20 times as fast as real time, with images that this very process makes, measures
-/// and solves: more of them at once than cores would show what the machine cannot do, not what Starmesh does.
-static SEATS: tokio::sync::Semaphore = tokio::sync::Semaphore::const_new(2);
+/// and solves, which takes a quarter of a core: many more at once would show what the machine cannot do, not what Starmesh
+/// does.
+static SEATS: tokio::sync::Semaphore = tokio::sync::Semaphore::const_new(3);
 
 /// The simulated observatory with its nodes.
 pub struct Sim {
@@ -79,17 +82,17 @@ pub fn by_geometry(camera: &simulator::CameraOptions) -> GuideCalibration {
 
 /// A pointing model of a camera that everywhere looks this far from where its mount is sent, arcmin to the east and to
 /// the north.
-pub fn misses([east_arcmin, north_arcmin]: [f64; 2]) -> Book {
-    let (mut book, at_utc) = (Book::default(), Utc::from_seconds(NIGHT - 86_400.0));
+pub fn misses([east_arcmin, north_arcmin]: [f64; 2]) -> PointingModels {
+    let (mut models, at_utc) = (PointingModels::default(), Utc::from_seconds(NIGHT - 86_400.0));
     for (side, west) in [(PierSide::West, -1.0), (PierSide::East, 1.0)] {
         for n in 0..12 {
             let hour_angle_deg = west * (14.0 + 12.0 * f64::from(n % 4));
             let dec_deg = -60.0 + 25.0 * f64::from(n / 4);
             let point = PointingPoint { at_utc, hour_angle_deg, dec_deg, east_arcmin, north_arcmin };
-            book.learn("camera", Some(side), point);
+            models.learn("camera", Some(side), point);
         }
     }
-    book
+    models
 }
 
 impl Sim {
@@ -185,14 +188,14 @@ impl Sim {
 
     /// Puts a calibration of a camera on disk, before the nodes start.
     pub fn keep_calibration(&self, camera: &str, calibration: GuideCalibration) {
-        let mut learnt = Learnt::default();
-        learnt.keep_calibration(camera, calibration);
-        self.keep(&path(&self.config), &learnt);
+        let mut learned = LearnedGuiding::default();
+        learned.keep_calibration(camera, calibration);
+        self.keep(&LearnedGuiding::path(&self.config), &learned);
     }
 
     /// Writes the learned pointing model to disk, before the nodes start.
-    pub fn keep_pointing(&self, book: &Book) {
-        self.keep(&node_observatory::pointing::learnt::path(&self.config), book);
+    pub fn keep_pointing(&self, models: &PointingModels) {
+        self.keep(&PointingModels::path(&self.config), models);
     }
 
     fn keep(&self, path: &Path, what: &impl serde::Serialize) {
@@ -273,15 +276,15 @@ impl Sim {
 
     /// Whether a field is held, on this many frames at least since guiding began.
     pub fn holds(&self, frames: u32) -> bool {
-        let state = self.guiding.get().map(|heard| heard.said.body).filter(|state| state.active);
+        let state = self.guiding.get().map(|received| received.sample.body).filter(|state| state.active);
         state.is_some_and(|state| state.stage == Some(GuideStage::Guide) && state.frames.unwrap_or(0) >= frames)
     }
 
     /// All corrections published until now that were not taken before.
-    pub async fn said(&self) -> Vec<Correction> {
+    pub async fn corrections(&self) -> Vec<Correction> {
         let mut all = Vec::new();
-        while let Ok(heard) = tokio::time::timeout(Duration::from_millis(300), self.corrections.hear()).await {
-            all.push(heard.said.body);
+        while let Ok(received) = tokio::time::timeout(Duration::from_millis(300), self.corrections.recv()).await {
+            all.push(received.sample.body);
         }
         all
     }
@@ -308,16 +311,16 @@ impl Sim {
     /// Waits until something is seen to be true.
     pub async fn until(&self, what: &str, most: Duration, mut holds: impl FnMut(&Self) -> bool) {
         if within(most, || holds(self).then_some(())).await.is_none() {
-            let rows = self.schedule.get().map(|heard| heard.said.body);
-            let night = self.night.get().map(|heard| heard.said.body);
-            let guiding = self.guiding.get().map(|heard| heard.said.body);
+            let rows = self.schedule.get().map(|received| received.sample.body);
+            let night = self.night.get().map(|received| received.sample.body);
+            let guiding = self.guiding.get().map(|received| received.sample.body);
             panic!("not {what} within {most:?}\n{night:#?}\n{rows:#?}\n{guiding:#?}");
         }
     }
 
     /// The summary of a row's end, once it has ended; panics when it did not end well.
     pub fn ended(&self, row: usize) -> Option<String> {
-        let state = self.schedule.get()?.said.body.rows.get(row)?.clone();
+        let state = self.schedule.get()?.sample.body.rows.get(row)?.clone();
         use contract::observatory::RowStatus::{Failed, Finished};
         assert_ne!(state.status, Failed, "row {row} failed: {}", state.detail);
         (state.status == Finished).then_some(state.detail)

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use bus::{Bus, Clock, Latest, Quality, Service};
+use bus::{Bus, Clock, Latest, Service};
 use contract::device::dome::{self, Dome, Guard, GuardAction, Shutter};
 use contract::observatory::{Lease, Permit, Verdict};
 use contract::{Address, BootId, Command, Datum, Key, Part, Reason, Refusal, Reply};
@@ -31,14 +31,15 @@ struct Arbiter {
 }
 
 impl Arbiter {
-    fn claim(&self, life: BootId) -> Result<u64, String> {
+    fn claim(&self, boot_id: BootId) -> Result<u64, String> {
         let mut holder = self.holder.lock().unwrap();
-        let is_released = self.lease.get().is_some_and(|said| said.said.body.holder.is_empty());
-        let speaks = self.permit.fresh(SILENT).is_some_and(|said| Some(&said.said.boot_id) == holder.as_ref());
-        if holder.as_ref().is_some_and(|holder| *holder != life) && speaks && !is_released {
-            return Err("another life holds the lease".to_owned());
+        let is_released = self.lease.get().is_some_and(|received| received.sample.body.holder.is_empty());
+        let speaks =
+            self.permit.fresh(SILENT).is_some_and(|received| Some(&received.sample.boot_id) == holder.as_ref());
+        if holder.as_ref().is_some_and(|holder| *holder != boot_id) && speaks && !is_released {
+            return Err("another incarnation holds the lease".to_owned());
         }
-        *holder = Some(life);
+        *holder = Some(boot_id);
         Ok(self.token.fetch_add(1, Ordering::SeqCst) + 1)
     }
 }
@@ -48,13 +49,13 @@ impl Keeper {
     pub async fn serve(self, bus: &Bus, dome: &Arc<Device<Dome>>, address: &Address) -> Service {
         let permit: Latest<Permit> = bus.latest(&Key::Permit(address.clone(), dome.key.name.clone())).await.unwrap();
         let lease = bus.latest(&Key::Observatory(address.clone(), Part::Lease)).await.unwrap();
-        let guard = bus.publisher::<Guard>(&Key::Guard(dome.key.clone()), Quality::Urgent).await.unwrap();
+        let guard = bus.publisher::<Guard>(&Key::Guard(dome.key.clone())).await.unwrap();
         let (numbers, tokens) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
         let Self { hold, lease_held, clock, turn_deg_per_s } = self;
-        let (say, token, held, shutter) = (numbers.clone(), tokens.clone(), hold.clone(), dome.clone());
+        let (counter, token, held, shutter) = (numbers.clone(), tokens.clone(), hold.clone(), dome.clone());
         tokio::spawn(async move {
             loop {
-                let number = say.fetch_add(1, Ordering::Relaxed);
+                let number = counter.fetch_add(1, Ordering::Relaxed);
                 let is_closed = shutter.state.borrow().fields.shutter == Datum::Known(Shutter::Closed);
                 let body = Guard {
                     number,
@@ -91,8 +92,8 @@ impl Keeper {
             }
             dome::Command::OpenShutter => {
                 let number = numbers.load(Ordering::Relaxed);
-                let valid = permit.fresh(Duration::from_secs(3)).is_some_and(|heard| {
-                    let permit = heard.said.body;
+                let valid = permit.fresh(Duration::from_secs(3)).is_some_and(|received| {
+                    let permit = received.sample.body;
                     permit.verdict == Verdict::Safe && permit.token == newest() && permit.guard_number + 10 > number
                 });
                 if valid && command.token == Some(newest()) && !hold.load(Ordering::Relaxed) {

@@ -6,19 +6,21 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use bus::{AskError, Bus, Clock, Latest, Node, Publisher, Quality, Service};
+use bus::{AskError, Bus, Clock, Latest, Publisher, Quality, Service};
 use contract::device::camera::{self, Activity, Exposure, Frame, Pixel, Purpose};
 use contract::device::dome::{self, Shutter};
-use contract::device::{Description, safety_monitor, telescope};
+use contract::device::{DeviceDescription, safety_monitor, telescope};
 use contract::observatory::{Alerts, NightState, SafetyState, ScheduleState};
 use contract::{
-    Accepted, Address, Command, CommandId, Datum, DeviceKind, DeviceState, Key, Kind, LastCommand, Link, Order,
-    OrderKind, Outcome, Part, Payload, Reply, Role,
+    Accepted, Address, Command, CommandId, CommandOutcome, Datum, DeviceKind, DeviceState, Key, Kind, LastCommand,
+    Link, Order, OrderKind, Part, Payload, Reply, Role,
 };
-use keeper::Keeper;
+use node::Node;
 use tempfile::TempDir;
 use test_support::{PARANAL, RunningNode, block, join, private, private_bus, schedule_line, within};
 use tokio::sync::watch;
+
+use keeper::Keeper;
 
 /// One fake device.
 pub struct Device<K: DeviceKind> {
@@ -45,14 +47,14 @@ impl<K: DeviceKind> Device<K> {
 
     pub async fn appear(self: &Arc<Self>, bus: &Bus, can: K::Capabilities) {
         let states: Publisher<DeviceState<K::Fields>> =
-            bus.publisher(&Key::State(self.key.clone()), Quality::State { cache: 10 }).await.unwrap();
+            bus.publisher_as(&Key::State(self.key.clone()), Quality::State { cache: 10 }).await.unwrap();
         let mut values = self.state.subscribe();
         values.mark_changed();
         tokio::spawn(async move { states.follow(values, Duration::from_millis(200)).await });
-        let about: Publisher<Description<K::Capabilities>> =
-            bus.publisher(&Key::Capabilities(self.key.clone()), Quality::State { cache: 1 }).await.unwrap();
+        let about: Publisher<DeviceDescription<K::Capabilities>> =
+            bus.publisher(&Key::Capabilities(self.key.clone())).await.unwrap();
         let words = String::new();
-        let can = Description {
+        let can = DeviceDescription {
             server: words.clone(),
             number: 0,
             device_name: words.clone(),
@@ -82,7 +84,7 @@ impl<K: DeviceKind> Device<K> {
                 from: command.from,
                 verb: "verb".to_owned(),
                 taken_utc: units::Utc::EPOCH,
-                outcome: Outcome::Running,
+                outcome: CommandOutcome::Running,
                 answer: None,
             });
         });
@@ -91,7 +93,7 @@ impl<K: DeviceKind> Device<K> {
             tokio::time::sleep(takes).await;
             device.state.send_if_modified(|state| {
                 let Some(last) = state.last_command.as_mut().filter(|last| last.id == mine) else { return false };
-                last.outcome = Outcome::Done;
+                last.outcome = CommandOutcome::Done;
                 state.busy = false;
                 end(&mut state.fields);
                 true
@@ -246,9 +248,9 @@ impl Site {
     /// Waits until something is seen to be true.
     pub async fn until(&self, what: &str, most: Duration, mut holds: impl FnMut(&Self) -> bool) {
         if within(most, || holds(self).then_some(())).await.is_none() {
-            let night = self.night.get().map(|heard| heard.said.body);
-            let rows = self.schedule.get().map(|heard| heard.said.body);
-            let safety = self.safety.get().map(|heard| heard.said.body);
+            let night = self.night.get().map(|received| received.sample.body);
+            let rows = self.schedule.get().map(|received| received.sample.body);
+            let safety = self.safety.get().map(|received| received.sample.body);
             panic!("not {what} within {most:?}\nnight: {night:#?}\nschedule: {rows:#?}\nsafety: {safety:#?}");
         }
     }
@@ -273,7 +275,8 @@ impl Site {
     }
 
     pub async fn order(&self, kind: OrderKind) -> Reply {
-        let order = Order { id: CommandId::fresh(), from: "test".to_owned(), reason: "a test".to_owned(), kind };
+        let order =
+            Order { id: CommandId::fresh(), from: "test".to_owned(), reason: "a test".to_owned(), kind, seen: None };
         ask(&self.bus, &self.address, &order).await
     }
 }
@@ -339,8 +342,7 @@ async fn serve_camera(
     clock: &Clock,
     purposes: &Arc<Mutex<Vec<(CommandId, Purpose)>>>,
 ) -> Service {
-    let frames =
-        Arc::new(bus.publisher::<Frame>(&Key::Frame(camera.key.clone()), Quality::Event { cache: 100 }).await.unwrap());
+    let frames = Arc::new(bus.publisher::<Frame>(&Key::Frame(camera.key.clone())).await.unwrap());
     let (at, clock, purposes) = (camera.clone(), clock.clone(), purposes.clone());
     serve(bus, &camera.key, move |command: Command<camera::Command>| {
         let id = command.id.clone();

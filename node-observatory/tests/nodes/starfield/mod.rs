@@ -6,10 +6,10 @@ use std::time::Duration;
 
 use axum::extract::Path;
 use axum::http::StatusCode;
-use bus::{Catch, Publisher, Quality, Subscriber};
+use bus::{Catch, Publisher, Subscriber};
 use contract::device::camera::{self, Frame, Pixel, Purpose};
 use contract::observatory::FrameFacts;
-use contract::{CommandId, Key, Kind};
+use contract::{CommandId, Key, Kind, Topic};
 use imaging::Wcs;
 use rand::SeedableRng as _;
 use rand_distr::{Distribution as _, Normal};
@@ -121,9 +121,9 @@ impl Camera {
         let can = camera::Capabilities { width_px: SIDE_PX, height_px: SIDE_PX, ..Default::default() };
         device.appear(&site.bus, can).await;
         let camera = site.address.device(Kind::Camera, &"guider".parse().unwrap());
-        let frames = site.bus.publisher(&Key::Frame(camera), Quality::Event { cache: 100 }).await.unwrap();
-        let all = format!("{}/{}/observatory/frame/*/facts", contract::key::ROOT, site.address);
-        Self { _device: device, url, spool, frames, facts: site.bus.subscribe(&all, Catch::All, 100).await.unwrap() }
+        let frames = site.bus.publisher(&Key::Frame(camera)).await.unwrap();
+        let all = Topic::Facts.at(&site.address);
+        Self { _device: device, url, spool, frames, facts: site.bus.subscribe(all, Catch::All, 100).await.unwrap() }
     }
 
     /// Takes a frame and waits for its last facts: for a frame whose place takes long, facts are first published
@@ -161,15 +161,15 @@ impl Camera {
         };
         self.spool.lock().unwrap().insert(id.clone(), pixels);
         self.frames.put(frame).await.unwrap();
-        let heard = async {
+        let waiting = async {
             loop {
-                let heard = self.facts.hear().await.said.body;
-                if heard.frame.0 == id && (heard.solving_s.is_some() || shot.image_type != "Light Frame") {
-                    return heard;
+                let facts = self.facts.recv().await.sample.body;
+                if facts.frame.0 == id && (facts.solving_s.is_some() || shot.image_type != "Light Frame") {
+                    return facts;
                 }
             }
         };
         let most = Duration::from_secs(20);
-        tokio::time::timeout(most, heard).await.unwrap_or_else(|_| panic!("no facts of {id} within {most:?}"))
+        tokio::time::timeout(most, waiting).await.unwrap_or_else(|_| panic!("no facts of {id} within {most:?}"))
     }
 }

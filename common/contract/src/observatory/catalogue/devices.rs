@@ -1,9 +1,9 @@
 //! Alerts of all other devices.
 
 use super::super::Priority;
-use super::super::catalogue_entry::{Entry, HIGH, PLAIN};
+use super::super::catalogue_entry::{AlertEntry, HIGH, PLAIN};
 
-pub(super) const ROW_POSTPONED: Entry = Entry {
+pub(super) const ROW_POSTPONED: AlertEntry = AlertEntry {
     word: "row-postponed",
     instance: "KIND",
     priority: Priority::Medium,
@@ -12,15 +12,15 @@ pub(super) const ROW_POSTPONED: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const MOUNT_LIMIT: Entry = Entry {
+pub(super) const MOUNT_LIMIT: AlertEntry = AlertEntry {
     word: "mount-limit",
     instance: "MOUNT",
-    consequence: "Its device node stops the tracking, and again every 5 s until it obeys.",
+    consequence: "Its device node stops the tracking, and again every 5 s until it stops.",
     action: "Look why it was left tracking; a person may have to stop it at the mount.",
     ..HIGH
 };
 
-pub(super) const MOUNT_NOT_PARKED: Entry = Entry {
+pub(super) const MOUNT_NOT_PARKED: AlertEntry = AlertEntry {
     word: "mount-not-parked",
     instance: "MOUNT",
     consequence: "It may move under a closed roof, or hold up a roof that waits for it.",
@@ -28,7 +28,7 @@ pub(super) const MOUNT_NOT_PARKED: Entry = Entry {
     ..HIGH
 };
 
-pub(super) const SLOW_DEVICE: Entry = Entry {
+pub(super) const SLOW_DEVICE: AlertEntry = AlertEntry {
     word: "slow-device",
     instance: "KIND/DEVICE",
     priority: Priority::Medium,
@@ -38,7 +38,7 @@ pub(super) const SLOW_DEVICE: Entry = Entry {
     hold_s: 60,
 };
 
-pub(super) const FRAME_LOST: Entry = Entry {
+pub(super) const FRAME_LOST: AlertEntry = AlertEntry {
     word: "frame-lost",
     instance: "CAMERA",
     priority: Priority::Medium,
@@ -47,7 +47,7 @@ pub(super) const FRAME_LOST: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const COOLING_FAILED: Entry = Entry {
+pub(super) const COOLING_FAILED: AlertEntry = AlertEntry {
     word: "cooling-failed",
     instance: "CAMERA",
     priority: Priority::Medium,
@@ -56,7 +56,7 @@ pub(super) const COOLING_FAILED: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const COVER_NOT_CLOSED: Entry = Entry {
+pub(super) const COVER_NOT_CLOSED: AlertEntry = AlertEntry {
     word: "cover-not-closed",
     instance: "COVER",
     priority: Priority::Medium,

@@ -1,9 +1,9 @@
 //! Alerts of domes, roofs and what guards them.
 
 use super::super::Priority;
-use super::super::catalogue_entry::{Entry, HIGH, PLAIN};
+use super::super::catalogue_entry::{AlertEntry, HIGH, PLAIN};
 
-pub(super) const WATCHDOG: Entry = Entry {
+pub(super) const WATCHDOG: AlertEntry = AlertEntry {
     word: "watchdog",
     instance: "DOME",
     consequence: "The dome will close by itself.",
@@ -11,7 +11,7 @@ pub(super) const WATCHDOG: Entry = Entry {
     ..HIGH
 };
 
-pub(super) const NO_WATCHDOG: Entry = Entry {
+pub(super) const NO_WATCHDOG: AlertEntry = AlertEntry {
     word: "no-watchdog",
     instance: "DOME",
     consequence: "Nothing closes it when the host of its device node dies.",
@@ -19,7 +19,7 @@ pub(super) const NO_WATCHDOG: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const DOME_NOT_CLOSED: Entry = Entry {
+pub(super) const DOME_NOT_CLOSED: AlertEntry = AlertEntry {
     word: "dome-not-closed",
     instance: "DOME",
     priority: Priority::Critical,
@@ -28,7 +28,7 @@ pub(super) const DOME_NOT_CLOSED: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const DOME_UNCOMMANDED_OPEN: Entry = Entry {
+pub(super) const DOME_UNCOMMANDED_OPEN: AlertEntry = AlertEntry {
     word: "dome-uncommanded-open",
     instance: "DOME",
     priority: Priority::Critical,
@@ -38,7 +38,7 @@ pub(super) const DOME_UNCOMMANDED_OPEN: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const GUARD_PROCESS: Entry = Entry {
+pub(super) const GUARD_PROCESS: AlertEntry = AlertEntry {
     word: "guard-process",
     instance: "DOME",
     priority: Priority::Critical,
@@ -47,7 +47,7 @@ pub(super) const GUARD_PROCESS: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const DOME_WAITS_FOR_MOUNT: Entry = Entry {
+pub(super) const DOME_WAITS_FOR_MOUNT: AlertEntry = AlertEntry {
     word: "dome-waits-for-mount",
     instance: "DOME",
     priority: Priority::Critical,
@@ -56,7 +56,7 @@ pub(super) const DOME_WAITS_FOR_MOUNT: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const DOME_NOT_TURNED: Entry = Entry {
+pub(super) const DOME_NOT_TURNED: AlertEntry = AlertEntry {
     word: "dome-not-turned",
     instance: "DOME",
     consequence: "The sky is not exposed; rows wait and are tried again.",
@@ -64,7 +64,7 @@ pub(super) const DOME_NOT_TURNED: Entry = Entry {
     ..HIGH
 };
 
-pub(super) const DOME_SHARED: Entry = Entry {
+pub(super) const DOME_SHARED: AlertEntry = AlertEntry {
     word: "dome-shared",
     instance: "DOME",
     priority: Priority::Medium,
@@ -73,7 +73,7 @@ pub(super) const DOME_SHARED: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const DOME_CONTRADICTS: Entry = Entry {
+pub(super) const DOME_CONTRADICTS: AlertEntry = AlertEntry {
     word: "dome-contradicts",
     instance: "DOME",
     consequence: "Whether it is closed cannot be proven. It is asked to close again as soon as it must be closed.",
@@ -81,7 +81,7 @@ pub(super) const DOME_CONTRADICTS: Entry = Entry {
     ..HIGH
 };
 
-pub(super) const DOME_HELD: Entry = Entry {
+pub(super) const DOME_HELD: AlertEntry = AlertEntry {
     word: "dome-held",
     instance: "DOME",
     consequence: "It opens for nobody until the commander resumes.",
@@ -89,7 +89,7 @@ pub(super) const DOME_HELD: Entry = Entry {
     ..HIGH
 };
 
-pub(super) const CLOSES_OFTEN: Entry = Entry {
+pub(super) const CLOSES_OFTEN: AlertEntry = AlertEntry {
     word: "closes-often",
     consequence: "Hardly anything is observed, and the shutter's motor wears.",
     action: "Look which input the causes of the closings name: a sensor at its limit or with gaps, or a period that is too long.",

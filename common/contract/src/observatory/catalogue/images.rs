@@ -1,9 +1,9 @@
 //! Alerts of what frames show.
 
 use super::super::Priority;
-use super::super::catalogue_entry::{Entry, PLAIN};
+use super::super::catalogue_entry::{AlertEntry, PLAIN};
 
-pub(super) const FOCUS_DRIFT: Entry = Entry {
+pub(super) const FOCUS_DRIFT: AlertEntry = AlertEntry {
     word: "focus-drift",
     instance: "CAMERA",
     consequence: "The frames are less sharp than they could be.",
@@ -11,7 +11,7 @@ pub(super) const FOCUS_DRIFT: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const FOCUS_FAILED: Entry = Entry {
+pub(super) const FOCUS_FAILED: AlertEntry = AlertEntry {
     word: "focus-failed",
     instance: "CAMERA",
     priority: Priority::Medium,
@@ -20,7 +20,7 @@ pub(super) const FOCUS_FAILED: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const STARS_GONE: Entry = Entry {
+pub(super) const STARS_GONE: AlertEntry = AlertEntry {
     word: "stars-gone",
     instance: "CAMERA",
     consequence: "The frames may be worth nothing; the sensors of the weather decide alone whether the roof closes.",
@@ -28,7 +28,7 @@ pub(super) const STARS_GONE: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const STARS_TRAILED: Entry = Entry {
+pub(super) const STARS_TRAILED: AlertEntry = AlertEntry {
     word: "stars-trailed",
     instance: "CAMERA",
     priority: Priority::Medium,
@@ -37,7 +37,7 @@ pub(super) const STARS_TRAILED: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const GUIDING_LOST: Entry = Entry {
+pub(super) const GUIDING_LOST: AlertEntry = AlertEntry {
     word: "guiding-lost",
     instance: "CAMERA",
     priority: Priority::Medium,
@@ -46,7 +46,7 @@ pub(super) const GUIDING_LOST: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const FIELD_TURNS: Entry = Entry {
+pub(super) const FIELD_TURNS: AlertEntry = AlertEntry {
     word: "field-turns",
     instance: "CAMERA",
     consequence: "Stars far from the middle are drawn out on long exposures.",
@@ -54,7 +54,7 @@ pub(super) const FIELD_TURNS: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const POINTING_UNPROVEN: Entry = Entry {
+pub(super) const POINTING_UNPROVEN: AlertEntry = AlertEntry {
     word: "pointing-unproven",
     instance: "CAMERA",
     priority: Priority::Medium,
@@ -63,7 +63,7 @@ pub(super) const POINTING_UNPROVEN: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const WRONG_FIELD: Entry = Entry {
+pub(super) const WRONG_FIELD: AlertEntry = AlertEntry {
     word: "wrong-field",
     instance: "CAMERA",
     priority: Priority::Medium,
@@ -72,7 +72,7 @@ pub(super) const WRONG_FIELD: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const FRAMES_UNMEASURED: Entry = Entry {
+pub(super) const FRAMES_UNMEASURED: AlertEntry = AlertEntry {
     word: "frames-unmeasured",
     instance: "CAMERA",
     consequence: "Focus drift, clouds and trailing are not noticed on them; the archive stores them all the same.",

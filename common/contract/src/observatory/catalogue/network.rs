@@ -1,9 +1,9 @@
 //! Alerts of nodes, clocks and what they were started with.
 
 use super::super::Priority;
-use super::super::catalogue_entry::{Entry, HIGH, PLAIN};
+use super::super::catalogue_entry::{AlertEntry, HIGH, PLAIN};
 
-pub(super) const NO_LEASE: Entry = Entry {
+pub(super) const NO_LEASE: AlertEntry = AlertEntry {
     word: "no-lease",
     consequence: "Nothing can be opened or moved.",
     action: "Look at the device node that serves the dome or, without one, the mount.",
@@ -11,23 +11,23 @@ pub(super) const NO_LEASE: Entry = Entry {
     ..HIGH
 };
 
-pub(super) const NODE_SILENT: Entry = Entry {
+pub(super) const NODE_SILENT: AlertEntry = AlertEntry {
     word: "node-silent",
     instance: "ROLE/NODE",
-    consequence: "What it told is no longer true.",
+    consequence: "The values that it published last are no longer true.",
     action: "Look at its host and restart it.",
     on_delay_s: 10,
     ..HIGH
 };
 
-pub(super) const CLOCKS_DISAGREE: Entry = Entry {
+pub(super) const CLOCKS_DISAGREE: AlertEntry = AlertEntry {
     word: "clocks-disagree",
     consequence: "The Sun counts as up, and an override as over, if it is by any of them.",
     action: "Set the wrong clock right; on a single machine then remove clock-TELESCOPE.json and restart the observatory node.",
     ..HIGH
 };
 
-pub(super) const SECOND_WRITER: Entry = Entry {
+pub(super) const SECOND_WRITER: AlertEntry = AlertEntry {
     word: "second-writer",
     instance: "KIND/DEVICE",
     consequence: "Its state and its commands are unsure.",
@@ -35,14 +35,14 @@ pub(super) const SECOND_WRITER: Entry = Entry {
     ..HIGH
 };
 
-pub(super) const TWIN: Entry = Entry {
+pub(super) const TWIN: AlertEntry = AlertEntry {
     word: "twin",
     consequence: "Both go on: what they say is mixed.",
     action: "End one of them, or give it another name with --id. If there is no second one, look who else is on the network.",
     ..HIGH
 };
 
-pub(super) const IMPOSTOR: Entry = Entry {
+pub(super) const IMPOSTOR: AlertEntry = AlertEntry {
     word: "impostor",
     instance: "WHAT",
     consequence: "What was not granted has no effect. Where two say different things, the safer counts.",
@@ -51,31 +51,31 @@ pub(super) const IMPOSTOR: Entry = Entry {
     ..HIGH
 };
 
-pub(super) const ALERT_NOT_SENT: Entry = Entry {
+pub(super) const ALERT_NOT_SENT: AlertEntry = AlertEntry {
     word: "alert-not-sent",
     instance: "RECEIVER",
-    consequence: "Whoever reads there does not hear of alerts.",
+    consequence: "The people who read there get no alerts.",
     action: "Look at `[alerts]` in observatory.toml, at the network and at the receiver. It is tried again by itself.",
     ..HIGH
 };
 
-pub(super) const CONFIGURATION: Entry = Entry {
+pub(super) const CONFIGURATION: AlertEntry = AlertEntry {
     word: "configuration",
     instance: "KEY",
     priority: Priority::High,
     consequence: "What this key is for is done in the default way, or not at all, as the alert says.",
-    action: "Mend what the alert names; `starmesh check observatory.toml` tells the line. Then start the node anew.",
+    action: "Correct what the alert names; `starmesh check observatory.toml` shows the line. Then restart the node.",
     ..PLAIN
 };
 
-pub(super) const CATALOGUE_UNUSABLE: Entry = Entry {
+pub(super) const CATALOGUE_UNUSABLE: AlertEntry = AlertEntry {
     word: "catalogue",
     consequence: "Frames are measured but not solved: no coordinates, no zero point, no check of the pointing.",
     action: "Put the file there, or take the key out of the configuration for the catalogue that is shipped.",
     ..PLAIN
 };
 
-pub(super) const SITE_SCRIPT: Entry = Entry {
+pub(super) const SITE_SCRIPT: AlertEntry = AlertEntry {
     word: "site-script",
     instance: "FUNCTION",
     consequence: "Closing goes on by default. What the script was to open stays closed or is closed again, and the row rests.",

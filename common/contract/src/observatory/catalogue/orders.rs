@@ -1,16 +1,16 @@
 //! Alerts of what a person ordered or switched off.
 
 use super::super::Priority;
-use super::super::catalogue_entry::{Entry, HIGH, PLAIN};
+use super::super::catalogue_entry::{AlertEntry, HIGH, PLAIN};
 
-pub(super) const SCHEDULE_REFUSED: Entry = Entry {
+pub(super) const SCHEDULE_REFUSED: AlertEntry = AlertEntry {
     word: "schedule-refused",
     consequence: "The schedule before it stays in force; without one, nothing is observed.",
     action: "Correct the file; it is read again by itself.",
     ..HIGH
 };
 
-pub(super) const DISABLED: Entry = Entry {
+pub(super) const DISABLED: AlertEntry = AlertEntry {
     word: "disabled",
     instance: "INPUT",
     priority: Priority::Medium,
@@ -19,17 +19,17 @@ pub(super) const DISABLED: Entry = Entry {
     ..PLAIN
 };
 
-pub(super) const STAY_CLOSED: Entry = Entry {
+pub(super) const STAY_CLOSED: AlertEntry = AlertEntry {
     word: "stay-closed",
     consequence: "Nothing opens.",
     action: "Take it back: starmesh order SITE/TELESCOPE open-again.",
     ..PLAIN
 };
 
-pub(super) const OVERRIDE: Entry = Entry {
+pub(super) const OVERRIDE: AlertEntry = AlertEntry {
     word: "override",
     instance: "INPUT",
     consequence: "It closes nothing.",
-    action: "Heed it again: starmesh order SITE/TELESCOPE heed INPUT.",
+    action: "Apply the limit again: starmesh order SITE/TELESCOPE restore INPUT.",
     ..PLAIN
 };

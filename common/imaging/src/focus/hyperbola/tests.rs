@@ -22,7 +22,7 @@ fn an_exact_curve_is_found_exactly() {
 }
 
 #[test]
-fn the_error_is_what_the_scatter_of_many_runs_says() {
+fn the_error_is_what_the_scatter_of_many_runs_shows() {
     let mut rng = StdRng::seed_from_u64(7);
     let pulls: Vec<f64> = (0..300)
         .map(|_| {
@@ -58,13 +58,13 @@ fn two_frames_through_clouds_or_gusts_do_not_matter() {
 }
 
 #[test]
-fn one_wing_tells_on_which_side_the_focus_lies() {
+fn one_wing_shows_on_which_side_the_focus_lies() {
     let fit = Hyperbola::fit(&run((0..9).map(|n| 4000.0 + 100.0 * f64::from(n))));
     assert!(fit.is_ok_and(|fit| fit.best_position > 4800.0));
 }
 
 #[test]
-fn what_has_no_minimum_says_so() {
+fn a_curve_without_minimum_is_reported() {
     let flat = |_: f64| 4.0;
     let hill = |x: f64| 9.0 - 0.001 * (x - 400.0).powi(2).abs().sqrt();
     for shape in [&flat as &dyn Fn(f64) -> f64, &hill] {

@@ -34,7 +34,7 @@ struct Spline {
 }
 
 /// A fit on given knots.
-struct Fit {
+struct SplineFit {
     spline: Spline,
     /// Squared weighted residual of each point, and their sum.
     squares: Vec<f64>,
@@ -69,7 +69,7 @@ impl Data {
             if !excess.is_finite() {
                 return None;
             }
-            // of an exact parabola nothing can be said to be left over
+            // an exact parabola leaves nothing over
             if excess.abs() < CLOSE * sum || (excess < 0.0 && knots.is_empty()) || (excess > 0.0 && knots.len() == most)
             {
                 return Some(fit.spline);
@@ -102,7 +102,7 @@ impl Data {
     }
 
     /// Finds the stiffness that gives the sum of squares, between a parabola (excess `first`) and the free fit.
-    fn on_knots(&self, knots: &[f64], sum: f64, first: f64, free: Fit) -> Option<Spline> {
+    fn on_knots(&self, knots: &[f64], sum: f64, first: f64, free: SplineFit) -> Option<Spline> {
         let coefficients = free.spline.coefficients.len();
         let (mut low, mut high) = ((0.0, first), (f64::INFINITY, free.sum - sum));
         let mut softness = coefficients as f64 / free.trace;
@@ -119,7 +119,7 @@ impl Data {
                 if here.1 - high.1 > CLOSE * sum {
                     high_is_sure = here.1 < 0.0;
                 } else {
-                    // too soft to tell from the free fit
+                    // too soft to differ from the free fit
                     high = here;
                     softness *= 0.04;
                     if softness <= low.0 {
@@ -132,7 +132,7 @@ impl Data {
                 if low.1 - here.1 > CLOSE * sum {
                     low_is_sure = here.1 > 0.0;
                 } else {
-                    // too stiff to tell from the parabola
+                    // too stiff to differ from the parabola
                     low = here;
                     softness /= 0.04;
                     if softness >= high.0 {
@@ -155,7 +155,7 @@ impl Data {
     }
 
     /// Least squares on knots, with the jumps of the second derivative kept down unless the curve is free.
-    fn fit(&self, interior: &[f64], softness: Option<f64>) -> Option<Fit> {
+    fn fit(&self, interior: &[f64], softness: Option<f64>) -> Option<SplineFit> {
         let (first, last) = (*self.x.first()?, *self.x.last()?);
         let ends = |at: f64| std::iter::repeat_n(at, DEGREE + 1);
         let knots: Vec<f64> = ends(first).chain(interior.iter().copied()).chain(ends(last)).collect();
@@ -182,7 +182,7 @@ impl Data {
         let square = |n: usize| (self.weight[n] * (spline.value(self.x[n]) - self.y[n])).powi(2);
         let squares: Vec<f64> = (0..points).map(square).collect();
         let (sum, trace) = (squares.iter().sum(), triangle.diagonal().iter().map(|value: &f64| value.abs()).sum());
-        Some(Fit { spline, squares, sum, trace })
+        Some(SplineFit { spline, squares, sum, trace })
     }
 }
 

@@ -1,7 +1,7 @@
 //! What the points measured so far say.
 
 use super::plan::{Curve, Plan};
-use super::{Failure, Fit, Point};
+use super::{FocusFit, FocusMeasurement, NoFocus};
 use crate::focus::hyperbola::{Hyperbola, Size};
 use crate::focus::operator::Better;
 
@@ -37,29 +37,29 @@ pub(super) enum Advice {
 }
 
 /// The curve through the points, if there is one.
-pub(super) fn fit(plan: &Plan, points: &[Point]) -> Option<Fit> {
+pub(super) fn fit(plan: &Plan, points: &[FocusMeasurement]) -> Option<FocusFit> {
     match plan.curve {
         Curve::Hyperbola => {
             let sizes: Vec<Size> = points.iter().map(size).collect();
-            Hyperbola::fit(&sizes).ok().map(Fit::Hyperbola)
+            Hyperbola::fit(&sizes).ok().map(FocusFit::Hyperbola)
         }
         Curve::Smoothed(smoother, better) => {
             let values: Vec<(f64, f64)> =
                 points.iter().filter_map(|p| p.value.map(|value| (f64::from(p.position), value.value))).collect();
             let curve = smoother.curve(&values).ok()?;
             let best = smoother.best(&values, better).ok()?;
-            Some(Fit::Smoothed { smoother: smoother.name, better, curve, best })
+            Some(FocusFit::Smoothed { smoother: smoother.name, better, curve, best })
         }
     }
 }
 
-fn size(point: &Point) -> Size {
+fn size(point: &FocusMeasurement) -> Size {
     let (size, error) = point.value.map_or((f64::NAN, f64::NAN), |value| (value.value, value.error));
     Size { position: f64::from(point.position), size, error }
 }
 
 /// What to do after the first positions, or after more of them.
-pub(super) fn advice(plan: &Plan, points: &[Point], spacing: f64) -> Advice {
+pub(super) fn advice(plan: &Plan, points: &[FocusMeasurement], spacing: f64) -> Advice {
     let mut positions: Vec<i32> = points.iter().map(|p| p.position).collect();
     positions.sort_unstable();
     positions.dedup();
@@ -86,22 +86,22 @@ pub(super) fn advice(plan: &Plan, points: &[Point], spacing: f64) -> Advice {
 }
 
 /// Between which positions to look closely, as far as there is a curve with its best position near the points.
-pub(super) fn about_the_focus(plan: &Plan, points: &[Point], spacing: f64) -> Option<(f64, f64)> {
+pub(super) fn about_the_focus(plan: &Plan, points: &[FocusMeasurement], spacing: f64) -> Option<(f64, f64)> {
     let fit = fit(plan, points)?;
     let best = fit.best_position();
     let reach = fine_reach(&fit, spacing);
-    let is_near = |point: &Point| (f64::from(point.position) - best).abs() < 2.0 * spacing;
+    let is_near = |point: &FocusMeasurement| (f64::from(point.position) - best).abs() < 2.0 * spacing;
     points.iter().any(is_near).then_some((best - reach, best + reach))
 }
 
 /// Three critical zones to either side, but neither finer than a few steps nor coarser than the first positions.
-fn fine_reach(fit: &Fit, spacing: f64) -> f64 {
+fn fine_reach(fit: &FocusFit, spacing: f64) -> f64 {
     let wanted = fit.critical_zone().map_or(1.5 * spacing, |zone| 3.0 * zone);
     wanted.clamp((0.5 * spacing).max(3.0), (4.0 * spacing).max(3.0))
 }
 
 /// Position of the best of the values, each being the median of itself and its neighbours; and how many there are.
-fn smallest(plan: &Plan, points: &[Point]) -> Option<(i32, usize)> {
+fn smallest(plan: &Plan, points: &[FocusMeasurement]) -> Option<(i32, usize)> {
     let sign = match plan.curve {
         Curve::Smoothed(_, Better::Larger) => -1.0,
         _ => 1.0,
@@ -122,35 +122,35 @@ fn smallest(plan: &Plan, points: &[Point]) -> Option<(i32, usize)> {
 }
 
 /// Whether the curve's minimum can be believed.
-pub(super) fn accept(plan: &Plan, points: &[Point]) -> Result<Fit, Failure> {
+pub(super) fn accept(plan: &Plan, points: &[FocusMeasurement]) -> Result<FocusFit, NoFocus> {
     let valid = points.iter().filter(|p| p.value.is_some()).count();
     if valid < FEWEST {
-        return Err(Failure::TooFewValues { valid, needed: FEWEST });
+        return Err(NoFocus::TooFewValues { valid, needed: FEWEST });
     }
-    let fit = fit(plan, points).ok_or(Failure::NoMinimum)?;
+    let fit = fit(plan, points).ok_or(NoFocus::NoMinimum)?;
     let best = fit.best_position();
     let is_used = |n: usize| match &fit {
-        Fit::Hyperbola(curve) => curve.used.get(n).copied().unwrap_or(false),
-        Fit::Smoothed { .. } => points[n].value.is_some(),
+        FocusFit::Hyperbola(curve) => curve.used.get(n).copied().unwrap_or(false),
+        FocusFit::Smoothed { .. } => points[n].value.is_some(),
     };
     let used: Vec<f64> = (0..points.len()).filter(|n| is_used(*n)).map(|n| f64::from(points[n].position)).collect();
     let (below, above) = (used.iter().filter(|p| **p < best).count(), used.iter().filter(|p| **p > best).count());
     if used.len() < FEWEST || below < BESIDE || above < BESIDE {
-        return Err(Failure::OneSided { below, above });
+        return Err(NoFocus::OneSided { below, above });
     }
     if let (Some(error), Some(zone)) = (fit.best_position_error(), fit.critical_zone())
         && error >= ERROR * zone
     {
-        return Err(Failure::Uncertain { error_steps: error, critical_zone_steps: zone });
+        return Err(NoFocus::Uncertain { error_steps: error, critical_zone_steps: zone });
     }
     Ok(fit)
 }
 
 /// Whether a value in focus is as good as the curve promises.
-pub(super) fn is_verified(fit: &Fit, value: f64) -> bool {
+pub(super) fn is_verified(fit: &FocusFit, value: f64) -> bool {
     match fit {
-        Fit::Hyperbola(curve) => value <= LARGER * curve.least_size,
-        Fit::Smoothed { better, curve, best, .. } => {
+        FocusFit::Hyperbola(curve) => value <= LARGER * curve.least_size,
+        FocusFit::Smoothed { better, curve, best, .. } => {
             let (low, high) = curve.iter().fold((f64::MAX, f64::MIN), |(l, h), (_, y)| (l.min(*y), h.max(*y)));
             let missing = if *better == Better::Smaller { value - best.1 } else { best.1 - value };
             missing <= SHORT * (high - low)

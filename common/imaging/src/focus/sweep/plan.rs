@@ -7,7 +7,7 @@ use crate::focus::smooth::Smoother;
 
 /// From which side every position is approached, so that the play of the gears is always taken up in the same way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Approach {
+pub enum ApproachSide {
     /// From lower numbers.
     #[default]
     Upward,
@@ -45,7 +45,7 @@ pub struct Plan {
     /// Play of the gears, steps: so far positions are overshot before they are approached.
     pub backlash: i32,
     /// The side positions are approached from.
-    pub approach: Approach,
+    pub approach: ApproachSide,
     /// What is drawn through the values.
     pub curve: Curve,
 }
@@ -103,7 +103,7 @@ impl Plan {
             closer_percent: None,
             limits,
             backlash: 0,
-            approach: Approach::Upward,
+            approach: ApproachSide::Upward,
             curve: Curve::Hyperbola,
         }
     }
@@ -134,8 +134,8 @@ impl Plan {
     pub(super) fn usable(&self) -> RangeInclusive<i32> {
         let (low, high) = (*self.limits.start(), *self.limits.end());
         match self.approach {
-            Approach::Upward => low.saturating_add(self.backlash)..=high,
-            Approach::Downward => low..=high.saturating_sub(self.backlash),
+            ApproachSide::Upward => low.saturating_add(self.backlash)..=high,
+            ApproachSide::Downward => low..=high.saturating_sub(self.backlash),
         }
     }
 
@@ -154,7 +154,7 @@ impl Plan {
     /// In order of approach.
     pub(super) fn ordered(&self, mut positions: Vec<i32>) -> Vec<i32> {
         positions.sort_unstable();
-        if self.approach == Approach::Downward {
+        if self.approach == ApproachSide::Downward {
             positions.reverse();
         }
         positions
@@ -165,11 +165,11 @@ impl Plan {
     pub(super) fn overshoot(&self, at: i32, position: i32) -> Option<i32> {
         let (low, high) = (*self.limits.start(), *self.limits.end());
         let (from, is_needed) = match self.approach {
-            Approach::Upward => {
+            ApproachSide::Upward => {
                 let from = position.saturating_sub(self.backlash);
                 (from, at > from)
             }
-            Approach::Downward => {
+            ApproachSide::Downward => {
                 let from = position.saturating_add(self.backlash);
                 (from, at < from)
             }

@@ -38,13 +38,13 @@ fn run(
     let mut sweep = Sweep::new(plan).unwrap();
     for _ in 0..400 {
         match sweep.next() {
-            Step::Move(to) => focuser.go(to),
-            Step::Expose(_) => {
+            FocusStep::Move(to) => focuser.go(to),
+            FocusStep::Expose(_) => {
                 let value = see(focuser, sweep.points().len());
                 sweep.measured(value.map(|value| Estimate { value, error: 0.02 * value.abs() })).unwrap();
             }
-            Step::Done(result) => {
-                assert_eq!(sweep.next(), Step::Done(result.clone()), "the end stays the end");
+            FocusStep::Done(result) => {
+                assert_eq!(sweep.next(), FocusStep::Done(result.clone()), "the end stays the end");
                 return (result, sweep);
             }
         }
@@ -80,13 +80,13 @@ fn the_closer_look_is_as_wide_as_asked_for() {
 
 #[test]
 fn play_of_the_gears_does_not_move_the_focus() {
-    for approach in [Approach::Upward, Approach::Downward] {
+    for approach in [ApproachSide::Upward, ApproachSide::Downward] {
         let mut focuser = Focuser::new(10_200, 10_000.0);
         focuser.play = 90.0;
         let (result, _) = run(Plan { backlash: 120, approach, ..plan(10_200) }, &mut focuser, |f, _| Some(f.size()));
         let focused = result.unwrap();
         assert!((focuser.optics - 10_000.0).abs() <= 1.0, "{approach:?}: optics at {}", focuser.optics);
-        let lag = if approach == Approach::Upward { 90 } else { 0 };
+        let lag = if approach == ApproachSide::Upward { 90 } else { 0 };
         assert!((focused.position - 10_000 - lag).abs() <= 1, "{approach:?}: {focused:?}");
     }
 }
@@ -132,11 +132,11 @@ fn a_caller_can_end_a_run() {
     let mut sweep = Sweep::new(plan(10_000)).unwrap();
     assert_eq!(sweep.measured(None), Err(NotAsked));
     let first = [sweep.next(), sweep.next()];
-    assert_eq!(first, [Step::Move(9_600), Step::Expose(Pass::Coarse)]);
+    assert_eq!(first, [FocusStep::Move(9_600), FocusStep::Expose(Pass::Coarse)]);
     sweep.end("clouds");
-    assert_eq!(sweep.next(), Step::Move(10_000));
-    let Step::Done(Err(failed)) = sweep.next() else { panic!("not done") };
-    assert_eq!(failed.reason, Failure::Ended("clouds".to_owned()));
+    assert_eq!(sweep.next(), FocusStep::Move(10_000));
+    let FocusStep::Done(Err(failed)) = sweep.next() else { panic!("not done") };
+    assert_eq!(failed.reason, NoFocus::Ended("clouds".to_owned()));
 }
 
 #[test]
@@ -202,7 +202,7 @@ proptest! {
         let plan = Plan {
             start, half_range, backlash,
             curve: if smoothed { curve } else { Curve::Hyperbola },
-            approach: if downward { Approach::Downward } else { Approach::Upward },
+            approach: if downward { ApproachSide::Downward } else { ApproachSide::Upward },
             ..Plan::about(centre, half_range, 0..=1000)
         };
         let mut focuser = Focuser::new(start, 500.0);

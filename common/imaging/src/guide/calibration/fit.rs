@@ -3,14 +3,15 @@
 //! ```text
 //! place = start of the axis + drift of the axis * time + speed * (pulses so far - what was lost in the gear)
 //! ```
-//! Both axes go out and come back, so pulses and time do not run together and can be told apart. It is fitted by least
-//! squares with Huber's loss (1964), so that one gust does not spoil it; the play by searching for its best value.
+//! Both axes go out and come back, so pulses and time do not run together and can be distinguished. It is fitted by
+//! least squares with Huber's loss (1964), so that one gust does not spoil it; the play by searching for its best
+//! value.
 
 use crate::least_squares::LeastSquares;
 
 /// A frame of a calibration.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Step {
+pub(super) struct CalibrationFrame {
     /// Middle of the exposure, s.
     pub(super) mid_s: f64,
     /// Pulses on this axis since its first step, s; East and North positive.
@@ -22,14 +23,14 @@ pub(super) struct Step {
 /// An axis' steps out and back.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Way {
-    pub(super) out: Vec<Step>,
+    pub(super) out: Vec<CalibrationFrame>,
     /// Begins with the last step out.
-    pub(super) back: Vec<Step>,
+    pub(super) back: Vec<CalibrationFrame>,
 }
 
 impl Way {
     /// The pulses (s, signed) that moved the star, for each step, the way back having lost `play_s`.
-    fn steps(&self, play_s: f64) -> impl Iterator<Item = (Step, f64)> {
+    fn steps(&self, play_s: f64) -> impl Iterator<Item = (CalibrationFrame, f64)> {
         let far_s = self.back.first().map_or(0.0, |step| step.pulse_s);
         let back = self.back.iter().skip(1).map(move |step| {
             let way_s = step.pulse_s - far_s;
@@ -50,7 +51,7 @@ impl Way {
 
 /// What moves a star.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Motion {
+pub(super) struct StarMotion {
     /// By East and by North pulses (x, y), px/s; North is zero while Dec was not pushed.
     pub(super) speeds_px_s: [[f64; 2]; 2],
     /// By itself, while right ascension and while declination were pushed, px/s.
@@ -75,14 +76,14 @@ const PLACES_PER_PULSE: usize = 4;
 const CUTS: usize = 17;
 /// Play is believed when it lowers the sum of squares by this many variances: three standard errors.
 const BELIEVED: f64 = 9.0;
-/// Weight of equations that fix what no step tells; against weights of 1, on unknowns that are scaled.
+/// Weight of equations that fix what no step shows; against weights of 1, on unknowns that are scaled.
 const FIXED: f64 = 1e6;
 
 /// Start and drift of either axis, then the speeds by East and by North pulses.
 const UNKNOWNS: usize = 6;
 
 /// The steps, and the scales on which the unknowns are of similar size.
-struct Model<'a> {
+struct MotionModel<'a> {
     ra: &'a Way,
     dec: &'a Way,
     from_s: f64,
@@ -94,7 +95,7 @@ struct Model<'a> {
 type Solved = ([[f64; UNKNOWNS]; 2], Vec<[f64; 2]>);
 
 /// Speeds, drifts and play; None when the steps do not fix them. `dec` may be empty.
-pub(super) fn motion(ra: &Way, dec: &Way) -> Option<Motion> {
+pub(super) fn motion(ra: &Way, dec: &Way) -> Option<StarMotion> {
     let all = || ra.steps(0.0).chain(dec.steps(0.0)).map(|(step, _)| step);
     let from_s = all().map(|step| step.mid_s).fold(f64::INFINITY, f64::min);
     let length_s = all().map(|step| step.mid_s - from_s).fold(0.0, f64::max);
@@ -102,7 +103,7 @@ pub(super) fn motion(ra: &Way, dec: &Way) -> Option<Motion> {
     if !(length_s > 0.0 && length_s.is_finite() && pulse_s > 0.0) {
         return None;
     }
-    let model = Model { ra, dec, from_s, length_s, pulse_s };
+    let model = MotionModel { ra, dec, from_s, length_s, pulse_s };
     let mut weights = vec![1.0; all().count()];
     let (mut play_s, mut scale_px) = (0.0, LEAST_PX);
     for _ in 0..ROUNDS {
@@ -118,16 +119,16 @@ pub(super) fn motion(ra: &Way, dec: &Way) -> Option<Motion> {
     let play_s = if explained > BELIEVED * scale_px.powi(2) { play_s } else { 0.0 };
     let (unknowns, _) = model.solve(play_s, &weights)?;
     let of = |index: usize, unit: f64| unknowns.map(|of_axis| of_axis[index] / unit);
-    Some(Motion {
+    Some(StarMotion {
         speeds_px_s: [of(4, pulse_s), of(5, pulse_s)],
         drifts_px_s: [of(2, length_s), of(3, length_s)],
         play_s,
     })
 }
 
-impl Model<'_> {
+impl MotionModel<'_> {
     fn rows(&self, play_s: f64) -> impl Iterator<Item = ([f64; UNKNOWNS], [f64; 2])> {
-        let time = |step: &Step| (step.mid_s - self.from_s) / self.length_s;
+        let time = |step: &CalibrationFrame| (step.mid_s - self.from_s) / self.length_s;
         let ra = self
             .ra
             .steps(0.0)

@@ -1,6 +1,6 @@
 //! What is odd about a calibration by pulses, and why there may be none.
 
-use super::pulses::Direction;
+use super::direction::Direction;
 
 /// What is odd about a calibration that can be used all the same.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -51,7 +51,7 @@ pub enum Warning {
 
 /// Why there is no calibration.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum Failure {
+pub enum NoCalibration {
     /// The star hardly moved.
     #[error("{direction:?}: {steps} pulses of {pulse_ms} ms moved the star by {moved_px:.1} px; lengthen the pulses")]
     DidNotMove {

@@ -4,18 +4,19 @@
 //!   West ----25 px----> East back ----> ClearNorth --3 good moves--> North ----25 px----> South back ----> Done
 //!     '--60 steps--> Failed                 '--60 steps--> Failed      '--60 steps--> Failed
 //! ```
-//! The way South goes on until the gear holds there too; if it never does, the play is said to be more than that. A
-//! pure state machine: told when and where the star was (px from where it was at the start), it says which pulse comes
-//! next. Steps and limits are PHD2's (docs/formulae.md, "Pulses to pixels"). At the end all ways are fitted together
-//! with the mount's drift and the play of the declination gear ([`super::fit`]).
+//! The way South goes on until the gear holds there too; if it never does, the play is taken to be more than that. A
+//! pure state machine: it is given when and where the star was (px from where it was at the start), it says which pulse
+//! comes next. Steps and limits are PHD2's (docs/formulae.md, "Pulses to pixels"). At the end all ways are fitted
+//! together with the mount's drift and the play of the declination gear ([`super::fit`]).
 
-use super::fit::{self, Motion, Step, Way};
-pub use super::oddity::{Failure, Warning};
+pub use super::direction::Direction;
+use super::fit::{self, CalibrationFrame, StarMotion, Way};
+pub use super::oddity::{NoCalibration, Warning};
 use super::{Calibration, Pier};
 
 /// How to calibrate.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
+pub struct CalibrationSettings {
     /// Length of a pulse, ms.
     pub pulse_ms: u32,
     /// How far the star shall go, px; with `steps` the farthest that it may.
@@ -32,7 +33,7 @@ pub struct Settings {
     pub expected_px_s: Option<[f64; 2]>,
 }
 
-impl Default for Settings {
+impl Default for CalibrationSettings {
     fn default() -> Self {
         Self {
             pulse_ms: 750,
@@ -42,29 +43,6 @@ impl Default for Settings {
             dec_deg: 0.0,
             pier: None,
             expected_px_s: None,
-        }
-    }
-}
-
-/// A direction of a pulse.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Direction {
-    /// Declination up.
-    North,
-    /// Declination down.
-    South,
-    /// Right ascension up.
-    East,
-    /// Right ascension down.
-    West,
-}
-
-impl Direction {
-    /// 1 for North and East, -1 for South and West.
-    fn sign(self) -> f64 {
-        match self {
-            Self::North | Self::East => 1.0,
-            Self::South | Self::West => -1.0,
         }
     }
 }
@@ -89,7 +67,7 @@ pub enum Next {
         warnings: Vec<Warning>,
     },
     /// There is no calibration.
-    Failed(Failure),
+    Failed(NoCalibration),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -104,15 +82,15 @@ enum Phase {
 
 /// A calibration under way.
 #[derive(Debug, Clone)]
-pub struct Run {
-    settings: Settings,
+pub struct CalibrationRun {
+    settings: CalibrationSettings,
     phase: Phase,
     /// This phase, from where the last one ended.
-    steps: Vec<Step>,
+    steps: Vec<CalibrationFrame>,
     ra: Way,
     dec: Way,
-    /// What right ascension alone tells, once it is back.
-    found: Option<Motion>,
+    /// What right ascension alone shows, once it is back.
+    found: Option<StarMotion>,
     good_moves: usize,
     misses: usize,
 }
@@ -132,9 +110,9 @@ const SPEED_TOLERANCE: f64 = 0.2;
 /// A way back shorter or longer than this share of the way out is odd.
 const WAY_BACK: std::ops::Range<f64> = 0.7..1.3;
 
-impl Run {
+impl CalibrationRun {
     /// A calibration that begins with the next place.
-    pub fn new(settings: Settings) -> Self {
+    pub fn new(settings: CalibrationSettings) -> Self {
         let (ra, dec) = (Way::default(), Way::default());
         Self { settings, phase: Phase::West, steps: Vec::new(), ra, dec, found: None, good_moves: 0, misses: 0 }
     }
@@ -143,20 +121,20 @@ impl Run {
     /// (x, y), or did not.
     pub fn next(&mut self, mid_s: f64, place_px: Option<[f64; 2]>) -> Next {
         if self.phase == Phase::Over {
-            return Next::Failed(Failure::Over);
+            return Next::Failed(NoCalibration::Over);
         }
         let Some(place_px) = place_px.filter(|place| place.iter().all(|value| value.is_finite())) else {
             self.misses += 1;
-            return if self.misses < MOST_MISSES { Next::Measure } else { self.fail(Failure::StarLost) };
+            return if self.misses < MOST_MISSES { Next::Measure } else { self.fail(NoCalibration::StarLost) };
         };
         self.misses = 0;
         let before = self.steps.last().copied();
         let before_s = before.map_or(f64::NEG_INFINITY, |step| step.mid_s);
         if !(mid_s.is_finite() && mid_s > before_s) {
-            return self.fail(Failure::Clock { before_s, mid_s });
+            return self.fail(NoCalibration::Clock { before_s, mid_s });
         }
         let pulse_s = before.map_or(0.0, |step| step.pulse_s + self.direction().sign() * self.pulse_s());
-        self.steps.push(Step { mid_s, pulse_s, place_px });
+        self.steps.push(CalibrationFrame { mid_s, pulse_s, place_px });
         let moved_px = apart(place_px, self.steps[0].place_px);
         let is_long = self.made() >= self.settings.steps.unwrap_or(self.settings.most_steps);
         let is_enough = self.settings.steps.is_some() && is_long && moved_px >= SHORTEST_WAY_PX;
@@ -169,16 +147,16 @@ impl Run {
             Phase::ClearNorth => self.clear(),
             Phase::South => self.back_south(),
             Phase::West | Phase::North | Phase::East => self.pulse(),
-            Phase::Over => self.fail(Failure::Over),
+            Phase::Over => self.fail(NoCalibration::Over),
         }
     }
 
-    /// Both ways of right ascension are made: what they tell helps to see declination take hold.
+    /// Both ways of right ascension are made: what they show helps to see declination take hold.
     fn right_ascension(&mut self) -> Next {
         self.keep(Phase::ClearNorth);
         self.found = fit::motion(&self.ra, &self.dec);
         match self.found.map(|found| too_little_px(&self.ra, found.speeds_px_s[0])) {
-            None => self.fail(Failure::Parallel),
+            None => self.fail(NoCalibration::Parallel),
             Some(Some(moved_px)) => self.did_not_move(Direction::West, self.ra.out.len() - 1, moved_px),
             Some(None) => self.pulse(),
         }
@@ -189,7 +167,7 @@ impl Run {
         if self.takes_hold() {
             self.turn(Phase::North)
         } else if self.made() >= self.settings.most_steps {
-            self.fail(Failure::Backlash { steps: self.made() })
+            self.fail(NoCalibration::Backlash { steps: self.made() })
         } else {
             self.pulse()
         }
@@ -208,7 +186,7 @@ impl Run {
     }
 
     /// Whether the last moves were good ones: across right ascension, without what the mount drifts meanwhile. Along
-    /// right ascension its drift is not told from a mount that sticks.
+    /// right ascension its drift is not distinguished from a mount that sticks.
     fn takes_hold(&mut self) -> bool {
         let is_good = match (self.steps.as_slice(), self.found) {
             ([.., before, last], Some(found)) => {
@@ -256,7 +234,7 @@ impl Run {
             self.dec.back.truncate(1);
         }
         let Some(motion) = fit::motion(&self.ra, &self.dec) else {
-            return self.fail(Failure::Parallel);
+            return self.fail(NoCalibration::Parallel);
         };
         let [east_px_s, north_px_s] = motion.speeds_px_s;
         if let Some(moved_px) = too_little_px(&self.dec, north_px_s) {
@@ -266,7 +244,7 @@ impl Run {
         let backlash_s = lost_s.or(Some(motion.play_s));
         let calibration = Calibration { east_px_s, north_px_s, dec_deg, pier, backlash_s };
         let Ok(rates) = calibration.at(dec_deg) else {
-            return self.fail(Failure::Parallel);
+            return self.fail(NoCalibration::Parallel);
         };
         let mut warnings = self.warnings(&calibration, rates.speeds_px_s(), motion.drifts_px_s[1]);
         warnings.extend(lost_s.map(|play_s| Warning::OneWay { play_s }));
@@ -274,7 +252,7 @@ impl Run {
     }
 
     fn did_not_move(&mut self, direction: Direction, steps: usize, moved_px: f64) -> Next {
-        self.fail(Failure::DidNotMove { direction, steps, pulse_ms: self.settings.pulse_ms, moved_px })
+        self.fail(NoCalibration::DidNotMove { direction, steps, pulse_ms: self.settings.pulse_ms, moved_px })
     }
 
     fn warnings(&self, calibration: &Calibration, speeds: [f64; 2], drift_px_s: [f64; 2]) -> Vec<Warning> {
@@ -299,8 +277,8 @@ impl Run {
         if self.settings.dec_deg.abs() > super::HIGHEST_DEC_DEG {
             warnings.push(Warning::NearPole { dec_deg: self.settings.dec_deg });
         }
-        // with the drift that declination saw: right ascension's own cannot be told from a mount that sticks
-        let way_px = |steps: &[Step]| match steps {
+        // with the drift that declination saw: right ascension's own cannot be distinguished from a mount that sticks
+        let way_px = |steps: &[CalibrationFrame]| match steps {
             [first, .., last] => apart(moved(first, last, drift_px_s), [0.0, 0.0]),
             _ => 0.0,
         };
@@ -311,7 +289,7 @@ impl Run {
         warnings
     }
 
-    fn fail(&mut self, failure: Failure) -> Next {
+    fn fail(&mut self, failure: NoCalibration) -> Next {
         self.phase = Phase::Over;
         Next::Failed(failure)
     }
@@ -347,7 +325,7 @@ fn too_little_px(way: &Way, speed_px_s: [f64; 2]) -> Option<f64> {
 }
 
 /// From one step to another without what the mount drifted, px.
-fn moved(from: &Step, to: &Step, drift_px_s: [f64; 2]) -> [f64; 2] {
+fn moved(from: &CalibrationFrame, to: &CalibrationFrame, drift_px_s: [f64; 2]) -> [f64; 2] {
     [0, 1].map(|n| to.place_px[n] - from.place_px[n] - drift_px_s[n] * (to.mid_s - from.mid_s))
 }
 

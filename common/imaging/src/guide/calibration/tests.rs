@@ -1,6 +1,6 @@
 //! Matrices with a known truth, and a mount that is calibrated step by step.
 
-use super::pulses::{Direction, Failure, Next, Run, Settings, Warning};
+use super::pulses::{CalibrationRun, CalibrationSettings, Direction, Next, NoCalibration, Warning};
 use super::*;
 
 /// CD matrix of a camera turned by `rotation_deg`; `mirrored` as behind a diagonal mirror. deg/px.
@@ -11,7 +11,7 @@ fn cd(scale_deg: f64, rotation_deg: f64, mirrored: bool) -> [[f64; 2]; 2] {
 }
 
 #[test]
-fn a_plate_solution_tells_where_pulses_move_the_stars() {
+fn a_plate_solution_shows_where_pulses_move_the_stars() {
     // north up, east left; 1 arcsec/px, half the sidereal rate
     let rate = 7.5 / 3600.0;
     let calibration = Calibration::from_wcs(cd(1.0 / 3600.0, 0.0, false), [rate, rate], None).unwrap();
@@ -115,8 +115,8 @@ impl Mount {
         (0..2).for_each(|n| self.place[n] += velocity[n] * seconds + self.drift[n] * self.step_s);
     }
 
-    fn calibrate(&mut self, settings: Settings) -> (Next, usize) {
-        let mut run = Run::new(settings);
+    fn calibrate(&mut self, settings: CalibrationSettings) -> (Next, usize) {
+        let mut run = CalibrationRun::new(settings);
         // noise of a measurement, the same at every run
         let noise = |n: usize| 0.05 * ((n * 7919 % 13) as f64 / 6.0 - 1.0);
         for n in 0..400 {
@@ -132,12 +132,13 @@ impl Mount {
 }
 
 #[test]
-fn pulses_tell_matrix_and_backlash() {
+fn pulses_give_matrix_and_backlash() {
     for (rotation, parity) in [(0.0_f64, 1.0), (17.0, 1.0), (45.0, -1.0), (90.0, 1.0), (200.0, -1.0)] {
         let (sin, cos) = rotation.to_radians().sin_cos();
         let (east, north) = ([3.0 * cos, 3.0 * sin], [-parity * 4.0 * sin, parity * 4.0 * cos]);
         let mut mount = Mount { east, north, play_s: 2.0, free_north_s: 2.0, place: [100.0, 50.0], ..STILL };
-        let settings = Settings { dec_deg: 30.0, expected_px_s: Some([3.0, 4.0]), ..Settings::default() };
+        let settings =
+            CalibrationSettings { dec_deg: 30.0, expected_px_s: Some([3.0, 4.0]), ..CalibrationSettings::default() };
         let Next::Done { calibration, warnings } = mount.calibrate(settings).0 else { panic!("{rotation}") };
         for n in 0..2 {
             assert!((calibration.east_px_s[n] - east[n]).abs() < 0.03, "{rotation}: {calibration:?}");
@@ -156,19 +157,23 @@ fn as_many_pulses_are_made_as_asked_for_while_the_stars_stay_near() {
         assert!((calibration.east_px_s[0] - 3.0).abs() < 0.05, "{calibration:?}");
         frames
     };
-    let many = Settings { steps: Some(20), distance_px: 200.0, ..Settings::default() };
+    let many = CalibrationSettings { steps: Some(20), distance_px: 200.0, ..CalibrationSettings::default() };
     // four ways of 20, and a few until declination takes hold
     assert!((83..=90).contains(&frames(many)), "{}", frames(many));
     // 2.25 px each
-    let near = frames(Settings { steps: Some(60), distance_px: 30.0, ..many });
+    let near = frames(CalibrationSettings { steps: Some(60), distance_px: 30.0, ..many });
     assert!((14 * 4..=14 * 4 + 10).contains(&near), "{near}");
     let end = Mount { east: [0.1, 0.0], ..STILL }.calibrate(many).0;
-    assert!(matches!(end, Next::Failed(Failure::DidNotMove { direction: Direction::West, steps: 20, .. })), "{end:?}");
+    assert!(
+        matches!(end, Next::Failed(NoCalibration::DidNotMove { direction: Direction::West, steps: 20, .. })),
+        "{end:?}"
+    );
 }
 
 #[test]
-fn odd_mounts_are_told() {
-    let settings = Settings { dec_deg: 65.0, expected_px_s: Some([30.0, 4.0]), ..Settings::default() };
+fn odd_mounts_are_reported() {
+    let settings =
+        CalibrationSettings { dec_deg: 65.0, expected_px_s: Some([30.0, 4.0]), ..CalibrationSettings::default() };
     let mut skewed = Mount { east: [20.0, 0.0], north: [4.0, 8.0], ..STILL };
     let Next::Done { calibration, warnings } = skewed.calibrate(settings).0 else { panic!("not done") };
     assert_eq!(calibration.backlash_s, Some(0.0));
@@ -178,33 +183,47 @@ fn odd_mounts_are_told() {
     assert!(has(|w| matches!(w, Warning::Speed { axis: "RA", .. })), "{warnings:?}");
     assert!(has(|w| matches!(w, Warning::NearPole { .. })), "{warnings:?}");
     let mut stuck = Mount { east: [0.01, 0.0], ..STILL };
-    let end = stuck.calibrate(Settings::default()).0;
-    assert!(matches!(end, Next::Failed(Failure::DidNotMove { direction: Direction::West, steps: 60, .. })), "{end:?}");
+    let end = stuck.calibrate(CalibrationSettings::default()).0;
+    assert!(
+        matches!(end, Next::Failed(NoCalibration::DidNotMove { direction: Direction::West, steps: 60, .. })),
+        "{end:?}"
+    );
     let mut loose = Mount { play_s: 1e3, free_north_s: 1e3, ..STILL };
-    assert!(matches!(loose.calibrate(Settings::default()).0, Next::Failed(Failure::Backlash { steps: 60 })));
-    let mut run = Run::new(Settings::default());
+    assert!(matches!(
+        loose.calibrate(CalibrationSettings::default()).0,
+        Next::Failed(NoCalibration::Backlash { steps: 60 })
+    ));
+    let mut run = CalibrationRun::new(CalibrationSettings::default());
     assert_eq!([run.next(0.0, None), run.next(1.0, Some([f64::NAN, 0.0]))], [Next::Measure, Next::Measure]);
-    assert_eq!(run.next(2.0, None), Next::Failed(Failure::StarLost));
+    assert_eq!(run.next(2.0, None), Next::Failed(NoCalibration::StarLost));
 }
 
 #[test]
 fn a_drift_is_not_taken_for_pulses() {
     // right ascension is stuck, declination too; the field drifts 25 px all the same
     let mut adrift = Mount { east: [0.01, 0.0], drift: [0.3, 0.1], ..STILL };
-    let end = adrift.calibrate(Settings::default()).0;
-    let Next::Failed(Failure::DidNotMove { direction: Direction::West, moved_px, .. }) = end else { panic!("{end:?}") };
+    let end = adrift.calibrate(CalibrationSettings::default()).0;
+    let Next::Failed(NoCalibration::DidNotMove { direction: Direction::West, moved_px, .. }) = end else {
+        panic!("{end:?}")
+    };
     assert!(moved_px < 1.0, "{moved_px}");
     // as fast as a third of the least good move
     let mut loose = Mount { play_s: 1e3, free_north_s: 1e3, drift: [0.0, 0.15], ..STILL };
-    assert!(matches!(loose.calibrate(Settings::default()).0, Next::Failed(Failure::Backlash { steps: 60 })));
+    assert!(matches!(
+        loose.calibrate(CalibrationSettings::default()).0,
+        Next::Failed(NoCalibration::Backlash { steps: 60 })
+    ));
     let mut late = Mount { drift: [0.0, 0.25], ..loose };
-    assert!(matches!(late.calibrate(Settings::default()).0, Next::Failed(Failure::Backlash { steps: 60 })));
+    assert!(matches!(
+        late.calibrate(CalibrationSettings::default()).0,
+        Next::Failed(NoCalibration::Backlash { steps: 60 })
+    ));
 }
 
 #[test]
-fn a_mount_that_does_not_come_back_is_told() {
+fn a_mount_that_does_not_come_back_is_reported() {
     for drift in [[0.0, 0.0], [0.1, 0.1]] {
-        let mut run = Run::new(Settings { distance_px: 40.0, ..Settings::default() });
+        let mut run = CalibrationRun::new(CalibrationSettings { distance_px: 40.0, ..CalibrationSettings::default() });
         let (mut place, mut mid_s) = ([0.0, 0.0], 0.0);
         let end = loop {
             match run.next(mid_s, Some(place)) {
@@ -232,28 +251,32 @@ fn a_mount_that_does_not_come_back_is_told() {
 }
 
 #[test]
-fn a_play_longer_than_the_way_is_measured_all_the_same_and_an_endless_one_is_told_as_far_as_it_was_seen() {
+fn a_play_longer_than_the_way_is_measured_all_the_same_and_of_an_endless_one_what_was_seen() {
     // the way takes 8.3 s of pulse
     for (play_s, drift) in [(15.0, [0.0, 0.0]), (15.0, [0.04, 0.04]), (20.0, [-0.04, 0.04])] {
         let mut mount = Mount { play_s, free_north_s: 0.5, drift, ..STILL };
-        let Next::Done { calibration, .. } = mount.calibrate(Settings::default()).0 else { panic!("{play_s}") };
+        let Next::Done { calibration, .. } = mount.calibrate(CalibrationSettings::default()).0 else {
+            panic!("{play_s}")
+        };
         assert!((calibration.backlash_s.unwrap() - play_s).abs() < 0.2, "{calibration:?}");
         assert!((calibration.north_px_s[1] - 3.0).abs() < 0.03, "{calibration:?}");
     }
     let mut oneway = Mount { play_s: 1e3, drift: [0.04, 0.04], ..STILL };
-    let Next::Done { calibration, warnings } = oneway.calibrate(Settings::default()).0 else { panic!("not done") };
+    let Next::Done { calibration, warnings } = oneway.calibrate(CalibrationSettings::default()).0 else {
+        panic!("not done")
+    };
     assert_eq!(calibration.backlash_s, Some(45.0), "all of the 60 pulses of 0.75 s");
     assert_eq!(warnings, [Warning::OneWay { play_s: 45.0 }]);
     assert!((calibration.north_px_s[1] - 3.0).abs() < 0.03 && calibration.north_px_s[0].abs() < 0.03);
 }
 
 #[test]
-fn times_that_do_not_go_on_are_told() {
+fn times_that_do_not_go_on_are_reported() {
     for wrong_s in [5.0, 4.0, f64::NAN, f64::INFINITY] {
-        let mut run = Run::new(Settings::default());
+        let mut run = CalibrationRun::new(CalibrationSettings::default());
         assert!(matches!(run.next(5.0, Some([0.0, 0.0])), Next::Pulse { .. }));
         let end = run.next(wrong_s, Some([1.0, 0.0]));
-        assert!(matches!(end, Next::Failed(Failure::Clock { before_s: 5.0, .. })), "{end:?}");
+        assert!(matches!(end, Next::Failed(NoCalibration::Clock { before_s: 5.0, .. })), "{end:?}");
     }
 }
 
@@ -261,7 +284,7 @@ fn times_that_do_not_go_on_are_told() {
 fn one_gust_does_not_spoil_a_calibration() {
     for gust in 1..60 {
         let mut mount = Mount { drift: [0.03, -0.04], play_s: 0.6, free_north_s: 0.6, ..STILL };
-        let (mut run, mut n) = (Run::new(Settings::default()), 0);
+        let (mut run, mut n) = (CalibrationRun::new(CalibrationSettings::default()), 0);
         let end = loop {
             let [x, y] = mount.place;
             match run.next(f64::from(n) * 3.0, Some(if n == gust { [x + 6.0, y - 4.0] } else { [x, y] })) {

@@ -11,7 +11,7 @@ use crate::wrong::Wrong;
 
 /// The choice of a field.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
-pub struct Field {
+pub struct FocusField {
     /// Right ascension of a field of your own, ICRS, with `dec`; absent: one near the zenith.
     #[schemars(range(min = -360, max = 360), extend("unit" = "deg"))]
     pub ra: Option<f64>,
@@ -74,7 +74,7 @@ fn many() -> usize {
     100_000
 }
 
-impl Field {
+impl FocusField {
     /// Refuses half a place, and magnitudes the wrong way round.
     pub fn check(&self) -> Result<(), Wrong> {
         self.selection()?;

@@ -50,7 +50,7 @@ pub struct Search {
     #[serde(default, rename = "extremum_estimator_kwargs")]
     #[schemars(extend("deprecated" = true))]
     _extremum_estimator_kwargs: BTreeMap<String, Value>,
-    /// Other operators that are computed and kept beside.
+    /// Other operators that are computed and stored with it.
     #[serde(default)]
     #[schemars(extend("items" = {"type": "string", "enum": names()}))]
     secondary_focus_measure_operators: Vec<String>,
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn the_closer_look_covers_what_the_row_says() {
+    fn the_closer_look_covers_what_the_row_asks_for() {
         let percent = |text: &str| read(text).closer_percent();
         assert_eq!(percent(r#"{"percent_to_cut": 60}"#), Some(60));
         assert_eq!(percent(r#"{"percent_to_cut": 60, "decrease_search_range": false}"#), Some(100));

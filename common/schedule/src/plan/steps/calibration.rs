@@ -2,15 +2,15 @@
 
 use super::Foresee;
 use crate::action::Calibration;
-use crate::plan::{Course, Halt};
+use crate::plan::{Halt, SimulatedRun};
 
 impl Foresee for Calibration {
-    fn foresee(&self, course: &mut Course<'_>) -> Result<(), Halt> {
-        course.begin(None, self.filter.as_deref())?;
-        course.reads(&self.readout);
-        let end = course.row.end;
-        course.expose(|course| self.shot_within(course.taken, course.now, end))?;
-        course.tell(self.told(course.taken));
+    fn foresee(&self, run: &mut SimulatedRun<'_>) -> Result<(), Halt> {
+        run.begin(None, self.filter.as_deref())?;
+        run.reads(&self.readout);
+        let end = run.row.end;
+        run.expose(|run| self.shot_within(run.taken, run.now, end))?;
+        run.note(self.summary(run.taken));
         Ok(())
     }
 }

@@ -2,11 +2,11 @@
 
 use super::Foresee;
 use crate::action::close::{Close, TOO_LATE};
-use crate::plan::{Course, Halt};
+use crate::plan::{Halt, SimulatedRun};
 
 impl Foresee for Close {
-    fn foresee(&self, course: &mut Course<'_>) -> Result<(), Halt> {
-        course.ends_at(course.row.end, Halt::Failed(TOO_LATE.to_owned()));
-        course.close()
+    fn foresee(&self, run: &mut SimulatedRun<'_>) -> Result<(), Halt> {
+        run.ends_at(run.row.end, Halt::Failed(TOO_LATE.to_owned()));
+        run.close()
     }
 }

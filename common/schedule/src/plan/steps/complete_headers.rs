@@ -2,12 +2,12 @@
 
 use super::Foresee;
 use crate::action::CompleteHeaders;
-use crate::plan::{Course, Halt};
+use crate::plan::{Halt, SimulatedRun};
 
 impl Foresee for CompleteHeaders {
-    fn foresee(&self, course: &mut Course<'_>) -> Result<(), Halt> {
-        match course.headers_whole() {
-            Some(whole) => course.wait_until(whole.min(course.row.end)),
+    fn foresee(&self, run: &mut SimulatedRun<'_>) -> Result<(), Halt> {
+        match run.headers_whole() {
+            Some(whole) => run.wait_until(whole.min(run.row.end)),
             None => Ok(()),
         }
     }

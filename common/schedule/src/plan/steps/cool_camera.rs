@@ -2,13 +2,13 @@
 
 use super::Foresee;
 use crate::action::cool_camera::{CoolCamera, NOTHING_TO_COOL};
-use crate::plan::{Course, Halt};
+use crate::plan::{Halt, SimulatedRun};
 
 impl Foresee for CoolCamera {
-    fn foresee(&self, course: &mut Course<'_>) -> Result<(), Halt> {
-        if course.camera().is_some_and(|camera| camera.temperature_c.is_none()) {
-            course.tell(NOTHING_TO_COOL);
+    fn foresee(&self, run: &mut SimulatedRun<'_>) -> Result<(), Halt> {
+        if run.camera().is_some_and(|camera| camera.temperature_c.is_none()) {
+            run.note(NOTHING_TO_COOL);
         }
-        course.cool()
+        run.cool()
     }
 }

@@ -9,12 +9,12 @@ use units::Utc;
 
 use super::Foresee;
 use crate::action::Flats;
-use crate::action::flats::Source;
+use crate::action::flats::FlatsSource;
 use crate::flats::exposure::{Level, Light, Seen, Want, signal_adu};
-use crate::flats::filter::{AHEAD_S, Filter, GOOD_S, LOOKS, MAX_ADU, WINDOW_ENDED, candidate, to_ms, told};
+use crate::flats::filter::{AHEAD_S, Filter, GOOD_S, LOOKS, MAX_ADU, WINDOW_ENDED, candidate, summary, to_ms};
 use crate::flats::order::{Next, Order, Trend, next};
 use crate::flats::twilight::{Window, antisolar, ln_between, slope_per_s};
-use crate::plan::{Course, Halt};
+use crate::plan::{Halt, SimulatedRun};
 use crate::shot::fits;
 
 /// Steps of one row: more than any twilight has.
@@ -25,11 +25,11 @@ const COVER_S: f64 = 10.0;
 const SUN_AHEAD_S: f64 = 4.0;
 
 impl Foresee for Flats {
-    fn foresee(&self, course: &mut Course<'_>) -> Result<(), Halt> {
-        course.reads(&self.readout);
+    fn foresee(&self, run: &mut SimulatedRun<'_>) -> Result<(), Halt> {
+        run.reads(&self.readout);
         match self.source {
-            Source::Sky => of_sky(course, self.wanted(), self.order, self.moves()),
-            Source::Panel => of_panel(course, self.wanted()),
+            FlatsSource::Sky => of_sky(run, self.wanted(), self.order, self.moves()),
+            FlatsSource::Panel => of_panel(run, self.wanted()),
         }
     }
 }
@@ -42,8 +42,8 @@ struct Dusk {
 
 impl Dusk {
     /// The rate of any filter at an instant and its slope, ADU/s and per s.
-    fn rate(&self, course: &mut Course<'_>, at: Utc) -> Result<(f64, f64), Halt> {
-        let (sun_deg, later_deg) = (sun_deg(course, at)?, sun_deg(course, at.plus_seconds(AHEAD_S))?);
+    fn rate(&self, run: &mut SimulatedRun<'_>, at: Utc) -> Result<(f64, f64), Halt> {
+        let (sun_deg, later_deg) = (sun_deg(run, at)?, sun_deg(run, at.plus_seconds(AHEAD_S))?);
         let middle_deg = 0.5 * (self.window.min_deg + self.window.max_deg);
         let usual_s = (self.want.min_s * self.want.max_s).sqrt();
         let rate = self.want.signal_adu() / usual_s * ln_between(sun_deg, middle_deg).exp();
@@ -51,69 +51,69 @@ impl Dusk {
     }
 
     /// The level of a frame that begins now.
-    fn seen(&self, course: &mut Course<'_>, exposure_s: f64, is_part: bool) -> Result<Seen, Halt> {
-        let (rate, slope) = self.rate(course, course.now)?;
+    fn seen(&self, run: &mut SimulatedRun<'_>, exposure_s: f64, is_part: bool) -> Result<Seen, Halt> {
+        let (rate, slope) = self.rate(run, run.now)?;
         let adu = self.want.bias_adu + signal_adu(exposure_s, rate, slope);
         let level = if adu < MAX_ADU { Level::Adu(adu) } else { Level::Saturated };
-        Ok(Seen { started: course.now, exposure_s, level, is_part })
+        Ok(Seen { started: run.now, exposure_s, level, is_part })
     }
 }
 
-fn sun_deg(course: &mut Course<'_>, at: Utc) -> Result<f64, Halt> {
-    Ok(course.observer(at)?.sun().altitude.degrees())
+fn sun_deg(run: &mut SimulatedRun<'_>, at: Utc) -> Result<f64, Halt> {
+    Ok(run.observer(at)?.sun().altitude.degrees())
 }
 
 /// Flats of the twilight sky.
-fn of_sky(course: &mut Course<'_>, mut filters: Vec<Filter>, order: Order, moves: bool) -> Result<(), Halt> {
-    let Some(config) = course.camera().map(|camera| camera.flats) else { return Err(no_camera(course)) };
-    let had = allot(&mut filters, course.taken);
-    course.cool()?;
+fn of_sky(run: &mut SimulatedRun<'_>, mut filters: Vec<Filter>, order: Order, moves: bool) -> Result<(), Halt> {
+    let Some(config) = run.camera().map(|camera| camera.flats) else { return Err(no_camera(run)) };
+    let had = allot(&mut filters, run.taken);
+    run.cool()?;
     let dusk = Dusk {
         window: Window { min_deg: config.sun_min_deg, max_deg: config.sun_max_deg },
         want: Want::of(&config, MAX_ADU),
     };
     if config.bias_adu.is_none() {
-        course.aside(0.0, false)?;
+        run.aside(0.0, false)?;
     }
-    if !wait_for(course, &dusk.window, had > 0)? {
-        course.tell(told(&filters, Some(&dusk.window.never())));
+    if !wait_for(run, &dusk.window, had > 0)? {
+        run.note(summary(&filters, Some(&dusk.window.never())));
         return Ok(());
     }
-    let (_, slope) = dusk.rate(course, course.now)?;
+    let (_, slope) = dusk.rate(run, run.now)?;
     let trend = if slope > 0.0 { Trend::Brightens } else { Trend::Fades };
     if moves {
-        let observer = course.observer(course.now)?;
+        let observer = run.observer(run.now)?;
         let away = observer.to_icrs(&antisolar(&observer.sun()));
-        course.open()?;
-        course.slew(Some(&away))?;
+        run.open()?;
+        run.slew(Some(&away))?;
     }
     let mut light = Light::new(dusk.want, filters.len(), slope);
-    let before = course.taken;
-    let why = take(course, &dusk, &mut filters, (order, trend), &mut light)?;
-    course.spool(before)?;
-    course.tell(told(&filters, why.as_deref()));
+    let before = run.taken;
+    let why = take(run, &dusk, &mut filters, (order, trend), &mut light)?;
+    run.spool(before)?;
+    run.note(summary(&filters, why.as_deref()));
     Ok(())
 }
 
 /// Takes the frames; returns why they end before all are taken.
 fn take(
-    course: &mut Course<'_>,
+    run: &mut SimulatedRun<'_>,
     dusk: &Dusk,
     filters: &mut [Filter],
     (order, trend): (Order, Trend),
     light: &mut Light,
 ) -> Result<Option<String>, Halt> {
     let (mut sound, mut current) = (None, None);
-    let turn_to = |course: &mut Course<'_>, name: Option<String>| {
-        let takes_s = course.turn_to(name.as_deref());
-        course.pass(takes_s)
+    let turn_to = |run: &mut SimulatedRun<'_>, name: Option<String>| {
+        let takes_s = run.turn_to(name.as_deref());
+        run.pass(takes_s)
     };
     let name = |filters: &[Filter], index: usize| filters.get(index).and_then(|filter| filter.name.clone());
     for _ in 0..MOST_STEPS {
-        if !dusk.window.has(&course.observer(course.now)?.sun()) {
+        if !dusk.window.has(&run.observer(run.now)?.sun()) {
             return Ok(Some(dusk.window.left()));
         }
-        let (now, end) = (course.now, course.row.end);
+        let (now, end) = (run.now, run.row.end);
         let each = filters.iter().enumerate();
         let known: Vec<_> = each.map(|(index, filter)| candidate(filter.is_wanted(), light, index, now)).collect();
         let what = sound.take().map_or_else(|| next(order, trend, &known, current), Next::Sound);
@@ -128,19 +128,19 @@ fn take(
                 return Ok(Some(WINDOW_ENDED.to_owned()));
             }
             Next::Wait(index, wait_s) => {
-                course.pass(wait_s)?;
+                run.pass(wait_s)?;
                 sound = Some(index);
             }
             Next::Sound(index) => {
-                turn_to(course, name(filters, index))?;
-                let mut exposure_s = dusk.want.first_look_s(light.ready(index, course.now));
+                turn_to(run, name(filters, index))?;
+                let mut exposure_s = dusk.want.first_look_s(light.ready(index, run.now));
                 for _ in 0..LOOKS {
                     exposure_s = to_ms(exposure_s);
-                    if !fits(course.now, exposure_s, end) {
+                    if !fits(run.now, exposure_s, end) {
                         return Ok(Some(WINDOW_ENDED.to_owned()));
                     }
-                    let seen = dusk.seen(course, exposure_s, true)?;
-                    course.aside(exposure_s, true)?;
+                    let seen = dusk.seen(run, exposure_s, true)?;
+                    run.aside(exposure_s, true)?;
                     light.see(index, &seen);
                     match dusk.want.sound_again_s(&seen) {
                         Some(again_s) => exposure_s = again_s,
@@ -149,15 +149,15 @@ fn take(
                 }
             }
             Next::Take(index, exposure_s) => {
-                turn_to(course, name(filters, index))?;
+                turn_to(run, name(filters, index))?;
                 let exposure_s = to_ms(exposure_s);
-                let seen = dusk.seen(course, exposure_s, false)?;
+                let seen = dusk.seen(run, exposure_s, false)?;
                 light.see(index, &seen);
                 if dusk.want.accepts(seen.level) {
-                    course.frame(exposure_s, true)?;
+                    run.frame(exposure_s, true)?;
                     filters.iter_mut().skip(index).take(1).for_each(|filter| filter.taken += 1);
                 } else {
-                    course.aside(exposure_s, true)?;
+                    run.aside(exposure_s, true)?;
                 }
                 current = Some(index);
             }
@@ -175,50 +175,50 @@ fn length_s(what: &Next) -> f64 {
 }
 
 /// Waits until the Sun is in the window; false where it is not while the row may run, or was before.
-fn wait_for(course: &mut Course<'_>, window: &Window, has_begun: bool) -> Result<bool, Halt> {
+fn wait_for(run: &mut SimulatedRun<'_>, window: &Window, has_begun: bool) -> Result<bool, Halt> {
     loop {
-        if window.has(&course.observer(course.now)?.sun()) {
+        if window.has(&run.observer(run.now)?.sun()) {
             return Ok(true);
         }
         if has_begun {
             return Ok(false);
         }
-        let opens = window.opens(course.site(), course.now).map_err(|why| Halt::Failed(why.to_string()))?;
-        let Some(opens) = opens.filter(|opens| *opens < course.row.end) else { return Ok(false) };
-        course.wait_until(opens.plus_seconds(1.0))?;
-        course.pass(SUN_AHEAD_S)?;
+        let opens = window.opens(run.site(), run.now).map_err(|why| Halt::Failed(why.to_string()))?;
+        let Some(opens) = opens.filter(|opens| *opens < run.row.end) else { return Ok(false) };
+        run.wait_until(opens.plus_seconds(1.0))?;
+        run.pass(SUN_AHEAD_S)?;
     }
 }
 
 /// Flats of a panel: exposures that its brightness is chosen for.
-fn of_panel(course: &mut Course<'_>, mut filters: Vec<Filter>) -> Result<(), Halt> {
-    let Some(config) = course.camera().map(|camera| camera.flats) else { return Err(no_camera(course)) };
-    allot(&mut filters, course.taken);
-    course.cool()?;
+fn of_panel(run: &mut SimulatedRun<'_>, mut filters: Vec<Filter>) -> Result<(), Halt> {
+    let Some(config) = run.camera().map(|camera| camera.flats) else { return Err(no_camera(run)) };
+    allot(&mut filters, run.taken);
+    run.cool()?;
     if config.bias_adu.is_none() {
-        course.aside(0.0, false)?;
+        run.aside(0.0, false)?;
     }
-    course.pass(COVER_S)?;
+    run.pass(COVER_S)?;
     let exposure_s = GOOD_S.clamp(config.exposure_min_s, config.exposure_max_s.max(config.exposure_min_s));
-    let (before, mut why) = (course.taken, None);
+    let (before, mut why) = (run.taken, None);
     'all: for filter in &mut filters {
-        let takes_s = course.turn_to(filter.name.as_deref());
-        course.pass(takes_s)?;
+        let takes_s = run.turn_to(filter.name.as_deref());
+        run.pass(takes_s)?;
         if filter.is_wanted() {
-            course.aside(config.exposure_min_s, false)?;
+            run.aside(config.exposure_min_s, false)?;
         }
         while filter.is_wanted() {
-            if !fits(course.now, exposure_s, course.row.end) {
+            if !fits(run.now, exposure_s, run.row.end) {
                 why = Some(WINDOW_ENDED);
                 break 'all;
             }
-            course.frame(exposure_s, false)?;
+            run.frame(exposure_s, false)?;
             filter.taken += 1;
         }
     }
-    course.spool(before)?;
-    course.tell(told(&filters, why));
-    course.pass(COVER_S)
+    run.spool(before)?;
+    run.note(summary(&filters, why));
+    run.pass(COVER_S)
 }
 
 /// Assigns the frames from before an interruption to the filters in the order of the list; returns how many there were.
@@ -231,7 +231,7 @@ fn allot(filters: &mut [Filter], taken: u32) -> u32 {
     taken
 }
 
-fn no_camera(course: &Course<'_>) -> Halt {
-    let name: &Name = &course.row.camera;
+fn no_camera(run: &SimulatedRun<'_>) -> Halt {
+    let name: &Name = &run.row.camera;
     Halt::Failed(format!("no camera is called {name}"))
 }

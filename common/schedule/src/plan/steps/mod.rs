@@ -11,27 +11,27 @@ mod object;
 mod open;
 mod pointing_model;
 
-use super::{Course, Halt};
+use super::{Halt, SimulatedRun};
 use crate::action::Action;
 
 /// Follows an action in a forecast.
 trait Foresee {
     /// Takes the steps, each with the time that it needs.
-    fn foresee(&self, course: &mut Course<'_>) -> Result<(), Halt>;
+    fn foresee(&self, run: &mut SimulatedRun<'_>) -> Result<(), Halt>;
 }
 
 /// Follows an action until it ends or is halted.
-pub fn foresee(action: &Action, course: &mut Course<'_>) -> Result<(), Halt> {
+pub fn foresee(action: &Action, run: &mut SimulatedRun<'_>) -> Result<(), Halt> {
     match action {
-        Action::Open(action) => action.foresee(course),
-        Action::Close(action) => action.foresee(course),
-        Action::CoolCamera(action) => action.foresee(course),
-        Action::Object(action) => action.foresee(course),
-        Action::Calibration(action) => action.foresee(course),
-        Action::CalibrateGuiding(action) => action.foresee(course),
-        Action::PointingModel(action) => action.foresee(course),
-        Action::CompleteHeaders(action) => action.foresee(course),
-        Action::Autofocus(action) => action.foresee(course),
-        Action::Flats(action) => action.foresee(course),
+        Action::Open(action) => action.foresee(run),
+        Action::Close(action) => action.foresee(run),
+        Action::CoolCamera(action) => action.foresee(run),
+        Action::Object(action) => action.foresee(run),
+        Action::Calibration(action) => action.foresee(run),
+        Action::CalibrateGuiding(action) => action.foresee(run),
+        Action::PointingModel(action) => action.foresee(run),
+        Action::CompleteHeaders(action) => action.foresee(run),
+        Action::Autofocus(action) => action.foresee(run),
+        Action::Flats(action) => action.foresee(run),
     }
 }

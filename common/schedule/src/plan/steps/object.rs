@@ -3,44 +3,44 @@
 use super::Foresee;
 use crate::action::{Object, Parameters as _};
 use crate::moving_target::up_until;
-use crate::plan::{Course, Halt};
+use crate::plan::{Halt, SimulatedRun};
 
 impl Foresee for Object {
-    fn foresee(&self, course: &mut Course<'_>) -> Result<(), Halt> {
-        self.not_done().into_iter().for_each(|word| course.tell(word));
+    fn foresee(&self, run: &mut SimulatedRun<'_>) -> Result<(), Halt> {
+        self.not_done().into_iter().for_each(|word| run.note(word));
         let target = match self.looks_at().filter(|_| self.moves()) {
-            Some(place) => Some(course.place(&place)?),
+            Some(place) => Some(run.place(&place)?),
             None => None,
         };
         if let Some(name) = self.lookup_name() {
-            course.tell(format!("where {name} stands is looked up when the row is near: no altitude here"));
+            run.note(format!("where {name} stands is looked up when the row is near: no altitude here"));
         }
-        course.begin(self.moves().then_some(target.as_ref()), self.filter.as_deref())?;
-        course.reads(&self.readout);
-        let mut end = course.row.end;
+        run.begin(self.moves().then_some(target.as_ref()), self.filter.as_deref())?;
+        run.reads(&self.readout);
+        let mut end = run.row.end;
         if let Some(body) = self.body().filter(|_| self.moves()) {
-            let (from, lead_s) = (course.now, self.nonsidereal_start_lead_time_seconds.unwrap_or(0.0));
-            let limits = course.horizon_limits();
-            end = up_until(&body, (from, end), &limits, |at| course.observer(at), Halt::Failed)?;
-            course.pass(lead_s)?;
+            let (from, lead_s) = (run.now, self.nonsidereal_start_lead_time_seconds.unwrap_or(0.0));
+            let limits = run.horizon_limits();
+            end = up_until(&body, (from, end), &limits, |at| run.observer(at), Halt::Failed)?;
+            run.pass(lead_s)?;
         } else if let Some(target) = &target {
-            course.ends_out_of_reach(target)?;
+            run.ends_out_of_reach(target)?;
         }
         let can_turn = target.filter(|_| self.body().is_none());
         loop {
             if self.pointing && self.moves() {
-                course.acquire()?;
+                run.acquire()?;
             }
-            course.expose(|course| match &can_turn {
-                Some(target) if course.flip_is_due(target, self.exptime) => None,
-                _ => self.shot(course.taken, course.now, end),
+            run.expose(|run| match &can_turn {
+                Some(target) if run.flip_is_due(target, self.exptime) => None,
+                _ => self.shot(run.taken, run.now, end),
             })?;
-            if self.shot(course.taken, course.now, end).is_none() {
+            if self.shot(run.taken, run.now, end).is_none() {
                 break;
             }
-            course.turn_over()?;
+            run.turn_over()?;
         }
-        course.tell(self.told(course.taken));
+        run.note(self.summary(run.taken));
         Ok(())
     }
 }

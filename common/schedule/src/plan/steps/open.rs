@@ -2,11 +2,11 @@
 
 use super::Foresee;
 use crate::action::Open;
-use crate::plan::{Course, Halt};
+use crate::plan::{Halt, SimulatedRun};
 
 impl Foresee for Open {
-    fn foresee(&self, course: &mut Course<'_>) -> Result<(), Halt> {
-        course.start_cooling();
-        course.open()
+    fn foresee(&self, run: &mut SimulatedRun<'_>) -> Result<(), Halt> {
+        run.start_cooling();
+        run.open()
     }
 }

@@ -2,39 +2,39 @@
 
 use super::Foresee;
 use crate::action::{ActionType as _, PointingModel};
-use crate::plan::{Course, Halt};
+use crate::plan::{Halt, SimulatedRun};
 use crate::pointing_grid;
 use crate::shot::fits;
 
 impl Foresee for PointingModel {
-    fn foresee(&self, course: &mut Course<'_>) -> Result<(), Halt> {
-        course.start_cooling();
-        let filter_there = course.now.plus_seconds(course.turn_to(self.filter.as_deref()));
-        course.open()?;
-        course.wait_until(filter_there)?;
-        course.cool()?;
-        course.reads(&self.readout);
+    fn foresee(&self, run: &mut SimulatedRun<'_>) -> Result<(), Halt> {
+        run.start_cooling();
+        let filter_there = run.now.plus_seconds(run.turn_to(self.filter.as_deref()));
+        run.open()?;
+        run.wait_until(filter_there)?;
+        run.cool()?;
+        run.reads(&self.readout);
         if self.dark_subtraction {
-            course.aside(self.exptime, false)?;
+            run.aside(self.exptime, false)?;
         }
-        let limits = course.horizon_limits();
-        let is_measured = course.overheads().frame(Self::NAME).measured > 0;
-        while course.taken < self.n && fits(course.now, self.exptime, course.row.end) {
-            let observer = course.observer(course.now)?;
-            let Some(target) = pointing_grid::target(course.taken, self.n, &limits, &observer) else { break };
-            if is_measured && course.taken > 0 {
+        let limits = run.horizon_limits();
+        let is_measured = run.overheads().frame(Self::NAME).measured > 0;
+        while run.taken < self.n && fits(run.now, self.exptime, run.row.end) {
+            let observer = run.observer(run.now)?;
+            let Some(target) = pointing_grid::target(run.taken, self.n, &limits, &observer) else { break };
+            if is_measured && run.taken > 0 {
                 // The measured time between two frames includes the slew.
-                course.reaches(&target)?;
+                run.reaches(&target)?;
             } else {
-                course.slew(Some(&target))?;
+                run.slew(Some(&target))?;
             }
-            if !fits(course.now, self.exptime, course.row.end) {
+            if !fits(run.now, self.exptime, run.row.end) {
                 break;
             }
-            course.frame(self.exptime, true)?;
+            run.frame(self.exptime, true)?;
         }
-        if course.taken < self.n {
-            course.tell(format!("{} of {} places", course.taken, self.n));
+        if run.taken < self.n {
+            run.note(format!("{} of {} places", run.taken, self.n));
         }
         Ok(())
     }

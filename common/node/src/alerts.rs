@@ -1,0 +1,106 @@
+//! A node's own alerts: raised and cleared by cause, published as state.
+
+use std::collections::BTreeMap;
+use std::fmt::Display;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use bus::Clock;
+use contract::observatory::{AlertKind, Alerts, Notification};
+use contract::printable;
+use tokio::sync::{Notify, watch};
+
+use crate::alert_states::AlertStates;
+
+/// Where a node raises what needs a person. Cheap to clone.
+#[derive(Clone)]
+pub struct NodeAlerts {
+    states: Arc<Mutex<AlertStates>>,
+    /// By receiver.
+    notifications: Arc<Mutex<BTreeMap<String, Vec<Notification>>>>,
+    published: Arc<watch::Sender<Alerts>>,
+    changed: Arc<Notify>,
+    clock: Clock,
+}
+
+impl NodeAlerts {
+    /// No alerts.
+    pub fn new(clock: Clock) -> Self {
+        let shown = Arc::new(watch::channel(Alerts::default()).0);
+        Self { states: Arc::default(), notifications: Arc::default(), published: shown, changed: Arc::default(), clock }
+    }
+
+    /// Raises an alert; one that is active already keeps its time and takes the new cause. `instance` distinguishes
+    /// alerts of one kind; it is empty where there is only one.
+    pub fn raise(&self, kind: AlertKind, instance: impl Display, cause: &str) {
+        // A cause holds what servers answered and schedules say.
+        let cause = &*printable(cause);
+        let alert = kind.alert(instance, self.clock.utc(), cause);
+        let mut states = self.states();
+        let (id, priority) = (alert.id.clone(), alert.priority);
+        if states.raise(kind, alert, self.clock.machine()) {
+            tracing::warn!(id, ?priority, cause, "alert raised");
+        }
+        self.show(&mut states);
+        self.changed.notify_one();
+    }
+
+    /// The cause of an alert is gone; it clears after the hold of its kind.
+    pub fn clear(&self, kind: AlertKind, instance: impl Display) {
+        let id = kind.id(instance);
+        let mut states = self.states();
+        if states.clear(kind, &id, self.clock.machine()) {
+            tracing::info!(id, "the cause of an alert is gone");
+            self.show(&mut states);
+            self.changed.notify_one();
+        }
+    }
+
+    /// The notifications that this node sent to one receiver, of alerts that are active. They are published with its
+    /// alerts, so that a node which sends in its place does not send them again.
+    pub fn set_notifications(&self, receiver: &str, notifications: Vec<Notification>) {
+        self.notifications.lock().unwrap_or_else(PoisonError::into_inner).insert(receiver.to_owned(), notifications);
+        self.show(&mut self.states());
+    }
+
+    /// The active alerts, the most urgent first, as a value that can be followed.
+    pub fn watch(&self) -> watch::Receiver<Alerts> {
+        self.published.subscribe()
+    }
+
+    /// Lets on-delays and holds end in time, for ever.
+    pub async fn keep_time(&self) {
+        loop {
+            let next = {
+                let mut states = self.states();
+                self.show(&mut states);
+                states.next_change(self.clock.machine())
+            };
+            let due = async {
+                match next {
+                    Some(wait) => tokio::time::sleep(wait).await,
+                    None => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                () = due => {}
+                () = self.changed.notified() => {}
+            }
+        }
+    }
+
+    fn states(&self) -> MutexGuard<'_, AlertStates> {
+        self.states.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Publishes the alerts that are active now.
+    fn show(&self, states: &mut AlertStates) {
+        let mut now = states.published(self.clock.machine());
+        now.notifications =
+            self.notifications.lock().unwrap_or_else(PoisonError::into_inner).values().flatten().cloned().collect();
+        self.published.send_if_modified(|shown| {
+            let is_new = *shown != now;
+            *shown = now;
+            is_new
+        });
+    }
+}

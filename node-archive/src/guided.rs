@@ -1,0 +1,71 @@
+//! The keyword that guiding makes in a header: how well the telescope was held during the exposure.
+//!
+//! It is in the header of every frame during which guiding measured something, whether the site's table lists it or not,
+//! as the keywords of [`crate::quality`]. A frame that is guided on itself counts for its own exposure.
+
+use contract::device::camera::Frame;
+use units::Utc;
+
+use crate::card::{Card, CardValue};
+use crate::database::DatabaseError;
+use crate::plan::Plan;
+use crate::quality::GUIDED;
+use crate::reader::Reader;
+
+/// Guiding runs if it measured a frame in this time before an exposure, or in the time of one exposure before it; sky s.
+const RUNS_S: f64 = 60.0;
+
+/// The keyword of a frame; the history says so where a frame of a target has none.
+///
+/// # Errors
+/// The database.
+pub fn plan(reader: &Reader, telescope: &str, frame: &Frame) -> Result<Plan, DatabaseError> {
+    let (from, to) = span(frame);
+    let mut by_camera = reader.guide_errors(telescope, from, to)?;
+    // Pixels of two cameras are two units: its own where it is guided on itself, else those of the camera that measured most.
+    let own = by_camera.remove_entry(&frame.camera);
+    let of_one = own.or_else(|| by_camera.into_iter().max_by_key(|(_, errors_px)| errors_px.len()));
+    let (_, errors_px) = of_one.unwrap_or_default();
+    Ok(match rms(&errors_px) {
+        Some(rms_px) => {
+            let comment = format!("[pix] rms guide error, guide frames: {}", errors_px.len());
+            Plan { cards: vec![Card::new(GUIDED, CardValue::Float(rms_px), &comment)], history: Vec::new() }
+        }
+        None if frame.purpose.action == "object" => {
+            let note = format!("not guided, as far as known at completion: {GUIDED}");
+            Plan { cards: Vec::new(), history: vec![note] }
+        }
+        None => Plan::default(),
+    })
+}
+
+/// Whether the telescope is being guided, and what was measured during this exposure is still to come: a frame that is
+/// guided on itself is measured after it was stored.
+///
+/// # Errors
+/// The database.
+pub fn is_awaited(reader: &Reader, telescope: &str, frame: &Frame) -> Result<bool, DatabaseError> {
+    if frame.purpose.action != "object" {
+        return Ok(false);
+    }
+    let (from, to) = span(frame);
+    let before = from.plus_seconds(-(RUNS_S + 2.0 * frame.exposure_s));
+    let runs = !reader.guide_errors(telescope, before, from)?.is_empty();
+    Ok(runs && reader.guide_errors(telescope, from, to)?.is_empty())
+}
+
+/// The exposure of a frame.
+fn span(frame: &Frame) -> (Utc, Utc) {
+    (frame.started_utc, frame.started_utc.plus_seconds(frame.exposure_s))
+}
+
+/// Root mean square of distances; none of none.
+fn rms(errors_px: &[f64]) -> Option<f64> {
+    let sum: f64 = errors_px.iter().map(|error| error * error).sum();
+    let rms = (sum / errors_px.len() as f64).sqrt();
+    rms.is_finite().then_some(rms)
+}
+
+#[cfg(test)]
+#[path = "guided_tests.rs"]
+mod tests;

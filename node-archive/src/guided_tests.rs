@@ -1,0 +1,130 @@
+//! The keyword of guiding, from corrections in a real database.
+
+use std::collections::BTreeMap;
+
+use bus::Clock;
+use contract::device::camera::{Pixel, Purpose};
+use contract::observatory::Correction;
+use contract::{BootId, CommandId};
+use node::NodeAlerts;
+
+use super::*;
+use crate::database::{Database, StoredCorrection, Write};
+
+const START: &str = "2026-11-21T03:00:00Z";
+
+fn at(second: f64) -> Utc {
+    START.parse::<Utc>().unwrap().plus_seconds(second)
+}
+
+/// A frame of 30 s of this action, which began so many seconds after [`START`].
+fn frame(action: &str, second: f64) -> Frame {
+    Frame {
+        id: CommandId("frame-1".to_owned()),
+        camera: "andor".to_owned(),
+        purpose: Purpose { action: action.to_owned(), ..Purpose::default() },
+        width_px: 4,
+        height_px: 2,
+        planes: 1,
+        pixel: Pixel::U16,
+        bin: 1,
+        origin_px: [0, 0],
+        started_utc: at(second),
+        exposure_s: 30.0,
+        url: String::new(),
+        bytes: 16,
+        sha256: String::new(),
+        readings: BTreeMap::new(),
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn guide_errors_during_the_exposure_make_the_keyword_and_those_of_other_telescopes_do_not() {
+    let samples = include_str!("../../common/contract/golden/v1/observatory.correction.json");
+    let sample = serde_json::from_str::<Vec<Correction>>(samples).unwrap().remove(0);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("archive.db");
+    let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
+    let measured = [
+        (-20.0, Some(9.0), "callisto"),
+        (0.0, Some(3.0), "callisto"),
+        (10.0, Some(4.0), "callisto"),
+        (20.0, None, "callisto"),
+        (25.0, Some(50.0), "io"),
+        (31.0, Some(9.0), "callisto"),
+    ];
+    for (number, (second, error_px, telescope)) in measured.into_iter().enumerate() {
+        let frame = CommandId(format!("guide-{number}"));
+        let correction = Correction { frame, mid_utc: at(second), error_px, ..sample.clone() };
+        let origin = (BootId::fresh(), number as u64);
+        let stored = StoredCorrection { correction, telescope: telescope.to_owned(), origin };
+        database.commit(vec![Write::Correction(Box::new(stored))]).await.unwrap();
+    }
+    let reader = Reader::open(&path, "callisto").unwrap();
+    let guided = plan(&reader, "callisto", &frame("object", 0.0)).unwrap();
+    assert_eq!(guided.cards.len(), 1);
+    assert_eq!(
+        (guided.cards[0].keyword.as_str(), &guided.cards[0].value),
+        (GUIDED, &CardValue::Float(12.5_f64.sqrt()))
+    );
+    assert!(guided.cards[0].record().unwrap().contains("[pix] rms guide error, guide frames: 2"));
+    assert!(guided.history.is_empty());
+    // The next exposure is guided too, and what was measured during it is still to come.
+    assert!(is_awaited(&reader, "callisto", &frame("object", 32.0)).unwrap());
+    assert!(!is_awaited(&reader, "callisto", &frame("object", 0.0)).unwrap());
+    assert!(!is_awaited(&reader, "callisto", &frame("calibration", 32.0)).unwrap());
+    // An hour later nothing is guided: nothing is awaited, and the history says why there is no keyword.
+    let alone = frame("object", 3600.0);
+    assert!(!is_awaited(&reader, "callisto", &alone).unwrap());
+    let plan_alone = plan(&reader, "callisto", &alone).unwrap();
+    assert!(plan_alone.cards.is_empty());
+    assert_eq!(plan_alone.history, ["not guided, as far as known at completion: GUIDERMS"]);
+    assert_eq!(plan(&reader, "callisto", &frame("calibration", 3600.0)).unwrap(), Plan::default());
+    drop(database);
+    writer.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_frame_counts_what_was_measured_from_its_first_to_its_last_moment_and_each_measurement_once() {
+    let samples = include_str!("../../common/contract/golden/v1/observatory.correction.json");
+    let sample = serde_json::from_str::<Vec<Correction>>(samples).unwrap().remove(0);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("archive.db");
+    let (database, writer) = Database::open(&path, "callisto", NodeAlerts::new(Clock::machine_clock())).unwrap();
+    for (id, second, error_px) in [
+        ("before", -0.000_001, Some(100.0)),
+        ("first", 0.0, Some(6.0)),
+        // Received a second time, as after a restart of the bus.
+        ("first", 0.0, Some(6.0)),
+        ("lost", 15.0, None),
+        ("last", 30.0, Some(8.0)),
+        ("behind", 30.000_001, Some(100.0)),
+        ("much later", 3610.0, None),
+    ] {
+        let frame = CommandId(id.to_owned());
+        let correction = Correction { frame, mid_utc: at(second), error_px, ..sample.clone() };
+        let stored = StoredCorrection { correction, telescope: "callisto".to_owned(), origin: (BootId::fresh(), 0) };
+        database.commit(vec![Write::Correction(Box::new(stored))]).await.unwrap();
+    }
+    let reader = Reader::open(&path, "callisto").unwrap();
+    let guided = plan(&reader, "callisto", &frame("object", 0.0)).unwrap();
+    assert_eq!(guided.cards[0].value, CardValue::Float(50_f64.sqrt()));
+    assert!(guided.cards[0].comment.ends_with("guide frames: 2"), "{}", guided.cards[0].comment);
+    // Stars were lost in the whole exposure: there is no number, and the history says so.
+    let lost = plan(&reader, "callisto", &frame("object", 3600.0)).unwrap();
+    assert_eq!((lost.cards.len(), lost.history.len()), (0, 1));
+    // A frame without any exposure is one moment.
+    let mut moment = frame("object", 30.0);
+    moment.exposure_s = 0.0;
+    assert_eq!(plan(&reader, "callisto", &moment).unwrap().cards[0].value, CardValue::Float(8.0));
+    assert!(plan(&reader, "europa", &frame("object", 0.0)).unwrap().cards.is_empty());
+    drop(database);
+    writer.end().await;
+}
+
+#[test]
+fn the_root_mean_square_of_nothing_is_nothing() {
+    assert_eq!(rms(&[]), None);
+    assert_eq!(rms(&[3.0, 4.0, 0.0, 5.0]), Some(12.5_f64.sqrt()));
+    assert_eq!(rms(&[f64::NAN]), None);
+}

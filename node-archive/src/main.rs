@@ -1,7 +1,0 @@
-//! Starts one archive node.
-
-use std::process::ExitCode;
-
-fn main() -> ExitCode {
-    bus::node::main(contract::Role::Archive, node_archive::run)
-}

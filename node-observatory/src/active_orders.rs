@@ -1,0 +1,135 @@
+//! A person's operator orders ([`::safety::active_orders`]) as a file, and the alerts that remind
+//! of them.
+//!
+//! The file is `operator-orders-TELESCOPE.json` in the data folder.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use contract::observatory::{AlertKind, OperatorOrders};
+use node::Node;
+use safety::active_orders::ActiveOrders;
+use safety::annunciator::Annunciator;
+use safety::on_disk::OnDisk;
+use safety::rules::Rules;
+use tokio::sync::watch;
+
+use crate::annunciator;
+use crate::hold::Hold;
+use crate::persisted::Persisted;
+use crate::tasks::Tasks;
+
+/// What people ordered of the verdict, and what they did about alerts.
+pub struct OrderState {
+    /// The orders.
+    pub orders: Arc<Persisted<ActiveOrders>>,
+    /// The orders as last published.
+    pub published: watch::Sender<Option<OperatorOrders>>,
+    /// What people did about alerts.
+    pub annunciator: Arc<Persisted<Annunciator>>,
+    /// The rules of the verdict, which orders change.
+    pub rules: Arc<Rules>,
+}
+
+impl OrderState {
+    /// Reads what was ordered before.
+    pub async fn load(node: &Node) -> anyhow::Result<Self> {
+        let now = node.bus.clock().utc();
+        Ok(Self {
+            orders: Persisted::load(path(&node.config), &node.id, move |path| read(path).orders(now)).await?,
+            published: watch::channel(None).0,
+            annunciator: Persisted::load(annunciator::path(&node.config), &node.id, annunciator::read).await?,
+            rules: Arc::new(Rules::of(&node.config)),
+        })
+    }
+}
+
+/// Starts the tasks about what people ordered of the verdict.
+pub fn start(tasks: &mut Tasks, node: &Node, hold: watch::Receiver<Hold>, orders: &OrderState) {
+    let active_orders = orders.orders.clone();
+    tasks.spawn("operator orders", keep_reminding(node.clone(), active_orders.clone()));
+    let (kind, what) = (AlertKind::OperatorOrders, "what people ordered");
+    tasks.spawn("operator orders on disk", active_orders.keep_on_disk(node.alerts.clone(), hold, kind, what));
+}
+
+/// Reads the file; of one that cannot be read a copy is kept.
+pub fn read(path: &Path) -> OnDisk {
+    let unreadable = |why: String| {
+        node::aside::keep_copy(path, &why, "The dome stays closed until a person decides anew.");
+        OnDisk::Unreadable(format!("{} cannot be read: {why}", path.display()))
+    };
+    match std::fs::read(path) {
+        Ok(bytes) => match serde_json::from_slice(&bytes) {
+            Ok(orders) => OnDisk::Found(orders),
+            Err(error) => unreadable(error.to_string()),
+        },
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => OnDisk::Absent,
+        Err(error) => unreadable(error.to_string()),
+    }
+}
+
+/// The file of a telescope's operator orders.
+pub fn path(config: &config::Observatory) -> PathBuf {
+    config.folders.data.join(format!("operator-orders-{}.json", config.place.telescope))
+}
+
+/// Raises an alert for every operator order, so that none is forgotten.
+async fn keep_reminding(node: Node, orders: Arc<Persisted<ActiveOrders>>) -> anyhow::Result<()> {
+    let mut orders = orders.subscribe();
+    let mut raised: BTreeSet<(AlertKind, String)> = BTreeSet::new();
+    loop {
+        let now = node.bus.clock().utc();
+        let reminders = orders.borrow_and_update().reminders(now);
+        let mut wanted = BTreeSet::new();
+        for (kind, instance, cause) in reminders {
+            node.alerts.raise(kind, &instance, &cause);
+            wanted.insert((kind, instance));
+        }
+        for (kind, instance) in raised.difference(&wanted) {
+            node.alerts.clear(*kind, instance);
+        }
+        raised = wanted;
+        tokio::select! {
+            changed = orders.changed() => changed?,
+            () = tokio::time::sleep(Duration::from_secs(5)) => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use safety::active_orders::Override;
+    use safety::ordered_by::OrderedBy;
+    use units::Utc;
+
+    use super::*;
+
+    #[test]
+    fn orders_outlive_a_restart_and_a_broken_file_stays_closed() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, now) = (folder.path().join("operator-orders.json"), Utc::from_seconds(2000.0));
+        assert_eq!(read(&path), OnDisk::Absent);
+        assert_eq!(OnDisk::Absent.orders(now), ActiveOrders::default());
+        let ordered_by = OrderedBy {
+            from: "web/ana".to_owned(),
+            reason: "people on the roof".to_owned(),
+            at_utc: Utc::from_seconds(1000.0),
+        };
+        let order = Override { ordered_by: ordered_by.clone(), until_utc: Utc::from_seconds(1600.0) };
+        let overrides = [("wx/Humidity".to_owned(), order)].into();
+        let orders = ActiveOrders { stay_closed: Some(ordered_by), overrides, ..ActiveOrders::default() };
+        crate::persisted::write_whole(&path, &folder.path().join("part"), &orders).unwrap();
+        assert_eq!(read(&path), OnDisk::Found(orders));
+        std::fs::write(&path, "{").unwrap();
+        assert!(read(&path).orders(now).stay_closed.is_some());
+        let names = std::fs::read_dir(folder.path()).unwrap().map(|file| file.unwrap().file_name());
+        assert!(
+            names
+                .map(|name| name.to_string_lossy().into_owned())
+                .any(|name| name.starts_with("operator-orders.json.bad-"))
+        );
+        assert!(path.exists(), "without it a restart would know of no order");
+    }
+}

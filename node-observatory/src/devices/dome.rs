@@ -1,0 +1,202 @@
+//! A dome or roof: opening it with the guard's consent, and knowing whether it is closed.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use bus::Latest;
+use config::{CloseWithMount, Follow};
+use contract::device::dome::{self, Command, Guard, Shutter};
+use contract::{CommandOutcome, Device, Key, Reason};
+use units::seconds;
+
+use super::guards::Guards;
+use super::instrument::{CommandSender, Instrument};
+use crate::action_error::ActionError;
+use crate::command_timeout::command_timeout;
+
+/// A dome.
+pub struct Dome {
+    /// The device.
+    pub instrument: Instrument<dome::Dome>,
+    /// The state of its guard.
+    pub guard: Latest<Guard>,
+    /// All that publish in the guard's name.
+    pub guards: Guards,
+    /// How closing waits for the mount.
+    pub policy: CloseWithMount,
+    /// For the two waiting policies, machine time.
+    pub parked_within: Duration,
+    /// A shutter that moves longer is stuck, sky time.
+    pub travel: Duration,
+    /// It serves this telescope alone.
+    pub is_own: bool,
+    /// The part that turns it.
+    pub follow: Follow,
+    /// Its slit.
+    pub slit: config::Slit,
+    /// It is parked when it is closed.
+    parks: bool,
+    turning_fails: AtomicBool,
+    stands_deg: Mutex<Option<f64>>,
+    /// This node had it opened, and it was not proven closed since.
+    was_opened: AtomicBool,
+}
+
+/// The parking of a dome as it is seen now.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ParkSight {
+    /// At its park position.
+    pub parked: Option<bool>,
+    /// Its newest command is a park that is being done.
+    pub parking: bool,
+    /// No sky calls for closing, so that the shutter may wait for the park a little.
+    pub may_wait: bool,
+}
+
+/// A guard that published nothing for so long is not there.
+const GUARD_AGE: Duration = Duration::from_secs(5);
+
+impl Dome {
+    /// Subscribes to a dome; `own` is its block, if it is in this telescope's own file.
+    pub async fn listen(
+        command_sender: &CommandSender,
+        device: Device,
+        own: Option<&config::Dome>,
+    ) -> anyhow::Result<Self> {
+        let guard = command_sender.bus.latest(&Key::Guard(device.clone())).await?;
+        let guards = Guards::listen(&command_sender.bus, &device).await?;
+        let instrument = Instrument::listen(command_sender, device).await?;
+        Ok(Self {
+            instrument,
+            guard,
+            guards,
+            policy: own.map_or(CloseWithMount::Alongside, |own| own.close_with_mount),
+            parked_within: seconds(own.map_or(120.0, |own| own.parked_within_s)),
+            travel: seconds(own.map_or(90.0, |own| own.travel_timeout_s)),
+            is_own: own.is_some(),
+            // A dome over several telescopes has no slit for one of them.
+            follow: own.filter(|own| own.telescopes.len() < 2).map_or(Follow::Off, |own| own.follow),
+            slit: own.map(|own| own.slit).unwrap_or_default(),
+            parks: own.is_some_and(|own| own.park_at_close),
+            turning_fails: AtomicBool::new(false),
+            stands_deg: Mutex::new(None),
+            was_opened: AtomicBool::new(false),
+        })
+    }
+
+    /// How far its parking is, where it is to be parked when it is closed and can be.
+    pub fn park(&self, may_wait: bool) -> Option<ParkSight> {
+        if !self.parks || self.instrument.can().is_some_and(|can| !can.park) {
+            return None;
+        }
+        let state = self.instrument.fresh();
+        let last = state.as_ref().and_then(|state| state.last_command.as_ref());
+        Some(ParkSight {
+            parked: state.as_ref().and_then(|state| state.fields.at_park.known().copied()),
+            parking: last.is_some_and(|last| last.verb == "park" && last.outcome == contract::CommandOutcome::Running),
+            may_wait,
+        })
+    }
+
+    /// Azimuth of the slit, degrees; if the dome does not report it right now, the last one at rest.
+    pub fn azimuth_deg(&self) -> Option<f64> {
+        let fields = self.instrument.newest()?.sample.body.fields;
+        let mut stands = self.stands_deg.lock().unwrap_or_else(PoisonError::into_inner);
+        let azimuth_deg = fields.azimuth_deg.known().copied().filter(|deg| deg.is_finite());
+        if let Some(deg) = azimuth_deg {
+            *stands = (fields.slewing.known() != Some(&true)).then_some(deg);
+        }
+        azimuth_deg.or(*stands)
+    }
+
+    /// Forgets where it was at rest: it is about to turn.
+    pub fn forget_azimuth(&self) {
+        *self.stands_deg.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
+    /// Did its last turn fail?
+    pub fn turning_fails(&self) -> bool {
+        self.turning_fails.load(Ordering::Relaxed)
+    }
+
+    /// Notes whether a turn failed.
+    pub fn set_turning_fails(&self, fails: bool) {
+        self.turning_fails.store(fails, Ordering::Relaxed);
+    }
+
+    /// The shutter as the dome itself reports it now; `None` where that is not known.
+    pub fn shutter(&self) -> Option<Shutter> {
+        self.instrument.fresh_reading("ShutterStatus").and_then(|state| state.fields.shutter.known().copied())
+    }
+
+    /// Is its status closed although that is not proven? Its guard publishes that, which knows what was asked of the
+    /// shutter and how it followed; where no guard publishes, one that this node had opened is not closed until a
+    /// command has closed it.
+    pub fn is_doubted(&self) -> bool {
+        let living = self.guards.living(self.instrument.clock().machine());
+        let verified: Vec<bool> = living.iter().filter_map(|(_, guard)| guard.verified_closed).collect();
+        let is_proven = if verified.is_empty() {
+            let last = self.instrument.fresh().and_then(|state| state.last_command);
+            let closed = last.is_some_and(|last| last.verb == "close_shutter" && last.outcome == CommandOutcome::Done);
+            !self.was_opened.load(Ordering::Relaxed) || closed
+        } else {
+            verified.iter().all(|closed| *closed)
+        };
+        if is_proven && self.shutter() == Some(Shutter::Closed) {
+            self.was_opened.store(false, Ordering::Relaxed);
+        }
+        !is_proven
+    }
+
+    /// Opens the shutter and waits until it is open; ends a hold of the guard first.
+    pub async fn open(&self) -> Result<(), ActionError> {
+        if self.shutter() == Some(Shutter::Open) {
+            return Ok(());
+        }
+        self.end_hold().await?;
+        self.was_opened.store(true, Ordering::Relaxed);
+        let id = self.ask_until_permitted().await?;
+        let open = |received: &bus::Received<contract::DeviceState<dome::Fields>>| {
+            let state = &received.sample.body;
+            if let Some(last) = state.last_command.as_ref().filter(|last| last.id == id)
+                && let contract::CommandOutcome::Failed { reason } = &last.outcome
+            {
+                let device = self.instrument.device.to_string();
+                return Some(Err(ActionError::Failed {
+                    device,
+                    verb: "open_shutter".to_owned(),
+                    reason: reason.clone(),
+                }));
+            }
+            (state.fields.shutter.known() == Some(&Shutter::Open)).then_some(Ok(()))
+        };
+        self.instrument.until(command_timeout(self.instrument.clock(), self.travel), "open", open).await?
+    }
+
+    async fn end_hold(&self) -> Result<(), ActionError> {
+        if self.guard.fresh(GUARD_AGE).is_some_and(|guard| guard.sample.body.hold) {
+            tracing::info!(dome = %self.instrument.device.name, "the guard had closed; taking over again");
+            self.instrument.ask(Command::Resume).await?;
+        }
+        Ok(())
+    }
+
+    /// The permit that says "safe" may be a second behind the verdict, and a closing that has begun goes to its end
+    /// first: such refusals are asked again.
+    async fn ask_until_permitted(&self) -> Result<contract::CommandId, ActionError> {
+        let started = self.instrument.clock().machine();
+        let most = command_timeout(self.instrument.clock(), self.travel) + Duration::from_secs(15);
+        loop {
+            match self.instrument.ask(Command::OpenShutter).await {
+                Err(ActionError::Refused { reason: Reason::NoPermit | Reason::WrongState | Reason::Busy, .. })
+                    if self.instrument.clock().machine().since(started) < most =>
+                {
+                    tokio::time::sleep(Duration::from_millis(300)).await;
+                    self.end_hold().await?;
+                }
+                asked => return asked,
+            }
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! The mount: slewing to a place of the catalogue, in the frame that the mount speaks.
+
+use std::time::Duration;
+
+use config::EquatorialChoice;
+use contract::device::telescope::{self, Command, EquatorialSystem};
+use contract::{CommandId, Device};
+use schedule::horizon_limits::HorizonLimits;
+use schedule::plan::overheads::{TOOK, TimedPart};
+use schedule::slew_limits;
+use sky::{Icrs, Observer, Rates, separation};
+use units::{Angle, Utc, seconds};
+
+use super::instrument::{CommandSender, Instrument};
+use crate::action_error::ActionError;
+use crate::command_timeout::command_timeout;
+use crate::took::took_s;
+
+/// Slews over less than this are not reported, deg.
+const WORTH_REPORTING_DEG: f64 = 1.0;
+
+/// A mount.
+pub struct Mount {
+    /// The device.
+    pub instrument: Instrument<telescope::Telescope>,
+    /// Its configuration.
+    pub config: config::Telescope,
+    /// What its site leaves of the sky.
+    pub horizon_limits: HorizonLimits,
+}
+
+impl Mount {
+    /// Subscribes to a mount.
+    pub async fn listen(
+        command_sender: &CommandSender,
+        device: Device,
+        config: config::Telescope,
+        horizon_limits: HorizonLimits,
+    ) -> anyhow::Result<Self> {
+        Ok(Self { instrument: Instrument::listen(command_sender, device).await?, config, horizon_limits })
+    }
+
+    /// Leaves the park position, unless the mount is known to be out of it or to have none.
+    pub async fn unpark(&self) -> Result<(), ActionError> {
+        let parked = self.instrument.fresh_reading("AtPark").and_then(|state| state.fields.at_park.known().copied());
+        let cannot = self.instrument.can().is_some_and(|can| !can.park);
+        if parked == Some(false) || cannot {
+            return Ok(());
+        }
+        self.instrument.execute(Command::Unpark, self.slew_timeout()).await.map(|_| ())
+    }
+
+    /// Switches tracking.
+    pub async fn track(&self, on: bool) -> Result<(), ActionError> {
+        let tracking = self.instrument.fresh().and_then(|state| state.fields.tracking.known().copied());
+        if tracking == Some(on) {
+            return Ok(());
+        }
+        self.instrument.execute(Command::Track { on }, Duration::from_secs(60)).await.map(|_| ())
+    }
+
+    /// Slews to a place of the catalogue, tracks it, and returns when the mount has settled, for which its device node
+    /// waits. Every slew of this node goes through here, and none goes beyond the mount's limits.
+    pub async fn point(&self, target: &Icrs, observer: &Observer) -> Result<(), ActionError> {
+        if let Some(why) = slew_limits::beyond(&self.config.limits, target, observer) {
+            return Err(ActionError::Impossible(why));
+        }
+        if self.config.equatorial_system == EquatorialChoice::Auto {
+            self.instrument.capabilities().await?;
+        }
+        let (ra, dec) = in_mount_frame(target, observer, self.frame())?;
+        self.unpark().await?;
+        self.track(true).await?;
+        let slew = Command::Slew { ra_deg: ra.degrees(), dec_deg: dec.degrees() };
+        let (began, way_deg) = (self.instrument.clock().utc(), self.way_deg(ra, dec));
+        self.instrument.execute(slew, self.slew_timeout()).await?;
+        // Some mounts drop tracking with a slew.
+        self.track(true).await?;
+        // Small corrections come with frames, and would fill the diary.
+        if let Some(deg) = way_deg.filter(|deg| *deg >= WORTH_REPORTING_DEG) {
+            let took_s = took_s(self.instrument.clock(), began);
+            let (deg, device) = ((10.0 * deg).round() / 10.0, self.instrument.device.to_string());
+            tracing::info!(deg, device, span = TimedPart::Slew.word(), took_s, "{TOOK}");
+        }
+        Ok(())
+    }
+
+    /// How far it is from where it looks to a place of its own frame, deg.
+    fn way_deg(&self, ra: Angle, dec: Angle) -> Option<f64> {
+        let fields = self.instrument.fresh()?.fields;
+        let here = Icrs::from_degrees(*fields.ra_deg.known()?, *fields.dec_deg.known()?);
+        Some(separation(&here, &Icrs { ra, dec }).degrees()).filter(|deg| deg.is_finite())
+    }
+
+    /// Moves at these rates relative to the stars. Returns when the device node had accepted them; its mount then does
+    /// so at once.
+    pub async fn set_rates(&self, rates: Rates) -> Result<Utc, ActionError> {
+        let Rates { ra_s_per_sidereal_s, dec_arcsec_per_s } = rates;
+        let (id, clock) = (CommandId::fresh(), self.instrument.clock());
+        self.instrument.ask_in_turn(&id, Command::Rates { ra_s_per_sidereal_s, dec_arcsec_per_s }).await?;
+        let taken = clock.utc();
+        self.instrument.done(&id, "rates", command_timeout(clock, Duration::from_secs(60))).await?;
+        Ok(taken)
+    }
+
+    /// A place of the catalogue in the mount's own frame.
+    pub fn place(&self, target: &Icrs, observer: &Observer) -> Result<(Angle, Angle), ActionError> {
+        in_mount_frame(target, observer, self.frame())
+    }
+
+    /// Synchronises the mount: it looks at this place of the catalogue now.
+    pub async fn sync(&self, seen: &Icrs, observer: &Observer) -> Result<(), ActionError> {
+        let (ra, dec) = in_mount_frame(seen, observer, self.frame())?;
+        let sync = Command::Sync { ra_deg: ra.degrees(), dec_deg: dec.degrees() };
+        self.instrument.execute(sync, Duration::from_secs(60)).await.map(|_| ())
+    }
+
+    /// The frame of its coordinates, as far as it is known yet.
+    pub fn frame(&self) -> EquatorialSystem {
+        match self.config.equatorial_system {
+            EquatorialChoice::Auto => {
+                self.instrument.can().map_or(EquatorialSystem::Other, |can| can.equatorial_system)
+            }
+            EquatorialChoice::J2000 => EquatorialSystem::J2000,
+            EquatorialChoice::Topocentric => EquatorialSystem::Topocentric,
+        }
+    }
+
+    fn slew_timeout(&self) -> Duration {
+        seconds(self.config.slew_timeout_s)
+    }
+}
+
+/// A place of the catalogue in the mount's own frame.
+fn in_mount_frame(target: &Icrs, observer: &Observer, system: EquatorialSystem) -> Result<(Angle, Angle), ActionError> {
+    match system {
+        EquatorialSystem::Topocentric => {
+            let apparent = observer.to_of_date(target);
+            Ok((apparent.ra, apparent.dec))
+        }
+        EquatorialSystem::J2000 | EquatorialSystem::Other => Ok((target.ra, target.dec)),
+        EquatorialSystem::J2050 | EquatorialSystem::B1950 => Err(ActionError::Impossible(format!(
+            "the mount wants coordinates of {}, which is not supported; set equatorial_system to \
+             \"j2000\" or \"topocentric\" in its block",
+            if system == EquatorialSystem::B1950 { "B1950" } else { "J2050" }
+        ))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sky::{EarthOrientation, Place};
+
+    use super::*;
+
+    #[test]
+    fn a_topocentric_mount_gets_the_place_of_date() {
+        let place = Place::new(Angle::from_degrees(-24.6), Angle::from_degrees(-70.4), 2500.0).unwrap();
+        let at = "2026-11-21T03:00:00Z".parse().unwrap();
+        let observer = Observer::new(&place, &EarthOrientation::default(), at).unwrap();
+        let target = Icrs::from_degrees(78.0, -8.0);
+        let (ra, dec) = in_mount_frame(&target, &observer, EquatorialSystem::J2000).unwrap();
+        assert_eq!((ra.degrees(), dec.degrees()), (78.0, -8.0));
+        let (ra, _) = in_mount_frame(&target, &observer, EquatorialSystem::Topocentric).unwrap();
+        // 27 years of precession are about a third of a degree.
+        assert!((0.2..0.5).contains(&(ra.degrees() - 78.0)), "{}", ra.degrees());
+        assert!(in_mount_frame(&target, &observer, EquatorialSystem::B1950).is_err());
+    }
+}

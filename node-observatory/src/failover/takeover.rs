@@ -1,0 +1,184 @@
+//! What a node learns when it becomes the commander: what the one before it did, and what people ordered meanwhile.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::time::Duration;
+
+use bus::{Bus, BusError, Latest, Received};
+use contract::observatory::{AlertKind, Alerts, NightState, OperatorOrders};
+use contract::{Address, Key, Part, Payload};
+use interlock::takeover::{are_last_orders, switch_after};
+use safety::active_orders::ActiveOrders;
+use safety::on_disk::OnDisk;
+use safety::takeover::{Known, Source, Word};
+use units::Utc;
+
+use crate::active_orders::OrderState;
+use crate::authority::Authority;
+use crate::journal::Journal;
+use crate::persisted::replaced;
+use crate::{active_orders, annunciator};
+
+/// A disk that hangs keeps nobody from commanding.
+const DISK: Duration = Duration::from_secs(2);
+/// A verdict that is not renewed for so long no longer counts as safe.
+const VERDICT_WITHIN: Duration = Duration::from_secs(5);
+
+/// What the commander before publishes.
+pub struct FormerCommander {
+    /// Its state of the night.
+    pub night: Latest<NightState>,
+    /// What people ordered of it.
+    pub orders: Latest<OperatorOrders>,
+    /// The alerts with what people did about them.
+    pub alerts: Latest<Alerts>,
+}
+
+impl FormerCommander {
+    /// Subscribes, so that its last state is known.
+    pub async fn listen(bus: &Bus, address: &Address) -> Result<Self, BusError> {
+        let key = |part| Key::Observatory(address.clone(), part);
+        Ok(Self {
+            night: bus.latest(&key(Part::Night)).await?,
+            orders: bus.latest(&key(Part::OperatorOrders)).await?,
+            alerts: bus.latest(&key(Part::Alerts)).await?,
+        })
+    }
+}
+
+/// What a node that becomes the commander learns with.
+pub struct Takeover {
+    /// Whether this node may act.
+    pub authority: Arc<Authority>,
+    /// The journal.
+    pub journal: Arc<Journal>,
+    /// What people ordered.
+    pub orders: Arc<OrderState>,
+    /// What the commander before publishes.
+    pub before: FormerCommander,
+}
+
+/// The robotic switch as it was last ordered, else as configured.
+pub fn robotic(journal: &Journal, configured: bool, now: Utc) -> bool {
+    interlock::takeover::ordered_switch(journal.last_robotic(), configured, now)
+}
+
+/// Learns it all, before this node commands with the token that it was granted. `held` is the token that this
+/// incarnation held before; with `unused` tokens nobody commanded. A disk that fails is reported, and prevents nobody
+/// from commanding: a node that commands can close.
+pub async fn learn(takeover: &Takeover, granted: Option<u64>, held: Option<u64>, unused: &BTreeSet<u64>) {
+    let disk = read(takeover).await;
+    let now = takeover.authority.node.bus.clock().utc();
+    let own = takeover.orders.orders.get();
+    let received = foreign(takeover, &takeover.before.orders);
+    let orders = received.as_ref().map(|received| ActiveOrders::from(&received.sample.body));
+    let machine_now = takeover.authority.node.bus.clock().machine();
+    let is_last = received.as_ref().is_some_and(|received| are_last_orders(received.arrived, machine_now));
+    let word = orders.as_ref().map(|orders| Word { orders, is_last });
+    let known = Known { granted, own: &own, held, unused, disk: &disk, received: word };
+    let (mut active_orders, source) = known.take_over(now);
+    if source == Source::Nobody {
+        tracing::warn!(?granted, "what the commander before was ordered is not known; the dome stays closed");
+    }
+    learn_alerts(takeover, source, received.as_ref()).await;
+    put(takeover, &active_orders);
+    let written = tokio::time::timeout(DISK, takeover.orders.orders.write()).await.map_err(|_| "no answer".to_owned());
+    if let Err(error) = written.and_then(|written| written.map_err(|error| error.to_string())) {
+        let cause = format!("the operator orders are not on disk: {error}");
+        takeover.authority.node.alerts.raise(AlertKind::OperatorOrders, "", &cause);
+        if source.is_doubted_by_disk(&mut active_orders, &cause, now) {
+            put(takeover, &active_orders);
+        }
+    }
+    if !active_orders.has_same_orders(&own) {
+        judged_anew(takeover).await;
+    }
+    learn_robotic(takeover, now);
+}
+
+fn put(takeover: &Takeover, orders: &ActiveOrders) {
+    takeover.orders.orders.change(|known| replaced(known, orders));
+}
+
+/// The orders in the folder; makes the journal this node's.
+async fn read(takeover: &Takeover) -> OnDisk {
+    let (node, journal) = (takeover.authority.node.clone(), takeover.journal.clone());
+    let reading = tokio::task::spawn_blocking(move || {
+        (active_orders::read(&active_orders::path(&node.config)), journal.take_over())
+    });
+    let (disk, taken) = match tokio::time::timeout(DISK, reading).await {
+        Ok(Ok(read)) => read,
+        Ok(Err(_)) | Err(_) => {
+            let why = format!(
+                "the disk did not answer within {} s when {} was read",
+                DISK.as_secs(),
+                active_orders::path(&takeover.authority.node.config).display()
+            );
+            (OnDisk::Unreadable(why), Err(std::io::ErrorKind::TimedOut.into()))
+        }
+    };
+    match taken {
+        Ok(()) => takeover.authority.node.alerts.clear(AlertKind::Journal, ""),
+        Err(error) => {
+            let cause = format!("the journal cannot be taken over: {error}");
+            takeover.authority.node.alerts.raise(AlertKind::Journal, "", &cause);
+        }
+    }
+    disk
+}
+
+/// The last payload of another incarnation than this one.
+fn foreign<T: Payload + Clone>(takeover: &Takeover, latest: &Latest<T>) -> Option<Received<T>> {
+    latest.get().filter(|received| received.sample.boot_id != *takeover.authority.node.bus.boot_id())
+}
+
+/// People's answers to alerts, from the source of the orders: a record of an earlier commander would acknowledge what
+/// it never saw. An alert that no record has is new.
+async fn learn_alerts(takeover: &Takeover, source: Source, orders: Option<&Received<OperatorOrders>>) {
+    match source {
+        Source::Own => {}
+        Source::Disk => {
+            let path = annunciator::path(&takeover.authority.node.config);
+            let reading = tokio::task::spawn_blocking(move || annunciator::read(&path));
+            if let Ok(Ok(read)) = tokio::time::timeout(DISK, reading).await {
+                takeover.orders.annunciator.adopt(|known| {
+                    *known = read;
+                    true
+                });
+            }
+        }
+        Source::Bus | Source::Nobody => {
+            let alerts = foreign(takeover, &takeover.before.alerts).map(|received| received.sample);
+            let received = source.answers_to_alerts(orders.map(|received| &received.sample), alerts.as_ref());
+            takeover.orders.annunciator.change(|known| {
+                *known = received;
+                true
+            });
+        }
+    }
+}
+
+/// Waits until the safety loop has judged by the orders as they are now; a loop that does not is not safe by then.
+async fn judged_anew(takeover: &Takeover) {
+    let mut verdict = takeover.authority.verdict.clone();
+    let twice = async {
+        // The first may have been under way.
+        for _ in 0..2 {
+            let since = takeover.authority.node.bus.clock().machine();
+            if verdict.wait_for(|verdict| verdict.judged > since).await.is_err() {
+                return;
+            }
+        }
+    };
+    let _ = tokio::time::timeout(VERDICT_WITHIN, twice).await;
+}
+
+fn learn_robotic(takeover: &Takeover, now: Utc) {
+    let published =
+        foreign(takeover, &takeover.before.night).map(|received| (received.sample.body.robotic, received.arrived));
+    let own = || robotic(&takeover.journal, *takeover.authority.robotic.borrow(), now);
+    let on = switch_after(published, takeover.authority.node.bus.clock().machine(), own);
+    if takeover.authority.robotic.send_replace(on) != on {
+        tracing::info!(on, "the robotic switch stands as it was ordered");
+    }
+}

@@ -1,0 +1,7 @@
+//! People's orders: answered once each ([`answering`]), and executed ([`execution`]).
+
+mod answering;
+mod execution;
+
+pub use self::answering::keep_answering;
+pub use self::execution::Telescope;

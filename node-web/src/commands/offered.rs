@@ -1,0 +1,112 @@
+//! What may be ordered of a telescope now, and what stands against it.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::{Extension, Path, State};
+use axum::response::{IntoResponse as _, Response};
+use contract::command::operator;
+use contract::observatory::{CONTROL_LAPSES_S, OperatorOrders, Ordered};
+use contract::order_form::{ORDERS, OrderForm};
+use contract::{Address, Key, Part, Right};
+use schemars::JsonSchema;
+use serde::Serialize;
+use serde_json::Value;
+use units::Utc;
+use users::Principal;
+
+use crate::freshness::Quality;
+use crate::model::Telescope;
+use crate::problem::Problem;
+use crate::routes::network::{NEVER_CACHED, known};
+use crate::server::Server;
+use crate::summary::{SafetyWord, Summary};
+
+/// An order, and whether this caller may give it now.
+#[derive(Debug, JsonSchema, Serialize)]
+pub struct OrderOffered {
+    /// Its word.
+    pub command: &'static str,
+    /// What it does.
+    pub meaning: &'static str,
+    /// The right that it needs.
+    pub right: Right,
+    /// May this caller give it?
+    pub may: bool,
+    /// It has ended when the telescope is verified closed.
+    pub closes: bool,
+    /// It needs a reason.
+    pub needs_reason: bool,
+    /// JSON Schema of its parameters.
+    pub parameters: Value,
+    /// What stands against it now: it would be refused, or would change nothing yet. The observatory node decides.
+    pub against: Vec<String>,
+}
+
+/// Every order with what stands against it.
+pub async fn catalog(
+    State(server): State<Arc<Server>>,
+    Extension(caller): Extension<Principal>,
+    Path((site, telescope)): Path<(String, String)>,
+) -> Result<Response, Problem> {
+    let address = known(&server.network, &site, &telescope)?;
+    let now = server.network.clock().machine();
+    let model = server.network.read();
+    let Some(telescope) = model.telescopes.get(&address) else {
+        return Err(Problem::not_found("It has just been forgotten."));
+    };
+    let summary = Summary::of(&address, telescope, now);
+    let offered = ORDERS.iter().map(|form| OrderOffered {
+        command: form.word,
+        meaning: form.meaning,
+        right: form.right,
+        may: caller.right_at(&address) >= Some(form.right),
+        closes: form.closes,
+        needs_reason: form.needs_reason,
+        parameters: form.schema(),
+        against: against(form, &address, telescope, &summary, (&caller.name, server.network.clock().utc())),
+    });
+    Ok((NEVER_CACHED, Json(offered.collect::<Vec<_>>())).into_response())
+}
+
+fn against(
+    form: &OrderForm,
+    address: &Address,
+    telescope: &Telescope,
+    summary: &Summary,
+    (caller, now): (&str, Utc),
+) -> Vec<String> {
+    let mut found = Vec::new();
+    if summary.face.quality != Quality::Fresh {
+        let silent = summary
+            .ages
+            .age_s
+            .map_or("has never published".to_owned(), |age_s| format!("is silent since {age_s:.0} s"));
+        found.push(format!("the observatory node {silent}"));
+    }
+    let orders = telescope.read::<OperatorOrders>(&Key::Observatory(address.clone(), Part::OperatorOrders));
+    let stays_closed = orders.as_ref().and_then(|(_, orders)| orders.stay_closed.clone());
+    let held = orders.and_then(|(_, orders)| orders.control);
+    let is_others = |held: &Ordered| {
+        let is_old = now.seconds_since(held.at_utc).abs() >= CONTROL_LAPSES_S;
+        held.from.contains('/') && operator(&held.from) != caller && !is_old
+    };
+    if let Some(held) = held.filter(|held| form.word == "start" && is_others(held)) {
+        let why = if held.reason.is_empty() { String::new() } else { format!(" ({})", held.reason) };
+        let name = operator(&held.from);
+        found.push(format!("{name} has the telescope since {}{why}: give a reason to take it over", held.at_utc));
+    }
+    match (form.word, stays_closed) {
+        ("start", Some(held)) => found.push(format!("it stays closed: {} ordered so at {}", held.from, held.at_utc)),
+        ("open-again", None) => found.push("nobody has ordered that it stays closed".to_owned()),
+        _ => {}
+    }
+    if form.word == "start" && summary.face.safety.state != SafetyWord::Safe {
+        let reasons = &summary.face.safety.reasons;
+        found.extend(reasons.iter().map(|reason| format!("{}: {}", reason.input, reason.why)));
+        if reasons.is_empty() {
+            found.push("no verdict was received: the dome stays closed until there is one".to_owned());
+        }
+    }
+    found
+}

@@ -1,0 +1,109 @@
+//! A web node on a private bus, and a second bus on which the test publishes as all other nodes.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends where its stage breaks")]
+
+pub mod raw;
+pub mod socket;
+
+use std::path::Path;
+use std::time::Duration;
+
+use bus::{Bus, Clock, Publisher};
+use contract::node::NodeState;
+use contract::{Address, Key, NodeTopic, Payload, Role};
+use node::Node;
+use serde_json::Value;
+use test_support::{LIMIT, PARANAL, RunningNode, block, join, private_bus, within};
+
+pub struct Stage {
+    pub bus: Bus,
+    pub url: String,
+    pub http: reqwest::Client,
+    node: RunningNode,
+}
+
+impl Stage {
+    pub async fn start() -> Self {
+        Self::start_with("", Path::new(".")).await
+    }
+
+    /// With more lines in `[web]`; its files are in `folder`.
+    pub async fn start_with(web: &str, folder: &Path) -> Self {
+        let (bus, node) = Self::begin(web, folder).await;
+        let key = node.node.key(NodeTopic::State);
+        let states = bus.latest::<NodeState>(&key).await.unwrap();
+        let url = within(LIMIT, || Some(states.get()?.sample.body.figures.get("page_url")?.to_string())).await;
+        let url = url.unwrap_or_else(|| panic!("the node did not report its page's address"));
+        Self { bus, url: url.trim_end_matches('/').to_owned(), http: reqwest::Client::new(), node }
+    }
+
+    /// The node alone, which may have reasons not to serve.
+    pub async fn begin(web: &str, folder: &Path) -> (Bus, RunningNode) {
+        let bus = private_bus(Clock::machine_clock()).await;
+        let monitor = block("safetymonitor", "monitor", "127.0.0.1:1", "");
+        let text = format!("{PARANAL}[web]\nlisten = \"127.0.0.1:0\"\n{web}\n{monitor}");
+        let config = config::parse(&text, folder).unwrap();
+        let node = Node::new(Role::Web, "main".parse().unwrap(), config, Default::default(), join(&bus).await);
+        (bus, RunningNode::live(node, node_web::run))
+    }
+
+    /// The causes of the node's active alerts.
+    pub fn alerts(&self) -> Vec<String> {
+        causes(&self.node)
+    }
+
+    pub fn authority(&self) -> &str {
+        self.url.split("://").nth(1).unwrap()
+    }
+
+    pub async fn publish<T: Payload>(&self, key: Key, body: T) -> Publisher<T> {
+        let publisher = self.bus.publisher(&key).await.unwrap();
+        publisher.put(body).await.unwrap();
+        publisher
+    }
+
+    pub async fn get(&self, path: &str) -> (reqwest::StatusCode, Value) {
+        let response = self.http.get(format!("{}{path}", self.url)).send().await.unwrap();
+        let status = response.status();
+        (status, serde_json::from_slice(&response.bytes().await.unwrap()).unwrap_or_default())
+    }
+
+    /// Asks until the answer is as wanted; the last answer is in the failure.
+    pub async fn until(&self, path: &str, wanted: impl Fn(&Value) -> bool) -> Value {
+        let mut last = Value::Null;
+        for _ in 0..200 {
+            last = self.get(path).await.1;
+            if wanted(&last) {
+                return last;
+            }
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+        panic!("{path} never became as wanted: {last:#}");
+    }
+
+    /// Ends the node; it must end well and soon.
+    pub async fn end(self) {
+        tokio::time::timeout(Duration::from_secs(10), self.node.stop()).await.unwrap();
+    }
+}
+
+pub fn causes(node: &RunningNode) -> Vec<String> {
+    node.node.alerts.watch().borrow().alerts.iter().map(|alert| alert.cause.clone()).collect()
+}
+
+pub fn address(telescope: &str) -> Address {
+    Address::new("paranal", telescope).unwrap()
+}
+
+/// The body of a golden sample of the contract, without its envelope.
+pub fn sample(name: &str) -> Value {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../common/contract/golden/v1").join(format!("{name}.json"));
+    let text = std::fs::read_to_string(&file).unwrap_or_else(|error| panic!("{}: {error}", file.display()));
+    let mut body: Value = serde_json::from_str(&text).unwrap();
+    if let Value::Array(samples) = body {
+        body = samples[0].clone();
+    }
+    for envelope in ["boot_id", "seq", "at_utc"] {
+        body.as_object_mut().unwrap().remove(envelope);
+    }
+    body
+}
