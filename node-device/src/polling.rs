@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Duration;
 
-use alpaca::{Alpaca, AlpacaError, value};
+use alpaca::{Abilities, Alpaca, AlpacaError, value};
 use bus::Clock;
 use config::Common;
 use contract::device::DeviceDescription;
@@ -47,6 +47,8 @@ pub struct Greeting<D: Driver> {
     pub device_state: bool,
     /// What it can do.
     pub description: DeviceDescription<Capabilities<D>>,
+    /// What of that was read.
+    pub abilities: Abilities,
 }
 
 /// What one poll brought.
@@ -133,7 +135,9 @@ impl Questions {
             Err(error) if error.is_transport() => return Err(error),
             Err(_) => false,
         };
-        let can = driver.capabilities(&self.alpaca).await?;
+        driver.connected();
+        let mut abilities = Abilities::of(self.alpaca.clone());
+        let can = driver.capabilities(&mut abilities).await?;
         let text = |name: &str| {
             let answer = answers.iter().find(|answer| answer.property == name);
             answer.and_then(|answer| value::text(answer.result.as_ref().ok()?).ok()).unwrap_or_default()
@@ -148,9 +152,10 @@ impl Questions {
             interface_version: version,
             simulated: is_simulated(&common.server).await.unwrap_or(false),
             can,
+            unread: abilities.unread().clone(),
         };
         tracing::debug!(kind = Capabilities::<D>::NAME, device = %common.name, device_state, "connected");
-        Ok(Greeting { answers, device_state, description })
+        Ok(Greeting { answers, device_state, description, abilities })
     }
 
     async fn connect(&self) -> Result<(), AlpacaError> {

@@ -56,6 +56,12 @@ impl Readings {
         self.answers.get(property)?.asked
     }
 
+    /// Why a property that the device has could not be read in the present answer.
+    pub fn failure(&self, property: &str) -> Option<&NoData> {
+        let reason = self.answers.get(property)?.answer.as_ref().err()?;
+        Some(reason).filter(|reason| **reason != NoData::not_implemented())
+    }
+
     fn read<T>(&self, property: &str, read: impl Fn(&Value) -> Result<T, NoData>) -> Datum<T> {
         match self.answers.get(property) {
             Some(StoredAnswer { answer: Ok(value), .. }) => read(value).into(),

@@ -5,15 +5,17 @@
 //! command that makes safe never waits for a request that hangs.
 
 mod command;
+mod contradiction;
 mod slowness;
 mod turns;
+mod unread;
 
 use std::collections::VecDeque;
 use std::pin::Pin;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
-use alpaca::{Alpaca, AlpacaError};
+use alpaca::{Abilities, Alpaca, AlpacaError};
 use bus::{MachineTime, Publisher};
 use config::Common;
 use contract::audit::AuditOutcome as Ended;
@@ -24,6 +26,8 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 
 use self::command::RunningCommand;
+use self::contradiction::Contradiction;
+use self::unread::ReadingAgain;
 use crate::command_server::{CommandServer, Order};
 use crate::driver::{Capabilities, Command, Driver, Executed, Fields};
 use crate::has::Has;
@@ -86,6 +90,9 @@ struct Loop<D: Driver> {
     last_command: Option<LastCommand>,
     running: Option<RunningCommand<D>>,
     job: Task<Result<Executed, AlpacaError>>,
+    /// What the device can do is read again, where some of it could not be read.
+    reading_again: ReadingAgain<D>,
+    contradiction: Contradiction,
     polling: Task<Polling<D>>,
     next_turn: Instant,
     next_full: Instant,
@@ -142,6 +149,8 @@ impl<D: Driver> Serve<D> {
             last_command: None,
             running: None,
             job: None,
+            reading_again: ReadingAgain::default(),
+            contradiction: Contradiction::default(),
             polling: None,
             next_turn: now + phase.min(Duration::from_millis(900)),
             next_full: now,
@@ -174,6 +183,7 @@ impl<D: Driver> Serve<D> {
                 Some(order) = orders.recv() => Turn::Order(order),
                 result = finished(&mut lap.job) => Turn::Executed(result),
                 polling = finished(&mut lap.polling) => Turn::Polling(polling),
+                read = finished(&mut lap.reading_again.task) => Turn::ReadAgain(read),
                 () = driver.stirred() => Turn::Stirred,
                 () = sleep_until(wake) => Turn::Due,
             };
@@ -190,6 +200,7 @@ impl<D: Driver> Serve<D> {
                     lap.publish(full).await;
                 }
                 Turn::Stirred => {}
+                Turn::ReadAgain(read) => lap.read_again(read),
                 Turn::Due => lap.due(),
             }
             lap.publish(false).await;
@@ -204,7 +215,11 @@ enum Turn<D: Driver> {
     Polling(Polling<D>),
     Stirred,
     Due,
+    ReadAgain(ReadAgain<D>),
 }
+
+/// What reading the capabilities again came to.
+type ReadAgain<D> = (Abilities, Result<Capabilities<D>, AlpacaError>);
 
 /// Waits for a task, if there is one, and forgets it.
 async fn finished<T>(task: &mut Task<T>) -> T {
@@ -236,6 +251,9 @@ impl<D: Driver> Loop<D> {
         if self.description.is_some() {
             wake = wake.min(self.next_description);
         }
+        if let Some(next) = self.reading_again.next() {
+            wake = wake.min(next);
+        }
         if let Some(deadline) = self.running.as_ref().and_then(|running| running.deadline) {
             wake = wake.min(deadline);
         }
@@ -248,6 +266,7 @@ impl<D: Driver> Loop<D> {
         if self.running.as_ref().and_then(|running| running.deadline).is_some_and(|deadline| now >= deadline) {
             self.judge(None);
         }
+        self.begin_reading_again(now);
         if self.polling.is_some() || now < self.next_turn {
             return;
         }
@@ -290,6 +309,7 @@ impl<D: Driver> Loop<D> {
         self.link = Link::Connected;
         self.status().can = Some(greeting.description.can.clone());
         self.description = Some(greeting.description);
+        self.reading_again = ReadingAgain::of(greeting.abilities);
         self.failures = 0;
         let now = Instant::now();
         (self.next_turn, self.next_full, self.next_description) = (now, now, now);
@@ -316,6 +336,8 @@ impl<D: Driver> Loop<D> {
             return self.lose(&error);
         }
         self.serve.driver.observed(&self.readings, poll.began);
+        self.note_contradiction();
+        self.note_unread();
         self.judge(Some(poll.began_at));
         let now = Instant::now();
         if splits {
@@ -357,7 +379,10 @@ impl<D: Driver> Loop<D> {
         self.readings.lose(&reason, clock.utc());
         self.device_state = false;
         self.quiet_until = None;
+        self.reading_again = ReadingAgain::default();
         self.observe_now();
+        self.note_contradiction();
+        self.note_unread();
         self.judge(None);
         let back_off = (0.5 * 2_f64.powi(self.failures)).min(LONGEST_BACK_OFF_S);
         self.failures = (self.failures + 1).min(10);

@@ -114,7 +114,9 @@ pub async fn all(
         shared.plain(&wheel.common, FilterWheel::default())?;
     }
     for focuser in config.focuser.iter().filter(|device| part.serves(Kind::Focuser, &device.common)) {
-        shared.plain(&focuser.common, Focuser { settle_s: focuser.settle_s })?;
+        let (settle_s, tolerance_steps) = (focuser.settle_s, focuser.tolerance_steps);
+        let driver = Focuser { settle_s, tolerance_steps, ..Focuser::default() };
+        shared.plain(&focuser.common, driver)?;
     }
     for cover in config.covercalibrator.iter().filter(|device| part.serves(Kind::CoverCalibrator, &device.common)) {
         shared.plain(&cover.common, CoverCalibrator)?;
@@ -123,7 +125,7 @@ pub async fn all(
         shared.plain(&switch.common, Switch::default())?;
     }
     for rotator in config.rotator.iter().filter(|device| part.serves(Kind::Rotator, &device.common)) {
-        shared.plain(&rotator.common, Rotator)?;
+        shared.plain(&rotator.common, Rotator::new(rotator.tolerance_deg))?;
     }
     let spool = shared.cameras(part).await?;
     Ok((spool, shared.enclosures))
@@ -212,6 +214,7 @@ impl SharedParts<'_> {
         let (eye, seen) = watch::channel(None);
         let driver = Dome {
             travel_timeout_s: dome.travel_timeout_s,
+            tolerance_deg: dome.slit.arrived_deg(),
             guard: guard.clone(),
             clock,
             eye,

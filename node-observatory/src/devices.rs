@@ -101,7 +101,8 @@ impl Devices {
         }
         for block in &config.filterwheel {
             let device = own(Kind::FilterWheel, &block.common.name);
-            devices.wheels.push(FilterWheel { instrument: Instrument::listen(command_sender, device).await? });
+            let instrument = Instrument::listen(command_sender, device).await?;
+            devices.wheels.push(FilterWheel { instrument, filters: block.filters.clone() });
         }
         for block in &config.focuser {
             let device = own(Kind::Focuser, &block.common.name);

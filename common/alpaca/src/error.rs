@@ -110,18 +110,14 @@ impl AlpacaError {
         matches!(self, Self::Transport { fault: Fault::Timeout | Fault::Reset, .. } | Self::Foreign { .. })
     }
 
+    /// The device itself refused.
+    pub fn is_ascom(&self) -> bool {
+        matches!(self, Self::Ascom { .. }) || self.is_not_implemented()
+    }
+
     /// The answer is the answer to another request.
     pub fn is_foreign(&self) -> bool {
         matches!(self, Self::Foreign { .. })
-    }
-
-    /// An answer came and cannot be read; the next one may be readable.
-    pub fn is_unreadable(&self) -> bool {
-        match self {
-            Self::Protocol(_) | Self::NoValue | Self::Value(_) => true,
-            Self::Http { status, .. } => *status >= 500 && !self.is_not_implemented(),
-            Self::Transport { .. } | Self::Foreign { .. } | Self::Ascom { .. } => false,
-        }
     }
 
     /// The device knows no such parameter.

@@ -1,7 +1,7 @@
 //! A client of ASCOM Alpaca that tolerates careless servers and preserves the class of every error.
 //!
 //! [`Alpaca`] is one device of one server: [`Alpaca::get`] reads a property, [`Alpaca::put`] calls a method,
-//! [`Alpaca::image`] fetches a frame, each with a total deadline, one at a time. [`optional`] and [`can`] read
+//! [`Alpaca::image`] fetches a frame, each with a total deadline, one at a time. [`Abilities`] reads
 //! properties that a device may lack, [`value`] converts JSON to types, and [`discovery`] finds the servers of a
 //! network.
 //!
@@ -25,7 +25,7 @@ mod response;
 mod transaction;
 pub mod value;
 
-pub use capability::{can, optional};
+pub use capability::Abilities;
 pub use client::{Alpaca, http_client};
 pub use error::{AlpacaError, Fault};
 pub use image::Image;

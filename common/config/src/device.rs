@@ -216,6 +216,9 @@ devices! {
         slew_timeout_s: f64 = 300.0,
         /// Wait after a slew before exposing, sky s.
         settle_s: f64 = 1.0,
+        /// A slew that ends so near its target, by the mount's own coordinates, has arrived, degrees: mounts report
+        /// positions after their own pointing model.
+        arrival_tolerance_deg: f64 = 0.5,
         /// So many exposure times are waited for after a correction of the pointing, and before each frame of a pointing model.
         settle_factor: f64 = 0.0,
         /// Turn a German mount over between two frames when the next one would end too far past the meridian.
@@ -282,8 +285,8 @@ devices! {
     Focuser every 5.0 {
         /// Best focus, steps, until one is learned; the position found at start where absent.
         best_position: Option<i64> = None,
-        /// No move when already this close, steps.
-        tolerance_steps: i64 = 0,
+        /// No move when already this close, and a move that ends this close is done, steps: focusers miss a step or two.
+        tolerance_steps: i64 = 2,
         /// Wait after a move, sky s.
         settle_s: f64 = 3.0,
         /// Play of the gears, steps: every position is overshot by so much and then approached from one side.
@@ -354,5 +357,8 @@ devices! {
     }
 
     /// A field rotator.
-    Rotator every 5.0 {}
+    Rotator every 5.0 {
+        /// A turn that ends this close is done, degrees.
+        tolerance_deg: f64 = 0.1,
+    }
 }

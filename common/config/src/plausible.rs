@@ -134,6 +134,7 @@ fn devices(observatory: &Observatory, findings: &mut Findings<'_>) {
         let limits = &mount.limits;
         number(&path, &shown, "slew_timeout_s", Some(mount.slew_timeout_s), 1.0, 7200.0, "s");
         number(&path, &shown, "settle_s", Some(mount.settle_s), 0.0, 600.0, "s");
+        number(&path, &shown, "arrival_tolerance_deg", Some(mount.arrival_tolerance_deg), 0.001, 10.0, "degrees");
         number(&path, &shown, "settle_factor", Some(mount.settle_factor), 0.0, 10.0, "exposure times");
         number(&path, &shown, "meridian_flip_min", Some(mount.meridian_flip_min), 0.0, 120.0, "min");
         number(&path, &shown, "limits.altitude_min_deg", Some(limits.altitude_min_deg), -90.0, 90.0, "");
@@ -158,6 +159,9 @@ fn devices(observatory: &Observatory, findings: &mut Findings<'_>) {
         number(&path, &shown, "watchdog_s", dome.watchdog_s, 4.0, 3600.0, "s");
         number(&path, &shown, "parked_within_s", Some(dome.parked_within_s), 1.0, 7200.0, "s");
         number(&path, &shown, "travel_timeout_s", Some(dome.travel_timeout_s), 1.0, 7200.0, "s");
+    }
+    for (path, shown, rotator) in blocks(&observatory.rotator) {
+        number(&path, &shown, "tolerance_deg", Some(rotator.tolerance_deg), 0.001, 10.0, "degrees");
     }
     for (path, shown, monitor) in blocks(&observatory.safetymonitor) {
         number(&path, &shown, "dwell_min", Some(monitor.dwell_min), 0.0, 1440.0, "min");

@@ -41,6 +41,14 @@ pub struct Slit {
     pub timeout_s: f64,
 }
 
+impl Slit {
+    /// A turn that ends so far from where the dome was sent is done, degrees: within `error_deg`, or, where nothing of the
+    /// slit is known but `tolerance_deg`, within that.
+    pub fn arrived_deg(&self) -> f64 {
+        if self.width_m.is_some() { self.error_deg } else { self.error_deg.max(self.tolerance_deg) }
+    }
+}
+
 impl Default for Slit {
     fn default() -> Self {
         Self {

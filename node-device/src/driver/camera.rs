@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use alpaca::{Alpaca, AlpacaError, can, optional, value};
+use alpaca::{Abilities, Alpaca, AlpacaError, value};
 use bus::Clock;
 use contract::device::camera::{self, Activity, Capabilities, Command, Exposure, Fields, Subframe};
 use contract::{Accepted, CommandId, Datum, Name, Reason, Refusal, Reply};
@@ -27,6 +27,11 @@ const ACTIVITY: [(i64, Activity); 6] = [
 /// Less free space than this and nothing is exposed any more: a frame that cannot be kept is a lie.
 const LEAST_FREE_BYTES: u64 = 500_000_000;
 
+/// A camera that was told to abort an exposure, and has not said otherwise, is free after so long, sky s.
+const ABORTED_S: f64 = 10.0;
+/// A cooler that was switched is given so long to report it, sky s.
+const COOLER_S: f64 = 3.0;
+
 /// Drives a camera.
 pub struct Camera {
     pub(super) name: Name,
@@ -40,14 +45,13 @@ pub struct Camera {
 /// What the driver knows between commands.
 #[derive(Default)]
 pub(super) struct CameraMemory {
-    /// What the camera was last set to; absent where that is not sure.
-    pub setting: Option<Setting>,
+    /// What the camera was last set to, and the part of the sensor that it reports to read since; absent where that is
+    /// not sure.
+    pub setting: Option<(Setting, Subframe)>,
     /// The exposure under way.
     pub exposure: Option<Exposure>,
-    /// Largest pixel value.
-    pub max_adu: Option<f64>,
-    /// Sensor size, unbinned pixels.
-    pub sensor_px: (u32, u32),
+    /// What it can do.
+    pub can: Capabilities,
     /// The camera reports when its last exposure began.
     pub reports_start: bool,
 }
@@ -74,30 +78,38 @@ impl Driver for Camera {
         &["CameraState"]
     }
 
-    async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
-        let whole = async |member: &str| -> Result<u32, AlpacaError> {
-            let answer = optional(alpaca, member, value::whole).await?;
+    fn connected(&self) {
+        self.memory(|memory| {
+            *memory = CameraMemory { reports_start: true, ..CameraMemory::default() };
+        });
+    }
+
+    async fn capabilities(&self, abilities: &mut Abilities) -> Result<Capabilities, AlpacaError> {
+        let size = async |abilities: &mut Abilities, property: &str| -> Result<u32, AlpacaError> {
+            let answer = abilities.read(property, value::whole).await?;
             Ok(answer.ok().and_then(|size| u32::try_from(size).ok()).unwrap_or(0))
         };
-        let can = Capabilities {
-            width_px: whole("cameraxsize").await?,
-            height_px: whole("cameraysize").await?,
-            pixel_width_um: optional(alpaca, "pixelsizex", value::number).await?.into(),
-            pixel_height_um: optional(alpaca, "pixelsizey", value::number).await?.into(),
-            max_bin: whole("maxbinx").await?.max(1),
-            max_adu: optional(alpaca, "maxadu", value::number).await?.into(),
-            set_temperature: can(alpaca, "cansetccdtemperature").await?,
-            abort: can(alpaca, "canabortexposure").await?,
-            electrons_per_adu: optional(alpaca, "electronsperadu", value::number).await?.into(),
+        let seconds = async |abilities: &mut Abilities, property: &str, least_s: f64| {
+            let answer = abilities.read(property, value::number).await?;
+            Ok::<_, AlpacaError>(answer.ok().filter(|s| *s >= least_s))
         };
-        self.memory(|memory| {
-            *memory = CameraMemory {
-                max_adu: can.max_adu.known().copied(),
-                sensor_px: (can.width_px, can.height_px),
-                reports_start: true,
-                ..CameraMemory::default()
-            };
-        });
+        // Both axes are binned alike, so that the axis with the smaller factor decides.
+        let bins = [size(abilities, "MaxBinX").await?, size(abilities, "MaxBinY").await?];
+        let can = Capabilities {
+            width_px: size(abilities, "CameraXSize").await?,
+            height_px: size(abilities, "CameraYSize").await?,
+            pixel_width_um: abilities.read("PixelSizeX", value::number).await?.into(),
+            pixel_height_um: abilities.read("PixelSizeY", value::number).await?.into(),
+            max_bin: bins.into_iter().filter(|bin| *bin > 0).min().unwrap_or(0),
+            max_adu: abilities.read("MaxADU", value::number).await?.into(),
+            set_temperature: abilities.can("CanSetCCDTemperature").await?,
+            abort: abilities.can("CanAbortExposure").await?,
+            electrons_per_adu: abilities.read("ElectronsPerADU", value::number).await?.into(),
+            exposure_min_s: seconds(abilities, "ExposureMin", 0.0).await?,
+            exposure_max_s: seconds(abilities, "ExposureMax", f64::MIN_POSITIVE).await?,
+            exposure_step_s: seconds(abilities, "ExposureResolution", f64::MIN_POSITIVE).await?,
+        };
+        self.memory(|memory| memory.can = can.clone());
         Ok(can)
     }
 
@@ -120,6 +132,28 @@ impl Driver for Camera {
 
     fn is_busy(&self, fields: &Fields) -> bool {
         !matches!(fields.activity, Datum::Known(Activity::Idle | Activity::Error)) || fields.exposure.is_some()
+    }
+
+    fn works_at(&self, command: &Command, fields: &Fields) -> bool {
+        match command {
+            Command::Expose { .. } | Command::Abort => self.is_busy(fields),
+            Command::Cool { .. } | Command::Warm | Command::Release { .. } => false,
+        }
+    }
+
+    fn contradiction(&self, command: Option<&Command>, fields: &Fields) -> Option<String> {
+        let activity = fields.activity.known().copied()?;
+        let no_exposure = match &fields.exposure {
+            None => !matches!(command, Some(Command::Abort)) && !matches!(activity, Activity::Idle | Activity::Error),
+            Some(exposure) => {
+                let left_s = exposure.exposure_s - self.clock.utc().seconds_since(exposure.started_utc);
+                left_s > 0.0 && matches!(activity, Activity::Reading | Activity::Download)
+            }
+        };
+        no_exposure.then(|| match fields.exposure {
+            None => format!("CameraState stays {activity:?} although no exposure is under way"),
+            Some(_) => format!("CameraState stays {activity:?} while the exposure collects light"),
+        })
     }
 
     fn moves(&self, command: &Command) -> bool {
@@ -160,8 +194,8 @@ impl Driver for Camera {
                 if id.0.parse::<Name>().is_err() {
                     return Some((Reason::Malformed, format!("{:?} cannot name a frame", id.0)));
                 }
-                if *bin < 1 || *bin > can.max_bin {
-                    return Some((Reason::Malformed, format!("bin {bin}: expected 1 to {}", can.max_bin)));
+                if *bin < 1 || (can.max_bin > 0 && *bin > can.max_bin) {
+                    return Some((Reason::Malformed, format!("bin {bin}: expected 1 to {}", can.max_bin.max(1))));
                 }
                 if let Some(free) = self.spool.free_bytes().known().filter(|free| **free < LEAST_FREE_BYTES) {
                     let detail = format!("the spool's disk has {} MB left: expected 500", free / 1_000_000);
@@ -169,7 +203,8 @@ impl Driver for Camera {
                 }
                 let too_large = subframe.filter(|part| !fits(part, can, *bin));
                 let bad_part = too_large.map(|part| (Reason::Malformed, leaves(&part)));
-                within("exposure_s", *exposure_s, 0.0, 86_400.0).or(bad_part)
+                let too_long = || can.exposure_s(*exposure_s).err().map(|why| (Reason::Malformed, why));
+                within("exposure_s", *exposure_s, 0.0, 86_400.0).or_else(too_long).or(bad_part)
             }
             Command::Cool { .. } | Command::Warm if !can.set_temperature => {
                 Some((Reason::NotImplemented, "this camera has no cooler with a set point".to_owned()))
@@ -184,12 +219,15 @@ impl Driver for Camera {
         alpaca: &Alpaca,
         id: &CommandId,
         command: &Command,
-        _: &Fields,
+        fields: &Fields,
     ) -> Result<Executed, AlpacaError> {
         match command {
             Command::Expose { exposure_s, light, bin, subframe, purpose } => {
-                let setting = self.memory(|memory| Setting::new(memory.sensor_px, *bin, *subframe));
-                self.expose(alpaca, id, *exposure_s, *light, setting, purpose).await?;
+                let can = self.memory(|memory| memory.can.clone());
+                let setting = Setting::new((can.width_px, can.height_px), *bin, *subframe);
+                // Beyond its limits it was refused before, or these were not known then: the camera decides.
+                let exposure_s = can.exposure_s(*exposure_s).unwrap_or(*exposure_s);
+                self.expose(alpaca, id, exposure_s, *light, setting, purpose).await?;
                 Ok(Executed::Done)
             }
             Command::Abort => {
@@ -201,7 +239,14 @@ impl Driver for Camera {
             }
             Command::Cool { set_c } => {
                 alpaca.put("setccdtemperature", &[("SetCCDTemperature", &set_c.to_string())]).await?;
-                alpaca.put("cooleron", &[("CoolerOn", "True")]).await?;
+                match alpaca.put("cooleron", &[("CoolerOn", "True")]).await {
+                    // There are coolers that run by their set point alone: the sensor's temperature shows it.
+                    Err(error) if error.is_not_implemented() => {}
+                    Err(error) if error.is_ascom() && fields.cooler_on.known().is_none() => {
+                        tracing::warn!(camera = %self.name, %error, "the set point is given; CoolerOn is refused, and cannot be read");
+                    }
+                    switched => switched?,
+                }
                 Ok(Executed::Watch)
             }
             Command::Warm => {
@@ -218,9 +263,22 @@ impl Driver for Camera {
 
     fn progress(&self, command: &Command, fields: &Fields) -> Progress {
         match command {
-            Command::Abort => Progress::done_if(matches!(fields.activity.known(), Some(Activity::Idle))),
-            Command::Cool { .. } => Progress::done_if(fields.cooler_on.known() == Some(&true)),
-            Command::Warm => Progress::done_if(fields.cooler_on.known() == Some(&false)),
+            // The exposure was thrown away with the command before; a camera that goes on to report another state is
+            // given a moment.
+            Command::Abort => match fields.activity.known() {
+                Some(Activity::Idle | Activity::Error) => Progress::Done,
+                Some(Activity::Waiting | Activity::Exposing | Activity::Reading | Activity::Download) | None => {
+                    Progress::Settling(ABORTED_S)
+                }
+            },
+            // The set point was given. What the camera says of its cooler may be wrong; the sensor's temperature is not.
+            Command::Cool { .. } if fields.cooler_on.known() == Some(&true) => Progress::Done,
+            Command::Cool { .. } => Progress::Settling(COOLER_S),
+            Command::Warm => match fields.cooler_on.known() {
+                Some(false) => Progress::Done,
+                Some(true) => Progress::Running,
+                None => Progress::Settling(COOLER_S),
+            },
             Command::Expose { .. } | Command::Release { .. } => Progress::Done,
         }
     }

@@ -1,8 +1,8 @@
 //! The mirror cover, flat panel, or both.
 
-use alpaca::{Alpaca, AlpacaError, optional, value};
+use alpaca::{Abilities, Alpaca, AlpacaError, value};
 use contract::device::cover_calibrator::{self, Calibrator, Capabilities, Command, Cover, Fields};
-use contract::{CommandId, Reason};
+use contract::{CommandId, NoData, Reason};
 use interlock::Need;
 
 use super::{Driver, Executed, Progress};
@@ -40,12 +40,16 @@ impl Driver for CoverCalibrator {
         &["CoverState", "CalibratorState", "Brightness"]
     }
 
-    async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
-        let present = |state: Result<i64, _>| state.is_ok_and(|state| state != 0);
+    async fn capabilities(&self, abilities: &mut Abilities) -> Result<Capabilities, AlpacaError> {
+        // It lacks a part only where it says so.
+        let present = |state: Result<i64, NoData>| match state {
+            Ok(state) => state != 0,
+            Err(reason) => reason != NoData::not_implemented(),
+        };
         Ok(Capabilities {
-            cover: present(optional(alpaca, "coverstate", value::whole).await?),
-            calibrator: present(optional(alpaca, "calibratorstate", value::whole).await?),
-            max_brightness: optional(alpaca, "maxbrightness", value::whole).await?.unwrap_or(0),
+            cover: present(abilities.read("CoverState", value::whole).await?),
+            calibrator: present(abilities.read("CalibratorState", value::whole).await?),
+            max_brightness: abilities.read("MaxBrightness", value::whole).await?.unwrap_or(0).max(0),
         })
     }
 
@@ -58,10 +62,19 @@ impl Driver for CoverCalibrator {
     }
 
     fn is_busy(&self, fields: &Fields) -> bool {
-        let still = |answer: bool| !answer;
-        let cover = fields.cover.known().is_none_or(|cover| *cover == Cover::Moving);
-        let panel = fields.calibrator.known().is_none_or(|panel| *panel == Calibrator::NotReady);
-        !(still(cover) && still(panel))
+        cover_moves(fields) || panel_changes(fields)
+    }
+
+    fn works_at(&self, command: &Command, fields: &Fields) -> bool {
+        match command {
+            Command::OpenCover | Command::CloseCover | Command::HaltCover => cover_moves(fields),
+            Command::CalibratorOn { .. } | Command::CalibratorOff => panel_changes(fields),
+        }
+    }
+
+    fn contradiction(&self, command: Option<&Command>, fields: &Fields) -> Option<String> {
+        let moves = command.is_none() && fields.cover.known() == Some(&Cover::Moving);
+        moves.then(|| "CoverState is 2 (moving), and no movement was commanded".to_owned())
     }
 
     fn need(&self, command: &Command) -> Need {
@@ -80,7 +93,9 @@ impl Driver for CoverCalibrator {
         match command {
             Command::OpenCover | Command::CloseCover | Command::HaltCover if !can.cover => lacks("cover"),
             Command::CalibratorOn { .. } | Command::CalibratorOff if !can.calibrator => lacks("panel"),
-            Command::CalibratorOn { brightness } if !(0..=can.max_brightness).contains(brightness) => {
+            Command::CalibratorOn { brightness }
+                if *brightness < 0 || (can.max_brightness > 0 && *brightness > can.max_brightness) =>
+            {
                 Some((Reason::Malformed, format!("brightness {brightness}: expected 0 to {}", can.max_brightness)))
             }
             Command::OpenCover
@@ -125,4 +140,14 @@ impl Driver for CoverCalibrator {
             Command::CalibratorOff => Progress::done_if(panel == Some(&Calibrator::Off)),
         }
     }
+}
+
+/// Does the cover move, or is that unknown?
+fn cover_moves(fields: &Fields) -> bool {
+    fields.cover.known().is_none_or(|cover| *cover == Cover::Moving)
+}
+
+/// Does the panel warm up or fade, or is that unknown?
+fn panel_changes(fields: &Fields) -> bool {
+    fields.calibrator.known().is_none_or(|panel| *panel == Calibrator::NotReady)
 }

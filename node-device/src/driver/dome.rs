@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use alpaca::{Alpaca, AlpacaError, can};
+use alpaca::{Abilities, Alpaca, AlpacaError};
 use bus::Clock;
 use config::VendorPattern;
 use contract::device::dome::{self, Capabilities, Command, Fields, Shutter};
@@ -17,10 +17,17 @@ use crate::now::Now;
 use crate::readings::Readings;
 use crate::shutter_status::SHUTTER;
 
+/// A dome that rests so near to where it was sent is there.
+const THERE_DEG: f64 = 2.0;
+/// One that rests so long within its tolerance has ended its turn, sky s: some begin to move late.
+const RESTS_S: f64 = 5.0;
+
 /// Drives a dome.
 pub struct Dome {
     /// A shutter that moves longer is stuck, sky s.
     pub travel_timeout_s: f64,
+    /// A turn that ends so near is done, degrees.
+    pub tolerance_deg: f64,
     /// Its guard.
     pub guard: Arc<Mutex<Guard>>,
     /// The clock that permits are judged by.
@@ -69,12 +76,12 @@ impl Driver for Dome {
         &["ShutterStatus", "Azimuth", "Slewing", "AtPark"]
     }
 
-    async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
+    async fn capabilities(&self, abilities: &mut Abilities) -> Result<Capabilities, AlpacaError> {
         Ok(Capabilities {
-            set_shutter: can(alpaca, "cansetshutter").await?,
-            park: can(alpaca, "canpark").await?,
-            set_azimuth: can(alpaca, "cansetazimuth").await?,
-            slave: can(alpaca, "canslave").await?,
+            set_shutter: abilities.can("CanSetShutter").await?,
+            park: abilities.can("CanPark").await?,
+            set_azimuth: abilities.can("CanSetAzimuth").await?,
+            slave: abilities.can("CanSlave").await?,
         })
     }
 
@@ -105,6 +112,22 @@ impl Driver for Dome {
         };
         // A roof that does not turn does not know Slewing.
         shutter || fields.slewing.known() == Some(&true)
+    }
+
+    fn works_at(&self, command: &Command, fields: &Fields) -> bool {
+        match command {
+            Command::OpenShutter | Command::CloseShutter => {
+                !matches!(fields.shutter.known(), Some(Shutter::Open | Shutter::Closed | Shutter::Error))
+            }
+            Command::Park | Command::SlewToAzimuth { .. } => fields.slewing.known() == Some(&true),
+            Command::Slave { .. } | Command::Claim | Command::Resume | Command::Vendor(_) => false,
+            Command::Abort => self.is_busy(fields),
+        }
+    }
+
+    fn contradiction(&self, command: Option<&Command>, fields: &Fields) -> Option<String> {
+        let slews = command.is_none() && fields.slaved.known() != Some(&true) && fields.slewing.known() == Some(&true);
+        slews.then(|| "Slewing is true, and no turn was commanded".to_owned())
     }
 
     fn need(&self, command: &Command) -> Need {
@@ -256,12 +279,24 @@ impl Driver for Dome {
             }
             Command::Park => Progress::done_if(fields.at_park.known() == Some(&true)),
             Command::SlewToAzimuth { azimuth_deg } => match fields.azimuth_deg.known() {
-                Some(azimuth) => Progress::done_if(still && apart_deg(*azimuth, *azimuth_deg) < 2.0),
-                None => Progress::Running,
+                Some(azimuth) if still => turned(*azimuth, *azimuth_deg, self.tolerance_deg),
+                Some(_) | None => Progress::Running,
             },
             Command::Slave { on } => Progress::done_if(fields.slaved.known() == Some(on)),
             Command::Vendor(_) => Progress::Failed(vendor::UNANSWERED.to_owned()),
             Command::Claim | Command::Resume => Progress::Done,
+        }
+    }
+}
+
+/// How far a turn is of a dome that rests.
+fn turned(azimuth_deg: f64, asked_deg: f64, tolerance_deg: f64) -> Progress {
+    let off_deg = apart_deg(azimuth_deg, asked_deg);
+    match off_deg {
+        off if off < THERE_DEG.min(tolerance_deg) => Progress::Done,
+        off if off <= tolerance_deg => Progress::Settling(RESTS_S),
+        off => {
+            Progress::Stranded(format!("it rests at azimuth {azimuth_deg:.1} deg, {off:.1} deg from {asked_deg:.1}"))
         }
     }
 }

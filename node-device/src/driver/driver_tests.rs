@@ -18,7 +18,9 @@ use super::telescope::Telescope;
 use super::*;
 use crate::spool::Spool;
 
-const FOCUSER: Focuser = Focuser { settle_s: 2.0 };
+fn focuser(tolerance_steps: i64) -> Focuser {
+    Focuser { settle_s: 2.0, tolerance_steps, ..Focuser::default() }
+}
 
 /// The fields of a device that gave these answers.
 fn fields<D: Driver>(driver: &D, answers: &Value) -> Fields<D> {
@@ -80,17 +82,17 @@ fn what_a_device_cannot_do_is_refused_with_the_reason_and_nothing_else_is() {
     let to = |position: i64| json!({"move": {"position": position}});
     let too_far = Some((Malformed, "expected 0 to 1000"));
     let rows = [(to(0), None), (to(1000), None), (to(1001), too_far), (to(-1), too_far), (json!("abort"), None)];
-    check_refusals(&FOCUSER, json!({"absolute": true, "max_step": 1000, "step_um": 1.0}), json!({}), &rows);
+    check_refusals(&focuser(0), json!({"absolute": true, "max_step": 1000, "step_um": 1.0}), json!({}), &rows);
     let unknown = json!({"absolute": true, "max_step": 0, "step_um": 1.0});
-    check_refusals(&FOCUSER, unknown, json!({}), &[(to(70_000), None), (to(-1), Some((Malformed, "-1")))]);
+    check_refusals(&focuser(0), unknown, json!({}), &[(to(70_000), None), (to(-1), Some((Malformed, "-1")))]);
     let relative = json!({"absolute": false, "max_step": 1000, "step_um": 1.0});
     let rows = [(to(5), Some((NotImplemented, "does not know its position"))), (json!("abort"), None)];
-    check_refusals(&FOCUSER, relative, json!({}), &rows);
+    check_refusals(&focuser(0), relative, json!({}), &rows);
 
     let to = |position_deg: f64| json!({"move": {"position_deg": position_deg}});
     let outside = Some((Malformed, "expected 0 to 360"));
     let rows = [(to(0.0), None), (to(360.0), None), (to(360.1), outside), (to(-0.1), outside), (json!("abort"), None)];
-    check_refusals(&Rotator, json!({"reverse": true}), json!({}), &rows);
+    check_refusals(&Rotator::new(0.1), json!({"reverse": true}), json!({}), &rows);
 
     let to = |position: u32| json!({"turn": {"position": position}});
     let wheel = FilterWheel::default();
@@ -176,34 +178,42 @@ fn a_camera_exposes_only_what_its_sensor_has() {
 
 #[test]
 fn a_move_is_done_when_the_device_is_seen_to_rest_where_it_was_sent() {
-    use Progress::{Done, Failed, Running, Settling};
+    use Progress::{Done, Failed, Running, Settling, Stranded};
+    let stranded = |why: &str| Stranded(why.to_owned());
     let at = |position: Value, moving: Value| json!({"Position": position, "IsMoving": moving});
     let rows = [
         (at(json!(500), json!(false)), Settling(2.0)),
         (at(json!("500"), json!("False")), Settling(2.0)),
         (at(json!(500), json!(true)), Running),
-        (at(json!(499), json!(false)), Running),
+        (at(json!(499), json!(false)), stranded("it rests at 499, 1 steps from 500 (tolerance_steps = 0)")),
         (at(json!(500), json!("perhaps")), Running),
         (at(json!(null), json!(false)), Running),
     ];
-    check_progress(&FOCUSER, json!({"move": {"position": 500}}), &rows);
+    check_progress(&focuser(0), json!({"move": {"position": 500}}), &rows);
+    let rows = [
+        (at(json!(495), json!(false)), Settling(3.0)),
+        (at(json!(505), json!(true)), Running),
+        (at(json!(494), json!(false)), stranded("it rests at 494, 6 steps from 500 (tolerance_steps = 5)")),
+    ];
+    check_progress(&focuser(5), json!({"move": {"position": 500}}), &rows);
     let rows = [(at(json!(7), json!(false)), Done), (at(json!(7), json!(true)), Running), (json!({}), Running)];
-    check_progress(&FOCUSER, json!("abort"), &rows);
-    check_progress(&Rotator, json!("abort"), &rows);
+    check_progress(&focuser(0), json!("abort"), &rows);
+    check_progress(&Rotator::new(0.1), json!("abort"), &rows);
 
     let rows = [
-        (at(json!(359.95), json!(false)), Done),
-        (at(json!(0.05), json!(0)), Done),
-        (at(json!(0.2), json!(false)), Running),
+        (at(json!(359.995), json!(false)), Done),
+        (at(json!(359.95), json!(false)), Settling(3.0)),
+        (at(json!(0.05), json!(0)), Settling(3.0)),
+        (at(json!(0.2), json!(false)), stranded("it rests at 0.20 deg, 0.20 deg from 360.00 (tolerance_deg = 0.1)")),
         (at(json!(359.95), json!(true)), Running),
         (at(json!("NaN"), json!(false)), Running),
     ];
-    check_progress(&Rotator, json!({"move": {"position_deg": 360.0}}), &rows);
+    check_progress(&Rotator::new(0.1), json!({"move": {"position_deg": 360.0}}), &rows);
 
     let positions = |[there, turning, other]: [Progress; 3]| {
         [(json!({"Position": 1}), there), (json!({"Position": -1}), turning), (json!({"Position": 0}), other)]
     };
-    let rows = positions([Done, Running, Running]);
+    let rows = positions([Done, Running, stranded("it rests at position 0, not at 1")]);
     check_progress(&FilterWheel::default(), json!({"turn": {"position": 1}}), &rows);
 
     let failed = |what: &str| Failed(format!("the {what} is in error"));
@@ -291,8 +301,8 @@ fn what_is_not_known_counts_as_moving() {
     for (moving, is_busy) in [(json!(false), false), (json!("False"), false), (json!(true), true), (json!("no"), true)]
     {
         let rows = [(json!({"Position": 1, "IsMoving": moving}), is_busy)];
-        check_busy(&FOCUSER, &rows);
-        check_busy(&Rotator, &rows);
+        check_busy(&focuser(0), &rows);
+        check_busy(&Rotator::new(0.1), &rows);
     }
     let rows = [(json!({"Position": 0}), false), (json!({"Position": -1}), true), (json!({}), true)];
     check_busy(&FilterWheel::default(), &rows);
@@ -351,4 +361,113 @@ fn what_is_no_number_is_sent_to_no_device() {
         let (reason, detail) = within("azimuth_deg", number, 0.0, 360.0).unwrap();
         assert!(reason == Reason::Malformed && detail.contains("expected 0 to 360"), "{detail}");
     }
+}
+
+fn contradicts<D: Driver>(driver: &D, asked: Option<Value>, answers: &Value) -> Option<String> {
+    let command = asked.map(|asked| command::<D>(&asked));
+    driver.contradiction(command.as_ref(), &fields(driver, answers))
+}
+
+#[test]
+fn what_a_device_does_besides_does_not_hold_a_command_up() {
+    let mount = mount();
+    let works = |asked: Value, answers: Value| mount.works_at(&command::<Telescope>(&asked), &fields(&mount, &answers));
+    let stuck = json!({"Slewing": false, "IsPulseGuiding": true});
+    assert!(mount.is_busy(&fields(&mount, &stuck)), "as the bus has it");
+    assert!(!works(json!({"slew": {"ra_deg": 1.0, "dec_deg": 1.0}}), stuck.clone()));
+    assert!(!works(json!("park"), stuck.clone()));
+    assert!(works(json!({"pulse_guide": {"direction": "north", "duration_ms": 100}}), stuck));
+    assert!(works(json!("park"), json!({"Slewing": "perhaps"})), "what is not known may move");
+    let cover = |asked: Value, answers: Value| {
+        CoverCalibrator.works_at(&command::<CoverCalibrator>(&asked), &fields(&CoverCalibrator, &answers))
+    };
+    let warming = json!({"CoverState": 1, "CalibratorState": 2});
+    assert!(!cover(json!("close_cover"), warming.clone()) && cover(json!("calibrator_off"), warming));
+}
+
+#[test]
+fn a_flag_that_stays_is_a_contradiction_and_what_a_command_explains_is_none() {
+    let stuck = json!({"Slewing": false, "IsPulseGuiding": true});
+    let pulse = |ms: u32| Some(json!({"pulse_guide": {"direction": "north", "duration_ms": ms}}));
+    assert!(contradicts(&mount(), None, &stuck).unwrap().starts_with("IsPulseGuiding stays true"));
+    assert!(contradicts(&mount(), pulse(300), &stuck).is_some(), "seen between all pulses");
+    assert_eq!(contradicts(&mount(), pulse(60_000), &stuck), None);
+    assert_eq!(contradicts(&mount(), None, &json!({"Slewing": true, "AtPark": false})), None, "by hand");
+    assert!(contradicts(&mount(), None, &json!({"Slewing": true, "AtPark": true})).is_some());
+
+    let moves = json!({"Position": 3, "IsMoving": true});
+    assert!(
+        contradicts(&focuser(0), None, &moves).is_some() && contradicts(&Rotator::new(0.1), None, &moves).is_some()
+    );
+    assert_eq!(contradicts(&focuser(0), Some(json!({"move": {"position": 500}})), &moves), None);
+    let turns = json!({"Position": -1});
+    assert!(contradicts(&FilterWheel::default(), None, &turns).is_some());
+    assert_eq!(contradicts(&FilterWheel::default(), Some(json!({"turn": {"position": 1}})), &turns), None);
+    assert!(contradicts(&CoverCalibrator, None, &json!({"CoverState": 2})).is_some());
+
+    let folder = tempfile::tempdir().unwrap();
+    let camera = camera(folder.path());
+    let state = |state: i64| json!({"CameraState": state});
+    assert!(contradicts(&camera, None, &state(4)).unwrap().contains("Download although no exposure is under way"));
+    assert_eq!([0, 5].map(|idle| contradicts(&camera, None, &state(idle))), [None, None]);
+    let exposing = |begun_s: f64| {
+        let started_utc = Clock::machine_clock().utc().plus_seconds(-begun_s);
+        let id = CommandId("f1".to_owned());
+        camera.memory(|memory| {
+            memory.exposure = Some(contract::device::camera::Exposure { id, started_utc, exposure_s: 600.0 });
+        });
+    };
+    exposing(1.0);
+    assert!(contradicts(&camera, None, &state(4)).unwrap().contains("while the exposure collects light"));
+    assert_eq!(contradicts(&camera, None, &state(2)), None);
+    exposing(700.0);
+    assert_eq!(contradicts(&camera, None, &state(4)), None, "it is read out");
+}
+
+#[test]
+fn a_cooler_and_an_abort_are_done_by_what_was_asked_and_not_by_an_odd_state() {
+    use Progress::{Done, Running, Settling};
+    let folder = tempfile::tempdir().unwrap();
+    let camera = camera(folder.path());
+    let cooler = |on: Value| json!({"CoolerOn": on, "SetCCDTemperature": -20.0});
+    let rows = [(cooler(json!(true)), Done), (cooler(json!(false)), Settling(3.0)), (json!({}), Settling(3.0))];
+    check_progress(&camera, json!({"cool": {"set_c": -20.0}}), &rows);
+    let rows = [(cooler(json!(false)), Done), (cooler(json!(true)), Running), (json!({}), Settling(3.0))];
+    check_progress(&camera, json!("warm"), &rows);
+    let state = |state: i64| json!({"CameraState": state});
+    let rows = [(state(0), Done), (state(5), Done), (state(4), Settling(10.0)), (json!({}), Settling(10.0))];
+    check_progress(&camera, json!("abort"), &rows);
+}
+
+#[test]
+fn a_limit_that_is_not_known_is_none_and_each_device_has_its_own_grid() {
+    use Reason::Malformed;
+    let folder = tempfile::tempdir().unwrap();
+    let camera = camera(folder.path());
+    let can = |more: Value| {
+        let mut can = json!({"width_px": 0, "height_px": 0, "pixel_width_um": {"no_data": "x"},
+            "pixel_height_um": {"no_data": "x"}, "max_bin": 0, "max_adu": {"no_data": "x"}, "set_temperature": true,
+            "abort": true, "electrons_per_adu": {"no_data": "x"}});
+        can.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        can
+    };
+    let expose = |exposure_s: f64, bin: u32| {
+        let purpose = json!({"action": "object", "image_type": "light", "night": "2026-11-24", "sequence": 1});
+        json!({"expose": {"exposure_s": exposure_s, "light": true, "bin": bin, "purpose": purpose}})
+    };
+    check_refusals(&camera, can(json!({})), json!({}), &[(expose(7200.0, 4), None), (expose(0.0, 1), None)]);
+    let limits = json!({"exposure_min_s": 0.001, "exposure_max_s": 3600.0, "exposure_step_s": 0.001});
+    let beyond = Some((Malformed, "expected 0, or 0.001 to 3600 s, which this camera can take"));
+    let rows = [(expose(3600.0, 1), None), (expose(3601.0, 1), beyond), (expose(0.0001, 1), beyond)];
+    check_refusals(&camera, can(limits), json!({}), &rows);
+
+    let panel = json!({"cover": false, "calibrator": true, "max_brightness": 0});
+    let on = |brightness: i64| json!({"calibrator_on": {"brightness": brightness}});
+    check_refusals(&CoverCalibrator, panel, json!({}), &[(on(250), None), (on(-1), Some((Malformed, "-1")))]);
+
+    assert_eq!(
+        [on_grid(7.34, 0.0, Some(0.25)), on_grid(7.34, 1.0, Some(0.4)), on_grid(7.34, 0.0, None)],
+        [7.25, 7.4, 7.34]
+    );
+    assert_eq!(on_grid(0.3, 0.0, Some(0.1)), 0.3);
 }

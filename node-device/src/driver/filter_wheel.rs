@@ -3,13 +3,18 @@
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use alpaca::{Alpaca, AlpacaError, optional, value};
+use alpaca::{Abilities, Alpaca, AlpacaError, value};
 use contract::device::filter_wheel::{self, Capabilities, Command, Fields};
 use contract::{CommandId, Datum, NoData, Reason};
 use interlock::Need;
 
 use super::{Driver, Executed, Progress};
 use crate::readings::Readings;
+
+/// Why there is no position while it turns.
+fn turns() -> NoData {
+    NoData::new("missing", "the wheel turns")
+}
 
 /// Drives a filter wheel.
 #[derive(Default)]
@@ -28,9 +33,9 @@ impl Driver for FilterWheel {
         &["Position"]
     }
 
-    async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
-        let names = optional(alpaca, "names", |names| value::list(names, value::text)).await?.unwrap_or_default();
-        let offsets = optional(alpaca, "focusoffsets", |offsets| value::list(offsets, value::whole)).await?;
+    async fn capabilities(&self, abilities: &mut Abilities) -> Result<Capabilities, AlpacaError> {
+        let names = abilities.read("Names", |names| value::list(names, value::text)).await?.unwrap_or_default();
+        let offsets = abilities.read("FocusOffsets", |offsets| value::list(offsets, value::whole)).await?;
         *self.names.lock().unwrap_or_else(PoisonError::into_inner) = names.clone();
         Ok(Capabilities { names, focus_offsets: offsets.unwrap_or_default() })
     }
@@ -40,7 +45,7 @@ impl Driver for FilterWheel {
             Datum::Known(number) => match u32::try_from(number) {
                 Ok(position) => Datum::Known(position),
                 // ASCOM: -1 while it turns.
-                Err(_) => Datum::missing(NoData::new("missing", "the wheel turns")),
+                Err(_) => Datum::missing(turns()),
             },
             Datum::Missing { no_data } => Datum::missing(no_data),
         };
@@ -58,6 +63,11 @@ impl Driver for FilterWheel {
 
     fn is_busy(&self, fields: &Fields) -> bool {
         fields.position.known().is_none()
+    }
+
+    fn contradiction(&self, command: Option<&Command>, fields: &Fields) -> Option<String> {
+        let turns = fields.position.as_result().is_err_and(|reason| *reason == turns());
+        (command.is_none() && turns).then(|| "Position is -1 (it turns), and no turn was commanded".to_owned())
     }
 
     fn need(&self, _: &Command) -> Need {
@@ -89,6 +99,10 @@ impl Driver for FilterWheel {
 
     fn progress(&self, command: &Command, fields: &Fields) -> Progress {
         let Command::Turn { position } = command;
-        Progress::done_if(fields.position.known() == Some(position))
+        match fields.position.known() {
+            Some(now) if now == position => Progress::Done,
+            Some(now) => Progress::Stranded(format!("it rests at position {now}, not at {position}")),
+            None => Progress::Running,
+        }
     }
 }

@@ -18,7 +18,7 @@ mod vendor;
 use std::future::Future;
 use std::time::Duration;
 
-use alpaca::{Alpaca, AlpacaError};
+use alpaca::{Abilities, Alpaca, AlpacaError};
 use contract::{CommandId, DeviceKind, Reason, Reply};
 use interlock::{Hinders, Need};
 
@@ -41,6 +41,8 @@ pub enum Progress {
     Done,
     /// There, and done when it stays so for so long, s of sky time.
     Settling(f64),
+    /// It rests elsewhere, for this reason: failed when it stays so.
+    Stranded(String),
     /// It will not get there.
     Failed(String),
 }
@@ -76,8 +78,14 @@ pub trait Driver: Send + Sync + 'static {
         &[]
     }
 
-    /// Asks the device what it can do; a single property that fails takes its default.
-    fn capabilities(&self, alpaca: &Alpaca) -> impl Future<Output = Result<Capabilities<Self>, AlpacaError>> + Send;
+    /// The device was connected anew: what was known of its settings does not hold any more.
+    fn connected(&self) {}
+
+    /// Reads what the device can do. It is called again, with the same abilities, as long as some could not be read.
+    fn capabilities(
+        &self,
+        abilities: &mut Abilities,
+    ) -> impl Future<Output = Result<Capabilities<Self>, AlpacaError>> + Send;
 
     /// New readings came, or the link was lost.
     fn observed(&self, _readings: &Readings, _now: Now) {}
@@ -93,6 +101,17 @@ pub trait Driver: Send + Sync + 'static {
     /// Does something move, or is that unknown?
     fn is_busy(&self, _fields: &Fields<Self>) -> bool {
         false
+    }
+
+    /// Does the part of the device move that this command moves, or is that unknown? Other parts do not matter to it.
+    fn works_at(&self, _command: &Command<Self>, fields: &Fields<Self>) -> bool {
+        self.is_busy(fields)
+    }
+
+    /// What the device reports of itself that cannot be, with the command that it executes; an alert shows it when it
+    /// stays so.
+    fn contradiction(&self, _command: Option<&Command<Self>>, _fields: &Fields<Self>) -> Option<String> {
+        None
     }
 
     /// What the command needs.
@@ -154,6 +173,15 @@ pub(crate) fn within(name: &str, number: f64, low: f64, high: f64) -> Option<(Re
     // False for NaN too.
     let fits = number >= low && number <= high;
     (!fits).then(|| (Reason::Malformed, format!("{name} = {number}: expected {low} to {high}")))
+}
+
+/// A number rounded to the grid of a device; one without a grid as it is.
+pub(crate) fn on_grid(number: f64, origin: f64, step: Option<f64>) -> f64 {
+    match step.filter(|step| step.is_finite() && *step > 0.0) {
+        // Whole units of 1e-9: multiples of a decimal step have long tails.
+        Some(step) => ((origin + ((number - origin) / step).round() * step) * 1e9).round() / 1e9,
+        None => number,
+    }
 }
 
 /// A difference of two directions, without sign, degrees.

@@ -1,6 +1,6 @@
 //! The weather station.
 
-use alpaca::{Alpaca, AlpacaError, optional, value};
+use alpaca::{Abilities, Alpaca, AlpacaError, value};
 use contract::CommandId;
 use contract::device::observing_conditions::{self, Capabilities, Command, Fields};
 use interlock::Need;
@@ -19,10 +19,10 @@ impl Driver for ObservingConditions {
         observing_conditions::ascom_names().chain([AGE]).map(str::to_owned).chain(ages).collect()
     }
 
-    async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
+    async fn capabilities(&self, abilities: &mut Abilities) -> Result<Capabilities, AlpacaError> {
         let mut measures = Vec::new();
         for sensor in observing_conditions::ascom_names() {
-            if optional(alpaca, &sensor.to_ascii_lowercase(), value::number).await?.is_ok() {
+            if abilities.read(sensor, value::number).await?.is_ok() {
                 measures.push(sensor.to_owned());
             }
         }

@@ -1,18 +1,37 @@
 //! The field rotator.
 
-use alpaca::{Alpaca, AlpacaError, can};
+use std::sync::{Mutex, PoisonError};
+
+use alpaca::{Abilities, Alpaca, AlpacaError, value};
 use contract::device::rotator::{self, Capabilities, Command, Fields};
 use contract::{CommandId, Reason};
 use interlock::Need;
 
-use super::{Driver, Executed, Progress, apart_deg, within};
+use super::{Driver, Executed, Progress, apart_deg, on_grid, within};
 use crate::readings::Readings;
 
-/// A rotator that is this close to its target has reached it.
-const AT_TARGET_DEG: f64 = 0.1;
+/// A rotator that rests so long next to where it was sent has ended its turn, sky s: some begin to move late.
+const RESTS_S: f64 = 3.0;
 
 /// Drives a rotator.
-pub struct Rotator;
+#[derive(Debug, Default)]
+pub struct Rotator {
+    /// A turn that ends so near is done, degrees.
+    pub tolerance_deg: f64,
+    /// Its step, degrees, as it reports it.
+    step_deg: Mutex<Option<f64>>,
+}
+
+impl Rotator {
+    /// By its block of the configuration.
+    pub fn new(tolerance_deg: f64) -> Self {
+        Self { tolerance_deg, step_deg: Mutex::default() }
+    }
+
+    fn step_deg(&self) -> Option<f64> {
+        *self.step_deg.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
 
 impl Driver for Rotator {
     type Kind = rotator::Rotator;
@@ -25,8 +44,11 @@ impl Driver for Rotator {
         &["Position", "MechanicalPosition", "IsMoving"]
     }
 
-    async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
-        Ok(Capabilities { reverse: can(alpaca, "canreverse").await? })
+    async fn capabilities(&self, abilities: &mut Abilities) -> Result<Capabilities, AlpacaError> {
+        let step_deg =
+            abilities.read("StepSize", value::number).await?.ok().filter(|step| *step > 0.0 && *step < 360.0);
+        *self.step_deg.lock().unwrap_or_else(PoisonError::into_inner) = step_deg;
+        Ok(Capabilities { reverse: abilities.can("CanReverse").await?, step_deg })
     }
 
     fn fields(&self, readings: &Readings) -> Fields {
@@ -39,6 +61,11 @@ impl Driver for Rotator {
 
     fn is_busy(&self, fields: &Fields) -> bool {
         fields.moving.known() != Some(&false)
+    }
+
+    fn contradiction(&self, command: Option<&Command>, fields: &Fields) -> Option<String> {
+        let moves = command.is_none() && fields.moving.known() == Some(&true);
+        moves.then(|| "IsMoving is true, and no turn was commanded".to_owned())
     }
 
     fn need(&self, command: &Command) -> Need {
@@ -68,7 +95,8 @@ impl Driver for Rotator {
     ) -> Result<Executed, AlpacaError> {
         match command {
             Command::Move { position_deg } => {
-                alpaca.put("moveabsolute", &[("Position", &(position_deg % 360.0).to_string())]).await?;
+                let position_deg = on_grid(*position_deg, 0.0, self.step_deg()) % 360.0;
+                alpaca.put("moveabsolute", &[("Position", &position_deg.to_string())]).await?;
             }
             Command::Abort => alpaca.put("halt", &[]).await?,
         }
@@ -78,10 +106,19 @@ impl Driver for Rotator {
     fn progress(&self, command: &Command, fields: &Fields) -> Progress {
         let stands = fields.moving.known() == Some(&false);
         match (command, fields.position_deg.known()) {
-            (Command::Move { position_deg }, Some(position)) => {
-                Progress::done_if(stands && apart_deg(*position, *position_deg) < AT_TARGET_DEG)
+            (Command::Move { position_deg }, Some(position)) if stands => {
+                // Its nearest step is half of one away.
+                let tolerance_deg = self.tolerance_deg.max(0.51 * self.step_deg().unwrap_or(0.0));
+                let off_deg = apart_deg(*position, *position_deg);
+                match off_deg {
+                    off if off <= 0.1 * tolerance_deg => Progress::Done,
+                    off if off <= tolerance_deg => Progress::Settling(RESTS_S),
+                    off => Progress::Stranded(format!(
+                        "it rests at {position:.2} deg, {off:.2} deg from {position_deg:.2} (tolerance_deg = {tolerance_deg})"
+                    )),
+                }
             }
-            (Command::Move { .. }, None) => Progress::Running,
+            (Command::Move { .. }, _) => Progress::Running,
             (Command::Abort, _) => Progress::done_if(stands),
         }
     }

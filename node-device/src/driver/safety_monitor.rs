@@ -3,7 +3,7 @@
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use alpaca::{Alpaca, AlpacaError};
+use alpaca::{Abilities, Alpaca, AlpacaError};
 use bus::{MachineTime, SkyTime};
 use contract::CommandId;
 use contract::device::safety_monitor::{self, Capabilities, Command, Fields};
@@ -34,7 +34,7 @@ impl Driver for SafetyMonitor {
         vec!["IsSafe".to_owned()]
     }
 
-    async fn capabilities(&self, _: &Alpaca) -> Result<Capabilities, AlpacaError> {
+    async fn capabilities(&self, _: &mut Abilities) -> Result<Capabilities, AlpacaError> {
         Ok(Capabilities {})
     }
 

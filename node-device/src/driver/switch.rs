@@ -1,13 +1,14 @@
 //! Switches and gauges.
 
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Mutex, PoisonError};
 
-use alpaca::{Alpaca, AlpacaError, optional, value};
+use alpaca::{Abilities, Alpaca, AlpacaError, value};
 use contract::device::switch::{self, Capabilities, Command, Fields, SwitchDescription};
-use contract::{CommandId, Reason};
+use contract::{CommandId, NoData, Reason};
 use interlock::Need;
 
-use super::{Driver, Executed, within};
+use super::{Driver, Executed, on_grid, within};
 use crate::readings::Readings;
 
 /// More switches than this are a server's mistake.
@@ -17,6 +18,8 @@ const MOST: i64 = 256;
 #[derive(Default)]
 pub struct Switch {
     count: AtomicU32,
+    /// First value and step of each, as far as they are known.
+    grids: Mutex<Vec<(f64, Option<f64>)>>,
 }
 
 impl Switch {
@@ -32,19 +35,31 @@ impl Driver for Switch {
         self.properties().collect()
     }
 
-    async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
-        let count = optional(alpaca, "maxswitch", value::whole).await?.unwrap_or(0).clamp(0, MOST);
+    async fn capabilities(&self, abilities: &mut Abilities) -> Result<Capabilities, AlpacaError> {
+        let count = abilities.read("MaxSwitch", value::whole).await?.unwrap_or(0).clamp(0, MOST);
+        // A switch without these has two values; those that could not be read are no limits.
+        let bound = |answer: Result<f64, NoData>, of_two: f64, unread: f64| match answer {
+            Ok(bound) => bound,
+            Err(reason) if reason == NoData::not_implemented() => of_two,
+            Err(_) => unread,
+        };
         let mut switches = Vec::new();
         for number in 0..count {
-            let id = number.to_string();
-            let id = [("Id", id.as_str())];
+            let id = Some(number);
             switches.push(SwitchDescription {
-                name: about(alpaca, "getswitchname", &id, value::text).await?.unwrap_or_default(),
-                can_write: about(alpaca, "canwrite", &id, value::flag).await?.unwrap_or(false),
-                minimum: about(alpaca, "minswitchvalue", &id, value::number).await?.unwrap_or(0.0),
-                maximum: about(alpaca, "maxswitchvalue", &id, value::number).await?.unwrap_or(1.0),
+                name: abilities.read_of("GetSwitchName", id, value::text).await?.unwrap_or_default(),
+                // Where that could not be read, the device decides.
+                can_write: match abilities.read_of("CanWrite", id, value::flag).await? {
+                    Ok(can_write) => can_write,
+                    Err(reason) => reason != NoData::not_implemented(),
+                },
+                minimum: bound(abilities.read_of("MinSwitchValue", id, value::number).await?, 0.0, f64::MIN),
+                maximum: bound(abilities.read_of("MaxSwitchValue", id, value::number).await?, 1.0, f64::MAX),
+                step: abilities.read_of("SwitchStep", id, value::number).await?.ok().filter(|step| *step > 0.0),
             });
         }
+        *self.grids.lock().unwrap_or_else(PoisonError::into_inner) =
+            switches.iter().map(|switch| (switch.minimum, switch.step)).collect();
         self.count.store(u32::try_from(count).unwrap_or(0), Ordering::Relaxed);
         Ok(Capabilities { switches })
     }
@@ -76,21 +91,12 @@ impl Driver for Switch {
         _: &Fields,
     ) -> Result<Executed, AlpacaError> {
         let Command::Set { number, value } = command;
-        // The switch rounds to its own step, so its answer is the proof, not its value.
+        let grid = self.grids.lock().unwrap_or_else(PoisonError::into_inner).get(*number as usize).copied();
+        let (origin, step) = grid.unwrap_or((0.0, None));
+        // From a first value that is not known there is no grid.
+        let value = on_grid(*value, origin, step.filter(|_| origin > f64::MIN));
+        // The switch may round as well, so its answer is the proof, not its value.
         alpaca.put("setswitchvalue", &[("Id", &number.to_string()), ("Value", &value.to_string())]).await?;
         Ok(Executed::Done)
-    }
-}
-
-async fn about<T>(
-    alpaca: &Alpaca,
-    member: &str,
-    id: &[(&str, &str)],
-    read: impl Fn(&serde_json::Value) -> Result<T, contract::NoData>,
-) -> Result<Option<T>, AlpacaError> {
-    match alpaca.get_with(member, id).await {
-        Ok(answer) => Ok(read(&answer).ok()),
-        Err(error) if error.is_transport() => Err(error),
-        Err(_) => Ok(None),
     }
 }

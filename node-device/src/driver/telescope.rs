@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use alpaca::{Alpaca, AlpacaError, can, optional, value};
+use alpaca::{Abilities, Alpaca, AlpacaError, value};
 use config::VendorPattern;
 use contract::device::telescope::{self, Capabilities, Command, Direction, EquatorialSystem, Fields, PierSide};
 use contract::{CommandId, Datum, Reason};
@@ -12,15 +12,14 @@ use interlock::{Hinders, Need};
 use super::{Driver, Executed, Progress, apart_deg, vendor, within};
 use crate::readings::Readings;
 
-/// A mount that stands still farther from its target than this has not reached it; generous, because mounts
-/// report positions after their own pointing model.
-const AT_TARGET_DEG: f64 = 0.5;
-
 /// The fastest that a mount may move relative to the stars, arcsec per second: a satellite at 300 km overhead needs
 /// 5000.
 const MOST_ARCSEC_PER_S: f64 = 20_000.0;
 /// The same in right ascension, s per sidereal second: near the pole that coordinate runs faster.
 const MOST_RA_S_PER_SIDEREAL_S: f64 = 20_000.0;
+
+/// A pulse that takes so long is seen as one for long.
+const LONG_PULSE_MS: u32 = 15_000;
 
 /// A mount that parks is asked to forget its rates no longer than this.
 const END_RATES: Duration = Duration::from_secs(2);
@@ -31,10 +30,14 @@ pub struct Telescope {
     slew_timeout_s: f64,
     /// A slew is done when the mount has stood for so long, sky s.
     settle_s: f64,
+    /// A mount that stands still farther from its target than this has not reached it, degrees.
+    tolerance_deg: f64,
     /// What of its maker's own it may be sent.
     vendor_commands: Vec<VendorPattern>,
     /// Rates relative to the stars may be set: ours, or those that another program set before this node began.
     may_drift: AtomicBool,
+    /// This node has set rates other than zero.
+    has_set: AtomicBool,
 }
 
 impl Telescope {
@@ -42,12 +45,21 @@ impl Telescope {
     pub fn new(mount: &config::Telescope) -> Self {
         let vendor_commands = mount.vendor_commands.clone();
         let (slew_timeout_s, settle_s) = (mount.slew_timeout_s, mount.settle_s);
-        Self { slew_timeout_s, settle_s, vendor_commands, may_drift: AtomicBool::new(true) }
+        let tolerance_deg = mount.arrival_tolerance_deg;
+        Self {
+            slew_timeout_s,
+            settle_s,
+            tolerance_deg,
+            vendor_commands,
+            may_drift: AtomicBool::new(true),
+            has_set: AtomicBool::new(false),
+        }
     }
 
     /// Sets both rates relative to the stars.
     async fn set_rates(&self, alpaca: &Alpaca, ra: f64, dec: f64) -> Result<(), AlpacaError> {
         self.may_drift.store(true, Ordering::Relaxed);
+        self.has_set.fetch_or(ra != 0.0 || dec != 0.0, Ordering::Relaxed);
         alpaca.put("rightascensionrate", &[("RightAscensionRate", ra.to_string().as_str())]).await?;
         alpaca.put("declinationrate", &[("DeclinationRate", dec.to_string().as_str())]).await?;
         // Forgotten only when both are known to be zero.
@@ -57,7 +69,18 @@ impl Telescope {
 
     /// Lets the mount follow the stars again, where it may do otherwise.
     async fn end_rates(&self, alpaca: &Alpaca) -> Result<(), AlpacaError> {
-        if self.may_drift.load(Ordering::Relaxed) { self.set_rates(alpaca, 0.0, 0.0).await } else { Ok(()) }
+        if !self.may_drift.load(Ordering::Relaxed) {
+            return Ok(());
+        }
+        match self.set_rates(alpaca, 0.0, 0.0).await {
+            // It has no rates, or refuses them; this node has set none, and the mount goes where it is sent.
+            Err(error) if error.is_ascom() && !self.has_set.load(Ordering::Relaxed) => {
+                tracing::debug!(%error, "the mount refuses rates of zero");
+                self.may_drift.store(false, Ordering::Relaxed);
+                Ok(())
+            }
+            ended => ended,
+        }
     }
 }
 
@@ -84,18 +107,19 @@ impl Driver for Telescope {
         &["RightAscension", "Declination", "Tracking", "Slewing", "AtPark", "IsPulseGuiding"]
     }
 
-    async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
-        let set_rates = can(alpaca, "cansetrightascensionrate").await? && can(alpaca, "cansetdeclinationrate").await?;
+    async fn capabilities(&self, abilities: &mut Abilities) -> Result<Capabilities, AlpacaError> {
+        let ra_rate = abilities.can("CanSetRightAscensionRate").await?;
+        let set_rates = abilities.can("CanSetDeclinationRate").await? && ra_rate;
         if !set_rates {
             self.may_drift.store(false, Ordering::Relaxed);
         }
-        let system = optional(alpaca, "equatorialsystem", value::whole).await?.unwrap_or(0);
+        let system = abilities.read("EquatorialSystem", value::whole).await?.unwrap_or(0);
         Ok(Capabilities {
-            park: can(alpaca, "canpark").await?,
-            slew_async: can(alpaca, "canslewasync").await?,
-            set_tracking: can(alpaca, "cansettracking").await?,
-            pulse_guide: can(alpaca, "canpulseguide").await?,
-            sync: can(alpaca, "cansync").await?,
+            park: abilities.can("CanPark").await?,
+            slew_async: abilities.can("CanSlewAsync").await?,
+            set_tracking: abilities.can("CanSetTracking").await?,
+            pulse_guide: abilities.can("CanPulseGuide").await?,
+            sync: abilities.can("CanSync").await?,
             set_rates,
             equatorial_system: match system {
                 1 => EquatorialSystem::Topocentric,
@@ -104,11 +128,11 @@ impl Driver for Telescope {
                 4 => EquatorialSystem::B1950,
                 _ => EquatorialSystem::Other,
             },
-            site_latitude_deg: optional(alpaca, "sitelatitude", value::number).await?.into(),
-            site_longitude_deg: optional(alpaca, "sitelongitude", value::number).await?.into(),
-            site_elevation_m: optional(alpaca, "siteelevation", value::number).await?.into(),
-            guide_rate_ra_deg_per_s: guide_rate(alpaca, "guideraterightascension").await?,
-            guide_rate_dec_deg_per_s: guide_rate(alpaca, "guideratedeclination").await?,
+            site_latitude_deg: abilities.read("SiteLatitude", value::number).await?.into(),
+            site_longitude_deg: abilities.read("SiteLongitude", value::number).await?.into(),
+            site_elevation_m: abilities.read("SiteElevation", value::number).await?.into(),
+            guide_rate_ra_deg_per_s: guide_rate(abilities, "GuideRateRightAscension").await?,
+            guide_rate_dec_deg_per_s: guide_rate(abilities, "GuideRateDeclination").await?,
         })
     }
 
@@ -130,6 +154,30 @@ impl Driver for Telescope {
     fn is_busy(&self, fields: &Fields) -> bool {
         // A mount that cannot be guided does not know IsPulseGuiding.
         fields.slewing.known() != Some(&false) || fields.pulse_guiding.known() == Some(&true)
+    }
+
+    fn works_at(&self, command: &Command, fields: &Fields) -> bool {
+        match command {
+            Command::PulseGuide { .. } => fields.pulse_guiding.known() == Some(&true),
+            Command::Slew { .. } | Command::Park | Command::Unpark | Command::Abort => {
+                fields.slewing.known() != Some(&false)
+            }
+            Command::Track { .. }
+            | Command::Rates { .. }
+            | Command::Sync { .. }
+            | Command::Vendor(_)
+            | Command::Claim => false,
+        }
+    }
+
+    fn contradiction(&self, command: Option<&Command>, fields: &Fields) -> Option<String> {
+        // A guided mount is between two pulses now and then.
+        let long = |command: &Command| matches!(command, Command::PulseGuide { duration_ms, .. } if *duration_ms >= LONG_PULSE_MS);
+        if fields.pulse_guiding.known() == Some(&true) && !command.is_some_and(long) {
+            return Some("IsPulseGuiding stays true, and no pulse takes so long".to_owned());
+        }
+        let parked_slewing = fields.at_park.known() == Some(&true) && fields.slewing.known() == Some(&true);
+        (command.is_none() && parked_slewing).then(|| "AtPark and Slewing are both true".to_owned())
     }
 
     fn need(&self, command: &Command) -> Need {
@@ -300,7 +348,7 @@ impl Driver for Telescope {
                     let across = apart_deg(*ra, *ra_deg) * dec_deg.to_radians().cos();
                     let distance = across.hypot(dec - dec_deg);
                     // Right after the command some mounts do not report yet that they slew, so this is no failure.
-                    if distance <= AT_TARGET_DEG { Progress::Settling(self.settle_s) } else { Progress::Running }
+                    if distance <= self.tolerance_deg { Progress::Settling(self.settle_s) } else { Progress::Running }
                 }
                 _ => Progress::Running,
             },
@@ -316,8 +364,8 @@ impl Driver for Telescope {
 }
 
 /// A guide rate, degrees per second; `None` if it is no speed.
-async fn guide_rate(alpaca: &Alpaca, property: &str) -> Result<Option<f64>, AlpacaError> {
-    let rate = optional(alpaca, property, value::number).await?;
+async fn guide_rate(abilities: &mut Abilities, property: &str) -> Result<Option<f64>, AlpacaError> {
+    let rate = abilities.read(property, value::number).await?;
     Ok(rate.ok().filter(|rate| rate.is_finite() && *rate > 0.0))
 }
 

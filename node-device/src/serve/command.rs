@@ -15,6 +15,9 @@ use crate::driver::{Command, Driver, Executed, Progress};
 /// A device that rests for so long after a command without an answer has not received it.
 const DOUBT: Duration = Duration::from_secs(3);
 
+/// A device that rests elsewhere for so long, sky time, does not go where it was sent: some begin to move late.
+const STRANDED: Duration = Duration::from_secs(15);
+
 /// An accepted command under way.
 pub(super) struct RunningCommand<D: Driver> {
     pub(super) order: Order<Command<D>>,
@@ -25,6 +28,8 @@ pub(super) struct RunningCommand<D: Driver> {
     /// No answer came: perhaps the device never received it.
     in_doubt: bool,
     resting_since: Option<Instant>,
+    /// Where it rests elsewhere, in words, and since when.
+    stranded: Option<(String, Instant)>,
 }
 
 impl<D: Driver> Loop<D> {
@@ -59,6 +64,7 @@ impl<D: Driver> Loop<D> {
             settling_since: None,
             in_doubt: false,
             resting_since: None,
+            stranded: None,
         });
     }
 
@@ -94,12 +100,26 @@ impl<D: Driver> Loop<D> {
         let Some(sent) = running.sent else { return };
         if let Some(began) = began.filter(|began| *began >= sent && self.link == Link::Connected) {
             let driver = &self.serve.driver;
-            match driver.progress(&running.order.command, &driver.fields(&self.readings)) {
+            let fields = driver.fields(&self.readings);
+            let progress = driver.progress(&running.order.command, &fields);
+            if !matches!(progress, Progress::Stranded(_)) {
+                running.stranded = None;
+            }
+            match progress {
                 Progress::Done => return self.end(CommandOutcome::Done),
                 Progress::Failed(reason) => return self.end(CommandOutcome::Failed { reason }),
-                Progress::Running => {
+                Progress::Running | Progress::Stranded(_) => {
                     running.settling_since = None;
-                    let rests = running.in_doubt && !driver.is_busy(&driver.fields(&self.readings));
+                    if let Progress::Stranded(where_to) = progress {
+                        let before = running.stranded.take().filter(|(before, _)| *before == where_to);
+                        let since = before.map_or(began, |(_, since)| since);
+                        running.stranded = Some((where_to.clone(), since));
+                        let limit = machine_limit(self.serve.node.bus.clock(), STRANDED);
+                        if began.duration_since(since) >= limit {
+                            return self.end(CommandOutcome::Failed { reason: where_to });
+                        }
+                    }
+                    let rests = running.in_doubt && !driver.works_at(&running.order.command, &fields);
                     let since = if rests { *running.resting_since.get_or_insert(began) } else { began };
                     running.resting_since = rests.then_some(since);
                     if began.duration_since(since) >= DOUBT {

@@ -26,6 +26,7 @@ pub enum FakeAnswer {
 pub struct Put {
     pub member: String,
     pub at: Instant,
+    pub form: String,
 }
 
 type Effect = Box<dyn Fn(&Fake, &str) + Send>;
@@ -113,7 +114,8 @@ impl Fake {
 
     fn camera(&self, member: &str) -> Option<Response> {
         let world = self.world.lock().unwrap();
-        if !world.effects.contains_key("startexposure") {
+        // What a test answers in its place.
+        if !world.effects.contains_key("startexposure") || world.answers.contains_key(member) {
             return None;
         }
         let ready = world.exposure.is_some_and(|(began, takes)| began.elapsed() >= takes);
@@ -155,7 +157,7 @@ async fn answer(
     }
     let answer = if method == Method::PUT {
         let form = String::from_utf8_lossy(&body).into_owned();
-        let put = Put { member: member.clone(), at: Instant::now() };
+        let put = Put { member: member.clone(), at: Instant::now(), form: form.clone() };
         fake.world.lock().unwrap().puts.push(put);
         let effect = fake.world.lock().unwrap().effects.remove(&member);
         if let Some(effect) = effect {

@@ -7,6 +7,7 @@ mod closing;
 mod evidence;
 mod fake;
 mod lease;
+mod odd_answers;
 mod rates;
 mod stage;
 mod vendor;
@@ -431,6 +432,7 @@ async fn a_second_node_on_the_same_device_is_an_alert() {
         interface_version: 1,
         simulated: false,
         can: json!({}),
+        unread: Default::default(),
     };
     intruder.put(description).await.unwrap();
     let mut alerts = stage.node().alerts.watch();

@@ -9,7 +9,7 @@ use crate::fake::{Fake, FakeAnswer};
 use crate::stage::{Stage, accepted, command, refused};
 
 /// A mount in the open that does at once what it is ordered.
-async fn a_mount(takes_rates: bool) -> Fake {
+pub async fn a_mount(takes_rates: bool) -> Fake {
     let mount = Fake::start(&[
         ("rightascension", json!(3.0)),
         ("declination", json!(-20.0)),
@@ -46,7 +46,7 @@ async fn a_mount(takes_rates: bool) -> Fake {
     mount
 }
 
-async fn ready(stage: &Stage) -> Option<u64> {
+pub async fn ready(stage: &Stage) -> Option<u64> {
     stage.until::<Telescope>("mount", |state| state.fields.tracking.known() == Some(&true)).await;
     accepted(&stage.command(Kind::Telescope, "mount", &command("claim", None, Command::Claim)).await)
 }

@@ -65,9 +65,10 @@ impl Execute for Autofocus {
             reason: "its position is not known".to_owned(),
         };
         let start = focuser.position().ok_or_else(unknown)?;
-        let usual = half_range(&techniques.focus, focuser, can.max_step);
+        let travel = Focuser::travel(&can, start);
+        let usual = half_range(&techniques.focus, focuser, travel);
         let request = FocusRequest {
-            plan: plan(&self.search, focuser, start, usual, can.max_step).map_err(nonsense)?,
+            plan: plan(&self.search, focuser, start, usual, travel).map_err(nonsense)?,
             meter: self.search.meter(self.reduce_exposure_time).map_err(nonsense)?,
             exposure_s: self.exptime,
             frames: self.search.frames(),

@@ -67,6 +67,20 @@ pub fn run<'a>(
     context: &'a RowContext,
     techniques: &'a Techniques,
 ) -> Pin<Box<dyn Future<Output = Result<String, ActionError>> + Send + 'a>> {
+    Box::pin(async move {
+        let exposures = action.exposures();
+        if !exposures.is_empty() {
+            context.chain()?.camera.takes(exposures.iter().map(|exposures| exposures.exposure_s)).await?;
+        }
+        run_action(action, context, techniques).await
+    })
+}
+
+fn run_action<'a>(
+    action: &'a Action,
+    context: &'a RowContext,
+    techniques: &'a Techniques,
+) -> Pin<Box<dyn Future<Output = Result<String, ActionError>> + Send + 'a>> {
     match action {
         Action::Open(action) => Box::pin(action.run(context, techniques)),
         Action::Close(action) => Box::pin(action.run(context, techniques)),
@@ -94,7 +108,6 @@ pub async fn settle(context: &RowContext) {
 /// The pixels that a row reads, once the sensor is known; `None` is the whole sensor.
 async fn read_out(readout: &Readout, camera: &Camera) -> Result<Option<Subframe>, ActionError> {
     let (Some(width), Some(height)) = (readout.subframe_width, readout.subframe_height) else { return Ok(None) };
-    let can = camera.instrument.capabilities().await?;
     let centre = (readout.subframe_center_x, readout.subframe_center_y);
-    Ok(Some(subframe((can.width_px, can.height_px), readout.bin, (width, height), centre)))
+    Ok(Some(subframe(camera.sensor_px().await?, readout.bin, (width, height), centre)))
 }

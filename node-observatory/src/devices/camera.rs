@@ -40,8 +40,7 @@ impl Camera {
     pub async fn start_cooling(&self) -> Result<(), ActionError> {
         let Some(set_c) = self.config.temperature_c else { return Ok(()) };
         let fields = self.instrument.fresh().map(|state| state.fields).unwrap_or_default();
-        let set_already = fields.set_c.known().is_some_and(|now_c| (now_c - set_c).abs() < 0.01);
-        if set_already && fields.cooler_on.known() == Some(&true) {
+        if cools_already(&fields, set_c, self.config.temperature_tolerance_c) {
             return Ok(());
         }
         // A cooler that refuses is found out now, not when the sensor is still warm half an hour later.
@@ -63,11 +62,39 @@ impl Camera {
             set_c,
             tolerance_k,
             minutes,
-            sensor: match self.instrument.fresh().map(|state| state.fields.ccd_c) {
-                None => "unknown temperature".to_owned(),
-                Some(ccd) => ccd.as_result().map_or_else(ToString::to_string, |celsius| format!("{celsius:.1} C")),
-            },
+            sensor: self
+                .instrument
+                .fresh()
+                .map_or_else(|| "unknown temperature".to_owned(), |state| cooler(&state.fields)),
         })
+    }
+
+    /// An error for an exposure that the camera cannot take, before anything is moved for it. What the camera does not
+    /// report is no limit.
+    pub async fn takes(&self, exposures_s: impl Iterator<Item = f64> + Send) -> Result<(), ActionError> {
+        let can = self.instrument.capabilities().await?;
+        for exposure_s in exposures_s {
+            can.exposure_s(exposure_s)
+                .map_err(|why| ActionError::Impossible(format!("{}: {why}", self.instrument.device)))?;
+        }
+        Ok(())
+    }
+
+    /// What a good flat is, with exposures that the camera can take.
+    pub fn flats(&self) -> Result<config::Flats, ActionError> {
+        let can = self.instrument.can().unwrap_or_default();
+        within_limits(self.config.flats, &can)
+            .map_err(|why| ActionError::Impossible(format!("flats of {}: {why}", self.instrument.device)))
+    }
+
+    /// The size of its sensor, unbinned pixels; waits for it where the camera could not be read yet.
+    pub async fn sensor_px(&self) -> Result<(u32, u32), ActionError> {
+        let can = self.instrument.capabilities_with(&["CameraXSize", "CameraYSize"]).await?;
+        if can.width_px > 0 && can.height_px > 0 {
+            return Ok((can.width_px, can.height_px));
+        }
+        let (device, verb) = (self.instrument.device.to_string(), "choose a part of its sensor".to_owned());
+        Err(ActionError::Failed { device, verb, reason: "it does not report how large its sensor is".to_owned() })
     }
 
     /// Waits until an exposure is over and the camera free.
@@ -80,6 +107,41 @@ impl Camera {
     pub async fn abort(&self) -> Result<(), ActionError> {
         self.instrument.ask(Command::Abort).await.map(|_| ())
     }
+}
+
+/// Does the camera cool towards this set point already? Where it does not report whether its cooler runs, the sensor's
+/// temperature shows it.
+fn cools_already(fields: &camera::Fields, set_c: f64, tolerance_k: f64) -> bool {
+    let near = |c: Option<&f64>| c.is_some_and(|c| (c - set_c).abs() <= tolerance_k);
+    let runs = fields.cooler_on.known().copied();
+    near(fields.set_c.known()) && (runs == Some(true) || (runs.is_none() && near(fields.ccd_c.known())))
+}
+
+/// Flats with exposures within what the camera reports.
+fn within_limits(flats: config::Flats, can: &camera::Capabilities) -> Result<config::Flats, String> {
+    let (low, high) = (flats.exposure_min_s, flats.exposure_max_s);
+    let exposure_min_s = can.exposure_min_s.map_or(low, |least| low.max(least));
+    let exposure_max_s = can.exposure_max_s.map_or(high, |most| high.min(most));
+    if exposure_min_s > exposure_max_s {
+        let takes = format!("{exposure_min_s} to {exposure_max_s} s are left");
+        return Err(format!(
+            "flats.exposure_min_s = {low} and .exposure_max_s = {high}: {takes} by the camera's limits"
+        ));
+    }
+    Ok(config::Flats { exposure_min_s, exposure_max_s, ..flats })
+}
+
+/// The sensor and its cooler in words.
+fn cooler(fields: &camera::Fields) -> String {
+    let celsius = |datum: &contract::Datum<f64>| {
+        datum.as_result().map_or_else(ToString::to_string, |celsius| format!("{celsius:.1} C"))
+    };
+    let runs = match fields.cooler_on.known() {
+        Some(true) => String::new(),
+        Some(false) => ", CoolerOn is false".to_owned(),
+        None => ", CoolerOn is not known".to_owned(),
+    };
+    format!("{}, set point {}{runs}", celsius(&fields.ccd_c), celsius(&fields.set_c))
 }
 
 /// The part of a sensor of `width` x `height` unbinned pixels that a row asks for: its size in binned pixels and
@@ -99,7 +161,48 @@ pub fn subframe(sensor_px: (u32, u32), bin: u32, size_px: (u32, u32), centre: (f
 
 #[cfg(test)]
 mod tests {
+    use contract::Datum;
+
     use super::*;
+
+    #[test]
+    fn a_cooler_that_does_not_report_whether_it_runs_is_judged_by_the_sensor() {
+        let fields = |set: Option<f64>, sensor: Option<f64>, runs: Option<bool>| {
+            let celsius = |c: Option<f64>| c.map_or_else(Datum::default, Datum::Known);
+            let cooler_on = runs.map_or_else(Datum::default, Datum::Known);
+            camera::Fields { set_c: celsius(set), ccd_c: celsius(sensor), cooler_on, ..Default::default() }
+        };
+        let rows = [
+            (Some(-20.0), Some(15.0), Some(true), true),
+            // The camera rounds set points to half a degree.
+            (Some(-19.5), Some(15.0), Some(true), true),
+            (Some(-20.0), Some(-19.7), None, true),
+            (Some(-20.0), Some(15.0), None, false),
+            (Some(-20.0), Some(-20.0), Some(false), false),
+            (None, Some(-20.0), None, false),
+            (Some(10.0), Some(-20.0), Some(true), false),
+        ];
+        for (set, sensor, runs, cools) in rows {
+            assert_eq!(cools_already(&fields(set, sensor, runs), -20.0, 1.0), cools, "{set:?} {sensor:?} {runs:?}");
+        }
+        let shown = cooler(&fields(Some(-20.0), Some(15.0), Some(false)));
+        assert_eq!(shown, "15.0 C, set point -20.0 C, CoolerOn is false");
+    }
+
+    #[test]
+    fn flats_are_exposed_within_the_limits_of_the_camera() {
+        let can = |least: Option<f64>, most: Option<f64>| camera::Capabilities {
+            exposure_min_s: least,
+            exposure_max_s: most,
+            ..Default::default()
+        };
+        let flats = config::Flats { exposure_min_s: 1.0, exposure_max_s: 60.0, ..Default::default() };
+        let range = |can| within_limits(flats, &can).map(|flats| (flats.exposure_min_s, flats.exposure_max_s));
+        assert_eq!(range(can(None, None)), Ok((1.0, 60.0)));
+        assert_eq!(range(can(Some(2.0), Some(30.0))), Ok((2.0, 30.0)));
+        assert_eq!(range(can(Some(0.001), Some(3600.0))), Ok((1.0, 60.0)));
+        assert!(range(can(None, Some(0.5))).unwrap_err().contains("1 to 0.5 s are left"));
+    }
 
     #[test]
     fn a_subframe_lies_around_its_centre_and_within_the_sensor() {

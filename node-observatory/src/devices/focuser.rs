@@ -23,6 +23,8 @@ pub struct Focuser {
     found_at_start: OnceLock<i64>,
 }
 
+/// A focuser that does not report its last position has at least so many steps beyond the present one.
+const LEAST_TRAVEL: i64 = 5000;
 /// The slowest focuser needs less for its whole range, sky time.
 const TRAVEL: Duration = Duration::from_secs(180);
 
@@ -70,6 +72,12 @@ impl Focuser {
         self.instrument.fresh().and_then(|state| state.fields.temperature_c.known().copied()).filter(|c| c.is_finite())
     }
 
+    /// Its last position, steps; as a focus run that begins at `start` takes it, where the focuser does not report it: no
+    /// run drives far into what nobody knows.
+    pub fn travel(can: &focuser::Capabilities, start: i64) -> i64 {
+        can.last_position().unwrap_or_else(|| start.saturating_mul(2).max(start.saturating_add(LEAST_TRAVEL)))
+    }
+
     /// Its position, steps, if it is known.
     pub fn position(&self) -> Option<i64> {
         self.instrument.fresh().and_then(|state| state.fields.position.known().copied())
@@ -86,6 +94,7 @@ impl Focuser {
     /// Moves to where a row wants it, and settles.
     pub async fn focus(&self, wanted: FocusWanted) -> Result<(), ActionError> {
         let can = self.instrument.capabilities().await?;
+        let last = can.last_position();
         if !can.absolute {
             return match wanted {
                 FocusWanted { position: None, shift: None, .. } => Ok(()),
@@ -98,22 +107,23 @@ impl Focuser {
             let (device, verb) = (self.instrument.device.to_string(), "focus".to_owned());
             return Err(ActionError::Failed { device, verb, reason: "its position is not known".to_owned() });
         }
-        let target = target(wanted, best, can.max_step)?;
+        let target = target(wanted, best, last)?;
         if self.position().is_some_and(|now| near(now, target, self.config.tolerance_steps)) {
             return Ok(());
         }
-        self.approach(target, can.max_step).await
+        self.approach(target, last).await
     }
 
     /// Where the focuser belongs for a row, steps.
     pub fn target(&self, wanted: FocusWanted) -> Result<i64, ActionError> {
-        target(wanted, self.best(), self.instrument.can().map_or(i64::MAX, |can| can.max_step))
+        target(wanted, self.best(), self.instrument.can().and_then(|can| can.last_position()))
     }
 
-    /// Goes to a position from the side that positions are approached from.
-    pub async fn approach(&self, target: i64, max_step: i64) -> Result<(), ActionError> {
+    /// Goes to a position from the side that positions are approached from; `last` is the focuser's last position, where
+    /// it is known.
+    pub async fn approach(&self, target: i64, last: Option<i64>) -> Result<(), ActionError> {
         let (backlash, side) = (self.config.backlash_steps, self.config.approach);
-        if let Some(from) = overshoot(self.position(), target, backlash, side, max_step) {
+        if let Some(from) = overshoot(self.position(), target, backlash, side, last) {
             self.go(from).await?;
         }
         self.go(target).await
@@ -131,7 +141,7 @@ impl Focuser {
 }
 
 /// From where a position is approached, unless the focuser comes from that side anyway; within its travel.
-fn overshoot(now: Option<i64>, target: i64, backlash: i64, side: Approach, max_step: i64) -> Option<i64> {
+fn overshoot(now: Option<i64>, target: i64, backlash: i64, side: Approach, last: Option<i64>) -> Option<i64> {
     let from = match side {
         Approach::Upward => target.saturating_sub(backlash),
         Approach::Downward => target.saturating_add(backlash),
@@ -140,7 +150,7 @@ fn overshoot(now: Option<i64>, target: i64, backlash: i64, side: Approach, max_s
         Approach::Upward => now <= from,
         Approach::Downward => now >= from,
     });
-    let from = from.clamp(0, max_step);
+    let from = from.clamp(0, last.unwrap_or(i64::MAX));
     (backlash > 0 && !comes_from_there && from != target).then_some(from)
 }
 
@@ -153,17 +163,19 @@ fn stays(wanted: FocusWanted, best: Option<i64>, last_received: Option<i64>, tol
     wanted == FocusWanted::default() && !is_away
 }
 
-fn target(wanted: FocusWanted, best: Option<i64>, max_step: i64) -> Result<i64, ActionError> {
+fn target(wanted: FocusWanted, best: Option<i64>, last: Option<i64>) -> Result<i64, ActionError> {
     let from = match (wanted.position, best) {
         (Some(position), _) => position,
         (None, Some(best)) => best.saturating_add(wanted.shift.unwrap_or(0)),
         (None, None) => return Err(ActionError::Impossible("the focuser's best position is not known".to_owned())),
     };
     let target = from.saturating_add(wanted.filter_offset);
-    if (0..=max_step).contains(&target) {
+    // Where the last position is not known, the driver decides.
+    if (0..=last.unwrap_or(i64::MAX)).contains(&target) {
         Ok(target)
     } else {
-        Err(ActionError::Impossible(format!("focus position {target} is outside the focuser's 0 to {max_step}")))
+        let last = last.map_or_else(|| "last position".to_owned(), |last| last.to_string());
+        Err(ActionError::Impossible(format!("focus position {target} is outside the focuser's 0 to {last}")))
     }
 }
 
@@ -189,7 +201,7 @@ mod tests {
 
     #[test]
     fn the_play_of_the_gears_is_always_taken_up_from_the_same_side() {
-        let over = |now, target, side| overshoot(now, target, 60, side, 5000);
+        let over = |now, target, side| overshoot(now, target, 60, side, Some(5000));
         assert_eq!(over(Some(1000), 900, Approach::Upward), Some(840));
         assert_eq!(over(Some(1000), 1030, Approach::Upward), Some(970), "not far enough below");
         assert_eq!(over(Some(1000), 1060, Approach::Upward), None);
@@ -197,16 +209,24 @@ mod tests {
         assert_eq!(over(Some(1000), 1100, Approach::Downward), Some(1160));
         assert_eq!(over(Some(1000), 4990, Approach::Downward), Some(5000), "the end of its travel");
         assert_eq!(over(Some(1000), 30, Approach::Upward), Some(0));
-        assert_eq!(overshoot(Some(1000), 900, 0, Approach::Upward, 5000), None);
+        assert_eq!(overshoot(Some(1000), 900, 0, Approach::Upward, None), None);
     }
 
     #[test]
     fn a_position_wins_over_a_shift_and_the_filter_adds_its_offset() {
         let wanted = |position, shift, filter_offset| FocusWanted { position, shift, filter_offset };
-        assert_eq!(target(wanted(Some(100), Some(50), 7), Some(1000), 5000).unwrap(), 107);
-        assert_eq!(target(wanted(None, Some(-50), 7), Some(1000), 5000).unwrap(), 957);
-        assert_eq!(target(wanted(None, None, 0), Some(1000), 5000).unwrap(), 1000);
-        assert!(target(wanted(None, Some(1), 0), None, 5000).is_err());
-        assert!(target(wanted(Some(6000), None, 0), None, 5000).is_err());
+        assert_eq!(target(wanted(Some(100), Some(50), 7), Some(1000), Some(5000)).unwrap(), 107);
+        assert_eq!(target(wanted(None, Some(-50), 7), Some(1000), Some(5000)).unwrap(), 957);
+        assert_eq!(target(wanted(None, None, 0), Some(1000), Some(5000)).unwrap(), 1000);
+        assert!(target(wanted(None, Some(1), 0), None, Some(5000)).is_err());
+        let beyond = target(wanted(Some(6000), None, 0), None, Some(5000)).unwrap_err().to_string();
+        assert_eq!(beyond, "focus position 6000 is outside the focuser's 0 to 5000");
+        // A focuser that does not report its last position.
+        let can = |max_step| focuser::Capabilities { max_step, ..Default::default() };
+        let travels = [(50_000, 10_000), (0, 10_000), (0, 100)].map(|(last, start)| Focuser::travel(&can(last), start));
+        assert_eq!(travels, [50_000, 20_000, 5100]);
+        assert_eq!(target(wanted(Some(6000), None, 0), None, None).unwrap(), 6000);
+        assert!(target(wanted(Some(-1), None, 0), None, None).is_err());
+        assert_eq!(overshoot(Some(0), 900, 60, Approach::Downward, None), Some(960));
     }
 }

@@ -19,6 +19,10 @@ const ANSWER: Duration = Duration::from_secs(2);
 const REPEATS: u32 = 3;
 /// A device that is still at an earlier command is given so long to end it.
 const TURN: Duration = Duration::from_secs(30);
+/// A device node describes its device within this time.
+const DESCRIBED: Duration = Duration::from_secs(15);
+/// A device that another command has taken over, and that does not come to rest, is not waited for longer.
+const RESTS: Duration = Duration::from_secs(30);
 /// A state that arrives so long after a command was taken knows of it.
 const SETTLED: Duration = Duration::from_secs(1);
 
@@ -98,20 +102,36 @@ impl<K: DeviceKind> Instrument<K> {
         self.about.get().map(|received| received.sample.body.can)
     }
 
+    /// Could this property, which the capabilities are made of, not be read yet?
+    pub fn is_unread(&self, property: &str) -> bool {
+        self.about.get().is_some_and(|received| received.sample.body.unread.contains_key(property))
+    }
+
     /// Its capabilities; waits a few seconds for them.
     pub async fn capabilities(&self) -> Result<K::Capabilities, ActionError> {
+        self.capabilities_with(&[]).await
+    }
+
+    /// As [`Self::capabilities`]; waits as long for these properties, where the device node could not read them yet. What
+    /// is unread even then is as its capabilities have it.
+    pub async fn capabilities_with(&self, properties: &[&str]) -> Result<K::Capabilities, ActionError> {
         let mut about = self.about.clone();
         let wait = async {
             loop {
-                if let Some(received) = about.get() {
-                    return received.sample.body.can;
+                let description = about.get().map(|received| received.sample.body);
+                let is_read =
+                    |body: &DeviceDescription<_>| properties.iter().all(|name| !body.unread.contains_key(*name));
+                if let Some(body) = description.filter(is_read) {
+                    return body.can;
                 }
                 about.changed().await;
             }
         };
-        // They are published every 10 s.
-        let most = Duration::from_secs(15);
-        tokio::time::timeout(most, wait).await.map_err(|_| self.late("described by its node", most))
+        // They are published every 10 s, and when what was unread is read.
+        match tokio::time::timeout(DESCRIBED, wait).await {
+            Ok(can) => Ok(can),
+            Err(_) => self.can().ok_or_else(|| self.late("described by its node", DESCRIBED)),
+        }
     }
 
     /// Gives a command and returns its id as soon as it is taken.
@@ -199,26 +219,35 @@ impl<K: DeviceKind> Instrument<K> {
     ) -> Result<DeviceState<K::Fields>, ActionError> {
         let boot_id = self.newest().map(|received| received.sample.boot_id);
         let taken = self.clock().machine();
-        let mut seen = false;
+        let (mut seen, mut replaced) = (false, None);
+        let failed = |reason: String| {
+            let (device, verb) = (self.device.to_string(), verb.to_owned());
+            Some(Err(ActionError::Failed { device, verb, reason }))
+        };
         self.until(most, &format!("done with {verb}"), |received| {
             let state = &received.sample.body;
             let mine = state.last_command.as_ref().filter(|last| last.id == *id);
             seen |= mine.is_some();
             match (mine.map(|last| &last.outcome), &state.last_command) {
-                (Some(CommandOutcome::Done), _) if !state.busy => Some(Ok(state.clone())),
-                (Some(CommandOutcome::Failed { reason }), _) => {
-                    let (device, verb) = (self.device.to_string(), verb.to_owned());
-                    Some(Err(ActionError::Failed { device, verb, reason: reason.clone() }))
-                }
-                (Some(CommandOutcome::Done | CommandOutcome::Running), _) => None,
+                // Its device node has seen the effect. What else the device is at, or says that it is, does not matter.
+                (Some(CommandOutcome::Done), _) => Some(Ok(state.clone())),
+                (Some(CommandOutcome::Failed { reason }), _) => failed(reason.clone()),
+                (Some(CommandOutcome::Running), _) => None,
                 // A new incarnation of the node knows nothing of it, whatever commands it got since.
                 (None, _) if boot_id.as_ref().is_some_and(|boot_id| received.sample.boot_id != *boot_id) => {
                     (!state.busy).then(|| Err(ActionError::Restarted { device: self.device.to_string() }))
                 }
                 // A later command of another node, such as the archive's release of a frame, has replaced ours:
                 // that nothing moves is then all that can be seen, once the state is surely newer than ours.
-                (None, Some(_)) if !state.busy && (seen || received.arrived >= taken.plus(SETTLED)) => {
-                    Some(Ok(state.clone()))
+                (None, Some(last)) if seen || received.arrived >= taken.plus(SETTLED) => {
+                    let since = *replaced.get_or_insert(received.arrived);
+                    match state.busy {
+                        false => Some(Ok(state.clone())),
+                        true if received.arrived >= since.plus(RESTS) => {
+                            failed(format!("{} took its place, and the device does not come to rest", last.verb))
+                        }
+                        true => None,
+                    }
                 }
                 _ => None,
             }

@@ -66,7 +66,7 @@ impl Mount {
             return Err(ActionError::Impossible(why));
         }
         if self.config.equatorial_system == EquatorialChoice::Auto {
-            self.instrument.capabilities().await?;
+            self.instrument.capabilities_with(&["EquatorialSystem"]).await?;
         }
         let (ra, dec) = in_mount_frame(target, observer, self.frame())?;
         self.unpark().await?;

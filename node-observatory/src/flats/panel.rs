@@ -76,8 +76,10 @@ async fn begin(context: &RowContext, brightness: Option<i64>) -> Result<(&Cover,
     let Some(cover) = context.tools.devices.cover_of(camera) else {
         return impossible("it has no covercalibrator; expected one in its block".to_owned());
     };
-    let (device, can) = (&cover.instrument.device, cover.instrument.capabilities().await?);
-    let most = can.max_brightness.max(1);
+    let device = &cover.instrument.device;
+    let can = cover.instrument.capabilities_with(&["MaxBrightness", "CoverState", "CalibratorState"]).await?;
+    // Where the panel does not report it, it decides itself what it takes.
+    let most = if can.max_brightness > 0 { can.max_brightness } else { brightness.unwrap_or(1).max(1) };
     if !can.calibrator {
         return impossible(format!("{device} has no panel"));
     }

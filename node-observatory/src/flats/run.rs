@@ -74,9 +74,9 @@ impl<'a> FlatsRun<'a> {
         let (bin, whole) = (request.series.bin, request.series.subframe);
         let part = match whole {
             Some(within) => middle_of(&within),
-            None => subframe((can.width_px, can.height_px), bin, (PART_PX, PART_PX), (0.5, 0.5)),
+            None => subframe(camera.sensor_px().await?, bin, (PART_PX, PART_PX), (0.5, 0.5)),
         };
-        let config = camera.config.flats;
+        let config = camera.flats()?;
         let max_adu = can.max_adu.known().copied().unwrap_or(MAX_ADU);
         let want = Want::of(&config, max_adu);
         let target_adu = want.target_adu;

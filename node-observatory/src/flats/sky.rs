@@ -21,7 +21,7 @@ const ASTRAY_DEG: f64 = 10.0;
 /// Takes the flats of a row while the Sun has the right altitude; `run` reports the flats that it could not take.
 pub async fn run(run: &mut FlatsRun<'_>, opener: &Opener) -> Result<(), ActionError> {
     let context = run.context;
-    let config = context.chain()?.camera.config.flats;
+    let config = context.chain()?.camera.flats()?;
     let window = Window { min_deg: config.sun_min_deg, max_deg: config.sun_max_deg };
     if !wait_for(context, &window).await? {
         run.end(window.never());

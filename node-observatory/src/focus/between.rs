@@ -113,11 +113,12 @@ async fn refocus(
     series: &Series,
     focuser: &Focuser,
 ) -> Result<(), ActionError> {
-    let max_step = focuser.instrument.capabilities().await?.max_step;
+    let can = focuser.instrument.capabilities().await?;
     let Some(start) = focuser.position() else { return Ok(()) };
+    let travel = Focuser::travel(&can, start);
     context.step("the stars grow wide: focusing");
     let request = FocusRequest {
-        plan: plan(focuser, start, start, half_range(focus, focuser, max_step), max_step),
+        plan: plan(focuser, start, start, half_range(focus, focuser, travel), travel),
         meter: Meter { operator: None, least_snr: 10.0, others: Vec::new(), looks_for_saturation: false },
         exposure_s: context.tools.authority.node.config.focusing.refocus_exposure_s,
         frames: (1, 1),

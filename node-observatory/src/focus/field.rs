@@ -83,11 +83,11 @@ pub async fn of_camera(context: &RowContext) -> Result<(Angle, Angle), ActionErr
     let scale_arcsec_px = scale_arcsec_px.or(camera.config.scale_arcsec_px);
     // A field of n pixels, each of this scale: the focal length of one millimetre pixels that gives it.
     let along = |pixels: u32| match scale_arcsec_px {
-        Some(scale) => {
+        Some(scale) if pixels > 0 => {
             let focal_length_mm = 1.0 / Angle::from_arcseconds(scale).radians().tan();
             field_of_view(pixels as usize, 1000.0, focal_length_mm)
         }
-        None => Angle::from_degrees(USUAL_FIELD_DEG),
+        Some(_) | None => Angle::from_degrees(USUAL_FIELD_DEG),
     };
     Ok((along(can.width_px), along(can.height_px)))
 }

@@ -179,13 +179,16 @@ impl Lens<'_> {
             let read = loop {
                 let (frame, read) = self.frame(words, expected_px).await?;
                 about.frames.push(frame);
+                // No shorter than the camera can.
+                let can = self.context.chain()?.camera.instrument.can();
+                let shortest_s = can.and_then(|can| can.exposure_min_s).unwrap_or(0.0).max(SHORTEST_S);
                 let may_halve =
-                    self.request.reduce_exposure && self.halvings < HALVINGS && self.exposure_s > SHORTEST_S;
+                    self.request.reduce_exposure && self.halvings < HALVINGS && self.exposure_s > shortest_s;
                 if !(read.saturated && may_halve) {
                     break read;
                 }
                 self.halvings += 1;
-                self.exposure_s = (0.5 * self.exposure_s).max(SHORTEST_S);
+                self.exposure_s = (0.5 * self.exposure_s).max(shortest_s);
                 tracing::info!(exposure_s = self.exposure_s, "stars are saturated: focusing with shorter exposures");
             };
             values.extend(read.value);

@@ -1,7 +1,7 @@
 //! Works through the schedule: starts each row in its window, and races it against the verdict.
 
+mod held_up;
 mod one_row;
-mod postponed;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -18,8 +18,8 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use units::{Utc, seconds};
 
+use self::held_up::HeldUp;
 use self::one_row::{RowEnd, run_row};
-use self::postponed::Postponed;
 use crate::action::Techniques;
 use crate::journal::Journal;
 use crate::row_context::{RowContext, RowTools};
@@ -46,7 +46,9 @@ struct Runner {
     /// Rows that wait for a device to recover.
     rests: Rests,
     /// The alerts about them.
-    postponed: Postponed,
+    postponed: HeldUp,
+    /// The alerts about rows that have failed.
+    failed: HeldUp,
     at_work: JoinSet<(RowId, RowEnd)>,
     begun: BTreeMap<RowId, Begun>,
     farewell: Farewell,
@@ -81,7 +83,8 @@ pub async fn keep_observing(
         token: None,
         sequence: Sequence::default(),
         rests: Rests::default(),
-        postponed: Postponed::default(),
+        postponed: HeldUp::postponed(),
+        failed: HeldUp::failed(),
         at_work: JoinSet::new(),
         begun: BTreeMap::new(),
         farewell: Farewell::NotYet,
@@ -144,7 +147,9 @@ impl Runner {
         });
         let leaving = self.sequence.take(loaded.rows.clone(), |id| known.get(id).copied());
         self.rests.keep(|id| self.sequence.place_of(id).is_some());
-        self.postponed.keep_only(|id| self.sequence.place_of(id).is_some(), &self.tools.authority.node.alerts);
+        let alerts = &self.tools.authority.node.alerts;
+        self.postponed.keep_only(|id| self.sequence.place_of(id).is_some(), alerts);
+        self.failed.keep_only(|id| self.sequence.place_of(id).is_some(), alerts);
         for (id, begun) in &self.begun {
             let leaves = leaving.contains(id);
             if begun.withdrawn.send_replace(leaves) != leaves && leaves {
@@ -220,7 +225,10 @@ impl Runner {
         }
         let (status, detail) = match end {
             RowEnd::Finished(detail) => (RowStatus::Finished, detail),
-            RowEnd::Failed(detail) => (RowStatus::Failed, detail),
+            RowEnd::Failed(detail, kind) => {
+                self.failed.add(id, number, kind, &detail, &self.tools.authority.node.alerts);
+                (RowStatus::Failed, detail)
+            }
             RowEnd::Postponed(detail, kind) => (RowStatus::Interrupted, self.postpone(id, number, detail, kind)),
             RowEnd::Waits(detail, clear) => {
                 let clock = self.tools.authority.node.bus.clock();

@@ -18,8 +18,8 @@ use crate::row_context::RowContext;
 pub enum RowEnd {
     /// Done, with a summary.
     Finished(String),
-    /// Not done, and not to be tried again.
-    Failed(String),
+    /// Not done, and not to be tried again; with the kind of device that is at fault, where one is.
+    Failed(String, Option<Kind>),
     /// Not done because of a device: to be tried again later.
     Postponed(String, Option<Kind>),
     /// Its target is hidden, and is clear from then on: other rows go on until then.
@@ -73,7 +73,7 @@ pub async fn run_row(context: &RowContext, techniques: &Techniques, withdrawn: w
             return if error.may_pass() && in_time && policy != FaultPolicy::Skip {
                 RowEnd::Postponed(error.to_string(), kind)
             } else {
-                RowEnd::Failed(error.to_string())
+                RowEnd::Failed(error.to_string(), kind)
             };
         }
         retried += 1;

@@ -80,7 +80,10 @@ impl<'a> View<'a> {
     /// The part that turns it; `None` while that is not known.
     pub fn way(&self) -> Option<DomeTurner> {
         let slaved = self.fields().and_then(|fields| fields.slaved.known().copied());
-        Some(way(self.dome.follow, &self.dome.instrument.can()?, slaved))
+        let mut can = self.dome.instrument.can()?;
+        // Nobody knows whether it can turn; a roof has no azimuth.
+        can.set_azimuth &= !self.dome.instrument.is_unread("CanSetAzimuth") || self.azimuth().is_some();
+        Some(way(self.dome.follow, &can, slaved))
     }
 
     /// The newest state of the dome, however old: the dome is where it was then.

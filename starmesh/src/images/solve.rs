@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::{Context as _, bail, ensure};
+use anyhow::{Context as _, anyhow, bail, ensure};
 use catalogue::{Catalogue, EPOCH_YEAR, Reading};
 use clap::Args;
 use imaging::solve::{AllSky, Blind, Detected, Hint, KNOWN_OPTICS, Stars, Within, at_epoch, solve};
@@ -180,19 +180,28 @@ impl<S: Stars + Sync> Task<'_, S> {
     /// A solution, or the reason why there is none. Other failures (such as a catalogue that cannot be read) are
     /// errors.
     fn answer(&self, exposure: &Exposure) -> anyhow::Result<Result<Solved, String>> {
+        let size_px = (exposure.width_px(), exposure.height_px());
+        let header = hint::HeaderHints::of(exposure.header(), size_px);
+        let answer = self.search(exposure, &header)?;
+        Ok(answer.map_err(|reason| format!("{reason}{}", header.passed_over_words())))
+    }
+
+    /// Tries the hints, one after the other, and where none of them fits the whole sky.
+    fn search(&self, exposure: &Exposure, header: &hint::HeaderHints) -> anyhow::Result<Result<Solved, String>> {
         let measured = exposure.measure()?;
-        let hint = known(exposure, self.asked, self.scale_arcsec_px).map(|hint| match self.within {
-            Some(within) => Hint { furthest: if within < WIDEST_HINT { within } else { WIDEST_HINT }, ..hint },
-            None => hint,
+        let hints = known(header, self.asked, self.scale_arcsec_px).map(|hints| {
+            let within = |hint| match self.within {
+                Some(within) => Hint { furthest: if within < WIDEST_HINT { within } else { WIDEST_HINT }, ..hint },
+                None => hint,
+            };
+            hints.into_iter().map(within).collect::<Vec<_>>()
         });
-        let found = match &hint {
-            Ok(hint) => self.hinted(exposure, &measured, hint)?.map_err(|reason| {
-                let hint_denied = matches!(reason, NoSolution::NoMatch { .. });
-                let too_shallow = matches!(reason, NoSolution::CatalogueTooShallow { .. });
-                // Where these are not the reason, the frame needs more light; another solver cannot help.
-                let elsewhere = hint_denied || too_shallow;
-                Refused { reason: reason.to_string(), elsewhere, hint_denied, too_shallow }
-            }),
+        let hint = match &hints {
+            Ok(hints) => hints.first().context("no hint was made"),
+            Err(error) => Err(anyhow!("{error:#}")),
+        };
+        let found = match &hints {
+            Ok(hints) => self.any_hinted(exposure, &measured, hints)?,
             Err(error) => {
                 let reason = format!("no hint: {error:#}");
                 Err(Refused { reason, elsewhere: true, hint_denied: false, too_shallow: false })
@@ -233,9 +242,41 @@ impl<S: Stars + Sync> Task<'_, S> {
         }
     }
 
+    /// The solution by the first hint that fits; where none does, what was wrong with them, in the words of the first.
+    fn any_hinted(
+        &self,
+        exposure: &Exposure,
+        measured: &Measured,
+        hints: &[Hint],
+    ) -> anyhow::Result<Result<Solution, Refused>> {
+        let mut refused: Option<Refused> = None;
+        for hint in hints {
+            let reason = match self.hinted(exposure, measured, hint)? {
+                Ok(solution) => return Ok(Ok(solution)),
+                Err(reason) => reason,
+            };
+            let hint_denied = matches!(reason, NoSolution::NoMatch { .. });
+            let too_shallow = matches!(reason, NoSolution::CatalogueTooShallow { .. });
+            // Where these are not the reason, the frame needs more light; another solver cannot help.
+            let elsewhere = hint_denied || too_shallow || matches!(reason, NoSolution::Hint { .. });
+            let first = refused.get_or_insert_with(|| Refused {
+                reason: reason.to_string(),
+                elsewhere: false,
+                hint_denied: false,
+                too_shallow: true,
+            });
+            first.elsewhere |= elsewhere;
+            first.hint_denied |= hint_denied;
+            first.too_shallow &= too_shallow;
+        }
+        Ok(Err(refused.context("no hint was tried")?))
+    }
+
     /// Size of a pixel from the options, or from the header, arcsec.
     fn stated_scale(&self, exposure: &Exposure) -> Option<f64> {
-        self.scale_arcsec_px.or_else(|| hint::scale(exposure.header()).ok().map(|(scale, _)| scale))
+        let size_px = (exposure.width_px(), exposure.height_px());
+        let in_header = || Some(hint::HeaderHints::of(exposure.header(), size_px).scales.first()?.0);
+        self.scale_arcsec_px.or_else(in_header)
     }
 
     /// Looks for the frame on the whole sky of the shipped catalogue; the places are then those of the given catalogue,
@@ -313,18 +354,17 @@ impl<S: Stars + Sync> Task<'_, S> {
 }
 
 /// Hints of the options, and of the header where they are absent.
-fn known(exposure: &Exposure, asked: Option<hint::Place>, scale_arcsec_px: Option<f64>) -> anyhow::Result<Hint> {
-    let header = exposure.header();
-    let (ra, dec) = match asked {
-        Some(place) => place,
-        None => hint::place(header, (exposure.width_px(), exposure.height_px()))?,
+fn known(
+    header: &hint::HeaderHints,
+    asked: Option<hint::Place>,
+    scale_arcsec_px: Option<f64>,
+) -> anyhow::Result<Vec<Hint>> {
+    let pairs = header.pairs(asked, scale_arcsec_px.map(|scale| (scale, imaging::solve::FIRST_LIGHT)))?;
+    let hint = |((ra, dec), (scale, tolerance)): (hint::Place, hint::Scale)| {
+        let scale_tolerance = tolerance.max(KNOWN_OPTICS);
+        Hint { scale_tolerance, wrong_scales: true, ..Hint::new(ra, dec, scale) }
     };
-    let (scale, scale_tolerance) = match scale_arcsec_px {
-        Some(scale) => (scale, imaging::solve::FIRST_LIGHT),
-        None => hint::scale(header)?,
-    };
-    let scale_tolerance = scale_tolerance.max(KNOWN_OPTICS);
-    Ok(Hint { scale_tolerance, wrong_scales: true, ..Hint::new(ra, dec, scale) })
+    Ok(pairs.into_iter().map(hint).collect())
 }
 
 fn detected<'a>(exposure: &Exposure, measured: &'a Measured) -> Detected<'a> {

@@ -276,3 +276,17 @@ fn a_frame_without_a_focus_position_is_named() {
     assert!(!output.success);
     assert!(output.err.contains("f01_nominal.fits.gz has no FOCUSPOS in its header"), "{}", output.err);
 }
+
+#[test]
+fn a_hint_that_cannot_be_is_passed_over_and_the_other_keywords_solve_the_frame() {
+    // The same frame: beside good keywords a WCS of defaults, and zeros for the place and the scale.
+    for name in ["f06_dummy_wcs", "f15_ra_dec_zero_placeholders"] {
+        let file = stars().with_file_name("hints").join(format!("{name}.fits.gz"));
+        let output = starmesh(["solve".into(), "--json".into(), file]);
+        let answer = &output.json()[0];
+        assert!(output.success && answer["solved"] == true, "{name}: {answer}");
+        let found = (number(answer, "ra_deg"), number(answer, "dec_deg"));
+        assert!(apart_arcsec(found, (60.021961, -30.013096)) < 60.0, "{name}: {answer}");
+        assert!((number(answer, "scale_arcsec_px") - 10.56).abs() < 0.1, "{name}: {answer}");
+    }
+}

@@ -23,15 +23,15 @@ impl DeviceKind for Camera {
 #[derive(Debug, Clone, PartialEq, Default, JsonSchema, Serialize, Deserialize)]
 #[schemars(rename = "CameraCapabilities")]
 pub struct Capabilities {
-    /// Sensor width, unbinned pixels.
+    /// Sensor width, unbinned pixels; 0 where it is not known.
     pub width_px: u32,
-    /// Sensor height, unbinned pixels.
+    /// Sensor height, unbinned pixels; 0 where it is not known.
     pub height_px: u32,
     /// Pixel width, micrometres, unbinned.
     pub pixel_width_um: Datum<f64>,
     /// Pixel height, micrometres, unbinned.
     pub pixel_height_um: Datum<f64>,
-    /// Largest binning factor.
+    /// Largest binning factor of both axes; 0 where it is not known, so that the camera decides.
     pub max_bin: u32,
     /// Largest pixel value, ADU.
     pub max_adu: Datum<f64>,
@@ -41,6 +41,48 @@ pub struct Capabilities {
     pub abort: bool,
     /// Electrons per ADU.
     pub electrons_per_adu: Datum<f64>,
+    /// Shortest exposure, s; absent where it is not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposure_min_s: Option<f64>,
+    /// Longest exposure, s; absent where it is not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposure_max_s: Option<f64>,
+    /// Exposures are multiples of this, s; absent where it is not known, or where any length is possible.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposure_step_s: Option<f64>,
+}
+
+impl Capabilities {
+    /// The exposure that the camera can take in place of one of this length: a multiple of its step, and for 0 s (a
+    /// bias) its shortest one; an error with the limits for one that is beyond them.
+    pub fn exposure_s(&self, asked_s: f64) -> Result<f64, String> {
+        let step = self.exposure_step_s.filter(|step| step.is_finite() && *step > 0.0);
+        let least = self.exposure_min_s.filter(|least| least.is_finite() && *least >= 0.0).unwrap_or(0.0);
+        let most = self.exposure_max_s.filter(|most| most.is_finite() && *most > 0.0 && *most >= least);
+        if asked_s == 0.0 {
+            return Ok(least);
+        }
+        // What is rounded onto a limit is within it.
+        let play = 0.5 * step.unwrap_or(0.0) + 1e-9 * asked_s.abs();
+        // False for NaN too.
+        let fits = asked_s.is_finite()
+            && asked_s >= least - play
+            && most.is_none_or(|most| asked_s <= most + play)
+            && asked_s > 0.0;
+        if !fits {
+            let most = most.map_or_else(|| "any number of".to_owned(), |most| most.to_string());
+            return Err(format!(
+                "exposure_s = {asked_s}: expected 0, or {least} to {most} s, which this camera can take"
+            ));
+        }
+        let rounded = match step {
+            // Whole nanoseconds: multiples of a decimal step have long tails.
+            Some(step) => ((asked_s / step).round() * step * 1e9).round() / 1e9,
+            None => asked_s,
+        };
+        let shortest = if least > 0.0 { least } else { step.unwrap_or(0.0) };
+        Ok(rounded.max(shortest).min(most.unwrap_or(f64::MAX)))
+    }
 }
 
 impl Payload for Capabilities {
@@ -270,4 +312,41 @@ pub struct Frame {
 
 impl Payload for Frame {
     const NAME: &'static str = "camera.frame";
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera(least: Option<f64>, most: Option<f64>, step: Option<f64>) -> Capabilities {
+        Capabilities { exposure_min_s: least, exposure_max_s: most, exposure_step_s: step, ..Capabilities::default() }
+    }
+
+    #[test]
+    fn an_exposure_is_a_multiple_of_the_cameras_step_and_within_its_limits() {
+        let coarse = camera(Some(0.01), Some(3600.0), Some(0.01));
+        let rows =
+            [(0.3, 0.3), (1.234, 1.23), (0.006, 0.01), (3600.0, 3600.0), (3600.004, 3600.0), (0.0, 0.01), (30.0, 30.0)];
+        for (asked, taken) in rows {
+            assert_eq!(coarse.exposure_s(asked), Ok(taken), "{asked} s");
+        }
+        for asked in [0.004, 3600.1, -1.0, f64::NAN, f64::INFINITY] {
+            let why = coarse.exposure_s(asked).unwrap_err();
+            assert!(why.contains("expected 0, or 0.01 to 3600 s"), "{why}");
+        }
+        assert_eq!(camera(Some(0.0), None, Some(1.0)).exposure_s(0.2), Ok(1.0), "light is wanted");
+    }
+
+    #[test]
+    fn a_camera_that_says_nothing_of_its_exposures_or_nonsense_takes_any() {
+        for odd in [
+            camera(None, None, None),
+            camera(Some(f64::NAN), Some(0.0), Some(0.0)),
+            camera(Some(-1.0), Some(f64::INFINITY), Some(-0.1)),
+        ] {
+            assert_eq!(odd.exposure_s(0.0), Ok(0.0));
+            assert_eq!(odd.exposure_s(86_400.0), Ok(86_400.0));
+            assert_eq!(odd.exposure_s(0.123_456), Ok(0.123_456));
+        }
+    }
 }

@@ -24,7 +24,7 @@ pub struct Capabilities {
     pub cover: bool,
     /// Has a panel.
     pub calibrator: bool,
-    /// Largest brightness of the panel, device units.
+    /// Largest brightness of the panel, device units; 0 where it is not known, so that the panel decides.
     pub max_brightness: i64,
 }
 

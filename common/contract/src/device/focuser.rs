@@ -22,10 +22,20 @@ impl DeviceKind for Focuser {
 pub struct Capabilities {
     /// Knows its position.
     pub absolute: bool,
-    /// Largest position, steps.
+    /// Largest position, steps; 0 where it is not known, so that the driver decides.
     pub max_step: i64,
     /// Size of a step, micrometres.
     pub step_um: Datum<f64>,
+    /// Most steps of one move; absent where that is not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_increment: Option<i64>,
+}
+
+impl Capabilities {
+    /// The last position, steps; `None` where it is not known.
+    pub fn last_position(&self) -> Option<i64> {
+        Some(self.max_step).filter(|last| *last > 0)
+    }
 }
 
 impl Payload for Capabilities {

@@ -272,8 +272,11 @@ pub struct DeviceDescription<C> {
     pub interface_version: i64,
     /// True where the server says that it is a simulator of ours, which alone may run at another speed than 1.
     pub simulated: bool,
-    /// What the kind can do.
+    /// What the kind can do. Where it could not be read, flags are true, so that the device decides.
     pub can: C,
+    /// Properties of that which could not be read, by their ASCOM names, and why; they are asked for again.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub unread: BTreeMap<String, NoData>,
 }
 
 impl<C: Payload> Payload for DeviceDescription<C> {

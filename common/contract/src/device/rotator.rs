@@ -22,6 +22,9 @@ impl DeviceKind for Rotator {
 pub struct Capabilities {
     /// Can turn the other way round.
     pub reverse: bool,
+    /// Size of a step, degrees; absent where it is not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub step_deg: Option<f64>,
 }
 
 impl Payload for Capabilities {

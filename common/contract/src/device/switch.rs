@@ -36,10 +36,13 @@ pub struct SwitchDescription {
     pub name: String,
     /// Can be set.
     pub can_write: bool,
-    /// Smallest value.
+    /// Smallest value; the least number there is while it could not be read.
     pub minimum: f64,
-    /// Largest value.
+    /// Largest value; the largest number there is while it could not be read.
     pub maximum: f64,
+    /// Distance of its values; absent where it is not known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub step: Option<f64>,
 }
 
 /// What nodes decide with.

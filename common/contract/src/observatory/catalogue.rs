@@ -68,6 +68,15 @@ catalogue! {
     /// The guard closed the dome because nobody renewed its permission. The dome is safe; the night waits. The
     /// observatory node takes over again by itself when it runs and the sky is safe.
     DomeHeld: enclosure::DOME_HELD,
+    /// What a device can do, or a part of its state, could not be read: it answers with an error or with nonsense. The cause
+    /// names each property. They are asked for again and again; meanwhile nobody takes them for "no" or for 0.
+    DeviceUnread: devices::DEVICE_UNREAD,
+    /// A device says something of itself that cannot be, for half a minute and longer: it moves without a command, or is busy
+    /// although it has done what it was asked. The cause names it. Commands that have their effect are done all the same.
+    DeviceContradicts: devices::DEVICE_CONTRADICTS,
+    /// Rows of the schedule have failed and are not tried again: they ask for what the device that is named, or the
+    /// telescope, cannot do. The cause says what.
+    RowFailed: devices::ROW_FAILED,
     /// A mount was commanded to park and is not seen parked in time.
     MountNotParked: devices::MOUNT_NOT_PARKED,
     /// No device node grants the right to command: the one that serves the dome (without a dome: the mount) does not

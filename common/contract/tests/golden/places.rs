@@ -16,7 +16,8 @@ pub struct Place(pub Vec<Step>);
 /// Objects whose keys are free: their keys are data, not names of the contract.
 pub fn has_free_keys(name: &str, pattern: &str) -> bool {
     let last = pattern.rsplit('.').next().unwrap_or_default();
-    matches!(last, "readings" | "figures" | "metadata" | "paired" | "sensor_ages_s") && !pattern.starts_with("ask")
+    matches!(last, "readings" | "figures" | "metadata" | "paired" | "sensor_ages_s" | "unread")
+        && !pattern.starts_with("ask")
         || matches!((name, pattern), ("node.diary", "fields") | ("observatory.focus_learned", "focusers"))
         || is_any_json(name, pattern)
 }

@@ -62,6 +62,7 @@ impl<K: DeviceKind> Device<K> {
             interface_version: 1,
             simulated: true,
             can,
+            unread: Default::default(),
         };
         tokio::spawn(async move { about.follow(watch::channel(can).1, Duration::from_secs(1)).await });
     }

@@ -12,6 +12,35 @@ pub(super) const ROW_POSTPONED: AlertEntry = AlertEntry {
     ..PLAIN
 };
 
+pub(super) const ROW_FAILED: AlertEntry = AlertEntry {
+    word: "row-failed",
+    instance: "KIND",
+    priority: Priority::Medium,
+    consequence: "Their frames are not taken. The other rows go on.",
+    action: "Correct the row in the schedule, or the device's block, by what the cause says.",
+    ..PLAIN
+};
+
+pub(super) const DEVICE_UNREAD: AlertEntry = AlertEntry {
+    word: "device-unread",
+    instance: "KIND/DEVICE",
+    priority: Priority::Medium,
+    consequence: "The device decides by itself whether it does what it is asked.",
+    action: "Look at the device and its driver. It is asked again by itself.",
+    hold_s: 10,
+    ..PLAIN
+};
+
+pub(super) const DEVICE_CONTRADICTS: AlertEntry = AlertEntry {
+    word: "device-contradicts",
+    instance: "KIND/DEVICE",
+    priority: Priority::Medium,
+    consequence: "What the device reports of itself is not believed. The rows go on where their commands have an effect.",
+    action: "Look at the device; connect its driver anew when nothing is observed.",
+    hold_s: 10,
+    ..PLAIN
+};
+
 pub(super) const MOUNT_LIMIT: AlertEntry = AlertEntry {
     word: "mount-limit",
     instance: "MOUNT",

@@ -1,5 +1,5 @@
-//! The rows that rest for a device's sake, and the alerts about them: one for each kind of device, however many rows it
-//! holds up.
+//! The rows that rest or have failed for a device's sake, and the alerts about them: one for each kind of device, however
+//! many rows it holds up.
 
 use std::collections::BTreeMap;
 
@@ -11,9 +11,14 @@ use schedule::RowId;
 /// What the alert is called where no device is to blame.
 const NO_DEVICE: &str = "other";
 
-/// The rows that rest.
-#[derive(Debug, Default)]
-pub(super) struct Postponed(BTreeMap<RowId, Reason>);
+/// The rows that rest, or those that have failed.
+#[derive(Debug)]
+pub(super) struct HeldUp {
+    alert: AlertKind,
+    /// What is true of them, in words.
+    they: &'static str,
+    rows: BTreeMap<RowId, Reason>,
+}
 
 #[derive(Debug)]
 struct Reason {
@@ -22,44 +27,54 @@ struct Reason {
     detail: String,
 }
 
-impl Postponed {
-    /// A row rests.
+impl HeldUp {
+    /// Rows that rest, and are tried again.
+    pub fn postponed() -> Self {
+        Self { alert: AlertKind::RowPostponed, they: "rest", rows: BTreeMap::new() }
+    }
+
+    /// Rows that have failed, and are not tried again.
+    pub fn failed() -> Self {
+        Self { alert: AlertKind::RowFailed, they: "have failed", rows: BTreeMap::new() }
+    }
+
+    /// A row is held up.
     pub fn add(&mut self, id: &RowId, number: u32, kind: Option<Kind>, detail: &str, alerts: &NodeAlerts) {
         let instance = kind.map_or(NO_DEVICE, Kind::word);
         let reason = Reason { number, instance, detail: detail.to_owned() };
         // It may have rested for another device before.
         let before =
-            self.0.insert(id.clone(), reason).map(|before| before.instance).filter(|before| *before != instance);
+            self.rows.insert(id.clone(), reason).map(|before| before.instance).filter(|before| *before != instance);
         for instance in before.into_iter().chain([instance]) {
             self.report(instance, alerts);
         }
     }
 
-    /// A row rests no more.
+    /// A row is held up no more.
     pub fn remove(&mut self, id: &RowId, alerts: &NodeAlerts) {
-        if let Some(reason) = self.0.remove(id) {
+        if let Some(reason) = self.rows.remove(id) {
             self.report(reason.instance, alerts);
         }
     }
 
     /// Forgets the rows that the schedule has no longer.
     pub fn keep_only(&mut self, is_there: impl Fn(&RowId) -> bool, alerts: &NodeAlerts) {
-        let gone: Vec<RowId> = self.0.keys().filter(|id| !is_there(id)).cloned().collect();
+        let gone: Vec<RowId> = self.rows.keys().filter(|id| !is_there(id)).cloned().collect();
         gone.iter().for_each(|id| self.remove(id, alerts));
     }
 
     fn report(&self, instance: &'static str, alerts: &NodeAlerts) {
-        let mut rows: Vec<&Reason> = self.0.values().filter(|reason| reason.instance == instance).collect();
+        let mut rows: Vec<&Reason> = self.rows.values().filter(|reason| reason.instance == instance).collect();
         rows.sort_by_key(|reason| reason.number);
         match rows.as_slice() {
-            [] => alerts.clear(AlertKind::RowPostponed, instance),
+            [] => alerts.clear(self.alert, instance),
             [only] => {
-                alerts.raise(AlertKind::RowPostponed, instance, &format!("row {}: {}", only.number, only.detail));
+                alerts.raise(self.alert, instance, &format!("row {}: {}", only.number, only.detail));
             }
             [first, ..] => {
                 let (count, number, detail) = (rows.len(), first.number, &first.detail);
-                let cause = format!("{count} rows rest; the first of them, row {number}: {detail}");
-                alerts.raise(AlertKind::RowPostponed, instance, &cause);
+                let cause = format!("{count} rows {}; the first of them, row {number}: {detail}", self.they);
+                alerts.raise(self.alert, instance, &cause);
             }
         }
     }
@@ -78,7 +93,7 @@ mod tests {
             active.map(|alert| (alert.id, alert.cause)).collect()
         };
         let row = |number: u32| RowId(format!("row-{number:03}"));
-        let mut postponed = Postponed::default();
+        let mut postponed = HeldUp::postponed();
         for number in 1..=100 {
             postponed.add(&row(number), number, Some(Kind::Camera), "the camera hangs", &alerts);
         }
@@ -94,6 +109,28 @@ mod tests {
         postponed.remove(&row(7), &alerts);
         postponed.remove(&row(8), &alerts);
         alerts.watch();
-        assert!(postponed.0.is_empty());
+        assert!(postponed.rows.is_empty());
+    }
+
+    #[tokio::test]
+    async fn rows_that_have_failed_are_an_alert_until_the_schedule_has_them_no_longer() {
+        let alerts = NodeAlerts::new(bus::Clock::machine_clock());
+        let active = || -> Vec<(String, String)> {
+            let published = alerts.watch().borrow().alerts.clone();
+            let active = published.into_iter().filter(|alert| alert.returned_utc.is_none());
+            active.map(|alert| (alert.id, alert.cause)).collect()
+        };
+        let row = |number: u32| RowId(format!("row-{number:03}"));
+        let mut failed = HeldUp::failed();
+        failed.add(&row(1), 1, None, "focus position 60000 is outside the focuser's 0 to 50000", &alerts);
+        let [(id, cause)] = &active()[..] else { panic!("{:?}", active()) };
+        assert_eq!(id, "row-failed/other");
+        assert_eq!(cause, "row 1: focus position 60000 is outside the focuser's 0 to 50000");
+        failed.add(&row(2), 2, None, "the camera takes no such exposure", &alerts);
+        assert!(active()[0].1.starts_with("2 rows have failed; the first of them, row 1: "), "{:?}", active());
+        failed.keep_only(|id| *id == row(2), &alerts);
+        assert_eq!(active()[0].1, "row 2: the camera takes no such exposure");
+        failed.remove(&row(2), &alerts);
+        assert!(active().is_empty());
     }
 }

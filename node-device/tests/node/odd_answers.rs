@@ -1,0 +1,222 @@
+//! Devices that answer oddly: with an error once or always, a step beside, with a state that stays.
+
+use bus::Catch;
+use contract::device::DeviceDescription;
+use contract::device::camera::Frame;
+use contract::device::{camera, dome, filter_wheel, focuser, telescope};
+use contract::{CommandOutcome, Key, Kind, Link};
+use serde_json::{Value, json};
+use test_support::LIMIT;
+
+use crate::fake::{Fake, FakeAnswer};
+use crate::stage::{Stage, accepted, command};
+use crate::{a_camera, block, expose};
+
+const DRIVER_ERROR: FakeAnswer = FakeAnswer::Error(0x500, "an error of the driver");
+
+/// Waits for a description that is as wanted.
+async fn described<K: contract::DeviceKind>(
+    stage: &Stage,
+    name: &str,
+    wanted: impl Fn(&DeviceDescription<K::Capabilities>) -> bool,
+) -> DeviceDescription<K::Capabilities> {
+    let key = Key::Capabilities(stage.device(K::KIND, name)).to_string();
+    let described = stage.bus.subscribe::<DeviceDescription<K::Capabilities>>(&key, Catch::Newest, 8).await.unwrap();
+    let waiting = async {
+        loop {
+            let description = described.recv().await.sample.body;
+            if wanted(&description) {
+                return description;
+            }
+        }
+    };
+    tokio::time::timeout(LIMIT, waiting).await.unwrap_or_else(|_| panic!("{name} was not described as wanted"))
+}
+
+/// Waits until an alert is active; returns its cause.
+async fn alert(stage: &Stage, id: &str) -> String {
+    let mut alerts = stage.node().alerts.watch();
+    let cause = |alerts: &contract::observatory::Alerts| {
+        alerts
+            .alerts
+            .iter()
+            .find(|alert| alert.id == id && alert.returned_utc.is_none())
+            .map(|alert| alert.cause.clone())
+    };
+    let reached = tokio::time::timeout(LIMIT * 2, alerts.wait_for(|alerts| cause(alerts).is_some())).await;
+    let reached = reached.unwrap_or_else(|_| panic!("{id} was not raised")).unwrap();
+    cause(&reached).unwrap_or_default()
+}
+
+async fn a_focuser(answers: &[(&str, Value)]) -> Fake {
+    let hardware = Fake::start(&[
+        ("position", json!(1000)),
+        ("ismoving", json!(false)),
+        ("temperature", json!(8.0)),
+        ("absolute", json!(true)),
+        ("stepsize", json!(1.0)),
+    ])
+    .await;
+    for (member, value) in answers {
+        hardware.answer(member, FakeAnswer::Value(value.clone()));
+    }
+    hardware
+}
+
+/// Moves arrive at once, so many steps beside.
+fn arrives(hardware: &Fake, off: i64) {
+    hardware.on("move", move |fake, form| {
+        let position = form.split('&').find_map(|pair| pair.strip_prefix("Position=")).unwrap().parse::<i64>().unwrap();
+        fake.answer("position", FakeAnswer::Value(json!(position + off)));
+    });
+}
+
+async fn move_to(stage: &Stage, position: i64) -> CommandOutcome {
+    let go = command(&format!("to-{position}"), None, focuser::Command::Move { position });
+    accepted(&stage.command(Kind::Focuser, "focus", &go).await);
+    let ended = |state: &contract::DeviceState<focuser::Fields>| {
+        state.last_command.as_ref().is_some_and(|last| last.id == go.id && last.outcome != CommandOutcome::Running)
+    };
+    stage.until::<focuser::Focuser>("focus", ended).await.last_command.unwrap().outcome
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_capability_that_answers_with_an_error_is_unknown_named_and_asked_again() {
+    let hardware = Fake::start(&[
+        ("shutterstatus", json!(1)),
+        ("canpark", json!(false)),
+        ("cansetazimuth", json!(false)),
+        ("canslave", json!(false)),
+    ])
+    .await;
+    hardware.answer("cansetshutter", DRIVER_ERROR);
+    let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.2")).await;
+    let unknown = described::<dome::Dome>(&stage, "dome", |description| !description.unread.is_empty()).await;
+    assert!(unknown.can.set_shutter && !unknown.can.park, "not known is not no: {unknown:?}");
+    assert_eq!(unknown.unread.keys().collect::<Vec<_>>(), ["CanSetShutter"]);
+    let cause = alert(&stage, "device-unread/dome/dome").await;
+    assert!(cause.contains("CanSetShutter (ascom 0x500: an error of the driver)"), "{cause}");
+    hardware.answer("cansetshutter", FakeAnswer::Value(json!(false)));
+    let known = described::<dome::Dome>(&stage, "dome", |description| description.unread.is_empty()).await;
+    assert!(!known.can.set_shutter);
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_focuser_without_a_last_position_moves_and_one_a_step_beside_has_arrived() {
+    let hardware = a_focuser(&[]).await;
+    hardware.answer("maxstep", FakeAnswer::Error(0x400, "not implemented"));
+    arrives(&hardware, -1);
+    let stage = Stage::start(&block("focuser", "focus", &hardware, "period_s = 0.2\nsettle_s = 0")).await;
+    stage.until::<focuser::Focuser>("focus", |state| state.link == Link::Connected).await;
+    assert_eq!(move_to(&stage, 70_000).await, CommandOutcome::Done);
+    arrives(&hardware, -10);
+    let CommandOutcome::Failed { reason } = move_to(&stage, 2000).await else { panic!("it is 10 steps off") };
+    assert_eq!(reason, "it rests at 1990, 10 steps from 2000 (tolerance_steps = 2)");
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_long_way_is_gone_in_moves_that_the_focuser_takes() {
+    let hardware = a_focuser(&[("maxstep", json!(50_000)), ("maxincrement", json!(400))]).await;
+    arrives(&hardware, 0);
+    let stage = Stage::start(&block("focuser", "focus", &hardware, "period_s = 0.2\nsettle_s = 0")).await;
+    stage.until::<focuser::Focuser>("focus", |state| state.link == Link::Connected).await;
+    assert_eq!(move_to(&stage, 2000).await, CommandOutcome::Done);
+    assert_eq!(hardware.puts("move").len(), 3, "1400, 1800, 2000");
+    assert_eq!(move_to(&stage, 1700).await, CommandOutcome::Done);
+    assert_eq!(hardware.puts("move").len(), 4);
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn frames_are_done_and_announced_though_the_camera_says_that_it_downloads_for_ever() {
+    let hardware = a_camera().await;
+    hardware.answer("camerastate", FakeAnswer::Value(json!(4)));
+    let stage = Stage::start(&block("camera", "cam", &hardware, "")).await;
+    let key = Key::Frame(stage.device(Kind::Camera, "cam")).to_string();
+    let frames = stage.bus.subscribe::<Frame>(&key, Catch::All, 100).await.unwrap();
+    stage.until::<camera::Camera>("cam", |state| state.link == Link::Connected).await;
+    let done = |id: contract::CommandId| {
+        move |state: &contract::DeviceState<camera::Fields>| {
+            state.last_command.as_ref().is_some_and(|last| last.id == id && last.outcome == CommandOutcome::Done)
+        }
+    };
+    for index in 0..3 {
+        let go = expose(&format!("f{index}"), 0.1);
+        accepted(&stage.command(Kind::Camera, "cam", &go).await);
+        stage.until::<camera::Camera>("cam", done(go.id)).await;
+        tokio::time::timeout(LIMIT, frames.recv()).await.unwrap();
+    }
+    let stop = command("stop", None, camera::Command::Abort);
+    accepted(&stage.command(Kind::Camera, "cam", &stop).await);
+    stage.until::<camera::Camera>("cam", done(stop.id)).await;
+    let cause = alert(&stage, "device-contradicts/camera/cam").await;
+    assert!(cause.contains("CameraState stays Download although no exposure is under way"), "{cause}");
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_camera_without_cooleron_takes_its_set_point_and_reads_the_blocks_that_it_has() {
+    let hardware = a_camera().await;
+    for (member, value) in [
+        ("cansetccdtemperature", json!(true)),
+        ("setccdtemperature", json!(10.0)),
+        ("exposuremin", json!(0.05)),
+        ("exposuremax", json!(10.0)),
+        ("exposureresolution", json!(0.05)),
+        ("lastexposureduration", json!(0.15)),
+        ("startx", json!(8)),
+    ] {
+        hardware.answer(member, FakeAnswer::Value(value));
+    }
+    hardware.answer("cooleron", FakeAnswer::Error(0x400, "not implemented"));
+    hardware.on("setccdtemperature", |fake, _| fake.answer("setccdtemperature", FakeAnswer::Value(json!(-20.0))));
+    hardware.answer("put cooleron", FakeAnswer::Error(0x400, "not implemented"));
+    let stage = Stage::start(&block("camera", "cam", &hardware, "period_s = 0.2")).await;
+    let key = Key::Frame(stage.device(Kind::Camera, "cam")).to_string();
+    let frames = stage.bus.subscribe::<Frame>(&key, Catch::All, 100).await.unwrap();
+    stage.until::<camera::Camera>("cam", |state| state.link == Link::Connected).await;
+    let cool = command("cool", None, camera::Command::Cool { set_c: -20.0 });
+    accepted(&stage.command(Kind::Camera, "cam", &cool).await);
+    stage.until::<camera::Camera>("cam", |state| state.has_done(&cool.id)).await;
+    let go = expose("f0", 0.137);
+    accepted(&stage.command(Kind::Camera, "cam", &go).await);
+    let frame = tokio::time::timeout(LIMIT, frames.recv()).await.unwrap().sample.body;
+    assert_eq!((frame.exposure_s, frame.origin_px), (0.15, [8, 0]), "as the camera reports it");
+    let starts = hardware.puts("startexposure");
+    assert!(starts[0].form.contains("Duration=0.15&"), "{starts:?}");
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_slew_is_done_and_the_mount_named_though_ispulseguiding_stays_true() {
+    let mount = crate::rates::a_mount(true).await;
+    mount.answer("ispulseguiding", FakeAnswer::Value(json!(true)));
+    let stage = Stage::start(&block("telescope", "mount", &mount, "period_s = 0.2\nsettle_s = 0.0")).await;
+    let token = crate::rates::ready(&stage).await;
+    let slew = command("slew", token, telescope::Command::Slew { ra_deg: 45.0, dec_deg: -20.0 });
+    accepted(&stage.command(Kind::Telescope, "mount", &slew).await);
+    let done = |state: &contract::DeviceState<telescope::Fields>| {
+        state.last_command.as_ref().is_some_and(|last| last.id == slew.id && last.outcome == CommandOutcome::Done)
+    };
+    let state = stage.until::<telescope::Telescope>("mount", done).await;
+    assert!(state.busy, "the bus shows what the mount says");
+    let cause = alert(&stage, "device-contradicts/telescope/mount").await;
+    assert!(cause.contains("IsPulseGuiding stays true"), "{cause}");
+    stage.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_wheel_that_cannot_name_its_filters_at_first_is_asked_until_it_can() {
+    let hardware = Fake::start(&[("position", json!(0)), ("focusoffsets", json!([0, 12]))]).await;
+    hardware.answer("names", DRIVER_ERROR);
+    let stage = Stage::start(&block("filterwheel", "wheel", &hardware, "period_s = 0.2")).await;
+    described::<filter_wheel::FilterWheel>(&stage, "wheel", |wheel| wheel.unread.contains_key("Names")).await;
+    hardware.answer("names", FakeAnswer::Value(json!(["R", "G"])));
+    let wheel = described::<filter_wheel::FilterWheel>(&stage, "wheel", |wheel| wheel.unread.is_empty()).await;
+    assert_eq!((wheel.can.names, wheel.can.focus_offsets), (vec!["R".to_owned(), "G".to_owned()], vec![0, 12]));
+    let named = |state: &contract::DeviceState<filter_wheel::Fields>| state.fields.filter.known().is_some();
+    stage.until::<filter_wheel::FilterWheel>("wheel", named).await;
+    stage.end().await;
+}
