@@ -8,6 +8,7 @@ mod telemetry;
 use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use audit::Link;
@@ -33,9 +34,12 @@ pub struct Reader {
     connection: Connection,
     path: PathBuf,
     telescope: String,
-    deadline: Option<Instant>,
+    is_over: Option<IsOver>,
     is_cut: Cell<bool>,
 }
+
+/// Is there no time left to look?
+type IsOver = Arc<dyn Fn() -> bool + Send + Sync>;
 
 impl Reader {
     /// Opens a database that exists, for the rows of a telescope.
@@ -46,15 +50,21 @@ impl Reader {
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_QPSG, true).map_err(failed)?;
         connection.set_prepared_statement_cache_capacity(32);
         let (path, telescope) = (path.to_owned(), telescope.to_owned());
-        Ok(Self { connection, path, telescope, deadline: None, is_cut: Cell::new(false) })
+        Ok(Self { connection, path, telescope, is_over: None, is_cut: Cell::new(false) })
     }
 
     /// A reader that stops looking at an instant: what it had found until then is then all, and [`Self::is_cut`].
-    pub fn until(mut self, deadline: Instant) -> Result<Self, DatabaseError> {
-        let is_over = move || Instant::now() >= deadline;
-        let set = self.connection.progress_handler(STEPS_BETWEEN_LOOKS, Some(is_over));
+    pub fn until(self, deadline: Instant) -> Result<Self, DatabaseError> {
+        self.while_not(move || Instant::now() >= deadline)
+    }
+
+    /// As [`Self::until`], for any sign that time is over.
+    fn while_not(mut self, is_over: impl Fn() -> bool + Send + Sync + 'static) -> Result<Self, DatabaseError> {
+        let is_over: IsOver = Arc::new(is_over);
+        let looked = is_over.clone();
+        let set = self.connection.progress_handler(STEPS_BETWEEN_LOOKS, Some(move || looked()));
         set.map_err(|source| self.failed(source))?;
-        self.deadline = Some(deadline);
+        self.is_over = Some(is_over);
         Ok(self)
     }
 
@@ -305,7 +315,7 @@ impl Reader {
             let mut rows = statement.query(params)?;
             while let Some(row) = rows.next()? {
                 // What is done with a row may take longer than to find it.
-                if self.deadline.is_some_and(|deadline| Instant::now() >= deadline) {
+                if self.is_over.as_ref().is_some_and(|is_over| is_over()) {
                     self.is_cut.set(true);
                     break;
                 }

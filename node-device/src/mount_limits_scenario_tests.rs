@@ -2,8 +2,6 @@
 //! often it must be ordered to stop: it is stopped before each of its limits.
 
 use contract::Datum;
-use proptest::prelude::*;
-use proptest::test_runner::Config;
 use sky::{EarthOrientation, Place};
 use units::{Angle, Utc};
 
@@ -133,33 +131,69 @@ fn a_mount_that_turns_over_and_reports_its_sides_the_wrong_way_round_is_stopped_
     assert!((0.24..0.25).contains(&ends_h), "stopped {ends_h} h past the meridian, the limit is 0.25 h");
 }
 
-fn reports() -> impl Strategy<Value = SideReport> {
-    prop_oneof![
-        Just(SideReport::Truly),
-        Just(SideReport::Inverted),
-        (0.0..120.0_f64).prop_map(SideReport::Late),
-        (0.0..1.0_f64).prop_map(SideReport::NothingUntil),
-    ]
+/// Tracks a mount to its end; by what it goes beyond its limits, if at all.
+fn beyond(german: German, limits: &MountLimits) -> Option<String> {
+    let (most_h, past_min) = (limits.hour_angle_max_h.unwrap(), limits.meridian_past_min.unwrap());
+    let (ends_h, altitude_deg, has_turned) = german.ends(limits);
+    let least = limits.altitude_min_deg;
+    // A mount that misses one order receives the next one, five seconds later, and the watch is ten seconds ahead.
+    if ends_h > most_h {
+        Some(format!("tracks until {ends_h} h, the limit is {most_h} h"))
+    } else if altitude_deg < least {
+        Some(format!("tracks down to {altitude_deg} deg, the limit is {least} deg"))
+    } else {
+        let is_past = !has_turned && ends_h * 60.0 > past_min;
+        is_past.then(|| format!("{} min past, the limit is {past_min}", ends_h * 60.0))
+    }
 }
 
-proptest! {
-    // Each is hours of a night.
-    #![proptest_config(Config { cases: 6, failure_persistence: None, ..Config::default() })]
+#[test]
+fn neither_a_deaf_mount_nor_one_whose_reports_are_wrong_tracks_beyond_its_limits() {
+    let cases = [
+        (SideReport::Truly, true, -70.0, [0.0, 2.0, 25.0]),
+        (SideReport::Inverted, false, 10.0, [40.0, 1.2, 5.0]),
+        (SideReport::Late(60.0), true, -20.0, [30.0, 0.5, 15.0]),
+        (SideReport::NothingUntil(0.5), false, -45.0, [10.0, 1.5, 20.0]),
+    ];
+    for (deaf, (reports, turns, dec_deg, [least, most_h, past_min])) in (0..2).cycle().zip(cases) {
+        let limits =
+            MountLimits { altitude_min_deg: least, hour_angle_max_h: Some(most_h), meridian_past_min: Some(past_min) };
+        let german = German { reports, hour_angle_h: -0.1, dec_deg, turns_at_h: turns.then_some(0.02), deaf };
+        assert_eq!(beyond(german, &limits), None, "{reports:?}");
+    }
+}
 
-    #[test]
-    fn no_mount_tracks_beyond_a_limit(
-        (reports, turns) in (reports(), prop::bool::ANY), begins_h in -0.3..-0.05_f64, dec_deg in -70.0..10.0_f64,
-        least in 0.0..40.0_f64, most_h in 0.5..2.0_f64, past_min in 5.0..25.0_f64, deaf in 0..2_u32,
-    ) {
-        let limits = MountLimits {
-            altitude_min_deg: least, hour_angle_max_h: Some(most_h), meridian_past_min: Some(past_min),
-        };
-        let turns_at_h = turns.then_some(0.02);
-        let german = German { reports, hour_angle_h: begins_h, dec_deg, turns_at_h, deaf };
-        let (ends_h, altitude_deg, has_turned) = german.ends(&limits);
-        // A mount that misses one order receives the next one, five seconds later, and the watch is ten seconds ahead.
-        prop_assert!(ends_h <= most_h, "tracks until {ends_h} h, the limit is {most_h} h");
-        prop_assert!(altitude_deg >= least, "tracks down to {altitude_deg} deg, the limit is {least} deg");
-        prop_assert!(has_turned || ends_h * 60.0 <= past_min, "{} min past, the limit is {past_min}", ends_h * 60.0);
+mod proof {
+    use proptest::prelude::*;
+    use proptest::test_runner::Config;
+
+    use super::*;
+
+    fn reports() -> impl Strategy<Value = SideReport> {
+        prop_oneof![
+            Just(SideReport::Truly),
+            Just(SideReport::Inverted),
+            (0.0..120.0_f64).prop_map(SideReport::Late),
+            (0.0..1.0_f64).prop_map(SideReport::NothingUntil),
+        ]
+    }
+
+    // A random property.
+    proptest! {
+        // Each is hours of a night.
+        #![proptest_config(Config { cases: 6, failure_persistence: None, ..Config::default() })]
+
+        #[test]
+        fn no_mount_tracks_beyond_a_limit(
+            (reports, turns) in (reports(), prop::bool::ANY), begins_h in -0.3..-0.05_f64, dec_deg in -70.0..10.0_f64,
+            least in 0.0..40.0_f64, most_h in 0.5..2.0_f64, past_min in 5.0..25.0_f64, deaf in 0..2_u32,
+        ) {
+            let limits = MountLimits {
+                altitude_min_deg: least, hour_angle_max_h: Some(most_h), meridian_past_min: Some(past_min),
+            };
+            let turns_at_h = turns.then_some(0.02);
+            let german = German { reports, hour_angle_h: begins_h, dec_deg, turns_at_h, deaf };
+            prop_assert_eq!(beyond(german, &limits), None);
+        }
     }
 }

@@ -31,6 +31,18 @@ impl SkyClock {
         }
     }
 
+    /// Stands from now on until it is started.
+    pub fn stop(&mut self) {
+        (self.start, self.stands) = (self.now(), true);
+    }
+
+    /// Moves a clock that stands on by so many sky seconds.
+    pub fn pass(&mut self, sky_s: f64) {
+        if self.stands {
+            self.start = self.start.plus_seconds(sky_s);
+        }
+    }
+
     /// Sky time now.
     pub fn now(&self) -> Utc {
         if self.stands {

@@ -97,6 +97,28 @@ impl World {
         self.clock.lock().unwrap_or_else(PoisonError::into_inner).run();
     }
 
+    /// Stops the clock: from now on time passes only as [`Self::pass`] says, however fast this machine is. A client that
+    /// asks for the clock starts it again.
+    pub fn stop_clock(&self) {
+        self.clock.lock().unwrap_or_else(PoisonError::into_inner).stop();
+    }
+
+    /// Lets so many sky seconds pass by a clock that stands, and draws whatever frame has been exposed by then. Needs a
+    /// tokio runtime.
+    pub async fn pass(self: &Arc<Self>, sky_s: f64) {
+        let plans: Vec<Plan> = {
+            let mut inner = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
+            self.clock.lock().unwrap_or_else(PoisonError::into_inner).pass(sky_s);
+            inner.observatory.advance(self.now());
+            inner.observatory.cameras().filter_map(|camera| camera.take_plan()).collect()
+        };
+        for plan in plans {
+            let world = self.clone();
+            // A frame that cannot be drawn is missed by who waits for it.
+            let _ = tokio::task::spawn_blocking(move || world.develop(&plan)).await;
+        }
+    }
+
     /// Sky time.
     pub fn now(&self) -> Utc {
         self.clock().now()

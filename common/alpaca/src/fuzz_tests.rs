@@ -7,7 +7,7 @@ use crate::response::parse_exactly;
 use crate::transaction::Transactions;
 use crate::value;
 
-/// In the short form; `scripts/soak` asks for a million.
+/// In the short form; `scripts/proof soak` asks for a million.
 const ANSWERS: usize = 100_000;
 /// Whole answers of which none means safe, and none is a letter or two away from it.
 const BEGINNINGS: [&str; 12] = [

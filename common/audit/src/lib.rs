@@ -10,7 +10,8 @@
 //!
 //! - Every order and every movement leaves a record: `every_order_and_every_movement_of_a_night_leaves_a_record`
 //!   (`tests/tests/it/leaves_a_record.rs`).
-//! - Noting never waits for a disk: `a_full_disk_delays_nothing_and_the_chain_goes_on_when_there_is_room`.
+//! - Noting never waits for a disk: `a_full_disk_stops_nobody_and_the_chain_goes_on_when_there_is_room`,
+//!   `a_full_disk_delays_nothing`.
 //! - The archive's audit is a copy; the node's own file decides:
 //!   `whoever_was_away_gets_all_in_portions_across_files_and_breaks`.
 //! - Any byte that is changed in a file is found:

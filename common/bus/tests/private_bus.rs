@@ -1,13 +1,16 @@
 //! Two real sessions on a private loopback bus: what the rest of the house relies on.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test ends at the first surprise")]
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use bus::{AskError, Bus, Catch, Clock, Quality};
 use contract::observatory::{Permit, Verdict};
 use contract::{
     Accepted, Address, BootId, Command, CommandId, Key, Kind, Order, OrderKind, Reason, Refusal, Reply, device::dome,
 };
+
+/// What takes longer hangs, also on a busy machine.
+const LIMIT: Duration = Duration::from_secs(120);
 
 async fn open(connect: Vec<String>) -> Bus {
     let config = config::Bus { listen: Vec::new(), connect, multicast: false };
@@ -18,13 +21,12 @@ async fn open(connect: Vec<String>) -> Bus {
 async fn pair() -> (Bus, Bus) {
     let first = open(Vec::new()).await;
     let second = open(first.locators().await).await;
-    for _ in 0..200 {
-        if first.peers().await > 0 && second.peers().await > 0 {
-            return (first, second);
-        }
+    let began = Instant::now();
+    while first.peers().await == 0 || second.peers().await == 0 {
+        assert!(began.elapsed() < LIMIT, "two sessions on one loopback did not meet within {LIMIT:?}");
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
-    panic!("two sessions on one loopback did not meet within 4 s");
+    (first, second)
 }
 
 fn address() -> Address {
@@ -61,10 +63,10 @@ async fn a_late_joiner_receives_the_newest_state_at_once() {
             latest.changed().await;
         }
     };
-    tokio::time::timeout(Duration::from_secs(5), newest).await.unwrap();
+    tokio::time::timeout(LIMIT, newest).await.unwrap();
     assert_eq!(latest.get().unwrap().sample.body.guard_number, 2);
-    assert!(latest.fresh(Duration::from_secs(60)).is_some());
-    let got = second.get_all::<Permit>(&key.to_string(), Duration::from_secs(2)).await;
+    assert!(latest.fresh(LIMIT).is_some());
+    let got = second.get_all::<Permit>(&key.to_string(), LIMIT).await;
     assert_eq!(got.len(), 1, "a plain get is answered too");
 }
 
@@ -80,7 +82,7 @@ async fn a_subscriber_that_wants_all_receives_what_was_published_before() {
     // While two sessions still exchange their declarations, zenoh sends everything: a late one may come first.
     let mut received = Vec::new();
     while received.len() < 10 {
-        let next = tokio::time::timeout(Duration::from_secs(20), all.recv()).await.unwrap();
+        let next = tokio::time::timeout(LIMIT, all.recv()).await.unwrap();
         received.push(next.sample.body.guard_number);
     }
     received.sort_unstable();
@@ -106,7 +108,7 @@ async fn one_that_joins_while_much_is_published_receives_each_once() {
         let all = second.subscribe::<Permit>(&key.to_string(), Catch::All, 5000).await.unwrap();
         let mut received = Vec::new();
         while received.len() < 600 {
-            let next = tokio::time::timeout(Duration::from_secs(10), all.recv()).await;
+            let next = tokio::time::timeout(LIMIT, all.recv()).await;
             let missing = || (0..600).filter(|number| !received.contains(number)).collect::<Vec<u64>>();
             received.push(next.unwrap_or_else(|_| panic!("round {round}: {:?}", missing())).sample.body.guard_number);
         }
@@ -130,11 +132,15 @@ async fn a_slow_subscriber_loses_the_oldest_and_stalls_nobody() {
     }
     let mut last = 0;
     while last < 49 {
-        last = tokio::time::timeout(Duration::from_secs(5), quick.recv()).await.unwrap().sample.body.guard_number;
+        last = tokio::time::timeout(LIMIT, quick.recv()).await.unwrap().sample.body.guard_number;
     }
-    // Both receive the same samples, one callback after the other.
-    tokio::time::sleep(Duration::from_millis(200)).await;
-    assert_eq!(slow.recv().await.sample.body.guard_number, 46, "only the newest four are left");
+    // Both receive the same samples, one callback after the other: who has the next one, has left this one behind for both.
+    publisher.put(permit(50)).await.unwrap();
+    while last < 50 {
+        last = tokio::time::timeout(LIMIT, quick.recv()).await.unwrap().sample.body.guard_number;
+    }
+    let oldest = slow.recv().await.sample.body.guard_number;
+    assert!(oldest == 46 || oldest == 47, "only the newest four are left: {oldest}");
     // The first samples may have been published before the subscription was known.
     assert!(slow.lost() > 20, "{}", slow.lost());
 }
@@ -164,24 +170,26 @@ async fn a_command_is_accepted_or_refused_at_once() {
     let _state = writer(&first, &Key::State(device.clone())).await;
     let _service = first.serve(&Key::Command(device.clone()), answer).await.unwrap();
     let ask = |action| Command { id: CommandId::fresh(), from: "test".to_owned(), token: None, boot_id: None, action };
-    let timeout = Duration::from_secs(3);
+    let timeout = LIMIT;
     let close = ask(dome::Command::CloseShutter);
     // A service is not known everywhere at once; until then the outcome is unknown, and asking again is harmless.
-    let mut taken = second.command(&device, &close, timeout).await;
-    for _ in 0..50 {
-        if !matches!(taken, Err(AskError::Unknown { .. })) {
-            break;
+    let began = Instant::now();
+    let until_known = async |action: &Command<dome::Command>| loop {
+        let answered = second.command(&device, action, timeout).await;
+        if !matches!(answered, Err(AskError::Unknown { .. })) || began.elapsed() > LIMIT {
+            break answered;
         }
         tokio::time::sleep(Duration::from_millis(50)).await;
-        taken = second.command(&device, &close, timeout).await;
-    }
-    assert_eq!(taken.unwrap().id, close.id);
-    let refused = second.command(&device, &ask(dome::Command::OpenShutter), timeout).await.unwrap_err();
+    };
+    assert_eq!(until_known(&close).await.unwrap().id, close.id);
+    let open = ask(dome::Command::OpenShutter);
+    let refused = until_known(&open).await.unwrap_err();
     assert!(
         matches!(refused, AskError::Refused { refusal: Refusal { reason: Reason::NoPermit, .. }, .. }),
         "{refused}"
     );
-    let malformed: Reply = second.ask(&Key::Command(device), &serde_json::json!({"id": 1}), timeout).await.unwrap();
+    let malformed: Reply =
+        second.ask(&Key::Command(device.clone()), &serde_json::json!({"id": 1}), timeout).await.unwrap();
     assert!(matches!(malformed, Reply::Refusal(Refusal { reason: Reason::Malformed, .. })), "{malformed:?}");
 }
 
@@ -193,16 +201,29 @@ async fn a_question_that_nobody_receives_is_unknown_not_refused() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_handler_that_is_too_slow_is_unknown_in_time() {
+async fn a_handler_that_never_answers_is_given_up() {
+    ask_one_that_never_answers().await;
+}
+
+/// How long the question took.
+async fn ask_one_that_never_answers() -> Duration {
     let (first, second) = pair().await;
     let key = Key::Order(address());
-    let answer = |_: Result<Order, String>| async {
-        tokio::time::sleep(Duration::from_secs(30)).await;
-        Reply::Accepted(Accepted { id: CommandId(String::new()), token: None })
-    };
-    let _service = first.serve(&key, answer).await.unwrap();
-    let asked = std::time::Instant::now();
-    let error = second.ask::<_, Reply>(&key, &order("1"), Duration::from_millis(500)).await.unwrap_err();
+    let _service = first.serve(&key, |_: Result<Order, String>| std::future::pending::<Reply>()).await.unwrap();
+    let (question, asked) = (order("1"), Instant::now());
+    let asking = second.ask::<_, Reply>(&key, &question, Duration::from_millis(500));
+    let error = tokio::time::timeout(LIMIT, asking).await.unwrap().unwrap_err();
     assert!(matches!(error, AskError::Unknown { .. }), "{error}");
-    assert!(asked.elapsed() < Duration::from_secs(10));
+    asked.elapsed()
+}
+
+mod proof {
+    use super::*;
+
+    /// A bound in seconds on a real clock.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_handler_that_is_too_slow_is_unknown_in_time() {
+        let took = ask_one_that_never_answers().await;
+        assert!(took < Duration::from_secs(10), "{took:?}");
+    }
 }

@@ -305,7 +305,7 @@ mod tests {
     async fn a_spool_that_dribbles_ends_at_the_total_time() {
         let dribble = || async {
             let one_byte = futures_util::stream::repeat(()).then(|()| async {
-                tokio::time::sleep(Duration::from_millis(50)).await;
+                tokio::time::sleep(Duration::from_millis(500)).await;
                 Ok::<_, std::io::Error>(axum::body::Bytes::from_static(&[7]))
             });
             axum::body::Body::from_stream(one_byte).into_response()
@@ -314,7 +314,7 @@ mod tests {
         let url = format!("http://{}/", listener.local_addr().unwrap());
         let app = axum::Router::new().route("/", axum::routing::get(dribble));
         tokio::spawn(async move { axum::serve(listener, app).await });
-        // Real clocks: the bytes come through a real socket; 600 of them would take 30 s.
+        // Real clocks: the bytes come through a real socket; 600 of them would take 300 s.
         let (frame, client) = (frame(url), reqwest::Client::new());
         let slow = fetch_within(&client, &frame, Duration::from_secs(1)).await.unwrap_err();
         assert!(matches!(slow, FetchError::Slow { bytes: 600, got: ..600, limit_s: 1, .. }), "{slow}");

@@ -8,7 +8,7 @@
 //!
 //! - What an unknown client can use up is limited where it connects (decision 0050):
 //!   `one_address_has_its_share_and_strangers_leave_room_for_the_trusted`,
-//!   `half_requests_give_their_places_back_in_time`.
+//!   `half_requests_hold_the_places_of_one_address_and_give_them_back`.
 //! - No other place in the workspace makes an HTTP client for hardware or for our own addresses:
 //!   `clients_for_hardware_and_our_own_addresses_are_made_in_one_place`.
 

@@ -396,7 +396,7 @@ fn limits() -> impl Strategy<Value = LimitRule> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(300))]
+    #![proptest_config(ProptestConfig::with_cases(40))]
 
     #[test]
     fn a_restarted_observatory_is_never_safe_where_one_that_listened_is_not(
@@ -456,7 +456,7 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(100))]
+    #![proptest_config(ProptestConfig::with_cases(25))]
 
     #[test]
     fn who_listens_later_is_never_safe_where_who_listened_all_the_time_is_not(

@@ -2,6 +2,8 @@
 //!
 //! A test that bounds how fast Starmesh answers must not fail because other programs have the cores. It adds the
 //! lateness that was measured meanwhile to its bound: nothing on an idle machine, so that the bound is exact there.
+//! Such a test is one of `scripts/proof`, in a module `proof`: with a busy machine its result is a matter of luck all
+//! the same.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};

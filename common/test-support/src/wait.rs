@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-/// No step of a test takes longer, also on a busy machine.
-pub const LIMIT: Duration = Duration::from_secs(90);
+/// Only what hangs takes longer, also on a machine that is ten times as busy as it should be.
+pub const LIMIT: Duration = Duration::from_secs(240);
 /// How often a test looks.
 const PERIOD: Duration = Duration::from_millis(10);
 

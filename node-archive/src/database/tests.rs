@@ -193,7 +193,7 @@ async fn a_locked_database_is_alerted_and_loses_no_row() {
     let mut displayed = alerts.watch();
     let raised =
         displayed.wait_for(|alerts| alerts.alerts.iter().any(|alert| alert.id == AlertKind::ArchiveDatabase.id("")));
-    tokio::time::timeout(Duration::from_secs(20), raised).await.unwrap().unwrap();
+    tokio::time::timeout(Duration::from_secs(120), raised).await.unwrap().unwrap();
     other.execute_batch("ROLLBACK").unwrap();
     database.commit(vec![reading(500, Ok(Scalar::Int(500)))]).await.unwrap();
     assert_eq!(database.rows(), 501);
@@ -446,7 +446,7 @@ async fn a_damaged_database_is_put_aside_and_a_new_one_takes_rows() {
         let alerts = NodeAlerts::new(Clock::machine_clock());
         let (database, writer) = Database::open(&path, "callisto", alerts.clone()).unwrap();
         let written = database.commit(vec![Write::Stored(Box::new(image("new", "M31")))]);
-        tokio::time::timeout(Duration::from_secs(20), written).await.unwrap_or_else(|_| panic!("{what}")).unwrap();
+        tokio::time::timeout(Duration::from_secs(120), written).await.unwrap_or_else(|_| panic!("{what}")).unwrap();
         assert!(
             Reader::open(&path, "callisto").unwrap().image(&CommandId("new".to_owned())).unwrap().is_some(),
             "{what}"

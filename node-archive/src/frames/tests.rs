@@ -38,7 +38,7 @@ fn at(seconds: f64) -> Utc {
 }
 
 fn soon() -> Instant {
-    Instant::now() + Duration::from_secs(20)
+    Instant::now() + Duration::from_secs(120)
 }
 
 fn count(x: u32, y: u32) -> u16 {

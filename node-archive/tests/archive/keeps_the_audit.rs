@@ -133,7 +133,7 @@ async fn an_archive_that_was_away_has_every_record_in_its_order_afterwards() {
 
     let question = ArchiveQuestion { ask: Ask::Audit, from_utc: None, to_utc: None, limit: Some(4) };
     let key = Key::History(noter.running.node.config.address());
-    let answer: ArchiveAnswer = noter.bus().ask(&key, &question, Duration::from_secs(5)).await.unwrap();
+    let answer: ArchiveAnswer = super::keeps_a_night::until_answered(noter.bus(), &key, &question).await;
     assert!(answer.truncated && answer.rows.len() == 4);
     assert!(answer.rows.iter().all(|row| matches!(row, ArchiveRow::Audit(record) if record.verb == "close_shutter")));
     archive.end().await;

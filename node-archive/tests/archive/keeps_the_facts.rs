@@ -117,7 +117,8 @@ async fn facts_stand_in_the_header_early_or_late_and_a_header_waits_for_none_tha
     tokio::time::sleep(Duration::from_secs(2)).await;
     frames.put(frame("early", &url, &devices)).await.unwrap();
     let file = complete(&stored, "early").await.file;
-    assert_eq!(value(folder.path(), &file, "FWHM").as_deref(), Some("2.25"));
+    // On a busy machine they may come after the header was completed without them.
+    until("the early facts are in the header", || value(folder.path(), &file, "FWHM").as_deref() == Some("2.25")).await;
     assert_eq!(value(folder.path(), &file, "NSTARS").as_deref(), Some("12"));
     let solution =
         |file: &str| ["CTYPE1", "CRVAL1", "CRPIX1", "A_ORDER", "MAGZPT"].map(|key| value(folder.path(), file, key));

@@ -42,7 +42,8 @@ async fn ask(bus: &Bus, properties: &[&str], (from, to): (Utc, Utc), points: u32
     let asked = async {
         loop {
             // A node that has just started does not answer yet.
-            let answer = bus.ask::<_, ArchiveAnswer>(&Key::History(address()), &question, Duration::from_secs(2)).await;
+            let answer =
+                bus.ask::<_, ArchiveAnswer>(&Key::History(address()), &question, Duration::from_secs(10)).await;
             if let Ok(answer) = answer {
                 return answer;
             }

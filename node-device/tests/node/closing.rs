@@ -40,10 +40,18 @@ async fn claim(stage: &Stage) -> u64 {
     accepted(&stage.command(Kind::Dome, "dome", &command("c1", None, dome::Command::Claim)).await).unwrap()
 }
 
-async fn until_permitted(stage: &Stage) {
+/// Waits until a permit with this token counts.
+pub async fn until_permitted(stage: &Stage, token: u64) {
     let key = Key::Guard(stage.device(Kind::Dome, "dome")).to_string();
     let guard = stage.bus.subscribe::<dome::Guard>(&key, Catch::Newest, 8).await.unwrap();
-    let permitted = async { while !guard.recv().await.sample.body.may_be_open {} };
+    let permitted = async {
+        loop {
+            let sample = guard.recv().await.sample.body;
+            if sample.may_be_open && sample.token == token {
+                return;
+            }
+        }
+    };
     tokio::time::timeout(LIMIT, permitted).await.expect("no permit counts");
 }
 
@@ -52,11 +60,11 @@ async fn a_dome_whose_status_sticks_at_closed_after_an_opening_is_closed_and_rep
     let hardware = a_dome().await;
     hardware.on("openshutter", |_, _| {});
     hardware.on("closeshutter", |_, _| {});
-    let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5\npermit_valid_s = 6.0")).await;
+    let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5\npermit_valid_s = 10.0")).await;
     let token = claim(&stage).await;
     let commander = Commander::start(&stage, "dome", token).await;
     stage.until::<dome::Dome>("dome", |state| state.fields.shutter.known() == Some(&dome::Shutter::Closed)).await;
-    until_permitted(&stage).await;
+    until_permitted(&stage, token).await;
     accepted(&stage.command(Kind::Dome, "dome", &command("o1", Some(token), dome::Command::OpenShutter)).await);
     until("the opening arrives", || hardware.puts("openshutter").len() == 1).await;
     let before = hardware.puts("closeshutter").len();
@@ -84,7 +92,7 @@ async fn no_stop_no_turn_and_no_park_from_anybody_ends_a_closing_that_is_due() {
         hardware.answer(member, FakeAnswer::Value(answer));
     }
     hardware.on("closeshutter", |hardware, _| hardware.answer("shutterstatus", FakeAnswer::Value(json!(3))));
-    let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.2\npermit_valid_s = 6.0")).await;
+    let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.2\npermit_valid_s = 10.0")).await;
     let (token, commander) = open(&stage).await;
     let stop = |id: &str| command(id, None, dome::Command::Abort);
     accepted(&stage.command(Kind::Dome, "dome", &stop("a1")).await);
@@ -116,7 +124,7 @@ async fn no_stop_no_turn_and_no_park_from_anybody_ends_a_closing_that_is_due() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_bare_close_moves_a_roof_only_over_its_parked_mount_and_has_it_parked() {
     let (hardware, mount) = (a_dome().await, a_mount().await);
-    let policy = "period_s = 0.5\npermit_valid_s = 10.0\nclose_with_mount = \"parked_only\"";
+    let policy = "period_s = 0.5\npermit_valid_s = 30.0\nclose_with_mount = \"parked_only\"";
     let stage =
         Stage::start(&(block("dome", "dome", &hardware, policy) + &block("telescope", "mount", &mount, ""))).await;
     let (_, _commander) = open(&stage).await;
@@ -141,7 +149,7 @@ async fn a_bare_close_moves_a_roof_only_over_its_parked_mount_and_has_it_parked(
 #[tokio::test(flavor = "multi_thread")]
 async fn payloads_with_the_largest_token_end_no_lease_and_are_reported() {
     let hardware = a_dome().await;
-    let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5\npermit_valid_s = 6.0")).await;
+    let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5\npermit_valid_s = 30.0")).await;
     let (token, _commander) = open(&stage).await;
     let before = hardware.puts("closeshutter").len();
     let lease = Key::Observatory(Address::new("site", "alpha").unwrap(), Part::Lease);

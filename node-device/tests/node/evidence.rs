@@ -1,12 +1,13 @@
 //! The record of a weather station survives every subscriber.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
+use bus::Clock;
 use contract::Kind;
 use contract::device::observing_conditions::{Fields, ObservingConditions};
 use contract::device::record::{RecordQuestion, StateRecord};
 use contract::device::safety_monitor::SafetyMonitor;
-use contract::{Key, Link};
+use contract::{DeviceState, Key, Link};
 use serde_json::json;
 use test_support::{LIMIT, block};
 
@@ -16,6 +17,7 @@ use crate::stage::Stage;
 #[tokio::test(flavor = "multi_thread")]
 async fn a_weather_stations_record_is_what_was_received_from_it() {
     let hardware = Fake::start(&[("humidity", json!(50.0)), ("temperature", json!(5.0))]).await;
+    let booted = Clock::machine_clock().machine();
     let device = |kind: &str, name: &str| block(kind, name, hardware.address, "period_s = 0.2");
     let stage = Stage::start(&(device("observingconditions", "wx") + &device("safetymonitor", "monitor"))).await;
     let states = stage.states::<ObservingConditions>("wx").await;
@@ -45,9 +47,9 @@ async fn a_weather_stations_record_is_what_was_received_from_it() {
     recv_until(|link, fields| *link == Link::Connected && fields.humidity_percent.known() == Some(&81.0)).await;
 
     let key = Key::Record(stage.device(Kind::ObservingConditions, "wx"));
-    let (clock, limit) = (stage.bus.clock(), Duration::from_secs(3));
+    let clock = stage.bus.clock();
     let asked = clock.machine();
-    let record: StateRecord<Fields> = stage.bus.ask(&key, &RecordQuestion { back_s: 600.0 }, limit).await.unwrap();
+    let record: StateRecord<Fields> = stage.bus.ask(&key, &RecordQuestion { back_s: 600.0 }, LIMIT).await.unwrap();
     let answered = clock.machine();
     assert_eq!((record.speed, &record.boot_id), (1.0, &received[0].sample.boot_id));
     assert_eq!(record.entries[0].seq, 0, "from the first payload of this incarnation on");
@@ -60,23 +62,24 @@ async fn a_weather_stations_record_is_what_was_received_from_it() {
         // It was published before it arrived, and the age is that of the moment of the answer.
         let age = Duration::from_secs_f64(reported.age_s);
         assert!(state.arrived.plus(age) >= asked.minus(Duration::from_millis(1)), "{reported:?}");
-        assert!(age <= answered.since(received[0].arrived) + Duration::from_secs(5), "{reported:?}");
+        assert!(age <= answered.since(booted) + Duration::from_millis(1), "{reported:?}");
     }
     let bad = record.entries.iter().filter(|entry| entry.link != Link::Connected).count();
     assert!(bad >= 2, "connecting and lost are reported too");
 
-    let short: StateRecord<Fields> = stage.bus.ask(&key, &RecordQuestion { back_s: 0.0 }, limit).await.unwrap();
+    let short: StateRecord<Fields> = stage.bus.ask(&key, &RecordQuestion { back_s: 0.0 }, LIMIT).await.unwrap();
     assert!(short.entries.len() <= 2 && short.entries.last().unwrap().seq >= record.entries.last().unwrap().seq);
-    let nonsense: StateRecord<Fields> = stage.bus.ask(&key, &json!({"back_s": "long"}), limit).await.unwrap();
+    let nonsense: StateRecord<Fields> = stage.bus.ask(&key, &json!({"back_s": "long"}), LIMIT).await.unwrap();
     assert!(nonsense.entries.is_empty());
     // A safety monitor's state contains the length of its record.
     let other = Key::Record(stage.device(Kind::SafetyMonitor, "monitor"));
-    assert!(stage.bus.ask::<_, StateRecord<Fields>>(&other, &RecordQuestion { back_s: 600.0 }, limit).await.is_err());
+    assert!(stage.bus.ask::<_, StateRecord<Fields>>(&other, &RecordQuestion { back_s: 600.0 }, LIMIT).await.is_err());
     stage.end().await;
 }
 
-/// How long it takes until the state of a station shows rain, if each of its properties takes 1.2 s.
-async fn rain_is_reported_after(one_at_a_time: bool) -> Duration {
+/// A station whose every property answers late, with limits, once it has reported that it does not rain; an answer takes
+/// `takes` from then on.
+pub async fn a_slow_station(takes: Duration, one_at_a_time: bool) -> (Fake, Stage) {
     let sensors = ["cloudcover", "dewpoint", "humidity", "pressure", "rainrate", "skybrightness", "skyquality"];
     let more =
         ["skytemperature", "starfwhm", "temperature", "winddirection", "windgust", "windspeed", "timesincelastupdate"];
@@ -86,65 +89,37 @@ async fn rain_is_reported_after(one_at_a_time: bool) -> Duration {
                   { parameter = \"WindSpeed\", upper = 15.0 }]";
     let stage = Stage::start(&block("observingconditions", "wx", hardware.address, limits)).await;
     stage.until::<ObservingConditions>("wx", |state| state.fields.rain_mm_per_h.known() == Some(&0.0)).await;
-    hardware.slow(Duration::from_millis(1200), one_at_a_time);
-    // Until the node has measured how slow it is.
-    tokio::time::sleep(Duration::from_secs(25)).await;
-    let states = stage.states::<ObservingConditions>("wx").await;
-    let began = Instant::now();
-    hardware.answer("rainrate", FakeAnswer::Value(json!(5.0)));
-    let raining = async {
-        loop {
-            let state = states.recv().await.sample.body;
-            assert_eq!(state.link, Link::Connected);
-            let known = [&state.fields.rain_mm_per_h, &state.fields.humidity_percent, &state.fields.wind_mps];
-            assert!(known.iter().all(|datum| datum.known().is_some()), "slow is not missing: {state:?}");
-            if state.fields.rain_mm_per_h.known() == Some(&5.0) {
-                return began.elapsed();
-            }
-        }
-    };
-    let after = tokio::time::timeout(LIMIT, raining).await.unwrap();
-    stage.end().await;
-    after
+    hardware.slow(takes, one_at_a_time);
+    (hardware, stage)
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_slow_station_reports_rain_in_time_for_the_dome_to_close_within_8_s() {
-    let (several, one) = tokio::join!(rain_is_reported_after(false), rain_is_reported_after(true));
-    assert!(several < Duration::from_millis(7500) && one < Duration::from_millis(7500), "{several:?}, {one:?}");
+async fn a_slow_station_reports_rain() {
+    for one_at_a_time in [false, true] {
+        let (hardware, stage) = a_slow_station(Duration::from_millis(200), one_at_a_time).await;
+        hardware.answer("rainrate", FakeAnswer::Value(json!(5.0)));
+        // Slow is not missing: all that decides is known.
+        let raining = |state: &DeviceState<Fields>| {
+            let known = [&state.fields.humidity_percent, &state.fields.wind_mps];
+            let rains = state.fields.rain_mm_per_h.known() == Some(&5.0);
+            rains && state.link == Link::Connected && known.iter().all(|datum| datum.known().is_some())
+        };
+        stage.until::<ObservingConditions>("wx", raining).await;
+        stage.end().await;
+    }
 }
 
 /// Real threads: what is stalled here is the runtime of the node itself.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_node_that_stood_still_does_not_go_on_with_what_it_had_read() {
+async fn a_node_that_stood_still_reads_anew() {
     let hardware = Fake::start(&[("issafe", json!(true))]).await;
     let stage = Stage::start(&block("safetymonitor", "monitor", hardware.address, "period_s = 0.5")).await;
     stage.until::<SafetyMonitor>("monitor", |state| state.fields.gapless_safe_s > 1.5).await;
-    let states = stage.states::<SafetyMonitor>("monitor").await;
     for _ in 0..8 {
         tokio::spawn(async { std::thread::sleep(Duration::from_secs(4)) });
     }
     std::thread::sleep(Duration::from_millis(500));
-    let turned = stage.bus.clock().machine();
     hardware.answer("issafe", FakeAnswer::Value(json!(false)));
-    let waiting = async {
-        loop {
-            let received = states.recv().await;
-            let state = received.sample.body;
-            if state.fields.is_safe.known() == Some(&false) {
-                return;
-            }
-            if state.fields.is_safe.known() == Some(&true) {
-                let age = Duration::from_secs_f64(state.age_s("IsSafe").unwrap());
-                let read = received.arrived.minus(age);
-                assert!(read <= turned, "read {:?} after it had turned: {state:?}", read.since(turned));
-            }
-            if received.arrived.since(turned) > Duration::from_secs(3) {
-                assert_eq!(state.fields.gapless_safe_s, 0.0, "the record is broken: {state:?}");
-            }
-        }
-    };
-    tokio::time::timeout(LIMIT, waiting).await.unwrap();
     let record = stage.until::<SafetyMonitor>("monitor", |state| state.fields.is_safe.known() == Some(&false)).await;
     assert_eq!(record.fields.gapless_safe_s, 0.0);
     stage.end().await;

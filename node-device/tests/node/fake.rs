@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -49,13 +50,31 @@ struct World {
 #[derive(Clone)]
 pub struct Fake {
     world: Arc<Mutex<World>>,
+    /// Requests that hang now.
+    hanging: Arc<AtomicUsize>,
     pub address: SocketAddr,
+}
+
+/// A request that hangs until its client gives it up.
+struct Hanging(Arc<AtomicUsize>);
+
+impl Hanging {
+    fn on(fake: &Fake) -> Self {
+        fake.hanging.fetch_add(1, Ordering::SeqCst);
+        Self(fake.hanging.clone())
+    }
+}
+
+impl Drop for Hanging {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::SeqCst);
+    }
 }
 
 impl Fake {
     pub async fn start(answers: &[(&str, Value)]) -> Self {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let fake = Self { world: Arc::default(), address: listener.local_addr().unwrap() };
+        let fake = Self { world: Arc::default(), hanging: Arc::default(), address: listener.local_addr().unwrap() };
         for (member, value) in answers {
             fake.answer(member, FakeAnswer::Value(value.clone()));
         }
@@ -82,6 +101,11 @@ impl Fake {
     /// Every property hangs, or none.
     pub fn hang(&self, on: bool) {
         self.world.lock().unwrap().gets_hang = on;
+    }
+
+    /// Requests that hang now, and whose clients wait.
+    pub fn hanging(&self) -> usize {
+        self.hanging.load(Ordering::SeqCst)
     }
 
     /// Every property takes so long, several at a time or one after another.
@@ -183,7 +207,10 @@ async fn answer(
         Some(FakeAnswer::Error(number, message)) => {
             axum::Json(json!({"ErrorNumber": number, "ErrorMessage": message})).into_response()
         }
-        Some(FakeAnswer::Hangs) => std::future::pending().await,
+        Some(FakeAnswer::Hangs) => {
+            let _hanging = Hanging::on(&fake);
+            std::future::pending().await
+        }
         None => (StatusCode::BAD_REQUEST, "no such member").into_response(),
     }
 }

@@ -81,7 +81,7 @@ impl Stage {
         let key = Key::Command(self.device(kind, name));
         let began = Instant::now();
         loop {
-            match self.bus.ask::<_, Reply>(&key, command, Duration::from_secs(2)).await {
+            match self.bus.ask::<_, Reply>(&key, command, Duration::from_secs(20)).await {
                 Ok(reply) => return reply,
                 Err(error) => assert!(began.elapsed() < LIMIT, "{error}"),
             }
@@ -123,11 +123,16 @@ impl Drop for Commander {
 
 impl Commander {
     pub async fn start(stage: &Stage, dome: &str, token: u64) -> Self {
+        Self::start_on(&stage.bus, stage, dome, token).await
+    }
+
+    /// As the process that another session of the bus belongs to.
+    pub async fn start_on(bus: &Bus, stage: &Stage, dome: &str, token: u64) -> Self {
         let device = stage.device(Kind::Dome, dome);
         let key = Key::Guard(device.clone()).to_string();
-        let guard = stage.bus.subscribe::<dome::Guard>(&key, Catch::Newest, 8).await.unwrap();
+        let guard = bus.subscribe::<dome::Guard>(&key, Catch::Newest, 8).await.unwrap();
         let key = Key::Permit(device.address, device.name);
-        let permits = stage.bus.publisher(&key).await.unwrap();
+        let permits = bus.publisher(&key).await.unwrap();
         Self(tokio::spawn(async move {
             loop {
                 let received = guard.recv().await;

@@ -471,7 +471,7 @@ pub(crate) mod tests {
         let ((sender, place), began) = (oneshot::channel(), std::time::Instant::now());
         let slow = published_early(measured, place, |facts| async move { sender.send(facts.stars).unwrap() });
         assert_eq!(slow.await.unwrap(), Some(7));
-        assert!((SOON..Duration::from_secs(5)).contains(&began.elapsed()), "{:?}", began.elapsed());
+        assert!(began.elapsed() >= SOON, "{:?}", began.elapsed());
 
         // No place is sought: the facts are published once, however long it takes.
         let (measuring, measured) = oneshot::channel();

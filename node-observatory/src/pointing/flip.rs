@@ -73,20 +73,30 @@ mod tests {
 
     use super::*;
 
-    /// The conclusion about a mount that reports these sides one after the other, and the last for ever.
-    async fn concluded(sides: &[Option<PierSide>]) -> bool {
+    /// Whether a mount that reports these sides one after the other, and the last for ever, is found to have stayed.
+    async fn concluded(within: Duration, sides: &[Option<PierSide>]) -> bool {
         let looks = AtomicUsize::new(0);
         let side = || sides[looks.fetch_add(1, Ordering::Relaxed).min(sides.len() - 1)];
-        stays(5 * LOOKED_AFTER, side).await
+        stays(within, side).await
+    }
+
+    /// It stayed, however soon that is asked.
+    async fn stayed(sides: &[Option<PierSide>]) -> bool {
+        concluded(5 * LOOKED_AFTER, sides).await
+    }
+
+    /// It has turned, or nobody knows, however late that is seen.
+    async fn turned(sides: &[Option<PierSide>]) -> bool {
+        !concluded(Duration::from_secs(600), sides).await
     }
 
     #[tokio::test]
     async fn a_mount_that_reports_its_side_late_has_turned_over_all_the_same() {
         let [west, east] = [Some(PierSide::West), Some(PierSide::East)];
-        assert!(!concluded(&[east]).await, "it shows at once");
-        assert!(!concluded(&[west, west, west, east]).await, "it is late");
-        assert!(!concluded(&[west, None]).await, "it reports nothing any more: nobody knows that it stayed");
-        assert!(concluded(&[west, west, west]).await, "it stayed");
+        assert!(turned(&[east]).await, "it shows at once");
+        assert!(turned(&[west, west, west, east]).await, "it is late");
+        assert!(turned(&[west, None]).await, "it reports nothing any more: nobody knows that it stayed");
+        assert!(stayed(&[west, west, west]).await, "it stayed");
     }
 
     #[tokio::test]
@@ -94,7 +104,7 @@ mod tests {
         // Truly east of the pier and looking west, where it belongs; its driver reports west.
         let half_an_hour = Angle::from_hours(0.5);
         assert!(is_past(Some(PierSide::West), half_an_hour, 5.0), "one slew to where it stands already");
-        assert!(concluded(&[Some(PierSide::West)]).await, "which is noted, and not tried again");
+        assert!(stayed(&[Some(PierSide::West)]).await, "which is noted, and not tried again");
         // Truly west of the pier, as it was before the meridian; its driver reports east: its device node stops it.
         assert!(!is_past(Some(PierSide::East), half_an_hour, 5.0));
     }

@@ -8,7 +8,10 @@ use simulator::{Fault, Kind, Quantity};
 use crate::MOST;
 use crate::sim::{Sim, telescope};
 
-const CAMERA: &str = "temperature_c = -10.0\ncooling_timeout_min = 2.0\n";
+/// With the default timeout of half an hour, 90 s of this machine.
+const CAMERA: &str = "temperature_c = -10.0\n";
+/// For a camera that is to fail soon: 20 s of this machine.
+const IMPATIENT: &str = "temperature_c = -10.0\ncooling_timeout_min = 2.0\n";
 const BIAS: (&str, &str) = ("calibration", r#"{"exptime": [0], "n": [2]}"#);
 
 fn row(sim: &Sim, index: usize) -> Option<(RowStatus, String)> {
@@ -22,8 +25,8 @@ fn exposures(sim: &Sim) -> usize {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_cooler_that_refuses_is_asked_again_until_it_runs() {
-    let mut sim = Sim::with(telescope(20.0), "[faults]\npause_s = 0.5\n", CAMERA, &[]).await;
-    sim.write_schedule(&[("cool_camera", "{}"), BIAS], 7200.0);
+    let mut sim = Sim::with(telescope(20.0), "[faults]\nretries = 100\npause_s = 0.5\n", CAMERA, &[]).await;
+    sim.write_schedule(&[("cool_camera", "{}"), BIAS], 18_000.0);
     let refuses = Fault { error: Some(0x500), only: vec!["cooleron".to_owned()], ..Fault::default() };
     sim.simulator.world().fault(Kind::Camera, refuses);
     sim.start().await;
@@ -42,13 +45,13 @@ async fn a_cooler_that_refuses_is_asked_again_until_it_runs() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_sensor_that_stays_warm_fails_its_row_and_is_reported_until_it_is_cold() {
-    let mut sim = Sim::with(telescope(20.0), "", CAMERA, &[]).await;
+    let mut sim = Sim::with(telescope(20.0), "", IMPATIENT, &[]).await;
     let key = Key::Observatory(Address::new("test", "alpha").unwrap(), Part::Alerts);
     let alerts = sim.bus.latest::<Alerts>(&key).await.unwrap();
     let stands = || {
         alerts.get().is_some_and(|received| received.sample.body.alerts.iter().any(|a| a.id == "cooling-failed/camera"))
     };
-    sim.write_schedule(&[("cool_camera", "{}"), BIAS], 7200.0);
+    sim.write_schedule(&[("cool_camera", "{}"), BIAS], 18_000.0);
     // 45 K below such air the sensor is at 10 C.
     sim.simulator.world().set_weather(Quantity::Temperature, Some(55.0));
     sim.start().await;
@@ -68,7 +71,7 @@ async fn a_sensor_that_stays_warm_fails_its_row_and_is_reported_until_it_is_cold
 #[tokio::test(flavor = "multi_thread")]
 async fn a_person_cools_and_warms_a_camera_whatever_the_schedule_does() {
     let mut sim = Sim::with(telescope(20.0), "", CAMERA, &[]).await;
-    sim.write_schedule(&[("close", "{}")], 7200.0);
+    sim.write_schedule(&[("close", "{}")], 18_000.0);
     sim.start().await;
     sim.until("the row ends", MOST, |sim| sim.ended(0).is_some()).await;
     let address = Address::new("test", "alpha").unwrap();

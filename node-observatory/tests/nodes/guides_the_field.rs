@@ -1,6 +1,5 @@
-//! Guiding closes its loop on the simulated mount: calibrated by pulses, held against drift and worm, and held again on
-//! the other side of the pier. Residuals are judged twice: as the node publishes them, and, where the row's own camera
-//! guides, by where the telescope truly looked in the simulator.
+//! Guiding closes its loop on the simulated mount: calibrated by pulses or by a solved frame, and held on both sides of
+//! the pier. How well it holds is measured in `proof`.
 
 use contract::device::telescope::PierSide;
 use contract::observatory::{CalibrationSource, Correction, GuideCalibration, GuideStage};
@@ -10,120 +9,75 @@ use units::Angle;
 use crate::MOST;
 use crate::sim::{Sim, by_geometry, telescope};
 
-/// What is asked for: the predecessor's published median, px.
-const ASKED_PX: f64 = 0.35;
-
 /// An `object` row that guides.
-fn object((ra, dec): (f64, f64), exposure_s: f64, frames: u32) -> String {
+pub fn object((ra, dec): (f64, f64), exposure_s: f64, frames: u32) -> String {
     format!(
         r#"{{"object": "field", "ra": {ra}, "dec": {dec}, "exptime": {exposure_s}, "n": {frames}, "guiding": true}}"#
     )
 }
 
-/// Frames until the drift and the play of the gear are known; acceptance test 5 gives twelve.
-const SETTLES: usize = 5;
-
-/// Root mean square of how far frames were off while the field was held, px, and their number.
-fn rms_px<'a>(corrections: impl Iterator<Item = &'a Correction>) -> (f64, usize) {
-    let squares: Vec<f64> = corrections
-        .filter(|correction| correction.stage == GuideStage::Guide)
-        .skip(SETTLES)
-        .filter_map(|correction| Some(correction.dx_px?.powi(2) + correction.dy_px?.powi(2)))
-        .collect();
-    ((squares.iter().sum::<f64>() / squares.len() as f64).sqrt(), squares.len())
-}
-
-/// Where the telescope truly looked and when, sky s, asked of the simulator while a test waits.
-#[derive(Default)]
-struct Truth {
-    places: Vec<(f64, sky::Icrs)>,
-    /// When the mount was sent elsewhere by hand. The stamp of an exposure may be late by more than the time from its
-    /// end to then.
-    by_hand_s: Option<f64>,
-}
-
-impl Truth {
-    fn look(&mut self, sim: &Sim) {
-        self.places.push((sim.clock.utc().seconds(), sim.simulator.world().looks_at()));
-    }
-
-    /// Root mean square of how far frames truly were off their mean while the field was held, px of one arcsec.
-    fn rms_px<'a>(&self, exposure_s: f64, corrections: impl Iterator<Item = &'a Correction>) -> f64 {
-        let held = corrections.filter(|correction| correction.stage == GuideStage::Guide).skip(SETTLES);
-        let seen: Vec<Option<[f64; 2]>> =
-            held.map(|correction| self.mean(correction.mid_utc.seconds(), exposure_s)).collect();
-        let places: Vec<[f64; 2]> = seen.iter().flatten().copied().collect();
-        // On a busy machine the test may not get to look during each of the short exposures.
-        assert!(2 * places.len() > seen.len(), "looked during {} of {} exposures", places.len(), seen.len());
-        let count = places.len() as f64;
-        let middle = [0, 1].map(|n| places.iter().map(|place| place[n]).sum::<f64>() / count);
-        let squares = places.iter().map(|[x, y]| (x - middle[0]).powi(2) + (y - middle[1]).powi(2));
-        (squares.sum::<f64>() / count).sqrt()
-    }
-
-    /// The mean place during an exposure, arcsec east and north of the first one; None if nobody looked then.
-    fn mean(&self, mid_s: f64, exposure_s: f64) -> Option<[f64; 2]> {
-        let (_, from) = self.places[0];
-        let is_of = |at_s: f64| self.by_hand_s.is_none_or(|by_hand_s| (at_s < by_hand_s) == (mid_s < by_hand_s));
-        let during = self.places.iter().filter(|(at_s, _)| (at_s - mid_s).abs() <= 0.5 * exposure_s && is_of(*at_s));
-        let offsets: Vec<[f64; 2]> = during
-            .map(|(_, place)| {
-                let east = (place.ra - from.ra).wrapped_signed().arcseconds() * place.dec.cos();
-                [east, (place.dec - from.dec).arcseconds()]
-            })
-            .collect();
-        let mean = |n: usize| offsets.iter().map(|offset| offset[n]).sum::<f64>() / offsets.len() as f64;
-        (!offsets.is_empty()).then(|| [0, 1].map(mean))
-    }
-}
-
 /// Directions and speeds of two calibrations differ by this at most, degrees and share.
-fn apart(a: [f64; 2], b: [f64; 2]) -> (f64, f64) {
+pub fn apart(a: [f64; 2], b: [f64; 2]) -> (f64, f64) {
     let angle = (a[1].atan2(a[0]) - b[1].atan2(b[0])).to_degrees();
     let turned = ((angle + 180.0).rem_euclid(360.0) - 180.0).abs();
     (turned, (a[0].hypot(a[1]) / b[0].hypot(b[1]) - 1.0).abs())
 }
 
+/// What was corrected while the field was held with the tube in the west of the pier, and in the east.
+pub fn sides(corrections: &[Correction]) -> [Vec<Correction>; 2] {
+    let of = |side| corrections.iter().filter(move |c| c.pier_side == Some(side) && c.stage == GuideStage::Guide);
+    [PierSide::West, PierSide::East].map(|side| of(side).cloned().collect::<Vec<_>>())
+}
+
+/// The same camera on the other side of the pier.
+pub fn turned(calibration: &GuideCalibration) -> GuideCalibration {
+    let [east_px_per_s, north_px_per_s] =
+        [calibration.east_px_per_s, calibration.north_px_per_s].map(|way| way.map(|v| -v));
+    GuideCalibration { east_px_per_s, north_px_per_s, ..calibration.clone() }
+}
+
+/// A row without an end: a test ends when it has seen enough.
+fn endless((ra, dec): (f64, f64), more: &str) -> String {
+    format!(r#"{{"object": "field", "ra": {ra}, "dec": {dec}, {more}}}"#)
+}
+
+/// How far west of the meridian a place stands now, degrees.
+fn past_meridian_deg(sim: &Sim, (ra, _): (f64, f64)) -> f64 {
+    (sim.place(0.0, 0.0).0 - ra + 180.0).rem_euclid(360.0) - 180.0
+}
+
+/// Frames that were corrected after while the field was held, with the tube on this side of the pier.
+fn held(corrections: &[Correction], side: PierSide) -> usize {
+    corrections.iter().filter(|c| c.pier_side == Some(side) && c.stage == GuideStage::Guide).count()
+}
+
 #[tokio::test(flavor = "multi_thread")]
-async fn pulses_teach_what_they_do_and_a_drifting_field_is_held() {
+async fn pulses_teach_what_they_do_and_a_field_is_held_by_it() {
     let mut options = telescope(30.0);
     options.camera.position_angle = Angle::from_degrees(17.0);
-    options.mount.drift_arcsec_per_min = (0.6, -0.9);
+    // Nothing moves the stars but pulses, however long this machine takes between two of them.
+    (options.mount.drift_arcsec_per_min, options.mount.periodic_error_arcsec) = ((0.0, 0.0), 0.0);
     let truth = by_geometry(&options.camera);
     let mut sim = Sim::new(options, "[imaging]\nsolve = false\n").await;
     let field = sim.place(0.7, -20.0);
     let (ra, dec) = sim.place(0.8, 0.0);
     let calibrate = format!(r#"{{"exptime": 3, "pulse_time": 900, "settle_time": 0.5, "ra": {ra}, "dec": {dec}}}"#);
-    sim.write_schedule(&[("calibrate_guiding", &calibrate), ("object", &object(field, 20.0, 22))], 7200.0);
+    sim.write_schedule(&[("calibrate_guiding", &calibrate), ("object", &object(field, 20.0, 5))], 18_000.0);
     sim.start().await;
     sim.until("calibrated", MOST, |sim| sim.ended(0).is_some()).await;
-    println!("calibrated: {}", sim.ended(0).unwrap());
-    let mut looked = Truth::default();
-    sim.until("the field observed", MOST, |sim| {
-        looked.look(sim);
-        sim.ended(1).is_some()
-    })
-    .await;
-    println!("{}", sim.ended(1).unwrap());
-    let corrections = sim.corrections().await;
-    let published = sim.guiding.get().unwrap().sample.body;
-    let made = published.calibration.unwrap();
+    sim.until("held", MOST, |sim| sim.holds(2)).await;
+    let made = sim.guiding.get().unwrap().sample.body.calibration.unwrap();
     assert_eq!((made.source, made.pier_side), (CalibrationSource::Pulses, Some(PierSide::East)));
     for (learned, true_px_s) in [(made.east_px_per_s, truth.east_px_per_s), (made.north_px_per_s, truth.north_px_per_s)]
     {
         let (turned_deg, faster) = apart(learned, true_px_s);
-        println!("turned by {turned_deg:.2} deg, off by {faster:.4} in speed");
-        // The mount drifts meanwhile, by a pixel or so on the way of 25.
         assert!(turned_deg < 2.0 && faster < 0.05, "{learned:?}, by geometry {true_px_s:?}");
     }
-    let (rms_px, frames) = rms_px(corrections.iter());
-    let true_px = looked.rms_px(20.0, corrections.iter());
-    println!("held to {rms_px:.3} px rms on {frames} of {} frames, in truth {true_px:.3} px", corrections.len());
-    assert!(corrections.len() >= 18 && frames >= 12 && rms_px <= ASKED_PX, "{corrections:#?}");
-    assert!(true_px <= ASKED_PX, "in truth {true_px:.3} px rms: {corrections:#?}");
-    // Without pulses the drift alone would have been 1 px in each 55 s.
-    assert!(corrections.iter().any(|correction| correction.east.given_ms != 0 || correction.north.given_ms != 0));
-    assert!(!published.active, "the row has ended");
+    sim.until("the field observed", MOST, |sim| sim.ended(1).is_some()).await;
+    let over = |sim: &Sim| sim.guiding.get().is_some_and(|received| !received.sample.body.active);
+    sim.until("guiding over with its row", MOST, over).await;
+    let corrections = sim.corrections().await;
+    assert!(corrections.iter().any(|correction| correction.stage == GuideStage::Guide), "{corrections:#?}");
     sim.stop().await;
 }
 
@@ -132,89 +86,37 @@ async fn a_calibration_during_which_the_tube_turns_over_succeeds_at_the_first_tr
     let options = telescope(20.0);
     let once = "[imaging]\nsolve = false\n[faults]\nretries = 0\n[faults.policy]\ntelescope = \"skip\"\n";
     let mut sim = Sim::new(options, once).await;
-    // It is in the east when the row slews, and crosses the meridian soon after.
-    let (ra, dec) = sim.place(-0.05, -10.0);
-    let calibrate = format!(r#"{{"exptime": 3, "pulse_time": 900, "settle_time": 0.5, "ra": {ra}, "dec": {dec}}}"#);
-    sim.write_schedule(&[("calibrate_guiding", &calibrate)], 7200.0);
+    // The roof is open and the mount tracks before it is decided where to calibrate.
+    let before = endless(sim.place(-0.5, -10.0), "\"exptime\": 2");
+    sim.write_schedule(&[("object", &before)], 18_000.0);
     sim.start().await;
+    let taken =
+        |sim: &Sim| sim.schedule.get().is_some_and(|found| found.sample.body.rows.iter().any(|row| row.frames > 0));
+    sim.until("observing", MOST, taken).await;
+    // In the east when the row slews, and across the meridian while it is calibrated: the exposures after some twenty
+    // pulses are 20 s of this machine and more, the way to the meridian is 15 s.
+    let (ra, dec) = sim.place(-0.08, -10.0);
+    let calibrate = format!(r#"{{"exptime": 20, "pulse_time": 900, "settle_time": 0.5, "ra": {ra}, "dec": {dec}}}"#);
+    sim.write_schedule(&[("calibrate_guiding", &calibrate)], 18_000.0);
     sim.until("past the meridian, calibrating", MOST, |sim| {
         let pulses =
             sim.sent_to_mount(0).iter().filter(|(member, _)| member.eq_ignore_ascii_case("pulseguide")).count();
-        let (now, _) = sim.place(0.0, 0.0);
-        pulses >= 1 && (now - ra + 180.0).rem_euclid(360.0) - 180.0 > 0.3
+        // The half degree is that between J2000 and date.
+        pulses >= 1 && past_meridian_deg(sim, (ra, dec)) > 0.5
     })
     .await;
     sim.slew_by_hand((ra, dec)).await;
     sim.until("calibrated", MOST, |sim| sim.ended(0).is_some()).await;
     let report = sim.ended(0).unwrap();
     assert!(report.contains("px/s") && report.contains("pulses"), "{report}");
-    // A whole run on the side where it is then.
-    let sent = sim.sent_to_mount(0);
-    let turned = sent.iter().rposition(|(member, _)| member.eq_ignore_ascii_case("slewtocoordinatesasync")).unwrap();
-    let pulses = sent[turned..].iter().filter(|(member, _)| member.eq_ignore_ascii_case("pulseguide")).count();
-    assert!(turned > 0 && report.contains(&format!("{pulses} pulses")), "{pulses} after the flip; {report}");
+    // A whole run on the side where it is then: a pulse that was under way as the tube turned over is not of it.
+    let log = sim.simulator.world().puts_since(0);
+    let by_hand = log.iter().rposition(|put| put.member == "slewtocoordinatesasync").unwrap();
+    let [before, after] = [&log[..by_hand], &log[by_hand..]]
+        .map(|log| log.iter().filter(|put| put.member.eq_ignore_ascii_case("pulseguide")).count());
+    let of_run = |count: &usize| report.contains(&format!(" {count} pulses"));
+    assert!(before > 0 && (after.saturating_sub(1)..=after).any(|count| of_run(&count)), "{before}, {after}; {report}");
     sim.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_field_is_held_on_both_sides_of_the_pier() {
-    let mut options = telescope(20.0);
-    options.camera.position_angle = Angle::from_degrees(200.0);
-    (options.mount.drift_arcsec_per_min, options.mount.periodic_error_arcsec) = ((0.6, -0.4), 1.0);
-    options.mount.scatter_arcsec = 1.0;
-    let truth = by_geometry(&options.camera);
-    let mut sim = Sim::new(options, "[imaging]\nsolve = false\n").await;
-    // It crosses the meridian after some frames, and a slew from then on puts the tube on the other side; the half
-    // degree below is that between J2000 and date.
-    let field = sim.place(-0.07, -10.0);
-    // Known on the side where it begins; the other side's is that turned round.
-    let west = GuideCalibration { pier_side: Some(PierSide::West), ..turned(&truth) };
-    sim.keep_calibration("camera", GuideCalibration { source: CalibrationSource::Pulses, ..west });
-    sim.write_schedule(&[("object", &object(field, 20.0, 30))], 7200.0);
-    sim.start().await;
-    let (looked, corrections) = flipped_under_way(&sim, field).await;
-    for (side, held) in ["west", "east"].into_iter().zip(sides(&corrections)) {
-        let (rms_px, frames) = rms_px(held.iter());
-        let true_px = looked.rms_px(20.0, held.iter());
-        println!(
-            "tube in the {side}: held to {rms_px:.3} px rms on {frames} frames, in truth {true_px:.3}, reference {:?}",
-            held.last().map(|c| &c.reference.0)
-        );
-        assert!(frames >= 4 && rms_px <= ASKED_PX && true_px <= ASKED_PX, "{side}: {corrections:#?}");
-    }
-    let references: std::collections::BTreeSet<&str> = corrections.iter().map(|c| c.reference.0.as_str()).collect();
-    assert_eq!(references.len(), 2, "each side has its own");
-    sim.stop().await;
-}
-
-/// Lets a row guide until its field has crossed the meridian, and then the tube go to the other side of the pier.
-async fn flipped_under_way(sim: &Sim, field: (f64, f64)) -> (Truth, Vec<Correction>) {
-    let mut looked = Truth::default();
-    let crossed = |sim: &Sim| {
-        let (ra, _) = sim.place(0.0, 0.0);
-        (ra - field.0 + 180.0).rem_euclid(360.0) - 180.0 > 0.5
-    };
-    sim.until("past the meridian, guiding", MOST, |sim| {
-        looked.look(sim);
-        let state = sim.guiding.get().map(|received| received.sample.body);
-        crossed(sim) && state.is_some_and(|state| state.frames.unwrap_or(0) >= 12)
-    })
-    .await;
-    // As from the handbox: to where it points already.
-    looked.by_hand_s = Some(sim.clock.utc().seconds());
-    sim.slew_by_hand(field).await;
-    sim.until("the field observed", MOST, |sim| {
-        looked.look(sim);
-        sim.ended(0).is_some()
-    })
-    .await;
-    (looked, sim.corrections().await)
-}
-
-/// What was corrected while the field was held with the tube in the west of the pier, and in the east.
-fn sides(corrections: &[Correction]) -> [Vec<Correction>; 2] {
-    let of = |side| corrections.iter().filter(move |c| c.pier_side == Some(side) && c.stage == GuideStage::Guide);
-    [PierSide::West, PierSide::East].map(|side| of(side).cloned().collect::<Vec<_>>())
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -226,25 +128,39 @@ async fn a_proven_row_is_held_on_both_sides_also_by_a_mount_that_goes_south_by_n
     let truth = by_geometry(&options.camera);
     let more = "[imaging]\ncatalogue = \"sky.smcat\"\n[guiding]\ndec_reversed_after_flip = true\n";
     let mut sim = Sim::new(options, more).await;
-    let field = sim.place(-0.07, -10.0);
+    // It crosses the meridian after 36 s of this machine, and is to be held before.
+    let field = sim.place(-0.2, -10.0);
     sim.write_catalogue(field);
-    let row = object(field, 20.0, 28).replace("\"guiding\"", "\"pointing\": true, \"guiding\"");
-    sim.write_schedule(&[("object", &row)], 7200.0);
+    let row = endless(field, r#""exptime": 20, "pointing": true, "guiding": true"#);
+    sim.write_schedule(&[("object", &row)], 18_000.0);
     sim.start().await;
-    let (looked, corrections) = flipped_under_way(&sim, field).await;
-    for (side, held) in ["west", "east"].into_iter().zip(sides(&corrections)) {
-        let (rms_px, frames) = rms_px(held.iter());
-        let true_px = looked.rms_px(20.0, held.iter());
-        println!("tube in the {side}: held to {rms_px:.3} px rms on {frames} frames, in truth {true_px:.3}");
-        assert!(frames >= 4 && rms_px <= ASKED_PX && true_px <= ASKED_PX, "{side}: {corrections:#?}");
-        // A drift to the north is to be taken back, whatever the motor calls that.
-        assert!(held.iter().any(|c| c.north.given_ms != 0), "{side}: {held:#?}");
+    let mut corrections = Vec::new();
+    while held(&corrections, PierSide::West) < 4 || past_meridian_deg(&sim, field) < 0.5 {
+        corrections.push(sim.next_correction().await);
     }
+    // As from the handbox: to where it points already.
+    sim.slew_by_hand(field).await;
+    while held(&corrections, PierSide::East) < 6 {
+        corrections.push(sim.next_correction().await);
+    }
+    for held in sides(&corrections) {
+        // A drift to the north is to be taken back, whatever the motor calls that.
+        assert!(held.iter().any(|c| c.north.given_ms != 0), "{held:#?}");
+    }
+    let held = corrections.iter().filter(|c| c.stage == GuideStage::Guide);
+    let references: std::collections::BTreeSet<&str> = held.map(|c| c.reference.0.as_str()).collect();
+    assert_eq!(references.len(), 2, "each side has its own");
     // Solved frames of each side taught it, and where the motor is left as it was, North is what South is on the sky.
-    let learned = node_observatory::guiding::learned::LearnedGuiding::read(&sim.data().join("guiding-alpha.json"));
+    let file = sim.data().join("guiding-alpha.json");
+    let learned =
+        |side| node_observatory::guiding::learned::LearnedGuiding::read(&file).calibration("camera", Some(side), true);
     for (side, east, north) in [(PierSide::East, 1.0, 1.0), (PierSide::West, -1.0, 1.0)] {
-        let made = learned.calibration("camera", Some(side), true).unwrap();
-        assert_eq!((made.source, made.pier_side), (CalibrationSource::PlateSolution, Some(side)));
+        let is_of_side = |_: &Sim| {
+            learned(side)
+                .is_some_and(|made| (made.source, made.pier_side) == (CalibrationSource::PlateSolution, Some(side)))
+        };
+        sim.until("learned on this side", MOST, is_of_side).await;
+        let made = learned(side).unwrap();
         let turned = |way: [f64; 2], sense: f64| way.map(|v| sense * v);
         let off_deg = [
             apart(made.east_px_per_s, turned(truth.east_px_per_s, east)).0,
@@ -252,15 +168,7 @@ async fn a_proven_row_is_held_on_both_sides_also_by_a_mount_that_goes_south_by_n
         ];
         assert!(off_deg.iter().all(|off| *off < 1.0), "{side:?}: {off_deg:?} deg off, {made:?}");
     }
-    assert_eq!(sim.schedule.get().unwrap().sample.body.rows[0].frames, 28);
     sim.stop().await;
-}
-
-/// The same camera on the other side of the pier.
-fn turned(calibration: &GuideCalibration) -> GuideCalibration {
-    let [east_px_per_s, north_px_per_s] =
-        [calibration.east_px_per_s, calibration.north_px_per_s].map(|way| way.map(|v| -v));
-    GuideCalibration { east_px_per_s, north_px_per_s, ..calibration.clone() }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -272,16 +180,14 @@ async fn a_solved_frame_and_the_guide_rates_teach_what_pulses_do() {
     let mut sim = Sim::new(options, "[imaging]\ncatalogue = \"sky.smcat\"\n").await;
     let field = sim.place(0.7, -20.0);
     sim.write_catalogue(field);
-    sim.write_schedule(&[("object", &object(field, 20.0, 14))], 7200.0);
+    sim.write_schedule(&[("object", &endless(field, r#""exptime": 20, "guiding": true"#))], 18_000.0);
     sim.start().await;
-    let mut looked = Truth::default();
-    sim.until("the field observed", MOST, |sim| {
-        looked.look(sim);
-        sim.ended(0).is_some()
-    })
-    .await;
-    println!("{}", sim.ended(0).unwrap());
-    let corrections = sim.corrections().await;
+    let mut corrections = Vec::new();
+    // The drift alone is a pixel in each 55 s.
+    let is_pulsed = |c: &Correction| c.east.given_ms != 0 || c.north.given_ms != 0;
+    while held(&corrections, PierSide::East) < 4 || !corrections.iter().any(is_pulsed) {
+        corrections.push(sim.next_correction().await);
+    }
     let made = sim.guiding.get().unwrap().sample.body.calibration.unwrap();
     assert_eq!((made.source, made.pier_side), (CalibrationSource::PlateSolution, Some(PierSide::East)));
     for (learned, true_px_s) in [(made.east_px_per_s, truth.east_px_per_s), (made.north_px_per_s, truth.north_px_per_s)]
@@ -289,33 +195,30 @@ async fn a_solved_frame_and_the_guide_rates_teach_what_pulses_do() {
         let (turned_deg, faster) = apart(learned, true_px_s);
         assert!(turned_deg < 1.0 && faster < 0.01, "{learned:?}, by geometry {true_px_s:?}");
     }
-    let (rms_px, frames) = rms_px(corrections.iter());
-    let true_px = looked.rms_px(20.0, corrections.iter());
-    println!("held to {rms_px:.3} px rms on {frames} of {} frames, in truth {true_px:.3} px", corrections.len());
-    assert!(frames >= 4 && rms_px <= ASKED_PX && true_px <= ASKED_PX, "{corrections:#?}");
     sim.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_camera_of_its_own_guides_alongside_the_rows_exposures() {
-    let mut options = telescope(5.0);
-    let scope = simulator::GuideCameraOptions::default();
+    let mut options = telescope(10.0);
+    let mut scope = simulator::GuideCameraOptions::default();
+    (scope.camera.width, scope.camera.height) = (640, 480);
     options.mount.drift_arcsec_per_min = (2.0, -1.5);
     options.guide_camera = Some(scope);
     let known = by_geometry(&scope.camera);
-    let more = "[imaging]\nsolve = false\n[guiding]\ncamera = \"guider\"\nexposure_s = 2.0\n";
+    let more = "[imaging]\nsolve = false\n[guiding]\ncamera = \"guider\"\nexposure_s = 5.0\n";
     let mut sim = Sim::new(options, more).await;
     sim.keep_calibration("guider", GuideCalibration { source: CalibrationSource::Pulses, ..known });
     let field = sim.place(0.7, -20.0);
-    sim.write_schedule(&[("object", &object(field, 25.0, 4))], 7200.0);
+    sim.write_schedule(&[("object", &object(field, 40.0, 3))], 18_000.0);
     sim.start().await;
+    let mut corrections = Vec::new();
+    while held(&corrections, PierSide::East) < 3 {
+        corrections.push(sim.next_correction().await);
+    }
     sim.until("the field observed", MOST, |sim| sim.ended(0).is_some()).await;
-    println!("{}", sim.ended(0).unwrap());
-    let corrections = sim.corrections().await;
-    let (rms_px, frames) = rms_px(corrections.iter());
-    println!("held to {rms_px:.3} px rms on {frames} of {} frames of the guide camera", corrections.len());
+    corrections.extend(sim.corrections().await);
     assert!(corrections.iter().all(|correction| correction.camera == "guider"));
-    assert!(frames >= 3 && rms_px <= ASKED_PX, "{corrections:#?}");
-    assert_eq!(sim.schedule.get().unwrap().sample.body.rows[0].frames, 4, "its frames are none of the row's");
+    assert_eq!(sim.schedule.get().unwrap().sample.body.rows[0].frames, 3, "its frames are none of the row's");
     sim.stop().await;
 }

@@ -46,7 +46,7 @@ async fn telescope(change: impl FnOnce(&mut simulator::Options), more: &str) -> 
     (options.camera.width, options.camera.height) = (640, 640);
     (options.mount, options.dome.slit) = (MountOptions::perfect(), None);
     change(&mut options);
-    let sim = Sim::new(options, &format!("{more}\n{DEVICES}")).await;
+    let sim = Sim::new(options, &format!("[imaging]\nsolve = false\n{more}\n{DEVICES}")).await;
     for (quantity, value) in [(Quantity::Temperature, 10.0), (Quantity::StarFwhm, 1.0), (Quantity::CloudCover, 0.0)] {
         sim.simulator.world().set_weather(quantity, Some(value));
     }
@@ -174,11 +174,11 @@ fn focus_of_exposures(sim: &Sim, until: Option<Utc>) -> Vec<i64> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_focus_that_drifts_away_is_found_anew_between_two_frames_of_the_row() {
-    const FRAMES: u32 = 24;
+    const FRAMES: u32 = 27;
     let focusing = "[focusing]\non_drift = \"refocus\"\nrefocus_after_min = 30\nrefocus_exposure_s = 2.0\n";
     let mut sim = telescope(|_| {}, focusing).await;
     let value = object(&sim, &format!(r#""n": {FRAMES}, "filter": "V""#));
-    sim.write_schedule(&[("object", &value)], 7200.0);
+    sim.write_schedule(&[("object", &value)], 18_000.0);
     let subscribers = FocusSubscribers::on(&sim).await;
     sim.start().await;
     // Nine degrees colder, a degree a frame; no coefficient is known, so the focuser stays.
@@ -240,7 +240,7 @@ fn many_runs() -> FocusLearned {
 async fn the_focus_follows_the_temperature_between_frames_and_the_node_that_takes_over_knows_how() {
     let mut sim = telescope(|_| {}, "").await;
     let value = object(&sim, r#""filter": "V""#);
-    sim.write_schedule(&[("object", &value)], 7200.0);
+    sim.write_schedule(&[("object", &value)], 18_000.0);
     let learned = many_runs();
     let newest = learned.focusers["focuser"].last().unwrap().clone();
     assert_eq!(newest.temperature_c, Some(10.0));
@@ -311,7 +311,7 @@ async fn a_shift_counts_from_the_filters_own_focus_and_clouds_are_reported_and_s
     let mut sim = telescope(|_| {}, "").await;
     let defocused = object(&sim, r#""n": 2, "filter": "B", "focus_shift": 200"#);
     let sharp = object(&sim, r#""n": 24, "filter": "R""#);
-    sim.write_schedule(&[("object", &defocused), ("object", &sharp)], 7200.0);
+    sim.write_schedule(&[("object", &defocused), ("object", &sharp)], 18_000.0);
     let subscribers = FocusSubscribers::on(&sim).await;
     sim.start().await;
     sim.until("under way", MOST, |sim| frames(sim, 1) >= 4).await;
@@ -342,7 +342,7 @@ async fn stars_that_trail_are_reported_while_the_row_goes_on() {
     // 25 arcsec in each exposure, ten pixels.
     let mut sim = telescope(|options| options.mount.drift_arcsec_per_min = (150.0, 0.0), "").await;
     let value = object(&sim, r#""n": 5, "filter": "V""#);
-    sim.write_schedule(&[("object", &value)], 7200.0);
+    sim.write_schedule(&[("object", &value)], 18_000.0);
     let subscribers = FocusSubscribers::on(&sim).await;
     sim.start().await;
     sim.until("noticed", MOST, |sim| trigger(sim, TriggerKind::Trailing)).await;

@@ -13,17 +13,17 @@ use contract::{CommandId, Key, Kind, Topic};
 use rand::SeedableRng as _;
 use rand_distr::{Distribution as _, Normal};
 use sha2::{Digest as _, Sha256};
-use test_support::{Lateness, serve};
+use test_support::serve;
 
 use crate::MOST;
 use crate::site::Site;
 
 const SIDE_PX: u32 = 320;
 const FWHM_PX: f64 = 3.4;
-const STARS: u32 = 36;
+pub const STARS: u32 = 36;
 
 /// Gaussian stars in rows of six on a sky of 500 ADU with a noise of 6 ADU, as the spool has them.
-fn sky(stars: u32) -> Vec<u8> {
+pub fn sky(stars: u32) -> Vec<u8> {
     let mut chance = rand::rngs::StdRng::seed_from_u64(7);
     let noise = Normal::new(500.0, 6.0).unwrap();
     let place = |n: u32| 30.0 + 52.0 * f64::from(n) + 0.37 * f64::from(n * n % 5);
@@ -37,14 +37,14 @@ fn sky(stars: u32) -> Vec<u8> {
 }
 
 /// A camera's spool: `/stars`, `/empty`, and nothing else.
-struct Spool {
+pub struct Spool {
     url: String,
     frames: Publisher<Frame>,
     facts: Subscriber<FrameFacts>,
 }
 
 impl Spool {
-    async fn start(site: &Site) -> Self {
+    pub async fn start(site: &Site) -> Self {
         let (stars, empty) = (sky(STARS), sky(0));
         let answer = move |Path(what): Path<String>| {
             let answer = match what.as_str() {
@@ -63,7 +63,7 @@ impl Spool {
     }
 
     /// Announces the nth frame of a row; returns its id.
-    async fn announce(&self, n: u32, what: &str, sha256_of: &[u8]) -> CommandId {
+    pub async fn announce(&self, n: u32, what: &str, sha256_of: &[u8]) -> CommandId {
         let id = CommandId(format!("frame-{n}"));
         let purpose = Purpose {
             action: "object".to_owned(),
@@ -93,7 +93,7 @@ impl Spool {
         id
     }
 
-    async fn facts_of(&self, id: &CommandId) -> Received<FrameFacts> {
+    pub async fn facts_of(&self, id: &CommandId) -> Received<FrameFacts> {
         let waiting = async {
             loop {
                 let received = self.facts.recv().await;
@@ -111,7 +111,7 @@ fn alerts(site: &Site) -> Vec<String> {
     published.unwrap_or_default().into_iter().map(|alert| alert.id).collect()
 }
 
-fn commands(site: &Site) -> bool {
+pub fn commands(site: &Site) -> bool {
     site.night.get().is_some()
 }
 
@@ -123,22 +123,13 @@ async fn frames_are_measured_without_an_archive_and_vanished_stars_are_reported(
     site.until("commanding", MOST, commands).await;
     let (stars, empty) = (sky(STARS), sky(0));
     for n in 0..4 {
-        let lateness = Lateness::begin();
-        let (announced, id) = (site.clock.machine(), spool.announce(n, "stars", &stars).await);
-        let received = spool.facts_of(&id).await;
-        let after = received.arrived.since(announced);
-        println!(
-            "frame {n}: facts {after:?} after its announcement, measured in {:?} s",
-            received.sample.body.measuring_s
-        );
-        let facts = received.sample.body;
+        let id = spool.announce(n, "stars", &stars).await;
+        let facts = spool.facts_of(&id).await.sample.body;
         assert_eq!((facts.camera.as_deref(), facts.filter.as_deref()), (Some("guider"), Some("V")));
         assert_eq!((facts.stars, facts.trailed, facts.reason), (Some(STARS), Some(false), None));
         assert!((facts.fwhm_px.unwrap() - FWHM_PX).abs() < 0.1, "{:?}", facts.fwhm_px);
         assert!((facts.sky_adu.unwrap() - 500.0).abs() < 1.0, "{:?}", facts.sky_adu);
         assert!((facts.noise_adu.unwrap() - 6.0).abs() < 0.3, "{:?}", facts.noise_adu);
-        // 1 s is promised of a release build.
-        assert!(after < lateness.bound(Duration::from_secs(5)), "{after:?}");
     }
     let id = spool.announce(4, "empty", &empty).await;
     assert_eq!(spool.facts_of(&id).await.sample.body.stars, Some(0));
@@ -183,7 +174,8 @@ async fn a_standby_measures_nothing_until_it_commands_and_then_what_nobody_has_m
     site.write_schedule(&[]);
     site.lease_held.store(true, Ordering::Relaxed);
     let (spool, node) = (Spool::start(&site).await, site.start().await);
-    tokio::time::sleep(Duration::from_secs(5)).await;
+    site.until_up("main").await;
+    tokio::time::sleep(Duration::from_secs(2)).await;
     let stars = sky(STARS);
     let (first, second) = (spool.announce(0, "stars", &stars).await, spool.announce(1, "stars", &stars).await);
     // The commander's facts of the first of them.

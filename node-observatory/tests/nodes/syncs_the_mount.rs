@@ -26,12 +26,12 @@ async fn a_mount_that_was_misled_is_synchronised_and_its_next_slew_is_right() {
     // The node knows, and corrects by it; after the sync that would be wrong by as much.
     sim.keep_pointing(&misses(MISS));
     let object =
-        |(ra, dec): (f64, f64)| format!(r#"{{"object": "field", "ra": {ra}, "dec": {dec}, "exptime": 10, "n": 2}}"#);
+        |(ra, dec): (f64, f64)| format!(r#"{{"object": "field", "ra": {ra}, "dec": {dec}, "exptime": 30, "n": 2}}"#);
     let (west, east) = (object(sim.place(1.5, -20.0)), object(sim.place(-1.5, -45.0)));
     // Read out off the middle: the mount is synchronised on the sensor's middle.
     let part = r#""subframe_width": 300, "subframe_height": 300, "subframe_center_x": 0.3, "subframe_center_y": 0.7"#;
     let sync = format!(r#"{{"n": 3, "exptime": 10, "sync": true, {part}}}"#);
-    sim.write_schedule(&[("object", &west), ("pointing_model", &sync), ("object", &east)], 7200.0);
+    sim.write_schedule(&[("object", &west), ("pointing_model", &sync), ("object", &east)], 18_000.0);
     let frames = sim.bus.subscribe::<Frame>(Topic::Frame.everywhere(), Catch::All, 100).await.unwrap();
     let facts = sim.bus.subscribe::<FrameFacts>(Topic::Facts.everywhere(), Catch::All, 100).await.unwrap();
     let key = Key::Observatory(Address::new("test", "alpha").unwrap(), Part::Pointing);

@@ -1,21 +1,20 @@
 //! A standby with a data folder of its own takes over what people ordered, and orders are on disk before they count.
 
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use contract::device::dome::{Command as Dome, Shutter};
 use contract::observatory::{Alert, OperatorOrders};
 use contract::{Key, OrderKind, Part, Reason, Reply};
-use test_support::Lateness;
 
 use crate::MOST;
 use crate::site::Site;
 
 const SEEN: &str = "stay-closed";
-const SHELVED: &str = "override/sun";
+pub const SHELVED: &str = "override/sun";
 
 /// A site that opens whenever it may.
-async fn eager_site() -> Site {
+pub async fn eager_site() -> Site {
     let site = Site::new(1.0).await;
     // Near the zenith, and without an end.
     let object = r#"{"object": "x", "exptime": 10, "ra": 45.0, "dec": -24.6}"#;
@@ -23,11 +22,11 @@ async fn eager_site() -> Site {
     site
 }
 
-fn is_open(site: &Site) -> bool {
+pub fn is_open(site: &Site) -> bool {
     site.shutter() == Some(Shutter::Open)
 }
 
-fn is_shut(site: &Site) -> bool {
+pub fn is_shut(site: &Site) -> bool {
     site.shutter() == Some(Shutter::Closed)
 }
 
@@ -35,11 +34,11 @@ fn openings(site: &Site) -> usize {
     site.dome.log.lock().unwrap().iter().filter(|(_, command)| *command == Dome::OpenShutter).count()
 }
 
-fn alert(site: &Site, id: &str) -> Option<Alert> {
+pub fn alert(site: &Site, id: &str) -> Option<Alert> {
     site.alerts.get()?.sample.body.alerts.into_iter().find(|alert| alert.id == id)
 }
 
-fn accepted(reply: Reply) {
+pub fn accepted(reply: Reply) {
     assert!(matches!(reply, Reply::Accepted(_)), "{reply:?}");
 }
 
@@ -61,6 +60,7 @@ async fn a_veto_an_override_and_acknowledgements_outlive_the_commander_and_its_d
     let first = site.start_as("main", "data-main").await;
     site.until("open", MOST, is_open).await;
     let second = site.start_as("second", "data-second").await;
+    site.until_up("second").await;
     accepted(site.order(OrderKind::Override { input: "sun".to_owned(), for_s: 3600.0 }).await);
     accepted(site.order(OrderKind::StayClosed(true)).await);
     site.until("shut", MOST, is_shut).await;
@@ -77,12 +77,10 @@ async fn a_veto_an_override_and_acknowledgements_outlive_the_commander_and_its_d
     tokio::time::sleep(Duration::from_secs(2)).await;
     let (before, opened) = (site.alerts.get().unwrap().sample.boot_id, openings(&site));
 
-    let killed = Instant::now();
     first.kill().await;
     std::fs::remove_dir_all(site.folder.path().join("data-main")).unwrap();
     let taken = |site: &Site| site.alerts.get().is_some_and(|received| received.sample.boot_id != before);
     site.until("taken over", MOST, taken).await;
-    println!("taken over {:?} after the kill", killed.elapsed());
     assert!(marked(&site), "the first word of the new commander knows: {:?}", site.alerts.get());
     site.until("the verdict says who ordered it", MOST, |site| reason(site).contains("test ordered it: a test")).await;
     let overridden = alert(&site, SHELVED).unwrap();
@@ -112,13 +110,11 @@ async fn a_standby_that_never_received_from_the_commander_stays_closed_until_a_p
     // A restart knows this: it released the lease, and is granted it at once.
     second.stop().await;
     let moved = site.dome.log.lock().unwrap().len();
-    let restarted = Instant::now();
     let second = site.start_as("second", "data-second").await;
     let key = Key::Observatory(site.address.clone(), Part::OperatorOrders);
     let orders = site.bus.latest::<OperatorOrders>(&key).await.unwrap();
     site.until("it commands", MOST, |_| orders.get().is_some_and(|received| received.sample.body.token == Some(3)))
         .await;
-    println!("a restart commands after {:?}", restarted.elapsed());
     tokio::time::sleep(Duration::from_secs(2)).await;
     assert_eq!(orders.get().unwrap().sample.body.stay_closed, None);
     assert_eq!(site.dome.log.lock().unwrap().len(), moved, "and nothing moves for it");
@@ -126,7 +122,7 @@ async fn a_standby_that_never_received_from_the_commander_stays_closed_until_a_p
 }
 
 /// Makes a disk fail for one file of the node `main`: a folder is where the file would be written.
-fn part(site: &Site, file: &str) -> PathBuf {
+pub fn part(site: &Site, file: &str) -> PathBuf {
     site.folder.path().join("data").join(format!("{file}-callisto.json.main.part"))
 }
 
@@ -154,11 +150,8 @@ async fn an_order_that_the_disk_does_not_take_is_refused_and_closing_acts_all_th
     let seen = alert(&site, SHELVED).unwrap();
     assert_eq!((seen.acknowledged_by, seen.shelved_until_utc), (None, None), "and nothing is changed");
 
-    let (ordered, lateness) = (Instant::now(), Lateness::begin());
     accepted(site.order(OrderKind::StayClosed(true)).await);
-    let answered = ordered.elapsed().saturating_sub(lateness.bound(Duration::ZERO));
     site.until("shut", MOST, is_shut).await;
-    assert!(answered < Duration::from_secs(2), "{answered:?}");
     site.until("it is reported", MOST, |site| alert(site, "operator-orders").is_some()).await;
     let (_, why) = refused(site.order(OrderKind::StayClosed(false)).await);
     assert!(why.contains("the disk does not take it"), "{why}");

@@ -15,8 +15,9 @@ use units::{Angle, Utc};
 use crate::MOST;
 use crate::sim::{Sim, telescope};
 
-/// Sky seconds per machine second: a frame is fetched and measured within a second, and must not miss much of the dusk.
-const SPEED: f64 = 10.0;
+/// Sky seconds per machine second: a frame is fetched and measured within a second, and a node restarts within ten, which
+/// must not miss much of the dusk, also on a busy machine.
+const SPEED: f64 = 5.0;
 const DEVICES: [(&str, &str); 2] = [("filterwheel", "wheel"), ("covercalibrator", "cover")];
 /// Wanted level of a frame and how far off it may be, ADU.
 const LEVEL: (f64, f64) = (28_000.0, 5600.0);

@@ -33,7 +33,7 @@ async fn a_standby_points_solves_and_holds_the_field_as_the_commander_did() {
     let row = format!(
         r#"{{"object": "field", "ra": {ra}, "dec": {dec}, "exptime": 10, "n": 400, "pointing": true, "guiding": true}}"#
     );
-    sim.write_schedule(&[("object", &row)], 7200.0);
+    sim.write_schedule(&[("object", &row)], 18_000.0);
     let frames = sim.bus.subscribe::<Frame>(Topic::Frame.everywhere(), Catch::All, 1000).await.unwrap();
     let facts = sim.bus.subscribe::<FrameFacts>(Topic::Facts.everywhere(), Catch::All, 1000).await.unwrap();
     let key = Key::Observatory(Address::new("test", "alpha").unwrap(), Part::Optics).to_string();
@@ -45,6 +45,7 @@ async fn a_standby_points_solves_and_holds_the_field_as_the_commander_did() {
 
     // It comes late: the reference was published before it was there.
     let folder = sim.start_standby().await;
+    sim.until_up("second").await;
     tokio::time::sleep(Duration::from_secs(4)).await;
     assert!(!folder.join("guiding-alpha.json").exists(), "a standby writes nothing");
     let killed = sim.clock.utc();

@@ -25,16 +25,16 @@ fn frames(site: &Site, row: u32, action: &str) -> usize {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn no_frame_counts_where_none_shows_where_it_looks_unless_the_row_allows_it() {
-    let mut site = Site::new(100.0).await;
+    let mut site = Site::new(20.0).await;
     site.more = "[pointing]\non_failure = \"skip\"\nattempts = 3\n";
     let (proven, unverified) = (
         format!(r#"{{"object": "x", {TARGET}, "n": 2}}"#),
         format!(r#"{{"object": "y", {TARGET}, "n": 2, "unverified": true}}"#),
     );
     site.write_schedule(&[
-        ("object", &proven, "03:00:00", "04:00:00"),
-        ("object", &unverified, "03:00:01", "04:00:00"),
-        ("pointing_model", r#"{"n": 2, "exptime": 1}"#, "03:00:02", "04:00:00"),
+        ("object", &proven, "03:00:00", "08:00:00"),
+        ("object", &unverified, "03:00:01", "08:00:00"),
+        ("pointing_model", r#"{"n": 2, "exptime": 1}"#, "03:00:02", "08:00:00"),
     ]);
     let node = site.start().await;
     site.until("at the first row's end", MOST, |site| {
@@ -72,9 +72,9 @@ async fn no_frame_counts_where_none_shows_where_it_looks_unless_the_row_allows_i
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_unproven_row_rests_and_is_tried_again_while_its_window_is_open() {
-    let mut site = Site::new(100.0).await;
+    let mut site = Site::new(20.0).await;
     site.more = "[pointing]\nattempts = 1\n[faults]\nretries = 1\npause_s = 0.2\nrest_s = 1.0\n";
-    site.write_schedule(&[("object", &format!(r#"{{"object": "x", {TARGET}, "n": 2}}"#), "03:00:00", "04:00:00")]);
+    site.write_schedule(&[("object", &format!(r#"{{"object": "x", {TARGET}, "n": 2}}"#), "03:00:00", "08:00:00")]);
     let node = site.start().await;
     // One try and one more, a rest, and again.
     site.until("tried again after a rest", MOST, |site| frames(site, 0, "pointing") >= 3).await;

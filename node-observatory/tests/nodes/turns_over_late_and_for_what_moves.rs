@@ -12,9 +12,10 @@ use crate::MOST;
 use crate::sim::{NIGHT, Sim, wide_field};
 
 const SPEED: f64 = 20.0;
-/// Targets culminate so long after the start, min: the roof opens and frames are taken before.
-const BEFORE_MIN: f64 = 5.0;
-const FRAMES: u32 = 30;
+/// Targets culminate so long after the start, min: the roof opens and frames are taken before, also on a machine that
+/// takes half a minute for that.
+const BEFORE_MIN: f64 = 10.0;
+const FRAMES: u32 = 24;
 const SLEW: &str = "slewtocoordinatesasync";
 
 fn observer(options: &simulator::Options, at: Utc) -> Observer {
@@ -31,8 +32,8 @@ fn options() -> simulator::Options {
 async fn observing(options: simulator::Options, object: &str) -> Sim {
     let more = "[imaging]\nsolve = false\n[names]\nonline = false\n";
     let mut sim = Sim::with_mount(options, more, "meridian_flip = true\nmeridian_flip_min = 1.0\n").await;
-    let row = format!("{{{object}, \"exptime\": 15, \"n\": {FRAMES}}}");
-    sim.write_schedule(&[("object", &row)], 7200.0);
+    let row = format!("{{{object}, \"exptime\": 30, \"n\": {FRAMES}}}");
+    sim.write_schedule(&[("object", &row)], 18_000.0);
     sim.start().await;
     sim.until("frames before the meridian", MOST, |sim| frames(sim) > 1).await;
     assert_eq!(side(&sim), PierSide::West, "it looks east");
@@ -69,11 +70,12 @@ async fn a_mount_is_turned_over_under_the_moon_and_follows_it_on_the_other_side(
 
     sim.until("turned over", MOST, |sim| side(sim) == PierSide::East).await;
     let taken = frames(&sim);
-    sim.until("frames on the other side", MOST, |sim| frames(sim) > taken + 3).await;
-    let (at, looks) = sim.simulator.world().looks_at_when();
-    let there = moon.seen(&observer(&sim.options, at)).unwrap().icrs;
-    let off = sky::separation(&looks, &there).arcseconds();
-    assert!(off < 2.0, "{off:.2} arcsec off the Moon after the flip");
+    sim.until("frames on the other side", MOST, |sim| frames(sim) > taken + 2).await;
+    let off_arcsec = |sim: &Sim| {
+        let (at, looks) = sim.simulator.world().looks_at_when();
+        sky::separation(&looks, &moon.seen(&observer(&sim.options, at)).unwrap().icrs).arcseconds()
+    };
+    sim.until("on the Moon after the flip", MOST, |sim| off_arcsec(sim) < 2.0).await;
     let rates = sim.simulator.world().rates_arcsec_per_s();
     assert!(rates[0].hypot(rates[1]) > 0.2, "at its own rates: {rates:?} arcsec/s");
     sim.until("the row observed", MOST, |sim| sim.ended(0).is_some()).await;
@@ -93,7 +95,7 @@ async fn a_mount_that_is_late_to_report_its_side_is_not_taken_to_have_stayed() {
     sim.simulator.world().fault(Kind::Telescope, Fault::stale().only(&["sideofpier"]));
     let before = slews(&sim);
     sim.until("turned over", MOST, |sim| side(sim) == PierSide::East && !sim.simulator.world().is_slewing()).await;
-    tokio::time::sleep(Duration::from_secs(3)).await;
+    tokio::time::sleep(Duration::from_secs(2)).await;
     sim.simulator.world().clear_faults();
     sim.until("the row observed", MOST, |sim| sim.ended(0).is_some()).await;
     let report = sim.ended(0).unwrap();

@@ -109,7 +109,7 @@ async fn a_close_is_done_when_it_is_verified_and_failed_when_it_is_not() {
     assert_eq!(done["events"].as_array().unwrap().len(), 3, "{done}");
 
     // This one is accepted by somebody who is not the observatory node, or does not close.
-    let (status, late, _) = post(&stage, Some("b"), Some(20), json!({"command": "close", "deadline_s": 1})).await;
+    let (status, late, _) = post(&stage, Some("b"), Some(60), json!({"command": "close", "deadline_s": 1})).await;
     assert_eq!((status, &late["state"]), (202, &json!("failed")), "{late}");
     assert!(late["detail"].as_str().unwrap().contains("NOT verified closed"), "{late}");
     stage.end().await;

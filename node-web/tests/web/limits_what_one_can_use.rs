@@ -1,6 +1,6 @@
 //! What gets past the question who asks, or uses up what others need: odd paths and headers, foreign pages, floods.
 
-use std::time::Duration;
+use std::time::Instant;
 
 use test_support::LIMIT;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
@@ -173,7 +173,7 @@ async fn what_is_no_login_is_refused_with_a_problem() {
 async fn a_thousand_logins_at_once_neither_keep_an_operator_out_nor_burn_the_processor() {
     let folder = with_users();
     let stage = std::sync::Arc::new(Stage::start_with("", folder.path()).await);
-    let mut flood = tokio::task::JoinSet::new();
+    let (began, mut flood) = (Instant::now(), tokio::task::JoinSet::new());
     for number in 0..1000 {
         let stage = stage.clone();
         flood.spawn(async move {
@@ -196,9 +196,19 @@ async fn a_thousand_logins_at_once_neither_keep_an_operator_out_nor_burn_the_pro
             other => panic!("{other:?}"),
         }
     }
-    assert!((5..=30).contains(&tried), "{tried} passwords were verified");
+    // Each of five addresses gets one more in ten seconds.
+    let most = 30 + began.elapsed().as_secs() / 2;
+    assert!((5..=most).contains(&tried), "{tried} passwords were verified, at most {most}");
     assert_eq!(stage.log_in_as("ana", PASSWORD, "127.0.0.1").await.status, 200);
-    let refused = stage.log_in_as("ana", PASSWORD, "127.0.0.20").await;
+    let mut refused = stage.log_in_as("ana", PASSWORD, "127.0.0.20").await;
+    for _ in 0..100 {
+        if refused.status == 429 {
+            break;
+        }
+        // So slow a machine gave that address another try.
+        stage.log_in_as("ana", "not the password", "127.0.0.20").await;
+        refused = stage.log_in_as("ana", PASSWORD, "127.0.0.20").await;
+    }
     assert!(refused.status == 429 && refused.json()["retry_after_s"].as_u64().unwrap() <= 10, "{}", refused.text);
     std::sync::Arc::into_inner(stage).unwrap().end().await;
 }
@@ -210,9 +220,11 @@ async fn somebody_who_asks_too_often_waits_and_others_do_not() {
     let (ana, eve) = (stage.session("ana").await, stage.session("eve").await);
     let ask = async |headers: &str| stage.ask("GET /api/v1/me", headers, None).await;
     let mut last = ask(&ana).await;
-    for _ in 0..50 {
-        last = ask(&ana).await;
-        if last.status != 200 {
+    for _ in 0..100 {
+        // At once, so that they are too many also where each takes long.
+        let mut answers = futures_util::future::join_all((0..20).map(|_| ask(&ana))).await;
+        if let Some(at) = answers.iter().position(|answer| answer.status != 200) {
+            last = answers.swap_remove(at);
             break;
         }
     }
@@ -261,7 +273,7 @@ async fn a_socket_needs_a_proof_and_ends_with_it() {
     assert_eq!(stage.status("POST /api/v1/logout", &ana).await, 204);
     for stream in [&mut by_cookie, &mut by_ticket] {
         let mut rest = Vec::new();
-        let ended = tokio::time::timeout(Duration::from_secs(20), stream.read_to_end(&mut rest)).await;
+        let ended = tokio::time::timeout(LIMIT, stream.read_to_end(&mut rest)).await;
         assert!(ended.is_ok(), "a socket goes on after its user has logged out");
     }
     stage.end().await;

@@ -1,18 +1,28 @@
 //! A plain Alpaca client for tests.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
-use simulator::{MountOptions, Options, Simulator};
+use simulator::{MountOptions, Options, Simulator, World};
 use units::Angle;
 
-/// A simulator and a client of it.
+/// What takes longer hangs, also on a busy machine.
+pub const LIMIT: Duration = Duration::from_secs(120);
+/// Methods that answer when the slew is done.
+const WAITS: [&str; 3] = ["slewtocoordinates", "slewtotarget", "slewtoaltaz"];
+/// So many looks at a property; each lets a twentieth of a second pass, times the speed.
+const LOOKS: u32 = 1000;
+
+/// A simulator and a client of it. Its clock stands: sky time passes while something is waited for, and not with the
+/// time of this machine.
 pub struct Site {
     pub simulator: Simulator,
     pub http: reqwest::Client,
+    step_s: f64,
 }
 
-/// A night over Paranal, a perfect mount, a small camera, so fast that nothing takes long.
+/// A night over Paranal, a perfect mount, a small camera; time passes in steps of a twentieth of the speed.
 pub fn options(speed: f64) -> Options {
     let mut options = Options { start: "2026-11-21T03:00:00Z".parse().unwrap(), speed, ..Options::default() };
     options.mount = MountOptions::perfect();
@@ -23,9 +33,21 @@ pub fn options(speed: f64) -> Options {
 
 impl Site {
     pub async fn start(options: Options) -> Self {
+        let step_s = options.speed / 20.0;
         let simulator = Simulator::start(options).await.unwrap();
-        let http = reqwest::Client::builder().timeout(Duration::from_secs(20)).build().unwrap();
-        Self { simulator, http }
+        simulator.world().stop_clock();
+        let http = reqwest::Client::builder().timeout(LIMIT).build().unwrap();
+        Self { simulator, http, step_s }
+    }
+
+    /// Lets so many sky seconds pass.
+    pub async fn pass(&self, sky_s: f64) {
+        self.world().pass(sky_s).await;
+    }
+
+    /// The world behind the simulator.
+    pub fn world(&self) -> &Arc<World> {
+        self.simulator.world()
     }
 
     /// ... with these devices connected.
@@ -60,7 +82,18 @@ impl Site {
     /// HTTP status and error number of a PUT.
     pub async fn try_put(&self, kind: &str, member: &str, form: &str) -> (u16, i64) {
         let request = self.http.put(self.url(kind, member)).body(form.to_owned());
-        let response = request.header("Content-Type", "application/x-www-form-urlencoded").send().await.unwrap();
+        let sending = request.header("Content-Type", "application/x-www-form-urlencoded").send();
+        let mut sending = std::pin::pin!(sending);
+        let response = loop {
+            tokio::select! {
+                response = &mut sending => break response.unwrap(),
+                () = tokio::time::sleep(Duration::from_millis(1)), if WAITS.contains(&member) => {
+                    if self.world().is_slewing() {
+                        self.pass(self.step_s).await;
+                    }
+                }
+            }
+        };
         let status = response.status().as_u16();
         let answer: Value = serde_json::from_str(&response.text().await.unwrap()).unwrap_or_default();
         (status, answer["ErrorNumber"].as_i64().unwrap_or(-1))
@@ -71,16 +104,16 @@ impl Site {
         assert_eq!(self.try_put(kind, member, form).await, (200, 0), "{kind} {member} {form}");
     }
 
-    /// Waits until a property has a value, at most ten seconds.
+    /// Lets time pass until a property has a value.
     pub async fn until(&self, kind: &str, member: &str, expected: impl Into<Value>) {
         let expected = expected.into();
         let mut value = Value::Null;
-        for _ in 0..1000 {
+        for _ in 0..LOOKS {
             value = self.get(kind, member).await;
             if value == expected {
                 return;
             }
-            tokio::time::sleep(Duration::from_millis(10)).await;
+            self.pass(self.step_s).await;
         }
         panic!("{kind} {member} is {value}, not {expected}");
     }

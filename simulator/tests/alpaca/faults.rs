@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use simulator::{Fault, Kind, Quantity};
 
-use crate::client::{Site, options};
+use crate::client::{LIMIT, Site, options};
 
 #[tokio::test]
 async fn rain_makes_it_unsafe_and_stops_being_so() {
@@ -106,7 +106,7 @@ async fn a_stuck_shutter_stays_half_open() {
     site.until("dome", "shutterstatus", 4).await;
     assert_eq!(site.simulator.world().dome_open(), 0.5);
     site.put("dome", "closeshutter", "").await;
-    tokio::time::sleep(Duration::from_millis(400)).await;
+    site.pass(40.0).await;
     assert_eq!(site.get("dome", "shutterstatus").await, 4);
     site.simulator.world().stick_shutter_half_open(false);
     site.put("dome", "closeshutter", "").await;
@@ -119,7 +119,7 @@ async fn a_dome_runs_on_until_it_is_stopped_and_its_shutter_waits_for_that() {
     site.order("world/dome", r#"{"runs_on": true}"#).await;
     site.order("world/dome", r#"{"shutter_needs_rest": true}"#).await;
     site.put("dome", "slewtoazimuth", "Azimuth=3").await;
-    tokio::time::sleep(Duration::from_millis(300)).await;
+    site.pass(3.0).await;
     assert_eq!(site.get("dome", "slewing").await, true);
     assert!(site.get("dome", "azimuth").await.as_f64().unwrap() > 6.0, "it has run past 3 deg");
     assert_eq!(site.try_put("dome", "openshutter", "").await, (200, 0x40B));
@@ -159,12 +159,12 @@ async fn the_watchdog_closes_a_dome_that_nobody_commands() {
     let world = site.simulator.world();
     site.put("dome", "openshutter", "").await;
     site.until("dome", "shutterstatus", 0).await;
-    world.set_watchdog(Some(0.6));
-    for _ in 0..8 {
-        tokio::time::sleep(Duration::from_millis(150)).await;
-        site.put("dome", "action", "Action=feedwatchdog&Parameters=").await;
-    }
-    assert_eq!(site.get("dome", "shutterstatus").await, 0, "fed for longer than its limit");
+    world.set_watchdog(Some(LIMIT.as_secs_f64()));
+    site.put("dome", "action", "Action=feedwatchdog&Parameters=").await;
+    site.pass(600.0).await;
+    assert_eq!(site.get("dome", "shutterstatus").await, 0, "it counts machine seconds since it was fed");
+    world.set_watchdog(Some(0.3));
+    tokio::time::sleep(Duration::from_millis(400)).await;
     // Polling does not feed the watchdog.
     site.until("dome", "shutterstatus", 1).await;
     assert_eq!(world.watchdog_closings(), 1);
@@ -193,8 +193,27 @@ async fn the_ups_runs_down_without_mains() {
     assert_eq!(site.get("switch", "getswitch?Id=3").await, true);
     world.set_on_mains(false);
     assert_eq!(site.get("switch", "getswitch?Id=3").await, false);
-    tokio::time::sleep(Duration::from_millis(300)).await;
+    site.pass(30.0).await;
     assert!(site.get("switch", "getswitchvalue?Id=4").await.as_f64().unwrap() < 99.0);
     world.set_weather(Quantity::Pressure, Some(700.0));
     assert_eq!(site.get("observingconditions", "pressure").await, 700.0);
+}
+
+mod proof {
+    use super::*;
+
+    /// The dome must be fed in time, by a real clock.
+    #[tokio::test]
+    async fn the_watchdog_leaves_a_dome_open_that_is_fed() {
+        let site = Site::connected(options(100.0), &["dome"]).await;
+        site.put("dome", "openshutter", "").await;
+        site.until("dome", "shutterstatus", 0).await;
+        site.world().set_watchdog(Some(0.6));
+        for _ in 0..8 {
+            tokio::time::sleep(Duration::from_millis(150)).await;
+            site.put("dome", "action", "Action=feedwatchdog&Parameters=").await;
+            site.pass(1.0).await;
+        }
+        assert_eq!(site.get("dome", "shutterstatus").await, 0, "fed for longer than its limit");
+    }
 }

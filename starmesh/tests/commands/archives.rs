@@ -32,7 +32,7 @@ impl Archive {
         let began = Instant::now();
         while !holds() {
             let log = || fs::read_to_string(folder.join("archive.log")).unwrap_or_default();
-            assert!(began.elapsed() < Duration::from_secs(60), "not {what} in time:\n{}", log());
+            assert!(began.elapsed() < Duration::from_secs(120), "not {what} in time:\n{}", log());
             std::thread::sleep(Duration::from_millis(100));
         }
     }

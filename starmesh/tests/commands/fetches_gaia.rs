@@ -72,7 +72,7 @@ fn server() -> (String, Arc<AtomicUsize>) {
         .route("/refuses/sync", post(|| async { (StatusCode::BAD_REQUEST, ERROR) }))
         .route("/lies/sync", post(|| async { ERROR }))
         .route("/circle/sync", post(|| async { (StatusCode::TEMPORARY_REDIRECT, [("location", "/circle/sync")], "") }))
-        .route("/hangs/sync", post(|| async { tokio::time::sleep(Duration::from_secs(60)).await }));
+        .route("/hangs/sync", post(|| async { std::future::pending::<()>().await }));
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = format!("http://{}", listener.local_addr().unwrap());
     listener.set_nonblocking(true).unwrap();
@@ -124,7 +124,7 @@ fn stars_of_a_circle_are_fetched_once_and_stored() {
 }
 
 #[test]
-fn what_goes_wrong_on_the_way_is_reported_in_time_and_leaves_nothing_behind() {
+fn what_goes_wrong_on_the_way_is_reported_and_leaves_nothing_behind() {
     let (address, _) = server();
     let folder = TempDir::new().unwrap();
     for (path, words) in [
@@ -134,11 +134,9 @@ fn what_goes_wrong_on_the_way_is_reported_in_time_and_leaves_nothing_behind() {
         ("/hangs/sync", "no whole answer within 1 s"),
         ("/nothing/here", "it answered 404 Not Found"),
     ] {
-        let started = Instant::now();
         let (out, output) = build(folder.path(), &format!("{address}{path}"), &["--timeout-s", "1"]);
         assert!(!output.success && output.err.contains(words), "{path}: {}", output.err);
         assert!(output.err.contains(path), "the address is reported: {}", output.err);
-        assert!(started.elapsed() < Duration::from_secs(20), "{path}");
         assert!(!out.exists());
     }
     // A port on which no program listens.
@@ -149,4 +147,18 @@ fn what_goes_wrong_on_the_way_is_reported_in_time_and_leaves_nothing_behind() {
     assert_eq!(left, 0, "no half answer is kept");
     let output = starmesh(["catalogue", "build", "--out", "x.smcat"]);
     assert!(!output.success && output.err.contains("nothing to build from"), "{}", output.err);
+}
+
+mod proof {
+    use super::*;
+
+    /// A bound in seconds on a real clock.
+    #[test]
+    fn a_service_that_hangs_is_given_up_in_time() {
+        let (address, _) = server();
+        let folder = TempDir::new().unwrap();
+        let started = Instant::now();
+        let (_, output) = build(folder.path(), &format!("{address}/hangs/sync"), &["--timeout-s", "1"]);
+        assert!(!output.success && started.elapsed() < Duration::from_secs(20), "{:?}", started.elapsed());
+    }
 }

@@ -131,8 +131,9 @@ impl Bank {
     }
 
     /// Where the axis is expected in `ahead_s` from the last frame, px, and the standard deviation of a measurement
-    /// of this variance (px^2) at the last frame.
+    /// of this variance (px^2) at the last frame. Nothing is foreseen further than what was learned holds.
     pub(super) fn expected(&self, ahead_s: f64, variance: f64) -> (f64, f64) {
+        let ahead_s = ahead_s.clamp(-LONGEST_PAUSE_S, LONGEST_PAUSE_S);
         let mean = self.weighed(|filter| filter.expected_px(ahead_s));
         let now = self.weighed(|filter| filter.expected_px(0.0));
         let spread = self.weighed(|filter| filter.variance(variance) + (filter.expected_px(0.0) - now).powi(2));
@@ -245,5 +246,16 @@ mod tests {
         assert!((bank.expected(0.0, 0.0).0 - 5.0).abs() < 0.5);
         assert_eq!(bank.learn(1830.0, 5.0, 4e-4, true), Learned::Unusable);
         assert_eq!(bank.learn(1900.0, f64::NAN, 4e-4, true), Learned::Unusable);
+    }
+
+    #[test]
+    fn a_time_that_no_clock_shows_gives_a_place_all_the_same() {
+        let (bank, _) = after(80, 30.0, |t| 0.01 * t + 8.0 * (std::f64::consts::TAU * t / 480.0).sin());
+        let furthest = bank.expected(LONGEST_PAUSE_S, 0.0);
+        for ahead_s in [1e300, f64::MAX, f64::INFINITY] {
+            assert_eq!(bank.expected(ahead_s, 0.0), furthest);
+            let back = bank.expected(-ahead_s, 0.0);
+            assert!(back.0.is_finite() && back.1.is_finite(), "{back:?}");
+        }
     }
 }

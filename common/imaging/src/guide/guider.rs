@@ -24,6 +24,8 @@ const SET_BACK_FRAMES: u32 = 3;
 const LONGEST_AHEAD_S: f64 = 600.0;
 /// After a slew a star may stand anywhere within this, px.
 const ANYWHERE_PX: f64 = 1e4;
+/// No detector reaches further, px.
+const FURTHEST_AIM_PX: f64 = 1e6;
 
 /// Holds a field in its place. Fed with each frame's time and shift, it answers with pulses.
 ///
@@ -128,9 +130,10 @@ impl Guider {
         }
     }
 
-    /// Holds the field at this place on the detector, px from the reference: a dither by guiding.
+    /// Holds the field at this place on the detector, px from the reference: a dither by guiding. A place that no
+    /// detector has changes nothing.
     pub fn aim(&mut self, dx_px: f64, dy_px: f64) {
-        if dx_px.is_finite() && dy_px.is_finite() {
+        if dx_px.abs() <= FURTHEST_AIM_PX && dy_px.abs() <= FURTHEST_AIM_PX {
             self.target_px = [dx_px, dy_px];
             let along = self.rates.along_axes(self.target_px);
             self.axes.iter_mut().zip(along).for_each(|(axis, target_px)| axis.aim(target_px));

@@ -4,6 +4,8 @@
 
 /// Weight of the past falls to 1/e in this time, s.
 const MEMORY_S: f64 = 3600.0;
+/// Nothing is left of what was seen so long ago, s.
+const FORGOTTEN_S: f64 = 100.0 * MEMORY_S;
 /// Rotation that is reported, deg/h, if it is so many standard errors from none: chosen, not measured.
 const MEASURED_DEG_H: f64 = 0.05;
 const BEYOND_DOUBT: f64 = 3.0;
@@ -28,6 +30,10 @@ impl Rotation {
         if !(dt_s >= 0.0 && rotation_deg.is_finite()) {
             return;
         }
+        if dt_s > FORGOTTEN_S {
+            *self = Self::default();
+        }
+        let dt_s = if self.last_s.is_some() { dt_s } else { 0.0 };
         self.last_s = Some(time_s);
         // the origin moves on: t' = t - dt
         self.tt += dt_s * (dt_s * self.weight - 2.0 * self.t);
@@ -94,5 +100,18 @@ mod tests {
         rotation.note(f64::NAN, 3.0);
         rotation.note(2e6, f64::INFINITY);
         assert_eq!(rotation, clean);
+    }
+
+    #[test]
+    fn after_a_time_that_no_clock_shows_the_rate_is_measured_anew() {
+        let mut rotation = after(0.1);
+        rotation.note(f64::MAX, 3.0);
+        assert_eq!(rotation.rate_deg_h(), None);
+        let mut anew = after(0.1);
+        for n in 0..40 {
+            anew.note(1e9 + 60.0 * f64::from(n), -0.3 * f64::from(n) / 60.0);
+        }
+        let (found, error) = anew.rate_deg_h().unwrap();
+        assert!((found + 0.3).abs() < 1e-6 && error < 1e-6, "{found} +- {error}");
     }
 }

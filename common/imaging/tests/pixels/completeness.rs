@@ -1,12 +1,15 @@
 //! What is asked of the detection: of stars with a matched-filter significance of 7 at least 95 % are found, and less
 //! than one detection per frame is false, at widths from 1.5 to 12 px, on a gradient, with bias bands and 0.3 % of hot
-//! pixels. 100 seeds.
+//! pixels. 100 seeds in the proof, some in the test.
 
 use imaging::{Camera, Frame, Measured, Pixels, StarSearch, measure};
 use rand::RngExt;
 
 use crate::sky::{Psf, Sky, make_hot, seen_fwhm, sigma};
 
+/// Seeds of the test, whose 80 stars of a width tell 95 % from 90 % by luck only.
+const FEW: u64 = 4;
+const FEWEST: f64 = 0.9;
 const LEVEL: f64 = 400.0;
 const READ_NOISE: f64 = 8.0;
 /// ADU per px along x and y.
@@ -72,13 +75,13 @@ fn count(tally: &mut Tally, sky: &Sky, measured: &Measured, fwhm: f64) {
     tally.frames += 1;
 }
 
-fn run(faults: bool) -> Vec<(f64, Tally)> {
+fn run(faults: bool, seeds: u64) -> Vec<(f64, Tally)> {
     let widths: [f64; 7] = [1.5, 2.0, 3.0, 4.0, 5.7, 8.0, 12.0];
     widths
         .iter()
         .map(|fwhm| {
             let mut tally = Tally::default();
-            for seed in 0..100 {
+            for seed in 0..seeds {
                 let (sky, counts) = frame(*fwhm, seed, faults);
                 let frame = Frame::new(side(*fwhm), side(*fwhm), Pixels::U16(&counts)).unwrap();
                 let measured = measure(&frame, &Camera::default(), &StarSearch::default()).unwrap();
@@ -90,20 +93,36 @@ fn run(faults: bool) -> Vec<(f64, Tally)> {
         .collect()
 }
 
-fn judge(results: &[(f64, Tally)]) {
+/// At each width this share of the stars, and 95 % of all.
+fn judge(results: &[(f64, Tally)], least: f64) {
+    let (found, drawn) = results.iter().fold((0, 0), |(f, d), (_, tally)| (f + tally.found, d + tally.drawn));
+    assert!(found as f64 >= 0.95 * drawn as f64, "{found} of {drawn}");
     for (fwhm, tally) in results {
-        assert!(tally.drawn > 300, "{fwhm} px: {tally:?}");
-        assert!(tally.found as f64 >= 0.95 * tally.drawn as f64, "{fwhm} px: {tally:?}");
+        assert!(tally.drawn > 15 * tally.frames, "{fwhm} px: {tally:?}");
+        assert!(tally.found as f64 >= least * tally.drawn as f64, "{fwhm} px: {tally:?}");
         assert!(tally.false_stars < tally.frames, "{fwhm} px: {tally:?}");
     }
 }
 
 #[test]
 fn nearly_all_stars_and_hardly_anything_else_are_found_on_a_plain_sky() {
-    judge(&run(false));
+    judge(&run(false, FEW), FEWEST);
 }
 
 #[test]
 fn nearly_all_stars_and_hardly_anything_else_are_found_among_bands_and_hot_pixels() {
-    judge(&run(true));
+    judge(&run(true, FEW), FEWEST);
+}
+
+/// The whole statistics take a minute of a processor.
+mod proof {
+    #[test]
+    fn of_a_hundred_plain_skies_nearly_all_stars_and_hardly_anything_else_are_found() {
+        super::judge(&super::run(false, 100), 0.95);
+    }
+
+    #[test]
+    fn of_a_hundred_skies_with_faults_nearly_all_stars_and_hardly_anything_else_are_found() {
+        super::judge(&super::run(true, 100), 0.95);
+    }
 }

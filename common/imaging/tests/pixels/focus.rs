@@ -1,4 +1,4 @@
-//! What is asked of the autofocus: focus runs on drawn star fields of 100 seeds. Pedestals of 0 to
+//! What is asked of the autofocus: focus runs on drawn star fields of 100 seeds (some of them in the test). Pedestals of 0 to
 //! 2000 ADU, discs and rings, 1 px of drift per frame, two frames spoilt, a start 3 critical zones off (in every
 //! second run beyond the end of the first range): the focus is found within 0.2 critical zones.
 
@@ -129,10 +129,14 @@ fn plan(telescope: &Telescope, side: f64, beyond: bool) -> Plan {
 }
 
 #[test]
-fn a_hundred_runs_find_the_focus_within_a_fifth_of_the_critical_zone() {
+fn runs_find_the_focus_within_a_fifth_of_the_critical_zone() {
+    find_the_focus(6);
+}
+
+fn find_the_focus(runs: u64) {
     let mut shares = Vec::new();
     let (mut frames, mut failures) = (0, Vec::new());
-    for seed in 0..100 {
+    for seed in 0..runs {
         let mut telescope = Telescope::new(seed);
         let side = if seed % 4 < 2 { 1.0 } else { -1.0 };
         let beyond = seed % 2 == 1;
@@ -165,9 +169,13 @@ fn a_hundred_runs_find_the_focus_within_a_fifth_of_the_critical_zone() {
     }
     let rms = (shares.iter().map(|s| s * s).sum::<f64>() / shares.len() as f64).sqrt();
     let worst = shares.iter().fold(0.0, |worst: f64, share| worst.max(share.abs()));
-    println!("{} runs: rms {rms:.3}, worst {worst:.3} critical zones; {} frames a run", shares.len(), frames / 100);
+    println!(
+        "{} runs: rms {rms:.3}, worst {worst:.3} critical zones; {} frames a run",
+        shares.len(),
+        frames as u64 / runs
+    );
     assert!(failures.is_empty(), "{} failed:\n{}", failures.len(), failures.join("\n"));
-    assert_eq!(shares.len(), 100);
+    assert_eq!(shares.len() as u64, runs);
 }
 
 #[test]
@@ -185,5 +193,13 @@ fn clouds_leave_the_focuser_where_it_stood() {
         assert!(!matches!(failed.reason, NoFocus::Ended(_)));
         let seen = sweep.points().iter().filter(|p| p.value.is_some() && p.pass != Pass::Verification).count();
         println!("seed {seed}: {} ({seen} frames with stars)", failed.reason);
+    }
+}
+
+/// The whole statistics take half a minute of a processor.
+mod proof {
+    #[test]
+    fn a_hundred_runs_find_the_focus_within_a_fifth_of_the_critical_zone() {
+        super::find_the_focus(100);
     }
 }

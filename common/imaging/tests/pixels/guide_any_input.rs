@@ -48,38 +48,64 @@ fn event() -> impl Strategy<Value = Event> {
     ]
 }
 
+/// Every decision keeps to the cap, and every number in it is one.
+fn guided(events: Vec<Event>, pid: bool, longest_pulse_ms: u32) {
+    let base = if pid { GuideSettings::pid() } else { GuideSettings::default() };
+    let settings = GuideSettings { longest_pulse_ms, ..base };
+    let calibration = Calibration::from_wcs([[-7e-5, 7e-5], [7e-5, 7e-5]], [2e-3, 2e-3], None).unwrap();
+    let mut guider = Guider::new(settings, &calibration, 30.0).unwrap();
+    let clouds = NoShift::NoPeak { reference: 9, check: 0, agree: 0 };
+    let mut now_s = 0.0;
+    for event in events {
+        match event {
+            Event::Frame(step_s, length_s, seen) => {
+                let mid_s = now_s + step_s;
+                if mid_s.is_finite() && mid_s.abs() < 1e12 {
+                    now_s = mid_s;
+                }
+                let decision = guider.step(Exposure { mid_s, length_s }, seen.as_ref().ok_or(&clouds));
+                let Pulses { east_ms, north_ms } = decision.pulses;
+                let most = longest_pulse_ms as i32;
+                assert!(east_ms.abs() <= most && north_ms.abs() <= most, "{decision:?}");
+                for log in [decision.log.east, decision.log.north] {
+                    assert!(log.drift_px_s.is_finite() && log.expected_px.is_finite(), "{decision:?}");
+                    assert!(log.error_px.is_none_or(f64::is_finite), "{decision:?}");
+                }
+            }
+            Event::Report(begun_s, ms) => {
+                guider.report([Some((begun_s, ms)), (ms % 2 == 0).then_some((-begun_s, ms))]);
+            }
+            Event::Aim(dx_px, dy_px) => guider.aim(dx_px, dy_px),
+            Event::Moved => guider.moved(),
+        }
+    }
+}
+
+/// The property below found this: a frame that is as far ahead as a number can be, after frames that taught something.
+#[test]
+fn a_time_that_no_clock_shows_gives_no_pulse_and_no_number_that_is_none() {
+    let frame = |step_s: f64, dx_px: f64| {
+        let (covariance, method) = ([[1e-3, 0.0, 0.0], [0.0, 1e-3, 0.0], [0.0, 0.0, 1e-3]], Method::Stars);
+        let seen = Shift { dx_px, dy_px: -dx_px, rotation_deg: 0.01, covariance, stars: 9, transparency: None, method };
+        Event::Frame(step_s, 20.0, Some(seen))
+    };
+    for pid in [false, true] {
+        for furthest_s in [1e13, 1e300, f64::MAX] {
+            let before = (0..12).map(|n| frame(30.0, 0.3 + 0.1 * f64::from(n)));
+            let after = (0..12).map(|n| frame(30.0, 0.5 - 0.1 * f64::from(n)));
+            let absurd = [frame(furthest_s, 0.4), Event::Frame(furthest_s, 20.0, None), Event::Aim(f64::MAX, f64::MAX)];
+            let seen_there = frame(30.0, f64::MAX);
+            guided(before.chain(absurd).chain([seen_there]).chain(after).collect(), pid, 2500);
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
 
     #[test]
     fn no_pulse_is_ever_beyond_the_cap(events in prop::collection::vec(event(), 1..40), pid in any::<bool>(), longest_pulse_ms in 1..5000_u32) {
-        let base = if pid { GuideSettings::pid() } else { GuideSettings::default() };
-        let settings = GuideSettings { longest_pulse_ms, ..base };
-        let calibration = Calibration::from_wcs([[-7e-5, 7e-5], [7e-5, 7e-5]], [2e-3, 2e-3], None).unwrap();
-        let mut guider = Guider::new(settings, &calibration, 30.0).unwrap();
-        let clouds = NoShift::NoPeak { reference: 9, check: 0, agree: 0 };
-        let mut now_s = 0.0;
-        for event in events {
-            match event {
-                Event::Frame(step_s, length_s, seen) => {
-                    let mid_s = now_s + step_s;
-                    if mid_s.is_finite() && mid_s.abs() < 1e12 {
-                        now_s = mid_s;
-                    }
-                    let decision = guider.step(Exposure { mid_s, length_s }, seen.as_ref().ok_or(&clouds));
-                    let Pulses { east_ms, north_ms } = decision.pulses;
-                    let most = longest_pulse_ms as i32;
-                    prop_assert!(east_ms.abs() <= most && north_ms.abs() <= most, "{decision:?}");
-                    for log in [decision.log.east, decision.log.north] {
-                        prop_assert!(log.drift_px_s.is_finite() && log.expected_px.is_finite(), "{decision:?}");
-                        prop_assert!(log.error_px.is_none_or(f64::is_finite), "{decision:?}");
-                    }
-                }
-                Event::Report(begun_s, ms) => guider.report([Some((begun_s, ms)), (ms % 2 == 0).then_some((-begun_s, ms))]),
-                Event::Aim(dx_px, dy_px) => guider.aim(dx_px, dy_px),
-                Event::Moved => guider.moved(),
-            }
-        }
+        guided(events, pid, longest_pulse_ms);
     }
 
     #[test]

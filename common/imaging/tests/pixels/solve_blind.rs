@@ -76,6 +76,11 @@ impl Frame {
 
 #[test]
 fn fields_of_one_degree_and_more_are_found_without_a_hint() {
+    fields_without_a_hint(1, 0, 1);
+}
+
+/// Fields of each kind, of which so many may be missed, and lists of random stars.
+fn fields_without_a_hint(fields: usize, most_missed: usize, random_lists: u64) {
     let catalogue = catalogue();
     let sky = AllSky::new(at_epoch(&catalogue, EPOCH));
     let source = at_epoch(&catalogue, EPOCH);
@@ -89,8 +94,7 @@ fn fields_of_one_degree_and_more_are_found_without_a_hint() {
         (1.0, 4.0, 0.5, true),
     ] {
         let (mut right, mut wrong, mut times, mut missed) = (0, 0, Vec::new(), Vec::new());
-        const FIELDS: usize = 12;
-        for number in 0..FIELDS {
+        for number in 0..fields {
             let field_deg = from_deg * f64::powf(to_deg / from_deg, rng.random_range(0.0..1.0));
             let frame = Frame::draw(&source, &mut rng, field_deg, spurious);
             let scale = frame.truth.scale_arcsec_px();
@@ -112,20 +116,20 @@ fn fields_of_one_degree_and_more_are_found_without_a_hint() {
         }
         times.sort_by(f64::total_cmp);
         println!(
-            "{from_deg} to {to_deg} deg, {:.0} % false, scale {}: {right} of {FIELDS} right, {wrong} wrong; median {:.0} \
+            "{from_deg} to {to_deg} deg, {:.0} % false, scale {}: {right} of {fields} right, {wrong} wrong; median {:.0} \
              ms, p90 {:.0} ms, longest {:.0} ms; missed {missed:?}",
             100.0 * spurious,
             if knows_scale { "to 10 %" } else { "unknown" },
-            times[FIELDS / 2],
-            times[FIELDS * 9 / 10],
-            times[FIELDS - 1],
+            times[fields / 2],
+            times[fields * 9 / 10],
+            times[fields - 1],
         );
         assert_eq!(wrong, 0);
-        assert!(right + 1 >= FIELDS, "{right} of {FIELDS}; missed {missed:?}");
+        assert!(right + most_missed >= fields, "{right} of {fields}; missed {missed:?}");
     }
     // and what is no sky at all is nowhere
     let (mut candidates, mut lists) = (0, 0);
-    for _ in 0..6 {
+    for _ in 0..random_lists {
         let count = rng.random_range(8..60);
         let at = |rng: &mut StdRng| (rng.random_range(0.0..999.0), rng.random_range(0.0..999.0));
         let stars: Vec<Star> = (0..count)
@@ -146,16 +150,20 @@ fn fields_of_one_degree_and_more_are_found_without_a_hint() {
         println!("random list of {count}: {:?}", started.elapsed());
     }
     println!("{lists} random lists, {candidates} candidates, none accepted");
-    assert!(candidates > 500, "only {candidates} candidates");
+    assert!(candidates as u64 > 80 * random_lists, "only {candidates} candidates");
 }
 
 #[test]
 fn a_hint_of_more_than_60_deg_finds_what_lies_within_it_and_nothing_beyond() {
+    hints_of_more_than_60_deg(&[150.0]);
+}
+
+fn hints_of_more_than_60_deg(away: &[f64]) {
     let catalogue = catalogue();
     let source = at_epoch(&catalogue, EPOCH);
     let sky = AllSky::new(at_epoch(&catalogue, EPOCH));
     let mut rng = StdRng::seed_from_u64(11);
-    for away_deg in [65.0, 100.0, 150.0, 175.0] {
+    for &away_deg in away {
         let frame = Frame::draw(&source, &mut rng, 3.0, 0.2);
         let scale = frame.truth.scale_arcsec_px();
         // The hint lies on the great circle through the frame and the pole.
@@ -199,4 +207,17 @@ fn scales_that_make_no_sense_and_too_few_stars_are_refused() {
     }
     let answer = sky.solve(&detected, &Blind::default());
     assert_eq!(answer, Err(NoSolution::TooFewStars { stars: 5, needed: 6 }));
+}
+
+/// The whole statistics take half a minute of a processor.
+mod proof {
+    #[test]
+    fn many_fields_of_one_degree_and_more_are_found_without_a_hint() {
+        super::fields_without_a_hint(12, 1, 6);
+    }
+
+    #[test]
+    fn hints_of_more_than_60_deg_find_what_lies_within_them_and_nothing_beyond() {
+        super::hints_of_more_than_60_deg(&[65.0, 100.0, 150.0, 175.0]);
+    }
 }

@@ -147,14 +147,22 @@ fn anywhere(rng: &mut StdRng, field: &Field, peak: f64, fwhm: f64) -> Trail {
 
 #[test]
 fn a_trail_as_wide_as_the_stars() {
+    judge_a_trail_as_wide_as_the_stars(1);
+}
+
+fn judge_a_trail_as_wide_as_the_stars(many: u64) {
     for peak in [200.0, 2000.0, 200_000.0] {
-        judge(&format!("peak {peak}"), 12, MOST, |rng| (FIELD, vec![anywhere(rng, &FIELD, peak, FIELD.fwhm)]));
+        judge(&format!("peak {peak}"), 3 * many, MOST, |rng| (FIELD, vec![anywhere(rng, &FIELD, peak, FIELD.fwhm)]));
     }
 }
 
 #[test]
 fn a_trail_that_begins_or_ends_within_the_frame() {
-    judge("ends", 16, MOST, |rng| {
+    judge_a_trail_that_begins_or_ends_within_the_frame(1);
+}
+
+fn judge_a_trail_that_begins_or_ends_within_the_frame(many: u64) {
+    judge("ends", 4 * many, MOST, |rng| {
         let field = Field { width: 768, height: 768, stars: 90, ..FIELD };
         let mut trail = anywhere(rng, &field, 2000.0, field.fwhm);
         trail.ends.0 = rng.random_range(-300.0..-60.0);
@@ -167,12 +175,22 @@ fn a_trail_that_begins_or_ends_within_the_frame() {
 
 #[test]
 fn two_trails_that_cross() {
-    judge("crossing", 12, MOST, |rng| (FIELD, (0..2).map(|_| anywhere(rng, &FIELD, 2000.0, FIELD.fwhm)).collect()));
+    judge_two_trails_that_cross(1);
+}
+
+fn judge_two_trails_that_cross(many: u64) {
+    judge("crossing", 3 * many, MOST, |rng| {
+        (FIELD, (0..2).map(|_| anywhere(rng, &FIELD, 2000.0, FIELD.fwhm)).collect())
+    });
 }
 
 #[test]
 fn a_trail_that_blinks() {
-    judge("blinking", 16, MOST, |rng| {
+    judge_a_trail_that_blinks(1);
+}
+
+fn judge_a_trail_that_blinks(many: u64) {
+    judge("blinking", 4 * many, MOST, |rng| {
         let field = Field { width: 768, height: 768, stars: 90, ..FIELD };
         let trail = anywhere(rng, &field, 2000.0, field.fwhm);
         let period = (rng.random_range(60.0..200.0), rng.random_range(0.4..0.8));
@@ -182,7 +200,11 @@ fn a_trail_that_blinks() {
 
 #[test]
 fn a_trail_that_is_bent() {
-    judge("bent", 8, MOST, |rng| {
+    judge_a_trail_that_is_bent(1);
+}
+
+fn judge_a_trail_that_is_bent(many: u64) {
+    judge("bent", 2 * many, MOST, |rng| {
         let field = Field { width: 768, height: 768, stars: 90, ..FIELD };
         let trail = anywhere(rng, &field, 2000.0, field.fwhm);
         (field, vec![Trail { bend: rng.random_range(-1e-4..1e-4), ..trail }])
@@ -191,9 +213,46 @@ fn a_trail_that_is_bent() {
 
 #[test]
 fn a_trail_out_of_focus() {
-    judge("wide", 8, Most(8, 0.97), |rng| {
+    judge_a_trail_out_of_focus(1);
+}
+
+fn judge_a_trail_out_of_focus(many: u64) {
+    judge("wide", 2 * many, Most(8, 0.97), |rng| {
         let field = Field { width: 1024, height: 1024, stars: 120, ..FIELD };
         let fwhm = rng.random_range(8.0..30.0);
         (field, vec![anywhere(rng, &field, 1000.0, fwhm)])
     });
+}
+
+/// Four times as many frames: the whole statistics take a minute of a processor.
+mod proof {
+    #[test]
+    fn many_trails_as_wide_as_the_stars() {
+        super::judge_a_trail_as_wide_as_the_stars(4);
+    }
+
+    #[test]
+    fn many_trails_that_begin_or_end_within_the_frame() {
+        super::judge_a_trail_that_begins_or_ends_within_the_frame(4);
+    }
+
+    #[test]
+    fn many_trails_that_cross() {
+        super::judge_two_trails_that_cross(4);
+    }
+
+    #[test]
+    fn many_trails_that_blink() {
+        super::judge_a_trail_that_blinks(4);
+    }
+
+    #[test]
+    fn many_trails_that_are_bent() {
+        super::judge_a_trail_that_is_bent(4);
+    }
+
+    #[test]
+    fn many_trails_out_of_focus() {
+        super::judge_a_trail_out_of_focus(4);
+    }
 }

@@ -57,7 +57,7 @@ fn overlap(a: &PlannedRow, b: &PlannedRow) -> bool {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 48, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 12, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn rows_never_share_a_camera_or_the_mount_and_keep_to_their_windows_and_to_the_night(

@@ -9,8 +9,8 @@ use super::*;
 
 async fn about(bus: &Bus, id: &str, ask: FrameAsk) -> FrameGiven {
     let question = FrameQuestion { frame: CommandId(id.to_owned()), ask };
-    let answer = bus.ask(&Key::ArchivedFrame(address()), &question, Duration::from_secs(10)).await;
-    answer.map(|answer: FrameAnswer| answer.gives).unwrap()
+    let answer: FrameAnswer = until_answered(bus, &Key::ArchivedFrame(address()), &question).await;
+    answer.gives
 }
 
 async fn refusal(bus: &Bus, id: &str, ask: FrameAsk) -> NotGiven {
@@ -64,8 +64,8 @@ async fn a_stored_frame_is_described_drawn_and_given_over_the_bus() {
     assert_eq!(refusal(&device_bus, "frame-2", FrameAsk::About).await, NotGiven::Unknown);
     let night = sky::night_date(units::Angle::from_degrees(-70.4), found.frame.at_utc).to_string();
     let question = ReportQuestion { night, form: ReportForm::Json };
-    let answer = device_bus.ask(&Key::NightReport(address()), &question, Duration::from_secs(10)).await;
-    let ReportGiven::Report(text) = answer.map(|answer: ReportAnswer| answer.gives).unwrap() else { panic!() };
+    let answer: ReportAnswer = until_answered(&device_bus, &Key::NightReport(address()), &question).await;
+    let ReportGiven::Report(text) = answer.gives else { panic!() };
     assert!(text.contains("\"telescope\":\"callisto\""), "{text}");
 
     std::fs::rename(&path, path.with_extension("away")).unwrap();

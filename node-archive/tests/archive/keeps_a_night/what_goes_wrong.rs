@@ -109,9 +109,9 @@ async fn many_frames_that_cannot_be_written_are_one_alert() {
     let node = archive(folder.path(), archive_bus);
     let alerts = node.alerts.watch();
     let running = run(node);
-    tokio::time::sleep(Duration::from_secs(1)).await;
     // As a disk that takes nothing: a file is in the place of the folder.
     let parts = folder.path().join("images/.part/paranal-callisto");
+    until("the folder of parts is made", || parts.is_dir()).await;
     std::fs::remove_dir(&parts).unwrap();
     std::fs::write(&parts, "").unwrap();
     for number in 0..6 {

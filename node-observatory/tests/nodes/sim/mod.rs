@@ -6,10 +6,11 @@ use std::time::Duration;
 
 use bus::{Bus, Catch, Clock, Latest, Subscriber};
 use contract::device::telescope::PierSide;
+use contract::node::NodeState;
 use contract::observatory::{
     Correction, GuideCalibration, GuideStage, GuidingState, NightState, PointingPoint, ScheduleState,
 };
-use contract::{Address, Key, Part, Role};
+use contract::{Address, Key, NodeTopic, Part, Role};
 use node::Node;
 use node_observatory::guiding::calibrated;
 use node_observatory::guiding::learned::LearnedGuiding;
@@ -20,6 +21,8 @@ use tempfile::TempDir;
 use test_support::{RunningNode, block, join, private, private_bus, schedule_line, section, within};
 use units::Utc;
 
+use crate::MOST;
+
 /// An hour after nautical dusk on Paranal.
 pub const NIGHT: f64 = 1_795_228_200.0;
 
@@ -29,7 +32,7 @@ const BY_HAND: &str = "ByHand=True";
 /// The skies of these tests run up to 20 times as fast as real time, with images that this very process makes, measures
 /// and solves, which takes a quarter of a core: many more at once would show what the machine cannot do, not what Starmesh
 /// does.
-static SEATS: tokio::sync::Semaphore = tokio::sync::Semaphore::const_new(3);
+static SEATS: tokio::sync::Semaphore = tokio::sync::Semaphore::const_new(8);
 
 /// The simulated observatory with its nodes.
 pub struct Sim {
@@ -216,6 +219,14 @@ impl Sim {
         self.start_one(Role::Observatory, "main", self.config.clone()).await;
     }
 
+    /// As [`Self::start`], with another configuration of the observatory node than of the device node.
+    pub async fn start_with(&mut self, change: impl FnOnce(&mut config::Observatory)) {
+        let mut config = self.config.clone();
+        change(&mut config);
+        self.start_one(Role::Device, "main", self.config.clone()).await;
+        self.start_one(Role::Observatory, "main", config).await;
+    }
+
     /// Starts a second observatory node with a data folder of its own, as on another host; returns the folder.
     pub async fn start_standby(&mut self) -> PathBuf {
         let mut config = self.config.clone();
@@ -223,6 +234,14 @@ impl Sim {
         let folder = config.folders.data.clone();
         self.start_one(Role::Observatory, "second", config).await;
         folder
+    }
+
+    /// Waits until an observatory node with this id publishes.
+    pub async fn until_up(&self, id: &str) {
+        let address = Address::new("test", "alpha").unwrap();
+        let key = Key::Node(address, Role::Observatory, id.parse().unwrap(), NodeTopic::State);
+        let state = self.bus.latest::<NodeState>(&key).await.unwrap();
+        self.until("up", MOST, |_| state.get().is_some()).await;
     }
 
     /// Ends the first observatory node as a power cut would: without a message.
@@ -287,6 +306,12 @@ impl Sim {
             all.push(received.sample.body);
         }
         all
+    }
+
+    /// The next correction.
+    pub async fn next_correction(&self) -> Correction {
+        let received = tokio::time::timeout(MOST, self.corrections.recv()).await;
+        received.unwrap_or_else(|_| panic!("no correction within {MOST:?}: {:#?}", self.guiding.get())).sample.body
     }
 
     /// Slews the mount by hand to where its encoders will report this, ICRS degrees.

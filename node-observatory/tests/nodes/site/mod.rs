@@ -2,7 +2,7 @@
 
 mod keeper;
 
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -10,14 +10,15 @@ use bus::{AskError, Bus, Clock, Latest, Publisher, Quality, Service};
 use contract::device::camera::{self, Activity, Exposure, Frame, Pixel, Purpose};
 use contract::device::dome::{self, Shutter};
 use contract::device::{DeviceDescription, safety_monitor, telescope};
+use contract::node::NodeState;
 use contract::observatory::{Alerts, NightState, SafetyState, ScheduleState};
 use contract::{
     Accepted, Address, Command, CommandId, CommandOutcome, Datum, DeviceKind, DeviceState, Key, Kind, LastCommand,
-    Link, Order, OrderKind, Part, Payload, Reply, Role,
+    Link, NodeTopic, Order, OrderKind, Part, Payload, Reply, Role,
 };
 use node::Node;
 use tempfile::TempDir;
-use test_support::{PARANAL, RunningNode, block, join, private, private_bus, schedule_line, within};
+use test_support::{LIMIT, PARANAL, RunningNode, block, join, private, private_bus, schedule_line, within};
 use tokio::sync::watch;
 
 use keeper::Keeper;
@@ -75,6 +76,17 @@ impl<K: DeviceKind> Device<K> {
         start: impl FnOnce(&mut K::Fields),
         end: impl FnOnce(&mut K::Fields) + Send + 'static,
     ) -> Reply {
+        self.take_until(command, tokio::time::sleep(takes), start, end)
+    }
+
+    /// As [`Self::take`], and is done when something has happened.
+    fn take_until(
+        self: &Arc<Self>,
+        command: Command<K::Command>,
+        over: impl Future<Output = ()> + Send + 'static,
+        start: impl FnOnce(&mut K::Fields),
+        end: impl FnOnce(&mut K::Fields) + Send + 'static,
+    ) -> Reply {
         let id = command.id.clone();
         self.log.lock().unwrap().push((Instant::now(), command.action));
         self.state.send_modify(|state| {
@@ -91,7 +103,7 @@ impl<K: DeviceKind> Device<K> {
         });
         let (device, mine) = (self.clone(), id.clone());
         tokio::spawn(async move {
-            tokio::time::sleep(takes).await;
+            over.await;
             device.state.send_if_modified(|state| {
                 let Some(last) = state.last_command.as_mut().filter(|last| last.id == mine) else { return false };
                 last.outcome = CommandOutcome::Done;
@@ -101,6 +113,45 @@ impl<K: DeviceKind> Device<K> {
             });
         });
         accept(id, None)
+    }
+}
+
+/// What a test turns at the camera, so that it need not be quick to see an exposure under way.
+pub struct ExposureControl {
+    /// So many exposures end; the ones after them go on for ever.
+    pub ends: AtomicUsize,
+    /// Exposures end at once.
+    pub hurries: AtomicBool,
+    /// Exposures are this far when they begin, as the camera reports them, percent.
+    pub is_done_percent: AtomicUsize,
+}
+
+impl ExposureControl {
+    /// The exposures after so many go on until more may end.
+    pub fn hold_after(&self, exposures: usize) {
+        self.ends.store(exposures, Ordering::SeqCst);
+    }
+
+    /// Every exposure ends in its time.
+    pub fn let_go(&self) {
+        self.ends.store(usize::MAX, Ordering::SeqCst);
+    }
+
+    async fn over(self: Arc<Self>, takes: Duration, ended: impl Fn() -> usize) {
+        let began = Instant::now();
+        loop {
+            let left = if self.hurries.load(Ordering::SeqCst) {
+                Duration::ZERO
+            } else {
+                takes.saturating_sub(began.elapsed())
+            };
+            let is_held = ended() >= self.ends.load(Ordering::SeqCst);
+            match (is_held, left) {
+                (false, Duration::ZERO) => return,
+                (true, _) => tokio::time::sleep(Duration::from_millis(5)).await,
+                (false, left) => tokio::time::sleep(left.min(Duration::from_millis(20))).await,
+            }
+        }
     }
 }
 
@@ -124,6 +175,10 @@ pub struct Site {
     pub lease_held: Arc<AtomicBool>,
     /// How fast the dome turns, degrees per sky second: at 0 it hangs. None for a roof.
     pub turn_deg_per_s: Arc<Mutex<Option<f64>>>,
+    /// When each turn of the dome was over.
+    pub turned: Arc<Mutex<Vec<Instant>>>,
+    /// How the camera exposes.
+    pub shutter_of_camera: Arc<ExposureControl>,
     /// More of the dome's block.
     pub dome_block: &'static str,
     /// More of the configuration.
@@ -153,6 +208,12 @@ impl Site {
             dome_fields.slaved = Datum::Known(false);
         }
         let turn_deg_per_s = Arc::new(Mutex::new(turns));
+        let turned = Arc::<Mutex<Vec<Instant>>>::default();
+        let shutter_of_camera = Arc::new(ExposureControl {
+            ends: AtomicUsize::new(usize::MAX),
+            hurries: AtomicBool::new(false),
+            is_done_percent: AtomicUsize::new(0),
+        });
         let mount_fields = telescope::Fields {
             tracking: Datum::Known(false),
             slewing: Datum::Known(false),
@@ -182,11 +243,12 @@ impl Site {
             lease_held: lease_held.clone(),
             clock: clock.clone(),
             turn_deg_per_s: turn_deg_per_s.clone(),
+            turned: turned.clone(),
         };
         let services = vec![
             keeper.serve(&bus, &dome, &address).await,
             serve_mount(&bus, &mount).await,
-            serve_camera(&bus, &camera, &clock, &purposes).await,
+            serve_camera(&bus, &camera, &clock, &purposes, &shutter_of_camera).await,
         ];
         let part = |part| Key::Observatory(address.clone(), part);
         Self {
@@ -205,6 +267,8 @@ impl Site {
             hold,
             lease_held,
             turn_deg_per_s,
+            turned,
+            shutter_of_camera,
             dome_block: "",
             more: "",
             bus,
@@ -271,6 +335,18 @@ impl Site {
         });
     }
 
+    /// Waits until an observatory node with this id publishes.
+    pub async fn until_up(&self, id: &str) {
+        let key = Key::Node(self.address.clone(), Role::Observatory, id.parse().unwrap(), NodeTopic::State);
+        let state = self.bus.latest::<NodeState>(&key).await.unwrap();
+        self.until("up", LIMIT, |_| state.get().is_some()).await;
+    }
+
+    /// Whether an exposure is under way.
+    pub fn is_exposing(&self) -> bool {
+        self.camera.state.borrow().fields.exposure.is_some()
+    }
+
     pub fn exposures(&self) -> usize {
         self.purposes.lock().unwrap().len()
     }
@@ -285,9 +361,9 @@ impl Site {
 /// Gives an order as the command line does: again, under the same id, while nobody answers, as a node that has just
 /// started may not yet.
 pub async fn ask(bus: &Bus, address: &Address, order: &Order) -> Reply {
-    let key = Key::Order(address.clone());
-    for _ in 0..5 {
-        match bus.ask(&key, order, Duration::from_secs(3)).await {
+    let (key, began) = (Key::Order(address.clone()), Instant::now());
+    while began.elapsed() < LIMIT {
+        match bus.ask(&key, order, Duration::from_secs(20)).await {
             Err(AskError::Unknown { .. }) => tokio::time::sleep(Duration::from_millis(500)).await,
             answered => return answered.unwrap(),
         }
@@ -342,19 +418,23 @@ async fn serve_camera(
     camera: &Arc<Device<camera::Camera>>,
     clock: &Clock,
     purposes: &Arc<Mutex<Vec<(CommandId, Purpose)>>>,
+    control: &Arc<ExposureControl>,
 ) -> Service {
     let frames = Arc::new(bus.publisher::<Frame>(&Key::Frame(camera.key.clone())).await.unwrap());
-    let (at, clock, purposes) = (camera.clone(), clock.clone(), purposes.clone());
+    let (at, clock, purposes, control) = (camera.clone(), clock.clone(), purposes.clone(), control.clone());
     serve(bus, &camera.key, move |command: Command<camera::Command>| {
         let id = command.id.clone();
         match command.action.clone() {
             camera::Command::Expose { exposure_s, purpose, .. } => {
-                let started_utc = clock.utc();
-                let takes = clock.machine_duration(Duration::from_secs_f64(exposure_s)) + Duration::from_millis(20);
+                let done_s = exposure_s * control.is_done_percent.load(Ordering::SeqCst) as f64 / 100.0;
+                let started_utc = clock.utc().plus_seconds(-done_s);
+                let left = clock.machine_duration(Duration::from_secs_f64(exposure_s - done_s));
+                let (ended, takes) = (purposes.clone(), left + Duration::from_millis(20));
+                let over = control.clone().over(takes, move || ended.lock().unwrap().len());
                 let exposure = Exposure { id: id.clone(), started_utc, exposure_s };
                 let (purposes, frames) = (purposes.clone(), frames.clone());
                 let start = |fields: &mut camera::Fields| fields.exposure = Some(exposure);
-                at.take(command, takes, start, move |fields| {
+                at.take_until(command, over, start, move |fields| {
                     fields.exposure = None;
                     purposes.lock().unwrap().push((id.clone(), (*purpose).clone()));
                     let frame = frame(id, *purpose, started_utc, exposure_s);

@@ -2,7 +2,6 @@
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
 use axum::extract::Path;
 use axum::http::StatusCode;
@@ -169,7 +168,7 @@ impl Camera {
                 }
             }
         };
-        let most = Duration::from_secs(20);
+        let most = crate::MOST;
         tokio::time::timeout(most, waiting).await.unwrap_or_else(|_| panic!("no facts of {id} within {most:?}"))
     }
 }

@@ -5,7 +5,7 @@ pub mod raw;
 pub mod socket;
 
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use bus::{Bus, Clock, Publisher};
 use contract::node::NodeState;
@@ -61,6 +61,17 @@ impl Stage {
         publisher
     }
 
+    /// Publishes this twice a second until it is dropped: on a busy machine it is fresh now and then.
+    pub async fn keep_publishing(&self, key: Key, body: Value) -> Kept {
+        let publisher = self.publish(key, body.clone()).await;
+        Kept(tokio::spawn(async move {
+            loop {
+                tokio::time::sleep(Duration::from_millis(500)).await;
+                publisher.put(body.clone()).await.unwrap();
+            }
+        }))
+    }
+
     pub async fn get(&self, path: &str) -> (reqwest::StatusCode, Value) {
         let response = self.http.get(format!("{}{path}", self.url)).send().await.unwrap();
         let status = response.status();
@@ -69,8 +80,8 @@ impl Stage {
 
     /// Asks until the answer is as wanted; the last answer is in the failure.
     pub async fn until(&self, path: &str, wanted: impl Fn(&Value) -> bool) -> Value {
-        let mut last = Value::Null;
-        for _ in 0..200 {
+        let (began, mut last) = (Instant::now(), Value::Null);
+        while began.elapsed() < LIMIT {
             last = self.get(path).await.1;
             if wanted(&last) {
                 return last;
@@ -80,9 +91,18 @@ impl Stage {
         panic!("{path} never became as wanted: {last:#}");
     }
 
-    /// Ends the node; it must end well and soon.
+    /// Ends the node; it must end well.
     pub async fn end(self) {
-        tokio::time::timeout(Duration::from_secs(10), self.node.stop()).await.unwrap();
+        tokio::time::timeout(LIMIT, self.node.stop()).await.unwrap();
+    }
+}
+
+/// What is published again and again.
+pub struct Kept(tokio::task::JoinHandle<()>);
+
+impl Drop for Kept {
+    fn drop(&mut self) {
+        self.0.abort();
     }
 }
 

@@ -1,8 +1,7 @@
 //! A program at the socket, byte by byte.
 
-use std::time::Duration;
-
 use serde_json::Value;
+use test_support::LIMIT;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 
@@ -52,7 +51,7 @@ impl Socket {
                 }
             }
         };
-        tokio::time::timeout(Duration::from_secs(10), looked).await.unwrap()
+        tokio::time::timeout(LIMIT, looked).await.unwrap()
     }
 
     /// The code with which the server closes it; what it sends before is passed over.
@@ -68,7 +67,7 @@ impl Socket {
                 }
             }
         };
-        tokio::time::timeout(Duration::from_secs(20), looked).await.unwrap()
+        tokio::time::timeout(LIMIT, looked).await.unwrap()
     }
 
     pub async fn send(&mut self, text: &str) {

@@ -1,3 +1,5 @@
+//! In `proof` because residuals of noisy frames are judged.
+//!
 //! Acceptance test 5 through real nodes: a drift of 0.05 px/s and 2 s of play in declination, or a worm, at cadences of
 //! 2, 30 and 120 s with the camera at five angles. All of it takes hours of waiting on a free machine (what a busy one
 //! loses counts as often as the clock runs faster), so a test run has one short case, and the measurement is made by
