@@ -107,7 +107,10 @@ impl Evaluation {
 
     /// A limit that is violated now, or of whose window too little is known; `when` follows a value in the reason.
     fn violated(&mut self, rule: &LimitRule, measured: Measured, when: &str) {
-        let Measured { value, unknown_for, .. } = measured;
+        let Measured { value, unknown_for, contradiction, .. } = measured;
+        if let Some(contradiction) = contradiction.filter(|_| rule.bad.contain(value)) {
+            return self.against(rule.response, &rule.input, format!("{contradiction}{when}"), None);
+        }
         if rule.reopen.contain(value) && !unknown_for.is_zero() {
             let over = rule.measure.over();
             let known_for = over.saturating_sub(unknown_for);

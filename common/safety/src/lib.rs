@@ -24,7 +24,8 @@
 //! - [`rules`]: the configured inputs and limits; [`measure`]: what of a parameter a limit is put on.
 //! - [`history`]: the states of one input, as far back as its dwell looks; [`received`]: the states of all inputs.
 //! - [`recall`]: what a device node recorded before this node listened, placed on this node's clocks.
-//! - [`frozen`]: a weather station whose values do not move; [`wind`]: directions to avoid.
+//! - [`contradiction`]: values of a weather station that exclude each other; [`frozen`]: a station whose values do not
+//!   move; [`wind`]: directions to avoid.
 //! - [`nodes`]: clocks and disks of the other machines; [`clocks`]: what time it may be; [`sun`]: where the Sun stands
 //!   then.
 //!
@@ -59,6 +60,7 @@
 pub mod active_orders;
 pub mod annunciator;
 pub mod clocks;
+pub mod contradiction;
 pub mod current_verdict;
 pub mod frozen;
 pub mod history;

@@ -1,10 +1,10 @@
 //! Switches and gauges.
 
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use alpaca::{Alpaca, AlpacaError, optional, value};
 use contract::device::switch::{self, Capabilities, Command, Fields, SwitchDescription};
-use contract::{CommandId, Reason};
+use contract::{CommandId, Datum, NoData, Reason};
 use interlock::Need;
 
 use super::{Driver, Executed, within};
@@ -16,12 +16,31 @@ const MOST: i64 = 256;
 /// Drives a set of switches.
 #[derive(Default)]
 pub struct Switch {
-    count: AtomicU32,
+    /// For each switch its own smallest and largest value, where its server has given both.
+    ranges: Mutex<Vec<Option<(f64, f64)>>>,
 }
 
 impl Switch {
-    fn properties(&self) -> impl Iterator<Item = String> {
-        (0..self.count.load(Ordering::Relaxed)).map(|number| format!("GetSwitchValue{number}"))
+    fn ranges(&self) -> Vec<Option<(f64, f64)>> {
+        self.ranges.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+fn property(number: usize) -> String {
+    format!("GetSwitchValue{number}")
+}
+
+/// A value outside of the switch's own range is the code of something broken, and no value.
+fn believed(value: Datum<f64>, range: Option<(f64, f64)>) -> Datum<f64> {
+    match (value, range) {
+        // Servers round their numbers.
+        (Datum::Known(value), Some((low, high)))
+            if !(low - 1e-6 * (high - low)..=high + 1e-6 * (high - low)).contains(&value) =>
+        {
+            let detail = format!("{value} is not possible; the switch's own range is {low} to {high}");
+            Datum::missing(NoData::new("wrong type", detail))
+        }
+        (value, _) => value,
     }
 }
 
@@ -29,28 +48,32 @@ impl Driver for Switch {
     type Kind = switch::Switch;
 
     fn polled(&self) -> Vec<String> {
-        self.properties().collect()
+        (0..self.ranges().len()).map(property).collect()
     }
 
     async fn capabilities(&self, alpaca: &Alpaca) -> Result<Capabilities, AlpacaError> {
         let count = optional(alpaca, "maxswitch", value::whole).await?.unwrap_or(0).clamp(0, MOST);
-        let mut switches = Vec::new();
+        let (mut switches, mut ranges) = (Vec::new(), Vec::new());
         for number in 0..count {
             let id = number.to_string();
             let id = [("Id", id.as_str())];
+            let minimum = about(alpaca, "minswitchvalue", &id, value::number).await?;
+            let maximum = about(alpaca, "maxswitchvalue", &id, value::number).await?;
+            ranges.push(minimum.zip(maximum).filter(|(low, high)| low < high));
             switches.push(SwitchDescription {
                 name: about(alpaca, "getswitchname", &id, value::text).await?.unwrap_or_default(),
                 can_write: about(alpaca, "canwrite", &id, value::flag).await?.unwrap_or(false),
-                minimum: about(alpaca, "minswitchvalue", &id, value::number).await?.unwrap_or(0.0),
-                maximum: about(alpaca, "maxswitchvalue", &id, value::number).await?.unwrap_or(1.0),
+                minimum: minimum.unwrap_or(0.0),
+                maximum: maximum.unwrap_or(1.0),
             });
         }
-        self.count.store(u32::try_from(count).unwrap_or(0), Ordering::Relaxed);
+        *self.ranges.lock().unwrap_or_else(PoisonError::into_inner) = ranges;
         Ok(Capabilities { switches })
     }
 
     fn fields(&self, readings: &Readings) -> Fields {
-        Fields { values: self.properties().map(|property| readings.number(&property)).collect() }
+        let ranges = self.ranges().into_iter().enumerate();
+        Fields { values: ranges.map(|(number, range)| believed(readings.number(&property(number)), range)).collect() }
     }
 
     fn need(&self, _: &Command) -> Need {
@@ -92,5 +115,19 @@ async fn about<T>(
         Ok(answer) => Ok(read(&answer).ok()),
         Err(error) if error.is_transport() => Err(error),
         Err(_) => Ok(None),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_value_outside_of_the_switchs_own_range_is_no_value() {
+        let read = |value, range| believed(Datum::Known(value), range).known().copied();
+        assert_eq!((read(12.6, Some((0.0, 15.0))), read(15.0, Some((0.0, 15.0)))), (Some(12.6), Some(15.0)));
+        assert_eq!((read(-1.0, Some((0.0, 15.0))), read(65535.0, Some((0.0, 15.0)))), (None, None));
+        assert_eq!(read(f64::NAN, Some((0.0, 15.0))), None);
+        assert_eq!(read(12.6, None), Some(12.6), "a server that gives no range");
     }
 }
