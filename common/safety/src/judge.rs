@@ -139,7 +139,7 @@ impl Evaluation {
         self.inputs.push(InputState {
             input: input.to_owned(),
             value: match newest.map(|entry| &entry.outcome) {
-                None => "nothing received yet".to_owned(),
+                None => record.nothing(),
                 Some(Ok(value)) => words(value),
                 Some(Err(reason)) => reason.clone(),
             },
@@ -336,3 +336,7 @@ mod site_tests;
 #[cfg(test)]
 #[path = "judge_age_tests.rs"]
 mod age_tests;
+
+#[cfg(test)]
+#[path = "judge_restart_tests.rs"]
+mod restart_tests;

@@ -6,7 +6,7 @@ use std::time::Duration;
 use contract::device::observing_conditions::{Fields as Weather, made_of};
 use contract::device::safety_monitor::Fields as Monitor;
 use contract::device::switch::{Fields as Switches, number_of};
-use contract::{Datum, Device, DeviceState, Link};
+use contract::{Datum, Device, DeviceState, Link, NoData};
 use units::SkyTime;
 use units::seconds;
 
@@ -134,6 +134,10 @@ impl History {
         let read_at = aged(at, state.age_s("IsSafe"), self.speed);
         for (rule, record) in rules.monitors.iter().zip(&mut self.monitors) {
             if rule.device == *device {
+                if let Some(why) = no_answer(state).or_else(|| silence(state.fields.is_safe.as_result().err())) {
+                    record.is_silent(why);
+                    continue;
+                }
                 let outcome = read_at.clone().and_then(|_| monitor_reading(state));
                 let at = after(record, read_at.clone().unwrap_or(at));
                 record.push(Entry { at, outcome });
@@ -168,9 +172,10 @@ impl History {
             self.freeze.observe(device, &state.fields, at.machine);
             self.winds.observe(device, &state.fields, at.machine);
         }
+        let silent = |rule: &LimitRule| no_answer(state).or_else(|| silent_parameter(&state.fields, &rule.parameter));
         let sent_s = ages_s.get("TimeSinceLastUpdate").copied().unwrap_or(0.0);
         let contradiction = contradiction(&state.fields);
-        self.observe_limits(rules, device, at, contradiction, |rule, allowed| {
+        self.observe_limits(rules, device, at, contradiction, silent, |rule, allowed| {
             let value = parameter(state, &rule.parameter, allowed, speed, sent_s);
             (value, oldest_s(ages_s, made_of(&rule.parameter)))
         });
@@ -190,7 +195,11 @@ impl History {
         ages_s: &BTreeMap<String, f64>,
         at: Now,
     ) {
-        self.observe_limits(rules, device, at, None, |rule, _| {
+        let value_of = |rule: &LimitRule| state.fields.values.get(number_of(&rule.parameter)?);
+        let silent = |rule: &LimitRule| {
+            no_answer(state).or_else(|| silence(value_of(rule).and_then(|value| value.as_result().err())))
+        };
+        self.observe_limits(rules, device, at, None, silent, |rule, _| {
             let number = number_of(&rule.parameter);
             let value = || {
                 connected(state)?;
@@ -249,16 +258,22 @@ impl History {
         }
     }
 
-    /// `read` makes of a limit, and the age that it allows, the value and the age of its reading, s.
+    /// `read` makes of a limit, and the age that it allows, the value and the age of its reading, s. Where its reading is
+    /// `silent`, nothing was reported: the value before that stays the newest one until it is too old.
     fn observe_limits(
         &mut self,
         rules: &Rules,
         device: &Device,
         at: Now,
         contradiction: Option<Contradiction>,
+        silent: impl Fn(&LimitRule) -> Option<String>,
         read: impl Fn(&LimitRule, Duration) -> (Result<f64, String>, Option<f64>),
     ) {
         for (index, rule) in rules.limits.iter().enumerate().filter(|(_, rule)| rule.device == *device) {
+            if let (Some(why), Some(record)) = (silent(rule), self.limits.get_mut(index)) {
+                record.is_silent(why);
+                continue;
+            }
             let (value, age_s) = read(rule, self.allowed(rule));
             let read_at = aged(at, age_s, self.speed);
             let value = read_at.clone().and(value);
@@ -347,6 +362,34 @@ fn connected<F>(state: &DeviceState<F>) -> Result<(), String> {
     }
 }
 
+/// Why the device has answered nothing since the state before, if so. A node that has just been started, and a server
+/// that refuses connections while it is restarted, report nothing about the sky.
+fn no_answer<F>(state: &DeviceState<F>) -> Option<String> {
+    let answered_nothing = match &state.link {
+        Link::Connected => false,
+        Link::Connecting => true,
+        Link::Lost { reason } => reason.is_silence(),
+    };
+    connected(state).err().filter(|_| answered_nothing)
+}
+
+/// The same of a single value.
+fn silence(missing: Option<&NoData>) -> Option<String> {
+    missing.filter(|reason| reason.is_silence()).map(ToString::to_string)
+}
+
+/// The same of a parameter: a part of it is silent, and no other part is bad.
+fn silent_parameter(fields: &Weather, parameter: &str) -> Option<String> {
+    let mut silent = None;
+    for name in made_of(parameter) {
+        match silence(fields.by_ascom_name(name).and_then(|datum| datum.as_result().err())) {
+            Some(why) => silent = Some(format!("{name}: {why}")),
+            None => drop(fields.measured(name).ok()?),
+        }
+    }
+    silent
+}
+
 fn monitor_reading(state: &DeviceState<Monitor>) -> Result<MonitorReading, String> {
     connected(state)?;
     let is_safe = *state.fields.is_safe.as_result().map_err(ToString::to_string)?;
@@ -396,8 +439,6 @@ fn measured_lately(age_s: &Datum<f64>, what: &str, sent_s: f64, max_age: Duratio
 
 #[cfg(test)]
 mod tests {
-    use contract::NoData;
-
     use super::*;
 
     fn weather(fields: Weather) -> DeviceState<Weather> {

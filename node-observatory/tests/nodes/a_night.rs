@@ -242,7 +242,8 @@ async fn a_silent_monitor_closes_within_seconds() {
         state.link = contract::Link::Lost { reason };
     });
     site.until("closed", MOST, |site| site.shutter() == Some(Shutter::Closed)).await;
-    assert!(silent.elapsed() < lateness.bound(Duration::from_secs(2)), "{:?}", silent.elapsed());
+    // Its last reading counts for 5 s.
+    assert!(silent.elapsed() < lateness.bound(Duration::from_secs(7)), "{:?}", silent.elapsed());
     let reasons = site.safety.get().unwrap().sample.body.reasons;
     assert!(reasons[0].why.contains("link lost: timeout: 2 s"), "{reasons:?}");
     site.until("exposing all the same", MOST, |site| site.camera.state.borrow().fields.exposure.is_some()).await;
