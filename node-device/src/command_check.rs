@@ -3,8 +3,10 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use bus::Clock;
+use contract::observatory::AlertKind;
 use contract::{CommandId, Reason};
-use interlock::{Admitted, Authorization, Claimant, CommandNeeds, Guard, RoofCall, Turned};
+use interlock::{Admitted, Authorization, Claimant, CommandNeeds, Guard, NextToken, RoofCall, Turned};
+use node::NodeAlerts;
 
 use crate::token::Tokens;
 
@@ -16,6 +18,8 @@ pub struct CommandCheck {
     pub tokens: Arc<Tokens>,
     /// The clock.
     pub clock: Clock,
+    /// The alerts of this node.
+    pub alerts: NodeAlerts,
     /// The guard, for a dome.
     pub guard: Option<Arc<Mutex<Guard>>>,
     /// This device grants the lease.
@@ -29,7 +33,9 @@ impl CommandCheck {
     pub async fn admit(&self, id: &CommandId, asked: CommandNeeds<'_>) -> Result<Option<u64>, Turned> {
         match self.decide(asked)? {
             Admitted::Passes => Ok(None),
-            Admitted::IsGranted { telescope } => self.grant(telescope, asked.who, id.clone()).await.map(Some),
+            Admitted::IsGranted { telescope } => {
+                self.grant(telescope, (asked.who, asked.token), id.clone()).await.map(Some)
+            }
         }
     }
 
@@ -47,12 +53,31 @@ impl CommandCheck {
         authorization.admit(asked, self.clock.machine())
     }
 
-    /// Grants the lease: its token is on disk before it counts.
-    async fn grant(&self, telescope: String, who: Claimant<'_>, claim: CommandId) -> Result<u64, Turned> {
+    /// Grants the lease: its token is on disk before it counts. `shows`: the token that the claimant remembers.
+    async fn grant(
+        &self,
+        telescope: String,
+        (who, shows): (Claimant<'_>, Option<u64>),
+        claim: CommandId,
+    ) -> Result<u64, Turned> {
         let (tokens, name, boot_id) = (self.tokens.clone(), telescope.clone(), who.boot_id.cloned());
-        let granted = tokio::task::spawn_blocking(move || tokens.grant(&name, boot_id.as_ref(), &claim)).await;
+        let granted = tokio::task::spawn_blocking(move || tokens.grant(&name, (boot_id.as_ref(), shows), &claim)).await;
         let granted = granted.map_err(std::io::Error::other).and_then(|granted| granted);
-        let token = granted.map_err(|error| (Reason::DeviceError, format!("the token cannot be written: {error}")))?;
+        let NextToken { token, left_behind } =
+            granted.map_err(|error| (Reason::DeviceError, format!("the token cannot be written: {error}")))?;
+        match left_behind {
+            Some(own) => {
+                let before = token.saturating_sub(1);
+                let cause = format!(
+                    "{telescope}: the file with the newest lease of this node has {own}; {} or another node has shown {before}, so that the count goes on \
+                     with {token}",
+                    who.name
+                );
+                tracing::warn!("{cause}");
+                self.alerts.raise(AlertKind::LeaseCountLost, &telescope, &cause);
+            }
+            None => self.alerts.clear(AlertKind::LeaseCountLost, &telescope),
+        }
         self.tokens.leases().granted(&telescope, token, who, self.clock.machine());
         if let Some(mut guard) = self.guard() {
             guard.grant(&telescope, token, who.boot_id);

@@ -141,6 +141,7 @@ impl SharedParts<'_> {
             telescope: self.node.config.place.telescope.to_string(),
             tokens: self.tokens.clone(),
             clock: self.node.bus.clock().clone(),
+            alerts: self.node.alerts.clone(),
             guard,
             is_arbiter,
             roof: Mutex::default(),

@@ -10,7 +10,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::Context as _;
 use contract::{BootId, CommandId};
-use interlock::{KnownTokens, Leases};
+use interlock::{KnownTokens, Leases, NextToken};
 use serde::{Deserialize, Serialize};
 
 use crate::spool::{sync_folder, write_synced};
@@ -89,15 +89,22 @@ impl Tokens {
 
     /// Grants the next token to an incarnation, on disk before it is returned. The same claim of the same incarnation
     /// is asked again when its answer was lost, perhaps because this node was ended meanwhile: it has the same token,
-    /// since a second one would say that somebody unknown had commanded with the first. Blocks.
-    pub fn grant(&self, telescope: &str, boot_id: Option<&BootId>, claim: &CommandId) -> io::Result<u64> {
+    /// since a second one would say that somebody unknown had commanded with the first. `shows`: the token that the
+    /// claimant remembers. Blocks.
+    pub fn grant(
+        &self,
+        telescope: &str,
+        (boot_id, shows): (Option<&BootId>, Option<u64>),
+        claim: &CommandId,
+    ) -> io::Result<NextToken> {
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(holder) = self.newest_holder(telescope)
             && (boot_id, Some(claim)) == (Some(&holder.boot_id), holder.claim.as_ref())
         {
-            return Ok(holder.token);
+            return Ok(NextToken { token: holder.token, left_behind: None });
         }
-        let token = self.leases().tokens().next(telescope);
+        let next = self.leases().tokens().next(telescope, shows);
+        let token = next.token;
         // Without this file a token is as good; only a forged permit cannot be distinguished from a true one.
         if let Err(error) = self.note_holder(telescope, token, boot_id, claim) {
             tracing::warn!(telescope, token, %error, "who holds the lease could not be written");
@@ -105,7 +112,7 @@ impl Tokens {
         let newest = self.leases().tokens().with(telescope, token);
         self.write(&newest)?;
         self.leases().tokens_mut().learn(telescope, token);
-        Ok(token)
+        Ok(next)
     }
 
     /// The process that the newest token of a telescope was granted to; `None` if the file has another token, or
@@ -174,6 +181,11 @@ impl Tokens {
 mod tests {
     use super::*;
 
+    /// The token that a claimant is granted that remembers none.
+    fn granted(tokens: &Tokens, telescope: &str, boot_id: Option<&BootId>, claim: &CommandId) -> u64 {
+        tokens.grant(telescope, (boot_id, None), claim).unwrap().token
+    }
+
     /// Follows the arbiter's count as published, and persists it.
     fn follow(tokens: &Tokens, telescope: &str, token: u64) -> io::Result<()> {
         let followed = tokens.leases().follow(telescope, token);
@@ -185,12 +197,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("tokens.json");
         let tokens = Tokens::open(&file).unwrap();
-        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 1);
-        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 2);
-        assert_eq!(tokens.grant("beta", None, &CommandId::fresh()).unwrap(), 1);
+        assert_eq!(granted(&tokens, "alpha", None, &CommandId::fresh()), 1);
+        assert_eq!(granted(&tokens, "alpha", None, &CommandId::fresh()), 2);
+        assert_eq!(granted(&tokens, "beta", None, &CommandId::fresh()), 1);
         let tokens = Tokens::open(&file).unwrap();
         assert_eq!(tokens.highest("alpha"), 2);
-        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 3);
+        assert_eq!(granted(&tokens, "alpha", None, &CommandId::fresh()), 3);
     }
 
     #[test]
@@ -199,12 +211,12 @@ mod tests {
         let file = folder.path().join("tokens.json");
         let tokens = Tokens::open(&file).unwrap();
         tokens.arbitrate("alpha");
-        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 1);
+        assert_eq!(granted(&tokens, "alpha", None, &CommandId::fresh()), 1);
         for invented in [2, 7, u64::MAX] {
             follow(&tokens, "alpha", invented).unwrap();
             assert_eq!(tokens.highest("alpha"), 1);
         }
-        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 2);
+        assert_eq!(granted(&tokens, "alpha", None, &CommandId::fresh()), 2);
         // Another node's telescope.
         for (reported, known) in [(7, 7), (u64::MAX, 7), (3, 3)] {
             follow(&tokens, "beta", reported).unwrap();
@@ -219,8 +231,8 @@ mod tests {
         let file = folder.path().join("tokens.json");
         fs::write(&file, r#"{"alpha": 18446744073709551615, "beta": 9}"#).unwrap();
         let tokens = Tokens::open(&file).unwrap();
-        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 1);
-        assert_eq!(tokens.grant("beta", None, &CommandId::fresh()).unwrap(), 10);
+        assert_eq!(granted(&tokens, "alpha", None, &CommandId::fresh()), 1);
+        assert_eq!(granted(&tokens, "beta", None, &CommandId::fresh()), 10);
     }
 
     #[test]
@@ -232,7 +244,7 @@ mod tests {
         fs::write(folder.path().join("tokens-alpha-pc.json"), "{").unwrap();
         let tokens = Tokens::open(&folder.path().join("tokens-alpha-enclosure.json")).unwrap();
         tokens.adopt_from_siblings(folder.path(), "alpha").unwrap();
-        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 42);
+        assert_eq!(granted(&tokens, "alpha", None, &CommandId::fresh()), 42);
     }
 
     #[test]
@@ -240,8 +252,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (file, boot_id) = (folder.path().join("tokens.json"), BootId::fresh());
         let tokens = Tokens::open(&file).unwrap();
-        tokens.grant("alpha", Some(&boot_id), &CommandId::fresh()).unwrap();
-        tokens.grant("beta", None, &CommandId::fresh()).unwrap();
+        granted(&tokens, "alpha", Some(&boot_id), &CommandId::fresh());
+        granted(&tokens, "beta", None, &CommandId::fresh());
         let tokens = Tokens::open(&file).unwrap();
         assert_eq!((tokens.holder("alpha"), tokens.holder("beta")), (Some(boot_id), None));
         // Killed between the two files, or the newer one lost.
@@ -249,7 +261,24 @@ mod tests {
         assert_eq!(Tokens::open(&file).unwrap().holder("alpha"), None);
         fs::write(file.with_extension(HOLDERS), "{\"al").unwrap();
         let tokens = Tokens::open(&file).unwrap();
-        assert_eq!((tokens.holder("alpha"), tokens.grant("alpha", None, &CommandId::fresh()).unwrap()), (None, 6));
+        assert_eq!((tokens.holder("alpha"), granted(&tokens, "alpha", None, &CommandId::fresh())), (None, 6));
+    }
+
+    #[test]
+    fn each_file_of_the_arbiter_may_be_lost_and_the_next_token_follows_the_one_that_is_shown() {
+        let (boot_id, claim) = (BootId::fresh(), CommandId::fresh());
+        for (lost, left_behind) in [(&[HOLDERS][..], None), (&["json"], Some(0)), (&["json", HOLDERS], Some(0))] {
+            let folder = tempfile::tempdir().unwrap();
+            let file = folder.path().join("tokens.json");
+            fs::write(&file, r#"{"alpha": 1999}"#).unwrap();
+            assert_eq!(granted(&Tokens::open(&file).unwrap(), "alpha", Some(&boot_id), &claim), 2000);
+            lost.iter().for_each(|extension| fs::remove_file(file.with_extension(extension)).unwrap());
+            let tokens = Tokens::open(&file).unwrap();
+            tokens.arbitrate("alpha");
+            let next = tokens.grant("alpha", (Some(&boot_id), Some(2000)), &CommandId::fresh()).unwrap();
+            assert_eq!((next.token, next.left_behind), (2001, left_behind), "{lost:?}");
+            assert_eq!(Tokens::open(&file).unwrap().highest("alpha"), 2001, "{lost:?}");
+        }
     }
 
     #[test]
@@ -257,27 +286,27 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("tokens.json");
         let (boot_id, claim) = (BootId::fresh(), CommandId::fresh());
-        assert_eq!(Tokens::open(&file).unwrap().grant("alpha", Some(&boot_id), &claim).unwrap(), 1);
+        assert_eq!(granted(&Tokens::open(&file).unwrap(), "alpha", Some(&boot_id), &claim), 1);
         let tokens = Tokens::open(&file).unwrap();
-        assert_eq!(tokens.grant("alpha", Some(&boot_id), &claim).unwrap(), 1);
+        assert_eq!(granted(&tokens, "alpha", Some(&boot_id), &claim), 1);
         // Another incarnation, another claim, a later token: each is a lease of its own.
-        assert_eq!(tokens.grant("alpha", Some(&BootId::fresh()), &claim).unwrap(), 2);
-        assert_eq!(tokens.grant("alpha", Some(&boot_id), &claim).unwrap(), 3);
-        assert_eq!(tokens.grant("alpha", Some(&boot_id), &CommandId::fresh()).unwrap(), 4);
-        assert_eq!(tokens.grant("alpha", Some(&boot_id), &claim).unwrap(), 5);
+        assert_eq!(granted(&tokens, "alpha", Some(&BootId::fresh()), &claim), 2);
+        assert_eq!(granted(&tokens, "alpha", Some(&boot_id), &claim), 3);
+        assert_eq!(granted(&tokens, "alpha", Some(&boot_id), &CommandId::fresh()), 4);
+        assert_eq!(granted(&tokens, "alpha", Some(&boot_id), &claim), 5);
         // A file of an earlier version names no claim.
         fs::write(file.with_extension(HOLDERS), format!(r#"{{"alpha": {{"token": 5, "boot_id": "{boot_id}"}}}}"#))
             .unwrap();
         let tokens = Tokens::open(&file).unwrap();
         assert_eq!(tokens.holder("alpha"), Some(boot_id.clone()));
-        assert_eq!(tokens.grant("alpha", Some(&boot_id), &claim).unwrap(), 6);
+        assert_eq!(granted(&tokens, "alpha", Some(&boot_id), &claim), 6);
     }
 
     #[test]
     fn a_token_that_cannot_be_written_is_not_granted() {
         let folder = tempfile::tempdir().unwrap();
         let tokens = Tokens::open(&folder.path().join("absent").join("tokens.json")).unwrap();
-        assert!(tokens.grant("alpha", None, &CommandId::fresh()).is_err());
+        assert!(tokens.grant("alpha", (None, None), &CommandId::fresh()).is_err());
         assert_eq!(tokens.highest("alpha"), 0);
         // The arbiter's count binds even so.
         assert!(follow(&tokens, "alpha", 4).is_err());
@@ -303,17 +332,17 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("tokens.json");
         let tokens = Tokens::open(&file).unwrap();
-        tokens.grant("alpha", Some(&BootId::fresh()), &CommandId::fresh()).unwrap();
+        granted(&tokens, "alpha", Some(&BootId::fresh()), &CommandId::fresh());
         let before = [fs::read(&file).unwrap(), fs::read(file.with_extension(HOLDERS)).unwrap()];
         // What is written next finds no room.
         let part = file.with_extension("part");
         std::os::unix::fs::symlink("/dev/full", &part).unwrap();
-        let error = tokens.grant("alpha", None, &CommandId::fresh()).unwrap_err();
+        let error = tokens.grant("alpha", (None, None), &CommandId::fresh()).unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::StorageFull);
         assert_eq!([fs::read(&file).unwrap(), fs::read(file.with_extension(HOLDERS)).unwrap()], before);
         assert_eq!(tokens.highest("alpha"), 1);
         fs::remove_file(part).unwrap();
-        assert_eq!(tokens.grant("alpha", None, &CommandId::fresh()).unwrap(), 2, "once there is room");
+        assert_eq!(granted(&tokens, "alpha", None, &CommandId::fresh()), 2, "once there is room");
         assert_eq!(Tokens::open(&file).unwrap().highest("alpha"), 2);
     }
 }

@@ -1,12 +1,13 @@
 //! Which numbers can be meant: ranges, and the units that are most often mistaken.
 
+use contract::device::observing_conditions::{PhysicalRange, physical_range};
+
 use crate::device::{Limit, Measure, blocks};
 use crate::findings::Findings;
 use crate::host::{host_name, host_port};
 use crate::observatory::Observatory;
 
-/// Coldest and warmest air, degrees Celsius; what is far above is kelvin.
-const AIR_C: (f64, f64) = (-100.0, 70.0);
+/// A temperature from here on is in kelvin.
 const KELVIN_FROM: f64 = 150.0;
 /// How old a reading of a safety monitor may be, s.
 const AGE_S: (f64, f64) = (0.1, 3600.0);
@@ -192,19 +193,7 @@ fn from_kelvin(kelvin: f64) -> String {
 /// Limits on the weather, in the units of ASCOM.
 pub(crate) fn weather(limit: &Limit, path: &str, findings: &mut Findings<'_>) {
     let name = limit.parameter.as_str();
-    let (range, unit) = match name {
-        "Humidity" | "CloudCover" => ((0.0, 100.0), "percent"),
-        "Temperature" | "SkyTemperature" | "DewPoint" => (AIR_C, "degrees Celsius"),
-        "RelativeSkyTemp" | "DewPointMargin" => ((-100.0, 100.0), "kelvin of difference"),
-        "Pressure" => ((300.0, 1100.0), "hPa, not reduced to sea level"),
-        "RainRate" => ((0.0, 1000.0), "mm/h"),
-        "WindSpeed" | "WindGust" => ((0.0, 100.0), "m/s"),
-        "WindDirection" => ((0.0, 360.0), "degrees"),
-        "SkyQuality" => ((0.0, 25.0), "mag per square arcsec"),
-        "SkyBrightness" => ((0.0, 200_000.0), "lux"),
-        "StarFWHM" => ((0.0, 100.0), "arcsec"),
-        _ => return,
-    };
+    let Some(PhysicalRange { low, high, unit }) = physical_range(name) else { return };
     let ends = [
         ("upper", limit.upper),
         ("lower", limit.lower),
@@ -216,19 +205,21 @@ pub(crate) fn weather(limit: &Limit, path: &str, findings: &mut Findings<'_>) {
             findings.error(&format!("{path}.{key}"), format!("limit on \"{name}\": {key} = {value}: {why}"));
         };
         if limit.of == Measure::Rate {
-            continue;
-        }
-        if unit == "percent" && value > 0.0 && value <= 1.0 && (name == "Humidity" || value < 1.0) {
+            let most = high - low;
+            if value.abs() > most {
+                fault(format!("expected -{most} to {most} per minute, in {unit}"));
+            }
+        } else if unit == "percent" && value > 0.0 && value <= 1.0 && (name == "Humidity" || value < 1.0) {
             fault(format!(
                 "expected {unit}, 0 to 100; write a fraction of {value} as {}",
                 (value * 1e4).round() / 100.0
             ));
-        } else if range == AIR_C && value >= KELVIN_FROM {
+        } else if unit == "degrees Celsius" && value >= KELVIN_FROM {
             fault(format!("expected {unit}; {}", from_kelvin(value)));
         } else if name == "Pressure" && (30_000.0..=110_000.0).contains(&value) {
             fault(format!("expected {unit}; are these Pa? {value} Pa are {} hPa", value / 100.0));
-        } else if !is_within(value, range) {
-            fault(format!("expected {} to {} {unit}", range.0, range.1));
+        } else if !is_within(value, (low, high)) {
+            fault(format!("expected {low} to {high} {unit}"));
         }
     }
     if limit.of == Measure::Rate {
@@ -255,9 +246,11 @@ pub(crate) fn weather(limit: &Limit, path: &str, findings: &mut Findings<'_>) {
         (Some(_), None) if is_bad_below => {
             ("upper", "only an upper end: any value below it counts as good; is lower meant?")
         }
-        (Some(upper), _) if unit == "percent" && upper == range.1 => {
+        (Some(upper), _) if unit == "percent" && upper >= 100.0 => {
             ("upper", "no value is above 100 percent, so that this end closes nothing; expected less")
         }
+        (Some(upper), None) if upper >= high => ("upper", "no value that is believed is above it; expected less"),
+        (None, Some(lower)) if lower <= low => ("lower", "no value that is believed is below it; expected more"),
         _ => return,
     };
     findings.warning(&format!("{path}.{key}"), format!("limit on \"{name}\": {what}"));

@@ -54,7 +54,8 @@ pub struct Command<C> {
     /// The sender, such as `observatory/alpha` or `web/ops`.
     pub from: String,
     /// Fencing token of the sender's lease; close, stop, abort, tracking off and park need none while no
-    /// valid safe permit exists.
+    /// valid safe permit exists. In a claim: the newest token that the sender remembers, beyond which an arbiter that has
+    /// lost its own goes on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub token: Option<u64>,
     /// Incarnation of the sender: the lease is granted to a process, not to a name. A sender without one is known by

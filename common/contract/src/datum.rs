@@ -31,6 +31,16 @@ impl NoData {
         ["not a number", "wrong type"].iter().any(|class| self.0.starts_with(class))
     }
 
+    /// No answer came, or it was too old when it was read: the device has reported nothing, and what it reported last is
+    /// still the newest reading, until that is too old.
+    pub fn is_silence(&self) -> bool {
+        const SILENCE: [&str; 8] =
+            ["timeout", "transport", "not connected", "never read", "stale", "http 502", "http 503", "http 504"];
+        SILENCE
+            .iter()
+            .any(|class| self.0.strip_prefix(class).is_some_and(|rest| rest.is_empty() || rest.starts_with(':')))
+    }
+
     /// The device has no link.
     pub fn not_connected() -> Self {
         Self("not connected".to_owned())

@@ -26,6 +26,11 @@ const NO_LEASE: Duration = Duration::from_secs(30);
 /// An arbiter that has lost its memory publishes an older lease for good; right after a grant it does so for a moment.
 const FORGOTTEN: Duration = Duration::from_secs(5);
 
+/// A device that knew a newer token follows the arbiter's own count, which is published each second, within this time. A
+/// refusal before that is no reason to claim anew: an arbiter that counts from the beginning would be asked for one
+/// number after another.
+const FOLLOWED: Duration = Duration::from_secs(3);
+
 /// Whether a process has the lease.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum LeaseState {
@@ -144,6 +149,8 @@ pub struct LeaseHolder {
     granted: Option<u64>,
     /// The token that was held last.
     held: Option<u64>,
+    /// Since when it is held.
+    held_since: Option<MachineTime>,
     /// Since when the arbiter publishes an older lease.
     unknown_since: Option<MachineTime>,
     is_disputed: bool,
@@ -170,6 +177,7 @@ impl LeaseHolder {
             note,
             granted: None,
             held: None,
+            held_since: None,
             unknown_since: None,
             is_disputed: false,
         }
@@ -178,6 +186,11 @@ impl LeaseHolder {
     /// Whether it has the lease.
     pub fn state(&self) -> LeaseState {
         self.state
+    }
+
+    /// The token that it held last, which it shows when it claims.
+    pub fn held(&self) -> Option<u64> {
+        self.held
     }
 
     /// What follows. `published`: the lease that was published lately; `fresh`: the id of a claim that was never asked.
@@ -232,6 +245,7 @@ impl LeaseHolder {
                     && self.note.taken_back(is_removed)
                 {
                     (self.state, self.unknown_since) = (LeaseState::Holding { token }, None);
+                    self.held_since = Some(now);
                     alert = Some(LeaseAlert::NoLease(false));
                     LeaseTask::Publish(token)
                 } else {
@@ -239,7 +253,12 @@ impl LeaseHolder {
                     self.ask(published)
                 }
             }
-            LeaseEvent::Doubted => self.asks_again(published, fresh, now),
+            LeaseEvent::Doubted => match (self.state, self.held_since) {
+                (LeaseState::Holding { token }, Some(since)) if now.since(since) < FOLLOWED => {
+                    LeaseTask::Publish(token)
+                }
+                _ => self.asks_again(published, fresh, now),
+            },
             LeaseEvent::Published(known) => {
                 let is_lost = self.is_lost_by(known, now);
                 match self.state {

@@ -56,6 +56,9 @@ impl Leases {
     /// A guard has published: what it granted counts here, except for telescopes whose leases this node grants.
     pub fn receive_guard(&mut self, dome: &Device, sample: &Stamped<Guard>, arrived: MachineTime) -> Vec<Followed> {
         self.site.guard(dome.clone(), &sample.boot_id, &sample.body, arrived);
+        for granted in &sample.body.granted {
+            self.tokens.show(&granted.telescope, granted.token);
+        }
         let granted = sample.body.granted.iter().map(|granted| granted.telescope.as_str());
         let followed = granted.filter_map(|telescope| {
             let token = self.site.token_of_guards(telescope, arrived)?;
@@ -66,6 +69,7 @@ impl Leases {
 
     /// A permit was published; one that no guard would take counts for nothing.
     pub fn receive_permit(&mut self, telescope: &str, dome: &str, sample: &Stamped<Permit>, arrived: MachineTime) {
+        self.tokens.show(telescope, sample.body.token);
         if self.site.is_answer(dome, &sample.body, arrived) {
             let granted = self.tokens.highest(telescope);
             self.site.observe(telescope, sample, arrived, granted);
@@ -80,6 +84,7 @@ impl Leases {
         arrived: MachineTime,
     ) -> Option<Followed> {
         let token = sample.body.token;
+        self.tokens.show(telescope, token);
         let is_counted = self.tokens.is_arbiter(telescope) || self.site.token_of_guards(telescope, arrived).is_some();
         let newest = if is_counted { None } else { self.site.token_of_lease(telescope, token, arrived) };
         let followed = newest.and_then(|token| self.follow(telescope, token));

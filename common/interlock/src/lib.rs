@@ -56,6 +56,8 @@
 //!   (`guard_loop.rs`): `in_every_order_of_events_a_dome_without_a_valid_permit_is_closing_or_proven_closed`.
 //! - A token has one holder, and no living one is robbed (`leases.rs`):
 //!   `in_every_order_of_messages_a_token_has_one_holder_and_no_living_one_is_robbed`.
+//! - An arbiter without its file goes on beyond the newest token that it is shown, in one step (`known_tokens.rs`,
+//!   decision 0130): `whatever_file_is_lost_the_lease_is_granted_in_one_step`.
 //! - A lease is held by one incarnation of a process, and an orderly end releases it (`holder.rs`):
 //!   `of_two_processes_of_one_name_the_second_waits_until_the_first_was_silent_for_five_seconds`.
 //! - A token counts as unused only if nobody commanded with it (`claim_note.rs`, decision 0015):
@@ -111,7 +113,7 @@ pub use guard_words::{GuardWords, PERMIT_VALID, Roofs};
 pub use hinders::{DueClosing, Hinders};
 pub use holder::{Claimant, Holding, SILENT};
 pub use incarnations::Incarnations;
-pub use known_tokens::KnownTokens;
+pub use known_tokens::{KnownTokens, NextToken};
 pub use lease_holder::{
     ClaimAnswer, LeaseAlert, LeaseEvent, LeaseHolder, LeaseState, LeaseStep, LeaseTask, PublishedLease,
 };

@@ -21,10 +21,11 @@ pub struct Freeze {
     stations: BTreeMap<Device, Still>,
 }
 
-/// The last value of each channel of a station, bit by bit, and when one of them moved.
+/// The last possible value of each channel of a station, bit by bit, and when one of them moved. `None`: all that came
+/// was the code of a dead sensor.
 #[derive(Debug, Clone)]
 struct Still {
-    values: BTreeMap<&'static str, u64>,
+    values: BTreeMap<&'static str, Option<u64>>,
     since: MachineTime,
 }
 
@@ -42,11 +43,16 @@ impl Freeze {
         let still = self.stations.entry(station.clone()).or_insert(fresh);
         let mut moved = false;
         for name in ANALOGUE {
-            // A calm is exactly zero for hours; a channel that falls silent does not move the others.
-            let value = fields.by_ascom_name(name).and_then(|datum| datum.known()).filter(|value| **value != 0.0);
-            if let Some(bits) = value.map(|value| value.to_bits()) {
+            if fields.by_ascom_name(name).is_none_or(|datum| datum.known().is_none()) {
+                continue;
+            }
+            // Zeros count like any value: a station that has lost its sensors reports zero for everything. A channel
+            // that becomes the code of a dead sensor, or one code after another, shows no movement.
+            let before = still.values.entry(name).or_default();
+            // Zero has two forms.
+            if let Ok(bits) = fields.measured(name).map(|value| (value + 0.0).to_bits()) {
                 // A first value shows no movement: it may have been the same before this node listened.
-                moved |= still.values.insert(name, bits).is_some_and(|before| before != bits);
+                moved |= before.replace(bits).is_some_and(|before| before != bits);
             }
         }
         if moved {
@@ -82,18 +88,19 @@ mod tests {
         MachineTime::from_boot(Duration::from_secs(60 * minute))
     }
 
+    fn station() -> Device {
+        Address::new("paranal", "shared").unwrap().device(Kind::ObservingConditions, &"wx".parse().unwrap())
+    }
+
     fn stands(values: &[(u64, f64, f64)], now: u64) -> Option<u64> {
-        let station =
-            Address::new("paranal", "shared").unwrap().device(Kind::ObservingConditions, &"wx".parse().unwrap());
         let mut freeze = Freeze::default();
         for (minute, air_c, humidity_percent) in values {
             let fields = Fields {
                 air_c: Datum::Known(*air_c),
                 humidity_percent: Datum::Known(*humidity_percent),
-                wind_mps: Datum::Known(0.0),
                 ..Fields::default()
             };
-            freeze.observe(&station, &fields, at(*minute));
+            freeze.observe(&station(), &fields, at(*minute));
         }
         freeze.stand_still(at(now)).next().map(|(_, still)| still.as_secs() / 60)
     }
@@ -102,7 +109,26 @@ mod tests {
     fn a_station_is_frozen_while_no_channel_moves() {
         assert_eq!(stands(&[(0, 5.1, 40.0), (30, 5.1, 40.0)], 31), Some(31));
         assert_eq!(stands(&[(0, 5.1, 40.0), (30, 5.1, 40.1)], 31), Some(1));
-        assert_eq!(stands(&[(0, 5.1, 40.0), (30, 5.1, 0.0)], 31), Some(31), "a lost channel shows no activity");
-        assert_eq!(stands(&[(0, 5.1, 0.0), (30, 5.1, 0.0)], 31), None, "one channel alone may stand still");
+        assert_eq!(stands(&[(0, 5.1, -1.0), (30, 5.1, -999.0), (40, 5.1, -1.0)], 41), Some(41), "codes do not move");
+        assert_eq!(stands(&[(0, 5.1, 40.0), (30, 5.1, -1.0), (40, 5.1, 40.0)], 41), Some(41), "nor does coming back");
+    }
+
+    #[test]
+    fn a_station_of_zeros_is_frozen_like_any_other() {
+        assert_eq!(stands(&[(0, 0.0, 0.0), (30, 0.0, -0.0)], 31), Some(31));
+        let calm = Fields { wind_mps: Datum::Known(0.0), gust_mps: Datum::Known(0.0), ..Fields::default() };
+        let mut freeze = Freeze::default();
+        for minute in [0, 10, 20] {
+            freeze.observe(&station(), &calm, at(minute));
+        }
+        assert_eq!(freeze.stand_still(at(21)).count(), 1, "an anemometer that hangs looks like a calm");
+    }
+
+    #[test]
+    fn one_channel_alone_may_stand_still() {
+        let fields = Fields { air_c: Datum::Known(5.1), ..Fields::default() };
+        let mut freeze = Freeze::default();
+        freeze.observe(&station(), &fields, at(0));
+        assert!(!freeze.knows(&station()) && freeze.stand_still(at(90)).next().is_none());
     }
 }

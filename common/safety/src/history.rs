@@ -31,6 +31,8 @@ pub struct Record<T> {
     last_known: Option<Entry<T>>,
     /// Outlives it too: when the first value came.
     known_since: Option<SkyTime>,
+    /// Why nothing has come since the newest entry, where the input's node reports that.
+    silent: Option<String>,
 }
 
 /// More entries than any dwell needs; when they run out, the record starts later, which is the safe side.
@@ -38,7 +40,7 @@ const MOST_ENTRIES: usize = 50_000;
 
 impl<T> Default for Record<T> {
     fn default() -> Self {
-        Self { entries: VecDeque::new(), last_known: None, known_since: None }
+        Self { entries: VecDeque::new(), last_known: None, known_since: None, silent: None }
     }
 }
 
@@ -59,8 +61,14 @@ pub enum Evidence<T> {
 }
 
 impl<T: Clone> Record<T> {
+    /// No reading has come, for this reason: the newest one stays the newest one, and grows old.
+    pub fn is_silent(&mut self, why: String) {
+        self.silent = Some(why);
+    }
+
     /// Adds the newest value.
     pub fn push(&mut self, entry: Entry<T>) {
+        self.silent = None;
         if entry.outcome.is_ok() {
             self.last_known = Some(entry.clone());
             self.known_since.get_or_insert(entry.at.sky);
@@ -103,13 +111,19 @@ impl<T: Clone> Record<T> {
         self.entries.iter()
     }
 
+    /// In words why there is no entry at all.
+    pub fn nothing(&self) -> String {
+        self.silent.clone().unwrap_or_else(|| "nothing received yet".to_owned())
+    }
+
     /// What the record proves; silence longer than `max_age` is a gap, and at its end a missing value.
     pub fn evidence(&self, now: Now, max_age: Duration, is_good: impl Fn(&T) -> bool) -> Evidence<T> {
-        let Some(newest) = self.newest() else { return Evidence::Missing("nothing received yet".to_owned()) };
+        let Some(newest) = self.newest() else { return Evidence::Missing(self.nothing()) };
         let age = now.machine.since(newest.at.machine);
         if age > max_age {
+            let why = self.silent.as_ref().map(|why| format!("; {why}")).unwrap_or_default();
             return Evidence::Missing(format!(
-                "stale: last received {:.1} s ago, allowed are {:.1} s",
+                "stale: last received {:.1} s ago, allowed are {:.1} s{why}",
                 age.as_secs_f64(),
                 max_age.as_secs_f64()
             ));

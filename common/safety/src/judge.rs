@@ -107,7 +107,10 @@ impl Evaluation {
 
     /// A limit that is violated now, or of whose window too little is known; `when` follows a value in the reason.
     fn violated(&mut self, rule: &LimitRule, measured: Measured, when: &str) {
-        let Measured { value, unknown_for, .. } = measured;
+        let Measured { value, unknown_for, contradiction, .. } = measured;
+        if let Some(contradiction) = contradiction.filter(|_| rule.bad.contain(value)) {
+            return self.against(rule.response, &rule.input, format!("{contradiction}{when}"), None);
+        }
         if rule.reopen.contain(value) && !unknown_for.is_zero() {
             let over = rule.measure.over();
             let known_for = over.saturating_sub(unknown_for);
@@ -136,7 +139,7 @@ impl Evaluation {
         self.inputs.push(InputState {
             input: input.to_owned(),
             value: match newest.map(|entry| &entry.outcome) {
-                None => "nothing received yet".to_owned(),
+                None => record.nothing(),
                 Some(Ok(value)) => words(value),
                 Some(Err(reason)) => reason.clone(),
             },
@@ -333,3 +336,7 @@ mod site_tests;
 #[cfg(test)]
 #[path = "judge_age_tests.rs"]
 mod age_tests;
+
+#[cfg(test)]
+#[path = "judge_restart_tests.rs"]
+mod restart_tests;

@@ -24,7 +24,8 @@
 //! - [`rules`]: the configured inputs and limits; [`measure`]: what of a parameter a limit is put on.
 //! - [`history`]: the states of one input, as far back as its dwell looks; [`received`]: the states of all inputs.
 //! - [`recall`]: what a device node recorded before this node listened, placed on this node's clocks.
-//! - [`frozen`]: a weather station whose values do not move; [`wind`]: directions to avoid.
+//! - [`contradiction`]: values of a weather station that exclude each other; [`frozen`]: a station whose values do not
+//!   move; [`wind`]: directions to avoid.
 //! - [`nodes`]: clocks and disks of the other machines; [`clocks`]: what time it may be; [`sun`]: where the Sun stands
 //!   then.
 //!
@@ -52,6 +53,10 @@
 //!   (decision 0012): `recalled_evidence_without_live_states_is_not_what_is_now`.
 //! - What may have happened before this node subscribed is unknown, and unknown is unsafe, also within the window of a
 //!   largest value: `a_maximum_is_known_once_its_window_has_filled_since_the_listening_began`.
+//! - No answer is no reading: the one before stays the newest until it is too old (decision 0129):
+//!   `who_is_told_that_nothing_was_reported_judges_as_if_nothing_had_come`.
+//! - No value outside of its physical range is believed, and none of a station that contradicts itself is good (decision
+//!   0128): `no_parameter_is_believed_outside_of_its_range_on_whichever_side_its_limit_is`.
 //! - A dome without any input that reports rain stays closed (decision 0056): `without_any_input_it_is_never_safe`.
 //! - A commander that does not know the last operator orders of the commander before it stays closed (`takeover.rs`,
 //!   decision 0015): `the_orders_to_the_earlier_commander_hold_and_the_dome_stays_closed_where_nobody_knows_them`.
@@ -59,6 +64,7 @@
 pub mod active_orders;
 pub mod annunciator;
 pub mod clocks;
+pub mod contradiction;
 pub mod current_verdict;
 pub mod frozen;
 pub mod history;

@@ -286,9 +286,14 @@ fn a_bad_reading_within_the_dwell_leaves_the_rest_of_it() {
 fn a_gap_of_any_kind_restarts_the_dwell() {
     let silent = Station::new().publishes((0..=70).step_by(5), 50.0).publishes((90..=105).step_by(5), 50.0);
     assert_eq!(waits_s(vec![limit()], &silent), Some(14.0), "suspended");
-    let lost =
-        Station::new().publishes((0..=80).step_by(5), 50.0).loses_link(85).publishes((90..=105).step_by(5), 50.0);
-    assert_eq!(waits_s(vec![limit()], &lost), Some(14.0), "no link");
+    let lost = |until: i64| {
+        let lost = (until + 5..90)
+            .step_by(5)
+            .fold(Station::new().publishes((0..=until).step_by(5), 50.0), Station::loses_link);
+        lost.publishes((90..=105).step_by(5), 50.0)
+    };
+    assert_eq!(waits_s(vec![limit()], &lost(70)), Some(14.0), "no link for longer than readings may be old");
+    assert_eq!(waits_s(vec![limit()], &lost(75)), Some(0.0), "no link for 15 s, as long as readings may be old");
     let born = Station::new().loses_link(89).publishes((90..=105).step_by(5), 50.0);
     assert_eq!(waits_s(vec![limit()], &born), Some(14.0), "the device node was restarted too");
 }

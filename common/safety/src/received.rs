@@ -6,10 +6,11 @@ use std::time::Duration;
 use contract::device::observing_conditions::{Fields as Weather, made_of};
 use contract::device::safety_monitor::Fields as Monitor;
 use contract::device::switch::{Fields as Switches, number_of};
-use contract::{Datum, Device, DeviceState, Link};
+use contract::{Datum, Device, DeviceState, Link, NoData};
 use units::SkyTime;
 use units::seconds;
 
+use super::contradiction::{Contradiction, contradiction};
 use super::frozen::Freeze;
 use super::history::{Entry, Now, Record};
 use super::measure::Window;
@@ -44,6 +45,8 @@ pub struct Measured {
     pub tripped: bool,
     /// The time after which all of its window is known, sky time.
     pub unknown_for: Duration,
+    /// Values of the station excluded each other, so that none of them is good.
+    pub contradiction: Option<Contradiction>,
 }
 
 /// The received states of all inputs.
@@ -131,6 +134,10 @@ impl History {
         let read_at = aged(at, state.age_s("IsSafe"), self.speed);
         for (rule, record) in rules.monitors.iter().zip(&mut self.monitors) {
             if rule.device == *device {
+                if let Some(why) = no_answer(state).or_else(|| silence(state.fields.is_safe.as_result().err())) {
+                    record.is_silent(why);
+                    continue;
+                }
                 let outcome = read_at.clone().and_then(|_| monitor_reading(state));
                 let at = after(record, read_at.clone().unwrap_or(at));
                 record.push(Entry { at, outcome });
@@ -165,8 +172,10 @@ impl History {
             self.freeze.observe(device, &state.fields, at.machine);
             self.winds.observe(device, &state.fields, at.machine);
         }
+        let silent = |rule: &LimitRule| no_answer(state).or_else(|| silent_parameter(&state.fields, &rule.parameter));
         let sent_s = ages_s.get("TimeSinceLastUpdate").copied().unwrap_or(0.0);
-        self.observe_limits(rules, device, at, |rule, allowed| {
+        let contradiction = contradiction(&state.fields);
+        self.observe_limits(rules, device, at, contradiction, silent, |rule, allowed| {
             let value = parameter(state, &rule.parameter, allowed, speed, sent_s);
             (value, oldest_s(ages_s, made_of(&rule.parameter)))
         });
@@ -186,7 +195,11 @@ impl History {
         ages_s: &BTreeMap<String, f64>,
         at: Now,
     ) {
-        self.observe_limits(rules, device, at, |rule, _| {
+        let value_of = |rule: &LimitRule| state.fields.values.get(number_of(&rule.parameter)?);
+        let silent = |rule: &LimitRule| {
+            no_answer(state).or_else(|| silence(value_of(rule).and_then(|value| value.as_result().err())))
+        };
+        self.observe_limits(rules, device, at, None, silent, |rule, _| {
             let number = number_of(&rule.parameter);
             let value = || {
                 connected(state)?;
@@ -245,24 +258,43 @@ impl History {
         }
     }
 
-    /// `read` makes of a limit, and the age that it allows, the value and the age of its reading, s.
+    /// `read` makes of a limit, and the age that it allows, the value and the age of its reading, s. Where its reading is
+    /// `silent`, nothing was reported: the value before that stays the newest one until it is too old.
     fn observe_limits(
         &mut self,
         rules: &Rules,
         device: &Device,
         at: Now,
+        contradiction: Option<Contradiction>,
+        silent: impl Fn(&LimitRule) -> Option<String>,
         read: impl Fn(&LimitRule, Duration) -> (Result<f64, String>, Option<f64>),
     ) {
         for (index, rule) in rules.limits.iter().enumerate().filter(|(_, rule)| rule.device == *device) {
+            if let (Some(why), Some(record)) = (silent(rule), self.limits.get_mut(index)) {
+                record.is_silent(why);
+                continue;
+            }
             let (value, age_s) = read(rule, self.allowed(rule));
             let read_at = aged(at, age_s, self.speed);
             let value = read_at.clone().and(value);
-            self.observe_value(rule, index, value, read_at.unwrap_or(at));
+            self.observe_doubtful(rule, index, value, contradiction, read_at.unwrap_or(at));
         }
     }
 
     /// Takes in a value for the limit of this index that was read then, or why there is none.
     pub fn observe_value(&mut self, rule: &LimitRule, index: usize, value: Result<f64, String>, at: Now) {
+        self.observe_doubtful(rule, index, value, None, at);
+    }
+
+    /// The same of a value that is not good where the station contradicts itself.
+    fn observe_doubtful(
+        &mut self,
+        rule: &LimitRule,
+        index: usize,
+        value: Result<f64, String>,
+        contradiction: Option<Contradiction>,
+        at: Now,
+    ) {
         let allowed = self.allowed(rule);
         let (Some(record), Some(window)) = (self.limits.get_mut(index), self.windows.get_mut(index)) else { return };
         let at = after(record, at);
@@ -274,9 +306,10 @@ impl History {
             // If every value is needed, a missing one is as bad as a bad one; else the last one remains valid.
             let before = if rule.needs_each() { record.newest().filter(|_| !is_gap) } else { record.last_known() };
             let was_good = before.is_some_and(|entry| entry.outcome.as_ref().is_ok_and(|before| !before.tripped));
-            let good = rule.bad.contain(value) && (was_good || rule.reopen.contain(value));
+            let is_within = rule.bad.contain(value) && (was_good || rule.reopen.contain(value));
+            let good = is_within && contradiction.is_none();
             let unknown_for = window.unknown_for(rule.measure, at.sky);
-            Measured { value, tripped: !good || !unknown_for.is_zero(), unknown_for }
+            Measured { value, tripped: !good || !unknown_for.is_zero(), unknown_for, contradiction }
         });
         record.push(Entry { at, outcome });
         record.forget(at, rule.dwell);
@@ -329,6 +362,34 @@ fn connected<F>(state: &DeviceState<F>) -> Result<(), String> {
     }
 }
 
+/// Why the device has answered nothing since the state before, if so. A node that has just been started, and a server
+/// that refuses connections while it is restarted, report nothing about the sky.
+fn no_answer<F>(state: &DeviceState<F>) -> Option<String> {
+    let answered_nothing = match &state.link {
+        Link::Connected => false,
+        Link::Connecting => true,
+        Link::Lost { reason } => reason.is_silence(),
+    };
+    connected(state).err().filter(|_| answered_nothing)
+}
+
+/// The same of a single value.
+fn silence(missing: Option<&NoData>) -> Option<String> {
+    missing.filter(|reason| reason.is_silence()).map(ToString::to_string)
+}
+
+/// The same of a parameter: a part of it is silent, and no other part is bad.
+fn silent_parameter(fields: &Weather, parameter: &str) -> Option<String> {
+    let mut silent = None;
+    for name in made_of(parameter) {
+        match silence(fields.by_ascom_name(name).and_then(|datum| datum.as_result().err())) {
+            Some(why) => silent = Some(format!("{name}: {why}")),
+            None => drop(fields.measured(name).ok()?),
+        }
+    }
+    silent
+}
+
 fn monitor_reading(state: &DeviceState<Monitor>) -> Result<MonitorReading, String> {
     connected(state)?;
     let is_safe = *state.fields.is_safe.as_result().map_err(ToString::to_string)?;
@@ -352,15 +413,7 @@ fn parameter(
             measured_lately(age_s, &format!("{sensor}'s measurement"), 0.0, max_age, speed)?;
         }
     }
-    let measured = |name: &str| -> Result<f64, String> {
-        let datum = state.fields.by_ascom_name(name).ok_or_else(|| format!("{name} is no parameter"))?;
-        let value = *datum.as_result().map_err(|reason| format!("{name}: {reason}"))?;
-        plausible(name, value)
-    };
-    match made_of(name).as_slice() {
-        [from, what] => Ok(measured(from)? - measured(what)?),
-        _ => measured(name),
-    }
+    state.fields.measured(name)
 }
 
 /// Refuses a measurement that the station calls old; `sent_s` is the age of that statement, s of machine time.
@@ -384,27 +437,8 @@ fn measured_lately(age_s: &Datum<f64>, what: &str, sent_s: f64, max_age: Duratio
     Ok(())
 }
 
-/// Refuses what no weather on Earth does: a broken sensor is a missing sensor.
-fn plausible(name: &str, value: f64) -> Result<f64, String> {
-    let (low, high) = match name {
-        // Fog reads 100 and some sensors a little more.
-        "Humidity" => (0.0, 105.0),
-        "CloudCover" => (0.0, 100.0),
-        "Temperature" | "DewPoint" => (-90.0, 65.0),
-        "SkyTemperature" => (-273.15, 65.0),
-        "Pressure" => (300.0, 1100.0),
-        "RainRate" => (0.0, 2000.0),
-        "WindSpeed" | "WindGust" => (0.0, 120.0),
-        "WindDirection" => (0.0, 360.0),
-        _ => (f64::MIN, f64::MAX),
-    };
-    if (low..=high).contains(&value) { Ok(value) } else { Err(format!("{name}: {value} is not possible")) }
-}
-
 #[cfg(test)]
 mod tests {
-    use contract::NoData;
-
     use super::*;
 
     fn weather(fields: Weather) -> DeviceState<Weather> {

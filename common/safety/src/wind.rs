@@ -22,10 +22,10 @@ pub struct Winds {
 impl Winds {
     /// Takes in a station's state; without speed or direction there is no wind to avoid.
     pub fn observe(&mut self, station: &Device, fields: &Fields, now: MachineTime) {
-        let gust = fields.gust_mps.known().copied().unwrap_or_default();
-        let wind = fields.wind_mps.known().map(|wind| wind.max(gust));
-        match (wind, fields.wind_from_deg.known()) {
-            (Some(speed), Some(from)) if speed.is_finite() && from.is_finite() => {
+        let gust = fields.measured("WindGust").unwrap_or_default();
+        let wind = fields.measured("WindSpeed").map(|wind| wind.max(gust));
+        match (wind, fields.measured("WindDirection")) {
+            (Ok(speed), Ok(from)) => {
                 self.stations.insert(station.clone(), (speed, from.rem_euclid(360.0), now));
             }
             _ => drop(self.stations.remove(station)),

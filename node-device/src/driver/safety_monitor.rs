@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use alpaca::{Abilities, Alpaca, AlpacaError};
 use bus::{MachineTime, SkyTime};
-use contract::CommandId;
 use contract::device::safety_monitor::{self, Capabilities, Command, Fields};
+use contract::{CommandId, NoData};
 use interlock::Need;
 
 use super::{Driver, Executed};
@@ -39,6 +39,10 @@ impl Driver for SafetyMonitor {
     }
 
     fn observed(&self, readings: &Readings, now: Now) {
+        // No answer is no reading: the next one shows how long the gap was.
+        if readings.strict_flag("IsSafe").as_result().is_err_and(NoData::is_silence) {
+            return;
+        }
         // A reading counts from when it was asked for, however often it is seen.
         let asked = readings.asked("IsSafe").filter(|_| readings.strict_flag("IsSafe").known() == Some(&true));
         let at = asked.unwrap_or(now);
@@ -95,7 +99,6 @@ impl SafeRecord {
 
 #[cfg(test)]
 mod tests {
-    use contract::NoData;
     use serde_json::{Value, json};
     use units::Utc;
 
@@ -124,6 +127,31 @@ mod tests {
         assert_eq!(observe(&mut record, 7, true), 0);
         assert_eq!(observe(&mut record, 12, true), 50);
         assert_eq!(observe(&mut record, 18, true), 0);
+    }
+
+    #[test]
+    fn a_server_that_refuses_connections_for_a_moment_does_not_end_the_record() {
+        let monitor = SafetyMonitor::new(1.0);
+        let at = |second: f64| Now {
+            machine: MachineTime::from_boot(Duration::from_secs_f64(second)),
+            sky: SkyTime::from_start(Duration::from_secs_f64(second)),
+        };
+        let mut readings = Readings::default();
+        let mut answers = |second, answer: Result<Value, NoData>| {
+            readings.keep_asked("IsSafe", answer, Utc::EPOCH, at(second));
+            monitor.observed(&readings, at(second));
+            monitor.fields(&readings).gapless_safe_s
+        };
+        let refused = || Err(NoData::new("transport", "connection refused"));
+        answers(100.0, Ok(json!(true)));
+        assert_eq!(answers(110.0, Ok(json!(true))), 0.0, "a gap of 10 s");
+        assert_eq!(answers(113.0, Ok(json!(true))), 3.0);
+        answers(114.0, refused());
+        assert_eq!(answers(115.0, Ok(json!(true))), 5.0, "refused for a second");
+        answers(116.0, refused());
+        assert_eq!(answers(121.0, Ok(json!(true))), 0.0, "for six");
+        answers(122.0, Err(NoData::new("wrong type", "")));
+        assert_eq!(answers(123.0, Ok(json!(true))), 0.0, "an answer that is none");
     }
 
     #[test]

@@ -1,11 +1,10 @@
 //! Switches and gauges.
 
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use alpaca::{Abilities, Alpaca, AlpacaError, value};
 use contract::device::switch::{self, Capabilities, Command, Fields, SwitchDescription};
-use contract::{CommandId, NoData, Reason};
+use contract::{CommandId, Datum, NoData, Reason};
 use interlock::Need;
 
 use super::{Driver, Executed, on_grid, within};
@@ -17,14 +16,40 @@ const MOST: i64 = 256;
 /// Drives a set of switches.
 #[derive(Default)]
 pub struct Switch {
-    count: AtomicU32,
-    /// First value and step of each, as far as they are known.
-    grids: Mutex<Vec<(f64, Option<f64>)>>,
+    scales: Mutex<Vec<Scale>>,
+}
+
+/// The values that a switch takes, as far as its server has given them.
+#[derive(Clone, Copy, Default)]
+struct Scale {
+    /// Its smallest value.
+    low: Option<f64>,
+    /// Its largest value.
+    high: Option<f64>,
+    step: Option<f64>,
 }
 
 impl Switch {
-    fn properties(&self) -> impl Iterator<Item = String> {
-        (0..self.count.load(Ordering::Relaxed)).map(|number| format!("GetSwitchValue{number}"))
+    fn scales(&self) -> Vec<Scale> {
+        self.scales.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+fn property(number: usize) -> String {
+    format!("GetSwitchValue{number}")
+}
+
+/// A value outside of the switch's own range is the code of something broken, and no value.
+fn believed(value: Datum<f64>, scale: Scale) -> Datum<f64> {
+    match (value, scale.low.zip(scale.high).filter(|(low, high)| low < high)) {
+        // Servers round their numbers.
+        (Datum::Known(value), Some((low, high)))
+            if !(low - 1e-6 * (high - low)..=high + 1e-6 * (high - low)).contains(&value) =>
+        {
+            let detail = format!("{value} is not possible; the switch's own range is {low} to {high}");
+            Datum::missing(NoData::new("wrong type", detail))
+        }
+        (value, _) => value,
     }
 }
 
@@ -32,20 +57,23 @@ impl Driver for Switch {
     type Kind = switch::Switch;
 
     fn polled(&self) -> Vec<String> {
-        self.properties().collect()
+        (0..self.scales().len()).map(property).collect()
     }
 
     async fn capabilities(&self, abilities: &mut Abilities) -> Result<Capabilities, AlpacaError> {
         let count = abilities.read("MaxSwitch", value::whole).await?.unwrap_or(0).clamp(0, MOST);
         // A switch without these has two values; those that could not be read are no limits.
-        let bound = |answer: Result<f64, NoData>, of_two: f64, unread: f64| match answer {
-            Ok(bound) => bound,
-            Err(reason) if reason == NoData::not_implemented() => of_two,
+        let bound = |answer: &Result<f64, NoData>, of_two: f64, unread: f64| match answer {
+            Ok(bound) => *bound,
+            Err(reason) if *reason == NoData::not_implemented() => of_two,
             Err(_) => unread,
         };
-        let mut switches = Vec::new();
+        let (mut switches, mut scales) = (Vec::new(), Vec::new());
         for number in 0..count {
             let id = Some(number);
+            let low = abilities.read_of("MinSwitchValue", id, value::number).await?;
+            let high = abilities.read_of("MaxSwitchValue", id, value::number).await?;
+            let step = abilities.read_of("SwitchStep", id, value::number).await?.ok().filter(|step| *step > 0.0);
             switches.push(SwitchDescription {
                 name: abilities.read_of("GetSwitchName", id, value::text).await?.unwrap_or_default(),
                 // Where that could not be read, the device decides.
@@ -53,19 +81,19 @@ impl Driver for Switch {
                     Ok(can_write) => can_write,
                     Err(reason) => reason != NoData::not_implemented(),
                 },
-                minimum: bound(abilities.read_of("MinSwitchValue", id, value::number).await?, 0.0, f64::MIN),
-                maximum: bound(abilities.read_of("MaxSwitchValue", id, value::number).await?, 1.0, f64::MAX),
-                step: abilities.read_of("SwitchStep", id, value::number).await?.ok().filter(|step| *step > 0.0),
+                minimum: bound(&low, 0.0, f64::MIN),
+                maximum: bound(&high, 1.0, f64::MAX),
+                step,
             });
+            scales.push(Scale { low: low.ok(), high: high.ok(), step });
         }
-        *self.grids.lock().unwrap_or_else(PoisonError::into_inner) =
-            switches.iter().map(|switch| (switch.minimum, switch.step)).collect();
-        self.count.store(u32::try_from(count).unwrap_or(0), Ordering::Relaxed);
+        *self.scales.lock().unwrap_or_else(PoisonError::into_inner) = scales;
         Ok(Capabilities { switches })
     }
 
     fn fields(&self, readings: &Readings) -> Fields {
-        Fields { values: self.properties().map(|property| readings.number(&property)).collect() }
+        let scales = self.scales().into_iter().enumerate();
+        Fields { values: scales.map(|(number, scale)| believed(readings.number(&property(number)), scale)).collect() }
     }
 
     fn need(&self, _: &Command) -> Need {
@@ -91,12 +119,28 @@ impl Driver for Switch {
         _: &Fields,
     ) -> Result<Executed, AlpacaError> {
         let Command::Set { number, value } = command;
-        let grid = self.grids.lock().unwrap_or_else(PoisonError::into_inner).get(*number as usize).copied();
-        let (origin, step) = grid.unwrap_or((0.0, None));
+        let scale = self.scales().get(*number as usize).copied().unwrap_or_default();
         // From a first value that is not known there is no grid.
-        let value = on_grid(*value, origin, step.filter(|_| origin > f64::MIN));
+        let value = on_grid(*value, scale.low.unwrap_or(0.0), scale.step.filter(|_| scale.low.is_some()));
         // The switch may round as well, so its answer is the proof, not its value.
         alpaca.put("setswitchvalue", &[("Id", &number.to_string()), ("Value", &value.to_string())]).await?;
         Ok(Executed::Done)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_value_outside_of_the_switchs_own_range_is_no_value() {
+        let read = |value, range: Option<(f64, f64)>| {
+            let scale = Scale { low: range.map(|range| range.0), high: range.map(|range| range.1), step: None };
+            believed(Datum::Known(value), scale).known().copied()
+        };
+        assert_eq!((read(12.6, Some((0.0, 15.0))), read(15.0, Some((0.0, 15.0)))), (Some(12.6), Some(15.0)));
+        assert_eq!((read(-1.0, Some((0.0, 15.0))), read(65535.0, Some((0.0, 15.0)))), (None, None));
+        assert_eq!(read(f64::NAN, Some((0.0, 15.0))), None);
+        assert_eq!(read(12.6, None), Some(12.6), "a server that gives no range");
     }
 }

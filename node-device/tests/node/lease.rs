@@ -77,3 +77,25 @@ async fn a_second_process_of_the_same_name_gets_the_lease_when_the_first_is_sile
     drop(commander);
     stage.end().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_dome_on_a_new_host_goes_on_from_the_lease_that_the_commander_remembers_in_one_step_and_says_so() {
+    let hardware = a_dome().await;
+    let stage = Stage::start(&block("dome", "dome", &hardware, "period_s = 0.5")).await;
+    let claimant = stage.bus.boot_id().clone();
+    let remembers = Command { token: Some(2000), ..claim("a", Some(&claimant)) };
+    assert_eq!(accepted(&stage.command(Kind::Dome, "dome", &remembers).await), Some(2001));
+    let mut alerts = stage.node().alerts.watch();
+    let is_raised = |alerts: &contract::observatory::Alerts, word: &str| {
+        alerts.alerts.iter().any(|alert| alert.id.starts_with(word) && alert.returned_utc.is_none())
+    };
+    let raised = alerts.wait_for(|alerts| is_raised(alerts, "lease-count-lost/alpha")).await.unwrap().clone();
+    let cause = &raised.alerts.iter().find(|alert| alert.id.starts_with("lease-count-lost")).unwrap().cause;
+    assert!(cause.contains("2000") && cause.contains("2001"), "{cause}");
+    // The next one is one more, and there is nothing to say of it.
+    let again = Command { token: Some(2001), ..claim("b", Some(&claimant)) };
+    assert_eq!(accepted(&stage.command(Kind::Dome, "dome", &again).await), Some(2002));
+    let cleared = alerts.wait_for(|alerts| !is_raised(alerts, "lease-count-lost/alpha"));
+    tokio::time::timeout(LIMIT, cleared).await.unwrap().unwrap();
+    stage.end().await;
+}

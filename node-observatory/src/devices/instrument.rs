@@ -143,13 +143,23 @@ impl<K: DeviceKind> Instrument<K> {
 
     /// As [`Self::ask`], under an id that was made before.
     pub async fn ask_as(&self, id: CommandId, action: K::Command) -> Result<(), ActionError> {
-        self.claim_as(id, action).await.map(|_| ())
+        let token = self.sender.lease.borrow().token();
+        self.send_as(id, action, token).await.map(|_| ())
     }
 
-    /// As [`Self::ask_as`]; returns the token that a claim was granted.
-    pub async fn claim_as(&self, id: CommandId, action: K::Command) -> Result<Option<u64>, ActionError> {
+    /// As [`Self::ask_as`], for a claim; returns the token that was granted. `shows`: the newest token that this node
+    /// remembers, beyond which an arbiter that has lost its own goes on.
+    pub async fn claim_as(
+        &self,
+        id: CommandId,
+        action: K::Command,
+        shows: Option<u64>,
+    ) -> Result<Option<u64>, ActionError> {
+        self.send_as(id, action, shows).await
+    }
+
+    async fn send_as(&self, id: CommandId, action: K::Command, token: Option<u64>) -> Result<Option<u64>, ActionError> {
         let verb = verb(&action);
-        let token = self.sender.lease.borrow().token();
         let (from, boot_id) = (self.sender.signature.clone(), Some(self.sender.bus.boot_id().clone()));
         let command = Command { id: id.clone(), from, token, boot_id, action };
         let mut asked = 0;

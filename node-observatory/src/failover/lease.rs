@@ -100,7 +100,8 @@ pub async fn keep_holding(claimant: Claimant, hold: watch::Sender<Hold>, lease: 
         event = match task {
             LeaseTask::Note(noted) => LeaseEvent::Noted(claim_note::write(&file, noted).await),
             LeaseTask::Claim(id) => {
-                let answer = claim(devices, &id).await;
+                let shows = holder.held().max(claimant.takeover.orders.orders.get().token);
+                let answer = claim(devices, &id, shows).await;
                 why = answer.as_ref().err().map(ActionError::to_string).unwrap_or_default();
                 LeaseEvent::Answered(answer_of(&answer))
             }
@@ -171,10 +172,11 @@ fn arbiter(devices: &Devices) -> String {
     device.map_or_else(|| "nobody".to_owned(), |device| format!("{}/{}", device.kind, device.name))
 }
 
-async fn claim(devices: &Devices, id: &CommandId) -> Result<u64, ActionError> {
+/// `shows`: the newest token that this node remembers.
+async fn claim(devices: &Devices, id: &CommandId, shows: Option<u64>) -> Result<u64, ActionError> {
     let granted = match (dome(devices), devices.mounts.first()) {
-        (Some(dome), _) => dome.instrument.claim_as(id.clone(), dome::Command::Claim).await?,
-        (None, Some(mount)) => mount.instrument.claim_as(id.clone(), telescope::Command::Claim).await?,
+        (Some(dome), _) => dome.instrument.claim_as(id.clone(), dome::Command::Claim, shows).await?,
+        (None, Some(mount)) => mount.instrument.claim_as(id.clone(), telescope::Command::Claim, shows).await?,
         // Nothing moves and nothing opens: there is nobody to contend with.
         (None, None) => Some(1),
     };

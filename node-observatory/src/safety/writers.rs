@@ -20,14 +20,18 @@ pub struct Manners<F> {
 
 /// Those of a safety monitor.
 pub const MONITOR: Manners<Monitor> = Manners {
-    warns: |state| state.link != Link::Connected || state.fields.is_safe.known() != Some(&true),
+    warns: |state| {
+        let is_silent = state.fields.is_safe.as_result().is_err_and(NoData::is_silence);
+        state.link == Link::Connected && !is_silent && state.fields.is_safe.known() != Some(&true)
+    },
     forget_record: |state| state.fields.gapless_safe_s = 0.0,
 };
 
 impl<F> Manners<F> {
-    /// Those of an input whose values are held against limits: a dwell separates a warning from its end.
+    /// Those of an input whose values are held against limits: a dwell separates a bad value from its end. A lost link is
+    /// no value, so the incarnation after it is believed at once.
     pub fn of_values() -> Self {
-        Self { warns: |state| state.link != Link::Connected, forget_record: |_| () }
+        Self { warns: |_| false, forget_record: |_| () }
     }
 }
 
@@ -178,5 +182,26 @@ mod tests {
         let mut scene = Scene::new();
         scene.observe(&before, 0.0, true);
         assert_eq!(scene.observe(&after, 1.5, false), Some((Ok(false), 0.0)), "a warning counts at once");
+    }
+
+    #[test]
+    fn a_lost_link_is_no_warning() {
+        let fields = |is_safe| Monitor { is_safe, gapless_safe_s: 0.0 };
+        let state = |link, is_safe| DeviceState {
+            link,
+            busy: false,
+            period_s: 1.0,
+            poll_s: None,
+            last_command: None,
+            fields: fields(is_safe),
+            readings: Default::default(),
+        };
+        let refused = NoData::new("transport", "connection refused");
+        let silent = Datum::missing(refused.clone());
+        assert!(!(MONITOR.warns)(&state(Link::Lost { reason: refused }, silent.clone())));
+        assert!(!(MONITOR.warns)(&state(Link::Connecting, Datum::default())));
+        assert!(!(MONITOR.warns)(&state(Link::Connected, silent)));
+        assert!((MONITOR.warns)(&state(Link::Connected, Datum::missing(NoData::new("wrong type", "")))));
+        assert!((MONITOR.warns)(&state(Link::Connected, Datum::Known(false))));
     }
 }

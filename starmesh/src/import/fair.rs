@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use contract::device::observing_conditions::physical_range;
 use serde_json::{Map, Value};
 
 /// The simulator's own weather in fair nights, in ASCOM's units: least and greatest value.
@@ -30,7 +31,9 @@ pub fn fair(limits: &[&str]) -> Map<String, Value> {
     let mut room = Room::new();
     for limit in limits {
         let Some((parameter, upper, lower)) = read(limit) else { continue };
-        let (least, most) = room.entry(parameter).or_insert((f64::NEG_INFINITY, f64::INFINITY));
+        // Nothing outside of this range would be believed.
+        let possible = physical_range(&parameter).map(|range| (range.low, range.high));
+        let (least, most) = room.entry(parameter).or_insert(possible.unwrap_or((f64::NEG_INFINITY, f64::INFINITY)));
         *least = least.max(lower.unwrap_or(f64::NEG_INFINITY));
         *most = most.min(upper.unwrap_or(f64::INFINITY));
     }
@@ -48,6 +51,12 @@ pub fn fair(limits: &[&str]) -> Map<String, Value> {
         if (low < least || high > most) && !ordered.contains_key(name) {
             ordered.insert(name.to_owned(), within(0.5 * (low + high), least, most).into());
         }
+    }
+    // A gust that is less than the wind would contradict it.
+    if let Some(gust) = ordered.get("WindGust").and_then(Value::as_f64)
+        && !ordered.contains_key("WindSpeed")
+    {
+        ordered.insert("WindSpeed".to_owned(), ((700.0 * gust).round() / 1000.0).into());
     }
     ordered
 }
@@ -96,5 +105,8 @@ mod tests {
         ]);
         assert!((20.0..40.0).contains(&damp["Humidity"].as_f64().unwrap()) && damp.len() == 1, "{damp:?}");
         assert!(fair(&[]).is_empty());
+        let calm = fair(&["{ parameter = \"WindGust\", upper = 3 }"]);
+        let (gust, wind) = (calm["WindGust"].as_f64().unwrap(), calm["WindSpeed"].as_f64().unwrap());
+        assert!(wind > 0.0 && wind < gust && gust < 3.0, "no station reports less than nothing: {calm:?}");
     }
 }

@@ -79,7 +79,7 @@ pub const WRONG: &[Wrong] = &[
     ("= -60", "= 213", 23, &["camera \"main\": temperature_c = 213", "kelvin", "-60.15"]),
     ("= -60", "= \"cold\"", 23, &["temperature_c", "expected a number"]),
     ("upper = 80, reopen_upper = 75", "upper = 0.8", 40, &["Humidity", "upper = 0.8", "percent", "80"]),
-    ("upper = 80", "upper = 800", 40, &["Humidity", "upper = 800", "0 to 100 percent"]),
+    ("upper = 80", "upper = 800", 40, &["Humidity", "upper = 800", "0 to 105 percent"]),
     ("upper = 80", "upper = 80, lower = 90", 40, &["upper = 80 is not more than lower = 90"]),
     ("reopen_upper = 75", "reopen_upper = 95", 40, &["reopen_upper needs an upper that is not smaller"]),
     ("upper = 80, reopen_upper = 75", "reopen_upper = 75", 40, &["neither upper nor lower"]),

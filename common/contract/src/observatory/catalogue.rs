@@ -82,6 +82,9 @@ catalogue! {
     /// No device node grants the right to command: the one that serves the dome (without a dome: the mount) does not
     /// answer or refuses.
     NoLease: network::NO_LEASE,
+    /// The device node that grants the lease of a telescope had lost its file of tokens, or had an older copy of it, and
+    /// went on from the newest token that somebody showed it.
+    LeaseCountLost: network::LEASE_COUNT_LOST,
     /// A node that published is silent now: it ended, hangs, or its host or the network is down.
     NodeSilent: network::NODE_SILENT,
     /// The wall clock differs by more than 30 s from what the boot-time clock, other nodes or a mount show; the cause

@@ -11,6 +11,14 @@ pub(super) const NO_LEASE: AlertEntry = AlertEntry {
     ..HIGH
 };
 
+pub(super) const LEASE_COUNT_LOST: AlertEntry = AlertEntry {
+    word: "lease-count-lost",
+    instance: "TELESCOPE",
+    consequence: "The night goes on. What else was in that data folder is lost, too: frames that no archive had, the node's audit log.",
+    action: "Look whether the data folder of the device node that serves the dome or, without one, the mount was emptied or replaced by an older copy, or its disk is not mounted.",
+    ..PLAIN
+};
+
 pub(super) const NODE_SILENT: AlertEntry = AlertEntry {
     word: "node-silent",
     instance: "ROLE/NODE",
