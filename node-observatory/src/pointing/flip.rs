@@ -43,10 +43,15 @@ impl<'a> Flip<'a> {
         is_past(pier_side(self.mount), then.hour_angle(target), config.meridian_flip_min)
     }
 
-    /// After the slew that should have turned it over: returns a note if it did not. This waits for a mount that
-    /// reports its side late.
-    pub async fn note(&mut self) -> Option<String> {
-        if !stays(REPORTED_WITHIN, || pier_side(self.mount)).await {
+    /// The side that the mount reports.
+    pub fn side(&self) -> Option<PierSide> {
+        pier_side(self.mount)
+    }
+
+    /// After the slew that should have turned it over from `side`: returns a note if it did not. This waits for a mount
+    /// that reports its side late.
+    pub async fn note(&mut self, side: PierSide) -> Option<String> {
+        if !stays(REPORTED_WITHIN, side, || pier_side(self.mount)).await {
             return None;
         }
         self.is_ignored = true;
@@ -55,10 +60,10 @@ impl<'a> Flip<'a> {
     }
 }
 
-/// Does a mount report all the time that its tube is west of the pier?
-async fn stays(within: Duration, side: impl Fn() -> Option<PierSide> + Send + Sync) -> bool {
+/// Does a mount report all the time that its tube is on the side of the pier on which it was?
+async fn stays(within: Duration, before: PierSide, side: impl Fn() -> Option<PierSide> + Send + Sync) -> bool {
     let reported_otherwise = async {
-        while side() == Some(PierSide::West) {
+        while side() == Some(before) {
             tokio::time::sleep(LOOKED_AFTER).await;
         }
     };
@@ -75,9 +80,13 @@ mod tests {
 
     /// The conclusion about a mount that reports these sides one after the other, and the last for ever.
     async fn concluded(sides: &[Option<PierSide>]) -> bool {
+        concluded_from(PierSide::West, sides).await
+    }
+
+    async fn concluded_from(before: PierSide, sides: &[Option<PierSide>]) -> bool {
         let looks = AtomicUsize::new(0);
         let side = || sides[looks.fetch_add(1, Ordering::Relaxed).min(sides.len() - 1)];
-        stays(5 * LOOKED_AFTER, side).await
+        stays(5 * LOOKED_AFTER, before, side).await
     }
 
     #[tokio::test]
@@ -87,6 +96,9 @@ mod tests {
         assert!(!concluded(&[west, west, west, east]).await, "it is late");
         assert!(!concluded(&[west, None]).await, "it reports nothing any more: nobody knows that it stayed");
         assert!(concluded(&[west, west, west]).await, "it stayed");
+        // Past the lower meridian it turns over the other way.
+        assert!(concluded_from(PierSide::East, &[east, east, east]).await, "it stayed");
+        assert!(!concluded_from(PierSide::East, &[east, east, west]).await, "it turned over");
     }
 
     #[tokio::test]

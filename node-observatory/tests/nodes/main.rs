@@ -17,6 +17,7 @@ mod finds_lost_fields;
 mod guides_at_any_angle;
 mod guides_the_field;
 mod keeps_the_focus;
+mod keeps_to_its_target;
 mod measures_frames;
 mod rests_once;
 mod solves_frames;
