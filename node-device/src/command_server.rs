@@ -46,8 +46,21 @@ pub struct DeviceStatus<D: Driver + ?Sized> {
     pub can: Option<Capabilities<D>>,
     /// What is true of it.
     pub fields: Fields<D>,
-    /// The command that is being done.
+    /// The command that is being done, or that is being taken.
     pub running: Option<CommandId>,
+    /// The newest command that was handed to the loop and has not ended.
+    pub handed_over: Option<CommandId>,
+}
+
+impl<D: Driver + ?Sized> DeviceStatus<D> {
+    /// A command has ended; one that was handed over after it goes on.
+    pub fn ended(&mut self, id: &CommandId) {
+        for held in [&mut self.running, &mut self.handed_over] {
+            if held.as_ref() == Some(id) {
+                *held = None;
+            }
+        }
+    }
 }
 
 /// The counter where commands are taken.
@@ -73,7 +86,8 @@ impl<D: Driver> CommandServer<D> {
         audit_log: AuditLog,
     ) -> (Self, mpsc::UnboundedReceiver<Order<DeviceCommand<D>>>) {
         let (orders, taken) = mpsc::unbounded_channel();
-        let status = DeviceStatus { link: Link::Connecting, can: None, fields: Fields::<D>::default(), running: None };
+        let fields = Fields::<D>::default();
+        let status = DeviceStatus { link: Link::Connecting, can: None, fields, running: None, handed_over: None };
         let command_server = Self {
             driver,
             command_check: authorization,
@@ -125,13 +139,11 @@ impl<D: Driver> CommandServer<D> {
 
     /// A command from this node itself, such as the guard's; it needs no authorization.
     pub fn insist(&self, from: &str, command: DeviceCommand<D>) {
-        let id = CommandId::fresh();
-        self.status().running = Some(id.clone());
-        let order =
-            Order { id, from: from.to_owned(), command, token: None, taken_utc: self.command_check.clock.utc() };
+        let (id, taken_utc) = (CommandId::fresh(), self.command_check.clock.utc());
+        let order = Order { id, from: from.to_owned(), command, token: None, taken_utc };
         let (asked, command) = (order.asked(), order.command.clone());
         // The loop is gone only while the node ends.
-        let _ = self.orders.send(order);
+        let _ = self.hand_over(order);
         // After the sending, so that whatever noting takes, moving does not wait for it.
         self.audit_log.note(asked, &command, AuditOutcome::Accepted);
     }
@@ -156,14 +168,13 @@ impl<D: Driver> CommandServer<D> {
             return Ok(self.accepted(id, granted));
         }
         let hinders = self.driver.hinders(&action);
-        let before = self.reserve(&id, &action)?;
+        self.reserve(&id, &action)?;
         match self.command_check.admit(&id, CommandNeeds { need, hinders, who, token }).await {
             Ok(granted) => {
                 let taken_utc = self.command_check.clock.utc();
                 let order = Order { id: id.clone(), from, command: action, token, taken_utc };
                 let (asked, command) = (order.asked(), order.command.clone());
-                let sent = self.orders.send(order);
-                sent.map_err(|_| (Reason::NotNow, "the node is ending".to_owned()))?;
+                self.hand_over(order)?;
                 let reply = self.accepted(id, granted);
                 if self.driver.moves(&command) {
                     self.audit_log.note(asked, &command, AuditOutcome::Accepted);
@@ -173,15 +184,29 @@ impl<D: Driver> CommandServer<D> {
             Err(turned) => {
                 let mut status = self.status();
                 if status.running.as_ref() == Some(&id) {
-                    status.running = before;
+                    status.running = status.handed_over.clone();
                 }
                 Err(turned)
             }
         }
     }
 
-    /// Takes the device for this command, if it makes sense now; returns which command had it.
-    fn reserve(&self, id: &CommandId, command: &DeviceCommand<D>) -> Result<Option<CommandId>, Turned> {
+    /// Hands a command to the loop. One that was overtaken by a stop while its sender was checked is refused: it would
+    /// move the device after the stop.
+    fn hand_over(&self, order: Order<DeviceCommand<D>>) -> Result<(), Turned> {
+        // Within the lock, so that the loop receives commands in the order of this.
+        let mut status = self.status();
+        if !self.driver.interrupts(&order.command)
+            && let Some(running) = status.running.as_ref().filter(|running| **running != order.id)
+        {
+            return Err((Reason::Busy, format!("command {running} came in between")));
+        }
+        (status.running, status.handed_over) = (Some(order.id.clone()), Some(order.id.clone()));
+        self.orders.send(order).map_err(|_| (Reason::NotNow, "the node is ending".to_owned()))
+    }
+
+    /// Takes the device for this command, if it makes sense now.
+    fn reserve(&self, id: &CommandId, command: &DeviceCommand<D>) -> Result<(), Turned> {
         let mut status = self.status();
         let interrupts = self.driver.interrupts(command);
         if !interrupts {
@@ -200,7 +225,10 @@ impl<D: Driver> CommandServer<D> {
             Some(running) if running != id && !interrupts => {
                 Err((Reason::Busy, format!("command {running} is being done")))
             }
-            _ => Ok(status.running.replace(id.clone())),
+            _ => {
+                status.running = Some(id.clone());
+                Ok(())
+            }
         }
     }
 

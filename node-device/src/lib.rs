@@ -14,8 +14,12 @@
 //!
 //! - The arbiter of the lease counts by its own grants: no message teaches it a token, and none ends a node
 //!   (`token.rs`, decision 0047): `an_arbiter_learns_no_token_from_anybody_and_others_follow_it_up_and_down`.
-//! - A mount that reports the same pier side beyond the meridian as before it has not flipped (`mount_limits.rs`):
-//!   `past_the_meridian_only_the_wrong_side_of_the_pier_is_stopped`.
+//! - A mount that reports the same pier side beyond a meridian, the upper or the lower one, as before it has not flipped
+//!   (`mount_limits.rs`): `past_each_meridian_only_the_wrong_side_of_the_pier_is_stopped`.
+//! - A mount that tracks beyond a limit is ordered to stop until its own coordinates show that it stands, or it is
+//!   parked (decision 0132): `orders_follow_each_other_until_the_coordinates_show_that_it_stands`.
+//! - No command drops a stop that is not sent yet (`serve/command.rs`, decision 0132):
+//!   `a_mount_that_ignores_the_end_of_tracking_at_its_limit_is_aborted_and_then_parked`.
 //! - Tracking rates other than the sidereal one end with a slew, with tracking switched on or off and with a park
 //!   (decision 0029).
 //! - No command of a maker's own is sent that the device's block does not list (decision 0031):
@@ -40,6 +44,8 @@ mod guard_task;
 mod has;
 mod mount_clock;
 mod mount_limits;
+mod mount_motion;
+mod mount_sight;
 mod node_part;
 mod now;
 mod permits;

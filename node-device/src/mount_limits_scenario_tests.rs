@@ -1,6 +1,7 @@
 //! A mount that tracks through the night, looked at every two seconds, however it reports its pier side and however
 //! often it must be ordered to stop: it is stopped before each of its limits.
 
+use bus::SkyTime;
 use contract::Datum;
 use sky::{EarthOrientation, Place};
 use units::{Angle, Utc};
@@ -59,7 +60,7 @@ impl German {
     /// Hour angle (h) and altitude (deg) at which its tracking ends, and whether it had turned over by then.
     fn ends(mut self, limits: &MountLimits) -> (f64, f64, bool) {
         let (begins_h, sidereal) = (self.hour_angle_h, 1.002_737_909);
-        let (mut approach, mut watch) = (Approach::default(), LimitWatch::default());
+        let mut watch = LimitWatch::new(limits.clone(), Duration::from_secs(300));
         for second in (0..80_000_u32).step_by(LOOK_S) {
             let at_s = f64::from(second);
             let hour_angle_h = begins_h + at_s * sidereal / 3600.0;
@@ -71,18 +72,21 @@ impl German {
             let place = OfDate { ra, dec: Angle::from_degrees(self.dec_deg) };
             let altitude_deg = sky.of_date_to_horizontal(&place).altitude.degrees();
             let turned_since_s = self.turns_at_h.map(|turns_h| (hour_angle_h - turns_h) * 3600.0);
-            let fields = Fields {
-                ra_deg: Datum::Known(ra.wrapped_positive().degrees()),
-                dec_deg: Datum::Known(self.dec_deg),
-                tracking: Datum::Known(true),
-                slewing: Datum::Known(turned_since_s.is_some_and(|since_s| (0.0..30.0).contains(&since_s))),
-                at_park: Datum::Known(false),
-                pier_side: self.side(hour_angle_h).map_or(Datum::default(), Datum::Known),
-                ..Fields::default()
+            let since_boot = Duration::from_secs(1000 + u64::from(second));
+            let now = Now { machine: MachineTime::from_boot(since_boot), sky: SkyTime::from_start(since_boot) };
+            // A slew to the place where it points moves both axes.
+            let slews = turned_since_s.is_some_and(|since_s| (0.0..30.0).contains(&since_s));
+            let sight = MountSight {
+                ra_deg: Some((ra.wrapped_positive().degrees(), now)),
+                dec_deg: Some((self.dec_deg, now)),
+                tracking: Some((true, now)),
+                slewing: Some((slews, now)),
+                at_park: Some((false, now)),
+                pier_side: self.side(hour_angle_h).map(|side| (side, now)),
+                ..MountSight::default()
             };
-            let now = MachineTime::from_boot(Duration::from_secs(u64::from(second)));
-            let reached = reached(limits, &mut approach, &fields, &sky).is_some();
-            if watch.look(now, reached).contains(&Command::Track { on: false }) {
+            let looked = watch.look(now.machine, &sight, &sky, true);
+            if !looked.commands.is_empty() {
                 if self.deaf == 0 {
                     return (hour_angle_h, altitude_deg, self.has_turned(hour_angle_h));
                 }

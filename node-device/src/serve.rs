@@ -2,7 +2,8 @@
 //!
 //! Each device has a task of its own, so a hung one delays no other. Within the task nothing is awaited but the
 //! `select!`: it takes a command, the answer to a command, the answer to a poll and the timers in any order, so that a
-//! command that makes safe never waits for a request that hangs.
+//! command that makes safe waits for no request that hangs, except for [`STOP_TURN`] for a stop before it: two stops are
+//! sent one after the other, and none drops the other.
 
 mod command;
 mod contradiction;
@@ -23,6 +24,7 @@ use contract::device::DeviceDescription;
 use contract::{Device, DeviceKind as _, DeviceState, Key, LastCommand, Link, NoData};
 use node::Node;
 use tokio::sync::mpsc;
+use tokio::task::{JoinError, JoinSet};
 use tokio::time::{Instant, sleep_until};
 
 use self::command::RunningCommand;
@@ -48,6 +50,9 @@ const CAPABILITIES: Duration = Duration::from_secs(10);
 const CHANGES_PER_MIN: f64 = 60.0;
 /// Longest wait before the next try to connect.
 const LONGEST_BACK_OFF_S: f64 = 30.0;
+
+/// A stop waits no longer for the answer to the stop before it, which then goes on beside it.
+const STOP_TURN: Duration = Duration::from_secs(1);
 
 type Task<T> = Option<Pin<Box<dyn Future<Output = T> + Send>>>;
 
@@ -93,6 +98,12 @@ struct Loop<D: Driver> {
     /// What the device can do is read again, where some of it could not be read.
     reading_again: ReadingAgain<D>,
     contradiction: Contradiction,
+    /// Until then the stops below wait for the job.
+    turn_ends: Instant,
+    /// Stops that were accepted while the request of another stop had no answer yet, each once.
+    stops: VecDeque<Order<Command<D>>>,
+    /// Requests of stops whose turn is over without an answer: they go on to their end.
+    unanswered: JoinSet<Result<Executed, AlpacaError>>,
     polling: Task<Polling<D>>,
     next_turn: Instant,
     next_full: Instant,
@@ -151,6 +162,9 @@ impl<D: Driver> Serve<D> {
             job: None,
             reading_again: ReadingAgain::default(),
             contradiction: Contradiction::default(),
+            turn_ends: now,
+            stops: VecDeque::new(),
+            unanswered: JoinSet::new(),
             polling: None,
             next_turn: now + phase.min(Duration::from_millis(900)),
             next_full: now,
@@ -174,14 +188,15 @@ impl<D: Driver> Serve<D> {
             let turn = tokio::select! {
                 biased;
                 () = stop.wait() => {
-                    if let Some(running) = &lap.running {
+                    for order in lap.running.iter().map(|running| &running.order).chain(&lap.stops) {
                         let detail = "the node ended; how the command ends is not known".to_owned();
-                        lap.account(&running.order, Ended::Failed { detail });
+                        lap.account(order, Ended::Failed { detail });
                     }
                     return Ok(());
                 }
                 Some(order) = orders.recv() => Turn::Order(order),
                 result = finished(&mut lap.job) => Turn::Executed(result),
+                Some(answered) = lap.unanswered.join_next() => Turn::Late(answered),
                 polling = finished(&mut lap.polling) => Turn::Polling(polling),
                 read = finished(&mut lap.reading_again.task) => Turn::ReadAgain(read),
                 () = driver.stirred() => Turn::Stirred,
@@ -189,8 +204,9 @@ impl<D: Driver> Serve<D> {
             };
             let stood_still = lap.stood_still();
             match turn {
-                Turn::Order(order) => lap.start(order),
+                Turn::Order(order) => lap.take(order),
                 Turn::Executed(result) => lap.executed(result),
+                Turn::Late(answered) => lap.late(answered),
                 // It was asked before the node was stalled, and means nothing for now.
                 Turn::Polling(_) if stood_still => {}
                 Turn::Polling(Polling::Greeted(greeting)) => lap.greeted(greeting),
@@ -203,6 +219,7 @@ impl<D: Driver> Serve<D> {
                 Turn::ReadAgain(read) => lap.read_again(read),
                 Turn::Due => lap.due(),
             }
+            lap.next_stop();
             lap.publish(false).await;
         }
     }
@@ -212,6 +229,7 @@ impl<D: Driver> Serve<D> {
 enum Turn<D: Driver> {
     Order(Order<Command<D>>),
     Executed(Result<Executed, AlpacaError>),
+    Late(Result<Result<Executed, AlpacaError>, JoinError>),
     Polling(Polling<D>),
     Stirred,
     Due,
@@ -256,6 +274,9 @@ impl<D: Driver> Loop<D> {
         }
         if let Some(deadline) = self.running.as_ref().and_then(|running| running.deadline) {
             wake = wake.min(deadline);
+        }
+        if !self.stops.is_empty() {
+            wake = wake.min(self.turn_ends);
         }
         wake
     }

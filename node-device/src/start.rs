@@ -7,7 +7,7 @@ use std::time::Duration;
 use alpaca::{Alpaca, http_client};
 use anyhow::Context as _;
 use audit::Audit;
-use config::{CloseWithMount, Device as _, MountLimits};
+use config::{CloseWithMount, Device as _};
 use contract::device::telescope::Command as MountCommand;
 use contract::observatory::AlertKind;
 use contract::{Chunk, Device, DeviceKind as _, Kind, Link, Name};
@@ -38,7 +38,7 @@ use crate::driver::telescope::Telescope;
 use crate::guard_process::link::{GuardLink, deadline_of};
 use crate::guard_task::GuardTask;
 use crate::mount_clock;
-use crate::mount_limits::{self, Approach, LimitWatch};
+use crate::mount_limits::{Alarm, LimitWatch};
 use crate::node_part::NodePart;
 use crate::permits;
 use crate::serve::Serve;
@@ -250,7 +250,7 @@ impl SharedParts<'_> {
     }
 
     fn telescope(&mut self, mount: &config::Telescope) -> anyhow::Result<()> {
-        let driver = Telescope::new(mount);
+        let driver = Telescope::new(mount, self.node.bus.clock().clone());
         let enclosures = self.node.config.enclosures();
         if enclosures.is_empty() {
             self.tokens.arbitrate(self.node.config.place.telescope.as_str());
@@ -259,8 +259,10 @@ impl SharedParts<'_> {
         let (command_server, alpaca) = self.serve(mount.common(), driver, authorization)?;
         let (name, server) = (mount.common().name.clone(), mount.common().server.clone());
         self.tasks.spawn(mount_clock::watch(self.node.clone(), name, server, alpaca));
-        let limits = (mount.common().name.clone(), mount.limits.clone());
-        self.tasks.spawn(watch_limits(self.node.clone(), command_server.clone(), limits));
+        let park =
+            machine_limit(self.node.bus.clock(), Duration::from_secs_f64(mount.slew_timeout_s.clamp(1.0, 86_400.0)));
+        let watch = LimitWatch::new(mount.limits.clone(), park);
+        self.tasks.spawn(watch_limits(self.node.clone(), command_server.clone(), mount.common().name.clone(), watch));
         if !enclosures.is_empty() {
             self.tasks.spawn(watch_mount(self.node.clone(), self.tokens.clone(), command_server, enclosures));
         }
@@ -317,12 +319,12 @@ fn fixed_properties(node: &Node, kind: Kind) -> Vec<String> {
 async fn watch_limits(
     node: Node,
     command_server: Arc<CommandServer<Telescope>>,
-    (name, limits): (Name, MountLimits),
+    name: Name,
+    mut watch: LimitWatch,
 ) -> anyhow::Result<()> {
     let (clock, site) = (node.bus.clock().clone(), &node.config.place);
     let (latitude, longitude) = (Angle::from_degrees(site.latitude_deg), Angle::from_degrees(site.longitude_deg));
     let place = Place::new(latitude, longitude, site.elevation_m)?;
-    let (mut watch, mut approach) = (LimitWatch::default(), Approach::default());
     loop {
         if node.stop.or(clock.tick(Duration::from_secs(1))).await.is_none() {
             return Ok(());
@@ -334,18 +336,22 @@ async fn watch_limits(
                 continue;
             }
         };
-        let fields = command_server.status.lock().unwrap_or_else(PoisonError::into_inner).fields.clone();
-        let reached = mount_limits::reached(&limits, &mut approach, &fields, &sky);
-        for command in watch.look(clock.machine(), reached.is_some()) {
-            tracing::warn!(mount = %name, ?command, why = reached, "a limit of the mount is reached");
+        let sight = command_server.driver.sight();
+        let can_park = {
+            let status = command_server.status.lock().unwrap_or_else(PoisonError::into_inner);
+            status.can.as_ref().is_some_and(|can| can.park)
+        };
+        let looked = watch.look(clock.machine(), &sight, &sky, can_park);
+        let why = looked.beyond.as_ref().map(|beyond| beyond.why.clone());
+        command_server.driver.set_beyond_limit(looked.beyond);
+        for command in looked.commands {
+            tracing::warn!(mount = %name, ?command, why, "a limit of the mount is reached");
             command_server.insist(&node.signature(), command);
         }
-        match reached {
-            Some(why) => node.alerts.raise(AlertKind::MountLimit, &name, &format!("mount {name}: {why}")),
-            // The alert stays active until the mount tracks again: a mount that stops at once would otherwise clear it
-            // before a person could see it.
-            None if fields.tracking.known() == Some(&true) => node.alerts.clear(AlertKind::MountLimit, &name),
-            None => {}
+        match looked.alarm {
+            Alarm::Raise(cause) => node.alerts.raise(AlertKind::MountLimit, &name, &format!("mount {name}: {cause}")),
+            Alarm::Clear => node.alerts.clear(AlertKind::MountLimit, &name),
+            Alarm::Leave => {}
         }
     }
 }

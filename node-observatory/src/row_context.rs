@@ -65,6 +65,7 @@ pub struct RowContext {
     focus_before: Mutex<Option<i64>>,
     following: AtomicBool,
     panel: Mutex<Option<FoundPanel>>,
+    leaves_mount: AtomicBool,
 }
 
 impl RowContext {
@@ -72,7 +73,32 @@ impl RowContext {
     pub fn new(tools: Arc<RowTools>, row: Row, index: u32) -> Self {
         let (exposing, last, focus_before) = (Mutex::new(None), Mutex::new(None), Mutex::new(None));
         let (following, panel) = (AtomicBool::new(false), Mutex::new(None));
-        Self { tools, row, index, exposing, last, focus_before, following, panel }
+        let leaves_mount = AtomicBool::new(false);
+        Self { tools, row, index, exposing, last, focus_before, following, panel, leaves_mount }
+    }
+
+    /// The action needs its mount no longer: it is to rest when the row has ended, however that goes.
+    pub fn leave_mount(&self) {
+        self.leaves_mount.store(true, Ordering::Relaxed);
+    }
+
+    /// The mount of a row that is finished does not go on following a target that nobody observes. What it does cannot
+    /// change the end of the row any more; an alert is active while it tracks on.
+    pub async fn rest_mount(&self) {
+        if !self.leaves_mount.swap(false, Ordering::Relaxed) {
+            return;
+        }
+        let Some(mount) = self.chain().ok().and_then(|chain| chain.mount) else { return };
+        let (alerts, name) = (&self.tools.authority.node.alerts, &mount.instrument.device.name);
+        match mount.rest().await {
+            Ok(()) => alerts.clear(AlertKind::MountTracksOn, name),
+            // Whether it tracks is not known, and other alerts say that it is away.
+            Err(why) if mount.instrument.fresh().is_none() => tracing::warn!(row = self.index, why),
+            Err(why) => {
+                tracing::warn!(row = self.index, why, "the row is finished all the same");
+                alerts.raise(AlertKind::MountTracksOn, name, &why);
+            }
+        }
     }
 
     /// The devices that work with the row's camera.

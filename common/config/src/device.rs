@@ -68,7 +68,7 @@ pub struct MountLimits {
     pub altitude_min_deg: f64,
     /// Not further west of the meridian, h; any where absent.
     pub hour_angle_max_h: Option<f64>,
-    /// Not longer past the meridian on the pier side that looks east, min; any where absent.
+    /// Not longer past a meridian, the upper or the lower one, on the pier side from before it, min; any where absent.
     pub meridian_past_min: Option<f64>,
 }
 

@@ -9,7 +9,7 @@
 //! - Comparison: [`difference`] lists which rows another text adds, removes and changes.
 //! - Forecast: [`plan`] works through a schedule on a clock that jumps from event to event.
 //! - Decisions of actions that both the forecast and the observatory node need: [`flats`], [`moving_target`],
-//!   [`meridian_flip`], [`pointing_grid`], [`horizon_limits`], [`slew_limits`].
+//!   [`meridian_flip`], [`kept_place`], [`pointing_grid`], [`horizon_limits`], [`slew_limits`].
 //!
 //! Nothing here knows a device, the bus or a clock; `now` is given. Files are read only where the configuration names
 //! them: the schedule itself, horizons, and names that were looked up.
@@ -38,6 +38,7 @@ pub mod focus_meter;
 #[cfg(test)]
 mod fuzz_tests;
 pub mod horizon_limits;
+pub mod kept_place;
 pub mod meridian_flip;
 pub mod moving_target;
 pub mod names;

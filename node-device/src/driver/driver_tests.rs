@@ -68,7 +68,7 @@ fn check_busy<D: Driver>(driver: &D, rows: &[(Value, bool)]) {
 fn mount() -> Telescope {
     let text = "[observatory]\nsite = \"s\"\ntelescope = \"t\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\n\
                 elevation_m = 0.0\n[[telescope]]\nname = \"m\"\nserver = \"h:1\"\nsettle_s = 3.0\n";
-    Telescope::new(&config::parse(text, std::path::Path::new(".")).unwrap().telescope[0])
+    Telescope::new(&config::parse(text, std::path::Path::new(".")).unwrap().telescope[0], bus::Clock::machine_clock())
 }
 
 fn camera(folder: &std::path::Path) -> Camera {

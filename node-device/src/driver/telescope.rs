@@ -1,15 +1,21 @@
 //! The mount.
 
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use alpaca::{Abilities, Alpaca, AlpacaError, value};
+use bus::{Clock, MachineTime};
 use config::VendorPattern;
-use contract::device::telescope::{self, Capabilities, Command, Direction, EquatorialSystem, Fields, PierSide};
+use contract::device::telescope::{
+    self, BeyondLimit, Capabilities, Command, Direction, EquatorialSystem, Fields, PierSide,
+};
 use contract::{CommandId, Datum, Reason};
 use interlock::{Hinders, Need};
 
 use super::{Driver, Executed, Progress, apart_deg, vendor, within};
+use crate::mount_sight::{MountSight, Ordered};
+use crate::now::Now;
 use crate::readings::Readings;
 
 /// The fastest that a mount may move relative to the stars, arcsec per second: a satellite at 300 km overhead needs
@@ -38,22 +44,53 @@ pub struct Telescope {
     may_drift: AtomicBool,
     /// This node has set rates other than zero.
     has_set: AtomicBool,
+    /// The clock of orders and readings.
+    clock: Clock,
+    /// What was read last, for the watch of the limits.
+    sight: Mutex<MountSight>,
+    /// The newest order, and when it was given or answered.
+    ordered: Mutex<Option<(Ordered, MachineTime)>>,
+    /// What the watch of the limits has found.
+    beyond_limit: Mutex<Option<BeyondLimit>>,
 }
 
 impl Telescope {
     /// A driver by its block of the configuration.
-    pub fn new(mount: &config::Telescope) -> Self {
-        let vendor_commands = mount.vendor_commands.clone();
-        let (slew_timeout_s, settle_s) = (mount.slew_timeout_s, mount.settle_s);
-        let tolerance_deg = mount.arrival_tolerance_deg;
+    pub fn new(mount: &config::Telescope, clock: Clock) -> Self {
         Self {
-            slew_timeout_s,
-            settle_s,
-            tolerance_deg,
-            vendor_commands,
+            slew_timeout_s: mount.slew_timeout_s,
+            settle_s: mount.settle_s,
+            tolerance_deg: mount.arrival_tolerance_deg,
+            vendor_commands: mount.vendor_commands.clone(),
             may_drift: AtomicBool::new(true),
             has_set: AtomicBool::new(false),
+            clock,
+            sight: Mutex::default(),
+            ordered: Mutex::default(),
+            beyond_limit: Mutex::default(),
         }
+    }
+
+    /// The mount as it was read last, with the newest order to it.
+    pub fn sight(&self) -> MountSight {
+        let sight = *self.sight.lock().unwrap_or_else(PoisonError::into_inner);
+        MountSight { ordered: *self.ordered.lock().unwrap_or_else(PoisonError::into_inner), ..sight }
+    }
+
+    /// Publishes that the mount is stopped at a limit, or not any more.
+    pub fn set_beyond_limit(&self, beyond: Option<BeyondLimit>) {
+        *self.beyond_limit.lock().unwrap_or_else(PoisonError::into_inner) = beyond;
+    }
+
+    /// Notes an order to the mount: what was read before shows nothing of it.
+    fn note_order(&self, command: &Command) {
+        let ordered = match command {
+            Command::Slew { .. } | Command::Park => Ordered::Go,
+            Command::Unpark | Command::Track { on: true } | Command::Sync { .. } => Ordered::Begin,
+            Command::Track { on: false } | Command::Abort => Ordered::Stop,
+            Command::PulseGuide { .. } | Command::Rates { .. } | Command::Vendor(_) | Command::Claim => return,
+        };
+        *self.ordered.lock().unwrap_or_else(PoisonError::into_inner) = Some((ordered, self.clock.machine()));
     }
 
     /// Sets both rates relative to the stars.
@@ -81,6 +118,68 @@ impl Telescope {
             }
             ended => ended,
         }
+    }
+
+    /// Sends a command.
+    async fn send(&self, alpaca: &Alpaca, command: &Command, fields: &Fields) -> Result<Executed, AlpacaError> {
+        match command {
+            Command::Slew { ra_deg, dec_deg } => {
+                if fields.tracking.known() == Some(&false) {
+                    // ASCOM refuses equatorial slews of a mount that does not track.
+                    alpaca.put("tracking", &[("Tracking", "True")]).await?;
+                }
+                self.end_rates(alpaca).await?;
+                let (hours, degrees) = (hours(*ra_deg), dec_deg.to_string());
+                let target = [("RightAscension", hours.as_str()), ("Declination", degrees.as_str())];
+                alpaca.put("slewtocoordinatesasync", &target).await?;
+            }
+            Command::Sync { ra_deg, dec_deg } => {
+                let (hours, degrees) = (hours(*ra_deg), dec_deg.to_string());
+                let target = [("RightAscension", hours.as_str()), ("Declination", degrees.as_str())];
+                alpaca.put("synctocoordinates", &target).await?;
+                return Ok(Executed::Done);
+            }
+            Command::Track { on } => {
+                alpaca.put("tracking", &[("Tracking", if *on { "True" } else { "False" })]).await?;
+                match self.end_rates(alpaca).await {
+                    // A mount that stands goes nowhere; the next slew ends its rates.
+                    Err(error) if !on => tracing::debug!(%error, "rates of a moving target are still set"),
+                    ended => ended?,
+                }
+            }
+            Command::Rates { ra_s_per_sidereal_s, dec_arcsec_per_s } => {
+                self.set_rates(alpaca, *ra_s_per_sidereal_s, *dec_arcsec_per_s).await?;
+                return Ok(Executed::Done);
+            }
+            Command::Abort => alpaca.put("abortslew", &[]).await?,
+            Command::Park => {
+                if fields.slewing.known() != Some(&false) {
+                    // Some mounts refuse to park while they slew; the park itself decides.
+                    let _ = alpaca.put("abortslew", &[]).await;
+                }
+                alpaca.put("park", &[]).await?;
+                // The park goes on meanwhile, whatever becomes of this; what is left of rates, the next slew ends.
+                let _ = tokio::time::timeout(END_RATES, self.end_rates(alpaca)).await;
+            }
+            Command::Unpark => alpaca.put("unpark", &[]).await?,
+            Command::PulseGuide { direction, duration_ms } => {
+                let direction = match direction {
+                    Direction::North => "0",
+                    Direction::South => "1",
+                    Direction::East => "2",
+                    Direction::West => "3",
+                };
+                let pulse = Duration::from_millis(u64::from(*duration_ms));
+                let duration = duration_ms.to_string();
+                // Some mounts answer only when the pulse is over.
+                let deadline = pulse + Duration::from_secs(5);
+                let parameters = [("Direction", direction), ("Duration", duration.as_str())];
+                alpaca.put_within("pulseguide", &parameters, deadline).await?;
+            }
+            Command::Vendor(command) => return vendor::execute(alpaca, command).await,
+            Command::Claim => return Ok(Executed::Done),
+        }
+        Ok(Executed::Watch)
     }
 }
 
@@ -136,6 +235,11 @@ impl Driver for Telescope {
         })
     }
 
+    fn observed(&self, readings: &Readings, _: Now) {
+        let sight = MountSight::of(readings, self.fields(readings), None);
+        *self.sight.lock().unwrap_or_else(PoisonError::into_inner) = sight;
+    }
+
     fn fields(&self, readings: &Readings) -> Fields {
         let side = [(0, PierSide::East), (1, PierSide::West), (-1, PierSide::Unknown)];
         Fields {
@@ -148,6 +252,7 @@ impl Driver for Telescope {
             at_park: readings.flag("AtPark"),
             pier_side: readings.choice("SideOfPier", &side),
             pulse_guiding: readings.flag("IsPulseGuiding"),
+            beyond_limit: self.beyond_limit.lock().unwrap_or_else(PoisonError::into_inner).clone(),
         }
     }
 
@@ -267,64 +372,10 @@ impl Driver for Telescope {
         command: &Command,
         fields: &Fields,
     ) -> Result<Executed, AlpacaError> {
-        match command {
-            Command::Slew { ra_deg, dec_deg } => {
-                if fields.tracking.known() == Some(&false) {
-                    // ASCOM refuses equatorial slews of a mount that does not track.
-                    alpaca.put("tracking", &[("Tracking", "True")]).await?;
-                }
-                self.end_rates(alpaca).await?;
-                let (hours, degrees) = (hours(*ra_deg), dec_deg.to_string());
-                let target = [("RightAscension", hours.as_str()), ("Declination", degrees.as_str())];
-                alpaca.put("slewtocoordinatesasync", &target).await?;
-            }
-            Command::Sync { ra_deg, dec_deg } => {
-                let (hours, degrees) = (hours(*ra_deg), dec_deg.to_string());
-                let target = [("RightAscension", hours.as_str()), ("Declination", degrees.as_str())];
-                alpaca.put("synctocoordinates", &target).await?;
-                return Ok(Executed::Done);
-            }
-            Command::Track { on } => {
-                alpaca.put("tracking", &[("Tracking", if *on { "True" } else { "False" })]).await?;
-                match self.end_rates(alpaca).await {
-                    // A mount that stands goes nowhere; the next slew ends its rates.
-                    Err(error) if !on => tracing::debug!(%error, "rates of a moving target are still set"),
-                    ended => ended?,
-                }
-            }
-            Command::Rates { ra_s_per_sidereal_s, dec_arcsec_per_s } => {
-                self.set_rates(alpaca, *ra_s_per_sidereal_s, *dec_arcsec_per_s).await?;
-                return Ok(Executed::Done);
-            }
-            Command::Abort => alpaca.put("abortslew", &[]).await?,
-            Command::Park => {
-                if fields.slewing.known() != Some(&false) {
-                    // Some mounts refuse to park while they slew; the park itself decides.
-                    let _ = alpaca.put("abortslew", &[]).await;
-                }
-                alpaca.put("park", &[]).await?;
-                // The park goes on meanwhile, whatever becomes of this; what is left of rates, the next slew ends.
-                let _ = tokio::time::timeout(END_RATES, self.end_rates(alpaca)).await;
-            }
-            Command::Unpark => alpaca.put("unpark", &[]).await?,
-            Command::PulseGuide { direction, duration_ms } => {
-                let direction = match direction {
-                    Direction::North => "0",
-                    Direction::South => "1",
-                    Direction::East => "2",
-                    Direction::West => "3",
-                };
-                let pulse = Duration::from_millis(u64::from(*duration_ms));
-                let duration = duration_ms.to_string();
-                // Some mounts answer only when the pulse is over.
-                let deadline = pulse + Duration::from_secs(5);
-                let parameters = [("Direction", direction), ("Duration", duration.as_str())];
-                alpaca.put_within("pulseguide", &parameters, deadline).await?;
-            }
-            Command::Vendor(command) => return vendor::execute(alpaca, command).await,
-            Command::Claim => return Ok(Executed::Done),
-        }
-        Ok(Executed::Watch)
+        self.note_order(command);
+        let executed = self.send(alpaca, command, fields).await;
+        self.note_order(command);
+        executed
     }
 
     fn limit(&self, command: &Command) -> Duration {

@@ -5,9 +5,10 @@ use std::time::Duration;
 use alpaca::AlpacaError;
 use contract::audit::AuditOutcome as Ended;
 use contract::{CommandOutcome, LastCommand, Link};
+use tokio::task::JoinError;
 use tokio::time::Instant;
 
-use super::Loop;
+use super::{Loop, STOP_TURN};
 use crate::command_server::Order;
 use crate::deadline::machine_limit;
 use crate::driver::{Command, Driver, Executed, Progress};
@@ -33,8 +34,49 @@ pub(super) struct RunningCommand<D: Driver> {
 }
 
 impl<D: Driver> Loop<D> {
-    /// A command was accepted.
-    pub(super) fn start(&mut self, order: Order<Command<D>>) {
+    /// A command was accepted. It interrupts what runs, but for a stop that has no answer yet: it waits for its turn.
+    pub(super) fn take(&mut self, order: Order<Command<D>>) {
+        let driver = self.serve.driver.clone();
+        let unsent = self.running.as_ref().filter(|running| driver.interrupts(&running.order.command));
+        let Some(stop) = unsent.filter(|_| self.job.is_some()) else { return self.start(order) };
+        if !driver.interrupts(&order.command) {
+            // The command server lets none through that would come after a stop.
+            return self.account(&order, Ended::Superseded { by: stop.order.id.clone() });
+        }
+        // What is asked for again waits once, behind the others: the newest decides what comes last.
+        let same = |waiting: &Order<Command<D>>| words(&waiting.command) == words(&order.command);
+        let before = self.stops.iter().position(same).and_then(|place| self.stops.remove(place));
+        if let Some(before) = before {
+            self.account(&before, Ended::Superseded { by: order.id.clone() });
+        }
+        self.stops.push_back(order);
+    }
+
+    /// Starts the next stop that waits, when the one before it was answered or its turn is over.
+    pub(super) fn next_stop(&mut self) {
+        if self.stops.is_empty() || (self.job.is_some() && Instant::now() < self.turn_ends) {
+            return;
+        }
+        if let Some(unanswered) = self.job.take() {
+            self.unanswered.spawn(unanswered);
+        }
+        if let Some(order) = self.stops.pop_front() {
+            self.start(order);
+        }
+    }
+
+    /// The device has answered a stop whose turn was over, or has not answered in time.
+    pub(super) fn late(&self, answered: Result<Result<Executed, AlpacaError>, JoinError>) {
+        let error = match answered {
+            Ok(Ok(_)) => return,
+            Ok(Err(error)) => error.to_string(),
+            Err(error) => error.to_string(),
+        };
+        tracing::warn!(device = %self.serve.device, error, "a stop was not answered; those after it were sent all the same");
+    }
+
+    /// Starts a command; what ran before ends.
+    fn start(&mut self, order: Order<Command<D>>) {
         let verb = verb(&order.command);
         if let Some(running) = &self.running {
             self.account(&running.order, Ended::Superseded { by: order.id.clone() });
@@ -55,6 +97,7 @@ impl<D: Driver> Loop<D> {
         let alpaca = if urgent { self.serve.alpaca.at_once() } else { self.serve.alpaca.clone() };
         let fields = driver.fields(&self.readings);
         let (id, action) = (order.id.clone(), order.command.clone());
+        self.turn_ends = Instant::now() + STOP_TURN;
         // Dropping the job before ends its requests.
         self.job = Some(Box::pin(async move { driver.execute(&alpaca, &id, &action, &fields).await }));
         self.running = Some(RunningCommand {
@@ -145,8 +188,8 @@ impl<D: Driver> Loop<D> {
     fn end(&mut self, outcome: CommandOutcome) {
         if let Some(running) = self.running.take() {
             self.account(&running.order, ended(&outcome));
+            self.status().ended(&running.order.id);
         }
-        self.status().running = None;
         if let Some(last) = &mut self.last_command {
             match &outcome {
                 CommandOutcome::Failed { reason } => {
@@ -172,6 +215,10 @@ fn ended(outcome: &CommandOutcome) -> Ended {
         CommandOutcome::Done | CommandOutcome::Running => Ended::Done,
         CommandOutcome::Failed { reason } => Ended::Failed { detail: reason.clone() },
     }
+}
+
+fn words<C: serde::Serialize>(command: &C) -> Option<serde_json::Value> {
+    serde_json::to_value(command).ok()
 }
 
 /// What a command is called: the name that it has on the bus.

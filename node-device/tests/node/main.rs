@@ -7,6 +7,7 @@ mod closing;
 mod evidence;
 mod fake;
 mod lease;
+mod limits;
 mod odd_answers;
 mod proof;
 mod rates;

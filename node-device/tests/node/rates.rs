@@ -54,7 +54,13 @@ pub async fn ready(stage: &Stage) -> Option<u64> {
 #[tokio::test(flavor = "multi_thread")]
 async fn rates_end_with_a_slew_with_tracking_and_with_a_park() {
     let mount = a_mount(true).await;
-    let stage = Stage::start(&block("telescope", "mount", &mount, "period_s = 0.2\nsettle_s = 0.0")).await;
+    let stage = Stage::start(&block(
+        "telescope",
+        "mount",
+        &mount,
+        "period_s = 0.2\nsettle_s = 0.0\nlimits = { altitude_min_deg = -90.0 }",
+    ))
+    .await;
     let token = ready(&stage).await;
     let slew = || Command::Slew { ra_deg: 45.0, dec_deg: -20.0 };
     let moon = || Command::Rates { ra_s_per_sidereal_s: 0.0367, dec_arcsec_per_s: -0.125 };
@@ -85,14 +91,18 @@ async fn rates_end_with_a_slew_with_tracking_and_with_a_park() {
 async fn rates_are_refused_by_a_mount_that_takes_none_or_does_not_track_and_where_they_are_no_rates() {
     let (mount, fixed) = (a_mount(true).await, a_mount(false).await);
     let rates = |ra: f64| Command::Rates { ra_s_per_sidereal_s: ra, dec_arcsec_per_s: 0.0 };
-    let stage = Stage::start(&block("telescope", "mount", &fixed, "period_s = 0.2")).await;
+    let stage =
+        Stage::start(&block("telescope", "mount", &fixed, "period_s = 0.2\nlimits = { altitude_min_deg = -90.0 }"))
+            .await;
     let token = ready(&stage).await;
     let reply = stage.command(Kind::Telescope, "mount", &command("r", token, rates(0.1))).await;
     assert_eq!(refused(&reply), Reason::NotImplemented);
     assert!(fixed.puts("rightascensionrate").is_empty());
     stage.end().await;
 
-    let stage = Stage::start(&block("telescope", "mount", &mount, "period_s = 0.2")).await;
+    let stage =
+        Stage::start(&block("telescope", "mount", &mount, "period_s = 0.2\nlimits = { altitude_min_deg = -90.0 }"))
+            .await;
     let token = ready(&stage).await;
     let reply = stage.command(Kind::Telescope, "mount", &command("r1", token, rates(1e9))).await;
     assert_eq!(refused(&reply), Reason::Malformed);

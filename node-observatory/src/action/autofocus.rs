@@ -80,9 +80,7 @@ impl Execute for Autofocus {
         };
         let run = find(context, &techniques.focus, &series, focuser, &request).await?;
         publish_run(context, &run);
-        if let Some(mount) = chain.mount {
-            mount.track(false).await?;
-        }
+        context.leave_mount();
         let detail = techniques.focus.state.borrow().detail.clone();
         let where_to = chosen.map(|chosen| format!("; field: {}", chosen.words)).unwrap_or_default();
         match run.reason {

@@ -68,7 +68,7 @@ impl Execute for CalibrateGuiding {
         };
         context.step("calibrating");
         let report = step(self, context, &techniques.guiding, &series, mount, &target).await?;
-        mount.track(false).await?;
+        context.leave_mount();
         Ok(report)
     }
 }

@@ -1,6 +1,6 @@
 //! `object`: points at a target and takes frames until the window ends or there are enough.
 
-use schedule::action::Object;
+use schedule::action::{Object, Parameters as _};
 use schedule::names::Found;
 use sky::{Body, Horizontal, Icrs};
 use units::Utc;
@@ -17,6 +17,9 @@ use crate::pointing::{self, Acquisition, Flip, Gate};
 use crate::row_context::RowContext;
 use crate::slit::Aimed;
 
+/// A mount that leaves its place so often, with no frame in between that counts, is a fault of the mount.
+const LOSSES: u32 = 3;
+
 impl Execute for Object {
     async fn run(&self, context: &RowContext, techniques: &Techniques) -> Result<String, ActionError> {
         let chain = context.chain()?;
@@ -27,6 +30,14 @@ impl Execute for Object {
         chain.camera.start_cooling().await?;
         // The solutions since then may lead the slew a little away from the place of that frame.
         adopt(context, self.moves()).await?;
+        let had = context.tools.journal.progress(&context.row.id).taken;
+        if self.frames_wanted().is_some_and(|wanted| had >= wanted) {
+            // All were taken before a restart: nothing is moved for them any more.
+            if self.moves() {
+                context.leave_mount();
+            }
+            return Ok(self.summary(had));
+        }
         let (target, body) = goal(self, context, techniques, context.clock().utc())?;
         let pointed = target.filter(|_| self.moves()).zip(chain.mount);
         // The slit goes there while the mount slews.
@@ -75,8 +86,8 @@ impl Execute for Object {
                 .await?
             }
         };
-        if let Some(mount) = chain.mount.filter(|_| self.moves()) {
-            mount.track(false).await?;
+        if self.moves() {
+            context.leave_mount();
         }
         report.push(self.summary(taken));
         report.retain(|words| !words.is_empty());
@@ -160,13 +171,18 @@ async fn proven(
 ) -> Result<u32, ActionError> {
     let end = context.row.end;
     let mut flip = Flip::of(context, mount);
+    let (mut losses, mut had) = (0, context.tools.journal.progress(&context.row.id).taken);
     loop {
-        let mut gate = Gate::learning(context, &techniques.pointing, mount, way.target, Some(way.commanded));
+        let mut gate = Gate::learning(context, &techniques.pointing, mount, way.target, Some(way.commanded))
+            .guided(object.guiding);
         if object.pointing {
             match pointing::acquire(context, &techniques.pointing, mount, series, &mut way).await {
-                Ok(_) => gate = Gate::proven(context, &techniques.pointing, mount, way.target),
+                Ok(_) => {
+                    gate = Gate::proven(context, &techniques.pointing, mount, way.target).guided(object.guiding);
+                }
                 Err(ActionError::Unproven { why, .. }) if may_be_unproven(object, context) => {
-                    gate = Gate::learning(context, &techniques.pointing, mount, way.target, None);
+                    gate =
+                        Gate::learning(context, &techniques.pointing, mount, way.target, None).guided(object.guiding);
                     tracing::warn!(object = object.object, why, "frames are taken all the same");
                     report.push(why);
                 }
@@ -200,16 +216,29 @@ async fn proven(
         }
         if flip.is_due(&target, object.exptime, now) {
             context.step("meridian flip");
+            let side = flip.side();
             way.commanded = pointing::send(context, &techniques.pointing, mount, &target).await?;
             way.is_fresh = true;
             way.renew(context);
-            if let Some(ignored) = flip.note().await {
+            if let Some(side) = side
+                && let Some(ignored) = flip.note(side).await
+            {
                 tracing::warn!(object = object.object, ignored);
                 report.push(ignored);
             }
             continue;
         }
         let Some(why) = lost else { return Ok(taken) };
+        losses = if taken > had { 1 } else { losses + 1 };
+        had = taken;
+        if gate.has_left() {
+            if losses >= LOSSES {
+                let (device, verb) = (mount.instrument.device.to_string(), "stay at its target".to_owned());
+                return Err(ActionError::Failed { device, verb, reason: why });
+            }
+            // It may stand and say that it tracks.
+            mount.track_anew().await;
+        }
         context.step(format!("back to the target: {why}"));
         if gate.is_proven() {
             way.renew(context);

@@ -50,7 +50,7 @@ impl Execute for PointingModel {
             solved += u32::from(look_at(self, context, &techniques.pointing, mount, &series, target).await?);
             looked_at += 1;
         }
-        mount.track(false).await?;
+        context.leave_mount();
         if looked_at > 0 && solved == 0 {
             let why = format!("none of {looked_at} frames shows where {} looks", context.row.camera);
             return Err(ActionError::Unproven { why, again: false });

@@ -39,6 +39,7 @@ pub async fn keep_closed(site: Arc<ScriptedSite>, other_telescopes: SharedRoofWa
     let mut often = Often::default();
     loop {
         let now = clock.machine();
+        close_over_what_is_not_stopped(authority, devices);
         if let Some(why) = why_close(authority, now) {
             let sight = look(authority, devices, &other_telescopes, now);
             let closing = closing.get_or_insert_with(|| {
@@ -109,6 +110,23 @@ fn why_close(authority: &Authority, now: MachineTime) -> Option<String> {
         return Some(authority.verdict.borrow().why());
     }
     authority.close_request.borrow().clone()
+}
+
+/// A mount that its device node could neither stop nor park at a limit: everything is closed, and a person is needed.
+fn close_over_what_is_not_stopped(authority: &Authority, devices: &Devices) {
+    if !authority.is_publishing() {
+        return;
+    }
+    let not_stopped = devices.mounts.iter().find_map(|mount| {
+        let beyond = mount.is_stopped_for().filter(|beyond| beyond.not_stopped)?;
+        Some(format!("{} does not stop at its limit: {}", mount.instrument.device.name, beyond.why))
+    });
+    let Some(why) = not_stopped else { return };
+    authority.close_request.send_if_modified(|request| {
+        let is_new = request.is_none();
+        request.get_or_insert(why);
+        is_new
+    });
 }
 
 /// The devices' present states.

@@ -1,11 +1,13 @@
 //! The mount: slewing to a place of the catalogue, in the frame that the mount speaks.
 
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use config::EquatorialChoice;
-use contract::device::telescope::{self, Command, EquatorialSystem};
+use contract::device::telescope::{self, BeyondLimit, Command, EquatorialSystem};
 use contract::{CommandId, Device};
 use schedule::horizon_limits::HorizonLimits;
+use schedule::kept_place::KeptPlace;
 use schedule::plan::overheads::{TOOK, TimedPart};
 use schedule::slew_limits;
 use sky::{Icrs, Observer, Rates, separation};
@@ -19,6 +21,13 @@ use crate::took::took_s;
 /// Slews over less than this are not reported, deg.
 const WORTH_REPORTING_DEG: f64 = 1.0;
 
+/// A mount that was told to end its tracking has so long to show it, machine time.
+const ENDS_TRACKING: Duration = Duration::from_secs(10);
+/// It is told so often before it is parked.
+const TOLD: u32 = 2;
+/// A mount that is being stopped at a limit is slewed when that is over, at most after this, machine time.
+const STOPPING: Duration = Duration::from_secs(60);
+
 /// A mount.
 pub struct Mount {
     /// The device.
@@ -27,6 +36,8 @@ pub struct Mount {
     pub config: config::Telescope,
     /// What its site leaves of the sky.
     pub horizon_limits: HorizonLimits,
+    /// Where it was when the last slew of this node had ended, by its own coordinates.
+    kept: Mutex<Option<KeptPlace>>,
 }
 
 impl Mount {
@@ -37,7 +48,8 @@ impl Mount {
         config: config::Telescope,
         horizon_limits: HorizonLimits,
     ) -> anyhow::Result<Self> {
-        Ok(Self { instrument: Instrument::listen(command_sender, device).await?, config, horizon_limits })
+        let instrument = Instrument::listen(command_sender, device).await?;
+        Ok(Self { instrument, config, horizon_limits, kept: Mutex::default() })
     }
 
     /// Leaves the park position, unless the mount is known to be out of it or to have none.
@@ -69,6 +81,8 @@ impl Mount {
             self.instrument.capabilities_with(&["EquatorialSystem"]).await?;
         }
         let (ra, dec) = in_mount_frame(target, observer, self.frame())?;
+        self.until_stopped().await?;
+        self.keep_place(false);
         self.unpark().await?;
         self.track(true).await?;
         let slew = Command::Slew { ra_deg: ra.degrees(), dec_deg: dec.degrees() };
@@ -76,6 +90,7 @@ impl Mount {
         self.instrument.execute(slew, self.slew_timeout()).await?;
         // Some mounts drop tracking with a slew.
         self.track(true).await?;
+        self.keep_place(true);
         // Small corrections come with frames, and would fill the diary.
         if let Some(deg) = way_deg.filter(|deg| *deg >= WORTH_REPORTING_DEG) {
             let took_s = took_s(self.instrument.clock(), began);
@@ -83,6 +98,96 @@ impl Mount {
             tracing::info!(deg, device, span = TimedPart::Slew.word(), took_s, "{TOOK}");
         }
         Ok(())
+    }
+
+    /// Remembers the place that it reports now as the one that it was sent to, or forgets that.
+    pub fn keep_place(&self, is_there: bool) {
+        let now = self.instrument.clock().utc();
+        let kept = self.reported_deg().filter(|_| is_there).map(|[ra, dec]| KeptPlace::new(ra, dec, now));
+        *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = kept;
+    }
+
+    /// How far it has left the place that this node sent it to, by its own coordinates, arcmin; `None` while it is there
+    /// or nobody knows.
+    pub fn left_by_arcmin(&self, is_guided: bool) -> Option<f64> {
+        let kept = (*self.kept.lock().unwrap_or_else(PoisonError::into_inner))?;
+        let [ra, dec] = self.reported_deg()?;
+        kept.left_by_arcmin(ra, dec, self.instrument.clock().utc(), is_guided)
+    }
+
+    /// Right ascension and declination that it reports, in its own frame, while it does not slew.
+    fn reported_deg(&self) -> Option<[f64; 2]> {
+        let fields = self.instrument.fresh_reading("RightAscension")?.fields;
+        if fields.slewing.known() == Some(&true) {
+            return None;
+        }
+        Some([*fields.ra_deg.known()?, *fields.dec_deg.known()?])
+    }
+
+    /// Why its device node stops it, while it does.
+    pub fn is_stopped_for(&self) -> Option<BeyondLimit> {
+        self.instrument.fresh()?.fields.beyond_limit
+    }
+
+    /// Waits while its device node stops it at a limit: a slew in between would be stopped too.
+    async fn until_stopped(&self) -> Result<(), ActionError> {
+        let Some(beyond) = self.is_stopped_for() else { return Ok(()) };
+        let stands = self.instrument.until(STOPPING, "stopped at its limit", |received| {
+            received.sample.body.fields.beyond_limit.is_none().then_some(())
+        });
+        stands.await.map_err(|_| self.stopped_at(&beyond))
+    }
+
+    /// That it is stopped at a limit, as an error of the step that wants it to go on.
+    pub fn stopped_at(&self, beyond: &BeyondLimit) -> ActionError {
+        let (device, reason) =
+            (self.instrument.device.to_string(), format!("it is stopped at a limit: {}", beyond.why));
+        ActionError::Failed { device, verb: "follow the sky".to_owned(), reason }
+    }
+
+    /// Tells it to track although it says that it does: it stands.
+    pub async fn track_anew(&self) {
+        if let Err(error) = self.instrument.execute(Command::Track { on: true }, Duration::from_secs(60)).await {
+            tracing::warn!(%error, "the mount was not told anew to track; the slew decides");
+        }
+    }
+
+    /// Ends its tracking after a row. A mount that goes on is told again, and then parked; returns that in words.
+    pub async fn rest(&self) -> Result<(), String> {
+        let name = &self.instrument.device.name;
+        let mut why = String::new();
+        for _ in 0..TOLD {
+            match self.end_tracking().await {
+                Ok(()) => return Ok(()),
+                Err(error) => why = error.to_string(),
+            }
+        }
+        if self.instrument.can().is_some_and(|can| !can.park) {
+            return Err(format!("{name} goes on tracking, was told {TOLD} times, and cannot park: {why}"));
+        }
+        match self.instrument.execute(Command::Park, self.slew_timeout()).await {
+            Ok(_) => Err(format!("{name} went on tracking, was told {TOLD} times, and is parked: {why}")),
+            Err(park) => {
+                Err(format!("{name} goes on tracking, was told {TOLD} times, and does not park ({park}): {why}"))
+            }
+        }
+    }
+
+    async fn end_tracking(&self) -> Result<(), ActionError> {
+        let stands = |fields: &telescope::Fields| fields.tracking.known() == Some(&false);
+        if self.instrument.fresh().is_some_and(|state| stands(&state.fields)) {
+            return Ok(());
+        }
+        let id = CommandId::fresh();
+        self.instrument.ask_in_turn(&id, Command::Track { on: false }).await?;
+        let (mut seen, what) = (false, "seen to end its tracking");
+        let ended = self.instrument.until(ENDS_TRACKING, what, |received| {
+            let state = &received.sample.body;
+            // A state from before the command shows nothing of it.
+            seen |= state.last_command.as_ref().is_some_and(|last| last.id == id);
+            (seen && stands(&state.fields)).then_some(())
+        });
+        ended.await
     }
 
     /// How far it is from where it looks to a place of its own frame, deg.
@@ -112,6 +217,8 @@ impl Mount {
     pub async fn sync(&self, seen: &Icrs, observer: &Observer) -> Result<(), ActionError> {
         let (ra, dec) = in_mount_frame(seen, observer, self.frame())?;
         let sync = Command::Sync { ra_deg: ra.degrees(), dec_deg: dec.degrees() };
+        // Its coordinates jump, and it stays where it is.
+        self.keep_place(false);
         self.instrument.execute(sync, Duration::from_secs(60)).await.map(|_| ())
     }
 

@@ -17,6 +17,7 @@ use units::Utc;
 use self::spooled::Unspooled;
 use crate::action_error::ActionError;
 use crate::devices::camera::Camera;
+use crate::devices::telescope::Mount;
 use crate::journal::{Intent, Journal};
 use crate::row_context::RowContext;
 use crate::slit::{self, ExposureThroughSlit};
@@ -230,12 +231,27 @@ fn roof_is_open(context: &RowContext) -> Result<(), ActionError> {
 /// A mount that reports that it does not track smears the sky: its device node may have stopped it.
 fn sky_is_followed(context: &RowContext) -> Result<(), ActionError> {
     let Some(mount) = context.chain()?.mount else { return Ok(()) };
+    if let Some(beyond) = mount.is_stopped_for() {
+        return Err(mount.stopped_at(&beyond));
+    }
     let stands = mount.instrument.fresh().is_some_and(|state| state.fields.tracking.known() == Some(&false));
     if !stands {
         return Ok(());
     }
     let (device, reason) = (mount.instrument.device.to_string(), "tracking was switched off".to_owned());
     Err(ActionError::Failed { device, verb: "follow the sky".to_owned(), reason })
+}
+
+/// Waits until the mount's device node stops it at a limit.
+async fn stopped_at_a_limit(mount: Option<&Mount>) -> ActionError {
+    let Some(mount) = mount else { return std::future::pending().await };
+    let mut states = mount.instrument.follow();
+    loop {
+        if let Some(beyond) = mount.is_stopped_for() {
+            return mount.stopped_at(&beyond);
+        }
+        states.changed().await;
+    }
 }
 
 /// Waits until a frame's light is in. One that the dome's slit has hidden too much of does not count, and is a fault of
@@ -248,7 +264,19 @@ async fn exposed(
     open_sky: bool,
 ) -> Result<(), ActionError> {
     let seen = if open_sky {
-        slit::through_the_slit(&context.tools.slits, context.chain()?.mount, camera, frame, exposure_s).await?
+        let mount = context.chain()?.mount;
+        tokio::select! {
+            seen = slit::through_the_slit(&context.tools.slits, mount, camera, frame, exposure_s) => seen?,
+            // Nothing is exposed beyond a limit, and what was is no frame of the target.
+            stopped = stopped_at_a_limit(mount) => {
+                note_hidden(context, frame, 0.0, false).await?;
+                if let Err(error) = camera.abort().await {
+                    tracing::warn!(%error, "the exposure was not aborted; it ends by itself, and does not count");
+                }
+                context.set_exposing(None);
+                return Err(stopped);
+            }
+        }
     } else {
         camera.exposed(frame, exposure_s).await?;
         ExposureThroughSlit::Counts(None)

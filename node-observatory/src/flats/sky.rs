@@ -89,10 +89,10 @@ pub async fn run(run: &mut FlatsRun<'_>, opener: &Opener) -> Result<(), ActionEr
             }
         }
     }
-    match &aim {
-        Some(aim) => aim.mount.track(false).await,
-        None => Ok(()),
+    if aim.is_some() {
+        context.leave_mount();
     }
+    Ok(())
 }
 
 /// The Sun now, and how fast its altitude changes, deg per s.

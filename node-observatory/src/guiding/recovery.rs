@@ -61,9 +61,11 @@ pub async fn slew_by(authority: &Authority, row: &Row, mount: &Mount, [ra, dec]:
     }
     let slew = Command::Slew { ra_deg: (ra_deg + ra).rem_euclid(360.0), dec_deg: (dec_deg + dec).clamp(-90.0, 90.0) };
     let most = seconds(mount.config.slew_timeout_s);
+    mount.keep_place(false);
     mount.instrument.execute(slew, most).await.map_err(|error| error.to_string())?;
     let tracking = Command::Track { on: true };
     mount.instrument.execute(tracking, Duration::from_secs(60)).await.map_err(|error| error.to_string())?;
+    mount.keep_place(true);
     Ok(())
 }
 

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use bus::MachineTime;
 use config::{Guiding, WhenLost};
 use contract::device::telescope::PierSide;
 use contract::observatory::{
@@ -12,7 +13,7 @@ use contract::{Link, Name};
 use imaging::guide::{Ask, Decision, State};
 use schedule::Row;
 use tokio::sync::{broadcast, watch};
-use units::Utc;
+use units::{Utc, seconds};
 
 use super::learned;
 use super::publish::{self, Residuals};
@@ -20,6 +21,7 @@ use super::pulse::{self, Given};
 use super::session::{LISTED_WITHIN, NoSession, Session};
 use super::{GuidingData, Wanted, calibrated, recovery};
 use crate::action_error::ActionError;
+use crate::command_timeout::command_timeout;
 use crate::devices::telescope::Mount;
 use crate::frames::looked::{Fetched, Looked};
 use crate::frames::measure::shows_stars;
@@ -50,8 +52,8 @@ pub struct Loop {
     /// Frames that began before this saw another field: before the loop, or before a slew ended.
     since: Utc,
     slews: bool,
-    /// When the last frame to be guided on came, sky time.
-    received: Utc,
+    /// When the last frame to be guided on came.
+    received: MachineTime,
     /// Middle of the last frame that was guided on.
     last_mid: Option<Utc>,
     /// Nothing is tried until then, after guiding was given up.
@@ -83,7 +85,7 @@ impl Loop {
             residuals: Residuals::default(),
             since: context.clock().utc(),
             slews: false,
-            received: context.clock().utc(),
+            received: context.clock().machine(),
             last_mid: None,
             rests_until: None,
             frames: 0,
@@ -100,6 +102,8 @@ impl Loop {
         let Ok(Some(mount)) = tools.devices.chain(&self.row.camera).map(|chain| chain.mount) else { return };
         let (mut pixels, mut states) = (tools.frames.looks.follow_pixels(), mount.instrument.follow());
         let silent_s = SILENT_S + SILENT_EXPOSURES * self.exposure_s();
+        // Under a fast sky frames take as long to be fetched and measured as ever.
+        let silent = command_timeout(tools.authority.node.bus.clock(), seconds(silent_s));
         loop {
             let clock = tools.authority.node.bus.clock();
             tokio::select! {
@@ -111,7 +115,7 @@ impl Loop {
                 }
                 () = clock.sleep_sky(LOOKED_AFTER) => {}
             }
-            if clock.utc().seconds_since(self.received) > silent_s && self.rests_until.is_none() {
+            if clock.machine().since(self.received) > silent && self.rests_until.is_none() {
                 self.complain(&format!("no frame of {} could be guided on for {silent_s:.0} s", self.camera));
             }
         }
@@ -156,7 +160,7 @@ impl Loop {
         if !is_ours || !is_due || rests || self.slews || frame.started_utc < self.since {
             return;
         }
-        (self.rests_until, self.received) = (None, self.tools.authority.node.bus.clock().utc());
+        (self.rests_until, self.received) = (None, self.tools.authority.node.bus.clock().machine());
         let side = mount.instrument.fresh().and_then(|state| state.fields.pier_side.known().copied());
         let field = self.field(&fetched, side.filter(|side| *side != PierSide::Unknown));
         if self.session.as_ref().is_some_and(|session| session.field != field) {

@@ -64,11 +64,11 @@ pub async fn observe(
     let (path, clock) = (Path::new(context, mount, body), context.clock());
     let end = path.up_until(clock.utc(), context.row.end)?;
     context.set_following(true);
-    let (mut flip, mut turns) = (Flip::of(context, mount), false);
+    let (mut flip, mut turned_from) = (Flip::of(context, mount), None);
     let taken = 'recenter: loop {
         let mut motion = meet(context, pointing, mount, &path, request).await?;
-        if std::mem::take(&mut turns)
-            && let Some(ignored) = flip.note().await
+        if let Some(side) = turned_from.take()
+            && let Some(ignored) = flip.note(side).await
         {
             tracing::warn!(ignored, "the moving target is followed on this side of the pier");
         }
@@ -94,7 +94,7 @@ pub async fn observe(
             let Some(following) = shot(taken, now, end) else { break 'recenter taken };
             if flip.is_due(&here, following.exposure_s, now) {
                 context.step("meridian flip");
-                turns = true;
+                turned_from = flip.side();
                 break;
             }
             if is_due(now) {
@@ -103,7 +103,10 @@ pub async fn observe(
             }
         }
     };
-    mount.set_rates(Rates::default()).await?;
+    // The frames are taken; the end of tracking ends the rates too.
+    if let Err(error) = mount.set_rates(Rates::default()).await {
+        tracing::warn!(%error, "the mount may still go along with the moving target, until its tracking ends");
+    }
     context.set_following(false);
     Ok(taken)
 }

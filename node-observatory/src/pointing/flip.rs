@@ -43,10 +43,15 @@ impl<'a> Flip<'a> {
         is_past(pier_side(self.mount), then.hour_angle(target), config.meridian_flip_min)
     }
 
-    /// After the slew that should have turned it over: returns a note if it did not. This waits for a mount that
-    /// reports its side late.
-    pub async fn note(&mut self) -> Option<String> {
-        if !stays(REPORTED_WITHIN, || pier_side(self.mount)).await {
+    /// The side that the mount reports.
+    pub fn side(&self) -> Option<PierSide> {
+        pier_side(self.mount)
+    }
+
+    /// After the slew that should have turned it over from `side`: returns a note if it did not. This waits for a mount
+    /// that reports its side late.
+    pub async fn note(&mut self, side: PierSide) -> Option<String> {
+        if !stays(REPORTED_WITHIN, side, || pier_side(self.mount)).await {
             return None;
         }
         self.is_ignored = true;
@@ -55,10 +60,10 @@ impl<'a> Flip<'a> {
     }
 }
 
-/// Does a mount report all the time that its tube is west of the pier?
-async fn stays(within: Duration, side: impl Fn() -> Option<PierSide> + Send + Sync) -> bool {
+/// Does a mount report all the time that its tube is on the side of the pier on which it was?
+async fn stays(within: Duration, before: PierSide, side: impl Fn() -> Option<PierSide> + Send + Sync) -> bool {
     let reported_otherwise = async {
-        while side() == Some(PierSide::West) {
+        while side() == Some(before) {
             tokio::time::sleep(LOOKED_AFTER).await;
         }
     };
@@ -74,29 +79,32 @@ mod tests {
     use super::*;
 
     /// Whether a mount that reports these sides one after the other, and the last for ever, is found to have stayed.
-    async fn concluded(within: Duration, sides: &[Option<PierSide>]) -> bool {
+    async fn concluded(within: Duration, before: PierSide, sides: &[Option<PierSide>]) -> bool {
         let looks = AtomicUsize::new(0);
         let side = || sides[looks.fetch_add(1, Ordering::Relaxed).min(sides.len() - 1)];
-        stays(within, side).await
+        stays(within, before, side).await
     }
 
     /// It stayed, however soon that is asked.
-    async fn stayed(sides: &[Option<PierSide>]) -> bool {
-        concluded(5 * LOOKED_AFTER, sides).await
+    async fn stayed(before: PierSide, sides: &[Option<PierSide>]) -> bool {
+        concluded(5 * LOOKED_AFTER, before, sides).await
     }
 
     /// It has turned, or nobody knows, however late that is seen.
-    async fn turned(sides: &[Option<PierSide>]) -> bool {
-        !concluded(Duration::from_secs(600), sides).await
+    async fn turned(before: PierSide, sides: &[Option<PierSide>]) -> bool {
+        !concluded(Duration::from_secs(600), before, sides).await
     }
 
     #[tokio::test]
     async fn a_mount_that_reports_its_side_late_has_turned_over_all_the_same() {
         let [west, east] = [Some(PierSide::West), Some(PierSide::East)];
-        assert!(turned(&[east]).await, "it shows at once");
-        assert!(turned(&[west, west, west, east]).await, "it is late");
-        assert!(turned(&[west, None]).await, "it reports nothing any more: nobody knows that it stayed");
-        assert!(stayed(&[west, west, west]).await, "it stayed");
+        assert!(turned(PierSide::West, &[east]).await, "it shows at once");
+        assert!(turned(PierSide::West, &[west, west, west, east]).await, "it is late");
+        assert!(turned(PierSide::West, &[west, None]).await, "it reports nothing any more: nobody knows that it stayed");
+        assert!(stayed(PierSide::West, &[west, west, west]).await, "it stayed");
+        // Past the lower meridian it turns over the other way.
+        assert!(stayed(PierSide::East, &[east, east, east]).await, "it stayed");
+        assert!(turned(PierSide::East, &[east, east, west]).await, "it turned over");
     }
 
     #[tokio::test]
@@ -104,7 +112,7 @@ mod tests {
         // Truly east of the pier and looking west, where it belongs; its driver reports west.
         let half_an_hour = Angle::from_hours(0.5);
         assert!(is_past(Some(PierSide::West), half_an_hour, 5.0), "one slew to where it stands already");
-        assert!(stayed(&[Some(PierSide::West)]).await, "which is noted, and not tried again");
+        assert!(stayed(PierSide::West, &[Some(PierSide::West)]).await, "which is noted, and not tried again");
         // Truly west of the pier, as it was before the meridian; its driver reports east: its device node stops it.
         assert!(!is_past(Some(PierSide::East), half_an_hour, 5.0));
     }

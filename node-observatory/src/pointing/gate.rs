@@ -5,6 +5,8 @@ use std::time::Duration;
 
 use contract::CommandId;
 use contract::device::telescope::PierSide;
+use contract::observatory::AlertKind;
+use imaging::NoSolution;
 use imaging::tangent::separation;
 use schedule::RowId;
 use sky::Icrs;
@@ -40,6 +42,16 @@ pub struct Gate<'a> {
     astray: Vec<(CommandId, f64)>,
     lost: Option<String>,
     is_proven: bool,
+    /// Guide pulses move the mount, too.
+    is_guided: bool,
+    /// The mount has left the place that it was sent to, by its own coordinates or by trailed frames.
+    has_left: bool,
+    /// The newest frame that began before the last look at the mount's coordinates.
+    judged: Option<CommandId>,
+    /// A trailed frame without a solution that the frames end with.
+    trailed: Option<CommandId>,
+    /// Frames that do not count, of which nobody knows how far off they are.
+    spoilt: Vec<CommandId>,
 }
 
 impl<'a> Gate<'a> {
@@ -70,7 +82,22 @@ impl<'a> Gate<'a> {
             astray: Vec::new(),
             lost: None,
             is_proven: false,
+            is_guided: false,
+            has_left: false,
+            judged: context.last_frame(),
+            trailed: None,
+            spoilt: Vec::new(),
         }
+    }
+
+    /// The row is guided, or not.
+    pub fn guided(self, is_guided: bool) -> Self {
+        Self { is_guided, ..self }
+    }
+
+    /// Whether the mount itself has left the place that it was sent to.
+    pub fn has_left(&self) -> bool {
+        self.has_left
     }
 
     /// Why the telescope is not known to be on target any more, by all that frames and mount have shown until now.
@@ -82,11 +109,48 @@ impl<'a> Gate<'a> {
                 Err(TryRecvError::Empty | TryRecvError::Closed) => break,
             }
         }
+        self.look_at_the_mount();
         let now = pier_side(self.mount);
         if self.tolerance_arcmin.is_some() && now.is_some() && self.side.is_some() && now != self.side {
             self.lost.get_or_insert_with(|| "the mount changed the side of its pier".to_owned());
         }
         self.lost.as_deref()
+    }
+
+    /// A mount is believed by its coordinates: one that has left its place has spoilt the frame before.
+    fn look_at_the_mount(&mut self) {
+        let (alerts, name) = (&self.context.tools.authority.node.alerts, &self.mount.instrument.device.name);
+        let last = self.context.last_frame().filter(|last| self.judged.as_ref() != Some(last));
+        let Some(off_arcmin) = self.mount.left_by_arcmin(self.is_guided) else {
+            if last.is_some() && !self.has_left {
+                alerts.clear(AlertKind::MountLeftItsPlace, name);
+                self.judged = last;
+            }
+            return;
+        };
+        if let Some(last) = last {
+            tracing::warn!(frame = %last, off_arcmin, "the mount left its place; the frame does not count");
+            self.judged = Some(last.clone());
+            self.astray.push((last, off_arcmin));
+        }
+        let why = format!("{name} has left its place by {off_arcmin:.1} arcmin, by its own coordinates");
+        if !std::mem::replace(&mut self.has_left, true) {
+            alerts.raise(AlertKind::MountLeftItsPlace, name, &why);
+        }
+        self.lost.get_or_insert(why);
+    }
+
+    /// Two trailed frames without a solution, one after the other, prove nothing: the mount may stand, and report what it
+    /// likes.
+    fn note_trailed(&mut self, frame: &CommandId) {
+        let Some(before) = self.trailed.replace(frame.clone()) else { return };
+        tracing::warn!(%frame, "trailed frames that cannot be solved do not count");
+        self.spoilt.extend([before, frame.clone()]);
+        self.has_left = true;
+        let why = "two frames are trailed and cannot be solved".to_owned();
+        let (alerts, name) = (&self.context.tools.authority.node.alerts, &self.mount.instrument.device.name);
+        alerts.raise(AlertKind::MountLeftItsPlace, name, &format!("{name}: {why}"));
+        self.lost.get_or_insert(why);
     }
 
     /// Whether a frame has shown since that the telescope is on target.
@@ -103,12 +167,13 @@ impl<'a> Gate<'a> {
             let _ = tokio::time::timeout(LAST_LOOK, self.context.tools.frames.looks.of(&last)).await;
             self.lost();
         }
-        let astray = std::mem::take(&mut self.astray);
-        if astray.is_empty() {
+        let (astray, spoilt) = (std::mem::take(&mut self.astray), std::mem::take(&mut self.spoilt));
+        if astray.is_empty() && spoilt.is_empty() {
             return Ok(());
         }
         let noted = move |journal: &Journal, row: &RowId, now| {
-            astray.iter().try_for_each(|(frame, off_arcmin)| journal.astray(row, frame, *off_arcmin, now))
+            astray.iter().try_for_each(|(frame, off_arcmin)| journal.astray(row, frame, *off_arcmin, now))?;
+            spoilt.iter().try_for_each(|frame| journal.hidden(row, frame, 0.0, false, now))
         };
         self.context.write(noted).await?;
         let taken = self.context.tools.journal.progress(&self.context.row.id).taken;
@@ -122,7 +187,20 @@ impl<'a> Gate<'a> {
             && frame.camera == row.camera.as_str()
             && frame.purpose.action == row.action.name()
             && frame.started_utc >= self.since_utc;
-        let Some(Ok(solution)) = looked.solved.as_ref().filter(|_| is_of_row) else { return };
+        if !is_of_row {
+            return;
+        }
+        let Some(Ok(solution)) = looked.solved.as_ref() else {
+            let is_trailed =
+                looked.facts.trailed == Some(true) || matches!(looked.solved, Some(Err(NoSolution::Trailed { .. })));
+            if is_trailed && self.tolerance_arcmin.is_some() {
+                self.note_trailed(&frame.id);
+            } else {
+                self.trailed = None;
+            }
+            return;
+        };
+        self.trailed = None;
         if let Some(commanded) = self.to_learn.take() {
             learn(self.context, self.pointing, &commanded, frame, solution);
         }

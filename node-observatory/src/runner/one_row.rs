@@ -44,7 +44,15 @@ pub async fn run_row(context: &RowContext, techniques: &Techniques, withdrawn: w
             result = action::run(&context.row.action, context, techniques) => Ok(result),
         };
         let error = match tried {
-            Ok(Ok(detail)) => return RowEnd::Finished(detail),
+            Ok(Ok(detail)) => {
+                // Its frames are taken, so it is finished whatever the mount does, and whatever stands against it now.
+                tokio::select! {
+                    biased;
+                    _ = context.tools.authority.objected(&context.row) => {}
+                    () = context.rest_mount() => {}
+                }
+                return RowEnd::Finished(detail);
+            }
             Ok(Err(error)) => error,
             Err(end) => {
                 action::settle(context).await;
@@ -112,14 +120,6 @@ async fn rest(context: &RowContext) {
     if !context.row.action.needs().mount {
         return;
     }
-    let stopped: Result<(), ActionError> = async {
-        match context.chain()?.mount {
-            Some(mount) => mount.track(false).await,
-            None => Ok(()),
-        }
-    }
-    .await;
-    if let Err(error) = stopped {
-        tracing::warn!(%error, "the mount may still track");
-    }
+    context.leave_mount();
+    context.rest_mount().await;
 }

@@ -16,6 +16,7 @@ mod executes_the_sites_script;
 mod finds_lost_fields;
 mod guides_the_field;
 mod keeps_the_focus;
+mod keeps_to_its_target;
 mod measures_frames;
 mod proof;
 mod rests_once;

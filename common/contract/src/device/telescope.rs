@@ -93,6 +93,18 @@ pub struct Fields {
     pub pier_side: Datum<PierSide>,
     /// A guide pulse is under way.
     pub pulse_guiding: Datum<bool>,
+    /// Its device node stops it at a limit, and has not seen it stopped yet; absent otherwise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub beyond_limit: Option<BeyondLimit>,
+}
+
+/// A mount that tracks beyond a limit.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+pub struct BeyondLimit {
+    /// Which limit, with numbers and units.
+    pub why: String,
+    /// Neither an end of tracking, nor an abort, nor a park has stopped it: everything is to be closed.
+    pub not_stopped: bool,
 }
 
 impl Payload for Fields {

@@ -24,6 +24,11 @@ catalogue! {
     /// A mount was left tracking until it came to one of its limits (`telescope.limits`). Its device node stops it,
     /// without the observatory node and without the bus.
     MountLimit: devices::MOUNT_LIMIT,
+    /// A mount goes on to track after a row, although it was told to end that.
+    MountTracksOn: devices::MOUNT_TRACKS_ON,
+    /// A mount says that it tracks, and its own coordinates, or trailed frames that cannot be solved, show that it has left
+    /// the place that it was sent to. It ends with the next frame at its place.
+    MountLeftItsPlace: devices::MOUNT_LEFT_ITS_PLACE,
     /// The dome's own watchdog did not accept the command that resets its timer (`watchdog_action`). It closes the dome when its time is over, safe or not.
     Watchdog: enclosure::WATCHDOG,
     /// Nothing closes this dome when its device node's host loses power or hangs: it has no watchdog of its own, or

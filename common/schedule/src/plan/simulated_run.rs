@@ -343,7 +343,7 @@ impl<'a> SimulatedRun<'a> {
         self.pass(self.site.overheads.slew_s(FLIP_WAY_DEG))?;
         let mount = self.mount().map(|mount| mount.common.name.clone());
         if let Some(aim) = mount.and_then(|mount| self.world.aims.get_mut(&mount)) {
-            aim.side = PierSide::East;
+            aim.side = meridian_flip::turned(aim.side);
         }
         self.note(format!("meridian flip at {at}"));
         Ok(())

@@ -72,7 +72,7 @@ async fn a_silent_monitor_closes_within_seconds() {
         state.link = contract::Link::Lost { reason };
     });
     site.until("closed", MOST, |site| site.shutter() == Some(Shutter::Closed)).await;
-    assert!(silent.elapsed() < lateness.bound(Duration::from_secs(2)), "{:?}", silent.elapsed());
+    assert!(silent.elapsed() < lateness.bound(Duration::from_secs(7)), "{:?}", silent.elapsed());
     node.stop().await;
 }
 

@@ -171,6 +171,8 @@ pub struct Site {
     pub purposes: Arc<Mutex<Vec<(CommandId, Purpose)>>>,
     /// The guard holds the dome until somebody sends `resume`.
     pub hold: Arc<AtomicBool>,
+    /// The mount does not end its tracking when it is told to.
+    pub tracks_on: Arc<AtomicBool>,
     /// Somebody else has the lease.
     pub lease_held: Arc<AtomicBool>,
     /// How fast the dome turns, degrees per sky second: at 0 it hangs. None for a roof.
@@ -237,6 +239,7 @@ impl Site {
         camera.appear(&bus, camera::Capabilities { width_px: 100, height_px: 100, ..Default::default() }).await;
         monitor.appear(&bus, safety_monitor::Capabilities {}).await;
         let purposes = Arc::default();
+        let tracks_on = Arc::<AtomicBool>::default();
         let (hold, lease_held) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
         let keeper = Keeper {
             hold: hold.clone(),
@@ -247,7 +250,7 @@ impl Site {
         };
         let services = vec![
             keeper.serve(&bus, &dome, &address).await,
-            serve_mount(&bus, &mount).await,
+            serve_mount(&bus, &mount, &tracks_on).await,
             serve_camera(&bus, &camera, &clock, &purposes, &shutter_of_camera).await,
         ];
         let part = |part| Key::Observatory(address.clone(), part);
@@ -265,6 +268,7 @@ impl Site {
             monitor,
             purposes,
             hold,
+            tracks_on,
             lease_held,
             turn_deg_per_s,
             turned,
@@ -385,9 +389,10 @@ async fn serve<C: Payload>(
     service.await.unwrap()
 }
 
-async fn serve_mount(bus: &Bus, mount: &Arc<Device<telescope::Telescope>>) -> Service {
-    let at = mount.clone();
+async fn serve_mount(bus: &Bus, mount: &Arc<Device<telescope::Telescope>>, tracks_on: &Arc<AtomicBool>) -> Service {
+    let (at, tracks_on) = (mount.clone(), tracks_on.clone());
     serve(bus, &mount.key, move |command: Command<telescope::Command>| {
+        let tracks_on = tracks_on.load(Ordering::Relaxed);
         let action = command.action.clone();
         let slews = matches!(action, telescope::Command::Slew { .. } | telescope::Command::Park);
         at.take(
@@ -401,6 +406,7 @@ async fn serve_mount(bus: &Bus, mount: &Arc<Device<telescope::Telescope>>) -> Se
                     fields.tracking = Datum::Known(false);
                 }
                 telescope::Command::Unpark => fields.at_park = Datum::Known(false),
+                telescope::Command::Track { on: false } if tracks_on => {}
                 telescope::Command::Track { on } => fields.tracking = Datum::Known(on),
                 telescope::Command::Slew { ra_deg, dec_deg } => {
                     fields.slewing = Datum::Known(false);

@@ -44,9 +44,27 @@ pub(super) const DEVICE_CONTRADICTS: AlertEntry = AlertEntry {
 pub(super) const MOUNT_LIMIT: AlertEntry = AlertEntry {
     word: "mount-limit",
     instance: "MOUNT",
-    consequence: "Its device node stops the tracking, and again every 5 s until it stops.",
-    action: "Look why it was left tracking; a person may have to stop it at the mount.",
+    consequence: "Its device node switches tracking off, then aborts all movement, then parks it. If its coordinates show that nothing helps, everything is closed and nothing is exposed.",
+    action: "Look why it was left tracking; the cause says what was done, and whether a person has to stop it at the mount.",
     ..HIGH
+};
+
+pub(super) const MOUNT_TRACKS_ON: AlertEntry = AlertEntry {
+    word: "mount-tracks-on",
+    instance: "MOUNT",
+    priority: Priority::Medium,
+    consequence: "The row is finished all the same. The mount was told again, and then parked where it can.",
+    action: "Look at the mount and its driver.",
+    ..PLAIN
+};
+
+pub(super) const MOUNT_LEFT_ITS_PLACE: AlertEntry = AlertEntry {
+    word: "mount-left-its-place",
+    instance: "MOUNT",
+    priority: Priority::Medium,
+    consequence: "The frames since then do not count, and the telescope goes back to its target.",
+    action: "Look at the mount: it may have stopped to track, or somebody moved it.",
+    ..PLAIN
 };
 
 pub(super) const MOUNT_NOT_PARKED: AlertEntry = AlertEntry {
