@@ -43,7 +43,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
             }
         },
     };
-    // The nodes of one host meet here even where multicast does not work, and are introduced to each other by gossip.
+    // The nodes of this file meet here whatever the file says, and are introduced to each other by gossip.
     node::log::show_log();
     let bus = Bus::open(&bus_address::of_supervisor(&config.bus), Clock::machine_clock()).await?;
     let mut arguments = options.node_arguments.clone();
@@ -75,7 +75,8 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         let (node, stop) = (node(role, config::MAIN_NODE), brains.clone());
         others.spawn(async move { node.keep(stop).await });
     }
-    lines::print_line(format_args!("{}: nodes started; {page}; Ctrl-C stops", config.address()));
+    let at = bus_address::shown(&config.bus, &bus.locators().await);
+    lines::print_line(format_args!("{}: nodes started; {at}; {page}; Ctrl-C stops", config.address()));
     node::signals::end_asked().await;
     lines::print_line(
         "stopping: the observatory node closes first (at most 15 s), then each enclosure's device node (at most 300 s)",
