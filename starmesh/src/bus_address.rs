@@ -60,9 +60,9 @@ pub fn shown(file: &config::Bus, locators: &[String]) -> String {
     }
     let is_here = |address: &&str| address.contains("/127.") || address.contains("/[::1]");
     let whom = match (file.multicast, addresses.iter().all(is_here)) {
-        (true, _) => "and looks for others by multicast; whoever reaches it may order",
+        (true, _) => "and looks for others by multicast; everybody who reaches it may order",
         (false, true) => "this host only",
-        (false, false) => "whoever reaches it may order",
+        (false, false) => "everybody who reaches it may order",
     };
     let addresses = if addresses.is_empty() { "no address".to_owned() } else { addresses.join(" and ") };
     format!("the bus is at {addresses} ({whom})")
@@ -130,7 +130,7 @@ mod tests {
         assert_eq!(shown(&none, &locators[1..]), elsewhere, "the first of several `up` has the other address");
         let locators = ["tcp/10.0.0.5:7447".to_owned(), "tcp/127.0.0.1:40001".to_owned()];
         let named = shown(&bus(&["tcp/10.0.0.5:7447"], false), &locators);
-        assert_eq!(named, "the bus is at tcp/10.0.0.5:7447 (whoever reaches it may order)");
+        assert_eq!(named, "the bus is at tcp/10.0.0.5:7447 (everybody who reaches it may order)");
         assert!(shown(&bus(&[], true), &locators).contains("multicast"));
     }
 }

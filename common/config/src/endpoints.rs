@@ -116,7 +116,8 @@ mod tests {
     }
 
     fn bus(block: &str) -> (Bus, Vec<String>) {
-        let place = "[observatory]\nsite = \"s\"\ntelescope = \"t\"\nlatitude_deg = 0\nlongitude_deg = 0\nelevation_m = 0\n";
+        let place =
+            "[observatory]\nsite = \"s\"\ntelescope = \"t\"\nlatitude_deg = 0\nlongitude_deg = 0\nelevation_m = 0\n";
         let (config, faults) = crate::examine(&format!("{place}{block}"), std::path::Path::new("/"));
         let of_bus = faults.into_iter().map(|fault| fault.what).filter(|what| what.starts_with("bus."));
         (config.unwrap().bus, of_bus.collect())
@@ -152,7 +153,10 @@ mod tests {
     fn a_further_program_of_the_host_meets_the_nodes_where_the_file_has_them_listen() {
         let points = |block: &str| bus(block).0.meeting_points();
         assert_eq!(points(""), [THIS_HOST]);
-        assert_eq!(points("[bus]\nlisten = [\"tcp/0.0.0.0:7448#iface=eth0\", \"tcp/127.0.0.1:0\"]\n"), ["tcp/127.0.0.1:7448"]);
+        assert_eq!(
+            points("[bus]\nlisten = [\"tcp/0.0.0.0:7448#iface=eth0\", \"tcp/127.0.0.1:0\"]\n"),
+            ["tcp/127.0.0.1:7448"]
+        );
         let both = "[bus]\nlisten = [\"tcp/[::]:7447\"]\nconnect = [\"tcp/10.0.0.5:7447\"]\n";
         assert_eq!(points(both), ["tcp/[::1]:7447", "tcp/10.0.0.5:7447"]);
     }
