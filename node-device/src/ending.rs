@@ -31,6 +31,8 @@ pub async fn close_first(node: Node, link: Option<GuardLink>, enclosures: Vec<En
         () = node.ending.wait() => {}
         () = asked => {}
     }
+    // The guard process asks by its own line.
+    node.ending.stop();
     for Enclosure { name, guard, closed } in &enclosures {
         guard.lock().unwrap_or_else(std::sync::PoisonError::into_inner).end();
         if !*closed.borrow() {
@@ -47,6 +49,9 @@ pub async fn close_first(node: Node, link: Option<GuardLink>, enclosures: Vec<En
     if tokio::time::timeout(END_LIMIT.saturating_sub(MARGIN), closing).await.is_err() {
         let still = enclosures.iter().filter(|enclosure| !*enclosure.closed.borrow());
         open.extend(still.map(|enclosure| enclosure.name.to_string()));
+    }
+    if !enclosures.is_empty() {
+        node.ends_closed(open.is_empty());
     }
     node.stop.stop();
     if !open.is_empty() {

@@ -4,6 +4,7 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
+use node::watchdog::{self, Watchdog};
 use node::{NodeOptions, Stop, lines};
 use tokio::task::JoinSet;
 
@@ -141,17 +142,35 @@ async fn keep(options: &NodeOptions, id: &str, stop: Stop) -> anyhow::Result<boo
     let mut pause = Duration::from_secs(1);
     loop {
         let started = Instant::now();
-        let spawned = child::command(options, id)?.kill_on_drop(options.with_parent).spawn();
+        let watchdog = Watchdog::open();
+        let mut command = child::command(options, id)?;
+        match &watchdog {
+            Ok(watchdog) => command.env(watchdog::SOCKET, watchdog.path()),
+            Err(_) => command.env_remove(watchdog::SOCKET),
+        };
+        let spawned = command.kill_on_drop(options.with_parent).spawn();
         let mut child = spawned.with_context(|| format!("cannot start the device node {id}"))?;
         // Waiting would close it, and the node would take that for our end.
         let lifeline = child.stdin.take();
-        let Some(ended) = stop.or(child.wait()).await else {
+        let running = async {
+            tokio::select! {
+                ended = child.wait() => Some(ended),
+                () = watchdog::hung(&watchdog) => None,
+            }
+        };
+        let Some(ended) = stop.or(running).await else {
             child::ask_to_end(&mut child);
             let ended = tokio::time::timeout(END_LIMIT + Duration::from_secs(10), child.wait()).await;
             drop(lifeline);
             return Ok(matches!(ended, Ok(Ok(status)) if status.success()));
         };
-        let status = ended.map_or_else(|error| error.to_string(), |status| status.to_string());
+        let status = match ended {
+            Some(ended) => ended.map_or_else(|error| error.to_string(), |status| status.to_string()),
+            None => {
+                child.kill().await.with_context(|| format!("cannot end the device node {id}, which hangs"))?;
+                "it hung, and was killed".to_owned()
+            }
+        };
         pause = if started.elapsed() > HEALTHY { Duration::from_secs(1) } else { (pause * 2).min(LONGEST_PAUSE) };
         lines::complain(format_args!("node-device: the device node {id} ended ({status}); next start in {pause:?}"));
         if stop.or(tokio::time::sleep(pause)).await.is_none() {

@@ -94,7 +94,7 @@ async fn keep_merging(
             }
             changed = own.changed() => changed?,
             changed = orders.changed() => changed?,
-            () = tokio::time::sleep(Duration::from_secs(5)) => {}
+            () = tokio::time::sleep(Duration::from_secs(1)) => {}
         }
     }
 }
@@ -126,21 +126,74 @@ async fn keep_noticing_silence(node: Node) -> anyhow::Result<()> {
     let expression = Topic::Node(NodeTopic::State).at(&address);
     let states = node.bus.subscribe::<NodeState>(expression, Catch::Newest, 256).await?;
     let clock = node.bus.clock().clone();
-    let mut received: BTreeMap<(Role, Name), (String, MachineTime)> = BTreeMap::new();
+    let mut nodes = OtherNodes::default();
     loop {
         if let Ok(state) = tokio::time::timeout(Duration::from_secs(1), states.recv()).await
             && let Key::Node(_, role, id, NodeTopic::State) = state.key
             && (role, &id) != (node.role, &node.id)
         {
             node.alerts.clear(AlertKind::NodeSilent, format_args!("{role}/{id}"));
-            if received.len() < MOST_NODES || received.contains_key(&(role, id.clone())) {
-                received.insert((role, id), (state.sample.body.host, state.arrived));
-            }
+            nodes.take(role, id, &state.sample.body, state.arrived);
         }
-        let now = clock.machine();
-        for ((role, id), (host, _)) in received.iter().filter(|(_, (_, arrived))| now.since(*arrived) > LOST) {
+        for (role, id, host) in nodes.silent(clock.machine()) {
             let cause = format!("the {role} node {id} on host \"{host}\" has fallen silent");
             node.alerts.raise(AlertKind::NodeSilent, format_args!("{role}/{id}"), &cause);
+        }
+    }
+}
+
+/// The other nodes of a telescope that have published, with their hosts. Pure: time comes in.
+#[derive(Default)]
+struct OtherNodes(BTreeMap<(Role, Name), (String, MachineTime)>);
+
+impl OtherNodes {
+    fn take(&mut self, role: Role, id: Name, state: &NodeState, arrived: MachineTime) {
+        if state.ended_well() {
+            // It has reported that it will be silent.
+            self.0.remove(&(role, id));
+        } else if self.0.len() < MOST_NODES || self.0.contains_key(&(role, id.clone())) {
+            self.0.insert((role, id), (state.host.clone(), arrived));
+        }
+    }
+
+    /// Those that have been silent for too long.
+    fn silent(&self, now: MachineTime) -> impl Iterator<Item = (Role, &Name, &str)> {
+        let is_silent = move |arrived: MachineTime| now.since(arrived) > LOST;
+        let each = self.0.iter().filter(move |(_, (_, arrived))| is_silent(*arrived));
+        each.map(|((role, id), (host, _))| (*role, id, host.as_str()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use contract::node::Stopped;
+
+    use super::*;
+
+    #[test]
+    fn a_node_that_ended_in_good_order_is_not_silent_and_one_that_left_a_dome_open_is() {
+        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
+        let state = |stopped: Option<Option<bool>>| NodeState {
+            role: Role::Device,
+            version: String::new(),
+            host: "dome-pc".to_owned(),
+            pid: 1,
+            uptime_s: 1.0,
+            speed: 1.0,
+            figures: BTreeMap::new(),
+            stopped: stopped.map(|closed| Stopped { by: "starmesh up on dome-pc".to_owned(), closed }),
+        };
+        for (last, is_silent) in
+            [(None, true), (Some(None), false), (Some(Some(true)), false), (Some(Some(false)), true)]
+        {
+            let mut nodes = OtherNodes::default();
+            nodes.take(Role::Device, "enclosure".parse().unwrap(), &state(None), at(100));
+            nodes.take(Role::Device, "enclosure".parse().unwrap(), &state(last), at(105));
+            assert_eq!(nodes.silent(at(119)).count(), 0, "{last:?}: too soon");
+            let silent: Vec<_> = nodes.silent(at(121)).map(|(role, id, host)| format!("{role}/{id} {host}")).collect();
+            assert_eq!(silent, if is_silent { vec!["device/enclosure dome-pc"] } else { Vec::new() }, "{last:?}");
+            nodes.take(Role::Device, "enclosure".parse().unwrap(), &state(None), at(130));
+            assert_eq!(nodes.silent(at(146)).count(), 1, "{last:?}: it runs again, and falls silent then");
         }
     }
 }

@@ -3,13 +3,14 @@
 use std::collections::BTreeMap;
 
 use bus::MachineTime;
+use contract::node::Stopped;
 use contract::observatory::{Alert, AlertKind, Alerts, Priority};
 use contract::{Key, NodeTopic, Part};
 use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize};
 
 use crate::freshness::Quality;
-use crate::model::Telescope;
+use crate::model::{Entry, Telescope};
 
 /// Alerts by priority.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, JsonSchema, Serialize)]
@@ -52,7 +53,11 @@ pub fn active(telescope: &Telescope, now: MachineTime) -> Vec<Alert> {
                     }
                 }
             }
-            Key::Node(_, role, id, NodeTopic::State) if entry.quality(now) == Quality::Lost => {
+            // A node that was stopped in good order has reported that it would be silent.
+            Key::Node(_, role, id, NodeTopic::State)
+                if entry.quality(now) == Quality::Lost
+                    && stopped(entry).is_none_or(|stopped| stopped.closed == Some(false)) =>
+            {
                 let cause = format!("the {role} node {id} has fallen silent");
                 let alert = AlertKind::NodeSilent.alert(format_args!("{role}/{id}"), entry.at_utc, &cause);
                 found.insert(alert.id.clone(), alert);
@@ -63,6 +68,11 @@ pub fn active(telescope: &Telescope, now: MachineTime) -> Vec<Alert> {
     let mut alerts: Vec<Alert> = found.into_values().collect();
     alerts.sort_by(|a, b| (a.priority, a.raised_utc, &a.id).cmp(&(b.priority, b.raised_utc, &b.id)));
     alerts
+}
+
+/// How a node ended, where this is the last state of one that was asked to end.
+pub fn stopped(entry: &Entry) -> Option<Stopped> {
+    Stopped::deserialize(entry.body.get("stopped")?).ok()
 }
 
 #[cfg(test)]
@@ -113,5 +123,13 @@ mod tests {
         let samples = [("node/archive/main/state", json!({}))];
         assert!(ids(&samples, 110).is_empty());
         assert_eq!(ids(&samples, 130), ["node-silent/archive/main"]);
+    }
+
+    #[test]
+    fn a_node_that_was_stopped_in_good_order_is_no_alert_unless_it_left_something_open() {
+        let of = |stopped: Value| ids(&[("node/device/enclosure/state", json!({ "stopped": stopped }))], 9000);
+        assert!(of(json!({ "by": "starmesh up on dome-pc", "closed": true })).is_empty());
+        assert!(of(json!({ "by": "starmesh up on dome-pc" })).is_empty());
+        assert_eq!(of(json!({ "by": "a signal on dome-pc", "closed": false })), ["node-silent/device/enclosure"]);
     }
 }

@@ -5,16 +5,16 @@
 
 use bus::MachineTime;
 use contract::device::camera::Frame;
-use contract::node::NodeState;
+use contract::node::{NodeState, Stopped};
 use contract::observatory::{
     ActionNow, Alert, NightState, Posture, RowStatus, SafetyState, ScheduleState, Unsafe, Verdict,
 };
-use contract::{Address, Chunk, Key, NodeTopic, Part};
+use contract::{Address, Chunk, Key, NodeTopic, Part, Role};
 use schemars::JsonSchema;
 use serde::{Deserialize as _, Serialize};
 use units::Utc;
 
-use crate::alerts::{Counts, active};
+use crate::alerts::{Counts, active, stopped};
 use crate::freshness::Quality;
 use crate::model::{Entry, Telescope, Unreadable};
 
@@ -42,6 +42,9 @@ pub struct Face {
     pub shared: bool,
     /// Quality of the observatory node's payloads.
     pub quality: Quality,
+    /// Its observatory nodes were stopped in good order: that they are silent is no fault.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stopped: Option<StoppedTelescope>,
     /// The safety word.
     pub safety: Safety,
     /// The posture; `unknown` when stale.
@@ -89,6 +92,16 @@ pub struct Ages {
     pub image_age_s: Option<f64>,
     /// The observatory node's own time of its newest payload.
     pub reported_utc: Option<Utc>,
+}
+
+/// A telescope whose observatory nodes were stopped in good order.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize)]
+pub struct StoppedTelescope {
+    /// What stopped it, and whether it was closed then, in words.
+    pub text: String,
+    /// Everything that closes was verified closed; absent where nothing of it closes, or a node of it still runs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub closed: Option<bool>,
 }
 
 /// The verdict as the page shows it.
@@ -223,6 +236,8 @@ impl Summary {
             entry.at_utc.seconds_since(state.since_utc) / speed + entry.age(now).as_secs_f64()
         });
         let alerts = active(telescope, now);
+        let stopped = stopped_telescope(telescope);
+        let is_stopped_closed = stopped.as_ref().is_some_and(|stopped| stopped.closed == Some(true));
         let image = telescope.image.as_ref();
         let face = Face {
             id: address.to_string(),
@@ -230,7 +245,12 @@ impl Summary {
             telescope_id: address.telescope.clone(),
             shared,
             quality,
-            concern: if shared || quality == Quality::Never { None } else { concern(words.state, posture, held_s) },
+            concern: if shared || quality == Quality::Never || is_stopped_closed {
+                None
+            } else {
+                concern(words.state, posture, held_s)
+            },
+            stopped,
             safety: words,
             posture,
             mode: match fresh_night.map(|night| night.robotic) {
@@ -247,7 +267,9 @@ impl Summary {
             alert_counts: Counts::of(&alerts),
             alerts,
             device_count: devices(telescope, now),
-            node_count: heads(nodes(telescope, now).iter().map(|node| node.quality >= Quality::Lost)),
+            node_count: heads(
+                nodes(telescope, now).iter().map(|node| node.quality >= Quality::Lost && !node.state.ended_well()),
+            ),
             unreadable: telescope.unreadable(now),
             image: image.and_then(|image| {
                 let frame = Frame::deserialize(image.frame.as_ref()).ok()?;
@@ -285,6 +307,26 @@ pub fn nodes(telescope: &Telescope, now: MachineTime) -> Vec<NodeSummary> {
         _ => None,
     };
     telescope.states.values().filter_map(of).collect()
+}
+
+/// Whether all observatory nodes of a telescope that are known have ended in good order, and what they left.
+fn stopped_telescope(telescope: &Telescope) -> Option<StoppedTelescope> {
+    let of_role = |wanted: Role| {
+        telescope
+            .states
+            .values()
+            .filter(move |entry| matches!(&entry.key, Key::Node(_, role, _, NodeTopic::State) if *role == wanted))
+    };
+    let mut observatories = of_role(Role::Observatory).map(stopped).collect::<Option<Vec<_>>>()?;
+    let last = observatories.pop()?;
+    // What an enclosure's own node reports last counts more than what the observatory node saw before.
+    let enclosures = of_role(Role::Device).filter_map(stopped).filter_map(|stopped| stopped.closed);
+    let all: Vec<bool> = observatories.iter().chain([&last]).filter_map(|stopped| stopped.closed).collect();
+    let enclosures: Vec<bool> = enclosures.collect();
+    let known = if enclosures.is_empty() { all } else { enclosures };
+    let closed = (!known.is_empty()).then(|| known.iter().all(|closed| *closed));
+    let text = Stopped { closed, ..last }.to_string();
+    Some(StoppedTelescope { text, closed })
 }
 
 fn safety_words(state: Option<&(&Entry, SafetyState)>, now: MachineTime) -> Safety {
@@ -339,6 +381,15 @@ fn concern(safety: SafetyWord, posture: Posture, held_s: f64) -> Option<u8> {
 }
 
 fn devices(telescope: &Telescope, now: MachineTime) -> Heads {
+    let mut nodes = telescope.states.values().filter_map(|entry| match &entry.key {
+        Key::Node(_, Role::Device, _, NodeTopic::State) => Some(stopped(entry)),
+        _ => None,
+    });
+    // Devices whose nodes were stopped are silent, and that is no fault.
+    let first = nodes.next();
+    if first.is_some_and(|first| first.is_some()) && nodes.all(|stopped| stopped.is_some()) {
+        return heads(telescope.states.values().filter(|entry| matches!(entry.key, Key::State(_))).map(|_| false));
+    }
     let states = telescope.states.values().filter(|entry| matches!(entry.key, Key::State(_)));
     heads(states.map(|entry| entry.quality(now) >= Quality::Lost || entry.body["link"]["is"] == "lost"))
 }
@@ -372,6 +423,52 @@ mod tests {
         assert_eq!(concern(SafetyWord::Safe, Posture::Open, 0.0), None);
         assert_eq!(concern(SafetyWord::Unknown, Posture::Unknown, 0.0), Some(1));
         assert_eq!(concern(SafetyWord::Unsafe, Posture::Opening, 0.0), Some(1));
+    }
+
+    /// The summary of a telescope long after these last states, by the node's path below `node`.
+    fn long_after(states: &[(&str, serde_json::Value)]) -> Face {
+        let address = Address::new("paranal", "callisto").unwrap();
+        let network = crate::network::Network::new(bus::Clock::machine_clock(), address.clone());
+        let state = |pid: u32, stopped: &serde_json::Value| {
+            serde_json::json!({ "role": "observatory", "version": "", "host": "pc", "pid": pid, "uptime_s": 1.0,
+                "speed": 1.0, "stopped": stopped })
+        };
+        let night = serde_json::json!({ "robotic": true, "posture": "closed", "actions": [], "frames": 0, "open_s": 0,
+            "speed": 1, "simulated": false, "ended": false });
+        let receive =
+            |key: &str, body| crate::model::tests::received(&format!("paranal/callisto/{key}"), "b", 0, 100, body);
+        network.accept(receive("observatory/night/state", night));
+        for (node, stopped) in states {
+            network.accept(receive(&format!("node/{node}/state"), state(1, stopped)));
+        }
+        let now = MachineTime::from_boot(std::time::Duration::from_secs(9000));
+        Summary::of(&address, &network.read().telescopes[&address], now).face
+    }
+
+    #[test]
+    fn a_telescope_that_was_stopped_in_good_order_concerns_nobody_and_names_who_stopped_it() {
+        let by = |closed: Option<bool>| match closed {
+            Some(closed) => serde_json::json!({ "by": "starmesh up on pc", "closed": closed }),
+            None => serde_json::json!({ "by": "starmesh up on pc" }),
+        };
+        let runs = serde_json::Value::Null;
+        let all =
+            [("observatory/main", by(Some(true))), ("device/enclosure", by(Some(true))), ("device/main", by(None))];
+        let face = long_after(&all);
+        assert_eq!(face.stopped.unwrap().text, "stopped by starmesh up on pc, closed");
+        assert_eq!((face.concern, face.node_count, face.alerts.len()), (None, Heads { known: 3, lost: 0 }, 0));
+
+        let open = [("observatory/main", by(Some(false))), ("device/enclosure", by(Some(false)))];
+        let face = long_after(&open);
+        assert_eq!(face.stopped.unwrap().text, "stopped by starmesh up on pc, NOT verified closed");
+        assert!(face.concern == Some(1) && face.alerts.len() == 2 && face.node_count.lost == 2);
+
+        let closed_later = [("observatory/main", by(Some(false))), ("device/enclosure", by(Some(true)))];
+        assert_eq!(long_after(&closed_later).stopped.unwrap().closed, Some(true));
+        let standby = [("observatory/main", by(Some(true))), ("observatory/second", runs.clone())];
+        assert_eq!(long_after(&standby).stopped, None);
+        let lost = [("observatory/main", runs)];
+        assert!(long_after(&lost).concern == Some(1), "no node has published that it would be silent");
     }
 
     #[test]

@@ -39,13 +39,38 @@ pub async fn of_nodes(file: &config::Bus, supervisor: &Bus) -> Vec<String> {
     for locator in locators.iter().filter(|locator| locator.starts_with("tcp/127.0.0.1:")) {
         arguments.extend(["--connect".to_owned(), locator.clone()]);
     }
-    for endpoint in file.listen.iter().filter(|endpoint| is_elsewhere(endpoint, &locators)) {
+    // The address of files without `[bus]` is for all of them: the first has it, and the others meet it there.
+    let own = file.listen.iter().filter(|endpoint| *endpoint != config::endpoints::THIS_HOST);
+    for endpoint in own.filter(|endpoint| is_elsewhere(endpoint, &locators)) {
         lines::complain(format_args!(
             "starmesh: {endpoint} of [bus] listen is held by another program, or is no address of this host; \
              the nodes go on without it and meet the others where they can"
         ));
     }
     arguments
+}
+
+/// Where the bus of a file is reached, for a person.
+pub fn shown(file: &config::Bus, locators: &[String]) -> String {
+    // The loopback port of the nodes of this file is one more address of the same program.
+    let named = |locator: &&String| file.listen.iter().any(|endpoint| port(endpoint) == port(locator));
+    let mut addresses: Vec<&str> = locators.iter().filter(named).map(String::as_str).collect();
+    if addresses.is_empty() {
+        addresses.extend(locators.iter().take(1).map(String::as_str));
+    }
+    let is_here = |address: &&str| address.contains("/127.") || address.contains("/[::1]");
+    let whom = match (file.multicast, addresses.iter().all(is_here)) {
+        (true, _) => "and looks for others by multicast; everybody who reaches it may order",
+        (false, true) => "this host only",
+        (false, false) => "everybody who reaches it may order",
+    };
+    let addresses = if addresses.is_empty() { "no address".to_owned() } else { addresses.join(" and ") };
+    format!("the bus is at {addresses} ({whom})")
+}
+
+/// The port of an endpoint, as text.
+fn port(endpoint: &str) -> Option<&str> {
+    endpoint.split(['?', '#']).next().and_then(|address| address.rsplit_once(':')).map(|(_, port)| port)
 }
 
 /// Has this host a way to any other? A computer may start before its switch does, or work without a network.
@@ -65,8 +90,7 @@ fn with_free_port(endpoint: &str) -> String {
 
 /// Does this session listen nowhere on the port that was requested?
 fn is_elsewhere(endpoint: &str, locators: &[String]) -> bool {
-    let port = |text: &str| text.split(['?', '#']).next().and_then(|a| a.rsplit_once(':')).map(|(_, p)| p.to_owned());
-    let asked = port(endpoint).filter(|port| port != "0");
+    let asked = port(endpoint).filter(|port| *port != "0");
     asked.is_some() && !locators.iter().any(|locator| port(locator) == asked)
 }
 
@@ -90,5 +114,23 @@ mod tests {
         let locators = ["tcp/10.0.0.5:7447".to_owned(), "tcp/127.0.0.1:40001".to_owned()];
         assert!(!is_elsewhere("tcp/0.0.0.0:7447", &locators) && !is_elsewhere("tcp/0.0.0.0:0", &locators));
         assert!(is_elsewhere("tcp/10.0.0.5:7448", &locators));
+    }
+
+    #[test]
+    fn a_person_reads_where_the_bus_is_and_who_reaches_it() {
+        let bus = |listen: &[&str], multicast| config::Bus {
+            listen: listen.iter().map(|endpoint| (*endpoint).to_owned()).collect(),
+            connect: Vec::new(),
+            multicast,
+        };
+        let locators = ["tcp/127.0.0.1:7447".to_owned(), "tcp/127.0.0.1:40001".to_owned()];
+        let none = config::Bus::of_this_host();
+        assert_eq!(shown(&none, &locators), "the bus is at tcp/127.0.0.1:7447 (this host only)");
+        let elsewhere = "the bus is at tcp/127.0.0.1:40001 (this host only)";
+        assert_eq!(shown(&none, &locators[1..]), elsewhere, "the first of several `up` has the other address");
+        let locators = ["tcp/10.0.0.5:7447".to_owned(), "tcp/127.0.0.1:40001".to_owned()];
+        let named = shown(&bus(&["tcp/10.0.0.5:7447"], false), &locators);
+        assert_eq!(named, "the bus is at tcp/10.0.0.5:7447 (everybody who reaches it may order)");
+        assert!(shown(&bus(&[], true), &locators).contains("multicast"));
     }
 }

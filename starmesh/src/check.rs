@@ -56,7 +56,9 @@ fn configuration(file: &Path) -> anyhow::Result<Observatory> {
     let (config, mut faults) = config::examine(&text, folder);
     let mut held = Vec::new();
     if let Some(config) = &config {
-        let (found, what) = files::look(config);
+        // A key that is not there is located where it would stand.
+        let names_schedule = config::locate(&text, "schedule.file") != config::locate(&text, "schedule.another-key");
+        let (found, what) = files::look(config, names_schedule);
         faults.extend(found.into_iter().map(|(severity, path, what)| {
             let (line, column) = config::locate(&text, &path);
             config::Fault { line, column, severity, what }

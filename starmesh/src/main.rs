@@ -12,6 +12,7 @@ mod demo;
 mod discover;
 #[cfg(test)]
 mod documents_tests;
+mod first_tables;
 mod fits_files;
 mod images;
 mod import;
@@ -21,6 +22,7 @@ mod left;
 mod night;
 mod order;
 mod plan;
+mod reports;
 mod schedules;
 mod simulate;
 mod status;

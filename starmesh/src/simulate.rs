@@ -15,6 +15,9 @@ pub struct Options {
     /// Sky time at the start, such as 2026-11-21T01:00:00Z; now where absent.
     #[arg(long)]
     start: Option<Utc>,
+    /// Hours by which the sky is ahead of this machine's clock: so simulators on several hosts agree, and it can be night by day.
+    #[arg(long, allow_negative_numbers = true, conflicts_with = "start", value_parser = shift)]
+    shift_h: Option<f64>,
     /// Sky seconds per machine second.
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
@@ -88,7 +91,7 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     }
     let mut chosen = simulator::Options { bind: options.bind, speed: options.speed, ..Default::default() };
     chosen.discovery_port = options.discovery_port;
-    chosen.start = options.start.unwrap_or(chosen.start);
+    chosen.start = options.start.unwrap_or(chosen.start).plus_seconds(options.shift_h.unwrap_or(0.0) * 3600.0);
     chosen.latitude = options.latitude_deg.map_or(chosen.latitude, Angle::from_degrees);
     chosen.longitude = options.longitude_deg.map_or(chosen.longitude, Angle::from_degrees);
     chosen.dome.shutter_s = options.shutter_s.unwrap_or(chosen.dome.shutter_s);
@@ -112,6 +115,11 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     tokio::signal::ctrl_c().await?;
     simulator.stop().await;
     Ok(())
+}
+
+fn shift(text: &str) -> Result<f64, String> {
+    let hours = text.parse().ok().filter(|hours| (-87_600.0..=87_600.0).contains(hours));
+    hours.ok_or_else(|| "expected hours from -87600 to 87600".to_owned())
 }
 
 fn address(text: &str) -> Result<SocketAddr, String> {

@@ -1,4 +1,4 @@
-//! Starts node processes, watches them, restarts them with back-off, and ends them by their own id only.
+//! Starts node processes, watches them, ends those that hang, restarts them with back-off, and ends them by their own id only.
 
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -8,9 +8,11 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use contract::Role;
 use node::Stop;
+use node::watchdog::{self, Watchdog};
 use tokio::process::{Child, Command};
 
 use crate::left::Left;
+use crate::reports::Reports;
 
 /// How one node is started.
 #[derive(Debug, Clone)]
@@ -29,8 +31,12 @@ pub struct NodeProcess {
     pub with_parent: bool,
     /// The file with the started processes, for the next `up`.
     pub left: Option<Arc<Left>>,
+    /// Where its ends are reported that nobody asked for.
+    pub reports: Option<Reports>,
 }
 
+/// How nodes name this supervisor in their last state.
+const SUPERVISOR: &str = "starmesh up";
 /// A process that lived so long is healthy again: the next restart comes at once.
 const HEALTHY: Duration = Duration::from_secs(60);
 /// A node that ends again and again waits at most so long for its next start.
@@ -54,10 +60,10 @@ impl NodeProcess {
 
     /// Starts it.
     pub fn spawn(&self) -> anyhow::Result<Child> {
-        self.spawn_with(None)
+        self.spawn_with(None, None)
     }
 
-    fn spawn_with(&self, last_words: Option<&Path>) -> anyhow::Result<Child> {
+    fn spawn_with(&self, last_words: Option<&Path>, watchdog: Option<&Watchdog>) -> anyhow::Result<Child> {
         let program = std::env::current_exe().context("cannot find this program's own file")?;
         let mut command = Command::new(program);
         command.args(["node", self.role.word(), "--id", &self.id, "--config"]).arg(&self.config);
@@ -70,6 +76,12 @@ impl NodeProcess {
         if let Some(file) = last_words {
             command.env(node::start::LAST_WORDS, file);
         }
+        match watchdog {
+            Some(watchdog) => command.env(watchdog::SOCKET, watchdog.path()),
+            // A socket of our own supervisor is for us.
+            None => command.env_remove(watchdog::SOCKET),
+        };
+        command.env(node::SUPERVISOR, SUPERVISOR);
         // Ctrl-C in a terminal is for the supervisor alone, which ends its nodes in order.
         #[cfg(unix)]
         command.process_group(0);
@@ -91,26 +103,56 @@ impl NodeProcess {
         let mut printed_before = String::new();
         loop {
             let started = Instant::now();
-            let mut child = self.spawn_with(Some(&words))?;
+            let watchdog = Watchdog::open();
+            if let Err(error) = watchdog.as_ref().map_err(std::io::Error::kind)
+                && error != std::io::ErrorKind::Unsupported
+            {
+                node::lines::complain(format_args!(
+                    "starmesh: nobody will notice it if the {} node hangs: {error}",
+                    self.role
+                ));
+            }
+            let mut child = self.spawn_with(Some(&words), watchdog.as_ref().ok())?;
             // `wait` would close it, and the node would take that for our end.
             let lifeline = child.stdin.take();
-            let Some(ended) = stop.or(child.wait()).await else {
+            let running = async {
+                tokio::select! {
+                    ended = child.wait() => Some(ended),
+                    () = watchdog::hung(&watchdog) => None,
+                }
+            };
+            let Some(ended) = stop.or(running).await else {
                 drop(lifeline);
                 return end(child, self.end_within()).await;
             };
             // A process that has run for a while, or was killed, prints the cause of its end again.
+            let is_hung = ended.is_none();
+            let ended = match ended {
+                Some(ended) => ended,
+                None => {
+                    // It takes no signal that asks. The guard of an enclosure outlives its guard process, and the other way round.
+                    child.start_kill().context("cannot end a node that hangs")?;
+                    child.wait().await
+                }
+            };
             let is_known_failure = ended.as_ref().is_ok_and(|status| status.code() == Some(1));
             if !is_known_failure || started.elapsed() > HEALTHY {
                 printed_before.clear();
                 // Where the file cannot be emptied, a line is left out at most.
                 let _ = std::fs::write(&words, "");
             }
-            let status = ended.map_or_else(|error| error.to_string(), |status| status.to_string());
+            let mut status = ended.map_or_else(|error| error.to_string(), |status| status.to_string());
+            if is_hung {
+                status = "it did not report for 20 s, so it was killed".to_owned();
+            }
             pause = if started.elapsed() > HEALTHY {
                 Duration::from_secs(1)
             } else {
                 (pause * 2).min(self.longest_pause())
             };
+            if let Some(reports) = &self.reports {
+                reports.ended(self.role, &self.id, &status, is_hung);
+            }
             let text = std::fs::read_to_string(&words).unwrap_or_default();
             if text.is_empty() || text != printed_before {
                 node::lines::complain(format_args!(

@@ -12,6 +12,7 @@ use tokio::task::JoinSet;
 
 use crate::bus_address;
 use crate::left::Left;
+use crate::reports::Reports;
 use crate::supervise::NodeProcess;
 
 /// How often the command prints what it waits for.
@@ -43,11 +44,24 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
             }
         },
     };
-    // The nodes of one host meet here even where multicast does not work, and are introduced to each other by gossip.
+    // The nodes of this file meet here whatever the file says, and are introduced to each other by gossip.
     node::log::show_log();
-    let bus = Bus::open(&bus_address::of_supervisor(&config.bus), Clock::machine_clock()).await?;
+    let bus = Bus::open(&bus_address::of_supervisor(&config.bus), clock(&config).await).await?;
     let mut arguments = options.node_arguments.clone();
     arguments.extend(bus_address::of_nodes(&config.bus, &bus).await);
+    let (reports, reporting) = Reports::start(&bus, config.address());
+    tokio::spawn(async {
+        if let Err(error) = reporting.await {
+            lines::complain(format_args!("starmesh: ends of nodes are not reported on the bus any more: {error:#}"));
+        }
+    });
+    tokio::spawn(async {
+        loop {
+            // `up` itself may be run by a service manager.
+            node::service_manager::alive();
+            tokio::time::sleep(Duration::from_secs(5)).await;
+        }
+    });
     let node = |role, id: &str| NodeProcess {
         role,
         id: id.to_owned(),
@@ -56,9 +70,9 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         log: None,
         with_parent: role != Role::Device,
         left: Some(left.clone()),
+        reports: Some(reports.clone()),
     };
     let page = page(config.web.listen);
-    let brains = Stop::default();
     let mut devices: Vec<(String, Stop, JoinSet<anyhow::Result<()>>)> = Vec::new();
     // Enclosures first, at the start and at the end: an enclosure that waits for the mount needs the mount's node until
     // it is closed.
@@ -68,21 +82,28 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         task.spawn(async move { node.keep(stopped).await });
         devices.push((id.to_owned(), stop, task));
     }
-    let mut others = JoinSet::new();
     let shared = config.place.telescope.as_str() == contract::Address::SHARED;
-    let roles = [Role::Observatory, Role::Archive, Role::Web];
-    for role in roles.into_iter().filter(|role| !(shared && *role == Role::Observatory)) {
-        let (node, stop) = (node(role, config::MAIN_NODE), brains.clone());
-        others.spawn(async move { node.keep(stop).await });
-    }
-    lines::print_line(format_args!("{}: nodes started; {page}; Ctrl-C stops", config.address()));
+    let run = |roles: &[Role]| {
+        let (stop, mut tasks) = (Stop::default(), JoinSet::new());
+        for role in roles {
+            let (node, stopped) = (node(*role, config::MAIN_NODE), stop.clone());
+            tasks.spawn(async move { node.keep(stopped).await });
+        }
+        (stop, tasks)
+    };
+    let (stop_observatory, mut observatory) = run(if shared { &[] } else { &[Role::Observatory] });
+    // They send and store what the others report until the end.
+    let (stop_others, mut others) = run(&[Role::Archive, Role::Web]);
+    let at = bus_address::shown(&config.bus, &bus.locators().await);
+    lines::print_line(format_args!("{}: nodes started; {at}; {page}; Ctrl-C stops", config.address()));
     node::signals::end_asked().await;
     lines::print_line(
-        "stopping: the observatory node closes first (at most 15 s), then each enclosure's device node (at most 300 s)",
+        "stopping: the observatory node closes first (at most 15 s), then each enclosure's device node (at most 300 s); archive \
+         and web end last",
     );
-    brains.stop();
+    stop_observatory.stop();
     let ending = async {
-        while others.join_next().await.is_some() {}
+        while observatory.join_next().await.is_some() {}
         for (id, stop, mut task) in devices {
             stop.stop();
             let began = Instant::now();
@@ -94,6 +115,8 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
                 ));
             }
         }
+        stop_others.stop();
+        while others.join_next().await.is_some() {}
     };
     let in_good_order = tokio::select! {
         () = ending => true,
@@ -104,6 +127,15 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
     left.nothing();
     lines::print_line("stopped: every node has ended");
     Ok(())
+}
+
+/// The clock of the site, so that what `up` reports has the times of what the nodes report; that of the machine where the
+/// simulator does not answer yet.
+async fn clock(config: &config::Observatory) -> Clock {
+    match &config.clock.simulator {
+        Some(base) => Clock::of_simulator(base).await.unwrap_or_else(|_| Clock::machine_clock()),
+        None => Clock::machine_clock(),
+    }
 }
 
 /// The address of the page, before the web node has taken it.
@@ -139,6 +171,7 @@ async fn guarded_until_readable(
         log: None,
         with_parent: false,
         left: Some(left.clone()),
+        reports: None,
     };
     let (stop, mut task) = (Stop::default(), JoinSet::new());
     let stopped = stop.clone();

@@ -12,6 +12,9 @@ latitude_deg = -24.6
 longitude_deg = -70.4
 elevation_m = 2500
 
+[bus]
+multicast = true
+
 [web]
 listen = "127.0.0.1:0"
 TOML

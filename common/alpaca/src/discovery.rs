@@ -107,12 +107,25 @@ fn found(server: &str, device: &Value) -> Option<Found> {
     })
 }
 
+/// Of the names that are made of what devices call themselves.
+const LONGEST_NAME: usize = 32;
+
 /// A block ready for `observatory.toml`.
 pub fn as_toml(found: &Found) -> String {
     let Found { server, kind, number, .. } = found;
     let plain: String =
         found.name.to_ascii_lowercase().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
-    let plain: String = plain.trim_matches('_').chars().take(40).collect();
+    let words: Vec<&str> = plain.split('_').filter(|word| !word.is_empty()).collect();
+    // Whole words, as many as a column of the page has room for.
+    let mut plain = String::new();
+    for word in words {
+        let joint = if plain.is_empty() { "" } else { "_" };
+        if plain.len() + joint.len() + word.len() > LONGEST_NAME && !plain.is_empty() {
+            break;
+        }
+        plain += joint;
+        plain.extend(word.chars().take(LONGEST_NAME));
+    }
     let name = plain.parse::<Name>().map_or_else(|_| format!("{kind}_{number}"), |name| name.to_string());
     // A name may contain characters that end a line, or that a comment of TOML must not contain.
     let comment = contract::printable(&found.name);
@@ -133,9 +146,16 @@ mod tests {
             unique_id: "u1".to_owned(),
         };
         let place = "[observatory]\nsite = \"a\"\ntelescope = \"b\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\nelevation_m = 0.0\n";
-        for (given, taken) in
-            [("Baader \"Classic\" Dome", "baader__classic__dome"), ("a\u{1b}[2J\u{8}\n[[camera]]", "a__2j____camera")]
-        {
+        let long = "ASCOM Remote Driver for the Observatory's Main Dome (Controller Revision 7)";
+        for (given, taken) in [
+            ("Baader \"Classic\" Dome", "baader_classic_dome"),
+            ("a\u{1b}[2J\u{8}\n[[camera]]", "a_2j_camera"),
+            (long, "ascom_remote_driver_for_the"),
+            (&"x".repeat(300), &"x".repeat(32)),
+            ("<img src=x onerror=alert(1)>", "img_src_x_onerror_alert_1"),
+            ("Kuppel Süd", "kuppel_s_d"),
+            ("//", "dome_2"),
+        ] {
             let text = as_toml(&found(given));
             let parsed = config::parse(&format!("{place}{text}"), std::path::Path::new(".")).expect(&text);
             let dome = &parsed.dome[0].common;

@@ -276,6 +276,7 @@ mod tests {
             uptime_s: 1.0,
             speed: 1.0,
             figures: BTreeMap::new(),
+            stopped: None,
         };
         let (sender, mut receiver) = mpsc::unbounded_channel();
         let alive = node_key(Role::Archive, NodeTopic::Alive);

@@ -74,6 +74,7 @@ fn state(bytes: usize) -> NodeState {
         uptime_s: 1.0,
         speed: 1.0,
         figures: BTreeMap::new(),
+        stopped: None,
     }
 }
 

@@ -24,9 +24,8 @@ pub struct Alerting {
     pub flood_messages: u32,
     /// ... in so many minutes, machine time; what waits then comes as one digest.
     pub flood_minutes: f64,
-    /// Another node sends when no observatory node has published for so long, machine s; nobody does where it is
-    /// absent.
-    pub send_when_observatory_silent_s: Option<f64>,
+    /// Another node sends when no observatory node has published for so long, machine s; nobody does where it is 0.
+    pub send_when_observatory_silent_s: f64,
     /// Which role sends then: `archive` or `web`.
     pub stand_in: Role,
 }
@@ -41,7 +40,7 @@ impl Default for Alerting {
             ca_file: None,
             flood_messages: 10,
             flood_minutes: 10.0,
-            send_when_observatory_silent_s: None,
+            send_when_observatory_silent_s: 20.0,
             stand_in: Role::Archive,
         }
     }
@@ -203,8 +202,10 @@ impl Alerting {
         if !(self.flood_minutes > 0.0 && self.flood_minutes <= 1440.0) {
             add("", format!("alerts.flood_minutes = {}: expected more than 0 to 1440", self.flood_minutes));
         }
-        if self.send_when_observatory_silent_s.is_some_and(|s| !(20.0..=86400.0).contains(&s)) {
-            add("", "alerts.send_when_observatory_silent_s: expected 20 to 86400 s".to_owned());
+        let silent_s = self.send_when_observatory_silent_s;
+        if silent_s != 0.0 && !(20.0..=86400.0).contains(&silent_s) {
+            let what = "expected 20 to 86400 s, or 0 so that nobody sends in its place";
+            add("", format!("alerts.send_when_observatory_silent_s = {silent_s}: {what}"));
         }
         if !matches!(self.stand_in, Role::Archive | Role::Web) {
             add("", "alerts.stand_in: expected \"archive\" or \"web\"".to_owned());
@@ -242,6 +243,15 @@ mod tests {
     }
 
     #[test]
+    fn without_a_word_about_it_another_node_sends_after_twenty_seconds_and_a_zero_switches_that_off() {
+        let silent_s = |text: &str| {
+            crate::parse(&format!("{PLACE}{text}"), Path::new("/")).unwrap().alerts.send_when_observatory_silent_s
+        };
+        assert_eq!([silent_s(""), silent_s("[alerts]\n")], [20.0, 20.0]);
+        assert_eq!(silent_s("[alerts]\nsend_when_observatory_silent_s = 0\n"), 0.0);
+    }
+
+    #[test]
     fn the_example_for_operators_is_taken() {
         let page = include_str!("../../../docs/operator/alerts.md").replace("\r\n", "\n");
         let (_, rest) = page.split_once("```toml\n").unwrap();
@@ -274,6 +284,7 @@ mod tests {
                 "line 8: alerts.smtp: security = \"none\" would send the password in the open",
             ),
             (faults("[alerts]\nflood_messages = 0\n"), "expected 1 or more"),
+            (faults("[alerts]\nsend_when_observatory_silent_s = 10\n"), "expected 20 to 86400 s, or 0"),
             (faults("[alerts]\nstand_in = \"device\"\n"), "expected \"archive\" or \"web\""),
             (faults("[alerts.ping]\nurl = \"http://x\"\nperiod_s = 0\n"), "expected 1 to 86400 s"),
         ];

@@ -35,7 +35,7 @@ pub struct Observatory {
     #[serde(default)]
     pub folders: Folders,
     /// How the nodes meet.
-    #[serde(default)]
+    #[serde(default = "Bus::of_this_host")]
     pub bus: Bus,
     /// Where sky time comes from.
     #[serde(default)]
@@ -227,23 +227,17 @@ impl Default for Folders {
     }
 }
 
-/// `[bus]`: how the nodes meet.
-#[derive(Debug, Clone, Deserialize)]
+/// `[bus]`: how the nodes meet. Where the file has no such table, on this host alone: [`Bus::of_this_host`].
+#[derive(Debug, Clone, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Bus {
-    /// Zenoh endpoints to listen on, such as `tcp/0.0.0.0:7447`; a free port of every interface where empty
+    /// Zenoh endpoints to listen on, such as `tcp/10.0.0.5:7447`; a free port of every interface where empty
     /// and multicast is on, a free loopback port where it is off.
     pub listen: Vec<String>,
     /// Zenoh endpoints of peers to connect to; needed where multicast does not reach.
     pub connect: Vec<String>,
-    /// Find peers on the local network by multicast.
+    /// Find peers on the local network by multicast, and be found there by everybody.
     pub multicast: bool,
-}
-
-impl Default for Bus {
-    fn default() -> Self {
-        Self { listen: Vec::new(), connect: Vec::new(), multicast: true }
-    }
 }
 
 /// `[clock]`: where sky time comes from.

@@ -67,6 +67,9 @@ fn sections(observatory: &Observatory, findings: &mut Findings<'_>) {
         );
         findings.warning("spool.listen", what);
     }
+    for (key, what) in observatory.bus.warnings() {
+        findings.warning(key, what);
+    }
     for action in observatory.archive.filename.keys().filter(|action| !TEMPLATES.contains(&action.as_str())) {
         let help = crate::nearest::meant(action, TEMPLATES);
         let what = format!("archive.filename.{action}: no frames are named by this; {help}");

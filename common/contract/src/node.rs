@@ -1,6 +1,7 @@
 //! What a node says of itself.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -25,6 +26,37 @@ pub struct NodeState {
     /// What only this role reports, under names that end in their unit.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub figures: BTreeMap<String, Scalar>,
+    /// Only in the last state of a node that ended because it was asked to: it will be silent, and that is no fault.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stopped: Option<Stopped>,
+}
+
+/// The end in good order of a node.
+#[derive(Debug, Clone, PartialEq, Eq, JsonSchema, Serialize, Deserialize)]
+pub struct Stopped {
+    /// What asked for it, and where, such as `starmesh up on callisto-pc`.
+    pub by: String,
+    /// Whether what it closes was verified closed when it ended; absent for a node that closes nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub closed: Option<bool>,
+}
+
+impl NodeState {
+    /// Is the silence that follows this state no fault? A node that left something open is to be noticed.
+    pub fn ended_well(&self) -> bool {
+        self.stopped.as_ref().is_some_and(|stopped| stopped.closed != Some(false))
+    }
+}
+
+impl Display for Stopped {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let closed = match self.closed {
+            Some(true) => ", closed",
+            Some(false) => ", NOT verified closed",
+            None => "",
+        };
+        write!(f, "stopped by {}{closed}", self.by)
+    }
 }
 
 /// Figures of a device node end so: by how much the clock of the mount of that name is ahead of the node's, s.

@@ -26,7 +26,7 @@ struct Raised {
 
 impl AlertStates {
     /// Takes an alert; one that is there keeps its time and takes the new cause. True for a new one.
-    pub fn raise(&mut self, kind: AlertKind, mut alert: Alert, now: MachineTime) -> bool {
+    pub fn raise(&mut self, on_delay: Duration, mut alert: Alert, now: MachineTime) -> bool {
         let known = self.raised.get(&alert.id);
         let is_new = known.is_none();
         let show_at = match known {
@@ -34,7 +34,7 @@ impl AlertStates {
                 alert.raised_utc = known.alert.raised_utc;
                 known.show_at
             }
-            None => now.plus(seconds(kind.entry().on_delay_s)),
+            None => now.plus(on_delay),
         };
         self.raised.insert(alert.id.clone(), Raised { alert, show_at, gone_at: None });
         is_new
@@ -69,7 +69,7 @@ impl AlertStates {
     }
 }
 
-fn seconds(seconds: u16) -> Duration {
+pub(crate) fn seconds(seconds: u16) -> Duration {
     Duration::from_secs(u64::from(seconds))
 }
 
@@ -86,7 +86,7 @@ mod tests {
         let mut states = AlertStates::default();
         for (time, what) in scenario {
             if *what == '+' {
-                states.raise(kind, kind.alert("x", units::Utc::EPOCH, "c"), at(*time));
+                states.raise(seconds(kind.entry().on_delay_s), kind.alert("x", units::Utc::EPOCH, "c"), at(*time));
             } else {
                 states.clear(kind, &kind.id("x"), at(*time));
             }
@@ -124,9 +124,9 @@ mod tests {
         let now = MachineTime::from_boot(Duration::from_secs(9));
         let at = |s| units::Utc::from_seconds(s);
         let mut states = AlertStates::default();
-        assert!(states.raise(HELD, HELD.alert("x", at(1.0), "first"), now));
+        assert!(states.raise(seconds(HELD.entry().on_delay_s), HELD.alert("x", at(1.0), "first"), now));
         assert!(states.clear(HELD, &HELD.id("x"), now));
-        assert!(!states.raise(HELD, HELD.alert("x", at(2.0), "second"), now));
+        assert!(!states.raise(seconds(HELD.entry().on_delay_s), HELD.alert("x", at(2.0), "second"), now));
         let published = states.published(now).alerts;
         assert_eq!((published[0].raised_utc, published[0].cause.as_str()), (at(1.0), "second"));
     }
@@ -136,7 +136,7 @@ mod tests {
         let now = MachineTime::from_boot(Duration::from_secs(9));
         let mut states = AlertStates::default();
         assert_eq!(states.next_change(now), None);
-        states.raise(DELAYED, DELAYED.alert("x", units::Utc::EPOCH, "c"), now);
+        states.raise(seconds(DELAYED.entry().on_delay_s), DELAYED.alert("x", units::Utc::EPOCH, "c"), now);
         assert_eq!(states.next_change(now), Some(seconds(DELAYED.entry().on_delay_s)));
     }
 
@@ -146,7 +146,11 @@ mod tests {
         let mut states = AlertStates::default();
         let raised = [(AlertKind::Disk, "a", 1.0), (HELD, "younger", 3.0), (HELD, "older", 2.0)];
         for (kind, instance, raised_s) in raised {
-            states.raise(kind, kind.alert(instance, units::Utc::from_seconds(raised_s), "c"), now);
+            states.raise(
+                seconds(kind.entry().on_delay_s),
+                kind.alert(instance, units::Utc::from_seconds(raised_s), "c"),
+                now,
+            );
         }
         let ids: Vec<String> = states.published(now).alerts.into_iter().map(|alert| alert.id).collect();
         assert_eq!(ids, [HELD.id("older"), HELD.id("younger"), AlertKind::Disk.id("a")]);
@@ -157,7 +161,7 @@ mod tests {
         let now = MachineTime::from_boot(Duration::from_secs(9));
         let hold = seconds(HELD.entry().hold_s);
         let mut states = AlertStates::default();
-        states.raise(HELD, HELD.alert("x", units::Utc::EPOCH, "c"), now);
+        states.raise(seconds(HELD.entry().on_delay_s), HELD.alert("x", units::Utc::EPOCH, "c"), now);
         assert_eq!(states.next_change(now), None, "time alone changes no active alert");
         states.clear(HELD, &HELD.id("x"), now);
         assert_eq!(states.next_change(now), Some(hold));

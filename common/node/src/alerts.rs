@@ -3,13 +3,14 @@
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use bus::Clock;
 use contract::observatory::{AlertKind, Alerts, Notification};
 use contract::printable;
 use tokio::sync::{Notify, watch};
 
-use crate::alert_states::AlertStates;
+use crate::alert_states::{AlertStates, seconds};
 
 /// Where a node raises what needs a person. Cheap to clone.
 #[derive(Clone)]
@@ -32,12 +33,21 @@ impl NodeAlerts {
     /// Raises an alert; one that is active already keeps its time and takes the new cause. `instance` distinguishes
     /// alerts of one kind; it is empty where there is only one.
     pub fn raise(&self, kind: AlertKind, instance: impl Display, cause: &str) {
+        self.raise_after(seconds(kind.entry().on_delay_s), kind, instance, cause);
+    }
+
+    /// Raises an alert without the on-delay of its kind: who raises it has waited already.
+    pub fn raise_at_once(&self, kind: AlertKind, instance: impl Display, cause: &str) {
+        self.raise_after(Duration::ZERO, kind, instance, cause);
+    }
+
+    fn raise_after(&self, on_delay: Duration, kind: AlertKind, instance: impl Display, cause: &str) {
         // A cause holds what servers answered and schedules say.
         let cause = &*printable(cause);
         let alert = kind.alert(instance, self.clock.utc(), cause);
         let mut states = self.states();
         let (id, priority) = (alert.id.clone(), alert.priority);
-        if states.raise(kind, alert, self.clock.machine()) {
+        if states.raise(on_delay, alert, self.clock.machine()) {
             tracing::warn!(id, ?priority, cause, "alert raised");
         }
         self.show(&mut states);

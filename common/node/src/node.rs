@@ -1,14 +1,14 @@
 //! A node that has joined the bus, and what it publishes about itself.
 
 use std::future::Future;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use bus::{Bus, Clock, MachineTime};
 use config::Observatory;
 use config::header::HeaderTable;
-use contract::node::{DiaryLine, NodeState};
-use contract::{Key, Name, NodeTopic, Role, Scalar};
+use contract::node::{DiaryLine, NodeState, Stopped};
+use contract::{Key, Name, NodeTopic, Role, Scalar, printable};
 use tokio::sync::mpsc;
 
 use crate::alerts::NodeAlerts;
@@ -38,7 +38,13 @@ pub struct Node {
     /// Set when it is time to end, at once.
     pub stop: Stop,
     figures: Figures,
+    closed: Arc<OnceLock<bool>>,
 }
+
+/// The variable by which a supervisor names itself to its nodes, for what they publish when they end.
+pub const SUPERVISOR: &str = "STARMESH_SUPERVISOR";
+/// The last state is on its way for so long before the bus is left.
+const LEAVES: Duration = Duration::from_millis(300);
 
 impl Node {
     /// A node around a bus that is open already.
@@ -54,7 +60,14 @@ impl Node {
             ending: Stop::default(),
             stop: Stop::default(),
             figures: Figures::default(),
+            closed: Arc::default(),
         }
+    }
+
+    /// Notes, at an end in good order, whether what this node closes is verified closed; its last state publishes it.
+    pub fn ends_closed(&self, is_closed: bool) {
+        // The first one counts: a node ends once.
+        let _ = self.closed.set(is_closed);
     }
 
     /// One of this node's own keys.
@@ -98,7 +111,7 @@ impl Node {
             }
             std::future::pending::<anyhow::Result<()>>().await
         };
-        tokio::select! {
+        let ended = tokio::select! {
             result = work => result,
             result = health => result,
             result = twin::leave_to_older(&state_key, &self.id, &self.bus, &self.alerts) => result,
@@ -107,7 +120,21 @@ impl Node {
             result = write => result,
             () = self.alerts.keep_time() => Ok(()),
             result = alerts.follow(self.alerts.watch(), Duration::from_secs(10)) => Ok(result?),
+        };
+        if self.ending.is_stopped() && (ended.is_ok() || self.closed.get().is_some()) {
+            // Others must not take the silence that follows for a fault.
+            let last = NodeState { stopped: Some(self.stopped()), ..self.state() };
+            if let Err(error) = states.put(last).await {
+                tracing::warn!(%error, "the last state of this node was not published");
+            }
+            tokio::time::sleep(LEAVES).await;
         }
+        ended
+    }
+
+    fn stopped(&self) -> Stopped {
+        let who = std::env::var(SUPERVISOR).unwrap_or_else(|_| "a signal".to_owned());
+        Stopped { by: printable(&format!("{who} on {}", host_name())).into_owned(), closed: self.closed.get().copied() }
     }
 
     fn state(&self) -> NodeState {
@@ -120,6 +147,7 @@ impl Node {
             uptime_s: now.since(started()).as_secs_f64(),
             speed: self.bus.clock().speed(),
             figures: self.figures.all(),
+            stopped: None,
         }
     }
 }

@@ -1,16 +1,18 @@
-//! Notifies the service manager that this process is up and its loops turn (`sd_notify` of systemd).
+//! Notifies whoever supervises this process that it is up and its loops turn: systemd (`sd_notify`), `starmesh up`, or the
+//! device node that starts the others ([`crate::watchdog`]).
 //!
 //! The protocol is one datagram to the socket that `NOTIFY_SOCKET` names; nothing happens where there is none.
 
 /// Reports that the process is ready and alive. The manager's `WatchdogSec` ends and restarts a process that stops
 /// reporting. Cheap: at most one datagram each second.
 pub fn alive() {
-    #[cfg(target_os = "linux")]
-    linux::send();
+    #[cfg(unix)]
+    socket::send();
 }
 
-#[cfg(target_os = "linux")]
-mod linux {
+#[cfg(unix)]
+mod socket {
+    #[cfg(target_os = "linux")]
     use std::os::linux::net::SocketAddrExt as _;
     use std::os::unix::net::{SocketAddr, UnixDatagram};
     use std::sync::{Mutex, OnceLock, PoisonError};
@@ -33,7 +35,10 @@ mod linux {
     fn open() -> Option<(UnixDatagram, SocketAddr)> {
         let name = std::env::var("NOTIFY_SOCKET").ok()?;
         let manager = match name.strip_prefix('@') {
+            #[cfg(target_os = "linux")]
             Some(name) => SocketAddr::from_abstract_name(name).ok()?,
+            #[cfg(not(target_os = "linux"))]
+            Some(_) => return None,
             None => SocketAddr::from_pathname(&name).ok()?,
         };
         let socket = UnixDatagram::unbound().ok()?;

@@ -13,7 +13,12 @@ use crate::log::init_tracing;
 use crate::node::{Node, started};
 use crate::options::NodeOptions;
 use crate::signals::{end_asked, parent_end, termination};
-use crate::{lines, private, service_manager, signals};
+use crate::{lines, private, runs, service_manager, signals};
+
+/// The supervisor learns so often that this process runs; its timeout is a multiple of it.
+const REPORT: Duration = Duration::from_secs(5);
+/// A simulator that does not answer is asked so often, each second, before the node ends for that.
+const SIMULATOR_TRIES: u32 = 30;
 
 /// Starts one node as a process of its own: options, configuration, clock, bus, then `run` until a signal.
 ///
@@ -55,6 +60,13 @@ where
     W: Future<Output = anyhow::Result<()>>,
 {
     started();
+    // From the first moment on: what a node waits for at its start, such as its clock, is no reason to end it.
+    tokio::spawn(async {
+        loop {
+            service_manager::alive();
+            tokio::time::sleep(REPORT).await;
+        }
+    });
     let (mut config, header, wrong) = read_config_of_node(&options.config)?;
     if options.check {
         anyhow::ensure!(wrong.is_none(), "{}", wrong.unwrap_or_default());
@@ -72,7 +84,7 @@ where
     let diary = init_tracing();
     let opened = async {
         let clock = match &config.clock.simulator {
-            Some(base) => Clock::of_simulator(base).await?,
+            Some(base) => clock_of_simulator(base).await?,
             None => Clock::machine_clock(),
         };
         anyhow::Ok(Bus::open(&config.bus, clock).await?)
@@ -100,15 +112,26 @@ where
             asked_to_end(&node);
         });
     }
-    tokio::spawn(async {
-        loop {
-            service_manager::alive();
-            tokio::time::sleep(Duration::from_secs(5)).await;
-        }
-    });
-    let result = node.clone().live(diary, run(node)).await;
+    let runs = node.clone();
+    tokio::spawn(async move { runs::notice(&runs).await });
+    let result = node.clone().live(diary, run(node.clone())).await;
     bus.close().await;
+    if result.is_ok() {
+        runs::ended_well(&node).await;
+    }
     result
+}
+
+/// The clock of a simulator, which may be started in the same moment as this node.
+async fn clock_of_simulator(base: &str) -> anyhow::Result<Clock> {
+    for _ in 1..SIMULATOR_TRIES {
+        match Clock::of_simulator(base).await {
+            Ok(clock) => return Ok(clock),
+            Err(bus::ClockError::NoAnswer { .. }) => tokio::time::sleep(Duration::from_secs(1)).await,
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Ok(Clock::of_simulator(base).await?)
 }
 
 /// The file by which a supervisor passes to a node the error that it logged when it ended last, so that a node that

@@ -27,6 +27,7 @@ pub async fn leave_to_older(key: &Key, id: &Name, bus: &Bus, alerts: &NodeAlerts
     loop {
         if let Ok(received) = tokio::time::timeout(GONE, states.recv()).await
             && received.sample.boot_id != *own
+            && received.sample.body.stopped.is_none()
         {
             let NodeState { role, host, pid, .. } = &received.sample.body;
             let cause = format!("another {role} node with id \"{id}\" runs on host \"{host}\" as process {pid}");

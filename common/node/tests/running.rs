@@ -87,6 +87,47 @@ async fn a_node_publishes_its_figures_a_full_disk_and_a_twin_elsewhere_and_ends_
     soon(task).await.unwrap().unwrap();
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_that_is_asked_to_end_publishes_that_it_was_stopped_and_one_that_fails_does_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = "[observatory]\nsite = \"site\"\ntelescope = \"alpha\"\nlatitude_deg = 0.0\nlongitude_deg = 0.0\n\
+                elevation_m = 0.0\n";
+    for (closed, fails, wanted) in [
+        (None, false, Some(None)),
+        (Some(true), false, Some(Some(true))),
+        (Some(false), true, Some(Some(false))),
+        (None, true, None),
+    ] {
+        let config = config::parse(text, folder.path()).unwrap();
+        let own = open(Vec::new()).await;
+        let node = Node::new(Role::Device, "main".parse().unwrap(), config, Default::default(), own.clone());
+        let other = open(own.locators().await).await;
+        let states = other.subscribe::<NodeState>(node.key(NodeTopic::State), Catch::All, 100).await.unwrap();
+        let (living, stop) = (node.clone(), node.stop.clone());
+        let task = tokio::spawn(living.live(None, async move {
+            stop.wait().await;
+            anyhow::ensure!(!fails, "the dome is open");
+            Ok(())
+        }));
+        assert_eq!(soon(states.recv()).await.sample.body.stopped, None, "it runs");
+        if let Some(closed) = closed {
+            node.ends_closed(closed);
+        }
+        node.ending.stop();
+        node.stop.stop();
+        if wanted.is_some() {
+            let last = loop {
+                if let Some(stopped) = soon(states.recv()).await.sample.body.stopped {
+                    break stopped;
+                }
+            };
+            assert_eq!(Some(last.closed), wanted);
+            assert_eq!(last.by, format!("a signal on {}", host_name()));
+        }
+        assert_eq!(soon(task).await.unwrap().is_err(), fails);
+    }
+}
+
 #[test]
 fn an_alert_shows_no_control_characters_and_wakes_nobody_when_nothing_changed() {
     let alerts = NodeAlerts::new(Clock::machine_clock());

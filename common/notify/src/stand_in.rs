@@ -6,7 +6,7 @@ use std::time::Duration;
 use bus::{Catch, MachineTime, Received};
 use contract::node::NodeState;
 use contract::observatory::{AlertKind, Alerts, merge};
-use contract::{Key, Name, NodeTopic, Part, Role, Scalar, Topic};
+use contract::{Address, Key, Name, NodeTopic, Part, Role, Scalar, Topic};
 use node::Node;
 use tokio::sync::watch;
 use units::Utc;
@@ -21,28 +21,77 @@ const SILENCE: Duration = Duration::from_secs(60);
 const HOLD: Duration = Duration::from_secs(30);
 /// A node publishes its state every 5 s.
 const LOST: Duration = Duration::from_secs(15);
+/// An observatory node that never published since this node began has so long to start, on a busy machine and with its first
+/// look at the devices.
+const START: Duration = Duration::from_secs(60);
+/// The mailboxes of this node begin before the alert about the silence is raised: for alerts from before their time they wait
+/// for what others have sent.
+const FIRST_BEGIN: Duration = Duration::from_secs(1);
 /// The field in this node's state that shows others that it stands in.
 const FIGURE: &str = "stands_in_after_s";
 
 /// Sends in its place while it is silent, for ever; does nothing where the configuration gives this task to another
-/// role.
+/// role or to nobody.
 ///
 /// Events that the silent node has sent are not sent again, and the node that returns receives the report of what this
-/// one sent. Of several nodes that stand in, the one with the first name sends.
+/// one sent. Of several nodes that stand in, the one with the first name sends. Shared devices have no observatory node: for
+/// them a node that stands in always sends.
 ///
 /// # Errors
 ///
 /// The bus cannot be listened to.
 pub async fn keep_substituting(node: Node) -> anyhow::Result<()> {
     let alerting = &node.config.alerts;
-    let Some(timeout_s) = alerting.send_when_observatory_silent_s.filter(|_| alerting.stand_in == node.role) else {
+    let timeout_s = alerting.send_when_observatory_silent_s;
+    if timeout_s <= 0.0 || alerting.stand_in != node.role {
         return std::future::pending().await;
-    };
+    }
     node.figure(FIGURE, Scalar::Float(timeout_s));
     let (shown, alerts) = watch::channel(None);
     tokio::select! {
         result = keep_sending(node.clone(), alerts) => result,
         result = keep_watching(&node, Duration::from_secs_f64(timeout_s), &shown) => result,
+    }
+}
+
+/// Whether the observatory nodes of a telescope send alerts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Presence {
+    /// One does.
+    Sends,
+    /// None does, and that is no fault: they were stopped in good order, or the devices are shared and have none.
+    Absent,
+    /// None has published for too long.
+    Silent,
+}
+
+/// What is known of the observatory nodes of a telescope. Pure: time comes in.
+struct Observatories {
+    timeout: Duration,
+    began: MachineTime,
+    /// Shared devices have none.
+    is_shared: bool,
+    /// Those that have published their state, and whether it was the last one of an end in good order.
+    stopped: BTreeMap<Name, bool>,
+}
+
+impl Observatories {
+    fn take(&mut self, id: Name, state: &NodeState) {
+        if self.stopped.len() < MOST_NODES || self.stopped.contains_key(&id) {
+            self.stopped.insert(id, state.ended_well());
+        }
+    }
+
+    /// By the arrival of the newest alerts that one of them published.
+    fn presence(&self, newest: Option<MachineTime>, now: MachineTime) -> Presence {
+        if self.is_shared || (!self.stopped.is_empty() && self.stopped.values().all(|is_stopped| *is_stopped)) {
+            return Presence::Absent;
+        }
+        let is_silent = match newest {
+            Some(arrived) => now.since(arrived) >= self.timeout,
+            None => now.since(self.began) >= self.timeout.max(START),
+        };
+        if is_silent { Presence::Silent } else { Presence::Sends }
     }
 }
 
@@ -60,11 +109,11 @@ impl Elders {
     }
 
     fn observe(&mut self, node: &Node, state: Received<NodeState>) {
-        if let Key::Node(_, _, id, NodeTopic::State) = state.key
-            && id < node.id
-            && state.sample.body.figures.contains_key(FIGURE)
-        {
+        let Key::Node(_, _, id, NodeTopic::State) = state.key else { return };
+        if id < node.id && state.sample.body.figures.contains_key(FIGURE) && state.sample.body.stopped.is_none() {
             self.received.insert(id, state.arrived);
+        } else {
+            self.received.remove(&id);
         }
     }
 
@@ -81,21 +130,35 @@ async fn keep_watching(node: &Node, timeout: Duration, shown: &watch::Sender<Opt
     let address = node.config.address();
     let merged = node.bus.latest::<Alerts>(&Key::Observatory(address.clone(), Part::Alerts)).await?;
     let nodes = node.bus.subscribe::<Alerts>(Topic::Node(NodeTopic::Alerts).at(&address), Catch::Newest, 256).await?;
+    let keys = Topic::Node(NodeTopic::State).at(&address).of_role(Role::Observatory);
+    let states = node.bus.subscribe::<NodeState>(keys, Catch::Newest, 64).await?;
     let mut elders = Elders::listen(node).await?;
     let clock = node.bus.clock().clone();
     let mut last_silent: Option<MachineTime> = None;
-    let began = clock.machine();
+    let mut silent_since: Option<MachineTime> = None;
+    let mut observatories = Observatories {
+        timeout,
+        began: clock.machine(),
+        is_shared: address.telescope.as_str() == Address::SHARED,
+        stopped: BTreeMap::new(),
+    };
     let mut own = node.alerts.watch();
     let mut received: BTreeMap<(Role, Name), (Alerts, MachineTime)> = BTreeMap::new();
     let instance = format!("{}/{}", Role::Observatory, address.telescope);
     loop {
         let now = clock.machine();
-        let is_silent = merged.fresh(timeout).is_none() && now.since(began) >= timeout;
-        if is_silent {
-            let cause = format!("no observatory node of {address} has published for {} s", timeout.as_secs());
-            node.alerts.raise(AlertKind::NodeSilent, &instance, &cause);
-            last_silent = Some(now);
-        } else if last_silent.is_none_or(|at| now.since(at) >= HOLD) {
+        let presence = observatories.presence(merged.get().map(|newest| newest.arrived), now);
+        if presence == Presence::Silent {
+            if now.since(*silent_since.get_or_insert(now)) >= FIRST_BEGIN {
+                let cause = format!("no observatory node of {address} has published for {} s", timeout.as_secs());
+                // The time of the silence was its delay.
+                node.alerts.raise_at_once(AlertKind::NodeSilent, &instance, &cause);
+                last_silent = Some(now);
+            }
+        } else {
+            silent_since = None;
+        }
+        if presence != Presence::Silent && last_silent.is_none_or(|at| now.since(at) >= HOLD) {
             node.alerts.clear(AlertKind::NodeSilent, &instance);
         }
         received.retain(|_, (_, arrived)| now.since(*arrived) <= SILENCE);
@@ -103,7 +166,7 @@ async fn keep_watching(node: &Node, timeout: Duration, shown: &watch::Sender<Opt
         let active = merge(lists.chain(received.values().map(|(alerts, _)| alerts.clone())));
         let last = merged.get().map(|last| last.sample.body).unwrap_or_default();
         let all = in_its_place(active, last, clock.utc());
-        let now_shown = (is_silent && !elders.are_there(now)).then_some(all);
+        let now_shown = (presence != Presence::Sends && !elders.are_there(now)).then_some(all);
         shown.send_if_modified(|shown| {
             let is_new = *shown != now_shown;
             *shown = now_shown;
@@ -119,6 +182,11 @@ async fn keep_watching(node: &Node, timeout: Duration, shown: &watch::Sender<Opt
                 }
             }
             state = elders.states.recv() => elders.observe(node, state),
+            state = states.recv() => {
+                if let Key::Node(_, _, id, NodeTopic::State) = state.key {
+                    observatories.take(id, &state.sample.body);
+                }
+            }
             changed = own.changed() => changed?,
             () = tokio::time::sleep(Duration::from_secs(1)) => {}
         }
@@ -146,9 +214,58 @@ fn in_its_place(active: Alerts, last: Alerts, now: Utc) -> Alerts {
 
 #[cfg(test)]
 mod tests {
+    use contract::node::Stopped;
     use contract::observatory::Alert;
 
     use super::*;
+
+    #[test]
+    fn a_silent_observatory_node_is_noticed_and_one_that_was_stopped_is_no_fault_while_another_node_sends_at_once() {
+        let at = |s| MachineTime::from_boot(Duration::from_secs(s));
+        let state = |stopped: Option<bool>| NodeState {
+            role: Role::Observatory,
+            version: String::new(),
+            host: String::new(),
+            pid: 1,
+            uptime_s: 1.0,
+            speed: 1.0,
+            figures: BTreeMap::new(),
+            stopped: stopped.map(|closed| Stopped { by: String::new(), closed: Some(closed) }),
+        };
+        let of = |is_shared, states: &[(&str, Option<bool>)]| {
+            let timeout = Duration::from_secs(20);
+            let mut known = Observatories { timeout, began: at(0), is_shared, stopped: BTreeMap::new() };
+            states.iter().for_each(|(id, stopped)| known.take(id.parse().unwrap(), &state(*stopped)));
+            known
+        };
+        let main = [("main", None)];
+        for (name, known, newest_s, now_s, wanted) in [
+            ("it sends", of(false, &main), Some(100), 119, Presence::Sends),
+            ("it is silent", of(false, &main), Some(100), 120, Presence::Silent),
+            ("nobody has begun yet", of(false, &[]), None, 59, Presence::Sends),
+            ("nobody ever began", of(false, &[]), None, 60, Presence::Silent),
+            ("it was stopped", of(false, &[("main", Some(true))]), Some(100), 101, Presence::Absent),
+            ("it has been stopped for long", of(false, &[("main", Some(true))]), Some(100), 9000, Presence::Absent),
+            ("it left a dome open", of(false, &[("main", Some(false))]), Some(100), 120, Presence::Silent),
+            (
+                "the standby goes on",
+                of(false, &[("main", Some(true)), ("second", None)]),
+                Some(100),
+                110,
+                Presence::Sends,
+            ),
+            (
+                "it was started again",
+                of(false, &[("main", Some(true)), ("main", None)]),
+                Some(100),
+                120,
+                Presence::Silent,
+            ),
+            ("shared devices have none", of(true, &[]), None, 1, Presence::Absent),
+        ] {
+            assert_eq!(known.presence(newest_s.map(at), at(now_s)), wanted, "{name}");
+        }
+    }
 
     #[test]
     fn what_the_silent_node_published_last_holds_until_others_publish_otherwise() {

@@ -134,6 +134,7 @@ mod tests {
             uptime_s: 1.0,
             speed: 1.0,
             figures: free_gb.map(|free| (DATA_FREE.to_owned(), Scalar::Float(free))).into_iter().collect(),
+            stopped: None,
         }
     }
 

@@ -105,7 +105,7 @@ impl Copy {
             telescope: config.place.telescope.clone(),
             domes,
             leaving: Vec::new(),
-            connect: config.bus.connect.clone(),
+            connect: config.bus.meeting_points(),
             multicast: config.bus.multicast,
             tokens: BTreeMap::new(),
         })

@@ -31,7 +31,8 @@ pub async fn close_first(authority: Arc<Authority>, leaves_alone: Arc<AtomicBool
             received = nodes.recv() => {
                 let is_observatory = matches!(received.key, Key::Node(_, Role::Observatory, _, NodeTopic::State));
                 if is_observatory && received.sample.boot_id != *authority.node.bus.boot_id() {
-                    received_at = Some(received.arrived);
+                    let takes_over = received.sample.body.stopped.is_none();
+                    received_at = takes_over.then_some(received.arrived);
                 }
             }
         }
@@ -47,6 +48,7 @@ pub async fn close_first(authority: Arc<Authority>, leaves_alone: Arc<AtomicBool
         tracing::warn!(within_s = CLOSE_WITHIN.as_secs(), "the node was asked to end; everything is closed first");
         let closing = authority.close("the observatory node was asked to end and no other one is on standby");
         let is_closed = tokio::time::timeout(CLOSE_WITHIN, closing).await.is_ok();
+        authority.node.ends_closed(is_closed);
         // A guard need not wait until the last permit has run out.
         leaves_alone.store(true, Ordering::Relaxed);
         if !is_closed {

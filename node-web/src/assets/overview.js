@@ -6,8 +6,11 @@ import { quality, store, touch } from "./link.js";
 /** How a summary stands now: its worth and age, judged here too, because words stop coming when the link is lost. */
 export function standing(summary) {
   const age = summary.age_s === null ? null : summary.age_s + (performance.now() - summary.received) / 1000;
-  const worth = age === null ? "never" : quality(age, 1);
-  const fresh = worth === "fresh";
+  const judged = age === null ? "never" : quality(age, 1);
+  const fresh = judged === "fresh";
+  // its nodes were stopped in good order: that they are silent concerns nobody, unless something is open
+  const stopped = !fresh && summary.stopped && summary.stopped.closed !== false;
+  const worth = stopped ? "stopped" : judged;
   const concern = fresh ? summary.concern : store.link === "live" && age !== null && worth === "lost" ? summary.concern ?? 1 : null;
   return {
     age,
@@ -16,6 +19,8 @@ export function standing(summary) {
     safety: fresh ? summary.safety?.state ?? "unknown" : "unknown",
     posture: fresh ? summary.posture : "unknown",
     mode: fresh ? summary.mode : "unknown",
+    stopped: fresh || !summary.stopped ? "" : summary.stopped.text,
+    isStopped: Boolean(stopped),
     fresh,
   };
 }
@@ -30,7 +35,7 @@ export function alertCounts(counts) {
 
 /** An age that ticks, with the word for what it is worth. */
 export function ageMark(age, worth, after = "") {
-  const words = { fresh: "", stale: "stale ", lost: "lost ", never: "" }[worth];
+  const words = { fresh: "", stale: "stale ", lost: "lost ", never: "", stopped: "stopped " }[worth];
   const shown = age === null ? "not received yet" : words + duration(age) + after;
   return h("span", { class: `age ${worth}`, "data-age": age === null ? "" : Math.floor(age), "data-quality": worth }, shown);
 }
@@ -99,7 +104,7 @@ function tile(summary) {
     h("div", { class: "tile-head" }, h("h3", {}, summary.telescope_id),
       h("span", { class: "modes" }, summary.simulated && h("span", { class: "word sim" }, "SIMULATION"), h("span", { class: "word" }, now.mode === "unknown" ? "" : now.mode.toUpperCase()))),
     h("p", { class: "words" }, words(now)),
-    h("p", { class: "doing" }, now.worth === "never" ? "no observatory node has published yet" : activity(summary, now.fresh)),
+    h("p", { class: "doing" }, now.stopped && !now.isStopped ? now.stopped : now.worth === "never" ? "no observatory node has published yet" : activity(summary, now.fresh)),
     summary.schedule && h("p", { class: "muted" }, `${summary.schedule.finished} of ${summary.schedule.rows} rows done`, summary.schedule.failed ? `, ${summary.schedule.failed} failed or skipped` : "", ` · ${summary.frames} frames`),
     !navigator.connection?.saveData && picture(arrived(summary), "thumb"),
     unreadable(summary),
@@ -111,6 +116,7 @@ function tile(summary) {
 /** The two words, with the shape of what they mean together. */
 export function words(now) {
   const shape = ["", "▲ ", "◆ ", "▼ "][now.concern ?? 0];
+  if (now.isStopped) return [h("strong", { class: "safety stopped muted" }, "STOPPED"), h("span", { class: "posture muted" }, now.stopped)];
   return [
     h("strong", { class: `safety ${now.safety}${now.concern ? ` p${now.concern}` : ""}` }, shape + now.safety.toUpperCase()),
     h("span", { class: "posture" }, now.posture === "unknown" ? "dome unknown" : now.posture.toUpperCase()),
@@ -120,7 +126,7 @@ export function words(now) {
 const rank = (summary) => {
   const now = standing(summary);
   const { p1, p2 } = summary.alert_counts;
-  return now.concern === 1 || p1 ? 0 : now.concern === 2 || p2 ? 1 : now.worth !== "fresh" ? 2 : 3;
+  return now.concern === 1 || p1 ? 0 : now.concern === 2 || p2 ? 1 : now.worth !== "fresh" && !now.isStopped ? 2 : 3;
 };
 
 /** The page. */

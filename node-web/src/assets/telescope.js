@@ -144,7 +144,7 @@ function nodes() {
       const [, telescope, , role, id] = key.split("/");
       const age = ageOf(entry);
       return h("tr", { key, "data-node": `${role}/${id}` }, h("th", { scope: "row" }, `${role} ${id}`, telescope === "shared" && h("span", { class: "muted" }, " shared")),
-        h("td", {}, entry.body.host || "–"), h("td", {}, entry.body.version), h("td", {}, duration(entry.body.uptime_s + age)), ageCell(age, quality(age, entry.period_s)));
+        h("td", {}, entry.body.host || "–"), h("td", {}, entry.body.version), h("td", {}, duration(entry.body.uptime_s + age)), entry.body.stopped && entry.body.stopped.closed !== false ? ageCell(age, "stopped") : ageCell(age, quality(age, entry.period_s)));
     }))));
 }
 

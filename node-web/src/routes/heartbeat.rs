@@ -134,9 +134,12 @@ fn one(
     let mut errors: Vec<Value> = active.into_iter().map(describe).collect();
     let returned: Vec<Value> = returned.into_iter().map(describe).collect();
     if stale {
-        let error = match summary.ages.age_s {
-            Some(age_s) => format!("stale: the observatory node has been silent for {age_s:.0} s"),
-            None => "stale: nothing was received from the observatory node since this page's server started".to_owned(),
+        let error = match (&face.stopped, summary.ages.age_s) {
+            (Some(stopped), _) => format!("stale: {}", stopped.text),
+            (None, Some(age_s)) => format!("stale: the observatory node has been silent for {age_s:.0} s"),
+            (None, None) => {
+                "stale: nothing was received from the observatory node since this page's server started".to_owned()
+            }
         };
         errors.push(json!({
             "device_type": "Observatory", "device_name": address.telescope.as_str(), "error": error,

@@ -15,10 +15,11 @@ use schedule::validate;
 /// The severity, the key, and the finding.
 type FileFinding = (Severity, String, String);
 
-/// The faults of the files, and their content in words.
-pub fn look(config: &Observatory) -> (Vec<FileFinding>, Vec<String>) {
+/// The faults of the files, and their content in words; `names_schedule`: the configuration itself names its schedule.
+pub fn look(config: &Observatory, names_schedule: bool) -> (Vec<FileFinding>, Vec<String>) {
     let mut look = Look { found: Vec::new(), held: Vec::new() };
     look.folders(config);
+    look.schedule(&config.schedule.file, names_schedule);
     look.archive(config);
     look.observatory(config);
     look.alerts(config);
@@ -54,17 +55,15 @@ impl Look {
         } else if let Err(why) = database.parent().map_or(Ok(()), writable) {
             self.error("archive.database", why);
         }
-        self.schedule(&config.schedule.file);
     }
 
     /// A schedule may come later, by `starmesh schedule put`; a misspelled name would wait for it all night.
-    fn schedule(&mut self, file: &Path) {
+    fn schedule(&mut self, file: &Path, is_named: bool) {
         let shown = file.display();
         if file.is_dir() {
             self.error("schedule.file", format!("{shown} is a folder; name a file, such as schedule.jsonl"));
         }
-        let usual = config::Schedule::default().file;
-        if file.exists() || file.file_name() == usual.file_name() {
+        if file.exists() || !is_named {
             return;
         }
         let neighbors = file.parent().and_then(|folder| fs::read_dir(folder).ok()).into_iter().flatten().flatten();

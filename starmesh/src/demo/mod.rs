@@ -118,16 +118,17 @@ async fn shower(simulator: &Simulator, clock: &Clock, at: Utc) {
     std::future::pending::<()>().await;
 }
 
-/// The node processes, device nodes first; dropping them ends them through their standard input.
+/// The node processes, the observatory node last; dropping them ends them through their standard input.
 struct Nodes {
     children: Vec<tokio::process::Child>,
 }
 
 impl Nodes {
     fn start(folder: &Folder, file: &Path, config: &config::Observatory, endpoint: &str) -> anyhow::Result<Self> {
-        let mut nodes: Vec<_> = config.device_nodes().into_iter().map(|id| (Role::Device, id)).collect();
-        nodes.reverse();
-        nodes.extend([Role::Archive, Role::Web, Role::Observatory].map(|role| (role, config::MAIN_NODE)));
+        // They end in the other order: archive and web are the last, which send and store what the others report.
+        let mut nodes = [Role::Web, Role::Archive].map(|role| (role, config::MAIN_NODE)).to_vec();
+        nodes.extend(config.device_nodes().into_iter().rev().map(|id| (Role::Device, id)));
+        nodes.push((Role::Observatory, config::MAIN_NODE));
         let start = |(role, id): (Role, &str)| {
             let log = if role == Role::Device { format!("{role}-{id}.log") } else { format!("{role}.log") };
             let process = NodeProcess {
@@ -138,6 +139,7 @@ impl Nodes {
                 log: Some(folder.path.join(log)),
                 with_parent: true,
                 left: None,
+                reports: None,
             };
             process.spawn()
         };

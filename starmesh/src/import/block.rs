@@ -42,6 +42,12 @@ impl TableLines {
         self.all.push((0, format!("\n[{name}]")));
     }
 
+    /// Lines that are ready.
+    pub fn text_of(&mut self, text: &str) {
+        self.all.push((self.old, String::new()));
+        self.all.extend(text.lines().map(|line| (self.old, line.to_owned())));
+    }
+
     /// Takes out the line of a key.
     pub fn without(&mut self, key: &str) {
         let of_key = |line: &str| line.split_once('=').is_some_and(|(known, _)| known.trim() == key);

@@ -71,6 +71,8 @@ pub fn text(file: &File, about: &About<'_>, notes: &mut Notes) -> String {
             None => lines.key("robotic", false, "nothing opens before a person switches it on"),
         }
     }
+    lines.text_of(crate::first_tables::BUS);
+    lines.text_of(crate::first_tables::ALERTS);
     lines.table("web");
     lines.key("listen", quoted(&format!("127.0.0.1:{}", PORT + about.index)), "the page");
     if about.header {

@@ -2,7 +2,7 @@
 //! an example schedule.
 //!
 //! [`place`] asks where the telescope is; [`text`](mod@text) writes the configuration, [`night`] the schedule. Nothing
-//! is overwritten, and no device is connected or moved.
+//! is overwritten: `--force` gives the old files other names. No device is connected or moved.
 
 mod night;
 mod place;
@@ -15,7 +15,7 @@ use std::time::Duration;
 use alpaca::discovery::{self, Found};
 use anyhow::{Context as _, bail, ensure};
 use clap::Args;
-use contract::Chunk;
+use contract::{Address, Chunk};
 
 use self::place::Surroundings;
 use crate::console::{foreign_line, line};
@@ -26,6 +26,9 @@ pub struct Options {
     /// Where the files go; nothing there is overwritten.
     #[arg(default_value = ".")]
     folder: PathBuf,
+    /// Make the files also where there are some: those are renamed to observatory.toml.1 and so on.
+    #[arg(long)]
+    force: bool,
     /// Name of the site in the key tree: small letters, digits, '-'.
     #[arg(long, default_value = "my-site")]
     site: Chunk,
@@ -43,13 +46,24 @@ pub struct Options {
 const CONFIG: &str = "observatory.toml";
 const HEADER: &str = "fits_header.csv";
 const SCHEDULE: &str = "schedule.jsonl";
+const MOST_ASIDE: usize = 100;
 
 /// Asks what is there and writes the files.
 pub async fn run(options: Options) -> anyhow::Result<()> {
     ensure!((0.1..=60.0).contains(&options.seconds), "--seconds {}: expected 0.1 to 60", options.seconds);
+    ensure!(
+        options.telescope.as_str() != Address::SHARED,
+        "--telescope {}: this name is for the devices that all telescopes of a site share; choose that of the telescope",
+        options.telescope
+    );
     for name in [CONFIG, HEADER, SCHEDULE] {
         let path = options.folder.join(name);
-        ensure!(!path.exists(), "{} is there already and stays as it is; choose another folder", path.display());
+        ensure!(
+            options.force || !path.exists(),
+            "{} is there already and stays as it is: choose another folder, or add --force, which renames the files that are there \
+             to {name}.1 and so on",
+            path.display()
+        );
     }
     let mut found: Vec<Found> = Vec::new();
     for server in &options.server {
@@ -74,10 +88,37 @@ pub async fn run(options: Options) -> anyhow::Result<()> {
         [(CONFIG, config.as_str()), (HEADER, config::header::DEFAULT_CSV), (SCHEDULE, schedule.as_str())]
     {
         let path = options.folder.join(name);
+        if let Some(aside) = put_aside(&path)? {
+            line(format_args!("the old {} is {} now", path.display(), aside.display()))?;
+        }
         write(&path, text)?;
         line(format_args!("wrote {}", path.display()))?;
     }
     print_summary(&options, &found, &around)
+}
+
+/// Gives a file that is there another name, which is returned.
+fn put_aside(path: &Path) -> anyhow::Result<Option<PathBuf>> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let free =
+        (1..MOST_ASIDE).map(|number| path.with_file_name(format!("{name}.{number}"))).find(|aside| !aside.exists());
+    let aside = free.with_context(|| format!("{} has {MOST_ASIDE} older ones: remove some", path.display()))?;
+    std::fs::rename(path, &aside).with_context(|| format!("cannot rename {}", path.display()))?;
+    Ok(Some(aside))
+}
+
+/// The command that asks a server for the devices that were not found, for the same files.
+fn command_for_server(options: &Options) -> String {
+    let folder = options.folder.display().to_string();
+    let folder =
+        if folder.contains(|c: char| c.is_whitespace() || c == '\'') { format!("\"{folder}\"") } else { folder };
+    format!(
+        "starmesh init {folder} --force --site {} --telescope {} --server HOST:PORT",
+        options.site, options.telescope
+    )
 }
 
 /// Writes a new file.
@@ -92,9 +133,10 @@ fn print_summary(options: &Options, found: &[Found], around: &Surroundings) -> a
     if found.is_empty() {
         line(format_args!(
             "\nNo Alpaca device answered within {} s on UDP port {}: the devices in {file} are examples, each behind a #.\n\
-             Servers in another subnet, or without discovery: starmesh init --server HOST:PORT, or write them by hand.",
+             Servers in another subnet, or without discovery: write them by hand, or\n     {}",
             options.seconds,
-            discovery::PORT
+            discovery::PORT,
+            command_for_server(options)
         ))?;
     } else {
         line(format_args!("\n{} devices answered:", found.len()))?;

@@ -4,7 +4,7 @@ use super::*;
 
 fn options(folder: &Path, server: Vec<String>) -> Options {
     let [site, telescope] = ["hill", "one"].map(|name| name.parse().unwrap());
-    Options { folder: folder.join("new"), site, telescope, server, seconds: 0.1 }
+    Options { folder: folder.join("new"), force: false, site, telescope, server, seconds: 0.1 }
 }
 
 #[tokio::test]
@@ -24,10 +24,47 @@ async fn the_first_files_are_made_of_the_devices_that_answer_and_are_valid() {
     let rows = schedule::parse(&schedule, &cameras).unwrap();
     let status: Vec<&str> = rows.iter().map(|row| row.action.name()).collect();
     assert_eq!(status, ["open", "object", "object", "close", "calibration", "complete_headers"], "{schedule}");
+    assert_eq!(config.bus.listen, [config::endpoints::THIS_HOST], "{text}");
+    assert_eq!(config.alerts.send_when_observatory_silent_s, 20.0, "{text}");
     let again = run(options(home.path(), Vec::new())).await.unwrap_err().to_string();
-    assert!(again.contains("stays as it is"), "{again}");
+    assert!(again.contains("stays as it is") && again.contains("--force"), "{again}");
     assert_eq!(fs::read_to_string(folder.join(CONFIG)).unwrap(), text);
     simulator.stop().await;
+}
+
+#[tokio::test]
+async fn the_command_that_is_recommended_where_no_device_answers_makes_the_files_anew_and_keeps_the_old_ones() {
+    use clap::Parser as _;
+    #[derive(clap::Parser)]
+    struct Command {
+        #[command(flatten)]
+        init: Options,
+    }
+    let simulator = simulator::Simulator::start(simulator::Options::default()).await.unwrap();
+    let home = tempfile::tempdir().unwrap();
+    let first = options(home.path(), Vec::new());
+    let folder = first.folder.clone();
+    fs::create_dir(&folder).unwrap();
+    for name in [CONFIG, HEADER, SCHEDULE, "schedule.jsonl.1"] {
+        fs::write(folder.join(name), format!("old {name}")).unwrap();
+    }
+    let command = command_for_server(&first).replace("HOST:PORT", &simulator.address().to_string());
+    let words = command.strip_prefix("starmesh ").unwrap().split_whitespace();
+    let again = Command::try_parse_from(words.chain(["--seconds", "0.1"])).unwrap().init;
+    run(again).await.unwrap();
+    let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap();
+    let config = config::parse(&read(CONFIG), &folder).unwrap();
+    assert_eq!((config.address().to_string().as_str(), config.devices().len()), ("hill/one", 10));
+    assert_eq!([read("observatory.toml.1"), read("schedule.jsonl.2")], ["old observatory.toml", "old schedule.jsonl"]);
+    assert_eq!(read("schedule.jsonl.1"), "old schedule.jsonl.1");
+    simulator.stop().await;
+}
+
+#[tokio::test]
+async fn a_telescope_is_not_called_as_the_shared_devices_are() {
+    let home = tempfile::tempdir().unwrap();
+    let shared = Options { telescope: "shared".parse().unwrap(), ..options(home.path(), Vec::new()) };
+    assert!(run(shared).await.unwrap_err().to_string().contains("share"));
 }
 
 #[test]

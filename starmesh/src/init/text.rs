@@ -8,6 +8,7 @@ use contract::Kind;
 
 use super::place::Surroundings;
 use super::{HEADER, Options, SCHEDULE};
+use crate::first_tables::{ALERTS, BUS};
 use crate::import::site::Location;
 
 const PLACE: [&str; 3] = ["latitude_deg", "longitude_deg", "elevation_m"];
@@ -73,6 +74,7 @@ pub fn text(options: &Options, found: &[Found], around: &Surroundings) -> String
         text += "\n[pointing]\n# the simulated mount repeats itself to some arcseconds, and its pixels may be large; 0.1 at a real one\nthreshold_arcmin = 0.5\n";
     }
     text += &format!("\n[archive]\n# which keywords a frame gets, and from where\nfits_header = \"{HEADER}\"\n");
+    text += &format!("\n{BUS}\n{ALERTS}");
     text += "\n[web]\n# the page; another address than this host's own needs users (`starmesh user add`, docs/operator/users.md)\nlisten = \"127.0.0.1:8080\"\n\n";
     if found.is_empty() {
         text += "# No device answered. Take the # away from those that you have.\n\n";

@@ -92,6 +92,9 @@ catalogue! {
     LeaseCountLost: network::LEASE_COUNT_LOST,
     /// A node that published is silent now: it ended, hangs, or its host or the network is down.
     NodeSilent: network::NODE_SILENT,
+    /// A node hung and was ended by its supervisor, or ended three times within ten minutes without being asked to. The cause
+    /// says how it ended last, such as by which signal.
+    NodeEnds: network::NODE_ENDS,
     /// The wall clock differs by more than 30 s from what the boot-time clock, other nodes or a mount show; the cause
     /// says by how much.
     ClocksDisagree: network::CLOCKS_DISAGREE,

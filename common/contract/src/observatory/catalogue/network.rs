@@ -28,6 +28,14 @@ pub(super) const NODE_SILENT: AlertEntry = AlertEntry {
     ..HIGH
 };
 
+pub(super) const NODE_ENDS: AlertEntry = AlertEntry {
+    word: "node-ends",
+    instance: "ROLE/NODE",
+    consequence: "It was started again. What it does rests until it runs, and after each further end for longer.",
+    action: "Read its lines before each end in the log, correct what they name, and look at the memory of its host.",
+    ..HIGH
+};
+
 pub(super) const CLOCKS_DISAGREE: AlertEntry = AlertEntry {
     word: "clocks-disagree",
     consequence: "The Sun counts as up, and an override as over, if it is by any of them.",

@@ -1,0 +1,136 @@
+//! The runs of a node before this one, in a file of its data folder: a run that ended without being asked to is a line in the
+//! log, and the third within ten minutes is an alert.
+//!
+//! Whatever starts the node again (systemd, a container engine, `starmesh up`), the next run notices it. What reads and
+//! writes is apart from the node's work, which waits for no disk.
+
+use std::path::PathBuf;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use contract::observatory::AlertKind;
+
+use crate::Node;
+
+/// So many ends ...
+pub const MANY: usize = 3;
+/// ... within this time are an alert.
+pub const WITHIN: Duration = Duration::from_secs(600);
+/// A disk that takes longer than this to remove the file makes the next run note an end that was none.
+const DISK: Duration = Duration::from_secs(1);
+
+/// The ends that nobody asked for, of the last ten minutes. Pure: time comes in, in seconds of any clock.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Ends(Vec<u64>);
+
+impl Ends {
+    /// Takes an end.
+    pub fn take(&mut self, now_s: u64) {
+        self.0.push(now_s);
+        self.forget(now_s);
+    }
+
+    /// Is this an alert? Forgets what is older.
+    pub fn are_many(&mut self, now_s: u64) -> bool {
+        self.forget(now_s);
+        self.0.len() >= MANY
+    }
+
+    fn forget(&mut self, now_s: u64) {
+        // A clock that was set back makes no end older.
+        self.0.retain(|at_s| now_s.saturating_sub(*at_s) <= WITHIN.as_secs());
+        let surplus = self.0.len().saturating_sub(MANY);
+        self.0.drain(..surplus);
+    }
+
+    /// As the file has them: the process that runs, and the ends before it.
+    fn text(&self, pid: u32) -> String {
+        let ends: Vec<String> = self.0.iter().map(u64::to_string).collect();
+        format!("{pid} {}\n", ends.join(" "))
+    }
+
+    /// The process that wrote the file, and the ends before it; of a file that is damaged only what can be read.
+    fn read(text: &str) -> (Option<u32>, Self) {
+        let mut words = text.split_whitespace();
+        let pid = words.next().and_then(|word| word.parse().ok());
+        (pid, Self(words.filter_map(|word| word.parse().ok()).collect()))
+    }
+}
+
+/// Notes that this run has begun; logs, and raises, what the file shows of those before it. Lasts as long as the alert may.
+pub(crate) async fn notice(node: &Node) {
+    let path = path(node);
+    let noted = tokio::task::spawn_blocking(move || {
+        let before = std::fs::read_to_string(&path).ok();
+        let (pid, mut ends) = before.as_deref().map(Ends::read).unwrap_or_default();
+        if before.is_some() {
+            ends.take(now_s());
+        }
+        // Without the file the next run does not know of this one.
+        let _ = path.parent().map(std::fs::create_dir_all);
+        let _ = std::fs::write(&path, ends.text(std::process::id()));
+        (before.is_some(), pid, ends)
+    });
+    let Ok((has_ended, pid, mut ends)) = noted.await else { return };
+    if !has_ended {
+        return;
+    }
+    let process = pid.map_or_else(String::new, |pid| format!(" (process {pid})"));
+    let how = format!(
+        "the run before this one{process} ended without being asked to: by a signal, an error, or with its machine"
+    );
+    tracing::warn!("{how}");
+    let instance = format!("{}/{}", node.role, node.id);
+    while ends.are_many(now_s()) {
+        let cause = format!(
+            "the {} node {} ended {MANY} times within {} min; {how}",
+            node.role,
+            node.id,
+            WITHIN.as_secs() / 60
+        );
+        node.alerts.raise(AlertKind::NodeEnds, &instance, &cause);
+        tokio::time::sleep(Duration::from_secs(10)).await;
+    }
+    node.alerts.clear(AlertKind::NodeEnds, &instance);
+}
+
+/// The node ended as it was asked to.
+pub(crate) async fn ended_well(node: &Node) {
+    let path = path(node);
+    let removing = tokio::task::spawn_blocking(move || std::fs::remove_file(path));
+    // One that is not removed is an end that was none, in the next run's log.
+    let _ = tokio::time::timeout(DISK, removing).await;
+}
+
+fn path(node: &Node) -> PathBuf {
+    let name = format!(".run-{}-{}-{}", node.config.place.telescope, node.role, node.id);
+    node.config.folders.data.join(name)
+}
+
+fn now_s() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_third_end_within_ten_minutes_is_an_alert_and_older_ones_are_forgotten() {
+        let mut ends = Ends::default();
+        for (at_s, many) in [(1000, false), (1200, false), (1400, true), (1590, true), (2100, false), (2150, true)] {
+            ends.take(at_s);
+            assert_eq!(ends.are_many(at_s), many, "at {at_s}: {ends:?}");
+        }
+        assert!(ends.are_many(2190) && !ends.are_many(2191), "the end at 1590 has passed");
+        ends.take(100);
+        assert!(!ends.0.is_empty(), "a clock that was set back loses nothing");
+    }
+
+    #[test]
+    fn the_file_of_a_run_is_read_by_the_next_one_and_damage_costs_only_what_is_damaged() {
+        let ends = Ends(vec![7, 9]);
+        assert_eq!(Ends::read(&ends.text(42)), (Some(42), ends));
+        assert_eq!(Ends::read("42 7 \u{0}\u{0} 9"), (Some(42), Ends(vec![7, 9])));
+        assert_eq!(Ends::read(""), (None, Ends::default()));
+    }
+}
